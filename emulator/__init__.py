@@ -1,0 +1,1 @@
+"""From a scene to events, and the run that ties it together."""

@@ -1,0 +1,1 @@
+"""From light to events: pixels and read-out."""

@@ -1,0 +1,1 @@
+"""The DAVIS346 as its host sees it on USB."""

@@ -1,0 +1,164 @@
+"""What a USB device is to whoever carries its bytes (USB/IP, FunctionFS, a test).
+
+A device is sans-I/O: it answers control requests, hands out data when asked, and is told what became of it.
+It never waits; where a real device would answer NAK, `read` gives None.
+
+Setup packet, 8 bytes, little-endian (USB 2.0, section 9.3):
+
+    0 bmRequestType   bit 7 direction (1 = IN), bits 6..5 type (0 standard, 1 class, 2 vendor), bits 4..0 recipient
+    1 bRequest
+    2 wValue   4 wIndex   6 wLength
+"""
+
+from __future__ import annotations
+
+import struct
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
+from enum import IntEnum
+
+from firmware_protocol.events import Events, empty_events
+
+__all__ = ["Identity", "RequestKind", "SetupPacket", "Speed", "Stall", "Transfer", "UsbDevice"]
+
+
+class Stall(Exception):
+    """The device refuses a request; the host sees a STALL handshake (EPIPE)."""
+
+
+class Speed(IntEnum):
+    """Speed codes as USB/IP and the kernel number them."""
+
+    LOW = 1
+    FULL = 2
+    HIGH = 3
+    SUPER = 5
+
+
+class RequestKind(IntEnum):
+    """Bits 6..5 of bmRequestType."""
+
+    STANDARD = 0
+    CLASS = 1
+    VENDOR = 2
+    RESERVED = 3
+
+
+@dataclass(frozen=True)
+class SetupPacket:
+    """The eight bytes that open a control transfer."""
+
+    request_type: int
+    request: int
+    value: int
+    index: int
+    length: int
+
+    @classmethod
+    def parse(cls, data: bytes) -> SetupPacket:
+        """Read the 8 setup bytes; raises ValueError on any other length."""
+        if len(data) != 8:
+            raise ValueError(f"a setup packet has 8 bytes, got {len(data)}")
+        return cls(*struct.unpack("<BBHHH", data))
+
+    def __bytes__(self) -> bytes:
+        return struct.pack("<BBHHH", self.request_type, self.request, self.value, self.index, self.length)
+
+    @property
+    def is_in(self) -> bool:
+        """True when the data stage goes from device to host."""
+        return bool(self.request_type & 0x80)
+
+    @property
+    def kind(self) -> RequestKind:
+        """Standard, class or vendor."""
+        return RequestKind((self.request_type >> 5) & 3)
+
+    @property
+    def recipient(self) -> int:
+        """0 device, 1 interface, 2 endpoint, 3 other."""
+        return self.request_type & 0x1F
+
+
+@dataclass(frozen=True)
+class Identity:
+    """What a host learns of a device before it talks to it (the USB/IP device record)."""
+
+    vendor_id: int
+    product_id: int
+    bcd_device: int
+    speed: Speed
+    device_class: tuple[int, int, int] = (0, 0, 0)
+    interfaces: tuple[tuple[int, int, int], ...] = ((0xFF, 0, 0),)
+    configuration_value: int = 1
+    configurations: int = 1
+
+
+@dataclass(frozen=True)
+class Transfer:
+    """Data that left a device in answer to one IN request, and the events it completed.
+
+    `events` carry stream time (microseconds since the start of the run); `epoch_us` is the stream time at which the
+    device's own clock was last zero, so that device time = t - epoch_us.
+    """
+
+    data: bytes
+    events: Events = field(default_factory=empty_events)
+    epoch_us: int = 0
+
+
+class UsbDevice(ABC):
+    """One USB device without its cable.
+
+    Order of calls: `attached` when a host takes the device, then any number of `control` and `read`, then `detached`.
+    After `read` gave a Transfer, exactly one of `sent` and `lost` follows for it, in the order of the reads.
+    """
+
+    @property
+    @abstractmethod
+    def identity(self) -> Identity:
+        """Vendor, product, speed and interfaces."""
+
+    @abstractmethod
+    def attached(self) -> None:
+        """A host has taken the device: power-on state."""
+
+    @abstractmethod
+    def detached(self) -> None:
+        """The host is gone; what still waits for it is dropped and counted."""
+
+    @abstractmethod
+    def control(self, setup: SetupPacket, data: bytes) -> bytes:
+        """Do one control transfer.
+
+        Parameters
+        ----------
+        setup
+            The setup packet.
+        data
+            The OUT data stage, empty for IN. May be shorter than `setup.length`: then the device decides.
+
+        Returns
+        -------
+        The IN data stage, at most `setup.length` bytes; empty for OUT.
+
+        Raises
+        ------
+        Stall
+            The request is not known or its data do not fit.
+        """
+
+    @abstractmethod
+    def read(self, endpoint: int, max_bytes: int) -> Transfer | None:
+        """Take up to `max_bytes` from an IN endpoint (number without the direction bit, 1..15).
+
+        Returns None while there is nothing to send. Raises Stall for an endpoint that does not exist or is halted.
+        """
+
+    @abstractmethod
+    def sent(self, transfer: Transfer) -> None:
+        """Say that `transfer` has left for the host: its events count as delivered."""
+
+    @abstractmethod
+    def lost(self, transfer: Transfer) -> None:
+        """Say that `transfer` was taken from the device and then lost on the link: its events count as dropped there."""

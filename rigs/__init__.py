@@ -1,0 +1,1 @@
+"""The rigs that ship with evstim, one TOML file each."""

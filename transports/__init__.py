@@ -1,0 +1,1 @@
+"""Carries bytes between a camera and the device under test: links, pacing, and a fake for each."""
