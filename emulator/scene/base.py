@@ -40,11 +40,14 @@ class Scene(ABC):
     def light(self, t_ns: int, out: Light) -> None:
         """Write the light at stream time `t_ns` into `out`, (height, width) float32. Depends on nothing else."""
 
+    @abstractmethod
     def close(self) -> None:
         """Give back what the scene holds of the machine; a second call does nothing."""
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
         self.close()

@@ -161,4 +161,4 @@ class UsbDevice(ABC):
 
     @abstractmethod
     def lost(self, transfer: Transfer) -> None:
-        """Say that `transfer` was taken from the device and then lost on the link: its events count as dropped there."""
+        """Say that `transfer` was taken from the device and lost on the link: its events count as dropped there."""
