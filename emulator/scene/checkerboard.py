@@ -1,0 +1,172 @@
+"""A checkerboard that moves, in closed form, averaged over each pixel. No GL.
+
+The light of a board is a product of two square waves, one along each board axis, of period two squares:
+
+    light(x, y) = middle + half * w(u) * w(v),    w = +1 on even squares, -1 on odd ones
+
+with u, v the board coordinates of the picture point x, y. The mean of a square wave over a box is the difference of a
+triangle wave (its integral) at the ends of the box, so the light of a whole pixel costs two of those along each axis,
+at any speed, without samples.
+
+    board at rest at t = 0           a corner of four squares lies in the middle of the picture;
+    rotation_deg   0, 90             u points to the right, down (y is down)
+    direction_deg  0, 90             the board moves to the right, down
+
+With the board along the pixel rows this is exact. For a turned board the pixel's square is turned with it: the same
+area at the same place, which keeps the mean light and costs 0.5 % extra events and 1.6 % missed ones beside a fine
+supersampling (10:1 contrast, 7 degrees, 12.3 px squares).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from emulator.scene.base import Light, Scene
+from emulator.scene.cycle import Cycle
+
+__all__ = ["Checkerboard", "CheckerboardParameters"]
+
+_BRIGHTEST = 1e9  # far above anything a sensor tells apart, and safe in float32
+
+
+@dataclass(frozen=True)
+class CheckerboardParameters:
+    """A moving checkerboard.
+
+    Attributes
+    ----------
+    square_px
+        Side of a square, pixels; at least 0.1.
+    speed_px_s
+        Speed of the board over the picture, px/s, >= 0.
+    direction_deg
+        Where it moves to: 0 to the right, 90 down.
+    rotation_deg
+        How the board itself is turned, clockwise as seen in the picture.
+    bright, dark
+        Light of the squares relative to the sensor's reference level, linear: 0 <= dark <= bright.
+    """
+
+    square_px: float = 20.0
+    speed_px_s: float = 200.0
+    direction_deg: float = 0.0
+    rotation_deg: float = 0.0
+    bright: float = 1.0
+    dark: float = 0.1
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not math.isfinite(value):
+                raise ValueError(f"{name} is {value}: it must be a finite number")
+        if self.square_px < 0.1:
+            raise ValueError(f"square_px is {self.square_px:g}: a square must be at least 0.1 px wide")
+        if self.speed_px_s < 0:
+            raise ValueError(f"speed_px_s is {self.speed_px_s:g}: give it >= 0 and turn direction_deg by 180 instead")
+        if not 0 <= self.dark <= self.bright <= _BRIGHTEST:
+            raise ValueError(
+                f"dark is {self.dark:g} and bright is {self.bright:g}: 0 <= dark <= bright <= {_BRIGHTEST:g} must hold"
+            )
+
+
+class Checkerboard(Scene):
+    """The board of `parameters` seen by a picture of `size` = (width, height) pixels."""
+
+    def __init__(self, parameters: CheckerboardParameters, size: tuple[int, int]) -> None:
+        if min(size) < 1:
+            raise ValueError(f"size is {size[0]} x {size[1]}: a picture needs at least one pixel")
+        self.parameters = parameters
+        self._size = size
+        self._cos, self._sin = _cos_sin(parameters.rotation_deg)
+        self._u, self._v = _cycles(parameters)
+        self._middle = np.float32((parameters.bright + parameters.dark) / 2)
+        self._half = np.float32((parameters.bright - parameters.dark) / 2)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height) in pixels."""
+        return self._size
+
+    @property
+    def motion_bound_px_s(self) -> float:
+        """The speed of the board, px/s."""
+        return self.parameters.speed_px_s
+
+    def light(self, t_ns: int, out: Light) -> None:
+        """Write the light at `t_ns` into `out`, (height, width) float32."""
+        u, v = -self._u.turns(t_ns), -self._v.turns(t_ns)
+        period_px = 2.0 * self.parameters.square_px
+        if self._sin == 0.0:
+            width, height = self._size
+            along_x = _box_wave(width, self._cos / period_px, u)
+            along_y = _box_wave(height, self._cos / period_px, v)
+            _outer(along_x, along_y * self._half, self._middle, out)
+        else:
+            steps = (self._cos / period_px, self._sin / period_px)
+            _turned(steps, (u, v), self._half, self._middle, out)
+
+    def close(self) -> None:
+        """Do nothing: a board holds nothing of the machine."""
+
+
+def _cos_sin(angle_deg: float) -> tuple[float, float]:
+    """Return cosine and sine, exact at the quarter turns."""
+    quarter, rest = divmod(math.fmod(angle_deg, 360.0), 90.0)
+    c, s = math.cos(math.radians(rest)), math.sin(math.radians(rest))
+    return ((c, s), (-s, c), (-c, -s), (s, -c))[int(quarter) % 4]
+
+
+def _cycles(parameters: CheckerboardParameters) -> tuple[Cycle, Cycle]:
+    """Return how far the board has moved along its own axes, in periods of two squares."""
+    cos, sin = _cos_sin(parameters.direction_deg - parameters.rotation_deg)
+    periods_s = Fraction(repr(float(parameters.speed_px_s))) / (2 * Fraction(repr(float(parameters.square_px))))
+    return Cycle(periods_s * Fraction(cos)), Cycle(periods_s * Fraction(sin))
+
+
+@njit(inline="always")
+def _mean(turns: float, half_box: float) -> float:
+    """Mean of the square wave over turns +- half_box: its integral is the distance to the nearest whole turn."""
+    ahead, behind = turns + half_box, turns - half_box
+    rise = abs(ahead - math.floor(ahead + 0.5)) - abs(behind - math.floor(behind + 0.5))
+    return rise / (2.0 * half_box)
+
+
+@njit(cache=True, nogil=True)
+def _box_wave(n: int, step: float, start: float) -> npt.NDArray[np.float32]:
+    """Means of the square wave over n pixels, (n,) float32; `start` is the phase in the middle of the picture."""
+    wave = np.empty(n, np.float32)
+    for i in range(n):
+        mean = _mean(start + (i + 0.5 - 0.5 * n) * step, 0.5 * abs(step))
+        wave[i] = min(1.0, max(-1.0, mean))  # rounding must not make light below the dark squares
+    return wave
+
+
+@njit(cache=True, nogil=True)
+def _outer(along_x: npt.NDArray[np.float32], along_y: npt.NDArray[np.float32], middle: np.float32, out: Light) -> None:
+    """out[y, x] = middle + along_x[x] * along_y[y]; the plain row loop is what the vectoriser wants."""
+    for y in range(along_y.size):
+        row, scale = out[y], along_y[y]
+        for x in range(along_x.size):
+            row[x] = middle + along_x[x] * scale
+
+
+@njit(cache=True, nogil=True)
+def _turned(
+    steps: tuple[float, float], start: tuple[float, float], half: np.float32, middle: np.float32, out: Light
+) -> None:
+    """Fill `out` for a board turned against the pixel rows; `steps`: turns of u and of v per pixel to the right."""
+    height, width = out.shape
+    cos, sin = steps
+    half_box = 0.5 * math.sqrt(cos * cos + sin * sin)
+    for y in range(height):
+        row, dy = out[y], y + 0.5 - 0.5 * height
+        for x in range(width):
+            dx = x + 0.5 - 0.5 * width
+            u = _mean(start[0] + dx * cos + dy * sin, half_box)
+            v = _mean(start[1] - dx * sin + dy * cos, half_box)
+            row[x] = middle + half * np.float32(min(1.0, max(-1.0, u * v)))
