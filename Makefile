@@ -1,0 +1,52 @@
+# Two commands for a fresh Debian-like machine with Python and make: `make demo` and `make test`.
+# Each does all its own set-up: the virtual environment, the Python packages, and the system packages where it may.
+
+PYTHON ?= python3
+VENV   ?= .venv
+BIN    := $(VENV)/bin
+
+# What a mesh needs to be drawn.
+APT_DEMO := libegl1 libgl1 libgl1-mesa-dri
+# What the real-USB tests need: a machine to boot Linux in, and Debian's own tools in it.
+APT_TEST := $(APT_DEMO) qemu-system-x86 busybox-static usbip cpio kmod libusb-1.0-0
+
+.PHONY: demo test fast check docs bench clean
+
+demo: $(VENV)/.installed
+	@.ci/apt $(APT_DEMO)
+	$(BIN)/evstim demo
+
+test: $(VENV)/.installed-test
+	@.ci/apt $(APT_TEST)
+	$(MAKE) check
+	$(BIN)/pytest -m "not guest" -n 2 --dist loadfile
+	$(BIN)/pytest -m guest --timeout 900
+
+# The part of the tests that needs no QEMU.
+fast: $(VENV)/.installed-test
+	$(BIN)/pytest -m "not guest" -n 2 --dist loadfile
+
+check: $(VENV)/.installed-test
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+	$(BIN)/mkdocs build --strict --quiet
+
+docs: $(VENV)/.installed-test
+	$(BIN)/mkdocs serve
+
+bench: $(VENV)/.installed
+	$(BIN)/evstim bench
+
+$(VENV)/.installed: pyproject.toml requirements.lock
+	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "evstim needs Python 3.11 or newer; set PYTHON=")'
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install --quiet --disable-pip-version-check --constraint requirements.lock --editable '.[report]'
+	@touch $@
+
+$(VENV)/.installed-test: $(VENV)/.installed
+	$(BIN)/pip install --quiet --disable-pip-version-check --constraint requirements.lock --editable '.[test]'
+	@touch $@
+
+clean:
+	rm -rf $(VENV) .cache site dist
