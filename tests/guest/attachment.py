@@ -1,0 +1,49 @@
+"""The camera's cable: `usbip attach` and `usbip detach` in the guest."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from tests.guest.machine import HOST_ADDRESS, Guest
+
+__all__ = ["Attachment", "remote_cameras", "usb_bus"]
+
+BUS_PROGRAM = str(Path(__file__).parent / "clients" / "bus.py")
+DAVIS_FX3 = ("152a", "841a")
+
+
+def usb_bus(guest: Guest, cameras: int, timeout_s: float = 20.0) -> dict[str, Any]:
+    """Wait until the guest's bus shows this many cameras and return what it shows; raises RuntimeError in vain."""
+    argv = [sys.executable, BUS_PROGRAM, *DAVIS_FX3, str(cameras), str(timeout_s)]
+    seen: dict[str, Any] = json.loads(guest.check(argv, timeout_s + 10))
+    return seen
+
+
+def remote_cameras(guest: Guest, tcp_port: int) -> str:
+    """Ask what the host exports, in the words of `usbip list`."""
+    return guest.check(["usbip", "--tcp-port", str(tcp_port), "list", "-r", HOST_ADDRESS])
+
+
+class Attachment:
+    """A camera of the host on the guest's USB bus, from the moment that the kernel knows it until it is unplugged."""
+
+    def __init__(self, guest: Guest, tcp_port: int, busid: str = "1-1") -> None:
+        self._guest = guest
+        self._tool = ["usbip", "--tcp-port", str(tcp_port)]
+        self._busid = busid
+
+    def __enter__(self) -> Attachment:
+        self._guest.check([*self._tool, "attach", "-r", HOST_ADDRESS, "-b", self._busid])
+        seen = usb_bus(self._guest, cameras=1)
+        self.device: dict[str, str] = seen["devices"][0]
+        self._port: int = seen["ports"][0]
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        # After an unplugging there is nothing left to detach: the outcome shows on the bus.
+        self._guest.run(["usbip", "detach", "-p", str(self._port)])
+        usb_bus(self._guest, cameras=0)

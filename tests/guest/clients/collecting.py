@@ -1,0 +1,52 @@
+"""What the three clients share: their arguments, and the events they collect.
+
+    client.py --count N --timeout S --output FILE.npz
+
+Each client prints what it saw as one JSON object on its last line, and saves the events as the arrays t (int64,
+microseconds), x, y (uint16) and on (bool).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from pathlib import Path
+
+import numpy as np
+
+
+def arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--count", type=int, required=True, help="stop after this many events")
+    parser.add_argument("--timeout", type=float, required=True, help="stop after this many seconds")
+    parser.add_argument("--output", type=Path, required=True)
+    return parser.parse_args()
+
+
+class Collector:
+    """Keeps every event until there are enough or time is up."""
+
+    def __init__(self, options: argparse.Namespace) -> None:
+        self._count = options.count
+        self._output = options.output
+        self._deadline = time.monotonic() + options.timeout
+        self._columns: list[tuple[np.ndarray, ...]] = []
+        self._collected = 0
+        self._started: float | None = None
+
+    @property
+    def done(self) -> bool:
+        return self._collected >= self._count or time.monotonic() > self._deadline
+
+    def add(self, t: np.ndarray, x: np.ndarray, y: np.ndarray, on: np.ndarray) -> None:
+        self._started = self._started or time.monotonic()
+        self._columns.append((t.astype(np.int64), x.astype(np.uint16), y.astype(np.uint16), on.astype(bool)))
+        self._collected += len(t)
+
+    def report(self, **seen: object) -> None:
+        """Save the events and print what was seen; call it after the camera is closed."""
+        columns = [np.concatenate(column) for column in zip(*self._columns, strict=True)] or [np.empty(0)] * 4
+        np.savez(self._output, **dict(zip(("t", "x", "y", "on"), columns, strict=True)))
+        streamed_s = time.monotonic() - (self._started or time.monotonic())
+        print(json.dumps({"events": self._collected, "streamed_s": round(streamed_s, 3), **seen}))

@@ -1,0 +1,34 @@
+"""neuromorphic_drivers, the community's driver in Rust."""
+
+from __future__ import annotations
+
+from importlib.metadata import version
+
+import neuromorphic_drivers as nd
+from collecting import Collector, arguments
+
+
+def main() -> None:
+    collector = Collector(arguments())
+    discovered = [device.serial for device in nd.list_devices()]
+    running, overflows = True, 0
+    with nd.open(nd.inivation_davis346.Configuration(), iterator_timeout=0.1) as camera:
+        seen = {"serial": camera.serial(), "name": camera.name().value, "connection": camera.connection().value}
+        while running and not collector.done:
+            try:
+                _status, packet = next(camera)
+            except RuntimeError:  # the camera was unplugged
+                running = False
+                continue
+            if packet is None or packet.polarity_events is None:
+                continue
+            events = packet.polarity_events
+            overflows += len(packet.polarity_events_overflow_indices or ())
+            collector.add(events["t"], events["x"], events["y"], events["on"])
+    collector.report(
+        version=version("neuromorphic_drivers"), discovered=discovered, overflows=overflows, running=running, **seen
+    )
+
+
+if __name__ == "__main__":
+    main()

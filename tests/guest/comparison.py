@@ -1,0 +1,35 @@
+"""Does a client's view equal what was delivered, event by event?"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from firmware_protocol.events import EVENT, Events
+
+__all__ = ["assert_same", "load_seen"]
+
+
+def load_seen(path: Path) -> Events:
+    """Read a client's arrays as EVENT (n,), in the client's time."""
+    with np.load(path) as arrays:
+        seen = np.empty(len(arrays["t"]), EVENT)
+        for name in ("t", "x", "y", "on"):
+            seen[name] = arrays[name]
+    return seen
+
+
+def assert_same(seen: Events, delivered: Events, *, offset_us: int) -> None:
+    """Assert that `seen` (n,) is how `delivered` (m,) begins, with times later by `offset_us`."""
+    assert len(seen) <= len(delivered), f"{len(seen)} events seen, only {len(delivered)} delivered"
+    expected = delivered[: len(seen)].copy()
+    expected["t"] += np.uint64(offset_us)
+    wrong = np.flatnonzero(seen != expected)
+    if len(wrong):
+        i = wrong[0]
+        around = slice(max(0, i - 2), i + 3)
+        raise AssertionError(
+            f"{len(wrong)} of {len(seen)} events differ, the first at {i}:\n"
+            f"seen      {seen[around].tolist()}\ndelivered {expected[around].tolist()}"
+        )

@@ -1,0 +1,43 @@
+"""The guest, booted once for all its tests; and what happens where it cannot be had."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.guest.environments import Driver
+from tests.guest.image import GuestUnavailable
+from tests.guest.machine import CACHE, Guest
+
+
+def cannot(reason: GuestUnavailable) -> None:
+    """Skip, saying why; but in CI nothing that counts is skipped."""
+    if os.environ.get("CI") == "true":
+        pytest.fail(f"the guest is not to be had: {reason}", pytrace=False)
+    pytest.skip(f"the guest is not to be had: {reason}")
+
+
+@pytest.fixture(scope="session")
+def guest(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Guest]:
+    """A running Linux guest with the USB/IP host driver loaded."""
+    try:
+        machine = Guest(tmp_path_factory.mktemp("guest"))
+    except GuestUnavailable as reason:
+        cannot(reason)
+        raise
+    with machine:
+        machine.load("vhci-hcd")
+        yield machine
+
+
+@pytest.fixture
+def driver_python(driver: Driver) -> Path:
+    """The interpreter of the driver's own environment, the same path in the guest as on the host."""
+    try:
+        return driver.python(CACHE)
+    except GuestUnavailable as reason:
+        cannot(reason)
+        raise

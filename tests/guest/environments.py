@@ -1,0 +1,72 @@
+"""The drivers under test, each in a virtual environment of its own, made once by pip and kept in the cache."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+from tests.guest.image import GuestUnavailable
+
+__all__ = ["DRIVERS", "Driver"]
+
+CLIENTS = Path(__file__).with_name("clients")
+
+
+@dataclass(frozen=True)
+class Driver:
+    """An unmodified driver: what pip installs, and the program of `clients/` that uses it."""
+
+    name: str
+    packages: tuple[str, ...]
+    pythons: tuple[str, ...] = ()
+    """Versions of Python that the driver's wheels exist for; empty: any that this project runs on."""
+
+    @property
+    def program(self) -> Path:
+        """The stand-alone client."""
+        return CLIENTS / f"{self.name}.py"
+
+    def python(self, cache: Path) -> Path:
+        """Return the environment's interpreter, making the environment on the first call.
+
+        Raises GuestUnavailable when no fitting Python is here or pip cannot install the packages.
+        """
+        environment = cache / f"venv-{self.name}"
+        if not environment.is_dir():
+            cache.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryDirectory(dir=cache) as scratch:
+                self._make(Path(scratch) / environment.name)
+                (Path(scratch) / environment.name).rename(environment)
+        return environment / "bin" / "python"
+
+    def _make(self, environment: Path) -> None:
+        """Only `bin/python` is used later, so the environment may be moved after pip has filled it."""
+        interpreter = str(environment / "bin" / "python")
+        for command in (
+            [self._base_python(), "-m", "venv", str(environment)],
+            [interpreter, "-m", "pip", "install", "--quiet", "--only-binary=:all:", *self.packages],
+        ):
+            done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
+            if done.returncode != 0:
+                raise GuestUnavailable(f"cannot install {' '.join(self.packages)}: {done.stderr.strip()}")
+
+    def _base_python(self) -> str:
+        running = f"{sys.version_info.major}.{sys.version_info.minor}"
+        if not self.pythons or running in self.pythons:
+            return sys.executable
+        for version in self.pythons:
+            found = shutil.which(f"python{version}")
+            if found is not None:
+                return found
+        raise GuestUnavailable(f"{self.packages[0]} has wheels only for Python {', '.join(self.pythons)}, not found")
+
+
+DRIVERS = (
+    Driver("dv2", ("dv-processing==2.0.4", "numpy")),
+    Driver("dv1", ("dv-processing==1.7.9", "numpy<2"), pythons=("3.11",)),
+    Driver("nd", ("neuromorphic_drivers==0.18.2", "numpy")),
+)

@@ -1,0 +1,176 @@
+"""A Linux guest in QEMU: boots Debian's kernel on the host's own files and runs programs in it.
+
+Nothing needs root, KVM or a network: the host's root directory is a read-only 9p share, QEMU's user network carries
+the guest's TCP connections to the host's loopback interface (10.0.2.2 in the guest), and one folder is writable.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shlex
+import shutil
+import socket
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+
+from tests.guest.image import GuestUnavailable, build_initramfs, fetch_kernel
+
+__all__ = ["CACHE", "HOST_ADDRESS", "Finished", "Guest", "Job"]
+
+CACHE = Path(__file__).parents[2] / ".cache" / "guest"
+HOST_ADDRESS = "10.0.2.2"
+RESULTS_IN_GUEST = Path("/evstim-results")
+BOOT_TIMEOUT_S = 90.0
+CONSOLE_TAIL_LINES = 40
+
+
+@dataclass(frozen=True)
+class Finished:
+    """A program of the guest that has ended; `code` is None when its time ran out."""
+
+    argv: tuple[str, ...]
+    code: int | None
+    stdout: str
+    stderr: str
+
+    @property
+    def ok(self) -> bool:
+        """True when the program ended with code 0."""
+        return self.code == 0
+
+    def __str__(self) -> str:
+        end = "ran out of time" if self.code is None else f"ended with {self.code}"
+        return f"{shlex.join(self.argv)} {end}\n{self.stdout}{self.stderr}"
+
+
+class Job:
+    """A program that runs in the guest."""
+
+    def __init__(self, argv: Sequence[str], connection: socket.socket, timeout_s: float) -> None:
+        self._argv = tuple(argv)
+        self._connection = connection
+        # The agent keeps the time; the margin is for a guest that no longer answers.
+        connection.settimeout(timeout_s + 30)
+        connection.sendall(json.dumps({"argv": self._argv, "timeout_s": timeout_s}).encode() + b"\n")
+
+    def wait(self) -> Finished:
+        """Wait for the end of the program; raises TimeoutError or ConnectionError when the guest is gone."""
+        with self._connection, self._connection.makefile("rb") as lines:
+            reply = lines.readline()
+        if not reply:
+            raise ConnectionError(f"the guest left while {shlex.join(self._argv)} ran")
+        return Finished(self._argv, **json.loads(reply))
+
+
+class Guest:
+    """A booted guest; a context manager that always ends QEMU.
+
+    Parameters
+    ----------
+    results
+        Existing folder of the host that the guest may write; see `path_in_guest`.
+    """
+
+    def __init__(self, results: Path) -> None:
+        self.results = results
+        self.console_file = results / "console.log"
+        self.kernel = fetch_kernel(CACHE)
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self._listener.settimeout(BOOT_TIMEOUT_S)
+        try:
+            self._qemu = self._power_on()
+        except BaseException:
+            self._listener.close()
+            raise
+        self._wait_until_up()
+
+    def __enter__(self) -> Guest:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End the guest."""
+        self._listener.close()
+        self._qemu.kill()
+        self._qemu.wait()
+
+    def start(self, argv: Sequence[str], timeout_s: float) -> Job:
+        """Start a program in the guest as root."""
+        try:
+            connection, _ = self._listener.accept()
+        except TimeoutError as error:
+            raise TimeoutError(f"the guest does not answer; its console:\n{self.console}") from error
+        return Job(argv, connection, timeout_s)
+
+    def run(self, argv: Sequence[str], timeout_s: float = 30.0) -> Finished:
+        """Run a program in the guest as root and wait for its end."""
+        return self.start(argv, timeout_s).wait()
+
+    def check(self, argv: Sequence[str], timeout_s: float = 30.0) -> str:
+        """Run a program that must succeed and return its output; raises RuntimeError with all that it said."""
+        finished = self.run(argv, timeout_s)
+        if not finished.ok:
+            raise RuntimeError(f"{finished}\nconsole of the guest:\n{self.console}")
+        return finished.stdout
+
+    def load(self, module: str) -> None:
+        """Load a kernel module from the unpacked package."""
+        self.check(["modprobe", "-d", str(self.kernel.tree), module])
+
+    def path_in_guest(self, name: str) -> str:
+        """Path under which the guest writes the file that the host finds as `results`/name."""
+        return str(RESULTS_IN_GUEST / name)
+
+    @property
+    def console(self) -> str:
+        """The last lines of the guest's console."""
+        return "\n".join(self.console_file.read_text(errors="replace").splitlines()[-CONSOLE_TAIL_LINES:])
+
+    def _power_on(self) -> subprocess.Popen[bytes]:
+        initramfs = self.results / "initramfs.gz"
+        settings = {
+            "PYTHON": sys.executable,
+            "AGENT": str(Path(__file__).with_name("agent.py")),
+            "PORT": str(self._listener.getsockname()[1]),
+        }
+        build_initramfs(self.kernel, settings, initramfs)
+        with self.console_file.open("wb") as console:
+            return subprocess.Popen(
+                self._command_line(initramfs), stdin=subprocess.DEVNULL, stdout=console, stderr=subprocess.STDOUT
+            )
+
+    def _wait_until_up(self) -> None:
+        try:
+            self.check(["true"])
+        except BaseException:
+            self.close()
+            raise
+
+    def _command_line(self, initramfs: Path) -> list[str]:
+        qemu = shutil.which("qemu-system-x86_64")
+        if qemu is None:
+            raise GuestUnavailable("no qemu-system-x86_64: apt-get install qemu-system-x86")
+        share = "local,security_model=none,multidevs=remap"
+        return [
+            *(qemu, "-M", "pc", *_accelerator(), "-smp", "2", "-m", "2048"),
+            *("-nographic", "-nodefaults", "-no-reboot", "-serial", "stdio"),
+            *("-kernel", str(self.kernel.image), "-initrd", str(initramfs)),
+            *("-append", "console=ttyS0 quiet panic=-1 mitigations=off"),
+            *("-virtfs", f"{share},path=/,mount_tag=host,readonly=on"),
+            *("-virtfs", f"{share},path={self.results},mount_tag=results"),
+            *("-netdev", "user,id=host", "-device", "virtio-net-pci,netdev=host,romfile="),
+        ]
+
+
+def _accelerator() -> tuple[str, ...]:
+    """QEMU translates by itself; EVSTIM_GUEST_ACCEL=kvm uses the processor's own help where there is any."""
+    if os.environ.get("EVSTIM_GUEST_ACCEL") == "kvm":
+        return ("-accel", "kvm", "-cpu", "host")
+    return ("-accel", "tcg,thread=multi", "-cpu", "max")

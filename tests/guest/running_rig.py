@@ -1,0 +1,119 @@
+"""`evstim run` on the host, as a user starts it, and the record of what it delivered."""
+
+from __future__ import annotations
+
+import json
+import signal
+import socket
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from firmware_protocol.events import Events
+from transports.record import load_record
+
+__all__ = ["Delivered", "RunningRig"]
+
+START_TIMEOUT_S = 60.0
+STOP_TIMEOUT_S = 30.0
+CHECKERBOARD = """
+title = "A moving checkerboard, served over USB/IP to a guest"
+
+[scene]
+kind = "checkerboard"
+
+[[links]]
+kind = "usbip"
+port = {port}
+"""
+
+
+@dataclass(frozen=True)
+class Delivered:
+    """What left the camera: events (n,) EVENT in device time, and where that time started anew."""
+
+    events: Events
+    resets: list[int]
+
+
+class RunningRig:
+    """A rig that serves its camera until the block ends; `summary` and `delivered` are known afterwards.
+
+    Parameters
+    ----------
+    folder
+        Existing folder for the rig file, the record and what the program says.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._record = folder / "delivered.npz"
+        self._said = folder / "evstim.log"
+        self._rig = folder / "guest.toml"
+        self.port = _free_port()
+        self.summary: dict[str, Any] = {}
+
+    def __enter__(self) -> RunningRig:
+        self._rig.write_text(CHECKERBOARD.format(port=self.port))
+        program = Path(sys.executable).with_name("evstim")
+        command = [str(program), "run", str(self._rig), "--record", str(self._record), "--json"]
+        with self._said.open("w") as said:
+            self._process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=said, stderr=subprocess.STDOUT)
+        try:
+            self._wait_until_served()
+        except BaseException:
+            self._process.kill()
+            self._process.wait()
+            raise
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.stop()
+
+    def stop(self) -> None:
+        """End the run as Ctrl-C does; calling it again does nothing."""
+        if self._process.returncode is not None:
+            return
+        self._process.send_signal(signal.SIGINT)
+        try:
+            self._process.wait(STOP_TIMEOUT_S)
+        finally:
+            self._process.kill()
+            self._process.wait()
+        last_line = self.said.splitlines()[-1]
+        try:
+            self.summary = json.loads(last_line)
+        except ValueError as error:
+            raise RuntimeError(f"evstim run did not end with its summary:\n{self.said}") from error
+
+    @property
+    def said(self) -> str:
+        """All that the program printed."""
+        return self._said.read_text(errors="replace")
+
+    @property
+    def delivered(self) -> Delivered:
+        """The record; only after the end of the run."""
+        return Delivered(*load_record(self._record))
+
+    def _wait_until_served(self) -> None:
+        deadline = time.monotonic() + START_TIMEOUT_S
+        while time.monotonic() < deadline:
+            if self._process.poll() is not None:
+                raise RuntimeError(f"evstim run ended at once:\n{self.said}")
+            try:
+                socket.create_connection(("127.0.0.1", self.port)).close()
+            except ConnectionRefusedError:
+                time.sleep(0.05)
+            else:
+                return
+        raise TimeoutError(f"evstim run does not serve:\n{self.said}")
+
+
+def _free_port() -> int:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        port: int = listener.getsockname()[1]
+    return port
