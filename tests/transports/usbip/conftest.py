@@ -1,0 +1,165 @@
+"""A USB device of a few lines, and a USB/IP server in a thread of its own."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+import threading
+from collections import deque
+
+import pytest
+
+from firmware_protocol.usb.device import Identity, SetupPacket, Speed, Stall, Transfer, UsbDevice
+from transports.usbip.connection import ConnectionSettings
+from transports.usbip.server import UsbipServer
+
+STREAM_ENDPOINT = 2
+
+
+class FakeDevice(UsbDevice):
+    """Answers a descriptor request, keeps one register, and hands out the chunks it was given."""
+
+    def __init__(self) -> None:
+        self.log: list[str] = []
+        self.chunks: deque[bytes] = deque()
+        self.given: list[bytes] = []
+        self.sent_data: list[bytes] = []
+        self.lost_data: list[bytes] = []
+        self.halted = False
+        self.register = bytes(4)
+        self.events = threading.Condition()
+
+    def note(self, entry: str) -> None:
+        with self.events:
+            self.log.append(entry)
+            self.events.notify_all()
+
+    def wait_for(self, entry: str, times: int = 1) -> None:
+        with self.events:
+            assert self.events.wait_for(lambda: self.log.count(entry) >= times, 5), (entry, self.log)
+
+    @property
+    def identity(self) -> Identity:
+        return Identity(0x152A, 0x841A, 0x0206, Speed.SUPER)
+
+    def attached(self) -> None:
+        self.note("attached")
+
+    def detached(self) -> None:
+        self.note("detached")
+
+    def control(self, setup: SetupPacket, data: bytes) -> bytes:
+        match setup.request:
+            case 0x06:
+                return bytes([18, 1, 0, 3, 0, 0, 0, 9, 0x2A, 0x15, 0x1A, 0x84, 0x06, 0x02, 1, 2, 3, 1])
+            case 0x09:
+                return b""
+            case 0xBF if setup.is_in:
+                return self.register
+            case 0xBF:
+                self.register = data
+                return b""
+            case 0xEE:
+                raise ValueError("a fault in the device model")
+        raise Stall(f"unknown request {setup.request:#x}")
+
+    def read(self, endpoint: int, max_bytes: int) -> Transfer | None:
+        if endpoint == 1:
+            return None
+        if endpoint != STREAM_ENDPOINT or self.halted:
+            raise Stall("no such endpoint")
+        if not self.chunks:
+            return None
+        chunk = self.chunks.popleft()
+        if len(chunk) > max_bytes:
+            self.chunks.appendleft(chunk[max_bytes:])
+            chunk = chunk[:max_bytes]
+        self.given.append(chunk)
+        return Transfer(chunk)
+
+    def sent(self, transfer: Transfer) -> None:
+        self.sent_data.append(transfer.data)
+        self.note("sent")
+
+    def lost(self, transfer: Transfer) -> None:
+        self.lost_data.append(transfer.data)
+        self.note("lost")
+
+
+class ServerThread:
+    """A USB/IP server whose event loop runs in another thread, so that a test can block on its sockets."""
+
+    def __init__(self) -> None:
+        self.loop = asyncio.new_event_loop()
+        self.faults: list[dict] = []
+        self.loop.set_exception_handler(lambda loop, context: self.faults.append(context))
+        self._thread = threading.Thread(target=self.loop.run_forever)
+        self._thread.start()
+        self._sockets: list[socket.socket] = []
+        self.server: UsbipServer
+
+    def start(self, devices, settings=None, **kwargs):
+        self.server = UsbipServer(devices, settings, **kwargs)
+        self.run(self.server.start("127.0.0.1", 0))
+        return self.server
+
+    def run(self, coroutine):
+        return asyncio.run_coroutine_threadsafe(coroutine, self.loop).result(5)
+
+    def call(self, function, *args):
+        async def wrapped():
+            return function(*args)
+
+        return self.run(wrapped())
+
+    def feed(self, device: FakeDevice, *chunks: bytes) -> None:
+        def feed():
+            device.chunks.extend(chunks)
+            self.server.pump()
+
+        self.call(feed)
+
+    def connect(self) -> socket.socket:
+        sock = socket.create_connection(("127.0.0.1", self.server.port), 5)
+        self._sockets.append(sock)
+        return sock
+
+    def pair(self) -> socket.socket:
+        ours, theirs = socket.socketpair()
+        ours.settimeout(5)
+        self._sockets.append(ours)
+        self.run(self.server.serve(theirs))
+        return ours
+
+    def close(self) -> None:
+        for sock in self._sockets:
+            sock.close()
+        self.run(self.server.close())
+        self.loop.call_soon_threadsafe(self.loop.stop)
+        self._thread.join()
+        self.loop.close()
+
+
+@pytest.fixture
+def device():
+    return FakeDevice()
+
+
+@pytest.fixture
+def new_device():
+    return FakeDevice
+
+
+@pytest.fixture
+def rig():
+    """A server thread that is not started yet."""
+    thread = ServerThread()
+    yield thread
+    thread.close()
+
+
+@pytest.fixture
+def served(rig, device):
+    """A server with one fake device at 1-1."""
+    rig.start({"1-1": device}, ConnectionSettings(operation_timeout_s=30))
+    return rig

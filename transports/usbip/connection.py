@@ -1,0 +1,291 @@
+"""One connection to the USB/IP server: from the first operation to the last URB.
+
+    CONNECTED --device list--> answered and closed
+              --import, free-> ATTACHED --URBs ... peer gone or protocol broken--> closed, device detached
+              --import, else-> refused and closed
+
+What is promised:
+
+- IN URBs of an endpoint are answered in the order they came, each with what one `read` of the device gave; while the
+  device has nothing they stay pending. Control URBs never wait for them.
+- While the socket takes no more, no URB is read from the peer and no data from the device: what the device cannot keep
+  it drops and counts itself.
+- Every Transfer read from the device is reported `sent` when the kernel has all its bytes, or `lost` when the
+  connection ended first.
+- Nothing here polls: work is done when bytes come, when the socket drains, and when `answer` is called.
+- A device model that raises something else than Stall loses its host, as a crashed firmware would; asyncio logs the
+  error, and the server goes on.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import socket
+from collections import OrderedDict, deque
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from firmware_protocol.usb.device import SetupPacket, Stall, Transfer, UsbDevice
+from firmware_protocol.usb.usbip import (
+    DeviceListReply,
+    DeviceListRequest,
+    ImportReply,
+    ImportRequest,
+    Submit,
+    Submitted,
+    Unlink,
+    Unlinked,
+    UrbStatus,
+    UsbipError,
+)
+from firmware_protocol.usb.usbip_parser import Limits, Request, ServerParser
+
+__all__ = ["Bus", "Connection", "ConnectionSettings"]
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class ConnectionSettings:
+    """How patient and how generous a connection is.
+
+    Attributes
+    ----------
+    limits
+        Longest transfers.
+    pending_urbs
+        URBs that may wait at once; drivers keep 8 to 40.
+    operation_timeout_s
+        A connection that has not asked for a device by then is closed, so that idle sockets cannot pile up.
+    silence_timeout_s
+        A peer that acknowledges nothing for so long is gone, though no one said so (TCP only).
+    send_buffer_bytes
+        What the kernel may hold between us and the peer. Data in there counts as sent, so it is kept small: two of the
+        largest transfers that drivers ask for.
+    """
+
+    limits: Limits = field(default_factory=Limits)
+    pending_urbs: int = 4096
+    operation_timeout_s: float = 10.0
+    silence_timeout_s: float = 60.0
+    send_buffer_bytes: int = 256 << 10
+
+
+class Bus(Protocol):
+    """What a connection asks of its server."""
+
+    def list_devices(self) -> DeviceListReply:
+        """Return the answer to a device list request."""
+
+    def claim(self, busid: str, connection: Connection) -> tuple[ImportReply, UsbDevice | None]:
+        """Give a device to a connection, or say why not."""
+
+    def closed(self, connection: Connection) -> None:
+        """Hear that a connection is over; what it held is free again."""
+
+
+class Connection(asyncio.Protocol):
+    """The server's end of one connection."""
+
+    _transport: asyncio.Transport
+
+    def __init__(self, bus: Bus, settings: ConnectionSettings) -> None:
+        self._bus = bus
+        self._settings = settings
+        self._parser = ServerParser(settings.limits)
+        self._device: UsbDevice | None = None
+        # Endpoint number -> the URBs that wait there by sequence number, oldest first.
+        self._pending: dict[int, OrderedDict[int, Submit]] = {}
+        self._unsent: deque[Transfer] = deque()
+        self._blocked = False
+        self._timeout: asyncio.TimerHandle | None = None
+        self.peer = "?"
+
+    # The asyncio side.
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Take a connected socket."""
+        assert isinstance(transport, asyncio.Transport)
+        self._transport = transport
+        self.peer = _name(transport)
+        _tune(transport.get_extra_info("socket"), self._settings)
+        # Blocked as soon as one byte waits: the device keeps its data until the socket can take them.
+        transport.set_write_buffer_limits(high=0)
+        loop = asyncio.get_running_loop()
+        self._timeout = loop.call_later(self._settings.operation_timeout_s, self._operation_overdue)
+
+    def data_received(self, data: bytes) -> None:
+        """Take bytes from the peer."""
+        self._parser.receive(data)
+        self._advance()
+
+    def pause_writing(self) -> None:
+        """Hear that the socket takes no more: stop listening too, since requests make answers."""
+        self._blocked = True
+        self._transport.pause_reading()
+
+    def resume_writing(self) -> None:
+        """Hear that the kernel has taken everything: go on."""
+        self._blocked = False
+        self._settle()
+        self._advance()
+        if self._writable:
+            self._transport.resume_reading()
+
+    def connection_lost(self, error: Exception | None) -> None:
+        """Hear that the connection is over: nothing more reaches the peer."""
+        if self._timeout:
+            self._timeout.cancel()
+        if error:
+            log.info("%s: connection lost: %s", self.peer, error)
+        device, self._device = self._device, None
+        self._pending.clear()
+        try:
+            if device:
+                self._detach(device)
+        finally:
+            self._bus.closed(self)
+
+    # What the server calls.
+
+    def answer(self) -> None:
+        """Answer pending IN URBs with what the device has now."""
+        for endpoint, urbs in self._pending.items():
+            while urbs and self._writable and self._answer_one(endpoint, urbs):
+                pass
+
+    def abort(self) -> None:
+        """Close at once; what is not sent is lost."""
+        self._transport.abort()
+
+    @property
+    def _writable(self) -> bool:
+        return not self._blocked and not self._transport.is_closing()
+
+    # Requests.
+
+    def _advance(self) -> None:
+        """Handle what has come and answer what can be answered."""
+        try:
+            while self._writable:
+                message = self._parser.next_message()
+                if message is None:
+                    break
+                self._handle(message)
+        except UsbipError as error:
+            log.warning("%s: closed, the peer broke the protocol: %s", self.peer, error)
+            self._transport.abort()
+            return
+        self.answer()
+
+    def _handle(self, message: Request) -> None:
+        match message:
+            case Submit():
+                self._submit(message)
+            case Unlink():
+                self._unlink(message)
+            case ImportRequest():
+                self._import(message)
+            case DeviceListRequest():
+                self._transport.write(bytes(self._bus.list_devices()))
+                self._transport.close()
+
+    def _import(self, request: ImportRequest) -> None:
+        reply, device = self._bus.claim(request.busid, self)
+        if device:
+            device.attached()
+            self._device = device
+            self._parser.begin_urbs()
+            if self._timeout:
+                self._timeout.cancel()
+            log.info("%s: attached to %s", self.peer, request.busid)
+        self._transport.write(bytes(reply))
+        if not device:
+            self._transport.close()
+
+    def _submit(self, urb: Submit) -> None:
+        if urb.endpoint == 0:
+            self._control(urb)
+        elif urb.is_in:
+            self._queue(urb)
+        else:
+            # A UsbDevice has no OUT endpoint but 0.
+            self._reply(Submitted(urb.seqnum, UrbStatus.STALL, 0))
+
+    def _queue(self, urb: Submit) -> None:
+        if any(urb.seqnum in urbs for urbs in self._pending.values()):
+            raise UsbipError(f"sequence number {urb.seqnum} is used by two pending URBs")
+        if sum(map(len, self._pending.values())) >= self._settings.pending_urbs:
+            raise UsbipError(f"more than {self._settings.pending_urbs} URBs pending")
+        self._pending.setdefault(urb.endpoint, OrderedDict())[urb.seqnum] = urb
+
+    def _unlink(self, unlink: Unlink) -> None:
+        taken = any(urbs.pop(unlink.victim, None) is not None for urbs in self._pending.values())
+        # A URB that was taken back gets no RET_SUBMIT; one that was answered before is left to its answer.
+        self._transport.write(bytes(Unlinked(unlink.seqnum, UrbStatus.UNLINKED if taken else UrbStatus.OK)))
+
+    def _control(self, urb: Submit) -> None:
+        assert self._device
+        setup = SetupPacket.parse(urb.setup)
+        try:
+            if setup.length and setup.is_in != urb.is_in:
+                raise Stall("the direction of the URB is not that of its setup packet")
+            data = self._device.control(setup, urb.data)[: min(setup.length, urb.length)]
+        except Stall as stall:
+            log.debug("%s: STALL of %s: %s", self.peer, setup, stall)
+            self._reply(Submitted(urb.seqnum, UrbStatus.STALL, 0))
+        else:
+            self._reply(Submitted(urb.seqnum, UrbStatus.OK, len(data) if urb.is_in else len(urb.data), data))
+
+    def _reply(self, reply: Submitted) -> None:
+        # One write, so that header and data leave in one segment.
+        self._transport.write(bytes(reply))
+
+    # Data from the device.
+
+    def _answer_one(self, endpoint: int, urbs: OrderedDict[int, Submit]) -> bool:
+        """Answer the oldest URB of an endpoint; False when the device has nothing for it."""
+        assert self._device
+        seqnum, urb = next(iter(urbs.items()))
+        try:
+            transfer = self._device.read(endpoint, urb.length)
+        except Stall:
+            del urbs[seqnum]
+            self._reply(Submitted(seqnum, UrbStatus.STALL, 0))
+            return True
+        if transfer is None:
+            return False
+        del urbs[seqnum]
+        self._unsent.append(transfer)
+        self._reply(Submitted(seqnum, UrbStatus.OK, len(transfer.data), transfer.data))
+        if self._writable:
+            self._settle()
+        return True
+
+    def _settle(self) -> None:
+        """Report what the kernel has taken."""
+        while self._unsent and self._device:
+            self._device.sent(self._unsent.popleft())
+
+    def _detach(self, device: UsbDevice) -> None:
+        while self._unsent:
+            device.lost(self._unsent.popleft())
+        device.detached()
+
+    def _operation_overdue(self) -> None:
+        log.warning("%s: closed, no device asked for within %g s", self.peer, self._settings.operation_timeout_s)
+        self._transport.abort()
+
+
+def _name(transport: asyncio.Transport) -> str:
+    peer = transport.get_extra_info("peername")
+    return f"{peer[0]}:{peer[1]}" if isinstance(peer, tuple) else "local socket"
+
+
+def _tune(sock: socket.socket, settings: ConnectionSettings) -> None:
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, settings.send_buffer_bytes)
+    if sock.family in (socket.AF_INET, socket.AF_INET6):
+        sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, round(1000 * settings.silence_timeout_s))
