@@ -1,0 +1,262 @@
+"""One link: a camera, the transport that carries its bytes, and the process they run in.
+
+    session process                      link process
+    ---------------                      ------------------------------------------------
+    EventRing  ---- events, now_us --->  feed: camera.offer, camera.advance
+    Connection ---- Stop ------------->  endpoint: USB/IP server or loopback host
+               <--- LinkReport --------  (ten a second, and a last one)
+
+Each link has a process of its own because a busy Python thread turns pacing of microseconds into tens of milliseconds.
+The link decides *when* an event leaves: at its own time when the run is paced, as soon as it is there when it is not.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import selectors
+import signal
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+import numpy as np
+
+from firmware_protocol.davis346 import CameraCounters, Davis346, Davis346Settings
+from firmware_protocol.usb.device import Identity, SetupPacket, Transfer, UsbDevice
+from transports.latency import LatencyHistogram, LatencySummary
+from transports.pacing import Clock, MonotonicClock
+from transports.record import Recorder
+from transports.ring import FREE_RUNNING, EventRing
+
+__all__ = ["Endpoint", "Link", "LinkReport", "LinkSetup", "Observed", "Stop", "run_link"]
+
+_REPORT_PERIOD_NS = 100_000_000
+_TAKE_LIMIT = 1 << 17  # events a tick: bounds the memory and the time of one tick
+
+
+@dataclass(frozen=True)
+class Stop:
+    """The session's last word to a link: deliver what waits, but not for longer than `drain_s`."""
+
+    drain_s: float
+
+
+@dataclass(frozen=True)
+class LinkReport:
+    """What a link has done so far. `error` is set when it could not start or had to give up."""
+
+    state: str
+    delivered: int = 0
+    dropped: int = 0
+    camera: CameraCounters | None = None
+    latency: LatencySummary = field(default_factory=LatencySummary)
+    final: bool = False
+    error: str | None = None
+
+    @property
+    def dropped_in_device(self) -> int:
+        """Events that the camera took and did not hand to the link."""
+        c = self.camera
+        return 0 if c is None else c.not_running + c.dropped_fifo + c.flushed
+
+
+class Endpoint(ABC):
+    """The far side of a camera's plug: whatever asks it for bytes."""
+
+    @abstractmethod
+    async def start(self) -> None:
+        """Open; raises OSError when the machine refuses."""
+
+    @abstractmethod
+    def pump(self) -> None:
+        """The camera may have new data: hand over what is asked for."""
+
+    @abstractmethod
+    async def close(self) -> None:
+        """Let go of the host and close."""
+
+    @property
+    @abstractmethod
+    def state(self) -> str:
+        """A few words for the live table."""
+
+
+class EndpointFactory(ABC):
+    """Makes an endpoint inside the link process; itself passed to it by pickling."""
+
+    @abstractmethod
+    def build(self, device: UsbDevice) -> Endpoint:
+        """Return the endpoint that serves `device`."""
+
+
+@dataclass(frozen=True)
+class LinkSetup:
+    """All that a link process needs to know."""
+
+    name: str
+    ring: EventRing
+    camera: Davis346Settings
+    endpoint: EndpointFactory
+    record: Path | None = None
+    tick_us: int = 500
+
+
+class Observed(UsbDevice):
+    """A device that tells how late its events leave, and records them, without knowing of either."""
+
+    def __init__(self, device: UsbDevice, ring: EventRing, clock: Clock, recorder: Recorder | None) -> None:
+        self._device = device
+        self._ring = ring
+        self._clock = clock
+        self._recorder = recorder
+        self.latency = LatencyHistogram()
+
+    @property
+    def identity(self) -> Identity:
+        """The device's own."""
+        return self._device.identity
+
+    def attached(self) -> None:
+        """Pass on."""
+        self._device.attached()
+
+    def detached(self) -> None:
+        """Pass on."""
+        self._device.detached()
+
+    def control(self, setup: SetupPacket, data: bytes) -> bytes:
+        """Pass on."""
+        return self._device.control(setup, data)
+
+    def read(self, endpoint: int, max_bytes: int) -> Transfer | None:
+        """Pass on."""
+        return self._device.read(endpoint, max_bytes)
+
+    def sent(self, transfer: Transfer) -> None:
+        """Measure and record what left, and pass on."""
+        self._measure(transfer)
+        if self._recorder is not None and len(transfer.events):
+            self._recorder.append(transfer.events, transfer.epoch_us)
+        self._device.sent(transfer)
+
+    def lost(self, transfer: Transfer) -> None:
+        """Pass on."""
+        self._device.lost(transfer)
+
+    def _measure(self, transfer: Transfer) -> None:
+        origin_ns = self._ring.origin_ns
+        if origin_ns is None or origin_ns == FREE_RUNNING or not len(transfer.events):
+            return
+        now_us = (self._clock.now_ns() - origin_ns) / 1000
+        self.latency.add(now_us - transfer.events["t"].astype(np.float64))
+
+
+class Link:
+    """A camera fed from a ring and emptied by an endpoint. One tick moves what is due."""
+
+    def __init__(self, setup: LinkSetup, clock: Clock) -> None:
+        self._ring = setup.ring
+        self._clock = clock
+        self._camera = Davis346(setup.camera)
+        self._recorder = None if setup.record is None else Recorder(setup.record)
+        self._observed = Observed(self._camera, setup.ring, clock, self._recorder)
+        self.endpoint = setup.endpoint.build(self._observed)
+
+    def tick(self) -> None:
+        """Feed the camera what is due and let the endpoint take what it asked for."""
+        origin_ns = self._ring.origin_ns
+        if origin_ns == FREE_RUNNING:
+            self._feed(self._ring.now_us, self._camera.room_events if self._camera.streaming else _TAKE_LIMIT)
+        elif origin_ns is not None:
+            due_us = max(0, (self._clock.now_ns() - origin_ns) // 1000)
+            self._feed(min(due_us, self._ring.now_us), _TAKE_LIMIT)
+        self.endpoint.pump()
+
+    def _feed(self, until_us: int, limit: int) -> None:
+        limit = min(limit, _TAKE_LIMIT)
+        events = self._ring.take(until_us, limit)
+        if len(events):
+            self._camera.offer(events)
+        # After a cut batch the camera's clock must not pass the events that still wait in the ring.
+        complete = len(events) < limit
+        if complete:
+            self._camera.advance(until_us)
+
+    @property
+    def idle(self) -> bool:
+        """True when nothing waits, neither in the ring nor in the camera."""
+        return self._ring.waiting == 0 and self._camera.counters.queued == 0
+
+    def report(self, *, final: bool = False, error: str | None = None) -> LinkReport:
+        """Say what the link has done; the final report counts what was left in the ring as dropped."""
+        counters = self._camera.counters
+        left = self._ring.waiting if final else 0
+        return LinkReport(
+            state="closed" if final else self.endpoint.state,
+            delivered=counters.delivered,
+            dropped=counters.lost_on_link + self._ring.refused + left,
+            camera=counters,
+            latency=self._observed.latency.summary(),
+            final=final,
+            error=error,
+        )
+
+    async def close(self) -> None:
+        """Close the endpoint, then the record; what the camera still holds is flushed and counted."""
+        await self.endpoint.close()
+        if self._recorder is not None:
+            self._recorder.close()
+
+
+def run_link(setup: LinkSetup, control: Connection) -> None:
+    """Run one link until the session says Stop or is gone. The target of the link's process."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the session, which then says Stop
+    gc.freeze()
+    # epoll rounds waits up to whole milliseconds, which would double a tick of half a millisecond; select does not.
+    with asyncio.Runner(loop_factory=lambda: asyncio.SelectorEventLoop(selectors.SelectSelector())) as runner:
+        runner.run(_serve(setup, control))
+
+
+async def _serve(setup: LinkSetup, control: Connection) -> None:
+    clock = MonotonicClock()
+    try:
+        link = Link(setup, clock)
+        await link.endpoint.start()
+    except OSError as error:
+        control.send(LinkReport("failed", final=True, error=str(error)))
+        return
+    control.send(link.report())
+    try:
+        await _tick_until_stopped(link, setup, control, clock)
+    except EOFError:
+        return  # the session is gone: there is nobody to report to
+    finally:
+        await link.close()
+    control.send(link.report(final=True))
+
+
+async def _tick_until_stopped(link: Link, setup: LinkSetup, control: Connection, clock: Clock) -> None:
+    loop = asyncio.get_running_loop()
+    period_ns = setup.tick_us * 1000
+    deadline_ns = report_ns = clock.now_ns()
+    stop_ns: int | None = None
+    while True:
+        link.tick()
+        now_ns = clock.now_ns()
+        if stop_ns is not None and (link.idle or now_ns > stop_ns):
+            return
+        if now_ns >= report_ns:
+            control.send(link.report())
+            report_ns = now_ns + _REPORT_PERIOD_NS
+        if stop_ns is None and control.poll():
+            stop: Stop = control.recv()
+            stop_ns = now_ns + int(stop.drain_s * 1e9)
+        deadline_ns = max(deadline_ns + period_ns, now_ns)
+        await _sleep_until(loop, deadline_ns, clock)
+
+
+async def _sleep_until(loop: asyncio.AbstractEventLoop, deadline_ns: int, clock: Clock) -> None:
+    """Sleep, but give the event loop at least one turn even when late: the sockets must be served."""
+    await asyncio.sleep(max(0, deadline_ns - clock.now_ns()) * 1e-9)
