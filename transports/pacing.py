@@ -1,8 +1,8 @@
 """When things leave: a clock that can be passed in, and ticks on absolute deadlines.
 
-Deadlines are absolute (start + k * period), so a late tick does not delay the next one. Wake-up errors of a plain sleep
-on an idle machine are around 0.1 ms at the median and a few milliseconds at the 99th percentile; they move when an event
-is delivered, never its time.
+Deadlines are absolute (start + k * period), so a late tick does not delay the next one. Wake-up errors of a plain
+sleep on an idle machine are around 0.1 ms at the median and a few milliseconds at the 99th percentile; they move when
+an event is delivered, never its time.
 """
 
 from __future__ import annotations

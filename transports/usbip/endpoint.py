@@ -38,8 +38,8 @@ class UsbipEndpoint(Endpoint):
         except OSError as error:
             raise OSError(
                 error.errno,
-                f"cannot listen on {self._at.host} port {self._at.port}: {error.strerror}; another evstim or usbipd may hold "
-                "it: stop that one, or give this link another port (0 takes a free one)",
+                f"cannot listen on {self._at.host} port {self._at.port}: {error.strerror}; another evstim or usbipd may "
+                "hold it: stop that one, or give this link another port (0 takes a free one)",
             ) from error
 
     def pump(self) -> None:

@@ -1,0 +1,73 @@
+"""`evstim picture RIG FILE`: one look at a rig, as the sensor sees it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from cyclopts import Parameter
+
+from emulator.assembly import build_scene
+from emulator.cli.output import GOOD, console, failures, print_json
+from emulator.rig import Rig, load_rig
+from emulator.scene.base import Light
+from emulator.scene.picture import event_picture, save_png
+from emulator.sensor.pixels import PixelArray
+from emulator.sensor.readout import ReadOut
+from firmware_protocol.events import Events
+
+__all__ = ["look", "picture"]
+
+
+def picture(
+    rig: str,
+    file: Path,
+    /,
+    *,
+    at_s: float = 0.5,
+    window_ms: float = 20.0,
+    json: Annotated[bool, Parameter(negative="")] = False,
+) -> int:
+    """Write a picture of a rig: its light, dimmed, with ON events in green and OFF events in red.
+
+    Parameters
+    ----------
+    rig
+        Path of a rig file, or the name of a shipped one.
+    file
+        PNG file to write.
+    at_s
+        Stream time of the picture.
+    window_ms
+        Events of this long before it are drawn.
+    json
+        Print one JSON object as the last line on stdout.
+    """
+    with failures():
+        light, events = look(load_rig(rig), at_s, window_ms)
+        save_png(file, event_picture(light, events))
+    if json:
+        print_json({"rig": rig, "file": file, "events": len(events)})
+    else:
+        console.print(f"{file}: {len(events)} events of {window_ms:g} ms over the light at {at_s:g} s")
+    return GOOD
+
+
+def look(rig: Rig, at_s: float, window_ms: float) -> tuple[Light, Events]:
+    """Run the scene and the sensor alone up to `at_s`; returns the light then and the events of the window before."""
+    sensor = rig.camera.sensor
+    light = np.zeros((sensor.height, sensor.width), np.float32)
+    pixels, readout = PixelArray(sensor, rig.run.seed), ReadOut(sensor)
+    step_ns, end_ns = rig.run.step_us * 1000, round(at_s * 1e9)
+    # The filter has settled and the window is full after this long; what came before would change nothing visible.
+    start_ns = max(0, end_ns - round(window_ms * 1e6) - 50 * step_ns)
+    batches = []
+    with build_scene(rig.scene, (sensor.width, sensor.height)) as scene:
+        scene.light(start_ns, light)
+        pixels.reset(light, start_ns)
+        for t_ns in range(start_ns + step_ns, end_ns + 1, step_ns):
+            scene.light(t_ns, light)
+            batches.append(readout.push(pixels.step(light, t_ns), t_ns).copy())
+    events = np.concatenate(batches)
+    return light, events[events["t"] >= max(0, end_ns // 1000 - round(window_ms * 1000))]

@@ -1,0 +1,145 @@
+"""`evstim run RIG`."""
+
+from __future__ import annotations
+
+import dataclasses
+import signal
+from contextlib import nullcontext
+from pathlib import Path
+from typing import Annotated, Literal
+
+from cyclopts import Parameter
+
+from emulator.assembly import build_scene, link_setups, schedule
+from emulator.cli.live import LiveTable
+from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, console, failures, print_json, status
+from emulator.rig import Rig, load_rig
+from emulator.session import RunResult, Session
+from transports.latency import LatencySummary
+from transports.pacing import MonotonicClock
+
+__all__ = ["run", "run_rig"]
+
+
+def run(
+    rig: str,
+    /,
+    *,
+    seconds: float | None = None,
+    seed: int | None = None,
+    pace: Literal["realtime", "free"] | None = None,
+    record: Path | None = None,
+    json: Annotated[bool, Parameter(negative="")] = False,
+) -> int:
+    """Run a rig: render its scene, simulate its sensor, serve its camera. Ctrl-C ends it with the summary.
+
+    Parameters
+    ----------
+    rig
+        Path of a rig file, or the name of a shipped one (see `evstim rigs`).
+    seconds
+        Stream time to run for; 0 means until Ctrl-C. Instead of the rig's own.
+    seed
+        Seed of all that is random. Instead of the rig's own.
+    pace
+        realtime: every event leaves at its own time; free: as fast as the machine can, losing nothing.
+    record
+        Write what was delivered to this .npz (field `events`, device time).
+    json
+        Print one JSON object as the last line on stdout.
+    """
+    with failures():
+        loaded = _with_options(load_rig(rig), seconds, seed, pace)
+        _check_record(loaded, record)
+        result = run_rig(loaded, record, show=not json)
+    if json:
+        print_json(summary(loaded, result))
+    else:
+        _print_summary(loaded, result)
+    return GOOD if result.ledger.balanced else BAD_VERDICT
+
+
+def _with_options(rig: Rig, seconds: float | None, seed: int | None, pace: str | None) -> Rig:
+    changed = {k: v for k, v in (("seconds", seconds), ("seed", seed), ("pace", pace)) if v is not None}
+    try:
+        return dataclasses.replace(rig, run=dataclasses.replace(rig.run, **changed))  # type: ignore[arg-type]
+    except ValueError as error:
+        raise Failure(f"--{error}", WRONG_USE) from error
+
+
+def _check_record(rig: Rig, record: Path | None) -> None:
+    if record is None:
+        return
+    if not rig.links:
+        raise Failure("--record: this rig has no link, so nothing is delivered", WRONG_USE)
+    if not record.parent.is_dir():
+        raise Failure(f"--record: the folder {record.parent} does not exist", WRONG_USE)
+
+
+def run_rig(rig: Rig, record: Path | None = None, *, show: bool = False) -> RunResult:
+    """Run a loaded rig, with a live table on stderr when `show`."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # a service manager's stop is as clean as Ctrl-C
+    sensor = rig.camera.sensor
+    with build_scene(rig.scene, (sensor.width, sensor.height)) as scene:
+        session = Session(scene, sensor, rig.run.seed, link_setups(rig, record), MonotonicClock())
+        with LiveTable(rig, status) if show else nullcontext() as live:
+            return session.run(schedule(rig), live.update if live else lambda _: None)
+
+
+def summary(rig: Rig, result: RunResult) -> dict[str, object]:
+    """Return the object that `run --json` prints."""
+    latencies = [report.latency for report in result.links.values()]
+    return {
+        "rig": rig.name,
+        "sim_seconds": result.sim_seconds,
+        "wall_seconds": result.wall_seconds,
+        "frames": result.frames,
+        "steps": result.steps,
+        "events": result.ledger.as_json(),
+        "balanced": result.ledger.balanced,
+        "latency_us": dataclasses.asdict(_worst(latencies)),
+        "lateness": result.lateness.as_json(),
+        "links": {name: {"state": r.state, "latency_us": r.latency} for name, r in result.links.items()},
+    }
+
+
+def _worst(latencies: list[LatencySummary]) -> LatencySummary:
+    """Return the latency of the slowest link, so that one good link does not hide a bad one."""
+    measured = [latency for latency in latencies if latency.p99 is not None]
+    return max(measured, key=lambda latency: latency.p99 or 0.0, default=LatencySummary())
+
+
+def _print_summary(rig: Rig, result: RunResult) -> None:
+    ledger = result.ledger
+    console.print(
+        f"{rig.name}: {result.sim_seconds:.3f} s of stream in {result.wall_seconds:.3f} s, "
+        f"{result.frames} frames, {result.steps} steps"
+    )
+    console.print(
+        f"events: {ledger.raised} raised = {ledger.lost_in_pixel} lost in the pixel + {ledger.lost_at_readout} lost at "
+        f"the read-out + {ledger.read_out} read out"
+    )
+    for link in ledger.links:
+        report = result.links[link.name]
+        console.print(
+            f"{link.name}: {link.delivered} delivered, {link.dropped} dropped, {link.dropped_in_device} dropped in the "
+            f"device{_device_detail(report.camera)}"
+        )
+        if report.latency.p50 is not None:
+            console.print(
+                f"{link.name}: event to socket p50 {report.latency.p50:.0f} us, p99 {report.latency.p99:.0f} us, "
+                f"max {report.latency.max:.0f} us"
+            )
+    late = result.lateness
+    if late.frames_late:
+        console.print(
+            f"late: {late.frames_late} frames, worst gap {late.worst_gap_us:.0f} us, "
+            f"{late.steps_stretched} steps stretched to keep up"
+        )
+    console.print("ledger: balanced" if ledger.balanced else f"ledger: OFF BY {ledger.imbalance} EVENTS")
+
+
+def _device_detail(camera: object) -> str:
+    parts = {"not_running": "no host was streaming", "dropped_fifo": "FIFO full", "flushed": "flushed at a stop"}
+    told = [f"{getattr(camera, field)} {why}" for field, why in parts.items() if getattr(camera, field, 0)]
+    return f" ({', '.join(told)})" if told else ""

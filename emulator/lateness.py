@@ -1,0 +1,61 @@
+"""Keeping up with real time, in a planned way.
+
+A paced run computes each step one lead ahead of the moment its first event is due. When a step is ready after that
+moment it is late, and counted. A run that is behind takes longer steps (twice as long each time, up to eight times):
+the light is then sampled more coarsely, which costs accuracy in event times but keeps the run with the clock; when it
+has caught up the steps shrink again. What was done is in the summary: the run never just falls behind.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+__all__ = ["Lateness", "StepRule"]
+
+LONGEST_STRETCH = 8
+
+
+@dataclass
+class Lateness:
+    """How far a paced run fell behind."""
+
+    frames_late: int = 0
+    worst_gap_us: float = 0.0
+    steps_stretched: int = 0
+
+    def add(self, gap_ns: int, stretch: int) -> None:
+        """Count one step that was ready `gap_ns` after its first event was due (negative: in time)."""
+        self.steps_stretched += stretch > 1
+        if gap_ns > 0:
+            self.frames_late += 1
+            self.worst_gap_us = max(self.worst_gap_us, gap_ns / 1000)
+
+    def as_json(self) -> dict[str, float]:
+        """The `lateness` object of `evstim run --json`."""
+        return {
+            "frames_late": self.frames_late,
+            "worst_gap_us": round(self.worst_gap_us, 1),
+            "steps_stretched": self.steps_stretched,
+        }
+
+
+class StepRule:
+    """How long the next step is: the rig's own while the run keeps up, longer while it does not."""
+
+    def __init__(self, step_ns: int) -> None:
+        if step_ns < 1:
+            raise ValueError(f"a step lasts at least 1 ns, got {step_ns}")
+        self._step_ns = step_ns
+        self.stretch = 1
+
+    @property
+    def step_ns(self) -> int:
+        """Length of the next step, ns."""
+        return self._step_ns * self.stretch
+
+    def follow(self, gap_ns: int) -> None:
+        """Adapt to the last step's gap: stretch when more than a whole step behind, shrink when in time."""
+        if gap_ns > self._step_ns:
+            self.stretch = min(2 * self.stretch, LONGEST_STRETCH)
+        elif gap_ns <= 0 and self.stretch > 1:
+            self.stretch //= 2

@@ -1,0 +1,291 @@
+"""Rig files: what to run, as TOML, with units in the keys; typed and frozen once loaded.
+
+    title = "what this rig shows"
+    [scene]          kind = "checkerboard" | "body", and that scene's own keys
+    [camera]         model = a preset's name, serial, ...
+    [camera.sensor]  any figure of the preset, changed for this rig
+    [run]            step_us, seed, seconds, pace, lead_us
+    [[links]]        kind = "usbip" | "loopback", and that link's own keys; any number of them
+
+Every key is a field of a dataclass in this module or in the room that owns the thing. A mistake raises RigError, which
+tells the file, the line, the key, what is wrong and what would be right.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import tomllib
+from dataclasses import dataclass, field
+from importlib import resources
+from pathlib import Path
+from typing import Any, Literal
+
+from emulator.rig_text import line_of
+from emulator.scene.body import BodyParameters
+from emulator.scene.checkerboard import CheckerboardParameters
+from emulator.sensor.presets import PRESETS, SensorParameters
+from emulator.typed_table import Path as KeyPath
+from emulator.typed_table import TableError, convert, unknown
+
+__all__ = [
+    "LINKS",
+    "SCENES",
+    "Camera",
+    "LoopbackLink",
+    "Rig",
+    "RigError",
+    "Run",
+    "UsbipLink",
+    "find_rig",
+    "load_rig",
+    "parse_rig",
+    "shipped_rigs",
+]
+
+
+class RigError(Exception):
+    """A rig file cannot be used; the message is for its author."""
+
+
+@dataclass(frozen=True)
+class Camera:
+    """The camera that is not there.
+
+    Attributes
+    ----------
+    model
+        Name of a preset: the sensor's size, its pixels and its read-out.
+    serial
+        Serial number that the host reads, up to 8 characters.
+    speed
+        USB speed: "super" or "high".
+    fifo_bytes
+        Size of the camera's output buffer; what finds no room in it is dropped and counted.
+    start_delay_ms
+        How long after the host's start command the first event may come (0 suits every driver but one).
+    sensor
+        Figures of the preset changed for this rig.
+    """
+
+    model: str = "davis346"
+    serial: str = "00000346"
+    speed: Literal["super", "high"] = "super"
+    fifo_bytes: int = 1 << 20
+    start_delay_ms: float = 300.0
+    sensor: SensorParameters = field(default_factory=lambda: PRESETS["davis346"])
+
+    def __post_init__(self) -> None:
+        if not 1 <= len(self.serial) <= 8 or not self.serial.isascii() or not self.serial.isprintable():
+            raise ValueError(f"serial must have 1 to 8 printable ASCII characters, got {self.serial!r}")
+        if not 4096 <= self.fifo_bytes <= 1 << 30:
+            raise ValueError(f"fifo_bytes must be 4096 to {1 << 30}, got {self.fifo_bytes}")
+        if not 0 <= self.start_delay_ms <= 4000:
+            raise ValueError(f"start_delay_ms must be 0 to 4000 (drivers give up at 5000), got {self.start_delay_ms}")
+
+
+@dataclass(frozen=True)
+class Run:
+    """How the run goes through time.
+
+    Attributes
+    ----------
+    seconds
+        Stream time to run for; 0 means until Ctrl-C.
+    step_us
+        Time between two pictures.
+    seed
+        Seed of all that is random.
+    pace
+        "realtime": every event leaves at its own time; "free": as fast as the machine can, losing nothing.
+    lead_us
+        How far ahead of real time steps are computed; at least one step. Covers the jitter of the machine.
+    """
+
+    seconds: float = 0.0
+    step_us: int = 1000
+    seed: int = 1
+    pace: Literal["realtime", "free"] = "realtime"
+    lead_us: int = 10_000
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.seconds <= 3.2e7:
+            raise ValueError(f"seconds must be 0 (until Ctrl-C) to 3.2e7 (a year), got {self.seconds}")
+        if not 1 <= self.step_us <= 1_000_000:
+            raise ValueError(f"step_us must be 1 to 1000000, got {self.step_us}")
+        if not 0 <= self.seed < 1 << 63:
+            raise ValueError(f"seed must be 0 to 2^63 - 1, got {self.seed}")
+        if not 0 <= self.lead_us <= 10_000_000:
+            raise ValueError(f"lead_us must be 0 to 10000000, got {self.lead_us}")
+
+
+@dataclass(frozen=True)
+class UsbipLink:
+    """The camera as a USB device over USB/IP: `usbip attach -r HOST -b BUSID` on a Linux machine.
+
+    Attributes
+    ----------
+    host, port
+        Address to listen on. USB/IP has no authentication: leave it on 127.0.0.1 or a network of your own.
+    busid
+        Bus id under which the camera is exported.
+    """
+
+    host: str = "127.0.0.1"
+    port: int = 3240
+    busid: str = "1-1"
+    name: str = "usbip"
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.port <= 65535:
+            raise ValueError(f"port must be 0 (any free one) to 65535, got {self.port}")
+        if not 1 <= len(self.busid) <= 31 or not self.busid.isascii():
+            raise ValueError(f"busid must have 1 to 31 ASCII characters such as '1-1', got {self.busid!r}")
+
+
+@dataclass(frozen=True)
+class LoopbackLink:
+    """A host inside the link's own process that starts the camera, decodes every byte and compares: no USB anywhere."""
+
+    name: str = "loopback"
+
+
+SCENES = {"checkerboard": CheckerboardParameters, "body": BodyParameters}
+LINKS = {"usbip": UsbipLink, "loopback": LoopbackLink}
+
+SceneParameters = CheckerboardParameters | BodyParameters
+LinkParameters = UsbipLink | LoopbackLink
+
+
+@dataclass(frozen=True)
+class Rig:
+    """One bench set-up."""
+
+    name: str
+    title: str
+    scene: SceneParameters
+    camera: Camera = field(default_factory=Camera)
+    run: Run = field(default_factory=Run)
+    links: tuple[LinkParameters, ...] = ()
+
+
+def shipped_rigs() -> dict[str, Path]:
+    """Return the rigs that come with evstim, by name."""
+    folder = Path(str(resources.files("rigs")))
+    return {path.stem: path for path in sorted(folder.glob("*.toml"))}
+
+
+def find_rig(rig: str) -> Path:
+    """Return the file of a rig given by path or by the name of a shipped one; raises RigError."""
+    path = Path(rig)
+    if path.suffix == ".toml" or path.exists():
+        if path.is_file():
+            return path
+        raise RigError(f"{rig}: no such file")
+    shipped = shipped_rigs()
+    if rig in shipped:
+        return shipped[rig]
+    raise RigError(f"{unknown(rig, list(shipped))}; or give the path of a .toml file")
+
+
+def load_rig(rig: str) -> Rig:
+    """Load a rig by path or name; raises RigError."""
+    path = find_rig(rig)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise RigError(f"{path}: cannot be read: {error}") from error
+    return parse_rig(text, str(path), path.stem)
+
+
+def parse_rig(text: str, file: str, name: str) -> Rig:
+    """Make a rig of TOML text; `file` is for messages. Raises RigError."""
+    try:
+        table = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise RigError(f"{file}: not valid TOML: {error}") from error
+    try:
+        return _rig(table, name)
+    except TableError as error:
+        line = line_of(text, error.path)
+        at = f"{file}, line {line}" if line else file
+        key = _dotted(error.path)
+        raise RigError(f"{at}: {key}: {error}" if key else f"{at}: {error}") from error
+
+
+def _dotted(path: KeyPath) -> str:
+    return "".join(f"[{p}]" if isinstance(p, int) else f".{p}" for p in path).lstrip(".")
+
+
+def _rig(table: dict[str, Any], name: str) -> Rig:
+    known = ["title", "scene", "camera", "run", "links"]
+    for key in table:
+        if key not in known:
+            raise TableError(unknown(key, known), (key,))
+    title = table.get("title", name)
+    if not isinstance(title, str):
+        raise TableError(f"expected text, got {title!r}", ("title",))
+    if "scene" not in table:
+        raise TableError("a rig needs a [scene] table", ())
+    camera = _camera(table.get("camera", {}))
+    links = _links(table.get("links", []), camera)
+    run = convert(table.get("run", {}), Run, ("run",))
+    return Rig(name, title, _kind(table["scene"], SCENES, ("scene",)), camera, run, links)
+
+
+def _kind(table: object, kinds: dict[str, Any], path: KeyPath) -> Any:  # noqa: ANN401
+    """Convert a table whose `kind` says what it describes."""
+    if not isinstance(table, dict):
+        raise TableError(f"expected a table, got {table!r}", path)
+    kind = table.get("kind")
+    if kind not in kinds:
+        what = "'kind' is missing" if kind is None else unknown(str(kind), list(kinds))
+        raise TableError(f"{what}; one of {', '.join(kinds)}", (*path, "kind"))
+    return convert({k: v for k, v in table.items() if k != "kind"}, kinds[kind], path)
+
+
+def _camera(table: object) -> Camera:
+    path = ("camera",)
+    if not isinstance(table, dict):
+        raise TableError(f"expected a table, got {table!r}", path)
+    model = table.get("model", "davis346")
+    if model not in PRESETS:
+        raise TableError(unknown(str(model), list(PRESETS)), (*path, "model"))
+    own = {k: v for k, v in table.items() if k != "sensor"}
+    camera = convert(own, Camera, path)
+    return dataclasses.replace(camera, sensor=_sensor(table.get("sensor", {}), PRESETS[model]))
+
+
+def _sensor(table: object, preset: SensorParameters) -> SensorParameters:
+    """Lay the rig's own figures over the preset's, table by table."""
+    path = ("camera", "sensor")
+    if not isinstance(table, dict):
+        raise TableError(f"expected a table, got {table!r}", path)
+    merged = dataclasses.asdict(preset)
+    for key, value in table.items():
+        is_part = isinstance(merged.get(key), dict) and isinstance(value, dict)
+        merged[key] = {**merged[key], **value} if is_part else value
+    return convert(merged, SensorParameters, path)
+
+
+def _links(tables: object, camera: Camera) -> tuple[LinkParameters, ...]:
+    if not isinstance(tables, list):
+        raise TableError("expected [[links]] tables", ("links",))
+    links = tuple(_kind(table, LINKS, ("links", i)) for i, table in enumerate(tables))
+    for i, link in enumerate(links):
+        if link.name in [other.name for other in links[:i]]:
+            raise TableError(f"name {link.name!r} is taken by an earlier link; give each its own", ("links", i))
+        if isinstance(link, UsbipLink):
+            _check_usb(link, links[:i], camera, i)
+    return links
+
+
+def _check_usb(link: UsbipLink, earlier: tuple[LinkParameters, ...], camera: Camera, index: int) -> None:
+    if camera.model != "davis346" or (camera.sensor.width, camera.sensor.height) != (346, 260):
+        raise TableError(
+            f"there is no USB model for a {camera.model} of {camera.sensor.width}x{camera.sensor.height} pixels yet; "
+            'use model = "davis346" with its 346x260 pixels, or kind = "loopback"',
+            ("links", index, "kind"),
+        )
+    taken = [(other.host, other.port) for other in earlier if isinstance(other, UsbipLink) and other.port]
+    if (link.host, link.port) in taken:
+        raise TableError(f"port {link.port} is taken by an earlier link; give each its own", ("links", index, "port"))

@@ -1,0 +1,204 @@
+"""One run of one rig: scene, sensor and links wired together, paced, counted and stopped cleanly.
+
+    for each step [t, t1]:   light(t1) -> pixels -> crossings -> read-out -> events -> a ring for each link
+
+Paced in real time, a step is computed `lead` ahead of the moment its first event is due, and each link lets every event
+go at its own time. Not paced, steps follow each other as fast as they can be computed and links hold the run back when
+they are full, so that nothing is lost.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from emulator.lateness import Lateness, StepRule
+from emulator.ledger import Ledger, LinkLedger
+from emulator.link_process import LinkProcess
+from emulator.scene.base import Scene
+from emulator.sensor.pixels import PixelArray
+from emulator.sensor.presets import SensorParameters
+from emulator.sensor.readout import ReadOut
+from firmware_protocol.events import Events
+from transports.link import LinkReport, LinkSetup
+from transports.pacing import Clock
+from transports.ring import FREE_RUNNING
+
+__all__ = ["RunResult", "RunStatus", "Schedule", "Session"]
+
+log = logging.getLogger(__name__)
+
+_STATUS_PERIOD_NS = 100_000_000
+_HEAD_START_NS = 20_000_000  # between deciding to start and stream time zero, so that the first step is in time
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """How a run goes through time."""
+
+    step_ns: int = 1_000_000
+    lead_ns: int = 5_000_000
+    duration_ns: int | None = None
+    paced: bool = True
+    drain_s: float = 1.0
+
+
+@dataclass(frozen=True)
+class RunStatus:
+    """What a run has done so far, for the live table."""
+
+    sim_seconds: float
+    wall_seconds: float
+    frames: int
+    read_out: int
+    lateness: Lateness
+    links: dict[str, LinkReport]
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """What a run has done."""
+
+    sim_seconds: float
+    wall_seconds: float
+    frames: int
+    steps: int
+    ledger: Ledger
+    lateness: Lateness
+    links: dict[str, LinkReport] = field(default_factory=dict)
+
+
+class Session:
+    """Owns a run from the first light to the last report.
+
+    Parameters
+    ----------
+    scene
+        What the camera looks at; the caller closes it.
+    sensor, seed
+        The pixel array and read-out, and the seed of all that is random in them.
+    setups
+        One for each link.
+    """
+
+    def __init__(
+        self, scene: Scene, sensor: SensorParameters, seed: int, setups: Sequence[LinkSetup], clock: Clock
+    ) -> None:
+        if scene.size != (sensor.width, sensor.height):
+            raise ValueError(f"the scene is {scene.size} pixels, the sensor {(sensor.width, sensor.height)}")
+        self._scene = scene
+        self._pixels = PixelArray(sensor, seed)
+        self._readout = ReadOut(sensor)
+        self._setups = setups
+        self._clock = clock
+        self._links: list[LinkProcess] = []
+        self._light = np.zeros((sensor.height, sensor.width), np.float32)
+        self._frames = 0
+        self._steps = 0
+        self._t_ns = 0
+        self._lateness = Lateness()
+
+    def run(self, schedule: Schedule, on_status: Callable[[RunStatus], None] = lambda _: None) -> RunResult:
+        """Run until the schedule's end or KeyboardInterrupt; raises LinkFailed when a link cannot go on."""
+        with ExitStack() as stack:
+            stack.callback(self._stop_links, 0.0)  # does nothing more when the links have been stopped in order
+            self._open_links()
+            self._warm_up()
+            start_ns = self._clock.now_ns()
+            try:
+                self._run_steps(schedule, on_status)
+            except KeyboardInterrupt:
+                log.info("stopped by Ctrl-C at stream time %.3f s", self._t_ns * 1e-9)
+            wall_seconds = (self._clock.now_ns() - start_ns) * 1e-9
+            self._publish(self._readout.finish(), schedule)
+            reports = self._stop_links(schedule.drain_s)
+        return RunResult(
+            self._t_ns * 1e-9, wall_seconds, self._frames, self._steps, self._ledger(reports), self._lateness, reports
+        )
+
+    def _open_links(self) -> None:
+        self._links = [LinkProcess(setup, self._clock) for setup in self._setups]
+        for link in self._links:
+            link.wait_ready()
+
+    def _warm_up(self) -> None:
+        """Compile and cache the kernels before the clock runs; the state is set anew afterwards."""
+        self._draw(0)
+        self._pixels.reset(self._light, 0)
+        self._pixels.step(self._light, 1)
+        self._pixels.reset(self._light, 0)
+
+    def _run_steps(self, schedule: Schedule, on_status: Callable[[RunStatus], None]) -> None:
+        start_ns = self._clock.now_ns()
+        origin_ns = start_ns + _HEAD_START_NS if schedule.paced else FREE_RUNNING
+        for link in self._links:
+            link.start(origin_ns)
+        rule = StepRule(schedule.step_ns)
+        lead_ns = max(schedule.lead_ns, schedule.step_ns)
+        status_ns = start_ns
+        while schedule.duration_ns is None or self._t_ns < schedule.duration_ns:
+            if schedule.paced:
+                self._clock.sleep_until(origin_ns + self._t_ns - lead_ns)
+            due_ns = origin_ns + self._t_ns
+            self._step(rule, schedule)
+            if schedule.paced:
+                gap_ns = self._clock.now_ns() - due_ns
+                self._lateness.add(gap_ns, rule.stretch)
+                rule.follow(gap_ns)
+            if self._clock.now_ns() >= status_ns:
+                status_ns = self._clock.now_ns() + _STATUS_PERIOD_NS
+                on_status(self._status(start_ns))
+
+    def _step(self, rule: StepRule, schedule: Schedule) -> None:
+        t1_ns = self._t_ns + rule.step_ns
+        if schedule.duration_ns is not None:
+            t1_ns = min(t1_ns, schedule.duration_ns)
+        self._draw(t1_ns)
+        events = self._readout.push(self._pixels.step(self._light, t1_ns), t1_ns)
+        self._t_ns = t1_ns
+        self._steps += 1
+        self._publish(events, schedule)
+
+    def _draw(self, t_ns: int) -> None:
+        self._scene.light(t_ns, self._light)
+        self._frames += 1
+
+    def _publish(self, events: Events, schedule: Schedule) -> None:
+        # The read-out may stamp its last events after the step's end; the links' clock must not pass later ones.
+        now_us = self._t_ns // 1000
+        for link in self._links:
+            if schedule.paced:
+                link.push(events, now_us)
+            else:
+                link.push_all(events, now_us)
+
+    def _status(self, start_ns: int) -> RunStatus:
+        return RunStatus(
+            self._t_ns * 1e-9,
+            (self._clock.now_ns() - start_ns) * 1e-9,
+            self._frames,
+            self._readout.read_out,
+            self._lateness,
+            {link.name: link.listen() for link in self._links},
+        )
+
+    def _stop_links(self, drain_s: float) -> dict[str, LinkReport]:
+        links, self._links = self._links, []
+        return {link.name: link.stop(drain_s) for link in links}
+
+    def _ledger(self, reports: dict[str, LinkReport]) -> Ledger:
+        lost_in_pixel = self._pixels.lost_in_pixel
+        return Ledger(
+            raised=self._readout.raised + lost_in_pixel,
+            lost_in_pixel=lost_in_pixel,
+            lost_at_readout=self._readout.lost_at_readout,
+            read_out=self._readout.read_out,
+            links=tuple(
+                LinkLedger(name, report.delivered, report.dropped, report.dropped_in_device)
+                for name, report in reports.items()
+            ),
+        )

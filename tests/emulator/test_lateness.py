@@ -1,0 +1,34 @@
+"""Keeping up with real time."""
+
+import pytest
+
+from emulator.lateness import LONGEST_STRETCH, Lateness, StepRule
+
+
+def test_a_run_in_time_keeps_its_step():
+    rule = StepRule(1000)
+    for _ in range(5):
+        rule.follow(-10)
+    assert rule.step_ns == 1000
+
+
+def test_a_run_behind_takes_longer_steps_and_returns_to_its_own():
+    rule = StepRule(1000)
+    lengths = []
+    for gap in (1500, 1500, 1500, 1500, 500, 0, 0, 0, 0):
+        rule.follow(gap)
+        lengths.append(rule.step_ns)
+    assert lengths == [2000, 4000, 8000, 8000, 8000, 4000, 2000, 1000, 1000]
+    assert max(lengths) == 1000 * LONGEST_STRETCH
+
+
+def test_lateness_counts_late_frames_and_keeps_the_worst():
+    lateness = Lateness()
+    for gap_ns, stretch in ((-5000, 1), (2000, 1), (9000, 2)):
+        lateness.add(gap_ns, stretch)
+    assert lateness.as_json() == {"frames_late": 2, "worst_gap_us": 9.0, "steps_stretched": 1}
+
+
+def test_a_step_must_last():
+    with pytest.raises(ValueError, match="at least 1 ns"):
+        StepRule(0)
