@@ -1,0 +1,54 @@
+"""Rotations as they are written here: matrices `a_from_b` turn coordinates in b into coordinates in a.
+
+Unit quaternions are scalar first, (w, x, y, z), and q_a_from_b means the same turn as the matrix a_from_b.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["Matrix", "Vector", "matrix_of", "spin", "unit"]
+
+Matrix = npt.NDArray[np.float64]
+"""(3, 3) rotation."""
+
+Vector = npt.NDArray[np.float64]
+"""(3,)."""
+
+
+def unit(vector: npt.ArrayLike) -> Vector:
+    """Return the vector's direction, (3,)."""
+    v = np.asarray(vector, np.float64)
+    v = v / np.abs(v).max()  # keeps very long and very short ones from overflowing
+    return np.asarray(v / np.linalg.norm(v))
+
+
+def matrix_of(q: npt.ArrayLike) -> Matrix:
+    """Return the matrix of a quaternion, which need not be of unit length."""
+    w, x, y, z = np.asarray(q, np.float64) / np.linalg.norm(q)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def spin(pole: Vector, turns: float) -> Matrix:
+    """Return world_from_body of a body that has turned about its +Z axis, which points along the unit vector `pole`.
+
+    At zero turns the body's +X axis lies on the node: where its equator rises through the world's x-y plane, that is
+    along z cross pole, or along the world's +x where the pole is +-z. (So W of the IAU's rotational elements is 360
+    degrees times `turns` when the world's axes are those of the celestial frame.)
+    """
+    node = np.array([-pole[1], pole[0], 0.0])
+    length = math.hypot(pole[0], pole[1])
+    x = node / length if length > 1e-12 else np.array([1.0, 0.0, 0.0])
+    y = np.cross(pole, x)
+    angle = 2 * math.pi * turns
+    c, s = math.cos(angle), math.sin(angle)
+    return np.column_stack([c * x + s * y, c * y - s * x, pole])
