@@ -149,10 +149,9 @@ def _read_with_trimesh(path: Path) -> tuple[_Points, npt.NDArray[np.int64]]:
     with path.open("rb") as file:
         try:
             loaded = trimesh.load_mesh(file, file_type=path.suffix[1:].lower(), process=False, skip_materials=True)
-        except (ValueError, TypeError, KeyError, IndexError, AttributeError) as error:
-            # Its readers answer a broken file with whatever the parsing ran into.
+            return np.asarray(loaded.vertices, np.float64), np.asarray(loaded.faces, np.int64)
+        except Exception as error:  # its readers answer a broken file with whatever the parsing ran into
             raise SceneError(f"trimesh cannot read it as a surface ({error})") from error
-    return np.asarray(loaded.vertices, np.float64), np.asarray(loaded.faces, np.int64)
 
 
 def _require_sound(points: _Points, corners: npt.NDArray[np.int64]) -> None:
