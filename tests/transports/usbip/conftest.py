@@ -36,7 +36,7 @@ class FakeDevice(UsbDevice):
 
     def wait_for(self, entry: str, times: int = 1) -> None:
         with self.events:
-            assert self.events.wait_for(lambda: self.log.count(entry) >= times, 5), (entry, self.log)
+            assert self.events.wait_for(lambda: self.log.count(entry) >= times, 5), (entry, times, self.log)
 
     @property
     def identity(self) -> Identity:

@@ -1,0 +1,321 @@
+"""Peers that break the protocol, stop, vanish, or race: each has a defined end, and the server serves the next host."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import socket
+import struct
+
+import pytest
+
+from firmware_protocol.usb.device import SetupPacket
+from firmware_protocol.usb.usbip import ImportRequest, Submit, Unlink
+from transports.usb_host import PeerGone
+from transports.usbip.client import UsbipHost
+from transports.usbip.connection import ConnectionSettings
+from transports.usbip.server import UsbipServer
+
+pytestmark = pytest.mark.socket
+
+GET_DEVICE = SetupPacket(0x80, 0x06, 0x0100, 0, 18)
+SET_REGISTER = SetupPacket(0x40, 0xBF, 6, 0, 4)
+IMPORT_REPLY_BYTES = 320
+HEADER = 48
+
+
+def read(sock: socket.socket, n: int) -> bytes:
+    data = b""
+    while len(data) < n:
+        part = sock.recv(n - len(data))
+        if not part:
+            raise ConnectionResetError(f"closed after {len(data)} of {n} bytes")
+        data += part
+    return data
+
+
+def read_urb(sock: socket.socket) -> tuple[int, int, int]:
+    """Give (command, seqnum, status) of a reply without data."""
+    command, seqnum, _, _, _, status = struct.unpack_from(">IIIIIi", read(sock, HEADER))
+    return command, seqnum, status
+
+
+def is_closed(sock: socket.socket) -> bool:
+    """True when the server ends the connection, whatever it still says before."""
+    sock.settimeout(5)
+    try:
+        while sock.recv(65536):
+            pass
+    except ConnectionResetError:
+        return True
+    except TimeoutError:
+        return False
+    return True
+
+
+def attached(rig) -> socket.socket:
+    sock = rig.connect()
+    sock.sendall(bytes(ImportRequest("1-1")))
+    read(sock, IMPORT_REPLY_BYTES)
+    return sock
+
+
+def assert_serves(rig, device) -> None:
+    """The next host gets the device and an answer."""
+    before = device.log.count("detached")
+    with UsbipHost(rig.connect(), "1-1", timeout_s=5) as host:
+        assert len(host.control_in(GET_DEVICE)) == 18
+    device.wait_for("detached", before + 1)
+
+
+def submit(seqnum: int = 1, **fields) -> bytes:
+    urb = {"devid": 0x10002, "is_in": True, "endpoint": 2, "length": 100} | fields
+    return bytes(Submit(seqnum, **urb))
+
+
+def patched(message: bytes, offset: int, value: int) -> bytes:
+    return message[:offset] + struct.pack(">i", value) + message[offset + 4 :]
+
+
+BROKEN_OPERATIONS = {
+    "wrong version": b"\x01\x06\x80\x05" + bytes(4),
+    "unknown operation": b"\x01\x11\x80\x99" + bytes(4),
+    "text": b"GET / HTTP/1.1\r\n\r\n",
+}
+BROKEN_URBS = {
+    "unknown command": struct.pack(">I", 9) + bytes(44),
+    "zeros": bytes(48),
+    "import twice": bytes(ImportRequest("1-1")) + bytes(8),
+    "negative length": patched(submit(), 24, -1),
+    "absurd length": patched(submit(), 24, 0x7FFFFFFF),
+    "absurd OUT length": submit(is_in=False, length=0x7FFFFFFF),
+    "direction 2": patched(submit(), 12, 2),
+    "endpoint 16": submit(endpoint=16),
+    "isochronous": patched(submit(), 32, 8),
+    "one number twice": submit(7) + submit(7),
+}
+
+
+@pytest.mark.parametrize("data", BROKEN_OPERATIONS.values(), ids=BROKEN_OPERATIONS.keys())
+def test_broken_operation_closes_the_connection(served, device, data):
+    sock = served.connect()
+    sock.sendall(data)
+    assert is_closed(sock)
+    assert_serves(served, device)
+
+
+@pytest.mark.parametrize("data", BROKEN_URBS.values(), ids=BROKEN_URBS.keys())
+def test_broken_urb_closes_the_connection_and_frees_the_device(served, device, data, caplog):
+    sock = attached(served)
+    sock.sendall(data)
+    assert is_closed(sock)
+    device.wait_for("detached")
+    assert "broke the protocol" in caplog.text
+    assert_serves(served, device)
+
+
+def test_too_many_pending_urbs_close_the_connection(rig, device):
+    rig.start({"1-1": device}, ConnectionSettings(pending_urbs=8))
+    sock = attached(rig)
+    sock.sendall(b"".join(submit(n) for n in range(1, 9)))
+    sock.sendall(submit(100, endpoint=0, setup=bytes(GET_DEVICE), length=18))
+    assert read_urb(sock) == (3, 100, 0)
+    read(sock, 18)
+    sock.sendall(submit(9))
+    assert is_closed(sock)
+    device.wait_for("detached")
+
+
+@pytest.mark.parametrize("cut", [1, 20, 47, 49, 51])
+def test_peer_that_vanishes_in_the_middle_of_a_urb(served, device, cut):
+    message = submit(is_in=False, endpoint=0, length=4, setup=bytes(SET_REGISTER), data=b"\1\2\3\4")
+    sock = attached(served)
+    sock.sendall(message[:cut])
+    sock.close()
+    device.wait_for("detached")
+    assert device.register == bytes(4)
+    assert_serves(served, device)
+
+
+def test_peer_that_resets_the_connection_with_urbs_pending(served, device):
+    sock = attached(served)
+    sock.sendall(b"".join(submit(n) for n in range(1, 33)))
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+    sock.close()
+    device.wait_for("detached")
+    assert_serves(served, device)
+
+
+def test_urbs_arrive_byte_by_byte(served):
+    sock = attached(served)
+    for byte in submit(5, endpoint=0, setup=bytes(GET_DEVICE), length=18):
+        sock.sendall(bytes([byte]))
+    assert read_urb(sock) == (3, 5, 0)
+    assert read(sock, 18)[0] == 18
+
+
+def test_peer_that_stops_reading_leaves_the_data_in_the_device(served, device):
+    transfer = 1 << 20
+    sock = served.connect()
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 65536)
+    host = UsbipHost(sock, "1-1", timeout_s=5)
+    stream = host.stream(2, transfer, 32)
+    chunks = [bytes([n]) * transfer for n in range(32)]
+    served.feed(device, *chunks)
+    taken = served.call(lambda: len(device.given))
+    assert taken < 20
+    # At most one transfer is under way; all before it are with the kernel.
+    assert served.call(lambda: len(device.sent_data)) in (taken - 1, taken)
+    served.call(served.server.pump)
+    assert served.call(lambda: len(device.given)) == taken
+    # It reads again: everything comes, in order.
+    assert all(stream.read(5) == chunk for chunk in chunks)
+    device.wait_for("sent", 32)
+
+
+def test_data_unsent_when_the_peer_vanishes_are_reported_lost(served, device):
+    sock = served.connect()
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 65536)
+    host = UsbipHost(sock, "1-1", timeout_s=5)
+    host.stream(2, 16 << 20, 4)
+    served.feed(device, bytes(16 << 20), b"second")
+    assert served.call(lambda: (len(device.given), len(device.sent_data))) == (1, 0)
+    sock.close()
+    device.wait_for("detached")
+    assert (len(device.lost_data), len(device.sent_data)) == (1, 0)
+    assert device.log == ["attached", "lost", "detached"]
+    assert list(device.chunks) == [b"second"]
+
+
+def test_peer_that_only_asks_and_never_reads_is_not_listened_to(served, device):
+    sock = attached(served)
+    sock.settimeout(0.5)
+    question = submit(1, endpoint=0, setup=bytes(GET_DEVICE), length=18)
+    flood = b"".join(patched(question, 4, n) for n in range(1, 5000))
+    with pytest.raises(TimeoutError):
+        sock.sendall(flood * 1000)
+    sock.close()
+    device.wait_for("detached")
+    assert_serves(served, device)
+
+
+def test_one_host_that_stops_reading_does_not_hold_up_another(rig, new_device):
+    stuck, other = new_device(), new_device()
+    rig.start({"1-1": stuck, "1-2": other})
+    with UsbipHost(rig.connect(), "1-1", timeout_s=5) as lazy, UsbipHost(rig.connect(), "1-2", timeout_s=5) as keen:
+        lazy.stream(2, 16 << 20, 1)
+        rig.feed(stuck, bytes(16 << 20))
+        stream = keen.stream(2, 1000, 4)
+        rig.feed(other, b"for the keen one")
+        assert stream.read(5) == b"for the keen one"
+
+
+def test_unlink_of_a_pending_urb_gives_econnreset_and_no_other_answer(served, device):
+    sock = attached(served)
+    sock.sendall(submit(1) + submit(2) + bytes(Unlink(3, 0x10002, 1)))
+    assert read_urb(sock) == (4, 3, -104)
+    served.feed(device, b"")
+    assert read_urb(sock) == (3, 2, 0)
+
+
+def test_unlink_of_an_answered_or_unknown_urb_gives_status_0(served, device):
+    device.chunks.append(b"")
+    sock = attached(served)
+    sock.sendall(submit(1))
+    assert read_urb(sock) == (3, 1, 0)
+    sock.sendall(bytes(Unlink(2, 0x10002, 1)) + bytes(Unlink(3, 0x10002, 999)))
+    assert [read_urb(sock) for _ in range(2)] == [(4, 2, 0), (4, 3, 0)]
+
+
+def test_unlink_races_give_each_urb_one_end(served, device):
+    """Whatever wins, a URB is either taken back or answered before its unlink is, and no data are lost."""
+    device.chunks.extend([b""] * 100)
+    sock = attached(served)
+    for n in range(1, 401, 2):
+        sock.sendall(submit(n))
+        sock.sendall(bytes(Unlink(n + 1, 0x10002, n)))
+    ends: dict[int, list[tuple[int, int]]] = {n: [] for n in range(1, 401, 2)}
+    while sum(end[-1:] in ([(4, -104)], [(4, 0)]) for end in ends.values()) < len(ends):
+        command, seqnum, status = read_urb(sock)
+        ends[seqnum - (command == 4)].append((command, status))
+    assert all(end in ([(4, -104)], [(3, 0), (4, 0)]) for end in ends.values())
+    answered = [end for end in ends.values() if end[0][0] == 3]
+    device.wait_for("sent", len(answered))
+    assert len(answered) == served.call(lambda: len(device.given)) == len(device.sent_data)
+
+
+def test_fault_in_the_device_model_ends_its_connection_only(rig, new_device):
+    faulty, sound = new_device(), new_device()
+    rig.start({"1-1": faulty, "1-2": sound})
+    with UsbipHost(rig.connect(), "1-2", timeout_s=5) as other:
+        with UsbipHost(rig.connect(), "1-1", timeout_s=5) as host, pytest.raises(PeerGone):
+            host.control_in(SetupPacket(0xC0, 0xEE, 0, 0, 4))
+        faulty.wait_for("detached")
+        assert len(other.control_in(GET_DEVICE)) == 18
+    assert isinstance(rig.faults[0]["exception"], ValueError)
+
+
+def test_silent_connection_is_closed_in_the_operation_phase_only(rig, device):
+    rig.start({"1-1": device}, ConnectionSettings(operation_timeout_s=0.05))
+    with UsbipHost(rig.connect(), "1-1", timeout_s=5) as host:
+        assert is_closed(rig.connect())
+        assert len(host.control_in(GET_DEVICE)) == 18
+
+
+def test_connections_are_bounded(rig, device):
+    rig.start({"1-1": device}, max_connections=2)
+    with UsbipHost(rig.connect(), "1-1", timeout_s=5) as host:
+        idle = rig.connect()
+        idle.sendall(b"\x01")
+        assert is_closed(rig.connect())
+        assert len(host.control_in(GET_DEVICE)) == 18
+        idle.close()
+
+
+def test_direction_that_contradicts_the_setup_packet_stalls(served):
+    sock = attached(served)
+    sock.sendall(submit(1, endpoint=0, is_in=False, length=4, setup=bytes(GET_DEVICE), data=bytes(4)))
+    assert read_urb(sock) == (3, 1, -32)
+
+
+def test_out_urb_to_a_bulk_endpoint_stalls(served):
+    sock = attached(served)
+    sock.sendall(submit(1, is_in=False, length=4, data=bytes(4)))
+    assert read_urb(sock) == (3, 1, -32)
+
+
+def test_close_detaches_every_host(rig, device):
+    rig.start({"1-1": device})
+    host = UsbipHost(rig.connect(), "1-1", timeout_s=5)
+    stream = host.stream(2)
+    rig.run(rig.server.close())
+    assert device.log == ["attached", "detached"]
+    with pytest.raises(PeerGone):
+        stream.read(5)
+    host.close()
+
+
+def test_bus_id_that_no_bus_has_is_refused(device):
+    with pytest.raises(ValueError, match="1-1"):
+        UsbipServer({"camera": device})
+
+
+@pytest.mark.parametrize(("address", "warned"), [("127.0.0.1", False), ("0.0.0.0", True)])
+def test_warns_when_bound_to_more_than_this_machine(device, caplog, address, warned, monkeypatch):
+    class Listener:
+        """Stands in for a listening socket, so that the test opens none to the outside."""
+
+        sockets = (type("Socket", (), {"getsockname": lambda self: (address, 3240)})(),)
+
+    async def create_server(*_):
+        return Listener()
+
+    async def start():
+        monkeypatch.setattr(asyncio.get_running_loop(), "create_server", create_server)
+        await UsbipServer({"1-1": device}).start(address)
+
+    with caplog.at_level(logging.WARNING):
+        asyncio.run(start())
+    assert ("without authentication" in caplog.text) is warned
+
+
