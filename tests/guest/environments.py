@@ -18,12 +18,25 @@ CLIENTS = Path(__file__).with_name("clients")
 
 @dataclass(frozen=True)
 class Driver:
-    """An unmodified driver: what pip installs, and the program of `clients/` that uses it."""
+    """An unmodified driver: what pip installs, and the program of `clients/` that uses it.
+
+    Attributes
+    ----------
+    name
+        Of the client's program and of the environment.
+    packages
+        What pip installs.
+    resets_time
+        True when opening ends with a timestamp reset: the driver throws away what came before it and adds the host's
+        time to every event. Otherwise it sees the camera's own time and everything since the start.
+    pythons
+        Versions of Python that the driver's wheels exist for; empty: any that this project runs on.
+    """
 
     name: str
     packages: tuple[str, ...]
+    resets_time: bool
     pythons: tuple[str, ...] = ()
-    """Versions of Python that the driver's wheels exist for; empty: any that this project runs on."""
 
     @property
     def program(self) -> Path:
@@ -66,7 +79,7 @@ class Driver:
 
 
 DRIVERS = (
-    Driver("dv2", ("dv-processing==2.0.4", "numpy")),
-    Driver("dv1", ("dv-processing==1.7.9", "numpy<2"), pythons=("3.11",)),
-    Driver("nd", ("neuromorphic_drivers==0.18.2", "numpy")),
+    Driver("dv2", ("dv-processing==2.0.4", "numpy"), resets_time=True),
+    Driver("dv1", ("dv-processing==1.7.9", "numpy<2"), resets_time=True, pythons=("3.11",)),
+    Driver("nd", ("neuromorphic_drivers==0.18.2", "numpy"), resets_time=False),
 )

@@ -162,7 +162,7 @@ class Guest:
             *(qemu, "-M", "pc", *_accelerator(), "-smp", "2", "-m", "2048"),
             *("-nographic", "-nodefaults", "-no-reboot", "-serial", "stdio"),
             *("-kernel", str(self.kernel.image), "-initrd", str(initramfs)),
-            *("-append", "console=ttyS0 quiet panic=-1 mitigations=off"),
+            *("-append", "console=ttyS0 panic=-1 mitigations=off"),
             *("-virtfs", f"{share},path=/,mount_tag=host,readonly=on"),
             *("-virtfs", f"{share},path={self.results},mount_tag=results"),
             *("-netdev", "user,id=host", "-device", "virtio-net-pci,netdev=host,romfile="),

@@ -3,7 +3,7 @@
     client.py --count N --timeout S --output FILE.npz
 
 Each client prints what it saw as one JSON object on its last line, and saves the events as the arrays t (int64,
-microseconds), x, y (uint16) and on (bool).
+microseconds), x, y (uint16) and on (bool). At its first events it makes the empty file FILE.started.
 """
 
 from __future__ import annotations
@@ -40,7 +40,9 @@ class Collector:
         return self._collected >= self._count or time.monotonic() > self._deadline
 
     def add(self, t: np.ndarray, x: np.ndarray, y: np.ndarray, on: np.ndarray) -> None:
-        self._started = self._started or time.monotonic()
+        if self._started is None:
+            self._started = time.monotonic()
+            self._output.with_suffix(".started").touch()
         self._columns.append((t.astype(np.int64), x.astype(np.uint16), y.astype(np.uint16), on.astype(bool)))
         self._collected += len(t)
 

@@ -1,0 +1,55 @@
+"""A driver's client at work in the guest, and what it saw."""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from firmware_protocol.events import Events
+from tests.guest.comparison import load_seen
+from tests.guest.environments import Driver
+from tests.guest.machine import Finished, Guest, Job
+
+__all__ = ["STREAM_TIMEOUT_S", "Seen", "Streaming"]
+
+STREAM_TIMEOUT_S = 60.0
+OPEN_TIMEOUT_S = 60.0
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What a client tells of the camera, and its events (n,) EVENT in its own time."""
+
+    about: dict[str, Any]
+    events: Events
+
+
+class Streaming:
+    """One run of a client: it opens the camera, takes `count` events or what comes in a minute, and closes it."""
+
+    def __init__(self, guest: Guest, driver: Driver, python: Path, count: int) -> None:
+        self._guest = guest
+        self._output = guest.results / f"{driver.name}.npz"
+        self._started = self._output.with_suffix(".started")
+        self._started.unlink(missing_ok=True)
+        limits = ["--count", str(count), "--timeout", str(STREAM_TIMEOUT_S)]
+        output = ["--output", guest.path_in_guest(self._output.name)]
+        self._job: Job = guest.start([str(python), str(driver.program), *limits, *output], STREAM_TIMEOUT_S * 2)
+
+    def wait_until_started(self) -> None:
+        """Wait for the client's first events; raises TimeoutError."""
+        deadline = time.monotonic() + OPEN_TIMEOUT_S
+        while not self._started.exists():
+            if time.monotonic() > deadline:
+                raise TimeoutError(f"no events within {OPEN_TIMEOUT_S} s: {self._job.wait()}")
+            time.sleep(0.02)
+
+    def wait(self) -> Seen:
+        """Wait for the end; raises RuntimeError with all that the client said when it failed."""
+        finished: Finished = self._job.wait()
+        if not finished.ok:
+            raise RuntimeError(f"{finished}\nconsole of the guest:\n{self._guest.console}")
+        return Seen(json.loads(finished.stdout.splitlines()[-1]), load_seen(self._output))
