@@ -181,9 +181,10 @@ class Body(Scene):
         across = around * np.sqrt(np.maximum(0.0, 1.0 - pole**2))
         ends = np.outer([along.min(), along.max()], pole)
         low, high = ends.min(axis=0) - across, ends.max(axis=0) + across
-        nearest_m = max(self.parameters.range_m + low[2], self.parameters.range_m - self.mesh.radius_m)
+        depths = np.clip([low[2], high[2]], -self.mesh.radius_m, self.mesh.radius_m) + self.parameters.range_m
+        edges = self.focal_px * np.array([edge[:2] / depth for edge in (low, high) for depth in depths])
         size = np.array(self._size)
-        first, last = (size / 2 + self.focal_px * edge[:2] / nearest_m for edge in (low, high))
+        first, last = size / 2 + edges.min(axis=0), size / 2 + edges.max(axis=0)
         left, top = np.maximum(np.floor(first - 1), 0).astype(int)
         right, bottom = np.minimum(np.ceil(last + 1), size).astype(int)
         return Rectangle(int(left), int(top), max(1, int(right - left)), max(1, int(bottom - top)))
