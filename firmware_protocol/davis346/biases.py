@@ -1,0 +1,172 @@
+"""The DAVIS346's biases and chip parameters: what the 16-bit words in module 5 mean, and their defaults.
+
+    coarse-fine     14..12 coarse 0-7   11..4 fine 0-255   3 current level normal   2 type normal (0 = cascode)
+                    1 sex N   0 enabled
+    voltage DAC     8..6 current 0-7    5..0 voltage 0-63
+    shifted source  15..10 reg   9..4 ref   3..2 voltage level   1..0 mode
+
+Sources: libcaer 3.3.15 (davis.h, encodings, defaults as its driver writes them, full-scale currents); jAER agrees
+within 0.5 %. What the biases do to the pixels is the sensor's affair; here they are values that print and parse.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+__all__ = ["BIASES", "BiasDefinition", "BiasValue", "CoarseFine", "ShiftedSource", "Vdac"]
+
+_FULL_SCALE_A = (11e-12, 94e-12, 756e-12, 6.054e-9, 48.437e-9, 387.5e-9, 3.1e-6, 24.8e-6)
+
+
+def _check(what: str, value: int, maximum: int) -> None:
+    if not 0 <= value <= maximum:
+        raise ValueError(f"{what} {value} is not in 0..{maximum}")
+
+
+@dataclass(frozen=True)
+class CoarseFine:
+    """A current source: two stages of choice, transistor sex and type."""
+
+    coarse: int
+    fine: int
+    n_type: bool = True
+    enabled: bool = True
+    cascode: bool = False
+    low_current: bool = False
+
+    def __post_init__(self) -> None:
+        _check("coarse", self.coarse, 7)
+        _check("fine", self.fine, 255)
+
+    @classmethod
+    def parse(cls, word: int) -> CoarseFine:
+        """Read the 16-bit word; its top bit is not used."""
+        return cls(
+            coarse=word >> 12 & 7,
+            fine=word >> 4 & 0xFF,
+            n_type=bool(word & 2),
+            enabled=bool(word & 1),
+            cascode=not word & 4,
+            low_current=not word & 8,
+        )
+
+    def __int__(self) -> int:
+        flags = self.enabled | self.n_type << 1 | (not self.cascode) << 2 | (not self.low_current) << 3
+        return self.coarse << 12 | self.fine << 4 | flags
+
+    @property
+    def current_a(self) -> float:
+        """Current in ampere; zero when disabled (libcaer: full scale x fine / 255)."""
+        return _FULL_SCALE_A[self.coarse] * self.fine / 255 if self.enabled else 0.0
+
+    def __str__(self) -> str:
+        sex = "N" if self.n_type else "P"
+        marks = (" cascode" if self.cascode else "") + (" low" if self.low_current else "")
+        state = f"{self.current_a:.3g} A" if self.enabled else "off"
+        return f"{sex} {self.coarse},{self.fine}{marks} ({state})"
+
+
+@dataclass(frozen=True)
+class Vdac:
+    """A voltage source: level and the strength of its buffer."""
+
+    voltage: int
+    current: int
+
+    def __post_init__(self) -> None:
+        _check("voltage", self.voltage, 63)
+        _check("current", self.current, 7)
+
+    @classmethod
+    def parse(cls, word: int) -> Vdac:
+        """Read the 16-bit word; bits above 8 are not used."""
+        return cls(voltage=word & 0x3F, current=word >> 6 & 7)
+
+    def __int__(self) -> int:
+        return self.current << 6 | self.voltage
+
+    def __str__(self) -> str:
+        return f"voltage {self.voltage}, current {self.current}"
+
+
+@dataclass(frozen=True)
+class ShiftedSource:
+    """A shifted source: `mode` 0 shifted source, 1 high impedance, 2 tied to the rail."""
+
+    ref: int
+    reg: int
+    mode: int = 0
+    level: int = 0
+
+    def __post_init__(self) -> None:
+        _check("ref", self.ref, 63)
+        _check("reg", self.reg, 63)
+        _check("mode", self.mode, 3)
+        _check("level", self.level, 3)
+
+    @classmethod
+    def parse(cls, word: int) -> ShiftedSource:
+        """Read the 16-bit word."""
+        return cls(ref=word >> 4 & 0x3F, reg=word >> 10 & 0x3F, mode=word & 3, level=word >> 2 & 3)
+
+    def __int__(self) -> int:
+        return self.reg << 10 | self.ref << 4 | self.level << 2 | self.mode
+
+    def __str__(self) -> str:
+        return f"ref {self.ref}, reg {self.reg}, mode {self.mode}, level {self.level}"
+
+
+BiasValue = CoarseFine | Vdac | ShiftedSource
+
+
+@dataclass(frozen=True)
+class BiasDefinition:
+    """One bias: parameter address in module 5, name, and the value that drivers write by default."""
+
+    address: int
+    name: str
+    default: BiasValue
+
+    def parse(self, word: int) -> BiasValue:
+        """Read a word as this bias's kind."""
+        return self.default.parse(word)
+
+
+def _n(address: int, name: str, coarse: int, fine: int, enabled: bool = True) -> BiasDefinition:
+    return BiasDefinition(address, name, CoarseFine(coarse, fine, enabled=enabled))
+
+
+def _p(address: int, name: str, coarse: int, fine: int) -> BiasDefinition:
+    return BiasDefinition(address, name, CoarseFine(coarse, fine, n_type=False))
+
+
+BIASES: tuple[BiasDefinition, ...] = (
+    BiasDefinition(0, "ApsOverflowLevel", Vdac(27, 6)),
+    BiasDefinition(1, "ApsCas", Vdac(21, 6)),
+    BiasDefinition(2, "AdcRefHigh", Vdac(32, 7)),
+    BiasDefinition(3, "AdcRefLow", Vdac(1, 7)),
+    BiasDefinition(4, "AdcTestVoltage", Vdac(21, 7)),
+    _n(8, "LocalBufBn", 5, 164),
+    _n(9, "PadFollBn", 7, 215, enabled=False),
+    _n(10, "DiffBn", 4, 39),
+    _n(11, "OnBn", 5, 255),
+    _n(12, "OffBn", 4, 1),
+    _n(13, "PixInvBn", 6, 144),
+    _p(14, "PrBp", 2, 58),
+    _p(15, "PrSFBp", 1, 16),
+    _p(16, "RefrBp", 4, 25),
+    _p(17, "ReadoutBufBp", 6, 20),
+    _n(18, "ApsROSFBn", 6, 219),
+    _p(19, "AdcCompBp", 5, 20),
+    _n(20, "ColSelLowBn", 0, 1),
+    _p(21, "DacBufBp", 6, 60),
+    _n(22, "LColTimeoutBn", 5, 49),
+    _n(23, "AEPdBn", 6, 91),
+    _p(24, "AEPuXBp", 4, 80),
+    _p(25, "AEPuYBp", 7, 152),
+    _n(26, "IFRefrBn", 5, 255),
+    _n(27, "IFThrBn", 5, 255),
+    _n(34, "BiasBuffer", 5, 254),
+    BiasDefinition(35, "SSP", ShiftedSource(ref=1, reg=33)),
+    BiasDefinition(36, "SSN", ShiftedSource(ref=1, reg=33)),
+)

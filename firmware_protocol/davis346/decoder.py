@@ -1,0 +1,229 @@
+"""Decoder of DAVIS word streams: bytes in any pieces to events, specials and a count of what was wrong.
+
+The word layout is drawn in `words`. The meaning follows libcaer 3.3.15 (davis.c), as far as events are concerned:
+
+- a wrap word adds its number of steps of 32768 us and sets the time to that multiple; time is unrolled in 64 bits;
+- a column before any row belongs to row 0; a row outside the array is ignored, leaving the old one in force; a
+  column outside the array is no event;
+- a reset sets the time to zero and leaves the row;
+- a timestamp that does not increase is counted and used all the same.
+
+APS samples and misc words are counted, not yet interpreted. Unlike libcaer, which drops the last byte of a buffer with
+an odd length, a split inside a word is harmless.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+import numpy.typing as npt
+
+from firmware_protocol.davis346.words import (
+    APS_SAMPLE,
+    COLUMN_ON,
+    KIND,
+    LOW_BITS,
+    MAX_ADDRESS,
+    MAX_STEPS,
+    MISC8,
+    MISC10,
+    ROW,
+    TIMESTAMP,
+    WORD,
+    WRAP,
+    WRAP_BITS,
+    Special,
+    Words,
+    is_column,
+    is_row,
+)
+from firmware_protocol.events import Events, empty_events
+
+__all__ = ["SPECIAL_EVENT", "Decoded", "Decoder", "WordFaults"]
+
+SPECIAL_EVENT = np.dtype([("t", "<u8"), ("code", "<u2"), ("index", "<i8")])
+"""Device time in us, code (see `words.Special`), and how many events of the same Decoded came before it."""
+
+_BLOCK_WORDS = 32768
+
+Index = npt.NDArray[np.int64]
+Mask = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Decoded:
+    """What a piece of stream held.
+
+    Attributes
+    ----------
+    events
+        (n,) EVENT in device time, microseconds since the last timestamp reset.
+    specials
+        (m,) SPECIAL_EVENT.
+    """
+
+    events: Events
+    specials: npt.NDArray[np.void]
+
+    @property
+    def resets(self) -> Index:
+        """Index into `events` of the first event after each timestamp reset."""
+        index: Index = self.specials["index"][self.specials["code"] == _RESET]
+        return index
+
+
+@dataclass(frozen=True)
+class WordFaults:
+    """Words that a healthy DVS stream does not hold, counted since the decoder was made."""
+
+    row_outside: int = 0
+    column_outside: int = 0
+    time_not_increasing: int = 0
+    unknown_special: int = 0
+    unknown_misc: int = 0
+    not_interpreted: int = 0
+
+    def __add__(self, other: WordFaults) -> WordFaults:
+        return WordFaults(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
+
+    @property
+    def total(self) -> int:
+        """All faults, without the words that are sound but not interpreted."""
+        return (
+            self.row_outside + self.column_outside + self.time_not_increasing + self.unknown_special + self.unknown_misc
+        )
+
+
+class Decoder:
+    """Reads a stream of DAVIS words, keeping its state between pieces.
+
+    Parameters
+    ----------
+    size
+        (width, height) in user coordinates.
+    turned
+        True where row words carry x and column words y (invert bit of the orientation register).
+    """
+
+    def __init__(self, size: tuple[int, int] = (346, 260), turned: bool = False) -> None:
+        self._columns, self._rows = (size[1], size[0]) if turned else size
+        self._turned = turned
+        self._odd = b""
+        self._time_us = 0
+        self._row = 0
+        self.faults = WordFaults()
+
+    @property
+    def time_us(self) -> int:
+        """Device time of the last timestamp or wrap."""
+        return self._time_us
+
+    def feed(self, data: bytes) -> Decoded:
+        """Decode the next bytes of the stream; any bytes give a result."""
+        data = self._odd + data if self._odd else data
+        even = len(data) & ~1
+        self._odd = bytes(data[even:])
+        words = np.frombuffer(data, WORD, even // 2)
+        events = empty_events(int(np.count_nonzero(is_column(words))))
+        filled = 0
+        specials = []
+        for first in range(0, len(words), _BLOCK_WORDS):
+            count, special = self._block(words[first : first + _BLOCK_WORDS], events[filled:])
+            special["index"] += filled
+            filled += count
+            specials.append(special)
+        return Decoded(events[:filled], np.concatenate(specials) if specials else np.empty(0, SPECIAL_EVENT))
+
+    def _block(self, words: Words, out: Events) -> tuple[int, npt.NDArray[np.void]]:
+        """Decode words into the front of `out`; return the number of events and the specials."""
+        column = is_column(words)
+        rare = np.flatnonzero((words < ROW) | ((words >= APS_SAMPLE) & (words < TIMESTAMP)))
+        timing, time_us = self._timeline(words, rare)
+        row_at, rows = self._rowline(words)
+        at = self._events_at(words, column)
+        out = out[: len(at)]
+        out["t"] = time_us[timing[at]]
+        row, address = rows[row_at[at]], words[at] & MAX_ADDRESS
+        out["x"], out["y"] = (row, address) if self._turned else (address, row)
+        out["on"] = words[at] >= COLUMN_ON
+        specials = self._specials(words, rare, at, time_us[timing[rare]])
+        self._time_us, self._row = int(time_us[-1]), int(rows[-1])
+        return len(at), specials
+
+    def _events_at(self, words: Words, column: Mask) -> Index:
+        """Positions of columns inside the array."""
+        at: Index = np.flatnonzero(column)
+        inside = (words[at] & MAX_ADDRESS) < self._columns
+        if not inside.all():
+            self.faults += WordFaults(column_outside=len(at) - int(np.count_nonzero(inside)))
+            at = at[inside]
+        return at
+
+    def _rowline(self, words: Words) -> tuple[Index, Words]:
+        """Return for each word the index of the row in force, and those rows, the carried one first."""
+        good = is_row(words)
+        outside = good & ((words & MAX_ADDRESS) >= self._rows)
+        if outside.any():
+            self.faults += WordFaults(row_outside=int(np.count_nonzero(outside)))
+            good &= ~outside
+        rows = np.concatenate([np.array([self._row], WORD), words[good] & MAX_ADDRESS])
+        return np.cumsum(good), rows
+
+    def _timeline(self, words: Words, rare: Index) -> tuple[Index, Index]:
+        """Return for each word the index of the time in force, and those times (us), the carried one first."""
+        moves = words >= TIMESTAMP
+        kinds = words[rare]
+        turns = rare[(kinds & KIND == WRAP) | (kinds == _RESET)]
+        moves[turns] = True
+        stamps = words[moves]
+        base = self._bases(stamps) if len(turns) else self._time_us >> WRAP_BITS << WRAP_BITS
+        low = np.where(stamps >= TIMESTAMP, stamps & LOW_BITS, 0) if len(turns) else stamps & LOW_BITS
+        time_us = np.empty(len(stamps) + 1, np.int64)
+        time_us[0] = self._time_us
+        np.add(low, base, out=time_us[1:], dtype=np.int64)
+        self._count_backward(time_us, stamps)
+        return np.cumsum(moves), time_us
+
+    def _bases(self, stamps: Words) -> Index:
+        """Return the multiple of 32768 us in force at each timestamp, wrap or reset, itself included."""
+        reset = stamps == _RESET
+        steps = np.where(stamps & KIND == WRAP, stamps & MAX_STEPS, 0)
+        total = np.cumsum(steps, dtype=np.int64) + (self._time_us >> WRAP_BITS)
+        total -= np.maximum.accumulate(np.where(reset, total, 0))
+        base: Index = total << WRAP_BITS
+        return base
+
+    def _count_backward(self, time_us: Index, stamps: Words) -> None:
+        steady = time_us[1:] > time_us[:-1]
+        if steady.all():
+            return
+        bad = ~steady & (stamps != _RESET)
+        self.faults += WordFaults(time_not_increasing=int(np.count_nonzero(bad)))
+
+    def _specials(self, words: Words, rare: Index, at: Index, time_us: Index) -> npt.NDArray[np.void]:
+        """Return the specials among the words at `rare`, and count what is unknown or not interpreted."""
+        special = words[rare] < ROW
+        found = np.empty(int(np.count_nonzero(special)), SPECIAL_EVENT)
+        if len(rare):
+            self._count_rare(words[rare])
+            found["code"] = words[rare][special] & MAX_ADDRESS
+            found["t"] = time_us[special]
+            found["index"] = np.searchsorted(at, rare[special])
+        return found
+
+    def _count_rare(self, words: Words) -> None:
+        unknown_special = (words < ROW) & ~np.isin(words, _KNOWN_SPECIALS)
+        unknown_misc = (words > _LAST_MISC8) & (words < MISC10) | (words > _LAST_MISC10) & (words < WRAP)
+        other = (words >= APS_SAMPLE) & (words < WRAP) & ~unknown_misc
+        self.faults += WordFaults(
+            unknown_special=int(np.count_nonzero(unknown_special)),
+            unknown_misc=int(np.count_nonzero(unknown_misc)),
+            not_interpreted=int(np.count_nonzero(other)),
+        )
+
+
+_RESET = int(Special.TIMESTAMP_RESET)
+_KNOWN_SPECIALS = np.array(sorted(Special), WORD)
+_LAST_MISC8 = MISC8 | 0x3FF
+_LAST_MISC10 = MISC10 | 0x3FF

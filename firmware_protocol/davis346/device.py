@@ -1,0 +1,234 @@
+"""A DAVIS346 as its host sees it: vendor requests, registers, run gate, and the data endpoint.
+
+Vendor requests, recipient device, 32-bit values big-endian (source: libcaer 3.3.15, drivers' traffic):
+
+    0xBF  OUT  wValue module, wIndex parameter   4 bytes              write a register
+    0xBF  IN   wValue module, wIndex parameter   4 bytes              read a register
+    0xC2  OUT  wValue N                          N x (u8 module, u8 parameter, u32)   write N registers, in order
+    0xB1  OUT  wValue level                      -                    log level, acknowledged
+    0xC6  OUT                                    -                    flush the data path
+
+Data whose length is not exactly this stalls the request, and then nothing is written, not even the good entries of a
+multi-write. Other vendor requests (flash, FPGA load) stall.
+
+Run gate: words leave with MUX RUN, TIMESTAMP_RUN, USB RUN and RUN_CHIP at 1; events need DVS RUN as well. Closing it
+empties the FIFO. TIMESTAMP_RUN going to 1 starts device time at zero; TIMESTAMP_RESET going to 1 does so too, and puts
+the reset word into the stream.
+
+One thread at a time may use a camera.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+
+import numpy as np
+
+from firmware_protocol.davis346.fifo import Fifo
+from firmware_protocol.davis346.registers import Module, RegisterFile, Statistic, registers
+from firmware_protocol.davis346.settings import DATA_ENDPOINT, Davis346Settings
+from firmware_protocol.davis346.stream import EventStream
+from firmware_protocol.davis346.words import WordEncoder
+from firmware_protocol.events import Events
+from firmware_protocol.usb.control import Recipient, StandardControl
+from firmware_protocol.usb.device import Identity, RequestKind, SetupPacket, Stall, Transfer, UsbDevice
+
+__all__ = ["CameraCounters", "Davis346"]
+
+REGISTER = 0xBF
+MULTI_WRITE = 0xC2
+LOG_LEVEL = 0xB1
+FLUSH = 0xC6
+
+_ENTRY = struct.Struct(">BBI")
+_IN = 0x80
+
+
+@dataclass(frozen=True)
+class CameraCounters:
+    """Events offered to a camera since it was made, and their fates; `offered` is the sum of the others."""
+
+    offered: int = 0
+    not_running: int = 0
+    dropped_fifo: int = 0
+    flushed: int = 0
+    delivered: int = 0
+    lost_on_link: int = 0
+    queued: int = 0
+
+
+@dataclass(frozen=True)
+class _Gate:
+    """The run bits, as far as the data path cares."""
+
+    timestamps: bool
+    reset: bool
+    words: bool
+    events: bool
+
+    @classmethod
+    def of(cls, values: RegisterFile) -> _Gate:
+        run, timestamps, reset, chip = (bool(values.read(Module.MULTIPLEXER, k)) for k in range(4))
+        words = run and timestamps and chip and bool(values.read(Module.USB, 0))
+        return cls(timestamps, reset, words, words and bool(values.read(Module.DVS, 3)))
+
+
+class Davis346(UsbDevice):
+    """The camera. Events and the passing of stream time go in by `offer` and `advance`, USB by the rest."""
+
+    def __init__(self, settings: Davis346Settings | None = None) -> None:
+        self.settings = settings = settings or Davis346Settings()
+        self._standard = StandardControl(settings.descriptors())
+        self._registers = RegisterFile(registers(settings.size, settings.layout, settings.system))
+        self._stream = EventStream(WordEncoder(settings.size, settings.layout.turned), Fifo(settings.fifo_bytes))
+        self._now_us = 0
+        self._not_running = self._offered = 0
+        self._power_on()
+
+    @property
+    def identity(self) -> Identity:
+        """Vendor, product, speed and interfaces."""
+        return self.settings.identity
+
+    @property
+    def now_us(self) -> int:
+        """Stream time that the camera has reached."""
+        return self._now_us
+
+    @property
+    def streaming(self) -> bool:
+        """True while events offered now would go to the host."""
+        return self._gate.events and self._now_us >= self._silent_until_us
+
+    @property
+    def room_events(self) -> int:
+        """Events that certainly fit the FIFO now, if they span less than a second."""
+        return self._stream.room_events
+
+    @property
+    def counters(self) -> CameraCounters:
+        """Fates of all events offered so far."""
+        s = self._stream.counters
+        return CameraCounters(
+            self._offered, self._not_running, s.dropped_fifo, s.flushed, s.delivered, s.lost_on_link, s.queued
+        )
+
+    def offer(self, events: Events) -> None:
+        """Give the camera what its array raised, (n,) EVENT in stream time, sorted, not before the time advanced to.
+
+        The events are copied. Those that come while the camera does not stream are counted as not running.
+
+        Raises
+        ------
+        ValueError
+            Events go back in time or lie outside the array; then none of them was taken.
+        """
+        if not len(events):
+            return
+        if int(events["t"][0]) < self._now_us:
+            raise ValueError(f"event at {events['t'][0]} us offered after the camera's clock reached {self._now_us} us")
+        first = int(np.searchsorted(events["t"], self._silent_until_us)) if self._gate.events else len(events)
+        if first < len(events):
+            self._stream.put(events[first:].copy())
+        self._not_running += first
+        self._offered += len(events)
+        self._now_us = int(events["t"][-1])
+
+    def advance(self, now_us: int) -> None:
+        """Say that stream time has reached `now_us`; the clock never goes back."""
+        self._now_us = max(self._now_us, now_us)
+        if self._gate.words and self._now_us >= self._silent_until_us:
+            self._stream.advance(self._now_us)
+
+    def attached(self) -> None:
+        """A host has taken the camera: power-on state."""
+        self._power_on()
+
+    def detached(self) -> None:
+        """The host is gone: the FIFO is emptied and counted, the camera stops."""
+        self._power_on()
+
+    def control(self, setup: SetupPacket, data: bytes) -> bytes:
+        """Do one control transfer; see `UsbDevice.control` and the table above."""
+        if setup.kind is RequestKind.STANDARD:
+            return self._standard.control(setup, data)
+        if setup.kind is not RequestKind.VENDOR or setup.recipient != Recipient.DEVICE:
+            raise Stall
+        if setup.is_in:
+            return self._read_register(setup)
+        self._vendor_out(setup, data)
+        return b""
+
+    def read(self, endpoint: int, max_bytes: int) -> Transfer | None:
+        """Take data from endpoint 2; the debug endpoint, 1, never has any."""
+        self._standard.require(endpoint | _IN)
+        if endpoint | _IN != DATA_ENDPOINT or self._now_us < self._silent_until_us:
+            return None
+        return self._stream.take(max_bytes)
+
+    def sent(self, transfer: Transfer) -> None:
+        """Count the transfer's events as delivered."""
+        self._stream.sent(transfer)
+
+    def lost(self, transfer: Transfer) -> None:
+        """Count the transfer's events as lost on the link."""
+        self._stream.lost(transfer)
+
+    def _power_on(self) -> None:
+        self._registers.power_on()
+        self._standard.power_on()
+        self._gate = _Gate.of(self._registers)
+        self._silent_until_us = self._now_us
+        self._stream.start_time(self._now_us)
+        self._at_power_on = self._stream.counters
+
+    def _vendor_out(self, setup: SetupPacket, data: bytes) -> None:
+        if len(data) != setup.length:
+            raise Stall
+        if setup.request == REGISTER and len(data) == 4:
+            self._write(setup.value, setup.index, int.from_bytes(data, "big"))
+        elif setup.request == MULTI_WRITE and len(data) == setup.value * _ENTRY.size:
+            for module, address, value in _ENTRY.iter_unpack(data):
+                self._write(module, address, value)
+        elif setup.request == FLUSH and not data:
+            self._stream.flush()
+        elif setup.request != LOG_LEVEL or data:
+            raise Stall
+
+    def _read_register(self, setup: SetupPacket) -> bytes:
+        if setup.request != REGISTER or setup.length < 4:
+            raise Stall
+        self._refresh_statistics()
+        return self._registers.read(setup.value, setup.index).to_bytes(4, "big")
+
+    def _write(self, module: int, address: int, value: int) -> None:
+        before = self._gate
+        self._registers.write(module, address, value)
+        self._gate = _Gate.of(self._registers)
+        if self._gate != before:
+            self._turn(before, self._gate)
+
+    def _turn(self, before: _Gate, after: _Gate) -> None:
+        """Do what a change of the run bits asks for."""
+        if before.words and not after.words:
+            self._stream.flush()
+        if after.timestamps and not before.timestamps:
+            self._stream.start_time(self._now_us)
+        if (after.words and not before.words) or (after.events and not before.events):
+            self._silent_until_us = self._now_us + self.settings.start_delay_us
+        if after.reset and not before.reset and after.words:
+            self._stream.reset_time(self._now_us)
+            self._silent_until_us = self._now_us
+
+    def _refresh_statistics(self) -> None:
+        """Bring the counter registers up to date: rows and columns queued, events dropped, since power-on.
+
+        One FIFO stands here for the DVS module's and the USB buffers', so both dropped counters show its drops.
+        """
+        now, base = self._stream.counters, self._at_power_on
+        dropped = now.dropped_fifo - base.dropped_fifo
+        self._registers.count(Statistic.DVS_ROWS, now.rows - base.rows)
+        self._registers.count(Statistic.DVS_COLUMNS, now.accepted - base.accepted)
+        self._registers.count(Statistic.DVS_DROPPED, dropped)
+        self._registers.count(Statistic.MUX_DVS_DROPPED, dropped)

@@ -1,0 +1,294 @@
+"""The DAVIS346's registers: 32-bit parameters in modules, as declared data, and the file that holds their values.
+
+    module  0 multiplexer   1 DVS   2 APS   3 IMU   4 external input   5 bias (0-127) and chip (128-255)
+            6 system information   9 USB
+
+Source: libcaer 3.3.15 (davis.h), neuromorphic-drivers 0.16.1, register traffic of three drivers.
+
+What is not said there: the FPGA has no way to refuse. A write to a register that does not exist, or that can only be
+read, is ignored; a read of one that does not exist gives 0. Written values read back in full, 32 bits wide, and are not
+checked.
+
+Capability registers tell the truth about this model: filters, the input generator and the IMU read 0 until they are
+modelled. libcaer and neuromorphic_drivers switch the background activity filter on wherever it exists, so a camera that
+claimed it without filtering would send events which a real one removes. The APS size and shutter registers describe the
+chip, because drivers size their pictures by them; frames are not sent yet, and no driver waits for one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import Enum, IntEnum
+
+from firmware_protocol.davis346.biases import BIASES
+
+__all__ = ["Access", "Layout", "Module", "Register", "RegisterFile", "Statistic", "SystemInfo", "registers"]
+
+
+class Module(IntEnum):
+    """wValue of a register request."""
+
+    MULTIPLEXER = 0
+    DVS = 1
+    APS = 2
+    IMU = 3
+    EXTERNAL_INPUT = 4
+    BIAS = 5
+    SYSTEM = 6
+    USB = 9
+
+
+class Access(Enum):
+    """What a host may do."""
+
+    READ_ONLY = "read"
+    READ_WRITE = "read and write"
+
+
+@dataclass(frozen=True)
+class Register:
+    """One parameter of one module, with its power-on value."""
+
+    module: Module
+    address: int
+    name: str
+    default: int = 0
+    access: Access = Access.READ_WRITE
+    note: str = ""
+
+
+class Layout(Enum):
+    """How the array's frame relates to the user's.
+
+    UPRIGHT: the chip's frame is the user's. TURNED: as in the real chip, turned by 90 degrees, with the invert bit (2)
+    of the orientation register set; row words carry the user's x, column words the user's y.
+    """
+
+    UPRIGHT = 0
+    TURNED = 4
+
+    @property
+    def turned(self) -> bool:
+        """True where rows and columns are swapped."""
+        return self is Layout.TURNED
+
+    def chip_size(self, width: int, height: int) -> tuple[int, int]:
+        """Return (columns, rows) of the chip for a user's picture of width x height."""
+        return (height, width) if self.turned else (width, height)
+
+
+@dataclass(frozen=True)
+class SystemInfo:
+    """Module 6: what the logic says of itself. The clocks are exact here (deviation 1000 thousandths)."""
+
+    logic_version: int = 18
+    chip_id: int = 5
+    timestamp_master: bool = True
+    logic_clock_mhz: int = 104
+    adc_clock_mhz: int = 30
+    usb_clock_mhz: int = 80
+    clock_deviation: int = 1000
+    logic_patch: int = 1
+
+
+class Statistic(Enum):
+    """A 64-bit counter: (module, address of its upper word); the lower word follows it."""
+
+    MUX_EXTINPUT_DROPPED = (Module.MULTIPLEXER, 81)
+    MUX_DVS_DROPPED = (Module.MULTIPLEXER, 83)
+    DVS_ROWS = (Module.DVS, 81)
+    DVS_COLUMNS = (Module.DVS, 83)
+    DVS_DROPPED = (Module.DVS, 85)
+    DVS_FILTERED_PIXELS = (Module.DVS, 87)
+    DVS_FILTERED_BACKGROUND_ACTIVITY = (Module.DVS, 89)
+    DVS_FILTERED_REFRACTORY = (Module.DVS, 91)
+
+
+Rows = tuple[tuple[int, str, int], ...]
+
+_MULTIPLEXER: Rows = (
+    (0, "RUN", 0),
+    (1, "TIMESTAMP_RUN", 0),
+    (2, "TIMESTAMP_RESET", 0),
+    (3, "RUN_CHIP", 0),
+    (4, "DROP_EXTINPUT_ON_STALL", 1),
+    (5, "DROP_DVS_ON_STALL", 1),
+)
+
+_DVS: Rows = (
+    (3, "RUN", 0),
+    (4, "WAIT_ON_STALL", 0),
+    (5, "EXTERNAL_AER_CONTROL", 0),
+    (31, "BACKGROUND_ACTIVITY_FILTER", 0),
+    (32, "BACKGROUND_ACTIVITY_TIME_250US", 8),
+    (33, "REFRACTORY_FILTER", 0),
+    (34, "REFRACTORY_TIME_250US", 1),
+    (41, "ROI_START_COLUMN", 0),
+    (42, "ROI_START_ROW", 0),
+    (51, "SKIP", 0),
+    (52, "SKIP_EVERY", 5),
+    (61, "POLARITY_FLATTEN", 0),
+    (62, "POLARITY_SUPPRESS", 0),
+    (63, "POLARITY_SUPPRESS_TYPE", 0),
+)
+
+_DVS_CAPABILITIES: Rows = (
+    (10, "HAS_PIXEL_FILTER", 0),
+    (30, "HAS_BACKGROUND_ACTIVITY_FILTER", 0),
+    (40, "HAS_ROI_FILTER", 0),
+    (50, "HAS_SKIP_FILTER", 0),
+    (60, "HAS_POLARITY_FILTER", 0),
+    (80, "HAS_STATISTICS", 1),
+)
+
+_APS: Rows = (
+    (4, "RUN", 0),
+    (5, "WAIT_ON_STALL", 1),
+    (7, "GLOBAL_SHUTTER", 1),
+    (8, "ROI_START_COLUMN", 0),
+    (9, "ROI_START_ROW", 0),
+)
+
+_IMU: Rows = (
+    (2, "RUN_ACCELEROMETER", 0),
+    (3, "RUN_GYROSCOPE", 0),
+    (4, "RUN_TEMPERATURE", 0),
+    (5, "SAMPLE_RATE_DIVIDER", 0),
+    (6, "ACCELEROMETER_LOW_PASS", 1),
+    (7, "ACCELEROMETER_FULL_SCALE", 1),
+    (9, "GYROSCOPE_LOW_PASS", 1),
+    (10, "GYROSCOPE_FULL_SCALE", 1),
+)
+
+_CHIP: Rows = (
+    *((128 + k, f"DIGITAL_MUX_{k}", 0) for k in range(4)),
+    *((132 + k, f"ANALOG_MUX_{k}", 0) for k in range(3)),
+    (135, "BIAS_MUX_0", 0),
+    (136, "RESET_CALIB_NEURON", 1),
+    (137, "TYPE_N_CALIB_NEURON", 0),
+    (138, "RESET_TEST_PIXEL", 1),
+    (140, "AER_N_AROW", 0),
+    (141, "USE_AOUT", 0),
+    (142, "GLOBAL_SHUTTER", 1),
+    (143, "SELECT_GRAY_COUNTER", 1),
+    (144, "TEST_ADC", 0),
+)
+
+
+def _external_input(clock_mhz: int) -> Rows:
+    return (
+        (0, "RUN_DETECTOR", 0),
+        (1, "DETECT_RISING", 0),
+        (2, "DETECT_FALLING", 0),
+        (3, "DETECT_PULSES", 0),
+        (4, "PULSE_POLARITY", 1),
+        (5, "PULSE_LENGTH", 10 * clock_mhz),
+        (11, "RUN_GENERATOR", 0),
+        (12, "GENERATOR_POLARITY", 1),
+        (13, "GENERATOR_INTERVAL", 10 * clock_mhz),
+        (14, "GENERATOR_LENGTH", 5 * clock_mhz),
+        (15, "INJECT_ON_RISING", 0),
+        (16, "INJECT_ON_FALLING", 0),
+    )
+
+
+def _system(info: SystemInfo) -> Rows:
+    return (
+        (0, "LOGIC_VERSION", info.logic_version),
+        (1, "CHIP_IDENTIFIER", info.chip_id),
+        (2, "DEVICE_IS_MASTER", int(info.timestamp_master)),
+        (3, "LOGIC_CLOCK_MHZ", info.logic_clock_mhz),
+        (4, "ADC_CLOCK_MHZ", info.adc_clock_mhz),
+        (5, "USB_CLOCK_MHZ", info.usb_clock_mhz),
+        (6, "CLOCK_DEVIATION_THOUSANDTHS", info.clock_deviation),
+        (7, "LOGIC_PATCH", info.logic_patch),
+    )
+
+
+def _declare(module: Module, rows: Rows, access: Access = Access.READ_WRITE, note: str = "") -> Iterator[Register]:
+    for address, name, default in rows:
+        yield Register(module, address, name, default, access, note)
+
+
+def _geometry(size: tuple[int, int], layout: Layout) -> Iterator[Register]:
+    """Sizes in the chip's frame (read only); regions and hot pixels in the user's."""
+    columns, rows = layout.chip_size(*size)
+    frame: Rows = ((0, "SIZE_COLUMNS", columns), (1, "SIZE_ROWS", rows), (2, "ORIENTATION", layout.value))
+    for module in (Module.DVS, Module.APS):
+        yield from _declare(module, frame, Access.READ_ONLY, "chip's frame; orientation bit 2: turned")
+    width, height = size
+    user = "user's frame, inclusive"
+    yield from _declare(Module.DVS, ((43, "ROI_END_COLUMN", width - 1), (44, "ROI_END_ROW", height - 1)), note=user)
+    yield from _declare(Module.APS, ((10, "ROI_END_COLUMN", width - 1), (11, "ROI_END_ROW", height - 1)), note=user)
+    for k in range(8):
+        pixel: Rows = ((11 + 2 * k, f"HOT_PIXEL_{k}_ROW", height), (12 + 2 * k, f"HOT_PIXEL_{k}_COLUMN", width))
+        yield from _declare(Module.DVS, pixel, note="user's frame; just outside = off")
+
+
+def _counters() -> Iterator[Register]:
+    for statistic in Statistic:
+        module, address = statistic.value
+        halves: Rows = ((address, f"{statistic.name}_UPPER", 0), (address + 1, f"{statistic.name}_LOWER", 0))
+        yield from _declare(module, halves, Access.READ_ONLY, "half of a 64-bit counter")
+
+
+def _clocked(info: SystemInfo) -> Iterator[Register]:
+    adc, usb = info.adc_clock_mhz, info.usb_clock_mhz
+    yield Register(Module.APS, 12, "EXPOSURE", 4000 * adc, note="ADC clock cycles")
+    yield Register(Module.APS, 13, "FRAME_INTERVAL", 50000 * adc, note="ADC clock cycles")
+    yield from _declare(Module.EXTERNAL_INPUT, _external_input(info.logic_clock_mhz), note="logic clock cycles")
+    yield Register(Module.USB, 1, "EARLY_PACKET_DELAY", 1000 * usb, note="USB clock cycles")
+
+
+def registers(size: tuple[int, int], layout: Layout, info: SystemInfo) -> Iterator[Register]:
+    """Yield every register of a camera with a (width, height) array."""
+    fixed = Access.READ_ONLY
+    yield from _geometry(size, layout)
+    yield from _declare(Module.MULTIPLEXER, _MULTIPLEXER)
+    yield from _declare(Module.MULTIPLEXER, ((80, "HAS_STATISTICS", 1),), fixed)
+    yield from _declare(Module.DVS, _DVS)
+    yield from _declare(Module.DVS, _DVS_CAPABILITIES, fixed)
+    yield from _declare(Module.APS, _APS)
+    yield from _declare(Module.APS, ((3, "COLOUR_FILTER", 0), (6, "HAS_GLOBAL_SHUTTER", 1)), fixed)
+    yield from _declare(Module.IMU, ((0, "TYPE", 0), (1, "ORIENTATION", 0)), fixed, "0: no IMU")
+    yield from _declare(Module.IMU, _IMU)
+    yield from _declare(Module.EXTERNAL_INPUT, ((10, "HAS_GENERATOR", 0),), fixed)
+    for bias in BIASES:
+        yield Register(Module.BIAS, bias.address, bias.name, int(bias.default), note=str(bias.default))
+    yield from _declare(Module.BIAS, _CHIP)
+    yield from _declare(Module.SYSTEM, _system(info), fixed)
+    yield Register(Module.USB, 0, "RUN")
+    yield from _clocked(info)
+    yield from _counters()
+
+
+class RegisterFile:
+    """Values of the declared registers."""
+
+    def __init__(self, declared: Iterator[Register]) -> None:
+        self._declared = {(r.module.value, r.address): r for r in declared}
+        self.power_on()
+
+    def power_on(self) -> None:
+        """Set every register to its power-on value."""
+        self._values = {key: register.default for key, register in self._declared.items()}
+
+    def __iter__(self) -> Iterator[Register]:
+        return iter(self._declared.values())
+
+    def read(self, module: int, address: int) -> int:
+        """Return the 32-bit value; 0 for a register that does not exist."""
+        return self._values.get((module, address), 0)
+
+    def write(self, module: int, address: int, value: int) -> None:
+        """Store a 32-bit value as a host would; ignored where the register is read-only or does not exist."""
+        register = self._declared.get((module, address))
+        if register is not None and register.access is Access.READ_WRITE:
+            self._values[module, address] = value & 0xFFFFFFFF
+
+    def count(self, statistic: Statistic, value: int) -> None:
+        """Set a 64-bit counter, as the logic does."""
+        module, upper = statistic.value
+        self._values[module, upper] = value >> 32 & 0xFFFFFFFF
+        self._values[module, upper + 1] = value & 0xFFFFFFFF

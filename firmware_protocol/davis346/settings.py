@@ -1,0 +1,96 @@
+"""What a DAVIS346 is before it runs: who it says it is, its array and its sizes; and the descriptors that follow.
+
+Sources: USB identity from libcaer 3.3.15 and three drivers' checks; endpoints from the published FX3 firmware.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from firmware_protocol.davis346.quirks import START_DELAY_US
+from firmware_protocol.davis346.registers import Layout, SystemInfo
+from firmware_protocol.usb.descriptors import (
+    Configuration,
+    DescriptorSet,
+    DeviceDescriptor,
+    Endpoint,
+    Interface,
+    TransferType,
+)
+from firmware_protocol.usb.device import Identity, Speed
+
+__all__ = ["DATA_ENDPOINT", "DEBUG_ENDPOINT", "Davis346Settings"]
+
+VENDOR_ID = 0x152A
+PRODUCT_ID = 0x841A
+DEBUG_ENDPOINT = 0x81
+DATA_ENDPOINT = 0x82
+
+_BULK_PACKET = {Speed.SUPER: 1024, Speed.HIGH: 512, Speed.FULL: 64}
+_DEBUG_INTERVAL = {Speed.SUPER: 4, Speed.HIGH: 4, Speed.FULL: 1}
+_OTHER_SPEED = {Speed.HIGH: Speed.FULL, Speed.FULL: Speed.HIGH}
+
+
+@dataclass(frozen=True)
+class Davis346Settings:
+    """A camera's settings.
+
+    Attributes
+    ----------
+    serial
+        1 to 8 ASCII characters; libcaer and dv-processing cut longer ones.
+    bcd_device
+        Low byte: firmware version, 6 for all drivers. High byte: hardware, 2 "blue", 3 "red".
+    size
+        (width, height) of the array. 346 x 260 is what neuromorphic_drivers takes for granted; other sensors may
+        send their events in DAVIS words where the receiver knows.
+    layout
+        How rows and columns are sent.
+    fifo_bytes
+        Room for words that wait for the host. 256 KiB is the DMA buffer area of the FX3 (512 KiB of memory in
+        all) in its vendor's default memory map, so no real camera holds much more. At 12 Mev/s it lasts 4 to 10 ms.
+    start_delay_us
+        Silence after the run gate opens, stream time; see `quirks`.
+    """
+
+    serial: str = "00000346"
+    bcd_device: int = 0x0206
+    size: tuple[int, int] = (346, 260)
+    layout: Layout = Layout.UPRIGHT
+    speed: Speed = Speed.SUPER
+    fifo_bytes: int = 256 * 1024
+    start_delay_us: int = START_DELAY_US
+    system: SystemInfo = field(default_factory=SystemInfo)
+    manufacturer: str = "iniVation"
+    product: str = "DAViS FX3"
+
+    def __post_init__(self) -> None:
+        if not (1 <= len(self.serial) <= 8 and self.serial.isascii() and self.serial.isprintable()):
+            raise ValueError(f"serial {self.serial!r} must be 1 to 8 printable ASCII characters")
+        if not 0 <= self.bcd_device <= 0xFFFF:
+            raise ValueError(f"bcd_device {self.bcd_device:#x} does not fit 16 bits")
+        if self.start_delay_us < 0:
+            raise ValueError(f"start_delay_us {self.start_delay_us} must not be negative")
+
+    @property
+    def identity(self) -> Identity:
+        """The camera as a host's bus lists it."""
+        return Identity(VENDOR_ID, PRODUCT_ID, self.bcd_device, self.speed)
+
+    def descriptors(self) -> DescriptorSet:
+        """Return all descriptors at the camera's speed."""
+        other = _OTHER_SPEED.get(self.speed)
+        return DescriptorSet(
+            device=DeviceDescriptor(self.speed, VENDOR_ID, PRODUCT_ID, self.bcd_device),
+            configuration=_configuration(self.speed),
+            strings={1: self.manufacturer, 2: self.product, 3: self.serial},
+            other_speed=_configuration(other) if other else None,
+        )
+
+
+def _configuration(speed: Speed) -> Configuration:
+    debug = Endpoint(
+        DEBUG_ENDPOINT, TransferType.INTERRUPT, max_packet=64, interval=_DEBUG_INTERVAL[speed], bytes_per_interval=64
+    )
+    data = Endpoint(DATA_ENDPOINT, TransferType.BULK, max_packet=_BULK_PACKET[speed], burst=7)
+    return Configuration(speed, (Interface((debug, data)),))

@@ -1,0 +1,129 @@
+"""The camera's data path after the gate: encoder, FIFO, device time, and the fate of every event."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from firmware_protocol.davis346.fifo import Batch, Fifo
+from firmware_protocol.davis346.words import Encoded, WordEncoder, Words, WordState, is_row
+from firmware_protocol.events import Events, empty_events
+from firmware_protocol.usb.device import Transfer
+
+__all__ = ["EventStream", "StreamCounters"]
+
+_WRAP_MARGIN_WORDS = 32
+"""Kept free for wraps when telling how many events fit: batches may span a second."""
+
+_WORDS_PER_EVENT = 3
+
+
+@dataclass(frozen=True)
+class StreamCounters:
+    """Events that reached the stream, by fate. `queued` are in the FIFO or in a transfer without a known fate."""
+
+    dropped_fifo: int = 0
+    flushed: int = 0
+    delivered: int = 0
+    lost_on_link: int = 0
+    queued: int = 0
+    rows: int = 0
+
+    @property
+    def accepted(self) -> int:
+        """Events that found room in the FIFO."""
+        return self.flushed + self.delivered + self.lost_on_link + self.queued
+
+
+class EventStream:
+    """Words in the making: turns events into FIFO content and FIFO content into transfers."""
+
+    def __init__(self, encoder: WordEncoder, fifo: Fifo) -> None:
+        self._encoder = encoder
+        self._fifo = fifo
+        self._epoch_us = 0
+        self._in_flight = 0
+        self._dropped = self._flushed = self._delivered = self._lost = self._rows = 0
+
+    @property
+    def counters(self) -> StreamCounters:
+        """The fates so far, and how many row words were queued."""
+        queued = self._fifo.queued_events + self._in_flight
+        return StreamCounters(self._dropped, self._flushed, self._delivered, self._lost, queued, self._rows)
+
+    @property
+    def room_events(self) -> int:
+        """Events that certainly fit now, if they span less than a second."""
+        return max(0, (self._fifo.free_words - _WRAP_MARGIN_WORDS) // _WORDS_PER_EVENT)
+
+    def start_time(self, now_us: int) -> None:
+        """Begin device time at zero, for a reader that knows nothing; what is queued is dropped."""
+        self._flushed += self._fifo.flush().events
+        self._epoch_us = now_us
+        self._encoder.reset()
+
+    def reset_time(self, now_us: int) -> None:
+        """Begin device time at zero, and say so in the stream."""
+        before = self._encoder.state
+        words = self._encoder.reset()
+        self._epoch_us = now_us
+        self._fifo.put_reset(self._batch(words, before))
+
+    def put(self, events: Events) -> None:
+        """Queue `events`, (n > 0,) EVENT in stream time; those that find no room are dropped and counted."""
+        at_start = self._encoder.state
+        wraps = self._encoder.advance(int(events["t"][0]) - self._epoch_us, self._fifo.free_words)
+        before = self._encoder.state
+        try:
+            encoded = self._encoder.encode(events, self._epoch_us)
+        except ValueError:
+            self._encoder.state = at_start
+            raise
+        self._fifo.put(self._batch(wraps, at_start))
+        queued = self._fifo.queued_events
+        kept = encoded.words[: self._fifo.put(Batch(encoded, events, before, self._epoch_us))]
+        if len(kept) < len(encoded.words):
+            self._encoder.state = before.after(kept)
+            self._dropped += len(events) - (self._fifo.queued_events - queued)
+        self._rows += int(np.count_nonzero(is_row(kept)))
+
+    def advance(self, now_us: int) -> None:
+        """Queue the wraps due at stream time `now_us`, as far as there is room; the rest is made up for later."""
+        before = self._encoder.state
+        words = self._encoder.advance(now_us - self._epoch_us, self._fifo.free_words)
+        if len(words):
+            self._fifo.put(self._batch(words, before))
+
+    def flush(self) -> None:
+        """Drop what is queued, but for a timestamp reset: without it the host would misread all times to come.
+
+        The encoder goes back to what the host has read, so that the stream stays valid.
+        """
+        flushed = self._fifo.flush()
+        self._flushed += flushed.events
+        if flushed.reset:
+            self.reset_time(self._epoch_us)
+        elif flushed.known is not None:
+            self._encoder.state = flushed.known
+
+    def take(self, max_bytes: int) -> Transfer | None:
+        """Remove up to `max_bytes`; the transfer's events count as queued until `sent` or `lost`."""
+        taken = self._fifo.take(max_bytes)
+        if taken is None:
+            return None
+        self._in_flight += len(taken.events)
+        return Transfer(taken.data, taken.events, taken.epoch_us)
+
+    def sent(self, transfer: Transfer) -> None:
+        """Count a transfer's events as delivered."""
+        self._in_flight -= len(transfer.events)
+        self._delivered += len(transfer.events)
+
+    def lost(self, transfer: Transfer) -> None:
+        """Count a transfer's events as lost on the link."""
+        self._in_flight -= len(transfer.events)
+        self._lost += len(transfer.events)
+
+    def _batch(self, words: Words, before: WordState) -> Batch:
+        return Batch(Encoded(words), empty_events(), before, self._epoch_us)

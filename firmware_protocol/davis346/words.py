@@ -1,0 +1,269 @@
+"""The 16-bit words of a DAVIS346's data stream, and the encoder that makes them from events.
+
+    bits 15..12  meaning                                    bits 11..0
+    1xxx         timestamp                                  low 15 bits: microseconds since the last wrap
+    0000         special                                    code, see Special
+    0001         row (Y), remembered until the next one     address
+    0010         column (X), OFF: an event                  address
+    0011         column (X), ON: an event                   address
+    0100         APS sample                                 ADC value
+    0101         misc, 8 bits of data                       code 11..8, data 7..0
+    0110         misc, 10 bits of data                      code 11..10, data 9..0
+    0111         timestamp wrap                             number of steps of 32768 us
+
+Little-endian; words, not USB packets, are the unit. Source: the parsers of libcaer 3.3.15 (davis.c) and
+neuromorphic-drivers 0.16.1, and runs against both and dv-processing 2.0.4.
+
+Rules that the encoder keeps because drivers depend on them:
+
+- A timestamp word comes before the words it dates, only when the time has changed, and times strictly increase:
+  dv-processing 2.0.4 stops reading for good at a repeated one. A wrap sets the time to its own multiple of 32768 us, so
+  an event at exactly that time needs no timestamp word.
+- One wrap word of one step for each 32.768 ms, because neuromorphic_drivers ignores the number of steps
+  (see `quirks`), unless there are more than SINGLE_WRAPS to make up for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import IntEnum
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+from firmware_protocol.events import Events
+
+__all__ = ["Encoded", "Special", "WordEncoder", "WordState", "Words", "is_column", "is_row", "wrap_words"]
+
+Words = npt.NDArray[np.uint16]
+"""Words in stream order, shape (n,), little-endian uint16."""
+
+WORD = np.dtype("<u2")
+# Plain ints, not an IntEnum: numpy takes an enum's member for an int64 and would widen every array it meets.
+ROW = 0x1000
+COLUMN_OFF = 0x2000
+COLUMN_ON = 0x3000
+APS_SAMPLE = 0x4000
+MISC8 = 0x5000
+MISC10 = 0x6000
+WRAP = 0x7000
+TIMESTAMP = 0x8000
+KIND = 0xF000
+LOW_BITS = 0x7FFF
+WRAP_BITS = 15
+MAX_STEPS = 0xFFF
+MAX_ADDRESS = 0xFFF
+
+SINGLE_WRAPS = 4096
+"""Wraps sent one by one at most: 134 s of silence. A longer gap uses words of many steps."""
+
+_BLOCK = 16384
+"""Events worked on at once, so that all intermediate arrays stay in the second-level cache."""
+
+
+class Special(IntEnum):
+    """Codes of a special word."""
+
+    TIMESTAMP_RESET = 1
+    INPUT_FALLING = 2
+    INPUT_RISING = 3
+    INPUT_PULSE = 4
+    IMU_START = 5
+    IMU_END = 7
+    FRAME_START_GLOBAL = 8
+    FRAME_START_ROLLING = 9
+    FRAME_END = 10
+    RESET_COLUMN = 11
+    SIGNAL_COLUMN = 12
+    COLUMN_END = 13
+    EXPOSURE_START = 14
+    EXPOSURE_END = 15
+    GENERATOR_FALLING = 16
+    GENERATOR_RISING = 17
+
+
+def is_column(words: Words) -> npt.NDArray[np.bool_]:
+    """Return which words are columns, that is, complete an event."""
+    columns: npt.NDArray[np.bool_] = (words & 0xE000) == COLUMN_OFF
+    return columns
+
+
+def is_row(words: Words) -> npt.NDArray[np.bool_]:
+    """Return which words are rows."""
+    rows: npt.NDArray[np.bool_] = (words & KIND) == ROW
+    return rows
+
+
+@dataclass(frozen=True)
+class WordState:
+    """What a reader of the stream knows: the device time of the last timestamp or wrap, and the row (-1: none yet)."""
+
+    time_us: int = 0
+    row: int = -1
+
+    def after(self, words: Words) -> WordState:
+        """Return the state of a reader that has also read `words` (of a stream without resets)."""
+        steps = int((words[words & KIND == WRAP] & MAX_STEPS).sum(dtype=np.int64))
+        time_us = ((self.time_us >> WRAP_BITS) + steps) << WRAP_BITS if steps else self.time_us
+        timing = words[words >= WRAP]
+        if len(timing) and timing[-1] & TIMESTAMP:
+            time_us = (time_us >> WRAP_BITS << WRAP_BITS) + int(timing[-1] & LOW_BITS)
+        rows = words[is_row(words)]
+        return WordState(time_us, int(rows[-1] & MAX_ADDRESS) if len(rows) else self.row)
+
+
+@dataclass(frozen=True)
+class Encoded:
+    """Words of a run of events, shape (n_words,)."""
+
+    words: Words
+
+    @property
+    def ends(self) -> npt.NDArray[np.int64]:
+        """(n_events,): index one past the last word of each event."""
+        ends: npt.NDArray[np.int64] = np.flatnonzero(is_column(self.words)) + 1
+        return ends
+
+
+def wrap_words(steps: int, room: int = SINGLE_WRAPS) -> Words | None:
+    """Return words that add `steps` wraps: one each where at most `room` words do it, else as few as possible.
+
+    None if even these do not fit.
+    """
+    if steps <= min(room, SINGLE_WRAPS):
+        return np.full(steps, WRAP | 1, WORD)
+    full, rest = divmod(steps, MAX_STEPS)
+    if full + bool(rest) > room:
+        return None
+    words = np.full(full + bool(rest), WRAP | MAX_STEPS, WORD)
+    if rest:
+        words[-1] = WRAP | rest
+    return words
+
+
+class WordEncoder:
+    """Turns events into words, remembering what the reader already knows.
+
+    Parameters
+    ----------
+    size
+        (width, height) of the array; events outside are refused.
+    turned
+        True for the chip's own frame, turned by 90 degrees: the row word carries x, the column word y.
+    """
+
+    def __init__(self, size: tuple[int, int] = (MAX_ADDRESS + 1, MAX_ADDRESS + 1), turned: bool = False) -> None:
+        if not all(0 < n <= MAX_ADDRESS + 1 for n in size):
+            raise ValueError(f"an array of {size[0]} x {size[1]} does not fit the 12-bit addresses of DAVIS words")
+        self.state = WordState()
+        self._size = size
+        self._turned = turned
+        self._table = np.empty((_BLOCK, 3), WORD)
+        self._wanted = np.empty((_BLOCK, 3), np.bool_)
+        self._wanted[:, 2] = True
+
+    def reset(self) -> Words:
+        """Start time anew: a timestamp reset word, after which device time is zero and no row is known."""
+        self.state = WordState()
+        return np.full(1, Special.TIMESTAMP_RESET, WORD)
+
+    def advance(self, now_us: int, room: int = SINGLE_WRAPS) -> Words:
+        """Return the wraps due up to device time `now_us`, in at most `room` words.
+
+        Where they do not fit, nothing is due yet: the state stays, and a later call makes up for it.
+        """
+        steps = (now_us >> WRAP_BITS) - (self.state.time_us >> WRAP_BITS)
+        if steps <= 0:
+            return np.empty(0, WORD)
+        words = wrap_words(steps, room)
+        if words is None:
+            return np.empty(0, WORD)
+        self.state = WordState(now_us >> WRAP_BITS << WRAP_BITS, self.state.row)
+        return words
+
+    def encode(self, events: Events, epoch_us: int = 0) -> Encoded:
+        """Return the words of `events`, (n,) EVENT in time order.
+
+        Parameters
+        ----------
+        events
+            Events in stream time.
+        epoch_us
+            Stream time at which device time is zero.
+
+        Raises
+        ------
+        ValueError
+            Events go back in time, lie before the epoch or outside the array, or leave a gap of days.
+        """
+        before = self.state
+        pieces: list[Words] = []
+        try:
+            for first in range(0, len(events), _BLOCK):
+                pieces.extend(self._encode_block(events[first : first + _BLOCK], epoch_us))
+        except ValueError:
+            self.state = before
+            raise
+        return Encoded(np.concatenate(pieces) if pieces else np.empty(0, WORD))
+
+    def _encode_block(self, events: Events, epoch_us: int) -> Iterator[Words]:
+        t = self._device_time(events["t"], epoch_us)
+        for start, stop in _between_wraps(t):
+            yield self._wraps_before(int(t[start]))
+            yield self._encode_run(events[start:stop], t[start:stop])
+
+    def _device_time(self, t: npt.NDArray[np.uint64], epoch_us: int) -> npt.NDArray[np.int64]:
+        time_us = t.astype(np.int64)
+        time_us -= epoch_us
+        if time_us[0] < self.state.time_us:
+            raise ValueError(f"event at {time_us[0]} us comes after device time {self.state.time_us} us has passed")
+        if (time_us[1:] < time_us[:-1]).any():
+            raise ValueError("events must be sorted by time")
+        return time_us
+
+    def _wraps_before(self, time_us: int) -> Words:
+        words = self.advance(time_us)
+        if time_us >> WRAP_BITS != self.state.time_us >> WRAP_BITS:
+            raise ValueError(f"no event for {time_us - self.state.time_us} us: the gap is too long to encode")
+        return words
+
+    def _encode_run(self, events: Events, time_us: npt.NDArray[np.int64]) -> Words:
+        """Encode events of one wrap period: fill a table of (timestamp, row, column) words, keep the wanted ones."""
+        n = len(events)
+        table, wanted = self._table[:n], self._wanted[:n]
+        rows, columns = self._addresses(events)
+        low = time_us.astype(WORD)
+        low |= TIMESTAMP
+        polarity = events["on"].astype(WORD)
+        polarity <<= 12
+        polarity += COLUMN_OFF
+        table[:, 0] = low
+        np.bitwise_or(rows, ROW, out=table[:, 1])
+        np.bitwise_or(columns, polarity, out=table[:, 2])
+        wanted[0, 0] = int(time_us[0]) != self.state.time_us
+        wanted[0, 1] = int(rows[0]) != self.state.row
+        np.not_equal(low[1:], low[:-1], out=wanted[1:, 0])
+        np.not_equal(rows[1:], rows[:-1], out=wanted[1:, 1])
+        self.state = WordState(int(time_us[-1]), int(rows[-1]))
+        if wanted.all():
+            return table.ravel().copy()
+        return np.compress(wanted.ravel(), table.ravel())
+
+    def _addresses(self, events: Events) -> tuple[Words, Words]:
+        """Return contiguous (rows, columns) of `events` in the frame that is sent."""
+        x, y = events["x"].copy(), events["y"].copy()
+        if x.max() >= self._size[0] or y.max() >= self._size[1]:
+            raise ValueError(f"an event lies outside the {self._size[0]} x {self._size[1]} array")
+        return (x, y) if self._turned else (y, x)
+
+
+def _between_wraps(time_us: npt.NDArray[np.int64]) -> Iterator[tuple[int, int]]:
+    """Yield (start, stop) of the runs of sorted times that share one wrap period."""
+    if time_us[0] >> WRAP_BITS == time_us[-1] >> WRAP_BITS:
+        yield 0, len(time_us)
+        return
+    period = time_us >> WRAP_BITS
+    edges = [0, *(np.flatnonzero(period[1:] != period[:-1]) + 1).tolist(), len(time_us)]
+    yield from pairwise(edges)
