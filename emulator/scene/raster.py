@@ -73,12 +73,26 @@ const int N = %(samples)d;
 uniform sampler2D fine;
 uniform ivec2 corner;    // of the rectangle in the picture
 out float light;
-void main() {
-    ivec2 first = (ivec2(gl_FragCoord.xy) - corner) * N;
+
+float sum_of_gathers(vec2 first) {   // four samples a time, a third faster on llvmpipe
+    vec4 sum = vec4(0.0);
+    for (int j = 1; j < N; j += 2)
+        for (int i = 1; i < N; i += 2)
+            sum += textureGather(fine, (first + vec2(i, j)) / vec2(textureSize(fine, 0)));
+    return dot(sum, vec4(1.0));
+}
+
+float sum_of_fetches(ivec2 first) {
     float sum = 0.0;
     for (int j = 0; j < N; ++j)
         for (int i = 0; i < N; ++i)
             sum += texelFetch(fine, first + ivec2(i, j), 0).r;
+    return sum;
+}
+
+void main() {
+    ivec2 first = (ivec2(gl_FragCoord.xy) - corner) * N;
+    float sum = N %% 2 == 0 ? sum_of_gathers(vec2(first)) : sum_of_fetches(first);
     light = sum / float(N * N);
 }
 """
