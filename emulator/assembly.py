@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from transports.loopback import LoopbackFactory
-
 from emulator.rig import LinkParameters, LoopbackLink, Rig, SceneParameters
 from emulator.scene.base import Scene
 from emulator.scene.checkerboard import Checkerboard, CheckerboardParameters
@@ -13,6 +11,7 @@ from emulator.session import Schedule
 from firmware_protocol.davis346 import Davis346Settings
 from firmware_protocol.usb.device import Speed
 from transports.link import EndpointFactory, LinkSetup
+from transports.loopback import LoopbackFactory
 from transports.ring import EventRing
 from transports.usbip.endpoint import UsbipFactory
 
@@ -60,8 +59,7 @@ def _camera(rig: Rig, link: LinkParameters) -> Davis346Settings:
     delay_ms = 0.0 if isinstance(link, LoopbackLink) else camera.start_delay_ms
     return Davis346Settings(
         serial=camera.serial,
-        width=camera.sensor.width,
-        height=camera.sensor.height,
+        size=(camera.sensor.width, camera.sensor.height),
         speed=Speed[camera.speed.upper()],
         fifo_bytes=camera.fifo_bytes,
         start_delay_us=round(delay_ms * 1000),

@@ -14,11 +14,13 @@ tells the file, the line, the key, what is wrong and what would be right.
 from __future__ import annotations
 
 import dataclasses
+import re
 import tomllib
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 from emulator.rig_text import line_of
 from emulator.scene.body import BodyParameters
@@ -43,6 +45,9 @@ __all__ = [
 ]
 
 
+T = TypeVar("T")
+
+
 class RigError(Exception):
     """A rig file cannot be used; the message is for its author."""
 
@@ -60,7 +65,7 @@ class Camera:
     speed
         USB speed: "super" or "high".
     fifo_bytes
-        Size of the camera's output buffer; what finds no room in it is dropped and counted.
+        Size of the camera's output buffer; what finds no room in it is dropped and counted. 256 KiB, as in an FX3.
     start_delay_ms
         How long after the host's start command the first event may come (0 suits every driver but one).
     sensor
@@ -70,7 +75,7 @@ class Camera:
     model: str = "davis346"
     serial: str = "00000346"
     speed: Literal["super", "high"] = "super"
-    fifo_bytes: int = 1 << 20
+    fifo_bytes: int = 256 * 1024
     start_delay_ms: float = 300.0
     sensor: SensorParameters = field(default_factory=lambda: PRESETS["davis346"])
 
@@ -138,8 +143,8 @@ class UsbipLink:
     def __post_init__(self) -> None:
         if not 0 <= self.port <= 65535:
             raise ValueError(f"port must be 0 (any free one) to 65535, got {self.port}")
-        if not 1 <= len(self.busid) <= 31 or not self.busid.isascii():
-            raise ValueError(f"busid must have 1 to 31 ASCII characters such as '1-1', got {self.busid!r}")
+        if not re.fullmatch(r"[1-9]\d{0,2}-[1-9]\d{0,2}", self.busid):
+            raise ValueError(f"busid must be a bus and a port such as '1-1', got {self.busid!r}")
 
 
 @dataclass(frozen=True)
@@ -149,11 +154,11 @@ class LoopbackLink:
     name: str = "loopback"
 
 
-SCENES = {"checkerboard": CheckerboardParameters, "body": BodyParameters}
-LINKS = {"usbip": UsbipLink, "loopback": LoopbackLink}
-
 SceneParameters = CheckerboardParameters | BodyParameters
 LinkParameters = UsbipLink | LoopbackLink
+
+SCENES: Mapping[str, type[SceneParameters]] = {"checkerboard": CheckerboardParameters, "body": BodyParameters}
+LINKS: Mapping[str, type[LinkParameters]] = {"usbip": UsbipLink, "loopback": LoopbackLink}
 
 
 @dataclass(frozen=True)
@@ -204,7 +209,7 @@ def parse_rig(text: str, file: str, name: str) -> Rig:
     except tomllib.TOMLDecodeError as error:
         raise RigError(f"{file}: not valid TOML: {error}") from error
     try:
-        return _rig(table, name)
+        return _beside(_rig(table, name), Path(file).parent)
     except TableError as error:
         line = line_of(text, error.path)
         at = f"{file}, line {line}" if line else file
@@ -232,14 +237,22 @@ def _rig(table: dict[str, Any], name: str) -> Rig:
     return Rig(name, title, _kind(table["scene"], SCENES, ("scene",)), camera, run, links)
 
 
-def _kind(table: object, kinds: dict[str, Any], path: KeyPath) -> Any:  # noqa: ANN401
+def _beside(rig: Rig, folder: Path) -> Rig:
+    """Let the path of a shape start at the rig file's folder, whatever folder the command runs in."""
+    if not isinstance(rig.scene, BodyParameters) or not (folder / rig.scene.shape).is_file():
+        return rig
+    return dataclasses.replace(rig, scene=dataclasses.replace(rig.scene, shape=str(folder / rig.scene.shape)))
+
+
+def _kind(table: object, kinds: Mapping[str, type[T]], path: KeyPath) -> T:
     """Convert a table whose `kind` says what it describes."""
     if not isinstance(table, dict):
         raise TableError(f"expected a table, got {table!r}", path)
-    kind = table.get("kind")
+    if "kind" not in table:
+        raise TableError(f"'kind' is missing; one of {', '.join(kinds)}", (*path, "kind"))
+    kind = str(table["kind"])
     if kind not in kinds:
-        what = "'kind' is missing" if kind is None else unknown(str(kind), list(kinds))
-        raise TableError(f"{what}; one of {', '.join(kinds)}", (*path, "kind"))
+        raise TableError(unknown(kind, list(kinds)), (*path, "kind"))
     return convert({k: v for k, v in table.items() if k != "kind"}, kinds[kind], path)
 
 

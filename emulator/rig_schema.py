@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import msgspec
@@ -44,5 +45,5 @@ def _with_kind(definition: dict[str, Any], kind: str) -> dict[str, Any]:
     return {**definition, "properties": properties, "required": ["kind", *definition.get("required", [])]}
 
 
-def _one_of(kinds: dict[str, Any]) -> dict[str, Any]:
+def _one_of(kinds: Mapping[str, type]) -> dict[str, Any]:
     return {"oneOf": [{"$ref": f"#/$defs/{parameters.__name__}"} for parameters in kinds.values()]}

@@ -101,6 +101,11 @@ class Session:
         self._steps = 0
         self._t_ns = 0
         self._lateness = Lateness()
+        self._stopping = False
+
+    def stop(self) -> None:
+        """End the run after the present step; for `on_status`."""
+        self._stopping = True
 
     def run(self, schedule: Schedule, on_status: Callable[[RunStatus], None] = lambda _: None) -> RunResult:
         """Run until the schedule's end or KeyboardInterrupt; raises LinkFailed when a link cannot go on."""
@@ -140,7 +145,7 @@ class Session:
         rule = StepRule(schedule.step_ns)
         lead_ns = max(schedule.lead_ns, schedule.step_ns)
         status_ns = start_ns
-        while schedule.duration_ns is None or self._t_ns < schedule.duration_ns:
+        while not self._stopping and (schedule.duration_ns is None or self._t_ns < schedule.duration_ns):
             if schedule.paced:
                 self._clock.sleep_until(origin_ns + self._t_ns - lead_ns)
             due_ns = origin_ns + self._t_ns
@@ -168,8 +173,9 @@ class Session:
         self._frames += 1
 
     def _publish(self, events: Events, schedule: Schedule) -> None:
-        # The read-out may stamp its last events after the step's end; the links' clock must not pass later ones.
         now_us = self._t_ns // 1000
+        if len(events):  # at the run's end the read-out sends what still queues, later than the last step
+            now_us = max(now_us, int(events["t"][-1]))
         for link in self._links:
             if schedule.paced:
                 link.push(events, now_us)

@@ -40,7 +40,7 @@ def convert(table: object, target: type[T], path: Path = ()) -> T:
     try:
         return msgspec.convert(table, target)
     except msgspec.ValidationError as error:
-        raise _located(error, path) from error
+        raise _located(error, target, path) from error
 
 
 def unknown(key: str, known: list[str]) -> str:
@@ -63,13 +63,17 @@ def _check_keys(table: dict[str, Any], target: type, path: Path) -> None:
             _check_keys(value, types[key], (*path, key))
 
 
-def _located(error: msgspec.ValidationError, path: Path) -> TableError:
+def _located(error: msgspec.ValidationError, target: type, path: Path) -> TableError:
     """Turn msgspec's message and its path (`$.a.b[0]`) into ours; a refusal in `__post_init__` names the key first."""
     message = str(error)
     if at := _AT.search(message):
-        path += tuple(name or int(index) for name, index in _STEP.findall(at.group(1)) if index != "...")
         message = message[: at.start()]
+        for name, index in _STEP.findall(at.group(1)):
+            path += (name,) if name else (int(index),) if index.isdigit() else ()
+            target = typing.get_type_hints(target).get(name, target) if dataclasses.is_dataclass(target) else target
     if missing := re.search(r"required field `(\w+)`", message):
         return TableError(f"{missing.group(1)!r} is missing", path)
-    blamed = re.match(r"([a-z][a-z0-9_]*)\b", message)
-    return TableError(message, (*path, blamed.group(1)) if blamed else path)
+    blamed = re.match(r"\w+", message)
+    if blamed and dataclasses.is_dataclass(target) and blamed.group() in typing.get_type_hints(target):
+        path = (*path, blamed.group())
+    return TableError(message, path)

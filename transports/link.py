@@ -25,12 +25,23 @@ import numpy as np
 
 from firmware_protocol.davis346 import CameraCounters, Davis346, Davis346Settings
 from firmware_protocol.usb.device import Identity, SetupPacket, Transfer, UsbDevice
+from transports.digest import digest_of
 from transports.latency import LatencyHistogram, LatencySummary
 from transports.pacing import Clock, MonotonicClock
 from transports.record import Recorder
 from transports.ring import FREE_RUNNING, EventRing
 
-__all__ = ["Endpoint", "Link", "LinkReport", "LinkSetup", "Observed", "Stop", "run_link"]
+__all__ = [
+    "Endpoint",
+    "EndpointFactory",
+    "Link",
+    "LinkBroken",
+    "LinkReport",
+    "LinkSetup",
+    "Observed",
+    "Stop",
+    "run_link",
+]
 
 _REPORT_PERIOD_NS = 100_000_000
 _TAKE_LIMIT = 1 << 17  # events a tick: bounds the memory and the time of one tick
@@ -45,13 +56,23 @@ class Stop:
 
 @dataclass(frozen=True)
 class LinkReport:
-    """What a link has done so far. `error` is set when it could not start or had to give up."""
+    """What a link has done so far.
+
+    Attributes
+    ----------
+    digest
+        Of the events delivered since the camera's clock was last zero, in device time; see `digest_of`.
+    error
+        Set when the link could not start or had to give up.
+    """
 
     state: str
+    address: str | None = None
     delivered: int = 0
     dropped: int = 0
     camera: CameraCounters | None = None
     latency: LatencySummary = field(default_factory=LatencySummary)
+    digest: int = 0
     final: bool = False
     error: str | None = None
 
@@ -60,6 +81,10 @@ class LinkReport:
         """Events that the camera took and did not hand to the link."""
         c = self.camera
         return 0 if c is None else c.not_running + c.dropped_fifo + c.flushed
+
+
+class LinkBroken(Exception):
+    """A link found that it does not do what it promises; the run cannot go on."""
 
 
 class Endpoint(ABC):
@@ -81,6 +106,11 @@ class Endpoint(ABC):
     @abstractmethod
     def state(self) -> str:
         """A few words for the live table."""
+
+    @property
+    def address(self) -> str | None:
+        """Where a host finds the camera; None where there is no such place."""
+        return None
 
 
 class EndpointFactory(ABC):
@@ -104,14 +134,16 @@ class LinkSetup:
 
 
 class Observed(UsbDevice):
-    """A device that tells how late its events leave, and records them, without knowing of either."""
+    """A device whose deliveries are timed, digested and recorded, without its knowing."""
 
     def __init__(self, device: UsbDevice, ring: EventRing, clock: Clock, recorder: Recorder | None) -> None:
         self._device = device
         self._ring = ring
         self._clock = clock
         self._recorder = recorder
+        self._epoch_us: int | None = None
         self.latency = LatencyHistogram()
+        self.digest = 0
 
     @property
     def identity(self) -> Identity:
@@ -136,9 +168,9 @@ class Observed(UsbDevice):
 
     def sent(self, transfer: Transfer) -> None:
         """Measure and record what left, and pass on."""
-        self._measure(transfer)
-        if self._recorder is not None and len(transfer.events):
-            self._recorder.append(transfer.events, transfer.epoch_us)
+        if len(transfer.events):
+            self._measure(transfer)
+            self._keep(transfer)
         self._device.sent(transfer)
 
     def lost(self, transfer: Transfer) -> None:
@@ -147,10 +179,19 @@ class Observed(UsbDevice):
 
     def _measure(self, transfer: Transfer) -> None:
         origin_ns = self._ring.origin_ns
-        if origin_ns is None or origin_ns == FREE_RUNNING or not len(transfer.events):
+        if origin_ns is None or origin_ns == FREE_RUNNING:
             return
         now_us = (self._clock.now_ns() - origin_ns) / 1000
         self.latency.add(now_us - transfer.events["t"].astype(np.float64))
+
+    def _keep(self, transfer: Transfer) -> None:
+        events = transfer.events.copy()
+        events["t"] -= np.uint64(transfer.epoch_us)
+        restarted = transfer.epoch_us != self._epoch_us
+        self._epoch_us = transfer.epoch_us
+        self.digest = digest_of(events, 0 if restarted else self.digest)
+        if self._recorder is not None:
+            self._recorder.append(events, restarted=restarted)
 
 
 class Link:
@@ -195,10 +236,12 @@ class Link:
         left = self._ring.waiting if final else 0
         return LinkReport(
             state="closed" if final else self.endpoint.state,
+            address=None if final else self.endpoint.address,
             delivered=counters.delivered,
             dropped=counters.lost_on_link + self._ring.refused + left,
             camera=counters,
             latency=self._observed.latency.summary(),
+            digest=self._observed.digest,
             final=final,
             error=error,
         )
@@ -228,13 +271,16 @@ async def _serve(setup: LinkSetup, control: Connection) -> None:
         control.send(LinkReport("failed", final=True, error=str(error)))
         return
     control.send(link.report())
+    broken: str | None = None
     try:
         await _tick_until_stopped(link, setup, control, clock)
-    except EOFError:
+    except (EOFError, BrokenPipeError):
         return  # the session is gone: there is nobody to report to
+    except LinkBroken as error:
+        broken = str(error)
     finally:
         await link.close()
-    control.send(link.report(final=True))
+    control.send(link.report(final=True, error=broken))
 
 
 async def _tick_until_stopped(link: Link, setup: LinkSetup, control: Connection, clock: Clock) -> None:

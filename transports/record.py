@@ -29,18 +29,14 @@ class Recorder:
         self._part = path.with_suffix(path.suffix + ".part")
         self._file: BinaryIO = self._part.open("wb")
         self._count = 0
-        self._epoch_us: int | None = None
         self._resets: list[int] = []
 
-    def append(self, events: Events, epoch_us: int) -> None:
-        """Add events in stream time; device time is t - `epoch_us`."""
-        if epoch_us != self._epoch_us:
-            self._epoch_us = epoch_us
+    def append(self, events: Events, *, restarted: bool = False) -> None:
+        """Add events in device time; `restarted` when that time began anew before them."""
+        if restarted or not self._count:
             self._resets.append(self._count)
-        device = events.copy()
-        device["t"] -= np.uint64(epoch_us)
-        self._file.write(device.tobytes())
-        self._count += len(device)
+        self._file.write(events.tobytes())
+        self._count += len(events)
 
     def close(self) -> None:
         """Write the `.npz` and remove the raw file."""

@@ -4,9 +4,9 @@
     body   EVENT[capacity]
 
 `written` and `taken` count events since the start and never wrap (int64 lasts 24 000 years at 12 Mev/s); the slot is
-the count modulo the capacity. The writer stores events first, then `written`, then `now_us`; the reader loads them in the
-opposite order, so whatever is older than `now_us` is there. Both sides do aligned 8-byte loads and stores, which are
-atomic and ordered on x86-64 and ordered by the interpreter's own locks elsewhere.
+the count modulo the capacity. The writer stores events first, then `written`, then `now_us`; the reader loads them in
+the opposite order, so whatever is older than `now_us` is there. Both sides do aligned 8-byte loads and stores, which
+are atomic and ordered on x86-64 and ordered by the interpreter's own locks elsewhere.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _WRITTEN, _TAKEN, _NOW_US, _ORIGIN_NS, _CLOSED, _REFUSED = range(6)
 class EventRing:
     """Events on their way from the sensor to one link.
 
-    Pass it as an argument to a process started by the spawn method; the memory goes with the last process that holds it.
+    Pass it as an argument to a process started by the spawn method; the memory goes with the last that holds it.
     """
 
     def __init__(self, capacity: int = 1 << 20) -> None:

@@ -27,6 +27,7 @@ __all__ = [
     "PeerGone",
     "StallError",
     "TransferTimeout",
+    "UnsuitableDevice",
     "UsbHost",
     "UsbHostError",
 ]
@@ -52,6 +53,10 @@ class DeviceBusy(UsbHostError):
     """Another driver or host holds the device."""
 
 
+class UnsuitableDevice(UsbHostError):
+    """The device is not one that this driver can use."""
+
+
 class AccessDenied(UsbHostError):
     """The user may not open the device."""
 
@@ -74,8 +79,8 @@ class BulkReader(Protocol):
     def read(self, timeout_s: float) -> bytes | None:
         """Return the next transfer's data; None when none came in time."""
 
-    def close(self) -> None:
-        """Take back what is pending; a second call does nothing."""
+    def close(self) -> list[bytes]:
+        """Take back what is pending; gives the transfers that had arrived unread, so that nothing is lost."""
 
 
 class UsbHost(Protocol):
@@ -84,6 +89,12 @@ class UsbHost(Protocol):
     @property
     def identity(self) -> Identity:
         """Vendor, product and version of the device."""
+
+    def configure(self) -> None:
+        """Select the device's configuration and claim its interface, as an operating system and a driver do."""
+
+    def clear_halt(self, endpoint: int) -> None:
+        """Reset an IN endpoint (number without the direction bit) after a STALL, or before a new stream."""
 
     def control_in(self, setup: SetupPacket) -> bytes:
         """Ask for at most `setup.length` bytes. Raises StallError, TransferTimeout, PeerGone."""

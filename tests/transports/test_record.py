@@ -9,12 +9,12 @@ from transports.record import Recorder, load_record
 def test_a_record_holds_device_time_and_where_it_starts_anew(tmp_path):
     path = tmp_path / "run.npz"
     events = np.zeros(6, EVENT)
-    events["t"] = [10, 20, 30, 140, 150, 160]
+    events["t"] = [5, 15, 25, 40, 50, 60]
     events["x"] = range(6)
     recorder = Recorder(path)
-    recorder.append(events[:2], 5)
-    recorder.append(events[2:3], 5)
-    recorder.append(events[3:], 100)
+    recorder.append(events[:2])
+    recorder.append(events[2:3])
+    recorder.append(events[3:], restarted=True)
     recorder.close()
     read, resets = load_record(path)
     assert read.dtype == EVENT

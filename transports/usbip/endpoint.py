@@ -38,8 +38,8 @@ class UsbipEndpoint(Endpoint):
         except OSError as error:
             raise OSError(
                 error.errno,
-                f"cannot listen on {self._at.host} port {self._at.port}: {error.strerror}; another evstim or usbipd may "
-                "hold it: stop that one, or give this link another port (0 takes a free one)",
+                f"cannot listen on {self._at.host} port {self._at.port}: {error.strerror}; another evstim or usbipd "
+                "may hold it: stop that one, or give this link another port (0 takes a free one)",
             ) from error
 
     def pump(self) -> None:
@@ -56,4 +56,9 @@ class UsbipEndpoint(Endpoint):
         host = self._server.attached.get(self._at.busid)
         if host is not None:
             return f"attached by {host}"
-        return f"waiting on {self._at.host}:{self._server.port} {self._at.busid}"
+        return f"waiting on {self.address}, bus id {self._at.busid}"
+
+    @property
+    def address(self) -> str:
+        """Host and port that the server listens on."""
+        return f"{self._at.host}:{self._server.port}"

@@ -1,0 +1,49 @@
+"""`evstim bench`."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from emulator.bench.measures import MEASURES, Measure
+from emulator.cli.output import GOOD, WRONG_USE, Failure, console, failures, print_json, status
+from emulator.typed_table import unknown
+
+__all__ = ["bench"]
+
+
+def bench(
+    *,
+    only: Annotated[list[str] | None, Parameter(negative="")] = None,
+    json: Annotated[bool, Parameter(negative="")] = False,
+) -> int:
+    """Measure the speeds that the docs quote, on this machine, each as a median of several runs.
+
+    Parameters
+    ----------
+    only
+        Measure just this one; may be given several times.
+    json
+        Print one JSON object as the last line on stdout.
+    """
+    results = []
+    with failures():
+        for measure in _chosen(only):
+            status.print(f"measuring {measure.name} ...")
+            value = measure.run()
+            results.append({"name": measure.name, "value": value, "unit": measure.unit, "better": measure.better})
+            if not json:
+                mark = {"higher": ">=", "lower": "<="}[measure.better]
+                console.print(f"{measure.name:22} {value:10.1f} {measure.unit:9} (target {mark} {measure.target:g})")
+    if json:
+        print_json({"results": results})
+    return GOOD
+
+
+def _chosen(only: list[str] | None) -> list[Measure]:
+    by_name = {measure.name: measure for measure in MEASURES}
+    for name in only or ():
+        if name not in by_name:
+            raise Failure(f"--only: {unknown(name, list(by_name))}", WRONG_USE)
+    return [by_name[name] for name in only or by_name]
