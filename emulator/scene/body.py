@@ -18,7 +18,8 @@ the Sun such a body is a disc of even light, pi r / (geometric albedo) = 1: `lig
 disc, relative to the sensor's reference level. So light = light_at_zero_phase * 2 f(g) mu0 / (mu0 + mu).
 
 Left out: shadows that one part casts on another (only the night side is dark), the Sun's width, light from the
-surface onto itself. Normals are interpolated between vertices, so facets do not show.
+surface onto itself. Normals are interpolated between vertices, so facets do not show. A body much smaller than a pixel
+is sampled, not integrated: it may fall between the samples.
 """
 
 from __future__ import annotations
@@ -127,7 +128,8 @@ class Body(Scene):
             raise ValueError(f"size is {size[0]} x {size[1]}: a picture needs at least one pixel")
         self.parameters = p = parameters
         self.mesh = load_mesh(find_shape(p.shape), p.units_m) if mesh is None else mesh
-        _require_outside(p.range_m, self.mesh.radius_m)
+        self._radius_m = self.mesh.radius_m
+        _require_outside(p.range_m, self._radius_m)
         self._size = size
         self._pole = unit(p.pole)
         self._camera_from_world = matrix_of(p.q_world_from_camera).T
@@ -155,7 +157,7 @@ class Body(Scene):
     @property
     def motion_bound_px_s(self) -> float:
         """No point of the surface moves faster in the picture, px/s. (The edge of its night side may.)"""
-        p, radius_m = self.parameters, self.mesh.radius_m
+        p, radius_m = self.parameters, self._radius_m
         arm_m = float(np.hypot(*self.mesh.vertices.T[:2]).max())
         speed_m_s = math.radians(abs(p.spin_deg_s)) * arm_m
         slant = p.range_m / math.sqrt(p.range_m**2 - radius_m**2)  # 1 / cos of the widest angle off the boresight
@@ -172,7 +174,7 @@ class Body(Scene):
     def _view(self, turns: float) -> View:
         zoom = (2 * self.focal_px / self._size[0], 2 * self.focal_px / self._size[1])
         camera_from_body = self._camera_from_world @ spin(self._pole, turns)
-        return View(camera_from_body, self._sun, self.parameters.range_m / self.mesh.radius_m, zoom, self._full)
+        return View(camera_from_body, self._sun, self.parameters.range_m / self._radius_m, zoom, self._full)
 
     def _reach(self) -> Rectangle:
         """Return the part of the picture that the body meets during a turn: where the cylinder around it stands."""
@@ -181,7 +183,7 @@ class Body(Scene):
         across = around * np.sqrt(np.maximum(0.0, 1.0 - pole**2))
         ends = np.outer([along.min(), along.max()], pole)
         low, high = ends.min(axis=0) - across, ends.max(axis=0) + across
-        depths = np.clip([low[2], high[2]], -self.mesh.radius_m, self.mesh.radius_m) + self.parameters.range_m
+        depths = np.clip([low[2], high[2]], -self._radius_m, self._radius_m) + self.parameters.range_m
         edges = self.focal_px * np.array([edge[:2] / depth for edge in (low, high) for depth in depths])
         size = np.array(self._size)
         first, last = size / 2 + edges.min(axis=0), size / 2 + edges.max(axis=0)

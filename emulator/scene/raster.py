@@ -55,8 +55,9 @@ uniform float full;      // light where both cosines are equal, times two
 in vec2 cosines;
 out float light;
 void main() {
-    vec2 mu = max(cosines, 0.0);
-    light = full * mu.x / max(mu.x + mu.y, 1e-20);
+    float lit = max(cosines.x, 0.0);
+    // at the limb an interpolated normal can lean away from the eye: by a little, and it counts as that little
+    light = full * lit / max(lit + abs(cosines.y), 1e-20);
 }
 """
 

@@ -73,3 +73,12 @@ def test_closed_forms_need_no_gl(monkeypatch):
     with Checkerboard(CheckerboardParameters(), (32, 24)) as board:
         board.light(0, out)
     assert out.any()
+
+
+def test_scenes_can_be_imported_without_loading_gl_or_trimesh():
+    program = (
+        "import sys, emulator.scene.body, emulator.scene.checkerboard, emulator.scene.picture\n"
+        "assert not {'moderngl', 'glcontext', 'trimesh', 'PIL'} & set(sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stderr) == (0, "")
