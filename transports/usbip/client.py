@@ -109,6 +109,14 @@ class UsbipHost:
         """The device as its record describes it."""
         return self.record.identity
 
+    def configure(self) -> None:
+        """Select the configuration; there is no interface to claim, since nobody else has the device."""
+        self.control_out(SetupPacket(0x00, 9, self.identity.configuration_value or 1, 0, 0))
+
+    def clear_halt(self, endpoint: int) -> None:
+        """Clear the halt of an IN endpoint."""
+        self.control_out(SetupPacket(0x02, 1, 0, 0x80 | endpoint, 0))
+
     def control_in(self, setup: SetupPacket) -> bytes:
         """Ask the device for at most `setup.length` bytes."""
         urb = self._urb(0, is_in=True, length=setup.length, setup=bytes(setup))
@@ -239,11 +247,14 @@ class UrbStream:
         self._pending.append(self._submit())
         return data
 
-    def close(self) -> None:
-        """Take back the pending URBs; data that had arrived and were not read are dropped."""
+    def close(self) -> list[bytes]:
+        """Take back the pending URBs; gives the data that had arrived unread, or came while URBs were taken back."""
         if self._open:
             self._open = False
             self._host.unlink(list(self._pending))
+        rest = [reply.data for reply in self._replies]
+        self._replies.clear()
+        return rest
 
     def _submit(self) -> int:
         return self._host.submit_in(self._endpoint, self._transfer_bytes, self._replies)

@@ -1,6 +1,6 @@
 """Measure what the USB/IP server and the user-space host carry: two processes on the loopback interface.
 
-    python tests/transports/usbip/throughput.py [seconds]
+    python tests/transports/usb/throughput.py [seconds]
 
 The server's device hands out the same preallocated bytes again and again, so the figure is that of the link alone.
 Prints MB/s (10^6 bytes) and URB/s for each size, and the share of a core that each process used.

@@ -23,9 +23,9 @@ def host(request, served):
         yield host
 
 
-def test_lists_every_device(rig, new_device):
-    rig.start({"1-1": new_device(), "2-3": new_device()})
-    records = list_devices(port=rig.server.port)
+def test_lists_every_device(bench, new_device):
+    bench.start({"1-1": new_device(), "2-3": new_device()})
+    records = list_devices(port=bench.server.port)
     assert [(r.busid, r.busnum, r.devnum) for r in records] == [("1-1", 1, 2), ("2-3", 2, 4)]
     assert records[0].identity == new_device().identity
 
@@ -115,13 +115,13 @@ def test_second_import_is_refused_as_busy_until_the_first_host_leaves(served, de
         assert second.control_in(GET_DEVICE)
 
 
-def test_two_devices_do_not_disturb_each_other(rig, new_device):
+def test_two_devices_do_not_disturb_each_other(bench, new_device):
     left, right = new_device(), new_device()
-    rig.start({"1-1": left, "1-2": right})
-    with UsbipHost(rig.connect(), "1-1", timeout_s=5) as a, UsbipHost(rig.connect(), "1-2", timeout_s=5) as b:
+    bench.start({"1-1": left, "1-2": right})
+    with UsbipHost(bench.connect(), "1-1", timeout_s=5) as a, UsbipHost(bench.connect(), "1-2", timeout_s=5) as b:
         stream_a, stream_b = a.stream(2), b.stream(2)
-        rig.feed(left, b"left")
-        rig.feed(right, b"right")
+        bench.feed(left, b"left")
+        bench.feed(right, b"right")
         assert (stream_b.read(5), stream_a.read(5)) == (b"right", b"left")
 
 

@@ -53,17 +53,17 @@ def is_closed(sock: socket.socket) -> bool:
     return True
 
 
-def attached(rig) -> socket.socket:
-    sock = rig.connect()
+def attached(bench) -> socket.socket:
+    sock = bench.connect()
     sock.sendall(bytes(ImportRequest("1-1")))
     read(sock, IMPORT_REPLY_BYTES)
     return sock
 
 
-def assert_serves(rig, device) -> None:
+def assert_serves(bench, device) -> None:
     """The next host gets the device and an answer."""
     before = device.log.count("detached")
-    with UsbipHost(rig.connect(), "1-1", timeout_s=5) as host:
+    with UsbipHost(bench.connect(), "1-1", timeout_s=5) as host:
         assert len(host.control_in(GET_DEVICE)) == 18
     device.wait_for("detached", before + 1)
 
@@ -114,9 +114,9 @@ def test_broken_urb_closes_the_connection_and_frees_the_device(served, device, d
     assert_serves(served, device)
 
 
-def test_too_many_pending_urbs_close_the_connection(rig, device):
-    rig.start({"1-1": device}, ConnectionSettings(pending_urbs=8))
-    sock = attached(rig)
+def test_too_many_pending_urbs_close_the_connection(bench, device):
+    bench.start({"1-1": device}, ConnectionSettings(pending_urbs=8))
+    sock = attached(bench)
     sock.sendall(b"".join(submit(n) for n in range(1, 9)))
     sock.sendall(submit(100, endpoint=0, setup=bytes(GET_DEVICE), length=18))
     assert read_urb(sock) == (3, 100, 0)
@@ -199,14 +199,14 @@ def test_peer_that_only_asks_and_never_reads_is_not_listened_to(served, device):
     assert_serves(served, device)
 
 
-def test_one_host_that_stops_reading_does_not_hold_up_another(rig, new_device):
+def test_one_host_that_stops_reading_does_not_hold_up_another(bench, new_device):
     stuck, other = new_device(), new_device()
-    rig.start({"1-1": stuck, "1-2": other})
-    with UsbipHost(rig.connect(), "1-1", timeout_s=5) as lazy, UsbipHost(rig.connect(), "1-2", timeout_s=5) as keen:
+    bench.start({"1-1": stuck, "1-2": other})
+    with UsbipHost(bench.connect(), "1-1", timeout_s=5) as lazy, UsbipHost(bench.connect(), "1-2", timeout_s=5) as keen:
         lazy.stream(2, 16 << 20, 1)
-        rig.feed(stuck, bytes(16 << 20))
+        bench.feed(stuck, bytes(16 << 20))
         stream = keen.stream(2, 1000, 4)
-        rig.feed(other, b"for the keen one")
+        bench.feed(other, b"for the keen one")
         assert stream.read(5) == b"for the keen one"
 
 
@@ -244,30 +244,30 @@ def test_unlink_races_give_each_urb_one_end(served, device):
     assert len(answered) == served.call(lambda: len(device.given)) == len(device.sent_data)
 
 
-def test_fault_in_the_device_model_ends_its_connection_only(rig, new_device):
+def test_fault_in_the_device_model_ends_its_connection_only(bench, new_device):
     faulty, sound = new_device(), new_device()
-    rig.start({"1-1": faulty, "1-2": sound})
-    with UsbipHost(rig.connect(), "1-2", timeout_s=5) as other:
-        with UsbipHost(rig.connect(), "1-1", timeout_s=5) as host, pytest.raises(PeerGone):
+    bench.start({"1-1": faulty, "1-2": sound})
+    with UsbipHost(bench.connect(), "1-2", timeout_s=5) as other:
+        with UsbipHost(bench.connect(), "1-1", timeout_s=5) as host, pytest.raises(PeerGone):
             host.control_in(SetupPacket(0xC0, 0xEE, 0, 0, 4))
         faulty.wait_for("detached")
         assert len(other.control_in(GET_DEVICE)) == 18
-    assert isinstance(rig.faults[0]["exception"], ValueError)
+    assert isinstance(bench.faults[0]["exception"], ValueError)
 
 
-def test_silent_connection_is_closed_in_the_operation_phase_only(rig, device):
-    rig.start({"1-1": device}, ConnectionSettings(operation_timeout_s=0.05))
-    with UsbipHost(rig.connect(), "1-1", timeout_s=5) as host:
-        assert is_closed(rig.connect())
+def test_silent_connection_is_closed_in_the_operation_phase_only(bench, device):
+    bench.start({"1-1": device}, ConnectionSettings(operation_timeout_s=0.05))
+    with UsbipHost(bench.connect(), "1-1", timeout_s=5) as host:
+        assert is_closed(bench.connect())
         assert len(host.control_in(GET_DEVICE)) == 18
 
 
-def test_connections_are_bounded(rig, device):
-    rig.start({"1-1": device}, max_connections=2)
-    with UsbipHost(rig.connect(), "1-1", timeout_s=5) as host:
-        idle = rig.connect()
+def test_connections_are_bounded(bench, device):
+    bench.start({"1-1": device}, max_connections=2)
+    with UsbipHost(bench.connect(), "1-1", timeout_s=5) as host:
+        idle = bench.connect()
         idle.sendall(b"\x01")
-        assert is_closed(rig.connect())
+        assert is_closed(bench.connect())
         assert len(host.control_in(GET_DEVICE)) == 18
         idle.close()
 
@@ -284,11 +284,11 @@ def test_out_urb_to_a_bulk_endpoint_stalls(served):
     assert read_urb(sock) == (3, 1, -32)
 
 
-def test_close_detaches_every_host(rig, device):
-    rig.start({"1-1": device})
-    host = UsbipHost(rig.connect(), "1-1", timeout_s=5)
+def test_close_detaches_every_host(bench, device):
+    bench.start({"1-1": device})
+    host = UsbipHost(bench.connect(), "1-1", timeout_s=5)
     stream = host.stream(2)
-    rig.run(rig.server.close())
+    bench.run(bench.server.close())
     assert device.log == ["attached", "detached"]
     with pytest.raises(PeerGone):
         stream.read(5)

@@ -1,0 +1,194 @@
+"""A driver's whole life with our own camera, over USB/IP and over a (faked) USB bus."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from firmware_protocol.davis346 import Davis346, Davis346Settings, Layout, SystemInfo
+from firmware_protocol.events import EVENT
+from firmware_protocol.usb.device import Identity, SetupPacket, Speed
+from transports.davis_host import DavisHost, StreamSettings
+from transports.pyusb_host import PyusbHost
+from transports.usb_host import PeerGone, StallError, TransferTimeout, UnsuitableDevice
+from transports.usbip.client import UsbipHost
+
+pytestmark = pytest.mark.socket
+
+SMALL = StreamSettings(transfer_bytes=8192, transfers=8)
+
+
+def events(n: int, start_us: int, seed: int = 1) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    batch = np.zeros(n, EVENT)
+    batch["t"] = start_us + np.sort(rng.integers(0, 20_000, n))
+    batch["x"], batch["y"], batch["on"] = rng.integers(0, 346, n), rng.integers(0, 260, n), rng.integers(0, 2, n)
+    return batch
+
+
+@pytest.fixture(params=["usbip", "pyusb"])
+def cable(request, bench, usb_bus):
+    """Gives open(camera) -> host, and play(events, now_us), which makes the camera see them."""
+
+    def usbip(camera):
+        bench.start({"1-1": camera})
+
+        def play(batch, now_us):
+            camera.offer(batch)
+            camera.advance(now_us)
+            bench.server.pump()
+
+        return UsbipHost(bench.connect(), "1-1", timeout_s=5), lambda *args: bench.call(play, *args)
+
+    def pyusb(camera):
+        bus = usb_bus(camera, camera.settings.descriptors())
+
+        def play(batch, now_us):
+            camera.offer(batch)
+            camera.advance(now_us)
+
+        return PyusbHost.find(0x152A, 0x841A, bus), lambda *args: bus.call(play, *args)
+
+    return {"usbip": usbip, "pyusb": pyusb}[request.param]
+
+
+def read_all(driver: DavisHost, n: int) -> np.ndarray:
+    parts = [np.zeros(0, EVENT)]
+    while sum(map(len, parts)) < n:
+        part = driver.read(5)
+        assert part is not None, f"{sum(map(len, parts))} of {n} events"
+        parts.append(part)
+    return np.concatenate(parts)
+
+
+@pytest.mark.parametrize("layout", Layout)
+def test_identifies_the_camera(cable, layout):
+    host, _ = cable(Davis346(Davis346Settings(serial="00000042", layout=layout)))
+    driver = DavisHost(host)
+    info = driver.info
+    assert (info.serial, info.firmware, info.logic_version, info.chip_id) == ("00000042", 6, 18, 5)
+    assert (info.size, info.turned, info.timestamp_master) == ((346, 260), layout is Layout.TURNED, True)
+    driver.close()
+
+
+@pytest.mark.parametrize("layout", Layout)
+def test_every_event_arrives_as_it_was(cable, layout):
+    camera = Davis346(Davis346Settings(layout=layout))
+    host, play = cable(camera)
+    driver = DavisHost(host)
+    play(events(10, 0), 100_000)
+    driver.start(SMALL)
+    sent = [events(5000, 100_000 + 20_000 * k, k) for k in range(5)]
+    for batch in sent:
+        play(batch, int(batch["t"][-1]) + 1)
+    received = read_all(driver, 25_000)
+    expected = np.concatenate(sent)
+    expected["t"] -= 100_000
+    assert np.array_equal(received, expected)
+    assert driver.faults.total == 0
+    assert len(driver.stop()) == 0
+    driver.close()
+    assert (camera.counters.delivered, camera.counters.not_running) == (25_000, 10)
+
+
+def test_starts_again_after_a_stop(cable):
+    camera = Davis346()
+    host, play = cable(camera)
+    driver = DavisHost(host)
+    for round_ in range(3):
+        driver.start(SMALL)
+        play(events(100, 50_000 * round_), 50_000 * round_ + 40_000)
+        assert len(read_all(driver, 100)) == 100
+        driver.stop()
+    play(events(100, 200_000), 300_000)
+    assert (camera.counters.delivered, camera.counters.not_running) == (300, 100)
+    driver.close()
+
+
+def test_without_a_timestamp_reset_the_camera_is_silent_first(cable):
+    camera = Davis346(Davis346Settings(start_delay_us=10_000))
+    host, play = cable(camera)
+    driver = DavisHost(host)
+    driver.start(StreamSettings(8192, 8, reset_timestamps=False))
+    play(events(100, 0), 20_000)
+    play(events(100, 20_000), 50_000)
+    kept = camera.counters.delivered + camera.counters.queued
+    assert 100 < kept < 200
+    assert len(read_all(driver, kept)) == kept
+    driver.close()
+
+
+def test_idle_camera_gives_no_events_or_nothing(cable):
+    host, play = cable(Davis346())
+    driver = DavisHost(host)
+    driver.start(SMALL)
+    play(np.zeros(0, EVENT), 100_000)
+    assert len(driver.read(5)) == 0
+    assert driver.read(0) is None
+    driver.close()
+
+
+def test_stop_gives_what_was_under_way(cable):
+    camera = Davis346()
+    host, play = cable(camera)
+    driver = DavisHost(host)
+    driver.start(SMALL)
+    play(events(1000, 0), 30_000)
+    rest = driver.stop()
+    # What had left the camera is here, what had not is in its books.
+    assert len(rest) == camera.counters.delivered
+    assert camera.counters.delivered + camera.counters.flushed == 1000
+    driver.close()
+
+
+def test_registers_can_be_read_back(cable):
+    host, _ = cable(Davis346())
+    driver = DavisHost(host)
+    driver.write_register(5, 10, 17023)
+    assert driver.read_register(5, 10) == 17023
+    with pytest.raises(StallError):
+        host.control_in(SetupPacket(0xC0, 0xB3, 0, 0, 4))
+    driver.close()
+
+
+@pytest.mark.parametrize(
+    ("settings", "says"),
+    [
+        (Davis346Settings(bcd_device=0x0205), "firmware version 5; at least 6"),
+        (Davis346Settings(system=SystemInfo(logic_version=17)), "logic version 17; exactly 18"),
+        (Davis346Settings(system=SystemInfo(logic_patch=0)), "logic patch version 0"),
+    ],
+)
+def test_refuses_what_other_drivers_refuse(cable, settings, says):
+    host, _ = cable(Davis346(settings))
+    with pytest.raises(UnsuitableDevice, match=says):
+        DavisHost(host)
+
+
+def test_refuses_another_camera(bench, device, monkeypatch):
+    monkeypatch.setattr(type(device), "identity", Identity(1, 2, 6, Speed.SUPER))
+    bench.start({"1-1": device})
+    with pytest.raises(UnsuitableDevice, match="0001:0002 is not a DAVIS"):
+        DavisHost(UsbipHost(bench.connect(), "1-1", timeout_s=5))
+    device.wait_for("detached")
+
+
+def test_camera_that_goes_away_while_streaming(bench):
+    bench.start({"1-1": Davis346()})
+    driver = DavisHost(UsbipHost(bench.connect(), "1-1", timeout_s=5))
+    driver.start(SMALL)
+    bench.run(bench.server.close())
+    with pytest.raises(PeerGone):
+        driver.read(5)
+    driver.close()
+
+
+def test_reset_that_never_shows_is_a_timeout(bench, monkeypatch):
+    monkeypatch.setattr("transports.davis_host._RESET_TIMEOUT_S", 0.05)
+    camera = Davis346()
+    monkeypatch.setattr(camera, "read", lambda endpoint, max_bytes: None)
+    bench.start({"1-1": camera})
+    driver = DavisHost(UsbipHost(bench.connect(), "1-1", timeout_s=5))
+    with pytest.raises(TransferTimeout, match="timestamp reset"):
+        driver.start(SMALL)
+    driver.close()
