@@ -38,7 +38,7 @@ from firmware_protocol.davis346.words import (
     is_column,
     is_row,
 )
-from firmware_protocol.events import Events, empty_events
+from firmware_protocol.events import EVENT, Events
 
 __all__ = ["SPECIAL_EVENT", "Decoded", "Decoder", "WordFaults"]
 
@@ -125,63 +125,67 @@ class Decoder:
         even = len(data) & ~1
         self._odd = bytes(data[even:])
         words = np.frombuffer(data, WORD, even // 2)
-        events = empty_events(int(np.count_nonzero(is_column(words))))
+        events = np.empty(_count(is_column(words)), EVENT)
+        specials = [np.empty(0, SPECIAL_EVENT)]
         filled = 0
-        specials = []
         for first in range(0, len(words), _BLOCK_WORDS):
             count, special = self._block(words[first : first + _BLOCK_WORDS], events[filled:])
             special["index"] += filled
             filled += count
             specials.append(special)
-        return Decoded(events[:filled], np.concatenate(specials) if specials else np.empty(0, SPECIAL_EVENT))
+        return Decoded(events[:filled], np.concatenate(specials))
 
     def _block(self, words: Words, out: Events) -> tuple[int, npt.NDArray[np.void]]:
-        """Decode words into the front of `out`; return the number of events and the specials."""
-        column = is_column(words)
+        """Decode into the front of `out`; return how many events that were, and the specials."""
         rare = np.flatnonzero((words < ROW) | ((words >= APS_SAMPLE) & (words < TIMESTAMP)))
-        timing, time_us = self._timeline(words, rare)
-        row_at, rows = self._rowline(words)
-        at = self._events_at(words, column)
-        out = out[: len(at)]
-        out["t"] = time_us[timing[at]]
-        row, address = rows[row_at[at]], words[at] & MAX_ADDRESS
-        out["x"], out["y"] = (row, address) if self._turned else (address, row)
-        out["on"] = words[at] >= COLUMN_ON
-        specials = self._specials(words, rare, at, time_us[timing[rare]])
+        at, columns = self._columns_in(words)
+        stamp_of, time_us = self._timeline(words, rare)
+        row_of, rows = self._rowline(words)
+        events = out[: len(at)]
+        events["t"] = time_us.take(stamp_of.take(at))
+        address, row = columns & MAX_ADDRESS, rows.take(row_of.take(at))
+        events["x"], events["y"] = (row, address) if self._turned else (address, row)
+        events["on"] = columns >= COLUMN_ON
+        specials = self._specials(words.take(rare), rare, at, time_us.take(stamp_of.take(rare)))
         self._time_us, self._row = int(time_us[-1]), int(rows[-1])
         return len(at), specials
 
-    def _events_at(self, words: Words, column: Mask) -> Index:
-        """Positions of columns inside the array."""
-        at: Index = np.flatnonzero(column)
-        inside = (words[at] & MAX_ADDRESS) < self._columns
+    def _columns_in(self, words: Words) -> tuple[Index, Words]:
+        """Return positions and words of the columns inside the array."""
+        at: Index = np.flatnonzero(is_column(words))
+        columns = words.take(at)
+        inside = (columns & MAX_ADDRESS) < self._columns
         if not inside.all():
-            self.faults += WordFaults(column_outside=len(at) - int(np.count_nonzero(inside)))
-            at = at[inside]
-        return at
+            self.faults += WordFaults(column_outside=_count(~inside))
+            at, columns = at[inside], columns[inside]
+        return at, columns
 
     def _rowline(self, words: Words) -> tuple[Index, Words]:
         """Return for each word the index of the row in force, and those rows, the carried one first."""
         good = is_row(words)
-        outside = good & ((words & MAX_ADDRESS) >= self._rows)
+        rows = np.compress(good, words) & MAX_ADDRESS
+        outside = rows >= self._rows
         if outside.any():
-            self.faults += WordFaults(row_outside=int(np.count_nonzero(outside)))
-            good &= ~outside
-        rows = np.concatenate([np.array([self._row], WORD), words[good] & MAX_ADDRESS])
-        return np.cumsum(good), rows
+            self.faults += WordFaults(row_outside=_count(outside))
+            good[np.flatnonzero(good)[outside]] = False
+            rows = rows[~outside]
+        return np.cumsum(good), np.concatenate([np.array([self._row], WORD), rows])
 
     def _timeline(self, words: Words, rare: Index) -> tuple[Index, Index]:
         """Return for each word the index of the time in force, and those times (us), the carried one first."""
         moves = words >= TIMESTAMP
-        kinds = words[rare]
+        kinds = words.take(rare)
         turns = rare[(kinds & KIND == WRAP) | (kinds == _RESET)]
         moves[turns] = True
-        stamps = words[moves]
-        base = self._bases(stamps) if len(turns) else self._time_us >> WRAP_BITS << WRAP_BITS
-        low = np.where(stamps >= TIMESTAMP, stamps & LOW_BITS, 0) if len(turns) else stamps & LOW_BITS
+        stamps = np.compress(moves, words)
         time_us = np.empty(len(stamps) + 1, np.int64)
         time_us[0] = self._time_us
-        np.add(low, base, out=time_us[1:], dtype=np.int64)
+        if len(turns):
+            time_us[1:] = np.where(stamps >= TIMESTAMP, stamps & LOW_BITS, 0)
+            time_us[1:] += self._bases(stamps)
+        else:
+            time_us[1:] = stamps & LOW_BITS
+            time_us[1:] += self._time_us >> WRAP_BITS << WRAP_BITS
         self._count_backward(time_us, stamps)
         return np.cumsum(moves), time_us
 
@@ -198,16 +202,15 @@ class Decoder:
         steady = time_us[1:] > time_us[:-1]
         if steady.all():
             return
-        bad = ~steady & (stamps != _RESET)
-        self.faults += WordFaults(time_not_increasing=int(np.count_nonzero(bad)))
+        self.faults += WordFaults(time_not_increasing=_count(~steady & (stamps != _RESET)))
 
     def _specials(self, words: Words, rare: Index, at: Index, time_us: Index) -> npt.NDArray[np.void]:
-        """Return the specials among the words at `rare`, and count what is unknown or not interpreted."""
-        special = words[rare] < ROW
-        found = np.empty(int(np.count_nonzero(special)), SPECIAL_EVENT)
-        if len(rare):
-            self._count_rare(words[rare])
-            found["code"] = words[rare][special] & MAX_ADDRESS
+        """Return the specials among `words`, found at `rare`; count what is unknown or not interpreted."""
+        special = words < ROW
+        found = np.empty(_count(special), SPECIAL_EVENT)
+        if len(words):
+            self._count_rare(words)
+            found["code"] = words[special]
             found["t"] = time_us[special]
             found["index"] = np.searchsorted(at, rare[special])
         return found
@@ -217,10 +220,12 @@ class Decoder:
         unknown_misc = (words > _LAST_MISC8) & (words < MISC10) | (words > _LAST_MISC10) & (words < WRAP)
         other = (words >= APS_SAMPLE) & (words < WRAP) & ~unknown_misc
         self.faults += WordFaults(
-            unknown_special=int(np.count_nonzero(unknown_special)),
-            unknown_misc=int(np.count_nonzero(unknown_misc)),
-            not_interpreted=int(np.count_nonzero(other)),
+            unknown_special=_count(unknown_special), unknown_misc=_count(unknown_misc), not_interpreted=_count(other)
         )
+
+
+def _count(mask: Mask) -> int:
+    return int(np.count_nonzero(mask))
 
 
 _RESET = int(Special.TIMESTAMP_RESET)

@@ -30,6 +30,7 @@ from firmware_protocol.davis346.registers import Module, RegisterFile, Statistic
 from firmware_protocol.davis346.settings import DATA_ENDPOINT, Davis346Settings
 from firmware_protocol.davis346.stream import EventStream
 from firmware_protocol.davis346.words import WordEncoder
+from firmware_protocol.event_copies import copy_events
 from firmware_protocol.events import Events
 from firmware_protocol.usb.control import Recipient, StandardControl
 from firmware_protocol.usb.device import Identity, RequestKind, SetupPacket, Stall, Transfer, UsbDevice
@@ -130,7 +131,7 @@ class Davis346(UsbDevice):
             raise ValueError(f"event at {events['t'][0]} us offered after the camera's clock reached {self._now_us} us")
         first = int(np.searchsorted(events["t"], self._silent_until_us)) if self._gate.events else len(events)
         if first < len(events):
-            self._stream.put(events[first:].copy())
+            self._stream.put(copy_events(events[first:]))
         self._not_running += first
         self._offered += len(events)
         self._now_us = int(events["t"][-1])

@@ -1,7 +1,8 @@
 """The camera's FIFO: words that wait for the host, with the events that they will complete.
 
 Its size is stated in bytes of words. When it is full, the newest events are dropped, always whole ones, so that what
-was taken in is a valid stream. One word beyond the size is kept for a timestamp reset, which must always get in.
+was taken in is a valid stream. The last 64 words are kept for wraps: through 2 s of a stalled host they still go in one
+by one, as neuromorphic_drivers needs them. One word beyond the size is kept for a timestamp reset: it always gets in.
 """
 
 from __future__ import annotations
@@ -12,11 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from firmware_protocol.davis346.words import Encoded, Special, Words, WordState, is_column
-from firmware_protocol.events import EVENT, Events, empty_events
+from firmware_protocol.event_copies import join_events
+from firmware_protocol.events import Events
 
 __all__ = ["Batch", "Fifo", "Flushed", "Taken"]
 
-_RAW_EVENT = f"V{EVENT.itemsize}"
+_MIN_BYTES = 1024
+_WRAP_RESERVE_WORDS = 64
 
 
 @dataclass(frozen=True)
@@ -89,8 +92,8 @@ class Fifo:
     """
 
     def __init__(self, capacity_bytes: int) -> None:
-        if capacity_bytes < 1024:
-            raise ValueError(f"a FIFO of {capacity_bytes} bytes is too small; give it at least 1024")
+        if capacity_bytes < _MIN_BYTES:
+            raise ValueError(f"a FIFO of {capacity_bytes} bytes is too small; give it at least {_MIN_BYTES}")
         self._capacity = capacity_bytes // 2
         self._used = 0
         self._events = 0
@@ -98,7 +101,12 @@ class Fifo:
 
     @property
     def free_words(self) -> int:
-        """Words that fit now."""
+        """Words of events that fit now."""
+        return max(0, self.free_wrap_words - _WRAP_RESERVE_WORDS)
+
+    @property
+    def free_wrap_words(self) -> int:
+        """Wrap words that fit now."""
         return max(0, self._capacity - self._used)
 
     @property
@@ -121,6 +129,10 @@ class Fifo:
             events = events[:fitting]
         self._append(batch, words, events)
         return len(words)
+
+    def put_wraps(self, batch: Batch) -> None:
+        """Take in wraps, which the caller has made to fit into `free_wrap_words`."""
+        self._append(batch, batch.encoded.words, batch.events)
 
     def put_reset(self, batch: Batch) -> None:
         """Take in a timestamp reset word, also when full; one directly after another adds nothing."""
@@ -164,15 +176,7 @@ class Fifo:
 
     def _leave(self, words: list[Words], events: list[Events], epoch_us: int) -> Taken:
         data = b"".join(part.data for part in words)
-        completed = _join(events)
+        completed = join_events(events)
         self._used -= len(data) // 2
         self._events -= len(completed)
         return Taken(data, completed, epoch_us)
-
-
-def _join(parts: list[Events]) -> Events:
-    """Concatenate, moving records as raw bytes (numpy would copy field by field)."""
-    filled = [part for part in parts if len(part)]
-    if len(filled) < 2:
-        return filled[0] if filled else empty_events()
-    return np.concatenate([part.view(_RAW_EVENT) for part in filled]).view(EVENT)

@@ -73,14 +73,14 @@ class EventStream:
     def put(self, events: Events) -> None:
         """Queue `events`, (n > 0,) EVENT in stream time; those that find no room are dropped and counted."""
         at_start = self._encoder.state
-        wraps = self._encoder.advance(int(events["t"][0]) - self._epoch_us, self._fifo.free_words)
+        wraps = self._encoder.advance(int(events["t"][0]) - self._epoch_us, self._fifo.free_wrap_words)
         before = self._encoder.state
         try:
             encoded = self._encoder.encode(events, self._epoch_us)
         except ValueError:
             self._encoder.state = at_start
             raise
-        self._fifo.put(self._batch(wraps, at_start))
+        self._fifo.put_wraps(self._batch(wraps, at_start))
         queued = self._fifo.queued_events
         kept = encoded.words[: self._fifo.put(Batch(encoded, events, before, self._epoch_us))]
         if len(kept) < len(encoded.words):
@@ -91,9 +91,8 @@ class EventStream:
     def advance(self, now_us: int) -> None:
         """Queue the wraps due at stream time `now_us`, as far as there is room; the rest is made up for later."""
         before = self._encoder.state
-        words = self._encoder.advance(now_us - self._epoch_us, self._fifo.free_words)
-        if len(words):
-            self._fifo.put(self._batch(words, before))
+        words = self._encoder.advance(now_us - self._epoch_us, self._fifo.free_wrap_words)
+        self._fifo.put_wraps(self._batch(words, before))
 
     def flush(self) -> None:
         """Drop what is queued, but for a timestamp reset: without it the host would misread all times to come.
