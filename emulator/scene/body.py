@@ -18,8 +18,8 @@ the Sun such a body is a disc of even light, pi r / (geometric albedo) = 1: `lig
 disc, relative to the sensor's reference level. So light = light_at_zero_phase * 2 f(g) mu0 / (mu0 + mu).
 
 Left out: shadows that one part casts on another (only the night side is dark), the Sun's width, light from the
-surface onto itself. Normals are interpolated between vertices, so facets do not show. A body much smaller than a pixel
-is sampled, not integrated: it may fall between the samples.
+surface onto itself. Normals are interpolated between vertices, so facets do not show. A body of a pixel or
+so would fall between the samples: it is refused.
 """
 
 from __future__ import annotations
@@ -38,6 +38,7 @@ from emulator.scene.raster import Raster, Rectangle, View
 
 __all__ = ["Body", "BodyParameters", "henyey_greenstein"]
 
+_SMALLEST_PX = 2.0
 _CLOSEST = 1.001  # body radii: the nearest vertex needs some room before the eye
 
 
@@ -131,6 +132,7 @@ class Body(Scene):
         self._radius_m = self.mesh.radius_m
         _require_outside(p.range_m, self._radius_m)
         self._size = size
+        _require_seen(2 * self._radius_m * self.focal_px / p.range_m)
         self._pole = unit(p.pole)
         self._camera_from_world = matrix_of(p.q_world_from_camera).T
         self._turn = Cycle(Fraction(repr(float(p.spin_deg_s))) / 360, Fraction(repr(float(p.start_deg))) / 360)
@@ -197,4 +199,12 @@ def _require_outside(range_m: float, radius_m: float) -> None:
         raise SceneError(
             f"range_m is {range_m:g} and the body reaches {radius_m:g} m from its origin: "
             "the camera would be inside it. Move it out, or look at units_m"
+        )
+
+
+def _require_seen(across_px: float) -> None:
+    if across_px < _SMALLEST_PX:
+        raise SceneError(
+            f"the body is {across_px:.2g} px across and would be lost between samples: "
+            f"at least {_SMALLEST_PX:g} px are needed. Lower range_m or field_of_view_deg, or look at units_m"
         )

@@ -272,6 +272,11 @@ def test_a_camera_inside_the_body_is_refused():
         Body(BodyParameters(range_m=10_000.0), SIZE)
 
 
+def test_a_body_too_small_to_be_sampled_is_refused():
+    with pytest.raises(SceneError, match=r"0\.096 px across .* look at units_m"):
+        Body(BodyParameters(units_m=1.0), SIZE)
+
+
 @pytest.mark.parametrize(
     ("wrong", "says"),
     [
