@@ -59,7 +59,8 @@ class ConnectionSettings:
     operation_timeout_s
         A connection that has not asked for a device by then is closed, so that idle sockets cannot pile up.
     silence_timeout_s
-        A peer that acknowledges nothing for so long is gone, though no one said so (TCP only).
+        A peer that acknowledges nothing, or takes no data, for so long is gone, though no one said so (TCP only; whole
+        seconds count for a peer that has nothing to acknowledge).
     send_buffer_bytes
         What the kernel may hold between us and the peer. Data in there counts as sent, so it is kept small: two of the
         largest transfers that drivers ask for.
@@ -286,6 +287,9 @@ def _name(transport: asyncio.Transport) -> str:
 def _tune(sock: socket.socket, settings: ConnectionSettings) -> None:
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, settings.send_buffer_bytes)
     if sock.family in (socket.AF_INET, socket.AF_INET6):
-        sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        probe_s = max(1, round(settings.silence_timeout_s / 4))
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, probe_s)
+        sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPINTVL, probe_s)
         sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, round(1000 * settings.silence_timeout_s))

@@ -187,13 +187,23 @@ def test_data_unsent_when_the_peer_vanishes_are_reported_lost(served, device):
     assert list(device.chunks) == [b"second"]
 
 
+def test_peer_that_stops_reading_for_good_is_dropped(bench, device):
+    bench.start({"1-1": device}, ConnectionSettings(silence_timeout_s=0.3))
+    host = UsbipHost(bench.connect(), "1-1", timeout_s=5)
+    host.stream(2, 16 << 20, 1)
+    bench.feed(device, bytes(16 << 20))
+    device.wait_for("detached")
+    assert device.log == ["attached", "lost", "detached"]
+    assert_serves(bench, device)
+
+
 def test_peer_that_only_asks_and_never_reads_is_not_listened_to(served, device):
     sock = attached(served)
     sock.settimeout(0.5)
     question = submit(1, endpoint=0, setup=bytes(GET_DEVICE), length=18)
     flood = b"".join(patched(question, 4, n) for n in range(1, 5000))
     with pytest.raises(TimeoutError):
-        sock.sendall(flood * 1000)
+        sock.sendall(flood * 150)
     sock.close()
     device.wait_for("detached")
     assert_serves(served, device)
