@@ -9,6 +9,7 @@ they are full, so that nothing is lost.
 
 from __future__ import annotations
 
+import dataclasses
 import logging
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
@@ -28,7 +29,7 @@ from transports.link import LinkReport, LinkSetup
 from transports.pacing import Clock
 from transports.ring import FREE_RUNNING
 
-__all__ = ["RunResult", "RunStatus", "Schedule", "Session"]
+__all__ = ["RunResult", "RunStatus", "Schedule", "Session", "load_kernels"]
 
 log = logging.getLogger(__name__)
 
@@ -70,6 +71,15 @@ class RunResult:
     ledger: Ledger
     lateness: Lateness
     links: dict[str, LinkReport] = field(default_factory=dict)
+
+
+def load_kernels(sensor: SensorParameters) -> None:
+    """Compile the sensor's kernels, or load them from disk, by flashing a light at a few pixels like `sensor`'s."""
+    few = dataclasses.replace(sensor, width=16, height=16)
+    pixels, readout = PixelArray(few, 0), ReadOut(few)
+    pixels.reset(np.zeros((16, 16), np.float32), 0)
+    readout.push(pixels.step(np.ones((16, 16), np.float32), 1_000_000), 1_000_000)
+    readout.finish()
 
 
 class Session:
@@ -131,10 +141,9 @@ class Session:
             link.wait_ready()
 
     def _warm_up(self) -> None:
-        """Compile and cache the kernels before the clock runs; the state is set anew afterwards."""
+        """Do all slow first-time work before the clock runs: compile the kernels, draw the first picture."""
+        load_kernels(self._pixels.parameters)
         self._draw(0)
-        self._pixels.reset(self._light, 0)
-        self._pixels.step(self._light, 1)
         self._pixels.reset(self._light, 0)
 
     def _run_steps(self, schedule: Schedule, on_status: Callable[[RunStatus], None]) -> None:

@@ -14,7 +14,6 @@ from importlib.metadata import version
 from cyclopts import App, CycloptsError
 from rich.logging import RichHandler
 
-from emulator.cli import bench, demo, doctor, listen, picture, rigs, run
 from emulator.cli.output import WRONG_USE, Failure, print_json, status
 
 __all__ = ["app", "main"]
@@ -26,18 +25,19 @@ app = App(
     version=version("evstim"),
     result_action="return_value",
 )
-for verb in (
-    run.run,
-    demo.demo,
-    listen.listen,
-    rigs.check,
-    rigs.rigs,
-    rigs.schema,
-    picture.picture,
-    doctor.doctor,
-    bench.bench,
+# By name, so that a verb imports no more than it needs: numba and GL make `evstim rigs` wait otherwise.
+for verb, module, told in (
+    ("run", "run", "Run a rig: render its scene, simulate its sensor, serve its camera."),
+    ("demo", "demo", "Run a rig, attach to its camera as a driver does, and compare every event."),
+    ("listen", "listen", "Read a DAVIS346, real or emulated."),
+    ("check", "rigs", "Check a rig file without running it."),
+    ("rigs", "rigs", "List the rigs that come with evstim."),
+    ("schema", "rigs", "Print the JSON Schema of rig files."),
+    ("picture", "picture", "Write one look at a rig as PNG."),
+    ("doctor", "doctor", "Tell what this machine offers and lacks."),
+    ("bench", "bench", "Measure the speeds that the docs quote."),
 ):
-    app.command(verb)
+    app.command(f"emulator.cli.{module}:{verb}", name=verb, help=told)
 
 
 def main() -> None:

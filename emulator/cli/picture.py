@@ -27,6 +27,7 @@ def picture(
     *,
     at_s: float = 0.5,
     window_ms: float = 20.0,
+    brightness: float = 0.25,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
     """Write a picture of a rig: its light, dimmed, with ON events in green and OFF events in red.
@@ -41,12 +42,14 @@ def picture(
         Stream time of the picture.
     window_ms
         Events of this long before it are drawn.
+    brightness
+        Share of the screen's levels that the brightest light is drawn with.
     json
         Print one JSON object as the last line on stdout.
     """
     with failures():
         light, events = look(load_rig(rig), at_s, window_ms)
-        save_png(file, event_picture(light, events))
+        save_png(file, event_picture(light, events, dimming=brightness))
     if json:
         print_json({"rig": rig, "file": file, "events": len(events)})
     else:

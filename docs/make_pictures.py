@@ -1,0 +1,33 @@
+"""Makes the pictures of the README and the docs with the program itself:  python docs/make_pictures.py"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from emulator.cli.picture import look
+from emulator.rig import load_rig
+from emulator.scene.picture import Rgb, event_picture, save_png
+
+PICTURES = Path(__file__).parent / "pictures"
+
+
+def draw(rig: str, at_s: float, window_ms: float) -> Rgb:
+    """Return a rig's picture at twice the sensor's size."""
+    picture = event_picture(*look(load_rig(rig), at_s, window_ms), dimming=0.6)
+    return np.asarray(picture.repeat(2, axis=0).repeat(2, axis=1))
+
+
+def main() -> None:
+    """Write all pictures."""
+    PICTURES.mkdir(exist_ok=True)
+    eros, board = draw("eros", 8.0, 60.0), draw("checkerboard", 0.5, 10.0)
+    gap = np.full((eros.shape[0], 16, 3), 255, np.uint8)
+    save_png(PICTURES / "eros.png", eros)
+    save_png(PICTURES / "checkerboard.png", board)
+    save_png(PICTURES / "readme.png", np.concatenate([eros, gap, board], axis=1))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,261 @@
+"""The pixel array: from pictures of light to threshold crossings with exact times.
+
+All that a pixel remembers is in one `PixelState`; everything else follows from the parameters and the seed. Nothing refers
+to absolute time but whole nanoseconds: leak is counted from an epoch that moves every 2^33 ns (8.6 s), so a step 30 days
+into a stream equals the same step at its start.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from emulator.sensor.kernels import BLOCK, FIELDS, Field, StepConstants, advance, unpack
+from emulator.sensor.keyed import Purpose, normal, uniform
+from emulator.sensor.presets import SensorParameters
+
+__all__ = ["Crossings", "PixelArray", "PixelState"]
+
+_LOG = logging.getLogger(__name__)
+
+_EPOCH_BITS = 33
+_EPOCH_NS = 1 << _EPOCH_BITS
+_NO_LOW_PASS_RATE = 1e12  # rad/s: a lag of a picosecond
+_LEAST_THRESHOLD = 0.1  # of the nominal one, however far the mismatch would go
+
+_Float32s = npt.NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True)
+class Crossings:
+    """Threshold crossings of one step, sorted by (time, pixel); views, valid until the next step or reset.
+
+    Attributes
+    ----------
+    t_ns : (n,) int64, stream time.
+    pixel : (n,) uint32, row * width + column.
+    on : (n,) bool, True where it got brighter.
+    lost_in_pixel : crossings of this step that are not listed, because their pixel had more than 64.
+    """
+
+    t_ns: npt.NDArray[np.int64]
+    pixel: npt.NDArray[np.uint32]
+    on: npt.NDArray[np.bool_]
+    lost_in_pixel: int = 0
+
+    def __len__(self) -> int:
+        return self.t_ns.size
+
+
+@dataclass(slots=True)
+class PixelState:
+    """All that changes from step to step; copy it to continue elsewhere.
+
+    Attributes
+    ----------
+    fields : (blocks, FIELDS, BLOCK) float32, see `kernels.Field`; pixels beyond the picture's end never fire.
+    blind_until_ns : (blocks * BLOCK,) int64, meaningful for blind pixels (reference NaN).
+    t_ns : stream time.
+    epoch_ns : where leak is counted from.
+    """
+
+    fields: _Float32s
+    blind_until_ns: npt.NDArray[np.int64]
+    t_ns: int
+    epoch_ns: int
+
+
+@dataclass(slots=True)
+class _Room:
+    """Buffers that grow when needed and are kept."""
+
+    keys: npt.NDArray[np.uint64] = field(default_factory=lambda: np.empty(4096, np.uint64))
+    t_ns: npt.NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
+    pixel: npt.NDArray[np.uint32] = field(default_factory=lambda: np.empty(0, np.uint32))
+    on: npt.NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, np.bool_))
+
+    def fit(self, n: int) -> None:
+        """Make room for n events, keeping those that are there."""
+        if n > self.t_ns.size:
+            more = max(n, 2 * self.t_ns.size) - self.t_ns.size
+            self.t_ns = np.concatenate([self.t_ns, np.empty(more, np.int64)])
+            self.pixel = np.concatenate([self.pixel, np.empty(more, np.uint32)])
+            self.on = np.concatenate([self.on, np.empty(more, np.bool_)])
+
+
+class PixelArray:
+    """An array of event pixels.
+
+    Parameters
+    ----------
+    parameters : the sensor.
+    seed : keys the mismatch, the leak's phases and spread. Two arrays of one seed are equal.
+
+    Attributes
+    ----------
+    state : PixelState
+    lost_in_pixel : crossings since `reset` beyond 64 a pixel and step.
+    quiet_nan : pixel-steps since `reset` whose light was NaN or infinite; such a pixel is silent, and starts anew from the
+        next finite light.
+    """
+
+    def __init__(self, parameters: SensorParameters, seed: int) -> None:
+        self.parameters = parameters
+        self.seed = seed
+        self.lost_in_pixel = 0
+        self.quiet_nan = 0
+        self._pixels = parameters.width * parameters.height
+        self._pixel_bits = max(1, (self._pixels - 1).bit_length())
+        self._room = _Room()
+        self.state = self._dark_state()
+
+    def _dark_state(self) -> PixelState:
+        """Return the state of an array that never saw light: what is fixed for each pixel is drawn."""
+        blocks = -(-self._pixels // BLOCK)
+        fields = np.zeros((blocks, FIELDS, BLOCK), np.float32)
+        fields[:, Field.ON] = fields[:, Field.OFF] = np.inf
+        p, pixel = self.parameters, np.arange(self._pixels)
+        for which, purpose, nominal in (
+            (Field.ON, Purpose.THRESHOLD_ON, p.threshold_on),
+            (Field.OFF, Purpose.THRESHOLD_OFF, p.threshold_off),
+        ):
+            spread = 1 + p.mismatch * normal(self.seed, purpose, pixel)
+            _put(fields, which, nominal * np.maximum(spread, _LEAST_THRESHOLD))
+        sigma = p.leak_spread
+        rate_hz = p.leak_hz * np.exp(sigma * normal(self.seed, Purpose.LEAK_RATE, pixel) - sigma**2 / 2)
+        _put(fields, Field.LEAK, rate_hz * _take(fields, Field.ON, self._pixels))
+        return PixelState(fields, np.zeros(blocks * BLOCK, np.int64), 0, 0)
+
+    def field(self, which: Field) -> _Float32s:
+        """Return a copy of one field of the state, (height, width) float32."""
+        return _take(self.state.fields, which, self._pixels).reshape(self.parameters.height, self.parameters.width)
+
+    def reset(self, light: _Float32s, t_ns: int) -> None:
+        """Start at `t_ns` with the filter at rest on `light`, (height, width) float32, and counters at zero."""
+        state, p = self.state, self.parameters
+        flat = self._flat(light)
+        state.t_ns, state.epoch_ns = int(t_ns), (int(t_ns) >> _EPOCH_BITS) << _EPOCH_BITS
+        state.blind_until_ns[:] = t_ns
+        current = np.maximum(flat, 0) + np.float32(p.dark_current_relative)
+        current[~np.isfinite(flat)] = np.nan
+        log_light = np.log(current)
+        at_reference, least, most = self._rates()
+        phase = uniform(self.seed, Purpose.LEAK_PHASE, np.arange(self._pixels))
+        on, leak = (_take(state.fields, which, self._pixels) for which in (Field.ON, Field.LEAK))
+        since_epoch = (state.t_ns - state.epoch_ns) * 1e-9
+        _put(state.fields, Field.LOG_LIGHT, log_light)
+        _put(state.fields, Field.FILTERED, log_light)
+        _put(state.fields, Field.RATE, np.clip(np.float32(at_reference) * current, least, most))
+        _put(state.fields, Field.REFERENCE, log_light + leak * since_epoch - on * phase)
+        self.lost_in_pixel = self.quiet_nan = 0
+
+    def step(self, light: _Float32s, t_ns: int) -> Crossings:
+        """Move from the last time to `t_ns`, the log of the light changing along a straight line from the last picture.
+
+        Parameters
+        ----------
+        light : (height, width) float32, relative to the reference level; below 0 counts as 0.
+        t_ns : stream time of that picture. Equal to the last time: nothing happens.
+
+        Raises
+        ------
+        ValueError
+            Time goes back, or the picture has not the sensor's size.
+        """
+        flat, state, lost_before = self._flat(light), self.state, self.lost_in_pixel
+        t_ns = int(t_ns)
+        if t_ns < state.t_ns:
+            raise ValueError(f"t_ns = {t_ns}: before the last step's {state.t_ns}; time does not go back")
+        n = 0
+        before = _take(state.fields, Field.LOG_LIGHT, self._pixels) if t_ns - state.t_ns > _EPOCH_NS else None
+        t0_ns, whole_ns = state.t_ns, t_ns - state.t_ns
+        while before is not None and t_ns - state.t_ns > _EPOCH_NS:
+            share = (state.t_ns + _EPOCH_NS - t0_ns) / whole_ns
+            n = self._piece(self._between(before, flat, share), state.t_ns + _EPOCH_NS, n)
+        if t_ns > state.t_ns:
+            n = self._piece(flat, t_ns, n)
+        room = self._room
+        return Crossings(room.t_ns[:n], room.pixel[:n], room.on[:n], self.lost_in_pixel - lost_before)
+
+    def _between(self, log_before: _Float32s, light: _Float32s, share: float) -> _Float32s:
+        """Return the light part of the way, on a straight line in the logarithm of the photocurrent."""
+        dark = np.float32(self.parameters.dark_current_relative)
+        log_after = np.log(np.maximum(light, 0) + dark)
+        return np.asarray(np.exp(log_before + np.float32(share) * (log_after - log_before)) - dark, np.float32)
+
+    def _piece(self, flat: _Float32s, t_ns: int, n: int) -> int:
+        """Advance by at most an epoch, add the crossings after the first n, and return the new number."""
+        state, room = self.state, self._room
+        self._move_epoch()
+        t0_ns, c = state.t_ns, self._constants(t_ns)
+        if not advance.signatures:
+            _LOG.info("compiling the pixel kernels (once; kept on disk for the next run)")
+        room.keys, found, lost, unreadable = advance(
+            flat, state.fields.reshape(-1), state.blind_until_ns, room.keys, c
+        )
+        keys = room.keys[:found]
+        keys.sort()
+        room.fit(n + found)
+        unpack(keys, t0_ns, self._pixel_bits, room.t_ns[n : n + found], room.pixel[n:], room.on[n:])
+        self.lost_in_pixel += lost
+        self.quiet_nan += unreadable
+        state.t_ns = t_ns
+        return n + found
+
+    def _move_epoch(self) -> None:
+        """Let leak be counted from the last whole epoch: the one place where a reference moves without an event."""
+        state = self.state
+        epoch_ns = (state.t_ns >> _EPOCH_BITS) << _EPOCH_BITS
+        if epoch_ns != state.epoch_ns:
+            moved_s = np.float32((epoch_ns - state.epoch_ns) * 1e-9)
+            state.fields[:, Field.REFERENCE] -= state.fields[:, Field.LEAK] * moved_s
+            state.epoch_ns = epoch_ns
+
+    def _rates(self) -> tuple[float, float, float]:
+        """Return the filter's rate at light 1 and its bounds, rad/s."""
+        p, turn = self.parameters, 2 * math.pi
+        if math.isinf(p.corner_hz_at_reference):
+            return _NO_LOW_PASS_RATE, _NO_LOW_PASS_RATE, _NO_LOW_PASS_RATE
+        return turn * p.corner_hz_at_reference, turn * p.corner_min_hz, min(turn * p.corner_max_hz, _NO_LOW_PASS_RATE)
+
+    def _constants(self, t_ns: int) -> StepConstants:
+        state, refractory_ns = self.state, round(self.parameters.refractory_us * 1000)
+        at_reference, least, most = (np.float32(rate) for rate in self._rates())
+        h_ns = t_ns - state.t_ns
+        since_ns = state.t_ns - state.epoch_ns
+        return StepConstants(
+            dark=np.float32(self.parameters.dark_current_relative),
+            rate_at_reference=at_reference,
+            rate_min=least,
+            rate_max=most,
+            h=np.float32(h_ns * 1e-9),
+            since_epoch_0=np.float32(since_ns * 1e-9),
+            since_epoch_1=np.float32((since_ns + h_ns) * 1e-9),
+            refractory=np.float32(refractory_ns / h_ns),
+            h_ns=h_ns,
+            t0_ns=state.t_ns,
+            refractory_ns=refractory_ns,
+            pixel_bits=self._pixel_bits,
+        )
+
+    def _flat(self, light: _Float32s) -> _Float32s:
+        size = (self.parameters.height, self.parameters.width)
+        if light.shape != size or light.dtype != np.float32:
+            raise ValueError(f"light is {light.shape} {light.dtype}: must be {size} float32")
+        return np.ascontiguousarray(light).reshape(-1)
+
+
+def _take(fields: _Float32s, which: Field, pixels: int) -> _Float32s:
+    """Return a copy of one field in pixel order, (pixels,) float32."""
+    return np.asarray(fields[:, which].reshape(-1)[:pixels].copy())
+
+
+def _put(fields: _Float32s, which: Field, values: npt.NDArray[np.floating]) -> None:
+    """Set one field from values in pixel order, (pixels,)."""
+    row = fields[:, which].reshape(-1)
+    row[: values.size] = values
+    fields[:, which] = row.reshape(-1, BLOCK)
