@@ -7,12 +7,12 @@ the guest's TCP connections to the host's loopback interface (10.0.2.2 in the gu
 from __future__ import annotations
 
 import json
-import os
 import shlex
 import shutil
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,6 +26,7 @@ CACHE = Path(__file__).parents[2] / ".cache" / "guest"
 HOST_ADDRESS = "10.0.2.2"
 RESULTS_IN_GUEST = Path("/evstim-results")
 BOOT_TIMEOUT_S = 90.0
+LOOK_PERIOD_S = 0.5  # how often to see whether QEMU is still there
 CONSOLE_TAIL_LINES = 40
 
 
@@ -60,11 +61,16 @@ class Job:
 
     def wait(self) -> Finished:
         """Wait for the end of the program; raises TimeoutError or ConnectionError when the guest is gone."""
-        with self._connection, self._connection.makefile("rb") as lines:
+        with self._connection.makefile("rb") as lines:
             reply = lines.readline()
+        self.close()
         if not reply:
             raise ConnectionError(f"the guest left while {shlex.join(self._argv)} ran")
         return Finished(self._argv, **json.loads(reply))
+
+    def close(self) -> None:
+        """Hear no more of the program."""
+        self._connection.close()
 
 
 class Guest:
@@ -79,9 +85,10 @@ class Guest:
     def __init__(self, results: Path) -> None:
         self.results = results
         self.console_file = results / "console.log"
+        self._jobs: list[Job] = []
         self.kernel = fetch_kernel(CACHE)
         self._listener = socket.create_server(("127.0.0.1", 0))
-        self._listener.settimeout(BOOT_TIMEOUT_S)
+        self._listener.settimeout(LOOK_PERIOD_S)
         try:
             self._qemu = self._power_on()
         except BaseException:
@@ -97,17 +104,17 @@ class Guest:
 
     def close(self) -> None:
         """End the guest."""
+        for job in self._jobs:
+            job.close()
         self._listener.close()
         self._qemu.kill()
         self._qemu.wait()
 
     def start(self, argv: Sequence[str], timeout_s: float) -> Job:
         """Start a program in the guest as root."""
-        try:
-            connection, _ = self._listener.accept()
-        except TimeoutError as error:
-            raise TimeoutError(f"the guest does not answer; its console:\n{self.console}") from error
-        return Job(argv, connection, timeout_s)
+        job = Job(argv, self._idle_connection(), timeout_s)
+        self._jobs.append(job)
+        return job
 
     def run(self, argv: Sequence[str], timeout_s: float = 30.0) -> Finished:
         """Run a program in the guest as root and wait for its end."""
@@ -132,6 +139,18 @@ class Guest:
     def console(self) -> str:
         """The last lines of the guest's console."""
         return "\n".join(self.console_file.read_text(errors="replace").splitlines()[-CONSOLE_TAIL_LINES:])
+
+    def _idle_connection(self) -> socket.socket:
+        """Take the connection that the guest's agent keeps open; raises RuntimeError when there is none in time."""
+        deadline = time.monotonic() + BOOT_TIMEOUT_S
+        while time.monotonic() < deadline and self._qemu.poll() is None:
+            try:
+                connection, _ = self._listener.accept()
+            except TimeoutError:
+                continue
+            return connection
+        trouble = "does not answer" if self._qemu.returncode is None else f"left with code {self._qemu.returncode}"
+        raise RuntimeError(f"the guest {trouble}; its console:\n{self.console}")
 
     def _power_on(self) -> subprocess.Popen[bytes]:
         initramfs = self.results / "initramfs.gz"
@@ -159,7 +178,7 @@ class Guest:
             raise GuestUnavailable("no qemu-system-x86_64: apt-get install qemu-system-x86")
         share = "local,security_model=none,multidevs=remap"
         return [
-            *(qemu, "-M", "pc", *_accelerator(), "-smp", "2", "-m", "2048"),
+            *(qemu, "-M", "pc", "-accel", "tcg,thread=multi", "-cpu", "max", "-smp", "2", "-m", "2048"),
             *("-nographic", "-nodefaults", "-no-reboot", "-serial", "stdio"),
             *("-kernel", str(self.kernel.image), "-initrd", str(initramfs)),
             *("-append", "console=ttyS0 panic=-1 mitigations=off"),
@@ -167,10 +186,3 @@ class Guest:
             *("-virtfs", f"{share},path={self.results},mount_tag=results"),
             *("-netdev", "user,id=host", "-device", "virtio-net-pci,netdev=host,romfile="),
         ]
-
-
-def _accelerator() -> tuple[str, ...]:
-    """QEMU translates by itself; EVSTIM_GUEST_ACCEL=kvm uses the processor's own help where there is any."""
-    if os.environ.get("EVSTIM_GUEST_ACCEL") == "kvm":
-        return ("-accel", "kvm", "-cpu", "host")
-    return ("-accel", "tcg,thread=multi", "-cpu", "max")

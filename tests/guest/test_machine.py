@@ -51,6 +51,8 @@ def test_a_guest_left_alone_powers_itself_off(tmp_path: Path) -> None:
     with Guest(tmp_path) as abandoned:
         abandoned._listener.close()
         assert abandoned._qemu.wait(60) == 0
+        with pytest.raises(RuntimeError, match="the guest left with code 0"):
+            abandoned.start(["true"], timeout_s=1)
 
 
 def test_a_machine_without_debian_packages_is_told_so(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
