@@ -1,7 +1,8 @@
 """The USB/IP link under load: how many events a second it sustains, and how late events leave.
 
-Three processes, as in a run: this one feeds the ring; the link's own process holds the camera and the USB/IP server; a
-receiver attaches over TCP on the loopback interface, does what a driver does, decodes every word, and digests every event.
+Three processes, as in a run: this one feeds the ring; the link's own process holds the camera and the USB/IP server;
+a receiver attaches over TCP on the loopback interface, does what a driver does, decodes every word, and digests every
+event.
 """
 
 from __future__ import annotations

@@ -1,0 +1,1 @@
+"""The speeds that the docs quote, measured on this machine."""
