@@ -1,24 +1,42 @@
 """How the sensor's loops are compiled by numba, and why so. Compiled code is kept on disk; the first call says so.
 
-    kernel           plain loops over arrays that the caller owns
-    vector_kernel    the same, for loops that must become vectors
+    kernel                  plain loops over arrays that the caller owns
+    vector_kernel           the same, for loops that must become vectors
     kernel_that_allocates   may make arrays; for the few functions at the top
 
-Three options decide whether a loop is fast, and each cost a factor of 5 to 40 here before it was found:
+Three options decide whether a loop is fast; the first two cost a factor of 20 to 40 here before they were found:
 
-- error_model="numpy": a division by zero gives inf or NaN. In the Python model it raises, which makes a loop with a division one
-  with an early exit, and no such loop becomes vectors.
+- error_model="numpy": a division by zero gives inf or NaN. In the Python model it raises, so that a loop with a
+  division has an early exit, and no such loop becomes vectors.
 - _nrt=False: no reference counting. Otherwise passing an array to a helper counts a reference up and down with atomic
   operations, and numba leaves them in the loop when the helper has more than one way out: 80 ns a call instead of 2.
-- fastmath contracts a*b + c to one rounding and does nothing else. NaN and infinity keep their meaning, and sums their order.
+- fastmath contracts a*b + c to one rounding and does nothing else. NaN and infinity keep their meaning, and sums their
+  order.
 """
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Callable
+from typing import Any, TypeVar
+
 from numba import njit
 
-__all__ = ["kernel", "kernel_that_allocates", "vector_kernel"]
+__all__ = ["kernel", "kernel_that_allocates", "say_if_not_compiled", "vector_kernel"]
 
-kernel = njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
-vector_kernel = njit(cache=True, nogil=True, error_model="numpy", _nrt=False, fastmath={"contract"})
-kernel_that_allocates = njit(cache=True, nogil=True, error_model="numpy")
+_LOG = logging.getLogger(__name__)
+_Function = TypeVar("_Function", bound=Callable[..., Any])
+_Decorator = Callable[[_Function], _Function]
+
+_COMMON: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
+_UNCOUNTED: dict[str, Any] = {**_COMMON, "_nrt": False}
+
+kernel: _Decorator[Any] = njit(**_UNCOUNTED)
+vector_kernel: _Decorator[Any] = njit(**_UNCOUNTED, fastmath={"contract"})
+kernel_that_allocates: _Decorator[Any] = njit(**_COMMON)
+
+
+def say_if_not_compiled(function: Callable[..., Any], what: str) -> None:
+    """Log that `function` is about to be compiled or loaded, unless it has been called before."""
+    if not getattr(function, "signatures", True):
+        _LOG.info("compiling %s: takes some seconds once, and is kept on disk for the next run", what)

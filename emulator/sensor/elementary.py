@@ -15,7 +15,8 @@ within 3e-7 relative for s from 1e-12 to 80, so a step of nanoseconds still move
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, cast
 
 import numpy as np
 from llvmlite import ir
@@ -58,9 +59,8 @@ def _split(builder: ir.IRBuilder, bits: ir.Value) -> tuple[ir.Value, ir.Value]:
     return exponent, builder.sub(bits, builder.shl(exponent, ir.Constant(i32, _MANTISSA_BITS)))
 
 
-@intrinsic
-def _exponent(typing_context: Any, x: Any) -> _Pair:
-    """e of x = m 2^e with m in [sqrt 1/2, sqrt 2), as float32; x positive, finite, not denormal."""
+def _exponent_of(typing_context: Any, x: Any) -> _Pair:
+    """Return e of x = m 2^e with m in [sqrt 1/2, sqrt 2), as float32; x positive, finite, not denormal."""
 
     def code(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
         exponent, _ = _split(builder, builder.bitcast(args[0], ir.IntType(32)))
@@ -69,9 +69,8 @@ def _exponent(typing_context: Any, x: Any) -> _Pair:
     return float32(float32), code
 
 
-@intrinsic
-def _mantissa(typing_context: Any, x: Any) -> _Pair:
-    """m of x = m 2^e with m in [sqrt 1/2, sqrt 2); x positive, finite, not denormal."""
+def _mantissa_of(typing_context: Any, x: Any) -> _Pair:
+    """Return m of x = m 2^e with m in [sqrt 1/2, sqrt 2); x positive, finite, not denormal."""
 
     def code(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
         _, mantissa = _split(builder, builder.bitcast(args[0], ir.IntType(32)))
@@ -80,9 +79,8 @@ def _mantissa(typing_context: Any, x: Any) -> _Pair:
     return float32(float32), code
 
 
-@intrinsic
-def _power_of_two(typing_context: Any, k: Any) -> _Pair:
-    """2^k for a whole number k from -126 to 127 held in a float32."""
+def _power_of_two_of(typing_context: Any, k: Any) -> _Pair:
+    """Return 2^k for a whole number k from -126 to 127 held in a float32."""
 
     def code(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
         i32 = ir.IntType(32)
@@ -92,11 +90,17 @@ def _power_of_two(typing_context: Any, k: Any) -> _Pair:
     return float32(float32), code
 
 
+_Real = Callable[[Any], Any]
+_exponent, _mantissa, _power_of_two = (
+    cast(_Real, intrinsic(code)) for code in (_exponent_of, _mantissa_of, _power_of_two_of)
+)
+
+
 @vector_kernel
 def natural_log(x: np.float32) -> np.float32:
     """Return ln x in float32, for positive, finite x that is not denormal; anything else gives a finite nonsense."""
-    e = _exponent(x)
-    f = _mantissa(x) - _ONE
+    e: np.float32 = _exponent(x)
+    f: np.float32 = _mantissa(x) - _ONE
     f2 = f * f
     p = ((((((((_P0 * f + _P1) * f + _P2) * f + _P3) * f + _P4) * f + _P5) * f + _P6) * f + _P7) * f + _P8) * f
     return (p * f2 + e * _LN2_LOW - _HALF * f2) + f + e * _LN2_HIGH
@@ -105,9 +109,9 @@ def natural_log(x: np.float32) -> np.float32:
 @vector_kernel
 def decay(s: np.float32) -> np.float32:
     """Return 1 - e^-s in float32 for s >= 0 (from 80 on, the value at 80); good to the last bits for tiny s too."""
-    y = -min(s, _DEEPEST) * _LOG2_E
-    k = np.floor(y + _HALF)
+    y: np.float32 = -min(s, _DEEPEST) * _LOG2_E
+    k: np.float32 = np.floor(y + _HALF)
     f = y - k
     less_one = ((((((_E7 * f + _E6) * f + _E5) * f + _E4) * f + _E3) * f + _E2) * f + _E1) * f
-    scale = _power_of_two(k)
+    scale: np.float32 = _power_of_two(k)
     return (_ONE - scale) - scale * less_one

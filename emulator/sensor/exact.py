@@ -1,7 +1,7 @@
 """One pixel over one step, without shortcuts, in float64: big changes, turns, blind stretches, slow exponentials.
 
-The log light is a straight line over the step. It is cut into equal pieces of at most 0.5 each, because within a piece the
-filter's time constant is held at its mean. On a piece, with x in [0, 1],
+The log light is a straight line over the step. It is cut into equal pieces of at most 0.5 each, because within a piece
+the filter's time constant is held at its mean. On a piece, with x in [0, 1],
 
     g(x) = (u_a - D/S + l T_a) + (D + l h) x + B e^(-S x)       or, where the exponential matters little,
     g(x) = the cubic through the values and slopes at both ends (it knows the time constant at each end)
@@ -120,7 +120,7 @@ def _crossing(f: _Curve, level: float, low: float, high: float) -> float:
     """Return where f meets `level` in [low, high], on which it is monotone and at whose ends it lies on both sides."""
     f_low, f_high = _value(f, low) - level, _value(f, high) - level
     rising = f_high > f_low
-    x = low - f_low * (high - low) / (f_high - f_low)
+    x: float = low - f_low * (high - low) / (f_high - f_low)
     for _ in range(60):
         y = _value(f, x) - level
         if (y > 0) == rising:
@@ -131,14 +131,14 @@ def _crossing(f: _Curve, level: float, low: float, high: float) -> float:
         newton = x - y / slope if slope != 0 else low
         following = newton if low < newton < high else 0.5 * (low + high)
         if abs(following - x) < 1e-10:
-            return following
+            break
         x = following
     return x
 
 
 @kernel
 def _clamped_rate(log_light: float, c: Step) -> float:
-    return min(max(c.rate_at_reference * math.exp(log_light), c.rate_min), c.rate_max)
+    return float(min(max(c.rate_at_reference * math.exp(log_light), c.rate_min), c.rate_max))
 
 
 @kernel
@@ -198,7 +198,7 @@ class _Walk(NamedTuple):
     reference: float
     blind: bool
     until: float
-    count: int
+    events: int
 
 
 @kernel
@@ -248,8 +248,8 @@ def solve_exactly(p: Pixel, c: Step, trace: Trace) -> tuple[int, float, float, f
 
     Returns
     -------
-    number of crossings (the first MOST_EVENTS of them in `trace`), filtered value at the end, reference at the end (NaN:
-    blind) and, if blind, until when in steps.
+    number of crossings (the first MOST_EVENTS of them in `trace`), filtered value at the end, reference at the end
+    (NaN: blind) and, if blind, until when in steps.
     """
     d = p.log_light_after - p.log_light
     pieces = max(1, math.ceil(abs(d) / _LARGEST_CHANGE))
@@ -270,4 +270,4 @@ def solve_exactly(p: Pixel, c: Step, trace: Trace) -> tuple[int, float, float, f
         if second < 1:
             walk = _walk_part(f, _Span(second, 1.0, k * width, width), walk, p, c, trace)
     reference = math.nan if walk.blind else walk.reference
-    return walk.count, v, reference, walk.until
+    return walk.events, v, reference, walk.until

@@ -1,26 +1,24 @@
 """The pixel array: from pictures of light to threshold crossings with exact times.
 
-All that a pixel remembers is in one `PixelState`; everything else follows from the parameters and the seed. Nothing refers
-to absolute time but whole nanoseconds: leak is counted from an epoch that moves every 2^33 ns (8.6 s), so a step 30 days
-into a stream equals the same step at its start.
+All that a pixel remembers is in one `PixelState`; everything else follows from the parameters and the seed. Nothing
+refers to absolute time but whole nanoseconds: leak is counted from an epoch that moves every 2^33 ns (8.6 s), so a step
+30 days into a stream equals the same step at its start.
 """
 
 from __future__ import annotations
 
-import logging
 import math
 from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
 
+from emulator.sensor.compiled import say_if_not_compiled
 from emulator.sensor.kernels import BLOCK, FIELDS, Field, StepConstants, advance, unpack
 from emulator.sensor.keyed import Purpose, normal, uniform
 from emulator.sensor.presets import SensorParameters
 
 __all__ = ["Crossings", "PixelArray", "PixelState"]
-
-_LOG = logging.getLogger(__name__)
 
 _EPOCH_BITS = 33
 _EPOCH_NS = 1 << _EPOCH_BITS
@@ -99,8 +97,8 @@ class PixelArray:
     ----------
     state : PixelState
     lost_in_pixel : crossings since `reset` beyond 64 a pixel and step.
-    quiet_nan : pixel-steps since `reset` whose light was NaN or infinite; such a pixel is silent, and starts anew from the
-        next finite light.
+    quiet_nan : pixel-steps since `reset` whose light was NaN or infinite; such a pixel is silent, and its filter starts
+        anew from the next finite light.
     """
 
     def __init__(self, parameters: SensorParameters, seed: int) -> None:
@@ -192,11 +190,8 @@ class PixelArray:
         state, room = self.state, self._room
         self._move_epoch()
         t0_ns, c = state.t_ns, self._constants(t_ns)
-        if not advance.signatures:
-            _LOG.info("compiling the pixel kernels (once; kept on disk for the next run)")
-        room.keys, found, lost, unreadable = advance(
-            flat, state.fields.reshape(-1), state.blind_until_ns, room.keys, c
-        )
+        say_if_not_compiled(advance, "the pixel step")
+        room.keys, found, lost, unreadable = advance(flat, state.fields.reshape(-1), state.blind_until_ns, room.keys, c)
         keys = room.keys[:found]
         keys.sort()
         room.fit(n + found)
@@ -204,7 +199,7 @@ class PixelArray:
         self.lost_in_pixel += lost
         self.quiet_nan += unreadable
         state.t_ns = t_ns
-        return n + found
+        return n + int(found)
 
     def _move_epoch(self) -> None:
         """Let leak be counted from the last whole epoch: the one place where a reference moves without an event."""

@@ -123,7 +123,13 @@ class SensorParameters:
             _check(self, name, 1, 65536)
         if self.width * self.height > _MOST_PIXELS:
             raise ValueError(f"width x height = {self.width * self.height}: at most {_MOST_PIXELS} pixels")
-        for name in ("threshold_on", "threshold_off", "dark_current_relative", "corner_hz_at_reference", "corner_min_hz"):
+        for name in (
+            "threshold_on",
+            "threshold_off",
+            "dark_current_relative",
+            "corner_hz_at_reference",
+            "corner_min_hz",
+        ):
             _check(self, name, 0, math.inf, above=True)
         _check(self, "corner_max_hz", self.corner_min_hz, math.inf)
         _check(self, "mismatch", 0, _MOST_MISMATCH)

@@ -7,9 +7,9 @@ and counted. The arbiter, whenever it is free and any request waits, does this:
     latch    row_ns later: take all requests of that row at that moment; their pixels are free again
     send     these, by rising column, one each event_ns; an event is stamped when it leaves
 
-after which it is free. A decision at time T knows the requests raised up to and including T and no others, so the result does
-not depend on how crossings are split over calls of `push`. No row is served twice while another waits (the arbiter is not
-greedy, Lichtsteiner et al. 2008), and the bus sends at most 1 / event_ns.
+after which it is free. A decision at time T knows the requests raised up to and including T and no others, so the
+result does not depend on how crossings are split over calls of `push`. No row is served twice while another waits (the
+arbiter is not greedy, Lichtsteiner et al. 2008), and the bus sends at most 1 / event_ns.
 
 Not modelled: a held pixel's comparator stays in reset, so its reference would be read anew when it is served. Here the
 pixel goes on as if served at once, and only its events are lost; the two differ when the wait is longer than the
@@ -20,9 +20,8 @@ Linear time: requests and rows are bit maps, 64 to a word, and nothing is sorted
 
 from __future__ import annotations
 
-import logging
-import math
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -30,14 +29,13 @@ from llvmlite import ir
 from numba import uint64
 from numba.extending import intrinsic
 
-from emulator.sensor.compiled import kernel
+from emulator.sensor.compiled import kernel, say_if_not_compiled
 from emulator.sensor.pixels import Crossings
 from emulator.sensor.presets import SensorParameters
 from firmware_protocol.events import EVENT, Events
 
 __all__ = ["ReadOut"]
 
-_LOG = logging.getLogger(__name__)
 _FOREVER_NS = (1 << 63) - 1
 
 _Words = npt.NDArray[np.uint64]
@@ -67,9 +65,8 @@ class _Timing(NamedTuple):
     event_ps: int
 
 
-@intrinsic
-def _lowest(typing_context: Any, word: Any) -> tuple[Any, Any]:
-    """Index of the lowest bit set in a 64-bit word that is not 0."""
+def _lowest_of(typing_context: Any, word: Any) -> tuple[Any, Any]:
+    """Return the index of the lowest bit set in a 64-bit word that is not 0."""
 
     def code(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
         return builder.cttz(args[0], ir.Constant(ir.IntType(1), 1))
@@ -77,8 +74,13 @@ def _lowest(typing_context: Any, word: Any) -> tuple[Any, Any]:
     return uint64(uint64), code
 
 
+_lowest = cast(Callable[[Any], Any], intrinsic(_lowest_of))
+
+
 @kernel
-def _admit(t_ns: _Int64s, pixel: npt.NDArray[np.uint32], on: npt.NDArray[np.bool_], k: int, arbiter: _Arbiter, timing: _Timing) -> None:
+def _admit(
+    t_ns: _Int64s, pixel: npt.NDArray[np.uint32], on: npt.NDArray[np.bool_], k: int, arbiter: _Arbiter, timing: _Timing
+) -> None:
     """Let crossing k raise its pixel's request, or be lost if that still waits."""
     registers = arbiter.registers
     row = pixel[k] // timing.width
@@ -105,7 +107,7 @@ def _next_row(rows: _Words, last: int, height: int) -> int:
     while here == 0:
         word = word + 1 if word + 1 < rows.size else 0
         here = rows[word]
-    return word * 64 + np.int64(_lowest(here))
+    return int(word * 64 + np.int64(_lowest(here)))
 
 
 @kernel
@@ -157,9 +159,14 @@ def _send(arbiter: _Arbiter, timing: _Timing, until_ns: int, out: Events, n: int
 
 @kernel
 def _serve(
-    t_ns: _Int64s, pixel: npt.NDArray[np.uint32], on: npt.NDArray[np.bool_], until_ns: int, arbiter: _Arbiter, timing: _Timing,
+    t_ns: _Int64s,
+    pixel: npt.NDArray[np.uint32],
+    on: npt.NDArray[np.bool_],
+    until_ns: int,
+    arbiter: _Arbiter,
+    timing: _Timing,
     out: Events,
-) -> int:  # fmt: skip
+) -> int:
     """Run the arbiter over all that happens before `until_ns`; return the number of events written to `out`."""
     registers = arbiter.registers
     n = k = 0
@@ -203,9 +210,7 @@ class ReadOut:
     Attributes
     ----------
     raised : crossings pushed; always lost_at_readout + read_out + pending.
-    lost_at_readout : crossings of pixels whose request still waited.
     read_out : events returned.
-    pending : requests that wait, and latched events that have not left.
     """
 
     def __init__(self, parameters: SensorParameters) -> None:
@@ -229,10 +234,12 @@ class ReadOut:
 
     @property
     def lost_at_readout(self) -> int:
+        """Crossings of pixels whose request still waited."""
         return int(self._arbiter.registers[_LOST])
 
     @property
     def pending(self) -> int:
+        """Requests that wait, and latched events that have not left."""
         registers = self._arbiter.registers
         sending = registers[_LATCHED] - registers[_SENT] if registers[_PHASE] == _SENDING else 0
         return int(registers[_WAITING] + sending)
@@ -266,8 +273,7 @@ class ReadOut:
         room = self.pending + t_ns.size
         if room > self._out.size:
             self._out = np.empty(max(room, 2 * self._out.size), EVENT)
-        if not _serve.signatures:
-            _LOG.info("compiling the read-out kernel (once; kept on disk for the next run)")
+        say_if_not_compiled(_serve, "the read-out")
         n = _serve(t_ns, crossings.pixel, crossings.on, until_ns, self._arbiter, self._timing, self._out)
         self.read_out += n
         return self._out[:n].copy()
