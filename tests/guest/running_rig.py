@@ -25,6 +25,10 @@ title = "A moving checkerboard, served over USB/IP to a guest"
 
 [scene]
 kind = "checkerboard"
+speed_px_s = 10.0         # some 0.3 million events a second, which a processor that QEMU translates can take
+
+[camera]
+start_delay_ms = 1000.0   # neuromorphic_drivers must have started all its transfers; a guest on a busy machine is slow
 
 [[links]]
 kind = "usbip"
