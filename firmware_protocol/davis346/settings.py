@@ -47,8 +47,8 @@ class Davis346Settings:
     layout
         How rows and columns are sent.
     fifo_bytes
-        Room for words that wait for the host. 256 KiB is the DMA buffer area of the FX3 (512 KiB of memory in
-        all) in its vendor's default memory map, so no real camera holds much more. At 12 Mev/s it lasts 4 to 10 ms.
+        Room for words that wait for the host. 256 KiB is all that the FX3 can give to DMA buffers: its memory from
+        0x40040000 to 0x40080000 in the vendor's memory map (cyfxtx.c). At 12 Mev/s that lasts 4 to 10 ms.
     start_delay_us
         Silence after the run gate opens, stream time; see `quirks`.
     """
