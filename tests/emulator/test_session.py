@@ -1,0 +1,135 @@
+"""A run without links: pacing, stopping, and sums, with a clock and a scene that the test holds."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from emulator.scene.base import Scene
+from emulator.sensor.presets import PRESETS
+from emulator.session import Schedule, Session
+from transports.pacing import FakeClock
+
+SENSOR = dataclasses.replace(PRESETS["davis346"], width=24, height=16, leak_hz=0.0)
+STEP_NS = 1_000_000
+
+
+class Flashing(Scene):
+    """The whole picture doubles and halves in turn; drawing costs `cost_ns` of the clock."""
+
+    def __init__(self, clock, cost_ns=0, size=(24, 16)):
+        self._clock, self._cost_ns, self._size = clock, cost_ns, size
+        self.times = []
+
+    @property
+    def size(self):
+        return self._size
+
+    @property
+    def motion_bound_px_s(self):
+        return 0.0
+
+    def light(self, t_ns, out):
+        self.times.append(t_ns)
+        self._clock.advance(self._cost_ns)
+        out[:] = 1.0 if t_ns // STEP_NS % 2 else 0.5
+
+    def close(self):
+        pass
+
+
+def session(scene, clock):
+    return Session(scene, SENSOR, 1, [], clock)
+
+
+def test_a_free_run_draws_each_step_once_and_balances():
+    clock = FakeClock()
+    scene = Flashing(clock)
+    result = session(scene, clock).run(Schedule(duration_ns=20 * STEP_NS, paced=False))
+    assert scene.times == [k * STEP_NS for k in range(21)]
+    assert (result.steps, result.frames) == (20, 21)
+    assert result.sim_seconds == pytest.approx(0.02)
+    assert result.ledger.raised > 20 * 24 * 16
+    assert result.ledger.balanced
+
+
+def test_a_paced_run_follows_the_clock():
+    clock = FakeClock()
+    result = session(Flashing(clock, 10_000), clock).run(Schedule(duration_ns=50 * STEP_NS, lead_ns=2 * STEP_NS))
+    assert result.lateness.frames_late == 0
+    assert result.wall_seconds == pytest.approx(0.05 + 0.02, abs=0.004)  # the duration and the head start
+
+
+def test_a_slow_scene_makes_a_paced_run_coarser_not_later():
+    clock = FakeClock()
+    result = session(Flashing(clock, 3 * STEP_NS), clock).run(Schedule(duration_ns=300 * STEP_NS))
+    assert result.lateness.steps_stretched > 0
+    assert result.steps < 150
+    assert result.sim_seconds == pytest.approx(0.3)
+    assert result.lateness.worst_gap_us < 20_000
+
+
+def test_the_last_step_ends_at_the_end():
+    clock = FakeClock()
+    scene = Flashing(clock)
+    session(scene, clock).run(Schedule(step_ns=700_000, duration_ns=1_000_000, paced=False))
+    assert scene.times == [0, 700_000, 1_000_000]
+
+
+def test_ctrl_c_ends_with_what_was_done():
+    clock = FakeClock()
+
+    class Interrupted(Flashing):
+        def light(self, t_ns, out):
+            if t_ns == 7 * STEP_NS:
+                raise KeyboardInterrupt
+            super().light(t_ns, out)
+
+    result = session(Interrupted(clock), clock).run(Schedule(paced=False))
+    assert result.steps == 6
+    assert result.ledger.balanced
+
+
+def test_a_run_can_be_stopped_from_its_status():
+    clock = FakeClock()
+    running = session(Flashing(clock, STEP_NS), clock)
+    seen = []
+
+    def stop_after_two(status):
+        seen.append(status)
+        if len(seen) == 2:
+            running.stop()
+
+    result = running.run(Schedule(paced=False), stop_after_two)
+    assert len(seen) == 2
+    assert seen[1].read_out > 0
+    assert result.steps < 200
+
+
+def test_events_do_not_depend_on_the_pace():
+    clock = FakeClock()
+    counts = {
+        paced: session(Flashing(clock), clock).run(Schedule(duration_ns=30 * STEP_NS, paced=paced)).ledger
+        for paced in (True, False)
+    }
+    assert counts[True] == counts[False]
+
+
+def test_light_that_is_not_a_number_is_dark_for_the_ledger_too():
+    clock = FakeClock()
+
+    class Broken(Flashing):
+        def light(self, t_ns, out):
+            super().light(t_ns, out)
+            out[:, ::2] = np.nan
+
+    result = session(Broken(clock), clock).run(Schedule(duration_ns=10 * STEP_NS, paced=False))
+    whole = session(Flashing(clock), clock).run(Schedule(duration_ns=10 * STEP_NS, paced=False))
+    assert result.ledger.balanced
+    assert 0 < result.ledger.raised < whole.ledger.raised
+
+
+def test_a_scene_of_another_size_is_refused():
+    clock = FakeClock()
+    with pytest.raises(ValueError, match="the scene is"):
+        session(Flashing(clock, size=(24, 24)), clock)
