@@ -13,4 +13,4 @@ __all__ = ["digest_of"]
 
 def digest_of(events: Events, before: int = 0) -> int:
     """Return the CRC-32 of EVENT records (n,) that follow those with the digest `before`."""
-    return zlib.crc32(memoryview(np.ascontiguousarray(events)), before) if len(events) else before
+    return zlib.crc32(np.ascontiguousarray(events).data, before) if len(events) else before

@@ -74,7 +74,8 @@ def _receive(address: str, control: Connection, total: Any) -> None:
         if not told:
             control.send("started")
             told = True
-        return total.value < 0 or now.events < total.value
+        wanted: int = total.value
+        return wanted < 0 or now.events < wanted
 
     control.send(receive(camera, goes_on, MonotonicClock()))
     camera.close()

@@ -11,11 +11,11 @@ import statistics
 import time
 
 import numpy as np
-from emulator.sensor.readout import ReadOut
 
 from emulator.assembly import build_scene
 from emulator.rig import Rig, load_rig
 from emulator.sensor.pixels import PixelArray
+from emulator.sensor.readout import ReadOut
 
 __all__ = ["checkerboard_346x260", "checkerboard_1280x720", "eros_346x260", "eros_1280x720", "frames_per_second"]
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from emulator.sensor.readout import ReadOut
 
 from emulator.rig import load_rig
 from emulator.scene.checkerboard import Checkerboard, CheckerboardParameters
 from emulator.sensor.pixels import PixelArray
+from emulator.sensor.readout import ReadOut
 from firmware_protocol.events import Events, empty_events
 
 __all__ = ["checkerboard_stream", "saturated_stream"]
