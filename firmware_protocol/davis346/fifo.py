@@ -110,11 +110,6 @@ class Fifo:
         return max(0, self._capacity - self._used)
 
     @property
-    def queued_words(self) -> int:
-        """Words that wait."""
-        return self._used
-
-    @property
     def queued_events(self) -> int:
         """Events that wait for words of theirs to leave."""
         return self._events
