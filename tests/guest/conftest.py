@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.guest.environments import Driver
+from tests.guest.environments import DRIVERS
 from tests.guest.image import GuestUnavailable
 from tests.guest.machine import CACHE, Guest
 
@@ -33,11 +33,11 @@ def guest(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Guest]:
         yield machine
 
 
-@pytest.fixture
-def driver_python(driver: Driver) -> Path:
-    """The interpreter of the driver's own environment, the same path in the guest as on the host."""
+@pytest.fixture(scope="session")
+def driver_pythons() -> dict[str, Path]:
+    """The interpreter of each driver's own environment, the same path in the guest as on the host."""
     try:
-        return driver.python(CACHE)
+        return {driver.name: driver.python(CACHE) for driver in DRIVERS}
     except GuestUnavailable as reason:
         cannot(reason)
         raise

@@ -26,16 +26,16 @@ class Driver:
         Of the client's program and of the environment.
     packages
         What pip installs.
-    resets_time
-        True when opening ends with a timestamp reset: the driver throws away what came before it and adds the host's
-        time to every event. Otherwise it sees the camera's own time and everything since the start.
+    adds_host_time
+        True for the drivers of iniVation: they open with a timestamp reset, throw away what came before it, and add the
+        host's time of the reset to every event. neuromorphic_drivers shows device time as it is, from the first event.
     pythons
         Versions of Python that the driver's wheels exist for; empty: any that this project runs on.
     """
 
     name: str
     packages: tuple[str, ...]
-    resets_time: bool
+    adds_host_time: bool
     pythons: tuple[str, ...] = ()
 
     @property
@@ -79,7 +79,7 @@ class Driver:
 
 
 DRIVERS = (
-    Driver("dv2", ("dv-processing==2.0.4", "numpy"), resets_time=True),
-    Driver("dv1", ("dv-processing==1.7.9", "numpy<2"), resets_time=True, pythons=("3.11",)),
-    Driver("nd", ("neuromorphic_drivers==0.18.2", "numpy"), resets_time=False),
+    Driver("dv2", ("dv-processing==2.0.4", "numpy"), adds_host_time=True),
+    Driver("dv1", ("dv-processing==1.7.9", "numpy<2"), adds_host_time=True, pythons=("3.11",)),
+    Driver("nd", ("neuromorphic_drivers==0.18.2", "numpy"), adds_host_time=False),
 )

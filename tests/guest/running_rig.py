@@ -28,6 +28,7 @@ kind = "checkerboard"
 speed_px_s = 10.0         # some 0.3 million events a second, which a processor that QEMU translates can take
 
 [camera]
+speed = "{speed}"
 start_delay_ms = 1000.0   # neuromorphic_drivers must have started all its transfers; a guest on a busy machine is slow
 
 [[links]]
@@ -51,9 +52,12 @@ class RunningRig:
     ----------
     folder
         Existing folder for the rig file, the record and what the program says.
+    speed
+        The camera's USB speed, "super" or "high".
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, speed: str = "super") -> None:
+        self._speed = speed
         self._record = folder / "delivered.npz"
         self._said = folder / "evstim.log"
         self._rig = folder / "guest.toml"
@@ -61,7 +65,7 @@ class RunningRig:
         self.summary: dict[str, Any] = {}
 
     def __enter__(self) -> RunningRig:
-        self._rig.write_text(CHECKERBOARD.format(port=self.port))
+        self._rig.write_text(CHECKERBOARD.format(port=self.port, speed=self._speed))
         program = Path(sys.executable).with_name("evstim")
         command = [str(program), "run", str(self._rig), "--record", str(self._record), "--json"]
         with self._said.open("w") as said:

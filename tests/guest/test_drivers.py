@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from firmware_protocol.events import Events
@@ -12,11 +13,12 @@ from tests.guest.comparison import assert_same
 from tests.guest.environments import DRIVERS, Driver
 from tests.guest.machine import Guest
 from tests.guest.running_rig import Delivered, RunningRig
-from tests.guest.streaming import Streaming
+from tests.guest.streaming import Seen, Streaming
 
 pytestmark = [pytest.mark.guest, pytest.mark.socket, pytest.mark.timeout(240), pytest.mark.xdist_group("guest")]
 
 EVENTS = 1_000_000
+FEWER_EVENTS = 100_000
 SERIAL = "00000346"
 LONGER_THAN_THE_CABLE = 1 << 40
 
@@ -27,33 +29,53 @@ def driver(request: pytest.FixtureRequest) -> Driver:
     return chosen
 
 
-def assert_sees_what_was_delivered(driver: Driver, seen: Events, delivered: Delivered) -> None:
-    """Assert every t, x, y and polarity, from the very event on which the driver must start."""
-    if driver.resets_time:
-        expected = delivered.events[delivered.resets[-1] :]
-        offset_us = int(seen["t"][0]) - int(expected["t"][0])
-    else:
-        expected, offset_us = delivered.events, 0
-    assert_same(seen, expected, offset_us=offset_us)
+def assert_sees(driver: Driver, seen: Events, delivered: Events) -> None:
+    """Assert every t, x, y and polarity, from the first event delivered since device time was zero."""
+    offset_us = int(seen["t"][0]) - int(delivered["t"][0]) if driver.adds_host_time else 0
+    assert_same(seen, delivered, offset_us=offset_us)
 
 
-def test_every_event_delivered_is_seen(guest: Guest, driver: Driver, driver_python: Path, tmp_path: Path) -> None:
+def since_last_reset(delivered: Delivered) -> Events:
+    return delivered.events[delivered.resets[-1] :]
+
+
+def test_every_event_delivered_is_seen(
+    guest: Guest, driver: Driver, driver_pythons: dict[str, Path], tmp_path: Path
+) -> None:
     with RunningRig(tmp_path) as rig, Attachment(guest, rig.port):
-        seen = Streaming(guest, driver, driver_python, EVENTS).wait()
+        seen = Streaming(guest, driver, driver_pythons[driver.name], EVENTS).wait()
     assert any(SERIAL in found for found in seen.about["discovered"])
     assert seen.about["running"]
     assert len(seen.events) >= EVENTS
-    assert_sees_what_was_delivered(driver, seen.events, rig.delivered)
+    assert_sees(driver, seen.events, since_last_reset(rig.delivered))
     assert rig.summary["balanced"], rig.summary
 
 
-def test_an_unplugged_camera_is_noticed(guest: Guest, driver: Driver, driver_python: Path, tmp_path: Path) -> None:
+def test_an_unplugged_camera_is_noticed(
+    guest: Guest, driver: Driver, driver_pythons: dict[str, Path], tmp_path: Path
+) -> None:
     with RunningRig(tmp_path) as rig, Attachment(guest, rig.port):
-        streaming = Streaming(guest, driver, driver_python, LONGER_THAN_THE_CABLE)
+        streaming = Streaming(guest, driver, driver_pythons[driver.name], LONGER_THAN_THE_CABLE)
         streaming.wait_until_started()
         rig.stop()
         seen = streaming.wait()
     assert seen.about["running"] is False
     assert len(seen.events) > 0
-    assert_sees_what_was_delivered(driver, seen.events, rig.delivered)
+    assert_sees(driver, seen.events, since_last_reset(rig.delivered))
+    assert rig.summary["balanced"], rig.summary
+
+
+def test_drivers_take_turns_at_high_speed(guest: Guest, driver_pythons: dict[str, Path], tmp_path: Path) -> None:
+    seen: list[Seen] = []
+    with RunningRig(tmp_path, speed="high") as rig:
+        for driver in DRIVERS:
+            with Attachment(guest, rig.port) as camera:
+                assert camera.device["speed"] == "480"
+                seen.append(Streaming(guest, driver, driver_pythons[driver.name], FEWER_EVENTS).wait())
+    delivered = rig.delivered
+    turns = np.split(delivered.events, delivered.resets[1:])
+    assert len(turns) == len(DRIVERS)
+    for driver, view, turn in zip(DRIVERS, seen, turns, strict=True):
+        assert len(view.events) >= FEWER_EVENTS
+        assert_sees(driver, view.events, turn)
     assert rig.summary["balanced"], rig.summary
