@@ -244,7 +244,9 @@ class UrbStream:
         if reply.seqnum != due:
             raise PeerBroken(f"endpoint {self._endpoint}: URB {reply.seqnum} was answered before URB {due}")
         data = _checked(reply, f"endpoint {self._endpoint}").data
-        self._pending.append(self._submit())
+        # When the server has gone, what came before is still to be read; the next wait for data tells.
+        with contextlib.suppress(PeerGone):
+            self._pending.append(self._submit())
         return data
 
     def close(self) -> list[bytes]:

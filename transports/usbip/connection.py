@@ -100,6 +100,7 @@ class Connection(asyncio.Protocol):
         self._pending: dict[int, OrderedDict[int, Submit]] = {}
         self._unsent: deque[Transfer] = deque()
         self._blocked = False
+        self._leaving = False
         self._timeout: asyncio.TimerHandle | None = None
         self.peer = "?"
 
@@ -118,8 +119,9 @@ class Connection(asyncio.Protocol):
 
     def data_received(self, data: bytes) -> None:
         """Take bytes from the peer."""
-        self._parser.receive(data)
-        self._advance()
+        if not self._leaving:
+            self._parser.receive(data)
+            self._advance()
 
     def pause_writing(self) -> None:
         """Hear that the socket takes no more: stop listening too, since requests make answers."""
@@ -131,7 +133,7 @@ class Connection(asyncio.Protocol):
         self._blocked = False
         self._settle()
         self._advance()
-        if self._writable:
+        if not self._blocked:
             self._transport.resume_reading()
 
     def connection_lost(self, error: Exception | None) -> None:
@@ -156,13 +158,23 @@ class Connection(asyncio.Protocol):
             while urbs and self._writable and self._answer_one(endpoint, urbs):
                 pass
 
+    def hang_up(self) -> None:
+        """Say goodbye: the peer gets what was sent, and closes when it has seen the end.
+
+        Until then its requests are read and dropped: closing a socket with unread requests would reset the connection,
+        and data that count as sent would never arrive.
+        """
+        self._leaving = True
+        if not self._transport.is_closing():
+            self._transport.write_eof()
+
     def abort(self) -> None:
         """Close at once; what is not sent is lost."""
         self._transport.abort()
 
     @property
     def _writable(self) -> bool:
-        return not self._blocked and not self._transport.is_closing()
+        return not (self._blocked or self._leaving or self._transport.is_closing())
 
     # Requests.
 

@@ -91,13 +91,21 @@ class UsbipServer:
         for connection in tuple(self._holders.values()):
             connection.answer()
 
-    async def close(self) -> None:
-        """Stop listening and drop all hosts; devices are detached when this returns."""
+    async def close(self, linger_s: float = 1.0) -> None:
+        """Stop listening and drop all hosts; devices are detached when this returns.
+
+        Hosts have `linger_s` to take what was sent and hang up themselves.
+        """
         if self._listener:
             self._listener.close()
         for connection in tuple(self._connections):
-            connection.abort()
-        await self._idle.wait()
+            connection.hang_up()
+        try:
+            await asyncio.wait_for(self._idle.wait(), linger_s)
+        except TimeoutError:
+            for connection in tuple(self._connections):
+                connection.abort()
+            await self._idle.wait()
 
     # What connections ask (`transports.usbip.connection.Bus`).
 

@@ -61,6 +61,9 @@ class FakeDevice(UsbDevice):
                 return bytes([18, 1, 0, 3, 0, 0, 0, 9, 0x2A, 0x15, 0x1A, 0x84, 0x06, 0x02, 1, 2, 3, 1])
             case 0x09:
                 return b""
+            case 0x0B:
+                self.note("long answer")
+                return bytes(setup.length)
             case 0xBF if setup.is_in:
                 return self.register
             case 0xBF:
@@ -141,7 +144,7 @@ class ServerThread:
     def close(self) -> None:
         for sock in self._sockets:
             sock.close()
-        self.run(self.server.close())
+        self.run(self.server.close(linger_s=0))
         self.loop.call_soon_threadsafe(self.loop.stop)
         self._thread.join()
         self.loop.close()

@@ -49,6 +49,7 @@ def script():
         sockets.append(ours)
         return ours
 
+    start.threads = threads
     yield start
     for sock in sockets:
         sock.close()
@@ -104,11 +105,32 @@ def test_control_that_is_not_answered_is_taken_back(script):
     host.close()
 
 
+def test_answer_to_a_urb_that_was_taken_back_is_a_fault(script):
+    late = bytes(Submitted(1, 0, 1, b"x"))
+    host = UsbipHost(script((OP, IMPORTED), (2 * URB, bytes(Unlinked(2, -104))), (URB, late)), "1-1", timeout_s=0.05)
+    with pytest.raises(TransferTimeout):
+        host.control_in(GET)
+    with pytest.raises(PeerBroken, match="URB 1, which is not pending"):
+        host.control_in(GET)
+    host.close()
+
+
 def test_stream_that_is_answered_out_of_order(script):
     sock = script((OP, IMPORTED), (2 * URB, bytes(Submitted(2, 0, 1, b"b"))), hold=True)
     host = UsbipHost(sock, "1-1", timeout_s=0.05)
     stream = host.stream(2, 100, 2)
     with pytest.raises(PeerBroken, match="URB 2 was answered before URB 1"):
+        stream.read(5)
+    host.close()
+
+
+def test_data_that_arrived_are_read_though_the_server_has_gone(script):
+    replies = b"".join(bytes(Submitted(n, 0, 1, bytes([n]))) for n in (1, 2, 3))
+    host = UsbipHost(script((OP, IMPORTED), (3 * URB, replies)), "1-1", timeout_s=5)
+    stream = host.stream(2, 100, 3)
+    script.threads[0].join(5)
+    assert [stream.read(5) for _ in range(3)] == [b"\1", b"\2", b"\3"]
+    with pytest.raises(PeerGone):
         stream.read(5)
     host.close()
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from firmware_protocol.davis346 import Davis346, Davis346Settings, Layout, SystemInfo
+from firmware_protocol.davis346 import Davis346, Davis346Settings, Layout, SystemInfo, WordEncoder
 from firmware_protocol.events import EVENT
 from firmware_protocol.usb.device import Identity, SetupPacket, Speed
 from transports.davis_host import DavisHost, StreamSettings
@@ -89,6 +89,35 @@ def test_every_event_arrives_as_it_was(cable, layout):
     assert len(driver.stop()) == 0
     driver.close()
     assert (camera.counters.delivered, camera.counters.not_running) == (25_000, 10)
+
+
+class Scripted:
+    """A reader that gives what it was given."""
+
+    def __init__(self, *transfers: bytes) -> None:
+        self._transfers = list(transfers)
+
+    def read(self, timeout_s):
+        return self._transfers.pop(0) if self._transfers else None
+
+    def close(self):
+        return self._transfers
+
+
+def test_events_before_the_timestamp_reset_are_thrown_away(cable, monkeypatch):
+    """A real camera may send the reset in the middle of a transfer."""
+    encoder = WordEncoder()
+    early, last, late = (events(50, 0, seed) for seed in (1, 2, 3))
+    last["t"] += early["t"][-1] + 1
+    pieces = [encoder.encode(early).words, encoder.encode(last).words, encoder.reset(), encoder.encode(late).words]
+    first, *rest = (piece.tobytes() for piece in pieces)
+    host, _ = cable(Davis346())
+    driver = DavisHost(host)
+    monkeypatch.setattr(host, "stream", lambda *_: Scripted(first, b"".join(rest)))
+    driver.start(SMALL)
+    assert np.array_equal(driver.read(0), late)
+    assert driver.read(0) is None
+    driver.close()
 
 
 def test_starts_again_after_a_stop(cable):
@@ -177,7 +206,7 @@ def test_camera_that_goes_away_while_streaming(bench):
     bench.start({"1-1": Davis346()})
     driver = DavisHost(UsbipHost(bench.connect(), "1-1", timeout_s=5))
     driver.start(SMALL)
-    bench.run(bench.server.close())
+    bench.run(bench.server.close(linger_s=0))
     with pytest.raises(PeerGone):
         driver.read(5)
     driver.close()

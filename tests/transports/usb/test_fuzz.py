@@ -53,7 +53,7 @@ async def play(device, pieces: list[bytes]) -> bytes:
         after.setblocking(False)
         await loop.sock_sendall(after, bytes(DeviceListRequest()))
         listed = await asyncio.wait_for(loop.sock_recv(after, 4096), 5)
-    await server.close()
+    await server.close(linger_s=0)
     return listed
 
 

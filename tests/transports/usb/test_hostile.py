@@ -10,7 +10,7 @@ import struct
 import pytest
 
 from firmware_protocol.usb.device import SetupPacket
-from firmware_protocol.usb.usbip import ImportRequest, Submit, Unlink
+from firmware_protocol.usb.usbip import DeviceListRequest, ImportRequest, Submit, Unlink
 from transports.usb_host import PeerGone
 from transports.usbip.client import UsbipHost
 from transports.usbip.connection import ConnectionSettings
@@ -187,6 +187,60 @@ def test_data_unsent_when_the_peer_vanishes_are_reported_lost(served, device):
     assert list(device.chunks) == [b"second"]
 
 
+def test_what_is_reported_sent_arrives_even_when_the_server_hangs_up(served, device):
+    """The peer has more URBs on their way while the server closes, and reads only then."""
+    sock = served.connect()
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 65536)
+    host = UsbipHost(sock, "1-1", timeout_s=5)
+    stream = host.stream(2, 1000, 4000)
+    served.feed(device, *[bytes(1000)] * 4000)
+    reported = served.call(lambda: len(device.sent_data))
+    assert 0 < reported < 4000
+    # Nothing but the rest of one answer waits in our own memory: the rest is with the kernel.
+    (connection,) = served.server._connections
+    assert served.call(connection._transport.get_write_buffer_size) <= 48 + 1000
+    closing = asyncio.run_coroutine_threadsafe(served.server.close(linger_s=5), served.loop)
+    received: list[bytes | None] = []
+    with pytest.raises(PeerGone):
+        received.extend(iter(lambda: stream.read(5), None))
+    host.close()
+    closing.result(5)
+    assert len(received) == len(device.sent_data) >= reported
+    assert device.lost_data == []
+
+
+def test_close_does_not_wait_for_a_host_that_does_not_read(served, device):
+    host = UsbipHost(served.connect(), "1-1", timeout_s=5)
+    host.stream(2, 16 << 20, 1)
+    served.feed(device, bytes(16 << 20))
+    served.run(served.server.close(linger_s=0.05))
+    assert device.log == ["attached", "lost", "detached"]
+
+
+def test_long_answers_wait_until_the_peer_reads(served, device):
+    sock = served.connect()
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 65536)
+    sock.sendall(bytes(ImportRequest("1-1")))
+    read(sock, IMPORT_REPLY_BYTES)
+    long = bytes(SetupPacket(0x80, 0x0B, 0, 0, 60_000))
+    sock.sendall(b"".join(submit(n, endpoint=0, length=60_000, setup=long) for n in range(300)))
+    device.wait_for("long answer")
+    assert served.call(lambda: device.log.count("long answer")) < 100
+    for n in range(300):
+        assert read_urb(sock) == (3, n, 0)
+        read(sock, 60_000)
+    sock.sendall(submit(300, endpoint=0, length=18, setup=bytes(GET_DEVICE)))
+    assert read_urb(sock) == (3, 300, 0)
+
+
+@pytest.mark.parametrize("request_", [DeviceListRequest(), ImportRequest("9-9")])
+def test_a_connection_without_a_device_ends_with_its_answer(served, request_):
+    sock = served.connect()
+    sock.sendall(bytes(request_))
+    assert len(read(sock, 8)) == 8
+    assert is_closed(sock)
+
+
 def test_peer_that_stops_reading_for_good_is_dropped(bench, device):
     bench.start({"1-1": device}, ConnectionSettings(silence_timeout_s=0.3))
     host = UsbipHost(bench.connect(), "1-1", timeout_s=5)
@@ -298,7 +352,7 @@ def test_close_detaches_every_host(bench, device):
     bench.start({"1-1": device})
     host = UsbipHost(bench.connect(), "1-1", timeout_s=5)
     stream = host.stream(2)
-    bench.run(bench.server.close())
+    bench.run(bench.server.close(linger_s=0.05))
     assert device.log == ["attached", "detached"]
     with pytest.raises(PeerGone):
         stream.read(5)
