@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from firmware_protocol.event_copies import copy_events
 from firmware_protocol.usb.device import Identity, SetupPacket, Transfer, UsbDevice
 from transports.digest import digest_of
 from transports.latency import LatencyHistogram
@@ -66,7 +67,7 @@ class Observed(UsbDevice):
         self.latency.add(now_us - transfer.events["t"].astype(np.float64))
 
     def _keep(self, transfer: Transfer) -> None:
-        events = transfer.events.copy()
+        events = copy_events(transfer.events)
         events["t"] -= np.uint64(transfer.epoch_us)
         restarted = transfer.epoch_us != self._epoch_us
         self._epoch_us = transfer.epoch_us
