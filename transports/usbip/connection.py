@@ -165,8 +165,12 @@ class Connection(asyncio.Protocol):
         and data that count as sent would never arrive.
         """
         self._leaving = True
-        if not self._transport.is_closing():
+        if self._transport.is_closing():
+            return
+        try:
             self._transport.write_eof()
+        except OSError:  # the peer was faster, and asyncio has not noticed yet
+            self._transport.abort()
 
     def abort(self) -> None:
         """Close at once; what is not sent is lost."""

@@ -209,6 +209,18 @@ def test_what_is_reported_sent_arrives_even_when_the_server_hangs_up(served, dev
     assert device.lost_data == []
 
 
+def test_close_copes_with_a_host_that_has_just_reset_its_connection(served, device):
+    sock = attached(served)
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+
+    async def reset_and_close():
+        sock.close()  # the loop has had no turn to see it
+        await served.server.close(linger_s=5)
+
+    served.run(reset_and_close())
+    assert device.log == ["attached", "detached"]
+
+
 def test_close_does_not_wait_for_a_host_that_does_not_read(served, device):
     host = UsbipHost(served.connect(), "1-1", timeout_s=5)
     host.stream(2, 16 << 20, 1)
