@@ -20,6 +20,7 @@ __all__ = ["Delivered", "RunningRig"]
 
 START_TIMEOUT_S = 60.0
 STOP_TIMEOUT_S = 30.0
+RUN_LIMIT = ("--seconds", "300")  # should the tests be killed, the run ends by itself
 CHECKERBOARD = """
 title = "A moving checkerboard, served over USB/IP to a guest"
 
@@ -67,7 +68,7 @@ class RunningRig:
     def __enter__(self) -> RunningRig:
         self._rig.write_text(CHECKERBOARD.format(port=self.port, speed=self._speed))
         program = Path(sys.executable).with_name("evstim")
-        command = [str(program), "run", str(self._rig), "--record", str(self._record), "--json"]
+        command = [str(program), "run", str(self._rig), "--record", str(self._record), "--json", *RUN_LIMIT]
         with self._said.open("w") as said:
             self._process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=said, stderr=subprocess.STDOUT)
         try:
