@@ -1,4 +1,10 @@
-"""The drivers under test, each in a virtual environment of its own, made once by pip and kept in the cache."""
+"""The drivers under test, each in a virtual environment of its own, made once by pip and kept in the cache.
+
+**neuromorphic_drivers may abort when it is closed after an unplugging.** Its `TransferManager::drop` (src/usb.rs, 0.18)
+cancels each active transfer and marks it complete when libusb refuses, as libusb does for a device that is gone; when
+the transfer's callback then comes all the same, it panics in a C callback, and SIGABRT ends the process. The iterator
+has told of the missing device by then.
+"""
 
 from __future__ import annotations
 
@@ -29,6 +35,8 @@ class Driver:
     adds_host_time
         True for the drivers of iniVation: they open with a timestamp reset, throw away what came before it, and add the
         host's time of the reset to every event. neuromorphic_drivers shows device time as it is, from the first event.
+    abort_after_unplugging
+        What the driver may say when closing a camera that is gone ends its process; empty: it closes cleanly.
     pythons
         Versions of Python that the driver's wheels exist for; empty: any that this project runs on.
     """
@@ -36,6 +44,7 @@ class Driver:
     name: str
     packages: tuple[str, ...]
     adds_host_time: bool
+    abort_after_unplugging: str = ""
     pythons: tuple[str, ...] = ()
 
     @property
@@ -81,5 +90,10 @@ class Driver:
 DRIVERS = (
     Driver("dv2", ("dv-processing==2.0.4", "numpy"), adds_host_time=True),
     Driver("dv1", ("dv-processing==1.7.9", "numpy<2"), adds_host_time=True, pythons=("3.11",)),
-    Driver("nd", ("neuromorphic_drivers==0.18.2", "numpy"), adds_host_time=False),
+    Driver(
+        "nd",
+        ("neuromorphic_drivers==0.18.2", "numpy"),
+        adds_host_time=False,
+        abort_after_unplugging="callback called for a transfer marked as complete",
+    ),
 )

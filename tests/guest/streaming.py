@@ -32,6 +32,7 @@ class Streaming:
 
     def __init__(self, guest: Guest, driver: Driver, python: Path, count: int) -> None:
         self._guest = guest
+        self._driver = driver
         self._output = guest.results / f"{driver.name}.npz"
         self._started = self._output.with_suffix(".started")
         self._started.unlink(missing_ok=True)
@@ -50,6 +51,20 @@ class Streaming:
     def wait(self) -> Seen:
         """Wait for the end; raises RuntimeError with all that the client said when it failed."""
         finished: Finished = self._job.wait()
-        if not finished.ok:
+        about = _last_object(finished.stdout)
+        if not (finished.ok or self._may_abort(finished, about)):
             raise RuntimeError(f"{finished}\nconsole of the guest:\n{self._guest.console}")
-        return Seen(json.loads(finished.stdout.splitlines()[-1]), load_seen(self._output))
+        return Seen(about, load_seen(self._output))
+
+    def _may_abort(self, finished: Finished, about: dict[str, Any]) -> bool:
+        known = self._driver.abort_after_unplugging
+        return bool(known) and known in finished.stderr and about.get("running") is False
+
+
+def _last_object(stdout: str) -> dict[str, Any]:
+    """Read the JSON object on the last line; empty when the client came to an end before it could print one."""
+    lines = stdout.splitlines()
+    if not lines or not lines[-1].startswith("{"):
+        return {}
+    about: dict[str, Any] = json.loads(lines[-1])
+    return about

@@ -47,8 +47,8 @@ class Collector:
         self._collected += len(t)
 
     def report(self, **seen: object) -> None:
-        """Save the events and print what was seen; call it after the camera is closed."""
+        """Save the events and print what was seen."""
         columns = [np.concatenate(column) for column in zip(*self._columns, strict=True)] or [np.empty(0)] * 4
         np.savez(self._output, **dict(zip(("t", "x", "y", "on"), columns, strict=True)))
         streamed_s = time.monotonic() - (self._started or time.monotonic())
-        print(json.dumps({"events": self._collected, "streamed_s": round(streamed_s, 3), **seen}))
+        print(json.dumps({"events": self._collected, "streamed_s": round(streamed_s, 3), **seen}), flush=True)

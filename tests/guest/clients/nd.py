@@ -25,9 +25,9 @@ def main() -> None:
             events = packet.polarity_events
             overflows += len(packet.polarity_events_overflow_indices or ())
             collector.add(events["t"], events["x"], events["y"], events["on"])
-    collector.report(
-        version=version("neuromorphic_drivers"), discovered=discovered, overflows=overflows, running=running, **seen
-    )
+        # Before the camera is closed: after an unplugging, closing may end the process (see environments.py).
+        seen |= {"version": version("neuromorphic_drivers"), "discovered": discovered, "overflows": overflows}
+        collector.report(running=running, **seen)
 
 
 if __name__ == "__main__":
