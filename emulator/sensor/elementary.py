@@ -1,4 +1,4 @@
-"""Logarithm and decay in float32 for loops that a compiler turns into vectors.
+"""Logarithm and decay in float32 for loops that a compiler turns into vectors, and the lowest bit of a word.
 
 Calls to the mathematics library stop numba from vectorising a loop; these are plain arithmetic and become 8 or 16
 lanes wide. Two traps shaped them, both measured:
@@ -20,12 +20,12 @@ from typing import Any, cast
 
 import numpy as np
 from llvmlite import ir
-from numba import float32
+from numba import float32, uint64
 from numba.extending import intrinsic
 
 from emulator.sensor.compiled import vector_kernel
 
-__all__ = ["decay", "natural_log"]
+__all__ = ["decay", "lowest_bit", "natural_log"]
 
 _SQRT_HALF_BITS = 0x3F3504F3
 _MANTISSA_BITS = 23
@@ -90,9 +90,18 @@ def _power_of_two_of(typing_context: Any, k: Any) -> _Pair:
     return float32(float32), code
 
 
-_Real = Callable[[Any], Any]
-_exponent, _mantissa, _power_of_two = (
-    cast(_Real, intrinsic(code)) for code in (_exponent_of, _mantissa_of, _power_of_two_of)
+def _lowest_bit_of(typing_context: Any, word: Any) -> _Pair:
+    """Return the index of the lowest bit set in a 64-bit word that is not 0."""
+
+    def code(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
+        return builder.cttz(args[0], ir.Constant(ir.IntType(1), 1))
+
+    return uint64(uint64), code
+
+
+_exponent, _mantissa, _power_of_two, lowest_bit = (
+    cast(Callable[[Any], Any], intrinsic(code))
+    for code in (_exponent_of, _mantissa_of, _power_of_two_of, _lowest_bit_of)
 )
 
 

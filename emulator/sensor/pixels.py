@@ -13,9 +13,11 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from emulator.sensor.candidates import new_table
 from emulator.sensor.compiled import say_if_not_compiled
-from emulator.sensor.kernels import BLOCK, FIELDS, Field, StepConstants, advance, unpack
+from emulator.sensor.kernels import advance, unpack
 from emulator.sensor.keyed import Purpose, normal, uniform
+from emulator.sensor.layout import BLOCK, FIELDS, Field, Pixels, StepConstants
 from emulator.sensor.presets import SensorParameters
 
 __all__ = ["Crossings", "PixelArray", "PixelState"]
@@ -23,6 +25,7 @@ __all__ = ["Crossings", "PixelArray", "PixelState"]
 _EPOCH_BITS = 33
 _EPOCH_NS = 1 << _EPOCH_BITS
 _NO_LOW_PASS_RATE = 1e12  # rad/s: a lag of a picosecond
+_HIGHEST_HZ = _NO_LOW_PASS_RATE / (2 * math.pi)
 _LEAST_THRESHOLD = 0.1  # of the nominal one, however far the mismatch would go
 
 _Float32s = npt.NDArray[np.float32]
@@ -55,7 +58,7 @@ class PixelState:
 
     Attributes
     ----------
-    fields : (blocks, FIELDS, BLOCK) float32, see `kernels.Field`; pixels beyond the picture's end never fire.
+    fields : (blocks, FIELDS, BLOCK) float32, see `layout.Field`; pixels beyond the picture's end never fire.
     blind_until_ns : (blocks * BLOCK,) int64, meaningful for blind pixels (reference NaN).
     t_ns : stream time.
     epoch_ns : where leak is counted from.
@@ -108,7 +111,10 @@ class PixelArray:
         self.quiet_nan = 0
         self._pixels = parameters.width * parameters.height
         self._pixel_bits = max(1, (self._pixels - 1).bit_length())
+        self._refractory_ns = round(parameters.refractory_us * 1000)
+        self._light_constants = _light_constants(parameters)
         self._room = _Room()
+        self._table = new_table()
         self.state = self._dark_state()
 
     def _dark_state(self) -> PixelState:
@@ -141,13 +147,13 @@ class PixelArray:
         current = np.maximum(flat, 0) + np.float32(p.dark_current_relative)
         current[~np.isfinite(flat)] = np.nan
         log_light = np.log(current)
-        at_reference, least, most = self._rates()
+        _, at_reference, least, most = self._light_constants
         phase = uniform(self.seed, Purpose.LEAK_PHASE, np.arange(self._pixels))
         on, leak = (_take(state.fields, which, self._pixels) for which in (Field.ON, Field.LEAK))
         since_epoch = (state.t_ns - state.epoch_ns) * 1e-9
         _put(state.fields, Field.LOG_LIGHT, log_light)
         _put(state.fields, Field.FILTERED, log_light)
-        _put(state.fields, Field.RATE, np.clip(np.float32(at_reference) * current, least, most))
+        _put(state.fields, Field.RATE, np.clip(at_reference * current, least, most))
         _put(state.fields, Field.REFERENCE, log_light + leak * since_epoch - on * phase)
         self.lost_in_pixel = self.quiet_nan = 0
 
@@ -191,7 +197,9 @@ class PixelArray:
         self._move_epoch()
         t0_ns, c = state.t_ns, self._constants(t_ns)
         say_if_not_compiled(advance, "the pixel step")
-        room.keys, found, lost, unreadable = advance(flat, state.fields.reshape(-1), state.blind_until_ns, room.keys, c)
+        room.keys, found, lost, unreadable = advance(
+            flat, Pixels(state.fields.reshape(-1), state.blind_until_ns), self._table, room.keys, c
+        )
         keys = room.keys[:found]
         keys.sort()
         room.fit(n + found)
@@ -210,30 +218,21 @@ class PixelArray:
             state.fields[:, Field.REFERENCE] -= state.fields[:, Field.LEAK] * moved_s
             state.epoch_ns = epoch_ns
 
-    def _rates(self) -> tuple[float, float, float]:
-        """Return the filter's rate at light 1 and its bounds, rad/s."""
-        p, turn = self.parameters, 2 * math.pi
-        if math.isinf(p.corner_hz_at_reference):
-            return _NO_LOW_PASS_RATE, _NO_LOW_PASS_RATE, _NO_LOW_PASS_RATE
-        return turn * p.corner_hz_at_reference, turn * p.corner_min_hz, min(turn * p.corner_max_hz, _NO_LOW_PASS_RATE)
-
     def _constants(self, t_ns: int) -> StepConstants:
-        state, refractory_ns = self.state, round(self.parameters.refractory_us * 1000)
-        at_reference, least, most = (np.float32(rate) for rate in self._rates())
-        h_ns = t_ns - state.t_ns
-        since_ns = state.t_ns - state.epoch_ns
+        state, (dark, at_reference, least, most) = self.state, self._light_constants
+        since_ns, h_ns = state.t_ns - state.epoch_ns, t_ns - state.t_ns
         return StepConstants(
-            dark=np.float32(self.parameters.dark_current_relative),
-            rate_at_reference=at_reference,
-            rate_min=least,
-            rate_max=most,
+            dark,
+            at_reference,
+            least,
+            most,
             h=np.float32(h_ns * 1e-9),
             since_epoch_0=np.float32(since_ns * 1e-9),
             since_epoch_1=np.float32((since_ns + h_ns) * 1e-9),
-            refractory=np.float32(refractory_ns / h_ns),
+            refractory=np.float32(self._refractory_ns / h_ns),
             h_ns=h_ns,
             t0_ns=state.t_ns,
-            refractory_ns=refractory_ns,
+            refractory_ns=self._refractory_ns,
             pixel_bits=self._pixel_bits,
         )
 
@@ -254,3 +253,13 @@ def _put(fields: _Float32s, which: Field, values: npt.NDArray[np.floating]) -> N
     row = fields[:, which].reshape(-1)
     row[: values.size] = values
     fields[:, which] = row.reshape(-1, BLOCK)
+
+
+def _light_constants(p: SensorParameters) -> tuple[np.float32, np.float32, np.float32, np.float32]:
+    """Return the dark current, the filter's rate at light 1 and its bounds, rad/s."""
+    at_reference, least, most = (
+        (_NO_LOW_PASS_RATE,) * 3
+        if math.isinf(p.corner_hz_at_reference)
+        else (2 * math.pi * hz for hz in (p.corner_hz_at_reference, p.corner_min_hz, min(p.corner_max_hz, _HIGHEST_HZ)))
+    )
+    return np.float32(p.dark_current_relative), np.float32(at_reference), np.float32(least), np.float32(most)

@@ -20,16 +20,13 @@ Linear time: requests and rows are bit maps, 64 to a word, and nothing is sorted
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, NamedTuple, cast
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from llvmlite import ir
-from numba import uint64
-from numba.extending import intrinsic
 
-from emulator.sensor.compiled import kernel, say_if_not_compiled
+from emulator.sensor.compiled import SOURCES, entry, kernel, say_if_not_compiled
+from emulator.sensor.elementary import lowest_bit
 from emulator.sensor.pixels import Crossings
 from emulator.sensor.presets import SensorParameters
 from firmware_protocol.events import EVENT, Events
@@ -65,18 +62,6 @@ class _Timing(NamedTuple):
     event_ps: int
 
 
-def _lowest_of(typing_context: Any, word: Any) -> tuple[Any, Any]:
-    """Return the index of the lowest bit set in a 64-bit word that is not 0."""
-
-    def code(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
-        return builder.cttz(args[0], ir.Constant(ir.IntType(1), 1))
-
-    return uint64(uint64), code
-
-
-_lowest = cast(Callable[[Any], Any], intrinsic(_lowest_of))
-
-
 @kernel
 def _admit(
     t_ns: _Int64s, pixel: npt.NDArray[np.uint32], on: npt.NDArray[np.bool_], k: int, arbiter: _Arbiter, timing: _Timing
@@ -107,7 +92,7 @@ def _next_row(rows: _Words, last: int, height: int) -> int:
     while here == 0:
         word = word + 1 if word + 1 < rows.size else 0
         here = rows[word]
-    return int(word * 64 + np.int64(_lowest(here)))
+    return int(word * 64 + np.int64(lowest_bit(here)))
 
 
 @kernel
@@ -141,7 +126,7 @@ def _send(arbiter: _Arbiter, timing: _Timing, until_ns: int, out: Events, n: int
         while arbiter.latched[word] == 0:
             word += 1
         bits = arbiter.latched[word]
-        x = _lowest(bits)
+        x = lowest_bit(bits)
         arbiter.latched[word] = bits & (bits - np.uint64(1))
         event = out[n]
         event.t = exit_ns // 1000
@@ -157,7 +142,7 @@ def _send(arbiter: _Arbiter, timing: _Timing, until_ns: int, out: Events, n: int
     return n
 
 
-@kernel
+@entry
 def _serve(
     t_ns: _Int64s,
     pixel: npt.NDArray[np.uint32],
@@ -166,6 +151,7 @@ def _serve(
     arbiter: _Arbiter,
     timing: _Timing,
     out: Events,
+    sources: int = SOURCES,
 ) -> int:
     """Run the arbiter over all that happens before `until_ns`; return the number of events written to `out`."""
     registers = arbiter.registers

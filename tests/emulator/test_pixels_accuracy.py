@@ -9,7 +9,7 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.optimize import brentq
 from scipy.special import erf
 
-from emulator.sensor.kernels import Field
+from emulator.sensor.layout import Field
 from emulator.sensor.pixels import PixelArray
 from emulator.sensor.presets import ReadoutParameters, SensorParameters
 

@@ -1,0 +1,359 @@
+"""The pixels that may fire in a step: gathered in a table, solved together, column by column a pixel.
+
+A candidate's filtered value, leak added and the reference subtracted, is taken as the cubic in time through its values
+and derivatives at both ends of the step (both are known: the derivative is rate times what the filter lacks). That
+leaves out part of the exponential of the filter's answer, at most |B| E(S) with E = min(S^4 / 384, 0.16 S + 0.2); where
+this is more than 1 % of a threshold, where the cubic turns, or where the light changes by more than 0.5, the pixel is
+solved by `exact` instead. The rest rises or falls all through the step, so its end values tell whether it fires;
+crossings are found by four Newton turns from the secant, kept in their bracket, for all candidates of the table at
+once. Who fires again in the same step goes round again.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from emulator.sensor.compiled import kernel, kernel_that_allocates, vector_kernel
+from emulator.sensor.exact import MOST_EVENTS, Pixel, Step, Trace, cubic, solve_exactly
+from emulator.sensor.layout import BLOCK, Field, Pixels, StepConstants, slot
+
+__all__ = ["BATCH", "END_ROWS", "Table", "gather", "new_table", "select", "solve"]
+
+_Float32s = npt.NDArray[np.float32]
+_Int64s = npt.NDArray[np.int64]
+_Keys = npt.NDArray[np.uint64]
+
+_U, _V, _L, _REF, _ON, _OFF, _LEAK = (int(f) * BLOCK for f in Field)
+
+# Rows of a block's values at the end of the step: as the first fields of the state, then S and 1 - e^-S.
+END_ROWS = _U1, _V1, _L1, _S, _Q = tuple(k * BLOCK for k in range(5))
+
+BATCH = BLOCK
+"""Candidates from which on the table is solved; a block more fits."""
+
+# Rows of the table; a little longer than a power of two, so that a column's entries do not all fall into the same set
+# of the first cache.
+_CAPACITY = BATCH + BLOCK + 16
+(
+    _C_U0, _C_V0, _C_L0, _C_U1, _C_V1, _C_L1, _C_S, _C_REF, _C_ON, _C_OFF, _C_LEAK, _C_START,
+    _C_BASE, _C_A, _C_D0, _C_D1, _C_M0, _C_M1, _C_KIND, _C_Z, _C_MISS,
+    _C_NEXT_A, _C_NEXT_START, _C_NEXT_REF, _C_AGAIN,
+) = (k * _CAPACITY for k in range(25))  # fmt: skip
+_C_ROWS = 25
+
+_NOTHING, _SEES_AGAIN, _FIRES, _EXACT = (np.float32(kind) for kind in range(4))
+
+_NAN = np.float32(np.nan)
+_ZERO, _ONE, _TWO, _THREE, _HALF = (np.float32(x) for x in (0, 1, 2, 3, 0.5))
+_LARGEST_CHANGE = np.float32(0.5)
+_SHARE = np.float32(0.01)
+_FAST = np.float32(100)  # S from which end slopes are rounding noise if the exponential is below _FAINT
+_FAINT = np.float32(1e-5)
+_HALVINGS = 25
+_SETTLED = np.float32(3e-5)  # last Newton correction; the error is of the order of its square
+
+
+class Table(NamedTuple):
+    """The candidates: float32 rows, their pixels, columns that need the exact form, room for one pixel's events.
+
+    Kept from step to step by the caller: memory of this size, once freed, costs page faults when taken again.
+    """
+
+    rows: _Float32s
+    pixels: _Int64s
+    odd: _Int64s
+    trace: Trace
+
+
+def new_table() -> Table:
+    """Return an empty table."""
+    trace = Trace(np.empty(MOST_EVENTS, np.float64), np.empty(MOST_EVENTS, np.uint8))
+    rows = np.empty(_C_ROWS * _CAPACITY, np.float32)
+    return Table(rows, np.empty(_CAPACITY, np.int64), np.empty(_CAPACITY, np.int64), trace)
+
+
+@kernel
+def select(found: _Int64s, s: _Float32s, end: _Float32s, blind_until_ns: _Int64s, c: StepConstants) -> tuple[int, int]:
+    """Keep of a block's candidates those that can be solved, in place.
+
+    Left out are pixels whose light is unreadable, or was at the last step, and those that stay blind through the step.
+    Returns how many are kept and how many have unreadable light.
+    """
+    kept = unreadable = 0
+    for i in found:
+        u1, v0, reference = end[_U1 + i], s[_V + i], s[_REF + i]
+        unreadable += u1 != u1
+        wait_ns = blind_until_ns[i] - c.t0_ns if reference != reference else 0
+        found[kept] = i
+        kept += (u1 == u1) & (v0 == v0) & (wait_ns <= c.h_ns)
+    return kept, unreadable
+
+
+@kernel
+def gather(kept: _Int64s, s: _Float32s, end: _Float32s, first: int, table: Table, n: int) -> None:
+    """Add candidates of the block that begins at pixel `first` to the table, from column n on."""
+    rows = table.rows
+    for j in range(kept.size):
+        i, k = kept[j], n + j
+        table.pixels[k] = first + i
+        rows[_C_U0 + k], rows[_C_V0 + k], rows[_C_L0 + k] = s[_U + i], s[_V + i], s[_L + i]
+        rows[_C_U1 + k], rows[_C_V1 + k], rows[_C_L1 + k] = end[_U1 + i], end[_V1 + i], end[_L1 + i]
+        rows[_C_S + k], rows[_C_REF + k], rows[_C_LEAK + k] = end[_S + i], s[_REF + i], s[_LEAK + i]
+        rows[_C_ON + k], rows[_C_OFF + k] = s[_ON + i], s[_OFF + i]
+
+
+@kernel
+def _find_starts(pixels: Pixels, table: Table, n: int, c: StepConstants) -> None:
+    """Write from when on each candidate sees, as a share of the step."""
+    for j in range(n):
+        reference = table.rows[_C_REF + j]
+        start = _ZERO
+        if reference != reference:
+            wait_ns = pixels.blind_until_ns[table.pixels[j]] - c.t0_ns
+            start = np.float32(max(wait_ns, 0) / c.h_ns)
+        table.rows[_C_START + j] = start
+
+
+@vector_kernel
+def _prepare(table: _Float32s, n: int, c: StepConstants) -> None:
+    """Give each candidate its cubic (values d, slopes m per step, relative to `base`), start, reference a and kind."""
+    for j in range(n):
+        u0, v0, u1, v1 = table[_C_U0 + j], table[_C_V0 + j], table[_C_U1 + j], table[_C_V1 + j]
+        warped, reference, start = table[_C_S + j], table[_C_REF + j], table[_C_START + j]
+        leak, on, off = table[_C_LEAK + j], table[_C_ON + j], table[_C_OFF + j]
+        d = u1 - u0
+        blind = reference != reference
+        base = v0 + leak * c.since_epoch_0 if blind else reference
+        d0 = (v0 - base) + leak * c.since_epoch_0
+        d1 = (v1 - base) + leak * c.since_epoch_1
+        exponential = abs((v0 - u0) + d / warped)
+        straight = (warped > _FAST) & (exponential < _FAINT)
+        m0 = d1 - d0 if straight else c.h * (table[_C_L0 + j] * (u0 - v0) + leak)
+        m1 = d1 - d0 if straight else c.h * (table[_C_L1 + j] * (u1 - v1) + leak)
+        s2 = warped * warped
+        missed = exponential * min(s2 * s2 * np.float32(1 / 384), np.float32(0.16) * warped + np.float32(0.2))
+        middle = _THREE * (d1 - d0) - m0 - m1
+        monotone = (min(min(m0, m1), middle) >= _ZERO) | (max(max(m0, m1), middle) <= _ZERO)
+        at_start = cubic(d0, d1, m0, m1, start)
+        a = at_start if blind else _ZERO
+        cheap = straight | (monotone & (missed <= _SHARE * min(on, off)) & (abs(d) <= _LARGEST_CHANGE))
+        inside = (at_start - a < on) & (at_start - a > -off)
+        fires = (d1 - a >= on) | (d1 - a <= -off)
+        table[_C_BASE + j], table[_C_A + j] = base, a
+        table[_C_D0 + j], table[_C_D1 + j], table[_C_M0 + j], table[_C_M1 + j] = d0, d1, m0, m1
+        idle = _SEES_AGAIN if blind else _NOTHING
+        kind = _FIRES if fires else idle
+        table[_C_KIND + j] = kind if cheap & inside else _EXACT
+
+
+@vector_kernel
+def _find_crossings(table: _Float32s, n: int) -> None:
+    """Find where each candidate's monotone cubic meets its next level: z and the last Newton correction."""
+    for j in range(n):
+        d0, d1, m0, m1 = table[_C_D0 + j], table[_C_D1 + j], table[_C_M0 + j], table[_C_M1 + j]
+        a, start = table[_C_A + j], table[_C_START + j]
+        rising = d1 > a
+        level = a + (table[_C_ON + j] if rising else -table[_C_OFF + j])
+        sign = _ONE if rising else -_ONE
+        c2 = _THREE * (d1 - d0) - _TWO * m0 - m1
+        c3 = m0 + m1 - _TWO * (d1 - d0)
+        at_start = ((c3 * start + c2) * start + m0) * start + d0
+        low, high = start, _ONE
+        z = start + (_ONE - start) * (level - at_start) / (d1 - at_start)
+        step = _ONE
+        for _ in range(4):
+            f = sign * ((((c3 * z + c2) * z + m0) * z + d0) - level)
+            slope = sign * ((_THREE * c3 * z + _TWO * c2) * z + m0)
+            low = low if f > _ZERO else z
+            high = z if f > _ZERO else high
+            newton = z - f / slope
+            better = newton if (newton >= low) & (newton <= high) else _HALF * (low + high)
+            step = better - z
+            z = better
+        table[_C_Z + j] = z
+        table[_C_MISS + j] = abs(step)
+
+
+@kernel
+def _halve(rows: _Float32s, j: int) -> None:
+    """Find the crossing of candidate j by halving."""
+    a = rows[_C_A + j]
+    rising = rows[_C_D1 + j] > a
+    level = a + (rows[_C_ON + j] if rising else -rows[_C_OFF + j])
+    low, high = rows[_C_START + j], _ONE
+    for _ in range(_HALVINGS):
+        z = _HALF * (low + high)
+        f = cubic(rows[_C_D0 + j], rows[_C_D1 + j], rows[_C_M0 + j], rows[_C_M1 + j], z) - level
+        if (f > _ZERO) == rising:
+            high = z
+        else:
+            low = z
+    rows[_C_Z + j] = high
+
+
+@kernel
+def _mend(table: Table, n: int) -> None:
+    """Find by halving the crossings that Newton did not settle on in its fixed number of turns.
+
+    These are listed first: in one loop the compiler would halve for all candidates and then choose.
+    """
+    unsettled = 0
+    for j in range(n):
+        table.odd[unsettled] = j
+        unsettled += (table.rows[_C_KIND + j] == _FIRES) & (table.rows[_C_MISS + j] > _SETTLED)
+    for k in range(unsettled):
+        _halve(table.rows, table.odd[k])
+
+
+@vector_kernel
+def _follow(table: _Float32s, n: int, c: StepConstants) -> None:
+    """Tell for each candidate that fires at z what comes next: reference, from when, and whether it fires again."""
+    for j in range(n):
+        d0, d1, m0, m1 = table[_C_D0 + j], table[_C_D1 + j], table[_C_M0 + j], table[_C_M1 + j]
+        a, on, off = table[_C_A + j], table[_C_ON + j], table[_C_OFF + j]
+        sees_again = table[_C_Z + j] + c.refractory
+        level = a + (on if d1 > a else -off)
+        following = cubic(d0, d1, m0, m1, sees_again) if c.refractory > _ZERO else level
+        fires = ((d1 - following >= on) | (d1 - following <= -off)) & (sees_again <= _ONE)
+        table[_C_NEXT_A + j], table[_C_NEXT_START + j] = following, sees_again
+        table[_C_NEXT_REF + j] = table[_C_BASE + j] + following if sees_again <= _ONE else _NAN
+        table[_C_AGAIN + j] = _ONE if fires & (table[_C_KIND + j] == _FIRES) else _ZERO
+
+
+@kernel
+def _key(dt_ns: int, pixel: int, on: int, c: StepConstants) -> np.uint64:
+    """Pack an event so that sorting the numbers sorts by (time, pixel): [dt_ns | pixel | on]."""
+    return (np.uint64(dt_ns) << np.uint64(c.pixel_bits + 1)) | (np.uint64(pixel) << np.uint64(1)) | np.uint64(on)
+
+
+@kernel_that_allocates
+def _room(keys: _Keys, needed: int) -> _Keys:
+    """Return `keys`, or a longer copy if it holds fewer than `needed`."""
+    if needed <= keys.size:
+        return keys
+    longer = np.empty(max(2 * keys.size, needed), np.uint64)
+    longer[: keys.size] = keys
+    return longer
+
+
+@kernel
+def _keep(table: Table, j: int, k: int) -> None:
+    """Move what a candidate needs for its next crossing from column j to column k."""
+    rows = table.rows
+    table.pixels[k] = table.pixels[j]
+    rows[_C_A + k], rows[_C_START + k], rows[_C_KIND + k] = rows[_C_NEXT_A + j], rows[_C_NEXT_START + j], _FIRES
+    for row in (_C_ON, _C_OFF, _C_BASE, _C_D0, _C_D1, _C_M0, _C_M1):
+        rows[row + k] = rows[row + j]
+
+
+@kernel
+def _fire(pixels: Pixels, table: Table, n: int, keys: _Keys, n_keys: int, c: StepConstants) -> tuple[int, int]:
+    """Write the events of those that fire, and their new references; return n_keys and how many fire again."""
+    rows = table.rows
+    again = 0
+    for j in range(n):
+        if rows[_C_KIND + j] != _FIRES:
+            continue
+        pixel, reference = table.pixels[j], rows[_C_NEXT_REF + j]
+        dt_ns = min(int(rows[_C_Z + j] * c.h_ns), c.h_ns)
+        keys[n_keys] = _key(dt_ns, pixel, rows[_C_D1 + j] > rows[_C_A + j], c)
+        n_keys += 1
+        pixels.fields[slot(pixel) + _REF] = reference
+        if reference != reference:
+            pixels.blind_until_ns[pixel] = c.t0_ns + dt_ns + c.refractory_ns
+        if rows[_C_AGAIN + j] != _ZERO:
+            _keep(table, j, again)
+            again += 1
+    return n_keys, again
+
+
+@kernel
+def _pixel(table: _Float32s, j: int) -> Pixel:
+    """Return column j of the table for the exact solver."""
+    return Pixel(
+        log_light=np.float64(table[_C_U0 + j]),
+        filtered=np.float64(table[_C_V0 + j]),
+        rate=np.float64(table[_C_L0 + j]),
+        log_light_after=np.float64(table[_C_U1 + j]),
+        rate_after=np.float64(table[_C_L1 + j]),
+        reference=np.float64(table[_C_REF + j]),
+        on=np.float64(table[_C_ON + j]),
+        off=np.float64(table[_C_OFF + j]),
+        leak=np.float64(table[_C_LEAK + j]),
+        start=np.float64(table[_C_START + j]),
+    )
+
+
+@kernel
+def _step(c: StepConstants) -> Step:
+    """Return the step for the exact solver."""
+    return Step(
+        h=np.float64(c.h),
+        since_epoch=np.float64(c.since_epoch_0),
+        refractory=np.float64(c.refractory),
+        rate_at_reference=np.float64(c.rate_at_reference),
+        rate_min=np.float64(c.rate_min),
+        rate_max=np.float64(c.rate_max),
+    )
+
+
+@kernel
+def _solve_one(pixels: Pixels, table: Table, j: int, keys: _Keys, n_keys: int, c: StepConstants) -> tuple[int, int]:
+    """Solve candidate j in its exact form; return the new n_keys and the number of crossings beyond the cap."""
+    pixel, trace = table.pixels[j], table.trace
+    count, v1, reference, blind_end = solve_exactly(_pixel(table.rows, j), _step(c), trace)
+    for k in range(min(count, MOST_EVENTS)):
+        keys[n_keys + k] = _key(min(int(trace.z[k] * c.h_ns), c.h_ns), pixel, trace.on[k], c)
+    pixels.fields[slot(pixel) + _V], pixels.fields[slot(pixel) + _REF] = v1, reference
+    if reference != reference:
+        pixels.blind_until_ns[pixel] = c.t0_ns + int(blind_end * c.h_ns)
+    return n_keys + min(count, MOST_EVENTS), max(count - MOST_EVENTS, 0)
+
+
+@kernel
+def _sort_out(pixels: Pixels, table: Table, n: int) -> int:
+    """Store the references of those that see again and do not fire; list those for the exact form, return how many.
+
+    A loop of its own, because it is the one over all candidates: see `compiled` on counting references.
+    """
+    odd = 0
+    for j in range(n):
+        kind = table.rows[_C_KIND + j]
+        table.odd[odd] = j
+        odd += kind == _EXACT
+        if kind == _SEES_AGAIN:
+            pixels.fields[slot(table.pixels[j]) + _REF] = table.rows[_C_BASE + j] + table.rows[_C_A + j]
+    return odd
+
+
+@kernel_that_allocates
+def solve(pixels: Pixels, table: Table, n: int, keys: _Keys, n_keys: int, c: StepConstants) -> tuple[_Keys, int, int]:
+    """Find all crossings of the n candidates, and move their references.
+
+    Returns
+    -------
+    keys (replaced by a longer copy if there was no room), the number of events in it, and the number of crossings
+    beyond MOST_EVENTS of a pixel.
+    """
+    _find_starts(pixels, table, n, c)
+    _prepare(table.rows, n, c)
+    event = lost = 0
+    for k in range(_sort_out(pixels, table, n)):
+        keys = _room(keys, n_keys + MOST_EVENTS)
+        n_keys, more = _solve_one(pixels, table, table.odd[k], keys, n_keys, c)
+        lost += more
+    while n > 0:
+        _find_crossings(table.rows, n)
+        _mend(table, n)
+        _follow(table.rows, n, c)
+        keys = _room(keys, n_keys + n)
+        counted, n = _fire(pixels, table, n, keys, n_keys, c)
+        if event < MOST_EVENTS:
+            n_keys = counted
+        else:
+            lost += counted - n_keys
+        event += 1
+    return keys, n_keys, lost

@@ -1,0 +1,61 @@
+"""Where a pixel's state lies in memory, and what is the same for all pixels of a step."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from emulator.sensor.compiled import kernel
+
+__all__ = ["BLOCK", "FIELDS", "Field", "Pixels", "StepConstants", "slot"]
+
+BLOCK = 512
+"""Pixels of a block; the arithmetic of a pixel does not depend on it, the speed does."""
+
+
+class Field(IntEnum):
+    """The state of a pixel, float32. The state of an array is (blocks, FIELDS, BLOCK), flat."""
+
+    LOG_LIGHT = 0  # u, ln of the photocurrent at the last step's end; NaN after unreadable light
+    FILTERED = 1  # v
+    RATE = 2  # lambda, rad/s
+    REFERENCE = 3  # with leak times the time since the epoch added; NaN while the pixel is blind
+    ON = 4  # thresholds, ln units, > 0
+    OFF = 5
+    LEAK = 6  # ln units a second
+
+
+FIELDS = len(Field)
+
+
+class Pixels(NamedTuple):
+    """The state of an array: `fields`, flat, and until when (ns) a pixel whose reference is NaN is blind."""
+
+    fields: npt.NDArray[np.float32]
+    blind_until_ns: npt.NDArray[np.int64]
+
+
+class StepConstants(NamedTuple):
+    """What is the same for all pixels of a step."""
+
+    dark: np.float32
+    rate_at_reference: np.float32  # rad/s
+    rate_min: np.float32
+    rate_max: np.float32
+    h: np.float32  # the step, s
+    since_epoch_0: np.float32  # time since the epoch at the step's start and end, s
+    since_epoch_1: np.float32
+    refractory: np.float32  # as a share of the step
+    h_ns: int
+    t0_ns: int
+    refractory_ns: int
+    pixel_bits: int
+
+
+@kernel
+def slot(pixel: int) -> int:
+    """Return where the first field of a pixel is in the flat state; the others follow at multiples of BLOCK."""
+    return (pixel // BLOCK) * (FIELDS * BLOCK) + pixel % BLOCK
