@@ -13,6 +13,7 @@ from dataclasses import dataclass
 __all__ = ["Lateness", "StepRule"]
 
 LONGEST_STRETCH = 8
+_MEMORY = 0.9  # of the running mean of a length's load, a step
 
 
 @dataclass
@@ -40,12 +41,17 @@ class Lateness:
 
 
 class StepRule:
-    """How long the next step is: the rig's own while the run keeps up, longer while it does not."""
+    """How long the next step is: the rig's own while the run keeps up, longer while it does not and longer is cheaper.
+
+    Longer steps save pictures. They do not always save time: where many pixels change a lot within a step, each of them
+    costs more, so what a length costs for each second of stream is measured, and a dearer one is left again.
+    """
 
     def __init__(self, step_ns: int) -> None:
         if step_ns < 1:
             raise ValueError(f"a step lasts at least 1 ns, got {step_ns}")
         self._step_ns = step_ns
+        self._load: dict[int, float] = {}
         self.stretch = 1
 
     @property
@@ -53,9 +59,18 @@ class StepRule:
         """Length of the next step, ns."""
         return self._step_ns * self.stretch
 
-    def follow(self, gap_ns: int) -> None:
-        """Adapt to the last step's gap: stretch when more than a whole step behind, shrink when in time."""
+    def follow(self, gap_ns: int, cost_ns: int) -> None:
+        """Adapt to the last step: `gap_ns` late (negative: in time), `cost_ns` of computing."""
+        load = cost_ns / self.step_ns
+        self._load[self.stretch] = load + _MEMORY * (self._load.get(self.stretch, load) - load)
         if gap_ns > self._step_ns:
-            self.stretch = min(2 * self.stretch, LONGEST_STRETCH)
+            self.stretch = self._cheaper()
         elif gap_ns <= 0 and self.stretch > 1:
             self.stretch //= 2
+
+    def _cheaper(self) -> int:
+        """Return the neighbouring length with the least load; one not tried yet is thought to be half as dear."""
+        shorter, longer = max(self.stretch // 2, 1), min(2 * self.stretch, LONGEST_STRETCH)
+        here = self._load[self.stretch]
+        expected = {shorter: self._load.get(shorter, here), longer: self._load.get(longer, here / 2), self.stretch: here}
+        return min(expected, key=lambda stretch: expected[stretch])

@@ -157,12 +157,12 @@ class Session:
         while not self._stopping and (schedule.duration_ns is None or self._t_ns < schedule.duration_ns):
             if schedule.paced:
                 self._clock.sleep_until(origin_ns + self._t_ns - lead_ns)
-            due_ns = origin_ns + self._t_ns
+            due_ns, begun_ns = origin_ns + self._t_ns, self._clock.now_ns()
             self._step(rule, schedule)
             if schedule.paced:
-                gap_ns = self._clock.now_ns() - due_ns
-                self._lateness.add(gap_ns, rule.stretch)
-                rule.follow(gap_ns)
+                ready_ns = self._clock.now_ns()
+                self._lateness.add(ready_ns - due_ns, rule.stretch)
+                rule.follow(ready_ns - due_ns, ready_ns - begun_ns)
             if self._clock.now_ns() >= status_ns:
                 status_ns = self._clock.now_ns() + _STATUS_PERIOD_NS
                 on_status(self._status(start_ns))
