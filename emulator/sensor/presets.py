@@ -8,7 +8,7 @@ family and is meant to be overridden by a rig):
 
     figure                     davis346                     dvxplorer_micro              imx636
     size                       346 x 260 [1]                640 x 480 [2]                1280 x 720 [3]
-    thresholds, ln             0.283 / 0.262 [4]            0.25 / 0.25 estimate         0.25 / 0.25 [3], read as ln
+    thresholds, ln             0.283 / 0.262 [4]            0.25 / 0.25 estimate         0.223 / 0.223 [3], ln 1.25
     mismatch                   3.5 % [5]                    3.5 % estimate as [5]        3.5 % estimate as [5]
     dark current, relative     0.001 estimate               0.001 estimate               0.001 estimate
     corner at reference        3 kHz at 1 klux [6]          3 kHz estimate as [6]        3 kHz estimate as [6]
@@ -131,11 +131,11 @@ class SensorParameters:
             "corner_min_hz",
         ):
             _check(self, name, 0, math.inf, above=True)
-        _check(self, "corner_max_hz", self.corner_min_hz, math.inf)
         _check(self, "mismatch", 0, _MOST_MISMATCH)
         for name in ("leak_hz", "leak_spread", "refractory_us"):
             _check(self, name, 0, math.inf)
         _check_finite(self, unbounded=("corner_hz_at_reference", "corner_max_hz"))
+        _check(self, "corner_max_hz", self.corner_min_hz, math.inf)
 
 
 PRESETS: MappingProxyType[str, SensorParameters] = MappingProxyType(
@@ -159,8 +159,8 @@ PRESETS: MappingProxyType[str, SensorParameters] = MappingProxyType(
         "imx636": SensorParameters(
             width=1280,
             height=720,
-            threshold_on=0.25,
-            threshold_off=0.25,
+            threshold_on=0.223,
+            threshold_off=0.223,
             refractory_us=100.0,
             readout=ReadoutParameters(event_ns=0.94, row_ns=50),
         ),

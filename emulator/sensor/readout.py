@@ -38,22 +38,28 @@ _FOREVER_NS = (1 << 63) - 1
 _Words = npt.NDArray[np.uint64]
 _Int64s = npt.NDArray[np.int64]
 
-# Registers of the arbiter, all int64.
-_PHASE, _FREE, _READY, _ROW, _LATCH, _WAITING, _SENT, _LATCHED, _WORD, _LOST = range(10)
-_REGISTERS = 10
-# Phases.
+# What the arbiter is doing.
 _IDLE, _PICKED, _SENDING = range(3)
 
 
-class _Arbiter(NamedTuple):
-    """Bit maps and registers; all of the state."""
+class _Maps(NamedTuple):
+    """Requests, as bit maps: 64 pixels of a row to a word."""
 
     waiting: _Words  # (height, words), bit set: this pixel holds a request
     polarity: _Words  # (height, words), of those requests
     rows: _Words  # bit set: this row has requests
-    latched: _Words  # (words,), of the row being sent, not yet sent
+    counts: _Int64s  # (height,), requests in each row
+    words: _Int64s  # (height,), word of the row's latest request
+    latched: _Words  # (words,), of the row being sent, not yet sent: all 0 when nothing is being sent
     latched_polarity: _Words
-    registers: _Int64s
+
+
+class _Arrivals(NamedTuple):
+    """Crossings, as in `Crossings`."""
+
+    t_ns: _Int64s
+    pixel: npt.NDArray[np.uint32]
+    on: npt.NDArray[np.bool_]
 
 
 class _Timing(NamedTuple):
@@ -62,25 +68,50 @@ class _Timing(NamedTuple):
     event_ps: int
 
 
+class _Queue(NamedTuple):
+    """How many requests wait, since when if none waited before, the row of the latest one, and how many were lost."""
+
+    waiting: int
+    ready_ns: int
+    row: int
+    lost: int
+
+
+class _Arbiter(NamedTuple):
+    """All else that the arbiter remembers."""
+
+    phase: int
+    free_ns: int  # when idle: since when
+    row: int  # picked, being sent, or last sent
+    latch_ns: int
+    latched: int  # events of the row
+    sent: int  # of them
+    word: int  # where the next one is looked for
+
+
 @kernel
-def _admit(
-    t_ns: _Int64s, pixel: npt.NDArray[np.uint32], on: npt.NDArray[np.bool_], k: int, arbiter: _Arbiter, timing: _Timing
-) -> None:
-    """Let crossing k raise its pixel's request, or be lost if that still waits."""
-    registers = arbiter.registers
-    row = pixel[k] // timing.width
-    x = pixel[k] - row * timing.width
-    word, bit = x >> 6, np.uint64(1) << np.uint64(x & 63)
-    if arbiter.waiting[row, word] & bit:
-        registers[_LOST] += 1
-        return
-    if registers[_WAITING] == 0:
-        registers[_READY] = t_ns[k]
-    registers[_WAITING] += 1
-    arbiter.waiting[row, word] |= bit
-    arbiter.rows[row >> 6] |= np.uint64(1) << np.uint64(row & 63)
-    if on[k]:
-        arbiter.polarity[row, word] |= bit
+def _admit(arrivals: _Arrivals, k: int, until_ns: int, maps: _Maps, width: int, queue: _Queue) -> tuple[int, _Queue]:
+    """Let crossings from k on, up to and including `until_ns`, raise requests; return the next k and the queue."""
+    waiting, ready_ns, latest, lost = queue
+    while k < arrivals.t_ns.size and arrivals.t_ns[k] <= until_ns:
+        pixel = np.uint64(arrivals.pixel[k])
+        row = int(np.int64(pixel // np.uint64(width)))
+        x = np.int64(pixel) - row * width
+        word, place = x >> 6, np.uint64(x & 63)
+        bit = np.uint64(1) << place
+        if maps.waiting[row, word] & bit:
+            lost += 1
+        else:
+            ready_ns = ready_ns if waiting else arrivals.t_ns[k]
+            waiting += 1
+            latest = row
+            maps.waiting[row, word] |= bit
+            maps.polarity[row, word] |= np.uint64(arrivals.on[k]) << place
+            maps.rows[row >> 6] |= np.uint64(1) << np.uint64(row & 63)
+            maps.counts[row] += 1
+            maps.words[row] = word
+        k += 1
+    return k, _Queue(waiting, ready_ns, latest, lost)
 
 
 @kernel
@@ -96,94 +127,91 @@ def _next_row(rows: _Words, last: int, height: int) -> int:
 
 
 @kernel
-def _latch(arbiter: _Arbiter) -> None:
-    """Take all requests of the picked row."""
-    registers, row = arbiter.registers, arbiter.registers[_ROW]
-    n = 0
-    for word in range(arbiter.latched.size):
-        bits = arbiter.waiting[row, word]
-        arbiter.latched[word] = bits
-        arbiter.latched_polarity[word] = arbiter.polarity[row, word]
-        arbiter.waiting[row, word] = arbiter.polarity[row, word] = np.uint64(0)
-        while bits != 0:
-            bits &= bits - np.uint64(1)
-            n += 1
-    arbiter.rows[row >> 6] &= ~(np.uint64(1) << np.uint64(row & 63))
-    registers[_WAITING] -= n
-    registers[_LATCHED], registers[_SENT], registers[_WORD] = n, 0, 0
+def _latch(maps: _Maps, row: int) -> tuple[int, int]:
+    """Take all requests of a row: return how many and the first word. One request, the usual case, has a known word."""
+    n = maps.counts[row]
+    first, beyond = (maps.words[row], maps.words[row] + 1) if n == 1 else (0, maps.latched.size)
+    for word in range(first, beyond):
+        maps.latched[word] = maps.waiting[row, word]
+        maps.latched_polarity[word] = maps.polarity[row, word]
+        maps.waiting[row, word] = maps.polarity[row, word] = np.uint64(0)
+    maps.rows[row >> 6] &= ~(np.uint64(1) << np.uint64(row & 63))
+    maps.counts[row] = 0
+    return n, first
 
 
 @kernel
-def _send(arbiter: _Arbiter, timing: _Timing, until_ns: int, out: Events, n: int) -> int:
-    """Send latched events that leave before `until_ns`, into `out` from n on; return the new n."""
-    registers = arbiter.registers
-    sent, row, latch_ns = registers[_SENT], registers[_ROW], registers[_LATCH]
-    word = registers[_WORD]
-    while sent < registers[_LATCHED]:
-        exit_ns = latch_ns + ((sent + 1) * timing.event_ps + 999) // 1000
-        if exit_ns >= until_ns:
+def _send(maps: _Maps, a: _Arbiter, event_ps: int, until_ns: int, out: Events, n: int) -> tuple[int, _Arbiter]:
+    """Send latched events that leave before `until_ns`, into `out` from n on; return the new n and the arbiter."""
+    sent, word = a.sent, a.word
+    exit_ns = a.free_ns
+    while sent < a.latched:
+        leaves_ns = a.latch_ns + ((sent + 1) * event_ps + 999) // 1000
+        if leaves_ns >= until_ns:
             break
-        while arbiter.latched[word] == 0:
+        exit_ns = leaves_ns
+        while maps.latched[word] == 0:
             word += 1
-        bits = arbiter.latched[word]
+        bits = maps.latched[word]
         x = lowest_bit(bits)
-        arbiter.latched[word] = bits & (bits - np.uint64(1))
+        maps.latched[word] = bits & (bits - np.uint64(1))
         event = out[n]
         event.t = exit_ns // 1000
         event.x = np.int64(word) * 64 + np.int64(x)
-        event.y = row
-        event.on = (arbiter.latched_polarity[word] >> x) & np.uint64(1) != 0
+        event.y = a.row
+        event.on = (maps.latched_polarity[word] >> x) & np.uint64(1) != 0
         n += 1
         sent += 1
-    registers[_SENT], registers[_WORD] = sent, word
-    if sent == registers[_LATCHED]:
-        registers[_PHASE] = _IDLE
-        registers[_FREE] = latch_ns + (sent * timing.event_ps + 999) // 1000
-    return n
+    phase = _SENDING if sent < a.latched else _IDLE
+    return n, _Arbiter(phase, exit_ns, a.row, a.latch_ns, a.latched, sent, word)
+
+
+@kernel
+def _run(
+    arrivals: _Arrivals, until_ns: int, maps: _Maps, queue: _Queue, a: _Arbiter, timing: _Timing, out: Events
+) -> tuple[int, _Queue, _Arbiter]:
+    """Let the arbiter do all that happens before `until_ns`; return the number of events written to `out`."""
+    n = k = 0
+    while True:
+        if a.phase == _SENDING:
+            n, a = _send(maps, a, timing.event_ps, until_ns, out, n)
+            if a.phase == _SENDING:
+                break
+        if a.phase == _IDLE:
+            if queue.waiting == 0 and k == arrivals.t_ns.size:
+                break
+            first_ns = queue.ready_ns if queue.waiting else arrivals.t_ns[k]
+            start_ns = max(a.free_ns, first_ns)
+            if start_ns >= until_ns:
+                break
+            k, queue = _admit(arrivals, k, start_ns, maps, timing.width, queue)
+            lone = queue.waiting == 1 and maps.counts[queue.row] == 1
+            row = queue.row if lone else _next_row(maps.rows, a.row, maps.counts.size)
+            a = _Arbiter(_PICKED, a.free_ns, row, start_ns + timing.row_ns, 0, 0, 0)
+        if a.latch_ns >= until_ns:
+            break
+        k, queue = _admit(arrivals, k, a.latch_ns, maps, timing.width, queue)
+        taken, word = _latch(maps, a.row)
+        queue = _Queue(queue.waiting - taken, queue.ready_ns, queue.row, queue.lost)
+        a = _Arbiter(_SENDING, a.free_ns, a.row, a.latch_ns, taken, 0, word)
+    _, queue = _admit(arrivals, k, _FOREVER_NS, maps, timing.width, queue)
+    return n, queue, a
 
 
 @entry
 def _serve(
-    t_ns: _Int64s,
-    pixel: npt.NDArray[np.uint32],
-    on: npt.NDArray[np.bool_],
+    arrivals: _Arrivals,
     until_ns: int,
-    arbiter: _Arbiter,
+    maps: _Maps,
+    queue: _Queue,
+    a: _Arbiter,
     timing: _Timing,
     out: Events,
     sources: int = SOURCES,
-) -> int:
-    """Run the arbiter over all that happens before `until_ns`; return the number of events written to `out`."""
-    registers = arbiter.registers
-    n = k = 0
-    while True:
-        if registers[_PHASE] == _SENDING:
-            n = _send(arbiter, timing, until_ns, out, n)
-            if registers[_PHASE] == _SENDING:
-                break
-        if registers[_PHASE] == _IDLE:
-            while k < t_ns.size and (t_ns[k] <= registers[_FREE] or registers[_WAITING] == 0):
-                _admit(t_ns, pixel, on, k, arbiter, timing)
-                k += 1
-            start_ns = max(registers[_FREE], registers[_READY])
-            if registers[_WAITING] == 0 or start_ns >= until_ns:
-                break
-            while k < t_ns.size and t_ns[k] <= start_ns:
-                _admit(t_ns, pixel, on, k, arbiter, timing)
-                k += 1
-            registers[_ROW] = _next_row(arbiter.rows, registers[_ROW], arbiter.waiting.shape[0])
-            registers[_LATCH], registers[_PHASE] = start_ns + timing.row_ns, _PICKED
-        while k < t_ns.size and t_ns[k] <= registers[_LATCH]:
-            _admit(t_ns, pixel, on, k, arbiter, timing)
-            k += 1
-        if registers[_LATCH] >= until_ns:
-            break
-        _latch(arbiter)
-        registers[_PHASE] = _SENDING
-    while k < t_ns.size:
-        _admit(t_ns, pixel, on, k, arbiter, timing)
-        k += 1
-    return n
+) -> tuple[int, _Queue, _Arbiter]:
+    """Do as `_run`; kept on disk."""
+    n, queue, a = _run(arrivals, until_ns, maps, queue, a, timing, out)
+    return n, queue, a
 
 
 class ReadOut:
@@ -200,19 +228,20 @@ class ReadOut:
     """
 
     def __init__(self, parameters: SensorParameters) -> None:
-        times = parameters.readout
+        times, height = parameters.readout, parameters.height
         words = -(-parameters.width // 64)
         self._timing = _Timing(parameters.width, times.row_ns, max(1, round(times.event_ns * 1000)))
-        self._arbiter = _Arbiter(
-            waiting=np.zeros((parameters.height, words), np.uint64),
-            polarity=np.zeros((parameters.height, words), np.uint64),
-            rows=np.zeros(-(-parameters.height // 64), np.uint64),
+        self._maps = _Maps(
+            waiting=np.zeros((height, words), np.uint64),
+            polarity=np.zeros((height, words), np.uint64),
+            rows=np.zeros(-(-height // 64), np.uint64),
+            counts=np.zeros(height, np.int64),
+            words=np.zeros(height, np.int64),
             latched=np.zeros(words, np.uint64),
             latched_polarity=np.zeros(words, np.uint64),
-            registers=np.zeros(_REGISTERS, np.int64),
         )
-        self._arbiter.registers[_ROW] = parameters.height - 1
-        self._arbiter.registers[_FREE] = -_FOREVER_NS
+        self._queue = _Queue(0, 0, 0, 0)
+        self._arbiter = _Arbiter(_IDLE, -_FOREVER_NS, height - 1, 0, 0, 0, 0)
         self._until_ns = -_FOREVER_NS
         self._out = np.empty(0, EVENT)
         self.raised = 0
@@ -221,14 +250,13 @@ class ReadOut:
     @property
     def lost_at_readout(self) -> int:
         """Crossings of pixels whose request still waited."""
-        return int(self._arbiter.registers[_LOST])
+        return self._queue.lost
 
     @property
     def pending(self) -> int:
         """Requests that wait, and latched events that have not left."""
-        registers = self._arbiter.registers
-        sending = registers[_LATCHED] - registers[_SENT] if registers[_PHASE] == _SENDING else 0
-        return int(registers[_WAITING] + sending)
+        a = self._arbiter
+        return self._queue.waiting + (a.latched - a.sent if a.phase == _SENDING else 0)
 
     def push(self, crossings: Crossings, until_ns: int) -> Events:
         """Take crossings, and return the events that leave before `until_ns`.
@@ -260,7 +288,9 @@ class ReadOut:
         if room > self._out.size:
             self._out = np.empty(max(room, 2 * self._out.size), EVENT)
         say_if_not_compiled(_serve, "the read-out")
-        n = _serve(t_ns, crossings.pixel, crossings.on, until_ns, self._arbiter, self._timing, self._out)
+        arrivals = _Arrivals(t_ns, crossings.pixel, crossings.on)
+        n, queue, arbiter = _serve(arrivals, until_ns, self._maps, self._queue, self._arbiter, self._timing, self._out)
+        self._queue, self._arbiter = _Queue(*queue), _Arbiter(*arbiter)
         self.read_out += n
         return self._out[:n].copy()
 
