@@ -14,6 +14,7 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from emulator.assembly import build_scene, link_setups, schedule
+from emulator.bench.failed import BenchFailed
 from emulator.bench.streams import saturated_stream
 from emulator.link_process import LinkProcess
 from emulator.rig import UsbipLink, load_rig
@@ -28,15 +29,11 @@ from transports.ring import FREE_RUNNING, EventRing
 from transports.usbip.client import UsbipHost
 from transports.usbip.endpoint import UsbipFactory
 
-__all__ = ["BenchFailed", "latency_p50", "latency_p99", "usbip_events"]
+__all__ = ["latency_p50", "latency_p99", "usbip_events"]
 
 _SUSTAINED_S = 10.0
 _BLOCK = 1_000_000
 _MEV_S_SPEED_PX_S = 60.0
-
-
-class BenchFailed(Exception):
-    """The thing measured did not do its job, so its speed means nothing."""
 
 
 class _Receiver:

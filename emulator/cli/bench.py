@@ -6,8 +6,9 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
+from emulator.bench.failed import BenchFailed
 from emulator.bench.measures import MEASURES, Measure
-from emulator.cli.output import GOOD, WRONG_USE, Failure, console, failures, print_json, status
+from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, console, failures, print_json, status
 from emulator.typed_table import unknown
 
 __all__ = ["bench"]
@@ -31,7 +32,7 @@ def bench(
     with failures():
         for measure in _chosen(only):
             status.print(f"measuring {measure.name} ...")
-            value = measure.run()
+            value = _value(measure)
             results.append({"name": measure.name, "value": value, "unit": measure.unit, "better": measure.better})
             if not json:
                 mark = {"higher": ">=", "lower": "<="}[measure.better]
@@ -39,6 +40,13 @@ def bench(
     if json:
         print_json({"results": results})
     return GOOD
+
+
+def _value(measure: Measure) -> float:
+    try:
+        return measure.run()
+    except BenchFailed as error:
+        raise Failure(f"{measure.name} means nothing here: {error}", BAD_VERDICT) from error
 
 
 def _chosen(only: list[str] | None) -> list[Measure]:
