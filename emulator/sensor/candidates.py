@@ -20,7 +20,7 @@ from emulator.sensor.compiled import kernel, kernel_that_allocates, vector_kerne
 from emulator.sensor.exact import MOST_EVENTS, Pixel, Step, Trace, cubic, solve_exactly
 from emulator.sensor.layout import BLOCK, Field, Pixels, StepConstants, slot
 
-__all__ = ["BATCH", "END_ROWS", "Table", "gather", "new_table", "select", "solve"]
+__all__ = ["BATCH", "BEFORE_ROWS", "Table", "gather", "new_table", "select", "solve"]
 
 _Float32s = npt.NDArray[np.float32]
 _Int64s = npt.NDArray[np.int64]
@@ -28,8 +28,8 @@ _Keys = npt.NDArray[np.uint64]
 
 _U, _V, _L, _REF, _ON, _OFF, _LEAK = (int(f) * BLOCK for f in Field)
 
-# Rows of a block's values at the end of the step: as the first fields of the state, then S and 1 - e^-S.
-END_ROWS = _U1, _V1, _L1, _S, _Q = tuple(k * BLOCK for k in range(5))
+# Rows of a block's scratch: the first three fields as they were before the step, then S, q = 1 - e^-S and 1 - q / S.
+BEFORE_ROWS = _U0, _V0, _L0, _S, _Q, _P = tuple(k * BLOCK for k in range(6))
 
 BATCH = BLOCK
 """Candidates from which on the table is solved; a block more fits."""
@@ -76,15 +76,19 @@ def new_table() -> Table:
 
 
 @kernel
-def select(found: _Int64s, s: _Float32s, end: _Float32s, blind_until_ns: _Int64s, c: StepConstants) -> tuple[int, int]:
+def select(
+    found: _Int64s, s: _Float32s, before: _Float32s, blind_until_ns: _Int64s, c: StepConstants
+) -> tuple[int, int]:
     """Keep of a block's candidates those that can be solved, in place.
 
-    Left out are pixels whose light is unreadable, or was at the last step, and those that stay blind through the step.
-    Returns how many are kept and how many have unreadable light.
+    Left out are those that stay blind through the step, pixels whose light is unreadable, and those whose light was so
+    at the last step: their filter starts anew. Returns how many are kept and how many have unreadable light.
     """
     kept = unreadable = 0
     for i in found:
-        u1, v0, reference = end[_U1 + i], s[_V + i], s[_REF + i]
+        u1, v0, reference = s[_U + i], before[_V0 + i], s[_REF + i]
+        if v0 != v0:
+            s[_V + i] = u1
         unreadable += u1 != u1
         wait_ns = blind_until_ns[i] - c.t0_ns if reference != reference else 0
         found[kept] = i
@@ -93,15 +97,15 @@ def select(found: _Int64s, s: _Float32s, end: _Float32s, blind_until_ns: _Int64s
 
 
 @kernel
-def gather(kept: _Int64s, s: _Float32s, end: _Float32s, first: int, table: Table, n: int) -> None:
+def gather(kept: _Int64s, s: _Float32s, before: _Float32s, first: int, table: Table, n: int) -> None:
     """Add candidates of the block that begins at pixel `first` to the table, from column n on."""
     rows = table.rows
     for j in range(kept.size):
         i, k = kept[j], n + j
         table.pixels[k] = first + i
-        rows[_C_U0 + k], rows[_C_V0 + k], rows[_C_L0 + k] = s[_U + i], s[_V + i], s[_L + i]
-        rows[_C_U1 + k], rows[_C_V1 + k], rows[_C_L1 + k] = end[_U1 + i], end[_V1 + i], end[_L1 + i]
-        rows[_C_S + k], rows[_C_REF + k], rows[_C_LEAK + k] = end[_S + i], s[_REF + i], s[_LEAK + i]
+        rows[_C_U0 + k], rows[_C_V0 + k], rows[_C_L0 + k] = before[_U0 + i], before[_V0 + i], before[_L0 + i]
+        rows[_C_U1 + k], rows[_C_V1 + k], rows[_C_L1 + k] = s[_U + i], s[_V + i], s[_L + i]
+        rows[_C_S + k], rows[_C_REF + k], rows[_C_LEAK + k] = before[_S + i], s[_REF + i], s[_LEAK + i]
         rows[_C_ON + k], rows[_C_OFF + k] = s[_ON + i], s[_OFF + i]
 
 

@@ -142,11 +142,9 @@ def _clamped_rate(log_light: float, c: Step) -> float:
 
 
 @kernel
-def _warped_time(h: float, d: float, l0: float, l1: float, c: Step) -> float:
+def _warped_time(h: float, d: float, l0: float, l1: float) -> float:
     """Return the integral of the rate over h while the log light changes by d (trapezium with end correction)."""
-    slope0 = l0 if c.rate_min < l0 < c.rate_max else 0.0
-    slope1 = l1 if c.rate_min < l1 < c.rate_max else 0.0
-    return h * max((l0 + l1) / 2 + d * (slope0 - slope1) / 12, min(l0, l1))
+    return h * max((l0 + l1) / 2 + d * (l0 - l1) / 12, min(l0, l1))
 
 
 class _Piece(NamedTuple):
@@ -259,7 +257,7 @@ def solve_exactly(p: Pixel, c: Step, trace: Trace) -> tuple[int, float, float, f
     for k in range(pieces):
         u = p.log_light + k * width * d
         rate1 = p.rate_after if k == pieces - 1 else _clamped_rate(u + width * d, c)
-        s = _warped_time(h, width * d, rate, rate1, c)
+        s = _warped_time(h, width * d, rate, rate1)
         q = _Piece(u, v, width * d, rate, rate1, s, h, c.since_epoch + k * h)
         v, rate = _filtered_after(q), rate1
         f = _curve(q, v, p)

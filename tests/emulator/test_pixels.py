@@ -333,31 +333,33 @@ def test_the_quiet_test_rejects_no_step_that_fires():
     u1 = u0 + rng.uniform(-0.5, 0.5, n)
     v0 = u0 + rng.normal(0, 0.3, n) * rng.integers(0, 2, n)
     at_reference = np.exp(rng.uniform(np.log(0.01), np.log(10), blocks)).repeat(BLOCK) / h / np.exp(-2)
+    least, most = at_reference * np.exp(-2.5), at_reference * np.exp(-1.5)  # met inside a quarter of the steps
     on, off, leak = rng.uniform(0.1, 0.3, n), rng.uniform(0.1, 0.3, n), rng.uniform(0, 5, n)
     start = rng.uniform(-1, 1, n) * np.where(rng.random(n) < 0.5, on, off) * 0.999
     since = 3.0
     reference = v0 + leak * since - start
-    rates = at_reference * np.exp(u0), at_reference * np.exp(u1)
-    rising, falling = _extremes(u0, u1, v0, leak, at_reference, h)
+    rising, falling = _extremes(u0, u1, v0, leak, lambda u: np.clip(at_reference * np.exp(u), least, most), h)
     fires = (start + rising >= on) | (start + falling <= -off)
-    fields = np.stack([u0, v0, rates[0], reference, on, off, leak]).astype(np.float32)
+    fields = np.stack([u0, v0, np.clip(at_reference * np.exp(u0), least, most), reference, on, off, leak]).astype(
+        np.float32
+    )
     loud, light = np.zeros(n, np.uint8), (np.exp(u1) - 1e-3).astype(np.float32)
     for block in range(blocks):
         here = slice(block * BLOCK, (block + 1) * BLOCK)
-        loud[here] = _loud(fields[:, here], light[here], at_reference[here][0], h, since)
+        loud[here] = _loud(fields[:, here], light[here], at_reference[block * BLOCK], h, since)
     assert fires.sum() > 20_000
     assert np.all(loud[fires] == 1)
     assert np.mean(loud[~fires]) < 0.25
 
 
-def _extremes(u0, u1, v0, leak, at_reference, h, steps=200):
+def _extremes(u0, u1, v0, leak, rate, h, steps=200):
     """Highest and lowest rise of the filtered value, leak added, over a step along a straight line in log light."""
     v, high, low = v0.copy(), np.zeros_like(v0), np.zeros_like(v0)
     dt = h / steps
 
     def slope(z, v):
         u = u0 + (u1 - u0) * z
-        return at_reference * np.exp(u) * (u - v)
+        return rate(u) * (u - v)
 
     for k in range(steps):
         z, dz = k / steps, 1 / steps
@@ -373,12 +375,11 @@ def _extremes(u0, u1, v0, leak, at_reference, h, steps=200):
 def _loud(fields, light, at_reference, h, since):
     """What the quiet pass says of one block."""
     f = np.float32
-    c = kernels.StepConstants(
-        f(1e-3), f(at_reference), f(1e-9), f(1e9), f(h), f(since), f(since + h), f(0), round(h * 1e9), 0, 0, 17
-    )
-    s, end, loud = fields.reshape(-1), np.empty(5 * BLOCK, np.float32), np.empty(BLOCK, np.uint8)
+    rates = f(at_reference), f(at_reference * np.exp(-2.5)), f(at_reference * np.exp(-1.5))
+    c = kernels.StepConstants(f(1e-3), *rates, f(h), f(since), f(since + h), f(0), round(h * 1e9), 0, 0, 17)
+    s, before, loud = fields.reshape(-1), np.empty(6 * BLOCK, np.float32), np.empty(BLOCK, np.uint8)
     assert s.size == FIELDS * BLOCK
-    kernels._take_light(light, end, c)
-    kernels._warp(s, end, c)
-    kernels._filter_and_test(s, end, loud, c)
+    kernels._take_light(light, s, before, c)
+    kernels._warp(s, before, c)
+    kernels._filter_and_test(s, before, loud, c)
     return loud
