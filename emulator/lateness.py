@@ -72,5 +72,6 @@ class StepRule:
         """Return the neighbouring length with the least load; one not tried yet is thought to be half as dear."""
         shorter, longer = max(self.stretch // 2, 1), min(2 * self.stretch, LONGEST_STRETCH)
         here = self._load[self.stretch]
-        expected = {shorter: self._load.get(shorter, here), longer: self._load.get(longer, here / 2), self.stretch: here}
+        expected = {shorter: self._load.get(shorter, here), longer: self._load.get(longer, here / 2)}
+        expected[self.stretch] = here
         return min(expected, key=lambda stretch: expected[stretch])

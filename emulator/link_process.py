@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+from collections.abc import Callable
 
 from firmware_protocol.events import Events
 from transports.link import LinkReport, LinkSetup, Stop, run_link
@@ -58,9 +59,12 @@ class LinkProcess:
         self._ring.push(events)
         self._ring.publish(now_us)
 
-    def push_all(self, events: Events, now_us: int) -> None:
-        """Hand over every event, waiting for room: for runs that are not paced, where nothing need be lost."""
-        while len(events):
+    def push_all(self, events: Events, now_us: int, goes_on: Callable[[], bool] = lambda: True) -> None:
+        """Hand over every event, waiting for room: for runs that are not paced, where nothing need be lost.
+
+        When `goes_on` says no, it waits no longer, and what finds no room is refused and counted.
+        """
+        while len(events) > self._ring.room and goes_on():
             if self._ring.room == 0:
                 self._clock.sleep_until(self._clock.now_ns() + _ROOM_WAIT_NS)
                 self.listen()
@@ -69,7 +73,7 @@ class LinkProcess:
             self._ring.push(piece)
             self._ring.publish(int(piece["t"][-1]))
             events = events[len(piece) :]
-        self._ring.publish(now_us)
+        self.push(events, now_us)
 
     def stop(self, drain_s: float) -> LinkReport:
         """Close the ring, let the link deliver what waits, and return its final report."""

@@ -10,7 +10,6 @@ they are full, so that nothing is lost.
 from __future__ import annotations
 
 import dataclasses
-import logging
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
@@ -30,8 +29,6 @@ from transports.pacing import Clock
 from transports.ring import FREE_RUNNING
 
 __all__ = ["RunResult", "RunStatus", "Schedule", "Session", "load_kernels"]
-
-log = logging.getLogger(__name__)
 
 _STATUS_PERIOD_NS = 100_000_000
 _HEAD_START_NS = 20_000_000  # between deciding to start and stream time zero, so that the first step is in time
@@ -114,20 +111,20 @@ class Session:
         self._stopping = False
 
     def stop(self) -> None:
-        """End the run after the present step; for `on_status`."""
+        """End the run after the present step; for `on_status`, and for a signal handler.
+
+        An exception inside a step, such as KeyboardInterrupt, would leave events without a fate.
+        """
         self._stopping = True
 
     def run(self, schedule: Schedule, on_status: Callable[[RunStatus], None] = lambda _: None) -> RunResult:
-        """Run until the schedule's end or KeyboardInterrupt; raises LinkFailed when a link cannot go on."""
+        """Run until the schedule's end or `stop`; raises LinkFailed when a link cannot go on."""
         with ExitStack() as stack:
             stack.callback(self._stop_links, 0.0)  # does nothing more when the links have been stopped in order
             self._open_links()
             self._warm_up()
             start_ns = self._clock.now_ns()
-            try:
-                self._run_steps(schedule, on_status)
-            except KeyboardInterrupt:
-                log.info("stopped by Ctrl-C at stream time %.3f s", self._t_ns * 1e-9)
+            self._run_steps(schedule, on_status)
             wall_seconds = (self._clock.now_ns() - start_ns) * 1e-9
             self._publish(self._readout.finish(), schedule)
             reports = self._stop_links(schedule.drain_s)
@@ -189,7 +186,7 @@ class Session:
             if schedule.paced:
                 link.push(events, now_us)
             else:
-                link.push_all(events, now_us)
+                link.push_all(events, now_us, lambda: not self._stopping)
 
     def _status(self, start_ns: int) -> RunStatus:
         return RunStatus(

@@ -15,6 +15,7 @@ from cyclopts import Parameter
 from emulator.assembly import build_scene, link_setups, schedule
 from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, console, failures, print_json, status
 from emulator.cli.run import summary
+from emulator.cli.signals import stopped_by_signals
 from emulator.rig import Rig, UsbipLink, load_rig
 from emulator.session import RunResult, RunStatus, Session
 from transports.pacing import MonotonicClock
@@ -76,7 +77,8 @@ def _run(rig: Rig, sent: Path, received: Path, seconds: float) -> RunResult:
 
         try:
             plan = dataclasses.replace(schedule(rig), duration_ns=round((seconds + 60) * 1e9))
-            return session.run(plan, follow)
+            with stopped_by_signals(session):
+                return session.run(plan, follow)
         finally:
             if receiver is not None and receiver.poll() is None:
                 receiver.terminate()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import signal
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated, Literal
@@ -13,6 +12,7 @@ from cyclopts import Parameter
 from emulator.assembly import build_scene, link_setups, schedule
 from emulator.cli.live import LiveTable
 from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, console, failures, print_json, status
+from emulator.cli.signals import stopped_by_signals
 from emulator.rig import Rig, load_rig
 from emulator.session import RunResult, Session
 from transports.latency import LatencySummary
@@ -78,11 +78,10 @@ def _check_record(rig: Rig, record: Path | None) -> None:
 
 def run_rig(rig: Rig, record: Path | None = None, *, show: bool = False) -> RunResult:
     """Run a loaded rig, with a live table on stderr when `show`."""
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # a service manager's stop is as clean as Ctrl-C
     sensor = rig.camera.sensor
     with build_scene(rig.scene, (sensor.width, sensor.height)) as scene:
         session = Session(scene, sensor, rig.run.seed, link_setups(rig, record), MonotonicClock())
-        with LiveTable(rig, status) if show else nullcontext() as live:
+        with stopped_by_signals(session), LiveTable(rig, status) if show else nullcontext() as live:
             return session.run(schedule(rig), live.update if live else lambda _: None)
 
 

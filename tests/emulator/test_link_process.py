@@ -116,6 +116,14 @@ def test_what_is_not_read_by_the_end_has_a_fate_too(link):
     assert report.final
 
 
+def test_a_full_link_does_not_hold_up_a_run_that_is_to_stop(link, reader):
+    goes_on = iter([True] * 5 + [False] * 100)
+    link.push_all(stream(50_000), 150_000, lambda: next(goes_on))  # the link was not started, so it takes nothing
+    report = link.stop(0.2)
+    assert report.delivered + report.dropped + report.dropped_in_device == 50_000
+    assert report.dropped > 0
+
+
 def test_a_process_that_dies_is_told(link):
     os.kill(link._process.pid, signal.SIGKILL)
     link._process.join(10.0)

@@ -1,10 +1,12 @@
 """A run without links: pacing, stopping, and sums, with a clock and a scene that the test holds."""
 
 import dataclasses
+import signal
 
 import numpy as np
 import pytest
 
+from emulator.cli.signals import stopped_by_signals
 from emulator.scene.base import Scene
 from emulator.sensor.presets import PRESETS
 from emulator.session import Schedule, Session
@@ -76,18 +78,30 @@ def test_the_last_step_ends_at_the_end():
     assert scene.times == [0, 700_000, 1_000_000]
 
 
-def test_ctrl_c_ends_with_what_was_done():
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_inside_a_step_ends_the_run_after_it(number):
     clock = FakeClock()
 
-    class Interrupted(Flashing):
+    class Interrupting(Flashing):
         def light(self, t_ns, out):
             if t_ns == 7 * STEP_NS:
-                raise KeyboardInterrupt
+                signal.raise_signal(number)
             super().light(t_ns, out)
 
-    result = session(Interrupted(clock), clock).run(Schedule(paced=False))
-    assert result.steps == 6
+    running = session(Interrupting(clock), clock)
+    with stopped_by_signals(running):
+        result = running.run(Schedule(paced=False))
+    assert result.steps == 7
     assert result.ledger.balanced
+
+
+def test_a_second_signal_interrupts_at_once():
+    clock = FakeClock()
+    running = session(Flashing(clock), clock)
+    with stopped_by_signals(running):
+        signal.raise_signal(signal.SIGINT)
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
 
 
 def test_a_run_can_be_stopped_from_its_status():
