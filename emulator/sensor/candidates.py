@@ -76,6 +76,12 @@ def new_table() -> Table:
 
 
 @kernel
+def _at(row: int, k: np.uint64) -> np.uint64:
+    """Return the index of entry k of a row; unsigned, so that no one asks whether it counts from the end."""
+    return np.uint64(row) + k
+
+
+@kernel
 def select(
     found: _Int64s, s: _Float32s, before: _Float32s, blind_until_ns: _Int64s, c: StepConstants
 ) -> tuple[int, int]:
@@ -85,13 +91,14 @@ def select(
     at the last step: their filter starts anew. Returns how many are kept and how many have unreadable light.
     """
     kept = unreadable = 0
-    for i in found:
-        u1, v0, reference = s[_U + i], before[_V0 + i], s[_REF + i]
+    for pixel in found:
+        i = np.uint64(pixel)
+        u1, v0, reference = s[_at(_U, i)], before[_at(_V0, i)], s[_at(_REF, i)]
         if v0 != v0:
-            s[_V + i] = u1
+            s[_at(_V, i)] = u1
         unreadable += u1 != u1
         wait_ns = blind_until_ns[i] - c.t0_ns if reference != reference else 0
-        found[kept] = i
+        found[kept] = pixel
         kept += (u1 == u1) & (v0 == v0) & (wait_ns <= c.h_ns)
     return kept, unreadable
 
@@ -101,12 +108,17 @@ def gather(kept: _Int64s, s: _Float32s, before: _Float32s, first: int, table: Ta
     """Add candidates of the block that begins at pixel `first` to the table, from column n on."""
     rows = table.rows
     for j in range(kept.size):
-        i, k = kept[j], n + j
-        table.pixels[k] = first + i
-        rows[_C_U0 + k], rows[_C_V0 + k], rows[_C_L0 + k] = before[_U0 + i], before[_V0 + i], before[_L0 + i]
-        rows[_C_U1 + k], rows[_C_V1 + k], rows[_C_L1 + k] = s[_U + i], s[_V + i], s[_L + i]
-        rows[_C_S + k], rows[_C_REF + k], rows[_C_LEAK + k] = before[_S + i], s[_REF + i], s[_LEAK + i]
-        rows[_C_ON + k], rows[_C_OFF + k] = s[_ON + i], s[_OFF + i]
+        i, k = np.uint64(kept[j]), np.uint64(n + j)
+        table.pixels[k] = first + kept[j]
+        rows[_at(_C_U0, k)], rows[_at(_C_U1, k)] = before[_at(_U0, i)], s[_at(_U, i)]
+        rows[_at(_C_V0, k)], rows[_at(_C_V1, k)] = before[_at(_V0, i)], s[_at(_V, i)]
+        rows[_at(_C_L0, k)], rows[_at(_C_L1, k)] = before[_at(_L0, i)], s[_at(_L, i)]
+        rows[_at(_C_S, k)], rows[_at(_C_LEAK, k)] = before[_at(_S, i)], s[_at(_LEAK, i)]
+        rows[_at(_C_REF, k)], rows[_at(_C_ON, k)], rows[_at(_C_OFF, k)] = (
+            s[_at(_REF, i)],
+            s[_at(_ON, i)],
+            s[_at(_OFF, i)],
+        )
 
 
 @kernel

@@ -155,6 +155,8 @@ def advance(
         _warp(s, before, c)
         _filter_and_test(s, before, loud, c)
         n_found = _list(eights, found)
+        if n_found == 0:
+            continue
         kept, bad = select(found[:n_found], s, before, pixels.blind_until_ns[first : first + BLOCK], c)
         gather(found[:kept], s, before, first, table, n)
         n += kept

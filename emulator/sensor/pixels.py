@@ -109,6 +109,7 @@ class PixelArray:
         self.seed = seed
         self.lost_in_pixel = 0
         self.quiet_nan = 0
+        self._size = (parameters.height, parameters.width)
         self._pixels = parameters.width * parameters.height
         self._pixel_bits = max(1, (self._pixels - 1).bit_length())
         self._refractory_ns = round(parameters.refractory_us * 1000)
@@ -140,6 +141,7 @@ class PixelArray:
 
     def reset(self, light: _Float32s, t_ns: int) -> None:
         """Start at `t_ns` with the filter at rest on `light`, (height, width) float32, and counters at zero."""
+        say_if_not_compiled(advance, "the pixel step")
         state, p = self.state, self.parameters
         flat = self._flat(light)
         state.t_ns, state.epoch_ns = int(t_ns), (int(t_ns) >> _EPOCH_BITS) << _EPOCH_BITS
@@ -196,14 +198,14 @@ class PixelArray:
         state, room = self.state, self._room
         self._move_epoch()
         t0_ns, c = state.t_ns, self._constants(t_ns)
-        say_if_not_compiled(advance, "the pixel step")
         room.keys, found, lost, unreadable = advance(
             flat, Pixels(state.fields.reshape(-1), state.blind_until_ns), self._table, room.keys, c
         )
-        keys = room.keys[:found]
-        keys.sort()
-        room.fit(n + found)
-        unpack(keys, t0_ns, self._pixel_bits, room.t_ns[n : n + found], room.pixel[n:], room.on[n:])
+        if found:
+            keys = room.keys[:found]
+            keys.sort()
+            room.fit(n + found)
+            unpack(keys, t0_ns, self._pixel_bits, room.t_ns[n : n + found], room.pixel[n:], room.on[n:])
         self.lost_in_pixel += lost
         self.quiet_nan += unreadable
         state.t_ns = t_ns
@@ -237,9 +239,8 @@ class PixelArray:
         )
 
     def _flat(self, light: _Float32s) -> _Float32s:
-        size = (self.parameters.height, self.parameters.width)
-        if light.shape != size or light.dtype != np.float32:
-            raise ValueError(f"light is {light.shape} {light.dtype}: must be {size} float32")
+        if light.shape != self._size or light.dtype != np.float32:
+            raise ValueError(f"light is {light.shape} {light.dtype}: must be {self._size} float32")
         return np.ascontiguousarray(light).reshape(-1)
 
 

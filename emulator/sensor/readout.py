@@ -228,6 +228,7 @@ class ReadOut:
     """
 
     def __init__(self, parameters: SensorParameters) -> None:
+        say_if_not_compiled(_serve, "the read-out")
         times, height = parameters.readout, parameters.height
         words = -(-parameters.width // 64)
         self._timing = _Timing(parameters.width, times.row_ns, max(1, round(times.event_ns * 1000)))
@@ -287,7 +288,6 @@ class ReadOut:
         room = self.pending + t_ns.size
         if room > self._out.size:
             self._out = np.empty(max(room, 2 * self._out.size), EVENT)
-        say_if_not_compiled(_serve, "the read-out")
         arrivals = _Arrivals(t_ns, crossings.pixel, crossings.on)
         n, queue, arbiter = _serve(arrivals, until_ns, self._maps, self._queue, self._arbiter, self._timing, self._out)
         self._queue, self._arbiter = _Queue(*queue), _Arbiter(*arbiter)
