@@ -8,7 +8,7 @@ from emulator.rig import LinkParameters, LoopbackLink, Rig, SceneParameters
 from emulator.scene.base import Scene
 from emulator.scene.checkerboard import Checkerboard, CheckerboardParameters
 from emulator.session import Schedule
-from firmware_protocol.davis346 import Davis346Settings
+from firmware_protocol.davis346 import Davis346Settings, Layout
 from firmware_protocol.usb.device import Speed
 from transports.link import EndpointFactory, LinkSetup
 from transports.loopback import LoopbackFactory
@@ -61,6 +61,7 @@ def _camera(rig: Rig, link: LinkParameters) -> Davis346Settings:
         serial=camera.serial,
         size=(camera.sensor.width, camera.sensor.height),
         speed=Speed[camera.speed.upper()],
+        layout=Layout[camera.layout.upper()],
         fifo_bytes=camera.fifo_bytes,
         start_delay_us=round(delay_ms * 1000),
     )

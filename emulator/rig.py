@@ -64,6 +64,9 @@ class Camera:
         Serial number that the host reads, up to 8 characters.
     speed
         USB speed: "super" or "high".
+    layout
+        How the chip lies: "upright", or "turned" as in the hardware, where the words called rows carry x. Drivers turn
+        it back by themselves.
     fifo_bytes
         Size of the camera's output buffer; what finds no room in it is dropped and counted. 256 KiB, as in an FX3.
     start_delay_ms
@@ -75,6 +78,7 @@ class Camera:
     model: str = "davis346"
     serial: str = "00000346"
     speed: Literal["super", "high"] = "super"
+    layout: Literal["upright", "turned"] = "upright"
     fifo_bytes: int = 256 * 1024
     start_delay_ms: float = 300.0
     sensor: SensorParameters = field(default_factory=lambda: PRESETS["davis346"])

@@ -14,7 +14,7 @@ from importlib.metadata import version
 from cyclopts import App, CycloptsError
 from rich.logging import RichHandler
 
-from emulator.cli.output import WRONG_USE, Failure, print_json, status
+from emulator.cli.output import BAD_VERDICT, WRONG_USE, Failure, print_json, status
 
 __all__ = ["app", "main"]
 
@@ -58,6 +58,8 @@ def _main(tokens: list[str]) -> int:
         return _fail(str(error), WRONG_USE, as_json, told=not as_json)
     except Failure as failure:
         return _fail(str(failure), failure.exit_code, as_json)
+    except KeyboardInterrupt:
+        return _fail("interrupted", BAD_VERDICT, as_json)
 
 
 def _fail(message: str, exit_code: int, as_json: bool, told: bool = False) -> int:

@@ -30,6 +30,7 @@ speed_px_s = 10.0         # some 0.3 million events a second, which a processor 
 
 [camera]
 speed = "{speed}"
+layout = "{layout}"
 start_delay_ms = 1000.0   # neuromorphic_drivers must have started all its transfers; a guest on a busy machine is slow
 
 [[links]]
@@ -55,10 +56,12 @@ class RunningRig:
         Existing folder for the rig file, the record and what the program says.
     speed
         The camera's USB speed, "super" or "high".
+    layout
+        How its chip lies, "upright" or "turned".
     """
 
-    def __init__(self, folder: Path, speed: str = "super") -> None:
-        self._speed = speed
+    def __init__(self, folder: Path, speed: str = "super", layout: str = "upright") -> None:
+        self._camera = {"speed": speed, "layout": layout}
         self._record = folder / "delivered.npz"
         self._said = folder / "evstim.log"
         self._rig = folder / "guest.toml"
@@ -66,7 +69,7 @@ class RunningRig:
         self.summary: dict[str, Any] = {}
 
     def __enter__(self) -> RunningRig:
-        self._rig.write_text(CHECKERBOARD.format(port=self.port, speed=self._speed))
+        self._rig.write_text(CHECKERBOARD.format(port=self.port, **self._camera))
         program = Path(sys.executable).with_name("evstim")
         command = [str(program), "run", str(self._rig), "--record", str(self._record), "--json", *RUN_LIMIT]
         with self._said.open("w") as said:

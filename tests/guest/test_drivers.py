@@ -65,9 +65,11 @@ def test_an_unplugged_camera_is_noticed(
     assert rig.summary["balanced"], rig.summary
 
 
-def test_drivers_take_turns_at_high_speed(guest: Guest, driver_pythons: dict[str, Path], tmp_path: Path) -> None:
+def test_drivers_take_turns_at_high_speed_on_a_turned_chip(
+    guest: Guest, driver_pythons: dict[str, Path], tmp_path: Path
+) -> None:
     seen: list[Seen] = []
-    with RunningRig(tmp_path, speed="high") as rig:
+    with RunningRig(tmp_path, speed="high", layout="turned") as rig:
         for driver in DRIVERS:
             with Attachment(guest, rig.port) as camera:
                 assert camera.device["speed"] == "480"
