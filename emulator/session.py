@@ -23,6 +23,7 @@ from emulator.scene.base import Scene
 from emulator.sensor.pixels import PixelArray
 from emulator.sensor.presets import SensorParameters
 from emulator.sensor.readout import ReadOut
+from emulator.waiting import said_if_slow
 from firmware_protocol.events import Events
 from transports.link import LinkReport, LinkSetup
 from transports.pacing import Clock
@@ -139,7 +140,8 @@ class Session:
 
     def _warm_up(self) -> None:
         """Do all slow first-time work before the clock runs: compile the kernels, draw the first picture."""
-        load_kernels(self._pixels.parameters)
+        with said_if_slow("compiling the sensor's kernels: takes some seconds, once; they are kept on disk"):
+            load_kernels(self._pixels.parameters)
         self._draw(0)
         self._pixels.reset(self._light, 0)
 

@@ -46,8 +46,9 @@ def main() -> None:
 
 
 def _main(tokens: list[str]) -> int:
-    level = os.environ.get("EVSTIM_LOG", "WARNING").upper()
-    logging.basicConfig(level=level, format="%(message)s", handlers=[RichHandler(console=status, show_path=False)])
+    logging.basicConfig(format="%(message)s", handlers=[RichHandler(console=status, show_path=False, show_time=False)])
+    for room in ("emulator", "transports"):
+        logging.getLogger(room).setLevel(os.environ.get("EVSTIM_LOG", "INFO").upper())
     as_json = "--json" in tokens
     if as_json and "--version" in tokens:
         print_json({"name": "evstim", "version": version("evstim")})
