@@ -31,6 +31,8 @@ MOST_EVENTS = 64
 _LARGEST_CHANGE = 0.5
 _SHARE = 0.01
 _FAST, _FAINT = 100.0, 1e-5
+_MOST_TURNS = 60
+_SETTLED = 1e-6  # last Newton correction, as a share of the piece; the error is of the order of its square
 
 
 class Trace(NamedTuple):
@@ -85,15 +87,12 @@ def cubic(d0: Real, d1: Real, m0: Real, m1: Real, z: Real) -> Real:
 
 
 @kernel
-def _value(f: _Curve, x: float) -> float:
-    y = ((f.c3 * x + f.c2) * x + f.c1) * x + f.c0
-    return y + f.b * math.exp(-f.s * x) if f.b != 0 else y
-
-
-@kernel
-def _slope(f: _Curve, x: float) -> float:
-    y = (3 * f.c3 * x + 2 * f.c2) * x + f.c1
-    return y - f.b * f.s * math.exp(-f.s * x) if f.b != 0 else y
+def _value_and_slope(f: _Curve, x: float) -> tuple[float, float]:
+    y, slope = ((f.c3 * x + f.c2) * x + f.c1) * x + f.c0, (3 * f.c3 * x + 2 * f.c2) * x + f.c1
+    if f.b != 0:
+        exponential = f.b * math.exp(-f.s * x)
+        y, slope = y + exponential, slope - f.s * exponential
+    return y, slope
 
 
 @kernel
@@ -103,6 +102,10 @@ def _turns(f: _Curve) -> tuple[float, float]:
         ratio = f.b * f.s / f.c1 if f.c1 != 0 else 0.0
         x = math.log(ratio) / f.s if ratio > 0 else 1.0
         return (x if 0 < x < 1 else 1.0), 1.0
+    # The slope as a parabola in Bernstein form: of one sign if its three coefficients are.
+    first, middle, last = f.c1, f.c1 + f.c2, f.c1 + 2 * f.c2 + 3 * f.c3
+    if min(first, middle, last) >= 0 or max(first, middle, last) <= 0:
+        return 1.0, 1.0
     a, half_b, c = 3 * f.c3, f.c2, f.c1
     root = half_b * half_b - a * c
     if root <= 0:
@@ -116,22 +119,21 @@ def _turns(f: _Curve) -> tuple[float, float]:
 
 
 @kernel
-def _crossing(f: _Curve, level: float, low: float, high: float) -> float:
-    """Return where f meets `level` in [low, high], on which it is monotone and at whose ends it lies on both sides."""
-    f_low, f_high = _value(f, low) - level, _value(f, high) - level
+def _crossing(f: _Curve, level: float, low: float, f_low: float, high: float, f_high: float) -> float:
+    """Return where f meets `level` in [low, high], on which it is monotone; f_low and f_high are f - level there."""
     rising = f_high > f_low
     x: float = low - f_low * (high - low) / (f_high - f_low)
-    for _ in range(60):
-        y = _value(f, x) - level
+    for _ in range(_MOST_TURNS):
+        value, slope = _value_and_slope(f, x)
+        y = value - level
         if (y > 0) == rising:
             high = x
         else:
             low = x
-        slope = _slope(f, x)
-        newton = x - y / slope if slope != 0 else low
+        newton = x - y / slope
         following = newton if low < newton < high else 0.5 * (low + high)
-        if abs(following - x) < 1e-10:
-            break
+        if abs(following - x) < _SETTLED:
+            return following
         x = following
     return x
 
@@ -185,7 +187,9 @@ class _Span(NamedTuple):
     """A monotone part of a piece, in the piece's x, and where the piece lies in the step."""
 
     low: float
+    value_low: float
     high: float
+    value_high: float
     origin: float
     width: float
 
@@ -200,33 +204,33 @@ class _Walk(NamedTuple):
 
 
 @kernel
-def _next(f: _Curve, x: float, high: float, reference: float, p: Pixel) -> tuple[float, int]:
-    """Return where from x on the pixel fires next, and 1 for ON; beyond `high` if it does not."""
-    here, there = _value(f, x) - reference, _value(f, high) - reference
-    if here >= p.on:
+def _next(f: _Curve, x: float, here: float, span: _Span, reference: float, p: Pixel) -> tuple[float, int]:
+    """Return where from x on, with value `here`, the pixel fires next, and 1 for ON; beyond the span if it does not."""
+    if here - reference >= p.on:
         return x, 1
-    if here <= -p.off:
+    if here - reference <= -p.off:
         return x, 0
-    if there >= p.on:
-        return _crossing(f, reference + p.on, x, high), 1
-    if there <= -p.off:
-        return _crossing(f, reference - p.off, x, high), 0
-    return high + 1, 0
+    on = span.value_high - reference >= p.on
+    if not on and span.value_high - reference > -p.off:
+        return span.high + 1, 0
+    level = reference + p.on if on else reference - p.off
+    return _crossing(f, level, x, here - level, span.high, span.value_high - level), int(on)
 
 
 @kernel
 def _walk_part(f: _Curve, span: _Span, walk: _Walk, p: Pixel, c: Step, trace: Trace) -> _Walk:
     """Go along a monotone part, from event to event."""
     reference, blind, until, count = walk
-    x = span.low
+    x, here = span.low, span.value_low
     while True:
         if blind:
             sees_again = (until - span.origin) / span.width
             if sees_again > span.high:
                 break
-            x = max(x, sees_again)
-            reference, blind = _value(f, x), False
-        x, on = _next(f, x, span.high, reference, p)
+            if sees_again > x:
+                x, here = sees_again, _value_and_slope(f, sees_again)[0]
+            reference, blind = here, False
+        x, on = _next(f, x, here, span, reference, p)
         if x > span.high:
             break
         z = span.origin + x * span.width
@@ -235,9 +239,24 @@ def _walk_part(f: _Curve, span: _Span, walk: _Walk, p: Pixel, c: Step, trace: Tr
         count += 1
         if c.refractory > 0:
             blind, until = True, z + c.refractory
+            here = _value_and_slope(f, x)[0]
         else:
             reference += p.on if on else -p.off
+            here = reference
     return _Walk(reference, blind, until, count)
+
+
+@kernel
+def _walk_piece(f: _Curve, place: tuple[float, float], walk: _Walk, p: Pixel, c: Step, trace: Trace) -> _Walk:
+    """Go along a piece, from one monotone part to the next; `place` is its origin and width, in steps."""
+    low, value_low = 0.0, _value_and_slope(f, 0.0)[0]
+    first, second = _turns(f)
+    for turn in (first, second, 1.0):
+        if turn > low:
+            value = _value_and_slope(f, turn)[0]
+            walk = _walk_part(f, _Span(low, value_low, turn, value, place[0], place[1]), walk, p, c, trace)
+            low, value_low = turn, value
+    return walk
 
 
 @kernel
@@ -260,12 +279,6 @@ def solve_exactly(p: Pixel, c: Step, trace: Trace) -> tuple[int, float, float, f
         s = _warped_time(h, width * d, rate, rate1)
         q = _Piece(u, v, width * d, rate, rate1, s, h, c.since_epoch + k * h)
         v, rate = _filtered_after(q), rate1
-        f = _curve(q, v, p)
-        first, second = _turns(f)
-        walk = _walk_part(f, _Span(0.0, first, k * width, width), walk, p, c, trace)
-        if first < 1:
-            walk = _walk_part(f, _Span(first, second, k * width, width), walk, p, c, trace)
-        if second < 1:
-            walk = _walk_part(f, _Span(second, 1.0, k * width, width), walk, p, c, trace)
+        walk = _walk_piece(_curve(q, v, p), (k * width, width), walk, p, c, trace)
     reference = math.nan if walk.blind else walk.reference
     return walk.events, v, reference, walk.until
