@@ -1,0 +1,216 @@
+"""The figures of each effect that a sensor can have; every one is off, or changes nothing, by default.
+
+    effect         off when                                   carried out in
+    temperature    it is the reference temperature            temperature
+    defects        shares are 0 and lists empty               defects
+    noise          rms is 0                                   noise, noisy_pixels
+    jitter         latency, deviation and leak share are 0    jitter
+    imager         gains are 1, spreads 0, shot noise false   imager
+    radiation      flux and dose are 0                        radiation
+
+A class here is a table of a rig, `[camera.sensor.noise]` for one, and holds plain values only.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from emulator.sensor.checks import check, check_finite
+
+__all__ = [
+    "DefectParameters",
+    "ImagerParameters",
+    "JitterParameters",
+    "NoiseParameters",
+    "RadiationParameters",
+    "TemperatureParameters",
+]
+
+
+@dataclass(frozen=True, slots=True)
+class TemperatureParameters:
+    """The chip's temperature, and what it does to leak and dark current.
+
+    The junction's leak doubles every 8 to 10 K (Nozaki and Delbruck 2017), a photodiode's dark current about every 8 K
+    (Janesick, Photon Transfer, 2007; both from memory). Parasitic photocurrent does not depend on temperature.
+
+    Attributes
+    ----------
+    celsius : temperature of the chip, degrees Celsius.
+    reference_celsius : temperature at which `leak_hz` and `dark_current_relative` hold.
+    leak_doubles_every_k : rise in temperature that doubles the leak, K.
+    dark_doubles_every_k : rise in temperature that doubles the dark current, K.
+    """
+
+    celsius: float = 20.0
+    reference_celsius: float = 20.0
+    leak_doubles_every_k: float = 9.0
+    dark_doubles_every_k: float = 8.0
+
+    def __post_init__(self) -> None:
+        for name in ("celsius", "reference_celsius"):
+            check(self, name, -200, 200)
+        for name in ("leak_doubles_every_k", "dark_doubles_every_k"):
+            check(self, name, 1)
+        check_finite(self)
+
+
+@dataclass(frozen=True, slots=True)
+class DefectParameters:
+    """Hot and dead pixels. A pixel that is both is dead.
+
+    A hot pixel is one whose leak has its own rate; a dead one has thresholds that no light reaches (section 1, item 10,
+    of the pixel's equations).
+
+    Attributes
+    ----------
+    hot_share : share of the pixels that are hot, drawn pixel by pixel.
+    hot_pixels : more of them by place, [x, y] each.
+    hot_hz : median rate of a hot pixel, Hz.
+    hot_spread : log-normal spread of that rate between hot pixels (standard deviation of its logarithm).
+    dead_share : share of the pixels that are dead, drawn pixel by pixel.
+    dead_pixels : more of them by place, [x, y] each.
+    """
+
+    hot_share: float = 0.0
+    hot_pixels: tuple[tuple[int, int], ...] = ()
+    hot_hz: float = 20.0
+    hot_spread: float = 1.0
+    dead_share: float = 0.0
+    dead_pixels: tuple[tuple[int, int], ...] = ()
+
+    def __post_init__(self) -> None:
+        for name in ("hot_share", "dead_share"):
+            check(self, name, 0, 1)
+        check(self, "hot_hz", 0, 10_000)
+        check(self, "hot_spread", 0, 3)
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseParameters:
+    """Temporal noise at the comparator: a voltage with one pole whose excursions over a threshold are events.
+
+    Attributes
+    ----------
+    rms : of the noise in dim light, natural-log units; 0: none. Measured: 0.04 to 0.07 (Graca 2024, fig. 2.13).
+    corner_hz : fixed pole behind the photoreceptor, Hz. Where the photoreceptor, of corner frequency f, is faster, it
+        takes the noise down to rms^2 corner / (corner + f), its bandwidth to f corner / (corner + f). 286 Hz is the
+        DAVIS346's source follower with default biases (jAER's formula I / (2 pi U_T C1)).
+    grade : "points" draws noise events by their rate, at a cost that follows their number; "grid" follows the voltage
+        of each pixel on a fine grid of time, for sensors of some thousand pixels and for comparison.
+    """
+
+    rms: float = 0.0
+    corner_hz: float = 286.0
+    grade: Literal["points", "grid"] = "points"
+
+    def __post_init__(self) -> None:
+        check(self, "rms", 0, 1)
+        check(self, "corner_hz", 1, 1e6)
+        if self.grade not in ("points", "grid"):
+            raise ValueError(f"grade = {self.grade!r}: must be 'points' or 'grid'")
+
+
+@dataclass(frozen=True, slots=True)
+class JitterParameters:
+    """How late an event is raised after its crossing; delays only, and no two events of a pixel change places.
+
+    Attributes
+    ----------
+    latency_us : mean delay from crossing to request, us.
+    deviation_us : standard deviation of that delay, us; delays are log-normal, so a deviation needs a latency.
+    leak_share : relative standard deviation of the time between leak events. An event's share of it is what leak
+        contributed to the event: all of it in still light, next to nothing where the picture moves.
+    """
+
+    latency_us: float = 0.0
+    deviation_us: float = 0.0
+    leak_share: float = 0.0
+
+    def __post_init__(self) -> None:
+        check(self, "latency_us", 0, 100_000)
+        check(self, "deviation_us", 0, 100_000)
+        check(self, "leak_share", 0, 1)
+        if self.deviation_us > 0 and self.latency_us == 0:
+            raise ValueError(f"deviation_us = {self.deviation_us!r}: must be 0 without a latency_us to vary")
+
+
+@dataclass(frozen=True, slots=True)
+class ImagerParameters:
+    """What any imager does to light before it becomes a signal.
+
+    Attributes
+    ----------
+    system_efficiency : share of the light that reaches the pixels, relative to the sensor's reference.
+    quantum_efficiency : electrons for a photon, relative to the sensor's reference.
+    prnu : photo-response non-uniformity: standard deviation of a pixel's gain.
+    dcnu : dark current non-uniformity: log-normal spread between pixels (standard deviation of the logarithm); the mean
+        stays.
+    photon_shot_noise, dark_shot_noise : whether the counts of photoelectrons and of dark electrons vary as they must.
+        `noise.rms` holds the fast part of both already; this is the slow part, which no filter removes.
+    electrons_per_s_at_reference : photocurrent of a pixel at light 1, electrons a second. 2e8 is a DAVIS346 pixel
+        (18.5 um, fill factor 22 %, quantum efficiency 24 %) at 1 klux on the chip.
+    shot_grid_us : time over which electrons are counted, us; between two counts the light goes along a straight line.
+    """
+
+    system_efficiency: float = 1.0
+    quantum_efficiency: float = 1.0
+    prnu: float = 0.0
+    dcnu: float = 0.0
+    photon_shot_noise: bool = False
+    dark_shot_noise: bool = False
+    electrons_per_s_at_reference: float = 2e8
+    shot_grid_us: int = 8192
+
+    def __post_init__(self) -> None:
+        for name in ("system_efficiency", "quantum_efficiency"):
+            check(self, name, 0, 100, above=True)
+        check(self, "prnu", 0, 0.3)
+        check(self, "dcnu", 0, 3)
+        check(self, "electrons_per_s_at_reference", 1, 1e15)
+        check(self, "shot_grid_us", 100, 10_000_000)
+
+
+@dataclass(frozen=True, slots=True)
+class RadiationParameters:
+    """Particles that cross the chip, and what a dose leaves behind.
+
+    A particle raises ON events along a straight track, at once, and OFF events at a share of its pixels while the
+    charge drains. Isotropic flux: the cosine of the angle to the chip's normal, squared, is uniform; the track is as
+    long as the sensitive layer is deep, times its tangent. Seen in beams: bursts and short tracks, quick recovery
+    (neutrons, Roffe et al., arXiv 2102.00112); background activity rising with dose, a DAVIS346 failing between 20 and
+    50 krad(Si) (McReynolds et al., "Automated characterization techniques and testbeds for event-based cameras").
+    Depth, OFF share, recovery and hot pixels a krad are estimates.
+
+    Attributes
+    ----------
+    hits_per_cm2_s : particles through the chip, per cm2 and second. In interplanetary space cosmic rays alone are some
+        4 a cm2 and second (solar minimum; from memory).
+    pixel_pitch_um : side of a pixel, um; the DAVIS346's.
+    depth_um : depth of the layer that collects charge, um.
+    off_share : share of the pixels of a track that also raise an OFF event.
+    recovery_us : mean time from the ON event to the OFF event, us.
+    dose_krad : dose taken when stream time is zero, krad(Si).
+    dose_krad_per_day : dose taken in a day of stream time, krad(Si).
+    hot_share_per_krad : share of the pixels that a krad makes hot; their rates are those of `defects`.
+    """
+
+    hits_per_cm2_s: float = 0.0
+    pixel_pitch_um: float = 18.5
+    depth_um: float = 10.0
+    off_share: float = 0.3
+    recovery_us: float = 1000.0
+    dose_krad: float = 0.0
+    dose_krad_per_day: float = 0.0
+    hot_share_per_krad: float = 1e-3
+
+    def __post_init__(self) -> None:
+        check(self, "hits_per_cm2_s", 0, 1e6)
+        check(self, "pixel_pitch_um", 0.5, 1000)
+        check(self, "depth_um", 0, 1000)
+        check(self, "off_share", 0, 1)
+        check(self, "recovery_us", 1, 1_000_000)
+        for name in ("dose_krad", "dose_krad_per_day"):
+            check(self, name, 0, 1e4)
+        check(self, "hot_share_per_krad", 0, 1)
