@@ -1,12 +1,16 @@
 """The pixels that may fire in a step: gathered in a table, solved together, column by column a pixel.
 
-A candidate's filtered value, leak added and the reference subtracted, is taken as the cubic in time through its values
-and derivatives at both ends of the step (both are known: the derivative is rate times what the filter lacks). That
-leaves out part of the exponential of the filter's answer, at most |B| E(S) with E = min(S^4 / 384, 0.16 S + 0.2); where
-this is more than 1 % of a threshold, where the cubic turns, or where the light changes by more than 0.5, the pixel is
-solved by `exact` instead. The rest rises or falls all through the step, so its end values tell whether it fires;
-crossings are found by four Newton turns from the secant, kept in their bracket, for all candidates of the table at
-once. Who fires again in the same step goes round again.
+A candidate's filtered value, leak added and the reference subtracted, is a curve in z, the share of the step:
+
+    a cubic through its values and derivatives at both ends of the step (the derivative is rate times what the filter
+    lacks). Leaves out part of the exponential of the filter's answer, at most |B| E(S) with
+    E = min(S^4 / 384, 0.16 S + 0.2), and is taken where that is less than 1 % of a threshold;
+    else the line and exponential itself, the time constant held at its mean over the step.
+
+A candidate whose curve rises or falls all through the step needs only its end values to tell whether it fires. Its
+crossing is found by a fixed number of Newton turns, kept in their bracket, for all candidates of the table at once; who
+fires again in the same step goes round again. What turns inside the step, and what changes by more than 0.5 in log
+light, is solved one by one by `exact`.
 """
 
 from __future__ import annotations
@@ -17,7 +21,8 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.sensor.compiled import kernel, kernel_that_allocates, vector_kernel
-from emulator.sensor.exact import MOST_EVENTS, Pixel, Step, Trace, cubic, solve_exactly
+from emulator.sensor.elementary import decay
+from emulator.sensor.exact import MOST_EVENTS, Pixel, Real, Step, Trace, solve_exactly
 from emulator.sensor.layout import BLOCK, Field, Pixels, StepConstants, slot
 
 __all__ = ["BATCH", "BEFORE_ROWS", "Table", "gather", "new_table", "select", "solve"]
@@ -39,10 +44,10 @@ BATCH = BLOCK
 _CAPACITY = BATCH + BLOCK + 16
 (
     _C_U0, _C_V0, _C_L0, _C_U1, _C_V1, _C_L1, _C_S, _C_REF, _C_ON, _C_OFF, _C_LEAK, _C_START,
-    _C_BASE, _C_A, _C_D0, _C_D1, _C_M0, _C_M1, _C_KIND, _C_Z, _C_MISS,
+    _C_BASE, _C_A, _C_D0, _C_D1, _C_C1, _C_C2, _C_C3, _C_B, _C_KIND, _C_Z, _C_MISS,
     _C_NEXT_A, _C_NEXT_START, _C_NEXT_REF, _C_AGAIN,
-) = (k * _CAPACITY for k in range(25))  # fmt: skip
-_C_ROWS = 25
+) = (k * _CAPACITY for k in range(27))  # fmt: skip
+_C_ROWS = 27
 
 _NOTHING, _SEES_AGAIN, _FIRES, _EXACT = (np.float32(kind) for kind in range(4))
 
@@ -50,8 +55,10 @@ _NAN = np.float32(np.nan)
 _ZERO, _ONE, _TWO, _THREE, _HALF = (np.float32(x) for x in (0, 1, 2, 3, 0.5))
 _LARGEST_CHANGE = np.float32(0.5)
 _SHARE = np.float32(0.01)
-_FAST = np.float32(100)  # S from which end slopes are rounding noise if the exponential is below _FAINT
+_FAST = np.float32(100)  # S from which slopes are rounding noise if the exponential is below _FAINT
 _FAINT = np.float32(1e-5)
+_CUBIC_TURNS = 4
+_TURNS = 6
 _HALVINGS = 25
 _SETTLED = np.float32(3e-5)  # last Newton correction; the error is of the order of its square
 
@@ -135,7 +142,7 @@ def _find_starts(pixels: Pixels, table: Table, n: int, c: StepConstants) -> None
 
 @vector_kernel
 def _prepare(table: _Float32s, n: int, c: StepConstants) -> None:
-    """Give each candidate its cubic (values d, slopes m per step, relative to `base`), start, reference a and kind."""
+    """Give each candidate its curve, its reference a (both relative to `base`) and its kind."""
     for j in range(n):
         u0, v0, u1, v1 = table[_C_U0 + j], table[_C_V0 + j], table[_C_U1 + j], table[_C_V1 + j]
         warped, reference, start = table[_C_S + j], table[_C_REF + j], table[_C_START + j]
@@ -145,65 +152,122 @@ def _prepare(table: _Float32s, n: int, c: StepConstants) -> None:
         base = v0 + leak * c.since_epoch_0 if blind else reference
         d0 = (v0 - base) + leak * c.since_epoch_0
         d1 = (v1 - base) + leak * c.since_epoch_1
-        exponential = abs((v0 - u0) + d / warped)
-        straight = (warped > _FAST) & (exponential < _FAINT)
-        m0 = d1 - d0 if straight else c.h * (table[_C_L0 + j] * (u0 - v0) + leak)
-        m1 = d1 - d0 if straight else c.h * (table[_C_L1 + j] * (u1 - v1) + leak)
+        rise = d1 - d0
+        b = (v0 - u0) + d / warped
         s2 = warped * warped
-        missed = exponential * min(s2 * s2 * np.float32(1 / 384), np.float32(0.16) * warped + np.float32(0.2))
-        middle = _THREE * (d1 - d0) - m0 - m1
-        monotone = (min(min(m0, m1), middle) >= _ZERO) | (max(max(m0, m1), middle) <= _ZERO)
-        at_start = cubic(d0, d1, m0, m1, start)
+        missed = abs(b) * min(s2 * s2 * np.float32(1 / 384), np.float32(0.16) * warped + np.float32(0.2))
+        is_cubic = missed <= _SHARE * min(on, off)
+        straight = (warped > _FAST) & (abs(b) < _FAINT)
+        m0 = c.h * (table[_C_L0 + j] * (u0 - v0) + leak)
+        m1 = c.h * (table[_C_L1 + j] * (u1 - v1) + leak)
+        b = _ZERO if is_cubic | straight else b
+        c1 = rise if straight else (m0 if is_cubic else d + leak * c.h)
+        bend = is_cubic & (not straight)
+        c2 = _THREE * rise - _TWO * m0 - m1 if bend else _ZERO
+        c3 = m0 + m1 - _TWO * rise if bend else _ZERO
+        # Slopes that are all of one sign where the curve is monotone; the middle one is for the cubic.
+        first, last = c1 - b * warped, c1 + _TWO * c2 + _THREE * c3 - b * warped * (_ONE - decay(warped))
+        middle = c1 + c2 if bend else last
+        monotone = (min(min(first, last), middle) >= _ZERO) | (max(max(first, last), middle) <= _ZERO)
+        at_start = _value(_Shape(d0, c1, c2, c3, b, warped), start)
         a = at_start if blind else _ZERO
-        cheap = straight | (monotone & (missed <= _SHARE * min(on, off)) & (abs(d) <= _LARGEST_CHANGE))
         inside = (at_start - a < on) & (at_start - a > -off)
         fires = (d1 - a >= on) | (d1 - a <= -off)
         table[_C_BASE + j], table[_C_A + j] = base, a
-        table[_C_D0 + j], table[_C_D1 + j], table[_C_M0 + j], table[_C_M1 + j] = d0, d1, m0, m1
+        table[_C_D0 + j], table[_C_D1 + j], table[_C_B + j] = d0, d1, b
+        table[_C_C1 + j], table[_C_C2 + j], table[_C_C3 + j] = c1, c2, c3
         idle = _SEES_AGAIN if blind else _NOTHING
         kind = _FIRES if fires else idle
-        table[_C_KIND + j] = kind if cheap & inside else _EXACT
+        table[_C_KIND + j] = kind if monotone & inside & (straight | (abs(d) <= _LARGEST_CHANGE)) else _EXACT
+
+
+class _Shape(NamedTuple):
+    """A candidate's curve: ((c3 z + c2) z + c1) z + d0 - b (1 - e^(-s z)), with b = 0 or c2 = c3 = 0."""
+
+    d0: Real
+    c1: Real
+    c2: Real
+    c3: Real
+    b: Real
+    s: Real
 
 
 @vector_kernel
-def _find_crossings(table: _Float32s, n: int) -> None:
+def _value(f: _Shape, z: Real) -> Real:
+    return (((f.c3 * z + f.c2) * z + f.c1) * z + f.d0) - f.b * decay(f.s * z)
+
+
+@vector_kernel
+def _cubic_value(f: _Shape, z: Real) -> Real:
+    return ((f.c3 * z + f.c2) * z + f.c1) * z + f.d0
+
+
+@vector_kernel
+def _shape(rows: _Float32s, j: int) -> _Shape:
+    c1, c2, c3 = rows[_C_C1 + j], rows[_C_C2 + j], rows[_C_C3 + j]
+    return _Shape(rows[_C_D0 + j], c1, c2, c3, rows[_C_B + j], rows[_C_S + j])
+
+
+@vector_kernel
+def _cross_cubics(table: _Float32s, n: int) -> None:
     """Find where each candidate's monotone cubic meets its next level: z and the last Newton correction."""
     for j in range(n):
-        d0, d1, m0, m1 = table[_C_D0 + j], table[_C_D1 + j], table[_C_M0 + j], table[_C_M1 + j]
-        a, start = table[_C_A + j], table[_C_START + j]
-        rising = d1 > a
-        level = a + (table[_C_ON + j] if rising else -table[_C_OFF + j])
-        sign = _ONE if rising else -_ONE
-        c2 = _THREE * (d1 - d0) - _TWO * m0 - m1
-        c3 = m0 + m1 - _TWO * (d1 - d0)
-        at_start = ((c3 * start + c2) * start + m0) * start + d0
-        low, high = start, _ONE
+        f, d1, a, start = _shape(table, j), table[_C_D1 + j], table[_C_A + j], table[_C_START + j]
+        sign = _ONE if d1 > a else -_ONE
+        level = a + (table[_C_ON + j] if d1 > a else -table[_C_OFF + j])
+        at_start = _cubic_value(f, start)
+        low, high, step = start, _ONE, _ONE
         z = start + (_ONE - start) * (level - at_start) / (d1 - at_start)
-        step = _ONE
-        for _ in range(4):
-            f = sign * ((((c3 * z + c2) * z + m0) * z + d0) - level)
-            slope = sign * ((_THREE * c3 * z + _TWO * c2) * z + m0)
-            low = low if f > _ZERO else z
-            high = z if f > _ZERO else high
-            newton = z - f / slope
+        for _ in range(_CUBIC_TURNS):
+            beyond = sign * (_cubic_value(f, z) - level)
+            slope = sign * ((_THREE * f.c3 * z + _TWO * f.c2) * z + f.c1)
+            low = low if beyond > _ZERO else z
+            high = z if beyond > _ZERO else high
+            newton = z - beyond / slope
             better = newton if (newton >= low) & (newton <= high) else _HALF * (low + high)
             step = better - z
             z = better
-        table[_C_Z + j] = z
-        table[_C_MISS + j] = abs(step)
+        table[_C_Z + j], table[_C_MISS + j] = z, abs(step)
+
+
+@vector_kernel
+def _cross(table: _Float32s, n: int) -> None:
+    """Do as `_cross_cubics` for curves of both kinds.
+
+    An exponential starts from the side from which Newton's steps do not overshoot.
+    """
+    for j in range(n):
+        f, d1, a, start = _shape(table, j), table[_C_D1 + j], table[_C_A + j], table[_C_START + j]
+        sign = _ONE if d1 > a else -_ONE
+        level = a + (table[_C_ON + j] if d1 > a else -table[_C_OFF + j])
+        at_start = _value(f, start)
+        low, high, step = start, _ONE, _ONE
+        secant = start + (_ONE - start) * (level - at_start) / (d1 - at_start)
+        side = _ONE if sign * f.b > _ZERO else start
+        z = secant if f.b == _ZERO else side
+        for _ in range(_TURNS):
+            risen = f.b * decay(f.s * z)
+            beyond = sign * (_cubic_value(f, z) - risen - level)
+            slope = sign * ((_THREE * f.c3 * z + _TWO * f.c2) * z + f.c1 - f.s * (f.b - risen))
+            low = low if beyond > _ZERO else z
+            high = z if beyond > _ZERO else high
+            newton = z - beyond / slope
+            better = newton if (newton >= low) & (newton <= high) else _HALF * (low + high)
+            step = better - z
+            z = better
+        table[_C_Z + j], table[_C_MISS + j] = z, abs(step)
 
 
 @kernel
 def _halve(rows: _Float32s, j: int) -> None:
     """Find the crossing of candidate j by halving."""
-    a = rows[_C_A + j]
+    f, a = _shape(rows, j), rows[_C_A + j]
     rising = rows[_C_D1 + j] > a
     level = a + (rows[_C_ON + j] if rising else -rows[_C_OFF + j])
     low, high = rows[_C_START + j], _ONE
     for _ in range(_HALVINGS):
         z = _HALF * (low + high)
-        f = cubic(rows[_C_D0 + j], rows[_C_D1 + j], rows[_C_M0 + j], rows[_C_M1 + j], z) - level
-        if (f > _ZERO) == rising:
+        if (_value(f, z) > level) == rising:
             high = z
         else:
             low = z
@@ -228,11 +292,11 @@ def _mend(table: Table, n: int) -> None:
 def _follow(table: _Float32s, n: int, c: StepConstants) -> None:
     """Tell for each candidate that fires at z what comes next: reference, from when, and whether it fires again."""
     for j in range(n):
-        d0, d1, m0, m1 = table[_C_D0 + j], table[_C_D1 + j], table[_C_M0 + j], table[_C_M1 + j]
-        a, on, off = table[_C_A + j], table[_C_ON + j], table[_C_OFF + j]
+        a, d1, on, off = table[_C_A + j], table[_C_D1 + j], table[_C_ON + j], table[_C_OFF + j]
         sees_again = table[_C_Z + j] + c.refractory
         level = a + (on if d1 > a else -off)
-        following = cubic(d0, d1, m0, m1, sees_again) if c.refractory > _ZERO else level
+        there = _value(_shape(table, j), sees_again)
+        following = there if c.refractory > _ZERO else level
         fires = ((d1 - following >= on) | (d1 - following <= -off)) & (sees_again <= _ONE)
         table[_C_NEXT_A + j], table[_C_NEXT_START + j] = following, sees_again
         table[_C_NEXT_REF + j] = table[_C_BASE + j] + following if sees_again <= _ONE else _NAN
@@ -261,7 +325,7 @@ def _keep(table: Table, j: int, k: int) -> None:
     rows = table.rows
     table.pixels[k] = table.pixels[j]
     rows[_C_A + k], rows[_C_START + k], rows[_C_KIND + k] = rows[_C_NEXT_A + j], rows[_C_NEXT_START + j], _FIRES
-    for row in (_C_ON, _C_OFF, _C_BASE, _C_D0, _C_D1, _C_M0, _C_M1):
+    for row in (_C_ON, _C_OFF, _C_BASE, _C_D0, _C_D1, _C_C1, _C_C2, _C_C3, _C_B, _C_S):
         rows[row + k] = rows[row + j]
 
 
@@ -330,19 +394,22 @@ def _solve_one(pixels: Pixels, table: Table, j: int, keys: _Keys, n_keys: int, c
 
 
 @kernel
-def _sort_out(pixels: Pixels, table: Table, n: int) -> int:
-    """Store the references of those that see again and do not fire; list those for the exact form, return how many.
+def _sort_out(pixels: Pixels, table: Table, n: int) -> tuple[int, int]:
+    """Store the references of those that see again and do not fire, and list those for the exact form.
+
+    Returns how many need the exact form, and how many of those that fire have an exponential.
 
     A loop of its own, because it is the one over all candidates: see `compiled` on counting references.
     """
-    odd = 0
+    odd = exponentials = 0
     for j in range(n):
         kind = table.rows[_C_KIND + j]
         table.odd[odd] = j
         odd += kind == _EXACT
+        exponentials += (kind == _FIRES) & (table.rows[_C_B + j] != _ZERO)
         if kind == _SEES_AGAIN:
             pixels.fields[slot(table.pixels[j]) + _REF] = table.rows[_C_BASE + j] + table.rows[_C_A + j]
-    return odd
+    return odd, exponentials
 
 
 @kernel_that_allocates
@@ -357,12 +424,16 @@ def solve(pixels: Pixels, table: Table, n: int, keys: _Keys, n_keys: int, c: Ste
     _find_starts(pixels, table, n, c)
     _prepare(table.rows, n, c)
     event = lost = 0
-    for k in range(_sort_out(pixels, table, n)):
+    odd, exponentials = _sort_out(pixels, table, n)
+    for k in range(odd):
         keys = _room(keys, n_keys + MOST_EVENTS)
         n_keys, more = _solve_one(pixels, table, table.odd[k], keys, n_keys, c)
         lost += more
     while n > 0:
-        _find_crossings(table.rows, n)
+        if exponentials:
+            _cross(table.rows, n)
+        else:
+            _cross_cubics(table.rows, n)
         _mend(table, n)
         _follow(table.rows, n, c)
         keys = _room(keys, n_keys + n)

@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from emulator.sensor.compiled import kernel
 
-__all__ = ["MOST_EVENTS", "Pixel", "Step", "Trace", "cubic", "solve_exactly"]
+__all__ = ["MOST_EVENTS", "Pixel", "Real", "Step", "Trace", "solve_exactly"]
 
 Real = Any
 """A float of any width: inside numba, whichever the caller has."""
@@ -77,13 +77,6 @@ class Pixel(NamedTuple):
     off: float
     leak: float
     start: float
-
-
-@kernel
-def cubic(d0: Real, d1: Real, m0: Real, m1: Real, z: Real) -> Real:
-    """Return the cubic with values d0, d1 and slopes m0, m1 at z = 0, 1."""
-    rise = d1 - d0
-    return (((m0 + m1 - rise - rise) * z + (rise + rise + rise - m0 - m0 - m1)) * z + m0) * z + d0
 
 
 @kernel
