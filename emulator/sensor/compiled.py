@@ -50,6 +50,6 @@ entry: _Decorator[Any] = njit(**_COMMON, cache=True)
 
 
 def say_if_not_compiled(function: Callable[..., Any], what: str) -> None:
-    """Log that `function` is about to be compiled or loaded, unless it has been called before."""
+    """Log (for debugging; runs say it when it takes long) that `function` is about to be compiled or loaded."""
     if not getattr(function, "signatures", True):
-        _LOG.info("compiling %s: takes some seconds once, and is kept on disk for the next run", what)
+        _LOG.debug("compiling %s: takes some seconds once, and is kept on disk for the next run", what)
