@@ -13,7 +13,7 @@ from rich.console import Console
 
 from emulator.link_process import LinkFailed
 from emulator.rig import RigError
-from emulator.scene.base import SceneError
+from emulator.scene.base import MachineLacks, SceneError
 
 __all__ = ["BAD_VERDICT", "GOOD", "LACKING", "WRONG_USE", "Failure", "console", "failures", "print_json", "status"]
 
@@ -39,10 +39,10 @@ def failures() -> Iterator[None]:
     """Turn the errors of all rooms into Failure with its exit code."""
     try:
         yield
-    except RigError as error:
-        raise Failure(str(error), WRONG_USE) from error
-    except (SceneError, LinkFailed) as error:
+    except (MachineLacks, LinkFailed) as error:
         raise Failure(str(error), LACKING) from error
+    except (RigError, SceneError) as error:
+        raise Failure(str(error), WRONG_USE) from error
 
 
 def print_json(value: object) -> None:

@@ -9,14 +9,18 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Light", "Scene", "SceneError"]
+__all__ = ["Light", "MachineLacks", "Scene", "SceneError"]
 
 Light = npt.NDArray[np.float32]
 """(height, width) float32, row 0 on top: radiance relative to the sensor's reference level, linear, >= 0."""
 
 
 class SceneError(Exception):
-    """A scene cannot be built or drawn; the message says what is missing and how to get it."""
+    """A scene cannot be built or drawn; the message says what is wrong with it and what would be right."""
+
+
+class MachineLacks(SceneError):
+    """A scene is right, but the machine lacks what draws it; the message says which package has it."""
 
 
 class Scene(ABC):

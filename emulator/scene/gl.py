@@ -19,7 +19,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from emulator.scene.base import SceneError
+from emulator.scene.base import MachineLacks, SceneError
 
 if TYPE_CHECKING:
     import moderngl
@@ -127,7 +127,7 @@ def _open_device(index: int | None) -> moderngl.Context:
         return moderngl.create_context(standalone=True, require=_VERSION, **settings)
     except Exception as error:  # glcontext raises nothing more special
         meaning = next((text for sign, text in _MEANINGS if sign in str(error)), "unknown to us")
-        raise SceneError(f"no GL context: {error} ({meaning}). On Debian: apt install {PACKAGES}") from error
+        raise MachineLacks(f"no GL context: {error} ({meaning}). On Debian: apt install {PACKAGES}") from error
 
 
 @contextmanager

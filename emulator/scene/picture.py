@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from emulator.scene.base import Light, SceneError
+from emulator.scene.base import Light, MachineLacks, SceneError
 from firmware_protocol.events import Events
 
 __all__ = ["Rgb", "event_picture", "save_png"]
@@ -51,7 +51,7 @@ def save_png(path: Path, rgb: Rgb) -> None:
     try:
         from PIL import Image
     except ImportError as error:
-        raise SceneError("writing pictures needs pillow: pip install 'evstim[report]'") from error
+        raise MachineLacks("writing pictures needs pillow: pip install 'evstim[report]'") from error
     try:
         Image.fromarray(rgb).save(path, "PNG")
     except OSError as error:

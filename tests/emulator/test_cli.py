@@ -1,6 +1,7 @@
 """The command line as a user meets it: exit codes, JSON, and messages that say what to do."""
 
 import json
+import os
 import signal
 import socket
 import subprocess
@@ -100,6 +101,23 @@ def test_a_wrong_rig_is_told_without_a_traceback(tmp_path):
     told = " ".join(done.stderr.split())
     assert "line 3" in told
     assert "scene.square_px" in told
+
+
+@pytest.mark.parametrize("shape", ["nosuch", "broken.tab"])
+def test_a_shape_that_cannot_be_used_is_the_rigs_fault(shape, tmp_path, capsys):
+    (tmp_path / "broken.tab").write_text("v 0 0 0\nv 1 0 0\nv nan 1 0\nf 0 1 2\n")
+    path = tmp_path / "rock.toml"
+    path.write_text(f'[scene]\nkind = "body"\nshape = "{shape}"\n')
+    assert _main(["check", str(path), "--draw", "--json"]) == 2
+    assert shape in last_json(capsys.readouterr().out)["error"]
+
+
+def test_without_gl_the_error_names_the_packages_and_closed_forms_still_run(rig):
+    without_gl = {**os.environ, "GLCONTEXT_LINUX_LIBEGL": "libEGL_absent.so.1"}
+    done = run("check", "eros", "--draw", "--json", env=without_gl)
+    assert done.returncode == 3
+    assert "apt install libegl1 libgl1 libgl1-mesa-dri" in last_json(done.stdout)["error"]
+    assert run("run", rig, "--pace", "free", env=without_gl).returncode == 0
 
 
 def test_a_camera_that_is_not_there_is_exit_code_3(capsys):
