@@ -5,10 +5,11 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import re
+import typing
 from typing import Any
 
 from emulator.rig import LINKS, SCENES, Camera, Run
-from emulator.sensor.presets import PRESETS, ReadoutParameters, SensorParameters
+from emulator.sensor.presets import PRESETS
 
 MARKER = "<!-- rig reference -->"
 
@@ -20,17 +21,24 @@ def on_page_markdown(markdown: str, **_: object) -> str:
 
 def reference() -> str:
     """Return one section for each table of a rig file."""
-    parts = [_section(f'[scene] kind = "{kind}"', cls) for kind, cls in SCENES.items()]
-    parts.append(_section("[camera]", Camera, leave_out=("sensor",)))
-    parts.append(_section("[camera.sensor]", SensorParameters, leave_out=("readout",)))
-    parts.append(_section("[camera.sensor.readout]", ReadoutParameters))
+    parts = [section for kind, cls in SCENES.items() for section in _sections("scene", cls, kind)]
+    parts += _sections("camera", Camera)
     parts.append(_presets())
-    parts.append(_section("[run]", Run))
-    parts += [_section(f'[[links]] kind = "{kind}"', cls) for kind, cls in LINKS.items()]
+    parts += _sections("run", Run)
+    parts += [section for kind, cls in LINKS.items() for section in _sections("[links]", cls, kind)]
     return "\n\n".join(parts)
 
 
-def _section(title: str, cls: type, leave_out: tuple[str, ...] = ()) -> str:
+def _sections(path: str, cls: type, kind: str = "") -> list[str]:
+    """Return the section of a table, and those of the tables in it."""
+    types = typing.get_type_hints(cls)
+    tables = [f for f in dataclasses.fields(cls) if dataclasses.is_dataclass(types[f.name])]
+    title = f'[{path}] kind = "{kind}"' if kind else f"[{path}]"
+    inner = [part for f in tables for part in _sections(f"{path}.{f.name}", types[f.name])]
+    return [_section(title, cls, leave_out=[f.name for f in tables]), *inner]
+
+
+def _section(title: str, cls: type, leave_out: list[str]) -> str:
     told = _attributes(cls)
     lines = [f"## `{title}`", "", (inspect.getdoc(cls) or "").partition("\n\n")[0], ""]
     rows = [f for f in dataclasses.fields(cls) if f.name not in leave_out]
@@ -65,9 +73,17 @@ def _default(field: dataclasses.Field[Any]) -> str:
 
 
 def _presets() -> str:
-    names = [f.name for f in dataclasses.fields(SensorParameters) if f.name != "readout"]
+    """Return a table of what the presets differ in."""
+    rows = {name: _plain(dataclasses.asdict(preset)) for name, preset in PRESETS.items()}
+    keys = [key for key in next(iter(rows.values())) if len({str(row[key]) for row in rows.values()}) > 1]
     lines = ["## Presets", "", "| | " + " | ".join(PRESETS) + " |", "|---|" + "---|" * len(PRESETS)]
-    lines += [f"| `{n}` | " + " | ".join(f"{getattr(p, n):g}" for p in PRESETS.values()) + " |" for n in names]
-    for n in ("event_ns", "row_ns"):
-        lines.append(f"| `readout.{n}` | " + " | ".join(f"{getattr(p.readout, n):g}" for p in PRESETS.values()) + " |")
+    lines += [f"| `{key}` | " + " | ".join(f"{row[key]:g}" for row in rows.values()) + " |" for key in keys]
     return "\n".join(lines)
+
+
+def _plain(table: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Return a nested table as one level, with dotted keys."""
+    flat: dict[str, Any] = {}
+    for key, value in table.items():
+        flat.update(_plain(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": value})
+    return flat
