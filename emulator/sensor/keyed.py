@@ -20,7 +20,7 @@ from enum import IntEnum
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Purpose", "normal", "uniform", "words"]
+__all__ = ["Purpose", "normal", "root_of", "uniform", "words"]
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MULTIPLIERS = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
@@ -34,6 +34,22 @@ class Purpose(IntEnum):
     THRESHOLD_OFF = 2
     LEAK_RATE = 3
     LEAK_PHASE = 4
+    HOT = 5
+    HOT_RATE = 6
+    DEAD = 7
+    PHOTO_RESPONSE = 8
+    DARK_CURRENT = 9
+    SHOT_NOISE = 10
+    NOISE_EVENTS = 11
+    NOISE_VOLTAGE = 12
+    NOISE_BRIDGE = 13
+    LATENCY = 14
+    LEAK_JITTER = 15
+    PARTICLES = 16
+    TRACKS = 17
+    DOSE = 18
+    SLOT = 32
+    THRESHOLD_REDRAWN = 33
 
 
 def _mix(z: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
@@ -47,10 +63,14 @@ def _as_words(numbers: npt.ArrayLike) -> npt.NDArray[np.uint64]:
     return np.atleast_1d(np.asarray(numbers)).astype(np.uint64)
 
 
+def root_of(seed: int, purpose: Purpose) -> np.uint64:
+    """Return where the streams of a seed and a purpose begin, for loops that draw their numbers one by one."""
+    return np.uint64(_mix(_mix(_as_words(seed & _WORD)) + _as_words(purpose) * _GOLDEN)[0])
+
+
 def words(seed: int, purpose: Purpose, pixel: npt.ArrayLike, index: npt.ArrayLike = 0) -> npt.NDArray[np.uint64]:
     """Return one 64-bit word for each of `pixel` and `index`, which are whole numbers >= 0 and broadcast."""
-    root = _mix(_mix(_as_words(seed & _WORD)) + _as_words(purpose) * _GOLDEN)
-    base = _mix(root + _as_words(pixel) * _GOLDEN)
+    base = _mix(np.atleast_1d(root_of(seed, purpose)) + _as_words(pixel) * _GOLDEN)
     return _mix(base + (_as_words(index) + np.uint64(1)) * _GOLDEN)
 
 
