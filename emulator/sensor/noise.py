@@ -1,0 +1,323 @@
+"""Noise events as a point process: drawn by their rate, at a cost that follows their number.
+
+An excursion of the noise over a threshold and the way back are a pair of events of opposite polarity. So there are
+primaries, ON or OFF by equal chance, and each has a second event with probability s, after 0.8 tau and an exponential
+time of mean 1.4 tau (but no sooner than the refractory period lets it). The primaries' rate is 2 R / (1 + s), R the ON
+rate of `noise_law`, so that ON and OFF come to R each. Where the refractory period is longer than tau the level is
+read anew on the way back, and pairs dissolve: s = e^(-1.6 t_ref / tau), which is within 0.1 of a simulated pixel.
+
+All that is random is keyed by a slot of 1024 us of stream time, never by the step. The primaries of a slot:
+
+    gaps       exponential, of the total rate W of all pixels, W_p being the highest rate of a pixel in any light
+    pixel      by a table of aliases (Walker 1977) in proportion to W_p
+    thinning   kept with probability rate / W_p, the rate being that in the light of the step's last picture
+
+An array of still light thus gives the same noise, bit for bit, whatever the steps. The pixel's level is left alone, and
+a noise event does not make its pixel blind. Enough while pairs do not overlap, a >= 3.5 (4.5 with short refractory
+periods), and the picture moves by more than 0.3 rms in a time constant; else use the grid grade.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from emulator.sensor.compiled import entry, kernel, kernel_that_allocates
+from emulator.sensor.elementary import natural_log
+from emulator.sensor.keyed import Purpose, root_of
+from emulator.sensor.keyed_kernels import SOURCES, high, low, stream, unit, word
+from emulator.sensor.merging import NO_CROSSINGS, joined, unpacked
+from emulator.sensor.noise_law import bandwidth_hz, rate_over_bandwidth, rms
+from emulator.sensor.pixels import Crossings
+from emulator.sensor.presets import SensorParameters
+
+__all__ = ["SLOT_NS", "NoiseEvents"]
+
+SLOT_NS = 1_024_000
+"""Noise is drawn in slots of this length."""
+
+_FASTEST_HZ = 1e9
+_LOG_STEP = 0.1  # between nodes of the table, ln f
+_THRESHOLDS = 33
+_NEVER = -80.0  # ln of a rate of nothing
+_LONGEST_NS = 1 << 33  # of times that are sorted together
+
+_Float32s = npt.NDArray[np.float32]
+_Floats = npt.NDArray[np.float64]
+_LARGEST = np.finfo(np.float32).max
+_OWN, _ROW, _HIGHEST = range(3)  # columns of figures
+_BATCH = 256
+_ZERO = np.float32(0)
+_ONE = np.uint64(1)
+_SECONDS = 1 << 40  # first index of the numbers that seconds are drawn from
+
+
+class _Model(NamedTuple):
+    """All that does not change: rates over (threshold, ln f), what a candidate needs of its pixel, and numbers."""
+
+    log_rate: _Float32s  # (thresholds, nodes), ln of the primaries' rate in Hz
+    second_share: _Float32s  # (nodes,), s
+    tau_ns: _Float32s  # (nodes,)
+    figures: _Float32s  # (pixels, 4): probability of the pixel itself, row of log_rate, ln W_p, 0
+    alias: npt.NDArray[np.uint32]  # (pixels,)
+    root: np.uint64
+    mean_gap: float  # between candidates, as a share of a slot
+    dark: float
+    hz_at_reference: float
+    hz_min: float
+    hz_max: float
+    refractory_ns: float
+    pixel_bits: int
+
+
+class _Draws(NamedTuple):
+    """A slot, its stream, and how many of its candidates have been drawn."""
+
+    slot: int
+    base: np.uint64
+    first: int
+
+
+class _Candidates(NamedTuple):
+    """A batch of primaries before thinning: time as a share of the slot, pixel, node; and which of them are kept."""
+
+    t: _Floats
+    pixel: npt.NDArray[np.uint64]
+    node: _Floats
+    kept: npt.NDArray[np.int64]
+
+
+class _Ahead(NamedTuple):
+    """Events that are known and have not been given out: times, and pixel << 1 | on; room for more behind."""
+
+    t_ns: npt.NDArray[np.int64]
+    key: npt.NDArray[np.uint64]
+
+
+class _Window(NamedTuple):
+    """The first slot to draw, and the times between which events are wanted."""
+
+    slot: int
+    t0_ns: int
+    t1_ns: int
+
+
+@kernel
+def _log_surplus(light: np.float32, pixel: int, m: _Model, node: _Floats, k: int) -> float:
+    """Return ln of a pixel's rate over its highest one, 0 rate for light that is not finite, and note the node."""
+    readable = abs(light) <= _LARGEST
+    lit = light if readable and light > _ZERO else _ZERO
+    unbounded = m.hz_at_reference * (float(lit) + m.dark)
+    hz = min(max(unbounded, m.hz_min), m.hz_max)
+    place = max(np.float64(natural_log(np.float32(hz / m.hz_min))) / _LOG_STEP, 0.0)
+    place = min(place, m.tau_ns.size - 1.001)
+    row = np.float64(m.figures[pixel, _ROW])
+    i, j = np.uint64(row), np.uint64(place)
+    y, x = row - np.float64(i), place - np.float64(j)
+    upper = m.log_rate[i, j] * (1 - x) + m.log_rate[i, j + _ONE] * x
+    lower = m.log_rate[i + _ONE, j] * (1 - x) + m.log_rate[i + _ONE, j + _ONE] * x
+    node[k] = place
+    return upper * (1 - y) + lower * y - m.figures[pixel, _HIGHEST] if readable else _NEVER
+
+
+@kernel
+def _propose(d: _Draws, t: float, m: _Model, some: _Candidates) -> tuple[int, float]:
+    """Draw times and pixels of the slot's next candidates; return how many lie in the slot, and the last time."""
+    for k in range(_BATCH):
+        index = 3 * (d.first + k)
+        t -= m.mean_gap * np.float64(natural_log(np.float32(unit(high(word(d.base, index))))))
+        bits = word(d.base, index + 1)
+        pixel = np.uint64((high(bits) * np.uint64(m.alias.shape[0])) >> np.uint64(32))
+        other = np.uint64(m.alias[pixel])
+        some.pixel[k] = pixel if unit(low(bits)) < m.figures[pixel, _OWN] else other
+        some.t[k] = t
+        if t >= 1:
+            return k, t
+    return _BATCH, t
+
+
+@kernel
+def _thin(d: _Draws, light: _Float32s, m: _Model, some: _Candidates, n: int) -> int:
+    """Keep of n candidates those that fire: move their numbers to the front of `some.kept`, return how many."""
+    kept = 0
+    for k in range(n):
+        pixel = some.pixel[k]
+        surplus = _log_surplus(light[pixel], pixel, m, some.node, k)
+        chance = natural_log(np.float32(unit(high(word(d.base, 3 * (d.first + k) + 2)))))
+        some.kept[kept] = k
+        kept += chance < surplus
+    return kept
+
+
+@kernel_that_allocates
+def _roomy(ahead: _Ahead, n: int, more: int) -> _Ahead:
+    """Return `ahead` with room for `more` behind its first n events."""
+    if n + more <= ahead.t_ns.size:
+        return ahead
+    t_ns, key = np.empty(2 * (n + more), np.int64), np.empty(2 * (n + more), np.uint64)
+    t_ns[:n], key[:n] = ahead.t_ns[:n], ahead.key[:n]
+    return _Ahead(t_ns, key)
+
+
+@kernel
+def _fire(d: _Draws, m: _Model, some: _Candidates, kept: int, ahead: _Ahead, n: int) -> int:
+    """Add those that fire, and the seconds of their pairs, to `ahead` from n on; return the new n."""
+    for one in range(kept):
+        k = some.kept[one]
+        index = 3 * (d.first + k)
+        key = np.uint64(some.pixel[k]) << _ONE | (word(d.base, index) & _ONE)
+        t_ns = d.slot * SLOT_NS + np.int64(some.t[k] * SLOT_NS)
+        ahead.t_ns[n], ahead.key[n] = t_ns, key
+        nearest = np.uint64(some.node[k] + 0.5)
+        pair = word(d.base, index + _SECONDS)
+        wait = 0.8 - 1.4 * np.float64(natural_log(np.float32(unit(high(pair)))))
+        ahead.t_ns[n + 1] = t_ns + np.int64(max(wait * m.tau_ns[nearest], m.refractory_ns))
+        ahead.key[n + 1] = key ^ _ONE
+        n += 2 if unit(low(pair)) < m.second_share[nearest] else 1
+    return n
+
+
+@kernel_that_allocates
+def _draw_slot(slot: int, light: _Float32s, m: _Model, some: _Candidates, ahead: _Ahead, n: int) -> tuple[_Ahead, int]:
+    """Add the events that begin in a slot to `ahead` from n on."""
+    base, first, t = stream(m.root, slot), 0, 0.0
+    while t < 1:
+        d = _Draws(slot, base, first)
+        proposed, t = _propose(d, t, m, some)
+        kept = _thin(d, light, m, some, proposed)
+        ahead = _roomy(ahead, n, 2 * kept)
+        n = _fire(d, m, some, kept, ahead, n)
+        first += proposed
+    return ahead, n
+
+
+@kernel
+def _give_out(
+    window: _Window, ahead: _Ahead, n: int, shift: np.uint64, keys: npt.NDArray[np.uint64]
+) -> tuple[int, int]:
+    """Pack the events of the window into `keys`, and move up those after it; return how many there are of each."""
+    found = kept = 0
+    for k in range(n):
+        t_ns, key = ahead.t_ns[k], ahead.key[k]
+        ahead.t_ns[kept], ahead.key[kept] = t_ns, key
+        kept += t_ns >= window.t1_ns
+        keys[found] = np.uint64(t_ns - window.t0_ns) << shift | key
+        found += (t_ns < window.t1_ns) & (t_ns >= window.t0_ns)
+    return found, kept
+
+
+@entry
+def _advance(
+    window: _Window, light: _Float32s, m: _Model, ahead: _Ahead, n: int, sources: int = SOURCES
+) -> tuple[_Ahead, int, npt.NDArray[np.uint64]]:
+    """Draw what is missing up to t1; return what lies ahead of it, and the packed events before it, unsorted."""
+    some = _Candidates(np.empty(_BATCH), np.empty(_BATCH, np.uint64), np.empty(_BATCH), np.empty(_BATCH + 1, np.int64))
+    for slot in range(window.slot, -(-window.t1_ns // SLOT_NS)):
+        ahead, n = _draw_slot(slot, light, m, some, ahead, n)
+    keys = np.empty(n + 1, np.uint64)
+    found, kept = _give_out(window, ahead, n, np.uint64(m.pixel_bits + 1), keys)
+    return ahead, kept, keys[:found]
+
+
+@entry
+def _aliases(weight: _Floats, sources: int = SOURCES) -> tuple[_Floats, npt.NDArray[np.uint32]]:
+    """Return, for each pixel, the probability to stay with it and the pixel to take else (Walker 1977, Vose 1991)."""
+    n = weight.size
+    own, alias = weight * (n / weight.sum()), np.arange(n).astype(np.uint32)
+    poor, rich = np.flatnonzero(own < 1), np.flatnonzero(own >= 1)
+    n_poor, n_rich = poor.size, rich.size
+    room = np.empty(n, np.int64)
+    room[:n_poor] = poor
+    while n_poor and n_rich:
+        low_one, high_one = room[n_poor - 1], rich[n_rich - 1]
+        alias[low_one] = high_one
+        own[high_one] -= 1 - own[low_one]
+        n_poor -= 1
+        if own[high_one] < 1:
+            room[n_poor] = high_one
+            n_poor, n_rich = n_poor + 1, n_rich - 1
+    for k in range(n_poor):
+        own[room[k]] = 1.0
+    return own, alias
+
+
+def _tables(p: SensorParameters, thresholds: _Floats) -> tuple[_Floats, _Floats, _Floats]:
+    """Return the primaries' log rate over (thresholds, ln f), the share of seconds and tau in ns over ln f."""
+    if math.isinf(p.corner_hz_at_reference):
+        f_hz = np.full(2, np.inf)
+    else:
+        lowest, highest = math.log(p.corner_min_hz), math.log(min(p.corner_max_hz, _FASTEST_HZ))
+        f_hz = np.exp(lowest + _LOG_STEP * np.arange(max(2, math.ceil((highest - lowest) / _LOG_STEP) + 2)))
+    bandwidth = bandwidth_hz(p, f_hz)
+    tau_s = 1 / (2 * np.pi * bandwidth)
+    refractory = p.refractory_us * 1e-6 / tau_s
+    second_share = np.exp(-1.6 * refractory)
+    on_hz = bandwidth * rate_over_bandwidth(thresholds[:, None] / rms(p, f_hz), refractory)
+    with np.errstate(divide="ignore"):
+        log_rate = np.maximum(np.log(2 * on_hz / (1 + second_share)), _NEVER)
+    return log_rate, second_share, tau_s * 1e9
+
+
+def _model(p: SensorParameters, seed: int, thresholds: _Floats) -> _Model:
+    live = np.isfinite(thresholds)
+    lowest, highest = thresholds[live].min(), thresholds[live].max() * (1 + 1e-6)
+    nodes = np.linspace(lowest, highest, _THRESHOLDS)
+    log_rate, second_share, tau_ns = _tables(p, nodes)
+    row = np.where(live, (thresholds - lowest) / (highest - lowest) * (_THRESHOLDS - 1), 0)
+    row = np.minimum(row, _THRESHOLDS - 1.001)
+    log_highest = np.interp(row, np.arange(_THRESHOLDS), log_rate.max(axis=1))
+    weight = np.where(live, np.exp(log_highest), 0)
+    own, alias = _aliases(weight)
+    no_low_pass = math.isinf(p.corner_hz_at_reference)
+    return _Model(
+        log_rate=log_rate.astype(np.float32),
+        second_share=second_share.astype(np.float32),
+        tau_ns=tau_ns.astype(np.float32),
+        figures=np.stack([own, row, log_highest, np.zeros_like(own)], axis=1).astype(np.float32),
+        alias=alias,
+        root=root_of(seed, Purpose.NOISE_EVENTS),
+        mean_gap=1 / (weight.sum() * SLOT_NS * 1e-9),
+        dark=p.dark_current_relative,
+        hz_at_reference=1.0 if no_low_pass else p.corner_hz_at_reference,
+        hz_min=1.0 if no_low_pass else p.corner_min_hz,
+        hz_max=1.0 if no_low_pass else min(p.corner_max_hz, _FASTEST_HZ),
+        refractory_ns=p.refractory_us * 1000,
+        pixel_bits=max(1, (thresholds.size - 1).bit_length()),
+    )
+
+
+class NoiseEvents:
+    """The noise events of an array.
+
+    Parameters
+    ----------
+    parameters : the sensor; `noise.rms` > 0.
+    seed : keys all that is random.
+    thresholds : (pixels,) float64, mean of each pixel's two thresholds, ln units; infinite for dead pixels.
+    """
+
+    def __init__(self, parameters: SensorParameters, seed: int, thresholds: _Floats) -> None:
+        self._model = _model(parameters, seed, thresholds)
+        self.reset(0)
+
+    def reset(self, t_ns: int) -> None:
+        """Start at `t_ns`; excursions that began before are left out."""
+        self._ahead = _Ahead(np.empty(256, np.int64), np.empty(256, np.uint64))
+        self._known = 0
+        self._slot, self._t_ns = t_ns // SLOT_NS, t_ns
+
+    def step(self, light: _Float32s, t_ns: int) -> Crossings:
+        """Return the events from the last time up to, and without, `t_ns`, for `light` (pixels,) float32."""
+        parts = []
+        while self._t_ns < t_ns:
+            parts.append(self._piece(light, min(t_ns, self._t_ns + _LONGEST_NS)))
+        return joined(parts) if parts else NO_CROSSINGS
+
+    def _piece(self, light: _Float32s, t_ns: int) -> Crossings:
+        window = _Window(self._slot, self._t_ns, t_ns)
+        ahead, self._known, keys = _advance(window, light, self._model, self._ahead, self._known)
+        self._ahead, self._slot, self._t_ns = _Ahead(*ahead), -(-t_ns // SLOT_NS), t_ns
+        return unpacked(keys, window.t0_ns, self._model.pixel_bits)
