@@ -114,14 +114,16 @@ class NoiseParameters:
 
 @dataclass(frozen=True, slots=True)
 class JitterParameters:
-    """How late an event is raised after its crossing; delays only, and no two events of a pixel change places.
+    """How late an event is raised after its crossing, and how the leak varies.
+
+    Delays only, and no two events of a pixel change places: what would overtake leaves together with the one before.
 
     Attributes
     ----------
     latency_us : mean delay from crossing to request, us.
     deviation_us : standard deviation of that delay, us; delays are log-normal, so a deviation needs a latency.
-    leak_share : relative standard deviation of the time between leak events. An event's share of it is what leak
-        contributed to the event: all of it in still light, next to nothing where the picture moves.
+    leak_share : relative standard deviation of a pixel's leak from one stretch of 8.6 s (2^33 ns) to the next, so
+        about that of the time between two leak events at 0.1 Hz; normal, cut off at zero leak.
     """
 
     latency_us: float = 0.0

@@ -1,0 +1,217 @@
+"""The whole sensor: light in, events out.
+
+    light -> imager -> pixels -> jitter --+--> read-out -> events
+                         ^      noise ----+
+                       leaks    radiation +
+
+Every part that a rig leaves off is not there and costs nothing. Some parts change at fixed stream times (the grid of
+shot noise, leak that varies, pixels turning hot): a step that goes across such a time is cut there, with the light part
+of the way on a straight line in the logarithm of the photocurrent, as `PixelArray` takes it anyway. So what comes out
+depends on the pictures and the seed, and on nothing else.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from emulator.sensor.defects import draw_defects, kill
+from emulator.sensor.imager import Imager
+from emulator.sensor.leaks import NEVER_NS, Leaks
+from emulator.sensor.merging import joined, merged
+from emulator.sensor.noise import NoiseEvents
+from emulator.sensor.pixels import Crossings, PixelArray
+from emulator.sensor.presets import SensorParameters
+from emulator.sensor.readout import ReadOut
+from emulator.sensor.rules.drawn import draw
+from emulator.sensor.temperature import at_temperature
+from firmware_protocol.events import Events
+
+__all__ = ["MakePixels", "PixelMethod", "Sensor"]
+
+_Float32s = npt.NDArray[np.float32]
+
+
+class PixelMethod(Protocol):
+    """What turns light into crossings: `PixelArray`, or another's rule."""
+
+    lost_in_pixel: int
+    quiet_nan: int
+
+    def reset(self, light: _Float32s, t_ns: int) -> None:
+        """Start at `t_ns` at rest on `light`, (height, width) float32."""
+
+    def step(self, light: _Float32s, t_ns: int) -> Crossings:
+        """Move to `t_ns`, where the light is `light`, and return the crossings on the way."""
+
+
+MakePixels = Callable[[SensorParameters, int], PixelMethod]
+"""Makes the pixels of a sensor from its parameters and a seed."""
+
+
+class Sensor:
+    """A sensor from light to events.
+
+    Parameters
+    ----------
+    parameters : the sensor and its effects.
+    seed : keys all that is random.
+    make_pixels : the pixels' method.
+
+    Attributes
+    ----------
+    parameters : as given.
+    pixels : the pixels.
+
+    Raises
+    ------
+    ValueError
+        An effect that only `PixelArray` has (defects, changing leak) is asked of another method.
+    """
+
+    def __init__(self, parameters: SensorParameters, seed: int, make_pixels: MakePixels = PixelArray) -> None:
+        self.parameters = parameters
+        here = at_temperature(parameters)
+        self._imager = Imager(here, seed)
+        own = dataclasses.replace(here, dark_current_relative=self._imager.dark_current_relative)
+        self.pixels = make_pixels(own, seed)
+        self._leaks = _leaks(own, seed, self.pixels)
+        self._noise = NoiseEvents(own, seed, _thresholds(own, seed)) if own.noise.rms else None
+        self._readout = ReadOut(own)
+        self._dark = here.dark_current_relative
+        self._before: _Float32s | None = None
+        self._t_ns = 0
+
+    @property
+    def raised(self) -> int:
+        """Events that came to be: lost_in_pixel + lost_at_readout + read_out + pending."""
+        return self._readout.raised + self.pixels.lost_in_pixel
+
+    @property
+    def lost_in_pixel(self) -> int:
+        """Crossings beyond what a pixel can have in a step."""
+        return self.pixels.lost_in_pixel
+
+    @property
+    def lost_at_readout(self) -> int:
+        """Crossings of pixels whose request still waited."""
+        return self._readout.lost_at_readout
+
+    @property
+    def read_out(self) -> int:
+        """Events returned."""
+        return self._readout.read_out
+
+    @property
+    def pending(self) -> int:
+        """Events that are raised and not yet returned."""
+        return self._readout.pending
+
+    @property
+    def quiet_nan(self) -> int:
+        """Pixel-steps whose light was NaN or infinite."""
+        return self.pixels.quiet_nan
+
+    def reset(self, light: _Float32s, t_ns: int) -> None:
+        """Start at `t_ns` with the pixels at rest on `light`, (height, width) float32; the read-out goes on."""
+        self._t_ns = int(t_ns)
+        if self._leaks is not None:
+            self._leaks.follow(self._t_ns)
+        self.pixels.reset(self._imager.see(light, self._t_ns), self._t_ns)
+        if self._noise is not None:
+            self._noise.reset(self._t_ns)
+        self._remember(light)
+
+    def expose(self, light: _Float32s, t_ns: int, rate: _Float32s | None = None) -> Events:
+        """Move to `t_ns` and return the events that leave before it.
+
+        Parameters
+        ----------
+        light : (height, width) float32, relative to the reference level, at `t_ns`; below 0 counts as 0.
+        t_ns : stream time, not before the last one.
+        rate : (height, width) float32, the light's time derivative at `t_ns`, per second; None: not known.
+
+        Returns
+        -------
+        (n,) EVENT, sorted by t.
+
+        Raises
+        ------
+        ValueError
+            Time goes back, or the picture has not the sensor's size.
+        """
+        t_ns, parts = int(t_ns), []
+        t0_ns = self._t_ns
+        while (cut_ns := self._next_cut_ns()) < t_ns:
+            share = (cut_ns - t0_ns) / (t_ns - t0_ns)
+            parts.append(_kept(self._move(self._between(light, share), cut_ns, None)))
+        parts.append(self._move(light, t_ns, rate))
+        self._remember(light)
+        return self._readout.push(joined(parts), t_ns)
+
+    def finish(self) -> Events:
+        """Return the events that have not left yet; nothing can be exposed afterwards."""
+        return self._readout.finish()
+
+    def _next_cut_ns(self) -> int:
+        """Return the next time after now that must be the end of a step."""
+        grid_ns = self._imager.grid_ns
+        shot_ns = (self._t_ns // grid_ns + 1) * grid_ns if grid_ns else NEVER_NS
+        return min(shot_ns, self._leaks.next_ns) if self._leaks is not None else shot_ns
+
+    def _move(self, light: _Float32s, t_ns: int, rate: _Float32s | None) -> Crossings:
+        """Take all parts to `t_ns`, over no cut."""
+        if self._leaks is not None and self._leaks.next_ns <= self._t_ns:
+            self._leaks.follow(self._t_ns)
+        seen = self._imager.see(light, t_ns)
+        crossings = self._pixel_step(seen, t_ns, self._imager.see_rate(rate))
+        if self._noise is not None:
+            crossings = merged(crossings, self._noise.step(seen.reshape(-1), t_ns))
+        self._t_ns = t_ns
+        return crossings
+
+    def _pixel_step(self, seen: _Float32s, t_ns: int, rate: _Float32s | None) -> Crossings:
+        return self.pixels.step(seen, t_ns)
+
+    def _between(self, light: _Float32s, share: float) -> _Float32s:
+        """Return the light part of the way from the last picture, straight in the log of the photocurrent."""
+        assert self._before is not None
+        dark = np.float32(self._dark)
+        log_before, log_after = (np.log(np.maximum(e, 0) + dark) for e in (self._before, light))
+        on_the_way = np.exp(log_before + np.float32(share) * (log_after - log_before)) - dark
+        return np.where(self._before == light, light, on_the_way).astype(np.float32)
+
+    def _remember(self, light: _Float32s) -> None:
+        """Keep the last picture, if a step may have to be cut."""
+        if self._next_cut_ns() < NEVER_NS:
+            self._before = light.copy()
+
+
+def _kept(crossings: Crossings) -> Crossings:
+    """Return a copy that outlives the next step."""
+    return dataclasses.replace(
+        crossings, t_ns=crossings.t_ns.copy(), pixel=crossings.pixel.copy(), on=crossings.on.copy()
+    )
+
+
+def _leaks(p: SensorParameters, seed: int, pixels: PixelMethod) -> Leaks | None:
+    """Give the pixels their defects; return what changes their leak while they run, if anything does."""
+    defects = draw_defects(p, seed)
+    if not (defects.hot.size or defects.dead.size or p.jitter.leak_share):
+        return None
+    if not isinstance(pixels, PixelArray):
+        raise ValueError("defects, dose and jitter.leak_share need evstim's own pixels: leave them out, or the method")
+    kill(pixels, defects.dead)
+    return Leaks(pixels, seed, p.jitter.leak_share, defects)
+
+
+def _thresholds(p: SensorParameters, seed: int) -> npt.NDArray[np.float64]:
+    """Return the mean of each pixel's thresholds, (pixels,); infinite for dead pixels."""
+    drawn = draw(p, seed)
+    thresholds = (drawn.on + drawn.off) / 2
+    thresholds[draw_defects(p, seed).dead] = np.inf
+    return thresholds

@@ -1,0 +1,262 @@
+"""The whole sensor: parts that are off are not there, effects have their rates, and every event has one fate.
+
+Each statistical test fails a good model with a probability of 1e-4 or less (the seeds are fixed).
+"""
+
+import copy
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+
+from emulator.sensor.defects import draw_defects
+from emulator.sensor.effects import (
+    DefectParameters,
+    ImagerParameters,
+    JitterParameters,
+    NoiseParameters,
+    RadiationParameters,
+    TemperatureParameters,
+)
+from emulator.sensor.layout import Field
+from emulator.sensor.pixels import PixelArray
+from emulator.sensor.presets import ReadoutParameters, SensorParameters
+from emulator.sensor.readout import ReadOut
+from emulator.sensor.rules.pangu import Pangu
+from emulator.sensor.sensor import Sensor
+from emulator.sensor.temperature import at_temperature
+
+ALPHA = 1e-4
+MS = 1_000_000
+S = 1000 * MS
+EPOCH_NS = 1 << 33
+DAYS_30 = 30 * 86_400 * S // EPOCH_NS * EPOCH_NS
+PLAIN = SensorParameters(
+    width=40, height=30, threshold_on=0.2, threshold_off=0.2, leak_hz=0.0, corner_hz_at_reference=300.0,
+    readout=ReadoutParameters(event_ns=1.0, row_ns=0),
+)  # fmt: skip
+PIXELS = PLAIN.width * PLAIN.height
+
+
+def with_(p=PLAIN, **changes):
+    return dataclasses.replace(p, **changes)
+
+
+def still(level=1.0, p=PLAIN):
+    return np.full((p.height, p.width), level, np.float32)
+
+
+def drifting(t_ns, p=PLAIN):
+    y, x = np.mgrid[: p.height, : p.width]
+    return np.exp(0.8 * np.sin(0.3 * x + 0.2 * y - 40e-9 * t_ns)).astype(np.float32)
+
+
+def run(p=PLAIN, *, seed=1, step_ns=MS, end_ns=S, scene=None, start_ns=0, make_pixels=PixelArray):
+    scene = scene or (lambda t_ns: still(p=p))
+    sensor = Sensor(p, seed, make_pixels)
+    sensor.reset(scene(start_ns), start_ns)
+    times = [*range(start_ns + step_ns, start_ns + end_ns, step_ns), start_ns + end_ns]
+    parts = [sensor.expose(scene(t), t) for t in times]
+    return np.concatenate([*parts, sensor.finish()]), sensor
+
+
+def pixel_of(events, p=PLAIN):
+    return events["y"].astype(int) * p.width + events["x"]
+
+
+def assert_balance(sensor):
+    assert sensor.pending == 0
+    assert sensor.raised == sensor.lost_in_pixel + sensor.lost_at_readout + sensor.read_out
+
+
+def test_with_everything_off_it_is_pixels_and_read_out():
+    p = with_(leak_hz=5.0)
+    found, sensor = run(p, scene=drifting, end_ns=100 * MS)
+    pixels, readout = PixelArray(p, 1), ReadOut(p)
+    pixels.reset(drifting(0), 0)
+    parts = [readout.push(pixels.step(drifting(t), t), t) for t in range(MS, 101 * MS, MS)]
+    assert len(found) > 10_000
+    assert np.array_equal(found, np.concatenate([*parts, readout.finish()]))
+    assert_balance(sensor)
+
+
+def test_hot_pixels_have_their_own_rate_and_spread():
+    p = with_(leak_hz=0.1, defects=DefectParameters(hot_share=0.3, hot_hz=20.0, hot_spread=0.5))
+    found, _ = run(p, step_ns=10 * MS, end_ns=20 * S)
+    hot = draw_defects(p, 1).hot
+    assert stats.binomtest(hot.size, PIXELS, 0.3).pvalue > ALPHA
+    hz = np.bincount(pixel_of(found)[found["on"]], minlength=PIXELS) / 20
+    assert stats.kstest(np.log(hz[hot] / 20) / 0.5, "norm").pvalue > ALPHA
+    assert hz[hot] == pytest.approx(draw_defects(p, 1).hot_hz, abs=0.06)
+    others = np.setdiff1d(np.arange(PIXELS), hot)
+    assert hz[others].mean() == pytest.approx(0.1, rel=0.1)
+    assert np.all(found["on"])
+
+
+def test_listed_defects_are_where_the_rig_says():
+    p = with_(defects=DefectParameters(hot_pixels=((3, 2), (39, 29)), dead_pixels=((5, 7), (3, 2)), hot_spread=0.0))
+    found, _ = run(p, end_ns=2 * S)
+    assert set(pixel_of(found)) == {29 * 40 + 39}  # the pixel that is both is dead
+    assert len(found) == pytest.approx(2 * 20, abs=1)
+
+
+def test_dead_pixels_see_nothing_at_all():
+    p = with_(leak_hz=10.0, defects=DefectParameters(dead_share=0.25), noise=NoiseParameters(rms=0.06))
+    found, _ = run(p, end_ns=200 * MS, scene=drifting)
+    dead = draw_defects(p, 1).dead
+    assert stats.binomtest(dead.size, PIXELS, 0.25).pvalue > ALPHA
+    assert set(range(PIXELS)) - set(pixel_of(found)) == set(dead)
+
+
+@pytest.mark.parametrize(("celsius", "factor"), [(20.0, 1), (29.0, 2), (2.0, 0.25)])
+def test_leak_doubles_with_temperature(celsius, factor):
+    p = with_(leak_hz=2.0, temperature=TemperatureParameters(celsius=celsius))
+    found, _ = run(p, step_ns=10 * MS, end_ns=10 * S)
+    assert len(found) / PIXELS / 10 == pytest.approx(2 * factor, rel=0.03)
+
+
+def test_dark_current_and_hot_pixels_follow_the_temperature():
+    p = with_(temperature=TemperatureParameters(celsius=36.0), defects=DefectParameters(hot_hz=4.0))
+    warm = at_temperature(p)
+    assert warm.dark_current_relative == pytest.approx(4 * p.dark_current_relative)
+    assert warm.defects.hot_hz == pytest.approx(4 * 2 ** (16 / 9))
+    assert at_temperature(warm) == warm
+
+
+@pytest.mark.parametrize("step_ns", [500_000, 5 * MS, 20 * MS])
+def test_noise_does_not_depend_on_the_step(step_ns):
+    p = with_(noise=NoiseParameters(rms=0.06, corner_hz=300.0), radiation=RadiationParameters(hits_per_cm2_s=2e4))
+    assert len(run(p)[0]) > 500
+    assert np.array_equal(run(p, step_ns=step_ns)[0], run(p)[0])
+
+
+def everything():
+    return with_(
+        leak_hz=1.0,
+        refractory_us=50.0,
+        temperature=TemperatureParameters(celsius=25.0),
+        defects=DefectParameters(hot_share=0.02, dead_share=0.02),
+        noise=NoiseParameters(rms=0.06, corner_hz=300.0),
+        jitter=JitterParameters(latency_us=50.0, deviation_us=100.0, leak_share=0.2),
+        imager=ImagerParameters(
+            system_efficiency=0.8, quantum_efficiency=0.9, prnu=0.02, dcnu=0.3, photon_shot_noise=True,
+            dark_shot_noise=True, electrons_per_s_at_reference=1e5,
+        ),
+        radiation=RadiationParameters(hits_per_cm2_s=1e4, dose_krad=5.0, dose_krad_per_day=1e4),
+    )  # fmt: skip
+
+
+def test_with_everything_on_the_books_balance_and_a_copy_goes_on_the_same():
+    p = everything()
+    sensor = Sensor(p, 3)
+    sensor.reset(drifting(0), 0)
+    for t in range(MS, 100 * MS, MS):
+        sensor.expose(drifting(t), t)
+    again = copy.deepcopy(sensor)
+    for one in (sensor, again):
+        found = [one.expose(drifting(t), t) for t in range(100 * MS, 200 * MS, MS)]
+        one.found = np.concatenate([*found, one.finish()])
+        assert_balance(one)
+    assert len(sensor.found) > 1000
+    assert np.array_equal(sensor.found, again.found)
+    assert np.all(np.diff(sensor.found["t"].astype(np.int64)) >= 0)
+
+
+@settings(max_examples=15, deadline=None)
+@given(steps=st.lists(st.integers(0, 40 * MS), min_size=1, max_size=12), seed=st.integers(0, 2**32))
+def test_every_event_has_one_fate(steps, seed):
+    sensor = Sensor(everything(), seed)
+    sensor.reset(drifting(0), 0)
+    read, t = 0, 0
+    for step in steps:
+        t += step
+        read += len(sensor.expose(drifting(t), t))
+        assert sensor.raised == sensor.lost_in_pixel + sensor.lost_at_readout + sensor.read_out + sensor.pending
+    read += len(sensor.finish())
+    assert read == sensor.read_out
+    assert_balance(sensor)
+
+
+def test_thirty_days_later_everything_but_the_draws_is_the_same():
+    p = with_(leak_hz=5.0, defects=DefectParameters(hot_share=0.05))
+    first, _ = run(p, end_ns=300 * MS, scene=lambda t: drifting(t % EPOCH_NS))
+    late, _ = run(p, end_ns=300 * MS, scene=lambda t: drifting(t % EPOCH_NS), start_ns=DAYS_30)
+    late["t"] -= DAYS_30 // 1000
+    assert np.array_equal(late[["x", "y", "on"]], first[["x", "y", "on"]])
+    assert np.all(np.abs(late["t"].astype(int) - first["t"].astype(int)) <= 1)  # whole us, from another whole ns
+
+
+def test_seeds_differ_and_repeat():
+    first, again, other = (run(everything(), seed=seed, end_ns=50 * MS, scene=drifting)[0] for seed in (1, 1, 2))
+    assert np.array_equal(first, again)
+    assert not np.array_equal(first, other)
+
+
+def test_leak_jitter_varies_a_pixels_intervals_and_keeps_the_rate():
+    p = with_(leak_hz=0.5, leak_spread=0.0, jitter=JitterParameters(leak_share=0.2))
+    sensor = Sensor(p, 1)
+    sensor.reset(still(), 0)
+    leaks = []
+    for k in range(1, 31):
+        sensor.expose(still(), k * EPOCH_NS)
+        sensor.expose(still(), k * EPOCH_NS + 1)
+        leaks.append(sensor.pixels.field(Field.LEAK) / sensor.pixels.field(Field.ON))
+    hz = np.array(leaks).reshape(30, -1)
+    assert stats.kstest(hz.ravel() / 0.5, "norm", (1, 0.2)).pvalue > ALPHA
+    assert abs(stats.pearsonr(hz[0], hz[1]).statistic) < 0.12
+    assert sensor.raised / PIXELS / (30 * EPOCH_NS * 1e-9) == pytest.approx(0.5, rel=0.01)
+
+
+def test_leak_jitter_does_not_depend_on_the_step():
+    p = with_(leak_hz=2.0, jitter=JitterParameters(leak_share=0.3))
+    a, b = (run(p, step_ns=step, end_ns=20 * S)[0] for step in (7 * MS, 500 * MS))
+    assert len(a) == len(b) > 40 * PIXELS * 0.9
+    order_a, order_b = (np.lexsort([e["t"], pixel_of(e)]) for e in (a, b))
+    drift_us = a["t"][order_a].astype(int) - b["t"][order_b].astype(int)
+    assert np.array_equal(pixel_of(a)[order_a], pixel_of(b)[order_b])
+    assert np.abs(drift_us).max() < 200  # of 500 000 between events: float32 references
+
+
+def test_dose_turns_pixels_hot_and_they_stay_so():
+    p = with_(radiation=RadiationParameters(dose_krad=50.0, hot_share_per_krad=1e-2, dose_krad_per_day=1e4))
+    defects = draw_defects(p, 1)
+    at_start = np.count_nonzero(defects.hot_from_ns < 0)
+    assert stats.binomtest(at_start, PIXELS, 1 - np.exp(-0.5)).pvalue > ALPHA
+    in_a_minute = np.count_nonzero(defects.hot_from_ns < 60 * S)
+    assert stats.binomtest(in_a_minute, PIXELS, 1 - np.exp(-0.5 - 1e4 / 1440 * 1e-2)).pvalue > ALPHA
+    less = draw_defects(with_(radiation=RadiationParameters(dose_krad=20.0, hot_share_per_krad=1e-2)), 1)
+    assert set(less.hot) < set(defects.hot[:at_start])
+    found, _ = run(p, step_ns=20 * MS, end_ns=60 * S)
+    t_ns, pixel = found["t"] * 1000, pixel_of(found)
+    late = (defects.hot_from_ns > 0) & (defects.hot_from_ns < 50 * S)
+    assert late.sum() > 3
+    for one, from_ns, hz in zip(defects.hot[late], defects.hot_from_ns[late], defects.hot_hz[late], strict=True):
+        mine = t_ns[pixel == one]
+        assert mine.min() > from_ns
+        assert mine.size == pytest.approx(hz * (60 * S - from_ns) * 1e-9, abs=1.01)
+
+
+def test_other_methods_take_the_pixels_place_but_have_no_defects():
+    found, sensor = run(with_(noise=NoiseParameters(rms=0.06)), scene=drifting, end_ns=50 * MS, make_pixels=Pangu)
+    assert len(found) > 1000
+    assert_balance(sensor)
+    for effect in (
+        {"defects": DefectParameters(dead_share=0.5)},
+        {"jitter": JitterParameters(leak_share=0.1)},
+        {"radiation": RadiationParameters(dose_krad=1000.0)},
+    ):
+        with pytest.raises(ValueError, match=r"need evstim's own pixels"):
+            Sensor(with_(**effect), 1, Pangu)
+
+
+def test_time_does_not_go_back_and_the_picture_must_fit():
+    sensor = Sensor(PLAIN, 1)
+    sensor.reset(still(), 5 * MS)
+    with pytest.raises(ValueError, match="time does not go back"):
+        sensor.expose(still(), 4 * MS)
+    with pytest.raises(ValueError, match="must be"):
+        sensor.expose(np.ones((3, 3), np.float32), 6 * MS)
+    assert len(sensor.expose(still(), 5 * MS)) == 0
