@@ -28,22 +28,17 @@ import numpy.typing as npt
 from emulator.sensor.compiled import entry, kernel, kernel_that_allocates
 from emulator.sensor.elementary import natural_log
 from emulator.sensor.keyed import Purpose, root_of
-from emulator.sensor.keyed_kernels import SOURCES, high, low, stream, unit, word
-from emulator.sensor.merging import NO_CROSSINGS, joined, unpacked
+from emulator.sensor.keyed_kernels import high, low, stream, unit, word
 from emulator.sensor.noise_law import bandwidth_hz, rate_over_bandwidth, rms
-from emulator.sensor.pixels import Crossings
 from emulator.sensor.presets import SensorParameters
+from emulator.sensor.slots import SLOT_NS, SOURCES, Ahead, SlottedEvents, Window, give_out, roomy
 
-__all__ = ["SLOT_NS", "NoiseEvents"]
-
-SLOT_NS = 1_024_000
-"""Noise is drawn in slots of this length."""
+__all__ = ["NoiseEvents"]
 
 _FASTEST_HZ = 1e9
 _LOG_STEP = 0.1  # between nodes of the table, ln f
 _THRESHOLDS = 33
 _NEVER = -80.0  # ln of a rate of nothing
-_LONGEST_NS = 1 << 33  # of times that are sorted together
 
 _Float32s = npt.NDArray[np.float32]
 _Floats = npt.NDArray[np.float64]
@@ -70,7 +65,6 @@ class _Model(NamedTuple):
     hz_min: float
     hz_max: float
     refractory_ns: float
-    pixel_bits: int
 
 
 class _Draws(NamedTuple):
@@ -88,21 +82,6 @@ class _Candidates(NamedTuple):
     pixel: npt.NDArray[np.uint64]
     node: _Floats
     kept: npt.NDArray[np.int64]
-
-
-class _Ahead(NamedTuple):
-    """Events that are known and have not been given out: times, and pixel << 1 | on; room for more behind."""
-
-    t_ns: npt.NDArray[np.int64]
-    key: npt.NDArray[np.uint64]
-
-
-class _Window(NamedTuple):
-    """The first slot to draw, and the times between which events are wanted."""
-
-    slot: int
-    t0_ns: int
-    t1_ns: int
 
 
 @kernel
@@ -152,18 +131,8 @@ def _thin(d: _Draws, light: _Float32s, m: _Model, some: _Candidates, n: int) -> 
     return kept
 
 
-@kernel_that_allocates
-def _roomy(ahead: _Ahead, n: int, more: int) -> _Ahead:
-    """Return `ahead` with room for `more` behind its first n events."""
-    if n + more <= ahead.t_ns.size:
-        return ahead
-    t_ns, key = np.empty(2 * (n + more), np.int64), np.empty(2 * (n + more), np.uint64)
-    t_ns[:n], key[:n] = ahead.t_ns[:n], ahead.key[:n]
-    return _Ahead(t_ns, key)
-
-
 @kernel
-def _fire(d: _Draws, m: _Model, some: _Candidates, kept: int, ahead: _Ahead, n: int) -> int:
+def _fire(d: _Draws, m: _Model, some: _Candidates, kept: int, ahead: Ahead, n: int) -> int:
     """Add those that fire, and the seconds of their pairs, to `ahead` from n on; return the new n."""
     for one in range(kept):
         k = some.kept[one]
@@ -181,44 +150,29 @@ def _fire(d: _Draws, m: _Model, some: _Candidates, kept: int, ahead: _Ahead, n: 
 
 
 @kernel_that_allocates
-def _draw_slot(slot: int, light: _Float32s, m: _Model, some: _Candidates, ahead: _Ahead, n: int) -> tuple[_Ahead, int]:
+def _draw_slot(slot: int, light: _Float32s, m: _Model, some: _Candidates, ahead: Ahead, n: int) -> tuple[Ahead, int]:
     """Add the events that begin in a slot to `ahead` from n on."""
     base, first, t = stream(m.root, slot), 0, 0.0
     while t < 1:
         d = _Draws(slot, base, first)
         proposed, t = _propose(d, t, m, some)
         kept = _thin(d, light, m, some, proposed)
-        ahead = _roomy(ahead, n, 2 * kept)
+        ahead = roomy(ahead, n, 2 * kept)
         n = _fire(d, m, some, kept, ahead, n)
         first += proposed
     return ahead, n
 
 
-@kernel
-def _give_out(
-    window: _Window, ahead: _Ahead, n: int, shift: np.uint64, keys: npt.NDArray[np.uint64]
-) -> tuple[int, int]:
-    """Pack the events of the window into `keys`, and move up those after it; return how many there are of each."""
-    found = kept = 0
-    for k in range(n):
-        t_ns, key = ahead.t_ns[k], ahead.key[k]
-        ahead.t_ns[kept], ahead.key[kept] = t_ns, key
-        kept += t_ns >= window.t1_ns
-        keys[found] = np.uint64(t_ns - window.t0_ns) << shift | key
-        found += (t_ns < window.t1_ns) & (t_ns >= window.t0_ns)
-    return found, kept
-
-
 @entry
 def _advance(
-    window: _Window, light: _Float32s, m: _Model, ahead: _Ahead, n: int, sources: int = SOURCES
-) -> tuple[_Ahead, int, npt.NDArray[np.uint64]]:
+    window: Window, light: _Float32s, m: _Model, ahead: Ahead, n: int, sources: int = SOURCES
+) -> tuple[Ahead, int, npt.NDArray[np.uint64]]:
     """Draw what is missing up to t1; return what lies ahead of it, and the packed events before it, unsorted."""
     some = _Candidates(np.empty(_BATCH), np.empty(_BATCH, np.uint64), np.empty(_BATCH), np.empty(_BATCH + 1, np.int64))
     for slot in range(window.slot, -(-window.t1_ns // SLOT_NS)):
         ahead, n = _draw_slot(slot, light, m, some, ahead, n)
     keys = np.empty(n + 1, np.uint64)
-    found, kept = _give_out(window, ahead, n, np.uint64(m.pixel_bits + 1), keys)
+    found, kept = give_out(window, ahead, n, keys)
     return ahead, kept, keys[:found]
 
 
@@ -285,11 +239,10 @@ def _model(p: SensorParameters, seed: int, thresholds: _Floats) -> _Model:
         hz_min=1.0 if no_low_pass else p.corner_min_hz,
         hz_max=1.0 if no_low_pass else min(p.corner_max_hz, _FASTEST_HZ),
         refractory_ns=p.refractory_us * 1000,
-        pixel_bits=max(1, (thresholds.size - 1).bit_length()),
     )
 
 
-class NoiseEvents:
+class NoiseEvents(SlottedEvents):
     """The noise events of an array.
 
     Parameters
@@ -300,24 +253,11 @@ class NoiseEvents:
     """
 
     def __init__(self, parameters: SensorParameters, seed: int, thresholds: _Floats) -> None:
+        super().__init__(thresholds.size)
         self._model = _model(parameters, seed, thresholds)
-        self.reset(0)
 
-    def reset(self, t_ns: int) -> None:
-        """Start at `t_ns`; excursions that began before are left out."""
-        self._ahead = _Ahead(np.empty(256, np.int64), np.empty(256, np.uint64))
-        self._known = 0
-        self._slot, self._t_ns = t_ns // SLOT_NS, t_ns
-
-    def step(self, light: _Float32s, t_ns: int) -> Crossings:
-        """Return the events from the last time up to, and without, `t_ns`, for `light` (pixels,) float32."""
-        parts = []
-        while self._t_ns < t_ns:
-            parts.append(self._piece(light, min(t_ns, self._t_ns + _LONGEST_NS)))
-        return joined(parts) if parts else NO_CROSSINGS
-
-    def _piece(self, light: _Float32s, t_ns: int) -> Crossings:
-        window = _Window(self._slot, self._t_ns, t_ns)
-        ahead, self._known, keys = _advance(window, light, self._model, self._ahead, self._known)
-        self._ahead, self._slot, self._t_ns = _Ahead(*ahead), -(-t_ns // SLOT_NS), t_ns
-        return unpacked(keys, window.t0_ns, self._model.pixel_bits)
+    def _advance(
+        self, window: Window, light: _Float32s, ahead: Ahead, known: int
+    ) -> tuple[Ahead, int, npt.NDArray[np.uint64]]:
+        result: tuple[Ahead, int, npt.NDArray[np.uint64]] = _advance(window, light, self._model, ahead, known)
+        return result

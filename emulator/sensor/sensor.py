@@ -21,13 +21,16 @@ import numpy.typing as npt
 
 from emulator.sensor.defects import draw_defects, kill
 from emulator.sensor.imager import Imager
+from emulator.sensor.jitter import Jitter
 from emulator.sensor.leaks import NEVER_NS, Leaks
-from emulator.sensor.merging import joined, merged
+from emulator.sensor.merging import NO_CROSSINGS, joined, merged
 from emulator.sensor.noise import NoiseEvents
 from emulator.sensor.pixels import Crossings, PixelArray
 from emulator.sensor.presets import SensorParameters
+from emulator.sensor.radiation import Particles
 from emulator.sensor.readout import ReadOut
 from emulator.sensor.rules.drawn import draw
+from emulator.sensor.slots import SlottedEvents
 from emulator.sensor.temperature import at_temperature
 from firmware_protocol.events import Events
 
@@ -80,7 +83,8 @@ class Sensor:
         own = dataclasses.replace(here, dark_current_relative=self._imager.dark_current_relative)
         self.pixels = make_pixels(own, seed)
         self._leaks = _leaks(own, seed, self.pixels)
-        self._noise = NoiseEvents(own, seed, _thresholds(own, seed)) if own.noise.rms else None
+        self._sources = _sources(own, seed)
+        self._jitter = Jitter(own.jitter, seed, own.width * own.height) if own.jitter.latency_us else None
         self._readout = ReadOut(own)
         self._dark = here.dark_current_relative
         self._before: _Float32s | None = None
@@ -89,7 +93,7 @@ class Sensor:
     @property
     def raised(self) -> int:
         """Events that came to be: lost_in_pixel + lost_at_readout + read_out + pending."""
-        return self._readout.raised + self.pixels.lost_in_pixel
+        return self._readout.raised + self.pixels.lost_in_pixel + self._delayed
 
     @property
     def lost_in_pixel(self) -> int:
@@ -109,7 +113,11 @@ class Sensor:
     @property
     def pending(self) -> int:
         """Events that are raised and not yet returned."""
-        return self._readout.pending
+        return self._readout.pending + self._delayed
+
+    @property
+    def _delayed(self) -> int:
+        return self._jitter.waiting if self._jitter is not None else 0
 
     @property
     def quiet_nan(self) -> int:
@@ -117,13 +125,16 @@ class Sensor:
         return self.pixels.quiet_nan
 
     def reset(self, light: _Float32s, t_ns: int) -> None:
-        """Start at `t_ns` with the pixels at rest on `light`, (height, width) float32; the read-out goes on."""
+        """Start anew at `t_ns`, at rest on `light`, (height, width) float32: nothing pending, nothing counted."""
+        self._readout = ReadOut(self.parameters)
         self._t_ns = int(t_ns)
         if self._leaks is not None:
             self._leaks.follow(self._t_ns)
         self.pixels.reset(self._imager.see(light, self._t_ns), self._t_ns)
-        if self._noise is not None:
-            self._noise.reset(self._t_ns)
+        for source in self._sources:
+            source.reset(self._t_ns)
+        if self._jitter is not None:
+            self._jitter.reset(self._t_ns)
         self._remember(light)
 
     def expose(self, light: _Float32s, t_ns: int, rate: _Float32s | None = None) -> Events:
@@ -155,7 +166,11 @@ class Sensor:
 
     def finish(self) -> Events:
         """Return the events that have not left yet; nothing can be exposed afterwards."""
-        return self._readout.finish()
+        if self._jitter is None:
+            return self._readout.finish()
+        end_ns = self._jitter.last_ns() + 1
+        late = self._readout.push(self._jitter.step(NO_CROSSINGS, end_ns), end_ns)
+        return np.concatenate([late, self._readout.finish()])
 
     def _next_cut_ns(self) -> int:
         """Return the next time after now that must be the end of a step."""
@@ -169,8 +184,10 @@ class Sensor:
             self._leaks.follow(self._t_ns)
         seen = self._imager.see(light, t_ns)
         crossings = self._pixel_step(seen, t_ns, self._imager.see_rate(rate))
-        if self._noise is not None:
-            crossings = merged(crossings, self._noise.step(seen.reshape(-1), t_ns))
+        if self._jitter is not None:
+            crossings = self._jitter.step(crossings, t_ns)
+        for source in self._sources:
+            crossings = merged(crossings, source.step(seen.reshape(-1), t_ns))
         self._t_ns = t_ns
         return crossings
 
@@ -207,6 +224,16 @@ def _leaks(p: SensorParameters, seed: int, pixels: PixelMethod) -> Leaks | None:
         raise ValueError("defects, dose and jitter.leak_share need evstim's own pixels: leave them out, or the method")
     kill(pixels, defects.dead)
     return Leaks(pixels, seed, p.jitter.leak_share, defects)
+
+
+def _sources(p: SensorParameters, seed: int) -> list[SlottedEvents]:
+    """Return what raises events of its own."""
+    sources: list[SlottedEvents] = []
+    if p.noise.rms:
+        sources.append(NoiseEvents(p, seed, _thresholds(p, seed)))
+    if p.radiation.hits_per_cm2_s:
+        sources.append(Particles(p, seed, draw_defects(p, seed).dead))
+    return sources
 
 
 def _thresholds(p: SensorParameters, seed: int) -> npt.NDArray[np.float64]:

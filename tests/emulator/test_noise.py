@@ -17,9 +17,10 @@ from emulator.sensor import keyed_kernels
 from emulator.sensor.effects import NoiseParameters
 from emulator.sensor.keyed import Purpose, normal, root_of, words
 from emulator.sensor.merging import joined
-from emulator.sensor.noise import SLOT_NS, NoiseEvents
+from emulator.sensor.noise import NoiseEvents
 from emulator.sensor.noise_law import bandwidth_hz, corner_hz, rate_over_bandwidth, rms
 from emulator.sensor.presets import SensorParameters
+from emulator.sensor.slots import SLOT_NS
 
 ALPHA = 1e-4
 MS = 1_000_000
