@@ -1,0 +1,172 @@
+"""Runs any pixel method over any scene of known light, scores it against the truth, and times it.
+
+A case is a row of pixels under closed-form light with a sensor to look at it. Methods:
+
+    warped   our own kernel, given the light and its time derivative
+    line     the same kernel without derivatives: a straight line in log light
+    others   the rules of `emulator.sensor.rules`
+
+All get the same float32 pictures at the same instants, with the same thresholds, leak rates and phases. Time is taken
+on a sensor of 346 x 260 pixels, whose picture is the case's row over and over: the median of some steps, the method's
+`step` alone.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+import statistics
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from emulator.accuracy.light import ClosedLight
+from emulator.accuracy.metrics import Scores, compare
+from emulator.accuracy.stream import Stream
+from emulator.accuracy.truth import true_events
+from emulator.sensor.pixels import Crossings, PixelArray
+from emulator.sensor.presets import SensorParameters
+from emulator.sensor.rules import RULES
+
+__all__ = ["SEED", "Case", "Method", "PixelMethod", "events", "methods", "score", "step_cost_us", "truth", "with_rate"]
+
+SEED = 3
+"""Fixes mismatch, leak rates and phases of every case."""
+
+_Float32s = npt.NDArray[np.float32]
+_COST_SIZE = 346, 260
+_COST_STEPS = 9
+_COST_WARM_UP = 2
+
+
+class PixelMethod(Protocol):
+    """What every method of turning pictures into crossings offers; see `PixelArray`."""
+
+    lost_in_pixel: int
+
+    def reset(self, light: _Float32s, t_ns: int) -> None:
+        """Start at rest on a picture, (height, width)."""
+
+    def step(self, light: _Float32s, t_ns: int) -> Crossings:
+        """Move to the next picture."""
+
+
+@dataclass(frozen=True)
+class Method:
+    """A way to get events from pictures.
+
+    Attributes
+    ----------
+    name : as in a rig's `method`.
+    make : builds it for a sensor and a seed.
+    rate : whether it takes the light's time derivative.
+    """
+
+    name: str
+    make: Callable[[SensorParameters, int], PixelMethod]
+    rate: bool = False
+
+
+@dataclass(frozen=True)
+class Case:
+    """Known light, a sensor of one row, and for how long.
+
+    Attributes
+    ----------
+    name : one word.
+    scene : as many pixels as the sensor.
+    parameters : the sensor.
+    duration_s : stream time.
+    start_ns : stream time at which it begins; the light knows nothing of it.
+    """
+
+    name: str
+    scene: ClosedLight
+    parameters: SensorParameters
+    duration_s: float = 0.4
+    start_ns: int = 0
+
+
+def with_rate() -> bool:
+    """Tell whether our kernel takes the light's time derivative."""
+    return "rate" in inspect.signature(PixelArray.step).parameters
+
+
+def methods() -> list[Method]:
+    """Return all methods, our own first."""
+    ours = [Method("warped", PixelArray, rate=True)] if with_rate() else []
+    return [*ours, Method("line", PixelArray), *(Method(name, rule) for name, rule in RULES.items())]
+
+
+@lru_cache(maxsize=64)
+def truth(case: Case) -> Stream:
+    """Return the true events of a case, times counted from its start."""
+    return true_events(case.scene, case.parameters, SEED, case.duration_s)
+
+
+def events(
+    method: Method, case: Case, step_s: float, seen: Callable[[_Float32s], _Float32s] | None = None
+) -> tuple[Stream, int]:
+    """Run a method over a case; return its events, times counted from the start, and how many it lost in pixels.
+
+    Parameters
+    ----------
+    step_s : from picture to picture, s; rounded to ns. A whole number of steps should make up the case: the truth ends
+        with it.
+    seen : what becomes of each picture before the method sees it; nothing where not given.
+    """
+    array, h_ns = method.make(case.parameters, SEED), round(step_s * 1e9)
+    steps = round(case.duration_s * 1e9 / h_ns)
+    t_s = np.arange(steps + 1) * (h_ns * 1e-9)
+    light = case.scene.value(t_s).astype(np.float32)[:, None, :]
+    rate = case.scene.rate(t_s).astype(np.float32)[:, None, :] if method.rate else None
+    light = light if seen is None else seen(light)
+    found: list[Crossings] = []
+    _start(array, light[0], None if rate is None else rate[0], case.start_ns)
+    for k in range(1, steps + 1):
+        crossings = _step(array, light[k], case.start_ns + k * h_ns, None if rate is None else rate[k])
+        found.append(Crossings(crossings.t_ns.copy(), crossings.pixel.copy(), crossings.on.copy()))
+    t_ns, pixel, on = (np.concatenate([getattr(c, field) for c in found]) for field in ("t_ns", "pixel", "on"))
+    return Stream.of((t_ns - case.start_ns) * 1e-3, pixel, on, case.scene.pixels), array.lost_in_pixel
+
+
+def _start(array: PixelMethod, light: _Float32s, rate: _Float32s | None, t_ns: int) -> None:
+    takes_rate = rate is not None and "rate" in inspect.signature(array.reset).parameters
+    array.reset(light, t_ns, **({"rate": rate} if takes_rate else {}))
+
+
+def _step(array: PixelMethod, light: _Float32s, t_ns: int, rate: _Float32s | None) -> Crossings:
+    return array.step(light, t_ns, **({} if rate is None else {"rate": rate}))
+
+
+def score(method: Method, case: Case, step_s: float) -> Scores:
+    """Return how a method fares on a case in steps of `step_s`."""
+    return compare(events(method, case, step_s)[0], truth(case))
+
+
+def step_cost_us(method: Method, case: Case, step_s: float) -> float:
+    """Return the median time of a step on 346 x 260 pixels, us, in the middle of the case."""
+    width, height = _COST_SIZE
+    h_ns = round(step_s * 1e9)
+    steps = min(_COST_WARM_UP + _COST_STEPS, max(3, round(case.duration_s * 1e9) // h_ns))
+    first = max(0, round(case.duration_s * 1e9) // h_ns - steps) // 2
+    t_s = (first + np.arange(steps + 1)) * (h_ns * 1e-9)
+    light = [_tiled(row, width, height) for row in case.scene.value(t_s)]
+    rate = [_tiled(row, width, height) for row in case.scene.rate(t_s)] if method.rate else [None] * len(light)
+    array = method.make(dataclasses.replace(case.parameters, width=width, height=height), SEED)
+    _start(array, light[0], rate[0], 0)
+    taken = []
+    for k in range(1, steps + 1):
+        begun = time.perf_counter()
+        _step(array, light[k], k * h_ns, rate[k])
+        taken.append(time.perf_counter() - begun)
+    return statistics.median(taken[min(_COST_WARM_UP, steps - 1) :]) * 1e6
+
+
+def _tiled(row: npt.NDArray[np.float64], width: int, height: int) -> _Float32s:
+    return np.resize(row.astype(np.float32), (height, width))

@@ -1,0 +1,236 @@
+"""Writes what was measured: CSV, JSON, charts, and a page that needs no network."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import html
+import json
+import math
+import statistics
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from emulator.accuracy.cases import Swept
+from emulator.accuracy.charts import draw_stability, draw_work_precision
+from emulator.accuracy.effects import EffectRow
+from emulator.accuracy.stability import Cell, Sweep, boundary
+from emulator.accuracy.work_precision import Point, frames_needed
+
+__all__ = ["reading", "reading_of_the_map", "write_stability", "write_work_precision"]
+
+_TARGETS_US = (10.0, 100.0)
+
+
+def write_work_precision(
+    points: Sequence[Point], effects: Sequence[EffectRow], cases: Sequence[Swept], out: Path
+) -> list[Path]:
+    """Write the chart of speed against accuracy into folder `out`; return the files, the page first."""
+    told = {swept.case.name: swept.told for swept in cases}
+    files = [_write_csv([point.row() for point in points], out / "work_precision.csv")]
+    sections: list[str] = [_sentences(reading(points, told))]
+    for against, title in (
+        ("frames_per_s", "Against frames rendered"),
+        ("us_per_stream_ms", "Against the work for a millisecond of stream"),
+        ("us_per_frame", "Against the work of a frame"),
+    ):
+        drawn = draw_work_precision(points, told, against, out / f"work_precision_{against}")
+        files += drawn
+        sections.append(f"<h2>{title}</h2>" + _inline(drawn[0]))
+    needs = _needs(points, told)
+    sections.append("<h2>Frames a second needed</h2>" + _NEEDS + _table(needs))
+    effect_table = [
+        {
+            "effect": row.name,
+            "set to": row.setting,
+            "us a frame": row.us_per_frame,
+            "count": row.scores.count,
+            "same sequence": row.scores.right,
+            "median shift us": row.scores.t50_us,
+            "95 % shift us": row.scores.t95_us,
+            "events changed": row.scores.wrong_events,
+        }
+        for row in effects
+    ]
+    files.append(_write_csv(effect_table, out / "effects.csv"))
+    sections.append("<h2>What each effect costs and changes, switched on alone</h2>" + _EFFECTS + _table(effect_table))
+    sections.append("<h2>All points</h2>" + _table([_short(point) for point in points]))
+    whole: dict[str, Any] = {
+        "needs": needs,
+        "points": [p.row() for p in points],
+        "effects": effect_table,
+        "reading": reading(points, told),
+    }
+    files.append(_write_json(whole, out / "work_precision.json"))
+    return [_write_page("Speed against accuracy", sections, out / "accuracy.html"), *files]
+
+
+def write_stability(cells: Sequence[Cell], sweeps: Sequence[Sweep], out: Path) -> list[Path]:
+    """Write the map of where methods fail into folder `out`; return the files, the page first."""
+    rows = [dataclasses.asdict(cell) for cell in cells]
+    drawn = draw_stability(cells, sweeps, out / "stability")
+    bounds = _bounds(cells, sweeps)
+    files = [_write_csv(rows, out / "stability.csv"), *drawn]
+    lines = reading_of_the_map(cells, sweeps)
+    files.append(_write_json({"cells": rows, "boundaries": bounds, "reading": lines}, out / "stability.json"))
+    sections = [
+        _sentences(lines),
+        _inline(drawn[0]),
+        "<h2>Up to where 95 % of the sequences are right</h2>" + _table(bounds),
+        "<h2>All cells</h2>" + _table(rows),
+    ]
+    return [_write_page("Where methods fail", sections, out / "stability.html"), *files]
+
+
+def reading(points: Sequence[Point], told: Mapping[str, str]) -> list[str]:
+    """Return what the chart says, in sentences."""
+    names = list(dict.fromkeys(p.method for p in points))
+    lines = [
+        "Each point is one method in one step. Full marks have at least 90 % of the pixels' sequences right, hollow "
+        "ones fewer; further left and lower is better. Errors are against the continuous-time pixel integrated finely. "
+        "Where no event is wrong, the mark stands at the lower edge, a share of 0.0001."
+    ]
+    for target_us in _TARGETS_US:
+        for other in names[1:]:
+            known = sorted(_ratios(points, told, other, names[0], target_us))
+            finite = [ratio for ratio in known if math.isfinite(ratio)]
+            words = other.replace("_", " ")
+            if finite:
+                lines.append(
+                    f"For a 95 % timestamp error of {target_us:g} us, {words} needs {_short_number(finite[0])} to "
+                    f"{_short_number(finite[-1])} times the frames that {names[0]} needs, "
+                    f"{_short_number(statistics.median(finite))} in the middle of {len(finite)} scenes."
+                )
+            elif known:
+                lines.append(f"A 95 % timestamp error of {target_us:g} us is out of reach of {words} in every scene.")
+    return lines
+
+
+def _ratios(
+    points: Sequence[Point], told: Mapping[str, str], other: str, ours: str, target_us: float
+) -> Iterator[float]:
+    """Yield how many times our frames another method needs, scene by scene, where we have a figure from the sweep."""
+    for case in told:
+        need = frames_needed(points, case, ours, target_us)
+        if need.kind in ("between", "at most"):
+            yield frames_needed(points, case, other, target_us).frames_per_s / need.frames_per_s
+
+
+def _short_number(value: float) -> str:
+    """Return a number to two digits, never with an exponent."""
+    return f"{float(f'{value:.2g}'):g}" if value < 1e5 else f"{value:.1e}"
+
+
+def _needs(points: Sequence[Point], told: Mapping[str, str]) -> list[dict[str, Any]]:
+    """Return the table of frames a second needed, a row a scene and error."""
+    names = list(dict.fromkeys(p.method for p in points))
+    return [
+        {"scene": words, "95 % error, us": target_us}
+        | {name: str(frames_needed(points, case, name, target_us)) for name in names}
+        for target_us in _TARGETS_US
+        for case, words in told.items()
+    ]
+
+
+def reading_of_the_map(cells: Sequence[Cell], sweeps: Sequence[Sweep]) -> list[str]:
+    """Return what the map says, in sentences."""
+    names = list(dict.fromkeys(cell.method for cell in cells))
+    lines = [
+        "Each column drives one thing from harmless to absurd. Above: the share of pixels whose sequence of events is "
+        "right, with the line of 95 %; below: the 95 % timestamp error of those, in steps."
+    ]
+    for sweep in sweeps:
+        limits = {name: boundary(cells, sweep, name) for name in names}
+        never = [name for name, limit in limits.items() if limit is None]
+        held = [f"{name} to {limit:g}" for name, limit in limits.items() if limit is not None]
+        lines.append(
+            f"{sweep.told} ({sweep.label}): "
+            + (", ".join(held) or "none holds")
+            + (f"; {', '.join(never)} nowhere" if never and held else "")
+            + "."
+        )
+    return lines
+
+
+def _bounds(cells: Sequence[Cell], sweeps: Sequence[Sweep]) -> list[dict[str, Any]]:
+    names = list(dict.fromkeys(cell.method for cell in cells))
+    return [
+        {"axis": f"{sweep.told} ({sweep.label})"} | {name: boundary(cells, sweep, name) for name in names}
+        for sweep in sweeps
+    ]
+
+
+def _short(point: Point) -> dict[str, Any]:
+    row = point.row()
+    wanted = (
+        "case method step_ms us_per_frame right t50_us t95_us count wrong_events van_rossum earth_mover_us same_time"
+    )
+    return {name: row[name] for name in wanted.split()}
+
+
+def _write_csv(rows: Sequence[Mapping[str, Any]], path: Path) -> Path:
+    with path.open("w", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+    return path
+
+
+def _write_json(value: object, path: Path) -> Path:
+    path.write_text(json.dumps(_finite(value), indent=1, allow_nan=False) + "\n")
+    return path
+
+
+def _finite(value: Any) -> Any:
+    """Return the value with None for what JSON has no number for."""
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+_STYLE = (
+    "body{font:15px/1.5 sans-serif;max-width:1200px;margin:2em auto;padding:0 1em;color:#222}"
+    "svg{width:100%;height:auto}table{border-collapse:collapse;font-size:12px}"
+    "td,th{padding:2px 8px;text-align:right;border-bottom:1px solid #ddd}"
+    "td:first-child,th:first-child{text-align:left}"
+)
+_NEEDS = (
+    "<p>For a 95 % timestamp error with at least 90 % of the sequences right; “about”: beyond the shortest step swept, "
+    "by the order that the two shortest show; “never”: the error does not fall with the step.</p>"
+)
+_EFFECTS = (
+    "<p>Each effect added to the ideal pixel (equal thresholds, no leak, no low-pass, no refractory period) under the "
+    "same light; counts, sequences and shifts are against the ideal pixel's events.</p>"
+)
+
+
+def _write_page(title: str, sections: Sequence[str], path: Path) -> Path:
+    head = f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{title}</title><style>{_STYLE}</style>'
+    path.write_text(f"{head}<h1>{title}</h1>{''.join(sections)}</html>\n")
+    return path
+
+
+def _sentences(lines: Sequence[str]) -> str:
+    first, *rest = (html.escape(line) for line in lines)
+    return f"<p>{first}</p><ul>{''.join(f'<li>{line}</li>' for line in rest)}</ul>"
+
+
+def _inline(svg: Path) -> str:
+    """Return an SVG file's picture element, to stand in the page itself."""
+    text = svg.read_text()
+    return text[text.index("<svg") :]
+
+
+def _table(rows: Sequence[Mapping[str, Any]]) -> str:
+    head = "".join(f"<th>{html.escape(name.replace('_', ' '))}</th>" for name in rows[0])
+    body = "".join("<tr>" + "".join(f"<td>{_cell(v)}</td>" for v in row.values()) + "</tr>" for row in rows)
+    return f"<table><tr>{head}</tr>{body}</table>"
+
+
+def _cell(value: object) -> str:
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return "–"
+    return f"{value:.4g}" if isinstance(value, float) else html.escape(str(value))

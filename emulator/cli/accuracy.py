@@ -1,0 +1,87 @@
+"""`evstim accuracy`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Annotated, Literal, TypeVar
+
+from cyclopts import Parameter
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from emulator.accuracy.cases import CASES, QUICK
+from emulator.accuracy.charts import ChartsLacking, check
+from emulator.accuracy.effects import EFFECTS, effect_rows
+from emulator.accuracy.harness import methods
+from emulator.accuracy.report import write_stability, write_work_precision
+from emulator.accuracy.stability import QUICK_SWEEPS, SWEEPS, cells
+from emulator.accuracy.work_precision import settings, sweep
+from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, console, print_json, status
+
+__all__ = ["accuracy"]
+
+_Item = TypeVar("_Item")
+_EFFECTS_STEP_S = 1e-3
+
+
+def accuracy(
+    what: Literal["chart", "stability"] = "chart",
+    *,
+    out: Path,
+    quick: Annotated[bool, Parameter(negative="")] = False,
+    json: Annotated[bool, Parameter(negative="")] = False,
+) -> int:
+    """Hold the pixel, and the rules of other simulators, against the truth; write charts, tables and a page.
+
+    Parameters
+    ----------
+    what
+        "chart": timestamp error and wrong events against work, and what each effect costs and changes.
+        "stability": where each method fails.
+    out
+        Folder to write into; made if missing.
+    quick
+        Fewer scenes and steps, in seconds.
+    json
+        Print one JSON object as the last line on stdout.
+    """
+    try:
+        check()
+        out.mkdir(parents=True, exist_ok=True)
+    except ChartsLacking as error:
+        raise Failure(str(error), LACKING) from error
+    except OSError as error:
+        raise Failure(f"--out {out}: {error.strerror}", WRONG_USE) from error
+    files = {"chart": _chart, "stability": _stability}[what](out, quick)
+    if json:
+        print_json({"files": files})
+    else:
+        for path in files:
+            console.print(str(path))
+    return GOOD
+
+
+def _chart(out: Path, quick: bool) -> list[Path]:
+    chosen, ways = QUICK if quick else CASES, methods()
+    points = _all(sweep(chosen, ways), settings(chosen, ways), "points")
+    board = next(swept.case for swept in chosen if swept.case.name == "checkerboard")
+    effects = _all(effect_rows(ways[0], board, _EFFECTS_STEP_S), len(EFFECTS), "effects")
+    return _written(lambda: write_work_precision(points, effects, chosen, out))
+
+
+def _stability(out: Path, quick: bool) -> list[Path]:
+    chosen, ways = QUICK_SWEEPS if quick else SWEEPS, methods()
+    found = _all(cells(chosen, ways), len(ways) * sum(len(axis.values) for axis in chosen), "cells")
+    return _written(lambda: write_stability(found, chosen, out))
+
+
+def _all(items: Iterable[_Item], count: int, what: str) -> list[_Item]:
+    """Collect items under a progress bar."""
+    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
+    with Progress(*columns, console=status, transient=True) as progress:
+        return list(progress.track(items, total=count, description=what))
+
+
+def _written(write: Callable[[], list[Path]]) -> list[Path]:
+    with status.status("drawing ..."):
+        return write()
