@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
+from emulator.pictures import Pictures
+from emulator.plan import limits, make_plan
+from emulator.probe import probe
 from emulator.rig import LinkParameters, LoopbackLink, Rig, SceneParameters
 from emulator.scene.base import Scene
 from emulator.scene.checkerboard import Checkerboard, CheckerboardParameters
-from emulator.session import Schedule
+from emulator.sensor.pixels import PixelArray
+from emulator.sensor.rules import RULES
+from emulator.sensor.sensor import Sensor
+from emulator.session import Schedule, Session
+from emulator.steps import ControlledSteps, FixedSteps, StepSource
 from firmware_protocol.davis346 import Davis346Settings, Layout
 from firmware_protocol.usb.device import Speed
 from transports.link import EndpointFactory, LinkSetup
 from transports.loopback import LoopbackFactory
+from transports.pacing import Clock
 from transports.ring import EventRing
 from transports.usbip.endpoint import UsbipFactory
 
-__all__ = ["build_scene", "link_setups", "record_paths", "schedule"]
+__all__ = ["build_scene", "build_session", "link_setups", "record_paths", "schedule"]
 
 
 def build_scene(parameters: SceneParameters, size: tuple[int, int]) -> Scene:
@@ -27,11 +36,22 @@ def build_scene(parameters: SceneParameters, size: tuple[int, int]) -> Scene:
     return Body(parameters, size)
 
 
+def build_session(rig: Rig, scene: Scene, setups: Sequence[LinkSetup], clock: Clock) -> Session:
+    """Return a session of the rig: with a tolerance, of what its plan keeps, in controlled steps."""
+    run, parameters = rig.run, rig.camera.sensor
+    steps: StepSource = FixedSteps(run.step_us * 1000)
+    if run.tolerance_us:
+        parameters = make_plan(rig, probe(scene, parameters, run.step_us * 1000, run.seconds or 10.0)).sensor
+        dark = parameters.dark_current_relative
+        steps = ControlledSteps(limits(rig, scene.motion_bound_px_s), dark, run.step_us * 1000)
+    sensor = Sensor(parameters, run.seed, RULES.get(run.method, PixelArray))
+    return Session(Pictures(scene, with_rate=run.method == "warped"), sensor, steps, setups, clock)
+
+
 def schedule(rig: Rig) -> Schedule:
     """Return how the rig's run goes through time."""
     run = rig.run
     return Schedule(
-        step_ns=run.step_us * 1000,
         lead_ns=run.lead_us * 1000,
         duration_ns=round(run.seconds * 1e9) or None,
         paced=run.pace == "realtime",

@@ -10,6 +10,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from emulator.steps import StepSource
+
 __all__ = ["Lateness", "StepRule"]
 
 LONGEST_STRETCH = 8
@@ -41,29 +43,27 @@ class Lateness:
 
 
 class StepRule:
-    """How long the next step is: the rig's own while the run keeps up, longer while it does not and longer is cheaper.
+    """How long the next step is: as planned while the run keeps up, longer while it does not and longer is cheaper.
 
     Longer steps save pictures. They do not always save time: where many pixels change a lot within a step, each of them
     costs more, so what a length costs for each second of stream is measured, and a dearer one is left again.
     """
 
-    def __init__(self, step_ns: int) -> None:
-        if step_ns < 1:
-            raise ValueError(f"a step lasts at least 1 ns, got {step_ns}")
-        self._step_ns = step_ns
+    def __init__(self, steps: StepSource) -> None:
+        self._steps = steps
         self._load: dict[int, float] = {}
         self.stretch = 1
 
     @property
     def step_ns(self) -> int:
         """Length of the next step, ns."""
-        return self._step_ns * self.stretch
+        return self._steps.step_ns * self.stretch
 
     def follow(self, gap_ns: int, cost_ns: int) -> None:
         """Adapt to the last step: `gap_ns` late (negative: in time), `cost_ns` of computing."""
-        load = cost_ns / self.step_ns
+        load = cost_ns / max(self.step_ns, 1)
         self._load[self.stretch] = load + _MEMORY * (self._load.get(self.stretch, load) - load)
-        if gap_ns > self._step_ns:
+        if gap_ns > self._steps.step_ns:
             self.stretch = self._cheaper()
         elif gap_ns <= 0 and self.stretch > 1:
             self.stretch //= 2

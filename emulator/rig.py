@@ -47,6 +47,8 @@ __all__ = [
 
 T = TypeVar("T")
 
+Method = Literal["warped", "line", "pangu", "v2e", "held", "esim", "sikorski", "frame_difference"]
+
 
 class RigError(Exception):
     """A rig file cannot be used; the message is for its author."""
@@ -91,6 +93,11 @@ class Camera:
         if not 0 <= self.start_delay_ms <= 4000:
             raise ValueError(f"start_delay_ms must be 0 to 4000 (drivers give up at 5000), got {self.start_delay_ms}")
 
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height) of the sensor, pixels."""
+        return self.sensor.width, self.sensor.height
+
 
 @dataclass(frozen=True)
 class Run:
@@ -108,6 +115,15 @@ class Run:
         "realtime": every event leaves at its own time; "free": as fast as the machine can, losing nothing.
     lead_us
         How far ahead of real time steps are computed; at least one step. Covers the jitter of the machine.
+    method
+        How pixels are solved between two pictures: "warped" (light as a cubic from value and derivative), "line" (a
+        straight line in log light), or another's rule, to reproduce what was published with it: "pangu", "v2e", "held",
+        "esim", "sikorski", "frame_difference".
+    tolerance_us
+        Tolerated timestamp error, 95th percentile. Above 0, steps are as long as it allows (`step_us` is the first one)
+        and effects that change less than that are left out; see `evstim plan`. 0: steps of `step_us`, nothing left out.
+    tolerated_wrong_share
+        Share of the events that may be wrong, missing or invented, when `tolerance_us` is given.
     """
 
     seconds: float = 0.0
@@ -115,6 +131,9 @@ class Run:
     seed: int = 1
     pace: Literal["realtime", "free"] = "realtime"
     lead_us: int = 10_000
+    method: Method = "line"
+    tolerance_us: float = 0.0
+    tolerated_wrong_share: float = 0.01
 
     def __post_init__(self) -> None:
         if not 0 <= self.seconds <= 3.2e7:
@@ -125,6 +144,10 @@ class Run:
             raise ValueError(f"seed must be 0 to 2^63 - 1, got {self.seed}")
         if not 0 <= self.lead_us <= 10_000_000:
             raise ValueError(f"lead_us must be 0 to 10000000, got {self.lead_us}")
+        if self.tolerance_us != 0 and not 0.01 <= self.tolerance_us <= 1e6:
+            raise ValueError(f"tolerance_us must be 0 (none) or 0.01 to 1e6, got {self.tolerance_us}")
+        if not 0 <= self.tolerated_wrong_share <= 1:
+            raise ValueError(f"tolerated_wrong_share must be 0 to 1, got {self.tolerated_wrong_share}")
 
 
 @dataclass(frozen=True)

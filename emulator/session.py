@@ -1,6 +1,6 @@
 """One run of one rig: scene, sensor and links wired together, paced, counted and stopped cleanly.
 
-    for each step [t, t1]:   light(t1) -> pixels -> crossings -> read-out -> events -> a ring for each link
+    for each step [t, t1]:   picture(t1) -> sensor -> events -> a ring for each link
 
 Paced in real time, a step is computed `lead` ahead of the moment its first event is due, and each link lets every event
 go at its own time. Not paced, steps follow each other as fast as they can be computed and links hold the run back when
@@ -19,10 +19,11 @@ import numpy as np
 from emulator.lateness import Lateness, StepRule
 from emulator.ledger import Ledger, LinkLedger
 from emulator.link_process import LinkProcess
-from emulator.scene.base import Scene
-from emulator.sensor.pixels import PixelArray
+from emulator.pictures import Pictures
+from emulator.sensor.effects import DefectParameters
 from emulator.sensor.presets import SensorParameters
-from emulator.sensor.readout import ReadOut
+from emulator.sensor.sensor import Sensor
+from emulator.steps import StepSource
 from emulator.waiting import said_if_slow
 from firmware_protocol.events import Events
 from transports.link import LinkReport, LinkSetup
@@ -39,7 +40,6 @@ _HEAD_START_NS = 20_000_000  # between deciding to start and stream time zero, s
 class Schedule:
     """How a run goes through time."""
 
-    step_ns: int = 1_000_000
     lead_ns: int = 5_000_000
     duration_ns: int | None = None
     paced: bool = True
@@ -73,11 +73,11 @@ class RunResult:
 
 def load_kernels(sensor: SensorParameters) -> None:
     """Compile the sensor's kernels, or load them from disk, by flashing a light at a few pixels like `sensor`'s."""
-    few = dataclasses.replace(sensor, width=16, height=16)
-    pixels, readout = PixelArray(few, 0), ReadOut(few)
-    pixels.reset(np.zeros((16, 16), np.float32), 0)
-    readout.push(pixels.step(np.ones((16, 16), np.float32), 1_000_000), 1_000_000)
-    readout.finish()
+    few = dataclasses.replace(sensor, width=16, height=16, defects=DefectParameters())
+    flashed = Sensor(few, 0)
+    flashed.reset(np.zeros((16, 16), np.float32), 0)
+    flashed.expose(np.ones((16, 16), np.float32), 1_000_000, np.zeros((16, 16), np.float32))
+    flashed.finish()
 
 
 class Session:
@@ -85,27 +85,28 @@ class Session:
 
     Parameters
     ----------
-    scene
-        What the camera looks at; the caller closes it.
-    sensor, seed
-        The pixel array and read-out, and the seed of all that is random in them.
+    pictures
+        What the camera looks at; the caller closes the scene.
+    sensor
+        From light to events.
+    steps
+        How long each step is.
     setups
         One for each link.
     """
 
     def __init__(
-        self, scene: Scene, sensor: SensorParameters, seed: int, setups: Sequence[LinkSetup], clock: Clock
+        self, pictures: Pictures, sensor: Sensor, steps: StepSource, setups: Sequence[LinkSetup], clock: Clock
     ) -> None:
-        if scene.size != (sensor.width, sensor.height):
-            raise ValueError(f"the scene is {scene.size} pixels, the sensor {(sensor.width, sensor.height)}")
-        self._scene = scene
-        self._pixels = PixelArray(sensor, seed)
-        self._readout = ReadOut(sensor)
+        size = (sensor.parameters.width, sensor.parameters.height)
+        if pictures.size != size:
+            raise ValueError(f"the scene is {pictures.size} pixels, the sensor {size}")
+        self._pictures = pictures
+        self._sensor = sensor
+        self._step_source = steps
         self._setups = setups
         self._clock = clock
         self._links: list[LinkProcess] = []
-        self._light = np.zeros((sensor.height, sensor.width), np.float32)
-        self._frames = 0
         self._steps = 0
         self._t_ns = 0
         self._lateness = Lateness()
@@ -127,11 +128,10 @@ class Session:
             start_ns = self._clock.now_ns()
             self._run_steps(schedule, on_status)
             wall_seconds = (self._clock.now_ns() - start_ns) * 1e-9
-            self._publish(self._readout.finish(), schedule)
+            self._publish(self._sensor.finish(), schedule)
             reports = self._stop_links(schedule.drain_s)
-        return RunResult(
-            self._t_ns * 1e-9, wall_seconds, self._frames, self._steps, self._ledger(reports), self._lateness, reports
-        )
+        frames, ledger = self._pictures.frames, self._ledger(reports)
+        return RunResult(self._t_ns * 1e-9, wall_seconds, frames, self._steps, ledger, self._lateness, reports)
 
     def _open_links(self) -> None:
         self._links = [LinkProcess(setup, self._clock) for setup in self._setups]
@@ -141,21 +141,21 @@ class Session:
     def _warm_up(self) -> None:
         """Do all slow first-time work before the clock runs: compile the kernels, draw the first picture."""
         with said_if_slow("compiling the sensor's kernels: takes some seconds, once; they are kept on disk"):
-            load_kernels(self._pixels.parameters)
-        self._draw(0)
-        self._pixels.reset(self._light, 0)
+            load_kernels(self._sensor.parameters)
+        self._pictures.draw(0)
+        self._sensor.reset(self._pictures.light, 0)
+        self._step_source.observe(self._pictures.light, self._pictures.rate, 0)
 
     def _run_steps(self, schedule: Schedule, on_status: Callable[[RunStatus], None]) -> None:
         start_ns = self._clock.now_ns()
         origin_ns = start_ns + _HEAD_START_NS if schedule.paced else FREE_RUNNING
         for link in self._links:
             link.start(origin_ns)
-        rule = StepRule(schedule.step_ns)
-        lead_ns = max(schedule.lead_ns, schedule.step_ns)
+        rule = StepRule(self._step_source)
         status_ns = start_ns
         while not self._stopping and (schedule.duration_ns is None or self._t_ns < schedule.duration_ns):
             if schedule.paced:
-                self._clock.sleep_until(origin_ns + self._t_ns - lead_ns)
+                self._clock.sleep_until(origin_ns + self._t_ns - max(schedule.lead_ns, rule.step_ns))
             due_ns, begun_ns = origin_ns + self._t_ns, self._clock.now_ns()
             self._step(rule, schedule)
             if schedule.paced:
@@ -170,15 +170,13 @@ class Session:
         t1_ns = self._t_ns + rule.step_ns
         if schedule.duration_ns is not None:
             t1_ns = min(t1_ns, schedule.duration_ns)
-        self._draw(t1_ns)
-        events = self._readout.push(self._pixels.step(self._light, t1_ns), t1_ns)
+        picture = self._pictures
+        picture.draw(t1_ns)
+        events = self._sensor.expose(picture.light, t1_ns, picture.rate)
+        self._step_source.observe(picture.light, picture.rate, t1_ns)
         self._t_ns = t1_ns
         self._steps += 1
         self._publish(events, schedule)
-
-    def _draw(self, t_ns: int) -> None:
-        self._scene.light(t_ns, self._light)
-        self._frames += 1
 
     def _publish(self, events: Events, schedule: Schedule) -> None:
         now_us = self._t_ns // 1000
@@ -194,8 +192,8 @@ class Session:
         return RunStatus(
             self._t_ns * 1e-9,
             (self._clock.now_ns() - start_ns) * 1e-9,
-            self._frames,
-            self._readout.read_out,
+            self._pictures.frames,
+            self._sensor.read_out,
             self._lateness,
             {link.name: link.listen() for link in self._links},
         )
@@ -205,12 +203,11 @@ class Session:
         return {link.name: link.stop(drain_s) for link in links}
 
     def _ledger(self, reports: dict[str, LinkReport]) -> Ledger:
-        lost_in_pixel = self._pixels.lost_in_pixel
         return Ledger(
-            raised=self._readout.raised + lost_in_pixel,
-            lost_in_pixel=lost_in_pixel,
-            lost_at_readout=self._readout.lost_at_readout,
-            read_out=self._readout.read_out,
+            raised=self._sensor.raised,
+            lost_in_pixel=self._sensor.lost_in_pixel,
+            lost_at_readout=self._sensor.lost_at_readout,
+            read_out=self._sensor.read_out,
             links=tuple(
                 LinkLedger(name, report.delivered, report.dropped, report.dropped_in_device)
                 for name, report in reports.items()

@@ -51,6 +51,8 @@ class FixedSteps:
     """Every step has the same length."""
 
     def __init__(self, step_ns: int) -> None:
+        if step_ns < 1:
+            raise ValueError(f"a step lasts at least 1 ns, got {step_ns}")
         self.step_ns = step_ns
 
     def observe(self, light: Light, rate: Light | None, t_ns: int) -> None:

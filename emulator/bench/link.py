@@ -13,13 +13,13 @@ import multiprocessing
 from multiprocessing.connection import Connection
 from typing import Any
 
-from emulator.assembly import build_scene, link_setups, schedule
+from emulator.assembly import build_scene, build_session, link_setups, schedule
 from emulator.bench.failed import BenchFailed
 from emulator.bench.streams import saturated_stream
 from emulator.link_process import LinkProcess
 from emulator.rig import UsbipLink, load_rig
 from emulator.scene.checkerboard import CheckerboardParameters
-from emulator.session import RunResult, RunStatus, Session
+from emulator.session import RunResult, RunStatus
 from firmware_protocol.davis346 import Davis346Settings
 from transports.davis_host import DavisHost
 from transports.link import LinkReport, LinkSetup
@@ -146,7 +146,6 @@ def _paced_run() -> RunResult:
         if not receivers and address is not None:
             receivers.append(_Receiver(address))
 
-    sensor = rig.camera.sensor
-    with build_scene(rig.scene, (sensor.width, sensor.height)) as scene:
-        session = Session(scene, sensor, rig.run.seed, link_setups(rig), MonotonicClock())
+    with build_scene(rig.scene, rig.camera.size) as scene:
+        session = build_session(rig, scene, link_setups(rig), MonotonicClock())
         return session.run(plan, attach)

@@ -31,6 +31,7 @@ for verb, module, told in (
     ("demo", "demo", "Run a rig, attach to its camera as a driver does, and compare every event."),
     ("listen", "listen", "Read a DAVIS346, real or emulated."),
     ("check", "rigs", "Check a rig file without running it."),
+    ("plan", "plan", "Tell what a run will model, and why."),
     ("rigs", "rigs", "List the rigs that come with evstim."),
     ("schema", "rigs", "Print the JSON Schema of rig files."),
     ("picture", "picture", "Write one look at a rig as PNG."),

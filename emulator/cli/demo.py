@@ -12,12 +12,12 @@ from typing import Annotated
 import numpy as np
 from cyclopts import Parameter
 
-from emulator.assembly import build_scene, link_setups, schedule
+from emulator.assembly import build_scene, build_session, link_setups, schedule
 from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, console, failures, print_json, status
 from emulator.cli.run import summary
 from emulator.cli.signals import stopped_by_signals
 from emulator.rig import Rig, UsbipLink, load_rig
-from emulator.session import RunResult, RunStatus, Session
+from emulator.session import RunResult, RunStatus
 from transports.pacing import MonotonicClock
 from transports.record import load_record
 
@@ -61,10 +61,10 @@ def _on_a_free_port(rig: Rig) -> Rig:
 
 def _run(rig: Rig, sent: Path, received: Path, seconds: float) -> RunResult:
     """Run until the receiver, started as soon as the camera is there, has ended."""
-    sensor, link = rig.camera.sensor, rig.links[0]
+    link = rig.links[0]
     receiver: subprocess.Popen[bytes] | None = None
-    with build_scene(rig.scene, (sensor.width, sensor.height)) as scene:
-        session = Session(scene, sensor, rig.run.seed, link_setups(rig, sent), MonotonicClock())
+    with build_scene(rig.scene, rig.camera.size) as scene:
+        session = build_session(rig, scene, link_setups(rig, sent), MonotonicClock())
 
         def follow(now: RunStatus) -> None:
             nonlocal receiver

@@ -50,8 +50,7 @@ def check(rig: str, /, *, draw: Annotated[bool, Parameter(negative="")] = False,
     with failures():
         loaded = load_rig(rig)
         if draw:
-            sensor = loaded.camera.sensor
-            build_scene(loaded.scene, (sensor.width, sensor.height)).close()
+            build_scene(loaded.scene, loaded.camera.size).close()
     if json:
         print_json({"rig": loaded.name, "good": True, "title": loaded.title})
     else:

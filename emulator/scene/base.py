@@ -44,6 +44,27 @@ class Scene(ABC):
     def light(self, t_ns: int, out: Light) -> None:
         """Write the light at stream time `t_ns` into `out`, (height, width) float32. Depends on nothing else."""
 
+    def light_and_rate(self, t_ns: int, light: Light, rate: Light) -> None:
+        """Write the light at `t_ns` and its time derivative, per second, into (height, width) float32 arrays.
+
+        Unless a scene knows better, both come of two pictures a twentieth of a pixel of motion before and after: their
+        mean misses the light by a thousandth of what a straight line over half a pixel would, and two pictures cost
+        less than the many that slopes save.
+        """
+        apart_ns = self._apart_ns()
+        self.light(t_ns - apart_ns, rate)
+        self.light(t_ns + apart_ns, light)
+        before = rate.copy()
+        np.subtract(light, before, out=rate)
+        rate *= np.float32(0.5e9 / apart_ns)
+        light += before
+        light *= np.float32(0.5)
+
+    def _apart_ns(self) -> int:
+        """Time in which the picture moves by a twentieth of a pixel, within 20 us to 2 ms, ns."""
+        motion = self.motion_bound_px_s
+        return round(min(max(0.05e9 / motion, 20_000), 2_000_000)) if motion > 0 else 2_000_000
+
     @abstractmethod
     def close(self) -> None:
         """Give back what the scene holds of the machine; a second call does nothing."""

@@ -3,17 +3,18 @@
 import pytest
 
 from emulator.lateness import LONGEST_STRETCH, Lateness, StepRule
+from emulator.steps import FixedSteps
 
 
 def test_a_run_in_time_keeps_its_step():
-    rule = StepRule(1000)
+    rule = StepRule(FixedSteps(1000))
     for _ in range(5):
         rule.follow(-10, 500)
     assert rule.step_ns == 1000
 
 
 def test_a_run_behind_takes_longer_steps_and_returns_to_its_own():
-    rule = StepRule(1000)
+    rule = StepRule(FixedSteps(1000))
     lengths = []
     for gap in (1500, 1500, 1500, 1500, 500, 0, 0, 0, 0):
         rule.follow(gap, 1200)  # a picture costs the same however long the step
@@ -23,7 +24,7 @@ def test_a_run_behind_takes_longer_steps_and_returns_to_its_own():
 
 
 def test_a_longer_step_that_saves_nothing_is_left_again():
-    rule = StepRule(1000)
+    rule = StepRule(FixedSteps(1000))
     lengths = []
     for _ in range(40):
         lengths.append(rule.step_ns)
@@ -41,4 +42,4 @@ def test_lateness_counts_late_frames_and_keeps_the_worst():
 
 def test_a_step_must_last():
     with pytest.raises(ValueError, match="at least 1 ns"):
-        StepRule(0)
+        FixedSteps(0)

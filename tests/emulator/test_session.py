@@ -7,9 +7,12 @@ import numpy as np
 import pytest
 
 from emulator.cli.signals import stopped_by_signals
+from emulator.pictures import Pictures
 from emulator.scene.base import Scene
 from emulator.sensor.presets import PRESETS
+from emulator.sensor.sensor import Sensor
 from emulator.session import Schedule, Session
+from emulator.steps import FixedSteps
 from transports.pacing import FakeClock
 
 SENSOR = dataclasses.replace(PRESETS["davis346"], width=24, height=16, leak_hz=0.0)
@@ -40,8 +43,8 @@ class Flashing(Scene):
         pass
 
 
-def session(scene, clock):
-    return Session(scene, SENSOR, 1, [], clock)
+def session(scene, clock, step_ns=STEP_NS):
+    return Session(Pictures(scene, with_rate=False), Sensor(SENSOR, 1), FixedSteps(step_ns), [], clock)
 
 
 def test_a_free_run_draws_each_step_once_and_balances():
@@ -74,7 +77,7 @@ def test_a_slow_scene_makes_a_paced_run_coarser_not_later():
 def test_the_last_step_ends_at_the_end():
     clock = FakeClock()
     scene = Flashing(clock)
-    session(scene, clock).run(Schedule(step_ns=700_000, duration_ns=1_000_000, paced=False))
+    session(scene, clock, 700_000).run(Schedule(duration_ns=1_000_000, paced=False))
     assert scene.times == [0, 700_000, 1_000_000]
 
 

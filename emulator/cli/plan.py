@@ -1,0 +1,116 @@
+"""`evstim plan RIG`."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from emulator.assembly import build_scene
+from emulator.bounds import Decision
+from emulator.cli.output import GOOD, console, failures, print_json
+from emulator.plan import Plan, make_plan
+from emulator.probe import probe
+from emulator.rig import Rig, load_rig
+
+__all__ = ["plan"]
+
+_METHODS = {
+    "warped": "cubic in log light from value and derivative, low-pass solved in warped time",
+    "line": "straight line in log light, low-pass solved exactly for it",
+}
+
+
+def plan(rig: str, /, *, json: Annotated[bool, Parameter(negative="")] = False) -> int:
+    """Tell what a run of a rig will model: steps, each effect with the bound that decided it, and the load.
+
+    Parameters
+    ----------
+    rig
+        Path of a rig file, or the name of a shipped one.
+    json
+        Print one JSON object as the last line on stdout.
+    """
+    with failures():
+        made = _plan(load_rig(rig))
+    if json:
+        print_json(_as_json(made))
+    else:
+        _print(made)
+    return GOOD
+
+
+def _plan(rig: Rig) -> Plan:
+    sensor = rig.camera.sensor
+    with build_scene(rig.scene, rig.camera.size) as scene:
+        step_ns = rig.run.step_us * 1000
+        return make_plan(rig, probe(scene, sensor, step_ns, rig.run.seconds or 10.0))
+
+
+def _as_json(made: Plan) -> dict[str, object]:
+    decisions = [{k: v for k, v in dataclasses.asdict(d).items() if k != "changes"} for d in made.decisions]
+    return {
+        "rig": made.rig.name,
+        "pinned": made.pinned,
+        "tolerance": made.tolerance,
+        "probe": _finite(dataclasses.asdict(made.probe)),
+        "steps": made.steps,
+        "effects": [_finite({**d, "kept": d["kept"] or made.pinned}) for d in decisions],
+        "load": {**dataclasses.asdict(made.load), "total": made.load.total},
+    }
+
+
+def _finite(table: dict[str, object]) -> dict[str, object]:
+    """JSON knows no infinity."""
+    return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in table.items()}
+
+
+def _print(made: Plan) -> None:
+    p, steps, load = made.probe, made.steps, made.load
+    sensor = made.rig.camera.sensor
+    console.print(f"{made.rig.name}: {made.rig.title}\n")
+    console.print(
+        f"scene    {p.active_share:.0%} of {sensor.width}x{sensor.height} pixels active, contrast rate "
+        f"{p.contrast_rate:.3g} /s, light {p.least_current:.2g} to {p.largest_current:.2g} of the reference, about "
+        f"{p.events_per_s * 1e-6:.3g} Mev/s expected"
+    )
+    console.print(f"method   {made.rig.run.method}: {_METHODS.get(made.rig.run.method, 'the rule of another simulator')}")
+    motion = f", {p.motion_px_s * steps.step_us * 1e-6:.2g} px of motion" if math.isfinite(p.motion_px_s) else ""
+    console.print(
+        f"steps    {'controlled, about' if steps.controlled else 'fixed,'} {steps.step_us:.0f} us{motion}: "
+        f"{steps.bound}; stamps good to {_us(steps.error_us)} (95 %); a straight line would need "
+        f"{steps.line_step_us:.0f} us for that"
+    )
+    console.print(
+        f"load     {load.total:.2f} of a core: {load.pictures_per_s:.0f} pictures a second {load.drawing:.2f}, pixels "
+        f"{load.pixels:.2f}, events {load.events:.2f}\n"
+    )
+    for line in _effects(made):
+        console.print(line)
+    if made.pinned:
+        console.print("\nThe rig pins everything: nothing is dropped. Give run.tolerance_us to let the plan choose.")
+
+
+def _effects(made: Plan) -> list[str]:
+    """Return the effects as aligned lines."""
+    eps, share = _us(made.tolerance.eps_us), f"{made.tolerance.wrong_share:g}"
+    rows = [("effect", "verdict", f"stamps (< {eps})", f"events (< {share})", "what it is measured by")]
+    rows += [_row(decision, made) for decision in made.decisions]
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    return ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+
+
+def _row(decision: Decision, made: Plan) -> tuple[str, str, str, str, str]:
+    worth = "matters" if decision.kept else "hardly matters"
+    verdict = f"kept: pinned, {worth}" if made.pinned else ("kept" if decision.kept else "dropped")
+    time = "-" if decision.cost_us is None else _us(decision.cost_us)
+    share = "-" if decision.cost_share is None else f"{decision.cost_share:.2g}"
+    return decision.effect, verdict, time, share, decision.bound
+
+
+def _us(value: float) -> str:
+    if not math.isfinite(value):
+        return "no bound"
+    return f"{value:.3g} us" if value < 1000 else f"{value / 1000:.3g} ms"
