@@ -20,6 +20,7 @@ __all__ = ["Load", "Plan", "Steps", "limits", "make_plan"]
 # What a step costs on one thread, from the benchmarks: seconds a pixel that stays quiet, and for each event.
 _QUIET_PIXEL_S = 1.0e-9
 _EVENT_S = 40e-9 + 20e-9
+_LINE, _HERMITE = 2, 4  # orders of the two ways to join pictures
 _PINNED_TOLERANCE_US = 100.0  # what effects are measured against where the rig gives nothing
 
 
@@ -93,7 +94,7 @@ def make_plan(rig: Rig, probe: Probe) -> Plan:
     tolerance = Tolerance(run.tolerance_us or _PINNED_TOLERANCE_US, run.tolerated_wrong_share, duration_s)
     steps = _steps(rig, probe)
     sensor = rig.camera.sensor
-    return Plan(rig, probe, tolerance, steps, decide(sensor, probe, tolerance), _load(sensor, probe, steps))
+    return Plan(rig, probe, tolerance, steps, decide(sensor, probe, tolerance), _load(rig, probe, steps))
 
 
 def limits(rig: Rig, motion_bound_px_s: float) -> Limits:
@@ -102,36 +103,46 @@ def limits(rig: Rig, motion_bound_px_s: float) -> Limits:
 
 
 def _steps(rig: Rig, probe: Probe) -> Steps:
-    wanted_us = rig.run.tolerance_us
+    wanted_us, order = rig.run.tolerance_us, _order(rig)
     if not wanted_us:
         step_us = float(rig.run.step_us)
-        error_us = _scaled(probe.hermite_error_us, probe, step_us, 4)
+        error_us = _error(step_us, probe, order)
         return Steps(False, step_us, error_us, "pinned by the rig", _step_for(max(error_us, 0.01), probe, 2))
     held = limits(rig, probe.motion_px_s)
-    by_error_us = _step_for(wanted_us, probe, 4)
-    by_motion_us = held.longest_step_ns(has_slopes=True) / 1000
+    by_error_us = _step_for(wanted_us, probe, order)
+    by_motion_us = held.longest_step_ns(has_slopes=order == _HERMITE) / 1000
     step_us = max(min(by_error_us, by_motion_us), held.shortest_ns / 1000)
-    bound = "the tolerance" if by_error_us <= by_motion_us else "half a pixel of motion"
+    bound = "the tolerance" if by_error_us <= by_motion_us else "the picture's motion"
     if by_motion_us >= held.longest_ns / 1000 <= by_error_us:
         bound = "the longest step"
-    error_us = _scaled(probe.hermite_error_us, probe, step_us, 4)
-    return Steps(True, step_us, error_us, bound, _step_for(wanted_us, probe, 2))
+    return Steps(True, step_us, _error(step_us, probe, order), bound, _step_for(wanted_us, probe, 2))
 
 
-def _scaled(error_us: float, probe: Probe, step_us: float, order: int) -> float:
-    """Return the error at another step than the probe's."""
-    return error_us * (step_us * 1e-6 / probe.step_s) ** order
+def _order(rig: Rig) -> int:
+    """Return by which power of the step the error grows."""
+    return _HERMITE if rig.run.method == "warped" else _LINE
+
+
+def _probed_us(probe: Probe, order: int) -> float:
+    return probe.hermite_error_us if order == _HERMITE else probe.line_error_us
+
+
+def _error(step_us: float, probe: Probe, order: int) -> float:
+    """Return the error at another step than the probe's, us."""
+    return float(_probed_us(probe, order) * (step_us * 1e-6 / probe.step_s) ** order)
 
 
 def _step_for(wanted_us: float, probe: Probe, order: int) -> float:
     """Return the step, us, that makes an error of `wanted_us`; at most a second."""
-    error_us = probe.hermite_error_us if order == 4 else probe.line_error_us
+    error_us = _probed_us(probe, order)
     if error_us <= 0:
         return 1e6
     return min(1e6, probe.step_s * 1e6 * float((wanted_us / error_us) ** (1 / order)))
 
 
-def _load(sensor: SensorParameters, probe: Probe, steps: Steps) -> Load:
+def _load(rig: Rig, probe: Probe, steps: Steps) -> Load:
     per_s = 1e6 / steps.step_us
+    draw_s = probe.draw_with_rate_s if _order(rig) == _HERMITE else probe.draw_s
+    sensor = rig.camera.sensor
     quiet_s = sensor.width * sensor.height * _QUIET_PIXEL_S
-    return Load(per_s, probe.draw_with_rate_s * per_s, quiet_s * per_s, probe.events_per_s * _EVENT_S)
+    return Load(per_s, draw_s * per_s, quiet_s * per_s, probe.events_per_s * _EVENT_S)

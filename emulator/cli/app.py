@@ -35,6 +35,7 @@ for verb, module, told in (
     ("rigs", "rigs", "List the rigs that come with evstim."),
     ("schema", "rigs", "Print the JSON Schema of rig files."),
     ("picture", "picture", "Write one look at a rig as PNG."),
+    ("accuracy", "accuracy", "Chart speed against accuracy, and map where methods fail."),
     ("doctor", "doctor", "Tell what this machine offers and lacks."),
     ("bench", "bench", "Measure the speeds that the docs quote."),
 ):

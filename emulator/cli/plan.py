@@ -76,7 +76,8 @@ def _print(made: Plan) -> None:
         f"{p.contrast_rate:.3g} /s, light {p.least_current:.2g} to {p.largest_current:.2g} of the reference, about "
         f"{p.events_per_s * 1e-6:.3g} Mev/s expected"
     )
-    console.print(f"method   {made.rig.run.method}: {_METHODS.get(made.rig.run.method, 'the rule of another simulator')}")
+    method = made.rig.run.method
+    console.print(f"method   {method}: {_METHODS.get(method, 'the rule of another simulator')}")
     motion = f", {p.motion_px_s * steps.step_us * 1e-6:.2g} px of motion" if math.isfinite(p.motion_px_s) else ""
     console.print(
         f"steps    {'controlled, about' if steps.controlled else 'fixed,'} {steps.step_us:.0f} us{motion}: "

@@ -37,7 +37,7 @@ def rig(tmp_path):
 
 
 def test_every_verb_tells_what_it_does(capsys):
-    for verb in ("run", "demo", "listen", "check", "rigs", "schema", "picture", "doctor", "bench"):
+    for verb in ("run", "demo", "listen", "check", "plan", "rigs", "schema", "picture", "accuracy", "doctor", "bench"):
         assert _main([verb, "--help"]) == 0
         assert verb in capsys.readouterr().out
 
