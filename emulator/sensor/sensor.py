@@ -25,6 +25,7 @@ from emulator.sensor.jitter import Jitter
 from emulator.sensor.leaks import NEVER_NS, Leaks
 from emulator.sensor.merging import NO_CROSSINGS, joined, merged
 from emulator.sensor.noise import NoiseEvents
+from emulator.sensor.noisy_pixels import NoisyPixels
 from emulator.sensor.pixels import Crossings, PixelArray
 from emulator.sensor.presets import SensorParameters
 from emulator.sensor.radiation import Particles
@@ -81,7 +82,7 @@ class Sensor:
         here = at_temperature(parameters)
         self._imager = Imager(here, seed)
         own = dataclasses.replace(here, dark_current_relative=self._imager.dark_current_relative)
-        self.pixels = make_pixels(own, seed)
+        self.pixels = _pixels(own, seed, make_pixels)
         self._leaks = _leaks(own, seed, self.pixels)
         self._sources = _sources(own, seed)
         self._jitter = Jitter(own.jitter, seed, own.width * own.height) if own.jitter.latency_us else None
@@ -162,7 +163,8 @@ class Sensor:
             parts.append(_kept(self._move(self._between(light, share), cut_ns, None)))
         parts.append(self._move(light, t_ns, rate))
         self._remember(light)
-        return self._readout.push(joined(parts), t_ns)
+        settled_ns = self.pixels.settled_ns if isinstance(self.pixels, NoisyPixels) else t_ns
+        return self._readout.push(joined(parts), settled_ns)
 
     def finish(self) -> Events:
         """Return the events that have not left yet; nothing can be exposed afterwards."""
@@ -215,6 +217,15 @@ def _kept(crossings: Crossings) -> Crossings:
     )
 
 
+def _pixels(p: SensorParameters, seed: int, make_pixels: MakePixels) -> PixelMethod:
+    """Return the pixels, which have their noise in them where it is of the grid grade."""
+    if p.noise.rms == 0 or p.noise.grade != "grid":
+        return make_pixels(p, seed)
+    if make_pixels is not PixelArray:
+        raise ValueError('noise.grade = "grid" is a method of its own: leave it out, or the other method')
+    return NoisyPixels(p, seed)
+
+
 def _leaks(p: SensorParameters, seed: int, pixels: PixelMethod) -> Leaks | None:
     """Give the pixels their defects; return what changes their leak while they run, if anything does."""
     defects = draw_defects(p, seed)
@@ -229,7 +240,7 @@ def _leaks(p: SensorParameters, seed: int, pixels: PixelMethod) -> Leaks | None:
 def _sources(p: SensorParameters, seed: int) -> list[SlottedEvents]:
     """Return what raises events of its own."""
     sources: list[SlottedEvents] = []
-    if p.noise.rms:
+    if p.noise.rms and p.noise.grade == "points":
         sources.append(NoiseEvents(p, seed, _thresholds(p, seed)))
     if p.radiation.hits_per_cm2_s:
         sources.append(Particles(p, seed, draw_defects(p, seed).dead))
