@@ -30,15 +30,20 @@ from typing import Any, TypeVar
 
 from numba import njit
 
-__all__ = ["SOURCES", "entry", "kernel", "kernel_that_allocates", "say_if_not_compiled", "vector_kernel"]
+__all__ = ["SOURCES", "Real", "entry", "kernel", "kernel_that_allocates", "say_if_not_compiled", "vector_kernel"]
 
 _LOG = logging.getLogger(__name__)
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 _Decorator = Callable[[_Function], _Function]
 
+Real = Any
+"""A float of any width: inside numba, whichever the caller has."""
+
 _COMMON: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
 _UNCOUNTED: dict[str, Any] = {**_COMMON, "_nrt": False}
-_FILES = ("compiled", "elementary", "exact", "layout", "candidates", "kernels", "readout")
+_FILES = (
+    "compiled", "elementary", "layout", "lowpass", "trust", "events", "pieces", "candidates", "kernels", "readout",
+)  # fmt: skip
 
 SOURCES = zlib.crc32(b"".join((Path(__file__).parent / f"{name}.py").read_bytes() for name in _FILES))
 """Checksum of the files that hold kernels."""

@@ -1,4 +1,4 @@
-"""Logarithm and decay in float32 for loops that a compiler turns into vectors, and the lowest bit of a word.
+"""Logarithm, decay and exponential in float32 for loops that become vectors, and the lowest bit of a word.
 
 Calls to the mathematics library stop numba from vectorising a loop; these are plain arithmetic and become 8 or 16
 lanes wide. Two traps shaped them, both measured:
@@ -25,7 +25,7 @@ from numba.extending import intrinsic
 
 from emulator.sensor.compiled import vector_kernel
 
-__all__ = ["decay", "lowest_bit", "natural_log"]
+__all__ = ["decay", "exponential", "lowest_bit", "natural_log"]
 
 _SQRT_HALF_BITS = 0x3F3504F3
 _MANTISSA_BITS = 23
@@ -116,11 +116,26 @@ def natural_log(x: np.float32) -> np.float32:
 
 
 @vector_kernel
-def decay(s: np.float32) -> np.float32:
-    """Return 1 - e^-s in float32 for s >= 0 (from 80 on, the value at 80); good to the last bits for tiny s too."""
-    y: np.float32 = -min(s, _DEEPEST) * _LOG2_E
+def _two_to_the(y: np.float32) -> tuple[np.float32, np.float32]:
+    """Return 2^k and 2^f - 1 for y = k + f, k whole and |f| <= 1/2."""
     k: np.float32 = np.floor(y + _HALF)
     f = y - k
     less_one = ((((((_E7 * f + _E6) * f + _E5) * f + _E4) * f + _E3) * f + _E2) * f + _E1) * f
     scale: np.float32 = _power_of_two(k)
-    return (_ONE - scale) - scale * less_one
+    return scale, less_one
+
+
+@vector_kernel
+def decay(s: np.float32) -> np.float32:
+    """Return 1 - e^-s in float32 for s >= 0 (from 80 on, the value at 80); good to the last bits for tiny s too."""
+    scale, less_one = _two_to_the(-min(s, _DEEPEST) * _LOG2_E)
+    result: np.float32 = (_ONE - scale) - scale * less_one
+    return result
+
+
+@vector_kernel
+def exponential(x: np.float32) -> np.float32:
+    """Return e^x in float32, within 3e-7 (1 + |x| / 4) relative; beyond +-80, the value at +-80."""
+    scale, less_one = _two_to_the(max(min(x, _DEEPEST), -_DEEPEST) * _LOG2_E)
+    result: np.float32 = scale + scale * less_one
+    return result

@@ -3,107 +3,200 @@
 What is solved (photocurrent i relative to the reference light, u = ln i, natural logarithms throughout):
 
     rate      lambda = 2 pi f(i), f proportional to i within its bounds
-    filter    dv/dt = lambda (u - v)
-    leak      the reference falls by l each second; instead, the filtered value is raised: g = v + l T, T seconds since
-              the epoch, and the stored reference moves at events only
+    filter    dv/dt = lambda (u - v), and if there is a second pole dw/dt = lambda2 (v - w); else w is v
+    leak      the reference falls by l each second, and by the parasitic l' i; instead, the filtered value is raised:
+              g = w + l T + the parasitic part, T seconds since the epoch, and the stored reference moves at events only
     crossing  ON when g - reference >= threshold_on, OFF when <= -threshold_off
 
-Between two pictures u is a straight line, and the filter runs over S, the integral of lambda dt (trapezium rule with
-its end correction), with constant time constant within the step:
-
-    v(s) = u(s) - D/S + B e^-s       D = u1 - u0,  B = v0 - u0 + D/S,  s in [0, S]
+Between two pictures u is the cubic through its values and time derivatives at both; the filter is solved over S, the
+integral of lambda dt, by `lowpass`. For the second pole, v is taken as the cubic in time through its values and slopes.
 
 The step of a pixel is *quiet* when bounds show that it cannot fire: v stays between v0 and v0 + q (U - v0), with
-q = 1 - e^-S and U the highest (lowest) of u. Most pixels are, most of the time, and cost one pass of plain arithmetic.
-For those that may fire, and move by one monotone stretch, crossings are solved on the cubic in time through v and its
-derivative at both ends, all lanes together; what is left (turns, big changes, slow exponentials) goes to `exact`.
+q = 1 - e^-S and U the highest (lowest) of u, for which the cubic's Bernstein coefficients are bounds. Most pixels are,
+most of the time, and cost one pass of plain arithmetic. It is *plain* when its light is a cubic to be trusted: known
+slopes, less than 0.5 in log light from end to end, no sign of something unseen between the pictures. What is not quiet
+or not plain goes to `candidates`.
 
 What makes it fast, all measured:
 
-- State is kept in blocks of 512 pixels, field after field within a block (see `Field`), in one flat array. A block fits
-  the first cache with its scratch, and all its fields lie at distances known when compiled: LLVM gives up on a loop
-  with many separate arrays, because it would have to check each pair for overlap.
+- State is kept in blocks of 1024 pixels, field after field within a block (see `Field`), in one flat array. A block
+  stays in the nearest caches with its scratch, and all its fields lie at distances known when compiled: LLVM gives up
+  on a loop with many separate arrays, because it would have to check each pair for overlap.
 - Loops run from 0 over BLOCK, a constant: no test for negative indices, no remainder, and a pixel's arithmetic does not
   depend on where in the picture it lies.
-- Three short loops instead of one long: their constants stay in registers. 0.7 ns a pixel instead of 1.1.
+- Short loops instead of one long: their constants stay in registers.
 - No integer arithmetic in vector loops (numba widens it to 64 bits); logarithm and exponential are polynomials
   (`elementary`), and `compiled` tells which compiler options matter.
+- Slopes are kept by warped time, which saves the divisions by the rate.
+- What few sensors have (second pole, parasitic leak) is a loop of its own, entered block by block or not at all.
 - The list of candidates is made without a branch, `found[k] = i; k += flag`, and only where a word of flags has any.
 - Candidates are gathered while their block is in the first cache, and solved in batches (`candidates`).
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.candidates import BATCH, BEFORE_ROWS, Table, gather, select, solve
-from emulator.sensor.compiled import SOURCES, entry, kernel, vector_kernel
-from emulator.sensor.elementary import decay, lowest_bit, natural_log
+from emulator.sensor.candidates import BATCH, BEFORE_ROWS, Table, gather, gather_rare, select, solve
+from emulator.sensor.compiled import SOURCES, Real, entry, kernel, vector_kernel
+from emulator.sensor.elementary import decay, exponential, lowest_bit, natural_log
 from emulator.sensor.layout import BLOCK, FIELDS, Field, Pixels, StepConstants
+from emulator.sensor.lowpass import Course, rise_of_filter, slope_of_filter, warped_time
+from emulator.sensor.trust import is_plain
 
-__all__ = ["advance", "unpack"]
+__all__ = ["Tally", "advance", "unpack"]
 
 _Float32s = npt.NDArray[np.float32]
 _Int64s = npt.NDArray[np.int64]
+_Bytes = npt.NDArray[np.uint8]
 _Keys = npt.NDArray[np.uint64]
 
-_U, _V, _L, _REF, _ON, _OFF, _LEAK = (int(f) * BLOCK for f in Field)
-_U0, _V0, _L0, _S, _Q, _P = BEFORE_ROWS
+_U, _V, _L, _G, _REF, _ON, _OFF, _LEAK, _W, _P = (int(f) * BLOCK for f in Field)
+_U0, _V0, _L0, _G0, _A0, _A1, _S, _Q, _W0, _P0, _HIGH, _LOW = BEFORE_ROWS
+
+
+class Tally(NamedTuple):
+    """What a step has to tell beside its events, all in pixel-steps but the first."""
+
+    lost: int  # crossings beyond MOST_EVENTS of a pixel
+    suspects: int  # light that did something between the pictures
+    candidates: int  # solved for crossings
+    unreadable: int  # light not finite
+
 
 _COLLECT = np.uint64(0x0102040810204080)
 _NAN = np.float32(np.nan)
 _ZERO, _ONE, _HALF = (np.float32(x) for x in (0, 1, 0.5))
-_TWELFTH = np.float32(1 / 12)
+_THIRD, _TWELFTH = np.float32(1 / 3), np.float32(1 / 12)
 _BRIGHTEST = np.finfo(np.float32).max
-_LARGEST_CHANGE = np.float32(0.5)  # of u in one piece; beyond, the time constant may not be frozen
+_STEEPEST = np.float32(1e15)  # a slope beyond any light's, and safe when squared
 _MARGIN = np.float32(5e-6)  # rounding of the quiet test, ln units
-_WIDER = np.float32(1.08)  # covers the error of S for the largest change, bounds of the rate included
+_WIDER = np.float32(1.08)  # covers the error of S for the largest plain change, bounds of the rate included
+_MORE = np.float32(1.5)  # the same for the integral of light
+_BULGE = np.float32(1.2)  # ... and light that is higher inside the step than at its ends: e^x < 1 + 1.2 x there
 
 
 @vector_kernel
-def _take_light(light: _Float32s, s: _Float32s, before: _Float32s, c: StepConstants) -> None:
-    """Put a block's new log light (NaN where the light is not finite) and rate into the state, the old ones aside."""
+def _take_light(light: _Float32s, rate: _Float32s, s: _Float32s, before: _Float32s, c: StepConstants) -> None:
+    """Put a block's new log light (NaN where the light is not finite), its slope and rate into the state.
+
+    The old ones go aside. A slope that is not finite is not known, and NaN.
+    """
     for i in range(BLOCK):
-        e = light[i]
-        current = (e if e > _ZERO else _ZERO) + c.dark
-        before[_U0 + i], before[_L0 + i] = s[_U + i], s[_L + i]
+        e, r = light[i], rate[i]
+        lit = e > _ZERO
+        current = (e if lit else _ZERO) + c.dark
+        before[_U0 + i], before[_L0 + i], before[_G0 + i] = s[_U + i], s[_L + i], s[_G + i]
+        rate_after = min(max(c.rate_at_reference * current, c.rate_min), c.rate_max)
+        slope = (r if lit else _ZERO * r) / (current * rate_after)
         s[_U + i] = natural_log(current) if abs(e) <= _BRIGHTEST else _NAN
-        s[_L + i] = min(max(c.rate_at_reference * current, c.rate_min), c.rate_max)
+        s[_L + i] = rate_after
+        s[_G + i] = slope if abs(slope) <= _STEEPEST else _NAN
+
+
+@vector_kernel
+def _take_chord(s: _Float32s, before: _Float32s, c: StepConstants) -> None:
+    """Let the log light of a block's step be a straight line, as if the slopes at both ends were given so."""
+    for i in range(BLOCK):
+        slope = (s[_U + i] - before[_U0 + i]) / c.h
+        before[_G0 + i], s[_G + i] = slope / before[_L0 + i], slope / s[_L + i]
 
 
 @vector_kernel
 def _warp(s: _Float32s, before: _Float32s, c: StepConstants) -> None:
-    """Write a block's S, q = 1 - e^-S, and 1 - q / S.
-
-    S is the trapezium with its end correction for a rate that is exponential in time. Where the rate meets a bound
-    inside the step it is off by up to 7 %.
-    """
+    """Write a block's S, q = 1 - e^-S, and the slopes of u per step."""
     for i in range(BLOCK):
         l0, l1 = before[_L0 + i], s[_L + i]
-        correction = (s[_U + i] - before[_U0 + i]) * (l0 - l1) * _TWELFTH
-        warped = c.h * max(_HALF * (l0 + l1) + correction, min(l0, l1))
-        q = decay(warped)
-        before[_S + i], before[_Q + i], before[_P + i] = warped, q, _ONE - q / warped
+        a0, a1 = c.h * l0 * before[_G0 + i], c.h * l1 * s[_G + i]
+        warped = warped_time(c.h, (l0, l1), a0, a1, c)
+        before[_A0 + i], before[_A1 + i] = a0, a1
+        before[_S + i], before[_Q + i] = warped, decay(warped)
 
 
 @vector_kernel
-def _filter_and_test(s: _Float32s, before: _Float32s, loud: npt.NDArray[np.uint8], c: StepConstants) -> None:
-    """Put a block's new filtered values into the state, and 1 into `loud` where the pixel may fire, else 0.
+def _filter(s: _Float32s, before: _Float32s) -> None:
+    """Put a block's new filtered values into the state, the old ones aside."""
+    for i in range(BLOCK):
+        u0, u1, v0 = before[_U0 + i], s[_U + i], s[_V + i]
+        warped, g0, g1 = before[_S + i], before[_G0 + i], s[_G + i]
+        before[_V0 + i] = v0
+        s[_V + i] = v0 + rise_of_filter(before[_Q + i], u0 - v0, Course(warped, u1 - u0, warped * g0, warped * g1))
+
+
+@vector_kernel
+def _reach(q: Real, behind: Real, d: Real, a0: Real, a1: Real) -> tuple[Real, Real]:
+    """Return by how much the filtered value may rise, and fall (<= 0): by the light's Bernstein coefficients."""
+    first, last = _THIRD * a0, d - _THIRD * a1
+    end = max(d, _ZERO)
+    top, bottom = max(end, max(first, last)), min(min(d, _ZERO), min(first, last))
+    share = min(q * (_WIDER + _BULGE * (top - end)), _ONE)
+    return share * max(behind + top, _ZERO), share * min(behind + bottom, _ZERO)
+
+
+@vector_kernel
+def _test(s: _Float32s, before: _Float32s, loud: _Bytes, c: StepConstants) -> None:
+    """Put 1 into `loud` where a block's pixel may fire or is not plain, else 0.
 
     Whatever is NaN makes the pixel loud: blind ones, whose reference is NaN, and those with unreadable light.
     """
     for i in range(BLOCK):
-        u0, u1, v0, q, leak = before[_U0 + i], s[_U + i], s[_V + i], before[_Q + i], s[_LEAK + i]
-        d, behind = u1 - u0, u0 - v0
-        before[_V0 + i] = v0
-        s[_V + i] = v0 + (q * behind + d * before[_P + i])
-        reach = min(_WIDER * q, _ONE)
+        u0, v0, a0, a1 = before[_U0 + i], before[_V0 + i], before[_A0 + i], before[_A1 + i]
+        d, on, off, leak = s[_U + i] - u0, s[_ON + i], s[_OFF + i], s[_LEAK + i]
+        rise, fall = _reach(before[_Q + i], u0 - v0, d, a0, a1)
         above = v0 - s[_REF + i]
-        high = above + (reach * max(behind + max(d, _ZERO), _ZERO) + leak * c.since_epoch_1)
-        low = above + (reach * min(behind + min(d, _ZERO), _ZERO) + leak * c.since_epoch_0)
-        quiet = (high < s[_ON + i] - _MARGIN) & (low > _MARGIN - s[_OFF + i]) & (abs(d) <= _LARGEST_CHANGE)
-        loud[i] = 0 if quiet else 1
+        high, low = above + (rise + leak * c.since_epoch_1), above + (fall + leak * c.since_epoch_0)
+        quiet = (high < on - _MARGIN) & (low > _MARGIN - off)
+        loud[i] = 0 if quiet & is_plain(d, a0, a1, min(on, off)) else 1
+
+
+@vector_kernel
+def _bound(s: _Float32s, before: _Float32s) -> None:
+    """Write bounds of a block's filtered values during the step, for what comes behind the filter."""
+    for i in range(BLOCK):
+        u0, v0, a0, a1 = before[_U0 + i], before[_V0 + i], before[_A0 + i], before[_A1 + i]
+        rise, fall = _reach(before[_Q + i], u0 - v0, s[_U + i] - u0, a0, a1)
+        before[_HIGH + i], before[_LOW + i] = v0 + rise, v0 + fall
+
+
+@vector_kernel
+def _add_second_pole(s: _Float32s, before: _Float32s, c: StepConstants) -> None:
+    """Put what a block has behind the second pole into the state, and its bounds in the place of the filter's."""
+    q = decay(c.second)
+    for i in range(BLOCK):
+        v0, v1, w0, warped = before[_V0 + i], s[_V + i], s[_W + i], before[_S + i]
+        m0 = slope_of_filter(warped, c.h * before[_L0 + i], before[_U0 + i] - v0, before[_A0 + i])
+        m1 = slope_of_filter(warped, c.h * s[_L + i], s[_U + i] - v1, before[_A1 + i])
+        before[_W0 + i] = w0
+        s[_W + i] = w0 + rise_of_filter(q, v0 - w0, Course(c.second, v1 - v0, m0, m1))
+        before[_HIGH + i] = w0 + q * max(before[_HIGH + i] - w0, _ZERO)
+        before[_LOW + i] = w0 + q * min(before[_LOW + i] - w0, _ZERO)
+
+
+@vector_kernel
+def _add_parasitic(s: _Float32s, before: _Float32s, c: StepConstants) -> None:
+    """Add what light leaks in a block to its pixels' sums and to the bounds: the integral of i, as that of the rate."""
+    for i in range(BLOCK):
+        i0, i1, p0 = exponential(before[_U0 + i]), exponential(s[_U + i]), s[_P + i]
+        a0, a1 = before[_A0 + i], before[_A1 + i]
+        share = max(_HALF * (i0 + i1) + _TWELFTH * (i0 * a0 - i1 * a1), min(i0, i1))
+        p1 = p0 + c.h * c.parasitic * s[_ON + i] * share
+        before[_P0 + i], s[_P + i] = p0, p1
+        before[_HIGH + i], before[_LOW + i] = before[_HIGH + i] + _MORE * (p1 - p0) + p0, before[_LOW + i] + p0
+
+
+@vector_kernel
+def _test_bounds(s: _Float32s, before: _Float32s, loud: _Bytes, c: StepConstants) -> None:
+    """Do as `_test` with bounds that have been written."""
+    for i in range(BLOCK):
+        on, off, leak, reference = s[_ON + i], s[_OFF + i], s[_LEAK + i], s[_REF + i]
+        high = (before[_HIGH + i] - reference) + leak * c.since_epoch_1
+        low = (before[_LOW + i] - reference) + leak * c.since_epoch_0
+        quiet = (high < on - _MARGIN) & (low > _MARGIN - off)
+        plain = is_plain(s[_U + i] - before[_U0 + i], before[_A0 + i], before[_A1 + i], min(on, off))
+        loud[i] = 0 if quiet & plain else 1
 
 
 @kernel
@@ -121,15 +214,43 @@ def _list(eights: npt.NDArray[np.uint64], found: _Int64s) -> int:
     return k
 
 
+@kernel
+def _quiet_pass(
+    light: _Float32s, rate: _Float32s, s: _Float32s, before: _Float32s, loud: _Bytes, c: StepConstants
+) -> None:
+    """Move a block over the step as if nothing fired, and flag what may."""
+    _take_light(light, rate, s, before, c)
+    if c.chord:
+        _take_chord(s, before, c)
+    _warp(s, before, c)
+    _filter(s, before)
+    if (c.second == _ZERO) & (c.parasitic == _ZERO):
+        _test(s, before, loud, c)
+        return
+    _bound(s, before)
+    if c.second > _ZERO:
+        _add_second_pole(s, before, c)
+    if c.parasitic > _ZERO:
+        _add_parasitic(s, before, c)
+    _test_bounds(s, before, loud, c)
+
+
 @entry
 def advance(
-    light: _Float32s, pixels: Pixels, table: Table, keys: _Keys, c: StepConstants, sources: int = SOURCES
-) -> tuple[_Keys, int, int, int]:
+    light: _Float32s,
+    rate: _Float32s,
+    pixels: Pixels,
+    table: Table,
+    keys: _Keys,
+    c: StepConstants,
+    sources: int = SOURCES,
+) -> tuple[_Keys, int, Tally]:
     """Move all pixels over one step.
 
     Parameters
     ----------
     light : (pixels,) float32, the picture at the end of the step.
+    rate : (pixels,) float32, its time derivative, a second; empty if `c.chord`.
     pixels : the state, changed in place.
     table : room for the candidates.
     keys : (any,) uint64, room for the events; replaced by a longer one if it does not do.
@@ -138,35 +259,36 @@ def advance(
 
     Returns
     -------
-    keys, number of events in it (packed as in `unpack`, unsorted), crossings beyond MOST_EVENTS of a pixel,
-    pixels whose light was not finite.
+    keys, number of events in it (packed as in `unpack`, unsorted), and what else there is to tell.
     """
-    before, padded = np.empty(len(BEFORE_ROWS) * BLOCK, np.float32), np.zeros(BLOCK, np.float32)
+    before = np.empty(len(BEFORE_ROWS) * BLOCK, np.float32)
+    padded_light, padded_rate = np.zeros(BLOCK, np.float32), np.zeros(BLOCK, np.float32)
     loud, found = np.empty(BLOCK, np.uint8), np.empty(BLOCK, np.int64)
     eights = loud.view(np.uint64)
-    n = n_keys = lost = unreadable = 0
+    n = n_keys = lost = suspects = candidates = unreadable = 0
     for first in range(0, light.size, BLOCK):
         s = pixels.fields[first * FIELDS : (first + BLOCK) * FIELDS]
-        here = light[first : first + BLOCK]
+        here, rate_here = light[first : first + BLOCK], rate[first : first + BLOCK]
         if here.size < BLOCK:
-            padded[: here.size] = here
-            here = padded
-        _take_light(here, s, before, c)
-        _warp(s, before, c)
-        _filter_and_test(s, before, loud, c)
+            padded_light[: here.size] = here
+            here = padded_light
+        if rate_here.size < BLOCK:
+            padded_rate[: rate_here.size] = rate_here
+            rate_here = padded_rate
+        _quiet_pass(here, rate_here, s, before, loud, c)
         n_found = _list(eights, found)
         if n_found == 0:
             continue
         kept, bad = select(found[:n_found], s, before, pixels.blind_until_ns[first : first + BLOCK], c)
         gather(found[:kept], s, before, first, table, n)
-        n += kept
-        unreadable += bad
+        if (c.second > _ZERO) | (c.parasitic > _ZERO):
+            gather_rare(found[:kept], s, before, n, table, c)
+        n, candidates, unreadable = n + kept, candidates + kept, unreadable + bad
         if n > BATCH:
-            keys, n_keys, more = solve(pixels, table, n, keys, n_keys, c)
-            lost += more
-            n = 0
-    keys, n_keys, more = solve(pixels, table, n, keys, n_keys, c)
-    return keys, n_keys, lost + more, unreadable
+            keys, n_keys, more, doubtful = solve(pixels, table, n, keys, n_keys, c)
+            lost, suspects, n = lost + more, suspects + doubtful, 0
+    keys, n_keys, more, doubtful = solve(pixels, table, n, keys, n_keys, c)
+    return keys, n_keys, Tally(lost + more, suspects + doubtful, candidates, unreadable)
 
 
 @entry

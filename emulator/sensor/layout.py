@@ -12,7 +12,7 @@ from emulator.sensor.compiled import kernel
 
 __all__ = ["BLOCK", "FIELDS", "Field", "Pixels", "StepConstants", "slot"]
 
-BLOCK = 512
+BLOCK = 1024
 """Pixels of a block; the arithmetic of a pixel does not depend on it, the speed does."""
 
 
@@ -22,10 +22,13 @@ class Field(IntEnum):
     LOG_LIGHT = 0  # u, ln of the photocurrent at the last step's end; NaN after unreadable light
     FILTERED = 1  # v
     RATE = 2  # lambda, rad/s
-    REFERENCE = 3  # with leak times the time since the epoch added; NaN while the pixel is blind
-    ON = 4  # thresholds, ln units, > 0
-    OFF = 5
-    LEAK = 6  # ln units a second
+    SLOPE = 3  # of u at the last step's end, by warped time: (du/dt) / lambda; NaN where it is not known
+    REFERENCE = 4  # with leak times the time since the epoch added; NaN while the pixel is blind
+    ON = 5  # thresholds, ln units, > 0
+    OFF = 6
+    LEAK = 7  # ln units a second
+    SECOND = 8  # w, behind the second pole; not in use without one
+    LEAKED = 9  # by light since the pixel's last event, ln units; not in use without parasitic leak
 
 
 FIELDS = len(Field)
@@ -45,6 +48,8 @@ class StepConstants(NamedTuple):
     rate_at_reference: np.float32  # rad/s
     rate_min: np.float32
     rate_max: np.float32
+    parasitic: np.float32  # thresholds a second that light 1 leaks; 0: none
+    second: np.float32  # length of the step in time constants of the second pole; 0: no such pole
     h: np.float32  # the step, s
     since_epoch_0: np.float32  # time since the epoch at the step's start and end, s
     since_epoch_1: np.float32
@@ -53,6 +58,7 @@ class StepConstants(NamedTuple):
     t0_ns: int
     refractory_ns: int
     pixel_bits: int
+    chord: bool  # whether light is taken as straight lines in its logarithm, its derivative not given
 
 
 @kernel

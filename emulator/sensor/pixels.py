@@ -29,6 +29,7 @@ _HIGHEST_HZ = _NO_LOW_PASS_RATE / (2 * math.pi)
 _LEAST_THRESHOLD = 0.1  # of the nominal one, however far the mismatch would go
 
 _Float32s = npt.NDArray[np.float32]
+_NO_RATE = np.empty(0, np.float32)
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,12 +63,14 @@ class PixelState:
     blind_until_ns : (blocks * BLOCK,) int64, meaningful for blind pixels (reference NaN).
     t_ns : stream time.
     epoch_ns : where leak is counted from.
+    slopes_known : whether the last picture came with its time derivative.
     """
 
     fields: _Float32s
     blind_until_ns: npt.NDArray[np.int64]
     t_ns: int
     epoch_ns: int
+    slopes_known: bool
 
 
 @dataclass(slots=True)
@@ -102,13 +105,14 @@ class PixelArray:
     lost_in_pixel : crossings since `reset` beyond 64 a pixel and step.
     quiet_nan : pixel-steps since `reset` whose light was NaN or infinite; such a pixel is silent, and its filter starts
         anew from the next finite light.
+    suspects, candidates : pixel-steps since `reset` whose light did something between the pictures that they do not
+        show (see `trust`; told only where the time derivative is given), and those that had to be solved for crossings.
     """
 
     def __init__(self, parameters: SensorParameters, seed: int) -> None:
         self.parameters = parameters
         self.seed = seed
-        self.lost_in_pixel = 0
-        self.quiet_nan = 0
+        self._clear_counters()
         self._size = (parameters.height, parameters.width)
         self._pixels = parameters.width * parameters.height
         self._pixel_bits = max(1, (self._pixels - 1).bit_length())
@@ -133,59 +137,81 @@ class PixelArray:
         sigma = p.leak_spread
         rate_hz = p.leak_hz * np.exp(sigma * normal(self.seed, Purpose.LEAK_RATE, pixel) - sigma**2 / 2)
         _put(fields, Field.LEAK, rate_hz * _take(fields, Field.ON, self._pixels))
-        return PixelState(fields, np.zeros(blocks * BLOCK, np.int64), 0, 0)
+        return PixelState(fields, np.zeros(blocks * BLOCK, np.int64), 0, 0, False)
+
+    def _clear_counters(self) -> None:
+        self.lost_in_pixel = self.quiet_nan = self.suspects = self.candidates = 0
 
     def field(self, which: Field) -> _Float32s:
         """Return a copy of one field of the state, (height, width) float32."""
         return _take(self.state.fields, which, self._pixels).reshape(self.parameters.height, self.parameters.width)
 
-    def reset(self, light: _Float32s, t_ns: int) -> None:
-        """Start at `t_ns` with the filter at rest on `light`, (height, width) float32, and counters at zero."""
+    def reset(self, light: _Float32s, t_ns: int, rate: _Float32s | None = None) -> None:
+        """Start at `t_ns` with the filter at rest on `light`, and counters at zero; `light` and `rate` as in `step`."""
         say_if_not_compiled(advance, "the pixel step")
         state, p = self.state, self.parameters
-        flat = self._flat(light)
+        flat, slope = self._flat(light), _NO_RATE if rate is None else self._flat(rate)
         state.t_ns, state.epoch_ns = int(t_ns), (int(t_ns) >> _EPOCH_BITS) << _EPOCH_BITS
         state.blind_until_ns[:] = t_ns
         current = np.maximum(flat, 0) + np.float32(p.dark_current_relative)
         current[~np.isfinite(flat)] = np.nan
         log_light = np.log(current)
         _, at_reference, least, most = self._light_constants
+        filter_rate = np.clip(at_reference * current, least, most)
         phase = uniform(self.seed, Purpose.LEAK_PHASE, np.arange(self._pixels))
         on, leak = (_take(state.fields, which, self._pixels) for which in (Field.ON, Field.LEAK))
         since_epoch = (state.t_ns - state.epoch_ns) * 1e-9
-        _put(state.fields, Field.LOG_LIGHT, log_light)
-        _put(state.fields, Field.FILTERED, log_light)
-        _put(state.fields, Field.RATE, np.clip(at_reference * current, least, most))
+        state.fields[:, Field.LEAKED] = 0
+        state.slopes_known = rate is not None
+        for which in (Field.LOG_LIGHT, Field.FILTERED, Field.SECOND):
+            _put(state.fields, which, log_light)
+        _put(state.fields, Field.RATE, filter_rate)
+        _put(
+            state.fields,
+            Field.SLOPE,
+            np.where(flat > 0, slope, 0) / (current * filter_rate) if slope.size else np.full(flat.size, np.nan),
+        )
         _put(state.fields, Field.REFERENCE, log_light + leak * since_epoch - on * phase)
-        self.lost_in_pixel = self.quiet_nan = 0
+        self._clear_counters()
 
-    def step(self, light: _Float32s, t_ns: int) -> Crossings:
-        """Move from the last time to `t_ns`, the log of the light changing along a straight line from the last picture.
+    def step(self, light: _Float32s, t_ns: int, rate: _Float32s | None = None) -> Crossings:
+        """Move from the last time to `t_ns`.
+
+        The log of the light changes along the cubic through its values and time derivatives at both ends; where only
+        one derivative is known along a parabola; without any, or in steps longer than an epoch, along a straight line.
 
         Parameters
         ----------
         light : (height, width) float32, relative to the reference level; below 0 counts as 0.
         t_ns : stream time of that picture. Equal to the last time: nothing happens.
+        rate : (height, width) float32, the light's time derivative at `t_ns`, a second. Not finite: not known there.
 
         Raises
         ------
         ValueError
-            Time goes back, or the picture has not the sensor's size.
+            Time goes back, or a picture has not the sensor's size.
         """
-        flat, state, lost_before = self._flat(light), self.state, self.lost_in_pixel
+        flat, slope = self._flat(light), _NO_RATE if rate is None else self._flat(rate)
+        state, lost_before = self.state, self.lost_in_pixel
         t_ns = int(t_ns)
         if t_ns < state.t_ns:
             raise ValueError(f"t_ns = {t_ns}: before the last step's {state.t_ns}; time does not go back")
         n = 0
-        before = _take(state.fields, Field.LOG_LIGHT, self._pixels) if t_ns - state.t_ns > _EPOCH_NS else None
-        t0_ns, whole_ns = state.t_ns, t_ns - state.t_ns
-        while before is not None and t_ns - state.t_ns > _EPOCH_NS:
-            share = (state.t_ns + _EPOCH_NS - t0_ns) / whole_ns
-            n = self._piece(self._between(before, flat, share), state.t_ns + _EPOCH_NS, n)
+        if t_ns - state.t_ns > _EPOCH_NS:
+            n, slope = self._whole_epochs(flat, t_ns), _NO_RATE
         if t_ns > state.t_ns:
-            n = self._piece(flat, t_ns, n)
+            n = self._piece(flat, slope, t_ns, n)
         room = self._room
         return Crossings(room.t_ns[:n], room.pixel[:n], room.on[:n], self.lost_in_pixel - lost_before)
+
+    def _whole_epochs(self, flat: _Float32s, t_ns: int) -> int:
+        """Advance by whole epochs, on a straight line in log light, until at most one is left; return the number."""
+        state, n = self.state, 0
+        before, t0_ns = _take(state.fields, Field.LOG_LIGHT, self._pixels), state.t_ns
+        while t_ns - state.t_ns > _EPOCH_NS:
+            share = (state.t_ns + _EPOCH_NS - t0_ns) / (t_ns - t0_ns)
+            n = self._piece(self._between(before, flat, share), _NO_RATE, state.t_ns + _EPOCH_NS, n)
+        return n
 
     def _between(self, log_before: _Float32s, light: _Float32s, share: float) -> _Float32s:
         """Return the light part of the way, on a straight line in the logarithm of the photocurrent."""
@@ -193,21 +219,26 @@ class PixelArray:
         log_after = np.log(np.maximum(light, 0) + dark)
         return np.asarray(np.exp(log_before + np.float32(share) * (log_after - log_before)) - dark, np.float32)
 
-    def _piece(self, flat: _Float32s, t_ns: int, n: int) -> int:
+    def _piece(self, flat: _Float32s, slope: _Float32s, t_ns: int, n: int) -> int:
         """Advance by at most an epoch, add the crossings after the first n, and return the new number."""
         state, room = self.state, self._room
         self._move_epoch()
-        t0_ns, c = state.t_ns, self._constants(t_ns)
-        room.keys, found, lost, unreadable = advance(
-            flat, Pixels(state.fields.reshape(-1), state.blind_until_ns), self._table, room.keys, c
+        if slope.size and not state.slopes_known:
+            state.fields[:, Field.SLOPE] = np.nan
+        state.slopes_known = bool(slope.size)
+        t0_ns, c = state.t_ns, self._constants(t_ns, chord=not slope.size)
+        room.keys, found, tally = advance(
+            flat, slope, Pixels(state.fields.reshape(-1), state.blind_until_ns), self._table, room.keys, c
         )
         if found:
             keys = room.keys[:found]
             keys.sort()
             room.fit(n + found)
             unpack(keys, t0_ns, self._pixel_bits, room.t_ns[n : n + found], room.pixel[n:], room.on[n:])
-        self.lost_in_pixel += lost
-        self.quiet_nan += unreadable
+        self.lost_in_pixel += tally.lost
+        self.suspects += tally.suspects
+        self.candidates += tally.candidates
+        self.quiet_nan += tally.unreadable
         state.t_ns = t_ns
         return n + int(found)
 
@@ -220,14 +251,16 @@ class PixelArray:
             state.fields[:, Field.REFERENCE] -= state.fields[:, Field.LEAK] * moved_s
             state.epoch_ns = epoch_ns
 
-    def _constants(self, t_ns: int) -> StepConstants:
-        state, (dark, at_reference, least, most) = self.state, self._light_constants
+    def _constants(self, t_ns: int, chord: bool) -> StepConstants:
+        state, p, (dark, at_reference, least, most) = self.state, self.parameters, self._light_constants
         since_ns, h_ns = state.t_ns - state.epoch_ns, t_ns - state.t_ns
         return StepConstants(
             dark,
             at_reference,
             least,
             most,
+            parasitic=np.float32(p.parasitic_hz_at_reference),
+            second=np.float32(2 * math.pi * p.source_follower_hz * h_ns * 1e-9),
             h=np.float32(h_ns * 1e-9),
             since_epoch_0=np.float32(since_ns * 1e-9),
             since_epoch_1=np.float32((since_ns + h_ns) * 1e-9),
@@ -236,12 +269,13 @@ class PixelArray:
             t0_ns=state.t_ns,
             refractory_ns=self._refractory_ns,
             pixel_bits=self._pixel_bits,
+            chord=chord,
         )
 
-    def _flat(self, light: _Float32s) -> _Float32s:
-        if light.shape != self._size or light.dtype != np.float32:
-            raise ValueError(f"light is {light.shape} {light.dtype}: must be {self._size} float32")
-        return np.ascontiguousarray(light).reshape(-1)
+    def _flat(self, picture: _Float32s) -> _Float32s:
+        if picture.shape != self._size or picture.dtype != np.float32:
+            raise ValueError(f"light or rate is {picture.shape} {picture.dtype}: must be {self._size} float32")
+        return np.ascontiguousarray(picture).reshape(-1)
 
 
 def _take(fields: _Float32s, which: Field, pixels: int) -> _Float32s:

@@ -1,0 +1,106 @@
+"""The photoreceptor's low-pass over a stretch of time, solved in warped time; float32, for loops that become vectors.
+
+Log light u runs from u0 to u1 with slopes at both ends; the filter follows it at the rate lambda, which follows the
+light. In warped time s, the integral of lambda dt, the filter's time constant is one, whatever the light does:
+
+    dv/ds = u - v,    u(s) = the cubic through u0, u1 with the slopes w0, w1 (per whole stretch S) at the ends
+    v(s)  = u - u' + u'' - u''' + B e^-s                    (primes: d/ds), B such that v(0) = v0
+
+Everything below is of fourth order in the length of the stretch.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from emulator.sensor.compiled import Real, vector_kernel
+from emulator.sensor.layout import StepConstants
+
+__all__ = ["Course", "Transient", "missed_by_cubic", "rise_of_filter", "slope_of_filter", "transient", "warped_time"]
+
+_ZERO, _ONE, _TWO, _THREE, _FOUR, _SIX, _HALF = (np.float32(x) for x in (0, 1, 2, 3, 4, 6, 0.5))
+_THIRD, _TWELFTH, _A_384TH = np.float32(1 / 3), np.float32(1 / 12), np.float32(1 / 384)
+# k = 1/6 - s/24 + s^2/120 ... for s in [0, 0.5]: Chebyshev's polynomial of third degree, within 9e-8.
+_K0, _K1, _K2, _K3 = (np.float32(x) for x in (0.16666658, -0.04166122, 0.00827807, -0.00120679))
+_SERIES_UP_TO = np.float32(0.5)  # beyond, the closed forms lose less than the series
+_SHORTEST = np.float32(0.01)  # below, a cubic misses nothing of an exponential that float32 could hold
+_FAST = np.float32(100)  # from here on an exponential below _FAINT is rounding noise, which its slope would magnify
+_FAINT = np.float32(1e-5)
+_LINEAR, _OFFSET = np.float32(0.16), np.float32(0.2)
+
+
+class Course(NamedTuple):
+    """Log light over a stretch: its warped length s, its change d, and its slopes at both ends per whole stretch."""
+
+    s: Real
+    d: Real
+    w0: Real
+    w1: Real
+
+
+class Transient(NamedTuple):
+    """What the filter's answer has beside its steady part: the weight b of e^-s, and the steady lags at both ends."""
+
+    b: Real
+    lag0: Real
+    lag1: Real
+    faint: Real  # whether b is rounding noise, to be left out
+
+
+@vector_kernel
+def warped_time(h: Real, rates: tuple[Real, Real], a0: Real, a1: Real, c: StepConstants) -> Real:
+    """Return the integral of the rate over h seconds, while the log light changes with slopes a0, a1 (per h).
+
+    The trapezium with its end correction, for a rate that goes with the light except at its bounds; at least the lower
+    of the two rates.
+    """
+    l0, l1 = rates
+    bend0 = l0 * a0 if (l0 > c.rate_min) & (l0 < c.rate_max) else _ZERO
+    bend1 = l1 * a1 if (l1 > c.rate_min) & (l1 < c.rate_max) else _ZERO
+    return h * max(_HALF * (l0 + l1) + _TWELFTH * (bend0 - bend1), min(l0, l1))
+
+
+@vector_kernel
+def rise_of_filter(q: Real, behind: Real, u: Course) -> Real:
+    """Return v1 - v0, with behind = u0 - v0 and q = 1 - e^-s. Its rounding shrinks with s.
+
+    With the integrals I0 = q / s, I1 = (1 - I0) / s, I2 = (1 - 2 I1) / s, k is (1/2 - I1) / s.
+    """
+    s, d, w0, w1 = u
+    inverse, short = _ONE / s, s < _SERIES_UP_TO
+    series = ((_K3 * s + _K2) * s + _K1) * s + _K0
+    less_i0 = s * (_HALF - s * series) if short else _ONE - q * inverse
+    less_i1 = s * series if short else _HALF - less_i0 * inverse
+    k = series if short else less_i1 * inverse
+    bent = (_SIX * d - _FOUR * w0 - _TWO * w1) * less_i1 + (_THREE * (w0 + w1) - _SIX * d) * (_THIRD - _TWO * k)
+    return q * behind + (w0 * less_i0 + bent)
+
+
+@vector_kernel
+def slope_of_filter(s: Real, r: Real, behind: Real, a: Real) -> Real:
+    """Return the slope of v at an end where u - v = behind, per stretch; r is the rate times its length, a that of u.
+
+    Where the filter is fast its lag is a matter of rounding, and v goes as u does.
+    """
+    return a if s > _FAST else r * behind
+
+
+@vector_kernel
+def transient(behind: Real, u: Course) -> Transient:
+    """Return the exponential that a filter which is `behind` = u0 - v0 adds to its steady lag."""
+    inverse = _ONE / max(u.s, _SHORTEST)
+    third = _SIX * (u.w0 + u.w1 - _TWO * u.d)  # derivatives of u by s / S
+    second = _TWO * (_THREE * u.d - _TWO * u.w0 - u.w1)
+    lag0 = inverse * (u.w0 - inverse * (second - inverse * third))
+    lag1 = inverse * (u.w1 - inverse * (second + third - inverse * third))
+    b = lag0 - behind
+    return Transient(b, lag0, lag1, (u.s > _FAST) & (abs(b) < _FAINT))
+
+
+@vector_kernel
+def missed_by_cubic(b: Real, s: Real) -> Real:
+    """Return the most by which a cubic through values and slopes at both ends of a stretch misses b e^-s."""
+    s2 = s * s
+    return abs(b) * min(s2 * s2 * _A_384TH, _LINEAR * s + _OFFSET)
