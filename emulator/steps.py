@@ -7,8 +7,8 @@ estimated from a sample of pixels, weighted by the events each is about to have 
     Hermite    e = dt (16/30) |d - d before| / (32 |D|)      d = D - (a0 + a1)/2, zero for a parabola
 
 (|u''| dt^2 = |a1 - a0| and |u''''| dt^4 = 12 |d - d before|; the factors turn the worst point of a step into the mean.)
-The 95th percentile over events, not over pixels, is held at the tolerance: a pixel at an extremum that emits nothing,
-or one glint, does not set the pace of all. The next step is
+The 95th percentile over the events of the last steps, not over pixels, is held at the tolerance: a pixel at an extremum
+that emits nothing, or one glint, does not set the pace of all. The next step is
 
     dt * clamp(0.9 (wanted / e)^(1/p), 1/2, 2)       p = 2 (line), 4 (Hermite)
 
@@ -17,6 +17,7 @@ and never more than moves the picture by half a pixel (a quarter for the line), 
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -31,7 +32,11 @@ Floats = npt.NDArray[np.float64]
 
 _SAMPLE_PIXELS = 4096
 _SAFETY = 0.9
+# The estimate sees how pictures are joined, not how the filter follows: in dim light, or where bright points cross a
+# dark sky, that adds up to half as much again, which the straight line's own safety covers already.
+_SHARE_OF_THE_FILTER = {2: 1.0, 4: 1.5}
 _QUANTILE = 0.95
+_WINDOW_STEPS = 16  # a picture that turns everywhere at once, such as a flicker, is judged over its turns too
 
 
 class StepSource(Protocol):
@@ -160,6 +165,7 @@ class ControlledSteps:
         self._dark = dark
         self._step_ns = float(np.clip(first_ns, limits.shortest_ns, limits.longest_ns))
         self._seen: list[Sampled] = []
+        self._recent: deque[tuple[Floats, Floats]] = deque(maxlen=_WINDOW_STEPS)
 
     @property
     def step_ns(self) -> int:
@@ -174,9 +180,13 @@ class ControlledSteps:
 
     def _adapt(self, before: Sampled, middle: Sampled, after: Sampled) -> None:
         has_slopes = after.slope is not None
-        error = weighted_quantile(*error_us(before, middle, after), _QUANTILE)
         order = 4 if has_slopes else 2
-        factor = 2.0 if error <= 0 else _SAFETY * (self._limits.tolerance_us / error) ** (1 / order)
         last_ns = after.t_ns - middle.t_ns
+        error, weight = error_us(before, middle, after)
+        self._recent.append((error / last_ns**order, weight))
+        bends, weights = (np.concatenate(column) for column in zip(*self._recent, strict=True))
+        bend = weighted_quantile(bends, weights, _QUANTILE)
+        wish_us = self._limits.tolerance_us / _SHARE_OF_THE_FILTER[order]
+        factor = 2.0 if bend <= 0 else _SAFETY * (wish_us / bend) ** (1 / order) / last_ns
         wanted = last_ns * float(np.clip(factor, 0.5, 2.0))
         self._step_ns = float(np.clip(wanted, self._limits.shortest_ns, self._limits.longest_step_ns(has_slopes)))
