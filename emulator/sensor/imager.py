@@ -27,10 +27,11 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.compiled import entry, vector_kernel
+from emulator.sensor.compiled import vector_kernel
 from emulator.sensor.elementary import decay
+from emulator.sensor.kept import kept_entry
 from emulator.sensor.keyed import Purpose, normal, root_of
-from emulator.sensor.keyed_kernels import SOURCES, normals, streams
+from emulator.sensor.keyed_kernels import normals, streams
 from emulator.sensor.presets import SensorParameters
 
 __all__ = ["Imager"]
@@ -94,14 +95,14 @@ def _without(least: np.float32, out: _Float32s) -> None:
         out[k] = _ZERO if e < _ZERO else e
 
 
-@entry
-def _see(light: _Float32s, p: _Pattern, out: _Float32s, sources: int = SOURCES) -> None:
+@kept_entry
+def _see(light: _Float32s, p: _Pattern, out: _Float32s) -> None:
     _shine(light, p.gain, p.dark, out)
     _without(p.least, out)
 
 
-@entry
-def _see_counted(light: _Float32s, p: _Pattern, c: _Counting, out: _Float32s, sources: int = SOURCES) -> None:
+@kept_entry
+def _see_counted(light: _Float32s, p: _Pattern, c: _Counting, out: _Float32s) -> None:
     _shine(light, p.gain, p.dark, out)
     _count(out, p.dark, c)
     _without(p.least, out)

@@ -13,13 +13,13 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.compiled import entry
 from emulator.sensor.effects import JitterParameters
+from emulator.sensor.kept import kept_entry
 from emulator.sensor.keyed import Purpose, root_of
 from emulator.sensor.keyed_kernels import normal_of, stream, word
 from emulator.sensor.merging import unpacked
 from emulator.sensor.pixels import Crossings
-from emulator.sensor.slots import SOURCES, Ahead, Window, give_out, new_ahead, roomy
+from emulator.sensor.slots import Ahead, Window, give_out, new_ahead, roomy
 
 __all__ = ["Jitter"]
 
@@ -37,9 +37,13 @@ class _Delays(NamedTuple):
 _Arrays = tuple[npt.NDArray[np.int64], npt.NDArray[np.uint32], npt.NDArray[np.bool_]]
 
 
-@entry
+@kept_entry
 def _delay(
-    crossings: _Arrays, window: Window, d: _Delays, ahead: Ahead, n: int, sources: int = SOURCES
+    crossings: _Arrays,
+    window: Window,
+    d: _Delays,
+    ahead: Ahead,
+    n: int,
 ) -> tuple[Ahead, int, npt.NDArray[np.uint64]]:
     """Add crossings to what lies ahead; return what lies ahead of the window, and the packed events in it."""
     t_ns, pixels, on = crossings

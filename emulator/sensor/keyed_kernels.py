@@ -8,20 +8,15 @@ word(base, index)                        equals keyed.words(seed, purpose, pixel
 from __future__ import annotations
 
 import math
-import zlib
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.compiled import SOURCES as PIXEL_SOURCES
-from emulator.sensor.compiled import entry, kernel, vector_kernel
+from emulator.sensor.compiled import kernel, vector_kernel
 from emulator.sensor.elementary import natural_log
+from emulator.sensor.kept import kept_entry
 
-__all__ = ["SOURCES", "high", "low", "normal_of", "normals", "stream", "streams", "unit", "word"]
-
-SOURCES = zlib.crc32(Path(__file__).read_bytes(), PIXEL_SOURCES)
-"""Checksum for entries that use this module, see `compiled`."""
+__all__ = ["high", "low", "normal_of", "normals", "stream", "streams", "unit", "word"]
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _A, _B = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
@@ -50,8 +45,8 @@ def stream(root: np.uint64, pixel: int) -> np.uint64:
     return mixed
 
 
-@entry
-def streams(root: np.uint64, n: int, sources: int = SOURCES) -> npt.NDArray[np.uint64]:
+@kept_entry
+def streams(root: np.uint64, n: int) -> npt.NDArray[np.uint64]:
     """Return the streams of pixels 0 to n - 1, (n,) uint64."""
     out = np.empty(n, np.uint64)
     for pixel in range(n):
@@ -106,8 +101,8 @@ def _fill(streams: npt.NDArray[np.uint64], index: int, out: npt.NDArray[np.float
         out[k] = radius * _cosine(np.float32((bits >> _S16) & _MASK) * _UNIT_24)
 
 
-@entry
-def normals(streams: npt.NDArray[np.uint64], index: int, sources: int = SOURCES) -> npt.NDArray[np.float32]:
+@kept_entry
+def normals(streams: npt.NDArray[np.uint64], index: int) -> npt.NDArray[np.float32]:
     """Return normal number `index` >= 0 of each stream, (n,) float32: Box-Muller on 48 of the word's bits.
 
     Many at once, 0.8 ns each; not the numbers of `keyed.normal`, which are made of all 64 bits.

@@ -7,9 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.compiled import entry
+from emulator.sensor.kept import kept_entry
 from emulator.sensor.kernels import unpack
-from emulator.sensor.keyed_kernels import SOURCES
 from emulator.sensor.pixels import Crossings
 
 __all__ = ["NO_CROSSINGS", "joined", "merged", "unpacked"]
@@ -39,8 +38,8 @@ def joined(parts: Sequence[Crossings]) -> Crossings:
     return Crossings(t_ns, pixel, on, sum(part.lost_in_pixel for part in parts))
 
 
-@entry
-def _merge(a: _Arrays, b: _Arrays, out: _Arrays, sources: int = SOURCES) -> None:
+@kept_entry
+def _merge(a: _Arrays, b: _Arrays, out: _Arrays) -> None:
     i = j = 0
     n_a, n_b = a[0].size, b[0].size
     for k in range(n_a + n_b):

@@ -25,13 +25,14 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.compiled import entry, kernel, kernel_that_allocates
+from emulator.sensor.compiled import kernel, kernel_that_allocates
 from emulator.sensor.elementary import natural_log
+from emulator.sensor.kept import kept_entry
 from emulator.sensor.keyed import Purpose, root_of
 from emulator.sensor.keyed_kernels import high, low, stream, unit, word
 from emulator.sensor.noise_law import bandwidth_hz, rate_over_bandwidth, rms
 from emulator.sensor.presets import SensorParameters
-from emulator.sensor.slots import SLOT_NS, SOURCES, Ahead, SlottedEvents, Window, give_out, roomy
+from emulator.sensor.slots import SLOT_NS, Ahead, SlottedEvents, Window, give_out, roomy
 
 __all__ = ["NoiseEvents"]
 
@@ -163,9 +164,13 @@ def _draw_slot(slot: int, light: _Float32s, m: _Model, some: _Candidates, ahead:
     return ahead, n
 
 
-@entry
+@kept_entry
 def _advance(
-    window: Window, light: _Float32s, m: _Model, ahead: Ahead, n: int, sources: int = SOURCES
+    window: Window,
+    light: _Float32s,
+    m: _Model,
+    ahead: Ahead,
+    n: int,
 ) -> tuple[Ahead, int, npt.NDArray[np.uint64]]:
     """Draw what is missing up to t1; return what lies ahead of it, and the packed events before it, unsorted."""
     some = _Candidates(np.empty(_BATCH), np.empty(_BATCH, np.uint64), np.empty(_BATCH), np.empty(_BATCH + 1, np.int64))
@@ -176,8 +181,8 @@ def _advance(
     return ahead, kept, keys[:found]
 
 
-@entry
-def _aliases(weight: _Floats, sources: int = SOURCES) -> tuple[_Floats, npt.NDArray[np.uint32]]:
+@kept_entry
+def _aliases(weight: _Floats) -> tuple[_Floats, npt.NDArray[np.uint32]]:
     """Return, for each pixel, the probability to stay with it and the pixel to take else (Walker 1977, Vose 1991)."""
     n = weight.size
     own, alias = weight * (n / weight.sum()), np.arange(n).astype(np.uint32)

@@ -24,7 +24,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.compiled import entry, kernel, kernel_that_allocates
+from emulator.sensor.compiled import kernel, kernel_that_allocates
+from emulator.sensor.kept import kept_entry
 from emulator.sensor.keyed import Purpose, normal, root_of
 from emulator.sensor.keyed_kernels import high, low, normal_of, stream, unit, word
 from emulator.sensor.merging import NO_CROSSINGS, unpacked
@@ -32,7 +33,7 @@ from emulator.sensor.noise_law import bandwidth_hz
 from emulator.sensor.pixels import Crossings
 from emulator.sensor.presets import SensorParameters
 from emulator.sensor.rules.drawn import draw
-from emulator.sensor.slots import SOURCES, Ahead, new_ahead, roomy
+from emulator.sensor.slots import Ahead, new_ahead, roomy
 
 __all__ = ["NoisyPixels", "grid_ns"]
 
@@ -187,9 +188,13 @@ def _fire(move: _Move, m: _Model, s: _State, ahead: Ahead, n: int) -> tuple[Ahea
     return ahead, n, max(events - _MOST_EVENTS, 0)
 
 
-@entry
+@kept_entry
 def _advance(
-    light: tuple[_Floats, _Floats], span: _Span, m: _Model, s: _State, ahead: Ahead, sources: int = SOURCES
+    light: tuple[_Floats, _Floats],
+    span: _Span,
+    m: _Model,
+    s: _State,
+    ahead: Ahead,
 ) -> tuple[Ahead, int, int]:
     """Take all pixels over the grid times of a span, whose pictures' log light is `light`, (pixels,) each."""
     n = lost = 0

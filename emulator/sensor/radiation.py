@@ -16,11 +16,12 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.compiled import entry, kernel, kernel_that_allocates
+from emulator.sensor.compiled import kernel, kernel_that_allocates
+from emulator.sensor.kept import kept_entry
 from emulator.sensor.keyed import Purpose, root_of
 from emulator.sensor.keyed_kernels import high, low, stream, unit, word
 from emulator.sensor.presets import SensorParameters
-from emulator.sensor.slots import SLOT_NS, SOURCES, Ahead, SlottedEvents, Window, give_out, roomy
+from emulator.sensor.slots import SLOT_NS, Ahead, SlottedEvents, Window, give_out, roomy
 
 __all__ = ["Particles", "hits_per_second", "path"]
 
@@ -136,9 +137,13 @@ def _draw_slot(
         k += 1
 
 
-@entry
+@kept_entry
 def _advance(
-    window: Window, chip: _Chip, dead: npt.NDArray[np.bool_], ahead: Ahead, n: int, sources: int = SOURCES
+    window: Window,
+    chip: _Chip,
+    dead: npt.NDArray[np.bool_],
+    ahead: Ahead,
+    n: int,
 ) -> tuple[Ahead, int, npt.NDArray[np.uint64]]:
     """Draw what is missing up to t1; return what lies ahead of it, and the packed events before it, unsorted."""
     pixel = np.empty(chip.width + chip.height + 2, np.int64)

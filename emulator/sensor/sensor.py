@@ -49,8 +49,8 @@ class PixelMethod(Protocol):
     def reset(self, light: _Float32s, t_ns: int) -> None:
         """Start at `t_ns` at rest on `light`, (height, width) float32."""
 
-    def step(self, light: _Float32s, t_ns: int) -> Crossings:
-        """Move to `t_ns`, where the light is `light`, and return the crossings on the way."""
+    def step(self, light: _Float32s, t_ns: int, rate: _Float32s | None = None) -> Crossings:
+        """Move to `t_ns`, where the light is `light`, its time derivative `rate`; return the crossings on the way."""
 
 
 MakePixels = Callable[[SensorParameters, int], PixelMethod]
@@ -185,16 +185,13 @@ class Sensor:
         if self._leaks is not None and self._leaks.next_ns <= self._t_ns:
             self._leaks.follow(self._t_ns)
         seen = self._imager.see(light, t_ns)
-        crossings = self._pixel_step(seen, t_ns, self._imager.see_rate(rate))
+        crossings = self.pixels.step(seen, t_ns, self._imager.see_rate(rate))
         if self._jitter is not None:
             crossings = self._jitter.step(crossings, t_ns)
         for source in self._sources:
             crossings = merged(crossings, source.step(seen.reshape(-1), t_ns))
         self._t_ns = t_ns
         return crossings
-
-    def _pixel_step(self, seen: _Float32s, t_ns: int, rate: _Float32s | None) -> Crossings:
-        return self.pixels.step(seen, t_ns)
 
     def _between(self, light: _Float32s, share: float) -> _Float32s:
         """Return the light part of the way from the last picture, straight in the log of the photocurrent."""

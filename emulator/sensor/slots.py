@@ -6,23 +6,17 @@ second of a pair, the OFF event after a particle), so all that is known is kept 
 
 from __future__ import annotations
 
-import zlib
 from abc import ABC, abstractmethod
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from emulator.sensor.compiled import kernel, kernel_that_allocates
-from emulator.sensor.keyed_kernels import SOURCES as DRAW_SOURCES
 from emulator.sensor.merging import NO_CROSSINGS, joined, unpacked
 from emulator.sensor.pixels import Crossings
 
-__all__ = ["SLOT_NS", "SOURCES", "Ahead", "SlottedEvents", "Window", "give_out", "new_ahead", "roomy"]
-
-SOURCES = zlib.crc32(Path(__file__).read_bytes(), DRAW_SOURCES)
-"""Checksum for entries that use this module, see `compiled`."""
+__all__ = ["SLOT_NS", "Ahead", "SlottedEvents", "Window", "give_out", "new_ahead", "roomy"]
 
 SLOT_NS = 1_024_000
 """Events are drawn in slots of this length."""
