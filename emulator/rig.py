@@ -131,7 +131,7 @@ class Run:
     seed: int = 1
     pace: Literal["realtime", "free"] = "realtime"
     lead_us: int = 10_000
-    method: Method = "line"
+    method: Method = "warped"
     tolerance_us: float = 0.0
     tolerated_wrong_share: float = 0.01
 

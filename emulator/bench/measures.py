@@ -6,31 +6,38 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
-from emulator.bench import link, pixel, scene, word
+from emulator.bench import link, pixel, word
+from emulator.bench.scene import Workload
 
 __all__ = ["MEASURES", "Measure"]
 
 
 @dataclass(frozen=True)
 class Measure:
-    """One figure. `run` takes seconds and returns a median of several repeats, in `unit`."""
+    """One figure. `run` takes seconds and returns a median of several repeats, in `unit`; `target` is None for none."""
 
     name: str
     unit: str
     better: Literal["higher", "lower"]
-    target: float
+    target: float | None
     run: Callable[[], float]
 
+
+SMALL, LARGE = (346, 260), (1280, 720)
 
 MEASURES = (
     Measure("pixel_quiet", "Mpixel/s", "higher", 1000, pixel.pixel_quiet),
     Measure("pixel_5pct", "Mpixel/s", "higher", 500, pixel.pixel_5pct),
     Measure("words_encode", "Mev/s", "higher", 80, word.words_encode),
     Measure("words_decode", "Mev/s", "higher", 40, word.words_decode),
-    Measure("checkerboard_346x260", "frames/s", "higher", 2000, scene.checkerboard_346x260),
-    Measure("checkerboard_1280x720", "frames/s", "higher", 200, scene.checkerboard_1280x720),
-    Measure("eros_346x260", "frames/s", "higher", 150, scene.eros_346x260),
-    Measure("eros_1280x720", "frames/s", "higher", 60, scene.eros_1280x720),
+    Measure("checkerboard_346x260", "frames/s", "higher", 2000, Workload("checkerboard", SMALL)),
+    Measure("checkerboard_1280x720", "frames/s", "higher", 200, Workload("checkerboard", LARGE)),
+    Measure("eros_346x260", "frames/s", "higher", 150, Workload("eros", SMALL)),
+    Measure("eros_1280x720", "frames/s", "higher", 60, Workload("eros", LARGE)),
+    Measure("checkerboard_346x260_warped", "steps/s", "higher", None, Workload("checkerboard", SMALL, with_rate=True)),
+    Measure("checkerboard_1280x720_warped", "steps/s", "higher", None, Workload("checkerboard", LARGE, with_rate=True)),
+    Measure("eros_346x260_warped", "steps/s", "higher", None, Workload("eros", SMALL, with_rate=True)),
+    Measure("eros_1280x720_warped", "steps/s", "higher", None, Workload("eros", LARGE, with_rate=True)),
     Measure("usbip_events", "Mev/s", "higher", 12, link.usbip_events),
     Measure("latency_p50", "us", "lower", 2000, link.latency_p50),
     Measure("latency_p99", "us", "lower", 5000, link.latency_p99),

@@ -35,11 +35,15 @@ def bench(
             value = _value(measure)
             results.append({"name": measure.name, "value": value, "unit": measure.unit, "better": measure.better})
             if not json:
-                mark = {"higher": ">=", "lower": "<="}[measure.better]
-                console.print(f"{measure.name:22} {value:10.1f} {measure.unit:9} (target {mark} {measure.target:g})")
+                console.print(f"{measure.name:28} {value:10.1f} {measure.unit:9} {_target(measure)}".rstrip())
     if json:
         print_json({"results": results})
     return GOOD
+
+
+def _target(measure: Measure) -> str:
+    mark = {"higher": ">=", "lower": "<="}[measure.better]
+    return "" if measure.target is None else f"(target {mark} {measure.target:g})"
 
 
 def _value(measure: Measure) -> float:
