@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.compiled import Real, kernel, kernel_that_allocates, vector_kernel
+from emulator.sensor.compiled import Real, kernel, kernel_that_allocates, lane, vector_kernel
 from emulator.sensor.elementary import exponential
 from emulator.sensor.events import MOST_EVENTS, Keys, pack, room_for
 from emulator.sensor.layout import BLOCK, Field, Pixels, StepConstants, slot
@@ -213,7 +213,7 @@ def _sort_by_kind(table: _Float32s, n: int, c: StepConstants) -> None:
         table[_C_KIND + j] = kind if monotone & inside & (table[_C_KIND + j] != _ODD) else _ODD
 
 
-@vector_kernel
+@lane
 def _value(rows: _Float32s, j: int, z: Real) -> Real:
     return ((rows[_C_C3 + j] * z + rows[_C_C2 + j]) * z + rows[_C_C1 + j]) * z + rows[_C_D0 + j]
 

@@ -2,6 +2,8 @@
 
     kernel                  plain loops over arrays that the caller owns
     vector_kernel           the same, for loops that must become vectors
+    lane                    arithmetic on numbers, for use inside such loops; inlined, however long: one call that is
+                            left in a loop keeps it from becoming vectors
     kernel_that_allocates   may make arrays
     entry                   what Python calls; the only kind whose compiled code is kept on disk
 
@@ -30,7 +32,9 @@ from typing import Any, TypeVar
 
 from numba import njit
 
-__all__ = ["SOURCES", "Real", "entry", "kernel", "kernel_that_allocates", "say_if_not_compiled", "vector_kernel"]
+__all__ = [
+    "SOURCES", "Real", "entry", "kernel", "kernel_that_allocates", "lane", "say_if_not_compiled", "vector_kernel",
+]  # fmt: skip
 
 _LOG = logging.getLogger(__name__)
 _Function = TypeVar("_Function", bound=Callable[..., Any])
@@ -50,6 +54,7 @@ SOURCES = zlib.crc32(b"".join((Path(__file__).parent / f"{name}.py").read_bytes(
 
 kernel: _Decorator[Any] = njit(**_UNCOUNTED)
 vector_kernel: _Decorator[Any] = njit(**_UNCOUNTED, fastmath={"contract"})
+lane: _Decorator[Any] = njit(**_UNCOUNTED, fastmath={"contract"}, forceinline=True)
 kernel_that_allocates: _Decorator[Any] = njit(**_COMMON)
 entry: _Decorator[Any] = njit(**_COMMON, cache=True)
 

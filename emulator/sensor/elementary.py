@@ -23,7 +23,7 @@ from llvmlite import ir
 from numba import float32, uint64
 from numba.extending import intrinsic
 
-from emulator.sensor.compiled import vector_kernel
+from emulator.sensor.compiled import lane
 
 __all__ = ["decay", "exponential", "lowest_bit", "natural_log"]
 
@@ -105,7 +105,7 @@ _exponent, _mantissa, _power_of_two, lowest_bit = (
 )
 
 
-@vector_kernel
+@lane
 def natural_log(x: np.float32) -> np.float32:
     """Return ln x in float32, for positive, finite x that is not denormal; anything else gives a finite nonsense."""
     e: np.float32 = _exponent(x)
@@ -115,7 +115,7 @@ def natural_log(x: np.float32) -> np.float32:
     return (p * f2 + e * _LN2_LOW - _HALF * f2) + f + e * _LN2_HIGH
 
 
-@vector_kernel
+@lane
 def _two_to_the(y: np.float32) -> tuple[np.float32, np.float32]:
     """Return 2^k and 2^f - 1 for y = k + f, k whole and |f| <= 1/2."""
     k: np.float32 = np.floor(y + _HALF)
@@ -125,7 +125,7 @@ def _two_to_the(y: np.float32) -> tuple[np.float32, np.float32]:
     return scale, less_one
 
 
-@vector_kernel
+@lane
 def decay(s: np.float32) -> np.float32:
     """Return 1 - e^-s in float32 for s >= 0 (from 80 on, the value at 80); good to the last bits for tiny s too."""
     scale, less_one = _two_to_the(-min(s, _DEEPEST) * _LOG2_E)
@@ -133,7 +133,7 @@ def decay(s: np.float32) -> np.float32:
     return result
 
 
-@vector_kernel
+@lane
 def exponential(x: np.float32) -> np.float32:
     """Return e^x in float32, within 3e-7 (1 + |x| / 4) relative; beyond +-80, the value at +-80."""
     scale, less_one = _two_to_the(max(min(x, _DEEPEST), -_DEEPEST) * _LOG2_E)

@@ -41,7 +41,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.sensor.candidates import BATCH, BEFORE_ROWS, Table, gather, gather_rare, select, solve
-from emulator.sensor.compiled import SOURCES, Real, entry, kernel, vector_kernel
+from emulator.sensor.compiled import SOURCES, Real, entry, kernel, lane, vector_kernel
 from emulator.sensor.elementary import decay, exponential, lowest_bit, natural_log
 from emulator.sensor.layout import BLOCK, FIELDS, Field, Pixels, StepConstants
 from emulator.sensor.lowpass import Course, rise_of_filter, slope_of_filter, warped_time
@@ -126,7 +126,7 @@ def _filter(s: _Float32s, before: _Float32s) -> None:
         s[_V + i] = v0 + rise_of_filter(before[_Q + i], u0 - v0, Course(warped, u1 - u0, warped * g0, warped * g1))
 
 
-@vector_kernel
+@lane
 def _reach(q: Real, behind: Real, d: Real, a0: Real, a1: Real) -> tuple[Real, Real]:
     """Return by how much the filtered value may rise, and fall (<= 0): by the light's Bernstein coefficients."""
     first, last = _THIRD * a0, d - _THIRD * a1

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from emulator.sensor.compiled import Real, vector_kernel
+from emulator.sensor.compiled import Real, lane
 from emulator.sensor.layout import StepConstants
 
 __all__ = ["Course", "Transient", "missed_by_cubic", "rise_of_filter", "slope_of_filter", "transient", "warped_time"]
@@ -49,7 +49,7 @@ class Transient(NamedTuple):
     faint: Real  # whether b is rounding noise, to be left out
 
 
-@vector_kernel
+@lane
 def warped_time(h: Real, rates: tuple[Real, Real], a0: Real, a1: Real, c: StepConstants) -> Real:
     """Return the integral of the rate over h seconds, while the log light changes with slopes a0, a1 (per h).
 
@@ -62,7 +62,7 @@ def warped_time(h: Real, rates: tuple[Real, Real], a0: Real, a1: Real, c: StepCo
     return h * max(_HALF * (l0 + l1) + _TWELFTH * (bend0 - bend1), min(l0, l1))
 
 
-@vector_kernel
+@lane
 def rise_of_filter(q: Real, behind: Real, u: Course) -> Real:
     """Return v1 - v0, with behind = u0 - v0 and q = 1 - e^-s. Its rounding shrinks with s.
 
@@ -78,7 +78,7 @@ def rise_of_filter(q: Real, behind: Real, u: Course) -> Real:
     return q * behind + (w0 * less_i0 + bent)
 
 
-@vector_kernel
+@lane
 def slope_of_filter(s: Real, r: Real, behind: Real, a: Real) -> Real:
     """Return the slope of v at an end where u - v = behind, per stretch; r is the rate times its length, a that of u.
 
@@ -87,7 +87,7 @@ def slope_of_filter(s: Real, r: Real, behind: Real, a: Real) -> Real:
     return a if s > _FAST else r * behind
 
 
-@vector_kernel
+@lane
 def transient(behind: Real, u: Course) -> Transient:
     """Return the exponential that a filter which is `behind` = u0 - v0 adds to its steady lag."""
     inverse = _ONE / max(u.s, _SHORTEST)
@@ -99,7 +99,7 @@ def transient(behind: Real, u: Course) -> Transient:
     return Transient(b, lag0, lag1, (u.s > _FAST) & (abs(b) < _FAINT))
 
 
-@vector_kernel
+@lane
 def missed_by_cubic(b: Real, s: Real) -> Real:
     """Return the most by which a cubic through values and slopes at both ends of a stretch misses b e^-s."""
     s2 = s * s

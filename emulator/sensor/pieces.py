@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.compiled import Real, kernel, kernel_that_allocates, vector_kernel
+from emulator.sensor.compiled import Real, kernel, kernel_that_allocates, lane, vector_kernel
 from emulator.sensor.elementary import decay, exponential
 from emulator.sensor.events import MOST_EVENTS, Keys, pack, room_for
 from emulator.sensor.layout import BLOCK, Field, Pixels, StepConstants, slot
@@ -43,15 +43,15 @@ _KEPT_ROWS = 17
 # ... and for a piece: g = d0 + c1 x + c2 x^2 + c3 x^3 with x in [0, 1], its turns, its end, and where the walk is.
 (
     _C_D0, _C_C1, _C_C2, _C_C3, _C_TURN, _C_TURN2, _C_SPAN, _C_V1, _C_W1, _C_P1, _C_Z1,
-    _C_X, _C_FIRES, _C_HIT, _C_LOW, _C_HIGH, _C_TO, _C_MISS, _C_SUSPECT, _C_U0, _C_U1,
-) = (k * WALK_CAPACITY for k in range(_KEPT_ROWS, _KEPT_ROWS + 21))  # fmt: skip
-_ROWS = _KEPT_ROWS + 21
+    _C_X, _C_FIRES, _C_HIT, _C_LOW, _C_HIGH, _C_TO, _C_MISS, _C_SUSPECT, _C_U0, _C_U1, _C_D1, _C_M1,
+) = (k * WALK_CAPACITY for k in range(_KEPT_ROWS, _KEPT_ROWS + 23))  # fmt: skip
+_ROWS = _KEPT_ROWS + 23
 
 _NAN = np.float32(np.nan)
-_ZERO, _ONE, _TWO, _THREE, _SIX, _HALF = (np.float32(x) for x in (0, 1, 2, 3, 6, 0.5))
-_TWELFTH = np.float32(1 / 12)
+_ZERO, _ONE, _TWO, _THREE, _HALF = (np.float32(x) for x in (0, 1, 2, 3, 0.5))
 _SHARE = np.float32(0.004)  # of a threshold: what a cubic may miss
 _LEAST_MISS = np.float32(2e-5)  # ln units: float32 has nothing to offer below
+_LEAST_WEIGHT = np.float32(1e-20)
 _E4, _E1, _E0 = np.float32(384), np.float32(1 / 0.16), np.float32(0.2)
 _NEARLY = np.float32(1.001)
 _NEWTON_TURNS = 4
@@ -147,7 +147,7 @@ class _Piece(NamedTuple):
     course: Course
 
 
-@vector_kernel
+@lane
 def _light_at(light: _Light, z: Real, jumped: Real) -> tuple[Real, Real]:
     """Return the log light and its slope per step at z."""
     c3 = light.a0 + light.a1 - _TWO * light.d
@@ -155,10 +155,11 @@ def _light_at(light: _Light, z: Real, jumped: Real) -> tuple[Real, Real]:
     smooth = ((c3 * z + c2) * z + light.a0) * z
     stepped = light.d if jumped else _ZERO
     slope = (_THREE * c3 * z + _TWO * c2) * z + light.a0
-    return light.u + (stepped if light.jump else smooth), (_ZERO if light.jump else slope)
+    jump = light.jump != _ZERO
+    return light.u + (stepped if jump else smooth), (_ZERO if jump else slope)
 
 
-@vector_kernel
+@lane
 def _piece(light: _Light, z: Real, width: Real, c: StepConstants) -> _Piece:
     """Return the piece of the step from z to z + width."""
     jumped = z >= _HALF
@@ -172,85 +173,100 @@ def _piece(light: _Light, z: Real, width: Real, c: StepConstants) -> _Piece:
     return _Piece(u0, u1, c.h * l0, c.h * l1, a0, a1, course)
 
 
-@vector_kernel
+@lane
 def _share_to_take(b: Real, s: Real, most: Real) -> Real:
     """Return how much of a stretch of length s may be taken at once, so that a cubic misses less of b e^-s than `most`.
 
     The bound E is min(s^4 / 384, 0.16 s + 0.2); its inverse is the larger of the two inverses.
     """
-    allowed = most / abs(b)
+    allowed = most / max(abs(b), _LEAST_WEIGHT)
     longest = max(np.sqrt(np.sqrt(_E4 * allowed)), (allowed - _E0) * _E1)
-    return min(longest / s, _ONE) if b != _ZERO else _ONE
+    return min(longest / s, _ONE)
 
 
-class _Cubic(NamedTuple):
-    """Values and slopes at both ends."""
-
-    d0: Real
-    d1: Real
-    m0: Real
-    m1: Real
+@lane
+def _most(rows: _Float32s, j: int) -> Real:
+    """Return by how much a cubic may miss column j's curve."""
+    return max(_SHARE * min(rows[_C_ON + j], rows[_C_OFF + j]), _LEAST_MISS)
 
 
-@vector_kernel
-def _behind_second_pole(v: _Cubic, w0: Real, s: Real) -> tuple[_Cubic, Real]:
-    """Return the curve behind a fixed pole over a stretch of s time constants, and the exponential it misses."""
-    course = Course(s, v.d1 - v.d0, v.m0, v.m1)
-    w1 = w0 + rise_of_filter(decay(s), v.d0 - w0, course)
-    t = transient(v.d0 - w0, course)
-    b = _ZERO if t.faint else t.b
-    m0, m1 = s * (t.lag0 if t.faint else v.d0 - w0), s * (t.lag1 if t.faint else v.d1 - w1)
-    return _Cubic(w0, w1, m0, m1), b
-
-
-@vector_kernel
-def _filtered(q: _Piece, v0: Real, width: Real) -> tuple[_Cubic, Real]:
-    """Return the filter's curve over a piece, and the exponential it misses."""
-    behind = q.u0 - v0
-    v1 = v0 + rise_of_filter(decay(q.course.s), behind, q.course)
-    t = transient(behind, q.course)
-    m0 = width * q.r0 * (t.lag0 if t.faint else behind)
-    m1 = width * q.r1 * (t.lag1 if t.faint else q.u1 - v1)
-    return _Cubic(v0, v1, m0, m1), (_ZERO if t.faint else t.b)
+@lane
+def _light_of(rows: _Float32s, j: int) -> _Light:
+    return _Light(rows[_C_U + j], rows[_C_D + j], rows[_C_A0 + j], rows[_C_A1 + j], rows[_C_JUMP + j])
 
 
 @vector_kernel
 def _cut(rows: _Float32s, n: int, c: StepConstants) -> None:
-    """Take each column's next piece: first as far as the light allows, then as far as the exponentials do."""
+    """Choose each column's next piece: as far as the light allows, and then as far as the exponential does."""
     for j in range(n):
-        light = _Light(rows[_C_U + j], rows[_C_D + j], rows[_C_A0 + j], rows[_C_A1 + j], rows[_C_JUMP + j] != _ZERO)
-        z, v, w, wide = rows[_C_Z + j], rows[_C_V + j], rows[_C_W + j], rows[_C_WIDTH + j]
-        left = (_HALF if light.jump & (z < _HALF) else _ONE) - z
-        whole = left if left < _NEARLY * wide else wide
-        first = _piece(light, z, whole, c)
-        curve, b = _filtered(first, v, whole)
-        most = max(_SHARE * min(rows[_C_ON + j], rows[_C_OFF + j]), _LEAST_MISS)
-        share = _share_to_take(b, first.course.s, most)
-        if c.second > _ZERO:
-            b2 = _behind_second_pole(curve, w, c.second * whole)[1]
-            share = min(share, _share_to_take(b2, c.second * whole, most))
-        width = share * whole
-        q = _piece(light, z, width, c)
-        curve, b = _filtered(q, v, width)
-        rows[_C_V1 + j] = curve.d1
-        if c.second > _ZERO:
-            curve, b = _behind_second_pole(curve, w, c.second * width)
-        rows[_C_W1 + j] = curve.d1
-        z1 = z + left if (share == _ONE) & (whole == left) else z + width
-        rows[_C_Z1 + j], rows[_C_SPAN + j], rows[_C_X + j] = z1, width, _ZERO
-        rows[_C_D0 + j], rows[_C_C1 + j] = curve.d0 - rows[_C_BASE + j], curve.m0
-        rows[_C_C2 + j] = _THREE * (curve.d1 - curve.d0) - _TWO * curve.m0 - curve.m1
-        rows[_C_C3 + j] = curve.m0 + curve.m1 - _TWO * (curve.d1 - curve.d0)
-        rows[_C_U0 + j], rows[_C_U1 + j] = q.u0, q.u1
+        z, wide = rows[_C_Z + j], rows[_C_WIDTH + j]
+        stop = _HALF if (rows[_C_JUMP + j] != _ZERO) & (z < _HALF) else _ONE
+        last = stop - z < _NEARLY * wide
+        whole = stop - z if last else wide
+        q = _piece(_light_of(rows, j), z, whole, c)
+        share = _share_to_take(_transient(q, rows[_C_V + j]), q.course.s, _most(rows, j))
+        rows[_C_SPAN + j], rows[_C_X + j] = share * whole, _ZERO
+        rows[_C_Z1 + j] = stop if last & (share == _ONE) else z + share * whole
 
 
 @vector_kernel
-def _add_leak(rows: _Float32s, n: int, c: StepConstants) -> None:
-    """Add the leak of the dark to each column's piece: a straight line."""
+def _shorten_for_second_pole(rows: _Float32s, n: int, c: StepConstants) -> None:
+    """Shorten each column's piece to what the exponential behind the second pole allows."""
     for j in range(n):
-        leak = rows[_C_LEAK + j]
-        rows[_C_D0 + j] += leak * (c.since_epoch_0 + c.h * rows[_C_Z + j])
-        rows[_C_C1 + j] += leak * (c.h * rows[_C_SPAN + j])
+        span = rows[_C_SPAN + j]
+        behind = rows[_C_V + j] - rows[_C_W + j]
+        s = c.second * span
+        t = transient(behind, Course(s, rows[_C_D1 + j] - rows[_C_D0 + j], rows[_C_C1 + j], rows[_C_M1 + j]))
+        share = _share_to_take(_ZERO if t.faint else t.b, s, _most(rows, j))
+        rows[_C_SPAN + j] = share * span
+        rows[_C_Z1 + j] = rows[_C_Z1 + j] if share == _ONE else rows[_C_Z + j] + share * span
+
+
+@lane
+def _transient(q: _Piece, v0: Real) -> Real:
+    """Return the weight of the exponential in the filter's answer over a piece, 0 if it is rounding noise."""
+    t = transient(q.u0 - v0, q.course)
+    return _ZERO if t.faint else t.b
+
+
+@vector_kernel
+def _follow_light(rows: _Float32s, n: int, c: StepConstants) -> None:
+    """Solve the filter over each column's piece, and write values and slopes at both ends."""
+    for j in range(n):
+        v0, width = rows[_C_V + j], rows[_C_SPAN + j]
+        q = _piece(_light_of(rows, j), rows[_C_Z + j], width, c)
+        behind = q.u0 - v0
+        v1 = v0 + rise_of_filter(decay(q.course.s), behind, q.course)
+        t = transient(behind, q.course)
+        rows[_C_U0 + j], rows[_C_U1 + j] = q.u0, q.u1
+        rows[_C_D0 + j], rows[_C_D1 + j], rows[_C_V1 + j], rows[_C_W1 + j] = v0, v1, v1, v1
+        rows[_C_C1 + j] = width * q.r0 * (t.lag0 if t.faint else behind)
+        rows[_C_M1 + j] = width * q.r1 * (t.lag1 if t.faint else q.u1 - v1)
+
+
+@vector_kernel
+def _follow_filter(rows: _Float32s, n: int, c: StepConstants) -> None:
+    """Solve the second pole over each column's piece, and write values and slopes in the place of the filter's."""
+    for j in range(n):
+        w0, s = rows[_C_W + j], c.second * rows[_C_SPAN + j]
+        v0, v1 = rows[_C_D0 + j], rows[_C_D1 + j]
+        course = Course(s, v1 - v0, rows[_C_C1 + j], rows[_C_M1 + j])
+        w1 = w0 + rise_of_filter(decay(s), v0 - w0, course)
+        t = transient(v0 - w0, course)
+        rows[_C_D0 + j], rows[_C_D1 + j], rows[_C_W1 + j] = w0, w1, w1
+        rows[_C_C1 + j] = s * (t.lag0 if t.faint else v0 - w0)
+        rows[_C_M1 + j] = s * (t.lag1 if t.faint else v1 - w1)
+
+
+@vector_kernel
+def _draw(rows: _Float32s, n: int, c: StepConstants) -> None:
+    """Turn each column's values and slopes into the cubic relative to `base`, the leak of the dark added."""
+    for j in range(n):
+        d0, d1, leaked = rows[_C_D0 + j], rows[_C_D1 + j], rows[_C_LEAK + j] * (c.h * rows[_C_SPAN + j])
+        rise, m0, m1 = d1 - d0 + leaked, rows[_C_C1 + j] + leaked, rows[_C_M1 + j] + leaked
+        since = c.since_epoch_0 + c.h * rows[_C_Z + j]
+        rows[_C_D0 + j], rows[_C_C1 + j] = (d0 - rows[_C_BASE + j]) + rows[_C_LEAK + j] * since, m0
+        rows[_C_C2 + j], rows[_C_C3 + j] = _THREE * rise - _TWO * m0 - m1, m0 + m1 - _TWO * rise
 
 
 @vector_kernel
@@ -282,7 +298,7 @@ def _find_turns(rows: _Float32s, n: int) -> None:
         rows[_C_TURN + j], rows[_C_TURN2 + j] = min(one, other), max(one, other)
 
 
-@vector_kernel
+@lane
 def _value(rows: _Float32s, j: int, x: Real) -> Real:
     return ((rows[_C_C3 + j] * x + rows[_C_C2 + j]) * x + rows[_C_C1 + j]) * x + rows[_C_D0 + j]
 
@@ -419,6 +435,21 @@ def _go_on(pixels: Pixels, walk: Walk, n: int, c: StepConstants) -> int:
     return kept
 
 
+@kernel
+def _take_piece(rows: _Float32s, n: int, c: StepConstants) -> None:
+    """Give each column its next piece."""
+    _cut(rows, n, c)
+    _follow_light(rows, n, c)
+    if c.second > _ZERO:
+        _shorten_for_second_pole(rows, n, c)
+        _follow_light(rows, n, c)
+        _follow_filter(rows, n, c)
+    _draw(rows, n, c)
+    if c.parasitic > _ZERO:
+        _add_parasitic(rows, n, c)
+    _find_turns(rows, n)
+
+
 @kernel_that_allocates
 def walk_through(
     pixels: Pixels, walk: Walk, n: int, keys: Keys, n_keys: int, c: StepConstants
@@ -433,11 +464,7 @@ def walk_through(
     _set_out(walk.rows, n, c)
     suspects, lost = int(walk.rows[_C_SUSPECT : _C_SUSPECT + n].sum()), 0
     while n > 0:
-        _cut(walk.rows, n, c)
-        _add_leak(walk.rows, n, c)
-        if c.parasitic > _ZERO:
-            _add_parasitic(walk.rows, n, c)
-        _find_turns(walk.rows, n)
+        _take_piece(walk.rows, n, c)
         fired = n
         while fired > 0:
             keys = room_for(keys, n_keys + n)

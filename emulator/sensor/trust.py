@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from emulator.sensor.compiled import Real, vector_kernel
+from emulator.sensor.compiled import Real, lane
 
 __all__ = ["LARGEST_CHANGE", "completed", "is_jump", "is_plain", "is_suspect", "limit"]
 
@@ -30,7 +30,7 @@ _FLAT = np.float32(0.3)
 _STEEPEST = np.float32(64)  # bounds the work where slopes and light contradict each other
 
 
-@vector_kernel
+@lane
 def is_plain(d: Real, a0: Real, a1: Real, threshold: Real) -> Real:
     """Tell whether the step can be taken in one piece, as it is; never with unknown slopes.
 
@@ -43,7 +43,7 @@ def is_plain(d: Real, a0: Real, a1: Real, threshold: Real) -> Real:
     return one_piece & seen & fits
 
 
-@vector_kernel
+@lane
 def completed(d: Real, a0: Real, a1: Real) -> tuple[Real, Real]:
     """Return both slopes: where one is not known (NaN) a parabola's, where both are not, the straight line's."""
     known0, known1 = a0 == a0, a1 == a1
@@ -52,20 +52,20 @@ def completed(d: Real, a0: Real, a1: Real) -> tuple[Real, Real]:
     return first, last
 
 
-@vector_kernel
+@lane
 def is_suspect(d: Real, a0: Real, a1: Real, threshold: Real) -> Real:
     """Tell whether the light did something between the pictures that they do not show."""
     turns = (a0 * a1 < _ZERO) & (_EIGHTH * abs(a0 - a1) > _SUSPECT * threshold)
     return turns | (abs(d - _HALF * (a0 + a1)) > _SUSPECT * threshold)
 
 
-@vector_kernel
+@lane
 def is_jump(d: Real, a0: Real, a1: Real) -> Real:
     """Tell whether a suspect step is a jump."""
     return max(abs(a0), abs(a1)) < _FLAT * abs(d)
 
 
-@vector_kernel
+@lane
 def limit(d: Real, a0: Real, a1: Real) -> Real:
     """Return the factor for both slopes."""
     together = np.sqrt(a0 * a0 + a1 * a1)
