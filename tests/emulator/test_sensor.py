@@ -83,6 +83,41 @@ def test_with_everything_off_it_is_pixels_and_read_out():
     assert_balance(sensor)
 
 
+def test_the_lights_slope_reaches_the_pixels():
+    def slope(t_ns):
+        return ((drifting(t_ns + 1000) - drifting(t_ns - 1000)) / 2e-6).astype(np.float32)
+
+    gains = with_(imager=ImagerParameters(system_efficiency=0.5))
+    sensor, pixels = Sensor(gains, 1), PixelArray(PLAIN, 1)
+    sensor.reset(2 * drifting(0), 0)
+    pixels.reset(drifting(0), 0)
+    for t in range(10 * MS, 50 * MS, 10 * MS):
+        events = sensor.expose(2 * drifting(t), t, 2 * slope(t))
+        crossings = pixels.step(drifting(t), t, slope(t))
+        assert len(events) == pytest.approx(len(crossings), rel=0.01)
+        assert abs(np.median(events["t"]) - np.median(crossings.t_ns / 1000)) < 20
+        straight = PixelArray(PLAIN, 1)
+        straight.reset(drifting(t - 10 * MS), t - 10 * MS)
+        assert len(straight.step(drifting(t), t)) > 500
+
+
+@pytest.mark.parametrize(
+    ("level", "hz", "step_ns"), [(1.0, 3.0, 100_000), (1.0, 3.0, 20 * MS), (0.25, 1.5, MS), (0.0, 1.0, 20 * MS)]
+)
+def test_leak_has_a_part_of_its_own_and_one_of_the_light(level, hz, step_ns):
+    p = with_(leak_hz=1.0, parasitic_hz_at_reference=2.0, width=20, height=20)
+    found, sensor = run(p, step_ns=step_ns, end_ns=2 * S, scene=lambda t: still(level, p))
+    assert sensor.raised / 400 / 2 == pytest.approx(hz, rel=0.03)
+    assert np.all(found["on"])
+
+
+def test_leak_is_log_normal_from_pixel_to_pixel():
+    p = with_(leak_hz=5.0, leak_spread=0.4)
+    found, _ = run(p, step_ns=20 * MS, end_ns=40 * S)
+    hz = np.bincount(pixel_of(found), minlength=PIXELS) / 40
+    assert stats.kstest((np.log(hz / 5) + 0.08) / 0.4, "norm").pvalue > ALPHA
+
+
 def test_hot_pixels_have_their_own_rate_and_spread():
     p = with_(leak_hz=0.1, defects=DefectParameters(hot_share=0.3, hot_hz=20.0, hot_spread=0.5))
     found, _ = run(p, step_ns=10 * MS, end_ns=20 * S)
