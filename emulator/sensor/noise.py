@@ -25,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.compiled import kernel, kernel_that_allocates
+from emulator.sensor.compiled import kernel, kernel_that_allocates, vector_kernel
 from emulator.sensor.elementary import natural_log
 from emulator.sensor.kept import kept_entry
 from emulator.sensor.keyed import Purpose, root_of
@@ -46,9 +46,20 @@ _Floats = npt.NDArray[np.float64]
 _LARGEST = np.finfo(np.float32).max
 _OWN, _ROW, _HIGHEST = range(3)  # columns of figures
 _BATCH = 256
-_ZERO = np.float32(0)
+_ZERO, _UNITY, _HALF, _NAN = (np.float32(x) for x in (0, 1, 0.5, np.nan))
+_NODES_A_FOLD = np.float32(1 / _LOG_STEP)
 _ONE = np.uint64(1)
 _SECONDS = 1 << 40  # first index of the numbers that seconds are drawn from
+
+
+class _Lights(NamedTuple):
+    """How light becomes a place among the nodes: dark current, corner frequencies in Hz, the last place."""
+
+    dark: np.float32
+    hz_at_reference: np.float32
+    hz_min: np.float32
+    hz_max: np.float32
+    last: np.float32
 
 
 class _Model(NamedTuple):
@@ -61,11 +72,8 @@ class _Model(NamedTuple):
     alias: npt.NDArray[np.uint32]  # (pixels,)
     root: np.uint64
     mean_gap: float  # between candidates, as a share of a slot
-    dark: float
-    hz_at_reference: float
-    hz_min: float
-    hz_max: float
     refractory_ns: float
+    lights: _Lights
 
 
 class _Draws(NamedTuple):
@@ -81,26 +89,20 @@ class _Candidates(NamedTuple):
 
     t: _Floats
     pixel: npt.NDArray[np.uint64]
-    node: _Floats
+    node: _Float32s
     kept: npt.NDArray[np.int64]
 
 
-@kernel
-def _log_surplus(light: np.float32, pixel: int, m: _Model, node: _Floats, k: int) -> float:
-    """Return ln of a pixel's rate over its highest one, 0 rate for light that is not finite, and note the node."""
-    readable = abs(light) <= _LARGEST
-    lit = light if readable and light > _ZERO else _ZERO
-    unbounded = m.hz_at_reference * (float(lit) + m.dark)
-    hz = min(max(unbounded, m.hz_min), m.hz_max)
-    place = max(np.float64(natural_log(np.float32(hz / m.hz_min))) / _LOG_STEP, 0.0)
-    place = min(place, m.tau_ns.size - 1.001)
-    row = np.float64(m.figures[pixel, _ROW])
-    i, j = np.uint64(row), np.uint64(place)
-    y, x = row - np.float64(i), place - np.float64(j)
-    upper = m.log_rate[i, j] * (1 - x) + m.log_rate[i, j + _ONE] * x
-    lower = m.log_rate[i + _ONE, j] * (1 - x) + m.log_rate[i + _ONE, j + _ONE] * x
-    node[k] = place
-    return upper * (1 - y) + lower * y - m.figures[pixel, _HIGHEST] if readable else _NEVER
+@vector_kernel
+def _find_nodes(some: _Candidates, n: int, figures: _Lights) -> None:
+    """Turn the light of n candidates into where it lies among the nodes; light that is not finite into NaN."""
+    dark, at_reference, lowest, highest, last = figures
+    for k in range(n):
+        light = some.node[k]
+        lit = light if light > _ZERO else _ZERO
+        hz = min(max(at_reference * (lit + dark), lowest), highest)
+        place = min(natural_log(hz / lowest) * _NODES_A_FOLD, last)
+        some.node[k] = max(place, _ZERO) if abs(light) <= _LARGEST else _NAN
 
 
 @kernel
@@ -122,13 +124,22 @@ def _propose(d: _Draws, t: float, m: _Model, some: _Candidates) -> tuple[int, fl
 @kernel
 def _thin(d: _Draws, light: _Float32s, m: _Model, some: _Candidates, n: int) -> int:
     """Keep of n candidates those that fire: move their numbers to the front of `some.kept`, return how many."""
+    for k in range(n):
+        some.node[k] = light[some.pixel[k]]
+    _find_nodes(some, n, m.lights)
     kept = 0
     for k in range(n):
-        pixel = some.pixel[k]
-        surplus = _log_surplus(light[pixel], pixel, m, some.node, k)
+        pixel, node = some.pixel[k], some.node[k]
+        readable = node == node
+        row, place = m.figures[pixel, _ROW], node if readable else _ZERO
+        i, j = np.int64(row), np.int64(place)
+        y, x = row - np.float32(i), place - np.float32(j)
+        upper = m.log_rate[i, j] * (_UNITY - x) + m.log_rate[i, j + 1] * x
+        lower = m.log_rate[i + 1, j] * (_UNITY - x) + m.log_rate[i + 1, j + 1] * x
+        surplus = upper * (_UNITY - y) + lower * y - m.figures[pixel, _HIGHEST]
         chance = natural_log(np.float32(unit(high(word(d.base, 3 * (d.first + k) + 2)))))
         some.kept[kept] = k
-        kept += chance < surplus
+        kept += (chance < surplus) & readable
     return kept
 
 
@@ -141,7 +152,7 @@ def _fire(d: _Draws, m: _Model, some: _Candidates, kept: int, ahead: Ahead, n: i
         key = np.uint64(some.pixel[k]) << _ONE | (word(d.base, index) & _ONE)
         t_ns = d.slot * SLOT_NS + np.int64(some.t[k] * SLOT_NS)
         ahead.t_ns[n], ahead.key[n] = t_ns, key
-        nearest = np.uint64(some.node[k] + 0.5)
+        nearest = np.int64(some.node[k] + _HALF)
         pair = word(d.base, index + _SECONDS)
         wait = 0.8 - 1.4 * np.float64(natural_log(np.float32(unit(high(pair)))))
         ahead.t_ns[n + 1] = t_ns + np.int64(max(wait * m.tau_ns[nearest], m.refractory_ns))
@@ -173,7 +184,9 @@ def _advance(
     n: int,
 ) -> tuple[Ahead, int, npt.NDArray[np.uint64]]:
     """Draw what is missing up to t1; return what lies ahead of it, and the packed events before it, unsorted."""
-    some = _Candidates(np.empty(_BATCH), np.empty(_BATCH, np.uint64), np.empty(_BATCH), np.empty(_BATCH + 1, np.int64))
+    some = _Candidates(
+        np.empty(_BATCH), np.empty(_BATCH, np.uint64), np.empty(_BATCH, np.float32), np.empty(_BATCH + 1, np.int64)
+    )
     for slot in range(window.slot, -(-window.t1_ns // SLOT_NS)):
         ahead, n = _draw_slot(slot, light, m, some, ahead, n)
     keys = np.empty(n + 1, np.uint64)
@@ -230,7 +243,9 @@ def _model(p: SensorParameters, seed: int, thresholds: _Floats) -> _Model:
     log_highest = np.interp(row, np.arange(_THRESHOLDS), log_rate.max(axis=1))
     weight = np.where(live, np.exp(log_highest), 0)
     own, alias = _aliases(weight)
-    no_low_pass = math.isinf(p.corner_hz_at_reference)
+    lights = p.dark_current_relative, p.corner_hz_at_reference, p.corner_min_hz, min(p.corner_max_hz, _FASTEST_HZ)
+    if math.isinf(p.corner_hz_at_reference):
+        lights = p.dark_current_relative, 1.0, 1.0, 1.0
     return _Model(
         log_rate=log_rate.astype(np.float32),
         second_share=second_share.astype(np.float32),
@@ -239,11 +254,8 @@ def _model(p: SensorParameters, seed: int, thresholds: _Floats) -> _Model:
         alias=alias,
         root=root_of(seed, Purpose.NOISE_EVENTS),
         mean_gap=1 / (weight.sum() * SLOT_NS * 1e-9),
-        dark=p.dark_current_relative,
-        hz_at_reference=1.0 if no_low_pass else p.corner_hz_at_reference,
-        hz_min=1.0 if no_low_pass else p.corner_min_hz,
-        hz_max=1.0 if no_low_pass else min(p.corner_max_hz, _FASTEST_HZ),
         refractory_ns=p.refractory_us * 1000,
+        lights=_Lights(*(np.float32(number) for number in (*lights, tau_ns.size - 1.001))),
     )
 
 
