@@ -5,7 +5,6 @@
     lane                    arithmetic on numbers, for use inside such loops; inlined, however long: one call that is
                             left in a loop keeps it from becoming vectors
     kernel_that_allocates   may make arrays
-    entry                   what Python calls; the only kind whose compiled code is kept on disk
 
 Two options decide whether a loop is fast; each cost a factor of 20 to 40 here before it was found:
 
@@ -17,24 +16,18 @@ Two options decide whether a loop is fast; each cost a factor of 20 to 40 here b
 And fastmath contracts a*b + c to one rounding and does nothing else: NaN and infinity keep their meaning, and sums
 their order.
 
-numba takes code on disk for current while the file of *that* function is unchanged, and does not look at the helpers
-compiled into it. Hence only entries are kept, each with a last argument `sources: int = SOURCES` that nobody passes:
-its default is part of the key on disk, so that a change of any of these files compiles anew.
+What Python calls, and only that, is kept on disk: see `kept`.
 """
 
 from __future__ import annotations
 
 import logging
-import zlib
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, TypeVar
 
 from numba import njit
 
-__all__ = [
-    "SOURCES", "Real", "entry", "kernel", "kernel_that_allocates", "lane", "say_if_not_compiled", "vector_kernel",
-]  # fmt: skip
+__all__ = ["Real", "kernel", "kernel_that_allocates", "lane", "say_if_not_compiled", "vector_kernel"]
 
 _LOG = logging.getLogger(__name__)
 _Function = TypeVar("_Function", bound=Callable[..., Any])
@@ -45,18 +38,10 @@ Real = Any
 
 _COMMON: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
 _UNCOUNTED: dict[str, Any] = {**_COMMON, "_nrt": False}
-_FILES = (
-    "compiled", "elementary", "layout", "lowpass", "trust", "events", "pieces", "candidates", "kernels", "readout",
-)  # fmt: skip
-
-SOURCES = zlib.crc32(b"".join((Path(__file__).parent / f"{name}.py").read_bytes() for name in _FILES))
-"""Checksum of the files that hold kernels."""
-
 kernel: _Decorator[Any] = njit(**_UNCOUNTED)
 vector_kernel: _Decorator[Any] = njit(**_UNCOUNTED, fastmath={"contract"})
 lane: _Decorator[Any] = njit(**_UNCOUNTED, fastmath={"contract"}, forceinline=True)
 kernel_that_allocates: _Decorator[Any] = njit(**_COMMON)
-entry: _Decorator[Any] = njit(**_COMMON, cache=True)
 
 
 def say_if_not_compiled(function: Callable[..., Any], what: str) -> None:

@@ -41,8 +41,9 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.sensor.candidates import BATCH, BEFORE_ROWS, Table, gather, gather_rare, select, solve
-from emulator.sensor.compiled import SOURCES, Real, entry, kernel, lane, vector_kernel
+from emulator.sensor.compiled import Real, kernel, lane, vector_kernel
 from emulator.sensor.elementary import decay, exponential, lowest_bit, natural_log
+from emulator.sensor.kept import kept_entry
 from emulator.sensor.layout import BLOCK, FIELDS, Field, Pixels, StepConstants
 from emulator.sensor.lowpass import Course, rise_of_filter, slope_of_filter, warped_time
 from emulator.sensor.trust import is_plain
@@ -235,15 +236,60 @@ def _quiet_pass(
     _test_bounds(s, before, loud, c)
 
 
-@entry
+class _Scratch(NamedTuple):
+    """A block's scratch: BEFORE_ROWS, a last block's light and rate with nothing behind, flags and their indices."""
+
+    before: _Float32s
+    light: _Float32s
+    rate: _Float32s
+    loud: _Bytes
+    found: _Int64s
+
+
+@kernel
+def _padded(values: _Float32s, room: _Float32s) -> _Float32s:
+    """Return `room` with the values in front."""
+    for i in range(values.size):
+        room[i] = values[i]
+    return room
+
+
+@kernel
+def _move_block(
+    light: _Float32s, rate: _Float32s, pixels: Pixels, scratch: _Scratch, first: int, c: StepConstants
+) -> int:
+    """Move the block that begins at pixel `first`, list those that may fire, and return how many.
+
+    A function of its own, because making slices here counts no references.
+    """
+    s = pixels.fields[first * FIELDS : (first + BLOCK) * FIELDS]
+    here, rate_here = light[first : first + BLOCK], rate[first : first + BLOCK]
+    if here.size < BLOCK:
+        here = _padded(here, scratch.light)
+    if rate_here.size < BLOCK:
+        rate_here = _padded(rate_here, scratch.rate)
+    _quiet_pass(here, rate_here, s, scratch.before, scratch.loud, c)
+    return int(_list(scratch.loud.view(np.uint64), scratch.found))
+
+
+@kernel
+def _gather_block(
+    pixels: Pixels, table: Table, scratch: _Scratch, first: int, listed_and_n: tuple[int, int], c: StepConstants
+) -> tuple[int, int]:
+    """Add the block's listed pixels to the table, from column n on; return how many, and how many were unreadable."""
+    listed, n = listed_and_n
+    s = pixels.fields[first * FIELDS : (first + BLOCK) * FIELDS]
+    blind_until_ns = pixels.blind_until_ns[first : first + BLOCK]
+    kept, unreadable = select(scratch.found[:listed], s, scratch.before, blind_until_ns, c)
+    gather(scratch.found[:kept], s, scratch.before, first, table, n)
+    if (c.second > _ZERO) | (c.parasitic > _ZERO):
+        gather_rare(scratch.found[:kept], s, scratch.before, n, table, c)
+    return kept, unreadable
+
+
+@kept_entry
 def advance(
-    light: _Float32s,
-    rate: _Float32s,
-    pixels: Pixels,
-    table: Table,
-    keys: _Keys,
-    c: StepConstants,
-    sources: int = SOURCES,
+    light: _Float32s, rate: _Float32s, pixels: Pixels, table: Table, keys: _Keys, c: StepConstants
 ) -> tuple[_Keys, int, Tally]:
     """Move all pixels over one step.
 
@@ -255,34 +301,24 @@ def advance(
     table : room for the candidates.
     keys : (any,) uint64, room for the events; replaced by a longer one if it does not do.
     c : the step.
-    sources : left out; see `compiled`.
 
     Returns
     -------
     keys, number of events in it (packed as in `unpack`, unsorted), and what else there is to tell.
     """
-    before = np.empty(len(BEFORE_ROWS) * BLOCK, np.float32)
-    padded_light, padded_rate = np.zeros(BLOCK, np.float32), np.zeros(BLOCK, np.float32)
-    loud, found = np.empty(BLOCK, np.uint8), np.empty(BLOCK, np.int64)
-    eights = loud.view(np.uint64)
+    scratch = _Scratch(
+        np.empty(len(BEFORE_ROWS) * BLOCK, np.float32),
+        np.zeros(BLOCK, np.float32),
+        np.zeros(BLOCK, np.float32),
+        np.empty(BLOCK, np.uint8),
+        np.empty(BLOCK, np.int64),
+    )
     n = n_keys = lost = suspects = candidates = unreadable = 0
     for first in range(0, light.size, BLOCK):
-        s = pixels.fields[first * FIELDS : (first + BLOCK) * FIELDS]
-        here, rate_here = light[first : first + BLOCK], rate[first : first + BLOCK]
-        if here.size < BLOCK:
-            padded_light[: here.size] = here
-            here = padded_light
-        if rate_here.size < BLOCK:
-            padded_rate[: rate_here.size] = rate_here
-            rate_here = padded_rate
-        _quiet_pass(here, rate_here, s, before, loud, c)
-        n_found = _list(eights, found)
-        if n_found == 0:
+        listed = _move_block(light, rate, pixels, scratch, first, c)
+        if listed == 0:
             continue
-        kept, bad = select(found[:n_found], s, before, pixels.blind_until_ns[first : first + BLOCK], c)
-        gather(found[:kept], s, before, first, table, n)
-        if (c.second > _ZERO) | (c.parasitic > _ZERO):
-            gather_rare(found[:kept], s, before, n, table, c)
+        kept, bad = _gather_block(pixels, table, scratch, first, (listed, n), c)
         n, candidates, unreadable = n + kept, candidates + kept, unreadable + bad
         if n > BATCH:
             keys, n_keys, more, doubtful = solve(pixels, table, n, keys, n_keys, c)
@@ -291,7 +327,7 @@ def advance(
     return keys, n_keys, Tally(lost + more, suspects + doubtful, candidates, unreadable)
 
 
-@entry
+@kept_entry
 def unpack(
     keys: _Keys, t0_ns: int, pixel_bits: int, t_ns: _Int64s, pixel: npt.NDArray[np.uint32], on: npt.NDArray[np.bool_]
 ) -> None:

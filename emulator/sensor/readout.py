@@ -25,8 +25,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.compiled import SOURCES, entry, kernel, say_if_not_compiled
+from emulator.sensor.compiled import kernel, say_if_not_compiled
 from emulator.sensor.elementary import lowest_bit
+from emulator.sensor.kept import kept_entry
 from emulator.sensor.pixels import Crossings
 from emulator.sensor.presets import SensorParameters
 from firmware_protocol.events import EVENT, Events
@@ -198,7 +199,7 @@ def _run(
     return n, queue, a
 
 
-@entry
+@kept_entry
 def _serve(
     arrivals: _Arrivals,
     until_ns: int,
@@ -207,7 +208,6 @@ def _serve(
     a: _Arbiter,
     timing: _Timing,
     out: Events,
-    sources: int = SOURCES,
 ) -> tuple[int, _Queue, _Arbiter]:
     """Do as `_run`; kept on disk."""
     n, queue, a = _run(arrivals, until_ns, maps, queue, a, timing, out)
