@@ -1,0 +1,1 @@
+"""Characterises a simulated sensor as a laboratory characterises a real one."""

@@ -1,0 +1,181 @@
+"""Holds what was measured against what is published, and writes the page, the tables and the charts."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from emulator.characterise.charts import draw
+from emulator.characterise.points import CURVES, FIGURE, Point
+from emulator.characterise.published import PUBLISHED, Published
+from emulator.page import inline, sentences, table, write_csv, write_json, write_page
+
+__all__ = ["Comparison", "comparisons", "reading", "write"]
+
+_TITLES = {
+    "s_curve": "How high the thresholds are",
+    "spread": "How much pixels differ",
+    "leak": "Leak",
+    "noise": "Temporal noise",
+    "latency": "Latency, bandwidth, and the wait at the read-out",
+    "flicker": "Flicker and dead time",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """A published figure beside ours.
+
+    Attributes
+    ----------
+    published : the figure.
+    low, high : ours at its place: least and largest of the lines and points that it is compared with; NaN: none.
+    verdict : "agrees", "differs", or "not compared".
+    """
+
+    published: Published
+    low: float
+    high: float
+    verdict: str
+
+    def row(self) -> dict[str, object]:
+        """Return it as a row of a table."""
+        known = self.published
+        return {
+            "published": known.told,
+            "here": _span(self.low, self.high),
+            "verdict": self.verdict,
+            "within a factor": known.tolerance or None,
+            "of": CURVES[known.curve].title if known.curve in CURVES else known.series,
+            "source": known.source,
+            "how": known.how,
+            "remark": known.remark,
+        }
+
+
+def comparisons(points: Sequence[Point]) -> list[Comparison]:
+    """Hold every published figure against the points."""
+    return [_compare(known, points) for known in PUBLISHED]
+
+
+def _compare(known: Published, points: Sequence[Point]) -> Comparison:
+    own = [p for p in points if p.curve == known.curve and known.series in ("", p.series)]
+    here = _at(known, own)
+    if not here or known.tolerance == 0:
+        return Comparison(known, *_ends(here), "not compared")
+    if len(known.x) > 2:
+        agrees = all(math.isclose(ratio, 1, abs_tol=known.tolerance - 1) for ratio in _ratios(known, own))
+    else:
+        agrees = max(here) * known.tolerance >= min(known.y) and min(here) <= max(known.y) * known.tolerance
+    return Comparison(known, *_ends(here), "agrees" if agrees else "differs")
+
+
+def _ends(values: Sequence[float]) -> tuple[float, float]:
+    return (min(values), max(values)) if values else (math.nan, math.nan)
+
+
+def _at(known: Published, own: Sequence[Point]) -> list[float]:
+    """Return our values where the figure is known: of each line at its x, of all points where it has none."""
+    if not known.y:
+        return []
+    if not known.x:
+        return [p.y for p in own]
+    if len(known.x) > 2:
+        return _ratios(known, own)
+    found = []
+    for series in dict.fromkeys(p.series for p in own):
+        line = sorted((p.x, p.y) for p in own if p.series == series and p.y > 0)
+        if line and all(line[0][0] <= x <= line[-1][0] for x in known.x):
+            found += _interpolated(line, known.x, CURVES[known.curve].log_x)
+    return found
+
+
+def _interpolated(line: Sequence[tuple[float, float]], x: Sequence[float], log_x: bool) -> list[float]:
+    """Return a line's values at places x, straight between points in the axes of its curve (y: log)."""
+    along, logs, places = np.array([a for a, _ in line]), np.log([b for _, b in line]), np.array(x)
+    if log_x:
+        along, places = np.log(along), np.log(places)
+    return [float(value) for value in np.exp(np.interp(places, along, logs))]
+
+
+def _ratios(known: Published, own: Sequence[Point]) -> list[float]:
+    """Return our points over a published line, where both are known."""
+    order = np.argsort(known.x)
+    x, y = np.array(known.x)[order], np.array(known.y)[order]
+    inside = [p for p in own if x[0] <= p.x <= x[-1] and p.y > 0]
+    return [p.y / float(np.exp(np.interp(p.x, x, np.log(y)))) for p in inside]
+
+
+def reading(points: Sequence[Point], name: str) -> list[str]:
+    """Return what was found, in sentences; the first one tells how to read the charts."""
+    found = comparisons(points)
+    lines = [
+        f"A bench of 64 x 48 pixels of {name}, each with a lamp of its own, put through what a laboratory does to a "
+        "sensor. Marks are measured on the simulated sensor, thin lines are what its equations say, red is published "
+        "of real sensors. Published figures are of other chips, biases and lights than this one; agreeing says that "
+        "the simulated sensor is of their kind, and differing says where to look."
+    ]
+    lines += [_worst(chart, points) for chart in _TITLES if _modelled(chart, points)]
+    for verdict, words in (("agrees", "Agree with what is published"), ("differs", "Differ from what is published")):
+        told = [
+            f"{c.published.told} (here {_span(c.low, c.high)}; {c.published.how})"
+            for c in found
+            if c.verdict == verdict
+        ]
+        lines.append(f"{words}: {'; '.join(told) or 'none'}.")
+    return lines
+
+
+_BOUNDED = ("flicker_events", "flicker_rate", "burst")
+_LEAST_SHARE = 0.02
+
+
+def _modelled(chart: str, points: Sequence[Point]) -> list[Point]:
+    """Return a chart's points that have a closed form, but those where it is a bound or next to nothing is left."""
+    own = [p for p in points if p.curve in CURVES and CURVES[p.curve].chart == chart and p.curve not in _BOUNDED]
+    largest = {p.curve: max(abs(q.model) for q in own if q.curve == p.curve) for p in own}
+    return [p for p in own if abs(p.model) > _LEAST_SHARE * largest[p.curve] and p.y > 0]
+
+
+def _worst(chart: str, points: Sequence[Point]) -> str:
+    """Return how far a chart's points are from their closed forms."""
+    own = _modelled(chart, points)
+    if CURVES[own[0].curve].log_y or CURVES[own[0].curve].chart == "leak":
+        off = [abs(p.y / p.model - 1) for p in own]
+        middle = f"{np.median(off):.1%} off the equations in the middle"
+        return f"{_TITLES[chart]}: {middle}, {max(off):.1%} at most ({len(off)} points)."
+    most = max(abs(p.y - p.model) for p in own)
+    return f"{_TITLES[chart]}: {most:.1%} of the pixels off the expected distribution at most ({len(own)} points)."
+
+
+def _span(low: float, high: float) -> str:
+    if math.isnan(low):
+        return "–"
+    return f"{low:.3g}" if f"{low:.3g}" == f"{high:.3g}" else f"{low:.3g} to {high:.3g}"
+
+
+def write(points: Sequence[Point], name: str, out: Path) -> list[Path]:
+    """Write the report on sensor `name` into folder `out`; return the files, the page first."""
+    lines, found = reading(points, name), comparisons(points)
+    rows = [dataclasses.asdict(point) for point in points]
+    charts = draw(points, out)
+    single = [{"figure": p.series, "measured": p.y, "as configured": p.model} for p in points if p.curve == FIGURE]
+    sections = [sentences(lines)]
+    sections += [f"<h2>{_TITLES[chart]}</h2>{inline(files[0])}" for chart, files in charts.items()]
+    sections += ["<h2>Single figures</h2>" + table(single)] if single else []
+    sections += ["<h2>Published figures</h2>" + table([c.row() for c in found])]
+    files = [
+        write_csv(rows, out / "points.csv"),
+        write_csv([c.row() for c in found], out / "published.csv"),
+        write_json(
+            {"sensor": name, "reading": lines, "published": [c.row() for c in found], "points": rows},
+            out / "characterise.json",
+        ),
+    ]
+    page = write_page(f"{name}, characterised", sections, out / "characterise.html")
+    return [page, *files, *(path for drawn in charts.values() for path in drawn)]

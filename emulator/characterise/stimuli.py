@@ -1,0 +1,156 @@
+"""The bench: a small array of the sensor in front of lamps that can do exactly what they are told.
+
+Every pixel has a lamp of its own. Between two pictures the sensor takes the logarithm of the photocurrent along a
+straight line, so a ramp in it, a triangular flicker and a jump (a ramp of 10 ns) are closed forms here, not samples.
+
+A pixel starts at an unknown distance from its threshold, and a step would then ask "how far was it" as well as "how
+high is the threshold". So a bench can be `settled` first: log light rises slowly, and the lamp of each pixel stops
+where that pixel's first event says that its reference now is. It is done twice, the second time from a start moved by
+what the first found, so that all pixels stop at the same light.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from emulator.sensor.noise_law import corner_hz
+from emulator.sensor.presets import ReadoutParameters, SensorParameters
+from emulator.sensor.sensor import Sensor
+from emulator.sensor.temperature import at_temperature
+from firmware_protocol.events import EVENT, Events
+
+__all__ = ["Bench", "log_current", "on_the_bench", "settled", "tau_s", "without_readout"]
+
+_Floats = npt.NDArray[np.float64]
+
+_SIZE = 64, 48
+_JUMP_NS = 10
+_RAMP_STEPS = 64
+_RAMP_FARTHEST = 1.02  # of the highest threshold that five deviations allow
+_LEAST_STEP_NS = 100_000
+_NS = 1e9
+
+
+def on_the_bench(p: SensorParameters, size: tuple[int, int] = _SIZE) -> SensorParameters:
+    """Return the sensor cut down to `size` = (width, height); defects given by place stay behind."""
+    defects = dataclasses.replace(p.defects, hot_pixels=(), dead_pixels=())
+    return dataclasses.replace(p, width=size[0], height=size[1], defects=defects)
+
+
+def without_readout(p: SensorParameters) -> SensorParameters:
+    """Return the sensor with a read-out that takes no time: what is left is the pixel."""
+    return dataclasses.replace(p, readout=ReadoutParameters(event_ns=0.001, row_ns=0))
+
+
+def log_current(p: SensorParameters, light: npt.ArrayLike) -> _Floats:
+    """Return the logarithm of the photocurrent, dark current at the chip's temperature included."""
+    return np.log(np.asarray(light, np.float64) + at_temperature(p).dark_current_relative)
+
+
+def tau_s(p: SensorParameters, light: npt.ArrayLike) -> _Floats:
+    """Return the photoreceptor's time constant in a light; 0 without a low-pass."""
+    return np.asarray(1 / (2 * np.pi * corner_hz(at_temperature(p), light)))
+
+
+class Bench:
+    """A sensor, its lamps and what it has sent.
+
+    Parameters
+    ----------
+    parameters : the sensor, of the bench's size.
+    light : at the start, at which the sensor is at rest; a number or (height, width).
+    seed : keys all that is random.
+
+    Attributes
+    ----------
+    t_ns : stream time.
+    light : (height, width) float64, of each lamp, relative to the sensor's reference.
+    """
+
+    def __init__(self, parameters: SensorParameters, light: npt.ArrayLike, seed: int = 1) -> None:
+        self.parameters = parameters
+        self.sensor = Sensor(parameters, seed)
+        self.t_ns = 0
+        self.light = self._picture(light)
+        self._sent: list[Events] = []
+        self.sensor.reset(self.light.astype(np.float32), 0)
+
+    def _picture(self, light: npt.ArrayLike) -> _Floats:
+        return np.broadcast_to(np.asarray(light, np.float64), (self.parameters.height, self.parameters.width))
+
+    def ramp(self, light: npt.ArrayLike, for_ns: int) -> Events:
+        """Go to another light in `for_ns`, log current on a straight line; return what was sent meanwhile."""
+        self.t_ns += for_ns
+        self.light = self._picture(light)
+        events = self.sensor.expose(self.light.astype(np.float32), self.t_ns)
+        self._sent.append(events)
+        return events
+
+    def hold(self, for_ns: int, steps: int = 1) -> None:
+        """Keep the light; in several steps where a pixel may send more than 64 events."""
+        for _ in range(steps):
+            self.ramp(self.light, for_ns // steps)
+
+    def jump(self, light: npt.ArrayLike) -> int:
+        """Change the light at once, at the next whole microsecond; return when, us of stream time."""
+        self.hold(-self.t_ns % 1000)
+        at_us = self.t_ns // 1000
+        self.ramp(light, _JUMP_NS)
+        return at_us
+
+    def sent(self) -> Events:
+        """Return all events since the last call, (n,) EVENT."""
+        events = np.concatenate([np.empty(0, EVENT), *self._sent])
+        self._sent.clear()
+        return events
+
+    def finish(self) -> Events:
+        """Return all events since the last call of `sent`, those that wait in the sensor included; the last call."""
+        self._sent.append(self.sensor.finish())
+        return self.sent()
+
+    def pixel(self, events: Events) -> npt.NDArray[np.int64]:
+        """Return the number of each event's pixel, row * width + column."""
+        return np.asarray(events["y"].astype(np.int64) * self.parameters.width + events["x"])
+
+
+def settled(p: SensorParameters, light: float, seed: int = 1) -> Bench:
+    """Return a bench in `light` whose pixels have their references at what they see, all events taken out."""
+    first = Bench(p, light, seed)
+    rise = _settle(first) - log_current(p, light)
+    start = np.exp(log_current(p, light) - rise) - at_temperature(p).dark_current_relative
+    bench = Bench(p, np.maximum(start, 0), seed)
+    _settle(bench)
+    bench.sent()
+    return bench
+
+
+def _settle(bench: Bench) -> _Floats:
+    """Raise the light until every pixel has fired, each stopped where it did; return log currents, (height, width)."""
+    p, start = bench.parameters, log_current(bench.parameters, bench.light)
+    step_ns = _ramp_step_ns(p, float(bench.light.mean()))
+    rise = p.threshold_on * (1 + 5 * p.mismatch) * _RAMP_FARTHEST / _RAMP_STEPS
+    second_s = 1 / (2 * math.pi * p.source_follower_hz) if p.source_follower_hz else 0.0
+    stop = np.full(start.shape, np.inf)
+    begin_ns, late_s = bench.t_ns, p.jitter.latency_us * 1e-6
+    for k in range(1, _RAMP_STEPS + 3):
+        goal = np.minimum(start + rise * min(k, _RAMP_STEPS), stop)
+        events = bench.ramp(np.exp(goal) - at_temperature(p).dark_current_relative, step_ns)
+        x, y = events["x"], events["y"]
+        read_s = events["t"] * 1e-6 - begin_ns / _NS - late_s + p.refractory_us * 1e-6
+        lag_s = tau_s(p, bench.light[y, x]) + second_s
+        lag = lag_s * -np.expm1(-read_s / np.maximum(lag_s, 1e-12))
+        found = start[y, x] + rise / step_ns * _NS * (read_s - lag)
+        np.minimum.at(stop, (y, x), np.where(events["on"], found, np.inf))
+    return np.where(np.isfinite(stop), stop, start + rise * _RAMP_STEPS)
+
+
+def _ramp_step_ns(p: SensorParameters, light: float) -> int:
+    """Return a step slow against every delay of a pixel, and against a read-out of all of them."""
+    whole_s = 5e-9 * p.width * p.height * (p.readout.event_ns + p.readout.row_ns)
+    slow_s = max(float(tau_s(p, light)) / 2, 5e-6 * p.refractory_us, 5e-6 * p.jitter.latency_us, whole_s / _RAMP_STEPS)
+    return max(_LEAST_STEP_NS, round(slow_s * _NS))

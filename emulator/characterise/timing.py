@@ -1,0 +1,154 @@
+"""Noise, latency, dead time: what happens when, and how often.
+
+Each function measures one point or one line with a fresh `Bench`, and says what the equations give for it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from emulator.characterise.points import Point
+from emulator.characterise.stimuli import Bench, log_current, on_the_bench, settled, tau_s, without_readout
+from emulator.sensor.noise_law import bandwidth_hz, corner_hz, rate_over_bandwidth, rms
+from emulator.sensor.presets import SensorParameters
+from emulator.sensor.temperature import at_temperature
+
+__all__ = ["burst", "flicker", "latency", "noise_law", "noise_light"]
+
+_Floats = npt.NDArray[np.float64]
+
+_S = 1_000_000_000
+_WAIT_TAUS = 15
+_MOST_PIXELS = 0.9
+_LEAST_WAIT_S = 1e-3
+_NOISE_STEP_S = 0.1
+_NODES = 9
+_FLICKER = math.log(10)
+_PARTS = 8  # of half a period
+_SETTLE_TAUS = 3
+_COUNTED = 4  # periods
+_FLASH = 3.0  # ln: over every threshold
+
+
+def noise_light(p: SensorParameters, series: str, noise_rms: float, light: float, for_s: float) -> list[Point]:
+    """Return how often a pixel fires by temporal noise alone, ON and OFF, in still light."""
+    p = _with_noise(p, noise_rms)
+    model = 2 * _law(p, light) * float(_noise_bandwidth_hz(p, light))
+    return [Point("noise_light", series, light, sum(_noise_hz(p, light, for_s)), model=model)]
+
+
+def noise_law(p: SensorParameters, series: str, a: float, light: float, for_s: float) -> list[Point]:
+    """Return the ON rate over the noise's bandwidth where the threshold is `a` times the noise."""
+    quiet = float(rms(_with_noise(p, 1.0), corner_hz(at_temperature(p), light)))
+    p = _with_noise(p, (p.threshold_on + p.threshold_off) / 2 / (a * quiet))
+    on_hz, _ = _noise_hz(p, light, for_s)
+    return [Point("noise_law", series, a, on_hz / float(_noise_bandwidth_hz(p, light)), model=_law(p, light))]
+
+
+def _with_noise(p: SensorParameters, noise_rms: float) -> SensorParameters:
+    """Return the sensor with that noise and no leak, so that all it sends in still light is noise."""
+    noise = dataclasses.replace(p.noise, rms=noise_rms)
+    return dataclasses.replace(p, noise=noise, leak_hz=0.0, parasitic_hz_at_reference=0.0)
+
+
+def _noise_bandwidth_hz(p: SensorParameters, light: float) -> _Floats:
+    return bandwidth_hz(p, corner_hz(at_temperature(p), light))
+
+
+def _law(p: SensorParameters, light: float) -> float:
+    """Return the ON rate over the bandwidth, averaged over pixels whose mean thresholds spread normally."""
+    node, weight = np.polynomial.hermite_e.hermegauss(_NODES)
+    threshold = (p.threshold_on + p.threshold_off) / 2
+    deviation = p.mismatch * math.hypot(p.threshold_on, p.threshold_off) / 2
+    f_hz = corner_hz(at_temperature(p), light)
+    refractory = p.refractory_us * 1e-6 * 2 * np.pi * bandwidth_hz(p, f_hz)
+    rates = rate_over_bandwidth((threshold + deviation * node) / rms(p, f_hz), refractory)
+    return float(np.sum(weight * rates) / np.sum(weight))
+
+
+def _noise_hz(p: SensorParameters, light: float, for_s: float) -> tuple[float, float]:
+    """Return the ON and the OFF rate of a pixel in still light."""
+    bench = Bench(without_readout(p), light)
+    bench.hold(round(for_s * _S), steps=math.ceil(for_s / _NOISE_STEP_S))
+    on = bench.finish()["on"]
+    each_s = for_s * bench.light.size
+    return float(np.count_nonzero(on)) / each_s, float(np.count_nonzero(~on)) / each_s
+
+
+def latency(p: SensorParameters, contrast: float, light: float) -> list[Point]:
+    """Return how long after a step up to a light a pixel's first event comes, and the bandwidth that this tells.
+
+    `light` is that after the step, which the filter's speed follows; `contrast` the step of its logarithm, of which the
+    dark current leaves less in the dark. The pixel is alone, leak and noise are off. Stamps are whole microseconds;
+    half of one is added. Nothing is returned where fewer than nine in ten pixels answer.
+    """
+    p, before = without_readout(_with_noise(p, 0.0)), light * math.exp(-contrast)
+    bench = settled(p, before)
+    at_us = bench.jump(light)
+    bench.hold(round(max(_LEAST_WAIT_S, _WAIT_TAUS * float(tau_s(p, light))) * _S))
+    late_us = _first_us(bench) - at_us + 0.5
+    if late_us.size < _MOST_PIXELS * bench.light.size:
+        return []
+    middle, low, high = (float(np.percentile(late_us, share)) for share in (50, 5, 95))
+    seen = float(log_current(p, light) - log_current(p, before))
+    lags = -math.log1p(-p.threshold_on / seen) if seen > p.threshold_on else math.nan  # taus to reach the threshold
+    model_us = lags * float(tau_s(p, light)) * 1e6 + p.jitter.latency_us
+    name = f"step of {contrast:.2g} ln"
+    of_filter_us = middle - p.jitter.latency_us
+    corner = 1e6 * lags / (2 * math.pi * of_filter_us) if of_filter_us > 0 else math.nan
+    return [
+        Point("latency", name, light, middle, low, high, model_us),
+        Point("bandwidth", name, light, corner, model=float(corner_hz(at_temperature(p), light))),
+    ]
+
+
+def _first_us(bench: Bench) -> _Floats:
+    """Finish, and return the time of each pixel's first ON event, us, pixels without one left out."""
+    events = bench.finish()
+    events = events[events["on"]]
+    _, first = np.unique(bench.pixel(events), return_index=True)
+    return np.asarray(events["t"][first], np.float64)
+
+
+def burst(p: SensorParameters, pixels: int, size: tuple[int, int]) -> list[Point]:
+    """Return how long the read-out takes for pixels that fire together: the latest event after the first, us."""
+    bench = settled(on_the_bench(_with_noise(p, 0.0), size), 1.0)
+    width, height = size
+    lit = np.zeros(width * height, bool)
+    lit[np.linspace(0, lit.size - 1, pixels).round().astype(int)] = True
+    bench.jump(np.where(lit.reshape(height, width), bench.light * math.exp(_FLASH), bench.light))
+    bench.hold(_S // 10, steps=10)
+    t_us = _first_us(bench)
+    model = pixels * p.readout.event_ns * 1e-3
+    return [Point("burst", f"{width} x {height}", pixels, float(t_us.max() - t_us.min()), model=model)]
+
+
+def flicker(p: SensorParameters, curve: str, series: str, hz: float, light: float) -> list[Point]:
+    """Return the events a pixel sends under a triangular flicker of 10:1 about a light, its logarithm's rate constant.
+
+    The model is the rate of events on an endless ramp of that rate, 1 / (dead time + threshold / contrast rate): more
+    than that cannot be.
+    """
+    p = _with_noise(p, 0.0)
+    middle = log_current(p, light)
+    bench = Bench(p, np.exp(middle) - np.exp(log_current(p, 0)))
+    part_ns = max(1, round(_S / hz / (2 * _PARTS)))
+    heights = np.interp(np.arange(1, 2 * _PARTS + 1) / (2 * _PARTS), [0, 0.25, 0.75, 1], [0, 1, -1, 0])
+    settle = 2 + math.ceil(_SETTLE_TAUS * float(tau_s(p, light)) * hz)
+    for k in range(settle + _COUNTED):
+        if k == settle:
+            bench.sent()
+        for height in heights:
+            bench.ramp(np.exp(middle + height * _FLICKER / 2) - np.exp(log_current(p, 0)), part_ns)
+    counted_s = _COUNTED * 2 * _PARTS * part_ns * 1e-9
+    rate_hz = bench.sent().size / bench.light.size / counted_s
+    contrast_rate = 2 * _FLICKER * hz
+    mean_threshold = (p.threshold_on + p.threshold_off) / 2
+    most_hz = 1 / (p.refractory_us * 1e-6 + mean_threshold / contrast_rate)
+    if curve == "flicker_events":
+        return [Point(curve, series, hz, rate_hz / hz, model=most_hz / hz)]
+    return [Point(curve, series, hz, rate_hz, model=most_hz)]
