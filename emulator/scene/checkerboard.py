@@ -6,7 +6,8 @@ The light of a board is a product of two square waves, one along each board axis
 
 with u, v the board coordinates of the picture point x, y. The mean of a square wave over a box is the difference of a
 triangle wave (its integral) at the ends of the box, so the light of a whole pixel costs two of those along each axis,
-at any speed, without samples.
+at any speed, without samples. The derivative of such a mean by the phase is the difference of the square wave itself at
+the ends of the box, which gives the time derivative of the light.
 
     board at rest at t = 0           a corner of four squares lies in the middle of the picture;
     rotation_deg   0, 90             u points to the right, down (y is down)
@@ -110,6 +111,23 @@ class Checkerboard(Scene):
             steps = (self._cos / period_px, self._sin / period_px)
             _turned(steps, (u, v), self._half, self._middle, out)
 
+    def light_and_rate(self, t_ns: int, light: Light, rate: Light) -> None:
+        """Write the light at `t_ns` and its time derivative, per second, both in closed form."""
+        self.light(t_ns, light)
+        u, v = -self._u.turns(t_ns), -self._v.turns(t_ns)
+        u_s, v_s = -float(self._u.rate_hz), -float(self._v.rate_hz)
+        period_px = 2.0 * self.parameters.square_px
+        if self._sin == 0.0:
+            width, height = self._size
+            step = self._cos / period_px
+            along_x, along_y = _box_wave(width, step, u), _box_wave(height, step, v)
+            slope_x, slope_y = _box_slope(width, step, u), _box_slope(height, step, v)
+            _outer(slope_x, along_y * (self._half * np.float32(u_s)), np.float32(0), rate)
+            _add_outer(along_x, slope_y * (self._half * np.float32(v_s)), rate)
+        else:
+            steps = (self._cos / period_px, self._sin / period_px)
+            _turned_rate(steps, (u, v), (u_s * float(self._half), v_s * float(self._half)), rate)
+
     def close(self) -> None:
         """Do nothing: a board holds nothing of the machine."""
 
@@ -146,6 +164,33 @@ def _box_wave(n: int, step: float, start: float) -> npt.NDArray[np.float32]:
     return wave
 
 
+@njit(inline="always")
+def _slope(turns: float, half_box: float) -> float:
+    """Derivative of `_mean` by the phase: the square wave's values at both ends over the box."""
+    ahead, behind = turns + half_box, turns - half_box
+    low_behind = math.floor(2.0 * behind) - 2.0 * math.floor(behind)  # 0 where the wave is +1, 1 where -1
+    low_ahead = math.floor(2.0 * ahead) - 2.0 * math.floor(ahead)
+    return (low_behind - low_ahead) / half_box
+
+
+@njit(cache=True, nogil=True)
+def _box_slope(n: int, step: float, start: float) -> npt.NDArray[np.float32]:
+    """Derivatives of `_box_wave` by the phase, (n,) float32."""
+    slope = np.empty(n, np.float32)
+    for i in range(n):
+        slope[i] = _slope(start + (i + 0.5 - 0.5 * n) * step, 0.5 * abs(step))
+    return slope
+
+
+@njit(cache=True, nogil=True)
+def _add_outer(along_x: npt.NDArray[np.float32], along_y: npt.NDArray[np.float32], out: Light) -> None:
+    """out[y, x] += along_x[x] * along_y[y]."""
+    for y in range(along_y.size):
+        row, scale = out[y], along_y[y]
+        for x in range(along_x.size):
+            row[x] += along_x[x] * scale
+
+
 @njit(cache=True, nogil=True)
 def _outer(along_x: npt.NDArray[np.float32], along_y: npt.NDArray[np.float32], middle: np.float32, out: Light) -> None:
     """out[y, x] = middle + along_x[x] * along_y[y]; the plain row loop is what the vectoriser wants."""
@@ -170,3 +215,20 @@ def _turned(
             u = _mean(start[0] + dx * cos + dy * sin, half_box)
             v = _mean(start[1] - dx * sin + dy * cos, half_box)
             row[x] = middle + half * np.float32(min(1.0, max(-1.0, u * v)))
+
+
+@njit(cache=True, nogil=True)
+def _turned_rate(
+    steps: tuple[float, float], start: tuple[float, float], speed: tuple[float, float], out: Light
+) -> None:
+    """Fill with the time derivative of `_turned`; `speed`: turns a second of u and v, times the half contrast."""
+    height, width = out.shape
+    cos, sin = steps
+    half_box = 0.5 * math.sqrt(cos * cos + sin * sin)
+    for y in range(height):
+        row, dy = out[y], y + 0.5 - 0.5 * height
+        for x in range(width):
+            dx = x + 0.5 - 0.5 * width
+            u, v = start[0] + dx * cos + dy * sin, start[1] - dx * sin + dy * cos
+            by_u = speed[0] * _slope(u, half_box) * _mean(v, half_box)
+            row[x] = np.float32(by_u + speed[1] * _slope(v, half_box) * _mean(u, half_box))

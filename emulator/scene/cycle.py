@@ -22,6 +22,11 @@ class Cycle:
         Turns per second, of either sign; 0 stands still. A `Fraction` is taken exactly.
     start_turns
         Phase at time zero.
+
+    Attributes
+    ----------
+    rate_hz
+        Turns per second, exactly.
     """
 
     def __init__(self, rate_hz: Fraction | float, start_turns: Fraction | float = 0.0) -> None:
@@ -29,6 +34,7 @@ class Cycle:
         self._turn = rate.denominator * start.denominator * _NS_PER_S
         self._per_ns = rate.numerator * start.denominator
         self._start = start.numerator * rate.denominator * _NS_PER_S
+        self.rate_hz = rate
 
     def turns(self, t_ns: int) -> float:
         """Return the fraction of a turn reached at `t_ns`, 0 <= turns <= 1, correctly rounded."""

@@ -151,3 +151,28 @@ def test_phase_is_exact(rate_hz, start, t_ns):
         turns = Decimal(repr(start)) + Decimal(repr(rate_hz)) * t_ns / NS
         want = float(turns - turns.to_integral_value(rounding="ROUND_FLOOR"))
     assert Cycle(rate_hz, start).turns(t_ns) == pytest.approx(want, abs=1e-15)
+
+
+@pytest.mark.parametrize(("rotation_deg", "direction_deg"), [(0.0, 0.0), (0.0, 30.0), (20.0, 50.0), (90.0, 200.0)])
+def test_the_rate_is_the_light_s_derivative(rotation_deg, direction_deg):
+    """Against the difference over 2 us, in float32: away from the instants at which an edge meets a pixel's side."""
+    parameters = CheckerboardParameters(
+        square_px=12.3, speed_px_s=200.0, rotation_deg=rotation_deg, direction_deg=direction_deg
+    )
+    board, t_ns = Checkerboard(parameters, (64, 48)), 123_456_789
+    light, rate, before, after = (np.zeros((48, 64), np.float32) for _ in range(4))
+    board.light_and_rate(t_ns, light, rate)
+    board.light(t_ns - 1000, before)
+    board.light(t_ns + 1000, after)
+    difference = (after.astype(float) - before) / 2e-6
+    assert np.abs(difference).max() > 50
+    assert np.mean(np.abs(rate - difference) < 0.2) > 0.999
+    board.light(t_ns, before)
+    assert np.array_equal(light, before)
+
+
+def test_a_board_at_rest_has_no_rate():
+    board = Checkerboard(CheckerboardParameters(speed_px_s=0.0, rotation_deg=10.0), (32, 24))
+    light, rate = np.zeros((24, 32), np.float32), np.ones((24, 32), np.float32)
+    board.light_and_rate(5, light, rate)
+    assert not rate.any()
