@@ -83,6 +83,7 @@ class Case:
     parameters : the sensor.
     duration_s : stream time.
     start_ns : stream time at which it begins; the light knows nothing of it.
+    fine_s : step of the truth, s; for slow scenes longer than it need be otherwise.
     """
 
     name: str
@@ -90,6 +91,7 @@ class Case:
     parameters: SensorParameters
     duration_s: float = 0.4
     start_ns: int = 0
+    fine_s: float = 1e-5
 
 
 def with_rate() -> bool:
@@ -106,7 +108,7 @@ def methods() -> list[Method]:
 @lru_cache(maxsize=64)
 def truth(case: Case) -> Stream:
     """Return the true events of a case, times counted from its start."""
-    return true_events(case.scene, case.parameters, SEED, case.duration_s)
+    return true_events(case.scene, case.parameters, SEED, case.duration_s, case.fine_s)
 
 
 def events(

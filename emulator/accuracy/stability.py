@@ -104,7 +104,7 @@ def smooth_case(contrast: float, dt_over_tau: float, step_s: float = 1e-3) -> Ca
     corner = dt_over_tau / (2 * math.pi * step_s)
     scene = SineGrating(pixels=_PIXELS, hz=hz, modulation=_MODULATION)
     duration_s = step_s * min(max(math.ceil(2.5 / (hz * step_s)), 40), 400)
-    return Case("smooth", scene, _sensor(**_fixed_corner(corner)), duration_s)
+    return Case("smooth", scene, _sensor(**_fixed_corner(corner)), duration_s, fine_s=step_s / 100)
 
 
 def _dt_over_tau(value: float) -> Setting:

@@ -37,6 +37,7 @@ _Float64s = npt.NDArray[np.float64]
 
 _CHUNK = 512
 _HALVINGS = 60
+_LONGEST_STEP = 1.5  # in time constants; Runge-Kutta is unstable from 2.8
 
 # Without reference counts, which cost more than the arithmetic: no kernel here makes an array (see sensor.compiled).
 _OPTIONS: dict[str, Any] = {"nogil": True, "cache": True, "error_model": "numpy", "_nrt": False}
@@ -239,7 +240,8 @@ def true_events(
     Raises
     ------
     ValueError
-        The scene has not the sensor's pixels, or the sensor has no low-pass: the truth is the solution of its equation.
+        The scene has not the sensor's pixels; the sensor has no low-pass (the truth is the solution of its equation);
+        the step is too long for the corner frequency.
     """
     pixels = parameters.width * parameters.height
     if scene.pixels != pixels:
@@ -269,6 +271,9 @@ def _constants(p: SensorParameters, fine_s: float) -> _Constants:
 def _chunk(scene: ClosedLight, first: int, last: int, p: _Pixels, s: _State, c: _Constants) -> tuple[Any, Any, Any]:
     """Integrate fine steps first to last; return times (s), pixels and polarities."""
     light = scene.value(np.arange(2 * first, 2 * last + 1) * (c.h / 2))
+    fastest = min(max(c.at_reference * (float(light.max(initial=0.0)) + c.dark), c.least), c.most)
+    if max(fastest, c.second if c.second < math.inf else 0) * c.h > _LONGEST_STEP:
+        raise ValueError(f"fine_s = {c.h:g}: too long for a corner of {fastest / 2 / math.pi:.3g} Hz")
     room = 4096
     while True:
         out = _Events(np.empty(room), np.empty(room, np.int64), np.empty(room, np.bool_), np.zeros(1, np.int64))

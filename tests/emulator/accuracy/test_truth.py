@@ -130,5 +130,7 @@ def test_thresholds_leak_and_phase_are_those_of_the_array():
 def test_the_truth_refuses_what_it_cannot_solve():
     with pytest.raises(ValueError, match="3 pixels"):
         true_events(SineGrating(pixels=3), row(4), SEED, 0.1)
+    with pytest.raises(ValueError, match="too long"):
+        true_events(SineGrating(pixels=4), row(4, corner_hz_at_reference=3000.0), SEED, 0.1, fine_s=1e-4)
     with pytest.raises(ValueError, match="low-pass"):
         true_events(SineGrating(pixels=4), row(4, corner_hz_at_reference=math.inf), SEED, 0.1)
