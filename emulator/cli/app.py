@@ -36,6 +36,7 @@ for verb, module, told in (
     ("schema", "rigs", "Print the JSON Schema of rig files."),
     ("picture", "picture", "Write one look at a rig as PNG."),
     ("accuracy", "accuracy", "Chart speed against accuracy, and map where methods fail."),
+    ("characterise", "characterise", "Measure a simulated sensor as a laboratory does."),
     ("doctor", "doctor", "Tell what this machine offers and lacks."),
     ("bench", "bench", "Measure the speeds that the docs quote."),
 ):
