@@ -28,13 +28,13 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.sensor.compiled import vector_kernel
-from emulator.sensor.elementary import decay
+from emulator.sensor.elementary import decay, natural_log
 from emulator.sensor.kept import kept_entry
 from emulator.sensor.keyed import Purpose, normal, root_of
 from emulator.sensor.keyed_kernels import normals, streams
 from emulator.sensor.presets import SensorParameters
 
-__all__ = ["Imager"]
+__all__ = ["Imager", "part_of_the_way"]
 
 _LEAST_GAIN = 0.1
 _LARGEST = np.finfo(np.float32).max
@@ -74,6 +74,13 @@ def _shine(light: _Float32s, gain: _Float32s, dark: _Float32s, out: _Float32s) -
 
 
 @vector_kernel
+def _power(exponent: np.float32) -> np.float32:
+    """Return e^exponent, within 6e-7 of it."""
+    less: np.float32 = _ONE - decay(abs(exponent))
+    return less if exponent < _ZERO else _ONE / less
+
+
+@vector_kernel
 def _count(current: _Float32s, dark: _Float32s, c: _Counting) -> None:
     """Multiply currents by e^m, in place."""
     left, right = _ONE - c.x, c.x
@@ -83,8 +90,7 @@ def _count(current: _Float32s, dark: _Float32s, c: _Counting) -> None:
         counted = c.of_light * (i - dark[k]) + c.of_dark * dark[k]
         variance = c.per_count * counted / (i * i)
         m = np.sqrt(variance) * (left * c.n0[k] + right * c.n1[k]) - variance * spread
-        less = _ONE - decay(abs(m))
-        current[k] = i * (less if m < _ZERO else _ONE / less)
+        current[k] = i * _power(m)
 
 
 @vector_kernel
@@ -93,6 +99,25 @@ def _without(least: np.float32, out: _Float32s) -> None:
     for k in range(out.size):
         e = out[k] - least
         out[k] = _ZERO if e < _ZERO else e
+
+
+@vector_kernel
+def _interpolate(before: _Float32s, after: _Float32s, dark: np.float32, share: np.float32, out: _Float32s) -> None:
+    for k in range(out.size):
+        e0, e1 = before[k], after[k]
+        first, last = (e0 if e0 > _ZERO else _ZERO) + dark, (e1 if e1 > _ZERO else _ZERO) + dark
+        between = first * _power(share * natural_log(last / first)) - dark
+        moves = (abs(e0) <= _LARGEST) & (abs(e1) <= _LARGEST) & (e0 != e1)
+        out[k] = between if moves else e1
+
+
+@kept_entry
+def part_of_the_way(before: _Float32s, after: _Float32s, dark: np.float32, share: np.float32, out: _Float32s) -> None:
+    """Write the light between two pictures into `out`, all (pixels,): straight in the log of light + dark.
+
+    Where either is not finite it is the later one.
+    """
+    _interpolate(before, after, dark, share, out)
 
 
 @kept_entry

@@ -12,9 +12,11 @@ All that is random is keyed by a slot of 1024 us of stream time, never by the st
     pixel      by a table of aliases (Walker 1977) in proportion to W_p
     thinning   kept with probability rate / W_p, the rate being that in the light of the step's last picture
 
-An array of still light thus gives the same noise, bit for bit, whatever the steps. The pixel's level is left alone, and
-a noise event does not make its pixel blind. Enough while pairs do not overlap, a >= 3.5 (4.5 with short refractory
-periods), and the picture moves by more than 0.3 rms in a time constant; else use the grid grade.
+An array of still light thus gives the same noise, bit for bit, whatever the steps. Left out: the pixel's level stays, a
+noise event does not make its pixel blind, and the events of a moving picture are not shifted (noise brings them forward
+by up to two rms over the contrast rate, before anything is known of them). This is enough while pairs do not overlap,
+a >= 3.5 (4.5 with short refractory periods), and the picture moves by more than 0.3 rms in a time constant; else use
+the grid grade.
 """
 
 from __future__ import annotations

@@ -19,8 +19,8 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.defects import draw_defects, kill
-from emulator.sensor.imager import Imager
+from emulator.sensor.defects import Defects, draw_defects, kill
+from emulator.sensor.imager import Imager, part_of_the_way
 from emulator.sensor.jitter import Jitter
 from emulator.sensor.leaks import NEVER_NS, Leaks
 from emulator.sensor.merging import NO_CROSSINGS, joined, merged
@@ -83,12 +83,13 @@ class Sensor:
         self._imager = Imager(here, seed)
         own = dataclasses.replace(here, dark_current_relative=self._imager.dark_current_relative)
         self.pixels = _pixels(own, seed, make_pixels)
-        self._leaks = _leaks(own, seed, self.pixels)
-        self._sources = _sources(own, seed)
+        defects = draw_defects(own, seed)
+        self._leaks = _leaks(self.pixels, own, seed, defects)
+        self._sources = _sources(own, seed, defects)
         self._jitter = Jitter(own.jitter, seed, own.width * own.height) if own.jitter.latency_us else None
         self._readout = ReadOut(own)
-        self._dark = here.dark_current_relative
-        self._before: _Float32s | None = None
+        self._dark = np.float32(here.dark_current_relative)
+        self._before, self._way = (np.empty((own.height, own.width), np.float32) for _ in range(2))
         self._t_ns = 0
 
     @property
@@ -195,16 +196,14 @@ class Sensor:
 
     def _between(self, light: _Float32s, share: float) -> _Float32s:
         """Return the light part of the way from the last picture, straight in the log of the photocurrent."""
-        assert self._before is not None
-        dark = np.float32(self._dark)
-        log_before, log_after = (np.log(np.maximum(e, 0) + dark) for e in (self._before, light))
-        on_the_way = np.exp(log_before + np.float32(share) * (log_after - log_before)) - dark
-        return np.where(self._before == light, light, on_the_way).astype(np.float32)
+        before, after, out = self._before.reshape(-1), np.ascontiguousarray(light).reshape(-1), self._way.reshape(-1)
+        part_of_the_way(before, after, self._dark, np.float32(share), out)
+        return self._way
 
     def _remember(self, light: _Float32s) -> None:
         """Keep the last picture, if a step may have to be cut."""
         if self._next_cut_ns() < NEVER_NS:
-            self._before = light.copy()
+            self._before[:] = light
 
 
 def _kept(crossings: Crossings) -> Crossings:
@@ -223,9 +222,8 @@ def _pixels(p: SensorParameters, seed: int, make_pixels: MakePixels) -> PixelMet
     return NoisyPixels(p, seed)
 
 
-def _leaks(p: SensorParameters, seed: int, pixels: PixelMethod) -> Leaks | None:
+def _leaks(pixels: PixelMethod, p: SensorParameters, seed: int, defects: Defects) -> Leaks | None:
     """Give the pixels their defects; return what changes their leak while they run, if anything does."""
-    defects = draw_defects(p, seed)
     if not (defects.hot.size or defects.dead.size or p.jitter.leak_share):
         return None
     if not isinstance(pixels, PixelArray):
@@ -234,19 +232,14 @@ def _leaks(p: SensorParameters, seed: int, pixels: PixelMethod) -> Leaks | None:
     return Leaks(pixels, seed, p.jitter.leak_share, defects)
 
 
-def _sources(p: SensorParameters, seed: int) -> list[SlottedEvents]:
-    """Return what raises events of its own."""
+def _sources(p: SensorParameters, seed: int, defects: Defects) -> list[SlottedEvents]:
+    """Return what raises events of its own; dead pixels do not."""
     sources: list[SlottedEvents] = []
     if p.noise.rms and p.noise.grade == "points":
-        sources.append(NoiseEvents(p, seed, _thresholds(p, seed)))
+        drawn = draw(p, seed)
+        thresholds = (drawn.on + drawn.off) / 2
+        thresholds[defects.dead] = np.inf
+        sources.append(NoiseEvents(p, seed, thresholds))
     if p.radiation.hits_per_cm2_s:
-        sources.append(Particles(p, seed, draw_defects(p, seed).dead))
+        sources.append(Particles(p, seed, defects.dead))
     return sources
-
-
-def _thresholds(p: SensorParameters, seed: int) -> npt.NDArray[np.float64]:
-    """Return the mean of each pixel's thresholds, (pixels,); infinite for dead pixels."""
-    drawn = draw(p, seed)
-    thresholds = (drawn.on + drawn.off) / 2
-    thresholds[draw_defects(p, seed).dead] = np.inf
-    return thresholds

@@ -10,7 +10,7 @@ import pytest
 from scipy import stats
 
 from emulator.sensor.effects import ImagerParameters
-from emulator.sensor.imager import Imager
+from emulator.sensor.imager import Imager, part_of_the_way
 from emulator.sensor.presets import ReadoutParameters, SensorParameters
 from emulator.sensor.sensor import Sensor
 
@@ -106,6 +106,19 @@ def test_light_that_is_not_finite_stays_so_and_none_becomes_negative():
         seen = imager(**figures).see(light, 0)
         assert not np.isfinite(seen[0, :2]).any()
         assert seen.ravel()[2:].min() >= 0
+
+
+def test_the_light_part_of_the_way_is_straight_in_the_log():
+    before = np.float32([0.0, 1.0, 0.5, 1e6, np.nan, 1.0, np.inf, -1.0, 1e-6])
+    after = np.float32([1.0, 0.0, 0.5, 1e-3, 1.0, np.nan, 2.0, 1.0, 1e5])
+    out = np.empty_like(before)
+    part_of_the_way(before, after, np.float32(0.01), np.float32(0.25), out)
+    first, last = np.maximum(before, 0) + 0.01, np.maximum(after, 0) + 0.01
+    with np.errstate(invalid="ignore"):
+        expected = first * (last / first) ** 0.25 - 0.01
+    expected[[4, 5, 6]] = after[[4, 5, 6]]
+    assert out == pytest.approx(expected, rel=3e-6, nan_ok=True)
+    assert out[2] == 0.5
 
 
 def counted_events(step_ns):

@@ -50,6 +50,15 @@ def test_delays_are_log_normal_of_the_given_mean_and_deviation():
     assert delays.std() == pytest.approx(20, rel=0.06)
 
 
+def test_each_event_of_a_pixel_has_a_delay_of_its_own():
+    times = np.arange(200) * 100 * MS
+    events = Crossings(times, np.full(200, 7, np.uint32), np.ones(200, bool))
+    found, _ = delayed(events, [10**12], JitterParameters(latency_us=30.0, deviation_us=20.0))
+    delays = found.t_ns - times
+    assert np.unique(delays).size > 195
+    assert abs(stats.pearsonr(delays[1:], delays[:-1]).statistic) < 0.3
+
+
 def test_without_deviation_all_are_late_alike():
     events = crossings(1000, 10**9)
     found, jitter = delayed(events, [2 * 10**9], JitterParameters(latency_us=7.0))
@@ -61,10 +70,10 @@ def test_without_deviation_all_are_late_alike():
 @settings(max_examples=50, deadline=None)
 @given(
     ends=st.lists(st.integers(1, 20 * MS), max_size=10), n=st.integers(0, 400), start_ns=st.integers(0, 2**61),
-    deviation_us=st.sampled_from([0.0, 10.0, 5000.0]),
+    latency_us=st.sampled_from([50.0, 5000.0]), deviation_us=st.sampled_from([0.0, 10.0, 10_000.0]),
 )  # fmt: skip
-def test_nothing_depends_on_the_steps_and_no_pixel_is_put_out_of_order(ends, n, start_ns, deviation_us):
-    parameters = JitterParameters(latency_us=50.0, deviation_us=deviation_us)
+def test_nothing_depends_on_the_steps_and_no_pixel_is_put_out_of_order(ends, n, start_ns, latency_us, deviation_us):
+    parameters = JitterParameters(latency_us, deviation_us)
     events = crossings(n, start_ns + 20 * MS, start_ns=start_ns)
     ends = [*(start_ns + e for e in sorted(ends)), start_ns + 10**11]
     found, jitter = delayed(events, ends, parameters, start_ns=start_ns)

@@ -19,8 +19,9 @@ from emulator.sensor.keyed import Purpose, normal, root_of, words
 from emulator.sensor.merging import joined
 from emulator.sensor.noise import NoiseEvents
 from emulator.sensor.noise_law import bandwidth_hz, corner_hz, rate_over_bandwidth, rms
+from emulator.sensor.pixels import Crossings
 from emulator.sensor.presets import SensorParameters
-from emulator.sensor.slots import SLOT_NS
+from emulator.sensor.slots import SLOT_NS, Ahead, Window, give_out
 
 ALPHA = 1e-4
 MS = 1_000_000
@@ -156,6 +157,24 @@ def test_no_division_of_time_matters(steps, start_ns):
     assert same(found, whole.step(light(), int(ends[-1])))
     assert np.all(np.diff(found.t_ns) >= 0)
     assert len(found) == 0 or (found.t_ns[0] >= start_ns and found.t_ns[-1] < ends[-1])
+
+
+def test_a_start_in_the_middle_of_a_slot_has_the_rest_of_it():
+    early = run(end_ns=20 * MS)
+    late = run(start_ns=SLOT_NS // 3, end_ns=20 * MS - SLOT_NS // 3)
+    kept = early.t_ns >= SLOT_NS // 3
+    assert np.count_nonzero(late.t_ns < SLOT_NS) > 10
+    assert same(late, joined([Crossings(early.t_ns[kept], early.pixel[kept], early.on[kept])]))
+
+
+def test_an_event_at_a_steps_end_belongs_to_the_next_step():
+    times = np.array([21, 9, 10, 19, 20], np.int64)
+    ahead = Ahead(times, np.arange(5, dtype=np.uint64))
+    keys = np.empty(6, np.uint64)
+    found, kept = give_out(Window(0, 10, 20, 3), ahead, 5, keys)
+    assert (found, kept) == (2, 2)
+    assert keys[:2].tolist() == [0 << 4 | 2, 9 << 4 | 3]
+    assert (ahead.t_ns[:2].tolist(), ahead.key[:2].tolist()) == ([21, 20], [0, 4])
 
 
 def test_a_copy_goes_on_the_same():
