@@ -1,7 +1,7 @@
 """PANGU's rule, after "Real-time event-based sensor simulation for space applications".
 
     filter       v += clip(lambda h, least, 1) (u1 - v); lambda proportional to light, least from the lowest corner
-    reference    reduced by leakage: r -= leak h
+    reference    reduced by leakage, that of the junction and that by light: r -= (leak + by_light i) h
     difference   d = v - r
     no reset     N = floor(d / theta), r += N theta
     reset        blind all through: r = v. Else d is scaled by the share of the step that is left after the reset that
@@ -37,6 +37,7 @@ class Pangu(Rule):
 
     def __init__(self, parameters: SensorParameters, seed: int) -> None:
         super().__init__(parameters, seed)
+        self._by_light = parameters.parasitic_hz_at_reference * self._drawn.on
         self._fired = np.zeros(self._drawn.on.size, np.int64)
         self._raw = np.zeros((parameters.height, parameters.width, len(RAW_CHANNELS)), np.float32)
 
@@ -54,7 +55,7 @@ class Pangu(Rule):
     def _fire(self, frame: Frame) -> Fired:
         u1 = np.where(frame.seen, frame.u1, self._v)
         self._v = self._v + np.minimum(1.0, self._rate(u1) * frame.h_s) * (u1 - self._v)
-        self._r = self._r - self._drawn.leak * frame.h_s
+        self._r = self._r - (self._drawn.leak + self._by_light * np.exp(u1)) * frame.h_s
         apart = np.where(frame.seen, self._v - self._r, 0.0)
         on, theta = apart > 0, np.where(apart > 0, self._drawn.on, self._drawn.off)
         refractory_ns = self._refractory_ns()

@@ -1,6 +1,6 @@
 """What each method keeps up to which boundary: the assertions of the stability map that the method was chosen by.
 
-The numbers S1 ... are those of that list. The ones on `warped` need a kernel that takes the light's derivative.
+The numbers S1 ... are those of that list.
 """
 
 import dataclasses
@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from emulator.accuracy.harness import SEED, Case, events, methods, score, truth, with_rate
+from emulator.accuracy.harness import SEED, Case, events, methods, score, truth
 from emulator.accuracy.light import BlurredCheckerboard, ClosedLight, Flash, MovingEdge, SineGrating
 from emulator.accuracy.metrics import compare
 from emulator.accuracy.stability import smooth_case
@@ -19,9 +19,7 @@ from emulator.sensor.rules.drawn import draw
 from tests.emulator.accuracy.rows import row
 
 BY_NAME = {method.name: method for method in methods()}
-LINE, V2E, HELD = (BY_NAME[name] for name in ("line", "v2e", "held"))
-WARPED = BY_NAME.get("warped")
-warped = pytest.mark.skipif(not with_rate(), reason="this kernel takes no derivative of the light")
+WARPED, LINE, V2E = (BY_NAME[name] for name in ("warped", "line", "v2e"))
 
 DT_OVER_TAU = [0.03, 0.3, 1.0, 10.0]
 
@@ -35,7 +33,6 @@ def slow_sine(hz=5.0):
     return Case("slow", SineGrating(pixels=40, hz=hz), row(40, corner_hz_at_reference=200.0), 0.4)
 
 
-@warped
 @pytest.mark.parametrize("dt_over_tau", DT_OVER_TAU)
 @pytest.mark.parametrize("contrast", [0.1, 0.3])
 def test_s1_smooth_light_in_short_steps(contrast, dt_over_tau):
@@ -45,7 +42,6 @@ def test_s1_smooth_light_in_short_steps(contrast, dt_over_tau):
     assert scores.t95_us <= 1e-4 * 1e4
 
 
-@warped
 @pytest.mark.parametrize("dt_over_tau", DT_OVER_TAU)
 def test_s2_smooth_light_of_a_threshold_a_step(dt_over_tau):
     scores = score(WARPED, smooth_case(1.0, dt_over_tau), 1e-3)
@@ -64,7 +60,7 @@ def test_s3_a_line_on_smooth_light_in_short_steps(contrast, dt_over_tau):
 @pytest.mark.parametrize(
     ("name", "least", "most"),
     [
-        pytest.param("warped", 12, 40, marks=warped),
+        ("warped", 12, 40),
         ("line", 3.5, 5),
         ("held", 1.8, 2.2),
     ],
@@ -75,7 +71,6 @@ def test_s4_order_of_the_step(name, least, most):
     assert least <= coarse / fine <= most
 
 
-@warped
 @pytest.mark.parametrize(("motion_px", "sigma_px"), [(0.5, 0.5), (0.25, 0.3), (0.5, 1.0)])
 def test_s5_a_checkerboard_within_half_a_pixel_and_a_blur_a_step(motion_px, sigma_px):
     scores = score(WARPED, board(motion_px, sigma_px, 5e-3), 5e-3)
@@ -91,7 +86,7 @@ def test_s6_a_line_on_a_checkerboard_within_a_quarter_of_a_blur_a_step(motion_px
 
 
 @pytest.mark.parametrize("motion_px", [0.5, 1.0, 2.0, 4.0])
-@pytest.mark.parametrize("name", [pytest.param("warped", marks=warped), "line"])
+@pytest.mark.parametrize("name", ["warped", "line"])
 def test_s8_a_single_edge_keeps_its_sequence(name, motion_px):
     scene = MovingEdge(pixels=40, sigma_px=0.5, speed_px_s=motion_px / 5e-3, duration_s=0.2)
     scores = score(BY_NAME[name], Case("edge", scene, row(40), 0.2), 5e-3)
@@ -99,7 +94,6 @@ def test_s8_a_single_edge_keeps_its_sequence(name, motion_px):
     assert scores.t95_us <= 0.8 * 5e3
 
 
-@warped
 @pytest.mark.parametrize("share", [0, 0.03, 0.1, 0.3, 1, 3, 10])
 def test_s9_a_refractory_period_of_any_length(share):
     scores = score(WARPED, board(0.25, 0.5, 2.5e-3, refractory_us=2500 * share), 2.5e-3)
@@ -108,7 +102,7 @@ def test_s9_a_refractory_period_of_any_length(share):
 
 
 @pytest.mark.parametrize("step_s", [1e-4, 1e-3, 1e-2])
-@pytest.mark.parametrize(("name", "share"), [pytest.param("warped", 0.55, marks=warped), ("line", 0.8)])
+@pytest.mark.parametrize(("name", "share"), [("warped", 0.55), ("line", 0.8)])
 def test_s10_a_flash_at_an_unknown_instant(name, share, step_s):
     """Half a step is the best that can be had; a line in log light that ended there would give ten steps."""
     scores = score(BY_NAME[name], Case("flash", Flash(pixels=40), row(40), 0.1), step_s)
@@ -172,7 +166,7 @@ def test_a_line_is_right_about_light_that_is_a_line(contrast, dt_over_tau):
     assert scores.t95_us < compare(of_chords, truth(case)).t95_us
 
 
-@pytest.mark.parametrize("name", [pytest.param("warped", marks=warped), "line"])
+@pytest.mark.parametrize("name", ["warped", "line"])
 def test_thirty_days_change_nothing(name):
     now = slow_sine()
     later = dataclasses.replace(now, start_ns=(30 * 86400 * 10**9 >> 33) << 33)
