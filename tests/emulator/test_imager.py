@@ -11,6 +11,7 @@ from scipy import stats
 
 from emulator.sensor.effects import ImagerParameters
 from emulator.sensor.imager import Imager, part_of_the_way
+from emulator.sensor.layout import Field
 from emulator.sensor.presets import ReadoutParameters, SensorParameters
 from emulator.sensor.sensor import Sensor
 
@@ -106,6 +107,17 @@ def test_light_that_is_not_finite_stays_so_and_none_becomes_negative():
         seen = imager(**figures).see(light, 0)
         assert not np.isfinite(seen[0, :2]).any()
         assert seen.ravel()[2:].min() >= 0
+
+
+@pytest.mark.parametrize("counted", [False, True])
+def test_the_pixels_have_the_current_that_the_imager_means(counted):
+    figures = ImagerParameters(dcnu=0.3, prnu=0.02, dark_shot_noise=counted, electrons_per_s_at_reference=1e7)
+    p = dataclasses.replace(PLAIN, imager=figures)
+    sensor = Sensor(p, 1)
+    sensor.reset(still(0.02), 0)
+    has = np.exp(sensor.pixels.field(Field.LOG_LIGHT))
+    assert has == pytest.approx(current(Imager(p, 1), still(0.02)), rel=1e-5)
+    assert has.mean() == pytest.approx(0.03, rel=0.01)
 
 
 def test_the_light_part_of_the_way_is_straight_in_the_log():
