@@ -19,7 +19,7 @@ import numpy.typing as npt
 from emulator.sensor.compiled import Real, kernel, kernel_that_allocates, lane, vector_kernel
 from emulator.sensor.elementary import exponential
 from emulator.sensor.events import MOST_EVENTS, Keys, pack, room_for
-from emulator.sensor.layout import BLOCK, Field, Pixels, StepConstants, slot
+from emulator.sensor.layout import BLOCK, Field, Pixels, StepConstants, slot, whole_vectors
 from emulator.sensor.lowpass import Course, missed_by_cubic, transient
 from emulator.sensor.pieces import WALK_CAPACITY, Start, Walk, enter, new_walk, walk_through
 from emulator.sensor.trust import is_plain
@@ -72,7 +72,7 @@ class Table(NamedTuple):
 
 def new_table() -> Table:
     """Return an empty table."""
-    rows = np.empty(_C_ROWS * _CAPACITY, np.float32)
+    rows = np.zeros(_C_ROWS * _CAPACITY, np.float32)
     return Table(rows, np.empty(_CAPACITY, np.int64), np.empty(_CAPACITY, np.int64), new_walk())
 
 
@@ -375,21 +375,21 @@ def solve(
     beyond MOST_EVENTS of a pixel, and the number of suspect pixels.
     """
     _find_starts(pixels, table, n, c)
-    _draw_curves(table.rows, n, c)
+    _draw_curves(table.rows, whole_vectors(n), c)
     if c.second > _ZERO:
-        _draw_behind_second_pole(table.rows, n, c)
+        _draw_behind_second_pole(table.rows, whole_vectors(n), c)
     if c.parasitic > _ZERO:
-        _add_parasitic(table.rows, n, c)
-    _sort_by_kind(table.rows, n, c)
+        _add_parasitic(table.rows, whole_vectors(n), c)
+    _sort_by_kind(table.rows, whole_vectors(n), c)
     if c.parasitic > _ZERO:
         _fold_parasitic(pixels, table, n)
     odd = _sort_out(pixels, table, n, c)
     keys, n_keys, lost, suspects = walk_through(pixels, table.walk, odd, keys, n_keys, c)
     event = 0
     while n > 0:
-        _cross(table.rows, n)
+        _cross(table.rows, whole_vectors(n))
         _mend(table, n)
-        _follow(table.rows, n, c)
+        _follow(table.rows, whole_vectors(n), c)
         keys = room_for(keys, n_keys + n)
         counted, n = _fire(pixels, table, n, keys, n_keys, c)
         if event < MOST_EVENTS:

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from emulator.sensor.compiled import kernel
 
-__all__ = ["BLOCK", "FIELDS", "Field", "Pixels", "StepConstants", "slot"]
+__all__ = ["BLOCK", "FIELDS", "Field", "Pixels", "StepConstants", "slot", "whole_vectors"]
 
 BLOCK = 1024
 """Pixels of a block; the arithmetic of a pixel does not depend on it, the speed does."""
@@ -65,3 +65,13 @@ class StepConstants(NamedTuple):
 def slot(pixel: int) -> int:
     """Return where the first field of a pixel is in the flat state; the others follow at multiples of BLOCK."""
     return (pixel // BLOCK) * (FIELDS * BLOCK) + pixel % BLOCK
+
+
+@kernel
+def whole_vectors(n: int) -> int:
+    """Return n rounded up to where a vector loop ends without a remainder.
+
+    A remainder is scalar code, which may round elsewhere than the vectors do (a*b + c is contracted piece by piece of
+    code), and then a pixel's events would depend on how many others are solved with it.
+    """
+    return (n + 63) // 64 * 64

@@ -22,7 +22,7 @@ import numpy.typing as npt
 from emulator.sensor.compiled import Real, kernel, kernel_that_allocates, lane, vector_kernel
 from emulator.sensor.elementary import decay, exponential
 from emulator.sensor.events import MOST_EVENTS, Keys, pack, room_for
-from emulator.sensor.layout import BLOCK, Field, Pixels, StepConstants, slot
+from emulator.sensor.layout import BLOCK, Field, Pixels, StepConstants, slot, whole_vectors
 from emulator.sensor.lowpass import Course, rise_of_filter, transient, warped_time
 from emulator.sensor.trust import LARGEST_CHANGE, completed, is_jump, is_suspect, limit
 
@@ -43,11 +43,13 @@ _KEPT_ROWS = 17
 # ... and for a piece: g = d0 + c1 x + c2 x^2 + c3 x^3 with x in [0, 1], its turns, its end, and where the walk is.
 (
     _C_D0, _C_C1, _C_C2, _C_C3, _C_TURN, _C_TURN2, _C_SPAN, _C_V1, _C_W1, _C_P1, _C_Z1,
-    _C_X, _C_FIRES, _C_HIT, _C_LOW, _C_HIGH, _C_TO, _C_MISS, _C_SUSPECT, _C_U0, _C_U1, _C_D1, _C_M1,
-) = (k * WALK_CAPACITY for k in range(_KEPT_ROWS, _KEPT_ROWS + 23))  # fmt: skip
-_ROWS = _KEPT_ROWS + 23
+    _C_X, _C_FIRES, _C_HIT, _C_LOW, _C_HIGH, _C_TO, _C_MISS, _C_SUSPECT, _C_U0, _C_U1, _C_SLOPE0, _C_SLOPE1,
+    _C_D1, _C_M1,
+) = (k * WALK_CAPACITY for k in range(_KEPT_ROWS, _KEPT_ROWS + 25))  # fmt: skip
+_ROWS = _KEPT_ROWS + 25
 
 _NAN = np.float32(np.nan)
+_TWELFTH = np.float32(1 / 12)
 _ZERO, _ONE, _TWO, _THREE, _HALF = (np.float32(x) for x in (0, 1, 2, 3, 0.5))
 _SHARE = np.float32(0.004)  # of a threshold: what a cubic may miss
 _LEAST_MISS = np.float32(2e-5)  # ln units: float32 has nothing to offer below
@@ -238,7 +240,7 @@ def _follow_light(rows: _Float32s, n: int, c: StepConstants) -> None:
         behind = q.u0 - v0
         v1 = v0 + rise_of_filter(decay(q.course.s), behind, q.course)
         t = transient(behind, q.course)
-        rows[_C_U0 + j], rows[_C_U1 + j] = q.u0, q.u1
+        rows[_C_U0 + j], rows[_C_U1 + j], rows[_C_SLOPE0 + j], rows[_C_SLOPE1 + j] = q.u0, q.u1, q.a0, q.a1
         rows[_C_D0 + j], rows[_C_D1 + j], rows[_C_V1 + j], rows[_C_W1 + j] = v0, v1, v1, v1
         rows[_C_C1 + j] = width * q.r0 * (t.lag0 if t.faint else behind)
         rows[_C_M1 + j] = width * q.r1 * (t.lag1 if t.faint else q.u1 - v1)
@@ -277,11 +279,12 @@ def _add_parasitic(rows: _Float32s, n: int, c: StepConstants) -> None:
         i0, i1 = exponential(rows[_C_U0 + j]), exponential(rows[_C_U1 + j])
         leaks = c.parasitic * on * c.h * width
         m0, m1 = leaks * i0, leaks * i1
-        rise = _HALF * (m0 + m1)
+        rise = _HALF * (m0 + m1) + _TWELFTH * (m0 * rows[_C_SLOPE0 + j] - m1 * rows[_C_SLOPE1 + j])
         rows[_C_P1 + j] = rows[_C_P + j] + rise
         rows[_C_D0 + j] += rows[_C_P + j]
         rows[_C_C1 + j] += m0
-        rows[_C_C2 + j] += _HALF * (m1 - m0)
+        rows[_C_C2 + j] += _THREE * rise - _TWO * m0 - m1
+        rows[_C_C3 + j] += m0 + m1 - _TWO * rise
 
 
 @vector_kernel
@@ -461,15 +464,15 @@ def walk_through(
     keys (replaced by a longer copy if there was no room), the number of events in it, the number of crossings beyond
     MOST_EVENTS of a pixel, and the number of suspect pixels.
     """
-    _set_out(walk.rows, n, c)
+    _set_out(walk.rows, whole_vectors(n), c)
     suspects, lost = int(walk.rows[_C_SUSPECT : _C_SUSPECT + n].sum()), 0
     while n > 0:
-        _take_piece(walk.rows, n, c)
+        _take_piece(walk.rows, whole_vectors(n), c)
         fired = n
         while fired > 0:
             keys = room_for(keys, n_keys + n)
-            _look(walk.rows, n)
-            _cross(walk.rows, n)
+            _look(walk.rows, whole_vectors(n))
+            _cross(walk.rows, whole_vectors(n))
             _mend(walk, n)
             n_keys, fired, more = _fire(pixels, walk, n, keys, n_keys, c)
             lost += more
