@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.characterise.points import FIGURE, Point
-from emulator.characterise.stimuli import Bench, log_current, settled, tau_s, without_readout
+from emulator.characterise.stimuli import Bench, lag_s, log_current, settled, without_readout
 from emulator.sensor.presets import SensorParameters
 from emulator.sensor.temperature import at_temperature
 
@@ -50,14 +50,14 @@ def _answering(p: SensorParameters, contrast: float, light: float) -> float:
     bench = settled(without_readout(p), light)
     after = np.exp(log_current(p, bench.light) + contrast) - np.exp(log_current(p, 0))
     bench.jump(after)
-    bench.hold(round(max(_LEAST_WAIT_S, _WAIT_TAUS * float(tau_s(p, after).max())) * _S))
+    bench.hold(round(max(_LEAST_WAIT_S, _WAIT_TAUS * float(lag_s(p, after).max())) * _S))
     events = bench.finish()
     return np.unique(bench.pixel(events[events["on"] == (contrast > 0)])).size / bench.light.size
 
 
-def _normal(deviation: float) -> float:
-    """Return the share of a normal distribution below a place, in deviations."""
-    return 0.5 * (1 + math.erf(deviation / math.sqrt(2)))
+def _normal(above: float, deviation: float = 1.0) -> float:
+    """Return the share of a normal distribution that is not farther than `above` over its mean."""
+    return 0.5 * (1 + math.erf(above / (deviation * math.sqrt(2)))) if deviation else float(above >= 0)
 
 
 def spread(p: SensorParameters) -> list[Point]:
@@ -69,7 +69,9 @@ def spread(p: SensorParameters) -> list[Point]:
     for series, on, nominal in (("ON", True, p.threshold_on), ("OFF", False, p.threshold_off)):
         thresholds, deviation = _thresholds(p, on), p.mismatch * nominal
         edges = nominal + np.linspace(-1, 1, _BINS) * max(4 * deviation, 0.02 * nominal)
-        points += _histogram("spread", series, thresholds, edges, [_normal((e - nominal) / deviation) for e in edges])
+        points += _histogram(
+            "spread", series, thresholds, edges, [_normal(edge - nominal, deviation) for edge in edges]
+        )
         mean, spread_here = float(np.mean(thresholds)), float(np.std(thresholds))
         points += [
             Point(FIGURE, f"threshold {series}, ln", 0, mean, model=nominal),
@@ -149,7 +151,7 @@ def leak_spread(p: SensorParameters, for_s: float) -> list[Point]:
     deviation = float(np.std(np.log(rates_hz)))
     edges = np.linspace(0, float(np.percentile(rates_hz, 99.5)), _BINS)
     middle = at_temperature(p).leak_hz * math.exp(-(p.leak_spread**2) / 2)
-    below = [0.0, *(_normal(math.log(edge / middle) / p.leak_spread) for edge in edges[1:])]
+    below = [0.0, *(_normal(math.log(edge / middle), p.leak_spread) for edge in edges[1:])]
     return [
         *_histogram("leak_spread", "as configured", rates_hz, edges, below),
         Point(FIGURE, "spread of leak between pixels, ln", 0, deviation, model=p.leak_spread),

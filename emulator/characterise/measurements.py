@@ -61,7 +61,8 @@ def measurements(p: SensorParameters, quick: bool) -> list[Measurement]:
 
 def _thresholds(p: SensorParameters, sweep: _Sweep) -> Iterator[Measurement]:
     deviations = np.linspace(-3, 3, sweep.deviations)
-    for series, mismatch in {CONFIGURED: p.mismatch, **_MISMATCHES}.items():
+    configured = {CONFIGURED: p.mismatch} if p.mismatch else {}
+    for series, mismatch in {**configured, **_MISMATCHES}.items():
         for some in np.array_split(deviations, 3):
             yield partial(s_curve, p, series, mismatch, some)
     yield partial(spread, p)

@@ -116,7 +116,8 @@ def reading(points: Sequence[Point], name: str) -> list[str]:
     found = comparisons(points)
     lines = [
         f"A bench of 64 x 48 pixels of {name}, each with a lamp of its own, put through what a laboratory does to a "
-        "sensor. Marks are measured on the simulated sensor, thin lines are what its equations say, red is published "
+        "sensor. Marks are measured on the simulated sensor; thin lines are what the equations say of a pixel with "
+        "thresholds, leak, low-pass and dead time alone, so that other effects show as a distance; red is published "
         "of real sensors. Published figures are of other chips, biases and lights than this one; agreeing says that "
         "the simulated sensor is of their kind, and differing says where to look."
     ]

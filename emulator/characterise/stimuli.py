@@ -23,7 +23,7 @@ from emulator.sensor.sensor import Sensor
 from emulator.sensor.temperature import at_temperature
 from firmware_protocol.events import EVENT, Events
 
-__all__ = ["Bench", "log_current", "on_the_bench", "settled", "tau_s", "without_readout"]
+__all__ = ["Bench", "lag_s", "lags_s", "log_current", "on_the_bench", "settled", "without_readout"]
 
 _Floats = npt.NDArray[np.float64]
 
@@ -51,9 +51,16 @@ def log_current(p: SensorParameters, light: npt.ArrayLike) -> _Floats:
     return np.log(np.asarray(light, np.float64) + at_temperature(p).dark_current_relative)
 
 
-def tau_s(p: SensorParameters, light: npt.ArrayLike) -> _Floats:
-    """Return the photoreceptor's time constant in a light; 0 without a low-pass."""
-    return np.asarray(1 / (2 * np.pi * corner_hz(at_temperature(p), light)))
+def lags_s(p: SensorParameters, light: npt.ArrayLike) -> tuple[_Floats, float]:
+    """Return the time constants of the photoreceptor in a light and of the source follower; 0: no such pole."""
+    first = 1 / (2 * np.pi * corner_hz(at_temperature(p), light))
+    return np.asarray(first), 1 / (2 * math.pi * p.source_follower_hz) if p.source_follower_hz else 0.0
+
+
+def lag_s(p: SensorParameters, light: npt.ArrayLike) -> _Floats:
+    """Return how far the filter lags behind a slow ramp: the sum of its time constants."""
+    first, second = lags_s(p, light)
+    return first + second
 
 
 class Bench:
@@ -130,27 +137,28 @@ def settled(p: SensorParameters, light: float, seed: int = 1) -> Bench:
 
 
 def _settle(bench: Bench) -> _Floats:
-    """Raise the light until every pixel has fired, each stopped where it did; return log currents, (height, width)."""
-    p, start = bench.parameters, log_current(bench.parameters, bench.light)
+    """Raise the light until every pixel has fired, each stopped where it did; return log currents, (height, width).
+
+    A lamp goes on rising until its pixel has read its reference anew, and then goes back to what the pixel saw there.
+    """
+    p, start, begin_ns = bench.parameters, log_current(bench.parameters, bench.light), bench.t_ns
     step_ns = _ramp_step_ns(p, float(bench.light.mean()))
     rise = p.threshold_on * (1 + 5 * p.mismatch) * _RAMP_FARTHEST / _RAMP_STEPS
-    second_s = 1 / (2 * math.pi * p.source_follower_hz) if p.source_follower_hz else 0.0
-    stop = np.full(start.shape, np.inf)
-    begin_ns, late_s = bench.t_ns, p.jitter.latency_us * 1e-6
-    for k in range(1, _RAMP_STEPS + 3):
-        goal = np.minimum(start + rise * min(k, _RAMP_STEPS), stop)
+    seen, read_s = np.full(start.shape, np.inf), np.full(start.shape, np.inf)
+    for k in range(1, _RAMP_STEPS + 4):
+        known = read_s <= (bench.t_ns - begin_ns) / _NS
+        goal = np.where(known, seen, start + rise * min(k, _RAMP_STEPS))
         events = bench.ramp(np.exp(goal) - at_temperature(p).dark_current_relative, step_ns)
+        events = events[events["on"] & np.isinf(seen[events["y"], events["x"]])]
         x, y = events["x"], events["y"]
-        read_s = events["t"] * 1e-6 - begin_ns / _NS - late_s + p.refractory_us * 1e-6
-        lag_s = tau_s(p, bench.light[y, x]) + second_s
-        lag = lag_s * -np.expm1(-read_s / np.maximum(lag_s, 1e-12))
-        found = start[y, x] + rise / step_ns * _NS * (read_s - lag)
-        np.minimum.at(stop, (y, x), np.where(events["on"], found, np.inf))
-    return np.where(np.isfinite(stop), stop, start + rise * _RAMP_STEPS)
+        read_s[y, x] = (events["t"] - p.jitter.latency_us + p.refractory_us) * 1e-6 - begin_ns / _NS
+        lag = np.maximum(lag_s(p, bench.light[y, x]), 1e-12)
+        seen[y, x] = start[y, x] + rise / step_ns * _NS * (read_s[y, x] + lag * np.expm1(-read_s[y, x] / lag))
+    return np.where(np.isfinite(seen), seen, start + rise * _RAMP_STEPS)
 
 
 def _ramp_step_ns(p: SensorParameters, light: float) -> int:
     """Return a step slow against every delay of a pixel, and against a read-out of all of them."""
     whole_s = 5e-9 * p.width * p.height * (p.readout.event_ns + p.readout.row_ns)
-    slow_s = max(float(tau_s(p, light)) / 2, 5e-6 * p.refractory_us, 5e-6 * p.jitter.latency_us, whole_s / _RAMP_STEPS)
-    return max(_LEAST_STEP_NS, round(slow_s * _NS))
+    pixel_s = max(float(lag_s(p, light)) / 2, 2e-6 * p.refractory_us, 2e-6 * p.jitter.latency_us)
+    return max(_LEAST_STEP_NS, round(max(pixel_s, whole_s / _RAMP_STEPS) * _NS))

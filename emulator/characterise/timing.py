@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.characterise.points import Point
-from emulator.characterise.stimuli import Bench, log_current, on_the_bench, settled, tau_s, without_readout
+from emulator.characterise.stimuli import Bench, lag_s, lags_s, log_current, on_the_bench, settled, without_readout
 from emulator.sensor.noise_law import bandwidth_hz, corner_hz, rate_over_bandwidth, rms
 from emulator.sensor.presets import SensorParameters
 from emulator.sensor.temperature import at_temperature
@@ -89,40 +89,69 @@ def latency(p: SensorParameters, contrast: float, light: float) -> list[Point]:
     p, before = without_readout(_with_noise(p, 0.0)), light * math.exp(-contrast)
     bench = settled(p, before)
     at_us = bench.jump(light)
-    bench.hold(round(max(_LEAST_WAIT_S, _WAIT_TAUS * float(tau_s(p, light))) * _S))
-    late_us = _first_us(bench) - at_us + 0.5
+    bench.hold(round(max(_LEAST_WAIT_S, _WAIT_TAUS * float(lag_s(p, light))) * _S))
+    late_us = _first_us(bench, np.ones(bench.light.shape, bool)) - at_us + 0.5
     if late_us.size < _MOST_PIXELS * bench.light.size:
         return []
     middle, low, high = (float(np.percentile(late_us, share)) for share in (50, 5, 95))
     seen = float(log_current(p, light) - log_current(p, before))
-    lags = -math.log1p(-p.threshold_on / seen) if seen > p.threshold_on else math.nan  # taus to reach the threshold
-    model_us = lags * float(tau_s(p, light)) * 1e6 + p.jitter.latency_us
+    share = p.threshold_on / seen
+    model_us = 1e6 * _rise_s(p, light, share) + p.jitter.latency_us
     name = f"step of {contrast:.2g} ln"
-    of_filter_us = middle - p.jitter.latency_us
-    corner = 1e6 * lags / (2 * math.pi * of_filter_us) if of_filter_us > 0 else math.nan
+    corners = [_corner_hz(share, us - p.jitter.latency_us) for us in (middle, high, low, model_us)]
     return [
         Point("latency", name, light, middle, low, high, model_us),
-        Point("bandwidth", name, light, corner, model=float(corner_hz(at_temperature(p), light))),
+        Point("bandwidth", name, light, *corners),
     ]
 
 
-def _first_us(bench: Bench) -> _Floats:
-    """Finish, and return the time of each pixel's first ON event, us, pixels without one left out."""
+def _corner_hz(share: float, rise_us: float) -> float:
+    """Return the corner frequency of a single pole that goes a share of a step in that time."""
+    if share >= 1 or rise_us <= 0:
+        return math.nan
+    return -math.log1p(-share) / (2 * math.pi * rise_us * 1e-6)
+
+
+def _rise_s(p: SensorParameters, light: float, share: float) -> float:
+    """Return how long the filter takes to go a share of a step, by bisection; NaN: it never does."""
+    first, second = float(lags_s(p, light)[0]), lags_s(p, light)[1]
+    if share >= 1:
+        return math.nan
+    low, high = 0.0, (first + second) * (1 - math.log1p(-share)) * 4
+    for _ in range(80):
+        middle = (low + high) / 2
+        low, high = (middle, high) if _risen(middle, first, second) < share else (low, middle)
+    return high
+
+
+def _risen(t_s: float, first_s: float, second_s: float) -> float:
+    """Return how much of a step two poles have gone after a time; equal ones are taken a little apart."""
+    if second_s == 0 or first_s == 0:
+        one = max(first_s, second_s)
+        return -math.expm1(-t_s / one) if one else 1.0
+    if math.isclose(first_s, second_s, rel_tol=1e-6):
+        second_s *= 1 + 1e-5
+    rest = first_s * math.exp(-t_s / first_s) - second_s * math.exp(-t_s / second_s)
+    return 1 - rest / (first_s - second_s)
+
+
+def _first_us(bench: Bench, lit: npt.NDArray[np.bool_]) -> _Floats:
+    """Finish, and return the time of the first ON event of each lit pixel, us, pixels without one left out."""
     events = bench.finish()
-    events = events[events["on"]]
+    events = events[events["on"] & lit[events["y"], events["x"]]]
     _, first = np.unique(bench.pixel(events), return_index=True)
     return np.asarray(events["t"][first], np.float64)
 
 
 def burst(p: SensorParameters, pixels: int, size: tuple[int, int]) -> list[Point]:
-    """Return how long the read-out takes for pixels that fire together: the latest event after the first, us."""
+    """Return how long the read-out takes for pixels that fire together: from the first event to the last pixel's, us."""
     bench = settled(on_the_bench(_with_noise(p, 0.0), size), 1.0)
     width, height = size
-    lit = np.zeros(width * height, bool)
-    lit[np.linspace(0, lit.size - 1, pixels).round().astype(int)] = True
-    bench.jump(np.where(lit.reshape(height, width), bench.light * math.exp(_FLASH), bench.light))
+    lit = np.zeros((height, width), bool)
+    lit.flat[np.linspace(0, lit.size - 1, pixels).round().astype(int)] = True
+    bench.jump(np.where(lit, bench.light * math.exp(_FLASH), bench.light))
     bench.hold(_S // 10, steps=10)
-    t_us = _first_us(bench)
+    t_us = _first_us(bench, lit)
     model = pixels * p.readout.event_ns * 1e-3
     return [Point("burst", f"{width} x {height}", pixels, float(t_us.max() - t_us.min()), model=model)]
 
@@ -138,7 +167,7 @@ def flicker(p: SensorParameters, curve: str, series: str, hz: float, light: floa
     bench = Bench(p, np.exp(middle) - np.exp(log_current(p, 0)))
     part_ns = max(1, round(_S / hz / (2 * _PARTS)))
     heights = np.interp(np.arange(1, 2 * _PARTS + 1) / (2 * _PARTS), [0, 0.25, 0.75, 1], [0, 1, -1, 0])
-    settle = 2 + math.ceil(_SETTLE_TAUS * float(tau_s(p, light)) * hz)
+    settle = 2 + math.ceil(_SETTLE_TAUS * float(lag_s(p, light)) * hz)
     for k in range(settle + _COUNTED):
         if k == settle:
             bench.sent()

@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 
 from emulator.characterise.curves import leak_light, leak_spread, leak_temperature, s_curve, spread
-from emulator.characterise.stimuli import Bench, log_current, on_the_bench, settled, tau_s, without_readout
+from emulator.characterise.stimuli import Bench, lags_s, log_current, on_the_bench, settled, without_readout
 from emulator.characterise.timing import burst, flicker, latency, noise_law, noise_light
 from emulator.sensor.noise_law import rate_over_bandwidth
 from emulator.sensor.presets import PRESETS
@@ -27,18 +27,19 @@ def figure(points, name):
     return next(p for p in points if p.series == name)
 
 
-@pytest.mark.parametrize("light", [1.0, 0.02])
-def test_settled_pixels_stand_at_one_light_and_a_whole_threshold_away(light):
-    bench = settled(without_readout(PLAIN), light)
-    assert log_current(PLAIN, bench.light) == pytest.approx(float(log_current(PLAIN, light)), abs=0.002)
+@pytest.mark.parametrize(("light", "refractory_us"), [(1.0, 3.4), (0.02, 3.4), (1.0, 500.0)])
+def test_settled_pixels_stand_at_one_light_and_a_whole_threshold_away(light, refractory_us):
+    plain = with_(PLAIN, refractory_us=refractory_us)
+    bench = settled(without_readout(plain), light)
+    assert log_current(plain, bench.light) == pytest.approx(float(log_current(plain, light)), abs=0.002)
     nearly, enough = (
-        np.exp(log_current(PLAIN, bench.light) + share * PLAIN.threshold_on) - PLAIN.dark_current_relative
+        np.exp(log_current(plain, bench.light) + share * plain.threshold_on) - plain.dark_current_relative
         for share in (0.99, 1.01)
     )
     for after, fires in ((nearly, 0), (enough, PIXELS)):
-        trial = settled(without_readout(PLAIN), light)
+        trial = settled(without_readout(plain), light)
         trial.jump(after)
-        trial.hold(round(20e9 * float(tau_s(PLAIN, light))))
+        trial.hold(round(20e9 * float(lags_s(plain, light)[0])))
         events = trial.finish()
         assert np.unique(trial.pixel(events)).size == fires
 
@@ -122,6 +123,26 @@ def test_mismatch_spreads_latency_as_the_pole_makes_of_it():
     for value, deviation in ((at.low, -1.645), (at.high, 1.645)):
         threshold = 0.283 * (1 + 0.035 * deviation)
         assert value == pytest.approx(-tau_us * math.log(1 - threshold / seen), rel=0.015)
+
+
+def test_a_second_pole_is_late_by_what_two_poles_make():
+    p = with_(PLAIN, refractory_us=0.0, dark_current_relative=1e-6, source_follower_hz=286.0)
+    at, _ = latency(p, 1.0, 0.1)
+    first, second = 1 / (2 * np.pi * 300.0), 1 / (2 * np.pi * 286.0)
+    risen = 1 - (first * np.exp(-at.model * 1e-6 / first) - second * np.exp(-at.model * 1e-6 / second)) / (
+        first - second
+    )
+    assert risen == pytest.approx(0.283, rel=1e-4)
+    assert at.y == pytest.approx(at.model, rel=0.01)
+
+
+def test_a_sensor_without_mismatch_or_low_pass_is_characterised_too():
+    p = with_(PLAIN, leak_hz=1.0, leak_spread=0.0, corner_hz_at_reference=math.inf)
+    assert figure(spread(p), "mismatch ON, share").y == pytest.approx(0.0, abs=1e-3)
+    assert figure(leak_spread(p, 10.0), "spread of leak between pixels, ln").y == pytest.approx(0.0, abs=1e-3)
+    at, corner = latency(p, 1.0, 1.0)
+    assert at.y == 0.5
+    assert math.isnan(corner.model)
 
 
 def test_nothing_is_told_where_the_dark_current_hides_the_step():
