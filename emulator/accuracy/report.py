@@ -202,8 +202,9 @@ _NEEDS = (
     "by the order that the two shortest show; “never”: the error does not fall with the step.</p>"
 )
 _EFFECTS = (
-    "<p>Each effect added to the ideal pixel (equal thresholds, no leak, no low-pass, no refractory period) under the "
-    "same light; counts, sequences and shifts are against the ideal pixel's events.</p>"
+    "<p>Each effect added to the ideal sensor (equal thresholds, no leak, no low-pass, no refractory period, no noise) "
+    "under the moving checkerboard; counts, sequences and shifts are against the ideal sensor's events, and the time "
+    "is that of a whole step of 346 x 260 pixels.</p>"
 )
 
 

@@ -65,7 +65,7 @@ def _chart(out: Path, quick: bool) -> list[Path]:
     chosen, ways = QUICK if quick else CASES, methods()
     points = _all(sweep(chosen, ways), settings(chosen, ways), "points")
     board = next(swept.case for swept in chosen if swept.case.name == "checkerboard")
-    effects = _all(effect_rows(ways[0], board, _EFFECTS_STEP_S), len(EFFECTS), "effects")
+    effects = _all(effect_rows(board, _EFFECTS_STEP_S), len(EFFECTS), "effects")
     return _written(lambda: write_work_precision(points, effects, chosen, out))
 
 
