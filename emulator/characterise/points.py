@@ -59,9 +59,11 @@ CURVES: dict[str, Curve] = {
     "latency": Curve("latency", "Latency of a step, one pixel alone", _LIGHT, "latency, us (bars 5 to 95 %)"),
     "bandwidth": Curve("latency", "Bandwidth by the latency", _LIGHT, "corner frequency, Hz"),
     "burst": Curve("latency", "Pixels that fire together", "pixels at once", "latest event after the first, us"),
-    "flicker_events": Curve("flicker", "Flicker of 10:1", "flicker, Hz", "events a pixel and period", least=0.03),
+    "flicker_events": Curve(
+        "flicker", "Flicker of 10:1 (line: no more can be)", "flicker, Hz", "events a pixel and period", least=0.03
+    ),
     "flicker_rate": Curve(
-        "flicker", "Event rate and dead time, at 1 klux", "flicker, Hz", "events a pixel, Hz", least=5.0
+        "flicker", "The same at 1 klux, by dead time", "flicker, Hz", "events a pixel, Hz", least=5.0
     ),
 }
 """All curves, chart by chart."""

@@ -29,7 +29,7 @@ _NOISE_STEP_S = 0.1
 _NODES = 9
 _FLICKER = math.log(10)
 _PARTS = 8  # of half a period
-_SETTLE_TAUS = 3
+_SETTLE_TAUS = 8
 _COUNTED = 4  # periods
 _FLASH = 3.0  # ln: over every threshold
 
@@ -144,7 +144,7 @@ def _first_us(bench: Bench, lit: npt.NDArray[np.bool_]) -> _Floats:
 
 
 def burst(p: SensorParameters, pixels: int, size: tuple[int, int]) -> list[Point]:
-    """Return how long the read-out takes for pixels that fire together: from the first event to the last pixel's, us."""
+    """Return how long the read-out takes for pixels that fire together: from first event to last pixel, us."""
     bench = settled(on_the_bench(_with_noise(p, 0.0), size), 1.0)
     width, height = size
     lit = np.zeros((height, width), bool)
