@@ -26,8 +26,11 @@ class Measure:
 SMALL, LARGE = (346, 260), (1280, 720)
 
 MEASURES = (
-    Measure("pixel_quiet", "Mpixel/s", "higher", 1000, pixel.pixel_quiet),
-    Measure("pixel_5pct", "Mpixel/s", "higher", 500, pixel.pixel_5pct),
+    Measure("pixel_quiet", "Mpixel/s", "higher", 900, pixel.pixel_quiet),
+    Measure("pixel_5pct", "Mpixel/s", "higher", 400, pixel.pixel_5pct),
+    Measure("pixel_quiet_line", "Mpixel/s", "higher", 1000, pixel.pixel_quiet_line),
+    Measure("pixel_5pct_line", "Mpixel/s", "higher", 500, pixel.pixel_5pct_line),
+    Measure("pixel_edges", "Mev/s", "higher", 10, pixel.pixel_edges),
     Measure("words_encode", "Mev/s", "higher", 80, word.words_encode),
     Measure("words_decode", "Mev/s", "higher", 40, word.words_decode),
     Measure("checkerboard_346x260", "frames/s", "higher", 2000, Workload("checkerboard", SMALL)),

@@ -1,11 +1,14 @@
 """How fast the pixel step is: full physics of the DAVIS346 preset, one thread, 1 ms steps, sorted event list included.
 
 Timed is `PixelArray.step` alone, call by call; the picture is written into one buffer before each call, as a renderer
-would. The figure is the pixels of the sensor over the median time of a step.
+would. The figure is the pixels of the sensor over the median time of a step. The light comes with its time derivative,
+as it does by default in a run: log light as a cubic; `line` is the same without, log light as a straight line.
 
     quiet    still light, a different level at each pixel; nothing fires
     5 pct    a sine grating in log light, oblique, 40 pixels to a period, drifting at the speed that makes 5 % of the
              pixels fire in each step: every pixel's light changes in every step, rising, turning and falling
+    edges    the board of sharp edges at which a pixel's light changes several times over within a step: edges of 10:1,
+             blurred by 0.5 px, at 0.5 px a step; events a second of work
 """
 
 from __future__ import annotations
@@ -21,16 +24,17 @@ import numpy.typing as npt
 from emulator.sensor.pixels import PixelArray
 from emulator.sensor.presets import PRESETS, SensorParameters
 
-__all__ = ["FiringRun", "firing", "pixel_5pct", "pixel_quiet"]
+__all__ = ["FiringRun", "firing", "pixel_5pct", "pixel_5pct_line", "pixel_edges", "pixel_quiet", "pixel_quiet_line"]
 
 _STEP_NS = 1_000_000
 _WARM_UP = 50
 _STEPS = 400
-_PICTURES = 40
 _PERIOD_PX = 40.0
 _CONTRAST = 1.0  # amplitude of the grating, ln units
 
 _Light = npt.NDArray[np.float32]
+_Picture = tuple[_Light, _Light]
+"""Light and its time derivative, a second."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,48 +46,88 @@ class FiringRun:
     share: float
 
 
-def _grating(parameters: SensorParameters, phase: float) -> _Light:
-    """Return the grating, (height, width) float32, its logarithm a sine around ln 0.5."""
+def _grating(parameters: SensorParameters, phase: float, phase_step: float) -> _Picture:
+    """Return the grating, its logarithm a sine around ln 0.5 that loses `phase_step` a step; (height, width) each."""
     y, x = np.mgrid[: parameters.height, : parameters.width]
-    wave = np.sin(2 * np.pi * (x + 0.5 * y) / _PERIOD_PX + phase)
-    return np.asarray(0.5 * np.exp(_CONTRAST * wave), np.float32)
+    angle = 2 * np.pi * (x + 0.5 * y) / _PERIOD_PX + phase
+    light = 0.5 * np.exp(_CONTRAST * np.sin(angle))
+    rate = -light * _CONTRAST * np.cos(angle) * phase_step * 1e9 / _STEP_NS
+    return light.astype(np.float32), rate.astype(np.float32)
 
 
-def _timed(array: PixelArray, picture: Callable[[int], _Light], steps: int) -> tuple[float, float]:
+def _edges(parameters: SensorParameters, k: int) -> _Picture:
+    """Return light and dark stripes of 20 px with blurred edges, k steps of 0.5 px along; (height, width) each."""
+    y, x = np.mgrid[: parameters.height, : parameters.width]
+    sigma_px, speed_px = 0.5, 0.5
+    place = (x + 0.2 * y - speed_px * k) % 40 - 10
+    light, slope = np.full(x.shape, 0.1), np.zeros(x.shape)
+    for edge, sign in ((0, 1), (20, -1)):
+        steep = 1.702 / sigma_px  # a logistic edge of the width of a Gaussian's
+        rise = 1 / (1 + np.exp(-np.clip(steep * (place - edge), -60, 60)))
+        light, slope = light + 0.9 * sign * rise, slope + 0.9 * sign * steep * rise * (1 - rise)
+    return light.astype(np.float32), (-slope * speed_px * 1e9 / _STEP_NS).astype(np.float32)
+
+
+def _timed(array: PixelArray, picture: Callable[[int], _Picture], steps: int, *, line: bool) -> tuple[float, float]:
     """Return the median seconds of a step and the mean number of events in one."""
-    light = picture(0).copy()
-    array.reset(light, 0)
+    light, rate = (values.copy() for values in picture(0))
+    array.reset(light, 0, None if line else rate)
     seconds, events = [], 0
     for k in range(1, _WARM_UP + steps + 1):
-        light[:] = picture(k)
+        light[:], rate[:] = picture(k)
         start = time.perf_counter()
-        crossings = array.step(light, k * _STEP_NS)
+        crossings = array.step(light, k * _STEP_NS, None if line else rate)
         if k > _WARM_UP:
             seconds.append(time.perf_counter() - start)
             events += len(crossings)
     return statistics.median(seconds), events / steps
 
 
-def firing(share: float, parameters: SensorParameters = PRESETS["davis346"], steps: int = _STEPS) -> FiringRun:
+def firing(
+    share: float, parameters: SensorParameters = PRESETS["davis346"], steps: int = _STEPS, *, line: bool = False
+) -> FiringRun:
     """Run the drifting grating at which about `share` of the pixels fire in each step."""
     threshold = (parameters.threshold_on + parameters.threshold_off) / 2
     swing = 2 * _CONTRAST - threshold  # a threshold is spent at each turn before the first event of the other sign
     phase_step = share * threshold / swing * np.pi  # two swings in 2 pi
     count = max(2, round(2 * np.pi / phase_step))
-    pictures = [_grating(parameters, -2 * np.pi * k / count) for k in range(min(count, _WARM_UP + steps + 1))]
-    median_s, events = _timed(PixelArray(parameters, 1), lambda k: pictures[k % len(pictures)], steps)
+    step = 2 * np.pi / count
+    pictures = [_grating(parameters, -step * k, step) for k in range(min(count, _WARM_UP + steps + 1))]
+    median_s, events = _timed(PixelArray(parameters, 1), lambda k: pictures[k % len(pictures)], steps, line=line)
     pixels = parameters.width * parameters.height
     return FiringRun(pixels / median_s / 1e6, events / median_s / 1e6, events / pixels)
 
 
+def _quiet(*, line: bool) -> float:
+    parameters = dataclasses.replace(PRESETS["davis346"], leak_hz=0.0)
+    still = _grating(parameters, 0.0, 0.0)
+    median_s, _ = _timed(PixelArray(parameters, 1), lambda k: still, _STEPS, line=line)
+    return still[0].size / median_s / 1e6
+
+
 def pixel_quiet() -> float:
     """Return Mpixel/s of a step in which nothing fires (no leak, so that nothing does), 346 x 260."""
-    parameters = dataclasses.replace(PRESETS["davis346"], leak_hz=0.0)
-    still = _grating(parameters, 0.0)
-    median_s, _ = _timed(PixelArray(parameters, 1), lambda k: still, _STEPS)
-    return still.size / median_s / 1e6
+    return _quiet(line=False)
+
+
+def pixel_quiet_line() -> float:
+    """Return the same without time derivatives."""
+    return _quiet(line=True)
 
 
 def pixel_5pct() -> float:
     """Return Mpixel/s of a step in which 5 % of the pixels fire, 346 x 260."""
     return firing(0.05).mpixel_s
+
+
+def pixel_5pct_line() -> float:
+    """Return the same without time derivatives."""
+    return firing(0.05, line=True).mpixel_s
+
+
+def pixel_edges() -> float:
+    """Return Mev/s of steps with sharp edges moving by half a pixel, 346 x 260."""
+    parameters = PRESETS["davis346"]
+    pictures = [_edges(parameters, k) for k in range(80)]
+    median_s, events = _timed(PixelArray(parameters, 1), lambda k: pictures[k % 80], 150, line=False)
+    return events / median_s / 1e6

@@ -73,7 +73,6 @@ _NAN = np.float32(np.nan)
 _ZERO, _ONE, _HALF = (np.float32(x) for x in (0, 1, 0.5))
 _THIRD, _TWELFTH = np.float32(1 / 3), np.float32(1 / 12)
 _BRIGHTEST = np.finfo(np.float32).max
-_STEEPEST = np.float32(1e15)  # a slope beyond any light's, and safe when squared
 _MARGIN = np.float32(5e-6)  # rounding of the quiet test, ln units
 _WIDER = np.float32(1.08)  # covers the error of S for the largest plain change, bounds of the rate included
 _MORE = np.float32(1.5)  # the same for the integral of light
@@ -84,7 +83,7 @@ _BULGE = np.float32(1.2)  # ... and light that is higher inside the step than at
 def _take_light(light: _Float32s, rate: _Float32s, s: _Float32s, before: _Float32s, c: StepConstants) -> None:
     """Put a block's new log light (NaN where the light is not finite), its slope and rate into the state.
 
-    The old ones go aside. A slope that is not finite is not known, and NaN.
+    The old ones go aside.
     """
     for i in range(BLOCK):
         e, r = light[i], rate[i]
@@ -92,18 +91,22 @@ def _take_light(light: _Float32s, rate: _Float32s, s: _Float32s, before: _Float3
         current = (e if lit else _ZERO) + c.dark
         before[_U0 + i], before[_L0 + i], before[_G0 + i] = s[_U + i], s[_L + i], s[_G + i]
         rate_after = min(max(c.rate_at_reference * current, c.rate_min), c.rate_max)
-        slope = (r if lit else _ZERO * r) / (current * rate_after)
         s[_U + i] = natural_log(current) if abs(e) <= _BRIGHTEST else _NAN
         s[_L + i] = rate_after
-        s[_G + i] = slope if abs(slope) <= _STEEPEST else _NAN
+        s[_G + i] = (r if lit else _ZERO * r) / (current * rate_after)
 
 
 @vector_kernel
-def _take_chord(s: _Float32s, before: _Float32s, c: StepConstants) -> None:
-    """Let the log light of a block's step be a straight line, as if the slopes at both ends were given so."""
+def _take_light_alone(light: _Float32s, s: _Float32s, before: _Float32s, c: StepConstants) -> None:
+    """Do as `_take_light` without a rate: the log light goes along a straight line, and the slopes say so."""
     for i in range(BLOCK):
-        slope = (s[_U + i] - before[_U0 + i]) / c.h
-        before[_G0 + i], s[_G + i] = slope / before[_L0 + i], slope / s[_L + i]
+        e, u0, l0 = light[i], s[_U + i], s[_L + i]
+        current = (e if e > _ZERO else _ZERO) + c.dark
+        u1 = natural_log(current) if abs(e) <= _BRIGHTEST else _NAN
+        l1 = min(max(c.rate_at_reference * current, c.rate_min), c.rate_max)
+        slope = (u1 - u0) / (c.h * l0 * l1)
+        before[_U0 + i], before[_L0 + i], before[_G0 + i] = u0, l0, slope * l1
+        s[_U + i], s[_L + i], s[_G + i] = u1, l1, slope * l0
 
 
 @vector_kernel
@@ -138,16 +141,19 @@ def _reach(q: Real, behind: Real, d: Real, a0: Real, a1: Real) -> tuple[Real, Re
 
 
 @vector_kernel
-def _test(s: _Float32s, before: _Float32s, loud: _Bytes, c: StepConstants) -> None:
-    """Put 1 into `loud` where a block's pixel may fire or is not plain, else 0.
+def _filter_and_test(s: _Float32s, before: _Float32s, loud: _Bytes, c: StepConstants) -> None:
+    """Do as `_filter`, and put 1 into `loud` where a pixel may fire or is not plain, else 0: the usual case in one.
 
     Whatever is NaN makes the pixel loud: blind ones, whose reference is NaN, and those with unreadable light.
     """
     for i in range(BLOCK):
-        u0, v0, a0, a1 = before[_U0 + i], before[_V0 + i], before[_A0 + i], before[_A1 + i]
-        d, on, off, leak = s[_U + i] - u0, s[_ON + i], s[_OFF + i], s[_LEAK + i]
-        rise, fall = _reach(before[_Q + i], u0 - v0, d, a0, a1)
-        above = v0 - s[_REF + i]
+        u0, u1, v0, q = before[_U0 + i], s[_U + i], s[_V + i], before[_Q + i]
+        warped, g0, g1 = before[_S + i], before[_G0 + i], s[_G + i]
+        d, behind, a0, a1 = u1 - u0, u0 - v0, before[_A0 + i], before[_A1 + i]
+        before[_V0 + i] = v0
+        s[_V + i] = v0 + rise_of_filter(q, behind, Course(warped, d, warped * g0, warped * g1))
+        on, off, leak, above = s[_ON + i], s[_OFF + i], s[_LEAK + i], v0 - s[_REF + i]
+        rise, fall = _reach(q, behind, d, a0, a1)
         high, low = above + (rise + leak * c.since_epoch_1), above + (fall + leak * c.since_epoch_0)
         quiet = (high < on - _MARGIN) & (low > _MARGIN - off)
         loud[i] = 0 if quiet & is_plain(d, a0, a1, min(on, off)) else 1
@@ -189,8 +195,8 @@ def _add_parasitic(s: _Float32s, before: _Float32s, c: StepConstants) -> None:
 
 
 @vector_kernel
-def _test_bounds(s: _Float32s, before: _Float32s, loud: _Bytes, c: StepConstants) -> None:
-    """Do as `_test` with bounds that have been written."""
+def _test(s: _Float32s, before: _Float32s, loud: _Bytes, c: StepConstants) -> None:
+    """Put 1 into `loud` where a block's pixel may fire, by the bounds written, or is not plain; else 0."""
     for i in range(BLOCK):
         on, off, leak, reference = s[_ON + i], s[_OFF + i], s[_LEAK + i], s[_REF + i]
         high = (before[_HIGH + i] - reference) + leak * c.since_epoch_1
@@ -220,20 +226,21 @@ def _quiet_pass(
     light: _Float32s, rate: _Float32s, s: _Float32s, before: _Float32s, loud: _Bytes, c: StepConstants
 ) -> None:
     """Move a block over the step as if nothing fired, and flag what may."""
-    _take_light(light, rate, s, before, c)
     if c.chord:
-        _take_chord(s, before, c)
+        _take_light_alone(light, s, before, c)
+    else:
+        _take_light(light, rate, s, before, c)
     _warp(s, before, c)
-    _filter(s, before)
     if (c.second == _ZERO) & (c.parasitic == _ZERO):
-        _test(s, before, loud, c)
+        _filter_and_test(s, before, loud, c)
         return
+    _filter(s, before)
     _bound(s, before)
     if c.second > _ZERO:
         _add_second_pole(s, before, c)
     if c.parasitic > _ZERO:
         _add_parasitic(s, before, c)
-    _test_bounds(s, before, loud, c)
+    _test(s, before, loud, c)
 
 
 class _Scratch(NamedTuple):
@@ -266,7 +273,7 @@ def _move_block(
     here, rate_here = light[first : first + BLOCK], rate[first : first + BLOCK]
     if here.size < BLOCK:
         here = _padded(here, scratch.light)
-    if rate_here.size < BLOCK:
+    if rate_here.size < BLOCK and not c.chord:
         rate_here = _padded(rate_here, scratch.rate)
     _quiet_pass(here, rate_here, s, scratch.before, scratch.loud, c)
     return int(_list(scratch.loud.view(np.uint64), scratch.found))

@@ -22,7 +22,7 @@ class Field(IntEnum):
     LOG_LIGHT = 0  # u, ln of the photocurrent at the last step's end; NaN after unreadable light
     FILTERED = 1  # v
     RATE = 2  # lambda, rad/s
-    SLOPE = 3  # of u at the last step's end, by warped time: (du/dt) / lambda; NaN where it is not known
+    SLOPE = 3  # of u at the last step's end, by warped time: (du/dt) / lambda; not finite where it is not known
     REFERENCE = 4  # with leak times the time since the epoch added; NaN while the pixel is blind
     ON = 5  # thresholds, ln units, > 0
     OFF = 6

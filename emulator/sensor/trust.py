@@ -27,6 +27,7 @@ _SLOPES = np.float32(3)  # together, of a monotone cubic, in changes ...
 _IMMATERIAL = np.float32(0.02)  # ... and what does no harm beyond: it swings the cubic by less than 0.003
 _ONE_SLOPE, _ONE_IMMATERIAL = _SLOPES * np.float32(0.7071), _IMMATERIAL * np.float32(0.7071)
 _FLAT = np.float32(0.3)
+_ABSURD = np.float32(1e9)  # a step
 _STEEPEST = np.float32(64)  # bounds the work where slopes and light contradict each other
 
 
@@ -45,8 +46,11 @@ def is_plain(d: Real, a0: Real, a1: Real, threshold: Real) -> Real:
 
 @lane
 def completed(d: Real, a0: Real, a1: Real) -> tuple[Real, Real]:
-    """Return both slopes: where one is not known (NaN) a parabola's, where both are not, the straight line's."""
-    known0, known1 = a0 == a0, a1 == a1
+    """Return both slopes: where one is not known a parabola's, where both are not, the straight line's.
+
+    Not known are NaN and what no light has.
+    """
+    known0, known1 = abs(a0) <= _ABSURD, abs(a1) <= _ABSURD
     first = a0 if known0 else (_TWO * d - a1 if known1 else d)
     last = a1 if known1 else (_TWO * d - a0 if known0 else d)
     return first, last
