@@ -25,7 +25,7 @@ from emulator.accuracy.stream import Stream
 from emulator.sensor.presets import ReadoutParameters, SensorParameters
 from emulator.sensor.sensor import Sensor
 
-__all__ = ["EFFECTS", "Effect", "EffectRow", "effect_rows"]
+__all__ = ["EFFECTS", "QUICK_EFFECTS", "Effect", "EffectRow", "effect_rows"]
 
 _IDEAL: dict[str, Any] = {
     "mismatch": 0.0,
@@ -78,6 +78,9 @@ EFFECTS = (
     Effect("read-out of 80 ns an event", table="readout", instead=(("event_ns", 80.0), ("row_ns", 80))),
 )
 """In the order of the table."""
+
+QUICK_EFFECTS = tuple(effect for effect in EFFECTS if ("grade", "grid") not in effect.instead)
+"""Those that take no second a step."""
 
 
 @dataclass(frozen=True)

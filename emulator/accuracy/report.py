@@ -112,9 +112,9 @@ def _ratios(
 ) -> Iterator[float]:
     """Yield how many times our frames another method needs, scene by scene, where we have a figure from the sweep."""
     for case in told:
-        need = frames_needed(points, case, ours, target_us)
-        if need.kind in ("between", "at most"):
-            yield frames_needed(points, case, other, target_us).frames_per_s / need.frames_per_s
+        need, theirs = (frames_needed(points, case, name, target_us) for name in (ours, other))
+        if need.kind in ("between", "at most") and theirs.kind != "at most":
+            yield theirs.frames_per_s / need.frames_per_s
 
 
 def _short_number(value: float) -> str:
@@ -199,7 +199,7 @@ _STYLE = (
 )
 _NEEDS = (
     "<p>For a 95 % timestamp error with at least 90 % of the sequences right; “about”: beyond the shortest step swept, "
-    "by the order that the two shortest show; “never”: the error does not fall with the step.</p>"
+    "by the order that the three shortest show; “never”: the error does not fall with the step.</p>"
 )
 _EFFECTS = (
     "<p>Each effect added to the ideal sensor (equal thresholds, no leak, no low-pass, no refractory period, no noise) "

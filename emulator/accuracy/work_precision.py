@@ -68,8 +68,8 @@ class Need:
     Attributes
     ----------
     frames_per_s : infinite where no step gives it.
-    kind : "between" two points of the sweep; "beyond" its shortest step, by the order that its two shortest ones show;
-        "at most" its longest step, which is short enough; "never", as the error does not fall with the step.
+    kind : "between" two points of the sweep; "beyond" its shortest step, by the order that its three shortest ones
+        show; "at most" its longest step, which is short enough; "never", as the error does not fall with the step.
     """
 
     frames_per_s: float
@@ -106,10 +106,10 @@ def _order(coarse: Point, fine: Point) -> float:
 
 
 def _beyond(row: Sequence[Point], t95_us: float) -> Need:
-    """Go on from the two shortest steps, if the error falls at all."""
+    """Go on from the three shortest steps, if the error falls at all."""
     if len(row) < 2:
         return Need(math.inf, "never")
-    order = _order(row[-2], row[-1])
+    order = _order(row[-3:][0], row[-1])
     if not order >= _LEAST_ORDER:
         return Need(math.inf, "never")
     needed = row[-1].frames_per_s * (row[-1].scores.t95_us / t95_us) ** (1 / order)

@@ -11,7 +11,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from emulator.accuracy.cases import CASES, QUICK
 from emulator.accuracy.charts import ChartsLacking, check
-from emulator.accuracy.effects import EFFECTS, effect_rows
+from emulator.accuracy.effects import EFFECTS, QUICK_EFFECTS, effect_rows
 from emulator.accuracy.harness import methods
 from emulator.accuracy.report import write_stability, write_work_precision
 from emulator.accuracy.stability import QUICK_SWEEPS, SWEEPS, cells
@@ -65,7 +65,8 @@ def _chart(out: Path, quick: bool) -> list[Path]:
     chosen, ways = QUICK if quick else CASES, methods()
     points = _all(sweep(chosen, ways), settings(chosen, ways), "points")
     board = next(swept.case for swept in chosen if swept.case.name == "checkerboard")
-    effects = _all(effect_rows(board, _EFFECTS_STEP_S), len(EFFECTS), "effects")
+    switched = QUICK_EFFECTS if quick else EFFECTS
+    effects = _all(effect_rows(board, _EFFECTS_STEP_S, switched), len(switched), "effects")
     return _written(lambda: write_work_precision(points, effects, chosen, out))
 
 
