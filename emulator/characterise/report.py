@@ -35,7 +35,7 @@ class Comparison:
     ----------
     published : the figure.
     low, high : ours at its place: least and largest of the lines and points that it is compared with; NaN: none.
-    verdict : "agrees", "differs", or "not compared".
+    verdict : "agrees", "as told" (agrees with what the presets were made from), "differs", or "not compared".
     """
 
     published: Published
@@ -72,7 +72,8 @@ def _compare(known: Published, points: Sequence[Point]) -> Comparison:
         agrees = all(math.isclose(ratio, 1, abs_tol=known.tolerance - 1) for ratio in _ratios(known, own))
     else:
         agrees = max(here) * known.tolerance >= min(known.y) and min(here) <= max(known.y) * known.tolerance
-    return Comparison(known, *_ends(here), "agrees" if agrees else "differs")
+    good = "as told" if known.own else "agrees"
+    return Comparison(known, *_ends(here), good if agrees else "differs")
 
 
 def _ends(values: Sequence[float]) -> tuple[float, float]:
@@ -122,7 +123,7 @@ def reading(points: Sequence[Point], name: str) -> list[str]:
         "the simulated sensor is of their kind, and differing says where to look."
     ]
     lines += [_worst(chart, points) for chart in _TITLES if _modelled(chart, points)]
-    for verdict, words in (("agrees", "Agree with what is published"), ("differs", "Differ from what is published")):
+    for verdict, words in _VERDICTS.items():
         told = [
             f"{c.published.told} (here {_span(c.low, c.high)}; {c.published.how})"
             for c in found
@@ -132,6 +133,11 @@ def reading(points: Sequence[Point], name: str) -> list[str]:
     return lines
 
 
+_VERDICTS = {
+    "as told": "As the presets were told by these very sources",
+    "agrees": "Agree with what is published beside that",
+    "differs": "Differ from what is published",
+}
 _BOUNDED = ("flicker_events", "flicker_rate", "burst")
 _LEAST_SHARE = 0.02
 

@@ -60,7 +60,7 @@ def test_a_figure_is_compared_where_it_is_known():
     assert compared("3 kHz", line).verdict == "differs"
     assert compared("3 kHz", line).low == pytest.approx(2000)
     near = [dataclasses.replace(p, y=1.3 * p.y) for p in line]
-    assert compared("3 kHz", near).verdict == "agrees"
+    assert compared("3 kHz", near).verdict == "as told"
     assert compared("3 kHz", line[:1]).verdict == "not compared"  # the place lies outside
 
 
@@ -95,10 +95,13 @@ def test_the_reading_names_agreement_and_difference():
         Point("bandwidth", "s", 1.0, 3000.0, model=3000.0),
         Point("leak_light", "as configured", 1.0, 0.1, model=0.1),
     ]
-    *_, agree, differ = reading(points, "x")
-    assert "3 kHz at 1 klux" in agree
+    points.append(Point("burst", "s", 10_000, 900.0, model=800.0))
+    *_, told, agree, differ = reading(points, "x")
+    assert "3 kHz at 1 klux" in told
+    assert "10 000 at once" not in told
     assert "about 0.2 Hz" in differ
     assert "about 0.2 Hz" not in agree
+    assert "10 000 at once" in agree
 
 
 @pytest.mark.parametrize("name", PRESETS)
