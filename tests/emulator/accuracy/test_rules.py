@@ -143,6 +143,12 @@ def test_pangu_draws_by_pixel_and_event_and_by_nothing_else():
     assert times(False) == times(True)
 
 
+def test_pangu_draws_anew_for_each_event_of_a_pixel():
+    rule = started(Pangu(ideal(1), 3), 0.0)
+    shares = {int(rule.step(picture(0.21 * k), k * MS).t_ns[0]) % MS for k in range(1, 9)}
+    assert len(shares) == 8
+
+
 @pytest.mark.parametrize(
     ("refractory_us", "counts"),
     [
@@ -197,7 +203,8 @@ def test_a_straight_line_has_exact_times():
 def test_esim_is_deaf_where_a_line_begins_at_a_level_and_sikorski_is_not():
     for kind, events in ((Sikorski, 1), (Esim, 0)):
         rule = started(kind(ideal(1), 3), 0.0)
-        rule._r[0] = rule._u[0] - rule._drawn.on[0]
+        rule._r[0] = -0.2
+        rule._u[0] = rule._r[0] + rule._drawn.on[0]
         assert len(rule.step(picture(0.1), MS)) == events
 
 
