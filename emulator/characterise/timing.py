@@ -30,7 +30,8 @@ _NODES = 9
 _FLICKER = math.log(10)
 _PARTS = 8  # of half a period
 _SETTLE_TAUS = 8
-_COUNTED = 4  # periods
+_COUNTED = 4  # periods at least
+_COUNTED_DEAD_TIMES = 20  # so that the one at the edge does not count
 _FLASH = 3.0  # ln: over every threshold
 
 
@@ -168,12 +169,13 @@ def flicker(p: SensorParameters, curve: str, series: str, hz: float, light: floa
     part_ns = max(1, round(_S / hz / (2 * _PARTS)))
     heights = np.interp(np.arange(1, 2 * _PARTS + 1) / (2 * _PARTS), [0, 0.25, 0.75, 1], [0, 1, -1, 0])
     settle = 2 + math.ceil(_SETTLE_TAUS * float(lag_s(p, light)) * hz)
-    for k in range(settle + _COUNTED):
+    counted = max(_COUNTED, math.ceil(_COUNTED_DEAD_TIMES * p.refractory_us * 1e-6 * hz))
+    for k in range(settle + counted):
         if k == settle:
             bench.sent()
         for height in heights:
             bench.ramp(np.exp(middle + height * _FLICKER / 2) - np.exp(log_current(p, 0)), part_ns)
-    counted_s = _COUNTED * 2 * _PARTS * part_ns * 1e-9
+    counted_s = counted * 2 * _PARTS * part_ns * 1e-9
     rate_hz = bench.sent().size / bench.light.size / counted_s
     contrast_rate = 2 * _FLICKER * hz
     mean_threshold = (p.threshold_on + p.threshold_off) / 2

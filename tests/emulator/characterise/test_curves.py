@@ -167,6 +167,11 @@ def test_flicker_above_the_corner_is_not_seen():
     assert fast < 0.1
 
 
+def test_a_dead_time_longer_than_the_period_is_counted_over_many():
+    (point,) = flicker(without_readout(with_(PLAIN, refractory_us=500.0)), "flicker_rate", "x", 5000.0, 1.0)
+    assert 1000 < point.y < 1.05 / 500e-6
+
+
 @pytest.mark.parametrize("a", [2.5, 3.0, 3.5])
 def test_noise_events_follow_their_law(a):
     p = with_(mismatch=0.0, refractory_us=0.0)
