@@ -21,7 +21,7 @@ from tests.emulator.accuracy.rows import row
 BY_NAME = {method.name: method for method in methods()}
 WARPED, LINE, V2E = (BY_NAME[name] for name in ("warped", "line", "v2e"))
 
-DT_OVER_TAU = [0.03, 0.3, 1.0, 10.0]
+DT_OVER_TAU = [0.03, 1.0, 10.0]
 
 
 def board(motion_px, sigma_px, step_s, **changes):
@@ -94,7 +94,7 @@ def test_s8_a_single_edge_keeps_its_sequence(name, motion_px):
     assert scores.t95_us <= 0.8 * 5e3
 
 
-@pytest.mark.parametrize("share", [0, 0.03, 0.1, 0.3, 1, 3, 10])
+@pytest.mark.parametrize("share", [0, 0.1, 1, 10])
 def test_s9_a_refractory_period_of_any_length(share):
     scores = score(WARPED, board(0.25, 0.5, 2.5e-3, refractory_us=2500 * share), 2.5e-3)
     assert scores.right >= 0.97

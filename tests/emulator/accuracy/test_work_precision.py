@@ -11,15 +11,16 @@ import pytest
 from emulator.accuracy import charts
 from emulator.accuracy.cases import CASES, Swept
 from emulator.accuracy.effects import EFFECTS, QUICK_EFFECTS, effect_rows
-from emulator.accuracy.harness import Case, Method, events, methods, score, step_cost_us, truth
+from emulator.accuracy.harness import SEED, Case, Method, events, methods, score, step_cost_us, truth
 from emulator.accuracy.light import BlurredCheckerboard, SineGrating
-from emulator.accuracy.metrics import Scores
+from emulator.accuracy.metrics import Scores, mean_square_error, reconstruct
 from emulator.accuracy.report import reading, write_stability, write_work_precision
 from emulator.accuracy.stability import SWEEPS, boundary, cells
 from emulator.accuracy.work_precision import Point, frames_needed, settings, sweep
 from emulator.cli.accuracy import accuracy
 from emulator.cli.output import LACKING, WRONG_USE, Failure
 from emulator.sensor.pixels import PixelArray
+from emulator.sensor.rules.drawn import draw
 from tests.emulator.accuracy.rows import row
 
 SMALL = Case("sine", SineGrating(pixels=8), row(8), 0.05)
@@ -170,3 +171,16 @@ def test_the_verb_says_what_is_missing(tmp_path, monkeypatch):
         accuracy(out=tmp_path / "new")
     assert lacking.value.exit_code == LACKING
     assert not (tmp_path / "new").exists()
+
+
+def test_the_light_can_be_read_back_from_the_events():
+    """Start and thresholds known, the sum of the events lies within a threshold of the filtered log light."""
+    drawn = draw(SMALL.parameters, SEED)
+    stream, _ = events(LINE, SMALL, 5e-4)
+    start = np.log(SMALL.scene.value(0.0)[0] + SMALL.parameters.dark_current_relative) - drawn.on * drawn.phase
+    read = reconstruct(stream, drawn.on, drawn.off, start, 1e9)
+    known = reconstruct(truth(SMALL), drawn.on, drawn.off, start, 1e9)
+    log_light = np.log(SMALL.scene.value(SMALL.duration_s)[0])
+    lag = 2 * math.pi * 20 / (2 * math.pi * 300 * 0.3)  # at most, ln units: steepest slope times the longest tau
+    assert np.abs(read - log_light).max() < 0.25 + lag
+    assert mean_square_error(read, known) < 1e-3
