@@ -10,8 +10,9 @@ from typing import Any
 
 from emulator.accuracy.stability import Cell, Sweep
 from emulator.accuracy.work_precision import Point
+from emulator.drawing import pyplot, save
 
-__all__ = ["ChartsLacking", "check", "draw_stability", "draw_work_precision"]
+__all__ = ["draw_stability", "draw_work_precision"]
 
 _COLOURS = {
     "warped": "#000000",
@@ -30,24 +31,6 @@ _FLOOR_US = 1e-3
 _FLOOR_SHARE = 1e-4
 
 
-class ChartsLacking(Exception):
-    """matplotlib is not installed; the message tells how to get it."""
-
-
-def _pyplot() -> Any:
-    """Return matplotlib's figure maker for files, without a screen."""
-    try:
-        importlib.import_module("matplotlib").use("agg")
-        return importlib.import_module("matplotlib.pyplot")
-    except ImportError as error:
-        raise ChartsLacking("charts need matplotlib:  pip install 'evstim[report]'") from error
-
-
-def check() -> None:
-    """Raise ChartsLacking where matplotlib is missing: before minutes of work, not after."""
-    _pyplot()
-
-
 def _style(name: str) -> dict[str, Any]:
     return {
         "color": _COLOURS.get(name, "#56b4e9"),
@@ -57,15 +40,6 @@ def _style(name: str) -> dict[str, Any]:
         "linewidth": 2.0 if name == "warped" else 1.2,
         "linestyle": "--" if name in ("esim", "v2e") else "-",  # where it runs over another
     }
-
-
-def _save(figure: Any, stem: Path) -> list[Path]:
-    """Write a figure as SVG and PNG and close it."""
-    paths = [stem.with_suffix(".svg"), stem.with_suffix(".png")]
-    for path in paths:
-        figure.savefig(path, dpi=110, bbox_inches="tight")
-    _pyplot().close(figure)
-    return paths
 
 
 def _legend(figure: Any, axes: Any) -> None:
@@ -87,7 +61,7 @@ def draw_work_precision(points: Sequence[Point], told: dict[str, str], against: 
     against : "frames_per_s", "us_per_frame" or "us_per_stream_ms".
     stem : path without suffix.
     """
-    plt = _pyplot()
+    plt = pyplot()
     names = list(told)
     columns = min(_COLUMNS, len(names))
     bands = math.ceil(len(names) / columns)
@@ -108,7 +82,7 @@ def draw_work_precision(points: Sequence[Point], told: dict[str, str], against: 
             axes.set_ylabel(label if k % columns == 0 else "", fontsize=9)
             axes.set_xlabel(_AGAINST[against] if row == 1 else "", fontsize=9)
     _legend(figure, grid[0][0])
-    return _save(figure, stem)
+    return save(figure, stem)
 
 
 _AGAINST = {
@@ -143,7 +117,7 @@ def _panel(axes: Any, points: Sequence[Point], against: str, value: Callable[[Po
 
 def draw_stability(cells: Sequence[Cell], sweeps: Sequence[Sweep], stem: Path) -> list[Path]:
     """Draw the share of right sequences and the timestamp error of every method along each axis of the map."""
-    plt = _pyplot()
+    plt = pyplot()
     columns = min(_COLUMNS, len(sweeps))
     bands = math.ceil(len(sweeps) / columns)
     figure, grid = plt.subplots(2 * bands, columns, figsize=(4.0 * columns, 4.6 * bands + 0.5), **_GRID)
@@ -167,7 +141,7 @@ def draw_stability(cells: Sequence[Cell], sweeps: Sequence[Sweep], stem: Path) -
         lower.set_ylabel("95 % timestamp error, steps" if k % columns == 0 else "", fontsize=9)
         lower.set_xlabel(sweeps[k].label, fontsize=9)
     _legend(figure, grid[0][0])
-    return _save(figure, stem)
+    return save(figure, stem)
 
 
 def _strip(axes: Any, cells: Sequence[Cell], sweep: Sweep, value: Callable[[Cell], float]) -> None:

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 import dataclasses
-import html
-import json
 import math
 import statistics
 from collections.abc import Iterator, Mapping, Sequence
@@ -17,6 +14,7 @@ from emulator.accuracy.charts import draw_stability, draw_work_precision
 from emulator.accuracy.effects import EffectRow
 from emulator.accuracy.stability import Cell, Sweep, boundary
 from emulator.accuracy.work_precision import Point, frames_needed
+from emulator.page import inline, sentences, table, write_csv, write_json, write_page
 
 __all__ = ["reading", "reading_of_the_map", "write_stability", "write_work_precision"]
 
@@ -28,8 +26,8 @@ def write_work_precision(
 ) -> list[Path]:
     """Write the chart of speed against accuracy into folder `out`; return the files, the page first."""
     told = {swept.case.name: swept.told for swept in cases}
-    files = [_write_csv([point.row() for point in points], out / "work_precision.csv")]
-    sections: list[str] = [_sentences(reading(points, told))]
+    files = [write_csv([point.row() for point in points], out / "work_precision.csv")]
+    sections: list[str] = [sentences(reading(points, told))]
     for against, title in (
         ("frames_per_s", "Against frames rendered"),
         ("us_per_stream_ms", "Against the work for a millisecond of stream"),
@@ -37,9 +35,9 @@ def write_work_precision(
     ):
         drawn = draw_work_precision(points, told, against, out / f"work_precision_{against}")
         files += drawn
-        sections.append(f"<h2>{title}</h2>" + _inline(drawn[0]))
+        sections.append(f"<h2>{title}</h2>" + inline(drawn[0]))
     needs = _needs(points, told)
-    sections.append("<h2>Frames a second needed</h2>" + _NEEDS + _table(needs))
+    sections.append("<h2>Frames a second needed</h2>" + _NEEDS + table(needs))
     effect_table = [
         {
             "effect": row.name,
@@ -53,17 +51,17 @@ def write_work_precision(
         }
         for row in effects
     ]
-    files.append(_write_csv(effect_table, out / "effects.csv"))
-    sections.append("<h2>What each effect costs and changes, switched on alone</h2>" + _EFFECTS + _table(effect_table))
-    sections.append("<h2>All points</h2>" + _table([_short(point) for point in points]))
+    files.append(write_csv(effect_table, out / "effects.csv"))
+    sections.append("<h2>What each effect costs and changes, switched on alone</h2>" + _EFFECTS + table(effect_table))
+    sections.append("<h2>All points</h2>" + table([_short(point) for point in points]))
     whole: dict[str, Any] = {
         "needs": needs,
         "points": [p.row() for p in points],
         "effects": effect_table,
         "reading": reading(points, told),
     }
-    files.append(_write_json(whole, out / "work_precision.json"))
-    return [_write_page("Speed against accuracy", sections, out / "accuracy.html"), *files]
+    files.append(write_json(whole, out / "work_precision.json"))
+    return [write_page("Speed against accuracy", sections, out / "accuracy.html"), *files]
 
 
 def write_stability(cells: Sequence[Cell], sweeps: Sequence[Sweep], out: Path) -> list[Path]:
@@ -71,16 +69,16 @@ def write_stability(cells: Sequence[Cell], sweeps: Sequence[Sweep], out: Path) -
     rows = [dataclasses.asdict(cell) for cell in cells]
     drawn = draw_stability(cells, sweeps, out / "stability")
     bounds = _bounds(cells, sweeps)
-    files = [_write_csv(rows, out / "stability.csv"), *drawn]
+    files = [write_csv(rows, out / "stability.csv"), *drawn]
     lines = reading_of_the_map(cells, sweeps)
-    files.append(_write_json({"cells": rows, "boundaries": bounds, "reading": lines}, out / "stability.json"))
+    files.append(write_json({"cells": rows, "boundaries": bounds, "reading": lines}, out / "stability.json"))
     sections = [
-        _sentences(lines),
-        _inline(drawn[0]),
-        "<h2>Up to where 95 % of the sequences are right</h2>" + _table(bounds),
-        "<h2>All cells</h2>" + _table(rows),
+        sentences(lines),
+        inline(drawn[0]),
+        "<h2>Up to where 95 % of the sequences are right</h2>" + table(bounds),
+        "<h2>All cells</h2>" + table(rows),
     ]
-    return [_write_page("Where methods fail", sections, out / "stability.html"), *files]
+    return [write_page("Where methods fail", sections, out / "stability.html"), *files]
 
 
 def reading(points: Sequence[Point], told: Mapping[str, str]) -> list[str]:
@@ -169,34 +167,6 @@ def _short(point: Point) -> dict[str, Any]:
     return {name: row[name] for name in wanted.split()}
 
 
-def _write_csv(rows: Sequence[Mapping[str, Any]], path: Path) -> Path:
-    with path.open("w", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
-    return path
-
-
-def _write_json(value: object, path: Path) -> Path:
-    path.write_text(json.dumps(_finite(value), indent=1, allow_nan=False) + "\n")
-    return path
-
-
-def _finite(value: Any) -> Any:
-    """Return the value with None for what JSON has no number for."""
-    if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-_STYLE = (
-    "body{font:15px/1.5 sans-serif;max-width:1200px;margin:2em auto;padding:0 1em;color:#222}"
-    "svg{width:100%;height:auto}table{border-collapse:collapse;font-size:12px}"
-    "td,th{padding:2px 8px;text-align:right;border-bottom:1px solid #ddd}"
-    "td:first-child,th:first-child{text-align:left}"
-)
 _NEEDS = (
     "<p>For a 95 % timestamp error with at least 90 % of the sequences right; “about”: beyond the shortest step swept, "
     "by the order that the three shortest show; “never”: the error does not fall with the step.</p>"
@@ -206,32 +176,3 @@ _EFFECTS = (
     "under the moving checkerboard; counts, sequences and shifts are against the ideal sensor's events, and the time "
     "is that of a whole step of 346 x 260 pixels.</p>"
 )
-
-
-def _write_page(title: str, sections: Sequence[str], path: Path) -> Path:
-    head = f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{title}</title><style>{_STYLE}</style>'
-    path.write_text(f"{head}<h1>{title}</h1>{''.join(sections)}</html>\n")
-    return path
-
-
-def _sentences(lines: Sequence[str]) -> str:
-    first, *rest = (html.escape(line) for line in lines)
-    return f"<p>{first}</p><ul>{''.join(f'<li>{line}</li>' for line in rest)}</ul>"
-
-
-def _inline(svg: Path) -> str:
-    """Return an SVG file's picture element, to stand in the page itself."""
-    text = svg.read_text()
-    return text[text.index("<svg") :]
-
-
-def _table(rows: Sequence[Mapping[str, Any]]) -> str:
-    head = "".join(f"<th>{html.escape(name.replace('_', ' '))}</th>" for name in rows[0])
-    body = "".join("<tr>" + "".join(f"<td>{_cell(v)}</td>" for v in row.values()) + "</tr>" for row in rows)
-    return f"<table><tr>{head}</tr>{body}</table>"
-
-
-def _cell(value: object) -> str:
-    if value is None or (isinstance(value, float) and math.isnan(value)):
-        return "–"
-    return f"{value:.4g}" if isinstance(value, float) else html.escape(str(value))

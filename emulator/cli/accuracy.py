@@ -10,13 +10,13 @@ from cyclopts import Parameter
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from emulator.accuracy.cases import CASES, QUICK
-from emulator.accuracy.charts import ChartsLacking, check
 from emulator.accuracy.effects import EFFECTS, QUICK_EFFECTS, effect_rows
 from emulator.accuracy.harness import methods
 from emulator.accuracy.report import write_stability, write_work_precision
 from emulator.accuracy.stability import QUICK_SWEEPS, SWEEPS, cells
 from emulator.accuracy.work_precision import settings, sweep
 from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, console, print_json, status
+from emulator.drawing import ChartsLacking, check
 
 __all__ = ["accuracy"]
 
