@@ -9,7 +9,7 @@ What is solved (photocurrent i relative to the reference light, u = ln i, natura
     crossing  ON when g - reference >= threshold_on, OFF when <= -threshold_off
 
 Between two pictures u is the cubic through its values and time derivatives at both; the filter is solved over S, the
-integral of lambda dt, by `lowpass`. For the second pole, v is taken as the cubic in time through its values and slopes.
+integral of lambda dt, by `lowpass`, and so is the second pole.
 
 The step of a pixel is *quiet* when bounds show that it cannot fire: v stays between v0 and v0 + q (U - v0), with
 q = 1 - e^-S and U the highest (lowest) of u, for which the cubic's Bernstein coefficients are bounds. Most pixels are,
@@ -45,7 +45,7 @@ from emulator.sensor.compiled import Real, kernel, lane, vector_kernel
 from emulator.sensor.elementary import decay, exponential, lowest_bit, natural_log
 from emulator.sensor.kept import kept_entry
 from emulator.sensor.layout import BLOCK, FIELDS, Field, Pixels, StepConstants
-from emulator.sensor.lowpass import Course, rise_of_filter, slope_of_filter, warped_time
+from emulator.sensor.lowpass import Course, Filtered, rise_behind_second_pole, rise_of_filter, warped_time
 from emulator.sensor.trust import is_plain
 
 __all__ = ["Tally", "advance", "unpack"]
@@ -173,11 +173,11 @@ def _add_second_pole(s: _Float32s, before: _Float32s, c: StepConstants) -> None:
     """Put what a block has behind the second pole into the state, and its bounds in the place of the filter's."""
     q = decay(c.second)
     for i in range(BLOCK):
-        v0, v1, w0, warped = before[_V0 + i], s[_V + i], s[_W + i], before[_S + i]
-        m0 = slope_of_filter(warped, c.h * before[_L0 + i], before[_U0 + i] - v0, before[_A0 + i])
-        m1 = slope_of_filter(warped, c.h * s[_L + i], s[_U + i] - v1, before[_A1 + i])
+        u0, u1, v0, w0, warped = before[_U0 + i], s[_U + i], before[_V0 + i], s[_W + i], before[_S + i]
+        light = Course(warped, u1 - u0, warped * before[_G0 + i], warped * s[_G + i])
+        filtered = Filtered(u0 - v0, u1 - s[_V + i], s[_V + i] - v0, c.h * before[_L0 + i], c.h * s[_L + i])
         before[_W0 + i] = w0
-        s[_W + i] = w0 + rise_of_filter(q, v0 - w0, Course(c.second, v1 - v0, m0, m1))
+        s[_W + i] = w0 + rise_behind_second_pole(q, v0 - w0, c.second, light, filtered)
         before[_HIGH + i] = w0 + q * max(before[_HIGH + i] - w0, _ZERO)
         before[_LOW + i] = w0 + q * min(before[_LOW + i] - w0, _ZERO)
 

@@ -7,6 +7,10 @@ light. In warped time s, the integral of lambda dt, the filter's time constant i
     v(s)  = u - u' + u'' - u''' + B e^-s                    (primes: d/ds), B such that v(0) = v0
 
 Everything below is of fourth order in the length of the stretch.
+
+A second pole of fixed rate follows v: dw/dt = lambda2 (v - w). Up to S = 1, v is taken as the cubic in time through its
+values and slopes. On longer stretches, where no cubic holds B e^-s and the first slope alone may throw it off by many
+times B, that is done with the steady part of v only; what B e^-s adds has a closed form, good where both rates meet.
 """
 
 from __future__ import annotations
@@ -16,9 +20,20 @@ from typing import NamedTuple
 import numpy as np
 
 from emulator.sensor.compiled import Real, lane
+from emulator.sensor.elementary import decay, exponential
 from emulator.sensor.layout import StepConstants
 
-__all__ = ["Course", "Transient", "missed_by_cubic", "rise_of_filter", "slope_of_filter", "transient", "warped_time"]
+__all__ = [
+    "Course",
+    "Filtered",
+    "Transient",
+    "missed_by_cubic",
+    "passed_by_second_pole",
+    "rise_behind_second_pole",
+    "rise_of_filter",
+    "transient",
+    "warped_time",
+]
 
 _ZERO, _ONE, _TWO, _THREE, _FOUR, _SIX, _HALF = (np.float32(x) for x in (0, 1, 2, 3, 4, 6, 0.5))
 _THIRD, _TWELFTH, _A_384TH = np.float32(1 / 3), np.float32(1 / 12), np.float32(1 / 384)
@@ -28,6 +43,7 @@ _SERIES_UP_TO = np.float32(0.5)  # beyond, the closed forms lose less than the s
 _SHORTEST = np.float32(0.01)  # below, a cubic misses nothing of an exponential that float32 could hold
 _FAST = np.float32(100)  # from here on an exponential below _FAINT is rounding noise, which its slope would magnify
 _FAINT = np.float32(1e-5)
+_LEAST_GAP = np.float32(1e-6)
 _LINEAR, _OFFSET = np.float32(0.16), np.float32(0.2)
 
 
@@ -47,6 +63,16 @@ class Transient(NamedTuple):
     lag0: Real
     lag1: Real
     faint: Real  # whether b is rounding noise, to be left out
+
+
+class Filtered(NamedTuple):
+    """The filter over a stretch: what it lacks of the light at both ends, its rise, and rates times the length."""
+
+    behind0: Real
+    behind1: Real
+    rise: Real
+    r0: Real
+    r1: Real
 
 
 @lane
@@ -79,15 +105,6 @@ def rise_of_filter(q: Real, behind: Real, u: Course) -> Real:
 
 
 @lane
-def slope_of_filter(s: Real, r: Real, behind: Real, a: Real) -> Real:
-    """Return the slope of v at an end where u - v = behind, per stretch; r is the rate times its length, a that of u.
-
-    Where the filter is fast its lag is a matter of rounding, and v goes as u does.
-    """
-    return a if s > _FAST else r * behind
-
-
-@lane
 def transient(behind: Real, u: Course) -> Transient:
     """Return the exponential that a filter which is `behind` = u0 - v0 adds to its steady lag."""
     inverse = _ONE / max(u.s, _SHORTEST)
@@ -104,3 +121,32 @@ def missed_by_cubic(b: Real, s: Real) -> Real:
     """Return the most by which a cubic through values and slopes at both ends of a stretch misses b e^-s."""
     s2 = s * s
     return abs(b) * min(s2 * s2 * _A_384TH, _LINEAR * s + _OFFSET)
+
+
+@lane
+def passed_by_second_pole(s: Real, r0: Real, second: Real) -> Real:
+    """Return what has come of e^-s through a pole of rate `second` at a stretch's end, both rates times its length.
+
+    s is the warped length, r0 the first filter's rate at the start. Its rate is taken as one constant, which does for
+    it what the changing one does, to first order in the change: the mean, s, weighed towards the start the faster e^-s
+    dies. With it the answer is second (e^-r - e^-second) / (second - r).
+    """
+    lead = s - second
+    r = r0 + (s - r0) * (_TWO + max(-lead, _ZERO)) / (_THREE + abs(lead))
+    gap = max(abs(second - r), _LEAST_GAP)
+    return second * exponential(-min(r, second)) * (decay(gap) / gap)
+
+
+@lane
+def rise_behind_second_pole(q: Real, behind: Real, second: Real, u: Course, v: Filtered) -> Real:
+    """Return w1 - w0, with behind = v0 - w0, and q = 1 - e^-second.
+
+    `second` is the pole's rate times the length of the stretch.
+    """
+    t = transient(v.behind0, u)
+    slow = u.s < _ONE
+    b = _ZERO if slow else t.b
+    rise = v.rise if slow else u.d - (t.lag1 - t.lag0)
+    m0, m1 = v.r0 * (v.behind0 if slow else t.lag0), v.r1 * (v.behind1 if slow else t.lag1)
+    followed = rise_of_filter(q, behind - b, Course(second, rise, m0, m1))
+    return followed + b * passed_by_second_pole(u.s, v.r0, second)
