@@ -69,6 +69,7 @@ class RunResult:
     ledger: Ledger
     lateness: Lateness
     links: dict[str, LinkReport] = field(default_factory=dict)
+    suspect_share: float | None = None
 
 
 def load_kernels(sensor: SensorParameters) -> None:
@@ -131,7 +132,16 @@ class Session:
             self._publish(self._sensor.finish(), schedule)
             reports = self._stop_links(schedule.drain_s)
         frames, ledger = self._pictures.frames, self._ledger(reports)
-        return RunResult(self._t_ns * 1e-9, wall_seconds, frames, self._steps, ledger, self._lateness, reports)
+        return RunResult(
+            sim_seconds=self._t_ns * 1e-9,
+            wall_seconds=wall_seconds,
+            frames=frames,
+            steps=self._steps,
+            ledger=ledger,
+            lateness=self._lateness,
+            links=reports,
+            suspect_share=self._sensor.suspect_share,
+        )
 
     def _open_links(self) -> None:
         self._links = [LinkProcess(setup, self._clock) for setup in self._setups]

@@ -20,6 +20,8 @@ from transports.pacing import MonotonicClock
 
 __all__ = ["run", "run_rig"]
 
+_MANY_SUSPECTS = 0.1  # from here on shorter steps for all are cheaper than mending single pixels
+
 
 def run(
     rig: str,
@@ -97,6 +99,7 @@ def summary(rig: Rig, result: RunResult) -> dict[str, object]:
         "balanced": result.ledger.balanced,
         "latency_us": dataclasses.asdict(_worst(latencies)),
         "lateness": result.lateness.as_json(),
+        "suspect_share": result.suspect_share,
         "links": {name: {"state": r.state, "latency_us": r.latency} for name, r in result.links.items()},
     }
 
@@ -128,6 +131,11 @@ def _print_summary(rig: Rig, result: RunResult) -> None:
                 f"{link.name}: event to socket p50 {report.latency.p50:.0f} us, p99 {report.latency.p99:.0f} us, "
                 f"max {report.latency.max:.0f} us"
             )
+    if result.suspect_share is not None and result.suspect_share > _MANY_SUSPECTS:
+        console.print(
+            f"pictures too far apart: in {result.suspect_share:.0%} of the solved pixel-steps the light did something "
+            "between them; shorten run.step_us, or give run.tolerance_us"
+        )
     late = result.lateness
     if late.frames_late:
         console.print(

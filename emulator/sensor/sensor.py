@@ -122,6 +122,16 @@ class Sensor:
         return self._jitter.waiting if self._jitter is not None else 0
 
     @property
+    def suspect_share(self) -> float | None:
+        """Share of the solved pixel-steps whose light did something unseen between pictures; None where not known.
+
+        The honest measure of whether pictures are close enough together.
+        """
+        if not isinstance(self.pixels, PixelArray):
+            return None
+        return self.pixels.suspects / max(self.pixels.candidates, 1)
+
+    @property
     def quiet_nan(self) -> int:
         """Pixel-steps whose light was NaN or infinite."""
         return self.pixels.quiet_nan

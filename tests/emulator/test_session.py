@@ -9,6 +9,7 @@ import pytest
 from emulator.cli.signals import stopped_by_signals
 from emulator.pictures import Pictures
 from emulator.scene.base import Scene
+from emulator.scene.checkerboard import Checkerboard, CheckerboardParameters
 from emulator.sensor.presets import PRESETS
 from emulator.sensor.sensor import Sensor
 from emulator.session import Schedule, Session
@@ -144,6 +145,21 @@ def test_light_that_is_not_a_number_is_dark_for_the_ledger_too():
     whole = session(Flashing(clock), clock).run(Schedule(duration_ns=10 * STEP_NS, paced=False))
     assert result.ledger.balanced
     assert 0 < result.ledger.raised < whole.ledger.raised
+
+
+def test_pictures_too_far_apart_show_as_suspects():
+    sensor = dataclasses.replace(SENSOR, width=64, height=48)
+    board = CheckerboardParameters(square_px=8.0, speed_px_s=100.0)
+
+    def suspects(step_ns):
+        with Checkerboard(board, (64, 48)) as scene:
+            pictures = Pictures(scene, with_rate=True)
+            running = Session(pictures, Sensor(sensor, 1), FixedSteps(step_ns), [], FakeClock())
+            return running.run(Schedule(duration_ns=100 * STEP_NS, paced=False)).suspect_share
+
+    close, apart = suspects(100_000), suspects(20_000_000)
+    assert close < 0.05
+    assert apart > 0.5
 
 
 def test_a_scene_of_another_size_is_refused():
