@@ -8,10 +8,11 @@ from pathlib import Path
 from emulator.pictures import Pictures
 from emulator.plan import limits, make_plan
 from emulator.probe import probe
-from emulator.rig import LinkParameters, LoopbackLink, Rig, SceneParameters
+from emulator.rig import LinkParameters, LoopbackLink, Rig, RigError, SceneParameters
 from emulator.scene.base import Scene
 from emulator.scene.checkerboard import Checkerboard, CheckerboardParameters
 from emulator.sensor.pixels import PixelArray
+from emulator.sensor.presets import SensorParameters
 from emulator.sensor.rules import RULES
 from emulator.sensor.sensor import Sensor
 from emulator.session import Schedule, Session
@@ -24,7 +25,15 @@ from transports.pacing import Clock
 from transports.ring import EventRing
 from transports.usbip.endpoint import UsbipFactory
 
-__all__ = ["build_scene", "build_session", "link_setups", "record_paths", "schedule"]
+__all__ = [
+    "build_pictures",
+    "build_scene",
+    "build_sensor",
+    "build_session",
+    "link_setups",
+    "record_paths",
+    "schedule",
+]
 
 
 def build_scene(parameters: SceneParameters, size: tuple[int, int]) -> Scene:
@@ -44,8 +53,20 @@ def build_session(rig: Rig, scene: Scene, setups: Sequence[LinkSetup], clock: Cl
         parameters = make_plan(rig, probe(scene, parameters, run.step_us * 1000, run.seconds or 10.0)).sensor
         dark = parameters.dark_current_relative
         steps = ControlledSteps(limits(rig, scene.motion_bound_px_s), dark, run.step_us * 1000)
-    sensor = Sensor(parameters, run.seed, RULES.get(run.method, PixelArray))
-    return Session(Pictures(scene, with_rate=run.method == "warped"), sensor, steps, setups, clock)
+    return Session(build_pictures(rig, scene), build_sensor(rig, parameters), steps, setups, clock)
+
+
+def build_sensor(rig: Rig, parameters: SensorParameters) -> Sensor:
+    """Return the rig's sensor, of `parameters`; raises RigError when its method lacks an effect that is asked for."""
+    try:
+        return Sensor(parameters, rig.run.seed, RULES.get(rig.run.method, PixelArray))
+    except ValueError as error:
+        raise RigError(f"{rig.name}: run.method = {rig.run.method!r}: {error}") from error
+
+
+def build_pictures(rig: Rig, scene: Scene) -> Pictures:
+    """Return the scene's pictures, as the rig's method wants them."""
+    return Pictures(scene, with_rate=rig.run.method == "warped")
 
 
 def schedule(rig: Rig) -> Schedule:

@@ -71,6 +71,11 @@ class RunResult:
     links: dict[str, LinkReport] = field(default_factory=dict)
     suspect_share: float | None = None
 
+    @property
+    def good(self) -> bool:
+        """True when every event has exactly one fate and no link found fault with what it did."""
+        return self.ledger.balanced and all(report.error is None for report in self.links.values())
+
 
 def load_kernels(sensor: SensorParameters) -> None:
     """Compile the sensor's kernels, or load them from disk, by flashing a light at a few pixels like `sensor`'s."""

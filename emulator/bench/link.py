@@ -112,7 +112,7 @@ def _check(pushed: int, reception: Reception, report: LinkReport) -> None:
 
 
 def latency_p50() -> float:
-    """Median time from an event's own time to its bytes leaving, us, at 1 Mev/s and 1 kHz steps in real time."""
+    """Median time from an event's own time to its bytes leaving, us, at some 1.5 Mev/s and 1 kHz steps, paced."""
     return _latency().p50 or 0.0
 
 
@@ -132,7 +132,7 @@ def _latency() -> Any:
 
 
 def _paced_run() -> RunResult:
-    """Run the checkerboard for 10 s with a receiver attached, at a speed that gives about 1 Mev/s."""
+    """Run the checkerboard for 10 s with a receiver attached, at a speed that gives about 1.5 Mev/s."""
     rig = load_rig("checkerboard")
     if not isinstance(rig.scene, CheckerboardParameters):
         raise TypeError("the shipped checkerboard rig shows no checkerboard")

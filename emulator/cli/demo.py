@@ -44,7 +44,7 @@ def demo(
         status.print(f"{loaded.name}: {loaded.title}")
         result = _run(loaded, sent, received, seconds)
         verdict = _compare(sent, received)
-    good = verdict["equal"] is True and result.ledger.balanced
+    good = verdict["equal"] is True and result.good
     if json:
         print_json({**summary(loaded, result), "comparison": verdict, "good": good})
     else:

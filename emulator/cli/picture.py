@@ -8,14 +8,12 @@ from typing import Annotated
 import numpy as np
 from cyclopts import Parameter
 
-from emulator.assembly import build_scene
+from emulator.assembly import build_pictures, build_scene, build_sensor
 from emulator.cli.output import GOOD, console, failures, print_json
 from emulator.rig import Rig, load_rig
 from emulator.scene.base import Light
 from emulator.scene.picture import event_picture, save_png
-from emulator.sensor.pixels import PixelArray
-from emulator.sensor.readout import ReadOut
-from firmware_protocol.events import Events
+from firmware_protocol.events import Events, empty_events
 
 __all__ = ["look", "picture"]
 
@@ -59,18 +57,17 @@ def picture(
 
 def look(rig: Rig, at_s: float, window_ms: float) -> tuple[Light, Events]:
     """Run the scene and the sensor alone up to `at_s`; returns the light then and the events of the window before."""
-    sensor = rig.camera.sensor
-    light = np.zeros((sensor.height, sensor.width), np.float32)
-    pixels, readout = PixelArray(sensor, rig.run.seed), ReadOut(sensor)
+    sensor = build_sensor(rig, rig.camera.sensor)
     step_ns, end_ns = rig.run.step_us * 1000, round(at_s * 1e9)
     # The filter has settled and the window is full after this long; what came before would change nothing visible.
     start_ns = max(0, end_ns - round(window_ms * 1e6) - 50 * step_ns)
-    batches = []
-    with build_scene(rig.scene, (sensor.width, sensor.height)) as scene:
-        scene.light(start_ns, light)
-        pixels.reset(light, start_ns)
+    batches = [empty_events()]
+    with build_scene(rig.scene, rig.camera.size) as scene:
+        picture = build_pictures(rig, scene)
+        picture.draw(start_ns)
+        sensor.reset(picture.light, start_ns)
         for t_ns in range(start_ns + step_ns, end_ns + 1, step_ns):
-            scene.light(t_ns, light)
-            batches.append(readout.push(pixels.step(light, t_ns), t_ns).copy())
+            picture.draw(t_ns)
+            batches.append(sensor.expose(picture.light, t_ns, picture.rate))
     events = np.concatenate(batches)
-    return light, events[events["t"] >= max(0, end_ns // 1000 - round(window_ms * 1000))]
+    return picture.light, events[events["t"] >= max(0, end_ns // 1000 - round(window_ms * 1000))]

@@ -58,7 +58,7 @@ def run(
         print_json(summary(loaded, result))
     else:
         _print_summary(loaded, result)
-    return GOOD if result.ledger.balanced else BAD_VERDICT
+    return GOOD if result.good else BAD_VERDICT
 
 
 def _with_options(rig: Rig, seconds: float | None, seed: int | None, pace: str | None) -> Rig:
@@ -100,7 +100,10 @@ def summary(rig: Rig, result: RunResult) -> dict[str, object]:
         "latency_us": dataclasses.asdict(_worst(latencies)),
         "lateness": result.lateness.as_json(),
         "suspect_share": result.suspect_share,
-        "links": {name: {"state": r.state, "latency_us": r.latency} for name, r in result.links.items()},
+        "links": {
+            name: {"state": r.state, "latency_us": r.latency, "digest": r.digest, "error": r.error}
+            for name, r in result.links.items()
+        },
     }
 
 
@@ -123,9 +126,11 @@ def _print_summary(rig: Rig, result: RunResult) -> None:
     for link in ledger.links:
         report = result.links[link.name]
         console.print(
-            f"{link.name}: {link.delivered} delivered, {link.dropped} dropped, {link.dropped_in_device} dropped in the "
-            f"device{_device_detail(report.camera)}"
+            f"{link.name}: {link.delivered} delivered (digest {report.digest:08x}), {link.dropped} dropped, "
+            f"{link.dropped_in_device} dropped in the device{_device_detail(report.camera)}"
         )
+        if report.error is not None:
+            console.print(f"{link.name}: {report.error}")
         if report.latency.p50 is not None:
             console.print(
                 f"{link.name}: event to socket p50 {report.latency.p50:.0f} us, p99 {report.latency.p99:.0f} us, "

@@ -12,6 +12,7 @@ import pytest
 
 from emulator.cli.app import _main
 from firmware_protocol.events import EVENT
+from transports.digest import digest_of
 
 EVSTIM = [sys.executable, "-c", "from emulator.cli import main; main()"]
 
@@ -113,6 +114,24 @@ def test_a_shape_that_cannot_be_used_is_the_rigs_fault(shape, tmp_path, capsys):
     assert shape in last_json(capsys.readouterr().out)["error"]
 
 
+def test_a_method_that_lacks_an_effect_is_the_rigs_fault(rig, capsys):
+    text = rig.read_text().replace("[run]", "[camera.sensor.defects]\nhot_share = 0.01\n[run]\nmethod = \"pangu\"")
+    rig.write_text(text)
+    assert _main(["run", str(rig), "--json"]) == 2
+    assert "pangu" in last_json(capsys.readouterr().out)["error"]
+
+
+def test_a_picture_shows_what_the_rig_models(rig, tmp_path, capsys):
+    noisy = tmp_path / "noisy.toml"
+    hot = "[camera.sensor.defects]\nhot_share = 0.3\nhot_hz = 2000.0\n[run]"
+    noisy.write_text(rig.read_text().replace("[run]", hot))
+    counts = []
+    for path in (rig, noisy):
+        assert _main(["picture", str(path), str(tmp_path / "a.png"), "--at-s", "0.1", "--json"]) == 0
+        counts.append(last_json(capsys.readouterr().out)["events"])
+    assert counts[1] > 2 * counts[0]
+
+
 def test_without_gl_the_error_names_the_packages_and_closed_forms_still_run(rig):
     without_gl = {**os.environ, "GLCONTEXT_LINUX_LIBEGL": "libEGL_absent.so.1"}
     done = run("check", "eros", "--draw", "--json", env=without_gl)
@@ -142,9 +161,11 @@ def test_a_run_tells_where_every_event_went(rig, tmp_path):
     assert events["raised"] == events["lost_in_pixel"] + events["lost_at_readout"] + events["read_out"]
     assert events["read_out"] == link["delivered"] + link["dropped"] + link["dropped_in_device"]
     assert link["delivered"] > 100
+    assert told["links"]["loopback"]["error"] is None
     with np.load(record) as file:
         assert file["events"].dtype == EVENT
         assert len(file["events"]) == link["delivered"]
+        assert digest_of(file["events"]) == told["links"]["loopback"]["digest"]
 
 
 def test_the_same_run_again_gives_the_same_events(rig, tmp_path):

@@ -14,6 +14,7 @@ from emulator.sensor.presets import PRESETS
 from emulator.sensor.sensor import Sensor
 from emulator.session import Schedule, Session
 from emulator.steps import FixedSteps
+from transports.link import LinkReport
 from transports.pacing import FakeClock
 
 SENSOR = dataclasses.replace(PRESETS["davis346"], width=24, height=16, leak_hz=0.0)
@@ -160,6 +161,13 @@ def test_pictures_too_far_apart_show_as_suspects():
     close, apart = suspects(100_000), suspects(20_000_000)
     assert close < 0.05
     assert apart > 0.5
+
+
+def test_a_link_that_found_fault_makes_the_run_bad():
+    clock = FakeClock()
+    result = session(Flashing(clock), clock).run(Schedule(duration_ns=2 * STEP_NS, paced=False))
+    assert result.good
+    assert not dataclasses.replace(result, links={"loopback": LinkReport("closed", error="others received")}).good
 
 
 def test_a_scene_of_another_size_is_refused():
