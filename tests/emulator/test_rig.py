@@ -112,6 +112,20 @@ def test_links_have_names_and_ports_of_their_own():
     assert "port 4000 is taken" in message(scene + usbip + usbip + 'name = "other"\n')
 
 
+def test_an_infinite_corner_switches_the_low_pass_off():
+    rig = parse_rig(GOOD.replace("threshold_on = 0.2", "corner_hz_at_reference = inf"), "my.toml", "my")
+    assert rig.camera.sensor.corner_hz_at_reference == float("inf")
+
+
+@pytest.mark.parametrize("key", ["square_px", "threshold_on", "event_ns", "seconds", "tolerance_us", "start_delay_ms"])
+def test_what_is_not_a_number_is_refused(key):
+    tables = {"square_px": "scene", "threshold_on": "camera.sensor", "event_ns": "camera.sensor.readout"}
+    table = tables.get(key, "camera" if key == "start_delay_ms" else "run")
+    scene = "" if table == "scene" else '[scene]\nkind = "checkerboard"\n'
+    kind = 'kind = "checkerboard"\n' if table == "scene" else ""
+    assert key in message(f"{scene}[{table}]\n{kind}{key} = nan\n")
+
+
 def test_a_refractory_period_of_zero_is_fine():
     rig = parse_rig(GOOD.replace("threshold_on = 0.2", "refractory_us = 0.0"), "my.toml", "my")
     assert rig.camera.sensor.refractory_us == 0
