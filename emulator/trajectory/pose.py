@@ -1,0 +1,117 @@
+"""A place and an attitude, and what moves through them.
+
+World: metres, right-handed. `q_world_from_body` is a unit quaternion, scalar first: it turns coordinates along the
+thing's own axes into coordinates along the world's. A camera's own axes are OpenCV's: x right, y down, z out along the
+boresight. Other conventions (SPICE, Basilisk, ROS, OpenGL) are converted where they come in, see `conventions`.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from emulator.scene.attitude import Matrix, Vector, matrix_of
+
+__all__ = ["STILL", "Fixed", "Pose", "Trajectory", "TrajectoryError", "multiply"]
+
+_UNIT_WITHIN = 1e-3
+
+
+class TrajectoryError(Exception):
+    """A trajectory cannot be used; the message says what is wrong with it and where."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """A place and an attitude.
+
+    Attributes
+    ----------
+    position_m : (3,) float64, in the world.
+    q_world_from_body : (4,) float64, unit, scalar first; one within 0.1 % of unit length is made so.
+
+    Raises
+    ------
+    ValueError
+        Not finite, or not a unit quaternion.
+    """
+
+    position_m: Vector
+    q_world_from_body: npt.NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        position, q = np.asarray(self.position_m, np.float64), np.asarray(self.q_world_from_body, np.float64)
+        if position.shape != (3,) or not np.isfinite(position).all():
+            raise ValueError(f"a position is three finite metres, got {position}")
+        length = float(np.linalg.norm(q))
+        if q.shape != (4,) or not abs(length - 1) < _UNIT_WITHIN:
+            raise ValueError(f"an attitude is a unit quaternion (w, x, y, z), got {q} of length {length:.4g}")
+        object.__setattr__(self, "position_m", position)
+        object.__setattr__(self, "q_world_from_body", q / length)
+
+    @property
+    def world_from_body(self) -> Matrix:
+        """The attitude as a matrix, (3, 3)."""
+        return matrix_of(self.q_world_from_body)
+
+    def after(self, child: Pose) -> Pose:
+        """Return in the world what `child` is in this thing's own frame."""
+        position = self.position_m + self.world_from_body @ child.position_m
+        return Pose(position, multiply(self.q_world_from_body, child.q_world_from_body))
+
+    def inverse(self) -> Pose:
+        """Return the world as seen from here."""
+        q = self.q_world_from_body * np.array([1.0, -1.0, -1.0, -1.0])
+        return Pose(-(self.world_from_body.T @ self.position_m), q)
+
+
+STILL = Pose(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
+"""At the origin, turned with the world's axes."""
+
+
+class Trajectory(ABC):
+    """A pose at every instant."""
+
+    @abstractmethod
+    def pose(self, t_ns: int) -> Pose:
+        """Return the pose at stream time `t_ns`; depends on nothing else, unless the trajectory comes from outside."""
+
+    @property
+    @abstractmethod
+    def speed_bound_m_s(self) -> float:
+        """It never moves faster; infinite where that is not known."""
+
+    @property
+    @abstractmethod
+    def turn_bound_rad_s(self) -> float:
+        """It never turns faster; infinite where that is not known."""
+
+
+class Fixed(Trajectory):
+    """Stays where it is."""
+
+    def __init__(self, pose: Pose = STILL) -> None:
+        self._pose = pose
+
+    def pose(self, t_ns: int) -> Pose:
+        """Return the one pose."""
+        return self._pose
+
+    @property
+    def speed_bound_m_s(self) -> float:
+        """It does not move."""
+        return 0.0
+
+    @property
+    def turn_bound_rad_s(self) -> float:
+        """It does not turn."""
+        return 0.0
+
+
+def multiply(a: npt.NDArray[np.float64], b: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Return the product of two quaternions: the turn `b`, then the turn `a`."""
+    vector = a[0] * b[1:] + b[0] * a[1:] + np.cross(a[1:], b[1:])
+    return np.concatenate([[a[0] * b[0] - a[1:] @ b[1:]], vector])
