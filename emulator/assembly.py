@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 from emulator.pictures import Pictures
 from emulator.plan import limits, make_plan
@@ -17,8 +19,8 @@ from emulator.sensor.rules import RULES
 from emulator.sensor.sensor import Sensor
 from emulator.session import Schedule, Session
 from emulator.steps import ControlledSteps, FixedSteps, StepSource
-from firmware_protocol.davis346 import Davis346Settings, Layout
-from firmware_protocol.usb.device import Speed
+from firmware_protocol.davis346 import Davis346, Davis346Settings, Layout
+from firmware_protocol.usb.device import Speed, UsbCamera
 from transports.link import EndpointFactory, LinkSetup
 from transports.loopback import LoopbackFactory
 from transports.pacing import Clock
@@ -45,7 +47,7 @@ def build_scene(parameters: SceneParameters, size: tuple[int, int]) -> Scene:
     return Body(parameters, size)
 
 
-def build_session(rig: Rig, scene: Scene, setups: Sequence[LinkSetup], clock: Clock) -> Session:
+def build_session(rig: Rig, scene: Scene, setups: Sequence[LinkSetup[Any]], clock: Clock) -> Session:
     """Return a session of the rig: with a tolerance, of what its plan keeps, in controlled steps."""
     run, parameters = rig.run, rig.camera.sensor
     steps: StepSource = FixedSteps(run.step_us * 1000)
@@ -86,12 +88,14 @@ def record_paths(rig: Rig, record: Path | None) -> list[Path | None]:
     return [record.with_name(f"{record.stem}-{link.name}{record.suffix}") for link in rig.links]
 
 
-def link_setups(rig: Rig, record: Path | None = None) -> list[LinkSetup]:
+def link_setups(rig: Rig, record: Path | None = None) -> list[LinkSetup[Any]]:
     """Return what each link's process needs."""
-    return [
-        LinkSetup(link.name, EventRing(), _camera(rig, link), _endpoint(link), path)
-        for link, path in zip(rig.links, record_paths(rig, record), strict=True)
-    ]
+    return [_link_setup(rig, link, path) for link, path in zip(rig.links, record_paths(rig, record), strict=True)]
+
+
+def _link_setup(rig: Rig, link: LinkParameters, record: Path | None) -> LinkSetup[Any]:
+    camera: Callable[[], UsbCamera] = partial(Davis346, _camera(rig, link))
+    return LinkSetup(link.name, EventRing(), camera, _endpoint(link), record)
 
 
 def _camera(rig: Rig, link: LinkParameters) -> Davis346Settings:
@@ -108,7 +112,7 @@ def _camera(rig: Rig, link: LinkParameters) -> Davis346Settings:
     )
 
 
-def _endpoint(link: LinkParameters) -> EndpointFactory:
+def _endpoint(link: LinkParameters) -> EndpointFactory[UsbCamera]:
     if isinstance(link, LoopbackLink):
         return LoopbackFactory()
     return UsbipFactory(link.host, link.port, link.busid)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 from collections.abc import Callable
+from typing import Any
 
 from firmware_protocol.events import Events
 from transports.link import LinkReport, LinkSetup, Stop, run_link
@@ -22,7 +23,7 @@ class LinkFailed(Exception):
 class LinkProcess:
     """One link in a process of its own."""
 
-    def __init__(self, setup: LinkSetup, clock: Clock) -> None:
+    def __init__(self, setup: LinkSetup[Any], clock: Clock) -> None:
         self.name = setup.name
         self._ring = setup.ring
         self._clock = clock

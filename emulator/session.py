@@ -13,6 +13,7 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -102,7 +103,7 @@ class Session:
     """
 
     def __init__(
-        self, pictures: Pictures, sensor: Sensor, steps: StepSource, setups: Sequence[LinkSetup], clock: Clock
+        self, pictures: Pictures, sensor: Sensor, steps: StepSource, setups: Sequence[LinkSetup[Any]], clock: Clock
     ) -> None:
         size = (sensor.parameters.width, sensor.parameters.height)
         if pictures.size != size:

@@ -1,9 +1,9 @@
-"""One link: a camera, the transport that carries its bytes, and the process they run in.
+"""One link: an event device, the transport that carries its bytes, and the process they run in.
 
     session process                      link process
     ---------------                      ------------------------------------------------
-    EventRing  ---- events, now_us --->  feed: camera.offer, camera.advance
-    Connection ---- Stop ------------->  endpoint: USB/IP server or loopback host
+    EventRing  ---- events, now_us --->  feed: device.offer, device.advance
+    Connection ---- Stop ------------->  endpoint: USB/IP server, serial line ...
                <--- LinkReport --------  (ten a second, and a last one)
 
 Each link has a process of its own because a busy Python thread turns pacing of microseconds into tens of milliseconds.
@@ -17,14 +17,15 @@ import gc
 import selectors
 import signal
 from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from pathlib import Path
+from typing import Any, Generic, TypeVar
 
-from firmware_protocol.davis346 import CameraCounters, Davis346, Davis346Settings
-from firmware_protocol.usb.device import UsbDevice
+from firmware_protocol.event_device import CameraCounters, EventDevice
+from transports.deliveries import Deliveries
 from transports.latency import LatencySummary
-from transports.observed import Observed
 from transports.pacing import Clock, MonotonicClock
 from transports.record import Recorder
 from transports.ring import FREE_RUNNING, EventRing
@@ -32,6 +33,7 @@ from transports.ring import FREE_RUNNING, EventRing
 __all__ = [
     "Endpoint",
     "EndpointFactory",
+    "LineUse",
     "Link",
     "LinkBroken",
     "LinkReport",
@@ -43,12 +45,34 @@ __all__ = [
 _REPORT_PERIOD_NS = 100_000_000
 _TAKE_LIMIT = 1 << 17  # events a tick: bounds the memory and the time of one tick
 
+_Served = TypeVar("_Served", contravariant=True)  # an endpoint for any camera on USB serves a Davis346 too
+_Device = TypeVar("_Device", bound=EventDevice)
+
 
 @dataclass(frozen=True)
 class Stop:
     """The session's last word to a link: deliver what waits, but not for longer than `drain_s`."""
 
     drain_s: float
+
+
+@dataclass(frozen=True)
+class LineUse:
+    """How full a line was, from its first bit to now.
+
+    Attributes
+    ----------
+    carried
+        Bytes or frames that were sent.
+    share
+        Part of the line's time that sending took, 0 to 1.
+    busiest
+        The same over the busiest second.
+    """
+
+    carried: int = 0
+    share: float = 0.0
+    busiest: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -61,6 +85,10 @@ class LinkReport:
         Of the events delivered since the camera's clock was last zero, in device time; see `digest_of`.
     error
         Set when the link could not start or had to give up.
+    use
+        How full the line was, where it has a capacity.
+    counts
+        What else happened on this kind of link, by name.
     """
 
     state: str
@@ -72,12 +100,13 @@ class LinkReport:
     digest: int = 0
     final: bool = False
     error: str | None = None
+    use: LineUse | None = None
+    counts: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def dropped_in_device(self) -> int:
         """Events that the camera took and did not hand to the link."""
-        c = self.camera
-        return 0 if c is None else c.not_running + c.dropped_fifo + c.flushed
+        return 0 if self.camera is None else self.camera.dropped_in_device
 
 
 class LinkBroken(Exception):
@@ -109,43 +138,59 @@ class Endpoint(ABC):
         """Where a host finds the camera; None where there is no such place."""
         return None
 
+    @property
+    def use(self) -> LineUse | None:
+        """How full the line is; None where it has no capacity of its own."""
+        return None
 
-class EndpointFactory(ABC):
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """What else happened, by name, for the summary."""
+        return {}
+
+
+class EndpointFactory(ABC, Generic[_Served]):
     """Makes an endpoint inside the link process; itself passed to it by pickling."""
 
     @abstractmethod
-    def build(self, device: UsbDevice) -> Endpoint:
-        """Return the endpoint that serves `device`."""
+    def build(self, device: _Served, deliveries: Deliveries) -> Endpoint:
+        """Return the endpoint that serves `device` and tells `deliveries` of the events that have left."""
 
 
 @dataclass(frozen=True)
-class LinkSetup:
-    """All that a link process needs to know."""
+class LinkSetup(Generic[_Device]):
+    """All that a link process needs to know.
+
+    Attributes
+    ----------
+    device
+        Makes the device, inside the link's process: `partial(Davis346, settings)` and the like, which can be pickled.
+    """
 
     name: str
     ring: EventRing
-    camera: Davis346Settings
-    endpoint: EndpointFactory
+    device: Callable[[], _Device]
+    endpoint: EndpointFactory[_Device]
     record: Path | None = None
     tick_us: int = 500
 
 
 class Link:
-    """A camera fed from a ring and emptied by an endpoint. One tick moves what is due."""
+    """An event device fed from a ring and emptied by an endpoint. One tick moves what is due."""
 
-    def __init__(self, setup: LinkSetup, clock: Clock) -> None:
+    def __init__(self, setup: LinkSetup[Any], clock: Clock) -> None:
         self._ring = setup.ring
         self._clock = clock
-        self._camera = Davis346(setup.camera)
-        self._recorder = None if setup.record is None else Recorder(setup.record)
-        self._observed = Observed(self._camera, setup.ring, clock, self._recorder)
-        self.endpoint = setup.endpoint.build(self._observed)
+        self._device: EventDevice = setup.device()
+        recorder = None if setup.record is None else Recorder(setup.record)
+        self._deliveries = Deliveries(setup.ring, clock, recorder)
+        self.endpoint: Endpoint = setup.endpoint.build(self._device, self._deliveries)
 
     def tick(self) -> None:
         """Feed the camera what is due and let the endpoint take what it asked for."""
         origin_ns = self._ring.origin_ns
         if origin_ns == FREE_RUNNING:
-            self._feed(self._ring.now_us, self._camera.room_events if self._camera.streaming else _TAKE_LIMIT)
+            self._feed(self._ring.now_us, self._device.room_events if self._device.streaming else _TAKE_LIMIT)
         elif origin_ns is not None:
             due_us = max(0, (self._clock.now_ns() - origin_ns) // 1000)
             self._feed(min(due_us, self._ring.now_us), _TAKE_LIMIT)
@@ -155,20 +200,20 @@ class Link:
         limit = min(limit, _TAKE_LIMIT)
         events = self._ring.take(until_us, limit)
         if len(events):
-            self._camera.offer(events)
+            self._device.offer(events)
         # After a cut batch the camera's clock must not pass the events that still wait in the ring.
         complete = len(events) < limit
         if complete:
-            self._camera.advance(until_us)
+            self._device.advance(until_us)
 
     @property
     def idle(self) -> bool:
         """True when nothing waits, neither in the ring nor in the camera."""
-        return self._ring.waiting == 0 and self._camera.counters.queued == 0
+        return self._ring.waiting == 0 and self._device.counters.queued == 0
 
     def report(self, *, final: bool = False, error: str | None = None) -> LinkReport:
         """Say what the link has done; the final report counts what was left in the ring as dropped."""
-        counters = self._camera.counters
+        counters = self._device.counters
         left = self._ring.waiting if final else 0
         return LinkReport(
             state="closed" if final else self.endpoint.state,
@@ -176,20 +221,21 @@ class Link:
             delivered=counters.delivered,
             dropped=counters.lost_on_link + self._ring.refused + left,
             camera=counters,
-            latency=self._observed.latency.summary(),
-            digest=self._observed.digest,
+            latency=self._deliveries.latency.summary(),
+            digest=self._deliveries.digest,
             final=final,
             error=error,
+            use=self.endpoint.use,
+            counts=self.endpoint.counts,
         )
 
     async def close(self) -> None:
         """Close the endpoint, then the record; what the camera still holds is flushed and counted."""
         await self.endpoint.close()
-        if self._recorder is not None:
-            self._recorder.close()
+        self._deliveries.close()
 
 
-def run_link(setup: LinkSetup, control: Connection) -> None:
+def run_link(setup: LinkSetup[Any], control: Connection) -> None:
     """Run one link until the session says Stop or is gone. The target of the link's process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the session, which then says Stop
     gc.freeze()
@@ -198,7 +244,7 @@ def run_link(setup: LinkSetup, control: Connection) -> None:
         runner.run(_serve(setup, control))
 
 
-async def _serve(setup: LinkSetup, control: Connection) -> None:
+async def _serve(setup: LinkSetup[Any], control: Connection) -> None:
     clock = MonotonicClock()
     try:
         link = Link(setup, clock)
@@ -219,7 +265,7 @@ async def _serve(setup: LinkSetup, control: Connection) -> None:
     control.send(link.report(final=True, error=broken))
 
 
-async def _tick_until_stopped(link: Link, setup: LinkSetup, control: Connection, clock: Clock) -> None:
+async def _tick_until_stopped(link: Link, setup: LinkSetup[Any], control: Connection, clock: Clock) -> None:
     loop = asyncio.get_running_loop()
     period_ns = setup.tick_us * 1000
     deadline_ns = report_ns = clock.now_ns()

@@ -14,9 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from firmware_protocol.events import Events, empty_events
-from firmware_protocol.usb.device import Identity, SetupPacket, Stall, Transfer, UsbDevice
+from firmware_protocol.usb.device import Identity, SetupPacket, Stall, Transfer, UsbCamera, UsbDevice
 from transports.davis_host import DavisHost, StreamSettings
+from transports.deliveries import Deliveries
 from transports.link import Endpoint, EndpointFactory, LinkBroken
+from transports.observed import Observed
 from transports.usb_host import StallError
 
 __all__ = ["DirectHost", "DirectReader", "LoopbackEndpoint", "LoopbackFactory"]
@@ -94,12 +96,12 @@ class DirectHost:
 
 
 @dataclass(frozen=True)
-class LoopbackFactory(EndpointFactory):
+class LoopbackFactory(EndpointFactory[UsbCamera]):
     """Puts a host beside the camera."""
 
-    def build(self, device: UsbDevice) -> LoopbackEndpoint:
+    def build(self, device: UsbCamera, deliveries: Deliveries) -> LoopbackEndpoint:
         """Return the host, which takes the camera when it is started."""
-        return LoopbackEndpoint(device)
+        return LoopbackEndpoint(Observed(device, deliveries))
 
 
 class LoopbackEndpoint(Endpoint):

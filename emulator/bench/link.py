@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import multiprocessing
+from functools import partial
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -20,7 +21,7 @@ from emulator.link_process import LinkProcess
 from emulator.rig import UsbipLink, load_rig
 from emulator.scene.checkerboard import CheckerboardParameters
 from emulator.session import RunResult, RunStatus
-from firmware_protocol.davis346 import Davis346Settings
+from firmware_protocol.davis346 import Davis346, Davis346Settings
 from transports.davis_host import DavisHost
 from transports.link import LinkReport, LinkSetup
 from transports.pacing import MonotonicClock
@@ -85,7 +86,8 @@ def usbip_events() -> float:
     takes it.
     """
     clock = MonotonicClock()
-    setup = LinkSetup("bench", EventRing(), Davis346Settings(start_delay_us=0), UsbipFactory("127.0.0.1", 0, "1-1"))
+    camera = partial(Davis346, Davis346Settings(start_delay_us=0))
+    setup = LinkSetup("bench", EventRing(), camera, UsbipFactory("127.0.0.1", 0, "1-1"))
     link = LinkProcess(setup, clock)
     link.wait_ready()
     receiver = _Receiver(link.report.address or "")

@@ -2,7 +2,7 @@
 
 from firmware_protocol.davis346.biases import BIASES, BiasDefinition, CoarseFine, ShiftedSource, Vdac
 from firmware_protocol.davis346.decoder import SPECIAL_EVENT, Decoded, Decoder, WordFaults
-from firmware_protocol.davis346.device import CameraCounters, Davis346
+from firmware_protocol.davis346.device import Davis346
 from firmware_protocol.davis346.registers import Access, Layout, Module, Register, SystemInfo, registers
 from firmware_protocol.davis346.settings import DATA_ENDPOINT, DEBUG_ENDPOINT, Davis346Settings
 from firmware_protocol.davis346.words import Encoded, Special, WordEncoder, WordState
@@ -14,7 +14,6 @@ __all__ = [
     "SPECIAL_EVENT",
     "Access",
     "BiasDefinition",
-    "CameraCounters",
     "CoarseFine",
     "Davis346",
     "Davis346Settings",

@@ -30,12 +30,14 @@ from firmware_protocol.davis346.registers import Module, RegisterFile, Statistic
 from firmware_protocol.davis346.settings import DATA_ENDPOINT, Davis346Settings
 from firmware_protocol.davis346.stream import EventStream
 from firmware_protocol.davis346.words import WordEncoder
+from firmware_protocol.edges import Edges
 from firmware_protocol.event_copies import copy_events
+from firmware_protocol.event_device import CameraCounters, EdgeCounters
 from firmware_protocol.events import Events
 from firmware_protocol.usb.control import Recipient, StandardControl
-from firmware_protocol.usb.device import Identity, RequestKind, SetupPacket, Stall, Transfer, UsbDevice
+from firmware_protocol.usb.device import Identity, RequestKind, SetupPacket, Stall, Transfer, UsbCamera
 
-__all__ = ["CameraCounters", "Davis346"]
+__all__ = ["Davis346"]
 
 REGISTER = 0xBF
 MULTI_WRITE = 0xC2
@@ -44,19 +46,6 @@ FLUSH = 0xC6
 
 _ENTRY = struct.Struct(">BBI")
 _IN = 0x80
-
-
-@dataclass(frozen=True)
-class CameraCounters:
-    """Events offered to a camera since it was made, and their fates; `offered` is the sum of the others."""
-
-    offered: int = 0
-    not_running: int = 0
-    dropped_fifo: int = 0
-    flushed: int = 0
-    delivered: int = 0
-    lost_on_link: int = 0
-    queued: int = 0
 
 
 @dataclass(frozen=True)
@@ -75,7 +64,7 @@ class _Gate:
         return cls(timestamps, reset, words, words and bool(values.read(Module.DVS, 3)))
 
 
-class Davis346(UsbDevice):
+class Davis346(UsbCamera):
     """The camera. Events and the passing of stream time go in by `offer` and `advance`, USB by the rest."""
 
     def __init__(self, settings: Davis346Settings | None = None) -> None:
@@ -84,7 +73,7 @@ class Davis346(UsbDevice):
         self._registers = RegisterFile(registers(settings.size, settings.layout, settings.system))
         self._stream = EventStream(WordEncoder(settings.size, settings.layout.turned), Fifo(settings.fifo_bytes))
         self._now_us = 0
-        self._not_running = self._offered = 0
+        self._not_running = self._offered = self._edges = 0
         self._power_on()
 
     @property
@@ -112,7 +101,14 @@ class Davis346(UsbDevice):
         """Fates of all events offered so far."""
         s = self._stream.counters
         return CameraCounters(
-            self._offered, self._not_running, s.dropped_fifo, s.flushed, s.delivered, s.lost_on_link, s.queued
+            self._offered,
+            self._not_running,
+            s.dropped_fifo,
+            s.flushed,
+            s.delivered,
+            s.lost_on_link,
+            s.queued,
+            edges=EdgeCounters(offered=self._edges, ignored=self._edges),
         )
 
     def offer(self, events: Events) -> None:
@@ -135,6 +131,10 @@ class Davis346(UsbDevice):
         self._not_running += first
         self._offered += len(events)
         self._now_us = int(events["t"][-1])
+
+    def offer_edges(self, edges: Edges) -> None:
+        """Count edges on the external input as ignored: the detector is off."""
+        self._edges += len(edges)
 
     def advance(self, now_us: int) -> None:
         """Say that stream time has reached `now_us`; the clock never goes back."""

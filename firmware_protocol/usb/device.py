@@ -17,9 +17,10 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from enum import IntEnum
 
+from firmware_protocol.event_device import EventDevice
 from firmware_protocol.events import Events, empty_events
 
-__all__ = ["Identity", "RequestKind", "SetupPacket", "Speed", "Stall", "Transfer", "UsbDevice"]
+__all__ = ["Identity", "RequestKind", "SetupPacket", "Speed", "Stall", "Transfer", "UsbCamera", "UsbDevice"]
 
 
 class Stall(Exception):
@@ -162,3 +163,7 @@ class UsbDevice(ABC):
     @abstractmethod
     def lost(self, transfer: Transfer) -> None:
         """Say that `transfer` was taken from the device and lost on the link: its events count as dropped there."""
+
+
+class UsbCamera(UsbDevice, EventDevice):
+    """An event camera on USB: fed from one side, asked for bytes from the other."""

@@ -2,12 +2,13 @@
 
 import os
 import signal
+from functools import partial
 
 import numpy as np
 import pytest
 
 from emulator.link_process import LinkFailed, LinkProcess
-from firmware_protocol.davis346 import Davis346Settings
+from firmware_protocol.davis346 import Davis346, Davis346Settings
 from firmware_protocol.events import EVENT
 from transports.davis_host import DavisHost
 from transports.digest import digest_of
@@ -19,6 +20,7 @@ from transports.usbip.client import UsbipHost
 from transports.usbip.endpoint import UsbipFactory
 
 ENDPOINTS = {"loopback": LoopbackFactory(), "usbip": UsbipFactory("127.0.0.1", 0, "1-1")}
+CAMERA = partial(Davis346, Davis346Settings(start_delay_us=0))
 pytestmark = pytest.mark.socket
 
 
@@ -71,7 +73,7 @@ def endpoint(request):
 
 @pytest.fixture
 def link(endpoint):
-    setup = LinkSetup(endpoint, EventRing(20_000), Davis346Settings(start_delay_us=0), ENDPOINTS[endpoint])
+    setup = LinkSetup(endpoint, EventRing(20_000), CAMERA, ENDPOINTS[endpoint])
     link = LinkProcess(setup, MonotonicClock())
     link.wait_ready()
     yield link
@@ -132,7 +134,7 @@ def test_a_process_that_dies_is_told(link):
 
 
 def test_hosts_come_and_go():
-    setup = LinkSetup("usbip", EventRing(), Davis346Settings(start_delay_us=0), ENDPOINTS["usbip"])
+    setup = LinkSetup("usbip", EventRing(), CAMERA, ENDPOINTS["usbip"])
     link = LinkProcess(setup, MonotonicClock())
     link.wait_ready()
     link.start(FREE_RUNNING)

@@ -1,6 +1,7 @@
 """A link fed from a ring: pacing, counting, recording, with a clock that the test moves."""
 
 import asyncio
+from functools import partial
 
 import numpy as np
 import pytest
@@ -32,7 +33,8 @@ def stream(count, every_us=10, start_us=0, seed=1):
 def loopback_link(tmp_path=None, ring=None, clock=None):
     ring = ring or EventRing(10_000)
     record = tmp_path / "link.npz" if tmp_path else None
-    setup = LinkSetup("loopback", ring, Davis346Settings(start_delay_us=0), LoopbackFactory(), record)
+    camera = partial(Davis346, Davis346Settings(start_delay_us=0))
+    setup = LinkSetup("loopback", ring, camera, LoopbackFactory(), record)
     link = Link(setup, clock or FakeClock(ORIGIN_NS))
     asyncio.run(link.endpoint.start())
     return link, ring
@@ -129,7 +131,7 @@ def test_what_stays_in_the_ring_is_dropped_by_the_link():
 
 def test_events_without_a_host_are_dropped_in_the_device():
     ring = EventRing(1000)
-    setup = LinkSetup("alone", ring, Davis346Settings(), LoopbackFactory())
+    setup = LinkSetup("alone", ring, Davis346, LoopbackFactory())
     link = Link(setup, FakeClock())
     ring.start(FREE_RUNNING)
     ring.push(stream(100))

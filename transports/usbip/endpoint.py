@@ -4,24 +4,26 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from firmware_protocol.usb.device import UsbDevice
+from firmware_protocol.usb.device import UsbCamera, UsbDevice
+from transports.deliveries import Deliveries
 from transports.link import Endpoint, EndpointFactory
+from transports.observed import Observed
 from transports.usbip.server import UsbipServer
 
 __all__ = ["UsbipEndpoint", "UsbipFactory"]
 
 
 @dataclass(frozen=True)
-class UsbipFactory(EndpointFactory):
+class UsbipFactory(EndpointFactory[UsbCamera]):
     """Serves the camera under `busid` at `host`:`port` (port 0: any free one)."""
 
     host: str
     port: int
     busid: str
 
-    def build(self, device: UsbDevice) -> UsbipEndpoint:
+    def build(self, device: UsbCamera, deliveries: Deliveries) -> UsbipEndpoint:
         """Return the server, not yet listening."""
-        return UsbipEndpoint(self, device)
+        return UsbipEndpoint(self, Observed(device, deliveries))
 
 
 class UsbipEndpoint(Endpoint):

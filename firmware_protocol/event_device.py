@@ -1,0 +1,136 @@
+"""What any event camera is to the link that feeds it, whatever carries its bytes: USB, a serial line, a CAN bus.
+
+    ring --events--> offer ---+
+    bus  --edges---> offer_edges --> device --> its own way out: USB transfers, messages, frames
+    run  --time----> advance -+
+
+A device is sans-I/O. Events and edges go in with stream time; each gets exactly one fate, which `counters` tells.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
+
+from firmware_protocol.edges import Edges
+from firmware_protocol.events import Events
+
+__all__ = ["CameraCounters", "EdgeCounters", "EventDevice"]
+
+
+@dataclass(frozen=True)
+class EdgeCounters:
+    """Edges offered to a camera's external input since it was made, and their fates.
+
+    Attributes
+    ----------
+    ignored
+        Seen by no detector: the camera was not running, or its registers leave this kind of edge out.
+    dropped
+        Detected, and lost because a buffer was full or emptied.
+    """
+
+    offered: int = 0
+    ignored: int = 0
+    dropped: int = 0
+    delivered: int = 0
+    queued: int = 0
+
+
+@dataclass(frozen=True)
+class CameraCounters:
+    """Events offered to a camera since it was made, and their fates; `offered` is the sum of the others.
+
+    Attributes
+    ----------
+    not_running
+        Came while no host had the camera running.
+    dropped_fifo
+        Found the camera's buffer full, in events or in bytes.
+    flushed
+        Were in the buffer when it was emptied, at a stop or when the host went away.
+    lost_on_link
+        Had left the camera when the link lost them.
+    queued
+        Still wait.
+    not_selected
+        Left out on purpose: outside the region of interest, or a pixel that sub-sampling skips.
+    dropped_rate
+        Beyond the rate that the camera was told to keep.
+    dropped_late
+        Waited longer than the camera keeps events.
+    edges
+        The same for the external input.
+    """
+
+    offered: int = 0
+    not_running: int = 0
+    dropped_fifo: int = 0
+    flushed: int = 0
+    delivered: int = 0
+    lost_on_link: int = 0
+    queued: int = 0
+    not_selected: int = 0
+    dropped_rate: int = 0
+    dropped_late: int = 0
+    edges: EdgeCounters = field(default_factory=EdgeCounters)
+
+    @property
+    def dropped_in_device(self) -> int:
+        """Events that the camera took and did not hand to the link."""
+        return (
+            self.not_running
+            + self.dropped_fifo
+            + self.flushed
+            + self.not_selected
+            + self.dropped_rate
+            + self.dropped_late
+        )
+
+    @property
+    def accounted(self) -> int:
+        """Events with a fate: as many as were offered, or something is wrong."""
+        return self.dropped_in_device + self.delivered + self.lost_on_link + self.queued
+
+
+class EventDevice(ABC):
+    """An event camera without its cable. One thread at a time may use it."""
+
+    @property
+    @abstractmethod
+    def now_us(self) -> int:
+        """Stream time that the camera has reached."""
+
+    @property
+    @abstractmethod
+    def streaming(self) -> bool:
+        """True while events offered now would go to the host."""
+
+    @property
+    @abstractmethod
+    def room_events(self) -> int:
+        """Events that certainly fit its buffer now."""
+
+    @property
+    @abstractmethod
+    def counters(self) -> CameraCounters:
+        """Fates of all events offered so far."""
+
+    @abstractmethod
+    def offer(self, events: Events) -> None:
+        """Give the camera what its array raised, (n,) EVENT in stream time, sorted, not before the time advanced to.
+
+        The events are copied. Raises ValueError when they go back in time or lie outside the array; then none is taken.
+        """
+
+    @abstractmethod
+    def offer_edges(self, edges: Edges) -> None:
+        """Give the camera edges on its external input, (n,) EDGE in stream time, sorted; copied.
+
+        An edge may be older than `now_us`: it was measured elsewhere and comes as soon as it can, with its own time.
+        A camera whose detector is off, or that has none, counts them as ignored.
+        """
+
+    @abstractmethod
+    def advance(self, now_us: int) -> None:
+        """Say that stream time has reached `now_us`; the clock never goes back."""
