@@ -1,0 +1,109 @@
+/* evstim: events from a serial line, a CAN bus or a DAVIS346, for software that has no operating system.
+ *
+ * C99, freestanding: needs <stdint.h>, <stddef.h> and <stdbool.h>, and no library at all. No heap, no floating point,
+ * no division, no recursion, no global state. The caller owns every struct and every buffer; a struct is made ready by
+ * its `_init` function and then fed bytes, words or frames as they come, in pieces of any size. What they hold is
+ * handed to the callbacks of a sink. No input whatever makes the library read or write outside what it was given, and
+ * whatever it refuses it counts.
+ *
+ * Nothing is delivered from a frame until the whole frame has been checked.
+ */
+#ifndef EVSTIM_H
+#define EVSTIM_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* ---- What comes out ---------------------------------------------------------------------------------------------- */
+
+/* A pixel saw its light change. x counts columns from the left, y rows from the top. */
+struct evstim_event {
+    uint64_t t_us; /* device time, microseconds */
+    uint16_t x;
+    uint16_t y;
+    bool on; /* true: brighter, false: darker */
+};
+
+enum evstim_edge_kind { EVSTIM_RISING = 2, EVSTIM_FALLING = 3, EVSTIM_PULSE = 4 };
+
+/* Something happened on the camera's external input. */
+struct evstim_edge {
+    uint64_t t_us;
+    uint8_t kind;    /* enum evstim_edge_kind */
+    uint8_t channel; /* which input */
+    uint16_t seq;    /* number of the edge at its source, 0 where the source counts none */
+};
+
+/* Where decoded things go. The pointers are good during the call only; either function may be NULL. */
+struct evstim_sink {
+    void (*event)(void *context, const struct evstim_event *event);
+    void (*edge)(void *context, const struct evstim_edge *edge);
+    void *context;
+};
+
+/* ---- CRC-16-CCITT ------------------------------------------------------------------------------------------------ */
+
+#define EVSTIM_CRC16_START 0xFFFFu
+
+/* CRC-16-CCITT-FALSE of `n` bytes that follow those with the CRC `crc` (polynomial 0x1021, not reflected).
+ * "123456789" gives 0x29B1; a message followed by its own CRC, big-endian, gives 0. */
+uint16_t evstim_crc16(uint16_t crc, const uint8_t *bytes, size_t n);
+
+/* ---- Frames out of bytes: COBS, SLIP ----------------------------------------------------------------------------- */
+
+struct evstim_deframer {
+    uint8_t *buffer;
+    size_t capacity;
+    size_t length; /* bytes of the frame so far */
+    uint8_t left;  /* COBS: bytes until the next code byte. SLIP: 1 after an escape byte */
+    uint8_t code;  /* COBS: the last code byte, 0 before the first */
+    bool broken;   /* this frame cannot become whole any more */
+    uint32_t frames;    /* whole frames */
+    uint32_t malformed; /* frames that broke the rules of their framing */
+    uint32_t too_long;  /* frames that did not fit the buffer */
+};
+
+/* Make ready. A frame may be as long as the buffer, after the framing is taken off. */
+void evstim_deframer_init(struct evstim_deframer *deframer, uint8_t *buffer, size_t capacity);
+
+/* Take one byte. Returns the length of the frame that this byte completed, which lies at deframer->buffer until the
+ * next call, or 0. Empty frames (runs of delimiters) are passed over. */
+size_t evstim_cobs_byte(struct evstim_deframer *deframer, uint8_t byte);
+size_t evstim_slip_byte(struct evstim_deframer *deframer, uint8_t byte);
+
+/* ---- DAVIS346 USB words ------------------------------------------------------------------------------------------ */
+
+/* Reads bulk IN endpoint 0x82. Words of APS frames and of the IMU are passed over and counted. */
+struct evstim_davis {
+    const struct evstim_sink *sink;
+    uint64_t wrap_us; /* device time of the last wrap */
+    uint64_t time_us; /* device time of the last timestamp or wrap */
+    uint16_t columns, rows;
+    uint16_t row;
+    uint8_t low_byte; /* first half of a word that was split */
+    bool half;
+    bool turned;
+    uint32_t events;
+    uint32_t edges;
+    uint32_t resets; /* device time began at zero again */
+    uint32_t row_outside, column_outside, time_not_increasing, unknown_special, unknown_misc; /* faults */
+    uint32_t not_interpreted; /* sound words of APS frames and of the IMU */
+};
+
+/* Make ready for a camera of `width` x `height` pixels (346 x 260). `turned`: the invert bit of the orientation
+ * register is set, so row words carry x and column words y. */
+void evstim_davis_init(struct evstim_davis *davis, uint16_t width, uint16_t height, bool turned,
+                       const struct evstim_sink *sink);
+void evstim_davis_word(struct evstim_davis *davis, uint16_t word);
+void evstim_davis_push(struct evstim_davis *davis, const uint8_t *bytes, size_t n);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif

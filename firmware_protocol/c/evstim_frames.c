@@ -1,0 +1,83 @@
+/* COBS and SLIP (RFC 1055), a byte at a time.
+ *
+ * COBS: a code byte c stands before c - 1 bytes without a zero, and for a zero after them unless c is 0xFF or the frame
+ * ends there; 0x00 ends the frame. SLIP: 0xC0 ends the frame; 0xDB 0xDC stands for 0xC0, 0xDB 0xDD for 0xDB.
+ *
+ * Whatever goes wrong, the next delimiter starts afresh. */
+#include "evstim.h"
+
+enum { COBS_END = 0x00, COBS_FULL = 0xFF, SLIP_END = 0xC0, SLIP_ESC = 0xDB, SLIP_ESC_END = 0xDC, SLIP_ESC_ESC = 0xDD };
+
+void evstim_deframer_init(struct evstim_deframer *deframer, uint8_t *buffer, size_t capacity)
+{
+    *deframer = (struct evstim_deframer){.buffer = buffer, .capacity = capacity};
+}
+
+static void append(struct evstim_deframer *d, uint8_t byte)
+{
+    if (d->length < d->capacity) {
+        d->buffer[d->length++] = byte;
+    } else if (!d->broken) {
+        d->broken = true;
+        d->too_long++;
+    }
+}
+
+static void break_frame(struct evstim_deframer *d)
+{
+    if (!d->broken) {
+        d->broken = true;
+        d->malformed++;
+    }
+}
+
+/* A delimiter has come: return the length of the frame before it, 0 if there is none or it is broken. */
+static size_t end_frame(struct evstim_deframer *d)
+{
+    if (d->left != 0)
+        break_frame(d);
+    size_t length = d->broken ? 0 : d->length;
+    if (length != 0)
+        d->frames++;
+    d->length = 0;
+    d->left = 0;
+    d->code = 0;
+    d->broken = false;
+    return length;
+}
+
+size_t evstim_cobs_byte(struct evstim_deframer *d, uint8_t byte)
+{
+    if (byte == COBS_END)
+        return end_frame(d);
+    if (d->left != 0) {
+        append(d, byte);
+        d->left--;
+        return 0;
+    }
+    if (d->code != 0 && d->code != COBS_FULL)
+        append(d, 0);
+    d->code = byte;
+    d->left = (uint8_t)(byte - 1);
+    return 0;
+}
+
+size_t evstim_slip_byte(struct evstim_deframer *d, uint8_t byte)
+{
+    if (byte == SLIP_END)
+        return end_frame(d);
+    if (d->left != 0) {
+        d->left = 0;
+        if (byte == SLIP_ESC_END)
+            append(d, SLIP_END);
+        else if (byte == SLIP_ESC_ESC)
+            append(d, SLIP_ESC);
+        else
+            break_frame(d);
+    } else if (byte == SLIP_ESC) {
+        d->left = 1;
+    } else {
+        append(d, byte);
+    }
+    return 0;
+}

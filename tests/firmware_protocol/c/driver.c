@@ -1,0 +1,162 @@
+/* Answers requests on stdin with what the library makes of their bytes, for tests in another language.
+ *
+ * Request:  u8 mode, u8 flags, u16 width, u16 height, u32 piece, u32 n, n bytes. All integers little-endian.
+ *           piece: the bytes are pushed in pieces of this many.
+ * Reply:    u32 sizes of four sections, then they: frames (u32 length and bytes each), events (13 bytes each: u64 t,
+ *           u16 x, u16 y, u8 on), edges (12 bytes each: u64 t, u8 kind, u8 channel, u16 seq), counters (u32 each).
+ */
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "evstim.h"
+
+enum { FRAMES, EVENTS, EDGES, COUNTERS, SECTIONS };
+
+struct section {
+    uint8_t *bytes;
+    size_t length, capacity;
+};
+
+static struct section sections[SECTIONS];
+
+static void put(int which, const void *bytes, size_t n)
+{
+    struct section *s = &sections[which];
+    if (s->length + n > s->capacity) {
+        s->capacity = 2 * (s->length + n);
+        s->bytes = realloc(s->bytes, s->capacity);
+        if (s->bytes == NULL)
+            abort();
+    }
+    memcpy(s->bytes + s->length, bytes, n);
+    s->length += n;
+}
+
+static void put_u32(int which, uint32_t value)
+{
+    put(which, &value, sizeof value);
+}
+
+static void on_event(void *context, const struct evstim_event *event)
+{
+    uint8_t on = event->on;
+    (void)context;
+    put(EVENTS, &event->t_us, 8);
+    put(EVENTS, &event->x, 2);
+    put(EVENTS, &event->y, 2);
+    put(EVENTS, &on, 1);
+}
+
+static void on_edge(void *context, const struct evstim_edge *edge)
+{
+    (void)context;
+    put(EDGES, &edge->t_us, 8);
+    put(EDGES, &edge->kind, 1);
+    put(EDGES, &edge->channel, 1);
+    put(EDGES, &edge->seq, 2);
+}
+
+static const struct evstim_sink sink = {on_event, on_edge, NULL};
+
+struct request {
+    uint8_t mode, flags;
+    uint16_t width, height;
+    uint32_t piece, n;
+};
+
+/* The buffer is of the size asked for and no larger, so that a sanitizer sees a step beyond it. */
+static void deframe(const struct request *r, const uint8_t *bytes)
+{
+    uint8_t *buffer = malloc(r->width);
+    struct evstim_deframer d;
+    if (buffer == NULL)
+        abort();
+    evstim_deframer_init(&d, buffer, r->width);
+    for (uint32_t i = 0; i < r->n; i++) {
+        size_t length = r->mode == 'c' ? evstim_cobs_byte(&d, bytes[i]) : evstim_slip_byte(&d, bytes[i]);
+        if (length != 0) {
+            put_u32(FRAMES, (uint32_t)length);
+            put(FRAMES, d.buffer, length);
+        }
+    }
+    put_u32(COUNTERS, d.frames);
+    put_u32(COUNTERS, d.malformed);
+    put_u32(COUNTERS, d.too_long);
+    free(buffer);
+}
+
+static void davis(const struct request *r, const uint8_t *bytes)
+{
+    struct evstim_davis d;
+    evstim_davis_init(&d, r->width, r->height, r->flags & 1, &sink);
+    for (uint32_t i = 0; i < r->n; i += r->piece)
+        evstim_davis_push(&d, bytes + i, r->n - i < r->piece ? r->n - i : r->piece);
+    const uint32_t counters[] = {d.events,         d.edges,           d.resets,       d.row_outside,
+                                 d.column_outside, d.time_not_increasing, d.unknown_special, d.unknown_misc,
+                                 d.not_interpreted};
+    put(COUNTERS, counters, sizeof counters);
+    put(COUNTERS, &d.time_us, 8);
+}
+
+static void answer(const struct request *r, const uint8_t *bytes)
+{
+    switch (r->mode) {
+    case 'r':
+        put_u32(COUNTERS, evstim_crc16(EVSTIM_CRC16_START, bytes, r->n));
+        break;
+    case 'c':
+    case 's':
+        deframe(r, bytes);
+        break;
+    case 'd':
+        davis(r, bytes);
+        break;
+    default:
+        abort();
+    }
+}
+
+static void reply(void)
+{
+    for (int i = 0; i < SECTIONS; i++) {
+        uint32_t length = (uint32_t)sections[i].length;
+        fwrite(&length, sizeof length, 1, stdout);
+    }
+    for (int i = 0; i < SECTIONS; i++) {
+        if (sections[i].length != 0)
+            fwrite(sections[i].bytes, 1, sections[i].length, stdout);
+        sections[i].length = 0;
+    }
+    fflush(stdout);
+}
+
+static int read_request(struct request *r)
+{
+    uint8_t head[14];
+    if (fread(head, sizeof head, 1, stdin) != 1)
+        return 0;
+    r->mode = head[0];
+    r->flags = head[1];
+    memcpy(&r->width, head + 2, 2);
+    memcpy(&r->height, head + 4, 2);
+    memcpy(&r->piece, head + 6, 4);
+    memcpy(&r->n, head + 10, 4);
+    return 1;
+}
+
+int main(void)
+{
+    struct request request;
+    while (read_request(&request)) {
+        uint8_t *bytes = malloc(request.n); /* exactly as long as the input, for the sanitizer */
+        if ((bytes == NULL && request.n != 0) || fread(bytes, 1, request.n, stdin) != request.n)
+            return 1;
+        answer(&request, bytes);
+        reply();
+        free(bytes);
+    }
+    for (int i = 0; i < SECTIONS; i++)
+        free(sections[i].bytes);
+    return 0;
+}
