@@ -5,11 +5,12 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import re
-import typing
+from collections.abc import Iterator
 from typing import Any
 
 from emulator.rig import LINKS, SCENES, Camera, Run
 from emulator.sensor.presets import PRESETS
+from emulator.typed_table import field_types, item_type, kinds_of, table_type
 
 MARKER = "<!-- rig reference -->"
 
@@ -31,11 +32,23 @@ def reference() -> str:
 
 def _sections(path: str, cls: type, kind: str = "") -> list[str]:
     """Return the section of a table, and those of the tables in it."""
-    types = typing.get_type_hints(cls)
-    tables = [f for f in dataclasses.fields(cls) if dataclasses.is_dataclass(types[f.name])]
+    types = field_types(cls)
+    tables = {name: list(_tables(f"{path}.{name}", of)) for name, of in types.items()}
     title = f'[{path}] kind = "{kind}"' if kind else f"[{path}]"
-    inner = [part for f in tables for part in _sections(f"{path}.{f.name}", types[f.name])]
-    return [_section(title, cls, leave_out=[f.name for f in tables]), *inner]
+    inner = [
+        part for found in tables.values() for at, table, its_kind in found for part in _sections(at, table, its_kind)
+    ]
+    return [_section(title, cls, leave_out=[name for name, found in tables.items() if found]), *inner]
+
+
+def _tables(path: str, annotation: Any) -> Iterator[tuple[str, type, str]]:
+    """Yield where a table may stand, its type, and its kind: none for a plain value."""
+    if item := item_type(annotation):
+        path, annotation = f"[{path}]", item
+    if kinds := kinds_of(annotation):
+        yield from ((path, cls, kind) for kind, cls in kinds.items())
+    elif table := table_type(annotation):
+        yield path, table, ""
 
 
 def _section(title: str, cls: type, leave_out: list[str]) -> str:

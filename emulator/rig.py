@@ -27,7 +27,7 @@ from emulator.scene.body import BodyParameters
 from emulator.scene.checkerboard import CheckerboardParameters
 from emulator.sensor.presets import PRESETS, SensorParameters
 from emulator.typed_table import Path as KeyPath
-from emulator.typed_table import TableError, convert, unknown
+from emulator.typed_table import TableError, convert, convert_kind, unknown
 
 __all__ = [
     "LINKS",
@@ -261,7 +261,7 @@ def _rig(table: dict[str, Any], name: str) -> Rig:
     camera = _camera(table.get("camera", {}))
     links = _links(table.get("links", []), camera)
     run = convert(table.get("run", {}), Run, ("run",))
-    return Rig(name, title, _kind(table["scene"], SCENES, ("scene",)), camera, run, links)
+    return Rig(name, title, convert_kind(table["scene"], SCENES, ("scene",)), camera, run, links)
 
 
 def _beside(rig: Rig, folder: Path) -> Rig:
@@ -269,18 +269,6 @@ def _beside(rig: Rig, folder: Path) -> Rig:
     if not isinstance(rig.scene, BodyParameters) or not (folder / rig.scene.shape).is_file():
         return rig
     return dataclasses.replace(rig, scene=dataclasses.replace(rig.scene, shape=str(folder / rig.scene.shape)))
-
-
-def _kind(table: object, kinds: Mapping[str, type[T]], path: KeyPath) -> T:
-    """Convert a table whose `kind` says what it describes."""
-    if not isinstance(table, dict):
-        raise TableError(f"expected a table, got {table!r}", path)
-    if "kind" not in table:
-        raise TableError(f"'kind' is missing; one of {', '.join(kinds)}", (*path, "kind"))
-    kind = str(table["kind"])
-    if kind not in kinds:
-        raise TableError(unknown(kind, list(kinds)), (*path, "kind"))
-    return convert({k: v for k, v in table.items() if k != "kind"}, kinds[kind], path)
 
 
 def _camera(table: object) -> Camera:
@@ -310,7 +298,7 @@ def _sensor(table: object, preset: SensorParameters) -> SensorParameters:
 def _links(tables: object, camera: Camera) -> tuple[LinkParameters, ...]:
     if not isinstance(tables, list):
         raise TableError("expected [[links]] tables", ("links",))
-    links = tuple(_kind(table, LINKS, ("links", i)) for i, table in enumerate(tables))
+    links = tuple(convert_kind(table, LINKS, ("links", i)) for i, table in enumerate(tables))
     for i, link in enumerate(links):
         if link.name in [other.name for other in links[:i]]:
             raise TableError(f"name {link.name!r} is taken by an earlier link; give each its own", ("links", i))

@@ -1,7 +1,9 @@
 """Turns a table of a rig file into a frozen dataclass, or says exactly what is wrong with it.
 
-msgspec converts and checks the types; what it does not do is done here: unknown keys with the nearest known one, and
-the path of the key to blame when a dataclass refuses a value in its `__post_init__` (its message starts with the key).
+Tables within tables are dataclasses again, or lists of them. Where several kinds of table may stand, the annotation is
+a union of dataclasses with a class attribute `kind`, and the table's own `kind` says which it is. msgspec converts and
+checks plain values; unknown keys, missing ones and the path of the key to blame are told here. A dataclass that refuses
+a value in its `__post_init__` starts its message with the key's name.
 """
 
 from __future__ import annotations
@@ -9,18 +11,30 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import re
+import types
 import typing
+from collections.abc import Mapping
 from typing import Any, TypeVar
 
 import msgspec
 
-__all__ = ["Path", "TableError", "convert"]
+__all__ = [
+    "Path",
+    "TableError",
+    "convert",
+    "convert_kind",
+    "field_types",
+    "item_type",
+    "kinds_of",
+    "table_type",
+    "unknown",
+]
 
 Path = tuple[str | int, ...]
 T = TypeVar("T")
 
 _AT = re.compile(r" - at `\$(.*)`$")
-_STEP = re.compile(r"\.([A-Za-z0-9_]+)|\[(\d+|\.\.\.)\]")
+_INDEX = re.compile(r"\[(\d+)\]")
 
 
 class TableError(Exception):
@@ -32,14 +46,31 @@ class TableError(Exception):
 
 
 def convert(table: object, target: type[T], path: Path = ()) -> T:
-    """Return `table` as a `target`; raises TableError."""
+    """Return `table` as a `target`, a dataclass; raises TableError."""
     if not isinstance(table, dict):
         raise TableError(f"expected a table, got {table!r}", path)
-    _check_keys(table, target, path)
+    known = field_types(target)
+    for key in table:
+        if key not in known:
+            raise TableError(unknown(key, list(known)), (*path, key))
+    values = {key: _value(value, known[key], (*path, key)) for key, value in table.items()}
+    _require_all(values, target, path)
     try:
-        return msgspec.convert(table, target)
-    except msgspec.ValidationError as error:
-        raise _located(error, target, path) from error
+        return target(**values)
+    except ValueError as error:
+        raise TableError(str(error), _blamed(str(error), known, path)) from error
+
+
+def convert_kind(table: object, kinds: Mapping[str, type[T]], path: Path) -> T:
+    """Convert a table whose `kind` says what it describes; raises TableError."""
+    if not isinstance(table, dict):
+        raise TableError(f"expected a table, got {table!r}", path)
+    if "kind" not in table:
+        raise TableError(f"'kind' is missing; one of {', '.join(kinds)}", (*path, "kind"))
+    kind = str(table["kind"])
+    if kind not in kinds:
+        raise TableError(unknown(kind, list(kinds)), (*path, "kind"))
+    return convert({k: v for k, v in table.items() if k != "kind"}, kinds[kind], path)
 
 
 def unknown(key: str, known: list[str]) -> str:
@@ -49,27 +80,67 @@ def unknown(key: str, known: list[str]) -> str:
     return f"{key!r} is not known here{meant}"
 
 
-def _check_keys(table: dict[str, Any], target: type, path: Path) -> None:
-    """Refuse unknown keys, in nested tables too."""
-    types = typing.get_type_hints(target)
-    for key, value in table.items():
-        if key not in types:
-            raise TableError(unknown(key, list(types)), (*path, key))
-        if isinstance(value, dict) and dataclasses.is_dataclass(types[key]):
-            _check_keys(value, types[key], (*path, key))
+def field_types(target: Any) -> dict[str, Any]:
+    """Return the annotations of a dataclass's fields, by name, resolved."""
+    hints = typing.get_type_hints(target)
+    return {f.name: hints[f.name] for f in dataclasses.fields(target)}
 
 
-def _located(error: msgspec.ValidationError, target: type, path: Path) -> TableError:
-    """Turn msgspec's message and its path (`$.a.b[0]`) into ours; a refusal in `__post_init__` names the key first."""
-    message = str(error)
-    if at := _AT.search(message):
-        message = message[: at.start()]
-        for name, index in _STEP.findall(at.group(1)):
-            path += (name,) if name else (int(index),) if index.isdigit() else ()
-            target = typing.get_type_hints(target).get(name, target) if dataclasses.is_dataclass(target) else target
-    if missing := re.search(r"required field `(\w+)`", message):
-        return TableError(f"{missing.group(1)!r} is missing", path)
-    blamed = re.match(r"\w+", message)
-    if blamed and dataclasses.is_dataclass(target) and blamed.group() in typing.get_type_hints(target):
-        path = (*path, blamed.group())
-    return TableError(message, path)
+def kinds_of(annotation: Any) -> dict[str, Any]:
+    """Return the dataclasses of a union by their `kind`; empty where there are not several to choose from."""
+    members = typing.get_args(annotation) if _is_union(annotation) else ()
+    tables = [member for member in members if dataclasses.is_dataclass(member)]
+    return {member.kind: member for member in tables} if len(tables) > 1 else {}
+
+
+def item_type(annotation: Any) -> Any:
+    """Return what a tuple[..., ...] of tables holds; None for anything else."""
+    if typing.get_origin(annotation) is not tuple:
+        return None
+    item = typing.get_args(annotation)[0]
+    return item if dataclasses.is_dataclass(item) or kinds_of(item) else None
+
+
+def table_type(annotation: Any) -> Any:
+    """Return the dataclass of `Table` or `Table | None`; None for what is no table."""
+    members = typing.get_args(annotation) if _is_union(annotation) else (annotation,)
+    return next((member for member in members if dataclasses.is_dataclass(member)), None)
+
+
+def _is_union(annotation: Any) -> bool:
+    return typing.get_origin(annotation) in (typing.Union, types.UnionType)
+
+
+def _value(value: object, annotation: Any, path: Path) -> object:
+    if item := item_type(annotation):
+        if not isinstance(value, list):
+            raise TableError(f"expected a list of tables, got {value!r}", path)
+        return tuple(_value(one, item, (*path, i)) for i, one in enumerate(value))
+    if kinds := kinds_of(annotation):
+        return convert_kind(value, kinds, path)
+    table = table_type(annotation)
+    return _plain(value, annotation, path) if table is None else convert(value, table, path)
+
+
+def _plain(value: object, annotation: Any, path: Path) -> object:
+    try:
+        return msgspec.convert(value, annotation)
+    except msgspec.ValidationError as error:
+        message = str(error)
+        if at := _AT.search(message):
+            message = message[: at.start()]
+            path = (*path, *(int(index) for index in _INDEX.findall(at.group(1))))
+        raise TableError(message, path) from error
+
+
+def _require_all(values: Mapping[str, object], target: Any, path: Path) -> None:
+    for f in dataclasses.fields(target):
+        is_optional = f.default is not dataclasses.MISSING or f.default_factory is not dataclasses.MISSING
+        if f.name not in values and not is_optional:
+            raise TableError(f"{f.name!r} is missing", path)
+
+
+def _blamed(message: str, known: Mapping[str, object], path: Path) -> Path:
+    """Return the path of the key that a refusal names first."""
+    first = re.match(r"\w+", message)
+    return (*path, first.group()) if first and first.group() in known else path
