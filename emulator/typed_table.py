@@ -90,7 +90,7 @@ def kinds_of(annotation: Any) -> dict[str, Any]:
     """Return the dataclasses of a union by their `kind`; empty where there are not several to choose from."""
     members = typing.get_args(annotation) if _is_union(annotation) else ()
     tables = [member for member in members if dataclasses.is_dataclass(member)]
-    return {member.kind: member for member in tables} if len(tables) > 1 else {}
+    return {vars(member)["kind"]: member for member in tables} if len(tables) > 1 else {}
 
 
 def item_type(annotation: Any) -> Any:
