@@ -1,0 +1,17 @@
+"""Event telemetry for small computers: self-contained blocks of events or edges, drawn in docs/telemetry.md."""
+
+from firmware_protocol.telemetry.blocks import Block, as_received, decode_block
+from firmware_protocol.telemetry.encoder import BlockEncoder, BlockSettings
+from firmware_protocol.telemetry.layout import BlockError, Header, Mode, Polarity
+
+__all__ = [
+    "Block",
+    "BlockEncoder",
+    "BlockError",
+    "BlockSettings",
+    "Header",
+    "Mode",
+    "Polarity",
+    "as_received",
+    "decode_block",
+]
