@@ -22,12 +22,19 @@ __all__ = ["CameraCounters", "EdgeCounters", "EventDevice"]
 class EdgeCounters:
     """Edges offered to a camera's external input since it was made, and their fates.
 
+    `offered` and `added` together are the sum of the others.
+
     Attributes
     ----------
     ignored
         Seen by no detector: the camera was not running, or its registers leave this kind of edge out.
     dropped
         Detected, and lost because a buffer was full or emptied.
+    lost_on_link
+        Had left the camera when the link lost them.
+    added
+        Made by the camera beyond one for each edge offered: a rising edge may be told again as the pulse that it
+        begins, and a generator makes its own.
     """
 
     offered: int = 0
@@ -35,6 +42,13 @@ class EdgeCounters:
     dropped: int = 0
     delivered: int = 0
     queued: int = 0
+    lost_on_link: int = 0
+    added: int = 0
+
+    @property
+    def accounted(self) -> int:
+        """Edges with a fate: as many as were offered and added, or something is wrong."""
+        return self.ignored + self.dropped + self.delivered + self.lost_on_link + self.queued
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 import numpy.typing as npt
 
+from firmware_protocol.davis346.marks import edges_of
 from firmware_protocol.davis346.words import (
     APS_SAMPLE,
     COLUMN_ON,
@@ -38,6 +39,7 @@ from firmware_protocol.davis346.words import (
     is_column,
     is_row,
 )
+from firmware_protocol.edges import Edges
 from firmware_protocol.events import EVENT, Events
 
 __all__ = ["SPECIAL_EVENT", "Decoded", "Decoder", "WordFaults"]
@@ -71,6 +73,12 @@ class Decoded:
         """Index into `events` of the first event after each timestamp reset."""
         index: Index = self.specials["index"][self.specials["code"] == _RESET]
         return index
+
+    @property
+    def edges(self) -> Edges:
+        """(k,) EDGE in device time: what the external input and the generator told of; see `marks`."""
+        told = self.specials[np.isin(self.specials["code"], _MARKS)]
+        return edges_of(told["t"], told["code"])
 
 
 @dataclass(frozen=True)
@@ -229,6 +237,16 @@ def _count(mask: Mask) -> int:
 
 
 _RESET = int(Special.TIMESTAMP_RESET)
+_MARKS = np.array(
+    [
+        Special.INPUT_FALLING,
+        Special.INPUT_RISING,
+        Special.INPUT_PULSE,
+        Special.GENERATOR_FALLING,
+        Special.GENERATOR_RISING,
+    ],
+    WORD,
+)
 _KNOWN_SPECIALS = np.array(sorted(Special), WORD)
 _LAST_MISC8 = MISC8 | 0x3FF
 _LAST_MISC10 = MISC10 | 0x3FF

@@ -15,6 +15,10 @@ Run gate: words leave with MUX RUN, TIMESTAMP_RUN, USB RUN and RUN_CHIP at 1; ev
 empties the FIFO. TIMESTAMP_RUN going to 1 starts device time at zero; TIMESTAMP_RESET going to 1 does so too, and puts
 the reset word into the stream.
 
+Edges offered to the external input go through its detectors and enter the stream in time order with the events. With
+DROP_EXTINPUT_ON_STALL at 0, marks that find no room wait in that input's own FIFO, 8 deep, and are stamped when they
+leave it, as the multiplexer of the published logic does.
+
 One thread at a time may use a camera.
 """
 
@@ -25,7 +29,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from firmware_protocol.davis346.external_input import ExternalInput, InputSettings
 from firmware_protocol.davis346.fifo import Fifo
+from firmware_protocol.davis346.marks import Marks, join_marks, no_marks
 from firmware_protocol.davis346.registers import Module, RegisterFile, Statistic, registers
 from firmware_protocol.davis346.settings import DATA_ENDPOINT, Davis346Settings
 from firmware_protocol.davis346.stream import EventStream
@@ -33,7 +39,7 @@ from firmware_protocol.davis346.words import WordEncoder
 from firmware_protocol.edges import Edges
 from firmware_protocol.event_copies import copy_events
 from firmware_protocol.event_device import CameraCounters, EdgeCounters
-from firmware_protocol.events import Events
+from firmware_protocol.events import Events, empty_events
 from firmware_protocol.usb.control import Recipient, StandardControl
 from firmware_protocol.usb.device import Identity, RequestKind, SetupPacket, Stall, Transfer, UsbCamera
 
@@ -46,6 +52,7 @@ FLUSH = 0xC6
 
 _ENTRY = struct.Struct(">BBI")
 _IN = 0x80
+_INPUT_FIFO = 8
 
 
 @dataclass(frozen=True)
@@ -72,8 +79,10 @@ class Davis346(UsbCamera):
         self._standard = StandardControl(settings.descriptors())
         self._registers = RegisterFile(registers(settings.size, settings.layout, settings.system))
         self._stream = EventStream(WordEncoder(settings.size, settings.layout.turned), Fifo(settings.fifo_bytes))
+        self._input = ExternalInput(settings.pulse_us)
+        self._stalled = no_marks()
         self._now_us = 0
-        self._not_running = self._offered = self._edges = 0
+        self._not_running = self._offered = 0
         self._power_on()
 
     @property
@@ -93,8 +102,8 @@ class Davis346(UsbCamera):
 
     @property
     def room_events(self) -> int:
-        """Events that certainly fit the FIFO now, if they span less than a second."""
-        return self._stream.room_events
+        """Events that certainly fit the FIFO now beside the marks expected, if they span less than a second."""
+        return max(0, self._stream.room_events - self._input.expected)
 
     @property
     def counters(self) -> CameraCounters:
@@ -108,7 +117,19 @@ class Davis346(UsbCamera):
             s.delivered,
             s.lost_on_link,
             s.queued,
-            edges=EdgeCounters(offered=self._edges, ignored=self._edges),
+            edges=self._edge_counters(),
+        )
+
+    def _edge_counters(self) -> EdgeCounters:
+        seen, told = self._input, self._stream.mark_counters
+        return EdgeCounters(
+            seen.offered,
+            seen.ignored,
+            told.dropped_fifo + told.flushed,
+            told.delivered,
+            told.queued + seen.pending + len(self._stalled),
+            told.lost_on_link,
+            seen.added,
         )
 
     def offer(self, events: Events) -> None:
@@ -125,22 +146,49 @@ class Davis346(UsbCamera):
             return
         if int(events["t"][0]) < self._now_us:
             raise ValueError(f"event at {events['t'][0]} us offered after the camera's clock reached {self._now_us} us")
+        until_us = int(events["t"][-1])
         first = int(np.searchsorted(events["t"], self._silent_until_us)) if self._gate.events else len(events)
-        if first < len(events):
-            self._stream.put(copy_events(events[first:]))
+        self._put(copy_events(events[first:]), until_us)
         self._not_running += first
         self._offered += len(events)
-        self._now_us = int(events["t"][-1])
+        self._now_us = until_us
 
     def offer_edges(self, edges: Edges) -> None:
-        """Count edges on the external input as ignored: the detector is off."""
-        self._edges += len(edges)
+        """Let edges, (n,) EDGE in stream time, happen at the external input.
+
+        They enter the stream, as the registers of module 4 want it, when time reaches them; an edge before the time
+        advanced to happens now, for the camera stamps it itself.
+        """
+        self._input.offer(edges, self._now_us)
 
     def advance(self, now_us: int) -> None:
         """Say that stream time has reached `now_us`; the clock never goes back."""
-        self._now_us = max(self._now_us, now_us)
+        now_us = max(self._now_us, now_us)
+        self._put(empty_events(), now_us)
+        self._now_us = now_us
         if self._gate.words and self._now_us >= self._silent_until_us:
             self._stream.advance(self._now_us)
+
+    def _put(self, events: Events, until_us: int) -> None:
+        """Queue events, (n,) EVENT, and the marks of the external input up to `until_us`."""
+        told_from_us = self._silent_until_us if self._gate.words else None
+        marks = self._input.marks(self._now_us, until_us, InputSettings.of(self._registers, told_from_us))
+        if len(self._stalled):
+            self._stalled["t"] = np.maximum(self._stalled["t"], self._now_us)
+            marks, self._stalled = join_marks([self._stalled, marks]), no_marks()
+        if not len(events) and not len(marks):
+            return
+        try:
+            self._hold(self._stream.put(events, marks))
+        except ValueError:
+            self._stalled = marks
+            raise
+
+    def _hold(self, marks: Marks) -> None:
+        """Keep or drop marks that found no room, as the registers say."""
+        keep = 0 if self._registers.read(Module.MULTIPLEXER, 4) else _INPUT_FIFO
+        self._stalled = marks[:keep]
+        self._stream.drop_marks(len(marks[keep:]))
 
     def attached(self) -> None:
         """A host has taken the camera: power-on state."""
@@ -181,8 +229,10 @@ class Davis346(UsbCamera):
         self._standard.power_on()
         self._gate = _Gate.of(self._registers)
         self._silent_until_us = self._now_us
+        self._drop_stalled()
         self._stream.start_time(self._now_us)
         self._at_power_on = self._stream.counters
+        self._marks_dropped_before = self._stream.mark_counters.dropped_fifo
 
     def _vendor_out(self, setup: SetupPacket, data: bytes) -> None:
         if len(data) != setup.length:
@@ -213,6 +263,7 @@ class Davis346(UsbCamera):
     def _turn(self, before: _Gate, after: _Gate) -> None:
         """Do what a change of the run bits asks for."""
         if before.words and not after.words:
+            self._drop_stalled()
             self._stream.flush()
         if after.timestamps and not before.timestamps:
             self._stream.start_time(self._now_us)
@@ -221,6 +272,10 @@ class Davis346(UsbCamera):
         if after.reset and not before.reset and after.words:
             self._stream.reset_time(self._now_us)
             self._silent_until_us = self._now_us
+
+    def _drop_stalled(self) -> None:
+        self._stream.drop_marks(len(self._stalled))
+        self._stalled = no_marks()
 
     def _refresh_statistics(self) -> None:
         """Bring the counter registers up to date: rows and columns queued, events dropped, since power-on.
@@ -233,3 +288,5 @@ class Davis346(UsbCamera):
         self._registers.count(Statistic.DVS_COLUMNS, now.accepted - base.accepted)
         self._registers.count(Statistic.DVS_DROPPED, dropped)
         self._registers.count(Statistic.MUX_DVS_DROPPED, dropped)
+        marks_dropped = self._stream.mark_counters.dropped_fifo - self._marks_dropped_before
+        self._registers.count(Statistic.MUX_EXTINPUT_DROPPED, marks_dropped)

@@ -9,10 +9,10 @@ What is not said there: the FPGA has no way to refuse. A write to a register tha
 read, is ignored; a read of one that does not exist gives 0. Written values read back in full, 32 bits wide, and are not
 checked.
 
-Capability registers tell the truth about this model: filters, the input generator and the IMU read 0 until they are
-modelled. libcaer and neuromorphic_drivers switch the background activity filter on wherever it exists, so a camera that
-claimed it without filtering would send events which a real one removes. The APS size and shutter registers describe the
-chip, because drivers size their pictures by them; frames are not sent yet, and no driver waits for one.
+Capability registers tell the truth about this model: filters and the IMU read 0 until they are modelled. libcaer and
+neuromorphic_drivers switch the background activity filter on wherever it exists, so a camera that claimed it without
+filtering would send events which a real one removes. The APS size and shutter registers describe the chip, because
+drivers size their pictures by them; frames are not sent yet, and no driver waits for one.
 """
 
 from __future__ import annotations
@@ -177,17 +177,18 @@ _CHIP: Rows = (
 
 
 def _external_input(clock_mhz: int) -> Rows:
+    """Power-on values of the published logic (ExtInputConfigRecords.vhd): pulses of 1 us, the generator at 1 MHz."""
     return (
         (0, "RUN_DETECTOR", 0),
         (1, "DETECT_RISING", 0),
         (2, "DETECT_FALLING", 0),
-        (3, "DETECT_PULSES", 0),
+        (3, "DETECT_PULSES", 1),
         (4, "PULSE_POLARITY", 1),
-        (5, "PULSE_LENGTH", 10 * clock_mhz),
+        (5, "PULSE_LENGTH", clock_mhz),
         (11, "RUN_GENERATOR", 0),
         (12, "GENERATOR_POLARITY", 1),
-        (13, "GENERATOR_INTERVAL", 10 * clock_mhz),
-        (14, "GENERATOR_LENGTH", 5 * clock_mhz),
+        (13, "GENERATOR_INTERVAL", clock_mhz),
+        (14, "GENERATOR_LENGTH", clock_mhz // 2),
         (15, "INJECT_ON_RISING", 0),
         (16, "INJECT_ON_FALLING", 0),
     )
@@ -253,7 +254,7 @@ def registers(size: tuple[int, int], layout: Layout, info: SystemInfo) -> Iterat
     yield from _declare(Module.APS, ((3, "COLOUR_FILTER", 0), (6, "HAS_GLOBAL_SHUTTER", 1)), fixed)
     yield from _declare(Module.IMU, ((0, "TYPE", 0), (1, "ORIENTATION", 0)), fixed, "0: no IMU")
     yield from _declare(Module.IMU, _IMU)
-    yield from _declare(Module.EXTERNAL_INPUT, ((10, "HAS_GENERATOR", 0),), fixed)
+    yield from _declare(Module.EXTERNAL_INPUT, ((10, "HAS_GENERATOR", 1),), fixed)
     for bias in BIASES:
         yield Register(Module.BIAS, bias.address, bias.name, int(bias.default), note=str(bias.default))
     yield from _declare(Module.BIAS, _CHIP)

@@ -49,6 +49,8 @@ class Davis346Settings:
     fifo_bytes
         Room for words that wait for the host. 256 KiB is all that the FX3 can give to DMA buffers: its memory from
         0x40040000 to 0x40080000 in the vendor's memory map (cyfxtx.c). At 12 Mev/s that lasts 4 to 10 ms.
+    pulse_us
+        How long a pulse on the external input lasts (an EDGE of kind PULSE).
     start_delay_us
         Silence after the run gate opens, stream time; see `quirks`.
     """
@@ -60,6 +62,7 @@ class Davis346Settings:
     speed: Speed = Speed.SUPER
     fifo_bytes: int = 256 * 1024
     start_delay_us: int = START_DELAY_US
+    pulse_us: int = 100
     system: SystemInfo = field(default_factory=SystemInfo)
     manufacturer: str = "iniVation"
     product: str = "DAViS FX3"
@@ -71,6 +74,8 @@ class Davis346Settings:
             raise ValueError(f"bcd_device {self.bcd_device:#x} does not fit 16 bits")
         if self.start_delay_us < 0:
             raise ValueError(f"start_delay_us {self.start_delay_us} must not be negative")
+        if self.pulse_us < 1:
+            raise ValueError(f"pulse_us {self.pulse_us} must be at least 1")
 
     @property
     def identity(self) -> Identity:

@@ -1,4 +1,4 @@
-"""The camera's data path after the gate: encoder, FIFO, device time, and the fate of every event."""
+"""The camera's data path after the gate: encoder, FIFO, device time, and the fate of every event and mark."""
 
 from __future__ import annotations
 
@@ -7,11 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from firmware_protocol.davis346.fifo import Batch, Fifo
+from firmware_protocol.davis346.marks import Marks, edges_of, no_marks
 from firmware_protocol.davis346.words import Encoded, WordEncoder, Words, WordState, is_row
 from firmware_protocol.events import Events, empty_events
 from firmware_protocol.usb.device import Transfer
 
-__all__ = ["EventStream", "StreamCounters"]
+__all__ = ["EventStream", "MarkCounters", "StreamCounters"]
 
 _WRAP_MARGIN_WORDS = 32
 """Kept free for wraps when telling how many events fit: batches may span a second."""
@@ -36,6 +37,17 @@ class StreamCounters:
         return self.flushed + self.delivered + self.lost_on_link + self.queued
 
 
+@dataclass(frozen=True)
+class MarkCounters:
+    """Marks that reached the stream, by fate, as for events; `dropped_fifo` without those that were held back."""
+
+    dropped_fifo: int = 0
+    flushed: int = 0
+    delivered: int = 0
+    lost_on_link: int = 0
+    queued: int = 0
+
+
 class EventStream:
     """Words in the making: turns events into FIFO content and FIFO content into transfers."""
 
@@ -45,6 +57,8 @@ class EventStream:
         self._epoch_us = 0
         self._in_flight = 0
         self._dropped = self._flushed = self._delivered = self._lost = self._rows = 0
+        self._marks_in_flight = 0
+        self._marks_dropped = self._marks_flushed = self._marks_delivered = self._marks_lost = 0
 
     @property
     def counters(self) -> StreamCounters:
@@ -53,13 +67,21 @@ class EventStream:
         return StreamCounters(self._dropped, self._flushed, self._delivered, self._lost, queued, self._rows)
 
     @property
+    def mark_counters(self) -> MarkCounters:
+        """The fates of marks so far."""
+        queued = self._fifo.queued_marks + self._marks_in_flight
+        return MarkCounters(self._marks_dropped, self._marks_flushed, self._marks_delivered, self._marks_lost, queued)
+
+    @property
     def room_events(self) -> int:
         """Events that certainly fit now, if they span less than a second."""
         return max(0, (self._fifo.free_words - _WRAP_MARGIN_WORDS) // _WORDS_PER_EVENT)
 
     def start_time(self, now_us: int) -> None:
         """Begin device time at zero, for a reader that knows nothing; what is queued is dropped."""
-        self._flushed += self._fifo.flush().events
+        flushed = self._fifo.flush()
+        self._flushed += flushed.events
+        self._marks_flushed += flushed.marks
         self._epoch_us = now_us
         self._encoder.reset()
 
@@ -70,23 +92,34 @@ class EventStream:
         self._epoch_us = now_us
         self._fifo.put_reset(self._batch(words, before))
 
-    def put(self, events: Events) -> None:
-        """Queue `events`, (n > 0,) EVENT in stream time; those that find no room are dropped and counted."""
+    def put(self, events: Events, marks: Marks | None = None) -> Marks:
+        """Queue `events`, (n,) EVENT, and `marks`, (m,) MARK, in stream time and at least one in all.
+
+        Events that find no room are dropped and counted. Marks that find none are returned: whether they are dropped is
+        for the caller, who says so by `drop_marks`.
+        """
+        marks = no_marks() if marks is None else marks
         at_start = self._encoder.state
-        wraps = self._encoder.advance(int(events["t"][0]) - self._epoch_us, self._fifo.free_wrap_words)
+        first_us = min(int(some["t"][0]) for some in (events, marks) if len(some))
+        wraps = self._encoder.advance(first_us - self._epoch_us, self._fifo.free_wrap_words)
         before = self._encoder.state
         try:
-            encoded = self._encoder.encode(events, self._epoch_us)
+            encoded = self._encoder.encode(events, self._epoch_us, marks)
         except ValueError:
             self._encoder.state = at_start
             raise
         self._fifo.put_wraps(self._batch(wraps, at_start))
-        queued = self._fifo.queued_events
-        kept = encoded.words[: self._fifo.put(Batch(encoded, events, before, self._epoch_us))]
+        queued, queued_marks = self._fifo.queued_events, self._fifo.queued_marks
+        kept = encoded.words[: self._fifo.put(Batch(encoded, events, before, self._epoch_us, marks))]
         if len(kept) < len(encoded.words):
             self._encoder.state = before.after(kept)
             self._dropped += len(events) - (self._fifo.queued_events - queued)
         self._rows += int(np.count_nonzero(is_row(kept)))
+        return marks[self._fifo.queued_marks - queued_marks :]
+
+    def drop_marks(self, count: int) -> None:
+        """Count `count` marks as dropped for want of room."""
+        self._marks_dropped += count
 
     def advance(self, now_us: int) -> None:
         """Queue the wraps due at stream time `now_us`, as far as there is room; the rest is made up for later."""
@@ -101,6 +134,7 @@ class EventStream:
         """
         flushed = self._fifo.flush()
         self._flushed += flushed.events
+        self._marks_flushed += flushed.marks
         if flushed.reset:
             self.reset_time(self._epoch_us)
         elif flushed.known is not None:
@@ -112,17 +146,23 @@ class EventStream:
         if taken is None:
             return None
         self._in_flight += len(taken.events)
-        return Transfer(taken.data, taken.events, taken.epoch_us)
+        self._marks_in_flight += len(taken.marks)
+        edges = edges_of(taken.marks["t"], taken.marks["code"])
+        return Transfer(taken.data, taken.events, taken.epoch_us, edges)
 
     def sent(self, transfer: Transfer) -> None:
         """Count a transfer's events as delivered."""
         self._in_flight -= len(transfer.events)
         self._delivered += len(transfer.events)
+        self._marks_in_flight -= len(transfer.edges)
+        self._marks_delivered += len(transfer.edges)
 
     def lost(self, transfer: Transfer) -> None:
         """Count a transfer's events as lost on the link."""
         self._in_flight -= len(transfer.events)
         self._lost += len(transfer.events)
+        self._marks_in_flight -= len(transfer.edges)
+        self._marks_lost += len(transfer.edges)
 
     def _batch(self, words: Words, before: WordState) -> Batch:
         return Batch(Encoded(words), empty_events(), before, self._epoch_us)

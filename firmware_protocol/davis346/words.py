@@ -1,4 +1,4 @@
-"""The 16-bit words of a DAVIS346's data stream, and the encoder that makes them from events.
+"""The 16-bit words of a DAVIS346's data stream, and the encoder that makes them from events and marks.
 
     bits 15..12  meaning                                    bits 11..0
     1xxx         timestamp                                  low 15 bits: microseconds since the last wrap
@@ -19,6 +19,8 @@ Rules that the encoder keeps because drivers depend on them:
 - A timestamp word comes before the words it dates, only when the time has changed, and times strictly increase:
   dv-processing 2.0.4 stops reading for good at a repeated one. A wrap sets the time to its own multiple of 32768 us, so
   an event at exactly that time needs no timestamp word.
+- A mark (an edge seen by the external input, a pulse of the generator) is a special word, dated as an event is. Of one
+  microsecond it comes before the events, as in the multiplexer of the published logic, which asks that input first.
 - One wrap word of one step for each 32.768 ms, because neuromorphic_drivers ignores the number of steps
   (see `quirks`), unless there are more than SINGLE_WRAPS to make up for.
 """
@@ -33,9 +35,10 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
+from firmware_protocol.davis346.marks import NO_ROW, Items, Marks, items_of, no_marks
 from firmware_protocol.events import Events
 
-__all__ = ["Encoded", "Special", "WordEncoder", "WordState", "Words", "is_column", "is_row", "wrap_words"]
+__all__ = ["Encoded", "Special", "WordEncoder", "WordState", "Words", "is_column", "is_mark", "is_row", "wrap_words"]
 
 Words = npt.NDArray[np.uint16]
 """Words in stream order, shape (n,), little-endian uint16."""
@@ -90,6 +93,12 @@ def is_column(words: Words) -> npt.NDArray[np.bool_]:
     return columns
 
 
+def is_mark(words: Words) -> npt.NDArray[np.bool_]:
+    """Return which words are marks: specials other than the timestamp reset, in a stream of this encoder's."""
+    marks: npt.NDArray[np.bool_] = (words < ROW) & (words != int(Special.TIMESTAMP_RESET))
+    return marks
+
+
 def is_row(words: Words) -> npt.NDArray[np.bool_]:
     """Return which words are rows."""
     rows: npt.NDArray[np.bool_] = (words & KIND) == ROW
@@ -116,14 +125,14 @@ class WordState:
 
 @dataclass(frozen=True)
 class Encoded:
-    """Words of a run of events, shape (n_words,)."""
+    """Words of a run of events and marks, shape (n_words,)."""
 
     words: Words
 
     @property
     def ends(self) -> npt.NDArray[np.int64]:
-        """(n_events,): index one past the last word of each event."""
-        ends: npt.NDArray[np.int64] = np.flatnonzero(is_column(self.words)) + 1
+        """(n_events + n_marks,): index one past the last word of each event or mark."""
+        ends: npt.NDArray[np.int64] = np.flatnonzero(is_column(self.words) | is_mark(self.words)) + 1
         return ends
 
 
@@ -160,9 +169,7 @@ class WordEncoder:
         self.state = WordState()
         self._size = size
         self._turned = turned
-        self._table = np.empty((_BLOCK, 3), WORD)
-        self._wanted = np.empty((_BLOCK, 3), np.bool_)
-        self._wanted[:, 2] = True
+        self._make_tables(_BLOCK)
 
     def reset(self) -> Words:
         """Start time anew: a timestamp reset word, after which device time is zero and no row is known."""
@@ -183,8 +190,8 @@ class WordEncoder:
         self.state = WordState(now_us >> WRAP_BITS << WRAP_BITS, self.state.row)
         return words
 
-    def encode(self, events: Events, epoch_us: int = 0) -> Encoded:
-        """Return the words of `events`, (n,) EVENT in time order.
+    def encode(self, events: Events, epoch_us: int = 0, marks: Marks | None = None) -> Encoded:
+        """Return the words of `events`, (n,) EVENT, and `marks`, (m,) MARK, both in time order.
 
         Parameters
         ----------
@@ -192,32 +199,36 @@ class WordEncoder:
             Events in stream time.
         epoch_us
             Stream time at which device time is zero.
+        marks
+            Marks in stream time, put between the events where their time is.
 
         Raises
         ------
         ValueError
-            Events go back in time, lie before the epoch or outside the array, or leave a gap of days.
+            Events or marks go back in time, lie before the epoch or outside the array, or leave a gap of days.
         """
         before = self.state
         pieces: list[Words] = []
         try:
-            for first in range(0, len(events), _BLOCK):
-                pieces.extend(self._encode_block(events[first : first + _BLOCK], epoch_us))
+            for some, between in _blocks(events, no_marks() if marks is None else marks):
+                pieces.extend(self._encode_block(some, between, epoch_us))
         except ValueError:
             self.state = before
             raise
         return Encoded(np.concatenate(pieces) if pieces else np.empty(0, WORD))
 
-    def _encode_block(self, events: Events, epoch_us: int) -> Iterator[Words]:
-        t = self._device_time(events["t"], epoch_us)
-        for start, stop in _between_wraps(t):
-            yield self._wraps_before(int(t[start]))
-            yield self._encode_run(events[start:stop], t[start:stop])
+    def _encode_block(self, events: Events, marks: Marks, epoch_us: int) -> Iterator[Words]:
+        items = items_of(self._device_time(events["t"], epoch_us), *self._addresses(events), events["on"])
+        if len(marks):
+            items = items.merged(self._device_time(marks["t"], epoch_us), marks["code"], self.state.row)
+        for start, stop in _between_wraps(items.time_us):
+            yield self._wraps_before(int(items.time_us[start]))
+            yield self._encode_run(items[start:stop])
 
     def _device_time(self, t: npt.NDArray[np.uint64], epoch_us: int) -> npt.NDArray[np.int64]:
         time_us = t.astype(np.int64)
         time_us -= epoch_us
-        if time_us[0] < self.state.time_us:
+        if len(time_us) and time_us[0] < self.state.time_us:
             raise ValueError(f"event at {time_us[0]} us comes after device time {self.state.time_us} us has passed")
         if (time_us[1:] < time_us[:-1]).any():
             raise ValueError("events must be sorted by time")
@@ -229,24 +240,23 @@ class WordEncoder:
             raise ValueError(f"no event for {time_us - self.state.time_us} us: the gap is too long to encode")
         return words
 
-    def _encode_run(self, events: Events, time_us: npt.NDArray[np.int64]) -> Words:
-        """Encode events of one wrap period: fill a table of (timestamp, row, column) words, keep the wanted ones."""
-        n = len(events)
+    def _encode_run(self, items: Items) -> Words:
+        """Encode items of one wrap period: fill a table of (timestamp, row, column) words, keep the wanted ones."""
+        n = len(items.time_us)
+        if n > len(self._table):
+            self._make_tables(n)
         table, wanted = self._table[:n], self._wanted[:n]
-        rows, columns = self._addresses(events)
-        low = time_us.astype(WORD)
+        low = items.time_us.astype(WORD)
         low |= TIMESTAMP
-        polarity = events["on"].astype(WORD)
-        polarity <<= 12
-        polarity += COLUMN_OFF
         table[:, 0] = low
-        np.bitwise_or(rows, ROW, out=table[:, 1])
-        np.bitwise_or(columns, polarity, out=table[:, 2])
-        wanted[0, 0] = int(time_us[0]) != self.state.time_us
-        wanted[0, 1] = int(rows[0]) != self.state.row
+        np.bitwise_or(items.rows, ROW, out=table[:, 1])
+        table[:, 2] = items.words
+        wanted[0, 0] = int(items.time_us[0]) != self.state.time_us
+        wanted[0, 1] = int(items.rows[0]) not in (self.state.row, NO_ROW)
         np.not_equal(low[1:], low[:-1], out=wanted[1:, 0])
-        np.not_equal(rows[1:], rows[:-1], out=wanted[1:, 1])
-        self.state = WordState(int(time_us[-1]), int(rows[-1]))
+        np.not_equal(items.rows[1:], items.rows[:-1], out=wanted[1:, 1])
+        row = int(items.rows[-1])
+        self.state = WordState(int(items.time_us[-1]), -1 if row == NO_ROW else row)
         if wanted.all():
             return table.ravel().copy()
         return np.compress(wanted.ravel(), table.ravel())
@@ -254,9 +264,26 @@ class WordEncoder:
     def _addresses(self, events: Events) -> tuple[Words, Words]:
         """Return contiguous (rows, columns) of `events` in the frame that is sent."""
         x, y = events["x"].copy(), events["y"].copy()
-        if x.max() >= self._size[0] or y.max() >= self._size[1]:
+        if len(x) and (x.max() >= self._size[0] or y.max() >= self._size[1]):
             raise ValueError(f"an event lies outside the {self._size[0]} x {self._size[1]} array")
         return (x, y) if self._turned else (y, x)
+
+    def _make_tables(self, n: int) -> None:
+        self._table = np.empty((n, 3), WORD)
+        self._wanted = np.empty((n, 3), np.bool_)
+        self._wanted[:, 2] = True
+
+
+def _blocks(events: Events, marks: Marks) -> Iterator[tuple[Events, Marks]]:
+    """Yield the events in blocks, each with the marks that come before its last event, the last with the rest."""
+    done = 0
+    for first in range(0, len(events), _BLOCK):
+        block, last = events[first : first + _BLOCK], first + _BLOCK >= len(events)
+        upto = len(marks) if last else int(np.searchsorted(marks["t"], block["t"][-1], side="right"))
+        yield block, marks[done:upto]
+        done = upto
+    if not len(events) and len(marks):
+        yield events, marks
 
 
 def _between_wraps(time_us: npt.NDArray[np.int64]) -> Iterator[tuple[int, int]]:

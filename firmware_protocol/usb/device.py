@@ -17,6 +17,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from enum import IntEnum
 
+from firmware_protocol.edges import Edges, empty_edges
 from firmware_protocol.event_device import EventDevice
 from firmware_protocol.events import Events, empty_events
 
@@ -97,15 +98,16 @@ class Identity:
 
 @dataclass(frozen=True)
 class Transfer:
-    """Data that left a device in answer to one IN request, and the events it completed.
+    """Data that left a device in answer to one IN request, and the events and edges it completed.
 
-    `events` carry stream time (microseconds since the start of the run); `epoch_us` is the stream time at which the
-    device's own clock was last zero, so that device time = t - epoch_us.
+    `events` and `edges` carry stream time (microseconds since the start of the run); `epoch_us` is the stream time at
+    which the device's own clock was last zero, so that device time = t - epoch_us.
     """
 
     data: bytes
     events: Events = field(default_factory=empty_events)
     epoch_us: int = 0
+    edges: Edges = field(default_factory=empty_edges)
 
 
 class UsbDevice(ABC):

@@ -10,6 +10,7 @@ from hypothesis import settings, stateful
 from hypothesis import strategies as st
 
 from firmware_protocol.davis346 import Davis346, Davis346Settings, Decoder, Layout, WordEncoder
+from firmware_protocol.edges import EDGE
 from firmware_protocol.event_device import CameraCounters
 from firmware_protocol.events import EVENT, empty_events
 from firmware_protocol.usb.device import Stall
@@ -443,6 +444,20 @@ class Life(stateful.RuleBasedStateMachine):
         self.camera.offer(events)
         self.t_us = int(events["t"][-1])
 
+    @stateful.rule(steps=st.lists(STEPS_US, min_size=1, max_size=4), back_us=STEPS_US, kinds=st.integers(0, 80))
+    def offer_edges(self, steps, back_us, kinds):
+        edges = np.zeros(len(steps), EDGE)
+        edges["t"] = max(0, self.t_us - back_us) + np.cumsum(steps)
+        edges["kind"] = [2 + kinds // 3**k % 3 for k in range(len(steps))]
+        self.camera.offer_edges(edges)
+
+    @stateful.rule(bits=st.integers(0, 127))
+    def listen(self, bits):
+        """Any selection of the detector, of the generator's edges, and of what a stall drops."""
+        self.host.write_all([(4, k, bits >> k & 1) for k in range(4)])
+        self.host.write_all([(4, 13, 104 * 700), (4, 14, 104 * 300), (4, 15, 1), (4, 16, 1), (4, 11, bits >> 4 & 1)])
+        self.host.write_all([(4, 5, 104 * 20), (0, 4, bits >> 5 & 1)])
+
     @stateful.rule(step_us=STEPS_US)
     def advance(self, step_us):
         self.t_us += step_us
@@ -455,9 +470,10 @@ class Life(stateful.RuleBasedStateMachine):
             transfer = self.camera.read(2, max_bytes)
             if transfer is None:
                 return
-            decoded = self.host.decoder.feed(transfer.data).events
-            decoded["t"] += np.uint64(transfer.epoch_us)
-            assert np.array_equal(decoded, transfer.events)
+            decoded = self.host.decoder.feed(transfer.data)
+            for seen, said in ((decoded.events, transfer.events), (decoded.edges, transfer.edges)):
+                seen["t"] += np.uint64(transfer.epoch_us)
+                assert np.array_equal(seen, said)
             self.open.append(transfer)
 
     def settle(self, good):
@@ -495,6 +511,9 @@ class Life(stateful.RuleBasedStateMachine):
     @stateful.invariant()
     def every_event_has_one_fate(self):
         assert balanced(self.camera.counters)
+        edges = self.camera.counters.edges
+        assert edges.accounted == edges.offered + edges.added
+        assert min(dataclasses.astuple(edges)) >= 0
         assert min(dataclasses.astuple(self.camera.counters)[:-1]) >= 0  # the last are the edges
 
     @stateful.invariant()
