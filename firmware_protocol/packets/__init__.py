@@ -1,0 +1,1 @@
+"""Packets of the instrument's link: what it says, what it is told, and the standards that carry both."""

@@ -1,0 +1,223 @@
+"""Profiles: a packet standard in a framing, by name.
+
+    name          packets           framing                        for
+    ccsds-cobs    PUS-C             COBS                           serial lines, the default
+    ccsds-slip    PUS-C             SLIP                           serial lines
+    ccsds-kiss    PUS-C             KISS with CRC-32C              serial lines
+    csp-kiss      CSP version 2     KISS with CRC-32C              serial lines to libcsp
+    fprime        PUS-C             F Prime, CRC-32                serial lines to F Prime
+    ccsds         PUS-C             none                           carriers of whole packets (ISO-TP)
+    csp           CSP version 2     CRC-32C behind each packet     carriers of whole packets (CFP on CAN)
+
+An instrument wraps messages and unwraps telecommands, the computer the other way round. A `Profile` keeps the sequence
+counts of what was wrapped with it; each unwrapper keeps those of what it has seen.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+
+from firmware_protocol.framing import cobs, datagram, fprime, kiss, slip
+from firmware_protocol.framing.deframer import DEFAULT_MAX_PAYLOAD, FrameCounters, StreamDeframer
+from firmware_protocol.packets.addresses import DEFAULT_ADDRESSES, Addresses
+from firmware_protocol.packets.codec import PacketCodec, Request
+from firmware_protocol.packets.csp_messages import CspCodec
+from firmware_protocol.packets.errors import PacketError
+from firmware_protocol.packets.message import Message, Received
+from firmware_protocol.packets.pus import Acknowledge
+from firmware_protocol.packets.pus_messages import PusCodec
+from firmware_protocol.packets.sequence import SequenceFollower
+from firmware_protocol.packets.telecommands import Telecommand, parse_telecommand
+from firmware_protocol.packets.verification import CommandRefused, Failure, RequestId
+
+__all__ = ["PROFILES", "CommandUnwrapper", "Profile", "ReceivedCommand", "Unwrapper", "UnwrapperCounters"]
+
+
+@dataclass(frozen=True)
+class _Make:
+    """What a profile is made of."""
+
+    codec: Callable[[Addresses], PacketCodec]
+    frame: Callable[[bytes], bytes]
+    deframer: Callable[[int], StreamDeframer]
+
+
+PROFILES: Mapping[str, _Make] = {
+    "ccsds-cobs": _Make(PusCodec, cobs.frame, cobs.Deframer),
+    "ccsds-slip": _Make(PusCodec, slip.frame, slip.Deframer),
+    "ccsds-kiss": _Make(PusCodec, kiss.frame, kiss.Deframer),
+    "csp-kiss": _Make(CspCodec, kiss.frame, kiss.Deframer),
+    "fprime": _Make(PusCodec, fprime.frame, fprime.Deframer),
+    "ccsds": _Make(PusCodec, datagram.frame, datagram.Deframer),
+    "csp": _Make(CspCodec, datagram.frame_sealed, datagram.SealedDeframer),
+}
+
+
+@dataclass(frozen=True)
+class ReceivedCommand:
+    """A telecommand that came whole: understood, or refused with the failure to report.
+
+    Attributes
+    ----------
+    request
+        What to name it by in a `Verification`.
+    acknowledge
+        Which successes its sender wants to hear of.
+    command, failure
+        One of them is None.
+    missing
+        Telecommands that are missing before it.
+    """
+
+    request: RequestId
+    acknowledge: Acknowledge
+    command: Telecommand | None
+    failure: Failure | None = None
+    missing: int = 0
+
+
+@dataclass
+class UnwrapperCounters:
+    """What a receiver has seen, frame by frame and packet by packet: frames.frames = packets + idle + sum of refused.
+
+    Attributes
+    ----------
+    frames
+        Bytes and frames.
+    packets
+        Good packets.
+    idle
+        Packets that fill the line.
+    refused
+        Packets of good frames that were not taken, by reason.
+    missing, disordered
+        See SequenceFollower.
+    """
+
+    frames: FrameCounters
+    packets: int = 0
+    idle: int = 0
+    refused: Counter[str] = field(default_factory=Counter)
+    missing: int = 0
+    disordered: int = 0
+
+
+class _Receiver:
+    """What both directions share: bytes to packets, and following their counts."""
+
+    def __init__(self, codec: PacketCodec, deframer: StreamDeframer, modulus: int) -> None:
+        self._codec = codec
+        self._deframer = deframer
+        self._follower = SequenceFollower(modulus)
+        self.counters = UnwrapperCounters(deframer.counters)
+
+    def _follow(self, counter: int, number: int) -> int:
+        """Count a good packet; return how many are missing before it."""
+        missing = self._follower.follow(counter, number)
+        self.counters.packets += 1
+        self.counters.missing = self._follower.missing
+        self.counters.disordered = self._follower.disordered
+        return missing
+
+
+class Unwrapper(_Receiver):
+    """Takes the bytes of an instrument and gives its messages."""
+
+    def push(self, data: bytes) -> list[Received]:
+        """Take the next bytes; return the messages that they complete. Never raises; what was bad is in `counters`."""
+        return list(self._messages(data))
+
+    def _messages(self, data: bytes) -> Iterator[Received]:
+        for octets in self._deframer.push(data):
+            try:
+                decoded = self._codec.decode(octets)
+            except PacketError as error:
+                self.counters.refused[str(error)] += 1
+                continue
+            if decoded is None:
+                self.counters.idle += 1
+                continue
+            yield Received(decoded.message, self._follow(decoded.counter, decoded.number))
+
+
+class CommandUnwrapper(_Receiver):
+    """Takes the bytes of a computer and gives its telecommands."""
+
+    def push(self, data: bytes) -> list[ReceivedCommand]:
+        """Take the next bytes; return the telecommands that they complete.
+
+        Never raises: damaged packets and those for others are counted in `counters`, telecommands that are whole but
+        unknown or malformed come with the failure to report.
+        """
+        return list(self._commands(data))
+
+    def _commands(self, data: bytes) -> Iterator[ReceivedCommand]:
+        for octets in self._deframer.push(data):
+            try:
+                request = self._codec.decode_command(octets)
+            except PacketError as error:
+                self.counters.refused[str(error)] += 1
+                continue
+            yield self._understood(request)
+
+    def _understood(self, request: Request) -> ReceivedCommand:
+        missing = self._follow(request.id.packet_id, request.id.sequence_count)
+        try:
+            command = parse_telecommand(request.service, request.subtype, request.data)
+        except CommandRefused as refusal:
+            return ReceivedCommand(request.id, request.acknowledge, None, refusal.failure, missing)
+        return ReceivedCommand(request.id, request.acknowledge, command, None, missing)
+
+
+class Profile:
+    """One side of a link: wraps what this side says, makes unwrappers for what the other says.
+
+    Parameters
+    ----------
+    name
+        One of `PROFILES`. Raises ValueError for another.
+    addresses
+        Who is who; the same on both sides.
+    max_payload
+        Longest payload of a message in bytes; the same on both sides.
+    """
+
+    def __init__(
+        self,
+        name: str = "ccsds-cobs",
+        addresses: Addresses = DEFAULT_ADDRESSES,
+        max_payload: int = DEFAULT_MAX_PAYLOAD,
+    ) -> None:
+        if name not in PROFILES:
+            raise ValueError(f"no profile {name!r}; there are {', '.join(PROFILES)}")
+        self.name = name
+        self.max_payload = max_payload
+        self.last_request: RequestId | None = None
+        """Id of the telecommand wrapped last."""
+        self._make = PROFILES[name]
+        self._addresses = addresses
+        self._codec = self._make.codec(addresses)
+
+    def wrap(self, message: Message) -> bytes:
+        """Return the bytes that carry `message`. Raises ValueError when its payload is too long."""
+        if len(message.payload) > self.max_payload:
+            raise ValueError(f"a payload has at most {self.max_payload} bytes here, got {len(message.payload)}")
+        return self._make.frame(self._codec.encode(message))
+
+    def wrap_command(self, command: Telecommand, acknowledge: Acknowledge = Acknowledge.ALL) -> bytes:
+        """Return the bytes that carry `command`; its id is then in `last_request`."""
+        octets, self.last_request = self._codec.encode_command(command, acknowledge)
+        return self._make.frame(octets)
+
+    def unwrapper(self) -> Unwrapper:
+        """Return a receiver of messages."""
+        return Unwrapper(self._codec, self._deframer(), self._codec.sequence_modulus)
+
+    def command_unwrapper(self) -> CommandUnwrapper:
+        """Return a receiver of telecommands."""
+        return CommandUnwrapper(self._codec, self._deframer(), 1 << 14)
+
+    def _deframer(self) -> StreamDeframer:
+        return self._make.deframer(self.max_payload + self._codec.overhead_octets)

@@ -1,0 +1,228 @@
+"""What an instrument can be told, and the octets of it. Big-endian; `(service, subtype)` as in PUS-C.
+
+    Ping                  (17, 1)     nothing                                     answered by a PONG
+    RequestHousekeeping   (3, 27)     u8 1 (how many), u8 1 (which: 1)            answered by HOUSEKEEPING
+    SetTime               (9, 128)    7  CUC, 4 + 3 octets: time now              answered by a TIME report
+    Start                 (128, 1)    nothing                                     events flow
+    Stop                  (128, 2)    nothing                                     events stop, what waits is dropped
+    SetTick               (128, 3)    u16 tick, us: 1, 10, 100 or 1000
+    SetRegion             (128, 4)    u16 x, y, width, height, px
+    SetRateLimit          (128, 5)    u32 events per second, 0: no limit
+    SetBias               (128, 6)    u8 which, u16 value
+
+Services 3, 9 and 17 are those of ECSS-E-ST-70-41C (9 has no standard request that sets the time, so its subtype is
+from the mission's own range), 128 is private. Which biases there are, and what their values mean, is the device's
+affair; for a DAVIS346 `bias` is the parameter number in module 5 and `value` the register's 16-bit word.
+"""
+
+from __future__ import annotations
+
+import struct
+from abc import ABC, abstractmethod
+from dataclasses import astuple, dataclass
+from typing import ClassVar, Self
+
+from firmware_protocol.packets.cuc import OWN_EPOCH_4_3
+from firmware_protocol.packets.verification import CommandRefused, FailureCode
+
+__all__ = [
+    "TELECOMMANDS",
+    "TICKS_US",
+    "Ping",
+    "RequestHousekeeping",
+    "SetBias",
+    "SetRateLimit",
+    "SetRegion",
+    "SetTick",
+    "SetTime",
+    "Start",
+    "Stop",
+    "Telecommand",
+    "parse_telecommand",
+]
+
+TICKS_US = (1, 10, 100, 1000)
+_HOUSEKEEPING_STRUCTURE = 1
+_LARGEST_U16 = 0xFFFF
+
+
+def _check(what: str, value: int, lowest: int, highest: int) -> None:
+    if not lowest <= value <= highest:
+        raise ValueError(f"{what} {value} is not in {lowest}..{highest}")
+
+
+class Telecommand(ABC):
+    """One thing to do. Values are checked when one is made: ValueError."""
+
+    TYPE: ClassVar[tuple[int, int]]
+    """Service and subtype."""
+
+    @abstractmethod
+    def encode(self) -> bytes:
+        """Return the application data."""
+
+    @classmethod
+    @abstractmethod
+    def parse(cls, data: bytes) -> Self:
+        """Read the application data. Raises struct.error for a wrong length, ValueError for a wrong value."""
+
+
+@dataclass(frozen=True)
+class _FixedLayout(Telecommand):
+    """A telecommand whose fields are numbers in a row."""
+
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct(">")
+
+    def encode(self) -> bytes:
+        """Return the application data."""
+        return self.LAYOUT.pack(*astuple(self))
+
+    @classmethod
+    def parse(cls, data: bytes) -> Self:
+        """Read the application data."""
+        return cls(*cls.LAYOUT.unpack(data))
+
+
+@dataclass(frozen=True)
+class Ping(_FixedLayout):
+    """Say that you are there."""
+
+    TYPE = (17, 1)
+
+
+@dataclass(frozen=True)
+class Start(_FixedLayout):
+    """Let events flow."""
+
+    TYPE = (128, 1)
+
+
+@dataclass(frozen=True)
+class Stop(_FixedLayout):
+    """Let no events flow."""
+
+    TYPE = (128, 2)
+
+
+@dataclass(frozen=True)
+class SetTick(_FixedLayout):
+    """Count the time of events in ticks of 1, 10, 100 or 1000 us."""
+
+    TYPE = (128, 3)
+    LAYOUT = struct.Struct(">H")
+
+    tick_us: int
+
+    def __post_init__(self) -> None:
+        if self.tick_us not in TICKS_US:
+            raise ValueError(f"tick {self.tick_us} us is none of 1, 10, 100, 1000")
+
+
+@dataclass(frozen=True)
+class SetRegion(_FixedLayout):
+    """Send only events of a rectangle of pixels."""
+
+    TYPE = (128, 4)
+    LAYOUT = struct.Struct(">HHHH")
+
+    x: int
+    y: int
+    width: int
+    height: int
+
+    def __post_init__(self) -> None:
+        _check("x", self.x, 0, _LARGEST_U16)
+        _check("y", self.y, 0, _LARGEST_U16)
+        _check("width", self.width, 1, _LARGEST_U16)
+        _check("height", self.height, 1, _LARGEST_U16)
+
+
+@dataclass(frozen=True)
+class SetRateLimit(_FixedLayout):
+    """Send at most so many events per second; 0 lifts the limit."""
+
+    TYPE = (128, 5)
+    LAYOUT = struct.Struct(">I")
+
+    events_per_s: int
+
+    def __post_init__(self) -> None:
+        _check("rate limit", self.events_per_s, 0, 0xFFFF_FFFF)
+
+
+@dataclass(frozen=True)
+class SetBias(_FixedLayout):
+    """Set one bias of the sensor."""
+
+    TYPE = (128, 6)
+    LAYOUT = struct.Struct(">BH")
+
+    bias: int
+    value: int
+
+    def __post_init__(self) -> None:
+        _check("bias", self.bias, 0, 0xFF)
+        _check("bias value", self.value, 0, _LARGEST_U16)
+
+
+@dataclass(frozen=True)
+class RequestHousekeeping(Telecommand):
+    """Send one housekeeping report now."""
+
+    TYPE = (3, 27)
+
+    def encode(self) -> bytes:
+        """Return the application data: one structure, number 1."""
+        return bytes([1, _HOUSEKEEPING_STRUCTURE])
+
+    @classmethod
+    def parse(cls, data: bytes) -> Self:
+        """Read the application data."""
+        _, structure = struct.unpack(">BB", data)
+        if data[0] != 1 or structure != _HOUSEKEEPING_STRUCTURE:
+            raise ValueError("the only housekeeping structure is 1, once")
+        return cls()
+
+
+@dataclass(frozen=True)
+class SetTime(Telecommand):
+    """It is now so many microseconds since the epoch of the bus."""
+
+    TYPE = (9, 128)
+
+    t_us: int
+
+    def __post_init__(self) -> None:
+        OWN_EPOCH_4_3.encode_us(self.t_us)
+
+    def encode(self) -> bytes:
+        """Return the application data."""
+        return OWN_EPOCH_4_3.encode_us(self.t_us)
+
+    @classmethod
+    def parse(cls, data: bytes) -> Self:
+        """Read the application data."""
+        struct.unpack(f">{OWN_EPOCH_4_3.octets}s", data)
+        return cls(OWN_EPOCH_4_3.parse_us(data))
+
+
+TELECOMMANDS: dict[tuple[int, int], type[Telecommand]] = {
+    kind.TYPE: kind
+    for kind in (Ping, RequestHousekeeping, SetTime, Start, Stop, SetTick, SetRegion, SetRateLimit, SetBias)
+}
+
+
+def parse_telecommand(service: int, subtype: int, data: bytes) -> Telecommand:
+    """Read one telecommand. Raises CommandRefused, with the code and text of the failure, for anything else."""
+    kind = TELECOMMANDS.get((service, subtype))
+    if kind is None:
+        if any(known == service for known, _ in TELECOMMANDS):
+            raise CommandRefused(FailureCode.ILLEGAL_SUBTYPE, f"service {service} has no subtype {subtype}")
+        raise CommandRefused(FailureCode.ILLEGAL_SERVICE, f"no service {service}")
+    try:
+        return kind.parse(data)
+    except struct.error as error:
+        text = f"{kind.__name__}: {len(data)} octets of data is not its length"
+        raise CommandRefused(FailureCode.LENGTH, text) from error
+    except ValueError as error:
+        raise CommandRefused(FailureCode.ILLEGAL_DATA, str(error)) from error
