@@ -22,6 +22,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
+from emulator.rig_files import beside
 from emulator.rig_text import line_of
 from emulator.scene.body import BodyParameters
 from emulator.scene.checkerboard import CheckerboardParameters
@@ -236,7 +237,7 @@ def parse_rig(text: str, file: str, name: str) -> Rig:
     except tomllib.TOMLDecodeError as error:
         raise RigError(f"{file}: not valid TOML: {error}") from error
     try:
-        return _beside(_rig(table, name), Path(file).parent)
+        return beside(_rig(table, name), Path(file).parent)
     except TableError as error:
         line = line_of(text, error.path)
         at = f"{file}, line {line}" if line else file
@@ -262,13 +263,6 @@ def _rig(table: dict[str, Any], name: str) -> Rig:
     links = _links(table.get("links", []), camera)
     run = convert(table.get("run", {}), Run, ("run",))
     return Rig(name, title, convert_kind(table["scene"], SCENES, ("scene",)), camera, run, links)
-
-
-def _beside(rig: Rig, folder: Path) -> Rig:
-    """Let the path of a shape start at the rig file's folder, whatever folder the command runs in."""
-    if not isinstance(rig.scene, BodyParameters) or not (folder / rig.scene.shape).is_file():
-        return rig
-    return dataclasses.replace(rig, scene=dataclasses.replace(rig.scene, shape=str(folder / rig.scene.shape)))
 
 
 def _camera(table: object) -> Camera:

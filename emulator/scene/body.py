@@ -30,6 +30,7 @@ from fractions import Fraction
 
 import numpy as np
 
+from emulator.rig_files import RigFile
 from emulator.scene.attitude import matrix_of, spin, unit
 from emulator.scene.base import Light, Scene, SceneError
 from emulator.scene.cycle import Cycle
@@ -38,6 +39,7 @@ from emulator.scene.raster import Raster, Rectangle, View
 
 __all__ = ["Body", "BodyParameters", "henyey_greenstein"]
 
+_EROS = RigFile("eros022540")
 _SMALLEST_PX = 2.0
 _CLOSEST = 1.001  # body radii: the nearest vertex needs some room before the eye
 
@@ -74,7 +76,7 @@ class BodyParameters:
         b of the phase function above, -1 < b < 1.
     """
 
-    shape: str = "eros022540"
+    shape: RigFile = _EROS
     units_m: float = 1000.0
     spin_deg_s: float = 360.0 / 18_972.0
     start_deg: float = 0.0
