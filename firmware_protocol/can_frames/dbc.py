@@ -1,0 +1,158 @@
+"""The identifier table and the frames' layouts as a DBC file, which most CAN tools read.
+
+Generated from the table that the link uses, so that it cannot say something else. Signals in Intel order (`@1`), but
+for spacecraft time, which is big-endian (`@0`, start bit = most significant).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from firmware_protocol.can_frames.canopen import NmtCommand, NodeState
+from firmware_protocol.can_frames.fd_events import FD_CELLS
+from firmware_protocol.can_frames.identifiers import Identifiers
+from firmware_protocol.can_frames.raw_events import TICKS_US
+
+__all__ = ["dbc_text"]
+
+CAMERA, MASTER, ANYONE = "CAMERA", "MASTER", "Vector__XXX"
+
+
+@dataclass(frozen=True)
+class _Signal:
+    name: str
+    start: int
+    bits: int
+    unit: str = ""
+    factor: str = "1"
+    big_endian: bool = False
+    values: tuple[tuple[int, str], ...] = ()
+
+    def line(self) -> str:
+        order = 0 if self.big_endian else 1
+        top = (1 << self.bits) - 1
+        scaled = top if self.factor == "1" else float(self.factor) * top
+        return (
+            f" SG_ {self.name} : {self.start}|{self.bits}@{order}+ ({self.factor},0) [0|{scaled}] "
+            f'"{self.unit}" {ANYONE}'
+        )
+
+    def choices(self) -> str:
+        return " ".join(f'{value} "{text}"' for value, text in self.values)
+
+
+@dataclass(frozen=True)
+class _Message:
+    """`name` is the key of the identifier table."""
+
+    name: str
+    length: int
+    sender: str
+    comment: str
+    signals: tuple[_Signal, ...] = ()
+
+
+def dbc_text(identifiers: Identifiers, *, fd: bool = False) -> str:
+    """Return the DBC file of a camera with these identifiers, its events in classic or in FD frames."""
+    messages = _messages(fd)
+    ids = identifiers.by_name
+    lines = ['VERSION ""', "", "NS_ :", "", "BS_:", "", f"BU_: {CAMERA} {MASTER}", ""]
+    for m in messages:
+        lines += [f"BO_ {ids[m.name]} {m.name}: {m.length} {m.sender}", *(s.line() for s in m.signals), ""]
+    lines += [f'CM_ BO_ {ids[m.name]} "{m.comment}";' for m in messages]
+    if fd:
+        lines += [
+            'BA_DEF_ BO_ "VFrameFormat" ENUM "StandardCAN","ExtendedCAN","StandardCAN_FD","ExtendedCAN_FD";',
+            'BA_DEF_DEF_ "VFrameFormat" "StandardCAN";',
+            f'BA_ "VFrameFormat" BO_ {ids["events"]} 2;',
+        ]
+    lines += [f"VAL_ {ids[m.name]} {s.name} {s.choices()} ;" for m in messages for s in m.signals if s.values]
+    return "\n".join(lines) + "\n"
+
+
+def _messages(fd: bool) -> list[_Message]:
+    state = _Signal("state", 0, 7, values=_values(NodeState))
+    return [
+        _Message(
+            "nmt",
+            2,
+            MASTER,
+            "Orders to the camera",
+            (_Signal("command", 0, 8, values=_values(NmtCommand)), _Signal("node", 8, 8)),
+        ),
+        _Message("sync", 1, MASTER, "Trigger and beat; may come without its counter", (_Signal("counter", 0, 8),)),
+        _Message(
+            "emcy",
+            8,
+            CAMERA,
+            "8110: events were dropped; 0000: no more",
+            (_Signal("code", 0, 16), _Signal("register", 16, 8), _Signal("dropped", 24, 32, "events")),
+        ),
+        _Message("time", 6, MASTER, "Since 1984-01-01", (_Signal("ms", 0, 28, "ms"), _Signal("days", 32, 16, "d"))),
+        _Message(
+            "scet",
+            7,
+            MASTER,
+            "Spacecraft time, CUC 4+3",
+            (
+                _Signal("seconds", 7, 32, "s", big_endian=True),
+                _Signal("fraction", 39, 24, "s", "5.960464477539063e-08", big_endian=True),
+            ),
+        ),
+        _fd_events() if fd else _events(),
+        _Message(
+            "epoch",
+            8,
+            CAMERA,
+            "Where the events' times lie, and how many events there have been",
+            (
+                _Signal("t", 0, 30, "us"),
+                _Signal("tick", 30, 2, values=tuple(enumerate(f"{us} us" for us in TICKS_US))),
+                _Signal("sent", 32, 16, "events"),
+                _Signal("dropped", 48, 16, "events"),
+            ),
+        ),
+        _Message("marks", 8, CAMERA, "The camera's own trigger and exposure marks", _marks()),
+        _Message("telemetry", 8, CAMERA, "ISO-TP", (_Signal("pci", 0, 8),)),
+        _Message("telecommand", 8, MASTER, "ISO-TP", (_Signal("pci", 0, 8),)),
+        _Message("heartbeat", 1, CAMERA, "State of the camera", (state,)),
+        _Message("master_heartbeat", 1, MASTER, "Says which bus is in use", (state,)),
+    ]
+
+
+def _values(names: Iterable[NmtCommand] | Iterable[NodeState]) -> tuple[tuple[int, str], ...]:
+    return tuple((int(one), one.name.lower().replace("_", " ")) for one in names)
+
+
+def _events() -> _Message:
+    pixels = [
+        _Signal(f"{name}{i}", 26 + 19 * i + at, bits, unit)
+        for i in (0, 1)
+        for name, at, bits, unit in (("x", 0, 9, "px"), ("y", 9, 9, "px"), ("on", 18, 1, ""))
+    ]
+    head = (
+        _Signal("t", 0, 16, "ticks"),
+        _Signal("seq", 16, 3),
+        _Signal("dt", 19, 7, "ticks", values=((127, "no second event"),)),
+    )
+    return _Message("events", 8, CAMERA, "One or two events", (*head, *pixels))
+
+
+def _fd_events() -> _Message:
+    head = (
+        _Signal("t", 0, 32, "ticks"),
+        _Signal("seq", 32, 8),
+        _Signal("n", 40, 8, "cells"),
+        _Signal("dropped", 48, 8, "events"),
+    )
+    cells = [
+        _Signal(f"{name}{i}", 56 + 24 * i + at, bits, unit)
+        for i in range(FD_CELLS)
+        for name, at, bits, unit in (("x", 0, 9, "px"), ("y", 9, 9, "px"), ("on", 18, 1, ""), ("dt", 19, 5, "ticks"))
+    ]
+    return _Message("events", 64, CAMERA, "Up to 19 events; dt = 31: no event, ticks to add", (*head, *cells))
+
+
+def _marks() -> tuple[_Signal, ...]:
+    return (_Signal("t", 0, 32, "us"), _Signal("kind", 32, 8), _Signal("channel", 40, 8), _Signal("seq", 48, 16))

@@ -1,0 +1,238 @@
+"""The two ends of a stream of raw frames: one keeps the epoch told, the other finds out what is missing.
+
+Frames are those of `raw_events` (classic) and `fd_events` (FD); both use the same epoch frames.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from firmware_protocol.can_frames.fd_events import pack_fd_events, unpack_fd_events
+from firmware_protocol.can_frames.frame import Frame
+from firmware_protocol.can_frames.raw_events import TICKS_US, Epoch, RawError, pack_events, unpack_events, unwrapped
+from firmware_protocol.events import Events, empty_events
+
+__all__ = ["Packed", "RawCounters", "RawReceiver", "RawSender", "RawSettings"]
+
+_HALF_SPAN_TICKS = 1 << 15
+
+
+@dataclass(frozen=True)
+class RawSettings:
+    """How raw frames are made.
+
+    Attributes
+    ----------
+    events, epoch
+        11-bit identifiers of events frames and epoch frames.
+    tick_us
+        1, 10, 100 or 1000.
+    epoch_us
+        At most so long between two epoch frames; so many of them may be lost in a row before time is in doubt, as make
+        half the span of a frame's 16 bits: three of 10 ms at a tick of 1 us.
+    fd, brs
+        CAN FD frames, and whether they switch to the faster bit rate.
+    """
+
+    events: int
+    epoch: int
+    tick_us: int = 1
+    epoch_us: int = 10_000
+    fd: bool = False
+    brs: bool = True
+
+    def __post_init__(self) -> None:
+        if self.tick_us not in TICKS_US:
+            raise ValueError(f"tick_us must be one of {TICKS_US}, got {self.tick_us}")
+        if not 0 < self.epoch_us <= _HALF_SPAN_TICKS * self.tick_us // 2:
+            raise ValueError(
+                f"epoch_us must be 1 to {_HALF_SPAN_TICKS * self.tick_us // 2}, a quarter of the span of a frame's "
+                f"time, got {self.epoch_us}"
+            )
+
+
+@dataclass(frozen=True)
+class Packed:
+    """A frame to send, and the events that it carries (none in an epoch frame)."""
+
+    frame: Frame
+    events: Events = field(default_factory=empty_events)
+
+
+class RawSender:
+    """Turns events into raw frames, with epoch frames where they are needed."""
+
+    def __init__(self, settings: RawSettings) -> None:
+        self._settings = settings
+        self._seq = 0
+        self._told_us: int | None = None
+        self._epoch_told_us = 0
+        self._sent = 0
+        self._dropped = 0
+        self._dropped_told = 0
+
+    def pack(self, events: Events, dropped: int = 0) -> list[Packed]:
+        """Return the frames for events (n,), sorted and not before those packed earlier.
+
+        `dropped` counts the events lost before they came here, since the start. Raises RawError for pixels beyond 511.
+        """
+        self._dropped = dropped
+        frames: list[Packed] = []
+        for part in self._parts(events):
+            frames += self._frames_of(part)
+        return frames
+
+    def epoch(self, now_us: int, dropped: int) -> Frame | None:
+        """Return the epoch frame that is due at `now_us` when no earlier event waits, if one is."""
+        if self._told_us is not None and now_us - self._epoch_told_us < self._settings.epoch_us:
+            return None
+        self._dropped = dropped
+        return self._epoch(now_us)
+
+    def _parts(self, events: Events) -> list[Events]:
+        """Cut the events where an epoch frame has to stand before them."""
+        if not len(events):
+            return []
+        t = events["t"].astype(np.int64)
+        far = np.flatnonzero(np.diff(t) >= (_HALF_SPAN_TICKS - 1) * self._settings.tick_us) + 1
+        periods = (t - t[0]) // self._settings.epoch_us
+        turns = np.flatnonzero(np.diff(periods) > 0) + 1
+        return [part for part in np.split(events, np.union1d(far, turns)) if len(part)]
+
+    def _frames_of(self, events: Events) -> list[Packed]:
+        first_us = int(events["t"][0])
+        frames: list[Packed] = []
+        if (
+            self._told_us is None
+            or abs(first_us - self._told_us) >= (_HALF_SPAN_TICKS - 1) * self._settings.tick_us
+            or first_us - self._epoch_told_us >= self._settings.epoch_us
+        ):
+            frames.append(Packed(self._epoch(first_us)))
+        frames += self._packed_fd(events) if self._settings.fd else self._packed(events)
+        self._told_us = int(events["t"][-1])
+        self._sent += len(events)
+        return frames
+
+    def _packed(self, events: Events) -> list[Packed]:
+        data, first = pack_events(events, self._settings.tick_us, self._seq)
+        self._seq = (self._seq + len(data)) & 7
+        parts = np.split(events, first[1:])
+        return [Packed(Frame(self._settings.events, raw), part) for raw, part in zip(data, parts, strict=True)]
+
+    def _packed_fd(self, events: Events) -> list[Packed]:
+        s = self._settings
+        packed = pack_fd_events(events, s.tick_us, self._seq, self._dropped - self._dropped_told)
+        self._dropped_told = self._dropped
+        self._seq = (self._seq + len(packed)) & 0xFF
+        frames, at = [], 0
+        for raw, n in packed:
+            frames.append(Packed(Frame(s.events, raw, fd=True, brs=s.brs), events[at : at + n]))
+            at += n
+        return frames
+
+    def _epoch(self, t_us: int) -> Frame:
+        self._told_us = self._epoch_told_us = t_us
+        return Frame(self._settings.epoch, bytes(Epoch(t_us, self._settings.tick_us, self._sent, self._dropped)))
+
+
+@dataclass(frozen=True)
+class RawCounters:
+    """What a receiver of raw frames has seen.
+
+    Attributes
+    ----------
+    events
+        Received.
+    lost
+        Sent and not received, as the epoch frames' counts tell; below 0 while later frames came before earlier ones.
+    dropped
+        Dropped before they were sent, as the epoch frames tell.
+    gaps
+        Times that `seq` was not the next.
+    repeated
+        Frames that came twice in a row; taken once.
+    before_epoch
+        Events frames that came before any epoch frame, and so have no time; counted in no other place.
+    malformed
+        Frames that no sender makes.
+    """
+
+    events: int = 0
+    lost: int = 0
+    dropped: int = 0
+    gaps: int = 0
+    repeated: int = 0
+    before_epoch: int = 0
+    malformed: int = 0
+
+
+class RawReceiver:
+    """Turns raw frames into events, and counts what is missing. The tick comes with the epoch frames."""
+
+    def __init__(self, events: int, epoch: int) -> None:
+        self._events_id = events
+        self._epoch_id = epoch
+        self._tick_us = 1
+        self._near_us: int | None = None
+        self._epoch: Epoch | None = None
+        self._since_epoch = 0
+        self._last: tuple[int, bytes] | None = None
+        self.counters = RawCounters()
+
+    @property
+    def now_us(self) -> int | None:
+        """The time last told; None before the first epoch frame."""
+        return self._near_us
+
+    def push(self, frame: Frame) -> Events:
+        """Return the events of a frame, shape (n,), none of a frame of another kind."""
+        if frame.error or frame.extended:
+            return empty_events()
+        try:
+            if frame.identifier == self._epoch_id:
+                self._take_epoch(Epoch.parse(frame.data))
+            elif frame.identifier == self._events_id:
+                return self._take_events(frame)
+        except RawError:
+            self._count(malformed=1)
+        return empty_events()
+
+    def _take_epoch(self, epoch: Epoch) -> None:
+        near = epoch.t_us if self._near_us is None else self._near_us
+        before, self._epoch = self._epoch, epoch
+        self._tick_us = epoch.tick_us
+        self._near_us = unwrapped(epoch.t_us, 30, near)
+        if before is not None:
+            sent = _signed16(epoch.sent - before.sent)
+            self._count(lost=sent - self._since_epoch, dropped=(epoch.dropped - before.dropped) & 0xFFFF)
+        self._since_epoch = 0
+
+    def _take_events(self, frame: Frame) -> Events:
+        if self._near_us is None:
+            self._count(before_epoch=1)
+            return empty_events()
+        unpack = unpack_fd_events if frame.fd else unpack_events
+        found = unpack(frame.data, self._tick_us, self._near_us)
+        if self._last == (found.seq, frame.data):
+            self._count(repeated=1)
+            return empty_events()
+        span = 256 if frame.fd else 8
+        if self._last is not None and found.seq != (self._last[0] + 1) % span:
+            self._count(gaps=1)
+        self._last = found.seq, frame.data
+        if len(found.events):
+            self._near_us = int(found.events["t"][-1])
+        self._since_epoch += len(found.events)
+        self._count(events=len(found.events))
+        return found.events
+
+    def _count(self, **more: int) -> None:
+        c = self.counters
+        self.counters = replace(c, **{name: getattr(c, name) + n for name, n in more.items()})
+
+
+def _signed16(value: int) -> int:
+    value &= 0xFFFF
+    return value - 0x10000 if value & 0x8000 else value
