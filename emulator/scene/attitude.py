@@ -10,7 +10,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Matrix", "Vector", "matrix_of", "spin", "unit"]
+__all__ = ["Matrix", "Vector", "matrix_of", "quaternion_of", "spin", "unit"]
 
 Matrix = npt.NDArray[np.float64]
 """(3, 3) rotation."""
@@ -52,3 +52,22 @@ def spin(pole: Vector, turns: float) -> Matrix:
     angle = 2 * math.pi * turns
     c, s = math.cos(angle), math.sin(angle)
     return np.column_stack([c * x + s * y, c * y - s * x, pole])
+
+
+def quaternion_of(matrix: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    """Return the unit quaternion of a rotation, its largest component above 0.
+
+    Source: Shepperd 1978, Quaternion from rotation matrix: the largest component is found first, so nothing cancels.
+    """
+    m = np.asarray(matrix, np.float64)
+    trace = float(np.trace(m))
+    largest = int(np.argmax([trace, m[0, 0], m[1, 1], m[2, 2]]))
+    if largest == 0:
+        q = np.array([1 + trace, m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]])
+    else:
+        i = largest - 1
+        j, k = (i + 1) % 3, (i + 2) % 3
+        q = np.empty(4)
+        q[0], q[1 + i] = m[k, j] - m[j, k], 1 + 2 * m[i, i] - trace
+        q[1 + j], q[1 + k] = m[j, i] + m[i, j], m[k, i] + m[i, k]
+    return np.asarray(q / np.linalg.norm(q))

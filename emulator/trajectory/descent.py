@@ -1,0 +1,132 @@
+"""A landing in phases: gates of height and speed, joined smoothly, above a flat world with z up.
+
+    t_s   height_m  forward_m_s  down_m_s  depression_deg      phase that begins here
+      0     1500        100         30          35              braking
+     30      700         45         22          50              approach
+     60      250          8          8          70              vertical
+     85      150          0          0          90              hover
+    100      150          0          0          90              descent to the ground
+    165        4          0          1          90              touchdown
+
+The camera moves along `heading_deg` (0 along +y, 90 along +x), and its boresight lies `depression_deg` below the
+horizontal, ahead; up in the picture is up in the world, or ahead when it looks straight down. Heights and forward
+distances are cubic Hermite curves with the gates' speeds; the forward distance between two gates is the mean of their
+speeds times the time, which is that of constant deceleration. The landing site, where the last gate stands, is at
+`site_m`. Source of the phases: Chandrayaan-3's (rough braking, attitude hold, fine braking, vertical descent, hover,
+touchdown below 2 m/s) and Apollo's gates (high gate 2 km, low gate 150 m), both as reported in public; the default is
+such a landing's last three minutes.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from emulator.scene.attitude import Vector, quaternion_of
+from emulator.trajectory.keyframes import Keyframes
+from emulator.trajectory.looking import looking_along
+from emulator.trajectory.pose import Pose, Trajectory, TrajectoryError
+
+__all__ = ["LANDING", "Descent", "Gate"]
+
+_UP = np.array([0.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True)
+class Gate:
+    """What a lander does at one moment.
+
+    Attributes
+    ----------
+    t_s : stream time.
+    height_m : above the site, > 0.
+    forward_m_s, down_m_s : speeds along the heading and downward.
+    depression_deg : of the boresight below the horizontal, 0 to 90.
+    """
+
+    t_s: float
+    height_m: float
+    forward_m_s: float = 0.0
+    down_m_s: float = 0.0
+    depression_deg: float = 90.0
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not math.isfinite(value):
+                raise ValueError(f"{name} is {value}: it must be finite")
+        if self.height_m <= 0:
+            raise ValueError(f"height_m is {self.height_m:g}: it must be above 0")
+        if not 0 <= self.depression_deg <= 90:
+            raise ValueError(f"depression_deg is {self.depression_deg:g}: it must be 0 to 90")
+
+
+LANDING = (
+    Gate(0.0, 1500.0, 100.0, 30.0, 35.0),
+    Gate(30.0, 700.0, 45.0, 22.0, 50.0),
+    Gate(60.0, 250.0, 8.0, 8.0, 70.0),
+    Gate(85.0, 150.0),
+    Gate(100.0, 150.0),
+    Gate(165.0, 4.0, 0.0, 1.0),
+)
+"""The last three minutes of a lunar landing."""
+
+
+class Descent(Trajectory):
+    """Goes through `gates`, in order of time, to `site_m` (3,); raises TrajectoryError if it would touch the ground."""
+
+    def __init__(
+        self, gates: Sequence[Gate] = LANDING, heading_deg: float = 0.0, site_m: npt.ArrayLike = (0.0, 0.0, 0.0)
+    ) -> None:
+        heading = math.radians(heading_deg)
+        ahead = np.array([math.sin(heading), math.cos(heading), 0.0])
+        forward, site = _forward_m(gates), np.asarray(site_m, np.float64)
+        places = [site + s * ahead + gate.height_m * _UP for s, gate in zip(forward, gates, strict=True)]
+        velocities = [gate.forward_m_s * ahead - gate.down_m_s * _UP for gate in gates]
+        poses = [Pose(place, _attitude(ahead, gate)) for place, gate in zip(places, gates, strict=True)]
+        self._path = Keyframes([round(gate.t_s * 1e9) for gate in gates], poses, np.array(velocities))
+        self._require_above(float(site[2]))
+
+    def pose(self, t_ns: int) -> Pose:
+        """Return the pose at `t_ns`; after the last gate it stays there."""
+        return self._path.pose(t_ns)
+
+    @property
+    def span_ns(self) -> tuple[int, int]:
+        """Time of the first gate and of the last."""
+        return self._path.span_ns
+
+    @property
+    def speed_bound_m_s(self) -> float:
+        """Measured, see `measured`."""
+        return self._path.speed_bound_m_s
+
+    @property
+    def turn_bound_rad_s(self) -> float:
+        """Measured, see `measured`."""
+        return self._path.turn_bound_rad_s
+
+    def _require_above(self, ground_m: float) -> None:
+        first, last = self.span_ns
+        for t_ns in np.linspace(first, last, 1000).astype(np.int64):
+            if self.pose(int(t_ns)).position_m[2] <= ground_m:
+                raise TrajectoryError(
+                    f"the descent goes through the ground at {t_ns * 1e-9:.1f} s: "
+                    "between two gates the speeds ask for more height than there is"
+                )
+
+
+def _forward_m(gates: Sequence[Gate]) -> list[float]:
+    """Return the distances along the heading, the last gate's being 0."""
+    steps = [(b.t_s - a.t_s) * (a.forward_m_s + b.forward_m_s) / 2 for a, b in itertools.pairwise(gates)]
+    return [-sum(steps[k:]) for k in range(len(gates))]
+
+
+def _attitude(ahead: Vector, gate: Gate) -> npt.NDArray[np.float64]:
+    """Return world_from_camera: the picture's up turns with the boresight, from the zenith to straight ahead."""
+    c, s = math.cos(math.radians(gate.depression_deg)), math.sin(math.radians(gate.depression_deg))
+    return quaternion_of(looking_along(c * ahead - s * _UP, s * ahead + c * _UP))

@@ -1,0 +1,284 @@
+"""Trajectories as a rig writes them: a table with a `kind`, one frozen dataclass each.
+
+Where a path can be looked from, `look_at_m` turns the boresight to a point of the world and `up` says what is up in the
+picture; without `look_at_m` the attitude is the path's own.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+from emulator.rig_files import NO_FILE, RigFile
+from emulator.trajectory.descent import LANDING, Gate
+from emulator.trajectory.orbit import Elements
+
+__all__ = [
+    "DescentPath",
+    "FilePath",
+    "FixedPath",
+    "Keyframe",
+    "KeyframePath",
+    "LivePath",
+    "OrbitPath",
+    "SpinPath",
+    "TrajectoryParameters",
+]
+
+_Triple = tuple[float, float, float]
+_Quaternion = tuple[float, float, float, float]
+_UP: _Triple = (0.0, 0.0, 1.0)
+_AS_THE_WORLD: _Quaternion = (1.0, 0.0, 0.0, 0.0)
+
+
+def _require_finite(owner: object) -> None:
+    for name, value in vars(owner).items():
+        numbers = value if isinstance(value, tuple) else (value,)
+        if any(isinstance(n, float) and not math.isfinite(n) for n in numbers):
+            raise ValueError(f"{name} is {value}: it must be finite")
+
+
+def _require_attitude(owner: object, name: str) -> None:
+    q = getattr(owner, name)
+    if q is not None and abs(math.hypot(*q) - 1) >= 1e-3:
+        raise ValueError(f"{name} is {q}, of length {math.hypot(*q):.4g}: a unit quaternion (w, x, y, z) is needed")
+
+
+def _require_direction(owner: object, name: str) -> None:
+    if not any(getattr(owner, name)):
+        raise ValueError(f"{name} is all zeros and points nowhere")
+
+
+@dataclass(frozen=True)
+class FixedPath:
+    """Stays where it is.
+
+    Attributes
+    ----------
+    position_m
+        In the world.
+    q_world_from_body
+        Attitude, scalar first; a camera's axes are x right, y down, z along the boresight.
+    look_at_m
+        A point to look at instead.
+    up
+        Direction that is up in the picture then.
+    """
+
+    kind: ClassVar[str] = "fixed"
+    position_m: _Triple = (0.0, 0.0, 0.0)
+    q_world_from_body: _Quaternion = _AS_THE_WORLD
+    look_at_m: _Triple | None = None
+    up: _Triple = _UP
+
+    def __post_init__(self) -> None:
+        _require_finite(self)
+        _require_attitude(self, "q_world_from_body")
+        _require_direction(self, "up")
+
+
+@dataclass(frozen=True)
+class Keyframe:
+    """One pose of a path.
+
+    Attributes
+    ----------
+    t_s
+        Time.
+    position_m
+        In the world.
+    q_world_from_body
+        Attitude, scalar first.
+    """
+
+    t_s: float
+    position_m: _Triple
+    q_world_from_body: _Quaternion = _AS_THE_WORLD
+
+    def __post_init__(self) -> None:
+        _require_finite(self)
+        _require_attitude(self, "q_world_from_body")
+
+
+@dataclass(frozen=True)
+class KeyframePath:
+    """Poses at given times, joined smoothly.
+
+    Attributes
+    ----------
+    keyframes
+        In order of time.
+    look_at_m
+        A point to look at instead of the keyframes' attitudes.
+    up
+        Direction that is up in the picture then.
+    """
+
+    kind: ClassVar[str] = "keyframes"
+    keyframes: tuple[Keyframe, ...] = ()
+    look_at_m: _Triple | None = None
+    up: _Triple = _UP
+
+    def __post_init__(self) -> None:
+        _require_finite(self)
+        _require_direction(self, "up")
+
+
+@dataclass(frozen=True)
+class OrbitPath(Elements):
+    """Goes round the origin on an ellipse.
+
+    Attributes
+    ----------
+    gm_m3_s2
+        Gravitational parameter of the body; 4.4628e5 for Eros.
+    semi_major_axis_m
+        Mean of nearest and farthest distance.
+    eccentricity
+        0 for a circle, below 1.
+    inclination_deg, node_deg, periapsis_deg
+        Of the orbit's plane against the world's x-y plane.
+    anomaly_deg
+        Mean anomaly at time zero.
+    look_at_m
+        A point to look at; the origin, where the body is.
+    up
+        Direction that is up in the picture.
+    """
+
+    kind: ClassVar[str] = "orbit"
+    look_at_m: _Triple = (0.0, 0.0, 0.0)
+    up: _Triple = _UP
+
+    def __post_init__(self) -> None:
+        Elements.__post_init__(self)
+        _require_finite(self)
+        _require_direction(self, "up")
+
+
+@dataclass(frozen=True)
+class SpinPath:
+    """Stays and turns about its +Z axis; with a tilt that axis goes round the angular momentum, as a tumbling body's.
+
+    Attributes
+    ----------
+    position_m
+        In the world.
+    pole
+        Direction of the angular momentum in the world.
+    spin_deg_s
+        Rate of turning about +Z, right-handed.
+    start_deg
+        How far it has turned at time zero.
+    tilt_deg
+        Of +Z against the momentum.
+    precession_deg_s
+        How fast +Z goes round it.
+    """
+
+    kind: ClassVar[str] = "spin"
+    position_m: _Triple = (0.0, 0.0, 0.0)
+    pole: _Triple = _UP
+    spin_deg_s: float = 0.0
+    start_deg: float = 0.0
+    tilt_deg: float = 0.0
+    precession_deg_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        _require_finite(self)
+        _require_direction(self, "pole")
+
+
+@dataclass(frozen=True)
+class DescentPath:
+    """A landing in phases above a world with z up.
+
+    Attributes
+    ----------
+    gates
+        Moments between phases, in order of time; the default is a lunar landing's last three minutes.
+    heading_deg
+        Way of flight: 0 along +y, 90 along +x.
+    site_m
+        Where it lands.
+    """
+
+    kind: ClassVar[str] = "descent"
+    gates: tuple[Gate, ...] = LANDING
+    heading_deg: float = 0.0
+    site_m: _Triple = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        _require_finite(self)
+
+
+@dataclass(frozen=True)
+class FilePath:
+    """A path read from files.
+
+    Attributes
+    ----------
+    path
+        A table (`.csv`), a CCSDS orbit file (`.oem`) or a PANGU flight file (`.fli`), beside the rig file.
+    attitude_path
+        A CCSDS attitude file (`.aem`) with the attitudes to the places of `path`; empty for none.
+    period_s
+        Time between two poses of a flight file, which holds no times.
+    axes
+        Which way the file's camera looks: along its +z with y down ("opencv"), or along -z with y up ("opengl").
+    look_at_m
+        A point to look at instead of the file's attitudes.
+    up
+        Direction that is up in the picture then.
+    """
+
+    kind: ClassVar[str] = "file"
+    path: RigFile = NO_FILE
+    attitude_path: RigFile = NO_FILE
+    period_s: float = 0.04
+    axes: Literal["opencv", "opengl"] = "opencv"
+    look_at_m: _Triple | None = None
+    up: _Triple = _UP
+
+    def __post_init__(self) -> None:
+        _require_finite(self)
+        _require_direction(self, "up")
+        if not self.path:
+            raise ValueError("path is missing: name a .csv, .oem or .fli file")
+        if not self.period_s > 0:
+            raise ValueError(f"period_s is {self.period_s:g}: it must be above 0")
+
+
+@dataclass(frozen=True)
+class LivePath:
+    """Poses that come from outside while the run goes on, one UDP datagram each.
+
+    Attributes
+    ----------
+    host, port
+        Where to listen. Leave it on 127.0.0.1 or a network of your own: anybody who reaches it moves the camera.
+    position_m, q_world_from_body
+        The pose until one comes.
+    hold_ms
+        How long the last motion is carried on when no newer pose comes.
+    """
+
+    kind: ClassVar[str] = "live"
+    host: str = "127.0.0.1"
+    port: int = 10364
+    position_m: _Triple = (0.0, 0.0, 0.0)
+    q_world_from_body: _Quaternion = _AS_THE_WORLD
+    hold_ms: float = 100.0
+
+    def __post_init__(self) -> None:
+        _require_finite(self)
+        _require_attitude(self, "q_world_from_body")
+        if not 0 <= self.port <= 65535:
+            raise ValueError(f"port must be 0 (any free one) to 65535, got {self.port}")
+        if not 0 <= self.hold_ms <= 60_000:
+            raise ValueError(f"hold_ms must be 0 to 60000, got {self.hold_ms:g}")
+
+
+TrajectoryParameters = FixedPath | KeyframePath | OrbitPath | SpinPath | DescentPath | FilePath | LivePath
+"""Any of them, as the type of a key in a scene's table."""
