@@ -8,11 +8,10 @@ import numpy as np
 
 from firmware_protocol.edges import EdgeKind, Edges, empty_edges
 from firmware_protocol.events import Events, empty_events
-from firmware_protocol.telemetry.layout import HEADER_BYTES, LONGEST_US, BlockError, Header, Mode
+from firmware_protocol.telemetry.layout import EDGE_RECORD, HEADER_BYTES, LONGEST_US, BlockError, Header, Mode
+from firmware_protocol.telemetry.reading import read_events
 
 __all__ = ["Block", "as_received", "decode_block"]
-
-_EDGE = np.dtype([("t", ">u4"), ("kind", "u1"), ("channel", "u1"), ("seq", ">u2")])
 
 
 @dataclass(frozen=True)
@@ -61,12 +60,9 @@ def decode_block(data: bytes, near_us: int = 0) -> Block:
     """
     header = Header.parse(data)
     start_us = _nearest(header.t_base, near_us)
-    payload = np.frombuffer(data, np.uint8, offset=HEADER_BYTES)
     if header.mode == Mode.EDGE:
-        return Block(header, empty_events(), _edges(header, payload, start_us))
-    if header.mode == Mode.FLAT:
-        return Block(header, _flat(header, payload, start_us), empty_edges())
-    raise BlockError(f"mode {header.mode.name} is not decoded")
+        return Block(header, empty_events(), _edges(data, header, start_us))
+    return Block(header, read_events(data, header, start_us), empty_edges())
 
 
 def as_received(events: Events, tick_us: int) -> Events:
@@ -83,39 +79,18 @@ def _nearest(low_us: int, near_us: int) -> int:
     return time_us if time_us >= 0 else time_us + (1 << 32)
 
 
-def _records(payload: np.ndarray[tuple[int], np.dtype[np.uint8]], layout: np.dtype[np.void], count: int) -> Events:
-    if len(payload) != count * layout.itemsize:
-        raise BlockError(f"{count} records of {layout.itemsize} bytes are announced, {len(payload)} bytes are there")
-    return payload.view(layout)
-
-
-def _rising(times_us: np.ndarray[tuple[int], np.dtype[np.int64]]) -> bool:
-    """Whether times (n,), us since t_base, start at 0, do not go back and end in time."""
-    if not len(times_us):
-        return True
-    return bool(times_us[0] == 0 and times_us[-1] <= LONGEST_US and (np.diff(times_us) >= 0).all())
-
-
-def _edges(header: Header, payload: np.ndarray[tuple[int], np.dtype[np.uint8]], start_us: int) -> Edges:
-    records = _records(payload, _EDGE, header.count)
+def _edges(data: bytes, header: Header, start_us: int) -> Edges:
+    size = len(data) - HEADER_BYTES
+    if size != header.count * EDGE_RECORD.itemsize:
+        raise BlockError(f"{header.count} edges are announced, but {size} bytes are there")
+    records = np.frombuffer(data, EDGE_RECORD, offset=HEADER_BYTES)
     since_us = records["t"].astype(np.int64)
-    if not _rising(since_us) or not np.isin(records["kind"], list(EdgeKind)).all():
-        raise BlockError("an edge of unknown kind, or out of its time")
+    if since_us[0] or since_us[-1] > LONGEST_US or (np.diff(since_us) < 0).any():
+        raise BlockError("edges do not start with the block, go back in time, or span more than 35 minutes")
+    if not np.isin(records["kind"], list(EdgeKind)).all():
+        raise BlockError("an edge is of a kind that does not exist")
     edges = empty_edges(header.count)
     edges["t"] = start_us + since_us
     for name in ("kind", "channel", "seq"):
         edges[name] = records[name]
     return edges
-
-
-def _flat(header: Header, payload: np.ndarray[tuple[int], np.dtype[np.uint8]], start_us: int) -> Events:
-    words = _records(payload, np.dtype([("word", ">u4")]), header.count)["word"].astype(np.int64)
-    (width, height), (bx, by) = header.size, ((side - 1).bit_length() for side in header.size)
-    x, y, ticks = words >> 1 & (1 << bx) - 1, words >> 1 + bx & (1 << by) - 1, words >> 1 + bx + by
-    key = ticks * (width * height) + y * width + x
-    if not _rising(ticks * header.tick_us) or (np.diff(key) < 0).any() or (x >= width).any() or (y >= height).any():
-        raise BlockError("an event outside the array, or out of its order")
-    events = empty_events(header.count)
-    events["t"] = start_us + ticks * header.tick_us
-    events["x"], events["y"], events["on"] = x, y, words & 1
-    return events

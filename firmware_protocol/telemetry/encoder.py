@@ -9,8 +9,8 @@ import numpy as np
 
 from firmware_protocol.edges import EdgeKind, Edges
 from firmware_protocol.events import Events
-from firmware_protocol.telemetry.blocks import as_received
 from firmware_protocol.telemetry.layout import (
+    EDGE_RECORD,
     HEADER_BYTES,
     LONGEST_US,
     MAX_COUNT,
@@ -20,11 +20,18 @@ from firmware_protocol.telemetry.layout import (
     Mode,
     Polarity,
 )
+from firmware_protocol.telemetry.ordering import BACKWARDS, OUTSIDE, form_of, new_scratch
+from firmware_protocol.telemetry.writing import Limits, write_block
 
 __all__ = ["BlockEncoder", "BlockSettings"]
 
 _LEAST_BYTES = 32
 _MOST_BYTES = 65535
+_MODES = {"smallest": -1, "flat": int(Mode.FLAT), "rows": int(Mode.ROWS), "bitmap": int(Mode.BITMAP)}
+_COMPLAINTS = {
+    OUTSIDE: "an event lies outside the sensor of {size[0]} x {size[1]} pixels",
+    BACKWARDS: "events go back in time: a block takes them sorted",
+}
 
 
 @dataclass(frozen=True)
@@ -55,6 +62,10 @@ class BlockEncoder:
             raise ValueError(f"size = {size}: blocks carry sensors of 1 to {MAX_SIDE} pixels a side")
         self.size = size
         self.settings = settings or BlockSettings()
+        self._form = form_of(size, self.settings.tick_us)
+        self._limits = Limits(_MODES[self.settings.mode], self.settings.max_events, self.settings.max_bytes)
+        self._room = new_scratch(self.settings.max_events)
+        self._out = np.zeros(self.settings.max_bytes, np.uint8)
 
     @property
     def max_edges(self) -> int:
@@ -83,33 +94,16 @@ class BlockEncoder:
         ValueError
             The first events go back in time or lie outside the sensor.
         """
-        taken = self._fitting(events)
-        head = as_received(events[:taken], self.settings.tick_us)
-        base = int(head["t"][0]) if taken else 0
-        header = Header(
-            Mode.FLAT,
-            self.settings.tick_us,
-            Polarity.EACH,
-            taken,
-            base & 0xFFFFFFFF,
-            min(dropped, MAX_COUNT),
-            self.size,
-        )
-        bx, by = ((side - 1).bit_length() for side in self.size)
-        ticks = (head["t"].astype(np.int64) - base) // self.settings.tick_us
-        words = (
-            ticks << by + bx + 1 | head["y"].astype(np.int64) << bx + 1 | head["x"].astype(np.int64) << 1 | head["on"]
-        )
-        return header.pack() + words.astype(">u4").tobytes(), taken
-
-    def _fitting(self, events: Events) -> int:
-        bits = 31 - sum((side - 1).bit_length() for side in self.size)
-        head = events[: min(self.settings.max_events, (self.settings.max_bytes - HEADER_BYTES) // 4)]
-        times = head["t"].astype(np.int64)
-        if (head["x"] >= self.size[0]).any() or (head["y"] >= self.size[1]).any() or (np.diff(times) < 0).any():
-            raise ValueError(f"events lie outside the sensor of {self.size} or go back in time")
-        ticks = times // self.settings.tick_us
-        return int(np.searchsorted(ticks, ticks[0] + (1 << bits))) if len(ticks) else 0
+        if not len(events):
+            return self._header(Mode.FLAT, Polarity.EACH, 0, 0, dropped), 0
+        first_us = int(events["t"][0])
+        head = np.ascontiguousarray(events[: self.settings.max_events]).view(np.uint8)
+        taken, mode, polarity, size = write_block(head, self._form, self._limits, self._room, self._out)
+        if taken < 0:
+            raise ValueError(_COMPLAINTS[taken].format(size=self.size))
+        start_us = first_us - first_us % self.settings.tick_us
+        header = self._header(Mode(mode), Polarity(polarity), taken, start_us, dropped)
+        return header + self._out[:size].tobytes(), taken
 
     def encode_edges(self, edges: Edges, dropped: int = 0) -> bytes:
         """Make one block of all `edges`, (n,) EDGE sorted by time; raises ValueError if they do not fit one."""
@@ -121,11 +115,13 @@ class BlockEncoder:
         since_us = times - times[0]
         if (np.diff(times) < 0).any() or since_us[-1] > LONGEST_US or not np.isin(edges["kind"], list(EdgeKind)).all():
             raise ValueError("edges go back in time, span more than 35 minutes, or are of unknown kind")
-        header = Header(
-            Mode.EDGE, 1, Polarity.EACH, len(edges), int(times[0]) & 0xFFFFFFFF, min(dropped, MAX_COUNT), self.size
-        )
-        records = np.empty(len(edges), [("t", ">u4"), ("kind", "u1"), ("channel", "u1"), ("seq", ">u2")])
+        records = np.empty(len(edges), EDGE_RECORD)
         records["t"] = since_us
         for name in ("kind", "channel", "seq"):
             records[name] = edges[name]
-        return header.pack() + records.tobytes()
+        return self._header(Mode.EDGE, Polarity.EACH, len(edges), int(times[0]), dropped) + records.tobytes()
+
+    def _header(self, mode: Mode, polarity: Polarity, count: int, start_us: int, dropped: int) -> bytes:
+        tick_us = 1 if mode == Mode.EDGE else self.settings.tick_us
+        low = start_us & 0xFFFFFFFF
+        return Header(mode, tick_us, polarity, count, low, min(dropped, MAX_COUNT), self.size).pack()

@@ -22,10 +22,15 @@ import struct
 from dataclasses import dataclass
 from enum import IntEnum
 
+import numpy as np
+
 __all__ = [
+    "EDGE_RECORD",
+    "ESCAPE_ONES",
     "HEADER_BYTES",
     "LONGEST_US",
     "MAX_COUNT",
+    "MAX_K",
     "MAX_SIDE",
     "TICKS_US",
     "VERSION",
@@ -41,7 +46,12 @@ HEADER_BYTES = 14
 MAX_COUNT = 65535  # events in a block, and what `dropped` saturates at
 MAX_SIDE = 4096
 LONGEST_US = (1 << 31) - 1  # from the first to the last time in a block
+MAX_K = 27  # Rice parameter; steps stay below 2**31
+ESCAPE_ONES = 16  # so many ones, and a Rice code has no value but is followed by an escape
 TICKS_US = (1, 10, 100, 1000)
+
+EDGE_RECORD = np.dtype([("t", ">u4"), ("kind", "u1"), ("channel", "u1"), ("seq", ">u2")])
+"""The record of an edge in a block: us since t_base, and as in the EDGE record."""
 
 _HEADER = struct.Struct(">BBHIHI")  # the last four bytes are W - 1, H - 1 and the CRC
 
