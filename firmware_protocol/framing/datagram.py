@@ -43,7 +43,11 @@ class Deframer(StreamDeframer):
 
 
 class SealedDeframer(Deframer):
-    """The same for packets that end in their CRC-32C."""
+    """The same for packets that end in their CRC-32C; for `header_bytes` see `kiss.checked`."""
+
+    def __init__(self, max_payload: int = DEFAULT_MAX_PAYLOAD, header_bytes: int = 0) -> None:
+        super().__init__(max_payload)
+        self._header_bytes = header_bytes
 
     def _decode(self, data: bytes) -> bytes:
-        return checked(data)
+        return checked(data, self._header_bytes)

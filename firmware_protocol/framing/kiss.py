@@ -2,9 +2,10 @@
 
     frame     FEND  0x00  escaped( data, u32 BE CRC-32C of data )  FEND        FEND 0xC0, FESC 0xDB
 
-Source: libcsp 2 (csp_if_kiss.c, csp_crc32.c). `data` is the CSP packet with its header, so the checksum covers the
-header, as libcsp 2.1 does; its receiver also takes a checksum without the header, ours does not, since a flipped bit
-in such a header would go unseen. libcsp starts each frame at a FEND of its own, so each frame has two.
+Source: libcsp 2 (csp_if_kiss.c, csp_crc32.c; both directions were run against its C code). `data` is the CSP packet
+with its header, and the checksum covers all of it, as libcsp writes it when built with CSP_21. Built without, libcsp
+leaves the header out; its receiver takes both, ours takes the second only where it is told how long the header is,
+since a flipped bit in such a header goes unseen. libcsp starts each frame at a FEND of its own, so each has two.
 """
 
 from __future__ import annotations
@@ -25,12 +26,13 @@ def sealed(data: bytes) -> bytes:
     return data + crc32c(data).to_bytes(_CRC_BYTES, "big")
 
 
-def checked(sealed_data: bytes) -> bytes:
-    """Undo `sealed`. Raises FrameError when the checksum does not fit."""
+def checked(sealed_data: bytes, header_bytes: int = 0) -> bytes:
+    """Undo `sealed`; a checksum that leaves out the first `header_bytes` will do. Raises FrameError when none fits."""
     data, crc = sealed_data[:-_CRC_BYTES], sealed_data[-_CRC_BYTES:]
     if len(crc) < _CRC_BYTES:
         raise FrameError("short")
-    if crc32c(data) != int.from_bytes(crc, "big"):
+    sent = int.from_bytes(crc, "big")
+    if crc32c(data) != sent and not (header_bytes and crc32c(data[header_bytes:]) == sent):
         raise FrameError("crc")
     return data
 
@@ -41,17 +43,18 @@ def frame(payload: bytes) -> bytes:
 
 
 class Deframer(DelimitedDeframer):
-    """Gives the checked payloads of KISS frames of up to `max_payload` bytes."""
+    """Gives the checked payloads of KISS frames of up to `max_payload` bytes; for `header_bytes` see `checked`."""
 
-    def __init__(self, max_payload: int = DEFAULT_MAX_PAYLOAD) -> None:
+    def __init__(self, max_payload: int = DEFAULT_MAX_PAYLOAD, header_bytes: int = 0) -> None:
         super().__init__(FEND, 1 + 2 * (max_payload + _CRC_BYTES))
         self._max_payload = max_payload
+        self._header_bytes = header_bytes
 
     def decode(self, piece: bytes) -> bytes:
         """Undo the escapes of one piece and check it."""
         if piece[0] != _DATA:
             raise FrameError("command")
-        payload = checked(unescape(piece[1:]))
+        payload = checked(unescape(piece[1:]), self._header_bytes)
         if len(payload) > self._max_payload:
             raise FrameError("too long")
         return payload

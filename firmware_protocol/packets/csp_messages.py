@@ -31,7 +31,7 @@ from firmware_protocol.packets.sequence import SequenceCounts
 from firmware_protocol.packets.telecommands import Telecommand
 from firmware_protocol.packets.verification import RequestId
 
-__all__ = ["CspCodec"]
+__all__ = ["HEADER_OCTETS", "CspCodec"]
 
 _TELECOMMAND_PORT = 8
 _PORTS = {
@@ -46,13 +46,14 @@ _KINDS = {port: kind for kind, port in _PORTS.items()}
 _BULK = (MessageKind.EVENTS, MessageKind.EDGES)
 _MESSAGE = struct.Struct(">H7s")
 _REQUEST = struct.Struct(">4sBBB")
-_HEADER_OCTETS = 6
+HEADER_OCTETS = 6
+"""Length of the header of CSP version 2."""
 
 
 class CspCodec(PacketCodec):
     """Writes and reads the packets of one instrument."""
 
-    overhead_octets = _HEADER_OCTETS + max(_MESSAGE.size, _REQUEST.size)
+    overhead_octets = HEADER_OCTETS + max(_MESSAGE.size, _REQUEST.size)
     sequence_modulus = 1 << 16
 
     def __init__(self, addresses: Addresses) -> None:

@@ -8,7 +8,7 @@
     T-field
         1..4 octets of seconds, 0..3 octets of fraction
 
-4 + 3 octets: P-field 0x1E (TAI) or 0x2E (own epoch), a step of 2^-24 s = 59.6 ns. All arithmetic is on integers; a
+4 + 3 octets: P-field 0x1F (TAI) or 0x2F (own epoch), a step of 2^-24 s = 59.6 ns. All arithmetic is on integers; a
 time goes to the nearest step, halves up, and back to the nearest unit, so whole microseconds come back exactly from
 three octets of fraction (not from fewer). Nanoseconds come back within 30 ns.
 
@@ -113,7 +113,7 @@ class CucFormat:
 
 
 OWN_EPOCH_4_3 = CucFormat()
-"""Seven octets, P-field 0x2E implicit: the time of our packets, since the start of the stream."""
+"""Seven octets, P-field 0x2F implicit: the time of our packets, since the start of the stream."""
 
 TAI_4_3 = CucFormat(Epoch.TAI_1958)
-"""Seven octets, P-field 0x1E implicit."""
+"""Seven octets, P-field 0x1F implicit."""

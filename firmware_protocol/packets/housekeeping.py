@@ -20,7 +20,7 @@
     152  u16  frames and packets refused  u16  telecommands missing in the count; all four modulo 65 536
 
     time report, 9 octets
-      0  u8   P-field, 0x2E
+      0  u8   P-field, 0x2F
       1  7    CUC, 4 + 3 octets: time since the epoch of the bus (SetTime), or the start of the stream
       8  u8   time status, as above
 

@@ -9,6 +9,9 @@
     ccsds         PUS-C             none                           carriers of whole packets (ISO-TP)
     csp           CSP version 2     CRC-32C behind each packet     carriers of whole packets (CFP on CAN)
 
+Telecommands by CSP may come with a checksum that leaves the header out, as libcsp writes it when built without CSP_21:
+their addresses are checked and the rest of the header says nothing that counts.
+
 An instrument wraps messages and unwraps telecommands, the computer the other way round. A `Profile` keeps the sequence
 counts of what was wrapped with it; each unwrapper keeps those of what it has seen.
 """
@@ -18,12 +21,14 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 
 from firmware_protocol.framing import cobs, datagram, fprime, kiss, slip
 from firmware_protocol.framing.deframer import DEFAULT_MAX_PAYLOAD, FrameCounters, StreamDeframer
 from firmware_protocol.packets.addresses import DEFAULT_ADDRESSES, Addresses
+from firmware_protocol.packets.ccsds import SEQUENCE_MODULUS
 from firmware_protocol.packets.codec import PacketCodec, Request
-from firmware_protocol.packets.csp_messages import CspCodec
+from firmware_protocol.packets.csp_messages import HEADER_OCTETS, CspCodec
 from firmware_protocol.packets.errors import PacketError
 from firmware_protocol.packets.message import Message, Received
 from firmware_protocol.packets.pus import Acknowledge
@@ -42,16 +47,23 @@ class _Make:
     codec: Callable[[Addresses], PacketCodec]
     frame: Callable[[bytes], bytes]
     deframer: Callable[[int], StreamDeframer]
+    command_deframer: Callable[[int], StreamDeframer] | None = None
+    """Where telecommands need another."""
 
 
 PROFILES: Mapping[str, _Make] = {
     "ccsds-cobs": _Make(PusCodec, cobs.frame, cobs.Deframer),
     "ccsds-slip": _Make(PusCodec, slip.frame, slip.Deframer),
     "ccsds-kiss": _Make(PusCodec, kiss.frame, kiss.Deframer),
-    "csp-kiss": _Make(CspCodec, kiss.frame, kiss.Deframer),
+    "csp-kiss": _Make(CspCodec, kiss.frame, kiss.Deframer, partial(kiss.Deframer, header_bytes=HEADER_OCTETS)),
     "fprime": _Make(PusCodec, fprime.frame, fprime.Deframer),
     "ccsds": _Make(PusCodec, datagram.frame, datagram.Deframer),
-    "csp": _Make(CspCodec, datagram.frame_sealed, datagram.SealedDeframer),
+    "csp": _Make(
+        CspCodec,
+        datagram.frame_sealed,
+        datagram.SealedDeframer,
+        partial(datagram.SealedDeframer, header_bytes=HEADER_OCTETS),
+    ),
 }
 
 
@@ -213,11 +225,13 @@ class Profile:
 
     def unwrapper(self) -> Unwrapper:
         """Return a receiver of messages."""
-        return Unwrapper(self._codec, self._deframer(), self._codec.sequence_modulus)
+        return Unwrapper(self._codec, self._make.deframer(self._max_packet), self._codec.sequence_modulus)
 
     def command_unwrapper(self) -> CommandUnwrapper:
         """Return a receiver of telecommands."""
-        return CommandUnwrapper(self._codec, self._deframer(), 1 << 14)
+        deframer = self._make.command_deframer or self._make.deframer
+        return CommandUnwrapper(self._codec, deframer(self._max_packet), SEQUENCE_MODULUS)
 
-    def _deframer(self) -> StreamDeframer:
-        return self._make.deframer(self.max_payload + self._codec.overhead_octets)
+    @property
+    def _max_packet(self) -> int:
+        return self.max_payload + self._codec.overhead_octets

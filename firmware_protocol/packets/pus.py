@@ -24,7 +24,7 @@ from dataclasses import dataclass
 from enum import IntFlag
 
 from firmware_protocol.framing.crc import crc16
-from firmware_protocol.packets.ccsds import PacketType, SpacePacket
+from firmware_protocol.packets.ccsds import PacketType, SequenceFlags, SpacePacket
 from firmware_protocol.packets.cuc import OWN_EPOCH_4_3
 from firmware_protocol.packets.errors import PacketError
 
@@ -60,14 +60,16 @@ def _sealed(type_: PacketType, apid: int, sequence_count: int, data: bytes) -> b
 def _unsealed(octets: bytes, type_: PacketType, header: struct.Struct) -> SpacePacket:
     """Check a whole packet; its data then end before the error control."""
     packet = SpacePacket.parse(octets)
-    if packet.type != type_:
-        raise PacketError("type")
-    if not packet.secondary_header:
-        raise PacketError("no secondary header")
     if len(packet.data) < header.size + _CRC_BYTES:
         raise PacketError("short")
     if crc16(octets):
         raise PacketError("crc")
+    if packet.type != type_:
+        raise PacketError("type")
+    if packet.sequence_flags != SequenceFlags.UNSEGMENTED:
+        raise PacketError("segmented")
+    if not packet.secondary_header:
+        raise PacketError("no secondary header")
     if packet.data[0] >> 4 != _VERSION:
         raise PacketError("pus version")
     return packet

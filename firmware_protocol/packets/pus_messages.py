@@ -22,7 +22,7 @@ from firmware_protocol.packets.message import Message, MessageKind
 from firmware_protocol.packets.pus import TC_OVERHEAD, TM_OVERHEAD, Acknowledge, TcPacket, TmPacket
 from firmware_protocol.packets.sequence import SequenceCounts
 from firmware_protocol.packets.telecommands import Telecommand
-from firmware_protocol.packets.verification import RequestId
+from firmware_protocol.packets.verification import RequestId, Verification
 
 __all__ = ["PusCodec"]
 
@@ -55,7 +55,7 @@ class PusCodec(PacketCodec):
         """Return the packet of a message."""
         data = message.payload
         if message.kind is MessageKind.VERIFICATION:
-            type_, data = (_VERIFICATION_SERVICE, data[0]), data[1:]
+            type_, data = (_VERIFICATION_SERVICE, Verification.parse(data).subtype), data[1:]
         else:
             type_ = _TYPES[message.kind]
         apid = self._addresses.science_apid if message.kind in _SCIENCE else self._addresses.apid
