@@ -10,7 +10,9 @@ All that is random is keyed by a slot of 1024 us of stream time, never by the st
 
     gaps       exponential, of the total rate W of all pixels, W_p being the highest rate of a pixel in any light
     pixel      by a table of aliases (Walker 1977) in proportion to W_p
-    thinning   kept with probability rate / W_p, the rate being that in the light of the step's last picture
+    thinning   kept with probability rate / W_p, the rate being that in the light at the end of the event's step
+
+What does not depend on the light is drawn sixteen slots at a time, a window; a step thins what lies in it.
 
 An array of still light thus gives the same noise, bit for bit, whatever the steps. Left out: the pixel's level stays, a
 noise event does not make its pixel blind, and the events of a moving picture are not shifted (noise brings them forward
@@ -22,19 +24,18 @@ the grid grade.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.compiled import kernel, kernel_that_allocates, vector_kernel
-from emulator.sensor.elementary import natural_log
 from emulator.sensor.kept import kept_entry
 from emulator.sensor.keyed import Purpose, root_of
-from emulator.sensor.keyed_kernels import high, low, stream, unit, word
+from emulator.sensor.merging import NO_CROSSINGS, joined
+from emulator.sensor.noise_draws import State, draw_window, fire, insert, sort_in
 from emulator.sensor.noise_law import bandwidth_hz, rate_over_bandwidth, rms
+from emulator.sensor.pixels import Crossings
 from emulator.sensor.presets import SensorParameters
-from emulator.sensor.slots import SLOT_NS, Ahead, SlottedEvents, Window, give_out, roomy
+from emulator.sensor.slots import SLOT_NS
 
 __all__ = ["NoiseEvents"]
 
@@ -42,177 +43,10 @@ _FASTEST_HZ = 1e9
 _LOG_STEP = 0.1  # between nodes of the table, ln f
 _THRESHOLDS = 33
 _NEVER = -80.0  # ln of a rate of nothing
+_WINDOW_SLOTS = 16  # fewer: more calls; more: more seconds that every step looks through
 
 _Float32s = npt.NDArray[np.float32]
 _Floats = npt.NDArray[np.float64]
-_LARGEST = np.finfo(np.float32).max
-_OWN, _ROW, _HIGHEST = range(3)  # columns of figures
-_BATCH = 256
-_ZERO, _UNITY, _HALF, _NAN = (np.float32(x) for x in (0, 1, 0.5, np.nan))
-_NODES_A_FOLD = np.float32(1 / _LOG_STEP)
-_ONE = np.uint64(1)
-_SECONDS = 1 << 40  # first index of the numbers that seconds are drawn from
-
-
-class _Lights(NamedTuple):
-    """How light becomes a place among the nodes: dark current, corner frequencies in Hz, the last place."""
-
-    dark: np.float32
-    hz_at_reference: np.float32
-    hz_min: np.float32
-    hz_max: np.float32
-    last: np.float32
-
-
-class _Model(NamedTuple):
-    """All that does not change: rates over (threshold, ln f), what a candidate needs of its pixel, and numbers."""
-
-    log_rate: _Float32s  # (thresholds, nodes), ln of the primaries' rate in Hz
-    second_share: _Float32s  # (nodes,), s
-    tau_ns: _Float32s  # (nodes,)
-    figures: _Float32s  # (pixels, 4): probability of the pixel itself, row of log_rate, ln W_p, 0
-    alias: npt.NDArray[np.uint32]  # (pixels,)
-    root: np.uint64
-    mean_gap: float  # between candidates, as a share of a slot
-    refractory_ns: float
-    lights: _Lights
-
-
-class _Draws(NamedTuple):
-    """A slot, its stream, and how many of its candidates have been drawn."""
-
-    slot: int
-    base: np.uint64
-    first: int
-
-
-class _Candidates(NamedTuple):
-    """A batch of primaries: time as a share of the slot, pixel, node, log of the rate; and which of them are kept."""
-
-    t: _Floats
-    pixel: npt.NDArray[np.uint64]
-    node: _Float32s
-    surplus: _Float32s
-    kept: npt.NDArray[np.int64]
-
-
-@vector_kernel
-def _find_nodes(some: _Candidates, n: int, figures: _Lights) -> None:
-    """Turn the light of n candidates into where it lies among the nodes; light that is not finite into NaN."""
-    dark, at_reference, lowest, highest, last = figures
-    for k in range(n):
-        light = some.node[k]
-        lit = light if light > _ZERO else _ZERO
-        hz = min(max(at_reference * (lit + dark), lowest), highest)
-        place = min(natural_log(hz / lowest) * _NODES_A_FOLD, last)
-        some.node[k] = max(place, _ZERO) if abs(light) <= _LARGEST else _NAN
-
-
-@kernel
-def _propose(d: _Draws, t: float, m: _Model, some: _Candidates) -> tuple[int, float]:
-    """Draw times and pixels of the slot's next candidates; return how many lie in the slot, and the last time."""
-    for k in range(_BATCH):
-        index = 3 * (d.first + k)
-        t -= m.mean_gap * np.float64(natural_log(np.float32(unit(high(word(d.base, index))))))
-        bits = word(d.base, index + 1)
-        pixel = np.uint64((high(bits) * np.uint64(m.alias.shape[0])) >> np.uint64(32))
-        other = np.uint64(m.alias[pixel])
-        some.pixel[k] = pixel if unit(low(bits)) < m.figures[pixel, _OWN] else other
-        some.t[k] = t
-        if t >= 1:
-            return k, t
-    return _BATCH, t
-
-
-@kernel
-def _find_rates(some: _Candidates, n: int, m: _Model) -> None:
-    """Write ln of each candidate's rate over its pixel's highest into `some.surplus`; NaN where light is unreadable.
-
-    Straight between the table's nodes in both directions.
-    """
-    for k in range(n):
-        pixel, node = some.pixel[k], some.node[k]
-        row, place = m.figures[pixel, _ROW], node if node == node else _ZERO
-        i, j = np.uint64(np.int64(row)), np.uint64(np.int64(place))
-        y, x = row - np.float32(i), node - np.float32(j)
-        upper = m.log_rate[i, j] * (_UNITY - x) + m.log_rate[i, j + _ONE] * x
-        lower = m.log_rate[i + _ONE, j] * (_UNITY - x) + m.log_rate[i + _ONE, j + _ONE] * x
-        some.surplus[k] = upper * (_UNITY - y) + lower * y - m.figures[pixel, _HIGHEST]
-
-
-@kernel
-def _choose(d: _Draws, some: _Candidates, n: int) -> int:
-    """List the candidates that fire in `some.kept`, return how many."""
-    kept = 0
-    for k in range(n):
-        some.kept[kept] = k
-        kept += natural_log(np.float32(unit(high(word(d.base, 3 * (d.first + k) + 2))))) < some.surplus[k]
-    return kept
-
-
-@kernel
-def _thin(d: _Draws, light: _Float32s, m: _Model, some: _Candidates, n: int) -> int:
-    """List those of n candidates that fire; return how many. Four short loops, because one takes four times as long."""
-    for k in range(n):
-        some.node[k] = light[some.pixel[k]]
-    _find_nodes(some, n, m.lights)
-    _find_rates(some, n, m)
-    return int(_choose(d, some, n))
-
-
-@kernel
-def _fire(d: _Draws, m: _Model, some: _Candidates, kept: int, ahead: Ahead, n: int) -> int:
-    """Add those that fire, and the seconds of their pairs, to `ahead` from n on; return the new n."""
-    for one in range(kept):
-        k = some.kept[one]
-        index = 3 * (d.first + k)
-        key = np.uint64(some.pixel[k]) << _ONE | (word(d.base, index) & _ONE)
-        t_ns = d.slot * SLOT_NS + np.int64(some.t[k] * SLOT_NS)
-        ahead.t_ns[n], ahead.key[n] = t_ns, key
-        nearest = np.int64(some.node[k] + _HALF)
-        pair = word(d.base, index + _SECONDS)
-        wait = 0.8 - 1.4 * np.float64(natural_log(np.float32(unit(high(pair)))))
-        ahead.t_ns[n + 1] = t_ns + np.int64(max(wait * m.tau_ns[nearest], m.refractory_ns))
-        ahead.key[n + 1] = key ^ _ONE
-        n += 2 if unit(low(pair)) < m.second_share[nearest] else 1
-    return n
-
-
-@kernel_that_allocates
-def _draw_slot(slot: int, light: _Float32s, m: _Model, some: _Candidates, ahead: Ahead, n: int) -> tuple[Ahead, int]:
-    """Add the events that begin in a slot to `ahead` from n on."""
-    base, first, t = stream(m.root, slot), 0, 0.0
-    while t < 1:
-        d = _Draws(slot, base, first)
-        proposed, t = _propose(d, t, m, some)
-        kept = _thin(d, light, m, some, proposed)
-        ahead = roomy(ahead, n, 2 * kept)
-        n = _fire(d, m, some, kept, ahead, n)
-        first += proposed
-    return ahead, n
-
-
-@kept_entry
-def _advance(
-    window: Window,
-    light: _Float32s,
-    m: _Model,
-    ahead: Ahead,
-    n: int,
-) -> tuple[Ahead, int, npt.NDArray[np.uint64]]:
-    """Draw what is missing up to t1; return what lies ahead of it, and the packed events before it, unsorted."""
-    some = _Candidates(
-        np.empty(_BATCH),
-        np.empty(_BATCH, np.uint64),
-        np.empty(_BATCH, np.float32),
-        np.empty(_BATCH, np.float32),
-        np.empty(_BATCH + 1, np.int64),
-    )
-    for slot in range(window.slot, -(-window.t1_ns // SLOT_NS)):
-        ahead, n = _draw_slot(slot, light, m, some, ahead, n)
-    keys = np.empty(n + 1, np.uint64)
-    found, kept = give_out(window, ahead, n, keys)
-    return ahead, kept, keys[:found]
 
 
 @kept_entry
@@ -254,48 +88,120 @@ def _tables(p: SensorParameters, thresholds: _Floats) -> tuple[_Floats, _Floats,
     return log_rate, second_share, tau_s * 1e9
 
 
-def _model(p: SensorParameters, seed: int, thresholds: _Floats) -> _Model:
-    live = np.isfinite(thresholds)
-    lowest, highest = thresholds[live].min(), thresholds[live].max() * (1 + 1e-6)
-    nodes = np.linspace(lowest, highest, _THRESHOLDS)
-    log_rate, second_share, tau_ns = _tables(p, nodes)
-    row = np.where(live, (thresholds - lowest) / (highest - lowest) * (_THRESHOLDS - 1), 0)
-    row = np.minimum(row, _THRESHOLDS - 1.001)
-    log_highest = np.interp(row, np.arange(_THRESHOLDS), log_rate.max(axis=1))
-    weight = np.where(live, np.exp(log_highest), 0)
-    own, alias = _aliases(weight)
-    lights = p.dark_current_relative, p.corner_hz_at_reference, p.corner_min_hz, min(p.corner_max_hz, _FASTEST_HZ)
+def _lights(p: SensorParameters, nodes: int) -> _Float32s:
+    figures = p.dark_current_relative, p.corner_hz_at_reference, p.corner_min_hz, min(p.corner_max_hz, _FASTEST_HZ)
     if math.isinf(p.corner_hz_at_reference):
-        lights = p.dark_current_relative, 1.0, 1.0, 1.0
-    return _Model(
-        log_rate=log_rate.astype(np.float32),
-        second_share=second_share.astype(np.float32),
-        tau_ns=tau_ns.astype(np.float32),
-        figures=np.stack([own, row, log_highest, np.zeros_like(own)], axis=1).astype(np.float32),
-        alias=alias,
-        root=root_of(seed, Purpose.NOISE_EVENTS),
-        mean_gap=1 / (weight.sum() * SLOT_NS * 1e-9),
-        refractory_ns=p.refractory_us * 1000,
-        lights=_Lights(*(np.float32(number) for number in (*lights, tau_ns.size - 1.001))),
-    )
+        figures = p.dark_current_relative, 1.0, 1.0, 1.0
+    return np.array([*figures, 1 / _LOG_STEP, nodes - 1.001], np.float32)
 
 
-class NoiseEvents(SlottedEvents):
+class _Model:
+    """All that does not change, in the shape that the loops want (see `noise_draws`)."""
+
+    def __init__(self, p: SensorParameters, seed: int, thresholds: _Floats) -> None:
+        live = np.isfinite(thresholds)
+        lowest, highest = thresholds[live].min(), thresholds[live].max() * (1 + 1e-6)
+        log_rate, second_share, tau_ns = _tables(p, np.linspace(lowest, highest, _THRESHOLDS))
+        row = np.where(live, (thresholds - lowest) / (highest - lowest) * (_THRESHOLDS - 1), 0)
+        row = np.minimum(row, _THRESHOLDS - 1.001)
+        log_highest = log_rate.max(axis=1)
+        weight = np.where(live, np.exp(np.interp(row, np.arange(_THRESHOLDS), log_highest)), 0)
+        own, other = _aliases(weight)
+        share = np.minimum(own * 2.0**32, 2.0**32 - 1).astype(np.uint64)
+        self.alias = share << np.uint64(32) | other
+        self.row, self.log_highest = row.astype(np.float32), log_highest.astype(np.float32)
+        self.table = np.vstack([log_rate, second_share, tau_ns]).astype(np.float32)
+        self.lights = _lights(p, tau_ns.size)
+        self.root = root_of(seed, Purpose.NOISE_EVENTS)
+        self.mean_gap = float(1 / (weight.sum() * SLOT_NS * 1e-9))
+
+
+class NoiseEvents:
     """The noise events of an array.
 
     Parameters
     ----------
     parameters : the sensor; `noise.rms` > 0.
     seed : keys all that is random.
-    thresholds : (pixels,) float64, mean of each pixel's two thresholds, ln units; infinite for dead pixels.
+    thresholds : (pixels,) float64, mean of each pixel's two thresholds, ln units; infinite for dead pixels, which not
+        all are.
     """
 
     def __init__(self, parameters: SensorParameters, seed: int, thresholds: _Floats) -> None:
-        super().__init__(thresholds.size)
-        self._model = _model(parameters, seed, thresholds)
+        self._pixel_bits = max(1, (thresholds.size - 1).bit_length())
+        self._model = _Model(parameters, seed, thresholds)
+        expected = _WINDOW_SLOTS / self._model.mean_gap
+        self._make_room(int(expected + 8 * math.sqrt(expected)) + 600)
+        self._soon, self._later = np.empty((2, 0), np.int64), np.empty((2, 0), np.int64)
+        self._keys = np.empty(0, np.uint64)
+        self._state = np.zeros(len(State), np.int64)
+        self._state[State.REFRACTORY_NS] = round(parameters.refractory_us * 1000)
+        self._state[State.PIXEL_BITS] = self._pixel_bits
+        self.reset(0)
 
-    def _advance(
-        self, window: Window, light: _Float32s, ahead: Ahead, known: int
-    ) -> tuple[Ahead, int, npt.NDArray[np.uint64]]:
-        result: tuple[Ahead, int, npt.NDArray[np.uint64]] = _advance(window, light, self._model, ahead, known)
-        return result
+    def reset(self, t_ns: int) -> None:
+        """Start at `t_ns`; what began before its slot is left out."""
+        self._t_ns, self._slot = t_ns, t_ns // SLOT_NS
+        self._window_ns = self._slot * SLOT_NS
+        self._state[[State.FIRST, State.COUNT, State.SOON, State.LATER]] = 0
+
+    def step(self, light: _Float32s, t_ns: int) -> Crossings:
+        """Return the events from the last time up to, and without, `t_ns`, under `light`, (pixels,) float32."""
+        return self.add_to(NO_CROSSINGS, light, t_ns)
+
+    def add_to(self, crossings: Crossings, light: _Float32s, t_ns: int) -> Crossings:
+        """Return a step's `crossings` with the noise events up to, and without, `t_ns` among them."""
+        if t_ns <= self._window_ns:
+            return self._with_piece(crossings, light, t_ns)
+        parts, k = [], 0
+        while self._t_ns < t_ns:
+            if self._t_ns >= self._window_ns:
+                self._open_window()
+            end_ns = min(t_ns, self._window_ns)
+            n = len(crossings) if end_ns == t_ns else int(np.searchsorted(crossings.t_ns, end_ns))
+            piece = Crossings(crossings.t_ns[k:n], crossings.pixel[k:n], crossings.on[k:n])
+            parts.append(self._with_piece(piece, light, end_ns))
+            k = n
+        whole = joined(parts)
+        return Crossings(whole.t_ns, whole.pixel, whole.on, crossings.lost_in_pixel)
+
+    def _make_room(self, candidates: int) -> None:
+        self._candidates, self._chances = np.empty((3, candidates), np.int64), np.empty((2, candidates), np.float32)
+
+    def _open_window(self) -> None:
+        """Draw the candidates of the next window, and make room for all that may come of them."""
+        m, state = self._model, self._state
+        slots = self._slot, _WINDOW_SLOTS, m.root, m.mean_gap
+        while (n := draw_window(slots, m.alias, m.row, m.log_highest, self._candidates, self._chances)) < 0:
+            self._make_room(2 * self._candidates.shape[1])
+        self._slot += _WINDOW_SLOTS
+        self._window_ns = self._slot * SLOT_NS
+        room = int(state[State.SOON] + state[State.LATER]) + n + 1
+        self._soon = _roomy(self._soon, room)
+        self._later = _roomy(self._later, room)
+        if self._keys.size < 2 * room:
+            self._keys = np.empty(4 * room, np.uint64)
+        state[State.FIRST], state[State.COUNT], state[State.WINDOW_NS] = 0, n, self._window_ns
+        sort_in(self._soon, self._later, state)
+
+    def _with_piece(self, crossings: Crossings, light: _Float32s, t_ns: int) -> Crossings:
+        """Move on within the window, and put its events among the crossings."""
+        t0_ns, self._t_ns = self._t_ns, t_ns
+        m, state, bits = self._model, self._state, self._pixel_bits
+        state[State.T0_NS], state[State.T1_NS] = t0_ns, t_ns
+        drawn, seconds = (self._candidates, self._chances), (self._soon, self._later)
+        found = fire(light, drawn, (m.table, m.lights), seconds, self._keys, state)
+        if not found:
+            return crossings
+        keys = self._keys[:found]
+        keys.sort()
+        n = found + len(crossings)
+        out = np.empty(n, np.int64), np.empty(n, np.uint32), np.empty(n, np.bool_)
+        insert(keys, t0_ns, bits, (crossings.t_ns, crossings.pixel, crossings.on), out)
+        return Crossings(*out, crossings.lost_in_pixel)
+
+
+def _roomy(ahead: npt.NDArray[np.int64], room: int) -> npt.NDArray[np.int64]:
+    """Return `ahead`, (2, n), as (2, `room` or more)."""
+    n = ahead.shape[1]
+    return ahead if room <= n else np.concatenate([ahead, np.empty((2, 2 * room - n), np.int64)], axis=1)

@@ -23,7 +23,7 @@ from emulator.sensor.defects import Defects, draw_defects, kill
 from emulator.sensor.imager import Imager, part_of_the_way
 from emulator.sensor.jitter import Jitter
 from emulator.sensor.leaks import NEVER_NS, Leaks
-from emulator.sensor.merging import NO_CROSSINGS, joined, merged
+from emulator.sensor.merging import NO_CROSSINGS, joined
 from emulator.sensor.noise import NoiseEvents
 from emulator.sensor.noisy_pixels import NoisyPixels
 from emulator.sensor.pixels import Crossings, PixelArray
@@ -31,7 +31,6 @@ from emulator.sensor.presets import SensorParameters
 from emulator.sensor.radiation import Particles
 from emulator.sensor.readout import ReadOut
 from emulator.sensor.rules.drawn import draw
-from emulator.sensor.slots import SlottedEvents
 from emulator.sensor.temperature import at_temperature
 from firmware_protocol.events import Events
 
@@ -51,6 +50,16 @@ class PixelMethod(Protocol):
 
     def step(self, light: _Float32s, t_ns: int, rate: _Float32s | None = None) -> Crossings:
         """Move to `t_ns`, where the light is `light`, its time derivative `rate`; return the crossings on the way."""
+
+
+class _Source(Protocol):
+    """What raises events of its own: noise, particles."""
+
+    def reset(self, t_ns: int) -> None:
+        """Start at `t_ns`."""
+
+    def add_to(self, crossings: Crossings, light: _Float32s, t_ns: int) -> Crossings:
+        """Return a step's crossings with the source's events up to `t_ns`; `light`, (pixels,), is the step's last."""
 
 
 MakePixels = Callable[[SensorParameters, int], PixelMethod]
@@ -200,7 +209,7 @@ class Sensor:
         if self._jitter is not None:
             crossings = self._jitter.step(crossings, t_ns)
         for source in self._sources:
-            crossings = merged(crossings, source.step(seen.reshape(-1), t_ns))
+            crossings = source.add_to(crossings, seen.reshape(-1), t_ns)
         self._t_ns = t_ns
         return crossings
 
@@ -242,10 +251,10 @@ def _leaks(pixels: PixelMethod, p: SensorParameters, seed: int, defects: Defects
     return Leaks(pixels, seed, p.jitter.leak_share, defects)
 
 
-def _sources(p: SensorParameters, seed: int, defects: Defects) -> list[SlottedEvents]:
+def _sources(p: SensorParameters, seed: int, defects: Defects) -> list[_Source]:
     """Return what raises events of its own; dead pixels do not."""
-    sources: list[SlottedEvents] = []
-    if p.noise.rms and p.noise.grade == "points":
+    sources: list[_Source] = []
+    if p.noise.rms and p.noise.grade == "points" and defects.dead.size < p.width * p.height:
         drawn = draw(p, seed)
         thresholds = (drawn.on + drawn.off) / 2
         thresholds[defects.dead] = np.inf

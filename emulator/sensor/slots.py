@@ -1,4 +1,4 @@
-"""Random events of their own (noise, particles): drawn by slots of stream time, given out step by step.
+"""Random events of their own, as those of particles: drawn by slots of stream time, given out step by step.
 
 What is drawn for a slot of 1024 us depends on the slot and the seed alone. An event may lie later than its slot (the
 second of a pair, the OFF event after a particle), so all that is known is kept until a step reaches it.
@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.sensor.compiled import kernel, kernel_that_allocates
-from emulator.sensor.merging import NO_CROSSINGS, joined, unpacked
+from emulator.sensor.merging import NO_CROSSINGS, joined, merged, unpacked
 from emulator.sensor.pixels import Crossings
 
 __all__ = ["SLOT_NS", "Ahead", "SlottedEvents", "Window", "give_out", "new_ahead", "roomy"]
@@ -80,6 +80,10 @@ class SlottedEvents(ABC):
         """Start at `t_ns`; what began before is left out."""
         self._ahead, self._known = new_ahead(), 0
         self._slot, self._t_ns = t_ns // SLOT_NS, t_ns
+
+    def add_to(self, crossings: Crossings, light: npt.NDArray[np.float32], t_ns: int) -> Crossings:
+        """Return a step's `crossings` with the events up to, and without, `t_ns` among them."""
+        return merged(crossings, self.step(light, t_ns))
 
     def step(self, light: npt.NDArray[np.float32], t_ns: int) -> Crossings:
         """Return the events from the last time up to, and without, `t_ns`, under `light`, (pixels,) float32."""

@@ -184,6 +184,56 @@ def test_a_copy_goes_on_the_same():
     assert same(noise.step(light(), 200 * MS), again.step(light(), 200 * MS))
 
 
+def lasting(crossings):
+    """The crossings, each a tuple, in their order."""
+    return list(zip(crossings.t_ns.tolist(), crossings.pixel.tolist(), crossings.on.tolist(), strict=True))
+
+
+@settings(max_examples=20, deadline=None)
+@given(steps=st.lists(st.integers(1, 40 * MS), min_size=1, max_size=6), n=st.integers(0, 300))
+def test_crossings_and_noise_become_one_list(steps, n):
+    ends = np.cumsum(steps)
+    alone = run(end_ns=int(ends[-1]))
+    random = np.random.default_rng(n)
+    t_ns = random.integers(0, ends[-1], n)
+    pixel = random.integers(0, PIXELS, n).astype(np.uint32)
+    if len(alone):  # half of them at the very time and pixel of a noise event
+        twins = random.integers(0, len(alone), n // 2)
+        t_ns[: n // 2], pixel[: n // 2] = alone.t_ns[twins], alone.pixel[twins]
+    order = np.lexsort([pixel, t_ns])
+    crossings = Crossings(t_ns[order], pixel[order], np.zeros(n, bool), 7)
+    noise, parts, k = NoiseEvents(PLAIN, 1, np.full(PIXELS, 0.2)), [], 0
+    for end in ends:
+        m = int(np.searchsorted(crossings.t_ns, end)) if end < ends[-1] else n
+        step = Crossings(crossings.t_ns[k:m], crossings.pixel[k:m], crossings.on[k:m], 7)
+        parts.append(noise.add_to(step, light(), int(end)))
+        assert parts[-1].lost_in_pixel == 7
+        k = m
+    found = joined(parts)
+    both = [*((e, 0) for e in lasting(crossings)), *((e, 1) for e in lasting(alone))]
+    assert lasting(found) == [e for e, _ in sorted(both, key=lambda one: (one[0][0], one[0][1], one[1]))]
+
+
+def test_any_number_of_candidates_finds_room():
+    p = dataclasses.replace(PLAIN, noise=NoiseParameters(rms=0.08, corner_hz=1e5), corner_hz_at_reference=1e5,
+                            corner_max_hz=1e5)  # fmt: skip
+    noise = NoiseEvents(p, 1, np.full(PIXELS, 0.2))
+    noise._make_room(600)
+    found = noise.step(light(), 30 * MS)
+    assert same(found, NoiseEvents(p, 1, np.full(PIXELS, 0.2)).step(light(), 30 * MS))
+    assert len(found) == pytest.approx(2 * model_hz(p) * PIXELS * 0.03, rel=0.03)
+
+
+def test_an_event_is_thinned_by_the_light_of_its_own_step():
+    p = dataclasses.replace(PLAIN, refractory_us=50_000.0)  # hence no pairs
+    noise, nothing = NoiseEvents(p, 1, np.full(PIXELS, 0.2)), light(np.nan)
+    found = joined([noise.step(nothing if k % 2 else light(), k * MS) for k in range(1, 401)])
+    whole = run(p, end_ns=400 * MS)
+    lit = whole.t_ns // MS % 2 == 1
+    assert 500 < np.count_nonzero(lit) < len(whole) - 500
+    assert lasting(found) == lasting(Crossings(whole.t_ns[lit], whole.pixel[lit], whole.on[lit]))
+
+
 def test_seeds_differ_and_repeat():
     assert same(run(seed=4, end_ns=50 * MS), run(seed=4, end_ns=50 * MS))
     assert not same(run(seed=4, end_ns=50 * MS), run(seed=5, end_ns=50 * MS))

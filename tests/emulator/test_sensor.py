@@ -146,6 +146,12 @@ def test_dead_pixels_see_nothing_at_all():
     assert set(range(PIXELS)) - set(pixel_of(found)) == set(dead)
 
 
+def test_a_sensor_of_dead_pixels_alone_is_silent():
+    p = with_(leak_hz=10.0, defects=DefectParameters(dead_share=1.0), noise=NoiseParameters(rms=0.06))
+    found, sensor = run(p, end_ns=50 * MS, scene=drifting)
+    assert len(found) == sensor.raised == 0
+
+
 @pytest.mark.parametrize(("celsius", "factor"), [(20.0, 1), (29.0, 2), (2.0, 0.25)])
 def test_leak_doubles_with_temperature(celsius, factor):
     p = with_(leak_hz=2.0, temperature=TemperatureParameters(celsius=celsius))
