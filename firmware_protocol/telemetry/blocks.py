@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from firmware_protocol.edges import EdgeKind, Edges, empty_edges
-from firmware_protocol.events import Events, empty_events
+from firmware_protocol.events import EVENT, Events, empty_events
 from firmware_protocol.telemetry.layout import EDGE_RECORD, HEADER_BYTES, LONGEST_US, BlockError, Header, Mode
 from firmware_protocol.telemetry.reading import read_events
 
@@ -66,10 +66,29 @@ def decode_block(data: bytes, near_us: int = 0) -> Block:
 
 
 def as_received(events: Events, tick_us: int) -> Events:
-    """Return what a receiver gets of a block of `events` (n,) EVENT: times cut to the tick, raster order inside."""
-    received = events.copy()
-    received["t"] -= received["t"] % np.uint64(tick_us)
-    return received[np.lexsort((received["x"], received["y"], received["t"]))]
+    """Return what a receiver gets of a block of `events`: times cut to the tick, raster order inside each tick.
+
+    A sender that does this to what waits, before it cuts blocks from it, gets smaller blocks where a tick has more
+    events than a block; the events and their times are the same.
+
+    Parameters
+    ----------
+    events
+        (n,) EVENT, sorted by time, spanning less than 2**32 ticks.
+    tick_us
+        The unit of time.
+    """
+    if not len(events):
+        return events
+    ticks = events["t"] // np.uint64(tick_us)
+    since = ticks - ticks[0]
+    if since[-1] >> np.uint64(32):
+        raise ValueError(f"events that span {since[-1]} ticks of {tick_us} us: put shorter streams in order one by one")
+    key = since << np.uint64(32) | events["y"].astype(np.uint64) << np.uint64(16) | events["x"]
+    order = np.argsort(key, kind="stable")
+    received = events.view(f"V{EVENT.itemsize}")[order].view(EVENT)
+    received["t"] = ticks[order] * np.uint64(tick_us)
+    return received
 
 
 def _nearest(low_us: int, near_us: int) -> int:

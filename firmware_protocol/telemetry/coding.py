@@ -60,9 +60,8 @@ def planned(count: int, form: Form, only: int, room: Scratch) -> Plan:
         plan = _rows(count, form, polarity, room)
         best = plan if plan.bits < best.bits else best
     if only in (-1, _BITMAP):
-        for joined in (1, _JOINED_STEP):
-            plan = _bitmap(count, form, polarity, joined, room)
-            best = plan if plan.bits < best.bits else best
+        plan = _bitmaps(count, form, polarity, room, only == _BITMAP)
+        best = plan if plan.bits < best.bits else best
     return best
 
 
@@ -107,6 +106,27 @@ def _rice_bits(values: _Int64s, begin: int, end: int, k: int, escape: int) -> in
         q = values[i] >> k
         bits += q + 1 + k if q < _ONES else _ONES + escape
     return bits
+
+
+@kernel
+def _bitmaps(count: int, form: Form, polarity: int, room: Scratch, forced: bool) -> Plan:
+    """Try spans that have gaps, and where many events have none between them, spans without.
+
+    An event that joins a span saves the MAX_K + 1 bits of its step at most, and its polarity; every other one pays a
+    bit for a length. So few neighbours need no trial.
+    """
+    near, touching = 0, 0
+    for i in range(1, count):
+        if room.ticks[i] == room.ticks[i - 1] and 1 <= room.steps[i] <= _JOINED_STEP:
+            near += 1
+            touching += 1 if room.steps[i] == 1 else 0
+    if near * (MAX_K + 3) <= count and not forced:
+        return Plan(_BITMAP, polarity, 0, 0, 0, _NEVER)
+    best = _bitmap(count, form, polarity, _JOINED_STEP, room)
+    if 2 * touching > near:
+        plan = _bitmap(count, form, polarity, 1, room)
+        best = plan if plan.bits < best.bits else best
+    return best
 
 
 @kernel

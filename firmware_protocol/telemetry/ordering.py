@@ -23,6 +23,7 @@ _Bytes = npt.NDArray[np.uint8]
 _Int64s = npt.NDArray[np.int64]
 
 _EVENT_BYTES = 13
+_DIGIT_BITS = 11  # of a radix sort, at most
 _FEW = 48  # a tick with fewer events is sorted by insertion
 
 
@@ -52,14 +53,14 @@ class Scratch(NamedTuple):
     starts: _Int64s  # of spans: index of the first event
     span_steps: _Int64s
     lengths: _Int64s  # of spans: pixels - 1
-    counts: _Int64s  # (256,) of a radix sort
+    counts: _Int64s  # (2048,) of a radix sort
     bits: _Int64s  # (3,) bits not yet written, how many, position in bytes
 
 
 def new_scratch(max_events: int) -> Scratch:
     """Return room for blocks of up to `max_events` events."""
     given, keys, spare, ticks, steps, starts, span_steps, lengths = np.zeros((8, max_events + 1), np.int64)
-    counts, bits = np.zeros(256, np.int64), np.zeros(3, np.int64)
+    counts, bits = np.zeros(1 << _DIGIT_BITS, np.int64), np.zeros(3, np.int64)
     return Scratch(given, keys, spare, ticks, steps, starts, span_steps, lengths, counts, bits)
 
 
@@ -67,6 +68,8 @@ def new_scratch(max_events: int) -> Scratch:
 def load(events: _Bytes, form: Form, limit: int, room: Scratch) -> int:
     """Make keys of the first events, as many as a block may span; returns how many, or what is wrong with them."""
     start, last = _time_of(events, 0), 0
+    if start < 0:  # 2**63 us and more
+        return BACKWARDS
     start -= start % form.tick_us
     pixels = form.width * form.height
     count = min(limit, len(events) // _EVENT_BYTES)
@@ -105,13 +108,15 @@ def sort(count: int, form: Form, room: Scratch) -> None:
         keys[i] = room.given[i]
     begin = 0
     while begin < count:
-        end = begin + 1
+        end, sorted_so_far = begin + 1, True
         while end < count and room.ticks[end] == room.ticks[begin]:
+            sorted_so_far &= keys[end - 1] >> 1 <= keys[end] >> 1
             end += 1
-        if end - begin < _FEW:
-            _insert(keys, begin, end)
-        else:
-            _radix(keys, begin, end, form, room)
+        if not sorted_so_far:
+            if end - begin < _FEW:
+                _insert(keys, begin, end)
+            else:
+                _radix(begin, end, form, room)
         begin = end
 
 
@@ -126,19 +131,24 @@ def _insert(keys: _Int64s, begin: int, end: int) -> None:
 
 
 @kernel
-def _radix(keys: _Int64s, begin: int, end: int, form: Form, room: Scratch) -> None:
-    """Sort keys of one tick by address, eight bits at a time."""
-    first = room.ticks[begin] * (form.width * form.height)
-    for shift in range(0, form.bx + form.by, 8):
-        counts = room.counts
-        counts[:] = 0
+def _radix(begin: int, end: int, form: Form, room: Scratch) -> None:
+    """Sort keys of one tick by address, a digit of some bits at a time, the lowest first."""
+    keys, counts, address_bits = room.keys, room.counts, 1
+    while form.width * form.height - 1 >> address_bits:
+        address_bits += 1
+    passes = (address_bits + _DIGIT_BITS - 1) // _DIGIT_BITS
+    width = (address_bits + passes - 1) // passes
+    mask, first = (1 << width) - 1, room.ticks[begin] * (form.width * form.height)
+    for shift in range(0, address_bits, width):
+        for digit in range(mask + 1):
+            counts[digit] = 0
         for i in range(begin, end):
-            counts[((keys[i] >> 1) - first >> shift) & 255] += 1
+            counts[((keys[i] >> 1) - first >> shift) & mask] += 1
         place = begin
-        for digit in range(256):
+        for digit in range(mask + 1):
             place, counts[digit] = place + counts[digit], place
         for i in range(begin, end):
-            digit = ((keys[i] >> 1) - first >> shift) & 255
+            digit = ((keys[i] >> 1) - first >> shift) & mask
             room.spare[counts[digit]] = keys[i]
             counts[digit] += 1
         for i in range(begin, end):
