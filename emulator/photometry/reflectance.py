@@ -1,0 +1,207 @@
+"""Laws of reflection: from the angles of light to what leaves a surface.
+
+r(i, e, g) in 1/sr, with mu0 = cos i of incidence, mu = cos e of emission, and g the phase angle between Sun and eye;
+the radiance is L = r E, E the irradiance of a surface that faces the Sun. I/F = pi r.
+
+    lambert             r = A mu0 / pi
+    lommel-seeliger     r = (w / 4 pi) P(g) mu0 / (mu0 + mu)                 the right limb for dark bodies
+    lunar-lambert       r = A [2 l(g) mu0 / (mu0 + mu) + (1 - l(g)) mu0] p(g) / pi
+                        l(g) = 1 - 0.019 g + 2.42e-4 g^2 - 1.46e-6 g^3, g in degrees, held between 0 and 1
+                        (McEwen 1996, LPSC 27, 841; USGS ISIS, LunarLambertMcEwen); p(g) = e^(-0.9 g), g in radians, a
+                        serviceable stand-in for the Moon's phase function
+    hapke               r = (w / 4 pi) mu0 / (mu0 + mu) [(1 + B(g)) P(g) + H(mu0) H(mu) - 1]
+                        B = B0 / (1 + tan(g / 2) / h),  H(x) = (1 + 2 x) / (1 + 2 x sqrt(1 - w))
+                        (Hapke 1993, Theory of Reflectance and Emittance Spectroscopy; without roughness)
+
+with the phase function of Henyey and Greenstein, its mean over all directions 1, b < 0 throwing light back:
+
+    P(g) = (1 - b^2) / (1 + 2 b cos g + b^2)^(3/2)
+
+On the night side (mu0 <= 0) r is 0. Each law writes itself as GLSL too, the same formula in float32, for the renderer.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["Hapke", "Lambert", "LommelSeeliger", "LunarLambert", "Reflectance", "henyey_greenstein"]
+
+Floats = npt.NDArray[np.float64]
+
+_TINY = 1e-12
+
+
+def _require(owner: object, name: str, low: float, high: float) -> None:
+    value = getattr(owner, name)
+    if not low <= value <= high:
+        raise ValueError(f"{name} is {value}: it must be {low:g} to {high:g}")
+
+
+def henyey_greenstein(phase_rad: float | Floats, asymmetry: float) -> Floats:
+    """Return P(g) of the module's first lines."""
+    b = asymmetry
+    return np.asarray((1 - b * b) / (1 + 2 * b * np.cos(phase_rad) + b * b) ** 1.5)
+
+
+def _seeliger(mu0: Floats, mu: Floats) -> Floats:
+    return np.asarray(mu0 / np.maximum(mu0 + np.abs(mu), _TINY))
+
+
+@dataclass(frozen=True)
+class Lambert:
+    """Even in all directions: painted panels, test targets.
+
+    Attributes
+    ----------
+    albedo
+        Share of the light that is thrown back.
+    """
+
+    kind: ClassVar[str] = "lambert"
+    albedo: float = 0.5
+
+    def __post_init__(self) -> None:
+        _require(self, "albedo", 0, 1)
+
+    def reflect(self, mu0: Floats, mu: Floats, phase_rad: float | Floats) -> Floats:
+        """Return r, 1/sr."""
+        return np.asarray(self.albedo / math.pi * np.maximum(mu0, 0))
+
+    def glsl(self) -> str:
+        """Return the law as `float reflect_sun(float mu0, float mu, float phase)`."""
+        return _glsl(f"return {self.albedo / math.pi!r} * mu0;")
+
+
+@dataclass(frozen=True)
+class LommelSeeliger:
+    """Single scattering in a dark, porous ground: asteroids.
+
+    Attributes
+    ----------
+    single_scattering_albedo
+        w; 0.33 for Eros at 550 nm (Li 2005).
+    asymmetry
+        b; -0.25 for Eros.
+    """
+
+    kind: ClassVar[str] = "lommel-seeliger"
+    single_scattering_albedo: float = 0.33
+    asymmetry: float = -0.25
+
+    def __post_init__(self) -> None:
+        _require(self, "single_scattering_albedo", 0, 1)
+        _require(self, "asymmetry", -0.99, 0.99)
+
+    def reflect(self, mu0: Floats, mu: Floats, phase_rad: float | Floats) -> Floats:
+        """Return r, 1/sr."""
+        scattered = henyey_greenstein(phase_rad, self.asymmetry) * self.single_scattering_albedo / (4 * math.pi)
+        return np.asarray(scattered * _seeliger(np.maximum(mu0, 0), mu))
+
+    def glsl(self) -> str:
+        """Return the law as `float reflect_sun(float mu0, float mu, float phase)`."""
+        share = self.single_scattering_albedo / (4 * math.pi)
+        return _glsl(f"return {share!r} * {_HG.format(b=self.asymmetry)} * seeliger(mu0, mu);")
+
+
+@dataclass(frozen=True)
+class LunarLambert:
+    """Between Lommel-Seeliger and Lambert, the Moon's mixture.
+
+    Attributes
+    ----------
+    albedo
+        A: I/F of ground seen and lit straight on; 0.12 for the Moon's mean.
+    """
+
+    kind: ClassVar[str] = "lunar-lambert"
+    albedo: float = 0.12
+
+    def __post_init__(self) -> None:
+        _require(self, "albedo", 0, 1)
+
+    def reflect(self, mu0: Floats, mu: Floats, phase_rad: float | Floats) -> Floats:
+        """Return r, 1/sr."""
+        g = np.degrees(phase_rad)
+        share = np.clip(1 + g * (-0.019 + g * (2.42e-4 - 1.46e-6 * g)), 0, 1)
+        lit = np.maximum(mu0, 0)
+        mixture = 2 * share * _seeliger(lit, mu) + (1 - share) * lit
+        return np.asarray(self.albedo / math.pi * np.exp(-0.9 * np.asarray(phase_rad)) * mixture)
+
+    def glsl(self) -> str:
+        """Return the law as `float reflect_sun(float mu0, float mu, float phase)`."""
+        return _glsl(
+            "float g = degrees(phase);"
+            " float share = clamp(1.0 + g * (-0.019 + g * (2.42e-4 - 1.46e-6 * g)), 0.0, 1.0);"
+            f" return {self.albedo / math.pi!r} * exp(-0.9 * phase)"
+            " * (2.0 * share * seeliger(mu0, mu) + (1.0 - share) * mu0);"
+        )
+
+
+@dataclass(frozen=True)
+class Hapke:
+    """Multiple scattering and the opposition surge.
+
+    Attributes
+    ----------
+    single_scattering_albedo
+        w.
+    asymmetry
+        b.
+    surge
+        B0: height of the opposition surge.
+    surge_width
+        h, of the order of the angle, rad, over which it fades.
+    """
+
+    kind: ClassVar[str] = "hapke"
+    single_scattering_albedo: float = 0.33
+    asymmetry: float = -0.25
+    surge: float = 1.0
+    surge_width: float = 0.05
+
+    def __post_init__(self) -> None:
+        _require(self, "single_scattering_albedo", 0, 1)
+        _require(self, "asymmetry", -0.99, 0.99)
+        _require(self, "surge", 0, 10)
+        _require(self, "surge_width", 1e-4, 10)
+
+    def reflect(self, mu0: Floats, mu: Floats, phase_rad: float | Floats) -> Floats:
+        """Return r, 1/sr."""
+        w, lit, seen = self.single_scattering_albedo, np.maximum(mu0, 0), np.abs(mu)
+        surge = 1 + self.surge / (1 + np.tan(np.asarray(phase_rad) / 2) / self.surge_width)
+        once = surge * henyey_greenstein(phase_rad, self.asymmetry)
+        gamma = math.sqrt(1 - w)
+        often = (1 + 2 * lit) / (1 + 2 * lit * gamma) * (1 + 2 * seen) / (1 + 2 * seen * gamma) - 1
+        return np.asarray(w / (4 * math.pi) * _seeliger(lit, seen) * (once + often))
+
+    def glsl(self) -> str:
+        """Return the law as `float reflect_sun(float mu0, float mu, float phase)`."""
+        w = self.single_scattering_albedo
+        gamma = math.sqrt(1 - w)
+        return _glsl(
+            f"float surge = 1.0 + {self.surge!r} / (1.0 + tan(0.5 * phase) / {self.surge_width!r});"
+            f" float once = surge * {_HG.format(b=self.asymmetry)};"
+            " float often = (1.0 + 2.0 * mu0) * (1.0 + 2.0 * mu)"
+            f" / ((1.0 + 2.0 * mu0 * {gamma!r}) * (1.0 + 2.0 * mu * {gamma!r})) - 1.0;"
+            f" return {w / (4 * math.pi)!r} * seeliger(mu0, mu) * (once + often);"
+        )
+
+
+Reflectance = Lambert | LommelSeeliger | LunarLambert | Hapke
+"""Any of them, as the type of a key in a rig's table."""
+
+_HG = "(1.0 - ({b!r}) * ({b!r})) / pow(1.0 + 2.0 * ({b!r}) * cos(phase) + ({b!r}) * ({b!r}), 1.5)"
+
+
+def _glsl(body: str) -> str:
+    """Wrap a formula: what is not lit is black, and a normal that leans away by a little counts as that little."""
+    return (
+        "float seeliger(float mu0, float mu) { return mu0 / max(mu0 + mu, 1e-12); }\n"
+        "float reflect_sun(float mu0, float mu, float phase) {\n"
+        f"    if (mu0 <= 0.0) return 0.0;\n    mu = abs(mu);\n    {body}\n}}\n"
+    )

@@ -1,0 +1,121 @@
+"""Laws of reflection against closed forms of whole spheres, and their GLSL against themselves."""
+
+import math
+
+import numpy as np
+import pytest
+
+from emulator.photometry.reflectance import Hapke, Lambert, LommelSeeliger, LunarLambert, henyey_greenstein
+from emulator.photometry.sun import LUMENS_A_WATT, Sun
+from emulator.scene.gl import open_context
+
+LAWS = [Lambert(0.7), LommelSeeliger(0.33, -0.25), LunarLambert(0.12), Hapke(0.4, -0.3, 1.1, 0.06)]
+
+
+def disc_i_over_f(law, phase):
+    """Mean of pi r over the disc of a sphere seen at `phase`: the geometric albedo at phase 0."""
+    n = 1001
+    axis = (np.arange(n) + 0.5) / n * 2 - 1
+    x, y = np.meshgrid(axis, axis)
+    inside = x * x + y * y < 1
+    z = np.sqrt(np.where(inside, 1 - x * x - y * y, 0))
+    mu0 = x * math.sin(phase) + z * math.cos(phase)
+    return float(np.where(inside, math.pi * law.reflect(mu0, z, phase), 0).sum() / inside.sum())
+
+
+@pytest.mark.parametrize("phase", [0.0, 0.5, 1.5, 2.5])
+def test_a_lambert_sphere_s_phase_curve(phase):
+    expected = 2 / 3 * 0.7 * (math.sin(phase) + (math.pi - phase) * math.cos(phase)) / math.pi
+    assert disc_i_over_f(Lambert(0.7), phase) == pytest.approx(expected, rel=2e-3, abs=1e-4)
+
+
+@pytest.mark.parametrize("phase", [1e-6, 0.5, 1.5, 2.5])
+def test_a_lommel_seeliger_sphere_s_phase_curve(phase):
+    law = LommelSeeliger(0.33, -0.25)
+    curve = 1 - math.sin(phase / 2) * math.tan(phase / 2) * math.log(1 / math.tan(phase / 4))
+    expected = 0.33 / 8 * float(henyey_greenstein(phase, -0.25)) * curve
+    assert disc_i_over_f(law, phase) == pytest.approx(expected, rel=3e-3, abs=1e-5)
+
+
+def test_hapke_without_surge_and_scattering_often_is_lommel_seeliger():
+    hapke, single = Hapke(1e-4, -0.25, 0.0), LommelSeeliger(1e-4, -0.25)
+    assert hapke.reflect(0.6, 0.4, 0.9) == pytest.approx(single.reflect(0.6, 0.4, 0.9), rel=1e-3)
+
+
+def test_hapke_s_sphere_at_zero_phase():
+    """Geometric albedo: r0 / 2 + r0^2 / 6 + w / 8 ((1 + B0) P(0) - 1), Hapke 1993, eq. 10.33, within its own 1 %."""
+    w, b, surge = 0.4, -0.3, 1.1
+    r0 = (1 - math.sqrt(1 - w)) / (1 + math.sqrt(1 - w))
+    expected = r0 / 2 + r0**2 / 6 + w / 8 * ((1 + surge) * float(henyey_greenstein(0.0, b)) - 1)
+    assert disc_i_over_f(Hapke(w, b, surge, 0.06), 0.0) == pytest.approx(expected, rel=0.02)
+
+
+def test_the_phase_function_s_mean_is_one():
+    g = np.linspace(0, math.pi, 20001)
+    mean = np.trapezoid(henyey_greenstein(g, -0.4) * np.sin(g), g) / 2
+    assert mean == pytest.approx(1.0, abs=1e-6)
+
+
+def test_ground_lit_and_seen_straight_on_is_the_moon_s_albedo():
+    assert math.pi * LunarLambert(0.12).reflect(1.0, 1.0, 0.0) == pytest.approx(0.12)
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_the_night_side_is_black_and_no_light_is_made(law):
+    assert law.reflect(np.array([-0.1, 0.0]), np.array([0.5, 0.5]), 1.0).max() == 0
+    mu = (np.arange(400) + 0.5) / 400
+    # Light thrown back over the half space from light straight down: never more than came.
+    thrown = 2 * math.pi * np.mean(law.reflect(np.ones(400), mu, np.arccos(mu)) * mu)
+    assert 0 < thrown < 1
+
+
+def run_on_gl(law, angles):
+    gl = open_context()
+    with gl:
+        shader = gl.compute_shader(
+            "#version 430\nlayout(local_size_x = 1) in;\n"
+            "layout(std430, binding = 0) buffer A { float a[]; };\n"
+            "layout(std430, binding = 1) buffer R { float r[]; };\n" + law.glsl() + "void main() {\n"
+            "    uint k = gl_GlobalInvocationID.x;\n"
+            "    r[k] = reflect_sun(a[3 * k], a[3 * k + 1], a[3 * k + 2]);\n}"
+        )
+        out = gl.buffer(reserve=4 * len(angles))
+        gl.buffer(angles).bind_to_storage_buffer(0)
+        out.bind_to_storage_buffer(1)
+        shader.run(len(angles))
+        drawn = np.frombuffer(out.read(), np.float32)
+    gl.release()
+    return drawn
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize("law", LAWS)
+def test_glsl_says_the_same(law):
+    rng = np.random.default_rng(1)
+    angles = rng.uniform([-0.2, 0, 0.01], [1, 1, 3.0], (500, 3)).astype(np.float32)
+    drawn = run_on_gl(law, angles)
+    mu0, mu, phase = angles.astype(np.float64).T
+    np.testing.assert_allclose(drawn, law.reflect(mu0, mu, phase), rtol=2e-5, atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("make", "name"),
+    [
+        (lambda: Lambert(1.1), "albedo"),
+        (lambda: LommelSeeliger(math.nan), "single_scattering_albedo"),
+        (lambda: Hapke(asymmetry=1.0), "asymmetry"),
+        (lambda: LunarLambert(-1.0), "albedo"),
+        (lambda: Sun((0.0, 0.0, 0.0)), "direction"),
+        (lambda: Sun(distance_au=0.0), "distance_au"),
+    ],
+)
+def test_nonsense_is_refused(make, name):
+    with pytest.raises(ValueError, match=f"{name} is "):
+        make()
+
+
+def test_the_sun_from_eros():
+    sun = Sun((0, 0, -2), 1.46)
+    assert sun.irradiance_w_m2 == pytest.approx(248.6, rel=1e-3)
+    assert sun.irradiance_w_m2 * LUMENS_A_WATT == pytest.approx(133_600 / 1.46**2)
+    assert math.degrees(sun.radius_rad) == pytest.approx(0.1826, rel=1e-3)
