@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from types import TracebackType
 from typing import Self
@@ -39,6 +40,11 @@ class Scene(ABC):
     @abstractmethod
     def motion_bound_px_s(self) -> float:
         """No point of the picture moves faster than this, px/s. Infinite where it is not known."""
+
+    @property
+    def distance_m(self) -> float:
+        """How far away most of what is seen lies; infinite unless a scene knows better. For focus."""
+        return math.inf
 
     @abstractmethod
     def light(self, t_ns: int, out: Light) -> None:
