@@ -24,6 +24,7 @@ _Int64s = npt.NDArray[np.int64]
 
 _FLAT, _ROWS, _EACH = int(Mode.FLAT), int(Mode.ROWS), int(Polarity.EACH)
 _ONES = ESCAPE_ONES
+_NEARLY = 15 / 16  # a block filled so far is full
 
 
 class Limits(NamedTuple):
@@ -57,21 +58,33 @@ def write_block(events: _Bytes, form: Form, limits: Limits, room: Scratch, out: 
         return most, 0, 0, 0
     if limits.mode == _FLAT:
         most = flat_count(room.ticks, most, form)
+    count, plan = _fitted(most, form, limits, room)
+    return count, plan.mode, plan.polarity, _written(count, form, plan, room, out)
+
+
+@kernel
+def _fitted(most: int, form: Form, limits: Limits, room: Scratch) -> tuple[int, Plan]:
+    """Return how many of `most` events to take so that the block is about full, and how to write them.
+
+    One event always fits. Between a number that does and one that does not, three trials in proportion, then halving.
+    """
     budget = 8 * (limits.size - HEADER_BYTES)
-    fits, too_many = 0, most + 1
+    fits, too_many, trials = 0, most + 1, 0
     count = _guess(room, most, budget, form)
     plan = planned(count, form, limits.mode, room)
-    while fits == 0 or plan.bits > budget:
+    while fits != too_many - 1 and not _NEARLY * budget < plan.bits <= budget:
         if plan.bits > budget:
             too_many = count
         else:
             fits = count
-        if fits == too_many - 1 or (plan.bits <= budget and 16 * plan.bits > 15 * budget):
-            break
-        wanted = int(count * 0.99 * budget / plan.bits)
-        count = min(max(wanted, fits + 1), too_many - 1)
-        plan = planned(count, form, limits.mode, room)
-    return count, plan.mode, plan.polarity, _written(count, form, plan, room, out)
+        if fits != too_many - 1:
+            trials += 1
+            wanted = int(count * 0.99 * budget / plan.bits) if trials <= 3 else (fits + too_many) // 2
+            count = min(max(wanted, fits + 1), too_many - 1)
+            plan = planned(count, form, limits.mode, room)
+    if plan.bits > budget:
+        count, plan = fits, planned(fits, form, limits.mode, room)
+    return count, plan
 
 
 @kernel
