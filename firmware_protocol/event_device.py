@@ -17,6 +17,8 @@ from firmware_protocol.events import Events
 
 __all__ = ["CameraCounters", "EdgeCounters", "EventDevice"]
 
+_FOREVER_US = 1 << 62
+
 
 @dataclass(frozen=True)
 class EdgeCounters:
@@ -126,6 +128,16 @@ class EventDevice(ABC):
         """Events that certainly fit its buffer now."""
 
     @property
+    def horizon_us(self) -> int:
+        """Stream time to which it can be advanced now without dropping what waits, for runs that are not paced."""
+        return _FOREVER_US
+
+    @property
+    def epoch_us(self) -> int:
+        """Time, as it is told to the device, at which the device's own clock was last zero."""
+        return 0
+
+    @property
     @abstractmethod
     def counters(self) -> CameraCounters:
         """Fates of all events offered so far."""
@@ -148,3 +160,10 @@ class EventDevice(ABC):
     @abstractmethod
     def advance(self, now_us: int) -> None:
         """Say that stream time has reached `now_us`; the clock never goes back."""
+
+    def restart_clock(self) -> bool:
+        """Start the device's own clock anew at zero, now, as a pulse on a synchronisation input does.
+
+        False for a device that has no such input.
+        """
+        return False

@@ -23,8 +23,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from firmware_protocol.davis346.decoder import Decoder, WordFaults
+from firmware_protocol.davis346.decoder import Decoded, Decoder, WordFaults
 from firmware_protocol.davis346.registers import Layout, Module, SystemInfo, registers
+from firmware_protocol.edges import Edges, empty_edges
 from firmware_protocol.events import Events, empty_events
 from firmware_protocol.usb.device import SetupPacket
 from transports.usb_host import BulkReader, StallError, TransferTimeout, UnsuitableDevice, UsbHost, UsbHostError
@@ -65,6 +66,7 @@ _START: tuple[Entry, ...] = (
     (Module.MULTIPLEXER, 0, 1),
     (Module.DVS, 3, 1),
 )
+_LISTEN: tuple[Entry, ...] = tuple((Module.EXTERNAL_INPUT, address, 1) for address in (1, 2, 3, 0))
 _RESET_TIME: tuple[Entry, ...] = ((Module.MULTIPLEXER, 2, 1), (Module.MULTIPLEXER, 2, 0))
 
 
@@ -96,12 +98,15 @@ class StreamSettings:
         the time since the camera's clock was started.
     early_packet_us
         A buffer that is not full leaves the camera after this time; libcaer's default is 1 ms.
+    edges
+        Ask the external input for rising and falling edges and for pulses; see `DavisHost.take_edges`.
     """
 
     transfer_bytes: int = 131_072
     transfers: int = 32
     reset_timestamps: bool = True
     early_packet_us: int = 1000
+    edges: bool = False
 
 
 class DavisHost:
@@ -124,6 +129,8 @@ class DavisHost:
         self._host = host
         self._reader: BulkReader | None = None
         self._held = empty_events()
+        self._edges: list[Edges] = []
+        self._keeps_edges = False
         try:
             host.configure()
             self.info = self._identify()
@@ -148,8 +155,11 @@ class DavisHost:
         self._flush()
         self._configure(settings)
         self._decoder = Decoder(self.info.size, self.info.turned)
+        self._edges, self._keeps_edges = [], settings.edges
         self._reader = self._host.stream(_STREAM_ENDPOINT, settings.transfer_bytes, settings.transfers)
         self._write_each(_START)
+        if settings.edges:
+            self._write_each(_LISTEN)
         if settings.reset_timestamps:
             self.write_registers(_RESET_TIME)
             self._held = self._after_reset(self._reader)
@@ -165,13 +175,24 @@ class DavisHost:
             held, self._held = self._held, empty_events()
             return held
         data = self._reader.read(timeout_s)
-        return None if data is None else self._decoder.feed(data).events
+        return None if data is None else self._decode(data).events
+
+    def take_edges(self) -> Edges:
+        """Return the edges read since the last call, (n,) EDGE in device time, where the start asked for them."""
+        edges, self._edges = self._edges, []
+        return np.concatenate([empty_edges(), *edges])
+
+    def _decode(self, data: bytes) -> Decoded:
+        decoded = self._decoder.feed(data)
+        if self._keeps_edges:
+            self._edges.append(decoded.edges)
+        return decoded
 
     def stop(self) -> Events:
         """Stop the camera and the stream; gives the events that were still under way."""
         self._write_each(_STOP)
         reader, self._reader = self._reader, None
-        rest = [self._decoder.feed(data).events for data in reader.close()] if reader else []
+        rest = [self._decode(data).events for data in reader.close()] if reader else []
         held, self._held = self._held, empty_events()
         return np.concatenate([held, *rest])
 
@@ -259,7 +280,9 @@ class DavisHost:
                 raise TransferTimeout(f"no timestamp reset in the stream within {_RESET_TIMEOUT_S:g} s")
             decoded = self._decoder.feed(data)
             if len(decoded.resets):
-                return decoded.events[decoded.resets[-1] :]
+                after = decoded.since_reset()
+                self._edges = [after.edges] if self._keeps_edges else []
+                return after.events
 
 
 def _require(what: str, found: int, good: bool, wanted: str) -> None:

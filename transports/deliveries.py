@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from firmware_protocol.device_clock import DeviceClock
+from firmware_protocol.edges import Edges, empty_edges
 from firmware_protocol.event_copies import copy_events
 from firmware_protocol.events import Events
 from transports.digest import digest_of
@@ -16,24 +18,46 @@ __all__ = ["Deliveries"]
 
 
 class Deliveries:
-    """Times, digests and records the events that an endpoint says have left."""
+    """Times, digests and records the events that an endpoint says have left.
 
-    def __init__(self, ring: EventRing, clock: Clock, recorder: Recorder | None = None) -> None:
+    Parameters
+    ----------
+    device_clock
+        The camera's own, where its times are not stream time.
+    """
+
+    def __init__(
+        self, ring: EventRing, clock: Clock, recorder: Recorder | None = None, device_clock: DeviceClock | None = None
+    ) -> None:
         self._ring = ring
         self._clock = clock
         self._recorder = recorder
+        self._device_clock = device_clock
         self._epoch_us: int | None = None
         self.latency = LatencyHistogram()
         self.digest = 0
 
-    def add(self, events: Events, epoch_us: int = 0) -> None:
-        """Take note of events (n,) EVENT, in stream time, that have left just now.
+    def add(self, events: Events, epoch_us: int = 0, edges: Edges | None = None) -> None:
+        """Take note of events (n,) EVENT and edges (m,) EDGE that have left just now, in the time told to the device.
 
-        `epoch_us` is the stream time at which the device's own clock was last zero.
+        `epoch_us` is the time at which the device's own clock was last zero.
         """
+        edges = empty_edges() if edges is None else edges
         if len(events):
             self._measure(events)
-            self._keep(events, epoch_us)
+        if len(events) or len(edges):
+            self._keep(events, edges, epoch_us)
+
+    def device_ns(self, monotonic_ns: int) -> int | None:
+        """Return what the camera's clock shows at a time of CLOCK_MONOTONIC, less no epoch; None outside a paced run.
+
+        What a receiver sees of it is less by the device's `epoch_us`.
+        """
+        origin_ns = self._ring.origin_ns
+        if origin_ns is None or origin_ns == FREE_RUNNING or monotonic_ns < origin_ns:
+            return None
+        stream_ns = monotonic_ns - origin_ns
+        return stream_ns if self._device_clock is None else int(self._device_clock.shown_ns(stream_ns)[0])
 
     def close(self) -> None:
         """Close the record."""
@@ -45,13 +69,17 @@ class Deliveries:
         if origin_ns is None or origin_ns == FREE_RUNNING:
             return
         now_us = (self._clock.now_ns() - origin_ns) / 1000
-        self.latency.add(now_us - events["t"].astype(np.float64))
+        due_us = events["t"].astype(np.float64)
+        if self._device_clock is not None:
+            due_us = self._device_clock.stream_us(events["t"].astype(np.int64), max(0, int(now_us)))
+        self.latency.add(now_us - due_us)
 
-    def _keep(self, events: Events, epoch_us: int) -> None:
-        events = copy_events(events)
+    def _keep(self, events: Events, edges: Edges, epoch_us: int) -> None:
+        events, edges = copy_events(events), edges.copy()
         events["t"] -= np.uint64(epoch_us)
+        edges["t"] -= np.uint64(epoch_us)
         restarted = epoch_us != self._epoch_us
         self._epoch_us = epoch_us
         self.digest = digest_of(events, 0 if restarted else self.digest)
         if self._recorder is not None:
-            self._recorder.append(events, restarted=restarted)
+            self._recorder.append(events, edges=edges, restarted=restarted)

@@ -23,8 +23,10 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
+from firmware_protocol.edges import Edges
 from firmware_protocol.event_device import CameraCounters, EventDevice
 from transports.deliveries import Deliveries
+from transports.feed import ClockReport, ClockTruth, EdgeReport, Feed, Timing
 from transports.latency import LatencySummary
 from transports.pacing import Clock, MonotonicClock
 from transports.record import Recorder
@@ -89,6 +91,10 @@ class LinkReport:
         How full the line was, where it has a capacity.
     counts
         What else happened on this kind of link, by name.
+    edges
+        What became of edges before the camera took them.
+    clock
+        How wrong the camera's own clock is, where it is modelled.
     """
 
     state: str
@@ -102,6 +108,8 @@ class LinkReport:
     error: str | None = None
     use: LineUse | None = None
     counts: Mapping[str, int] = field(default_factory=dict)
+    edges: EdgeReport = field(default_factory=EdgeReport)
+    clock: ClockReport | None = None
 
     @property
     def dropped_in_device(self) -> int:
@@ -123,6 +131,13 @@ class Endpoint(ABC):
     @abstractmethod
     def pump(self) -> None:
         """The camera may have new data: hand over what is asked for."""
+
+    def mark(self, edges: Edges) -> int:
+        """Send the camera's own marks, (n > 0,) EDGE in the time its receivers see; return how many could be sent.
+
+        USB sends none: a DAVIS346's leave by a connector of their own.
+        """
+        return 0
 
     @abstractmethod
     async def close(self) -> None:
@@ -165,6 +180,8 @@ class LinkSetup(Generic[_Device]):
     ----------
     device
         Makes the device, inside the link's process: `partial(Davis346, settings)` and the like, which can be pickled.
+    timing
+        Triggers, and the device's own clock.
     """
 
     name: str
@@ -173,6 +190,7 @@ class LinkSetup(Generic[_Device]):
     endpoint: EndpointFactory[_Device]
     record: Path | None = None
     tick_us: int = 500
+    timing: Timing = field(default_factory=Timing)
 
 
 class Link:
@@ -183,33 +201,32 @@ class Link:
         self._clock = clock
         self._device: EventDevice = setup.device()
         recorder = None if setup.record is None else Recorder(setup.record)
-        self._deliveries = Deliveries(setup.ring, clock, recorder)
+        self._feed = Feed(self._device, setup.ring, setup.timing)
+        self._holdback_us = setup.timing.holdback_us
+        self._truth = None if setup.timing.truth is None else ClockTruth(setup.timing.truth)
+        self._deliveries = Deliveries(setup.ring, clock, recorder, self._feed.clock)
         self.endpoint: Endpoint = setup.endpoint.build(self._device, self._deliveries)
 
     def tick(self) -> None:
         """Feed the camera what is due and let the endpoint take what it asked for."""
         origin_ns = self._ring.origin_ns
         if origin_ns == FREE_RUNNING:
-            self._feed(self._ring.now_us, self._device.room_events if self._device.streaming else _TAKE_LIMIT)
+            room = self._device.room_events if self._device.streaming else _TAKE_LIMIT
+            self._feed.feed(min(self._ring.now_us, self._feed.horizon_us), min(room, _TAKE_LIMIT))
         elif origin_ns is not None:
-            due_us = max(0, (self._clock.now_ns() - origin_ns) // 1000)
-            self._feed(min(due_us, self._ring.now_us), _TAKE_LIMIT)
+            due_us = max(0, (self._clock.now_ns() - origin_ns) // 1000 - self._holdback_us)
+            self._feed.feed(min(due_us, self._ring.now_us), _TAKE_LIMIT)
+        marks = self._feed.own_marks()
+        if len(marks):
+            self.endpoint.mark(marks)
         self.endpoint.pump()
-
-    def _feed(self, until_us: int, limit: int) -> None:
-        limit = min(limit, _TAKE_LIMIT)
-        events = self._ring.take(until_us, limit)
-        if len(events):
-            self._device.offer(events)
-        # After a cut batch the camera's clock must not pass the events that still wait in the ring.
-        complete = len(events) < limit
-        if complete:
-            self._device.advance(until_us)
 
     @property
     def idle(self) -> bool:
         """True when nothing waits, neither in the ring nor in the camera."""
-        return self._ring.waiting == 0 and self._device.counters.queued == 0
+        counters = self._device.counters
+        reached = self._ring.origin_ns is None or self._feed.reached_us >= self._ring.now_us
+        return reached and self._ring.waiting == 0 and counters.queued == 0 and counters.edges.queued == 0
 
     def report(self, *, final: bool = False, error: str | None = None) -> LinkReport:
         """Say what the link has done; the final report counts what was left in the ring as dropped."""
@@ -227,12 +244,24 @@ class Link:
             error=error,
             use=self.endpoint.use,
             counts=self.endpoint.counts,
+            edges=self._feed.edge_report(final=final),
+            clock=self._clock_report(final),
         )
 
+    def _clock_report(self, final: bool) -> ClockReport | None:
+        report = self._feed.clock_report()
+        origin_ns = self._ring.origin_ns
+        if report is not None and self._truth is not None and origin_ns is not None and not final:
+            at_ns = self._clock.now_ns() if origin_ns == FREE_RUNNING else origin_ns + report.t_us * 1000
+            self._truth.add(at_ns, report)
+        return report
+
     async def close(self) -> None:
-        """Close the endpoint, then the record; what the camera still holds is flushed and counted."""
+        """Close the endpoint, then the records; what the camera still holds is flushed and counted."""
         await self.endpoint.close()
         self._deliveries.close()
+        if self._truth is not None:
+            self._truth.close()
 
 
 def run_link(setup: LinkSetup[Any], control: Connection) -> None:

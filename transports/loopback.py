@@ -13,7 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from firmware_protocol.events import Events, empty_events
+from firmware_protocol.edges import Edges
+from firmware_protocol.events import Events
 from firmware_protocol.usb.device import Identity, SetupPacket, Stall, Transfer, UsbCamera, UsbDevice
 from transports.davis_host import DavisHost, StreamSettings
 from transports.deliveries import Deliveries
@@ -111,13 +112,13 @@ class LoopbackEndpoint(Endpoint):
         self._device = device
         self._host: DirectHost | None = None
         self._camera: DavisHost | None = None
-        self._received = 0
+        self._received = self._edges = 0
 
     async def start(self) -> None:
         """Take the camera, identify it, start it and reset its clock."""
         self._host = DirectHost(self._device)
         self._camera = DavisHost(self._host)
-        self._camera.start(StreamSettings())
+        self._camera.start(StreamSettings(edges=True))
 
     def pump(self) -> None:
         """Read all that the camera has; raises LinkBroken when an event is not what was sent."""
@@ -125,8 +126,10 @@ class LoopbackEndpoint(Endpoint):
             received = self._camera.read(0.0)
             if received is None:
                 return
+            edges = self._camera.take_edges()
             self._received += len(received)
-            _compare(received, self._host.reader.last if self._host.reader else None)
+            self._edges += len(edges)
+            _compare(received, edges, self._host.reader.last if self._host.reader else None)
 
     async def close(self) -> None:
         """Stop the camera and let go of it."""
@@ -136,12 +139,14 @@ class LoopbackEndpoint(Endpoint):
     @property
     def state(self) -> str:
         """How much has been checked."""
-        return f"{self._received} events checked"
+        edges = f", {self._edges} edges" if self._edges else ""
+        return f"{self._received} events{edges} checked"
 
 
-def _compare(received: Events, transfer: Transfer | None) -> None:
-    sent = empty_events() if transfer is None else transfer.events.copy()
-    if transfer is not None:
+def _compare(received: Events, edges: Edges, transfer: Transfer | None) -> None:
+    transfer = transfer or Transfer(b"")
+    for what, got, said in (("events", received, transfer.events), ("edges", edges, transfer.edges)):
+        sent = said.copy()
         sent["t"] -= np.uint64(transfer.epoch_us)
-    if not np.array_equal(received, sent):
-        raise LinkBroken(f"loopback: {len(sent)} events were sent and {len(received)} others received")
+        if not np.array_equal(got, sent):
+            raise LinkBroken(f"loopback: {len(sent)} {what} were sent and {len(got)} others received")

@@ -4,6 +4,8 @@ The file is a NumPy `.npz`:
 
     events   EVENT[n]   in device time: microseconds since the device's clock was last zero
     resets   int64[k]   indices into `events` at which that clock started anew (a timestamp reset, or a new start)
+    edges        EDGE[m]    what the external input told of, in device time
+    edge_resets  int64[k]   indices into `edges` at the same restarts
 
 A client's view after it reset the camera's timestamps is `events[resets[-1]:]`. While the run lasts the events lie in a
 plain file beside it (`.part`), so that memory does not grow with the run and a killed run leaves its data.
@@ -15,40 +17,73 @@ from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
+import numpy.typing as npt
 
-from firmware_protocol.events import EVENT, Events, empty_events
+from firmware_protocol.edges import EDGE, Edges, empty_edges
+from firmware_protocol.events import EVENT, Events
 
-__all__ = ["Recorder", "load_record", "save_record"]
+__all__ = ["Recorder", "load_edges", "load_record", "save_record"]
 
 
 class Recorder:
-    """Appends delivered events; `close` makes the `.npz`."""
+    """Appends delivered events and edges; `close` makes the `.npz`."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._part = path.with_suffix(path.suffix + ".part")
-        self._file: BinaryIO = self._part.open("wb")
-        self._count = 0
-        self._resets: list[int] = []
+        self._events = _Part(path.with_suffix(path.suffix + ".part"))
+        self._edges = _Part(path.with_suffix(path.suffix + ".edges.part"))
 
-    def append(self, events: Events, *, restarted: bool = False) -> None:
-        """Add events in device time; `restarted` when that time began anew before them."""
-        if restarted or not self._count:
-            self._resets.append(self._count)
-        self._file.write(events.tobytes())
-        self._count += len(events)
+    def append(self, events: Events, *, edges: Edges | None = None, restarted: bool = False) -> None:
+        """Add events and edges in device time; `restarted` when that time began anew before them."""
+        if restarted or not self._events.resets:
+            self._events.restart()
+            self._edges.restart()
+        self._events.append(events)
+        if edges is not None:
+            self._edges.append(edges)
 
     def close(self) -> None:
-        """Write the `.npz` and remove the raw file."""
+        """Write the `.npz` and remove the raw files."""
+        events, edges = self._events.content(EVENT), self._edges.content(EDGE)
+        with self.path.open("wb") as file:
+            np.savez(
+                file,
+                events=events,
+                resets=np.array(self._events.resets, np.int64),
+                edges=edges,
+                edge_resets=np.array(self._edges.resets, np.int64),
+            )
+        del events, edges
+        self._events.remove()
+        self._edges.remove()
+
+
+class _Part:
+    """One kind of record in a raw file, and at which of them time began anew."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._file: BinaryIO = path.open("wb")
+        self._count = 0
+        self.resets: list[int] = []
+
+    def restart(self) -> None:
+        self.resets.append(self._count)
+
+    def append(self, records: npt.NDArray[np.void]) -> None:
+        self._file.write(records.tobytes())
+        self._count += len(records)
+
+    def content(self, dtype: np.dtype[np.void]) -> npt.NDArray[np.void]:
         self._file.close()
-        events = np.memmap(self._part, EVENT, "r") if self._count else empty_events()
-        save_record(self.path, events, self._resets)
-        del events
-        self._part.unlink()
+        return np.memmap(self._path, dtype, "r") if self._count else np.zeros(0, dtype)
+
+    def remove(self) -> None:
+        self._path.unlink()
 
 
 def save_record(path: Path, events: Events, resets: list[int]) -> None:
-    """Write events (n,) in device time and the indices at which that time started anew."""
+    """Write events (n,) in device time and the indices at which that time started anew; no edges."""
     with path.open("wb") as file:
         np.savez(file, events=events, resets=np.array(resets, np.int64))
 
@@ -57,3 +92,11 @@ def load_record(path: Path) -> tuple[Events, list[int]]:
     """Read a record: events (n,) EVENT in device time, and the indices at which device time started anew."""
     with np.load(path) as file:
         return file["events"], [int(i) for i in file["resets"]]
+
+
+def load_edges(path: Path) -> tuple[Edges, list[int]]:
+    """Read a record's edges, (m,) EDGE in device time, and the indices at which device time started anew."""
+    with np.load(path) as file:
+        if "edges" not in file:
+            return empty_edges(), []
+        return file["edges"], [int(i) for i in file["edge_resets"]]

@@ -74,6 +74,15 @@ class Decoded:
         index: Index = self.specials["index"][self.specials["code"] == _RESET]
         return index
 
+    def since_reset(self) -> Decoded:
+        """Return what came after the last timestamp reset; all of it where there was none."""
+        at = np.flatnonzero(self.specials["code"] == _RESET)
+        if not len(at):
+            return self
+        first, specials = int(self.resets[-1]), self.specials[at[-1] + 1 :].copy()
+        specials["index"] -= first
+        return Decoded(self.events[first:], specials)
+
     @property
     def edges(self) -> Edges:
         """(k,) EDGE in device time: what the external input and the generator told of; see `marks`."""

@@ -106,6 +106,11 @@ class Davis346(UsbCamera):
         return max(0, self._stream.room_events - self._input.expected)
 
     @property
+    def epoch_us(self) -> int:
+        """Stream time at which device time is zero."""
+        return self._stream.epoch_us
+
+    @property
     def counters(self) -> CameraCounters:
         """Fates of all events offered so far."""
         s = self._stream.counters
@@ -189,6 +194,14 @@ class Davis346(UsbCamera):
         keep = 0 if self._registers.read(Module.MULTIPLEXER, 4) else _INPUT_FIFO
         self._stalled = marks[:keep]
         self._stream.drop_marks(len(marks[keep:]))
+
+    def restart_clock(self) -> bool:
+        """Set device time to zero and say so in the stream, as a slave does when its master was reset."""
+        if self._gate.words:
+            self._stream.reset_time(self._now_us)
+        else:
+            self._stream.start_time(self._now_us)
+        return True
 
     def attached(self) -> None:
         """A host has taken the camera: power-on state."""

@@ -73,6 +73,11 @@ class EventStream:
         return MarkCounters(self._marks_dropped, self._marks_flushed, self._marks_delivered, self._marks_lost, queued)
 
     @property
+    def epoch_us(self) -> int:
+        """Stream time at which device time is zero."""
+        return self._epoch_us
+
+    @property
     def room_events(self) -> int:
         """Events that certainly fit now, if they span less than a second."""
         return max(0, (self._fifo.free_words - _WRAP_MARGIN_WORDS) // _WORDS_PER_EVENT)
