@@ -10,9 +10,8 @@ from typing import Any
 from emulator.pictures import Pictures
 from emulator.plan import limits, make_plan
 from emulator.probe import probe
-from emulator.rig import LinkParameters, LoopbackLink, Rig, RigError, SceneParameters
+from emulator.rig import LinkParameters, LoopbackLink, Rig, RigError
 from emulator.scene.base import Scene
-from emulator.scene.checkerboard import Checkerboard, CheckerboardParameters
 from emulator.sensor.pixels import PixelArray
 from emulator.sensor.presets import SensorParameters
 from emulator.sensor.rules import RULES
@@ -29,22 +28,12 @@ from transports.usbip.endpoint import UsbipFactory
 
 __all__ = [
     "build_pictures",
-    "build_scene",
     "build_sensor",
     "build_session",
     "link_setups",
     "record_paths",
     "schedule",
 ]
-
-
-def build_scene(parameters: SceneParameters, size: tuple[int, int]) -> Scene:
-    """Return the scene at `size` = (width, height) pixels; raises SceneError."""
-    if isinstance(parameters, CheckerboardParameters):
-        return Checkerboard(parameters, size)
-    from emulator.scene.body import Body  # here, so that a rig without a mesh needs no GL library
-
-    return Body(parameters, size)
 
 
 def build_session(rig: Rig, scene: Scene, setups: Sequence[LinkSetup[Any]], clock: Clock) -> Session:

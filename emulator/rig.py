@@ -22,6 +22,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
+from emulator.optics.lens import LensParameters
 from emulator.rig_files import beside
 from emulator.rig_text import line_of
 from emulator.scene.body import BodyParameters
@@ -76,6 +77,8 @@ class Camera:
         How long after the host's start command the first event may come (0 suits every driver but one).
     sensor
         Figures of the preset changed for this rig.
+    lens
+        For scenes in units of radiance; the others bring their own light.
     """
 
     model: str = "davis346"
@@ -85,6 +88,7 @@ class Camera:
     fifo_bytes: int = 256 * 1024
     start_delay_ms: float = 300.0
     sensor: SensorParameters = field(default_factory=lambda: PRESETS["davis346"])
+    lens: LensParameters = field(default_factory=LensParameters)
 
     def __post_init__(self) -> None:
         if not 1 <= len(self.serial) <= 8 or not self.serial.isascii() or not self.serial.isprintable():

@@ -14,12 +14,13 @@ from functools import partial
 from multiprocessing.connection import Connection
 from typing import Any
 
-from emulator.assembly import build_scene, build_session, link_setups, schedule
+from emulator.assembly import build_session, link_setups, schedule
 from emulator.bench.failed import BenchFailed
 from emulator.bench.streams import saturated_stream
 from emulator.link_process import LinkProcess
 from emulator.rig import UsbipLink, load_rig
 from emulator.scene.checkerboard import CheckerboardParameters
+from emulator.scene_assembly import build_scene
 from emulator.session import RunResult, RunStatus
 from firmware_protocol.davis346 import Davis346, Davis346Settings
 from transports.davis_host import DavisHost
@@ -148,6 +149,6 @@ def _paced_run() -> RunResult:
         if not receivers and address is not None:
             receivers.append(_Receiver(address))
 
-    with build_scene(rig.scene, rig.camera.size) as scene:
+    with build_scene(rig) as scene:
         session = build_session(rig, scene, link_setups(rig), MonotonicClock())
         return session.run(plan, attach)

@@ -14,9 +14,9 @@ import statistics
 import time
 from dataclasses import dataclass
 
-from emulator.assembly import build_scene
 from emulator.pictures import Pictures
 from emulator.rig import Rig, load_rig
+from emulator.scene_assembly import build_scene
 from emulator.sensor.sensor import Sensor
 
 __all__ = ["Workload", "steps_per_second"]
@@ -43,7 +43,7 @@ def steps_per_second(rig: Rig, size: tuple[int, int], *, with_rate: bool) -> flo
     sensor = Sensor(dataclasses.replace(rig.camera.sensor, width=size[0], height=size[1]), rig.run.seed)
     step_ns = rig.run.step_us * 1000
     rates: list[float] = []
-    with build_scene(rig.scene, size) as scene:
+    with build_scene(rig, size) as scene:
         picture = Pictures(scene, with_rate=with_rate)
         picture.draw(0)
         sensor.reset(picture.light, 0)

@@ -12,11 +12,12 @@ from typing import Annotated
 import numpy as np
 from cyclopts import Parameter
 
-from emulator.assembly import build_scene, build_session, link_setups, schedule
+from emulator.assembly import build_session, link_setups, schedule
 from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, console, failures, print_json, status
 from emulator.cli.run import summary
 from emulator.cli.signals import stopped_by_signals
 from emulator.rig import Rig, UsbipLink, load_rig
+from emulator.scene_assembly import build_scene
 from emulator.session import RunResult, RunStatus
 from transports.pacing import MonotonicClock
 from transports.record import load_record
@@ -24,9 +25,7 @@ from transports.record import load_record
 __all__ = ["demo"]
 
 
-def demo(
-    rig: str = "eros", /, *, seconds: float = 5.0, json: Annotated[bool, Parameter(negative="")] = False
-) -> int:
+def demo(rig: str = "eros", /, *, seconds: float = 5.0, json: Annotated[bool, Parameter(negative="")] = False) -> int:
     """Run a rig, attach to its camera from a second process as a driver does, and compare every event.
 
     Parameters
@@ -63,7 +62,7 @@ def _run(rig: Rig, sent: Path, received: Path, seconds: float) -> RunResult:
     """Run until the receiver, started as soon as the camera is there, has ended."""
     link = rig.links[0]
     receiver: subprocess.Popen[bytes] | None = None
-    with build_scene(rig.scene, rig.camera.size) as scene:
+    with build_scene(rig) as scene:
         session = build_session(rig, scene, link_setups(rig, sent), MonotonicClock())
 
         def follow(now: RunStatus) -> None:

@@ -8,11 +8,12 @@ from typing import Annotated
 import numpy as np
 from cyclopts import Parameter
 
-from emulator.assembly import build_pictures, build_scene, build_sensor
+from emulator.assembly import build_pictures, build_sensor
 from emulator.cli.output import GOOD, console, failures, print_json
 from emulator.rig import Rig, load_rig
 from emulator.scene.base import Light
 from emulator.scene.picture import event_picture, save_png
+from emulator.scene_assembly import build_scene
 from firmware_protocol.events import Events, empty_events
 
 __all__ = ["look", "picture"]
@@ -62,7 +63,7 @@ def look(rig: Rig, at_s: float, window_ms: float) -> tuple[Light, Events]:
     # The filter has settled and the window is full after this long; what came before would change nothing visible.
     start_ns = max(0, end_ns - round(window_ms * 1e6) - 50 * step_ns)
     batches = [empty_events()]
-    with build_scene(rig.scene, rig.camera.size) as scene:
+    with build_scene(rig) as scene:
         picture = build_pictures(rig, scene)
         picture.draw(start_ns)
         sensor.reset(picture.light, start_ns)

@@ -8,12 +8,12 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from emulator.assembly import build_scene
 from emulator.bounds import Decision
 from emulator.cli.output import GOOD, console, failures, print_json
 from emulator.plan import Plan, make_plan
 from emulator.probe import probe
 from emulator.rig import Rig, load_rig
+from emulator.scene_assembly import build_scene
 
 __all__ = ["plan"]
 
@@ -44,7 +44,7 @@ def plan(rig: str, /, *, json: Annotated[bool, Parameter(negative="")] = False) 
 
 def _plan(rig: Rig) -> Plan:
     sensor = rig.camera.sensor
-    with build_scene(rig.scene, rig.camera.size) as scene:
+    with build_scene(rig) as scene:
         step_ns = rig.run.step_us * 1000
         return make_plan(rig, probe(scene, sensor, step_ns, rig.run.seconds or 10.0))
 

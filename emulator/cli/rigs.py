@@ -6,10 +6,10 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from emulator.assembly import build_scene
 from emulator.cli.output import GOOD, console, failures, print_json
 from emulator.rig import Rig, load_rig, shipped_rigs
 from emulator.rig_schema import rig_schema
+from emulator.scene_assembly import build_scene
 
 __all__ = ["check", "rigs", "schema"]
 
@@ -50,7 +50,7 @@ def check(rig: str, /, *, draw: Annotated[bool, Parameter(negative="")] = False,
     with failures():
         loaded = load_rig(rig)
         if draw:
-            build_scene(loaded.scene, loaded.camera.size).close()
+            build_scene(loaded).close()
     if json:
         print_json({"rig": loaded.name, "good": True, "title": loaded.title})
     else:

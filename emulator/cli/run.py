@@ -9,11 +9,12 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from emulator.assembly import build_scene, build_session, link_setups, schedule
+from emulator.assembly import build_session, link_setups, schedule
 from emulator.cli.live import LiveTable
 from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, console, failures, print_json, status
 from emulator.cli.signals import stopped_by_signals
 from emulator.rig import Rig, load_rig
+from emulator.scene_assembly import build_scene
 from emulator.session import RunResult
 from transports.latency import LatencySummary
 from transports.pacing import MonotonicClock
@@ -80,7 +81,7 @@ def _check_record(rig: Rig, record: Path | None) -> None:
 
 def run_rig(rig: Rig, record: Path | None = None, *, show: bool = False) -> RunResult:
     """Run a loaded rig, with a live table on stderr when `show`."""
-    with build_scene(rig.scene, rig.camera.size) as scene:
+    with build_scene(rig) as scene:
         session = build_session(rig, scene, link_setups(rig, record), MonotonicClock())
         with stopped_by_signals(session), LiveTable(rig, status) if show else nullcontext() as live:
             return session.run(schedule(rig), live.update if live else lambda _: None)

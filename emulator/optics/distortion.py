@@ -86,7 +86,8 @@ class Distortion:
             reach = float(np.hypot(x, y)[~good].min())
             raise DistortionError(
                 f"k1, k2, k3, p1, p2 = {self.k1:g}, {self.k2:g}, {self.k3:g}, {self.p1:g}, {self.p2:g} "
-                f"fold the picture over itself from {np.degrees(np.arctan(reach)):.1f} degrees off the axis on: the picture is wider"
+                f"fold the picture over itself from {np.degrees(np.arctan(reach)):.1f} degrees off the axis on: "
+                "the picture is wider"
             )
 
 

@@ -1,0 +1,36 @@
+"""From a rig to its scene.
+
+Scenes in units of radiance are seen through the camera's lens; the others bring their own light, relative to the
+sensor's reference. What needs a GL library is imported only for a scene that draws with it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from emulator.optics.lens import CHIPS
+from emulator.optics.pinhole import Pinhole
+from emulator.optics.through import Through
+from emulator.rig import Rig
+from emulator.scene.base import Scene
+from emulator.scene.body import BodyParameters
+from emulator.scene.checkerboard import Checkerboard, CheckerboardParameters
+
+__all__ = ["build_scene"]
+
+
+def build_scene(rig: Rig, size: tuple[int, int] | None = None) -> Scene:
+    """Return the rig's scene at `size` = (width, height) pixels, by default its camera's; raises SceneError."""
+    size = size or rig.camera.size
+    match rig.scene:
+        case CheckerboardParameters() as p:
+            return Checkerboard(p, size)
+        case BodyParameters() as p:
+            from emulator.scene.body import Body
+
+            return Body(p, size)
+
+
+def _through_lens(rig: Rig, size: tuple[int, int], build: Callable[[Pinhole], Scene]) -> Scene:
+    """Return the scene that `build` makes for a pinhole, through the rig's lens."""
+    return Through(rig.camera.lens, CHIPS[rig.camera.model], size, build)
