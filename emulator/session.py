@@ -4,7 +4,7 @@
 
 Paced in real time, a step is computed `lead` ahead of the moment its first event is due, and each link lets every event
 go at its own time. Not paced, steps follow each other as fast as they can be computed and links hold the run back when
-they are full, so that nothing is lost.
+they are full, so that nothing is lost. In lockstep they go on as far as the SYNCs of a bus let them.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import numpy as np
 from emulator.lateness import Lateness, StepRule
 from emulator.ledger import Ledger, LinkLedger
 from emulator.link_process import LinkProcess
+from emulator.lockstep import Lockstep
 from emulator.pictures import Pictures
 from emulator.sensor.effects import DefectParameters
 from emulator.sensor.presets import SensorParameters
@@ -39,12 +40,13 @@ _HEAD_START_NS = 20_000_000  # between deciding to start and stream time zero, s
 
 @dataclass(frozen=True)
 class Schedule:
-    """How a run goes through time."""
+    """How a run goes through time. Above 0, each SYNC on a link's bus is worth `lockstep_ns`, and nothing else is."""
 
     lead_ns: int = 5_000_000
     duration_ns: int | None = None
     paced: bool = True
     drain_s: float = 1.0
+    lockstep_ns: int = 0
 
 
 @dataclass(frozen=True)
@@ -71,6 +73,7 @@ class RunResult:
     lateness: Lateness
     links: dict[str, LinkReport] = field(default_factory=dict)
     suspect_share: float | None = None
+    syncs: int | None = None
 
     @property
     def good(self) -> bool:
@@ -118,6 +121,7 @@ class Session:
         self._t_ns = 0
         self._lateness = Lateness()
         self._stopping = False
+        self._lockstep: Lockstep | None = None
 
     def stop(self) -> None:
         """End the run after the present step; for `on_status`, and for a signal handler.
@@ -147,6 +151,7 @@ class Session:
             lateness=self._lateness,
             links=reports,
             suspect_share=self._sensor.suspect_share,
+            syncs=None if self._lockstep is None else self._lockstep.heard,
         )
 
     def _open_links(self) -> None:
@@ -164,6 +169,7 @@ class Session:
 
     def _run_steps(self, schedule: Schedule, on_status: Callable[[RunStatus], None]) -> None:
         start_ns = self._clock.now_ns()
+        self._lockstep = self._locked(schedule)
         origin_ns = start_ns + _HEAD_START_NS if schedule.paced else FREE_RUNNING
         for link in self._links:
             link.start(origin_ns)
@@ -172,6 +178,8 @@ class Session:
         while not self._stopping and (schedule.duration_ns is None or self._t_ns < schedule.duration_ns):
             if schedule.paced:
                 self._clock.sleep_until(origin_ns + self._t_ns - max(schedule.lead_ns, rule.step_ns))
+            elif not self._may_go_on(start_ns, on_status):
+                break
             due_ns, begun_ns = origin_ns + self._t_ns, self._clock.now_ns()
             self._step(rule, schedule)
             if schedule.paced:
@@ -182,8 +190,34 @@ class Session:
                 status_ns = self._clock.now_ns() + _STATUS_PERIOD_NS
                 on_status(self._status(start_ns))
 
+    def _locked(self, schedule: Schedule) -> Lockstep | None:
+        """Return what drives the run, where a bus does."""
+        if not schedule.lockstep_ns:
+            return None
+        rings = [setup.timing.syncs for setup in self._setups if setup.timing.syncs is not None]
+        if not rings:
+            raise ValueError("no link's bus drives this run")
+        return Lockstep(rings[0], schedule.lockstep_ns, self._clock)
+
+    def _may_go_on(self, start_ns: int, on_status: Callable[[RunStatus], None]) -> bool:
+        """Wait for a SYNC where the run needs one, telling how things stand; False when the run is to end."""
+        if self._lockstep is None:
+            return True
+        status_ns = self._clock.now_ns()
+
+        def goes_on() -> bool:
+            nonlocal status_ns
+            if self._clock.now_ns() >= status_ns:
+                status_ns = self._clock.now_ns() + _STATUS_PERIOD_NS
+                on_status(self._status(start_ns))
+            return not self._stopping
+
+        return self._lockstep.wait(self._t_ns, goes_on) > self._t_ns
+
     def _step(self, rule: StepRule, schedule: Schedule) -> None:
         t1_ns = self._t_ns + rule.step_ns
+        if self._lockstep is not None:
+            t1_ns = min(t1_ns, self._lockstep.limit_ns)
         if schedule.duration_ns is not None:
             t1_ns = min(t1_ns, schedule.duration_ns)
         picture = self._pictures

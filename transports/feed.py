@@ -20,7 +20,7 @@ from firmware_protocol.edges import EdgeKind, Edges, empty_edges
 from firmware_protocol.event_copies import copy_events
 from firmware_protocol.event_device import EventDevice
 from firmware_protocol.events import Events
-from transports.edges import EdgeSource
+from transports.edges import EdgeRing, EdgeSource
 from transports.ring import EventRing
 
 __all__ = ["ClockReport", "ClockTruth", "EdgeReport", "Feed", "Timing"]
@@ -42,6 +42,8 @@ class Timing:
         File for what that clock really shows: monotonic ns, stream us, device us, ten lines a second.
     send_period_us
         Above 0, the device says by a mark of its own when its time is a multiple of this.
+    syncs
+        Where the session hears of the SYNCs of this link's bus, when these drive the run.
     """
 
     edges: EdgeSource | None = None
@@ -50,6 +52,7 @@ class Timing:
     seed: int = 0
     truth: Path | None = None
     send_period_us: int = 0
+    syncs: EdgeRing | None = None
 
 
 @dataclass(frozen=True)
