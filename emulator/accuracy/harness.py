@@ -3,6 +3,7 @@
 A case is a row of pixels under closed-form light with a sensor to look at it. Methods:
 
     warped   our own kernel, given the light and its time derivative
+    halved   the same, given the light of single pixels between the pictures too: it solves suspects in halves
     line     the same kernel without derivatives: a straight line in log light
     others   the rules of `emulator.sensor.rules`
 
@@ -28,6 +29,7 @@ from emulator.accuracy.light import ClosedLight
 from emulator.accuracy.metrics import Scores, compare
 from emulator.accuracy.stream import Stream
 from emulator.accuracy.truth import true_events
+from emulator.scene.base import PixelLight
 from emulator.sensor.pixels import Crossings, PixelArray
 from emulator.sensor.presets import SensorParameters
 from emulator.sensor.rules import RULES
@@ -65,11 +67,13 @@ class Method:
     name : as in a rig's `method`.
     make : builds it for a sensor and a seed.
     rate : whether it takes the light's time derivative.
+    halves : whether it asks for light between the pictures.
     """
 
     name: str
     make: Callable[[SensorParameters, int], PixelMethod]
     rate: bool = False
+    halves: bool = False
 
 
 @dataclass(frozen=True)
@@ -96,7 +100,8 @@ class Case:
 
 def methods() -> list[Method]:
     """Return all methods, our own first."""
-    ours = Method("warped", PixelArray, rate=True), Method("line", PixelArray)
+    halved = Method("halved", PixelArray, rate=True, halves=True)
+    ours = Method("warped", PixelArray, rate=True), halved, Method("line", PixelArray)
     return [*ours, *(Method(name, rule) for name, rule in RULES.items())]
 
 
@@ -120,16 +125,30 @@ def events(
     array, h_ns = method.make(case.parameters, SEED), round(step_s * 1e9)
     steps = round(case.duration_s * 1e9 / h_ns)
     t_s = np.arange(steps + 1) * (h_ns * 1e-9)
+    at = pixel_light(case) if method.halves else None
     light = case.scene.value(t_s).astype(np.float32)[:, None, :]
     rate = case.scene.rate(t_s).astype(np.float32)[:, None, :] if method.rate else None
     light = light if seen is None else seen(light)
     found: list[Crossings] = []
     _start(array, light[0], None if rate is None else rate[0], case.start_ns)
     for k in range(1, steps + 1):
-        crossings = array.step(light[k], case.start_ns + k * h_ns, None if rate is None else rate[k])
+        picture = light[k], case.start_ns + k * h_ns, None if rate is None else rate[k]
+        crossings = array.step(*picture, at) if isinstance(array, PixelArray) else array.step(*picture)
         found.append(Crossings(crossings.t_ns.copy(), crossings.pixel.copy(), crossings.on.copy()))
     t_ns, pixel, on = (np.concatenate([getattr(c, field) for c in found]) for field in ("t_ns", "pixel", "on"))
     return Stream.of((t_ns - case.start_ns) * 1e-3, pixel, on, case.scene.pixels), array.lost_in_pixel
+
+
+def pixel_light(case: Case) -> PixelLight:
+    """Return what tells the light of single pixels of a case; of a wider picture, that of the row over and over."""
+    scene = case.scene
+
+    def at(t_ns: int, pixels: npt.NDArray[np.int64]) -> tuple[_Float32s, _Float32s]:
+        t_s = np.array([(t_ns - case.start_ns) * 1e-9])
+        places = pixels % scene.pixels
+        return scene.value(t_s)[0, places].astype(np.float32), scene.rate(t_s)[0, places].astype(np.float32)
+
+    return at
 
 
 def _start(array: PixelMethod, light: _Float32s, rate: _Float32s | None, t_ns: int) -> None:
@@ -155,11 +174,13 @@ def step_cost_us(method: Method, case: Case, step_s: float) -> float:
     light = [_tiled(row, width, height) for row in case.scene.value(t_s)]
     rate = [_tiled(row, width, height) for row in case.scene.rate(t_s)] if method.rate else [None] * len(light)
     array = method.make(dataclasses.replace(case.parameters, width=width, height=height), SEED)
+    at = (pixel_light(dataclasses.replace(case, start_ns=0)),) if method.halves else ()
     _start(array, light[0], rate[0], 0)
+    pictures = [(light[k], k * h_ns, rate[k], *at) for k in range(steps + 1)]
     taken = []
     for k in range(1, steps + 1):
         begun = time.perf_counter()
-        array.step(light[k], k * h_ns, rate[k])
+        array.step(*pictures[k])
         taken.append(time.perf_counter() - begun)
         if k > _COST_WARM_UP and sum(taken) > _COST_BUDGET_S:
             break

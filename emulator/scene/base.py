@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from types import TracebackType
 from typing import Self
 
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Light", "MachineLacks", "Scene", "SceneError"]
+__all__ = ["Light", "MachineLacks", "PixelLight", "Scene", "SceneError"]
 
 Light = npt.NDArray[np.float32]
 """(height, width) float32, row 0 on top: radiance relative to the sensor's reference level, linear, >= 0."""
+
+PixelLight = Callable[[int, npt.NDArray[np.int64]], tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]]
+"""(t_ns, pixels) -> light and its time derivative, a second, of the pixels row * width + column alone, (n,) each."""
 
 
 class SceneError(Exception):
@@ -65,6 +69,14 @@ class Scene(ABC):
         rate *= np.float32(0.5e9 / apart_ns)
         light += before
         light *= np.float32(0.5)
+
+    @property
+    def pixel_light(self) -> PixelLight | None:
+        """Tells the light of single pixels at any instant, the same as in a picture but for rounding.
+
+        None, unless a scene knows better: what is drawn is drawn as a whole.
+        """
+        return None
 
     def _apart_ns(self) -> int:
         """Time in which the picture moves by a twentieth of a pixel, within 20 us to 2 ms, ns."""

@@ -28,7 +28,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from emulator.scene.base import Light, Scene
+from emulator.scene.base import Light, PixelLight, Scene
 from emulator.scene.cycle import Cycle
 
 __all__ = ["Checkerboard", "CheckerboardParameters"]
@@ -127,6 +127,23 @@ class Checkerboard(Scene):
         else:
             steps = (self._cos / period_px, self._sin / period_px)
             _turned_rate(steps, (u, v), (u_s * float(self._half), v_s * float(self._half)), rate)
+
+    @property
+    def pixel_light(self) -> PixelLight:
+        """Tells the light of single pixels, in closed form."""
+        return self._light_of
+
+    def _light_of(
+        self, t_ns: int, pixels: npt.NDArray[np.int64]
+    ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+        light, rate = np.empty(pixels.size, np.float32), np.empty(pixels.size, np.float32)
+        period_px = 2.0 * self.parameters.square_px
+        turns = -self._u.turns(t_ns), -self._v.turns(t_ns)
+        speed = -float(self._u.rate_hz) * float(self._half), -float(self._v.rate_hz) * float(self._half)
+        steps = self._cos / period_px, self._sin / period_px
+        contrast = self._half, self._middle
+        _listed(pixels, self._size, (steps, turns, speed), contrast, (light, rate))
+        return light, rate
 
     def close(self) -> None:
         """Do nothing: a board holds nothing of the machine."""
@@ -232,3 +249,25 @@ def _turned_rate(
             u, v = start[0] + dx * cos + dy * sin, start[1] - dx * sin + dy * cos
             by_u = speed[0] * _slope(u, half_box) * _mean(v, half_box)
             row[x] = np.float32(by_u + speed[1] * _slope(v, half_box) * _mean(u, half_box))
+
+
+@njit(cache=True, nogil=True)
+def _listed(
+    pixels: npt.NDArray[np.int64],
+    size: tuple[int, int],
+    board: tuple[tuple[float, float], tuple[float, float], tuple[float, float]],
+    contrast: tuple[np.float32, np.float32],
+    out: tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]],
+) -> None:
+    """Do as `_turned` and `_turned_rate` for some pixels of a picture of `size`; `board`: steps, start and speed."""
+    width, height = size
+    (cos, sin), start, speed = board
+    half, middle = contrast
+    half_box = 0.5 * math.sqrt(cos * cos + sin * sin)
+    for k in range(pixels.size):
+        dy, dx = pixels[k] // width + 0.5 - 0.5 * height, pixels[k] % width + 0.5 - 0.5 * width
+        u, v = start[0] + dx * cos + dy * sin, start[1] - dx * sin + dy * cos
+        along_u, along_v = _mean(u, half_box), _mean(v, half_box)
+        out[0][k] = middle + half * np.float32(min(1.0, max(-1.0, along_u * along_v)))
+        by_u = speed[0] * _slope(u, half_box) * along_v
+        out[1][k] = np.float32(by_u + speed[1] * _slope(v, half_box) * along_u)

@@ -19,21 +19,19 @@ import numpy.typing as npt
 from emulator.sensor.compiled import Real, kernel, kernel_that_allocates, lane, vector_kernel
 from emulator.sensor.elementary import exponential
 from emulator.sensor.events import MOST_EVENTS, Keys, pack, room_for
-from emulator.sensor.layout import BLOCK, Field, Pixels, StepConstants, slot, whole_vectors
+from emulator.sensor.layout import BEFORE_ROWS, BLOCK, Field, Pixels, StepConstants, slot, whole_vectors
 from emulator.sensor.lowpass import Course, missed_by_cubic, transient
 from emulator.sensor.pieces import WALK_CAPACITY, Start, Walk, enter, new_walk, walk_through
 from emulator.sensor.trust import is_plain
 
-__all__ = ["BATCH", "BEFORE_ROWS", "Table", "gather", "new_table", "select", "solve"]
+__all__ = ["BATCH", "Table", "gather", "new_table", "select", "solve"]
 
 _Float32s = npt.NDArray[np.float32]
 _Int64s = npt.NDArray[np.int64]
 
 _U, _V, _L, _G, _REF, _ON, _OFF, _LEAK, _W, _P = (int(f) * BLOCK for f in Field)
 
-# Rows of a block's scratch: as it was before the step: u, v, lambda, slope by warped time; then the slopes per step at
-# both ends, S, q = 1 - e^-S, what is behind the second pole and had leaked before, and bounds of the compared value.
-BEFORE_ROWS = _U0, _V0, _L0, _G0, _A0, _A1, _S, _Q, _W0, _P0, _HIGH, _LOW = tuple(k * BLOCK for k in range(12))
+_U0, _V0, _L0, _G0, _A0, _A1, _S, _, _W0, _P0, _, _ = BEFORE_ROWS
 
 BATCH = BLOCK
 """Candidates from which on the table is solved; a block more fits."""
@@ -100,8 +98,8 @@ def select(
         unreadable += u1 != u1
         found[kept] = pixel
         if reference != reference and blind_until_ns[i] - c.t0_ns > c.h_ns:
-            threshold = min(s[_at(_ON, i)], s[_at(_OFF, i)])
-            if is_plain(u1 - before[_at(_U0, i)], before[_at(_A0, i)], before[_at(_A1, i)], threshold):
+            unseen = c.trust * min(s[_at(_ON, i)], s[_at(_OFF, i)])
+            if is_plain(u1 - before[_at(_U0, i)], before[_at(_A0, i)], before[_at(_A1, i)], unseen):
                 continue
         kept += (u1 == u1) & (v0 == v0)
     return kept, unreadable
@@ -154,7 +152,7 @@ def _draw_curves(table: _Float32s, n: int, c: StepConstants) -> None:
         u0, v0, u1, v1 = table[_C_U0 + j], table[_C_V0 + j], table[_C_U1 + j], table[_C_V1 + j]
         r0, r1, a0, a1 = c.h * table[_C_L0 + j], c.h * table[_C_L1 + j], table[_C_A0 + j], table[_C_A1 + j]
         s, threshold = table[_C_S + j], min(table[_C_ON + j], table[_C_OFF + j])
-        plain = is_plain(u1 - u0, a0, a1, threshold)
+        plain = is_plain(u1 - u0, a0, a1, c.trust * threshold)
         t = transient(u0 - v0, Course(s, u1 - u0, s * a0 / r0, s * a1 / r1))
         m0, m1 = r0 * (t.lag0 if t.faint else u0 - v0), r1 * (t.lag1 if t.faint else u1 - v1)
         fits = (_ZERO if t.faint else missed_by_cubic(t.b, s)) <= _SHARE * threshold

@@ -22,11 +22,13 @@ is that of the whole bandwidth; slower than the grid, the spectrum is that of co
 
 from __future__ import annotations
 
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from emulator.scene.base import PixelLight
 from emulator.sensor.compiled import vector_kernel
 from emulator.sensor.elementary import decay, natural_log
 from emulator.sensor.kept import kept_entry
@@ -185,6 +187,12 @@ class Imager:
             return rate
         return None if self.grid_ns else rate * self._pattern.gain.reshape(rate.shape)
 
+    def see_pixels(self, at: PixelLight | None) -> PixelLight | None:
+        """Return what tells E' of single pixels for what tells their light; None with shot noise, as `see_rate`."""
+        if not self.works or at is None:
+            return at
+        return None if self.grid_ns else partial(_see_pixels, at, self._pattern)
+
     def _counting(self, t_ns: int) -> _Counting:
         p, grid = self._parameters, t_ns // self.grid_ns
         if grid != self._grid:
@@ -194,3 +202,11 @@ class Imager:
         electrons = p.electrons_per_s_at_reference * p.shot_grid_us * 1e-6
         shares = np.float32(p.photon_shot_noise), np.float32(p.dark_shot_noise)
         return _Counting(*self._drawn, np.float32(x), np.float32(1 / electrons), *shares)
+
+
+def _see_pixels(at: PixelLight, p: _Pattern, t_ns: int, pixels: npt.NDArray[np.int64]) -> tuple[_Float32s, _Float32s]:
+    """Return E' of single pixels and its time derivative, as `Imager.see` and `see_rate` do for a whole picture."""
+    light, rate = at(t_ns, pixels)
+    pattern, seen = _Pattern(p.gain[pixels], p.dark[pixels], p.least), np.empty(pixels.size, np.float32)
+    _see(light, pattern, seen)
+    return seen, rate * pattern.gain

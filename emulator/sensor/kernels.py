@@ -40,11 +40,12 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.candidates import BATCH, BEFORE_ROWS, Table, gather, gather_rare, select, solve
+from emulator.sensor.aside import Aside, set_aside
+from emulator.sensor.candidates import BATCH, Table, gather, gather_rare, select, solve
 from emulator.sensor.compiled import Real, kernel, lane, vector_kernel
 from emulator.sensor.elementary import decay, exponential, lowest_bit, natural_log
 from emulator.sensor.kept import kept_entry
-from emulator.sensor.layout import BLOCK, FIELDS, Field, Pixels, StepConstants
+from emulator.sensor.layout import BEFORE_ROWS, BLOCK, FIELDS, Field, Pixels, StepConstants
 from emulator.sensor.lowpass import Course, Filtered, rise_behind_second_pole, rise_of_filter, warped_time
 from emulator.sensor.trust import is_plain
 
@@ -66,6 +67,7 @@ class Tally(NamedTuple):
     suspects: int  # light that did something between the pictures
     candidates: int  # solved for crossings
     unreadable: int  # light not finite
+    aside: int  # suspects that are not solved, but set aside
 
 
 _COLLECT = np.uint64(0x0102040810204080)
@@ -156,7 +158,7 @@ def _filter_and_test(s: _Float32s, before: _Float32s, loud: _Bytes, c: StepConst
         rise, fall = _reach(q, behind, d, a0, a1)
         high, low = above + (rise + leak * c.since_epoch_1), above + (fall + leak * c.since_epoch_0)
         quiet = (high < on - _MARGIN) & (low > _MARGIN - off)
-        loud[i] = 0 if quiet & is_plain(d, a0, a1, min(on, off)) else 1
+        loud[i] = 0 if quiet & is_plain(d, a0, a1, c.trust * min(on, off)) else 1
 
 
 @vector_kernel
@@ -202,7 +204,7 @@ def _test(s: _Float32s, before: _Float32s, loud: _Bytes, c: StepConstants) -> No
         high = (before[_HIGH + i] - reference) + leak * c.since_epoch_1
         low = (before[_LOW + i] - reference) + leak * c.since_epoch_0
         quiet = (high < on - _MARGIN) & (low > _MARGIN - off)
-        plain = is_plain(s[_U + i] - before[_U0 + i], before[_A0 + i], before[_A1 + i], min(on, off))
+        plain = is_plain(s[_U + i] - before[_U0 + i], before[_A0 + i], before[_A1 + i], c.trust * min(on, off))
         loud[i] = 0 if quiet & plain else 1
 
 
@@ -294,18 +296,29 @@ def _gather_block(
     return kept, unreadable
 
 
+@kernel
+def _set_aside_of_block(
+    pixels: Pixels, aside: Aside, scratch: _Scratch, first: int, listed_and_n: tuple[int, int], c: StepConstants
+) -> tuple[int, int]:
+    """Set the suspects among the block's listed pixels aside, after the n that are; return both numbers anew."""
+    listed, n = listed_and_n
+    s = pixels.fields[first * FIELDS : (first + BLOCK) * FIELDS]
+    left, n = set_aside(scratch.found[:listed], s, scratch.before, aside, (first, n), c)
+    return left, n
+
+
 @kept_entry
 def advance(
-    light: _Float32s, rate: _Float32s, pixels: Pixels, table: Table, keys: _Keys, c: StepConstants
+    picture: tuple[_Float32s, _Float32s], pixels: Pixels, table: Table, aside: Aside, keys: _Keys, c: StepConstants
 ) -> tuple[_Keys, int, Tally]:
-    """Move all pixels over one step.
+    """Move all pixels over one step, but those that are set aside: their light alone is up to date.
 
     Parameters
     ----------
-    light : (pixels,) float32, the picture at the end of the step.
-    rate : (pixels,) float32, its time derivative, a second; empty if `c.chord`.
+    picture : light, (pixels,) float32, at the end of the step; and its time derivative, a second; empty if `c.chord`.
     pixels : the state, changed in place.
     table : room for the candidates.
+    aside : room for suspects, if `c.halve`.
     keys : (any,) uint64, room for the events; replaced by a longer one if it does not do.
     c : the step.
 
@@ -320,18 +333,21 @@ def advance(
         np.empty(BLOCK, np.uint8),
         np.empty(BLOCK, np.int64),
     )
-    n = n_keys = lost = suspects = candidates = unreadable = 0
+    light, rate = picture
+    n = n_keys = lost = suspects = candidates = unreadable = put_aside = 0
     for first in range(0, light.size, BLOCK):
         listed = _move_block(light, rate, pixels, scratch, first, c)
         if listed == 0:
             continue
+        if c.halve:
+            listed, put_aside = _set_aside_of_block(pixels, aside, scratch, first, (listed, put_aside), c)
         kept, bad = _gather_block(pixels, table, scratch, first, (listed, n), c)
         n, candidates, unreadable = n + kept, candidates + kept, unreadable + bad
         if n > BATCH:
             keys, n_keys, more, doubtful = solve(pixels, table, n, keys, n_keys, c)
             lost, suspects, n = lost + more, suspects + doubtful, 0
     keys, n_keys, more, doubtful = solve(pixels, table, n, keys, n_keys, c)
-    return keys, n_keys, Tally(lost + more, suspects + doubtful, candidates, unreadable)
+    return keys, n_keys, Tally(lost + more, suspects + doubtful, candidates, unreadable, put_aside)
 
 
 @kept_entry

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from emulator.sensor.compiled import kernel
 
-__all__ = ["BLOCK", "FIELDS", "Field", "Pixels", "StepConstants", "slot", "whole_vectors"]
+__all__ = ["BEFORE_ROWS", "BLOCK", "FIELDS", "Field", "Pixels", "StepConstants", "slot", "whole_vectors"]
 
 BLOCK = 1024
 """Pixels of a block; the arithmetic of a pixel does not depend on it, the speed does."""
@@ -32,6 +32,10 @@ class Field(IntEnum):
 
 
 FIELDS = len(Field)
+
+BEFORE_ROWS = tuple(k * BLOCK for k in range(12))
+"""Rows of a block's scratch: as it was before the step: u, v, lambda, slope by warped time; then the slopes per step at
+both ends, S, q = 1 - e^-S, what is behind the second pole and had leaked before, and bounds of the compared value."""
 
 
 class Pixels(NamedTuple):
@@ -59,6 +63,8 @@ class StepConstants(NamedTuple):
     refractory_ns: int
     pixel_bits: int
     chord: bool  # whether light is taken as straight lines in its logarithm, its derivative not given
+    trust: np.float32  # share of a threshold beyond which what goes on unseen makes a step suspect
+    halve: bool  # whether suspects are set aside, to be solved in halves
 
 
 @kernel

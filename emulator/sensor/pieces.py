@@ -111,7 +111,7 @@ def _set_out(rows: _Float32s, n: int, c: StepConstants) -> None:
     for j in range(n):
         d, on, off = rows[_C_D + j], rows[_C_ON + j], rows[_C_OFF + j]
         a0, a1 = completed(d, rows[_C_A0 + j], rows[_C_A1 + j])
-        suspect = is_suspect(d, a0, a1, min(on, off))
+        suspect = is_suspect(d, a0, a1, c.trust * min(on, off))
         jump = suspect & is_jump(d, a0, a1)
         factor = _ZERO if jump else limit(d, a0, a1)
         a0, a1 = factor * a0, factor * a1

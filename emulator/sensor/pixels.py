@@ -13,12 +13,16 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from emulator.scene.base import PixelLight
+from emulator.sensor.aside import new_aside
 from emulator.sensor.candidates import new_table
 from emulator.sensor.compiled import say_if_not_compiled
-from emulator.sensor.kernels import advance, unpack
+from emulator.sensor.halving import SHORTEST_NS, Halving
+from emulator.sensor.kernels import Tally, advance, unpack
 from emulator.sensor.keyed import Purpose, normal, uniform
 from emulator.sensor.layout import BLOCK, FIELDS, Field, Pixels, StepConstants
 from emulator.sensor.presets import SensorParameters
+from emulator.sensor.trust import SUSPECT
 
 __all__ = ["Crossings", "PixelArray", "PixelState"]
 
@@ -30,6 +34,7 @@ _LEAST_THRESHOLD = 0.1  # of the nominal one, however far the mismatch would go
 
 _Float32s = npt.NDArray[np.float32]
 _NO_RATE = np.empty(0, np.float32)
+_NO_ROOM = new_aside(0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,6 +112,7 @@ class PixelArray:
         anew from the next finite light.
     suspects, candidates : pixel-steps since `reset` whose light did something between the pictures that they do not
         show (see `trust`; told only where the time derivative is given), and those that had to be solved for crossings.
+    halved : suspects that were solved in halves instead; so many lights of a pixel were asked for.
     """
 
     def __init__(self, parameters: SensorParameters, seed: int) -> None:
@@ -121,6 +127,7 @@ class PixelArray:
         self._room = _Room()
         self._table = new_table()
         self.state = self._dark_state()
+        self._halving: Halving | None = None
 
     def _dark_state(self) -> PixelState:
         """Return the state of an array that never saw light: what is fixed for each pixel is drawn."""
@@ -141,6 +148,7 @@ class PixelArray:
 
     def _clear_counters(self) -> None:
         self.lost_in_pixel = self.quiet_nan = self.suspects = self.candidates = 0
+        self.halved = 0
 
     def field(self, which: Field) -> _Float32s:
         """Return a copy of one field of the state, (height, width) float32."""
@@ -174,7 +182,9 @@ class PixelArray:
         _put(state.fields, Field.REFERENCE, log_light + leak * since_epoch - on * phase)
         self._clear_counters()
 
-    def step(self, light: _Float32s, t_ns: int, rate: _Float32s | None = None) -> Crossings:
+    def step(
+        self, light: _Float32s, t_ns: int, rate: _Float32s | None = None, at: PixelLight | None = None
+    ) -> Crossings:
         """Move from the last time to `t_ns`.
 
         The log of the light changes along the cubic through its values and time derivatives at both ends; where only
@@ -185,6 +195,7 @@ class PixelArray:
         light : (height, width) float32, relative to the reference level; below 0 counts as 0.
         t_ns : stream time of that picture. Equal to the last time: nothing happens.
         rate : (height, width) float32, the light's time derivative at `t_ns`, a second. Not finite: not known there.
+        at : tells the light of single pixels in between. With it and `rate`, suspects are solved in halves.
 
         Raises
         ------
@@ -200,7 +211,7 @@ class PixelArray:
         if t_ns - state.t_ns > _EPOCH_NS:
             n, slope = self._whole_epochs(flat, t_ns), _NO_RATE
         if t_ns > state.t_ns:
-            n = self._piece(flat, slope, t_ns, n)
+            n = self._piece((flat, slope), t_ns, n, at)
         room = self._room
         return Crossings(room.t_ns[:n], room.pixel[:n], room.on[:n], self.lost_in_pixel - lost_before)
 
@@ -210,7 +221,7 @@ class PixelArray:
         before, t0_ns = _take(state.fields, Field.LOG_LIGHT, self._pixels), state.t_ns
         while t_ns - state.t_ns > _EPOCH_NS:
             share = (state.t_ns + _EPOCH_NS - t0_ns) / (t_ns - t0_ns)
-            n = self._piece(self._between(before, flat, share), _NO_RATE, state.t_ns + _EPOCH_NS, n)
+            n = self._piece((self._between(before, flat, share), _NO_RATE), state.t_ns + _EPOCH_NS, n)
         return n
 
     def _between(self, log_before: _Float32s, light: _Float32s, share: float) -> _Float32s:
@@ -219,26 +230,29 @@ class PixelArray:
         log_after = np.log(np.maximum(light, 0) + dark)
         return np.asarray(np.exp(log_before + np.float32(share) * (log_after - log_before)) - dark, np.float32)
 
-    def _piece(self, flat: _Float32s, slope: _Float32s, t_ns: int, n: int) -> int:
+    def _piece(self, picture: tuple[_Float32s, _Float32s], t_ns: int, n: int, at: PixelLight | None = None) -> int:
         """Advance by at most an epoch, add the crossings after the first n, and return the new number."""
-        state, room = self.state, self._room
+        state, room, slope = self.state, self._room, picture[1]
         self._move_epoch()
         if slope.size and not state.slopes_known:
             state.fields[:, Field.SLOPE] = np.nan
         state.slopes_known = bool(slope.size)
-        t0_ns, c = state.t_ns, self._constants(t_ns, chord=not slope.size)
-        room.keys, found, tally = advance(
-            flat, slope, Pixels(state.fields.reshape(-1), state.blind_until_ns), self._table, room.keys, c
+        t0_ns, with_slopes = state.t_ns, bool(slope.size)
+        halving = self._halves() if with_slopes and at is not None and t_ns - t0_ns >= SHORTEST_NS else None
+        pixels, c = (
+            Pixels(state.fields.reshape(-1), state.blind_until_ns),
+            self._constants(t0_ns, t_ns, not with_slopes),
         )
+        if halving is None or at is None:
+            room.keys, found, tally = advance(picture, pixels, self._table, _NO_ROOM, room.keys, c)
+        else:
+            room.keys, found, tally = halving.step(picture, pixels, room.keys, c, at)
+        self._count(tally)
         if found:
             keys = room.keys[:found]
             keys.sort()
             room.fit(n + found)
             unpack(keys, t0_ns, self._pixel_bits, room.t_ns[n : n + found], room.pixel[n:], room.on[n:])
-        self.lost_in_pixel += tally.lost
-        self.suspects += tally.suspects
-        self.candidates += tally.candidates
-        self.quiet_nan += tally.unreadable
         state.t_ns = t_ns
         return n + int(found)
 
@@ -251,9 +265,27 @@ class PixelArray:
             state.fields[:, Field.REFERENCE] -= state.fields[:, Field.LEAK] * moved_s
             state.epoch_ns = epoch_ns
 
-    def _constants(self, t_ns: int, chord: bool) -> StepConstants:
-        state, p, (dark, at_reference, least, most) = self.state, self.parameters, self._light_constants
-        since_ns, h_ns = state.t_ns - state.epoch_ns, t_ns - state.t_ns
+    def _halves(self) -> Halving:
+        """Return what solves suspects in halves, made when first needed."""
+        if self._halving is None:
+            dark, at_reference, least, most = self._light_constants
+            resting = np.zeros(FIELDS, np.float32)
+            resting[[Field.LOG_LIGHT, Field.FILTERED, Field.REFERENCE, Field.SECOND]] = np.log(dark)
+            resting[Field.RATE] = np.clip(at_reference * dark, least, most)
+            resting[[Field.ON, Field.OFF]] = np.inf
+            self._halving = Halving(self.state.fields.shape[0], resting, self._table, self._constants)
+        return self._halving
+
+    def _count(self, tally: Tally) -> None:
+        self.lost_in_pixel += tally.lost
+        self.suspects += tally.suspects
+        self.candidates += tally.candidates
+        self.quiet_nan += tally.unreadable
+        self.halved += tally.aside
+
+    def _constants(self, t0_ns: int, t1_ns: int, chord: bool = False) -> StepConstants:
+        p, (dark, at_reference, least, most) = self.parameters, self._light_constants
+        since_ns, h_ns = t0_ns - self.state.epoch_ns, t1_ns - t0_ns
         return StepConstants(
             dark,
             at_reference,
@@ -266,10 +298,12 @@ class PixelArray:
             since_epoch_1=np.float32((since_ns + h_ns) * 1e-9),
             refractory=np.float32(self._refractory_ns / h_ns),
             h_ns=h_ns,
-            t0_ns=state.t_ns,
+            t0_ns=t0_ns,
             refractory_ns=self._refractory_ns,
             pixel_bits=self._pixel_bits,
             chord=chord,
+            trust=SUSPECT,
+            halve=False,
         )
 
     def _flat(self, picture: _Float32s) -> _Float32s:

@@ -4,7 +4,8 @@ d is the change over the step, a0 and a1 the slopes per step at its ends. d - (a
 rule, is zero for a parabola, and as large as the contrast itself when an edge passed unseen between the pictures.
 
     plain     the cubic is taken as it is, in one piece
-    suspect   that error is more than half a threshold, or the light turns by more: the pictures are too far apart here
+    suspect   that error is more than a share of a threshold, or the light turns by more: the pictures are too far apart
+              here. The share is a half; a twentieth where such a pixel's light can be had in between (see `halving`)
     jump      suspect, with little slope at both ends: the change happened in between, best put at mid-step
     limited   monotone with slopes that a monotone cubic cannot have (Fritsch and Carlson): scaled down. Not where the
               light turns: a turning point inside a step is real, and its slopes hold its events
@@ -16,13 +17,18 @@ import numpy as np
 
 from emulator.sensor.compiled import Real, lane
 
-__all__ = ["LARGEST_CHANGE", "completed", "is_jump", "is_plain", "is_suspect", "limit"]
+__all__ = ["HALVED", "LARGEST_CHANGE", "SUSPECT", "completed", "is_jump", "is_plain", "is_suspect", "limit"]
 
 _ZERO, _TWO, _HALF, _QUARTER, _EIGHTH = (np.float32(x) for x in (0, 2, 0.5, 0.25, 0.125))
 LARGEST_CHANGE = np.float32(0.5)
 """Of u in one piece: what the fourth-order rules of `lowpass` allow."""
 
-_SUSPECT = np.float32(0.5)  # of a threshold
+SUSPECT = np.float32(0.5)
+"""Share of a threshold from which on a step is suspect; ..."""
+
+HALVED = np.float32(0.05)
+"""... and where it can be halved."""
+
 _SLOPES = np.float32(3)  # together, of a monotone cubic, in changes ...
 _IMMATERIAL = np.float32(0.02)  # ... and what does no harm beyond: it swings the cubic by less than 0.003
 _ONE_SLOPE, _ONE_IMMATERIAL = _SLOPES * np.float32(0.7071), _IMMATERIAL * np.float32(0.7071)
@@ -32,14 +38,15 @@ _STEEPEST = np.float32(64)  # bounds the work where slopes and light contradict 
 
 
 @lane
-def is_plain(d: Real, a0: Real, a1: Real, threshold: Real) -> Real:
+def is_plain(d: Real, a0: Real, a1: Real, unseen: Real) -> Real:
     """Tell whether the step can be taken in one piece, as it is; never with unknown slopes.
 
-    Asks a little more than not to be suspect and not to be limited, in fewer operations.
+    `unseen` is what may go on unseen, ln units. Asks a little more than not to be suspect and not to be limited, in
+    fewer operations.
     """
     steepest = max(abs(a0), abs(a1))
     one_piece = max(_TWO * abs(d), steepest) <= _TWO * LARGEST_CHANGE
-    seen = max(abs(_TWO * d - (a0 + a1)), _QUARTER * abs(a0 - a1)) <= _TWO * _SUSPECT * threshold
+    seen = max(abs(_TWO * d - (a0 + a1)), _QUARTER * abs(a0 - a1)) <= _TWO * unseen
     fits = (steepest <= _ONE_SLOPE * abs(d) + _ONE_IMMATERIAL) | (a0 * a1 < _ZERO)
     return one_piece & seen & fits
 
@@ -57,10 +64,10 @@ def completed(d: Real, a0: Real, a1: Real) -> tuple[Real, Real]:
 
 
 @lane
-def is_suspect(d: Real, a0: Real, a1: Real, threshold: Real) -> Real:
-    """Tell whether the light did something between the pictures that they do not show."""
-    turns = (a0 * a1 < _ZERO) & (_EIGHTH * abs(a0 - a1) > _SUSPECT * threshold)
-    return turns | (abs(d - _HALF * (a0 + a1)) > _SUSPECT * threshold)
+def is_suspect(d: Real, a0: Real, a1: Real, unseen: Real) -> Real:
+    """Tell whether the light did more than `unseen` (ln units) between the pictures that they do not show."""
+    turns = (a0 * a1 < _ZERO) & (_EIGHTH * abs(a0 - a1) > unseen)
+    return turns | (abs(d - _HALF * (a0 + a1)) > unseen)
 
 
 @lane

@@ -9,8 +9,7 @@ import pytest
 from scipy import stats
 
 from emulator.sensor import kernels
-from emulator.sensor.candidates import BEFORE_ROWS
-from emulator.sensor.layout import BLOCK, Field, StepConstants
+from emulator.sensor.layout import BEFORE_ROWS, BLOCK, Field, StepConstants
 from emulator.sensor.pixels import PixelArray
 from emulator.sensor.presets import PRESETS, SensorParameters
 
@@ -399,6 +398,7 @@ def _loud(fields, light_and_slope, at_reference, h, since):
     f = np.float32
     rates = f(at_reference), f(at_reference * np.exp(-2.5)), f(at_reference * np.exp(-1.5))
     extras = {"parasitic": f(0), "second": f(0), "refractory_ns": 0, "pixel_bits": 17, "chord": False}
+    extras |= {"trust": f(0.5), "halve": False}
     times = {"h": f(h), "since_epoch_0": f(since), "since_epoch_1": f(since + h), "refractory": f(0)}
     c = StepConstants(f(1e-3), *rates, **times, h_ns=round(h * 1e9), t0_ns=0, **extras)
     s, before = fields.reshape(-1), np.empty(len(BEFORE_ROWS) * BLOCK, np.float32)

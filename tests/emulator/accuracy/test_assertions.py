@@ -19,7 +19,7 @@ from emulator.sensor.rules.drawn import draw
 from tests.emulator.accuracy.rows import row
 
 BY_NAME = {method.name: method for method in methods()}
-WARPED, LINE, V2E = (BY_NAME[name] for name in ("warped", "line", "v2e"))
+WARPED, HALVED, LINE, V2E = (BY_NAME[name] for name in ("warped", "halved", "line", "v2e"))
 
 DT_OVER_TAU = [0.03, 1.0, 10.0]
 
@@ -83,6 +83,17 @@ def test_s6_a_line_on_a_checkerboard_within_a_quarter_of_a_blur_a_step(motion_px
     scores = score(LINE, board(motion_px, sigma_px, 5e-3), 5e-3)
     assert scores.right >= 0.95
     assert scores.t95_us <= 0.12 * 5e3
+
+
+@pytest.mark.parametrize(("motion_px", "sigma_px"), [(1.0, 0.3), (0.5, 0.5), (1.0, 0.5), (1.0, 2.0)])
+def test_s7_a_checkerboard_of_a_pixel_a_step_with_suspects_in_halves(motion_px, sigma_px):
+    scores = score(HALVED, board(motion_px, sigma_px, 5e-3), 5e-3)
+    assert scores.right >= 0.95
+    assert scores.t95_us <= 0.012 * 5e3
+
+
+def test_s7_needs_the_halves():
+    assert score(WARPED, board(1.0, 0.3, 5e-3), 5e-3).right < 0.95
 
 
 @pytest.mark.parametrize("motion_px", [0.5, 1.0, 2.0, 4.0])
