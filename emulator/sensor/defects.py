@@ -10,6 +10,7 @@ A pixel's leak can change while it runs: the reference is stored with leak times
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +20,7 @@ from emulator.sensor.layout import BLOCK, FIELDS, Field
 from emulator.sensor.pixels import PixelArray
 from emulator.sensor.presets import SensorParameters
 
-__all__ = ["DEAD_THRESHOLD", "Defects", "draw_defects", "kill", "leak_of", "let_leak"]
+__all__ = ["DEAD_THRESHOLD", "ArrayFaults", "Defects", "Faults", "draw_defects"]
 
 DEAD_THRESHOLD = 1e6
 """Thresholds of a dead pixel, ln units: no light has a million e-folds, and float32 does arithmetic with it."""
@@ -82,28 +83,51 @@ def draw_defects(p: SensorParameters, seed: int) -> Defects:
     return Defects(np.flatnonzero(dead), hot, hot_hz, turns[hot])
 
 
+class Faults(Protocol):
+    """Pixels that can be dead, and whose leak can be changed while they run."""
+
+    def kill(self, pixel: _Int64s) -> None:
+        """Make pixels, (n,), dead; before they are reset."""
+
+    def leak_hz(self) -> _Floats:
+        """Return the leak rate of all pixels, (pixels,), without that of light."""
+
+    def let_leak(self, leak_hz: _Floats) -> None:
+        """Let all pixels leak at `leak_hz`, (pixels,), from now on."""
+
+
+class ArrayFaults:
+    """The faults of a `PixelArray`; see `Faults`."""
+
+    def __init__(self, array: PixelArray) -> None:
+        self._array = array
+        self._all = np.arange(array.parameters.width * array.parameters.height)
+
+    def kill(self, pixel: _Int64s) -> None:
+        """Make pixels, (n,), dead; before the array is reset.
+
+        Not quite: a pixel leaks in units of its threshold, so what light leaks still fires it. Its crossings are to be
+        thrown away.
+        """
+        flat = self._array.state.fields.reshape(-1)
+        flat[_at(pixel, Field.ON)] = flat[_at(pixel, Field.OFF)] = DEAD_THRESHOLD
+        flat[_at(pixel, Field.LEAK)] = 0
+
+    def leak_hz(self) -> _Floats:
+        """Return the leak rate of all pixels, (pixels,), without that of light."""
+        flat, pixel = self._array.state.fields.reshape(-1), self._all
+        return np.asarray(flat[_at(pixel, Field.LEAK)] / flat[_at(pixel, Field.ON)].astype(np.float64))
+
+    def let_leak(self, leak_hz: _Floats) -> None:
+        """Let all pixels leak at `leak_hz`, (pixels,), from the array's time on."""
+        state, pixel = self._array.state, self._all
+        flat = state.fields.reshape(-1)
+        leak = (leak_hz * flat[_at(pixel, Field.ON)]).astype(np.float32)
+        since_epoch_s = np.float32((state.t_ns - state.epoch_ns) * 1e-9)
+        flat[_at(pixel, Field.REFERENCE)] += (leak - flat[_at(pixel, Field.LEAK)]) * since_epoch_s
+        flat[_at(pixel, Field.LEAK)] = leak
+
+
 def _at(pixel: _Int64s, which: Field) -> _Int64s:
     """Return where a field of pixels is in the flat state."""
     return np.asarray((pixel // BLOCK) * (FIELDS * BLOCK) + int(which) * BLOCK + pixel % BLOCK)
-
-
-def kill(array: PixelArray, pixel: _Int64s) -> None:
-    """Make pixels, (n,) int64, dead; before the array is reset."""
-    flat = array.state.fields.reshape(-1)
-    flat[_at(pixel, Field.ON)] = flat[_at(pixel, Field.OFF)] = DEAD_THRESHOLD
-    flat[_at(pixel, Field.LEAK)] = 0
-
-
-def leak_of(array: PixelArray, pixel: _Int64s) -> _Floats:
-    """Return the leak rate of pixels, Hz."""
-    flat = array.state.fields.reshape(-1)
-    return np.asarray(flat[_at(pixel, Field.LEAK)] / flat[_at(pixel, Field.ON)].astype(np.float64))
-
-
-def let_leak(array: PixelArray, pixel: _Int64s, leak_hz: _Floats) -> None:
-    """Let pixels, (n,) int64, leak at `leak_hz`, (n,) float64, from now on."""
-    state, flat = array.state, array.state.fields.reshape(-1)
-    leak = (leak_hz * flat[_at(pixel, Field.ON)]).astype(np.float32)
-    since_epoch_s = np.float32((state.t_ns - state.epoch_ns) * 1e-9)
-    flat[_at(pixel, Field.REFERENCE)] += (leak - flat[_at(pixel, Field.LEAK)]) * since_epoch_s
-    flat[_at(pixel, Field.LEAK)] = leak

@@ -10,10 +10,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.defects import Defects, leak_of, let_leak
+from emulator.sensor.defects import Defects, Faults
 from emulator.sensor.keyed import Purpose, root_of
 from emulator.sensor.keyed_kernels import normals, streams
-from emulator.sensor.pixels import PixelArray
 
 __all__ = ["NEVER_NS", "Leaks"]
 
@@ -28,7 +27,7 @@ class Leaks:
 
     Parameters
     ----------
-    array : its pixels; their leak when this is made is their usual one.
+    pixels : of the array; their leak when this is made is their usual one.
     seed : keys the jitter.
     share : relative standard deviation of a pixel's leak between stretches.
     defects : which pixels are or turn hot.
@@ -38,12 +37,10 @@ class Leaks:
     next_ns : when the leak changes next; NEVER_NS if it does not.
     """
 
-    def __init__(self, array: PixelArray, seed: int, share: float, defects: Defects) -> None:
-        pixels = array.parameters.width * array.parameters.height
-        self._array, self._share, self._defects = array, share, defects
-        self._all = np.arange(pixels)
-        self._usual_hz = leak_of(array, self._all)
-        self._streams = streams(root_of(seed, Purpose.LEAK_JITTER), pixels) if share else None
+    def __init__(self, pixels: Faults, seed: int, share: float, defects: Defects) -> None:
+        self._pixels, self._share, self._defects = pixels, share, defects
+        self._usual_hz = pixels.leak_hz()
+        self._streams = streams(root_of(seed, Purpose.LEAK_JITTER), self._usual_hz.size) if share else None
         self.next_ns = NEVER_NS
 
     def follow(self, t_ns: int) -> None:
@@ -56,5 +53,5 @@ class Leaks:
             stretch = t_ns >> _STRETCH_BITS
             hz *= np.maximum(1 + self._share * normals(self._streams, stretch), 0)
             next_ns = min(next_ns, (stretch + 1) << _STRETCH_BITS)
-        let_leak(self._array, self._all, hz)
+        self._pixels.let_leak(hz)
         self.next_ns = next_ns

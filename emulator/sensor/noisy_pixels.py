@@ -4,13 +4,13 @@ A method like `PixelArray`, in float64 and by brute force. The grid's step is a 
 the noise, rounded down to a power of two of 1 us, and its times are multiples of it since stream time zero. From one
 grid time to the next, with log light on a straight line between pictures,
 
-    filter    v in warped time, as in `kernels`
+    filter    v in warped time, as in `kernels`; behind a second pole w, for a v that goes straight
     noise     n1 = n0 A + sigma sqrt(1 - A^2) N,  A = e^(-delta / tau_n), N keyed by (seed, pixel, grid time)
-    x - r     what the comparator sees: moves by the change of v + n and by the leak
+    x - r     what the comparator sees: moves by the change of w + n and by the leaks, that of light by its mean
 
 Within a grid step x is a Brownian bridge of variance V = 2 sigma^2 delta / tau_n: a level c above both ends a, b is met
 all the same with probability exp(-2 (c - a)(c - b) / V), at a time drawn uniformly; what the comparator sees when a
-blind stretch ends is drawn from the bridge. A second pole and parasitic leak are not modelled here.
+blind stretch ends is drawn from the bridge.
 
 All draws are keyed by grid time, and events are known up to the last grid time only (`settled_ns`). So in still light
 the result does not depend on the steps at all, and in moving light no more than the light between pictures does.
@@ -25,6 +25,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.sensor.compiled import kernel, kernel_that_allocates
+from emulator.sensor.defects import DEAD_THRESHOLD
 from emulator.sensor.kept import kept_entry
 from emulator.sensor.keyed import Purpose, normal, root_of
 from emulator.sensor.keyed_kernels import high, low, normal_of, stream, unit, word
@@ -46,11 +47,12 @@ _Floats = npt.NDArray[np.float64]
 
 
 class _Model(NamedTuple):
-    """All that does not change; thresholds and leak are (pixels,) float64, leak in ln units a second."""
+    """What does not change in a step; (pixels,) float64: thresholds, leak and that of light 1, in ln units a second."""
 
     on: _Floats
     off: _Floats
     leak: _Floats
+    parasitic: _Floats
     voltage_root: np.uint64
     bridge_root: np.uint64
     delta_ns: int
@@ -58,15 +60,17 @@ class _Model(NamedTuple):
     hz_at_reference: float
     hz_min: float
     hz_max: float
+    second: float  # rate of the second pole times the grid step; 0: none
     noise_rms: float
     noise_corner_hz: float
 
 
 class _State(NamedTuple):
-    """At the last grid time, (pixels,) each: log light, filtered value, noise, x - r (NaN: blind), and until when."""
+    """At the last grid time, (pixels,) each: log light, filtered once, twice, noise, x - r (NaN: blind), until when."""
 
     u: _Floats
     v: _Floats
+    w: _Floats
     n: _Floats
     seen: _Floats
     blind_until_ns: npt.NDArray[np.int64]
@@ -113,6 +117,22 @@ def _filtered(u0: float, u1: float, v0: float, m: _Model) -> float:
     warped = m.delta_ns * 1e-9 * max((rate0 + rate1) / 2 + d * (rate0 - rate1) / 12, min(rate0, rate1))
     q = -math.expm1(-warped)
     return float(v0 + q * (u0 - v0) + d * (1 - q / warped))
+
+
+@kernel
+def _behind_second_pole(v0: float, v1: float, w0: float, m: _Model) -> float:
+    """Return the second pole's output a grid step later."""
+    if m.second == 0:
+        return v1
+    q = -math.expm1(-m.second)
+    return float(w0 + q * (v0 - w0) + (v1 - v0) * (1 - q / m.second))
+
+
+@kernel
+def _leaked(u0: float, u1: float, pixel: int, m: _Model) -> float:
+    """Return by how much leaks raise x - r in a grid step."""
+    by_light = m.parasitic[pixel] * (math.exp(u0) + math.exp(u1)) / 2 if m.parasitic[pixel] > 0 else 0.0
+    return float((m.leak[pixel] + by_light) * m.delta_ns * 1e-9)
 
 
 @kernel
@@ -204,15 +224,16 @@ def _advance(
             share = (grid * m.delta_ns - span.t0_ns) / (span.t1_ns - span.t0_ns)
             u = light[0][pixel] + share * (light[1][pixel] - light[0][pixel])
             v = _filtered(s.u[pixel], u, s.v[pixel], m)
+            w = _behind_second_pole(s.v[pixel], v, s.w[pixel], m)
             sigma, delta = _noise_figures(s.u[pixel], m)
             kept = math.exp(-delta)
             noise = s.n[pixel] * kept + sigma * math.sqrt(-math.expm1(-2 * delta)) * normal_of(word(voltage, grid))
-            change = v - s.v[pixel] + noise - s.n[pixel] + m.leak[pixel] * m.delta_ns * 1e-9
+            change = w - s.w[pixel] + noise - s.n[pixel] + _leaked(s.u[pixel], u, pixel, m)
             start_ns, variance = (grid - 1) * m.delta_ns, 2 * sigma * sigma * delta
             move = _Move(pixel, start_ns, change, variance, bridge, grid * _DRAWS)
             ahead, n, more = _fire(move, m, s, ahead, n)
             lost += more
-            s.u[pixel], s.v[pixel], s.n[pixel] = u, v, noise
+            s.u[pixel], s.v[pixel], s.w[pixel], s.n[pixel] = u, v, w, noise
     return ahead, n, lost
 
 
@@ -238,7 +259,7 @@ class NoisyPixels:
         self._phase = drawn.phase
         no_low_pass = math.isinf(p.corner_hz_at_reference)
         self._model = _Model(
-            drawn.on, drawn.off, drawn.leak,
+            drawn.on, drawn.off, drawn.leak, p.parasitic_hz_at_reference * drawn.on,
             voltage_root=root_of(seed, Purpose.NOISE_VOLTAGE),
             bridge_root=root_of(seed, Purpose.NOISE_BRIDGE),
             delta_ns=grid_ns(p),
@@ -246,11 +267,26 @@ class NoisyPixels:
             hz_at_reference=_FASTEST_HZ if no_low_pass else p.corner_hz_at_reference,
             hz_min=_FASTEST_HZ if no_low_pass else p.corner_min_hz,
             hz_max=_FASTEST_HZ if no_low_pass else min(p.corner_max_hz, _FASTEST_HZ),
+            second=2 * math.pi * p.source_follower_hz * grid_ns(p) * 1e-9,
             noise_rms=p.noise.rms * (math.sqrt(1 + _FASTEST_HZ / p.noise.corner_hz) if no_low_pass else 1.0),
             noise_corner_hz=p.noise.corner_hz,
         )  # fmt: skip
         self._u = np.zeros(drawn.on.size)
         self._t_ns = 0
+
+    def kill(self, pixel: npt.NDArray[np.int64]) -> None:
+        """Make pixels, (n,), dead; before the array is reset."""
+        m = self._model
+        m.on[pixel] = m.off[pixel] = DEAD_THRESHOLD
+        m.leak[pixel] = m.parasitic[pixel] = self._phase[pixel] = 0
+
+    def leak_hz(self) -> _Floats:
+        """Return the leak rate of all pixels, (pixels,), without that of light."""
+        return np.asarray(self._model.leak / self._model.on)
+
+    def let_leak(self, leak_hz: _Floats) -> None:
+        """Let all pixels leak at `leak_hz`, (pixels,), from the last grid time on."""
+        self._model.leak[:] = leak_hz * self._model.on
 
     def reset(self, light: npt.NDArray[np.float32], t_ns: int) -> None:
         """Start at `t_ns`, at rest on `light`, (height, width) float32; the noise is drawn as it is in the long run."""
@@ -264,7 +300,7 @@ class NoisyPixels:
         sigma = m.noise_rms * np.sqrt(m.noise_corner_hz / (m.noise_corner_hz + hz))
         noise = sigma * normal(self._seed, Purpose.NOISE_VOLTAGE, np.arange(pixels), first)
         seen = m.on * self._phase + noise
-        self._state = _State(self._u.copy(), self._u.copy(), noise, seen, np.zeros(pixels, np.int64))
+        self._state = _State(self._u.copy(), self._u.copy(), self._u.copy(), noise, seen, np.zeros(pixels, np.int64))
 
     def step(self, light: npt.NDArray[np.float32], t_ns: int, rate: npt.NDArray[np.float32] | None = None) -> Crossings:
         """Move from the last picture to `light`, (height, width) float32, at `t_ns`; `rate` is of no use here.

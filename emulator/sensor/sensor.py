@@ -19,7 +19,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.defects import Defects, draw_defects, kill
+from emulator.sensor.defects import ArrayFaults, Defects, Faults, draw_defects
 from emulator.sensor.imager import Imager, part_of_the_way
 from emulator.sensor.jitter import Jitter
 from emulator.sensor.leaks import NEVER_NS, Leaks
@@ -93,6 +93,7 @@ class Sensor:
         own = dataclasses.replace(here, dark_current_relative=self._imager.dark_current_relative)
         self.pixels = _pixels(own, seed, make_pixels)
         defects = draw_defects(own, seed)
+        self._dead = _dead(own, defects)
         self._leaks = _leaks(self.pixels, own, seed, defects)
         self._sources = _sources(own, seed, defects)
         self._jitter = Jitter(own.jitter, seed, own.width * own.height) if own.jitter.latency_us else None
@@ -183,8 +184,7 @@ class Sensor:
             parts.append(_kept(self._move(self._between(light, share), cut_ns, None)))
         parts.append(self._move(light, t_ns, rate))
         self._remember(light)
-        settled_ns = self.pixels.settled_ns if isinstance(self.pixels, NoisyPixels) else t_ns
-        return self._readout.push(joined(parts), settled_ns)
+        return self._readout.push(joined(parts), self._settled_ns())
 
     def finish(self) -> Events:
         """Return the events that have not left yet; nothing can be exposed afterwards."""
@@ -205,13 +205,27 @@ class Sensor:
         if self._leaks is not None and self._leaks.next_ns <= self._t_ns:
             self._leaks.follow(self._t_ns)
         seen = self._imager.see(light, t_ns)
-        crossings = self.pixels.step(seen, t_ns, self._imager.see_rate(rate))
-        if self._jitter is not None:
-            crossings = self._jitter.step(crossings, t_ns)
-        for source in self._sources:
-            crossings = source.add_to(crossings, seen.reshape(-1), t_ns)
+        crossings = self._of_live_pixels(self.pixels.step(seen, t_ns, self._imager.see_rate(rate)))
         self._t_ns = t_ns
+        settled_ns = self._settled_ns()
+        if self._jitter is not None:
+            crossings = self._jitter.step(crossings, settled_ns)
+        for source in self._sources:
+            crossings = source.add_to(crossings, seen.reshape(-1), settled_ns)
         return crossings
+
+    def _settled_ns(self) -> int:
+        """Return the time up to which all crossings are known."""
+        return self.pixels.settled_ns if isinstance(self.pixels, NoisyPixels) else self._t_ns
+
+    def _of_live_pixels(self, crossings: Crossings) -> Crossings:
+        """Return the crossings without those of dead pixels."""
+        if self._dead is None:
+            return crossings
+        live = ~self._dead[crossings.pixel]
+        return dataclasses.replace(
+            crossings, t_ns=crossings.t_ns[live], pixel=crossings.pixel[live], on=crossings.on[live]
+        )
 
     def _between(self, light: _Float32s, share: float) -> _Float32s:
         """Return the light part of the way from the last picture, straight in the log of the photocurrent."""
@@ -245,10 +259,20 @@ def _leaks(pixels: PixelMethod, p: SensorParameters, seed: int, defects: Defects
     """Give the pixels their defects; return what changes their leak while they run, if anything does."""
     if not (defects.hot.size or defects.dead.size or p.jitter.leak_share):
         return None
-    if not isinstance(pixels, PixelArray):
+    if not isinstance(pixels, PixelArray | NoisyPixels):
         raise ValueError("defects, dose and jitter.leak_share need evstim's own pixels: leave them out, or the method")
-    kill(pixels, defects.dead)
-    return Leaks(pixels, seed, p.jitter.leak_share, defects)
+    faults: Faults = ArrayFaults(pixels) if isinstance(pixels, PixelArray) else pixels
+    faults.kill(defects.dead)
+    return Leaks(faults, seed, p.jitter.leak_share, defects)
+
+
+def _dead(p: SensorParameters, defects: Defects) -> npt.NDArray[np.bool_] | None:
+    """Return whether each pixel is dead; None if none is."""
+    if not defects.dead.size:
+        return None
+    dead = np.zeros(p.width * p.height, np.bool_)
+    dead[defects.dead] = True
+    return dead
 
 
 def _sources(p: SensorParameters, seed: int, defects: Defects) -> list[_Source]:

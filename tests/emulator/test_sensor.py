@@ -139,7 +139,10 @@ def test_listed_defects_are_where_the_rig_says():
 
 
 def test_dead_pixels_see_nothing_at_all():
-    p = with_(leak_hz=10.0, defects=DefectParameters(dead_share=0.25), noise=NoiseParameters(rms=0.06))
+    p = with_(
+        leak_hz=10.0, parasitic_hz_at_reference=10.0, defects=DefectParameters(dead_share=0.25),
+        noise=NoiseParameters(rms=0.06),
+    )  # fmt: skip
     found, _ = run(p, end_ns=200 * MS, scene=drifting)
     dead = draw_defects(p, 1).dead
     assert stats.binomtest(dead.size, PIXELS, 0.25).pvalue > ALPHA
