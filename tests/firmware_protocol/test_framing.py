@@ -194,6 +194,18 @@ def test_fprime_takes_a_start_word_in_the_data_for_data():
     assert fprime.Deframer().push(fprime.frame(payload)) == [payload]
 
 
+@pytest.mark.parametrize("framing", [cobs, slip, kiss])
+def test_a_line_without_delimiters_stays_bounded_and_counts_as_one_bad_frame(framing):
+    deframer = framing.Deframer(100)
+    for _ in range(1000):
+        assert deframer.push(b"\x55" * 77) == []
+        assert deframer.counters.pending <= 2 * 100 + 16
+    end = framing.frame(b"x")[-1:]
+    assert deframer.push(end + framing.frame(b"after")) == [b"after"]
+    assert dict(deframer.counters.refused) == {"too long": 1}
+    assert deframer.counters.bytes_skipped == 77_001
+
+
 def test_a_flood_of_start_words_stays_bounded():
     deframer = fprime.Deframer(256)
     for _ in range(200):

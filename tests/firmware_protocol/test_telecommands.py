@@ -1,7 +1,7 @@
 """Telecommands and what is answered: golden octets, round trips, refusals, spacepackets as the oracle of service 1."""
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from packet_strategies import TELECOMMANDS, VERIFICATIONS
 from spacepackets.ecss.fields import PacketFieldEnum
@@ -81,12 +81,16 @@ def test_unknown_and_malformed_telecommands_are_refused_with_a_reason(service, s
 
 
 @given(st.sampled_from([*KINDS, (1, 1), (128, 99)]), st.binary(max_size=12))
-def test_hostile_data_is_refused_or_means_itself(type_, data):
+@example((9, 128), bytes.fromhex("00 00 00 00 00 00 01"))
+@example((9, 128), b"\xff" * 7)
+def test_hostile_data_is_refused_or_means_something(type_, data):
     try:
         command = parse_telecommand(*type_, data)
     except CommandRefused:
         return
-    assert command.encode() == data
+    # A time between two microseconds goes to the nearer one; all else is written back as it came.
+    assert parse_telecommand(*type_, command.encode()) == command
+    assert type_ == SetTime.TYPE or command.encode() == data
 
 
 @pytest.mark.parametrize(
