@@ -71,20 +71,17 @@ def _fitted(most: int, form: Form, limits: Limits, room: Scratch) -> tuple[int, 
     budget = 8 * (limits.size - HEADER_BYTES)
     fits, too_many, trials = 0, most + 1, 0
     count = _guess(room, most, budget, form)
-    plan = planned(count, form, limits.mode, room)
-    while fits != too_many - 1 and not _NEARLY * budget < plan.bits <= budget:
+    while True:
+        plan = planned(count, form, limits.mode, room)
         if plan.bits > budget:
             too_many = count
         else:
             fits = count
-        if fits != too_many - 1:
-            trials += 1
-            wanted = int(count * 0.99 * budget / plan.bits) if trials <= 3 else (fits + too_many) // 2
-            count = min(max(wanted, fits + 1), too_many - 1)
-            plan = planned(count, form, limits.mode, room)
-    if plan.bits > budget:
-        count, plan = fits, planned(fits, form, limits.mode, room)
-    return count, plan
+            if fits == too_many - 1 or plan.bits > _NEARLY * budget:
+                return count, plan
+        trials += 1
+        wanted = int(count * 0.99 * budget / plan.bits) if trials <= 3 else (fits + too_many) // 2
+        count = min(max(wanted, fits + 1), too_many - 1)
 
 
 @kernel
