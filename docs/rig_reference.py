@@ -8,7 +8,7 @@ import re
 from collections.abc import Iterator
 from typing import Any
 
-from emulator.rig import LINKS, SCENES, Camera, Run
+from emulator.rig import LINKS, SCENES, Camera, Run, Trigger
 from emulator.sensor.presets import PRESETS
 from emulator.typed_table import field_types, item_type, kinds_of, table_type
 
@@ -25,6 +25,7 @@ def reference() -> str:
     parts = [section for kind, cls in SCENES.items() for section in _sections("scene", cls, kind)]
     parts += _sections("camera", Camera)
     parts.append(_presets())
+    parts += _sections("trigger", Trigger)
     parts += _sections("run", Run)
     parts += [section for kind, cls in LINKS.items() for section in _sections("[links]", cls, kind)]
     return "\n\n".join(parts)

@@ -18,8 +18,10 @@ from emulator.sensor.rules import RULES
 from emulator.sensor.sensor import Sensor
 from emulator.session import Schedule, Session
 from emulator.steps import ControlledSteps, FixedSteps, StepSource
+from emulator.triggers import TriggerPaths
 from firmware_protocol.davis346 import Davis346, Davis346Settings, Layout
 from firmware_protocol.usb.device import Speed, UsbCamera
+from transports.feed import Timing
 from transports.link import EndpointFactory, LinkSetup
 from transports.loopback import LoopbackFactory
 from transports.pacing import Clock
@@ -67,6 +69,7 @@ def schedule(rig: Rig) -> Schedule:
         lead_ns=run.lead_us * 1000,
         duration_ns=round(run.seconds * 1e9) or None,
         paced=run.pace == "realtime",
+        lockstep_ns=run.lockstep_us * 1000,
     )
 
 
@@ -77,14 +80,18 @@ def record_paths(rig: Rig, record: Path | None) -> list[Path | None]:
     return [record.with_name(f"{record.stem}-{link.name}{record.suffix}") for link in rig.links]
 
 
-def link_setups(rig: Rig, record: Path | None = None) -> list[LinkSetup[Any]]:
-    """Return what each link's process needs."""
-    return [_link_setup(rig, link, path) for link, path in zip(rig.links, record_paths(rig, record), strict=True)]
+def link_setups(rig: Rig, record: Path | None = None, truth: Path | None = None) -> list[LinkSetup[Any]]:
+    """Return what each link's process needs; `record` and `truth` are files for what was delivered, and when."""
+    triggers = TriggerPaths(rig.trigger, [link.name for link in rig.links], rig.run.seed, rig.run.lockstep_us)
+    return [
+        _link_setup(rig, link, path, triggers.timing(link.name, rig.camera.clock, shown))
+        for link, path, shown in zip(rig.links, record_paths(rig, record), record_paths(rig, truth), strict=True)
+    ]
 
 
-def _link_setup(rig: Rig, link: LinkParameters, record: Path | None) -> LinkSetup[Any]:
+def _link_setup(rig: Rig, link: LinkParameters, record: Path | None, timing: Timing) -> LinkSetup[Any]:
     camera: Callable[[], UsbCamera] = partial(Davis346, _camera(rig, link))
-    return LinkSetup(link.name, EventRing(), camera, _endpoint(link), record)
+    return LinkSetup(link.name, EventRing(), camera, _endpoint(link), record, timing=timing)
 
 
 def _camera(rig: Rig, link: LinkParameters) -> Davis346Settings:
@@ -98,6 +105,7 @@ def _camera(rig: Rig, link: LinkParameters) -> Davis346Settings:
         layout=Layout[camera.layout.upper()],
         fifo_bytes=camera.fifo_bytes,
         start_delay_us=round(delay_ms * 1000),
+        pulse_us=rig.trigger.pulse_us if rig.trigger else Davis346Settings.pulse_us,
     )
 
 

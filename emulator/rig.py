@@ -4,6 +4,8 @@
     [scene]          kind = "checkerboard" | "body", and that scene's own keys
     [camera]         model = a preset's name, serial, ...
     [camera.sensor]  any figure of the preset, changed for this rig
+    [camera.clock]   how the camera's own clock goes wrong
+    [trigger]        what is connected to the camera's external input
     [run]            step_us, seed, seconds, pace, lead_us
     [[links]]        kind = "usbip" | "loopback", and that link's own keys; any number of them
 
@@ -28,8 +30,10 @@ from emulator.rig_text import line_of
 from emulator.scene.body import BodyParameters
 from emulator.scene.checkerboard import CheckerboardParameters
 from emulator.sensor.presets import PRESETS, SensorParameters
+from emulator.triggers import Trigger
 from emulator.typed_table import Path as KeyPath
 from emulator.typed_table import TableError, convert, convert_kind, unknown
+from firmware_protocol.device_clock import ClockSettings
 
 __all__ = [
     "LINKS",
@@ -39,6 +43,7 @@ __all__ = [
     "Rig",
     "RigError",
     "Run",
+    "Trigger",
     "UsbipLink",
     "find_rig",
     "load_rig",
@@ -77,6 +82,8 @@ class Camera:
         How long after the host's start command the first event may come (0 suits every driver but one).
     sensor
         Figures of the preset changed for this rig.
+    clock
+        The camera's own clock; without it the camera shows stream time.
     lens
         For scenes in units of radiance; the others bring their own light.
     """
@@ -88,6 +95,7 @@ class Camera:
     fifo_bytes: int = 256 * 1024
     start_delay_ms: float = 300.0
     sensor: SensorParameters = field(default_factory=lambda: PRESETS["davis346"])
+    clock: ClockSettings | None = None
     lens: LensParameters = field(default_factory=LensParameters)
 
     def __post_init__(self) -> None:
@@ -117,7 +125,10 @@ class Run:
     seed
         Seed of all that is random.
     pace
-        "realtime": every event leaves at its own time; "free": as fast as the machine can, losing nothing.
+        "realtime": every event leaves at its own time; "free": as fast as the machine can, losing nothing; "lockstep":
+        as far as the SYNCs of the trigger's bus let it, `lockstep_us` for each.
+    lockstep_us
+        Stream time that one SYNC is worth.
     lead_us
         How far ahead of real time steps are computed; at least one step. Covers the jitter of the machine.
     method
@@ -134,7 +145,8 @@ class Run:
     seconds: float = 0.0
     step_us: int = 1000
     seed: int = 1
-    pace: Literal["realtime", "free"] = "realtime"
+    pace: Literal["realtime", "free", "lockstep"] = "realtime"
+    lockstep_us: int = 0
     lead_us: int = 10_000
     method: Method = "warped"
     tolerance_us: float = 0.0
@@ -147,6 +159,10 @@ class Run:
             raise ValueError(f"step_us must be 1 to 1000000, got {self.step_us}")
         if not 0 <= self.seed < 1 << 63:
             raise ValueError(f"seed must be 0 to 2^63 - 1, got {self.seed}")
+        if not 0 <= self.lockstep_us <= 3_600_000_000:
+            raise ValueError(f"lockstep_us must be 0 to 3600000000, got {self.lockstep_us}")
+        if (self.pace == "lockstep") != bool(self.lockstep_us):
+            raise ValueError('lockstep_us and pace = "lockstep" go together: give both or neither')
         if not 0 <= self.lead_us <= 10_000_000:
             raise ValueError(f"lead_us must be 0 to 10000000, got {self.lead_us}")
         if self.tolerance_us != 0 and not 0.01 <= self.tolerance_us <= 1e6:
@@ -190,6 +206,9 @@ SceneParameters = CheckerboardParameters | BodyParameters
 LinkParameters = UsbipLink | LoopbackLink
 
 SCENES: Mapping[str, type[SceneParameters]] = {"checkerboard": CheckerboardParameters, "body": BodyParameters}
+_BUSES = ("can",)
+"""Kinds of link that hear a SYNC."""
+
 LINKS: Mapping[str, type[LinkParameters]] = {"usbip": UsbipLink, "loopback": LoopbackLink}
 
 
@@ -203,6 +222,7 @@ class Rig:
     camera: Camera = field(default_factory=Camera)
     run: Run = field(default_factory=Run)
     links: tuple[LinkParameters, ...] = ()
+    trigger: Trigger | None = None
 
 
 def shipped_rigs() -> dict[str, Path]:
@@ -254,7 +274,7 @@ def _dotted(path: KeyPath) -> str:
 
 
 def _rig(table: dict[str, Any], name: str) -> Rig:
-    known = ["title", "scene", "camera", "run", "links"]
+    known = ["title", "scene", "camera", "trigger", "run", "links"]
     for key in table:
         if key not in known:
             raise TableError(unknown(key, known), (key,))
@@ -266,7 +286,23 @@ def _rig(table: dict[str, Any], name: str) -> Rig:
     camera = _camera(table.get("camera", {}))
     links = _links(table.get("links", []), camera)
     run = convert(table.get("run", {}), Run, ("run",))
-    return Rig(name, title, convert_kind(table["scene"], SCENES, ("scene",)), camera, run, links)
+    trigger = _trigger(table["trigger"], links) if "trigger" in table else None
+    if run.pace == "lockstep" and not (trigger and trigger.source):
+        raise TableError(
+            "lockstep needs a bus that drives it: give [trigger] source = the name of a CAN link", ("run", "pace")
+        )
+    return Rig(name, title, convert_kind(table["scene"], SCENES, ("scene",)), camera, run, links, trigger)
+
+
+def _trigger(table: object, links: tuple[LinkParameters, ...]) -> Trigger:
+    trigger = convert(table, Trigger, ("trigger",))
+    buses = [link.name for link in links if any(isinstance(link, LINKS[kind]) for kind in _BUSES if kind in LINKS)]
+    if trigger.source and trigger.source not in buses:
+        there = ", ".join(buses) or "none in this rig"
+        raise TableError(
+            f'{trigger.source!r} is not a link with a bus (kind = "can"); there is {there}', ("trigger", "source")
+        )
+    return trigger
 
 
 def _camera(table: object) -> Camera:

@@ -9,7 +9,7 @@ from typing import Any
 
 import msgspec
 
-from emulator.rig import LINKS, SCENES, Camera, Run
+from emulator.rig import LINKS, SCENES, Camera, Run, Trigger
 from emulator.sensor.presets import PRESETS
 from emulator.typed_table import field_types, item_type, kinds_of, table_type
 
@@ -22,7 +22,7 @@ def rig_schema() -> dict[str, Any]:
     """Return the schema (draft 2020-12) of a rig file as a table."""
     definitions: _Definitions = {}
     scene, link = _one_of(SCENES, definitions), _one_of(LINKS, definitions)
-    camera, run = _table(Camera, definitions), _table(Run, definitions)
+    camera, run, trigger = (_table(cls, definitions) for cls in (Camera, Run, Trigger))
     definitions["SensorParameters"].pop("required", None)  # a rig gives what differs from the preset
     definitions["Camera"]["properties"]["model"]["enum"] = list(PRESETS)
     return {
@@ -35,6 +35,7 @@ def rig_schema() -> dict[str, Any]:
             "title": {"type": "string", "description": "What this rig shows, in one sentence."},
             "scene": scene,
             "camera": camera,
+            "trigger": trigger,
             "run": run,
             "links": {"type": "array", "items": link},
         },
