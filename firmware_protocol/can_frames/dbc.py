@@ -100,6 +100,13 @@ def _messages(fd: bool) -> list[_Message]:
                 _Signal("fraction", 39, 24, "s", "5.960464477539063e-08", big_endian=True),
             ),
         ),
+        _Message(
+            "follow_up",
+            8,
+            CAMERA,
+            "When the SYNC of this counter left",
+            (_Signal("counter", 0, 8), _Signal("sent", 8, 56, "ns")),
+        ),
         _fd_events() if fd else _events(),
         _Message(
             "epoch",

@@ -4,8 +4,9 @@
     0x080      SYNC                                0x280+N   epoch frames
     0x080+N    EMCY                                0x380+N   marks: the camera's own trigger and exposure
     0x100      TIME                                0x480+N   telemetry (ISO-TP, ours)
-    0x180      SCET of the master                  0x500+N   telecommands (ISO-TP, the peer's)
-    0x700      heartbeat of the master             0x700+N   heartbeat
+    0x101      follow-up of a SYNC                 0x500+N   telecommands (ISO-TP, the peer's)
+    0x180      SCET of the master                  0x700+N   heartbeat
+    0x700      heartbeat of the master
 
 CANopen's predefined connection set, with the masters' objects of SpaceCAN, where the master is node 0.
 """
@@ -34,6 +35,8 @@ class Identifiers:
         Our emergency messages.
     time
         Time of day, to the millisecond.
+    follow_up
+        When a SYNC really left.
     scet
         Spacecraft time, to 60 ns.
     events
@@ -56,6 +59,7 @@ class Identifiers:
     sync: int = 0x080
     emcy: int = 0x0A2
     time: int = 0x100
+    follow_up: int = 0x101
     scet: int = 0x180
     events: int = 0x1A2
     epoch: int = 0x2A2

@@ -86,10 +86,16 @@ class RawSender:
 
     def epoch(self, now_us: int, dropped: int) -> Frame | None:
         """Return the epoch frame that is due at `now_us` when no earlier event waits, if one is."""
-        if self._told_us is not None and now_us - self._epoch_told_us < self._settings.epoch_us:
+        if self._told_us is not None and abs(now_us - self._epoch_told_us) < self._settings.epoch_us:
             return None
         self._dropped = dropped
         return self._epoch(now_us)
+
+    def set_tick(self, tick_us: int) -> None:
+        """Count time in another unit from the next frame on, which is an epoch frame that tells so."""
+        quarter_us = _HALF_SPAN_TICKS * tick_us // 2
+        self._settings = replace(self._settings, tick_us=tick_us, epoch_us=min(self._settings.epoch_us, quarter_us))
+        self._told_us = None
 
     def _parts(self, events: Events) -> list[Events]:
         """Cut the events where an epoch frame has to stand before them."""

@@ -28,6 +28,7 @@ from firmware_protocol.can_frames.fd_events import pack_fd_events
 from firmware_protocol.can_frames.identifiers import Identifiers
 from firmware_protocol.can_frames.marks import pack_marks, unpack_mark
 from firmware_protocol.can_frames.raw_events import Epoch, pack_events
+from firmware_protocol.can_frames.timing import FollowUp
 from firmware_protocol.edges import EDGE
 from firmware_protocol.events import EVENT
 
@@ -105,6 +106,10 @@ def test_the_dbc_decodes_what_we_send():
     assert db.decode_message("heartbeat", b"\x05") == {"state": "operational"}
     (mark,) = pack_marks(np.array([(5, 2, 0, 7)], EDGE))
     assert db.decode_message("marks", mark) == {"t": 5, "kind": 2, "channel": 0, "seq": 7}
+
+
+def test_the_dbc_decodes_a_follow_up():
+    assert database().decode_message("follow_up", bytes(FollowUp(7, 1 << 40))) == {"counter": 7, "sent": 1 << 40}
 
 
 def test_the_dbc_names_every_identifier():

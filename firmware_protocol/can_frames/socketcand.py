@@ -1,0 +1,95 @@
+"""The server's side of the socketcand protocol, with which can-utils' daemon lends a CAN bus over TCP. Sans-I/O.
+
+    server                                  client
+    < hi >                              ->
+                                        <-  < open can0 >
+    < ok >                              ->
+                                        <-  < rawmode >
+    < ok >                              ->
+    < frame 1A2 1700000000.123456 0011 >    ->      identifier (3 or 8 digits), seconds.microseconds, data
+                                        <-  < send 1A2 2 0 11 >         identifier, length, one number a byte
+    < error TEXT >                      ->
+                                        <-  < echo >
+    < echo >                            ->
+
+Classic frames only. Source: github.com/linux-can/socketcand, doc/protocol.md (2025-05), and python-can's client
+(can.interfaces.socketcand 4.6), which wants each answer of the handshake by itself.
+"""
+
+from __future__ import annotations
+
+import re
+
+from firmware_protocol.can_frames.frame import Frame, FrameError
+
+__all__ = ["GREETING", "SocketcandSession", "frame_line"]
+
+GREETING = b"< hi >"
+
+_MOST_UNREAD = 4096
+_COMMAND = re.compile(rb"<([^<>]*)>")
+
+
+def frame_line(frame: Frame, wall_us: int) -> bytes:
+    """Return the line that tells a client of a classic frame, received at `wall_us` since 1970."""
+    identifier = f"{frame.identifier:08X}" if frame.extended else f"{frame.identifier:03X}"
+    seconds, us = divmod(wall_us, 1_000_000)
+    return f"< frame {identifier} {seconds}.{us:06d} {frame.data.hex().upper()} >".encode()
+
+
+class SocketcandSession:
+    """What one client has said so far.
+
+    Attributes
+    ----------
+    raw
+        True when the client wants to be told of every frame.
+    refused
+        True when the client asked for a bus that is not here: it has to go.
+    """
+
+    def __init__(self, bus: str) -> None:
+        self._bus = bus
+        self._unread = b""
+        self._opened = False
+        self.raw = False
+        self.refused = False
+
+    def push(self, data: bytes) -> tuple[bytes, list[Frame]]:
+        """Take bytes of the client; return the answer and the frames that it wants to send."""
+        self._unread += data
+        answers, frames = [], []
+        at = 0
+        for found in _COMMAND.finditer(self._unread):
+            at = found.end()
+            answer, frame = self._command(found[1].decode("ascii", "replace").split())
+            answers.append(answer)
+            frames += [frame] if frame is not None else []
+        self._unread = self._unread[at:][-_MOST_UNREAD:]
+        return b"".join(answers), frames
+
+    def _command(self, words: list[str]) -> tuple[bytes, Frame | None]:
+        match words:
+            case ["echo"]:
+                return b"< echo >", None
+            case ["open", bus] if not self._opened:
+                self._opened = bus == self._bus
+                self.refused = not self._opened
+                return (b"< ok >" if self._opened else b"< error could not open bus >"), None
+            case ["rawmode"] if self._opened:
+                self.raw = True
+                return b"< ok >", None
+            case ["send", identifier, length, *octets] if self._opened:
+                frame = _frame(identifier, length, octets)
+                return (b"" if frame else b"< error syntax >"), frame
+        return b"< error unknown command >", None
+
+
+def _frame(identifier: str, length: str, octets: list[str]) -> Frame | None:
+    try:
+        data = bytes(int(octet, 16) for octet in octets)
+        if int(length, 16) != len(data):
+            return None
+        return Frame(int(identifier, 16), data, extended=len(identifier) != 3)
+    except (ValueError, FrameError):
+        return None
