@@ -76,6 +76,32 @@ void evstim_deframer_init(struct evstim_deframer *deframer, uint8_t *buffer, siz
 size_t evstim_cobs_byte(struct evstim_deframer *deframer, uint8_t byte);
 size_t evstim_slip_byte(struct evstim_deframer *deframer, uint8_t byte);
 
+/* ---- Event blocks ------------------------------------------------------------------------------------------------ */
+
+/* Reads the blocks of docs/telemetry.md, of one camera. */
+struct evstim_blocks {
+    const struct evstim_sink *sink;
+    uint64_t last_us; /* time of the first event or edge of the last good block */
+    uint32_t pixels;
+    uint32_t per_pixels, per_width; /* reciprocals of pixels and width, times 2^32 */
+    uint16_t width, height;
+    uint8_t x_bits, y_bits;
+    uint32_t blocks;     /* good ones */
+    uint32_t refused;    /* malformed */
+    uint32_t other_size; /* of another camera */
+    uint32_t events;
+    uint32_t edges;
+    uint32_t dropped; /* events that the camera says it dropped; at least, since a block can tell of 65535 */
+};
+
+/* Make ready for a camera of `width` x `height` pixels, each 1 to 4096. */
+void evstim_blocks_init(struct evstim_blocks *blocks, uint16_t width, uint16_t height, const struct evstim_sink *sink);
+
+/* Take one whole block, checked by the CRC of the packet that brought it. Blocks tell 32 bits of the time, and mean the
+ * time nearest to `near_us`: that of the packet, or blocks->last_us. Returns whether it was good; if not, nothing of it
+ * has been delivered. */
+bool evstim_block(struct evstim_blocks *blocks, const uint8_t *bytes, size_t n, uint64_t near_us);
+
 /* ---- DAVIS346 USB words ------------------------------------------------------------------------------------------ */
 
 /* Reads bulk IN endpoint 0x82. Words of APS frames and of the IMU are passed over and counted. */

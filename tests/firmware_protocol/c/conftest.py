@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parent))
+from tests.firmware_protocol.c.toolchain import Driver, build_driver
 
-from toolchain import Driver, build_driver
+sys.path.insert(0, str(Path(__file__).parent.parent / "telemetry"))
 
 
 @pytest.fixture(scope="session")
@@ -15,4 +15,4 @@ def library(tmp_path_factory):
     """The library under sanitizers: `library(mode, bytes)` returns what it made of them."""
     driver = Driver(build_driver(tmp_path_factory.mktemp("c")))
     yield driver
-    driver.close()
+    assert driver.close() == 0

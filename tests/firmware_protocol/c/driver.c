@@ -99,6 +99,30 @@ static void davis(const struct request *r, const uint8_t *bytes)
     put(COUNTERS, &d.time_us, 8);
 }
 
+/* The bytes are records of u64 near_us, u32 length, block. A copy is as long as its block, for the sanitizer. */
+static void blocks(const struct request *r, const uint8_t *bytes)
+{
+    struct evstim_blocks b;
+    evstim_blocks_init(&b, r->width, r->height, &sink);
+    for (uint32_t at = 0; at < r->n;) {
+        uint64_t near_us;
+        uint32_t n;
+        memcpy(&near_us, bytes + at, 8);
+        memcpy(&n, bytes + at + 8, 4);
+        uint8_t *copy = malloc(n);
+        if (copy == NULL && n != 0)
+            abort();
+        memcpy(copy, bytes + at + 12, n);
+        size_t before = sections[EVENTS].length + sections[EDGES].length;
+        if (!evstim_block(&b, copy, n, near_us) && sections[EVENTS].length + sections[EDGES].length != before)
+            abort(); /* something of a bad block was delivered */
+        free(copy);
+        at += 12 + n;
+    }
+    const uint32_t counters[] = {b.blocks, b.refused, b.other_size, b.events, b.edges, b.dropped};
+    put(COUNTERS, counters, sizeof counters);
+}
+
 static void answer(const struct request *r, const uint8_t *bytes)
 {
     switch (r->mode) {
@@ -111,6 +135,9 @@ static void answer(const struct request *r, const uint8_t *bytes)
         break;
     case 'd':
         davis(r, bytes);
+        break;
+    case 'b':
+        blocks(r, bytes);
         break;
     default:
         abort();

@@ -1,0 +1,116 @@
+/* A firmware that receives events on UART 0 and tells on UART 1 what it got.
+ *
+ * A letter on UART 1 chooses what the line carries and starts afresh: 'd' for DAVIS346 words.
+ * '?' is answered with one line of name=value pairs, values in hexadecimal:
+ *
+ *   bytes    received on the line
+ *   events, edges, errors
+ *   digest   CRC-32 of the events as 13-byte records (u64 t, u16 x, u16 y, u8 on, little-endian), as the sender's
+ *   ticks    time spent in the decoder, in ticks of the 25 MHz timer
+ */
+#include "board.h"
+#include "evstim.h"
+
+static struct {
+    uint32_t bytes, events, edges, digest, ticks;
+} told;
+
+static uint32_t crc32_byte(uint32_t crc, uint32_t byte)
+{
+    static const uint32_t table[16] = {
+        0x00000000u, 0x1DB71064u, 0x3B6E20C8u, 0x26D930ACu, 0x76DC4190u, 0x6B6B51F4u, 0x4DB26158u, 0x5005713Cu,
+        0xEDB88320u, 0xF00F9344u, 0xD6D6A3E8u, 0xCB61B38Cu, 0x9B64C2B0u, 0x86D3D2D4u, 0xA00AE278u, 0xBDBDF21Cu,
+    };
+    crc ^= byte & 0xFFu;
+    crc = crc >> 4 ^ table[crc & 15u];
+    return crc >> 4 ^ table[crc & 15u];
+}
+
+static uint32_t crc32_u32(uint32_t crc, uint32_t value)
+{
+    for (int i = 0; i < 4; i++, value >>= 8)
+        crc = crc32_byte(crc, value);
+    return crc;
+}
+
+static void on_event(void *context, const struct evstim_event *event)
+{
+    (void)context;
+    told.events++;
+#ifndef NO_DIGEST
+    uint32_t crc = ~told.digest;
+    crc = crc32_u32(crc, (uint32_t)event->t_us);
+    crc = crc32_u32(crc, (uint32_t)(event->t_us >> 32));
+    crc = crc32_u32(crc, event->x | (uint32_t)event->y << 16);
+    told.digest = ~crc32_byte(crc, event->on);
+#else
+    (void)event;
+#endif
+}
+
+static void on_edge(void *context, const struct evstim_edge *edge)
+{
+    (void)context;
+    (void)edge;
+    told.edges++;
+}
+
+static const struct evstim_sink sink = {.event = on_event, .edge = on_edge};
+static struct evstim_davis davis;
+
+static void start(char carried)
+{
+    (void)carried;
+    told.bytes = told.events = told.edges = told.digest = told.ticks = 0;
+    evstim_davis_init(&davis, 346, 260, false, &sink);
+}
+
+static void take(uint8_t byte)
+{
+    uint32_t before = ticks_now();
+    evstim_davis_push(&davis, &byte, 1);
+    told.ticks += ticks_now() - before;
+    told.bytes++;
+}
+
+static uint32_t errors(void)
+{
+    return davis.row_outside + davis.column_outside + davis.time_not_increasing + davis.unknown_special
+           + davis.unknown_misc;
+}
+
+static void say(const char *name, uint32_t value)
+{
+    while (*name)
+        uart_write(CONSOLE, *name++);
+    for (int shift = 28; shift >= 0; shift -= 4)
+        uart_write(CONSOLE, "0123456789abcdef"[value >> shift & 15u]);
+}
+
+static void report(void)
+{
+    say("bytes=", told.bytes);
+    say(" events=", told.events);
+    say(" edges=", told.edges);
+    say(" errors=", errors());
+    say(" digest=", told.digest);
+    say(" ticks=", told.ticks);
+    uart_write(CONSOLE, '\n');
+}
+
+int main(void)
+{
+    board_init();
+    start('d');
+    for (;;) {
+        if (uart_has_byte(LINE))
+            take(uart_read(LINE));
+        else if (uart_has_byte(CONSOLE)) {
+            char letter = (char)uart_read(CONSOLE);
+            if (letter == '?')
+                report();
+            else
+                start(letter);
+        }
+    }
+}
