@@ -24,13 +24,18 @@ class Deliveries:
     ----------
     device_clock
         The camera's own, where its times are not stream time.
+
+    Attributes
+    ----------
+    clock
+        What the link goes by.
     """
 
     def __init__(
         self, ring: EventRing, clock: Clock, recorder: Recorder | None = None, device_clock: DeviceClock | None = None
     ) -> None:
         self._ring = ring
-        self._clock = clock
+        self.clock = clock
         self._recorder = recorder
         self._device_clock = device_clock
         self._epoch_us: int | None = None
@@ -40,7 +45,7 @@ class Deliveries:
     def add(self, events: Events, epoch_us: int = 0, edges: Edges | None = None) -> None:
         """Take note of events (n,) EVENT and edges (m,) EDGE that have left just now, in the time told to the device.
 
-        `epoch_us` is the time at which the device's own clock was last zero.
+        `epoch_us` is the time at which the device's own clock is zero; negative where that was before the run.
         """
         edges = empty_edges() if edges is None else edges
         if len(events):
@@ -68,16 +73,16 @@ class Deliveries:
         origin_ns = self._ring.origin_ns
         if origin_ns is None or origin_ns == FREE_RUNNING:
             return
-        now_us = (self._clock.now_ns() - origin_ns) / 1000
-        due_us = events["t"].astype(np.float64)
+        now_us = (self.clock.now_ns() - origin_ns) / 1000
+        due_us = events["t"].astype(np.int64).astype(np.float64)
         if self._device_clock is not None:
             due_us = self._device_clock.stream_us(events["t"].astype(np.int64), max(0, int(now_us)))
         self.latency.add(now_us - due_us)
 
     def _keep(self, events: Events, edges: Edges, epoch_us: int) -> None:
         events, edges = copy_events(events), edges.copy()
-        events["t"] -= np.uint64(epoch_us)
-        edges["t"] -= np.uint64(epoch_us)
+        events["t"] -= np.uint64(epoch_us % (1 << 64))
+        edges["t"] -= np.uint64(epoch_us % (1 << 64))
         restarted = epoch_us != self._epoch_us
         self._epoch_us = epoch_us
         self.digest = digest_of(events, 0 if restarted else self.digest)

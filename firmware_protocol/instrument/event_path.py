@@ -1,0 +1,191 @@
+"""The way of the events through an instrument: choice of pixels, queue, rate limit, block."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+
+from firmware_protocol.event_copies import copy_events
+from firmware_protocol.events import Events, empty_events
+from firmware_protocol.instrument.queue import Dropped, EventQueue
+from firmware_protocol.instrument.rate import Selection, TokenBucket
+from firmware_protocol.instrument.settings import InstrumentSettings
+from firmware_protocol.telemetry import BlockEncoder, as_received
+
+__all__ = ["EventPath", "Fates", "Piece"]
+
+_MOST_TOLD = 0xFFFF  # of dropped events in one block's header; the rest is told by the next block
+_BURST_S = 0.02
+
+
+@dataclass
+class Fates:
+    """Events offered, and what became of them; what is missing to the sum still waits."""
+
+    offered: int = 0
+    not_running: int = 0
+    not_selected: int = 0
+    dropped_fifo: int = 0
+    dropped_late: int = 0
+    dropped_rate: int = 0
+    flushed: int = 0
+    delivered: int = 0
+    lost_on_link: int = 0
+
+
+@dataclass(frozen=True)
+class Piece:
+    """Events that leave together: their block, (n,) EVENT as a receiver will see them, how many are missing before.
+
+    The events are in stream time; the block is empty where the link packs them itself.
+    """
+
+    block: bytes
+    events: Events
+    dropped: int
+
+
+class EventPath:
+    """Takes events of an array of `size` = (width, height), gives blocks.
+
+    Attributes
+    ----------
+    fates
+        What became of all events so far.
+    in_flight
+        Events that have been handed out and are neither sent nor lost yet.
+    """
+
+    def __init__(self, size: tuple[int, int], settings: InstrumentSettings) -> None:
+        self.size = size
+        self.fates = Fates()
+        self.in_flight = 0
+        self._queue = EventQueue(settings.bounds)
+        self._encoder = BlockEncoder(size, settings.blocks)
+        self.select(settings.selection(size))
+        self.limit(settings.rate_limit, 0)
+        self._encoder.encode(empty_events(2))  # loads the compiled code now: it takes a good part of a second
+
+    @property
+    def waiting(self) -> int:
+        """Events that wait to be handed out."""
+        return self._queue.waiting
+
+    @property
+    def room(self) -> int:
+        """Events that certainly fit now."""
+        return self._queue.room
+
+    @property
+    def horizon_us(self) -> int | None:
+        """Stream time that may be reached without an event's getting too old; None when none waits for the line."""
+        oldest_us = self._queue.oldest_us
+        return None if oldest_us is None or self.rate_limit else oldest_us + self._queue.bounds.age_us
+
+    @property
+    def oldest_us(self) -> int | None:
+        """Stream time of the event that waits longest; None when none waits."""
+        return self._queue.oldest_us
+
+    @property
+    def rate_limit(self) -> int:
+        """Events a second; 0 for none."""
+        return int(self._bucket.per_second)
+
+    @property
+    def tick_us(self) -> int:
+        """Unit of event times."""
+        return self._encoder.settings.tick_us
+
+    def select(self, selection: Selection) -> None:
+        """Choose the pixels that are sent from now on; raises ValueError when they lie outside the array."""
+        self.selection = selection.within(self.size)
+        self._all = (selection.width, selection.height, selection.keep_every) == (*self.size, 1)
+
+    def limit(self, per_second: int, now_us: int) -> None:
+        """Keep to a rate from now on; 0 for none."""
+        burst = max(self._encoder.settings.max_events, round(per_second * _BURST_S))
+        self._bucket = TokenBucket(per_second, burst, now_us)
+
+    def set_tick(self, tick_us: int) -> None:
+        """Count time in another unit from the next block on."""
+        self._encoder = BlockEncoder(self.size, dataclasses.replace(self._encoder.settings, tick_us=tick_us))
+
+    def check(self, events: Events) -> None:
+        """Raise ValueError when events lie outside the array or are not sorted."""
+        if (events["x"] >= self.size[0]).any() or (events["y"] >= self.size[1]).any():
+            raise ValueError(f"an event lies outside the {self.size[0]}x{self.size[1]} pixels")
+        if (events["t"][1:] < events["t"][:-1]).any():
+            raise ValueError("events are not sorted by time")
+
+    def put(self, events: Events, now_us: int) -> None:
+        """Take in events (n,), which are copied."""
+        chosen = copy_events(events) if self._all else self.selection.of(events)
+        self.fates.not_selected += len(events) - len(chosen)
+        self._count(self._queue.put(chosen, now_us))
+
+    def advance(self, now_us: int) -> None:
+        """Let stream time pass: the bucket fills, what waits gets older."""
+        self._bucket.advance(now_us)
+        self._count(self._queue.trim(now_us))
+
+    def next_block(self, offset_us: int) -> Piece | None:
+        """Make a block of what waits at the head, in the time that is `offset_us` ahead of stream time.
+
+        None while nothing waits or nothing may leave.
+        """
+        events = self._next(self._encoder.settings.max_events)
+        if events is None:
+            return None
+        shift = np.uint64(offset_us % (1 << 64))
+        own = copy_events(events)
+        own["t"] += shift
+        dropped = min(self._queue.dropped_before, _MOST_TOLD)
+        block, taken = self._encoder.encode(own, dropped)
+        seen = as_received(own[:taken], self.tick_us)
+        seen["t"] -= shift
+        return self._hand_out(Piece(block, seen, dropped))
+
+    def next_events(self, limit: int) -> Piece | None:
+        """Hand out up to `limit` events from the head, for a link that packs them itself."""
+        events = self._next(limit)
+        if events is None:
+            return None
+        return self._hand_out(Piece(b"", copy_events(events), self._queue.dropped_before))
+
+    def sent(self, count: int) -> None:
+        """Say that so many of those handed out have left."""
+        self.in_flight -= count
+        self.fates.delivered += count
+
+    def lost(self, count: int) -> None:
+        """Say that so many of those handed out were lost by the link."""
+        self.in_flight -= count
+        self.fates.lost_on_link += count
+
+    def clear(self) -> None:
+        """Drop what waits."""
+        self.fates.flushed += self._queue.clear()
+
+    def _next(self, limit: int) -> Events | None:
+        """Return what may leave from the head; None while nothing waits or the bucket is too empty for it."""
+        count = min(limit, self._queue.waiting)
+        if not count or not self._bucket.holds(count):
+            return None
+        return self._queue.head(limit)
+
+    def _hand_out(self, piece: Piece) -> Piece:
+        self._queue.remove(len(piece.events), piece.dropped)
+        self._bucket.spend(len(piece.events))
+        self.in_flight += len(piece.events)
+        return piece
+
+    def _count(self, dropped: Dropped) -> None:
+        """Count drops under their cause: the rate limit's while it is what holds the queue back."""
+        if dropped.total and not self._bucket.holds(min(self._encoder.settings.max_events, self._queue.waiting + 1)):
+            self.fates.dropped_rate += dropped.total
+            return
+        self.fates.dropped_fifo += dropped.full
+        self.fates.dropped_late += dropped.late

@@ -1,0 +1,320 @@
+"""An event camera without USB: events and edges in, messages out, telecommands in. Sans-I/O.
+
+    offer -------> selection -> queue --+
+    offer_edges -> edges ---------------+--> next_message --> Outgoing -+-> sent
+    advance -----> housekeeping due ----+         ^                     +-> lost
+    command -----> verification, pong, time report
+
+A message is formed when the line asks for it, as late as possible: a line that is wide takes small fresh blocks, a line
+that is full takes full ones. Answers go first, then edges, housekeeping, events.
+
+The camera's own time is stream time plus an offset that SetTime changes; all that leaves bears it.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+
+import numpy as np
+
+from firmware_protocol.davis346.biases import BIASES
+from firmware_protocol.edges import Edges
+from firmware_protocol.event_device import CameraCounters, EventDevice
+from firmware_protocol.events import Events
+from firmware_protocol.instrument.edge_path import EdgePath
+from firmware_protocol.instrument.event_path import EventPath, Piece
+from firmware_protocol.instrument.outgoing import Outgoing
+from firmware_protocol.instrument.rate import Selection
+from firmware_protocol.instrument.report import Reporter, State
+from firmware_protocol.instrument.settings import InstrumentSettings
+from firmware_protocol.packets.housekeeping import LinkCounts, TimeReport, TimeStatus
+from firmware_protocol.packets.message import Message, MessageKind
+from firmware_protocol.packets.profile import ReceivedCommand
+from firmware_protocol.packets.pus import Acknowledge
+from firmware_protocol.packets.telecommands import (
+    Ping,
+    RequestHousekeeping,
+    SetBias,
+    SetRateLimit,
+    SetRegion,
+    SetTick,
+    SetTime,
+    Start,
+    Stop,
+    Telecommand,
+)
+from firmware_protocol.packets.verification import CommandRefused, Failure, FailureCode, RequestId, Stage, Verification
+from firmware_protocol.telemetry import BlockEncoder
+
+__all__ = ["Instrument"]
+
+_MOST_ANSWERS = 256
+_LATEST_US = ((1 << 32) - 366 * 86_400) * 1_000_000
+_KNOWN_BIASES = frozenset(bias.address for bias in BIASES)
+
+
+class Instrument(EventDevice):
+    """The camera.
+
+    Parameters
+    ----------
+    size
+        (width, height) of the array.
+
+    Attributes
+    ----------
+    frames_refused
+        Damaged frames that the link has seen; the link sets it, housekeeping tells it.
+
+    Raises
+    ------
+    ValueError
+        The settings do not fit the array.
+    """
+
+    def __init__(self, size: tuple[int, int], settings: InstrumentSettings | None = None) -> None:
+        self.settings = settings = settings or InstrumentSettings()
+        self._path = EventPath(size, settings)
+        self._edges = EdgePath(BlockEncoder(size, settings.blocks))
+        self._answers: deque[Message] = deque()
+        self._reporter = Reporter(round(settings.housekeeping_s * 1e6))
+        self._now_us = self._offset_us = 0
+        self._time_status = TimeStatus.FREE_RUNNING
+        self._started, self._connected = settings.autostart, True
+        self._biases = {bias.address: int(bias.default) for bias in BIASES}
+        self._taken = self._refused = self._missing = 0
+        self.frames_refused = 0
+
+    @property
+    def now_us(self) -> int:
+        """Stream time that the camera has reached."""
+        return self._now_us
+
+    @property
+    def own_us(self) -> int:
+        """The camera's own time; never negative."""
+        return self._now_us + self._offset_us
+
+    @property
+    def tick_us(self) -> int:
+        """Unit of event times."""
+        return self._path.tick_us
+
+    @property
+    def streaming(self) -> bool:
+        """True while events offered now would go to the line."""
+        return self._started and self._connected
+
+    @property
+    def room_events(self) -> int:
+        """Events that certainly fit the queue now."""
+        return self._path.room
+
+    @property
+    def horizon_us(self) -> int:
+        """Stream time to which it can be advanced now without an event's getting too old."""
+        horizon_us = self._path.horizon_us if self.streaming else None
+        return super().horizon_us if horizon_us is None else horizon_us
+
+    @property
+    def counters(self) -> CameraCounters:
+        """Fates of all events and edges offered so far."""
+        f = self._path.fates
+        return CameraCounters(
+            offered=f.offered,
+            not_running=f.not_running,
+            dropped_fifo=f.dropped_fifo,
+            flushed=f.flushed,
+            delivered=f.delivered,
+            lost_on_link=f.lost_on_link,
+            queued=self._path.waiting + self._path.in_flight,
+            not_selected=f.not_selected,
+            dropped_rate=f.dropped_rate,
+            dropped_late=f.dropped_late,
+            edges=self._edges.counters,
+        )
+
+    def offer(self, events: Events) -> None:
+        """See `EventDevice.offer`."""
+        if not len(events):
+            return
+        if int(events["t"][0]) < self._now_us:
+            raise ValueError(f"event at {events['t'][0]} us offered after the camera's clock reached {self._now_us} us")
+        self._path.check(events)
+        self._now_us = int(events["t"][-1])
+        self._path.fates.offered += len(events)
+        if self.streaming:
+            self._path.put(events, self._now_us)
+        else:
+            self._path.fates.not_running += len(events)
+
+    def offer_edges(self, edges: Edges) -> None:
+        """See `EventDevice.offer_edges`."""
+        seen = self.streaming and not (edges["t"].astype(np.int64) + self._offset_us < 0).any()
+        (self._edges.put if seen else self._edges.ignore)(edges)
+
+    def advance(self, now_us: int) -> None:
+        """See `EventDevice.advance`."""
+        self._now_us = max(self._now_us, now_us)
+        self._path.advance(self._now_us)
+
+    @property
+    def biases(self) -> Mapping[int, int]:
+        """Bias words by number, as commanded; the numbers are those of the DAVIS346."""
+        return self._biases
+
+    def connected(self) -> None:
+        """Somebody listens on the line; so it is from the beginning, unless `disconnected` says otherwise."""
+        self._connected = True
+
+    def disconnected(self) -> None:
+        """Nobody listens: what waits is dropped, and what comes counts as not running."""
+        self._connected = False
+        self._answers.clear()
+        self._clear()
+
+    def start(self) -> None:
+        """Let events flow."""
+        self._started = True
+
+    def stop(self) -> None:
+        """Let no events flow, and drop what waits."""
+        self._started = False
+        self._clear()
+
+    def set_time(self, t_us: int) -> None:
+        """Say that the camera's own time is now `t_us`; raises ValueError when that is too far in the future."""
+        if not 0 <= t_us <= _LATEST_US:
+            raise ValueError(f"time {t_us} us leaves no year before 32 bits of seconds are full")
+        self._offset_us = t_us - self._now_us
+        oldest_us = self._path.oldest_us
+        if oldest_us is not None and oldest_us + self._offset_us < 0:
+            self._clear()  # its time would be negative
+        self._time_status = TimeStatus.SET
+
+    def next_message(self, *, events: bool = True) -> Outgoing | None:
+        """Return what is to leave next, None when there is nothing; without events where the link packs them itself.
+
+        `sent` or `lost` must follow for each, in the order of the calls.
+        """
+        if self._answers:
+            return Outgoing(self._answers.popleft())
+        if edges := self._edges.next_block(self._offset_us):
+            block, carried = edges
+            own_us = int(carried["t"][0]) + self._offset_us
+            return Outgoing(Message(MessageKind.EDGES, block, own_us), edges=carried, epoch_us=-self._offset_us)
+        if self._reporter.due(self._now_us):
+            return Outgoing(self._housekeeping())
+        return self._outgoing(self._path.next_block(self._offset_us)) if events else None
+
+    def next_events(self, limit: int) -> Outgoing | None:
+        """Hand out up to `limit` events for a link that packs them itself; otherwise as `next_message`."""
+        return self._outgoing(self._path.next_events(limit))
+
+    def sent(self, outgoing: Outgoing) -> None:
+        """Say that this has left: its events count as delivered."""
+        self._path.sent(len(outgoing.events))
+        self._edges.sent(len(outgoing.edges))
+
+    def lost(self, outgoing: Outgoing) -> None:
+        """Say that the link lost this."""
+        self._path.lost(len(outgoing.events))
+        self._edges.lost(len(outgoing.edges))
+
+    def command(self, received: ReceivedCommand) -> None:
+        """Do what a telecommand says, and answer as PUS service 1 does."""
+        self._missing += received.missing
+        if received.command is None:
+            self._refuse(received.request, Stage.ACCEPTANCE, received.failure)
+            return
+        self._verify(received, Stage.ACCEPTANCE, Acknowledge.ACCEPTANCE)
+        try:
+            self._execute(received.command)
+        except CommandRefused as refusal:
+            self._refuse(received.request, Stage.COMPLETION, refusal.failure)
+            return
+        self._taken += 1
+        self._verify(received, Stage.COMPLETION, Acknowledge.COMPLETION)
+
+    def _execute(self, command: Telecommand) -> None:
+        """Do it; raises CommandRefused when that cannot be."""
+        match command:
+            case Start():
+                self.start()
+            case Stop():
+                self.stop()
+            case Ping():
+                self._say(MessageKind.PONG, b"")
+            case RequestHousekeeping():
+                self._answers.append(self._housekeeping())
+            case SetTick(tick_us):
+                self._path.set_tick(tick_us)
+            case SetRegion(x, y, width, height):
+                self._select(x, y, width, height)
+            case SetRateLimit(events_per_s):
+                self._path.limit(events_per_s, self._now_us)
+            case SetTime(t_us):
+                self._command_time(t_us)
+            case SetBias(bias, value):
+                self._set_bias(bias, value)
+            case _:
+                raise CommandRefused(FailureCode.NOT_SUPPORTED, f"{type(command).__name__} is not done here")
+
+    def _select(self, x: int, y: int, width: int, height: int) -> None:
+        try:
+            self._path.select(Selection(x, y, width, height, self._path.selection.keep_every))
+        except ValueError as error:
+            raise CommandRefused(FailureCode.ILLEGAL_DATA, str(error)) from error
+
+    def _command_time(self, t_us: int) -> None:
+        try:
+            self.set_time(t_us)
+        except ValueError as error:
+            raise CommandRefused(FailureCode.ILLEGAL_DATA, str(error)) from error
+        self._say(MessageKind.TIME, TimeReport(t_us, self._time_status).encode())
+
+    def _set_bias(self, bias: int, value: int) -> None:
+        if bias not in _KNOWN_BIASES:
+            raise CommandRefused(FailureCode.ILLEGAL_DATA, f"there is no bias {bias}")
+        self._biases[bias] = value
+
+    def _verify(self, received: ReceivedCommand, stage: Stage, wanted: Acknowledge) -> None:
+        if received.acknowledge & wanted:
+            self._say(MessageKind.VERIFICATION, Verification(stage, received.request).encode())
+
+    def _refuse(self, request: RequestId, stage: Stage, failure: Failure | None) -> None:
+        self._refused += 1
+        self._say(MessageKind.VERIFICATION, Verification(stage, request, failure).encode())
+
+    def _say(self, kind: MessageKind, payload: bytes) -> None:
+        """Queue an answer; a computer that asks faster than the line answers loses the oldest ones."""
+        if len(self._answers) >= _MOST_ANSWERS:
+            self._answers.popleft()
+        self._answers.append(Message(kind, payload, self.own_us))
+
+    def _outgoing(self, piece: Piece | None) -> Outgoing | None:
+        if piece is None:
+            return None
+        own_us = int(piece.events["t"][0]) + self._offset_us
+        message = Message(MessageKind.EVENTS, piece.block, own_us)
+        return Outgoing(message, piece.events, epoch_us=-self._offset_us, dropped=piece.dropped)
+
+    def _housekeeping(self) -> Message:
+        state = State(
+            now_us=self._now_us,
+            own_us=self.own_us,
+            streaming=self.streaming,
+            time_status=self._time_status,
+            tick_us=self._path.tick_us,
+            rate_limit=self._path.rate_limit,
+            selection=self._path.selection,
+            temperature_c=self.settings.temperature_c,
+            counters=self.counters,
+            link=LinkCounts(self._taken, self._refused, self.frames_refused, self._missing),
+        )
+        return Message(MessageKind.HOUSEKEEPING, self._reporter.report(state).encode(), self.own_us)
+
+    def _clear(self) -> None:
+        self._path.clear()
+        self._edges.clear()

@@ -1,0 +1,186 @@
+"""Events that wait for a line narrower than the scene: bounded in number and in age, with gaps that are known.
+
+    head                                                          tail
+    [ before=0 | e e e e e ] [ before=120 | e e e ] [ before=0 | e ] ...        segments
+
+`before` says how many events were dropped just before a segment's first. A block is taken from the head and never spans
+a gap, so the count in its header stands exactly where the events are missing.
+
+What gives way when the queue is full is the policy: "drop_oldest" lets go at the head, so what is sent is fresh and the
+gap lies between two blocks; "drop_newest" refuses at the tail until there is room for a block again.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from firmware_protocol.event_copies import join_events
+from firmware_protocol.events import Events, empty_events
+
+__all__ = ["Dropped", "EventQueue", "Policy", "QueueBounds"]
+
+
+class Policy(StrEnum):
+    """Which events give way when there are too many."""
+
+    OLDEST = "drop_oldest"
+    NEWEST = "drop_newest"
+
+
+@dataclass(frozen=True)
+class QueueBounds:
+    """How much may wait.
+
+    Attributes
+    ----------
+    events
+        Most events that wait.
+    age_us
+        Longest that an event waits, us of stream time.
+    block_events
+        Events of a full block: "drop_newest" takes events again once so many have room.
+    """
+
+    events: int
+    age_us: int
+    block_events: int
+    policy: Policy
+
+
+@dataclass(frozen=True)
+class Dropped:
+    """How many events a call dropped, by which bound."""
+
+    full: int = 0
+    late: int = 0
+
+    @property
+    def total(self) -> int:
+        """By either."""
+        return self.full + self.late
+
+
+@dataclass
+class _Segment:
+    before: int
+    events: Events
+
+
+class EventQueue:
+    """A bounded queue of events, sorted by time."""
+
+    def __init__(self, bounds: QueueBounds) -> None:
+        self.bounds = bounds
+        self._segments: deque[_Segment] = deque()
+        self._before = 0  # dropped at the head since the last block
+        self._refused = 0  # dropped at the tail since the last event that was taken
+        self._refusing = False
+        self.waiting = 0
+
+    @property
+    def room(self) -> int:
+        """Events that fit now."""
+        return max(0, self.bounds.events - self.waiting)
+
+    @property
+    def oldest_us(self) -> int | None:
+        """Stream time of the event at the head; None when nothing waits."""
+        return int(self._segments[0].events["t"][0]) if self._segments else None
+
+    @property
+    def dropped_before(self) -> int:
+        """Events dropped between the last block and the head; all of them when nothing waits."""
+        return self._before if self._segments else self._before + self._refused
+
+    def put(self, events: Events, now_us: int) -> Dropped:
+        """Append events (n,), which the queue keeps without copying; say what gave way."""
+        if self.bounds.policy is Policy.NEWEST:
+            return self._put_what_fits(events, now_us)
+        self._append(events)
+        return self.trim(now_us)
+
+    def trim(self, now_us: int) -> Dropped:
+        """Drop what is too old or too much at the head, where the policy says so."""
+        if self.bounds.policy is not Policy.OLDEST:
+            return Dropped()
+        full = self._drop(self.waiting - self.bounds.events)
+        return Dropped(full, self._drop(self._late(now_us)))
+
+    def head(self, limit: int) -> Events:
+        """Return up to `limit` events from the head, without a gap inside; they stay in the queue."""
+        if not self._segments:
+            return empty_events()
+        first = self._segments.popleft()
+        parts, have = [first.events], len(first.events)
+        while have < limit and self._segments and not self._segments[0].before:
+            parts.append(self._segments.popleft().events)
+            have += len(parts[-1])
+        first.events = join_events(parts)
+        self._segments.appendleft(first)
+        return first.events[:limit]
+
+    def remove(self, count: int, told: int) -> None:
+        """Take `count` events from the head for a block that told of `told` dropped ones before them."""
+        if not self._segments:
+            self._before, self._refused = self.dropped_before, 0
+        self._before -= told
+        self._leave(count)
+
+    def clear(self) -> int:
+        """Drop everything and say how much that was."""
+        self._before, self._refused = self._before + self._refused, 0
+        return self._drop(self.waiting)
+
+    def _put_what_fits(self, events: Events, now_us: int) -> Dropped:
+        late = self.oldest_us is not None and now_us - self.oldest_us > self.bounds.age_us
+        if self._refusing and self.room >= min(self.bounds.block_events, self.bounds.events):
+            self._refusing = False
+        fitting = 0 if late or self._refusing else min(len(events), self.room)
+        if not late and fitting < len(events):
+            self._refusing = True
+        self._append(events[:fitting])
+        refused = len(events) - fitting
+        self._refused += refused
+        return Dropped(late=refused) if late else Dropped(full=refused)
+
+    def _append(self, events: Events) -> None:
+        if not len(events):
+            return
+        before, self._refused = self._refused, 0
+        if not self._segments:
+            self._before, before = self._before + before, 0
+        self._segments.append(_Segment(before, events))
+        self.waiting += len(events)
+
+    def _late(self, now_us: int) -> int:
+        """Events that have waited too long."""
+        limit_us = now_us - self.bounds.age_us
+        late = 0
+        for segment in self._segments:
+            if int(segment.events["t"][0]) >= limit_us:
+                break
+            late += int(np.searchsorted(segment.events["t"], max(limit_us, 0)))
+        return late
+
+    def _drop(self, count: int) -> int:
+        count = max(0, count)
+        self._before += count
+        self._leave(count)
+        return count
+
+    def _leave(self, count: int) -> None:
+        """Let `count` events go from the head; gaps that come to the head are told with the next block."""
+        self.waiting -= count
+        while count:
+            first = self._segments[0]
+            gone = min(count, len(first.events))
+            count -= gone
+            first.events = first.events[gone:]
+            if not len(first.events):
+                self._segments.popleft()
+                if self._segments:
+                    self._before, self._segments[0].before = self._before + self._segments[0].before, 0

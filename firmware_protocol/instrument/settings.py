@@ -1,0 +1,93 @@
+"""What an instrument is before it is told anything."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from firmware_protocol.instrument.queue import Policy, QueueBounds
+from firmware_protocol.instrument.rate import Selection
+from firmware_protocol.telemetry import BlockSettings
+
+__all__ = ["InstrumentSettings"]
+
+
+@dataclass(frozen=True)
+class InstrumentSettings:
+    """What the camera says on a line, and how much of it.
+
+    Attributes
+    ----------
+    tick_us
+        Unit of event times: 1, 10, 100 or 1000.
+    coding
+        How blocks are coded: "smallest", "flat", "rows" or "bitmap".
+    block_events, block_bytes
+        Largest block.
+    region
+        [x, y, width, height] of the pixels that are sent; empty for all.
+    keep_every
+        Of those, only columns and rows that are a multiple of this.
+    rate_limit
+        Most events a second on the average; 0 for no limit but the line's.
+    when_full
+        What gives way when more comes than leaves: "drop_oldest" or "drop_newest".
+    queue_events, queue_ms
+        How much may wait, in events and in time.
+    housekeeping_s
+        Time between two housekeeping messages; 0 for none but those that are asked for.
+    autostart
+        Events flow without a start command.
+    temperature_c
+        Told in housekeeping.
+    """
+
+    tick_us: Literal[1, 10, 100, 1000] = 1
+    coding: Literal["smallest", "flat", "rows", "bitmap"] = "smallest"
+    block_events: int = 2048
+    block_bytes: int = 1024
+    region: tuple[int, ...] = ()
+    keep_every: int = 1
+    rate_limit: int = 0
+    when_full: Literal["drop_oldest", "drop_newest"] = "drop_oldest"
+    queue_events: int = 65_536
+    queue_ms: float = 100.0
+    housekeeping_s: float = 1.0
+    autostart: bool = True
+    temperature_c: float = 20.0
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.block_events <= 65_535:
+            raise ValueError(f"block_events must be 1 to 65535, got {self.block_events}")
+        if not 64 <= self.block_bytes <= 8192:
+            raise ValueError(f"block_bytes must be 64 to 8192, got {self.block_bytes}")
+        if self.region and (len(self.region) != 4 or min(self.region) < 0 or 0 in self.region[2:]):
+            raise ValueError(f"region must be [x, y, width, height] in pixels, or empty, got {list(self.region)}")
+        if not 1 <= self.keep_every <= 64:
+            raise ValueError(f"keep_every must be 1 (all) to 64, got {self.keep_every}")
+        if not 0 <= self.rate_limit <= 0xFFFF_FFFF:
+            raise ValueError(f"rate_limit must be 0 (none) to {0xFFFF_FFFF} events a second, got {self.rate_limit}")
+        if not self.block_events <= self.queue_events <= 1 << 24:
+            raise ValueError(f"queue_events must be block_events to {1 << 24}, got {self.queue_events}")
+        if not 1 <= self.queue_ms <= 60_000:
+            raise ValueError(f"queue_ms must be 1 to 60000, got {self.queue_ms}")
+        if not (self.housekeeping_s == 0 or 0.01 <= self.housekeeping_s <= 86_400):
+            raise ValueError(f"housekeeping_s must be 0 (none) or 0.01 to 86400, got {self.housekeeping_s}")
+
+        if not -273 <= self.temperature_c <= 300:
+            raise ValueError(f"temperature_c must be -273 to 300, got {self.temperature_c}")
+
+    @property
+    def blocks(self) -> BlockSettings:
+        """How blocks are made."""
+        return BlockSettings(self.tick_us, self.coding, self.block_events, self.block_bytes)
+
+    @property
+    def bounds(self) -> QueueBounds:
+        """How much may wait."""
+        return QueueBounds(self.queue_events, round(self.queue_ms * 1000), self.block_events, Policy(self.when_full))
+
+    def selection(self, size: tuple[int, int]) -> Selection:
+        """Return which pixels of an array of `size` = (width, height) are sent; raises ValueError."""
+        x, y, width, height = self.region or (0, 0, *size)
+        return Selection(x, y, width, height, self.keep_every).within(size)
