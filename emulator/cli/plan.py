@@ -57,7 +57,7 @@ def _as_json(made: Plan) -> dict[str, object]:
         "tolerance": made.tolerance,
         "probe": _finite(dataclasses.asdict(made.probe)),
         "steps": made.steps,
-        "effects": [_finite({**d, "kept": d["kept"] or made.pinned}) for d in decisions],
+        "effects": [_finite({**d, "kept": d["kept"] or (made.pinned and d["choice"])}) for d in decisions],
         "load": {**dataclasses.asdict(made.load), "total": made.load.total},
     }
 
@@ -106,6 +106,8 @@ def _effects(made: Plan) -> list[str]:
 def _row(decision: Decision, made: Plan) -> tuple[str, str, str, str, str]:
     worth = "matters" if decision.kept else "hardly matters"
     verdict = f"kept: pinned, {worth}" if made.pinned else ("kept" if decision.kept else "dropped")
+    if not decision.choice:
+        verdict = "kept: no choice" if decision.kept else "left out: not in the grade"
     time = "-" if decision.cost_us is None else _us(decision.cost_us)
     share = "-" if decision.cost_share is None else f"{decision.cost_share:.2g}"
     return decision.effect, verdict, time, share, decision.bound
