@@ -8,6 +8,7 @@ from typing import Literal
 
 from emulator.bench import link, pixel, word
 from emulator.bench.scene import Workload
+from emulator.bench.telemetry import BlockBits, BlockDecoding, BlockEncoding
 
 __all__ = ["MEASURES", "Measure"]
 
@@ -33,6 +34,14 @@ MEASURES = (
     Measure("pixel_edges", "Mev/s", "higher", 10, pixel.pixel_edges),
     Measure("words_encode", "Mev/s", "higher", 80, word.words_encode),
     Measure("words_decode", "Mev/s", "higher", 40, word.words_decode),
+    Measure("blocks_encode_stars", "Mev/s", "higher", 10, BlockEncoding("stars")),
+    Measure("blocks_encode_target", "Mev/s", "higher", 10, BlockEncoding("target")),
+    Measure("blocks_decode_stars", "Mev/s", "higher", 10, BlockDecoding("stars")),
+    Measure("blocks_decode_target", "Mev/s", "higher", 10, BlockDecoding("target")),
+    Measure("blocks_stars_1us", "bits/ev", "lower", 24, BlockBits("stars", 1)),
+    Measure("blocks_target_1us", "bits/ev", "lower", 18, BlockBits("target", 1)),
+    Measure("blocks_stars_100us", "bits/ev", "lower", 16.5, BlockBits("stars", 100)),
+    Measure("blocks_target_100us", "bits/ev", "lower", 10.5, BlockBits("target", 100)),
     Measure("checkerboard_346x260", "frames/s", "higher", 2000, Workload("checkerboard", SMALL)),
     Measure("checkerboard_1280x720", "frames/s", "higher", 200, Workload("checkerboard", LARGE)),
     Measure("eros_346x260", "frames/s", "higher", 150, Workload("eros", SMALL)),
