@@ -29,11 +29,13 @@ from emulator.rig_files import beside
 from emulator.rig_text import line_of
 from emulator.scene.body import BodyParameters
 from emulator.scene.checkerboard import CheckerboardParameters
+from emulator.scene.stars import StarsParameters
 from emulator.sensor.presets import PRESETS, SensorParameters
 from emulator.triggers import Trigger
 from emulator.typed_table import Path as KeyPath
 from emulator.typed_table import TableError, convert, convert_kind, unknown
 from firmware_protocol.device_clock import ClockSettings
+from transports.serial_line.parameters import SerialParameters
 
 __all__ = [
     "LINKS",
@@ -202,14 +204,22 @@ class LoopbackLink:
     name: str = "loopback"
 
 
-SceneParameters = CheckerboardParameters | BodyParameters
-LinkParameters = UsbipLink | LoopbackLink
+SceneParameters = CheckerboardParameters | BodyParameters | StarsParameters
+LinkParameters = UsbipLink | LoopbackLink | SerialParameters
 
-SCENES: Mapping[str, type[SceneParameters]] = {"checkerboard": CheckerboardParameters, "body": BodyParameters}
+SCENES: Mapping[str, type[SceneParameters]] = {
+    "checkerboard": CheckerboardParameters,
+    "body": BodyParameters,
+    "stars": StarsParameters,
+}
 _BUSES = ("can",)
 """Kinds of link that hear a SYNC."""
 
-LINKS: Mapping[str, type[LinkParameters]] = {"usbip": UsbipLink, "loopback": LoopbackLink}
+LINKS: Mapping[str, type[LinkParameters]] = {
+    "usbip": UsbipLink,
+    "loopback": LoopbackLink,
+    "serial": SerialParameters,
+}
 
 
 @dataclass(frozen=True)

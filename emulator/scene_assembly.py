@@ -15,6 +15,7 @@ from emulator.rig import Rig
 from emulator.scene.base import Scene
 from emulator.scene.body import BodyParameters
 from emulator.scene.checkerboard import Checkerboard, CheckerboardParameters
+from emulator.scene.stars import StarField, StarsParameters
 
 __all__ = ["build_scene"]
 
@@ -29,6 +30,8 @@ def build_scene(rig: Rig, size: tuple[int, int] | None = None) -> Scene:
             from emulator.scene.body import Body
 
             return Body(p, size)
+        case StarsParameters() as p:
+            return StarField(p, size, rig.camera.lens, CHIPS[rig.camera.model])
 
 
 def _through_lens(rig: Rig, size: tuple[int, int], build: Callable[[Pinhole], Scene]) -> Scene:

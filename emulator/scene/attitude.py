@@ -48,7 +48,7 @@ def spin(pole: Vector, turns: float) -> Matrix:
     node = np.array([-pole[1], pole[0], 0.0])
     length = math.hypot(pole[0], pole[1])
     x = node / length if length > 1e-12 else np.array([1.0, 0.0, 0.0])
-    y = np.cross(pole, x)
+    y = np.array([-pole[2] * x[1], pole[2] * x[0], pole[0] * x[1] - pole[1] * x[0]])  # pole cross x; x[2] is 0
     angle = 2 * math.pi * turns
     c, s = math.cos(angle), math.sin(angle)
     return np.column_stack([c * x + s * y, c * y - s * x, pole])
