@@ -1,0 +1,1 @@
+"""CAN buses: real ones by python-can, and one that evstim makes itself."""

@@ -1,0 +1,61 @@
+"""What a CAN bus is to a link, whoever carries it."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+from firmware_protocol.can_frames.frame import Frame
+
+__all__ = ["BusDown", "CanBus", "Heard"]
+
+
+class BusDown(OSError):
+    """A bus cannot be had, or is gone; the message says what to do."""
+
+
+@dataclass(frozen=True)
+class Heard:
+    """A frame, and when it was on the bus (CLOCK_MONOTONIC, ns); `own` for an urgent one of ours that has left."""
+
+    frame: Frame
+    t_ns: int
+    own: bool = False
+
+
+class CanBus(ABC):
+    """One bus. Its methods return at once, except `open`."""
+
+    @abstractmethod
+    async def open(self) -> None:
+        """Open it, again after it was lost; raises BusDown."""
+
+    @abstractmethod
+    def send(self, frame: Frame, *, urgent: bool = False) -> bool:
+        """Hand over a frame; False: there is no room now. Raises BusDown when the bus is gone.
+
+        An urgent frame passes ordinary ones that wait on our side, where the bus can do that.
+        """
+
+    @abstractmethod
+    def take(self) -> list[Heard]:
+        """Return what was on the bus since the last call, but for our ordinary frames; raises BusDown."""
+
+    @abstractmethod
+    async def close(self) -> None:
+        """Let go of it; may be called at any time."""
+
+    @property
+    @abstractmethod
+    def address(self) -> str:
+        """Where others find it."""
+
+    @property
+    def waiting(self) -> int:
+        """Frames that were handed over and are still on our side, where that is known."""
+        return 0
+
+    @property
+    def heard(self) -> bool:
+        """False when it is certain that no other node is on the bus."""
+        return True

@@ -1,0 +1,226 @@
+"""How what an instrument says gets into frames: raw events, or whole messages by ISO-TP or in CSP packets.
+
+A source gives its next frame when the bus has room, is told when that frame has left, and tells the instrument when all
+of a message has. Frames are given once: the endpoint keeps one that the bus did not take.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections import Counter, deque
+
+import numpy as np
+
+from firmware_protocol.can_frames.cfp import CfpReceiver, cfp_frames
+from firmware_protocol.can_frames.frame import Frame
+from firmware_protocol.can_frames.isotp import IsoTpFailure, IsoTpReceiver, IsoTpSender, IsoTpSettings
+from firmware_protocol.can_frames.raw_stream import Packed, RawSender
+from firmware_protocol.event_copies import copy_events
+from firmware_protocol.instrument import Instrument, Outgoing
+from firmware_protocol.packets.addresses import Addresses
+from firmware_protocol.packets.profile import CommandUnwrapper, Profile
+from transports.can_bus.parameters import CanParameters
+from transports.deliveries import Deliveries
+
+__all__ = ["CfpMail", "FrameSource", "IsoTpMail", "RawEvents", "sources"]
+
+_RAW_EVENTS_A_TIME = 8  # so that only so few have an uncertain fate when a bus goes away
+
+
+class FrameSource(ABC):
+    """Frames of one kind, in order."""
+
+    def __init__(self, instrument: Instrument, deliveries: Deliveries) -> None:
+        self._instrument = instrument
+        self._deliveries = deliveries
+        self._outgoing: Outgoing | None = None
+        self.faults: Counter[str] = Counter()
+
+    @abstractmethod
+    def next_frame(self, now_ns: int) -> Frame | None:
+        """Return the next frame if there is one that may go now."""
+
+    @abstractmethod
+    def left(self) -> None:
+        """Say that the frame given last has left."""
+
+    def drop(self) -> None:
+        """Forget the message under way: the bus is gone."""
+        if self._outgoing is not None:
+            self._instrument.lost(self._outgoing)
+            self._outgoing = None
+
+    def hear(self, frame: Frame, now_ns: int) -> Frame | None:
+        """Take a frame of another node; return what has to be answered at once."""
+        return None
+
+    def _delivered(self) -> None:
+        outgoing, self._outgoing = self._outgoing, None
+        if outgoing is not None:
+            self._instrument.sent(outgoing)
+            self._deliveries.add(outgoing.events, outgoing.epoch_us, outgoing.edges)
+
+
+class RawEvents(FrameSource):
+    """Events in frames that stand alone."""
+
+    def __init__(self, instrument: Instrument, deliveries: Deliveries, parameters: CanParameters) -> None:
+        super().__init__(instrument, deliveries)
+        self._parameters = parameters
+        self._tick_us = instrument.tick_us
+        self._sender = RawSender(parameters.raw(self._tick_us))
+        self._frames: deque[Packed] = deque()
+
+    def next_frame(self, now_ns: int) -> Frame | None:
+        """See `FrameSource.next_frame`."""
+        if not self._frames:
+            self._pack()
+        if self._frames:
+            return self._frames.popleft().frame
+        if self._outgoing is not None:
+            return None  # its last frame is under way
+        return self._sender.epoch(self._instrument.own_us, self._instrument.counters.dropped_in_device)
+
+    def left(self) -> None:
+        """See `FrameSource.left`."""
+        if not self._frames:
+            self._delivered()
+
+    def drop(self) -> None:
+        """See `FrameSource.drop`."""
+        self._frames.clear()
+        super().drop()
+
+    def _pack(self) -> None:
+        if self._outgoing is not None:
+            return
+        outgoing = self._instrument.next_events(_RAW_EVENTS_A_TIME)
+        if outgoing is None:
+            return
+        if self._instrument.tick_us != self._tick_us:
+            self._tick_us = self._instrument.tick_us
+            self._sender.set_tick(self._tick_us)
+        own = copy_events(outgoing.events)
+        epoch = np.uint64(outgoing.epoch_us % (1 << 64))
+        own["t"] -= epoch
+        self._frames += self._sender.pack(own, self._instrument.counters.dropped_in_device)
+        own["t"] = own["t"] // np.uint64(self._tick_us) * np.uint64(self._tick_us) + epoch
+        self._outgoing = Outgoing(outgoing.message, own, outgoing.edges, outgoing.epoch_us, outgoing.dropped)
+
+
+class IsoTpMail(FrameSource):
+    """Messages by ISO-TP, and telecommands the same way back; `with_events` when events go this way too."""
+
+    def __init__(
+        self, instrument: Instrument, deliveries: Deliveries, settings: IsoTpSettings, *, with_events: bool
+    ) -> None:
+        super().__init__(instrument, deliveries)
+        self._settings = settings
+        self._with_events = with_events
+        self._profile = Profile("ccsds")
+        self._commands = self._profile.command_unwrapper()
+        self._sender = IsoTpSender(settings)
+        self._receiver = IsoTpReceiver(settings)
+        self.faults = self._receiver.faults
+
+    def next_frame(self, now_ns: int) -> Frame | None:
+        """See `FrameSource.next_frame`."""
+        if self._outgoing is None:
+            self._outgoing = self._instrument.next_message(events=self._with_events)
+            if self._outgoing is None:
+                return None
+            self._sender.start(self._profile.wrap(self._outgoing.message))
+        try:
+            return self._sender.next_frame(now_ns)
+        except IsoTpFailure:
+            self.faults["given up"] += 1
+            self.drop()
+            return None
+
+    def left(self) -> None:
+        """See `FrameSource.left`."""
+        if not self._sender.busy:
+            self._delivered()
+
+    def drop(self) -> None:
+        """See `FrameSource.drop`."""
+        self._sender.abort()
+        super().drop()
+
+    def hear(self, frame: Frame, now_ns: int) -> Frame | None:
+        """See `FrameSource.hear`."""
+        if not self._settings.is_ours(frame):
+            return None
+        if frame.data and frame.data[0] >> 4 == 3:
+            self._flow_control(frame, now_ns)
+            return None
+        packet = self._receiver.push(frame, now_ns)
+        if packet is not None:
+            _obey(self._instrument, self._commands, packet)
+        return self._receiver.reply
+
+    def _flow_control(self, frame: Frame, now_ns: int) -> None:
+        try:
+            self._sender.flow_control(frame, now_ns)
+        except IsoTpFailure:
+            self.faults["refused by the peer"] += 1
+            self.drop()
+
+
+class CfpMail(FrameSource):
+    """Messages in CSP packets, cut up by CFP 2, and telecommands the same way back."""
+
+    def __init__(self, instrument: Instrument, deliveries: Deliveries, parameters: CanParameters) -> None:
+        super().__init__(instrument, deliveries)
+        self._address = parameters.csp_address
+        self._profile = Profile("csp", Addresses(csp_node=parameters.csp_address, csp_peer=parameters.csp_peer))
+        self._commands = self._profile.command_unwrapper()
+        self._receiver = CfpReceiver(parameters.csp_address)
+        self._frames: deque[Frame] = deque()
+        self._packets = 0
+        self.faults = self._receiver.faults
+
+    def next_frame(self, now_ns: int) -> Frame | None:
+        """See `FrameSource.next_frame`."""
+        if self._outgoing is None:
+            self._outgoing = self._instrument.next_message()
+            if self._outgoing is None:
+                return None
+            packet = self._profile.wrap(self._outgoing.message)
+            self._frames += cfp_frames(packet, self._address, self._packets)
+            self._packets += 1
+        return self._frames.popleft() if self._frames else None
+
+    def left(self) -> None:
+        """See `FrameSource.left`."""
+        if not self._frames:
+            self._delivered()
+
+    def drop(self) -> None:
+        """See `FrameSource.drop`."""
+        self._frames.clear()
+        super().drop()
+
+    def hear(self, frame: Frame, now_ns: int) -> Frame | None:
+        """See `FrameSource.hear`."""
+        packet = self._receiver.push(frame, now_ns)
+        if packet is not None:
+            _obey(self._instrument, self._commands, packet)
+        return None
+
+
+def sources(instrument: Instrument, deliveries: Deliveries, parameters: CanParameters) -> list[FrameSource]:
+    """Return what a link sends, the more urgent first."""
+    if parameters.carriage == "cfp":
+        return [CfpMail(instrument, deliveries, parameters)]
+    if parameters.carriage == "isotp":
+        return [IsoTpMail(instrument, deliveries, parameters.isotp, with_events=True)]
+    return [
+        IsoTpMail(instrument, deliveries, parameters.isotp, with_events=False),
+        RawEvents(instrument, deliveries, parameters),
+    ]
+
+
+def _obey(instrument: Instrument, commands: CommandUnwrapper, packet: bytes) -> None:
+    for received in commands.push(packet):
+        instrument.command(received)

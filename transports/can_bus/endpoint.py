@@ -1,0 +1,283 @@
+"""The CAN endpoint of a link: one bus or two, a node, and what carries the instrument's messages.
+
+Every frame leaves through `_send`, and every frame that comes in goes through `_hear`.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections import Counter, deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from firmware_protocol.can_frames.bus_time import BusShare
+from firmware_protocol.can_frames.frame import Frame
+from firmware_protocol.can_frames.marks import pack_marks
+from firmware_protocol.edges import Edges
+from firmware_protocol.instrument import Instrument
+from transports.can_bus.bus import BusDown, CanBus
+from transports.can_bus.carriage import FrameSource, sources
+from transports.can_bus.node import EdgeSink, Node
+from transports.can_bus.parameters import CanParameters
+from transports.can_bus.python_can import PythonCanBus
+from transports.can_bus.served import ServedBus
+from transports.deliveries import Deliveries
+from transports.link import Endpoint, EndpointFactory, LineUse
+from transports.pacing import Clock
+
+__all__ = ["CanEndpoint", "CanFactory"]
+
+_RETRY_NS = 1_000_000_000
+_SECOND_NS = 1_000_000_000
+_MAKE_UP_NS = 2_000_000  # bus time that a late tick may make up
+_NAMES = ("A", "B")
+
+
+@dataclass(frozen=True)
+class CanFactory(EndpointFactory[Instrument]):
+    """Puts an instrument on a CAN bus; `sink` takes the bus's SYNCs as triggers."""
+
+    parameters: CanParameters
+    sink: EdgeSink | None = None
+
+    def build(self, device: Instrument, deliveries: Deliveries) -> CanEndpoint:
+        """Return the endpoint, its buses not yet open."""
+        p, clock = self.parameters, deliveries.clock
+        if p.interface == "served":
+            buses: list[CanBus] = [ServedBus(p, clock)]
+        else:
+            buses = [PythonCanBus(p, channel) for channel in (p.channel, p.channel_b) if channel]
+        return CanEndpoint(buses, device, Node(p, device, deliveries, self.sink), sources(device, deliveries, p), clock)
+
+
+@dataclass
+class _Slot:
+    """One of the buses, and whether it can be used."""
+
+    bus: CanBus
+    up: bool = False
+    why: str = ""
+    retry_ns: int = 0
+    opening: asyncio.Task[None] | None = None
+
+
+class CanEndpoint(Endpoint):
+    """An instrument on its bus."""
+
+    def __init__(
+        self, buses: list[CanBus], instrument: Instrument, node: Node, carried: list[FrameSource], clock: Clock
+    ) -> None:
+        p = node.parameters
+        self._slots = [_Slot(bus) for bus in buses]
+        self._instrument = instrument
+        self._node = node
+        self._sources = carried
+        self._clock = clock
+        self._share = BusShare(p.rates, p.share, _MAKE_UP_NS)
+        self._urgent: deque[Frame] = deque()
+        self._kept: tuple[FrameSource, Frame] | None = None  # the bus had no room for it
+        self._use = _Use()
+        self._counts: Counter[str] = Counter()
+        self._active = 0
+        self._heard = True
+        self._closed_ns: int | None = None
+        self._marks = p.identifiers.marks
+
+    async def start(self) -> None:
+        """Open the buses; raises BusDown, with what to do, when one cannot be had."""
+        for slot in self._slots:
+            await slot.bus.open()
+            slot.up = True
+        self._node.start(self._clock.now_ns())
+
+    def pump(self) -> None:
+        """Hear what has come, then send what is due."""
+        for index, slot in enumerate(self._slots):
+            self._listen(index, slot)
+        now_ns = self._clock.now_ns()
+        self._follow_the_master(now_ns)
+        slot = self._slots[self._active]
+        self._be_heard(slot.up and slot.bus.heard)
+        if not (slot.up and slot.bus.heard):
+            return
+        self._urgent += self._node.due(now_ns)
+        try:
+            self._send_urgent(slot, now_ns)
+            self._send_ordinary(slot, now_ns)
+        except BusDown as error:
+            self._down(slot, error)
+
+    def mark(self, edges: Edges) -> int:
+        """See `Endpoint.mark`."""
+        slot = self._slots[self._active]
+        if not (slot.up and slot.bus.heard):
+            return 0
+        self._urgent += [Frame(self._marks, data) for data in pack_marks(edges)]
+        return len(edges)
+
+    async def close(self) -> None:
+        """Drop what is under way, and let go of the buses."""
+        self._closed_ns = self._clock.now_ns()
+        self._drop()
+        for slot in self._slots:
+            if slot.opening is not None:
+                slot.opening.cancel()
+                await asyncio.gather(slot.opening, return_exceptions=True)
+            await slot.bus.close()
+
+    @property
+    def state(self) -> str:
+        """Which bus, and how things stand there."""
+        slot = self._slots[self._active]
+        if not slot.up:
+            return slot.why
+        name = f", bus {_NAMES[self._active]}" if len(self._slots) > 1 else ""
+        told = self._node.state.name.lower() if slot.bus.heard else "nobody listens yet"
+        return f"on {slot.bus.address}{name}, {told}"
+
+    @property
+    def address(self) -> str:
+        """Of the bus in use."""
+        return self._slots[self._active].bus.address
+
+    @property
+    def use(self) -> LineUse:
+        """How full the bus was, as far as this node saw."""
+        return self._use.line(self._closed_ns or self._clock.now_ns())
+
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """What else happened."""
+        total = self._counts + self._node.counts
+        for source in self._sources:
+            total += source.faults
+        if self._node.selector is not None:
+            total["bus changes"] = self._node.selector.turns
+        missed = sum(slot.bus.missed for slot in self._slots if isinstance(slot.bus, ServedBus))
+        return dict(total + Counter({"frames missed by slow listeners": missed}))
+
+    def _listen(self, index: int, slot: _Slot) -> None:
+        now_ns = self._clock.now_ns()
+        if not slot.up:
+            if slot.opening is None and now_ns >= slot.retry_ns:
+                slot.opening = asyncio.get_running_loop().create_task(self._reopen(slot))
+            return
+        try:
+            for heard in slot.bus.take():
+                if heard.own:
+                    self._node.has_left(heard.frame, heard.t_ns)
+                else:
+                    self._hear(index, heard.frame, heard.t_ns)
+        except BusDown as error:
+            self._down(slot, error)
+
+    def _hear(self, index: int, frame: Frame, t_ns: int) -> None:
+        """Take a frame of another node."""
+        now_ns = self._clock.now_ns()
+        self._node.hear(index, frame, t_ns)
+        if index != self._active or frame.error:
+            return
+        self._use.add(self._share.spend(frame, now_ns), now_ns, ours=False)
+        for source in self._sources:
+            answer = source.hear(frame, now_ns)
+            if answer is not None:
+                self._urgent.append(answer)
+
+    def _send(self, slot: _Slot, frame: Frame, now_ns: int, *, urgent: bool = False) -> bool:
+        """Hand a frame to the bus; False when it has no room. Raises BusDown."""
+        if not slot.bus.send(frame, urgent=urgent):
+            self._counts["bus had no room"] += 1
+            return False
+        self._use.add(self._share.spend(frame, now_ns), now_ns)
+        return True
+
+    def _send_urgent(self, slot: _Slot, now_ns: int) -> None:
+        while self._urgent and self._send(slot, self._urgent[0], now_ns, urgent=True):
+            self._urgent.popleft()
+
+    def _send_ordinary(self, slot: _Slot, now_ns: int) -> None:
+        while self._share.has_room(now_ns):
+            if self._kept is None:
+                self._kept = self._next(now_ns)
+            if self._kept is None:
+                return
+            source, frame = self._kept
+            if not self._send(slot, frame, now_ns):
+                return
+            self._kept = None
+            source.left()
+
+    def _next(self, now_ns: int) -> tuple[FrameSource, Frame] | None:
+        for source in self._sources:
+            frame = source.next_frame(now_ns)
+            if frame is not None:
+                return source, frame
+        return None
+
+    def _follow_the_master(self, now_ns: int) -> None:
+        if self._node.selector is not None:
+            self._node.selector.poll(now_ns)
+        if self._active != self._node.bus:
+            self._drop()
+            self._active = self._node.bus
+
+    def _be_heard(self, heard: bool) -> None:
+        if heard == self._heard:
+            return
+        self._heard = heard
+        if heard:
+            self._instrument.connected()
+        else:
+            self._drop()
+            self._instrument.disconnected()
+
+    def _drop(self) -> None:
+        self._kept = None
+        self._urgent.clear()
+        for source in self._sources:
+            source.drop()
+
+    def _down(self, slot: _Slot, error: BusDown) -> None:
+        slot.up, slot.why = False, str(error)
+        slot.retry_ns = self._clock.now_ns() + _RETRY_NS
+        self._counts["bus lost"] += 1
+        if slot is self._slots[self._active]:
+            self._drop()
+
+    async def _reopen(self, slot: _Slot) -> None:
+        try:
+            await slot.bus.open()
+            slot.up, slot.why = True, ""
+        except BusDown as error:
+            slot.why = str(error)
+            slot.retry_ns = self._clock.now_ns() + _RETRY_NS
+        finally:
+            slot.opening = None
+
+
+class _Use:
+    """How full the bus is."""
+
+    def __init__(self) -> None:
+        self._frames = 0
+        self._busy_ns = 0
+        self._first_ns: int | None = None
+        self._second = 0
+        self._in_second_ns = 0
+        self._busiest_ns = 0
+
+    def add(self, duration_ns: int, now_ns: int, *, ours: bool = True) -> None:
+        if self._first_ns is None:
+            self._first_ns = now_ns
+        self._frames += ours
+        self._busy_ns += duration_ns
+        if now_ns // _SECOND_NS != self._second:
+            self._second, self._in_second_ns = now_ns // _SECOND_NS, 0
+        self._in_second_ns += duration_ns
+        self._busiest_ns = max(self._busiest_ns, self._in_second_ns)
+
+    def line(self, now_ns: int) -> LineUse:
+        if self._first_ns is None or now_ns <= self._first_ns:
+            return LineUse()
+        share = self._busy_ns / (now_ns - self._first_ns)
+        return LineUse(self._frames, min(1.0, share), min(1.0, self._busiest_ns / _SECOND_NS))

@@ -1,0 +1,182 @@
+"""The camera as a node of a CANopen-like network: heartbeat, NMT, SYNC, TIME, SCET, EMCY, and which bus is in use."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from contextlib import suppress
+
+from firmware_protocol.can_frames.canopen import (
+    EMCY_NO_ERROR,
+    EMCY_OVERRUN,
+    Emergency,
+    NmtCommand,
+    NmtOrder,
+    NodeState,
+    ObjectError,
+    TimeOfDay,
+    next_sync,
+    parse_heartbeat,
+    parse_scet,
+    parse_sync,
+    scet,
+)
+from firmware_protocol.can_frames.frame import Frame
+from firmware_protocol.can_frames.redundancy import BusSelector
+from firmware_protocol.can_frames.timing import FollowUp
+from firmware_protocol.instrument import Instrument
+from transports.can_bus.parameters import CanParameters
+from transports.deliveries import Deliveries
+
+__all__ = ["EdgeSink", "Node"]
+
+EdgeSink = Callable[[int, int], None]
+"""Takes the time of a trigger (CLOCK_MONOTONIC, ns) and its number."""
+
+_MS = 1_000_000
+_EMCY_PERIOD_NS = 1_000 * _MS  # at most one emergency a second, and so long without a drop until it is over
+
+
+class Node:
+    """What the node does by the clock, and what it does when it hears something."""
+
+    def __init__(
+        self, parameters: CanParameters, instrument: Instrument, deliveries: Deliveries, sink: EdgeSink | None
+    ) -> None:
+        self.parameters = self._p = parameters
+        self._ids = parameters.identifiers
+        self._instrument = instrument
+        self._deliveries = deliveries
+        self._sink = sink
+        self._next_ns: dict[str, int] = {}
+        self._sync = 0
+        self._last_sync: int | None = None
+        self._follow_ups: list[Frame] = []
+        self._dropped_told = 0
+        self._emergency = False
+        self._booted = False
+        self.selector: BusSelector | None = None
+        self.counts: Counter[str] = Counter()
+
+    @property
+    def state(self) -> NodeState:
+        """As the heartbeat tells it."""
+        return NodeState.OPERATIONAL if self._instrument.streaming else NodeState.STOPPED
+
+    @property
+    def bus(self) -> int:
+        """The bus in use: 0 for A, 1 for B."""
+        return 0 if self.selector is None else self.selector.active
+
+    def start(self, now_ns: int) -> None:
+        """Begin, on the default bus."""
+        self._booted = False
+        if self._p.channel_b:
+            self.selector = BusSelector(self._p.redundancy, now_ns)
+
+    def due(self, now_ns: int) -> list[Frame]:
+        """Return the node's own frames that are due now, the urgent ones first."""
+        frames: list[Frame] = []
+        if self._is_due("sync", self._p.sync_ms, now_ns):
+            self._sync = next_sync(self._sync)
+            frames.append(Frame(self._ids.sync, bytes([self._sync]) if self._p.sync_counter else b""))
+        frames += self._follow_ups
+        self._follow_ups.clear()
+        if not self._booted:
+            self._booted = True
+            frames.append(Frame(self._ids.heartbeat, bytes([NodeState.BOOT])))
+        elif self._is_due("heartbeat", self._p.heartbeat_ms, now_ns):
+            frames.append(Frame(self._ids.heartbeat, bytes([self.state])))
+        if self._is_due("time", self._p.time_ms, now_ns):
+            frames.append(Frame(self._ids.scet, scet(self._instrument.own_us)))
+        frames += self._emergencies(now_ns)
+        return frames
+
+    def hear(self, bus: int, frame: Frame, t_ns: int) -> None:
+        """Take a frame that was on a bus at `t_ns`. Only the master's heartbeat counts on a bus that is not in use."""
+        if frame.error:
+            self.counts["error frames"] += 1
+            return
+        if frame.extended:
+            return
+        with suppress(ObjectError):
+            if frame.identifier == self._ids.master_heartbeat:
+                self._heartbeat(bus, frame.data, t_ns)
+            elif bus == self.bus:
+                self._order(frame, t_ns)
+
+    def has_left(self, frame: Frame, t_ns: int) -> None:
+        """An urgent frame of ours was on the bus at `t_ns`: our SYNC triggers us too, and its follow-up tells when."""
+        if frame.identifier != self._ids.sync or frame.extended:
+            return
+        counter = frame.data[0] if frame.data else 0
+        self.counts["SYNC sent"] += 1
+        if self._sink is not None:
+            self._sink(t_ns, counter or self.counts["SYNC sent"] & 0xFFFF)
+        sent_ns = self._deliveries.device_ns(t_ns)
+        if sent_ns is not None:
+            self._follow_ups.append(Frame(self._ids.follow_up, bytes(FollowUp(counter, sent_ns))))
+
+    def _heartbeat(self, bus: int, data: bytes, t_ns: int) -> None:
+        parse_heartbeat(data)
+        if self.selector is not None:
+            self.selector.heartbeat(bus, t_ns)
+
+    def _order(self, frame: Frame, t_ns: int) -> None:
+        if frame.identifier == self._ids.sync:
+            self._take_sync(parse_sync(frame.data), t_ns)
+        elif frame.identifier == self._ids.nmt:
+            self._obey(NmtOrder.parse(frame.data))
+        elif frame.identifier == self._ids.scet and self._p.follow_time:
+            self._set_time(parse_scet(frame.data), t_ns)
+        elif frame.identifier == self._ids.time and self._p.follow_time:
+            self._set_time(TimeOfDay.parse(frame.data).us, t_ns)
+
+    def _take_sync(self, counter: int | None, t_ns: int) -> None:
+        self.counts["SYNC"] += 1
+        if counter is not None:
+            if self._last_sync is not None and counter != next_sync(self._last_sync):
+                self.counts["SYNC gaps"] += 1
+            self._last_sync = counter
+        if self._sink is not None:
+            self._sink(t_ns, self.counts["SYNC"] & 0xFFFF if counter is None else counter)
+
+    def _obey(self, order: NmtOrder) -> None:
+        if order.node not in (0, self._p.node):
+            return
+        self.counts["NMT orders"] += 1
+        if order.command is NmtCommand.START:
+            self._instrument.start()
+            return
+        self._instrument.stop()
+        if order.command in (NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION):
+            self._booted = False
+
+    def _set_time(self, master_us: int, t_ns: int) -> None:
+        """Set the camera's time so that it was `master_us` when the frame was on the bus."""
+        then_ns = self._deliveries.device_ns(t_ns)
+        if then_ns is not None:
+            self._instrument.set_time(master_us + self._instrument.now_us - then_ns // 1000)
+
+    def _emergencies(self, now_ns: int) -> list[Frame]:
+        if not self._is_due("emergency", _EMCY_PERIOD_NS // _MS, now_ns):
+            return []
+        c = self._instrument.counters
+        dropped = c.dropped_fifo + c.dropped_late + c.dropped_rate + c.lost_on_link
+        more, self._dropped_told = dropped > self._dropped_told, dropped
+        if more or self._emergency:
+            self._emergency = more
+            self.counts["EMCY"] += 1
+            return [Frame(self._ids.emcy, bytes(Emergency(EMCY_OVERRUN if more else EMCY_NO_ERROR, dropped)))]
+        return []
+
+    def _is_due(self, what: str, period_ms: int, now_ns: int) -> bool:
+        """Say whether a thing with this period is due, on absolute times, so that a late look delays no later one."""
+        if period_ms == 0:
+            return False
+        due_ns = self._next_ns.setdefault(what, now_ns)
+        if now_ns < due_ns:
+            return False
+        period_ns = period_ms * _MS
+        self._next_ns[what] = due_ns + period_ns * (1 + (now_ns - due_ns) // period_ns)
+        return True

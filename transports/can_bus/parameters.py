@@ -1,0 +1,160 @@
+"""What a rig says of a CAN link."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from firmware_protocol.can_frames.bus_time import BitRates
+from firmware_protocol.can_frames.identifiers import Identifiers
+from firmware_protocol.can_frames.isotp import IsoTpSettings
+from firmware_protocol.can_frames.raw_stream import RawSettings
+from firmware_protocol.can_frames.redundancy import SelectorSettings
+from firmware_protocol.instrument import InstrumentSettings
+
+__all__ = ["CanParameters", "Option"]
+
+Option = str | int | float | bool
+
+
+@dataclass(frozen=True)
+class CanParameters:
+    """A bus, or two, and how the camera behaves on it.
+
+    Attributes
+    ----------
+    interface
+        "served": evstim is the bus, and others join it by TCP in the protocol of socketcand; or an interface of
+        python-can: socketcan, slcan, gs_usb, pcan, kvaser, udp_multicast, virtual, socketcand ...
+    channel
+        Which bus: can0, /dev/ttyACM0, 239.74.163.2 ...
+    channel_b
+        The redundant bus; "" for none. The master's heartbeat says which one is in use.
+    host, port
+        Where the bus is served, with interface = "served".
+    bitrate, data_bitrate
+        Bits a second, of the bus and of the data of CAN FD frames.
+    fd
+        CAN FD frames.
+    share
+        Most of the bus's time that frames may take, ours and others' together; above it our events wait.
+    carriage
+        How events are carried: "raw" (frames that stand alone), "isotp" (blocks by ISO-TP) or "cfp" (blocks in CSP
+        packets).
+    flow_control
+        With ISO-TP: wait for the peer's flow control. Without it nobody has to answer.
+    answer_ms
+        With ISO-TP: how long to wait for the peer.
+    epoch_ms
+        Time between two epoch frames, with raw frames.
+    node
+        Our node number for NMT, 1 to 127; the defaults of the identifiers follow it.
+    heartbeat_ms
+        Between two of our heartbeats; 0 for none.
+    sync_ms
+        Between two SYNCs that we send as the bus's master; 0 for none.
+    sync_counter
+        Whether our SYNC carries its counter.
+    time_ms
+        Between two SCETs that we send as the bus's master; 0 for none.
+    follow_time
+        Set the camera's time by the SCET or TIME of the bus's master.
+    csp_address, csp_peer
+        CSP addresses of camera and computer, with CFP.
+    options
+        More for python-can's interface, by its own names.
+    identifiers
+        Of all frames.
+    redundancy
+        When to change buses.
+    instrument
+        What the camera says, and how much of it.
+    """
+
+    interface: str = "served"
+    channel: str = "can0"
+    channel_b: str = ""
+    host: str = "127.0.0.1"
+    port: int = 29536
+    bitrate: int = 1_000_000
+    data_bitrate: int = 5_000_000
+    fd: bool = False
+    share: float = 0.9
+    carriage: Literal["raw", "isotp", "cfp"] = "raw"
+    flow_control: bool = True
+    answer_ms: int = 1000
+    epoch_ms: float = 10.0
+    node: int = 0x22
+    heartbeat_ms: int = 500
+    sync_ms: int = 0
+    sync_counter: bool = True
+    time_ms: int = 0
+    follow_time: bool = False
+    csp_address: int = 10
+    csp_peer: int = 1
+    options: dict[str, Option] = field(default_factory=dict)
+    identifiers: Identifiers = field(default_factory=Identifiers)
+    redundancy: SelectorSettings = field(default_factory=SelectorSettings)
+    instrument: InstrumentSettings = field(default_factory=InstrumentSettings)
+    name: str = "can"
+
+    def __post_init__(self) -> None:
+        self._check_bus()
+        if not 0.01 <= self.share <= 1:
+            raise ValueError(f"share must be 0.01 to 1, got {self.share}")
+        if not 1 <= self.node <= 127:
+            raise ValueError(f"node must be 1 to 127, got {self.node}")
+        if not 0.1 <= self.epoch_ms <= 1000:
+            raise ValueError(f"epoch_ms must be 0.1 to 1000, got {self.epoch_ms}")
+        if not 1 <= self.answer_ms <= 60_000:
+            raise ValueError(f"answer_ms must be 1 to 60000, got {self.answer_ms}")
+        for name in ("heartbeat_ms", "sync_ms", "time_ms"):
+            if not 0 <= getattr(self, name) <= 65_535:
+                raise ValueError(f"{name} must be 0 (none) to 65535, got {getattr(self, name)}")
+        for name in ("csp_address", "csp_peer"):
+            if not 0 <= getattr(self, name) < 0x3FFF:
+                raise ValueError(f"{name} must be 0 to 16382, got {getattr(self, name)}")
+        try:
+            BitRates(self.bitrate, self.data_bitrate)
+        except ValueError as error:
+            raise ValueError(f"bitrate: {error}") from error
+
+    def _check_bus(self) -> None:
+        if not self.interface or not self.channel:
+            raise ValueError('interface and channel must not be empty; "served" and "can0" need nothing of the machine')
+        if self.channel_b and self.interface == "served":
+            raise ValueError('channel_b: a served bus is one bus; two need interface = "socketcan" or another')
+        if self.channel_b == self.channel:
+            raise ValueError("channel_b is the same bus as channel; leave it out, or name another")
+        if self.fd and self.interface in ("served", "socketcand"):
+            raise ValueError('fd: socketcand\'s protocol has classic frames only; use "udp_multicast" or "socketcan"')
+        if self.fd and self.carriage == "cfp":
+            raise ValueError("fd: CSP's fragmentation protocol has classic frames only")
+        if not 0 <= self.port <= 65535:
+            raise ValueError(f"port must be 0 (any free one) to 65535, got {self.port}")
+
+    @property
+    def rates(self) -> BitRates:
+        """Of the bus."""
+        return BitRates(self.bitrate, self.data_bitrate)
+
+    @property
+    def isotp(self) -> IsoTpSettings:
+        """Our ISO-TP channel."""
+        ids = self.identifiers
+        return self._channel(ids.telemetry, ids.telecommand)
+
+    @property
+    def peer_isotp(self) -> IsoTpSettings:
+        """The same channel as the peer sees it."""
+        ids = self.identifiers
+        return self._channel(ids.telecommand, ids.telemetry)
+
+    def _channel(self, send: int, receive: int) -> IsoTpSettings:
+        timeout_ns = self.answer_ms * 1_000_000
+        return IsoTpSettings(send, receive, fd=self.fd, flow_control=self.flow_control, timeout_ns=timeout_ns)
+
+    def raw(self, tick_us: int) -> RawSettings:
+        """Return how raw frames are made at a tick."""
+        ids = self.identifiers
+        return RawSettings(ids.events, ids.epoch, tick_us, round(self.epoch_ms * 1000), self.fd)
