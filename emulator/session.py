@@ -77,8 +77,9 @@ class RunResult:
 
     @property
     def good(self) -> bool:
-        """True when every event has exactly one fate and no link found fault with what it did."""
-        return self.ledger.balanced and all(report.error is None for report in self.links.values())
+        """True when every event and edge has exactly one fate and no link found fault with what it did."""
+        links = self.links.values()
+        return self.ledger.balanced and all(link.error is None and link.edges_balanced for link in links)
 
 
 def load_kernels(sensor: SensorParameters) -> None:

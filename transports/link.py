@@ -116,6 +116,14 @@ class LinkReport:
         """Events that the camera took and did not hand to the link."""
         return 0 if self.camera is None else self.camera.dropped_in_device
 
+    @property
+    def edges_balanced(self) -> bool:
+        """True when every edge has one fate."""
+        if self.camera is None:
+            return True
+        edges = self.camera.edges
+        return edges.offered == self.edges.taken and edges.accounted == edges.offered + edges.added
+
 
 class LinkBroken(Exception):
     """A link found that it does not do what it promises; the run cannot go on."""
@@ -204,6 +212,7 @@ class Link:
         self._feed = Feed(self._device, setup.ring, setup.timing)
         self._holdback_us = setup.timing.holdback_us
         self._truth = None if setup.timing.truth is None else ClockTruth(setup.timing.truth)
+        self._last_clock: ClockReport | None = None
         self._deliveries = Deliveries(setup.ring, clock, recorder, self._feed.clock)
         self.endpoint: Endpoint = setup.endpoint.build(self._device, self._deliveries)
 
@@ -245,19 +254,22 @@ class Link:
             use=self.endpoint.use,
             counts=self.endpoint.counts,
             edges=self._feed.edge_report(final=final),
-            clock=self._clock_report(final),
+            clock=self._clock_report(final=final),
         )
 
-    def _clock_report(self, final: bool) -> ClockReport | None:
-        report = self._feed.clock_report()
+    def _clock_report(self, *, final: bool) -> ClockReport | None:
+        if final:  # the host has gone, and with it the device's time
+            return self._last_clock
+        report = self._last_clock = self._feed.clock_report()
         origin_ns = self._ring.origin_ns
-        if report is not None and self._truth is not None and origin_ns is not None and not final:
+        if report is not None and self._truth is not None and origin_ns is not None:
             at_ns = self._clock.now_ns() if origin_ns == FREE_RUNNING else origin_ns + report.t_us * 1000
             self._truth.add(at_ns, report)
         return report
 
     async def close(self) -> None:
         """Close the endpoint, then the records; what the camera still holds is flushed and counted."""
+        self._clock_report(final=False)
         await self.endpoint.close()
         self._deliveries.close()
         if self._truth is not None:

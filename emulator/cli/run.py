@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from contextlib import nullcontext
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -13,6 +14,7 @@ from emulator.assembly import build_session, link_setups, schedule
 from emulator.cli.live import LiveTable
 from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, console, failures, print_json, status
 from emulator.cli.signals import stopped_by_signals
+from emulator.cli.timing import timing_json, timing_lines
 from emulator.rig import Rig, load_rig
 from emulator.scene_assembly import build_scene
 from emulator.session import RunResult
@@ -24,6 +26,25 @@ __all__ = ["run", "run_rig"]
 _MANY_SUSPECTS = 0.1  # from here on shorter steps for all are cheaper than mending single pixels
 
 
+@dataclass(frozen=True)
+class Files:
+    """What a run writes.
+
+    Attributes
+    ----------
+    record
+        Write what was delivered to this .npz (fields `events` and `edges`, device time).
+    truth
+        Write what the camera's own clock really shows to this .csv, ten lines a second; the rig needs [camera.clock].
+    """
+
+    record: Path | None = None
+    truth: Path | None = None
+
+
+_NO_FILES = Files()
+
+
 def run(
     rig: str,
     /,
@@ -31,7 +52,7 @@ def run(
     seconds: float | None = None,
     seed: int | None = None,
     pace: Literal["realtime", "free"] | None = None,
-    record: Path | None = None,
+    files: Annotated[Files, Parameter(name="*")] = _NO_FILES,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
     """Run a rig: render its scene, simulate its sensor, serve its camera. Ctrl-C ends it with the summary.
@@ -46,15 +67,14 @@ def run(
         Seed of all that is random. Instead of the rig's own.
     pace
         realtime: every event leaves at its own time; free: as fast as the machine can, losing nothing.
-    record
-        Write what was delivered to this .npz (field `events`, device time).
     json
         Print one JSON object as the last line on stdout.
     """
     with failures():
         loaded = _with_options(load_rig(rig), seconds, seed, pace)
-        _check_record(loaded, record)
-        result = run_rig(loaded, record, show=not json)
+        _check_record(loaded, files.record)
+        _check_truth(loaded, files.truth)
+        result = run_rig(loaded, files.record, files.truth, show=not json)
     if json:
         print_json(summary(loaded, result))
     else:
@@ -79,10 +99,19 @@ def _check_record(rig: Rig, record: Path | None) -> None:
         raise Failure(f"--record: the folder {record.parent} does not exist", WRONG_USE)
 
 
-def run_rig(rig: Rig, record: Path | None = None, *, show: bool = False) -> RunResult:
+def _check_truth(rig: Rig, truth: Path | None) -> None:
+    if truth is None:
+        return
+    if rig.camera.clock is None or not rig.links:
+        raise Failure("--truth: this rig needs a [camera.clock] table and a link that carries its times", WRONG_USE)
+    if not truth.parent.is_dir():
+        raise Failure(f"--truth: the folder {truth.parent} does not exist", WRONG_USE)
+
+
+def run_rig(rig: Rig, record: Path | None = None, truth: Path | None = None, *, show: bool = False) -> RunResult:
     """Run a loaded rig, with a live table on stderr when `show`."""
     with build_scene(rig) as scene:
-        session = build_session(rig, scene, link_setups(rig, record), MonotonicClock())
+        session = build_session(rig, scene, link_setups(rig, record, truth), MonotonicClock())
         with stopped_by_signals(session), LiveTable(rig, status) if show else nullcontext() as live:
             return session.run(schedule(rig), live.update if live else lambda _: None)
 
@@ -101,8 +130,9 @@ def summary(rig: Rig, result: RunResult) -> dict[str, object]:
         "latency_us": dataclasses.asdict(_worst(latencies)),
         "lateness": result.lateness.as_json(),
         "suspect_share": result.suspect_share,
+        "syncs": result.syncs,
         "links": {
-            name: {"state": r.state, "latency_us": r.latency, "digest": r.digest, "error": r.error}
+            name: {"state": r.state, "latency_us": r.latency, "digest": r.digest, "error": r.error, **timing_json(r)}
             for name, r in result.links.items()
         },
     }
@@ -118,7 +148,7 @@ def _print_summary(rig: Rig, result: RunResult) -> None:
     ledger = result.ledger
     console.print(
         f"{rig.name}: {result.sim_seconds:.3f} s of stream in {result.wall_seconds:.3f} s, "
-        f"{result.frames} frames, {result.steps} steps"
+        f"{result.frames} frames, {result.steps} steps{_syncs(result)}"
     )
     console.print(
         f"events: {ledger.raised} raised = {ledger.lost_in_pixel} lost in the pixel + {ledger.lost_at_readout} lost at "
@@ -132,6 +162,8 @@ def _print_summary(rig: Rig, result: RunResult) -> None:
         )
         if report.error is not None:
             console.print(f"{link.name}: {report.error}")
+        for line in timing_lines(link.name, report):
+            console.print(line)
         if report.latency.p50 is not None:
             console.print(
                 f"{link.name}: event to socket p50 {report.latency.p50:.0f} us, p99 {report.latency.p99:.0f} us, "
@@ -149,6 +181,10 @@ def _print_summary(rig: Rig, result: RunResult) -> None:
             f"{late.steps_stretched} steps stretched to keep up"
         )
     console.print("ledger: balanced" if ledger.balanced else f"ledger: OFF BY {ledger.imbalance} EVENTS")
+
+
+def _syncs(result: RunResult) -> str:
+    return "" if result.syncs is None else f", {result.syncs} SYNCs"
 
 
 def _device_detail(camera: object) -> str:
