@@ -10,7 +10,7 @@ from typing import Any
 from emulator.pictures import Pictures
 from emulator.plan import limits, make_plan
 from emulator.probe import probe
-from emulator.rig import LinkParameters, LoopbackLink, Rig, RigError
+from emulator.rig import LinkParameters, LoopbackLink, Rig, RigError, UsbipLink
 from emulator.scene.base import Scene
 from emulator.sensor.pixels import PixelArray
 from emulator.sensor.presets import SensorParameters
@@ -20,12 +20,18 @@ from emulator.session import Schedule, Session
 from emulator.steps import ControlledSteps, FixedSteps, StepSource
 from emulator.triggers import TriggerPaths
 from firmware_protocol.davis346 import Davis346, Davis346Settings, Layout
+from firmware_protocol.instrument.instrument import Instrument
+from firmware_protocol.instrument.settings import InstrumentSettings
 from firmware_protocol.usb.device import Speed, UsbCamera
+from transports.can_bus.endpoint import CanFactory
+from transports.can_bus.parameters import CanParameters
 from transports.feed import Timing
 from transports.link import EndpointFactory, LinkSetup
 from transports.loopback import LoopbackFactory
 from transports.pacing import Clock
 from transports.ring import EventRing
+from transports.serial_line.endpoint import SerialFactory
+from transports.serial_line.parameters import SerialParameters
 from transports.usbip.endpoint import UsbipFactory
 
 __all__ = [
@@ -84,17 +90,30 @@ def link_setups(rig: Rig, record: Path | None = None, truth: Path | None = None)
     """Return what each link's process needs; `record` and `truth` are files for what was delivered, and when."""
     triggers = TriggerPaths(rig.trigger, [link.name for link in rig.links], rig.run.seed, rig.run.lockstep_us)
     return [
-        _link_setup(rig, link, path, triggers.timing(link.name, rig.camera.clock, shown))
+        _link_setup(rig, link, path, triggers, triggers.timing(link.name, rig.camera.clock, shown))
         for link, path, shown in zip(rig.links, record_paths(rig, record), record_paths(rig, truth), strict=True)
     ]
 
 
-def _link_setup(rig: Rig, link: LinkParameters, record: Path | None, timing: Timing) -> LinkSetup[Any]:
+def _link_setup(
+    rig: Rig, link: LinkParameters, record: Path | None, triggers: TriggerPaths, timing: Timing
+) -> LinkSetup[Any]:
+    ring = EventRing()
+    if isinstance(link, SerialParameters):
+        return LinkSetup(link.name, ring, _instrument(rig, link.instrument), SerialFactory(link), record, timing=timing)
+    if isinstance(link, CanParameters):
+        endpoint = CanFactory(link, triggers.sink(link.name, ring))
+        return LinkSetup(link.name, ring, _instrument(rig, link.instrument), endpoint, record, timing=timing)
     camera: Callable[[], UsbCamera] = partial(Davis346, _camera(rig, link))
-    return LinkSetup(link.name, EventRing(), camera, _endpoint(link), record, timing=timing)
+    return LinkSetup(link.name, ring, camera, _usb_endpoint(link), record, timing=timing)
 
 
-def _camera(rig: Rig, link: LinkParameters) -> Davis346Settings:
+def _instrument(rig: Rig, settings: InstrumentSettings) -> Callable[[], Instrument]:
+    size = (rig.camera.sensor.width, rig.camera.sensor.height)
+    return partial(Instrument, size, settings)
+
+
+def _camera(rig: Rig, link: UsbipLink | LoopbackLink) -> Davis346Settings:
     camera = rig.camera
     # The loopback host never loses its way at the start, so it need not wait.
     delay_ms = 0.0 if isinstance(link, LoopbackLink) else camera.start_delay_ms
@@ -109,7 +128,7 @@ def _camera(rig: Rig, link: LinkParameters) -> Davis346Settings:
     )
 
 
-def _endpoint(link: LinkParameters) -> EndpointFactory[UsbCamera]:
+def _usb_endpoint(link: UsbipLink | LoopbackLink) -> EndpointFactory[UsbCamera]:
     if isinstance(link, LoopbackLink):
         return LoopbackFactory()
     return UsbipFactory(link.host, link.port, link.busid)

@@ -7,7 +7,7 @@
     [camera.clock]   how the camera's own clock goes wrong
     [trigger]        what is connected to the camera's external input
     [run]            step_us, seed, seconds, pace, lead_us
-    [[links]]        kind = "usbip" | "loopback", and that link's own keys; any number of them
+    [[links]]        kind = "usbip" | "loopback" | "serial" | "can", and that link's own keys; any number of them
 
 Every key is a field of a dataclass in this module or in the room that owns the thing. A mistake raises RigError, which
 tells the file, the line, the key, what is wrong and what would be right.
@@ -34,7 +34,10 @@ from emulator.sensor.presets import PRESETS, SensorParameters
 from emulator.triggers import Trigger
 from emulator.typed_table import Path as KeyPath
 from emulator.typed_table import TableError, convert, convert_kind, unknown
+from firmware_protocol.can_frames.identifiers import Identifiers
+from firmware_protocol.can_frames.raw_events import RAW_LIMIT_PX
 from firmware_protocol.device_clock import ClockSettings
+from transports.can_bus.parameters import CanParameters
 from transports.serial_line.parameters import SerialParameters
 
 __all__ = [
@@ -205,7 +208,7 @@ class LoopbackLink:
 
 
 SceneParameters = CheckerboardParameters | BodyParameters | StarsParameters
-LinkParameters = UsbipLink | LoopbackLink | SerialParameters
+LinkParameters = UsbipLink | LoopbackLink | SerialParameters | CanParameters
 
 SCENES: Mapping[str, type[SceneParameters]] = {
     "checkerboard": CheckerboardParameters,
@@ -219,6 +222,7 @@ LINKS: Mapping[str, type[LinkParameters]] = {
     "usbip": UsbipLink,
     "loopback": LoopbackLink,
     "serial": SerialParameters,
+    "can": CanParameters,
 }
 
 
@@ -342,13 +346,38 @@ def _sensor(table: object, preset: SensorParameters) -> SensorParameters:
 def _links(tables: object, camera: Camera) -> tuple[LinkParameters, ...]:
     if not isinstance(tables, list):
         raise TableError("expected [[links]] tables", ("links",))
-    links = tuple(convert_kind(table, LINKS, ("links", i)) for i, table in enumerate(tables))
+    links = tuple(convert_kind(_with_identifiers(table), LINKS, ("links", i)) for i, table in enumerate(tables))
     for i, link in enumerate(links):
         if link.name in [other.name for other in links[:i]]:
             raise TableError(f"name {link.name!r} is taken by an earlier link; give each its own", ("links", i))
         if isinstance(link, UsbipLink):
             _check_usb(link, links[:i], camera, i)
+        if isinstance(link, SerialParameters | CanParameters):
+            _check_instrument(link, camera, i)
     return links
+
+
+def _with_identifiers(table: object) -> object:
+    """Let the identifiers of a CAN link follow its node number where the rig does not give them."""
+    if not isinstance(table, dict) or table.get("kind") != "can":
+        return table
+    node, own = table.get("node", CanParameters.node), table.get("identifiers", {})
+    if not isinstance(node, int) or not 1 <= node <= 127 or not isinstance(own, dict):
+        return table  # refused where its type is checked
+    return {**table, "identifiers": {**Identifiers.of_node(node).by_name, **own}}
+
+
+def _check_instrument(link: SerialParameters | CanParameters, camera: Camera, index: int) -> None:
+    try:
+        link.instrument.selection(camera.size)
+    except ValueError as error:
+        raise TableError(str(error), ("links", index, "instrument", "region")) from error
+    if isinstance(link, CanParameters) and link.carriage == "raw" and max(camera.size) > RAW_LIMIT_PX:
+        raise TableError(
+            f"raw frames number {RAW_LIMIT_PX} columns and rows, not {camera.size[0]}x{camera.size[1]}; "
+            'use carriage = "isotp" or "cfp"',
+            ("links", index, "carriage"),
+        )
 
 
 def _check_usb(link: UsbipLink, earlier: tuple[LinkParameters, ...], camera: Camera, index: int) -> None:

@@ -155,3 +155,32 @@ def test_the_schema_knows_every_key():
         known = schema["$defs"][parameters.__name__]["properties"]
         assert {f.name for f in dataclasses.fields(parameters)} | {"kind"} == set(known)
     assert "required" not in schema["$defs"]["SensorParameters"]
+
+
+CAN = '[scene]\nkind = "checkerboard"\n[[links]]\nkind = "can"\n'
+
+
+def test_the_identifiers_of_a_can_link_follow_its_node():
+    (link,) = parse_rig(f"{CAN}node = 5\n[links.identifiers]\nevents = 0x123\n", "r.toml", "r").links
+    assert (link.identifiers.heartbeat, link.identifiers.events, link.identifiers.sync) == (0x705, 0x123, 0x080)
+
+
+@pytest.mark.parametrize(
+    ("more", "told"),
+    [
+        ("[links.identifiers]\nepoch = 0x1A2\n", r"line 6.*epoch and events have the same identifier 0x1a2"),
+        ("node = 200\n", "line 5.*node must be 1 to 127"),
+        ('interface = "socketcan"\nfd = true\ncarriage = "cfp"\n', "line 6.*classic frames only"),
+        ("[links.instrument]\nregion = [300, 0, 100, 10]\n", "line 6.*reaches beyond the 346x260 pixels"),
+        ("share = 2.0\n", "line 5.*share must be"),
+    ],
+)
+def test_mistakes_in_a_can_link_are_told_by_line(more, told):
+    with pytest.raises(RigError, match=told):
+        parse_rig(CAN + more, "r.toml", "r")
+
+
+def test_raw_frames_refuse_a_sensor_that_is_too_large():
+    camera = '[camera]\nmodel = "davis346"\n[camera.sensor]\nwidth = 640\nheight = 480\n'
+    with pytest.raises(RigError, match=r"raw frames number 512 columns and rows, not 640x480"):
+        parse_rig(camera + CAN, "r.toml", "r")

@@ -14,7 +14,8 @@ from firmware_protocol.can_frames.frame import Frame
 from firmware_protocol.can_frames.isotp import IsoTpSender
 from firmware_protocol.can_frames.redundancy import SelectorSettings
 from firmware_protocol.events import EVENT
-from firmware_protocol.instrument import Instrument, InstrumentSettings
+from firmware_protocol.instrument.instrument import Instrument
+from firmware_protocol.instrument.settings import InstrumentSettings
 from firmware_protocol.packets.profile import Profile
 from firmware_protocol.packets.telecommands import Ping
 from transports.can_bus.bus import BusDown

@@ -16,7 +16,8 @@ from firmware_protocol.can_frames.frame import Frame
 from firmware_protocol.can_frames.isotp import IsoTpFailure, IsoTpReceiver, IsoTpSender, IsoTpSettings
 from firmware_protocol.can_frames.raw_stream import Packed, RawSender
 from firmware_protocol.event_copies import copy_events
-from firmware_protocol.instrument import Instrument, Outgoing
+from firmware_protocol.instrument.instrument import Instrument
+from firmware_protocol.instrument.outgoing import Outgoing
 from firmware_protocol.packets.addresses import Addresses
 from firmware_protocol.packets.profile import CommandUnwrapper, Profile
 from transports.can_bus.parameters import CanParameters

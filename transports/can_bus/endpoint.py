@@ -14,7 +14,7 @@ from firmware_protocol.can_frames.bus_time import BusShare
 from firmware_protocol.can_frames.frame import Frame
 from firmware_protocol.can_frames.marks import pack_marks
 from firmware_protocol.edges import Edges
-from firmware_protocol.instrument import Instrument
+from firmware_protocol.instrument.instrument import Instrument
 from transports.can_bus.bus import BusDown, CanBus
 from transports.can_bus.carriage import FrameSource, sources
 from transports.can_bus.node import EdgeSink, Node

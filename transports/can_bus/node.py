@@ -24,7 +24,7 @@ from firmware_protocol.can_frames.canopen import (
 from firmware_protocol.can_frames.frame import Frame
 from firmware_protocol.can_frames.redundancy import BusSelector
 from firmware_protocol.can_frames.timing import FollowUp
-from firmware_protocol.instrument import Instrument
+from firmware_protocol.instrument.instrument import Instrument
 from transports.can_bus.parameters import CanParameters
 from transports.deliveries import Deliveries
 

@@ -10,7 +10,7 @@ from firmware_protocol.can_frames.identifiers import Identifiers
 from firmware_protocol.can_frames.isotp import IsoTpSettings
 from firmware_protocol.can_frames.raw_stream import RawSettings
 from firmware_protocol.can_frames.redundancy import SelectorSettings
-from firmware_protocol.instrument import InstrumentSettings
+from firmware_protocol.instrument.settings import InstrumentSettings
 
 __all__ = ["CanParameters", "Option"]
 

@@ -39,7 +39,10 @@ class _Client:
     session: SocketcandSession
     writer: asyncio.StreamWriter
     listens_ns: int | None = None
-    missed: int = 0
+
+    def listens(self, t_ns: int) -> bool:
+        """Say whether it is to be told of a frame at `t_ns`."""
+        return self.listens_ns is not None and t_ns >= self.listens_ns and not self.writer.is_closing()
 
 
 class ServedBus(CanBus):
@@ -73,7 +76,7 @@ class ServedBus(CanBus):
     @property
     def heard(self) -> bool:
         """True while anybody listens: a frame that nobody hears is not acknowledged, and so never sent."""
-        return any(client.session.raw for client in self._clients.values())
+        return any(client.session.raw and not client.writer.is_closing() for client in self._clients.values())
 
     async def open(self) -> None:
         """Listen; raises BusDown when the port cannot be had."""
@@ -152,7 +155,7 @@ class ServedBus(CanBus):
     def _tell(self, carried: Carried) -> None:
         line = frame_line(carried.frame, (carried.end_ns + self._wall_offset_ns) // 1000)
         for client in self._clients.values():
-            if client.node == carried.node or client.listens_ns is None or carried.end_ns < client.listens_ns:
+            if client.node == carried.node or not client.listens(carried.end_ns):
                 continue
             if client.writer.transport.get_write_buffer_size() > _MOST_UNSENT_BYTES:
                 self.missed += 1
