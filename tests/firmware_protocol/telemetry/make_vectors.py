@@ -77,6 +77,8 @@ def blocks():
         block("page: a small BITMAP", bytes.fromhex("12 30 00 0C 00 00 00 00 00 00 00 70 03 3D 01 02 54 2C B8")),
         block("no events, only dropped", BlockEncoder(DAVIS).encode(empty_events(), 70_000)[0]),
         block("edges", BlockEncoder(DAVIS).encode_edges(edges, 2), 2**33),
+        block("an escape to the same pixel", by_hand(1, 2, f"00000000 01 001 {ESCAPE} {0:031b} 01 001")),
+        block("spans up to the end of the array", by_hand(2, 4, "00000000 00000000 11 101 110 1 0")),
         encoded("one event, ROWS", THREE[:1], mode="rows"),
         encoded("one event, BITMAP", THREE[1:2], mode="bitmap", dropped=3),
         *(encoded(f"the low 32 bits of time wrap, {mode}", wrap, mode=mode, near_us=2**32) for mode in MODES),
@@ -90,6 +92,7 @@ def blocks():
     ]
 
 
+ESCAPE = "1" * 16
 MODES = ("flat", "rows", "bitmap")
 SIZES = ((1, 1), (7, 3), (1, 4096), (640, 480), (1280, 720), (4096, 4096))
 
@@ -101,6 +104,14 @@ def changed(data, **bytes_at):
         data[int(name[1:])] = value
     data[13] = crc8(data[:13])
     return bytes(data)
+
+
+def by_hand(mode, count, bits):
+    """A block of ON events of a sensor of 8 x 4 with a payload given as bits: rows have 2, columns 3."""
+    bits = bits.replace(" ", "")
+    bits += "0" * (-len(bits) % 8)
+    header = bytes([0x10 | mode, 0x30, 0, count, 0, 0, 0, 0, 0, 0, 0, 0x70, 0x03, 0])
+    return changed(header + bytes(int(bits[i : i + 8], 2) for i in range(0, len(bits), 8)))
 
 
 def refused():
@@ -134,6 +145,13 @@ def refused():
         ("bits above k", changed(rows, b14=rows[14] | 0x20), 4),
         ("kl = 28", changed(solid, b15=28), 4),
         ("a length that is an escape", changed(solid, b3=1)[:14] + bytes([1, 0]) + bytes([0x57, 0xFF, 0xF8]), 4),
+        ("ROWS, k = 28 that is not used", by_hand(1, 1, "00011100 01 001"), 4),
+        ("BITMAP, ks = 28 that is not used", by_hand(2, 1, "00011100 00000000 01 001 0"), 4),
+        ("BITMAP, kl = 28 with a length of 1", by_hand(2, 1, "00000000 00011100 01 001 0" + "0" * 28), 4),
+        ("an escape to a row outside", changed(by_hand(1, 2, f"00000000 01 001 {ESCAPE} {1:031b} 11 000"), b12=2), 5),
+        ("an escape that goes back in its tick", by_hand(1, 2, f"00000000 01 001 {ESCAPE} {0:031b} 01 000"), 6),
+        ("BITMAP, an escape back", by_hand(2, 2, f"00000000 00000000 01 001 0 {ESCAPE} {0:031b} 00 111 0"), 6),
+        ("a span that ends one past the array", by_hand(2, 3, "00000000 00000000 11 110 110 1"), 5),
         ("row 511", changed(rows, b15=0xFF, b16=rows[16] | 0x80), 5),
         ("a FLAT word outside the array", flat[:14] + bytes([0, 0, 0x16, 0xBD]) + flat[18:], 5),
         ("a span past the end of the array", changed(solid, b12=1), 5),
