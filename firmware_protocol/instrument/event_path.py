@@ -12,12 +12,17 @@ from firmware_protocol.events import Events, empty_events
 from firmware_protocol.instrument.queue import Dropped, EventQueue
 from firmware_protocol.instrument.rate import Selection, TokenBucket
 from firmware_protocol.instrument.settings import InstrumentSettings
-from firmware_protocol.telemetry import BlockEncoder, as_received
+from firmware_protocol.telemetry import BlockEncoder, BlockSettings, as_received
 
-__all__ = ["EventPath", "Fates", "Piece"]
+__all__ = ["EventPath", "Fates", "Piece", "block_settings"]
 
 _MOST_TOLD = 0xFFFF  # of dropped events in one block's header; the rest is told by the next block
 _BURST_S = 0.02
+
+
+def block_settings(settings: InstrumentSettings) -> BlockSettings:
+    """Return how an instrument's blocks are made."""
+    return BlockSettings(settings.tick_us, settings.coding, settings.block_events, settings.block_bytes)
 
 
 @dataclass
@@ -63,7 +68,7 @@ class EventPath:
         self.fates = Fates()
         self.in_flight = 0
         self._queue = EventQueue(settings.bounds)
-        self._encoder = BlockEncoder(size, settings.blocks)
+        self._encoder = BlockEncoder(size, block_settings(settings))
         self.select(settings.selection(size))
         self.limit(settings.rate_limit, 0)
         self._encoder.encode(empty_events(2))  # loads the compiled code now: it takes a good part of a second

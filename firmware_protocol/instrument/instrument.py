@@ -23,7 +23,7 @@ from firmware_protocol.edges import Edges
 from firmware_protocol.event_device import CameraCounters, EventDevice
 from firmware_protocol.events import Events
 from firmware_protocol.instrument.edge_path import EdgePath
-from firmware_protocol.instrument.event_path import EventPath, Piece
+from firmware_protocol.instrument.event_path import EventPath, Piece, block_settings
 from firmware_protocol.instrument.outgoing import Outgoing
 from firmware_protocol.instrument.rate import Selection
 from firmware_protocol.instrument.report import Reporter, State
@@ -76,7 +76,7 @@ class Instrument(EventDevice):
     def __init__(self, size: tuple[int, int], settings: InstrumentSettings | None = None) -> None:
         self.settings = settings = settings or InstrumentSettings()
         self._path = EventPath(size, settings)
-        self._edges = EdgePath(BlockEncoder(size, settings.blocks))
+        self._edges = EdgePath(BlockEncoder(size, block_settings(settings)))
         self._answers: deque[Message] = deque()
         self._reporter = Reporter(round(settings.housekeeping_s * 1e6))
         self._now_us = self._offset_us = 0

@@ -7,7 +7,6 @@ from typing import Literal
 
 from firmware_protocol.instrument.queue import Policy, QueueBounds
 from firmware_protocol.instrument.rate import Selection
-from firmware_protocol.telemetry import BlockSettings
 
 __all__ = ["InstrumentSettings"]
 
@@ -76,11 +75,6 @@ class InstrumentSettings:
 
         if not -273 <= self.temperature_c <= 300:
             raise ValueError(f"temperature_c must be -273 to 300, got {self.temperature_c}")
-
-    @property
-    def blocks(self) -> BlockSettings:
-        """How blocks are made."""
-        return BlockSettings(self.tick_us, self.coding, self.block_events, self.block_bytes)
 
     @property
     def bounds(self) -> QueueBounds:

@@ -1,0 +1,173 @@
+"""An instrument on a serial line: messages out at the baud rate, telecommands in, reconnection when the port returns.
+
+    instrument.next_message -> profile.wrap -> transmitter -> _write -> port
+    instrument.command <- unwrapper <- _receive <- port
+
+A port that goes away takes what was on its way with it, which is counted as lost; the instrument then counts what comes
+as not running until the port is back. The tick never waits for the port: what blocks is done in a thread.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from firmware_protocol.instrument.instrument import Instrument
+from firmware_protocol.instrument.outgoing import Outgoing
+from firmware_protocol.packets.profile import Profile
+from transports.deliveries import Deliveries
+from transports.link import Endpoint, EndpointFactory, LineUse
+from transports.serial_line.pacing import BaudClock
+from transports.serial_line.parameters import SerialParameters
+from transports.serial_line.port import Port, open_port
+from transports.serial_line.transmitter import Frame, Transmitter
+
+__all__ = ["SerialEndpoint", "SerialFactory"]
+
+_AHEAD_NS = 600_000  # a little more than a tick of the link
+_RETRY_NS = 500_000_000
+
+
+@dataclass(frozen=True)
+class SerialFactory(EndpointFactory[Instrument]):
+    """Puts an instrument on a line, in the packets and framing that it names."""
+
+    line: SerialParameters
+
+    def build(self, device: Instrument, deliveries: Deliveries) -> SerialEndpoint:
+        """Return the endpoint, its port not yet open."""
+        return SerialEndpoint(self, device, deliveries)
+
+
+class SerialEndpoint(Endpoint):
+    """One instrument on one port."""
+
+    def __init__(self, factory: SerialFactory, instrument: Instrument, deliveries: Deliveries) -> None:
+        self._line = factory.line
+        self._instrument = instrument
+        self._deliveries = deliveries
+        self._clock = deliveries.clock
+        self._profile = Profile(self._line.profile)
+        self._commands = self._profile.command_unwrapper()
+        self._baud = BaudClock(self._line.baud, self._line.bits)
+        self._out: Transmitter[Outgoing] = Transmitter(self._baud, self._next_frame, self._left, _AHEAD_NS)
+        self._counts: Counter[str] = Counter()
+        self._port: Port | None = None
+        self._heard = False
+        self._opening: asyncio.Future[Port] | None = None
+        self._retry_ns = 0
+
+    async def start(self) -> None:
+        """Open the port; raises OSError, with what to do, when it cannot be had."""
+        self._instrument.disconnected()
+        self._port = await asyncio.to_thread(open_port, self._line)
+
+    def pump(self) -> None:
+        """Take what came, and send what is due."""
+        port = self._port
+        if port is None:
+            self._reopen()
+            return
+        try:
+            self._notice(port.heard)
+            self._receive(port.read())
+            if self._heard:
+                self._out.pump(self._write, self._clock.now_ns())
+        except OSError:
+            self._vanished()
+
+    async def close(self) -> None:
+        """Close the port; what was on its way is lost."""
+        if self._opening is not None:
+            self._opening.cancel()
+        self._notice(False)
+        if self._port is not None:
+            self._port.close()
+            self._port = None
+
+    @property
+    def state(self) -> str:
+        """Who is at the other side, or what is waited for."""
+        if self._port is None:
+            return f"{self._line.port} is gone; looking for it"
+        if not self._heard:
+            return f"waiting for a reader of {self._port.address}"
+        return f"{self._line.baud} baud on {self._port.address}"
+
+    @property
+    def address(self) -> str | None:
+        """Path or URL of the port; for a pty, of the side that is for the reader."""
+        return None if self._port is None else self._port.address
+
+    @property
+    def use(self) -> LineUse:
+        """How full the line was."""
+        return LineUse(self._baud.carried, self._baud.share(self._clock.now_ns()), self._baud.busiest_share)
+
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """Telecommands, back-pressure, reconnections."""
+        unwrapped = self._commands.counters
+        return {
+            "telecommands": unwrapped.packets,
+            "damaged_frames": self._instrument.frames_refused,
+            "held_back": self._out.held,
+            "reconnections": self._counts["reconnections"],
+        }
+
+    def _write(self, data: bytes) -> int:
+        """Give bytes to the port: the one way out, where faults of the line belong."""
+        return 0 if self._port is None else self._port.write(data)
+
+    def _receive(self, data: bytes) -> None:
+        """Take bytes of the other side: the one way in."""
+        if not data:
+            return
+        for received in self._commands.push(data):
+            self._instrument.command(received)
+        counters = self._commands.counters
+        self._instrument.frames_refused = sum(counters.frames.refused.values()) + sum(counters.refused.values())
+
+    def _next_frame(self) -> Frame[Outgoing] | None:
+        outgoing = self._instrument.next_message()
+        return None if outgoing is None else Frame(self._profile.wrap(outgoing.message), outgoing)
+
+    def _left(self, outgoing: Outgoing) -> None:
+        self._deliveries.add(outgoing.events, outgoing.epoch_us)
+        self._instrument.sent(outgoing)
+
+    def _notice(self, heard: bool) -> None:
+        """Follow whether somebody listens."""
+        if heard == self._heard:
+            return
+        self._heard = heard
+        if heard:
+            self._baud.restart(self._clock.now_ns())
+            self._instrument.connected()
+        else:
+            for outgoing in self._out.drop():
+                self._instrument.lost(outgoing)
+            self._instrument.disconnected()
+
+    def _vanished(self) -> None:
+        self._notice(False)
+        if self._port is not None:
+            self._port.close()
+            self._port = None
+        self._retry_ns = self._clock.now_ns() + _RETRY_NS
+
+    def _reopen(self) -> None:
+        """Try to open the port again, every half second, in a thread."""
+        if self._opening is None:
+            if self._clock.now_ns() >= self._retry_ns:
+                self._opening = asyncio.ensure_future(asyncio.to_thread(open_port, self._line))
+            return
+        if not self._opening.done():
+            return
+        opening, self._opening = self._opening, None
+        self._retry_ns = self._clock.now_ns() + _RETRY_NS
+        if opening.exception() is None:
+            self._port = opening.result()
+            self._counts["reconnections"] += 1

@@ -1,0 +1,147 @@
+"""A computer on a serial line: reads an instrument until told to stop or the line is gone; may tell it something."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from firmware_protocol.packets.housekeeping import Housekeeping
+from firmware_protocol.packets.profile import Profile
+from firmware_protocol.packets.telecommands import Telecommand
+from transports.digest import digest_of
+from transports.latency import LatencySummary
+from transports.pacing import Clock
+from transports.record import Recorder
+from transports.serial_line.parameters import SerialParameters
+from transports.serial_line.port import Port, open_port
+from transports.serial_line.reception import SerialReceiver
+
+__all__ = ["SerialReception", "listen_serial"]
+
+_LOOK_PERIOD_NS = 500_000
+_MOST_DELAYS = 1_000_000
+
+
+@dataclass(frozen=True)
+class SerialReception:
+    """What has come so far.
+
+    Attributes
+    ----------
+    seconds
+        Wall time since the port was opened.
+    last_t_us
+        The camera's time of the newest event; None before the first.
+    digest
+        Of all events, see `digest_of`.
+    faults
+        Things that a sound line never shows: damaged frames, gaps in the counts, blocks that are wrong.
+    counts
+        Everything by name; `events_dropped` is what the camera says that it dropped.
+    jitter_us
+        How much later than the quickest block each came: the camera's clock is not known.
+    housekeeping
+        The newest report.
+    told
+        Answers to telecommands.
+    gone
+        True when the other side went away.
+    """
+
+    events: int = 0
+    edges: int = 0
+    seconds: float = 0.0
+    last_t_us: int | None = None
+    digest: int = 0
+    faults: int = 0
+    counts: Mapping[str, int] = field(default_factory=dict)
+    jitter_us: LatencySummary = field(default_factory=LatencySummary)
+    housekeeping: Housekeeping | None = None
+    told: tuple[str, ...] = ()
+    gone: bool = False
+
+
+class _Listening:
+    """One visit to the line."""
+
+    def __init__(self, profile: str, clock: Clock, recorder: Recorder | None) -> None:
+        self.receiver = SerialReceiver(Profile(profile))
+        self._recorder = recorder
+        self._clock = clock
+        self._start_ns = clock.now_ns()
+        self._delays_us: list[float] = []
+        self.now = SerialReception()
+
+    def take(self, data: bytes) -> None:
+        """Hear bytes that have come just now."""
+        now_ns = self._clock.now_ns()
+        arrival = self.receiver.push(data)
+        events, edges, now = arrival.events, arrival.edges, self.now
+        if self._recorder is not None and (len(events) or len(edges)):
+            self._recorder.append(events, edges=edges)
+        if len(events) and len(self._delays_us) < _MOST_DELAYS:
+            self._delays_us.append(now_ns / 1000 - float(events["t"][-1]))
+        self.now = replace(
+            now,
+            events=now.events + len(events),
+            edges=now.edges + len(edges),
+            seconds=(now_ns - self._start_ns) * 1e-9,
+            last_t_us=int(events["t"][-1]) if len(events) else now.last_t_us,
+            digest=digest_of(events, now.digest),
+            told=now.told + arrival.told,
+        )
+
+    def finish(self, *, gone: bool) -> SerialReception:
+        """Return everything."""
+        receiver = self.receiver
+        return replace(
+            self.now,
+            faults=receiver.faults,
+            counts=receiver.counts,
+            jitter_us=_jitter(self._delays_us),
+            housekeeping=receiver.housekeeping,
+            gone=gone,
+        )
+
+
+def listen_serial(
+    line: SerialParameters,
+    goes_on: Callable[[SerialReception], bool],
+    clock: Clock,
+    recorder: Recorder | None = None,
+    commands: Sequence[Telecommand] = (),
+) -> SerialReception:
+    """Open the port, tell `commands`, and read while `goes_on` says so, which is asked after each look.
+
+    Raises OSError when the port cannot be had; one that goes away later ends the visit.
+    """
+    port = open_port(line)
+    listening = _Listening(line.profile, clock, recorder)
+    unsent = b"".join(listening.receiver.wrap(command) for command in commands)
+    gone = False
+    try:
+        while goes_on(listening.now):
+            unsent = unsent[port.write(unsent) :] if unsent else b""
+            listening.take(_all_there(port))
+            clock.sleep_until(clock.now_ns() + _LOOK_PERIOD_NS)
+    except OSError:
+        gone = True
+    finally:
+        port.close()
+    return listening.finish(gone=gone)
+
+
+def _all_there(port: Port) -> bytes:
+    parts = []
+    while data := port.read():
+        parts.append(data)
+    return b"".join(parts)
+
+
+def _jitter(delays_us: list[float]) -> LatencySummary:
+    if not delays_us:
+        return LatencySummary()
+    above = np.array(delays_us) - min(delays_us)
+    return LatencySummary(float(np.quantile(above, 0.5)), float(np.quantile(above, 0.99)), float(above.max()))
