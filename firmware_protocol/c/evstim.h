@@ -39,10 +39,19 @@ struct evstim_edge {
     uint16_t seq;    /* number of the edge at its source, 0 where the source counts none */
 };
 
-/* Where decoded things go. The pointers are good during the call only; either function may be NULL. */
+/* A packet of another service than events and edges: housekeeping (3, 25), verification (1, x), ... */
+struct evstim_report {
+    uint64_t t_us;
+    uint8_t service, subtype;
+    const uint8_t *data;
+    size_t length;
+};
+
+/* Where decoded things go. The pointers are good during the call only; any of the functions may be NULL. */
 struct evstim_sink {
     void (*event)(void *context, const struct evstim_event *event);
     void (*edge)(void *context, const struct evstim_edge *edge);
+    void (*report)(void *context, const struct evstim_report *report);
     void *context;
 };
 
@@ -101,6 +110,68 @@ void evstim_blocks_init(struct evstim_blocks *blocks, uint16_t width, uint16_t h
  * time nearest to `near_us`: that of the packet, or blocks->last_us. Returns whether it was good; if not, nothing of it
  * has been delivered. */
 bool evstim_block(struct evstim_blocks *blocks, const uint8_t *bytes, size_t n, uint64_t near_us);
+
+/* ---- Telemetry on a serial line: profiles ccsds-cobs and ccsds-slip; packets of ISO-TP: profile ccsds ------------ */
+
+enum evstim_framing { EVSTIM_COBS, EVSTIM_SLIP };
+enum { EVSTIM_APID = 0x2A0, EVSTIM_SCIENCE_APID = 0x2A1 };
+
+/* Bytes -> frames -> packets -> blocks -> events. */
+struct evstim_telemetry {
+    struct evstim_deframer frames;
+    struct evstim_blocks blocks;
+    enum evstim_framing framing;
+    uint16_t apid, science_apid; /* of the camera; may be changed after the init function */
+    uint16_t expected;           /* next sequence count of events and edges */
+    bool followed;               /* there has been one */
+    uint32_t packets;    /* good ones with a block */
+    uint32_t others;     /* good ones without: idle, and those handed to sink->report */
+    uint32_t refused;    /* damaged, or not from this camera */
+    uint32_t missing;    /* packets with a block that never came */
+    uint32_t disordered; /* packets with a block whose count was behind: repeated, late, or the camera began anew */
+};
+
+/* Make ready. The buffer holds one packet: the longest block and 22 bytes; with the camera's default of 1024 bytes for
+ * a block, 1046. */
+void evstim_telemetry_init(struct evstim_telemetry *telemetry, enum evstim_framing framing, uint8_t *buffer,
+                           size_t capacity, uint16_t width, uint16_t height, const struct evstim_sink *sink);
+void evstim_telemetry_push(struct evstim_telemetry *telemetry, const uint8_t *bytes, size_t n);
+
+/* Take one whole packet, from a carrier that keeps packets apart; the buffer is not used. Returns whether it was good. */
+bool evstim_telemetry_packet(struct evstim_telemetry *telemetry, const uint8_t *packet, size_t n);
+
+/* ---- Raw CAN frames ---------------------------------------------------------------------------------------------- */
+
+struct evstim_can_ids {
+    uint16_t events, epoch, marks; /* 11-bit identifiers: 0x1A2, 0x2A2, 0x3A2 for node 0x22 */
+};
+
+struct evstim_can {
+    const struct evstim_sink *sink;
+    struct evstim_can_ids ids;
+    uint16_t width, height; /* at most 512 each */
+    uint64_t near_tick;     /* time last told, in ticks, */
+    uint16_t rest_us;       /* and what is left of it */
+    uint16_t tick_us;
+    uint16_t epoch_sent, epoch_dropped;
+    uint32_t since_epoch; /* events received since the last epoch frame */
+    uint8_t last[64], last_length, last_seq;
+    bool timed; /* an epoch frame has come */
+    uint32_t events;
+    uint32_t edges;
+    int32_t lost;     /* sent and not received; below 0 while frames come out of order */
+    uint32_t dropped; /* dropped by the camera */
+    uint32_t gaps;    /* times that the sequence count was not the next */
+    uint32_t repeated;     /* frames that came twice in a row, used once */
+    uint32_t before_epoch; /* events frames before any epoch frame: they have no time */
+    uint32_t malformed;    /* frames that no camera of this size sends */
+};
+
+void evstim_can_init(struct evstim_can *can, const struct evstim_can_ids *ids, uint16_t width, uint16_t height,
+                     const struct evstim_sink *sink);
+
+/* Take one data frame of a standard (11-bit) identifier; `fd` tells CAN FD from classic. Others are passed over. */
+void evstim_can_frame(struct evstim_can *can, uint32_t identifier, bool fd, const uint8_t *data, size_t n);
 
 /* ---- DAVIS346 USB words ------------------------------------------------------------------------------------------ */
 

@@ -3,6 +3,7 @@
  * A block is walked twice, straight from the receive buffer: first only to check, then to deliver. The first walk
  * refuses whatever is malformed, so the second cannot meet it. */
 #include "evstim.h"
+#include "evstim_time.h"
 
 enum { HEADER_BYTES = 14, VERSION = 1, MOST_RICE_BITS = 27, ESCAPE = 16, EDGE_BYTES = 8 };
 enum mode { FLAT, ROWS, BITMAP, EDGE };
@@ -326,15 +327,6 @@ static bool read_header(struct header *h, const uint8_t *b, size_t n)
            && (h->mode != EDGE || h->tick_code == 0) && (h->mode == FLAT || h->n != 0);
 }
 
-/* The time nearest to `near_us` whose low 32 bits are `low`, not before zero. */
-static uint64_t unwrapped(uint32_t low, uint64_t near_us)
-{
-    uint32_t ahead = low - (uint32_t)near_us;
-    if (ahead < 0x80000000u || near_us + ahead < 0x100000000u)
-        return near_us + ahead;
-    return near_us + ahead - 0x100000000u;
-}
-
 /* ---- What the header file promises ------------------------------------------------------------------------------- */
 
 static uint8_t bits_of(uint32_t value)
@@ -370,7 +362,7 @@ bool evstim_block(struct evstim_blocks *blocks, const uint8_t *bytes, size_t n, 
         blocks->other_size++;
         return false;
     }
-    uint64_t base_us = unwrapped(h.base, near_us);
+    uint64_t base_us = evstim_unwrapped(h.base, 32, near_us);
     if (!walk(blocks, &h, bytes, n, NULL, base_us)) {
         blocks->refused++;
         return false;

@@ -4,6 +4,7 @@
  *           piece: the bytes are pushed in pieces of this many.
  * Reply:    u32 sizes of four sections, then they: frames (u32 length and bytes each), events (13 bytes each: u64 t,
  *           u16 x, u16 y, u8 on), edges (12 bytes each: u64 t, u8 kind, u8 channel, u16 seq), counters (u32 each).
+ *           Reports stand among the frames: u8 service, u8 subtype, u64 t, data.
  */
 #include <stdio.h>
 #include <stdlib.h>
@@ -57,7 +58,17 @@ static void on_edge(void *context, const struct evstim_edge *edge)
     put(EDGES, &edge->seq, 2);
 }
 
-static const struct evstim_sink sink = {on_event, on_edge, NULL};
+static void on_report(void *context, const struct evstim_report *report)
+{
+    (void)context;
+    put_u32(FRAMES, (uint32_t)(10 + report->length));
+    put(FRAMES, &report->service, 1);
+    put(FRAMES, &report->subtype, 1);
+    put(FRAMES, &report->t_us, 8);
+    put(FRAMES, report->data, report->length);
+}
+
+static const struct evstim_sink sink = {on_event, on_edge, on_report, NULL};
 
 struct request {
     uint8_t mode, flags;
@@ -123,6 +134,48 @@ static void blocks(const struct request *r, const uint8_t *bytes)
     put(COUNTERS, counters, sizeof counters);
 }
 
+static void telemetry(const struct request *r, const uint8_t *bytes)
+{
+    enum { CAPACITY = 8192 + 22 };
+    uint8_t *buffer = malloc(CAPACITY);
+    struct evstim_telemetry t;
+    if (buffer == NULL)
+        abort();
+    evstim_telemetry_init(&t, r->mode == 'C' ? EVSTIM_COBS : EVSTIM_SLIP, buffer, CAPACITY, r->width, r->height, &sink);
+    if (r->mode == 'P')
+        evstim_telemetry_packet(&t, bytes, r->n);
+    else
+        for (uint32_t i = 0; i < r->n; i += r->piece)
+            evstim_telemetry_push(&t, bytes + i, r->n - i < r->piece ? r->n - i : r->piece);
+    const uint32_t counters[] = {t.packets,          t.others,            t.refused,        t.missing,
+                                 t.disordered,       t.blocks.blocks,     t.blocks.refused, t.blocks.other_size,
+                                 t.blocks.events,    t.blocks.edges,      t.blocks.dropped, t.frames.frames,
+                                 t.frames.malformed, t.frames.too_long};
+    put(COUNTERS, counters, sizeof counters);
+    free(buffer);
+}
+
+/* The bytes are records of u16 identifier, u8 fd, u8 length, data. */
+static void can(const struct request *r, const uint8_t *bytes)
+{
+    const struct evstim_can_ids ids = {0x1A2, 0x2A2, 0x3A2};
+    struct evstim_can c;
+    evstim_can_init(&c, &ids, r->width, r->height, &sink);
+    for (uint32_t at = 0; at < r->n; at += 4u + bytes[at + 3]) {
+        uint16_t identifier;
+        uint8_t *copy = malloc(bytes[at + 3]);
+        if (copy == NULL && bytes[at + 3] != 0)
+            abort();
+        memcpy(&identifier, bytes + at, 2);
+        memcpy(copy, bytes + at + 4, bytes[at + 3]);
+        evstim_can_frame(&c, identifier, bytes[at + 2], copy, bytes[at + 3]);
+        free(copy);
+    }
+    const uint32_t counters[] = {c.events,   c.edges,        (uint32_t)c.lost, c.dropped, c.gaps,
+                                 c.repeated, c.before_epoch, c.malformed};
+    put(COUNTERS, counters, sizeof counters);
+}
+
 static void answer(const struct request *r, const uint8_t *bytes)
 {
     switch (r->mode) {
@@ -138,6 +191,14 @@ static void answer(const struct request *r, const uint8_t *bytes)
         break;
     case 'b':
         blocks(r, bytes);
+        break;
+    case 'C':
+    case 'S':
+    case 'P':
+        telemetry(r, bytes);
+        break;
+    case 'n':
+        can(r, bytes);
         break;
     default:
         abort();

@@ -1,0 +1,15 @@
+/* Times that come without their upper bits. For the library itself. */
+#ifndef EVSTIM_TIME_H
+#define EVSTIM_TIME_H
+
+#include <stdint.h>
+
+/* The number nearest to `near` whose `bits` (at most 32) lowest bits are `low`, not below zero. */
+static inline uint64_t evstim_unwrapped(uint32_t low, unsigned bits, uint64_t near)
+{
+    uint64_t span = UINT64_C(1) << bits;
+    uint64_t next = near + ((low - near) & (span - 1));
+    return next - near < span / 2 || next < span ? next : next - span;
+}
+
+#endif

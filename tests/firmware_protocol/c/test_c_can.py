@@ -1,0 +1,104 @@
+"""Raw CAN frames in C: the same events and the same counts as the Python receiver."""
+
+import struct
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from firmware_protocol.can_frames.frame import FD_LENGTHS, Frame
+from firmware_protocol.can_frames.marks import pack_marks
+from firmware_protocol.can_frames.raw_stream import RawReceiver, RawSender, RawSettings
+from firmware_protocol.edges import EDGE
+from firmware_protocol.events import EVENT, empty_events
+
+EVENTS, EPOCH, MARKS = 0x1A2, 0x2A2, 0x3A2
+COUNTERS = ("lost", "dropped", "gaps", "repeated", "before_epoch", "malformed")
+
+
+@st.composite
+def streams(draw, most=60):
+    gaps = draw(st.lists(st.sampled_from([0, 1, 30, 31, 126, 127, 5_000, 40_000, 2_000_000]), max_size=most))
+    rng = np.random.default_rng(draw(st.integers(0, 99)))
+    events = np.zeros(len(gaps), EVENT)
+    events["t"] = np.cumsum([draw(st.integers(0, 1 << 33)), *gaps])[1:]
+    events["x"], events["y"], events["on"] = rng.integers(0, [512, 512, 2], (len(gaps), 3)).T
+    return events
+
+
+def request(frames):
+    return b"".join(struct.pack("<HBB", f.identifier, f.fd, len(f.data)) + f.data for f in frames)
+
+
+def same_as_python(library, frames):
+    receiver = RawReceiver(EVENTS, EPOCH)
+    events = np.concatenate([empty_events(), *(receiver.push(frame) for frame in frames)])
+    reply = library("n", request(frames), size=(512, 512))
+    assert np.array_equal(reply.events, events)
+    expected = [getattr(receiver.counters, name) & 0xFFFFFFFF for name in COUNTERS]
+    assert reply.counters == [len(events), 0, *expected]
+    return reply
+
+
+@given(streams(), st.sampled_from([1, 10, 100, 1000]), st.integers(1, 4), st.booleans())
+@settings(max_examples=80)
+def test_events_come_back(library, events, tick_us, parts, fd):
+    sender = RawSender(RawSettings(EVENTS, EPOCH, tick_us, fd=fd))
+    frames = [p.frame for part in np.array_split(events, parts) for p in sender.pack(part, dropped=len(part))]
+    reply = same_as_python(library, frames)
+    assert np.array_equal(reply.events[["x", "y", "on"]], events[["x", "y", "on"]])
+
+
+@given(streams(), st.booleans(), st.data())
+@settings(max_examples=80)
+def test_lost_repeated_and_late_frames_count_the_same(library, events, fd, data):
+    sender = RawSender(RawSettings(EVENTS, EPOCH, fd=fd))
+    frames = [p.frame for part in np.array_split(events, 5) for p in sender.pack(part)]
+    if frames:
+        frames = data.draw(st.lists(st.sampled_from(frames), max_size=30)) + frames[1::2]
+    same_as_python(library, frames)
+
+
+FD_DATA = st.sampled_from(FD_LENGTHS).flatmap(lambda n: st.binary(min_size=n, max_size=n))
+ANY = st.one_of(
+    st.builds(Frame, st.sampled_from([EVENTS, EPOCH, 0x7FF]), st.binary(max_size=8)),
+    st.builds(lambda d: Frame(EVENTS, d, fd=True), FD_DATA),
+    st.builds(
+        lambda head, n, cells: Frame(EVENTS, (head + bytes([n, 0]) + cells).ljust(64, b"\0")[:64], fd=True),
+        st.binary(min_size=5, max_size=5), st.integers(17, 20), st.binary(max_size=60),
+    ),
+)  # fmt: skip
+
+
+@given(st.lists(ANY, max_size=30), st.booleans())
+@settings(max_examples=150)
+def test_any_frames_count_the_same(library, frames, timed):
+    same_as_python(library, [Frame(EPOCH, bytes(8))] * timed + frames)
+
+
+def test_a_pixel_outside_the_sensor_spoils_its_frame(library):
+    events = np.array([(5, 345, 259, True), (6, 346, 0, True), (7, 0, 260, False), (8, 0, 0, False)], EVENT)
+    for fd in (False, True):
+        sender = RawSender(RawSettings(EVENTS, EPOCH, fd=fd))
+        frames = [p.frame for event in events for p in sender.pack(event[None])]
+        reply = library("n", request(frames), size=(346, 260))
+        assert reply.events.tolist() == [events[0].item(), events[3].item()]
+        assert reply.counters[-1] == 2
+
+
+def test_marks_become_edges(library):
+    edges = np.array([(2**32 + 5, 2, 0, 1), (2**32 + 9, 3, 1, 65535), (2**32 + 10, 4, 9, 0)], EDGE)
+    epoch = struct.pack("<IHH", 2**30 - 1, 0, 0)
+    frames = [Frame(EPOCH, epoch), *(Frame(MARKS, data) for data in pack_marks(edges)), Frame(MARKS, bytes(8))]
+    reply = library("n", request(frames))
+    assert reply.edges.tolist() == [(t - 2**32, *rest) for t, *rest in edges.tolist()]
+    assert reply.counters[-1] == 1
+
+
+@pytest.mark.parametrize("fd", [False, True])
+def test_random_frames_do_no_harm(library, fd):
+    rng = np.random.default_rng(5)
+    frames = [Frame(EPOCH, bytes(8))]
+    frames += [Frame(EVENTS, rng.bytes(64 if fd else 8), fd=fd) for _ in range(3000)]
+    same_as_python(library, frames)
