@@ -152,6 +152,8 @@ def refused():
         ("an escape that goes back in its tick", by_hand(1, 2, f"00000000 01 001 {ESCAPE} {0:031b} 01 000"), 6),
         ("BITMAP, an escape back", by_hand(2, 2, f"00000000 00000000 01 001 0 {ESCAPE} {0:031b} 00 111 0"), 6),
         ("a span that ends one past the array", by_hand(2, 3, "00000000 00000000 11 110 110 1"), 5),
+        ("one column outside, of 7", changed(by_hand(1, 1, "00000000 00 111"), b11=0x60, b12=2), 5),
+        ("one row outside, of 3", changed(by_hand(1, 1, "00000000 11 000"), b11=0x60, b12=2), 5),
         ("row 511", changed(rows, b15=0xFF, b16=rows[16] | 0x80), 5),
         ("a FLAT word outside the array", flat[:14] + bytes([0, 0, 0x16, 0xBD]) + flat[18:], 5),
         ("a span past the end of the array", changed(solid, b12=1), 5),
