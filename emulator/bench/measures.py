@@ -7,7 +7,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 from emulator.bench import link, pixel, word
+from emulator.bench.noise import NoiseLoad
 from emulator.bench.scene import Workload
+from emulator.bench.scenes_alike import ScenesAlike
 from emulator.bench.telemetry import BlockBits, BlockDecoding, BlockEncoding
 
 __all__ = ["MEASURES", "Measure"]
@@ -32,6 +34,12 @@ MEASURES = (
     Measure("pixel_quiet_line", "Mpixel/s", "higher", 1000, pixel.pixel_quiet_line),
     Measure("pixel_5pct_line", "Mpixel/s", "higher", 500, pixel.pixel_5pct_line),
     Measure("pixel_edges", "Mev/s", "higher", 10, pixel.pixel_edges),
+    Measure("noise_rare", "us/step", "lower", 10, NoiseLoad(0.01)),
+    Measure("noise_1hz", "us/step", "lower", 10, NoiseLoad(1.0)),
+    Measure("noise_10hz", "us/step", "lower", None, NoiseLoad(10.0)),
+    Measure("noise_10hz_read_out", "us/step", "lower", None, NoiseLoad(10.0, with_readout=True)),
+    Measure("scenes_alike_64", "times", "lower", 2, ScenesAlike(64)),
+    Measure("scenes_alike_4096", "times", "lower", 2, ScenesAlike(4096)),
     Measure("words_encode", "Mev/s", "higher", 80, word.words_encode),
     Measure("words_decode", "Mev/s", "higher", 40, word.words_decode),
     Measure("blocks_encode_stars", "Mev/s", "higher", 10, BlockEncoding("stars")),

@@ -1,0 +1,116 @@
+"""Whether the cost of a step depends on the number of its events alone, or on which pixels have them and how.
+
+Scenes of about the same number of events a step, on 346 x 260 pixels; each told with its time derivative, as runs have
+it, which for a jump between two pictures is zero. The figure is the time of a step in the slowest of them over that in
+the first, which is the usual case. Scenes take their steps in turns, so that a busy machine slows all alike.
+
+    grating     every pixel's light changes, some reach a threshold; all other scenes are at rest but for a few pixels
+    flashing    as few pixels as there can be: flashes of 13 e-folds and back (low-pass wide open), 46 events a step
+    block       neighbours that jump by 2.15 thresholds and back: an event each
+    scattered   pixels far apart that do the same
+    rows        pixels of whole rows, which the read-out latches together
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import statistics
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from emulator.sensor.pixels import PixelArray
+from emulator.sensor.presets import PRESETS, SensorParameters
+
+__all__ = ["ScenesAlike"]
+
+_STEP_NS = 1_000_000
+_STEPS, _WARM_UP, _SETTLED = 120, 20, 10
+_PERIOD_PX = 40
+_FLASH, _FLASH_EVENTS = 13.0, 46
+
+_Light = npt.NDArray[np.float32]
+_Picture = tuple[_Light, _Light]
+"""Light and its time derivative, a second."""
+
+_SENSOR = dataclasses.replace(PRESETS["davis346"], refractory_us=0.0, leak_hz=0.01)
+_FAST = dataclasses.replace(_SENSOR, corner_hz_at_reference=1e6, corner_min_hz=1e6, corner_max_hz=1e6)
+_THRESHOLD = (_SENSOR.threshold_on + _SENSOR.threshold_off) / 2
+_PIXELS = _SENSOR.width * _SENSOR.height
+
+
+def _grating(events: int, k: int) -> _Picture:
+    """Return a drifting sine of amplitude 1, which spends a threshold at each turn and fires on the rest of the way.
+
+    Before step 0 it goes round once, in 20 steps, so that all pixels have had their turns.
+    """
+    y, x = np.mgrid[: _SENSOR.height, : _SENSOR.width]
+    turn = events / _PIXELS * _THRESHOLD * np.pi / (2 - _THRESHOLD) if k >= 0 else 2 * np.pi / _WARM_UP
+    angle = 2 * np.pi * (x + 0.5 * y) / _PERIOD_PX - turn * k
+    light = 0.5 * np.exp(np.sin(angle))
+    return light.astype(np.float32), (-light * np.cos(angle) * turn * 1e9 / _STEP_NS).astype(np.float32)
+
+
+def _jumping(pixels: npt.NDArray[np.int64], by: float, k: int) -> _Picture:
+    light = np.full((_SENSOR.height, _SENSOR.width), 0.3, np.float32)
+    light.reshape(-1)[pixels] *= np.float32(math.exp(by if k % 2 else 0.0))
+    return light, np.zeros_like(light)
+
+
+def _places(events: int) -> dict[str, npt.NDArray[np.int64]]:
+    """Return which pixels jump, for all scenes in which they do it alike."""
+    side = math.isqrt(events)
+    block = (80 + np.arange(side))[:, None] * _SENSOR.width + 80 + np.arange(side)
+    return {
+        "block": block.reshape(-1),
+        "scattered": np.arange(events) * (_PIXELS // events),
+        "rows": 100 * _SENSOR.width + np.arange(events),
+    }
+
+
+def _scenes(events: int) -> dict[str, tuple[SensorParameters, Callable[[int], _Picture]]]:
+    """Return sensor and picture at step k of each scene, the usual one first."""
+    flashing = (np.arange(max(1, round(events / _FLASH_EVENTS))) * 997 + 40_000) % _PIXELS
+    jumping = {
+        name: (_SENSOR, lambda k, pixels=pixels: _jumping(pixels, 2.15 * _THRESHOLD, k))
+        for name, pixels in _places(events).items()
+    }
+    return {
+        "grating": (_SENSOR, lambda k: _grating(events, k)),
+        "flashing": (_FAST, lambda k: _jumping(flashing, _FLASH, k)),
+        **jumping,
+    }
+
+
+@dataclass(frozen=True)
+class ScenesAlike:
+    """Scenes of about `events` events a step."""
+
+    events: int
+
+    def __call__(self) -> float:
+        """Return the time of a step of the slowest scene over that of the usual one."""
+        times = [seconds for seconds, _ in self.times().values()]
+        return max(times) / times[0]
+
+    def times(self) -> dict[str, tuple[float, float]]:
+        """Return the median seconds of a step of each scene, and its mean number of events; the usual one first."""
+        scenes = _scenes(self.events)
+        arrays = {name: PixelArray(sensor, 1) for name, (sensor, _) in scenes.items()}
+        seconds: dict[str, list[float]] = {name: [] for name in scenes}
+        found = dict.fromkeys(scenes, 0)
+        for k in range(-_WARM_UP, _STEPS):
+            for name, array in arrays.items():
+                light, rate = scenes[name][1](k)
+                if k == -_WARM_UP:
+                    array.reset(light, 0, rate)
+                begun = time.perf_counter()
+                crossings = array.step(light, (k + _WARM_UP) * _STEP_NS, rate)
+                if k >= _SETTLED:
+                    seconds[name].append(time.perf_counter() - begun)
+                    found[name] += len(crossings)
+        return {name: (statistics.median(s), found[name] / len(s)) for name, s in seconds.items()}
