@@ -8,7 +8,7 @@ BIN    := $(VENV)/bin
 # What a mesh needs to be drawn.
 APT_DEMO := libegl1 libgl1 libgl1-mesa-dri
 # What the real-USB tests need: a machine to boot Linux in, and Debian's own tools in it.
-APT_TEST := $(APT_DEMO) qemu-system-x86 busybox-static usbip cpio kmod libusb-1.0-0
+APT_TEST := $(APT_DEMO) qemu-system-x86 busybox-static usbip cpio kmod libusb-1.0-0 can-utils gcc libc6-dev gcc-arm-none-eabi qemu-system-arm
 
 .PHONY: demo test fast check docs bench clean
 
@@ -19,12 +19,12 @@ demo: $(VENV)/.installed
 test: $(VENV)/.installed-test
 	@.ci/apt $(APT_TEST)
 	$(MAKE) check
-	$(BIN)/pytest -m "not guest" -n 2 --dist loadfile
-	$(BIN)/pytest -m guest --timeout 900
+	$(BIN)/pytest -m "not guest and not arm" -n 2 --dist loadfile
+	$(BIN)/pytest -m "guest or arm" --timeout 900
 
 # The part of the tests that needs no QEMU.
 fast: $(VENV)/.installed-test
-	$(BIN)/pytest -m "not guest" -n 2 --dist loadfile
+	$(BIN)/pytest -m "not guest and not arm" -n 2 --dist loadfile
 
 check: $(VENV)/.installed-test
 	$(BIN)/ruff check .

@@ -9,9 +9,12 @@ from typing import Any
 
 from emulator.pictures import Pictures
 from emulator.plan import limits, make_plan
+from emulator.playback.recording import RecordingParameters, load_recording
+from emulator.playback.replay import Replay
 from emulator.probe import probe
 from emulator.rig import LinkParameters, LoopbackLink, Rig, RigError, UsbipLink
 from emulator.scene.base import Scene
+from emulator.sensor.event_source import EventSource
 from emulator.sensor.pixels import PixelArray
 from emulator.sensor.presets import SensorParameters
 from emulator.sensor.rules import RULES
@@ -55,12 +58,22 @@ def build_session(rig: Rig, scene: Scene, setups: Sequence[LinkSetup[Any]], cloc
     return Session(build_pictures(rig, scene), build_sensor(rig, parameters), steps, setups, clock)
 
 
-def build_sensor(rig: Rig, parameters: SensorParameters) -> Sensor:
-    """Return the rig's sensor, of `parameters`; raises RigError when its method lacks an effect that is asked for."""
+def build_sensor(rig: Rig, parameters: SensorParameters) -> EventSource:
+    """Return the rig's sensor, of `parameters`, or the recording in its place.
+
+    Raises RigError when the rig's method lacks an effect that is asked for, SceneError when a recording cannot be used.
+    """
+    if isinstance(rig.scene, RecordingParameters):
+        return _replay(rig.scene, parameters)
     try:
         return Sensor(parameters, rig.run.seed, RULES.get(rig.run.method, PixelArray))
     except ValueError as error:
         raise RigError(f"{rig.name}: run.method = {rig.run.method!r}: {error}") from error
+
+
+def _replay(p: RecordingParameters, parameters: SensorParameters) -> Replay:
+    recording = load_recording(Path(p.path), (parameters.width, parameters.height))
+    return Replay(parameters, recording, time_scale=p.time_scale, loop=p.loop, through_readout=p.through_readout)
 
 
 def build_pictures(rig: Rig, scene: Scene) -> Pictures:

@@ -24,7 +24,7 @@ class Pictures:
 
     def __init__(self, scene: Scene, *, with_rate: bool) -> None:
         width, height = scene.size
-        self._scene = scene
+        self.scene = scene
         self.light: Light = np.zeros((height, width), np.float32)
         self.rate: Light | None = np.zeros((height, width), np.float32) if with_rate else None
         self.frames = 0
@@ -32,12 +32,12 @@ class Pictures:
     @property
     def size(self) -> tuple[int, int]:
         """(width, height) in pixels."""
-        return self._scene.size
+        return self.scene.size
 
     def draw(self, t_ns: int) -> None:
         """Draw the picture of stream time `t_ns`."""
         if self.rate is None:
-            self._scene.light(t_ns, self.light)
+            self.scene.light(t_ns, self.light)
         else:
-            self._scene.light_and_rate(t_ns, self.light, self.rate)
+            self.scene.light_and_rate(t_ns, self.light, self.rate)
         self.frames += 1

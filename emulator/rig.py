@@ -25,11 +25,13 @@ from pathlib import Path
 from typing import Any, Literal, TypeVar
 
 from emulator.optics.lens import LensParameters
+from emulator.playback.recording import RecordingParameters
 from emulator.rig_files import beside
 from emulator.rig_text import line_of
 from emulator.scene.body import BodyParameters
 from emulator.scene.checkerboard import CheckerboardParameters
 from emulator.scene.stars import StarsParameters
+from emulator.scene.video import VideoParameters
 from emulator.sensor.presets import PRESETS, SensorParameters
 from emulator.triggers import Trigger
 from emulator.typed_table import Path as KeyPath
@@ -207,13 +209,15 @@ class LoopbackLink:
     name: str = "loopback"
 
 
-SceneParameters = CheckerboardParameters | BodyParameters | StarsParameters
+SceneParameters = CheckerboardParameters | BodyParameters | StarsParameters | VideoParameters | RecordingParameters
 LinkParameters = UsbipLink | LoopbackLink | SerialParameters | CanParameters
 
 SCENES: Mapping[str, type[SceneParameters]] = {
     "checkerboard": CheckerboardParameters,
     "body": BodyParameters,
     "stars": StarsParameters,
+    "video": VideoParameters,
+    "recording": RecordingParameters,
 }
 _BUSES = ("can",)
 """Kinds of link that hear a SYNC."""

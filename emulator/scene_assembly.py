@@ -11,11 +11,14 @@ from collections.abc import Callable
 from emulator.optics.lens import CHIPS
 from emulator.optics.pinhole import Pinhole
 from emulator.optics.through import Through
+from emulator.playback.recording import RecordingParameters
 from emulator.rig import Rig
 from emulator.scene.base import Scene
+from emulator.scene.blank import Blank
 from emulator.scene.body import BodyParameters
 from emulator.scene.checkerboard import Checkerboard, CheckerboardParameters
 from emulator.scene.stars import StarField, StarsParameters
+from emulator.scene.video import Video, VideoParameters
 
 __all__ = ["build_scene"]
 
@@ -30,6 +33,10 @@ def build_scene(rig: Rig, size: tuple[int, int] | None = None) -> Scene:
             from emulator.scene.body import Body
 
             return Body(p, size)
+        case RecordingParameters():
+            return Blank(size)
+        case VideoParameters() as p:
+            return Video(p, size)
         case StarsParameters() as p:
             return StarField(p, size, rig.camera.lens, CHIPS[rig.camera.model])
 

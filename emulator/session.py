@@ -10,7 +10,7 @@ they are full, so that nothing is lost. In lockstep they go on as far as the SYN
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from typing import Any
@@ -23,6 +23,7 @@ from emulator.link_process import LinkProcess
 from emulator.lockstep import Lockstep
 from emulator.pictures import Pictures
 from emulator.sensor.effects import DefectParameters
+from emulator.sensor.event_source import EventSource
 from emulator.sensor.presets import SensorParameters
 from emulator.sensor.sensor import Sensor
 from emulator.steps import StepSource
@@ -73,6 +74,7 @@ class RunResult:
     lateness: Lateness
     links: dict[str, LinkReport] = field(default_factory=dict)
     suspect_share: float | None = None
+    scene_counts: Mapping[str, int] = field(default_factory=dict)
     syncs: int | None = None
 
     @property
@@ -107,7 +109,7 @@ class Session:
     """
 
     def __init__(
-        self, pictures: Pictures, sensor: Sensor, steps: StepSource, setups: Sequence[LinkSetup[Any]], clock: Clock
+        self, pictures: Pictures, sensor: EventSource, steps: StepSource, setups: Sequence[LinkSetup[Any]], clock: Clock
     ) -> None:
         size = (sensor.parameters.width, sensor.parameters.height)
         if pictures.size != size:
@@ -152,6 +154,7 @@ class Session:
             lateness=self._lateness,
             links=reports,
             suspect_share=self._sensor.suspect_share,
+            scene_counts=self._pictures.scene.counts,
             syncs=None if self._lockstep is None else self._lockstep.heard,
         )
 
@@ -163,7 +166,8 @@ class Session:
     def _warm_up(self) -> None:
         """Do all slow first-time work before the clock runs: compile the kernels, draw the first picture."""
         with said_if_slow("compiling the sensor's kernels: takes some seconds, once; they are kept on disk"):
-            load_kernels(self._sensor.parameters)
+            if isinstance(self._sensor, Sensor):
+                load_kernels(self._sensor.parameters)
         self._pictures.draw(0)
         self._sensor.reset(self._pictures.light, 0)
         self._step_source.observe(self._pictures.light, self._pictures.rate, 0)

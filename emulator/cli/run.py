@@ -111,6 +111,8 @@ def _check_truth(rig: Rig, truth: Path | None) -> None:
 def run_rig(rig: Rig, record: Path | None = None, truth: Path | None = None, *, show: bool = False) -> RunResult:
     """Run a loaded rig, with a live table on stderr when `show`."""
     with build_scene(rig) as scene:
+        for note in scene.notes if show else ():
+            console.print(f"note: {note}")
         session = build_session(rig, scene, link_setups(rig, record, truth), MonotonicClock())
         with stopped_by_signals(session), LiveTable(rig, status) if show else nullcontext() as live:
             return session.run(schedule(rig), live.update if live else lambda _: None)
@@ -130,6 +132,7 @@ def summary(rig: Rig, result: RunResult) -> dict[str, object]:
         "latency_us": dataclasses.asdict(_worst(latencies)),
         "lateness": result.lateness.as_json(),
         "suspect_share": result.suspect_share,
+        "scene": result.scene_counts,
         "syncs": result.syncs,
         "links": {
             name: {"state": r.state, "latency_us": r.latency, "digest": r.digest, "error": r.error, **timing_json(r)}
@@ -174,6 +177,8 @@ def _print_summary(rig: Rig, result: RunResult) -> None:
             f"pictures too far apart: in {result.suspect_share:.0%} of the solved pixel-steps the light did something "
             "between them; shorten run.step_us, or give run.tolerance_us"
         )
+    if result.scene_counts:
+        console.print(f"scene: {', '.join(f'{n} {name}' for name, n in result.scene_counts.items())}")
     late = result.lateness
     if late.frames_late:
         console.print(

@@ -14,7 +14,7 @@ a tenth of a pixel, which moves no edge by more than a hundredth, and a distorti
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 import numpy.typing as npt
@@ -72,6 +72,16 @@ class Through(Scene):
     def distance_m(self) -> float:
         """That of the scene."""
         return self.scene.distance_m
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Those of the scene."""
+        return self.scene.notes
+
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """Those of the scene."""
+        return self.scene.counts
 
     def light(self, t_ns: int, out: Light) -> None:
         """Write the light on the pixels at `t_ns` into `out`."""

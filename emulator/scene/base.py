@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from types import TracebackType
 from typing import Self
 
@@ -49,6 +49,16 @@ class Scene(ABC):
     def distance_m(self) -> float:
         """How far away most of what is seen lies; infinite unless a scene knows better. For focus."""
         return math.inf
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a user should know of this picture, a sentence each."""
+        return ()
+
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """Named counts of what happened to the scene during the run, for the summary."""
+        return {}
 
     @abstractmethod
     def light(self, t_ns: int, out: Light) -> None:

@@ -14,7 +14,7 @@ behind another, is beyond this scene.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -28,6 +28,7 @@ from emulator.scene.base import Light, Scene, SceneError
 from emulator.scene.catalogue import FAINTEST_V, irradiance_w_m2, load_stars
 from emulator.scene.splats import splat
 from emulator.trajectory.building import build_trajectory
+from emulator.trajectory.live import close_inlets, live_counts
 from emulator.trajectory.parameters import FixedPath, LivePath, TrajectoryParameters
 from emulator.trajectory.pose import Pose, Trajectory, TrajectoryError
 from emulator.trajectory.timescale import Timescale
@@ -146,6 +147,11 @@ class StarField(Scene):
         stretch = 1 + math.tan(self._pinhole.widest_rad) ** 2
         return self._camera.turn_bound_rad_s * self._time.factor * self._pinhole.focal_px * stretch
 
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """What poses from outside did."""
+        return live_counts(self._camera, *self._paths)
+
     def light(self, t_ns: int, out: Light) -> None:
         """Write the light at `t_ns`."""
         out.fill(self._p.sky_w_m2_sr * self._lens.light_per_radiance)
@@ -159,8 +165,7 @@ class StarField(Scene):
 
     def close(self) -> None:
         """Let go of the sockets that paths listen on."""
-        for path in (self._camera, *self._paths):
-            getattr(path, "close", lambda: None)()
+        close_inlets(self._camera, *self._paths)
 
     def _points(self, t_ns: int) -> Floats:
         """Return column, row, light, px/s and px/s of every point near the picture, (n, 5).

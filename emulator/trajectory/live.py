@@ -24,7 +24,7 @@ from emulator.trajectory.measured import turn_rad
 from emulator.trajectory.pose import STILL, Pose, Trajectory, multiply
 from firmware_protocol.pose_message import NOW, POSE_BYTES, PoseMessage, PoseMessageError
 
-__all__ = ["Inlet", "LiveCounters", "LivePoses"]
+__all__ = ["Inlet", "LiveCounters", "LivePoses", "close_inlets", "live_counts"]
 
 _KNOWN = 64
 
@@ -180,6 +180,20 @@ class Inlet(Trajectory):
                 continue
             if message.body == self._body:
                 self._poses.add(message)
+
+
+def close_inlets(*paths: Trajectory) -> None:
+    """Let go of the ports that some of the paths listen on."""
+    for path in paths:
+        if isinstance(path, Inlet):
+            path.close()
+
+
+def live_counts(*paths: Trajectory) -> dict[str, int]:
+    """Return what came in for those of the paths that are flown from outside, added up; empty where none is."""
+    inlets = [path.counters for path in paths if isinstance(path, Inlet)]
+    names = vars(LiveCounters()) if inlets else ()
+    return {f"live {name}": sum(int(vars(counters)[name]) for counters in inlets) for name in names}
 
 
 def _between(t0_ns: int, a: Pose, t1_ns: int, b: Pose, t_ns: int) -> Pose:

@@ -1,0 +1,103 @@
+"""A recording in the sensor's place: the same calls as `Sensor`, with events from a file.
+
+Stream time t shows what was recorded at t * time_scale; a loop begins anew one mean gap after the last event, so that
+no two rounds share an instant. What the step is makes no difference.
+"""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+import numpy.typing as npt
+
+from emulator.sensor.pixels import Crossings
+from emulator.sensor.presets import SensorParameters
+from emulator.sensor.readout import ReadOut
+from firmware_protocol.events import EVENT, Events
+
+__all__ = ["Replay"]
+
+_NS = 1000
+
+
+class Replay:
+    """Plays `recording`, (n,) EVENT from time 0, sorted and inside the sensor, in stream time.
+
+    Parameters
+    ----------
+    time_scale : recorded time a unit of stream time.
+    loop : whether it begins anew at its end.
+    through_readout : whether the arbiter of `parameters` takes part.
+    """
+
+    suspect_share: float | None = None
+    lost_in_pixel = 0
+
+    def __init__(
+        self,
+        parameters: SensorParameters,
+        recording: Events,
+        *,
+        time_scale: float = 1.0,
+        loop: bool = True,
+        through_readout: bool = False,
+    ) -> None:
+        self.parameters = parameters
+        self._recording = recording
+        scale = Fraction(repr(float(time_scale)))
+        # Times are stream time in ns from here on: recorded us * 1000 / scale, rounded down.
+        self._t_ns = recording["t"].astype(np.int64) * (_NS * scale.denominator) // scale.numerator
+        gap_ns = max(_NS, int(self._t_ns[-1]) // max(1, len(recording) - 1))
+        self._round_ns = int(self._t_ns[-1]) + gap_ns if loop else None
+        self._readout = ReadOut(parameters) if through_readout else None
+        self._next = self._start_ns = 0
+        self.raised = 0
+
+    @property
+    def lost_at_readout(self) -> int:
+        """Events that found their pixel's request still waiting."""
+        return 0 if self._readout is None else self._readout.lost_at_readout
+
+    @property
+    def read_out(self) -> int:
+        """Events returned so far."""
+        return self.raised if self._readout is None else self._readout.read_out
+
+    def reset(self, light: npt.NDArray[np.float32], t_ns: int) -> None:
+        """Start at stream time `t_ns`; the light does not matter."""
+        self._next, self._start_ns, self.raised = 0, int(t_ns), 0
+
+    def expose(
+        self, light: npt.NDArray[np.float32], t_ns: int, rate: npt.NDArray[np.float32] | None = None, at: object = None
+    ) -> Events:
+        """Return the events up to `t_ns`; light, rate and pixels' own light do not matter."""
+        pieces = [self._round(int(t_ns))]
+        while self._next == len(self._recording) and self._round_ns is not None:
+            if self._start_ns + self._round_ns > t_ns:
+                break
+            self._next, self._start_ns = 0, self._start_ns + self._round_ns
+            pieces.append(self._round(int(t_ns)))
+        times = np.concatenate([t for t, _ in pieces])
+        events = np.concatenate([e for _, e in pieces])
+        self.raised += len(events)
+        return self._leave(times, events, int(t_ns))
+
+    def finish(self) -> Events:
+        """Return what still waits at the arbiter."""
+        return np.empty(0, EVENT) if self._readout is None else self._readout.finish()
+
+    def _round(self, t_ns: int) -> tuple[npt.NDArray[np.int64], Events]:
+        """Return times and events of the present round up to `t_ns`, and go on behind them."""
+        last = int(np.searchsorted(self._t_ns, t_ns - self._start_ns, "right"))
+        part = slice(self._next, max(self._next, last))
+        self._next = part.stop
+        return self._t_ns[part] + self._start_ns, self._recording[part]
+
+    def _leave(self, times: npt.NDArray[np.int64], events: Events, t_ns: int) -> Events:
+        if self._readout is None:
+            out = events.copy()
+            out["t"] = times // _NS
+            return out
+        pixel = events["y"].astype(np.uint32) * np.uint32(self.parameters.width) + events["x"]
+        return self._readout.push(Crossings(times, pixel, np.ascontiguousarray(events["on"])), t_ns)

@@ -1,0 +1,57 @@
+"""What a session takes its events from: a simulated sensor, or a recording in its place."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from emulator.sensor.presets import SensorParameters
+from firmware_protocol.events import Events
+
+__all__ = ["EventSource"]
+
+
+class EventSource(Protocol):
+    """Light in, events out; every event raised is lost in the pixel, lost at the read-out, or read out."""
+
+    parameters: SensorParameters
+
+    @property
+    def raised(self) -> int:
+        """Events raised since `reset`."""
+        ...
+
+    @property
+    def lost_in_pixel(self) -> int:
+        """Of these, lost in their pixel."""
+        ...
+
+    @property
+    def lost_at_readout(self) -> int:
+        """Of these, lost at the arbiter."""
+        ...
+
+    @property
+    def read_out(self) -> int:
+        """Of these, returned."""
+        ...
+
+    @property
+    def suspect_share(self) -> float | None:
+        """Share of the solved pixel-steps whose light did something between the pictures; None: not known."""
+        ...
+
+    def reset(self, light: npt.NDArray[np.float32], t_ns: int) -> None:
+        """Start at `t_ns` at rest on `light`, (height, width) float32."""
+
+    def expose(
+        self, light: npt.NDArray[np.float32], t_ns: int, rate: npt.NDArray[np.float32] | None = None, at: Any = None
+    ) -> Events:
+        """Move to `t_ns` and return the events that leave before it; see `Sensor.expose`."""
+        ...
+
+    def finish(self) -> Events:
+        """Return the events that have not left yet."""
+        ...
