@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from firmware_protocol.edges import EDGE, empty_edges
 from firmware_protocol.events import empty_events
 from firmware_protocol.telemetry import BlockEncoder, BlockSettings, Mode, as_received, decode_block
+from firmware_protocol.telemetry.writing import write_block
 
 MODES = ["smallest", "flat", "rows", "bitmap"]
 
@@ -181,10 +182,17 @@ def test_a_presorted_stream_makes_smaller_blocks_of_the_same_events():
     assert np.array_equal(got, in_order(events, 1000))
 
 
-def test_events_that_are_not_contiguous_are_taken_too():
-    events = stream((346, 260), 200, 1000, 4)[::2]
-    data, taken = BlockEncoder((346, 260)).encode(events)
-    assert np.array_equal(decode_block(data).events, in_order(events[:taken], 1))
+def test_special_arrays_are_taken_too_without_compiling_again():
+    events = stream((346, 260), 200, 1000, 4)
+    encoder = BlockEncoder((346, 260))
+    encoder.encode(events)
+    compiled = len(write_block.signatures)
+    locked = events.copy()
+    locked.flags.writeable = False
+    for special in (events[::2], locked, events[::-1][::-1]):
+        data, taken = encoder.encode(special)
+        assert np.array_equal(decode_block(data).events, in_order(special[:taken], 1))
+    assert len(write_block.signatures) == compiled
 
 
 @given(
