@@ -1,11 +1,14 @@
 /* A firmware that receives events on UART 0 and tells on UART 1 what it got.
  *
- * A letter on UART 1 chooses what the line carries and starts afresh: 'd' for DAVIS346 words.
- * '?' is answered with one line of name=value pairs, values in hexadecimal:
+ * A letter on UART 1 says what the line carries and starts afresh: 'c' telemetry in COBS (as after reset), 's' telemetry in
+ * SLIP, 'd' DAVIS346 words. It, and '?', are answered with one line of name=value pairs, values in hexadecimal:
  *
  *   bytes    received on the line
- *   events, edges, errors
- *   digest   CRC-32 of the events as 13-byte records (u64 t, u16 x, u16 y, u8 on, little-endian), as the sender's
+ *   packets, missing: with events or edges
+ *   events, edges
+ *   dropped  events that the camera says it dropped
+ *   errors   whatever the decoder refused or found wrong
+ *   digest   CRC-32 of the events as 13-byte records (u64 t, u16 x, u16 y, u8 on, little-endian), as evstim's
  *   ticks    time spent in the decoder, in ticks of the 25 MHz timer
  */
 #include "board.h"
@@ -56,19 +59,26 @@ static void on_edge(void *context, const struct evstim_edge *edge)
 }
 
 static const struct evstim_sink sink = {.event = on_event, .edge = on_edge};
+static char carried;
 static struct evstim_davis davis;
+static struct evstim_telemetry telemetry;
+static uint8_t packet[1024 + 22];
 
-static void start(char carried)
+static void start(char letter)
 {
-    (void)carried;
+    carried = letter;
     told.bytes = told.events = told.edges = told.digest = told.ticks = 0;
     evstim_davis_init(&davis, 346, 260, false, &sink);
+    evstim_telemetry_init(&telemetry, letter == 's' ? EVSTIM_SLIP : EVSTIM_COBS, packet, sizeof packet, 346, 260, &sink);
 }
 
 static void take(uint8_t byte)
 {
     uint32_t before = ticks_now();
-    evstim_davis_push(&davis, &byte, 1);
+    if (carried == 'd')
+        evstim_davis_push(&davis, &byte, 1);
+    else
+        evstim_telemetry_push(&telemetry, &byte, 1);
     told.ticks += ticks_now() - before;
     told.bytes++;
 }
@@ -76,7 +86,8 @@ static void take(uint8_t byte)
 static uint32_t errors(void)
 {
     return davis.row_outside + davis.column_outside + davis.time_not_increasing + davis.unknown_special
-           + davis.unknown_misc;
+           + davis.unknown_misc + telemetry.frames.malformed + telemetry.frames.too_long + telemetry.refused
+           + telemetry.disordered + telemetry.blocks.refused + telemetry.blocks.other_size;
 }
 
 static void say(const char *name, uint32_t value)
@@ -90,8 +101,11 @@ static void say(const char *name, uint32_t value)
 static void report(void)
 {
     say("bytes=", told.bytes);
+    say(" packets=", telemetry.packets);
+    say(" missing=", telemetry.missing);
     say(" events=", told.events);
     say(" edges=", told.edges);
+    say(" dropped=", telemetry.blocks.dropped);
     say(" errors=", errors());
     say(" digest=", told.digest);
     say(" ticks=", told.ticks);
@@ -101,16 +115,15 @@ static void report(void)
 int main(void)
 {
     board_init();
-    start('d');
+    start('c');
     for (;;) {
-        if (uart_has_byte(LINE))
+        if (uart_has_byte(LINE)) {
             take(uart_read(LINE));
-        else if (uart_has_byte(CONSOLE)) {
+        } else if (uart_has_byte(CONSOLE)) {
             char letter = (char)uart_read(CONSOLE);
-            if (letter == '?')
-                report();
-            else
+            if (letter != '?')
                 start(letter);
+            report();
         }
     }
 }
