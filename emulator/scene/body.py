@@ -35,7 +35,8 @@ from emulator.scene.attitude import matrix_of, spin, unit
 from emulator.scene.base import Light, Scene, SceneError
 from emulator.scene.cycle import Cycle
 from emulator.scene.mesh import Mesh, find_shape, load_mesh
-from emulator.scene.raster import Raster, Rectangle, View
+from emulator.scene.raster import Raster, View
+from emulator.scene.stage import Rectangle
 
 __all__ = ["Body", "BodyParameters", "henyey_greenstein"]
 

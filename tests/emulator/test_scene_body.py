@@ -11,7 +11,8 @@ from emulator.scene.attitude import matrix_of, spin, unit
 from emulator.scene.base import SceneError
 from emulator.scene.body import Body, BodyParameters, henyey_greenstein
 from emulator.scene.mesh import build_mesh, find_shape, load_mesh
-from emulator.scene.raster import Raster, Rectangle
+from emulator.scene.raster import Raster
+from emulator.scene.stage import Rectangle
 
 NS = 1_000_000_000
 SIZE = (120, 90)
