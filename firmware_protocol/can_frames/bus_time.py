@@ -21,6 +21,7 @@ Dynamic stuff bits of FD count at the rate of the part that they are in.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 from firmware_protocol.can_frames.frame import FD_LENGTHS, Frame
 
@@ -57,6 +58,7 @@ class BitRates:
         return -(-bits.nominal * 1_000_000_000 // self.nominal) + -(-bits.fast * 1_000_000_000 // self.fast)
 
 
+@lru_cache(maxsize=64)  # a frame is asked for when it is handed over, and again when it is carried
 def frame_bits(frame: Frame) -> FrameBits:
     """Return the bits that `frame` takes on the bus, its own stuff bits counted exactly."""
     if frame.fd:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import errno
+import logging
 import threading
 import time
 from collections import deque
@@ -89,6 +90,8 @@ class PythonCanBus(CanBus):
             raise OSError(errno.ENETDOWN, "Network is down")
         settings: dict[str, Any] = {"bitrate": p.bitrate}
         if p.interface == "socketcand":
+            # It warns of every frame that TCP delivers in two pieces.
+            logging.getLogger("can.interfaces.socketcand").setLevel(logging.ERROR)
             settings = {"host": p.host, "port": p.port}
         elif p.fd and p.interface != "virtual":
             settings |= {"fd": True, "data_bitrate": p.data_bitrate}
