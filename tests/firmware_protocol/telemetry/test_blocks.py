@@ -85,6 +85,17 @@ def test_a_full_picture_at_one_time_is_a_bitmap():
     assert np.array_equal(block.events, events)
 
 
+def test_runs_without_gaps_are_solid_spans():
+    """Runs of 14 with gaps of 6: joined over the gaps they would cost a bit for each pixel."""
+    at = np.flatnonzero(np.arange(346 * 100) % 20 < 14)
+    events = empty_events(len(at))
+    events["x"], events["y"], events["on"] = at % 346, at // 346, True
+    data, taken = BlockEncoder((346, 260), BlockSettings(max_events=65_535, max_bytes=65_535)).encode(events)
+    assert taken == len(events)
+    assert 8 * len(data) < 0.75 * len(events)
+    assert np.array_equal(decode_block(data).events, events)
+
+
 @pytest.mark.parametrize("mode", ["rows", "bitmap"])
 def test_the_largest_block(mode):
     events = stream((346, 260), 65_535, 30_000, 3)
