@@ -42,8 +42,10 @@ def can(
         Path of the rig that runs elsewhere, or the name of a shipped one: identifiers, bus and carriage come from it.
     link
         Which of its CAN links; the first one otherwise.
-    interface, channel
-        Join the bus by another interface of python-can, or under another name.
+    interface
+        Join the bus by this interface of python-can instead.
+    channel
+        Join the bus under this name instead.
     limits
         When to stop, and where to keep what came.
     json
