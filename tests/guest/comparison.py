@@ -6,9 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
+from firmware_protocol.edges import Edges, empty_edges
 from firmware_protocol.events import EVENT, Events
 
-__all__ = ["assert_same", "load_seen"]
+__all__ = ["assert_same", "load_seen", "load_triggers"]
 
 
 def load_seen(path: Path) -> Events:
@@ -18,6 +19,14 @@ def load_seen(path: Path) -> Events:
         for name in ("t", "x", "y", "on"):
             seen[name] = arrays[name]
     return seen
+
+
+def load_triggers(path: Path) -> Edges:
+    """Read a client's triggers as EDGE (n,), in the client's time."""
+    with np.load(path) as arrays:
+        triggers = empty_edges(len(arrays["trigger_t"]))
+        triggers["t"], triggers["kind"] = arrays["trigger_t"], arrays["trigger_kind"]
+    return triggers
 
 
 def assert_same(seen: Events, delivered: Events, *, offset_us: int) -> None:

@@ -13,8 +13,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+from firmware_protocol.edges import Edges
 from firmware_protocol.events import Events
-from transports.record import load_record
+from transports.record import load_edges, load_record
 
 __all__ = ["Delivered", "RunningRig"]
 
@@ -41,10 +42,12 @@ port = {port}
 
 @dataclass(frozen=True)
 class Delivered:
-    """What left the camera: events (n,) EVENT in device time, and where that time started anew."""
+    """What left the camera, in device time: events (n,) EVENT, edges (m,) EDGE, and where that time started anew."""
 
     events: Events
     resets: list[int]
+    edges: Edges
+    edge_resets: list[int]
 
 
 class RunningRig:
@@ -58,10 +61,13 @@ class RunningRig:
         The camera's USB speed, "super" or "high".
     layout
         How its chip lies, "upright" or "turned".
+    more
+        Further tables of the rig.
     """
 
-    def __init__(self, folder: Path, speed: str = "super", layout: str = "upright") -> None:
+    def __init__(self, folder: Path, speed: str = "super", layout: str = "upright", more: str = "") -> None:
         self._camera = {"speed": speed, "layout": layout}
+        self._more = more
         self._record = folder / "delivered.npz"
         self._said = folder / "evstim.log"
         self._rig = folder / "guest.toml"
@@ -69,7 +75,7 @@ class RunningRig:
         self.summary: dict[str, Any] = {}
 
     def __enter__(self) -> RunningRig:
-        self._rig.write_text(CHECKERBOARD.format(port=self.port, **self._camera))
+        self._rig.write_text(CHECKERBOARD.format(port=self.port, **self._camera) + self._more)
         program = Path(sys.executable).with_name("evstim")
         command = [str(program), "run", str(self._rig), "--record", str(self._record), "--json", *RUN_LIMIT]
         with self._said.open("w") as said:
@@ -109,7 +115,7 @@ class RunningRig:
     @property
     def delivered(self) -> Delivered:
         """The record; only after the end of the run."""
-        return Delivered(*load_record(self._record))
+        return Delivered(*load_record(self._record), *load_edges(self._record))
 
     def _wait_until_served(self) -> None:
         deadline = time.monotonic() + START_TIMEOUT_S

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from firmware_protocol.edges import Edges
 from firmware_protocol.events import Events
-from tests.guest.comparison import load_seen
+from tests.guest.comparison import load_seen, load_triggers
 from tests.guest.environments import Driver
 from tests.guest.machine import Finished, Guest, Job
 
@@ -21,16 +22,17 @@ OPEN_TIMEOUT_S = 60.0
 
 @dataclass(frozen=True)
 class Seen:
-    """What a client tells of the camera, and its events (n,) EVENT in its own time."""
+    """What a client tells of the camera, its events (n,) EVENT in its own time, and its triggers (m,) EDGE."""
 
     about: dict[str, Any]
     events: Events
+    triggers: Edges
 
 
 class Streaming:
     """One run of a client: it opens the camera, takes `count` events or what comes in a minute, and closes it."""
 
-    def __init__(self, guest: Guest, driver: Driver, python: Path, count: int) -> None:
+    def __init__(self, guest: Guest, driver: Driver, python: Path, count: int, *options: str) -> None:
         self._guest = guest
         self._driver = driver
         self._output = guest.results / f"{driver.name}.npz"
@@ -38,7 +40,9 @@ class Streaming:
         self._started.unlink(missing_ok=True)
         limits = ["--count", str(count), "--timeout", str(STREAM_TIMEOUT_S)]
         output = ["--output", guest.path_in_guest(self._output.name)]
-        self._job: Job = guest.start([str(python), str(driver.program), *limits, *output], STREAM_TIMEOUT_S * 2)
+        self._job: Job = guest.start(
+            [str(python), str(driver.program), *limits, *output, *options], STREAM_TIMEOUT_S * 2
+        )
 
     def wait_until_started(self) -> None:
         """Wait for the client's first events; raises TimeoutError."""
@@ -54,7 +58,7 @@ class Streaming:
         about = _last_object(finished.stdout)
         if not (finished.ok or self._may_abort(finished, about)):
             raise RuntimeError(f"{finished}\nconsole of the guest:\n{self._guest.console}")
-        return Seen(about, load_seen(self._output))
+        return Seen(about, load_seen(self._output), load_triggers(self._output))
 
     def _may_abort(self, finished: Finished, about: dict[str, Any]) -> bool:
         known = self._driver.abort_after_unplugging

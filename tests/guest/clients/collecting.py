@@ -1,9 +1,12 @@
 """What the three clients share: their arguments, and the events they collect.
 
-    client.py --count N --timeout S --output FILE.npz
+    client.py --count N --timeout S --output FILE.npz [--triggers]
 
 Each client prints what it saw as one JSON object on its last line, and saves the events as the arrays t (int64,
 microseconds), x, y (uint16) and on (bool). At its first events it makes the empty file FILE.started.
+
+With --triggers it asks the external input for rising and falling edges and pulses, and saves what the driver tells of
+them as trigger_t (int64, microseconds) and trigger_kind (uint8: 2 rising, 3 falling, 4 pulse).
 """
 
 from __future__ import annotations
@@ -21,6 +24,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--count", type=int, required=True, help="stop after this many events")
     parser.add_argument("--timeout", type=float, required=True, help="stop after this many seconds")
     parser.add_argument("--output", type=Path, required=True)
+    parser.add_argument("--triggers", action="store_true", help="listen to the external input")
     return parser.parse_args()
 
 
@@ -32,6 +36,7 @@ class Collector:
         self._output = options.output
         self._deadline = time.monotonic() + options.timeout
         self._columns: list[tuple[np.ndarray, ...]] = []
+        self._triggers: list[tuple[int, int]] = []
         self._collected = 0
         self._started: float | None = None
 
@@ -46,9 +51,16 @@ class Collector:
         self._columns.append((t.astype(np.int64), x.astype(np.uint16), y.astype(np.uint16), on.astype(bool)))
         self._collected += len(t)
 
+    def add_trigger(self, t: int, kind: int) -> None:
+        self._triggers.append((t, kind))
+
     def report(self, **seen: object) -> None:
-        """Save the events and print what was seen."""
+        """Save the events and triggers and print what was seen."""
         columns = [np.concatenate(column) for column in zip(*self._columns, strict=True)] or [np.empty(0)] * 4
-        np.savez(self._output, **dict(zip(("t", "x", "y", "on"), columns, strict=True)))
+        triggers = {
+            "trigger_t": np.array([t for t, _ in self._triggers], np.int64),
+            "trigger_kind": np.array([kind for _, kind in self._triggers], np.uint8),
+        }
+        np.savez(self._output, **dict(zip(("t", "x", "y", "on"), columns, strict=True)), **triggers)
         streamed_s = time.monotonic() - (self._started or time.monotonic())
         print(json.dumps({"events": self._collected, "streamed_s": round(streamed_s, 3), **seen}), flush=True)

@@ -7,13 +7,31 @@ import time
 import dv_processing as dv
 from collecting import Collector, arguments
 
+EXTERNAL_INPUT = 4
+DETECT = (1, 2, 3, 0)  # rising, falling, pulses, run
+KINDS = {
+    dv.TriggerType.EXTERNAL_SIGNAL_RISING_EDGE: 2,
+    dv.TriggerType.EXTERNAL_SIGNAL_FALLING_EDGE: 3,
+    dv.TriggerType.EXTERNAL_SIGNAL_PULSE: 4,
+}
+
+
+def collect_triggers(camera: dv.io.CameraCapture, collector: Collector) -> None:
+    for trigger in camera.getNextTriggerBatch() or ():
+        if trigger.type in KINDS:
+            collector.add_trigger(trigger.timestamp, KINDS[trigger.type])
+
 
 def main() -> None:
-    collector = Collector(arguments())
+    options = arguments()
+    collector = Collector(options)
     discovered = dv.io.discoverDevices()
     camera = dv.io.CameraCapture()
+    for parameter in DETECT if options.triggers else ():
+        camera.deviceConfigSet(EXTERNAL_INPUT, parameter, 1)
     resolution = camera.getEventResolution()
     while not collector.done and camera.isRunning():
+        collect_triggers(camera, collector)
         batch = camera.getNextEventBatch()
         if batch is None:
             time.sleep(0.001)
