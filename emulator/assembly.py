@@ -19,6 +19,7 @@ from emulator.sensor.pixels import PixelArray
 from emulator.sensor.presets import SensorParameters
 from emulator.sensor.rules import RULES
 from emulator.sensor.sensor import Sensor
+from emulator.sensor.temperature import at_temperature
 from emulator.session import Schedule, Session
 from emulator.steps import ControlledSteps, FixedSteps, StepSource
 from emulator.triggers import TriggerPaths
@@ -53,7 +54,7 @@ def build_session(rig: Rig, scene: Scene, setups: Sequence[LinkSetup[Any]], cloc
     steps: StepSource = FixedSteps(run.step_us * 1000)
     if run.tolerance_us:
         parameters = make_plan(rig, probe(scene, parameters, run.step_us * 1000, run.seconds or 10.0)).sensor
-        dark = parameters.dark_current_relative
+        dark = at_temperature(parameters).dark_current_relative
         steps = ControlledSteps(limits(rig, scene.motion_bound_px_s), dark, run.step_us * 1000)
     return Session(build_pictures(rig, scene), build_sensor(rig, parameters), steps, setups, clock)
 

@@ -20,6 +20,7 @@ import numpy.typing as npt
 
 from emulator.scene.base import Light, Scene
 from emulator.sensor.presets import SensorParameters
+from emulator.sensor.temperature import at_temperature
 from emulator.steps import Sampled, error_us, sample, weighted_quantile
 
 __all__ = ["Probe", "probe"]
@@ -75,6 +76,7 @@ class Probe:
 
 def probe(scene: Scene, sensor: SensorParameters, step_ns: int, duration_s: float) -> Probe:
     """Look at a scene at some instants of a run of `duration_s`, with steps of `step_ns`."""
+    sensor = at_temperature(sensor)
     instants_ns = [round((k + 0.5) / _INSTANTS * duration_s * 1e9) for k in range(_INSTANTS)]
     triples = [[_look(scene, sensor, t_ns + k * step_ns) for k in range(3)] for t_ns in instants_ns]
     return _figures(scene, sensor, triples, _draw_times(scene, instants_ns[0]))

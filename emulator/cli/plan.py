@@ -10,6 +10,7 @@ from cyclopts import Parameter
 
 from emulator.bounds import Decision
 from emulator.cli.output import GOOD, console, failures, print_json
+from emulator.optics.lens import CHIPS
 from emulator.plan import Plan, make_plan
 from emulator.probe import probe
 from emulator.rig import Rig, load_rig
@@ -76,6 +77,7 @@ def _print(made: Plan) -> None:
         f"{p.contrast_rate:.3g} /s, light {p.least_current:.2g} to {p.largest_current:.2g} of the reference, about "
         f"{p.events_per_s * 1e-6:.3g} Mev/s expected"
     )
+    console.print(f"chip     {_chip(made)}")
     method = made.rig.run.method
     console.print(f"method   {method}: {_METHODS.get(method, 'the rule of another simulator')}")
     motion = f", {p.motion_px_s * steps.step_us * 1e-6:.2g} px of motion" if math.isfinite(p.motion_px_s) else ""
@@ -92,6 +94,20 @@ def _print(made: Plan) -> None:
         console.print(line)
     if made.pinned:
         console.print("\nThe rig pins everything: nothing is dropped. Give run.tolerance_us to let the plan choose.")
+
+
+def _chip(made: Plan) -> str:
+    """Return the light of the active pixels in units: on the chip, and as a pixel's current."""
+    lens, chip = made.rig.camera.lens, CHIPS[made.rig.camera.model]
+    bounds = made.probe.least_current, made.probe.largest_current
+    if not all(map(math.isfinite, bounds)):
+        return "no pixel's light changes"
+    lux = [lens.chip_lux(light) for light in bounds]
+    current_a = [chip.photocurrent_a(lens.chip_irradiance_w_m2(light)) for light in bounds]
+    return (
+        f"{lux[0]:.2g} to {lux[1]:.2g} lx on the active pixels, dark current included, where the reference is "
+        f"{lens.reference_lux:g} lx; {current_a[0] * 1e12:.2g} to {current_a[1] * 1e12:.2g} pA a pixel"
+    )
 
 
 def _effects(made: Plan) -> list[str]:
