@@ -17,9 +17,9 @@ from emulator.sensor.effects import JitterParameters
 from emulator.sensor.kept import kept_entry
 from emulator.sensor.keyed import Purpose, root_of
 from emulator.sensor.keyed_kernels import normal_of, stream, word
-from emulator.sensor.merging import unpacked
+from emulator.sensor.merging import joined, unpacked
 from emulator.sensor.pixels import Crossings
-from emulator.sensor.slots import Ahead, Window, give_out, new_ahead, roomy
+from emulator.sensor.slots import LONGEST_NS, Ahead, Window, give_out, new_ahead, roomy
 
 __all__ = ["Jitter"]
 
@@ -92,8 +92,19 @@ class Jitter:
 
     def step(self, crossings: Crossings, t_ns: int) -> Crossings:
         """Take the crossings of a step and return the events that leave before its end, `t_ns`."""
-        window = Window(0, self._t_ns, t_ns, self._pixel_bits)
-        arrays = crossings.t_ns, crossings.pixel, crossings.on
+        parts, k = [], 0
+        while t_ns - self._t_ns > LONGEST_NS:
+            end_ns = self._t_ns + LONGEST_NS
+            n = int(np.searchsorted(crossings.t_ns, end_ns))
+            parts.append(self._piece(crossings, (k, n), end_ns))
+            k = n
+        parts.append(self._piece(crossings, (k, len(crossings)), t_ns))
+        return joined(parts)
+
+    def _piece(self, crossings: Crossings, span: tuple[int, int], t_ns: int) -> Crossings:
+        """Delay some of the crossings; return what leaves from now to `t_ns`, which is LONGEST_NS at most."""
+        window, some = Window(0, self._t_ns, t_ns, self._pixel_bits), slice(*span)
+        arrays = crossings.t_ns[some], crossings.pixel[some], crossings.on[some]
         ahead, self.waiting, keys = _delay(arrays, window, self._delays, self._ahead, self.waiting)
         self._ahead, self._t_ns = Ahead(*ahead), t_ns
         return unpacked(keys, window.t0_ns, self._pixel_bits)

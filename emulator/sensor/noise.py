@@ -151,6 +151,8 @@ class NoiseEvents:
 
     def add_to(self, crossings: Crossings, light: _Float32s, t_ns: int) -> Crossings:
         """Return a step's `crossings` with the noise events up to, and without, `t_ns` among them."""
+        if t_ns <= self._t_ns:
+            return crossings
         if t_ns <= self._window_ns:
             return self._with_piece(crossings, light, t_ns)
         parts, k = [], 0

@@ -16,12 +16,13 @@ from emulator.sensor.compiled import kernel, kernel_that_allocates
 from emulator.sensor.merging import NO_CROSSINGS, joined, merged, unpacked
 from emulator.sensor.pixels import Crossings
 
-__all__ = ["SLOT_NS", "Ahead", "SlottedEvents", "Window", "give_out", "new_ahead", "roomy"]
+__all__ = ["LONGEST_NS", "SLOT_NS", "Ahead", "SlottedEvents", "Window", "give_out", "new_ahead", "roomy"]
 
 SLOT_NS = 1_024_000
 """Events are drawn in slots of this length."""
 
-_LONGEST_NS = 1 << 33  # of times that are sorted together
+LONGEST_NS = 1 << 33
+"""Events of so long a stretch are sorted together: times and pixels must share 64 bits."""
 
 
 class Ahead(NamedTuple):
@@ -89,7 +90,7 @@ class SlottedEvents(ABC):
         """Return the events from the last time up to, and without, `t_ns`, under `light`, (pixels,) float32."""
         parts = []
         while self._t_ns < t_ns:
-            parts.append(self._piece(light, min(t_ns, self._t_ns + _LONGEST_NS)))
+            parts.append(self._piece(light, min(t_ns, self._t_ns + LONGEST_NS)))
         return joined(parts) if parts else NO_CROSSINGS
 
     def _piece(self, light: npt.NDArray[np.float32], t_ns: int) -> Crossings:

@@ -98,3 +98,13 @@ def test_what_waits_is_counted_and_leaves_in_the_end():
     assert len(jitter.step(NO_CROSSINGS, jitter.last_ns() + 1)) == 100
     assert jitter.waiting == 0
     assert jitter.last_ns() == jitter.last_ns()
+
+
+def test_a_step_of_days_loses_no_time():
+    days_ns, pixels = 2 * 86_400 * 10**9, 346 * 260
+    t_ns = np.arange(1, 40) * (days_ns // 40)
+    events = Crossings(t_ns, (t_ns % pixels).astype(np.uint32), np.ones(39, bool))
+    jitter = Jitter(JitterParameters(latency_us=7.0), 1, pixels)
+    found = jitter.step(events, days_ns)
+    assert np.abs(found.t_ns - t_ns - 7 * US).max() <= 1
+    assert np.array_equal(found.pixel, events.pixel)

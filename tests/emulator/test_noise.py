@@ -214,6 +214,14 @@ def test_crossings_and_noise_become_one_list(steps, n):
     assert lasting(found) == [e for e, _ in sorted(both, key=lambda one: (one[0][0], one[0][1], one[1]))]
 
 
+def test_a_step_of_no_time_leaves_crossings_alone():
+    noise = NoiseEvents(PLAIN, 1, np.full(PIXELS, 0.2))
+    some = Crossings(np.array([5 * MS]), np.array([3], np.uint32), np.array([True]))
+    for _ in range(2):
+        assert noise.add_to(some, light(), 5 * MS).t_ns.max() == 5 * MS
+    assert lasting(noise.add_to(some, light(), 5 * MS)) == lasting(some)
+
+
 def test_any_number_of_candidates_finds_room():
     p = dataclasses.replace(PLAIN, noise=NoiseParameters(rms=0.08, corner_hz=1e5), corner_hz_at_reference=1e5,
                             corner_max_hz=1e5)  # fmt: skip

@@ -163,11 +163,25 @@ def test_leak_doubles_with_temperature(celsius, factor):
 
 
 def test_dark_current_and_hot_pixels_follow_the_temperature():
-    p = with_(temperature=TemperatureParameters(celsius=36.0), defects=DefectParameters(hot_hz=4.0))
+    p = with_(temperature=TemperatureParameters(celsius=36.0), defects=DefectParameters(hot_share=0.1, hot_hz=4.0))
     warm = at_temperature(p)
     assert warm.dark_current_relative == pytest.approx(4 * p.dark_current_relative)
     assert warm.defects.hot_hz == pytest.approx(4 * 2 ** (16 / 9))
     assert at_temperature(warm) == warm
+
+
+def test_a_temperature_at_which_nothing_works_is_refused():
+    hot = TemperatureParameters(celsius=110.0)  # leak 1024 times what it is at 20
+    assert at_temperature(with_(leak_hz=0.1, temperature=hot)).defects.hot_hz == 20.0  # there are none
+    for too_much in (
+        with_(temperature=hot, defects=DefectParameters(hot_share=0.1)),
+        with_(temperature=hot, radiation=RadiationParameters(dose_krad=1.0)),
+        with_(leak_hz=20.0, temperature=hot),
+        with_(temperature=TemperatureParameters(celsius=200.0, dark_doubles_every_k=1.0)),
+        with_(temperature=TemperatureParameters(celsius=-200.0, dark_doubles_every_k=1.0)),
+    ):
+        with pytest.raises(ValueError, match=r"^temperature\.celsius = "):
+            Sensor(too_much, 1)
 
 
 @pytest.mark.parametrize("step_ns", [500_000, 5 * MS, 20 * MS])
