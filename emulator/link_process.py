@@ -12,7 +12,7 @@ from transports.pacing import Clock
 
 __all__ = ["LinkFailed", "LinkProcess"]
 
-_START_TIMEOUT_S = 30.0
+_START_TIMEOUT_S = 180.0  # the first time, a link compiles its kernels: 10 s, and longer on a machine that is busy
 _ROOM_WAIT_NS = 200_000
 
 

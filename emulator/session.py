@@ -160,8 +160,9 @@ class Session:
 
     def _open_links(self) -> None:
         self._links = [LinkProcess(setup, self._clock) for setup in self._setups]
-        for link in self._links:
-            link.wait_ready()
+        with said_if_slow("opening the links: the first time their coders are compiled, some seconds, once"):
+            for link in self._links:
+                link.wait_ready()
 
     def _warm_up(self) -> None:
         """Do all slow first-time work before the clock runs: compile the kernels, draw the first picture."""

@@ -14,6 +14,7 @@ from importlib.metadata import version
 from cyclopts import App, CycloptsError
 from rich.logging import RichHandler
 
+from emulator.cli.listen import listen
 from emulator.cli.output import BAD_VERDICT, WRONG_USE, Failure, print_json, status
 
 __all__ = ["app", "main"]
@@ -29,10 +30,10 @@ app = App(
 for verb, module, told in (
     ("run", "run", "Run a rig: render its scene, simulate its sensor, serve its camera."),
     ("demo", "demo", "Run a rig, attach to its camera as a driver does, and compare every event."),
-    ("listen", "listen", "Read a DAVIS346, real or emulated."),
     ("check", "rigs", "Check a rig file without running it."),
     ("plan", "plan", "Tell what a run will model, and why."),
     ("rigs", "rigs", "List the rigs that come with evstim."),
+    ("dbc", "listen_can", "Write the DBC file of a rig's CAN link."),
     ("schema", "rigs", "Print the JSON Schema of rig files."),
     ("picture", "picture", "Write one look at a rig as PNG."),
     ("accuracy", "accuracy", "Chart speed against accuracy, and map where methods fail."),
@@ -41,6 +42,13 @@ for verb, module, told in (
     ("bench", "bench", "Measure the speeds that the docs quote."),
 ):
     app.command(f"emulator.cli.{module}:{verb}", name=verb, help=told)
+
+_listening = App(name="listen", help="Read a camera, real or emulated: on USB (also without the word), or on a line.")
+_listening.default(listen)
+_listening.command("emulator.cli.listen:listen", name="usb", help="Read a DAVIS346 on USB.")
+_listening.command("emulator.cli.listen_serial:serial", name="serial", help="Read a camera on a serial line.")
+_listening.command("emulator.cli.listen_can:can", name="can", help="Read a camera on a CAN bus.")
+app.command(_listening)
 
 
 def main() -> None:

@@ -35,6 +35,11 @@ class EdgePath:
             queued=len(self._waiting) + self._in_flight,
         )
 
+    @property
+    def oldest_us(self) -> int | None:
+        """Stream time of the earliest edge that waits; None when none waits."""
+        return int(self._waiting["t"].min()) if len(self._waiting) else None
+
     def ignore(self, edges: Edges) -> None:
         """Count edges (n,) that came while the instrument was not running."""
         self._offered += len(edges)

@@ -67,6 +67,7 @@ class EventPath:
         self.size = size
         self.fates = Fates()
         self.in_flight = 0
+        self._held_by_rate = False
         self._queue = EventQueue(settings.bounds)
         self._encoder = BlockEncoder(size, block_settings(settings))
         self.select(settings.selection(size))
@@ -177,9 +178,8 @@ class EventPath:
     def _next(self, limit: int) -> Events | None:
         """Return what may leave from the head; None while nothing waits or the bucket is too empty for it."""
         count = min(limit, self._queue.waiting)
-        if not count or not self._bucket.holds(count):
-            return None
-        return self._queue.head(limit)
+        self._held_by_rate = count > 0 and not self._bucket.holds(count)
+        return None if self._held_by_rate or not count else self._queue.head(limit)
 
     def _hand_out(self, piece: Piece) -> Piece:
         self._queue.remove(len(piece.events), piece.dropped)
@@ -189,8 +189,8 @@ class EventPath:
 
     def _count(self, dropped: Dropped) -> None:
         """Count drops under their cause: the rate limit's while it is what holds the queue back."""
-        if dropped.total and not self._bucket.holds(min(self._encoder.settings.max_events, self._queue.waiting + 1)):
+        if self._held_by_rate:
             self.fates.dropped_rate += dropped.total
-            return
-        self.fates.dropped_fifo += dropped.full
-        self.fates.dropped_late += dropped.late
+        else:
+            self.fates.dropped_fifo += dropped.full
+            self.fates.dropped_late += dropped.late

@@ -188,25 +188,32 @@ class Instrument(EventDevice):
         if not 0 <= t_us <= _LATEST_US:
             raise ValueError(f"time {t_us} us leaves no year before 32 bits of seconds are full")
         self._offset_us = t_us - self._now_us
-        oldest_us = self._path.oldest_us
-        if oldest_us is not None and oldest_us + self._offset_us < 0:
-            self._clear()  # its time would be negative
+        waiting_us = [us for us in (self._path.oldest_us, self._edges.oldest_us) if us is not None]
+        if min(waiting_us, default=self._now_us) + self._offset_us < 0:
+            self._clear()  # what waits would bear a negative time
         self._time_status = TimeStatus.SET
 
-    def next_message(self, *, events: bool = True) -> Outgoing | None:
-        """Return what is to leave next, None when there is nothing; without events where the link packs them itself.
+    def next_message(self, *, events: bool = True, edges: bool = True) -> Outgoing | None:
+        """Return what is to leave next, None when there is nothing; without what the link packs itself.
 
         `sent` or `lost` must follow for each, in the order of the calls.
         """
         if self._answers:
             return Outgoing(self._answers.popleft())
-        if edges := self._edges.next_block(self._offset_us):
-            block, carried = edges
-            own_us = int(carried["t"][0]) + self._offset_us
-            return Outgoing(Message(MessageKind.EDGES, block, own_us), edges=carried, epoch_us=-self._offset_us)
+        if edges and (outgoing := self.next_edges()):
+            return outgoing
         if self._reporter.due(self._now_us):
             return Outgoing(self._housekeeping())
         return self._outgoing(self._path.next_block(self._offset_us)) if events else None
+
+    def next_edges(self) -> Outgoing | None:
+        """Hand out the edges that wait; otherwise as `next_message`."""
+        found = self._edges.next_block(self._offset_us)
+        if found is None:
+            return None
+        block, carried = found
+        own_us = int(carried["t"][0]) + self._offset_us
+        return Outgoing(Message(MessageKind.EDGES, block, own_us), edges=carried, epoch_us=-self._offset_us)
 
     def next_events(self, limit: int) -> Outgoing | None:
         """Hand out up to `limit` events for a link that packs them itself; otherwise as `next_message`."""

@@ -28,6 +28,8 @@ __all__ = ["SerialEndpoint", "SerialFactory"]
 
 _AHEAD_NS = 600_000  # a little more than a tick of the link
 _RETRY_NS = 500_000_000
+_CLOSE_NS = 500_000_000
+_CLOSE_LOOK_S = 0.005
 
 
 @dataclass(frozen=True)
@@ -79,9 +81,12 @@ class SerialEndpoint(Endpoint):
             self._vanished()
 
     async def close(self) -> None:
-        """Close the port; what was on its way is lost."""
+        """Close the port once the other side has taken what has left; what has not left is lost."""
         if self._opening is not None:
             self._opening.cancel()
+        deadline_ns = self._clock.now_ns() + _CLOSE_NS
+        while self._heard and self._port is not None and self._port.unsent and self._clock.now_ns() < deadline_ns:
+            await asyncio.sleep(_CLOSE_LOOK_S)
         self._notice(False)
         if self._port is not None:
             self._port.close()

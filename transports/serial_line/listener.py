@@ -117,8 +117,8 @@ def listen_serial(
 
     Raises OSError when the port cannot be had; one that goes away later ends the visit.
     """
-    port = open_port(line)
     listening = _Listening(line.profile, clock, recorder)
+    port = open_port(line)
     unsent = b"".join(listening.receiver.wrap(command) for command in commands)
     gone = False
     try:

@@ -11,14 +11,17 @@ swallowed and the loop has no other end), so ports with a file descriptor are wr
 
 from __future__ import annotations
 
+import fcntl
 import os
 import queue
 import select
+import sys
 import termios
 import threading
 import tty
 from abc import ABC, abstractmethod
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import serial
@@ -54,6 +57,11 @@ class Port(ABC):
         return True
 
     @property
+    def unsent(self) -> int:
+        """Bytes that were taken and still wait inside this machine."""
+        return 0
+
+    @property
     @abstractmethod
     def address(self) -> str:
         """Where the other side finds it."""
@@ -83,6 +91,20 @@ class _Descriptor:
         poll = select.poll()
         poll.register(self.fd, select.POLLIN)
         return dict(poll.poll(0)).get(self.fd, 0)
+
+
+@contextmanager
+def _opened(path: str) -> Iterator[int]:
+    fd = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    try:
+        yield fd
+    finally:
+        os.close(fd)
+
+
+def _count(fd: int, request: int) -> int:
+    """Return the number that an ioctl such as FIONREAD tells."""
+    return int.from_bytes(fcntl.ioctl(fd, request, bytes(4)), sys.byteorder)
 
 
 class PtyPort(Port):
@@ -131,12 +153,17 @@ class PtyPort(Port):
         if self._link and self._link.is_symlink() and os.readlink(self._link) == self._path:
             self._link.unlink()
 
+    @property
+    def unsent(self) -> int:
+        """Bytes that the reader has not taken yet; 0 where it keeps the path to itself."""
+        with suppress(OSError), _opened(self._path) as other:
+            return _count(other, termios.FIONREAD)
+        return 0
+
     def _forget(self) -> None:
         """Empty the kernel's buffers, so that the next reader does not get the last one's bytes."""
-        with suppress(OSError, termios.error):
-            other = os.open(self._path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        with suppress(OSError, termios.error), _opened(self._path) as other:
             termios.tcflush(other, termios.TCIOFLUSH)
-            os.close(other)
 
 
 class DescriptorPort(Port):
@@ -164,6 +191,13 @@ class DescriptorPort(Port):
         if not data and events & (select.POLLIN | select.POLLHUP | select.POLLERR):
             raise ConnectionResetError(f"{self.address} has hung up")
         return data
+
+    @property
+    def unsent(self) -> int:
+        """Bytes in the kernel's transmit buffer; 0 where there is none to ask."""
+        with suppress(OSError):
+            return _count(self._side.fd, termios.TIOCOUTQ)
+        return 0
 
     def close(self) -> None:
         """Close it."""
@@ -201,6 +235,11 @@ class ThreadedPort(Port):
         """See `Port.read`."""
         data: bytes = self._serial.read(_READ_BYTES)
         return data
+
+    @property
+    def unsent(self) -> int:
+        """Bytes that its thread has not written yet."""
+        return 0 if self._error else self._waiting
 
     def close(self) -> None:
         """Close it; what its thread still holds is lost."""

@@ -10,16 +10,23 @@ import numpy as np
 
 from firmware_protocol.edges import Edges, empty_edges
 from firmware_protocol.event_copies import join_events
-from firmware_protocol.events import Events
+from firmware_protocol.events import Events, empty_events
 from firmware_protocol.packets.errors import PacketError
 from firmware_protocol.packets.housekeeping import Housekeeping
 from firmware_protocol.packets.message import Message, MessageKind
 from firmware_protocol.packets.profile import Profile
 from firmware_protocol.packets.telecommands import Telecommand
 from firmware_protocol.packets.verification import RequestId, Verification
-from firmware_protocol.telemetry import BlockError, decode_block
+from firmware_protocol.telemetry import BlockEncoder, BlockError, BlockSettings, decode_block
 
 __all__ = ["Arrival", "SerialReceiver"]
+
+
+def _load_kernels() -> None:
+    """Load the decoder's compiled code before a line waits for it: it takes a good part of a second."""
+    for mode in ("rows", "bitmap", "flat"):
+        block, _ = BlockEncoder((2, 2), BlockSettings(mode=mode)).encode(empty_events(2))
+        decode_block(block)
 
 
 @dataclass(frozen=True)
@@ -49,6 +56,7 @@ class SerialReceiver:
         self._damaged_at_start = 0
         self._damaged = 0
         self.housekeeping: Housekeeping | None = None
+        _load_kernels()
 
     def wrap(self, command: Telecommand) -> bytes:
         """Return the bytes of a telecommand, whose answers will be told."""
