@@ -121,6 +121,7 @@ def _messages(fd: bool) -> list[_Message]:
             ),
         ),
         _Message("marks", 8, CAMERA, "The camera's own trigger and exposure marks", _marks()),
+        _Message("edges", 8, CAMERA, "Edges on the camera's external input", _marks()),
         _Message("telemetry", 8, CAMERA, "ISO-TP", (_Signal("pci", 0, 8),)),
         _Message("telecommand", 8, MASTER, "ISO-TP", (_Signal("pci", 0, 8),)),
         _Message("heartbeat", 1, CAMERA, "State of the camera", (state,)),

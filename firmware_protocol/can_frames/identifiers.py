@@ -3,10 +3,10 @@
     0x000      NMT orders of the master            0x180+N   events frames
     0x080      SYNC                                0x280+N   epoch frames
     0x080+N    EMCY                                0x380+N   marks: the camera's own trigger and exposure
-    0x100      TIME                                0x480+N   telemetry (ISO-TP, ours)
-    0x101      follow-up of a SYNC                 0x500+N   telecommands (ISO-TP, the peer's)
-    0x180      SCET of the master                  0x700+N   heartbeat
-    0x700      heartbeat of the master
+    0x100      TIME                                0x400+N   edges on the camera's external input
+    0x101      follow-up of a SYNC                 0x480+N   telemetry (ISO-TP, ours)
+    0x180      SCET of the master                  0x500+N   telecommands (ISO-TP, the peer's)
+    0x700      heartbeat of the master             0x700+N   heartbeat
 
 CANopen's predefined connection set, with the masters' objects of SpaceCAN, where the master is node 0.
 """
@@ -45,6 +45,8 @@ class Identifiers:
         Our epoch frames, which belong to the events frames.
     marks
         Our own trigger and exposure marks.
+    edges
+        Edges on our external input, with raw frames.
     telemetry
         Our ISO-TP messages.
     telecommand
@@ -64,6 +66,7 @@ class Identifiers:
     events: int = 0x1A2
     epoch: int = 0x2A2
     marks: int = 0x3A2
+    edges: int = 0x422
     telemetry: int = 0x4A2
     telecommand: int = 0x522
     heartbeat: int = 0x722
@@ -88,6 +91,7 @@ class Identifiers:
             events=0x180 + node,
             epoch=0x280 + node,
             marks=0x380 + node,
+            edges=0x400 + node,
             telemetry=0x480 + node,
             telecommand=0x500 + node,
             heartbeat=0x700 + node,

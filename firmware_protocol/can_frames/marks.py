@@ -1,4 +1,4 @@
-"""A camera's own trigger and exposure marks as frames: what the EDGE record says, in eight bytes.
+"""Edges on a camera's external input, and its own marks, as frames: what the EDGE record says, in eight bytes.
 
     u32 time in us, low 32 bits | u8 kind | u8 channel | u16 seq
 

@@ -13,6 +13,7 @@ from firmware_protocol.can_frames.canopen import Emergency, NmtCommand, NmtOrder
 from firmware_protocol.can_frames.frame import Frame
 from firmware_protocol.can_frames.isotp import IsoTpSender
 from firmware_protocol.can_frames.redundancy import SelectorSettings
+from firmware_protocol.edges import EDGE
 from firmware_protocol.events import EVENT
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
@@ -327,3 +328,47 @@ def test_messages_of_python_can_come_back():
 def test_parameters_say_what_is_wrong(wrong, why):
     with pytest.raises(ValueError, match=why):
         CanParameters(**wrong)
+
+
+def edges_of(count):
+    edges = np.zeros(count, EDGE)
+    edges["t"], edges["kind"], edges["seq"] = 1000 * np.arange(count), 4, np.arange(count)
+    return edges
+
+
+@pytest.mark.parametrize("carriage", ["raw", "isotp", "cfp"])
+def test_edges_are_received_too(carriage):
+    p = parameters(carriage=carriage)
+    edges = edges_of(300)
+
+    def work(link, peer):
+        if not offered:
+            link._device.offer_edges(edges)
+            offered.append(1)
+        return sum(map(len, peer.receiver.edges)) == 300
+
+    offered = []
+    _, peer = go(p, stream(10), work)
+    assert np.array_equal(np.concatenate(peer.receiver.edges), edges)
+
+
+def test_the_cameras_own_marks_have_frames_of_their_own():
+    p = parameters()
+
+    def work(link, peer):
+        if not marked:
+            marked.append(link.endpoint.mark(edges_of(3)))
+        return len(peer.heard(p.identifiers.marks)) == 3
+
+    marked = []
+    _, peer = go(p, stream(10), work)
+    assert marked == [3]
+    assert np.array_equal(np.concatenate(peer.receiver.edges), edges_of(3))
+
+
+@pytest.mark.parametrize("carriage", ["raw", "isotp", "cfp"])
+def test_a_link_that_is_cut_short_leaves_no_event_without_a_fate(carriage):
+    p = parameters(carriage=carriage, share=0.1)
+    report, _ = go(p, stream(5000), lambda link, peer: link.report().use.carried > 50)
+    assert report.camera.accounted == report.camera.offered
+    assert report.camera.lost_on_link > 0

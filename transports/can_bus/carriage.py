@@ -14,6 +14,7 @@ import numpy as np
 from firmware_protocol.can_frames.cfp import CfpReceiver, cfp_frames
 from firmware_protocol.can_frames.frame import Frame
 from firmware_protocol.can_frames.isotp import IsoTpFailure, IsoTpReceiver, IsoTpSender, IsoTpSettings
+from firmware_protocol.can_frames.marks import pack_marks
 from firmware_protocol.can_frames.raw_stream import Packed, RawSender
 from firmware_protocol.event_copies import copy_events
 from firmware_protocol.instrument.instrument import Instrument
@@ -23,7 +24,7 @@ from firmware_protocol.packets.profile import CommandUnwrapper, Profile
 from transports.can_bus.parameters import CanParameters
 from transports.deliveries import Deliveries
 
-__all__ = ["CfpMail", "FrameSource", "IsoTpMail", "RawEvents", "sources"]
+__all__ = ["CfpMail", "FrameSource", "IsoTpMail", "RawEdges", "RawEvents", "sources"]
 
 _RAW_EVENTS_A_TIME = 8  # so that only so few have an uncertain fate when a bus goes away
 
@@ -109,15 +110,45 @@ class RawEvents(FrameSource):
         self._outgoing = Outgoing(outgoing.message, own, outgoing.edges, outgoing.epoch_us, outgoing.dropped)
 
 
+class RawEdges(FrameSource):
+    """Edges on the external input, a frame each."""
+
+    def __init__(self, instrument: Instrument, deliveries: Deliveries, identifier: int) -> None:
+        super().__init__(instrument, deliveries)
+        self._identifier = identifier
+        self._frames: deque[Frame] = deque()
+
+    def next_frame(self, now_ns: int) -> Frame | None:
+        """See `FrameSource.next_frame`."""
+        if self._outgoing is None:
+            self._outgoing = self._instrument.next_edges()
+            if self._outgoing is None:
+                return None
+            own = self._outgoing.edges.copy()
+            own["t"] -= np.uint64(self._outgoing.epoch_us % (1 << 64))
+            self._frames += [Frame(self._identifier, data) for data in pack_marks(own)]
+        return self._frames.popleft() if self._frames else None
+
+    def left(self) -> None:
+        """See `FrameSource.left`."""
+        if not self._frames:
+            self._delivered()
+
+    def drop(self) -> None:
+        """See `FrameSource.drop`."""
+        self._frames.clear()
+        super().drop()
+
+
 class IsoTpMail(FrameSource):
-    """Messages by ISO-TP, and telecommands the same way back; `with_events` when events go this way too."""
+    """Messages by ISO-TP, and telecommands the same way back; `with_all` when events and edges go this way too."""
 
     def __init__(
-        self, instrument: Instrument, deliveries: Deliveries, settings: IsoTpSettings, *, with_events: bool
+        self, instrument: Instrument, deliveries: Deliveries, settings: IsoTpSettings, *, with_all: bool
     ) -> None:
         super().__init__(instrument, deliveries)
         self._settings = settings
-        self._with_events = with_events
+        self._with_all = with_all
         self._profile = Profile("ccsds")
         self._commands = self._profile.command_unwrapper()
         self._sender = IsoTpSender(settings)
@@ -127,7 +158,7 @@ class IsoTpMail(FrameSource):
     def next_frame(self, now_ns: int) -> Frame | None:
         """See `FrameSource.next_frame`."""
         if self._outgoing is None:
-            self._outgoing = self._instrument.next_message(events=self._with_events)
+            self._outgoing = self._instrument.next_message(events=self._with_all, edges=self._with_all)
             if self._outgoing is None:
                 return None
             self._sender.start(self._profile.wrap(self._outgoing.message))
@@ -215,9 +246,10 @@ def sources(instrument: Instrument, deliveries: Deliveries, parameters: CanParam
     if parameters.carriage == "cfp":
         return [CfpMail(instrument, deliveries, parameters)]
     if parameters.carriage == "isotp":
-        return [IsoTpMail(instrument, deliveries, parameters.isotp, with_events=True)]
+        return [IsoTpMail(instrument, deliveries, parameters.isotp, with_all=True)]
     return [
-        IsoTpMail(instrument, deliveries, parameters.isotp, with_events=False),
+        RawEdges(instrument, deliveries, parameters.identifiers.edges),
+        IsoTpMail(instrument, deliveries, parameters.isotp, with_all=False),
         RawEvents(instrument, deliveries, parameters),
     ]
 

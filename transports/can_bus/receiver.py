@@ -7,9 +7,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from firmware_protocol.can_frames.canopen import ObjectError
 from firmware_protocol.can_frames.cfp import CfpReceiver
 from firmware_protocol.can_frames.frame import Frame
 from firmware_protocol.can_frames.isotp import IsoTpReceiver
+from firmware_protocol.can_frames.marks import unpack_mark
 from firmware_protocol.can_frames.raw_stream import RawReceiver
 from firmware_protocol.edges import Edges
 from firmware_protocol.events import Events, empty_events
@@ -36,6 +38,7 @@ class CanReceiver:
     def __init__(self, parameters: CanParameters) -> None:
         ids = parameters.identifiers
         self._names = {value: name for name, value in ids.by_name.items()}
+        self._edge_ids = (ids.edges, ids.marks)
         self._raw = RawReceiver(ids.events, ids.epoch)
         self._isotp = IsoTpReceiver(parameters.peer_isotp)
         self._cfp = CfpReceiver(parameters.csp_peer)
@@ -53,6 +56,8 @@ class CanReceiver:
         """Take a frame; return the events that it completes, shape (n,), in the camera's time."""
         self._heard["error frame" if frame.error else self._name(frame)] += 1
         events = self._raw.push(frame)
+        if frame.identifier in self._edge_ids and not frame.extended:
+            self._take_edge(frame)
         packet = self._isotp.push(frame, now_ns)
         self.answer = self._isotp.reply
         if packet is not None:
@@ -95,6 +100,12 @@ class CanReceiver:
         cut = sum(n for name, n in self._isotp.faults.items() if name != "without a beginning")
         cut += sum(n for name, n in self._cfp.faults.items() if name != "without a beginning")
         return raw.lost + raw.gaps + raw.repeated + raw.malformed + self._missing + self._bad_blocks + cut
+
+    def _take_edge(self, frame: Frame) -> None:
+        try:
+            self.edges.append(unpack_mark(frame.data, self._raw.now_us or 0))
+        except ObjectError:
+            self._heard["edge frames malformed"] += 1
 
     def _name(self, frame: Frame) -> str:
         return "CFP" if frame.extended else self._names.get(frame.identifier, f"{frame.identifier:03X}")
