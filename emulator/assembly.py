@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -103,10 +104,11 @@ def record_paths(rig: Rig, record: Path | None) -> list[Path | None]:
 def link_setups(rig: Rig, record: Path | None = None, truth: Path | None = None) -> list[LinkSetup[Any]]:
     """Return what each link's process needs; `record` and `truth` are files for what was delivered, and when."""
     triggers = TriggerPaths(rig.trigger, [link.name for link in rig.links], rig.run.seed, rig.run.lockstep_us)
-    return [
+    setups = [
         _link_setup(rig, link, path, triggers, triggers.timing(link.name, rig.camera.clock, shown))
         for link, path, shown in zip(rig.links, record_paths(rig, record), record_paths(rig, truth), strict=True)
     ]
+    return [dataclasses.replace(setup, fifo_priority=rig.run.fifo_priority) for setup in setups]
 
 
 def _link_setup(

@@ -28,6 +28,7 @@ from emulator.optics.lens import LensParameters
 from emulator.playback.recording import RecordingParameters
 from emulator.rig_files import beside
 from emulator.rig_text import line_of
+from emulator.scene.bodies_table import BodiesParameters
 from emulator.scene.body import BodyParameters
 from emulator.scene.checkerboard import CheckerboardParameters
 from emulator.scene.stars import StarsParameters
@@ -138,6 +139,9 @@ class Run:
         Stream time that one SYNC is worth.
     lead_us
         How far ahead of real time steps are computed; at least one step. Covers the jitter of the machine.
+    fifo_priority
+        Above 0: links run under SCHED_FIFO at this priority (1 to 99), before all that is not as urgent. Delivery and the
+        stamps of a bus are then steady on a busy machine. Needs root, or a limit of 'rtprio'.
     method
         How pixels are solved between two pictures: "warped" (light as a cubic from value and derivative), "line" (a
         straight line in log light), or another's rule, to reproduce what was published with it: "pangu", "v2e", "held",
@@ -155,6 +159,7 @@ class Run:
     pace: Literal["realtime", "free", "lockstep"] = "realtime"
     lockstep_us: int = 0
     lead_us: int = 10_000
+    fifo_priority: int = 0
     method: Method = "warped"
     tolerance_us: float = 0.0
     tolerated_wrong_share: float = 0.01
@@ -170,6 +175,8 @@ class Run:
             raise ValueError(f"lockstep_us must be 0 to 3600000000, got {self.lockstep_us}")
         if (self.pace == "lockstep") != bool(self.lockstep_us):
             raise ValueError('lockstep_us and pace = "lockstep" go together: give both or neither')
+        if not 0 <= self.fifo_priority <= 99:
+            raise ValueError(f"fifo_priority must be 0 (none) to 99, got {self.fifo_priority}")
         if not 0 <= self.lead_us <= 10_000_000:
             raise ValueError(f"lead_us must be 0 to 10000000, got {self.lead_us}")
         if self.tolerance_us != 0 and not 0.01 <= self.tolerance_us <= 1e6:
@@ -209,12 +216,15 @@ class LoopbackLink:
     name: str = "loopback"
 
 
-SceneParameters = CheckerboardParameters | BodyParameters | StarsParameters | VideoParameters | RecordingParameters
+SceneParameters = (
+    CheckerboardParameters | BodyParameters | BodiesParameters | StarsParameters | VideoParameters | RecordingParameters
+)
 LinkParameters = UsbipLink | LoopbackLink | SerialParameters | CanParameters
 
 SCENES: Mapping[str, type[SceneParameters]] = {
     "checkerboard": CheckerboardParameters,
     "body": BodyParameters,
+    "bodies": BodiesParameters,
     "stars": StarsParameters,
     "video": VideoParameters,
     "recording": RecordingParameters,

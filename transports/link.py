@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import asyncio
 import gc
+import os
 import selectors
 import signal
 from abc import ABC, abstractmethod
@@ -190,6 +191,8 @@ class LinkSetup(Generic[_Device]):
         Makes the device, inside the link's process: `partial(Davis346, settings)` and the like, which can be pickled.
     timing
         Triggers, and the device's own clock.
+    fifo_priority
+        Above 0, the process runs under SCHED_FIFO, so that the rest of the machine cannot keep it waiting.
     """
 
     name: str
@@ -199,6 +202,7 @@ class LinkSetup(Generic[_Device]):
     record: Path | None = None
     tick_us: int = 500
     timing: Timing = field(default_factory=Timing)
+    fifo_priority: int = 0
 
 
 class Link:
@@ -288,6 +292,7 @@ def run_link(setup: LinkSetup[Any], control: Connection) -> None:
 async def _serve(setup: LinkSetup[Any], control: Connection) -> None:
     clock = MonotonicClock()
     try:
+        _take_priority(setup.fifo_priority)
         link = Link(setup, clock)
         await link.endpoint.start()
     except OSError as error:
@@ -304,6 +309,19 @@ async def _serve(setup: LinkSetup[Any], control: Connection) -> None:
     finally:
         await link.close()
     control.send(link.report(final=True, error=broken))
+
+
+def _take_priority(fifo_priority: int) -> None:
+    """Run before everything that is not as urgent; raises OSError, with what to do, where that is not allowed."""
+    if not fifo_priority:
+        return
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(fifo_priority))
+    except PermissionError as error:
+        raise OSError(
+            f"may not run with run.fifo_priority = {fifo_priority}: leave it out, run as root, or give this user "
+            "'rtprio' in /etc/security/limits.conf",
+        ) from error
 
 
 async def _tick_until_stopped(link: Link, setup: LinkSetup[Any], control: Connection, clock: Clock) -> None:
