@@ -140,8 +140,8 @@ class Run:
     lead_us
         How far ahead of real time steps are computed; at least one step. Covers the jitter of the machine.
     fifo_priority
-        Above 0: links run under SCHED_FIFO at this priority (1 to 99), before all that is not as urgent. Delivery and the
-        stamps of a bus are then steady on a busy machine. Needs root, or a limit of 'rtprio'.
+        Above 0: links run under SCHED_FIFO at this priority (1 to 99), before all that is not as urgent. Delivery and
+        the stamps of a bus are then steady on a busy machine. Needs root, or a limit of 'rtprio'.
     method
         How pixels are solved between two pictures: "warped" (light as a cubic from value and derivative), "line" (a
         straight line in log light), or another's rule, to reproduce what was published with it: "pangu", "v2e", "held",
