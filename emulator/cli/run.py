@@ -11,6 +11,7 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from emulator.assembly import build_session, link_setups, schedule
+from emulator.cli.link_summary import link_json, link_lines
 from emulator.cli.live import LiveTable
 from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, console, failures, print_json, status
 from emulator.cli.signals import stopped_by_signals
@@ -135,7 +136,14 @@ def summary(rig: Rig, result: RunResult) -> dict[str, object]:
         "scene": result.scene_counts,
         "syncs": result.syncs,
         "links": {
-            name: {"state": r.state, "latency_us": r.latency, "digest": r.digest, "error": r.error, **timing_json(r)}
+            name: {
+                "state": r.state,
+                "latency_us": r.latency,
+                "digest": r.digest,
+                "error": r.error,
+                **link_json(r),
+                **timing_json(r),
+            }
             for name, r in result.links.items()
         },
     }
@@ -159,10 +167,8 @@ def _print_summary(rig: Rig, result: RunResult) -> None:
     )
     for link in ledger.links:
         report = result.links[link.name]
-        console.print(
-            f"{link.name}: {link.delivered} delivered (digest {report.digest:08x}), {link.dropped} dropped, "
-            f"{link.dropped_in_device} dropped in the device{_device_detail(report.camera)}"
-        )
+        for line in link_lines(link, report):
+            console.print(line)
         if report.error is not None:
             console.print(f"{link.name}: {report.error}")
         for line in timing_lines(link.name, report):
@@ -190,9 +196,3 @@ def _print_summary(rig: Rig, result: RunResult) -> None:
 
 def _syncs(result: RunResult) -> str:
     return "" if result.syncs is None else f", {result.syncs} SYNCs"
-
-
-def _device_detail(camera: object) -> str:
-    parts = {"not_running": "no host was streaming", "dropped_fifo": "FIFO full", "flushed": "flushed at a stop"}
-    told = [f"{getattr(camera, field)} {why}" for field, why in parts.items() if getattr(camera, field, 0)]
-    return f" ({', '.join(told)})" if told else ""
