@@ -7,6 +7,7 @@ sensor's reference. What needs a GL library is imported only for a scene that dr
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 from emulator.optics.lens import CHIPS
 from emulator.optics.pinhole import Pinhole
@@ -15,6 +16,7 @@ from emulator.playback.recording import RecordingParameters
 from emulator.rig import Rig
 from emulator.scene.base import Scene
 from emulator.scene.blank import Blank
+from emulator.scene.bodies_table import BodiesParameters
 from emulator.scene.body import BodyParameters
 from emulator.scene.checkerboard import Checkerboard, CheckerboardParameters
 from emulator.scene.stars import StarField, StarsParameters
@@ -37,6 +39,10 @@ def build_scene(rig: Rig, size: tuple[int, int] | None = None) -> Scene:
             return Blank(size)
         case VideoParameters() as p:
             return Video(p, size)
+        case BodiesParameters() as p:
+            from emulator.scene.bodies import Bodies
+
+            return _through_lens(rig, size, partial(Bodies, p))
         case StarsParameters() as p:
             return StarField(p, size, rig.camera.lens, CHIPS[rig.camera.model])
 

@@ -84,12 +84,13 @@ class Mesh:
 
 def find_shape(name: str) -> Path:
     """Return the file of a shape: a path, or the name of a shipped model such as 'eros022540'."""
-    path, shipped = Path(name).expanduser(), SHAPES / f"{name}.tab"
+    path = Path(name).expanduser()
     if path.is_file():
         return path
-    if path.name == name and shipped.is_file():
-        return shipped
-    known = ", ".join(sorted(p.stem for p in SHAPES.glob("*.tab")))
+    shipped = {p.stem: p for p in SHAPES.iterdir() if p.suffix in (".tab", ".obj")}
+    if name in shipped:
+        return shipped[name]
+    known = ", ".join(sorted(shipped))
     raise SceneError(f"no shape model {name!r}: there is no such file, and the shipped ones are {known}")
 
 

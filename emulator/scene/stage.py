@@ -117,14 +117,19 @@ class Stage:
         self._mean["corner"] = (reach.left, reach.top)
         self._cover = gl.vertex_array(self._mean, [])
 
-    def draw(self, render: Callable[[moderngl.Context], None], out: Light) -> None:
+    def draw(
+        self, render: Callable[[moderngl.Context], None], out: Light, prepare: Callable[[], None] | None = None
+    ) -> None:
         """Let `render` draw the samples, and write their means into `out`, (height, width) float32.
 
-        `render` finds the context current, the target cleared, and depth test and culling on.
+        `render` finds the context current, the target cleared, and depth test and culling on. `prepare` is called
+        before that, for targets of its own.
         """
         if not self._is_open:
             raise SceneError("the scene was closed: it draws no more")
         with self.context as gl:
+            if prepare is not None:
+                prepare()
             self._begin(gl)
             render(gl)
             self._average(gl)
