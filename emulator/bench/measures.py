@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from emulator.bench import link, pixel, word
+from emulator.bench.c_decoder import COMPILER, CDecoding
 from emulator.bench.noise import NoiseLoad
 from emulator.bench.scene import Workload
 from emulator.bench.scenes_alike import ScenesAlike
@@ -27,6 +28,13 @@ class Measure:
 
 
 SMALL, LARGE = (346, 260), (1280, 720)
+
+# Only where there is a compiler: without one they would make every bench a bad one.
+_IN_C = (
+    Measure("c_decode_blocks", "Mev/s", "higher", 30, CDecoding("blocks")),
+    Measure("c_decode_line", "Mev/s", "higher", 30, CDecoding("line")),
+    Measure("c_decode_words", "Mev/s", "higher", None, CDecoding("words")),
+)
 
 MEASURES = (
     Measure("pixel_quiet", "Mpixel/s", "higher", 900, pixel.pixel_quiet),
@@ -50,6 +58,7 @@ MEASURES = (
     Measure("blocks_target_1us", "bits/ev", "lower", 18, BlockBits("target", 1)),
     Measure("blocks_stars_100us", "bits/ev", "lower", 16.5, BlockBits("stars", 100)),
     Measure("blocks_target_100us", "bits/ev", "lower", 10.5, BlockBits("target", 100)),
+    *(_IN_C if COMPILER else ()),
     Measure("checkerboard_346x260", "frames/s", "higher", 2000, Workload("checkerboard", SMALL)),
     Measure("checkerboard_1280x720", "frames/s", "higher", 200, Workload("checkerboard", LARGE)),
     Measure("eros_346x260", "frames/s", "higher", 150, Workload("eros", SMALL)),

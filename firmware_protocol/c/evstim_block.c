@@ -182,14 +182,19 @@ static bool walk_flat(struct walk *w)
 {
     const struct evstim_blocks *c = w->camera;
     uint32_t tick_bits = 31u - c->y_bits - c->x_bits;
-    bool first = true;
-    while (w->left != 0) {
-        uint32_t tick = take(&w->bits, tick_bits);
-        if (tick < w->tick || (first && tick != 0) || !go_to_place(w, tick - w->tick))
+    for (bool first = true; w->left != 0; first = false) {
+        uint32_t word = peek(&w->bits), tick = head(word, tick_bits);
+        uint32_t y = head(word << tick_bits, c->y_bits), x = head(word << tick_bits << c->y_bits, c->x_bits);
+        uint32_t address = y * c->width + x;
+        if (y >= c->height || x >= c->width || tick > w->last_tick || (first && tick != 0))
             return false;
-        if (!event(w, take(&w->bits, 1)))
+        if (tick < w->tick || (tick == w->tick && address < w->address))
             return false;
-        first = false;
+        w->bits.at += 32;
+        w->tick = tick;
+        w->address = address;
+        if (!event(w, word & 1u))
+            return false;
     }
     return true;
 }

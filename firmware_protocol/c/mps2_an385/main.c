@@ -1,7 +1,8 @@
 /* A firmware that receives events on UART 0 and tells on UART 1 what it got.
  *
- * A letter on UART 1 says what the line carries and starts afresh: 'c' telemetry in COBS (as after reset), 's' telemetry in
- * SLIP, 'd' DAVIS346 words. It, and '?', are answered with one line of name=value pairs, values in hexadecimal:
+ * A letter on UART 1 says what the line carries and starts afresh: 'c' telemetry in COBS (as after reset), 's' telemetry
+ * in SLIP, 'd' DAVIS346 words; a capital leaves out the digest, to time the decoder alone. The answer, to '?' too, is one
+ * line of name=value pairs, values in hexadecimal:
  *
  *   bytes    received on the line
  *   packets, missing: with events or edges
@@ -17,6 +18,9 @@
 static struct {
     uint32_t bytes, events, edges, digest, ticks;
 } told;
+
+static char carried; /* 'c', 's' or 'd' */
+static bool with_digest;
 
 static uint32_t crc32_byte(uint32_t crc, uint32_t byte)
 {
@@ -40,15 +44,13 @@ static void on_event(void *context, const struct evstim_event *event)
 {
     (void)context;
     told.events++;
-#ifndef NO_DIGEST
+    if (!with_digest)
+        return;
     uint32_t crc = ~told.digest;
     crc = crc32_u32(crc, (uint32_t)event->t_us);
     crc = crc32_u32(crc, (uint32_t)(event->t_us >> 32));
     crc = crc32_u32(crc, event->x | (uint32_t)event->y << 16);
     told.digest = ~crc32_byte(crc, event->on);
-#else
-    (void)event;
-#endif
 }
 
 static void on_edge(void *context, const struct evstim_edge *edge)
@@ -59,17 +61,17 @@ static void on_edge(void *context, const struct evstim_edge *edge)
 }
 
 static const struct evstim_sink sink = {.event = on_event, .edge = on_edge};
-static char carried;
 static struct evstim_davis davis;
 static struct evstim_telemetry telemetry;
 static uint8_t packet[1024 + 22];
 
 static void start(char letter)
 {
-    carried = letter;
+    with_digest = letter >= 'a';
+    carried = with_digest ? letter : (char)(letter + 'a' - 'A');
     told.bytes = told.events = told.edges = told.digest = told.ticks = 0;
     evstim_davis_init(&davis, 346, 260, false, &sink);
-    evstim_telemetry_init(&telemetry, letter == 's' ? EVSTIM_SLIP : EVSTIM_COBS, packet, sizeof packet, 346, 260, &sink);
+    evstim_telemetry_init(&telemetry, carried == 's' ? EVSTIM_SLIP : EVSTIM_COBS, packet, sizeof packet, 346, 260, &sink);
 }
 
 static void take(uint8_t byte)

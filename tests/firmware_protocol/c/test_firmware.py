@@ -11,7 +11,7 @@ from firmware_protocol.telemetry import BlockEncoder, as_received
 from tests.firmware_protocol.c.board import Board, build_firmware
 from transports.digest import digest_of
 
-pytestmark = pytest.mark.socket
+pytestmark = [pytest.mark.arm, pytest.mark.socket]
 
 SIZE = (346, 260)
 

@@ -9,7 +9,7 @@ import pytest
 
 from tests.firmware_protocol.c.board import Board, build_firmware
 
-pytestmark = [pytest.mark.socket, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.arm, pytest.mark.socket, pytest.mark.timeout(300)]
 
 RIG = """
 [scene]
