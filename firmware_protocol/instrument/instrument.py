@@ -193,6 +193,17 @@ class Instrument(EventDevice):
             self._clear()  # what waits would bear a negative time
         self._time_status = TimeStatus.SET
 
+    @property
+    def epoch_us(self) -> int:
+        """Stream time at which the camera's own time is zero; negative when it was set ahead."""
+        return -self._offset_us
+
+    def restart_clock(self) -> bool:
+        """Set the camera's own time to zero, unasked; what waits is dropped, for its times would be negative."""
+        self.set_time(0)
+        self._time_status = TimeStatus.FREE_RUNNING
+        return True
+
     def next_message(self, *, events: bool = True, edges: bool = True) -> Outgoing | None:
         """Return what is to leave next, None when there is nothing; without what the link packs itself.
 

@@ -312,6 +312,23 @@ def test_a_region_must_lie_on_the_array():
         Instrument(SIZE, InstrumentSettings(region=(0, 0, 400, 10)))
 
 
+def test_a_clock_that_starts_anew_counts_from_zero(make):
+    instrument, ground = make()
+    instrument.advance(5_000_000)
+    ground.tell(SetTime(7_000_000))
+    assert instrument.epoch_us == -2_000_000
+    instrument.offer(stream(10, start_us=5_000_000))
+    assert instrument.restart_clock()
+    assert instrument.epoch_us == instrument.now_us
+    assert instrument.counters.flushed == 10
+    later = stream(10, start_us=instrument.now_us + 100)
+    instrument.offer(later)
+    instrument.offer_edges(edges(later["t"][0] - 91))
+    ground.pull()
+    assert min(events["t"].min() for events in ground.events if len(events)) == 100
+    assert [found["t"].tolist() for found in ground.edges if len(found)] == [[9]]
+
+
 class Life(stateful.RuleBasedStateMachine):
     """An instrument through anything: the fates always sum up, and what is heard is what it says it sent."""
 

@@ -19,9 +19,10 @@ from firmware_protocol.instrument.outgoing import Outgoing
 from firmware_protocol.packets.profile import Profile
 from transports.deliveries import Deliveries
 from transports.link import Endpoint, EndpointFactory, LineUse
+from transports.serial_line.opening import open_port
 from transports.serial_line.pacing import BaudClock
 from transports.serial_line.parameters import SerialParameters
-from transports.serial_line.port import Port, open_port
+from transports.serial_line.port import Port
 from transports.serial_line.transmitter import Frame, Transmitter
 
 __all__ = ["SerialEndpoint", "SerialFactory"]
@@ -140,7 +141,7 @@ class SerialEndpoint(Endpoint):
         return None if outgoing is None else Frame(self._profile.wrap(outgoing.message), outgoing)
 
     def _left(self, outgoing: Outgoing) -> None:
-        self._deliveries.add(outgoing.events, outgoing.epoch_us)
+        self._deliveries.add(outgoing.events, outgoing.epoch_us, outgoing.edges)
         self._instrument.sent(outgoing)
 
     def _notice(self, heard: bool) -> None:
