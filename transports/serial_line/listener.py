@@ -14,8 +14,9 @@ from transports.digest import digest_of
 from transports.latency import LatencySummary
 from transports.pacing import Clock
 from transports.record import Recorder
+from transports.serial_line.opening import open_port
 from transports.serial_line.parameters import SerialParameters
-from transports.serial_line.port import Port, open_port
+from transports.serial_line.port import Port
 from transports.serial_line.reception import SerialReceiver
 
 __all__ = ["SerialReception", "listen_serial"]

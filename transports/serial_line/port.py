@@ -1,4 +1,4 @@
-"""Serial ports that never wait: what pyserial opens, and a pty pair of our own.
+"""Serial ports that never wait.
 
     Port.write   takes what there is room for and says how much that was
     Port.read    gives what has come
@@ -18,22 +18,15 @@ import select
 import sys
 import termios
 import threading
-import tty
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
-from pathlib import Path
+from contextlib import suppress
 
 import serial
-from serial.rs485 import RS485Settings
 
-from transports.serial_line.parameters import SerialParameters
-
-__all__ = ["DescriptorPort", "Port", "PtyPort", "ThreadedPort", "open_port"]
+__all__ = ["Descriptor", "DescriptorPort", "Port", "ThreadedPort", "count_of"]
 
 _READ_BYTES = 4096
 _THREAD_BYTES = 4096  # what may wait for a port that blocks: as much as a kernel's transmit buffer
-_STOP_BITS = {1.0: serial.STOPBITS_ONE, 1.5: serial.STOPBITS_ONE_POINT_FIVE, 2.0: serial.STOPBITS_TWO}
 
 
 class Port(ABC):
@@ -67,7 +60,7 @@ class Port(ABC):
         """Where the other side finds it."""
 
 
-class _Descriptor:
+class Descriptor:
     """Non-blocking bytes on a file descriptor."""
 
     def __init__(self, fd: int) -> None:
@@ -75,12 +68,14 @@ class _Descriptor:
         os.set_blocking(fd, False)
 
     def write(self, data: bytes) -> int:
+        """Take as many bytes as there is room for."""
         try:
             return os.write(self.fd, data)
         except BlockingIOError:
             return 0
 
     def read(self) -> bytes:
+        """Return what has come."""
         try:
             return os.read(self.fd, _READ_BYTES)
         except BlockingIOError:
@@ -93,77 +88,9 @@ class _Descriptor:
         return dict(poll.poll(0)).get(self.fd, 0)
 
 
-@contextmanager
-def _opened(path: str) -> Iterator[int]:
-    fd = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-    try:
-        yield fd
-    finally:
-        os.close(fd)
-
-
-def _count(fd: int, request: int) -> int:
+def count_of(fd: int, request: int) -> int:
     """Return the number that an ioctl such as FIONREAD tells."""
     return int.from_bytes(fcntl.ioctl(fd, request, bytes(4)), sys.byteorder)
-
-
-class PtyPort(Port):
-    """A pty pair: we hold one side, the other is a path that a reader opens like any serial port.
-
-    It models no modem lines, no parity, no break, and the kernel ignores its baud rate. What a reader left unread when
-    it closed the path is gone, as on a wire.
-    """
-
-    def __init__(self, symlink: str = "") -> None:
-        master, other = os.openpty()
-        tty.setraw(other)
-        self._path = os.ttyname(other)
-        os.close(other)  # so that poll tells whether a reader has it open
-        self._side = _Descriptor(master)
-        self._link = Path(symlink) if symlink else None
-        self._was_heard = False
-        if self._link:
-            _point(self._link, self._path)
-
-    @property
-    def address(self) -> str:
-        """Path of the other side."""
-        return str(self._link or self._path)
-
-    @property
-    def heard(self) -> bool:
-        """True while a reader has the other side open."""
-        heard = not self._side.events() & select.POLLHUP
-        if self._was_heard and not heard:
-            self._forget()
-        self._was_heard = heard
-        return heard
-
-    def write(self, data: bytes) -> int:
-        """See `Port.write`."""
-        return self._side.write(data)
-
-    def read(self) -> bytes:
-        """See `Port.read`; b"" also while no reader is there, when the kernel says EIO."""
-        return self._side.read() if self._was_heard else b""
-
-    def close(self) -> None:
-        """Close our side; a reader sees its port hang up."""
-        os.close(self._side.fd)
-        if self._link and self._link.is_symlink() and os.readlink(self._link) == self._path:
-            self._link.unlink()
-
-    @property
-    def unsent(self) -> int:
-        """Bytes that the reader has not taken yet; 0 where it keeps the path to itself."""
-        with suppress(OSError), _opened(self._path) as other:
-            return _count(other, termios.FIONREAD)
-        return 0
-
-    def _forget(self) -> None:
-        """Empty the kernel's buffers, so that the next reader does not get the last one's bytes."""
-        with suppress(OSError, termios.error), _opened(self._path) as other:
-            termios.tcflush(other, termios.TCIOFLUSH)
 
 
 class DescriptorPort(Port):
@@ -171,7 +98,7 @@ class DescriptorPort(Port):
 
     def __init__(self, opened: serial.SerialBase) -> None:
         self._serial = opened
-        self._side = _Descriptor(opened.fileno())
+        self._side = Descriptor(opened.fileno())
 
     @property
     def address(self) -> str:
@@ -196,7 +123,7 @@ class DescriptorPort(Port):
     def unsent(self) -> int:
         """Bytes in the kernel's transmit buffer; 0 where there is none to ask."""
         with suppress(OSError):
-            return _count(self._side.fd, termios.TIOCOUTQ)
+            return count_of(self._side.fd, termios.TIOCOUTQ)
         return 0
 
     def close(self) -> None:
@@ -256,70 +183,3 @@ class ThreadedPort(Port):
                 return
             with self._lock:
                 self._waiting -= len(piece)
-
-
-def open_port(line: SerialParameters) -> Port:
-    """Open a port; blocks while a network port connects.
-
-    Raises
-    ------
-    OSError
-        It cannot be had; the message says why and what to do.
-    """
-    if line.port == "pty":
-        return PtyPort(line.symlink)
-    try:
-        opened = _open(line)
-    except (OSError, ValueError, termios.error) as error:
-        raise OSError(_advice(line.port, error)) from error
-    with suppress(OSError):
-        opened.fileno()
-        return DescriptorPort(opened)
-    return ThreadedPort(opened)
-
-
-def _open(line: SerialParameters) -> serial.SerialBase:
-    """Open and set up by pyserial; raises OSError, ValueError or termios.error."""
-    opened = serial.serial_for_url(line.port, do_not_open=True)
-    opened.baudrate = line.baud
-    opened.bytesize, opened.parity, opened.stopbits = line.data_bits, line.parity[0].upper(), _STOP_BITS[line.stop_bits]
-    opened.rtscts = line.flow == "rts_cts"
-    opened.timeout = 0
-    opened.write_timeout = None
-    if "://" not in line.port:
-        opened.exclusive = True
-    opened.open()
-    if line.rs485:
-        opened.rs485_mode = RS485Settings()
-    if line.break_ms:
-        opened.send_break(line.break_ms * 1e-3)
-    return opened
-
-
-def _advice(port: str, error: Exception) -> str:
-    """Say what to do about a port that does not open."""
-    text = str(error)
-    if isinstance(error, PermissionError) or "Permission denied" in text:
-        cure = f"join the group that owns it (ls -l {port}; usually: sudo usermod -aG dialout $USER) and log in again"
-    elif isinstance(error, FileNotFoundError) or "No such file" in text:
-        cure = "is it plugged in? `python -m serial.tools.list_ports` lists what there is"
-    elif "lock" in text or "busy" in text:
-        cure = f"another program has it; `fuser -v {port}` tells which"
-    elif "Connection refused" in text or "timed out" in text or "Name or service" in text:
-        cure = "start what listens there first, and check host and port"
-    elif "Invalid argument" in text or "not supported" in text:
-        cure = "the port cannot do these settings (a pty has no parity): leave parity, stop_bits, rs485 at the default"
-    else:
-        cure = "check the port's name and its settings"
-    return f"cannot open {port}: {text}; {cure}"
-
-
-def _point(link: Path, target: str) -> None:
-    """Make or renew a symbolic link; raises OSError rather than replace what is no link."""
-    if link.is_symlink():
-        link.unlink()
-    try:
-        link.symlink_to(target)
-    except OSError as error:
-        cure = "give a path that is free, in a folder that exists"
-        raise OSError(f"symlink = {str(link)!r}: {error.strerror}; {cure}") from error
