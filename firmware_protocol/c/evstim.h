@@ -51,6 +51,7 @@ struct evstim_report {
 struct evstim_sink {
     void (*event)(void *context, const struct evstim_event *event);
     void (*edge)(void *context, const struct evstim_edge *edge);
+    void (*mark)(void *context, const struct evstim_edge *mark); /* the camera's own trigger or exposure, on CAN */
     void (*report)(void *context, const struct evstim_report *report);
     void *context;
 };
@@ -143,7 +144,7 @@ bool evstim_telemetry_packet(struct evstim_telemetry *telemetry, const uint8_t *
 /* ---- Raw CAN frames ---------------------------------------------------------------------------------------------- */
 
 struct evstim_can_ids {
-    uint16_t events, epoch, marks; /* 11-bit identifiers: 0x1A2, 0x2A2, 0x3A2 for node 0x22 */
+    uint16_t events, epoch, edges, marks; /* 11-bit identifiers: 0x1A2, 0x2A2, 0x422, 0x3A2 for node 0x22 */
 };
 
 struct evstim_can {
@@ -159,6 +160,7 @@ struct evstim_can {
     bool timed; /* an epoch frame has come */
     uint32_t events;
     uint32_t edges;
+    uint32_t marks;
     int32_t lost;     /* sent and not received; below 0 while frames come out of order */
     uint32_t dropped; /* dropped by the camera */
     uint32_t gaps;    /* times that the sequence count was not the next */

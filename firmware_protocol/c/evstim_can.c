@@ -178,7 +178,8 @@ static bool epoch(struct evstim_can *c, const uint8_t *data, size_t n)
     return true;
 }
 
-static bool mark(struct evstim_can *c, const uint8_t *data, size_t n)
+/* An edge on the external input, or a mark of the camera's own. */
+static bool edge(struct evstim_can *c, const uint8_t *data, size_t n, bool own)
 {
     if (n != CLASSIC_BYTES || data[4] < EVSTIM_RISING || data[4] > EVSTIM_PULSE)
         return false;
@@ -188,9 +189,13 @@ static bool mark(struct evstim_can *c, const uint8_t *data, size_t n)
         .channel = data[5],
         .seq = u16(data + 6),
     };
-    c->edges++;
-    if (c->sink->edge != NULL)
-        c->sink->edge(c->sink->context, &edge);
+    void (*deliver_to)(void *, const struct evstim_edge *) = own ? c->sink->mark : c->sink->edge;
+    if (own)
+        c->marks++;
+    else
+        c->edges++;
+    if (deliver_to != NULL)
+        deliver_to(c->sink->context, &edge);
     return true;
 }
 
@@ -199,8 +204,8 @@ void evstim_can_frame(struct evstim_can *c, uint32_t identifier, bool fd, const 
     bool sound = true;
     if (identifier == c->ids.epoch)
         sound = epoch(c, data, n);
-    else if (identifier == c->ids.marks)
-        sound = mark(c, data, n);
+    else if (identifier == c->ids.edges || identifier == c->ids.marks)
+        sound = edge(c, data, n, identifier == c->ids.marks);
     else if (identifier == c->ids.events && !c->timed)
         c->before_epoch++;
     else if (identifier == c->ids.events)

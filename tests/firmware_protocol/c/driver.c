@@ -58,6 +58,17 @@ static void on_edge(void *context, const struct evstim_edge *edge)
     put(EDGES, &edge->seq, 2);
 }
 
+/* Marks stand among the frames, as edges do. */
+static void on_mark(void *context, const struct evstim_edge *mark)
+{
+    (void)context;
+    put_u32(FRAMES, 12);
+    put(FRAMES, &mark->t_us, 8);
+    put(FRAMES, &mark->kind, 1);
+    put(FRAMES, &mark->channel, 1);
+    put(FRAMES, &mark->seq, 2);
+}
+
 static void on_report(void *context, const struct evstim_report *report)
 {
     (void)context;
@@ -68,7 +79,7 @@ static void on_report(void *context, const struct evstim_report *report)
     put(FRAMES, report->data, report->length);
 }
 
-static const struct evstim_sink sink = {on_event, on_edge, on_report, NULL};
+static const struct evstim_sink sink = {on_event, on_edge, on_mark, on_report, NULL};
 
 struct request {
     uint8_t mode, flags;
@@ -158,7 +169,7 @@ static void telemetry(const struct request *r, const uint8_t *bytes)
 /* The bytes are records of u16 identifier, u8 fd, u8 length, data. */
 static void can(const struct request *r, const uint8_t *bytes)
 {
-    const struct evstim_can_ids ids = {0x1A2, 0x2A2, 0x3A2};
+    const struct evstim_can_ids ids = {.events = 0x1A2, .epoch = 0x2A2, .edges = 0x422, .marks = 0x3A2};
     struct evstim_can c;
     evstim_can_init(&c, &ids, r->width, r->height, &sink);
     for (uint32_t at = 0; at < r->n; at += 4u + bytes[at + 3]) {
@@ -171,8 +182,8 @@ static void can(const struct request *r, const uint8_t *bytes)
         evstim_can_frame(&c, identifier, bytes[at + 2], copy, bytes[at + 3]);
         free(copy);
     }
-    const uint32_t counters[] = {c.events,   c.edges,        (uint32_t)c.lost, c.dropped, c.gaps,
-                                 c.repeated, c.before_epoch, c.malformed};
+    const uint32_t counters[] = {c.events, c.edges,    c.marks,        (uint32_t)c.lost, c.dropped,
+                                 c.gaps,   c.repeated, c.before_epoch, c.malformed};
     put(COUNTERS, counters, sizeof counters);
 }
 

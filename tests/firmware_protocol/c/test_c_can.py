@@ -8,12 +8,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from firmware_protocol.can_frames.frame import FD_LENGTHS, Frame
+from firmware_protocol.can_frames.identifiers import Identifiers
 from firmware_protocol.can_frames.marks import pack_marks
 from firmware_protocol.can_frames.raw_stream import RawReceiver, RawSender, RawSettings
 from firmware_protocol.edges import EDGE
 from firmware_protocol.events import EVENT, empty_events
 
-EVENTS, EPOCH, MARKS = 0x1A2, 0x2A2, 0x3A2
+IDS = Identifiers.of_node(0x22)
+EVENTS, EPOCH = IDS.events, IDS.epoch
 COUNTERS = ("lost", "dropped", "gaps", "repeated", "before_epoch", "malformed")
 
 
@@ -37,7 +39,7 @@ def same_as_python(library, frames):
     reply = library("n", request(frames), size=(512, 512))
     assert np.array_equal(reply.events, events)
     expected = [getattr(receiver.counters, name) & 0xFFFFFFFF for name in COUNTERS]
-    assert reply.counters == [len(events), 0, *expected]
+    assert reply.counters == [len(events), 0, 0, *expected]
     return reply
 
 
@@ -87,13 +89,15 @@ def test_a_pixel_outside_the_sensor_spoils_its_frame(library):
         assert reply.counters[-1] == 2
 
 
-def test_marks_become_edges(library):
-    edges = np.array([(2**32 + 5, 2, 0, 1), (2**32 + 9, 3, 1, 65535), (2**32 + 10, 4, 9, 0)], EDGE)
-    epoch = struct.pack("<IHH", 2**30 - 1, 0, 0)
-    frames = [Frame(EPOCH, epoch), *(Frame(MARKS, data) for data in pack_marks(edges)), Frame(MARKS, bytes(8))]
+def test_edges_and_marks_are_kept_apart(library):
+    edges = np.array([(2**31 + 5, 2, 0, 1), (2**31 + 9, 3, 1, 65535), (2**31 + 10, 4, 9, 0)], EDGE)
+    data = pack_marks(edges)
+    epoch = Frame(EPOCH, struct.pack("<IHH", 2**30 - 1, 0, 0))
+    frames = [epoch, *(Frame(IDS.edges, d) for d in data), Frame(IDS.marks, data[0]), Frame(IDS.edges, bytes(8))]
     reply = library("n", request(frames))
-    assert reply.edges.tolist() == [(t - 2**32, *rest) for t, *rest in edges.tolist()]
-    assert reply.counters[-1] == 1
+    assert np.array_equal(reply.edges, edges)
+    assert reply.frames == [edges[:1].tobytes()]
+    assert (reply.counters[1], reply.counters[2], reply.counters[-1]) == (3, 1, 1)
 
 
 @pytest.mark.parametrize("fd", [False, True])
