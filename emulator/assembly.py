@@ -79,8 +79,8 @@ def _replay(p: RecordingParameters, parameters: SensorParameters) -> Replay:
 
 
 def build_pictures(rig: Rig, scene: Scene) -> Pictures:
-    """Return the scene's pictures, as the rig's method wants them."""
-    return Pictures(scene, with_rate=rig.run.method == "warped")
+    """Return the scene's pictures, as the rig's method wants them; suspects are halved where a tolerance is kept."""
+    return Pictures(scene, with_rate=rig.run.method == "warped", halving=rig.run.tolerance_us > 0)
 
 
 def schedule(rig: Rig) -> Schedule:

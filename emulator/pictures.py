@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from emulator.scene.base import Light, Scene
+from emulator.scene.base import Light, PixelLight, Scene
 
 __all__ = ["Pictures"]
 
@@ -20,13 +20,17 @@ class Pictures:
         (height, width) float32, its derivative, per second; None where none is drawn.
     frames
         Pictures drawn so far.
+    pixel_light
+        Tells the light of single pixels at any instant, so that suspects can be solved in halves; None where the
+        scene cannot tell, or it is not wanted.
     """
 
-    def __init__(self, scene: Scene, *, with_rate: bool) -> None:
+    def __init__(self, scene: Scene, *, with_rate: bool, halving: bool = False) -> None:
         width, height = scene.size
         self.scene = scene
         self.light: Light = np.zeros((height, width), np.float32)
         self.rate: Light | None = np.zeros((height, width), np.float32) if with_rate else None
+        self.pixel_light: PixelLight | None = scene.pixel_light if with_rate and halving else None
         self.frames = 0
 
     @property

@@ -228,7 +228,7 @@ class Session:
             t1_ns = min(t1_ns, schedule.duration_ns)
         picture = self._pictures
         picture.draw(t1_ns)
-        events = self._sensor.expose(picture.light, t1_ns, picture.rate)
+        events = self._sensor.expose(picture.light, t1_ns, picture.rate, picture.pixel_light)
         self._step_source.observe(picture.light, picture.rate, t1_ns)
         self._t_ns = t1_ns
         self._steps += 1

@@ -69,6 +69,6 @@ def look(rig: Rig, at_s: float, window_ms: float) -> tuple[Light, Events]:
         sensor.reset(picture.light, start_ns)
         for t_ns in range(start_ns + step_ns, end_ns + 1, step_ns):
             picture.draw(t_ns)
-            batches.append(sensor.expose(picture.light, t_ns, picture.rate))
+            batches.append(sensor.expose(picture.light, t_ns, picture.rate, picture.pixel_light))
     events = np.concatenate(batches)
     return picture.light, events[events["t"] >= max(0, end_ns // 1000 - round(window_ms * 1000))]

@@ -19,6 +19,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
+from emulator.scene.base import PixelLight
 from emulator.sensor.defects import ArrayFaults, Defects, Faults, draw_defects
 from emulator.sensor.imager import Imager, part_of_the_way
 from emulator.sensor.jitter import Jitter
@@ -159,7 +160,9 @@ class Sensor:
             self._jitter.reset(self._t_ns)
         self._remember(light)
 
-    def expose(self, light: _Float32s, t_ns: int, rate: _Float32s | None = None) -> Events:
+    def expose(
+        self, light: _Float32s, t_ns: int, rate: _Float32s | None = None, at: PixelLight | None = None
+    ) -> Events:
         """Move to `t_ns` and return the events that leave before it.
 
         Parameters
@@ -167,6 +170,7 @@ class Sensor:
         light : (height, width) float32, relative to the reference level, at `t_ns`; below 0 counts as 0.
         t_ns : stream time, not before the last one.
         rate : (height, width) float32, the light's time derivative at `t_ns`, per second; None: not known.
+        at : tells the light of single pixels in between; None: not to be had.
 
         Returns
         -------
@@ -182,7 +186,7 @@ class Sensor:
         while (cut_ns := self._next_cut_ns()) < t_ns:
             share = (cut_ns - t0_ns) / (t_ns - t0_ns)
             parts.append(_kept(self._move(self._between(light, share), cut_ns, None)))
-        parts.append(self._move(light, t_ns, rate))
+        parts.append(self._move(light, t_ns, rate, at))
         self._remember(light)
         return self._readout.push(joined(parts), self._settled_ns())
 
@@ -200,12 +204,12 @@ class Sensor:
         shot_ns = (self._t_ns // grid_ns + 1) * grid_ns if grid_ns else NEVER_NS
         return min(shot_ns, self._leaks.next_ns) if self._leaks is not None else shot_ns
 
-    def _move(self, light: _Float32s, t_ns: int, rate: _Float32s | None) -> Crossings:
+    def _move(self, light: _Float32s, t_ns: int, rate: _Float32s | None, at: PixelLight | None = None) -> Crossings:
         """Take all parts to `t_ns`, over no cut."""
         if self._leaks is not None and self._leaks.next_ns <= self._t_ns:
             self._leaks.follow(self._t_ns)
         seen = self._imager.see(light, t_ns)
-        crossings = self._of_live_pixels(self.pixels.step(seen, t_ns, self._imager.see_rate(rate)))
+        crossings = self._of_live_pixels(self._cross(seen, t_ns, self._imager.see_rate(rate), at))
         self._t_ns = t_ns
         settled_ns = self._settled_ns()
         if self._jitter is not None:
@@ -213,6 +217,12 @@ class Sensor:
         for source in self._sources:
             crossings = source.add_to(crossings, seen.reshape(-1), settled_ns)
         return crossings
+
+    def _cross(self, seen: _Float32s, t_ns: int, rate: _Float32s | None, at: PixelLight | None) -> Crossings:
+        """Move the pixels; evstim's own can make use of light in between."""
+        if isinstance(self.pixels, PixelArray):
+            return self.pixels.step(seen, t_ns, rate, self._imager.see_pixels(at))
+        return self.pixels.step(seen, t_ns, rate)
 
     def _settled_ns(self) -> int:
         """Return the time up to which all crossings are known."""
