@@ -177,6 +177,7 @@ def test_the_figures_of_the_table():
     assert found["system efficiency"].cost_us == pytest.approx(tau_us * 0.25 * 0.99, rel=1e-6)
     assert found["quantum efficiency"].cost_share == pytest.approx((1 / 0.9 - 1) * 0.01, rel=1e-6)
     assert found["PRNU"].cost_us == pytest.approx(tau_us * 0.02 * 0.99, rel=1e-6)
+    assert found["DCNU"].cost_us == pytest.approx(tau_us * 0.6 * 0.01, rel=1e-6)
     assert found["DCNU"].cost_share == pytest.approx(0.6 * 0.01, rel=1e-6)
     electrons = 2e4 * 8192e-6
     assert found["photon shot noise"].cost_us == pytest.approx(math.sqrt(0.099 / electrons) / 0.1 / 20 * 1e6, rel=1e-6)

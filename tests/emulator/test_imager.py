@@ -93,6 +93,11 @@ def test_between_grid_times_the_log_goes_straight_and_the_mean_stays():
     assert np.exp(m).mean(axis=1) == pytest.approx(1, abs=4 * np.sqrt(s2 / m.shape[1]))
 
 
+def test_counted_light_has_no_derivative():
+    assert imager(photon_shot_noise=True).see_rate(still()) is None
+    assert imager(dark_shot_noise=True, system_efficiency=0.5).see_rate(still()) is None
+
+
 def test_neighbouring_grid_times_and_pixels_are_independent():
     one = imager(photon_shot_noise=True, electrons_per_s_at_reference=2e4)
     m = np.log(np.array([current(one, still(), k * GRID_NS).ravel() for k in range(3)]))

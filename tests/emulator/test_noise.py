@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
@@ -191,6 +191,7 @@ def lasting(crossings):
 
 @settings(max_examples=20, deadline=None)
 @given(steps=st.lists(st.integers(1, 40 * MS), min_size=1, max_size=6), n=st.integers(0, 300))
+@example(steps=[40 * MS, 5 * MS], n=200)
 def test_crossings_and_noise_become_one_list(steps, n):
     ends = np.cumsum(steps)
     alone = run(end_ns=int(ends[-1]))

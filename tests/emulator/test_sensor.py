@@ -223,6 +223,58 @@ def test_with_everything_on_the_books_balance_and_a_copy_goes_on_the_same():
     assert np.all(np.diff(sensor.found["t"].astype(np.int64)) >= 0)
 
 
+def test_a_restart_is_a_fresh_start():
+    p = everything()
+    used, fresh = Sensor(p, 3), Sensor(p, 3)
+    used.reset(drifting(0), 0)
+    for t in range(MS, 60 * MS, MS):
+        used.expose(drifting(t), t)
+    for one in (used, fresh):
+        one.reset(drifting(77 * MS), 77 * MS)
+        found = [one.expose(drifting(t), t) for t in range(78 * MS, 130 * MS, MS)]
+        one.found = np.concatenate([*found, one.finish()])
+        assert_balance(one)
+    assert len(fresh.found) > 1000
+    assert np.array_equal(used.found, fresh.found)
+
+
+def test_a_cut_within_a_step_takes_the_light_part_of_the_way():
+    """Leak that changes where a stretch ends cuts a step there; when it hardly changes, events must stay."""
+    begin_ns, end_ns = EPOCH_NS - 5 * MS, EPOCH_NS + 5 * MS
+    found = []
+    for share in (0.0, 1e-6):
+        sensor = Sensor(with_(leak_hz=0.01, jitter=JitterParameters(leak_share=share)), 1)
+        sensor.reset(still(), begin_ns)
+        events = np.concatenate([sensor.expose(still(np.exp(0.5)), end_ns), sensor.finish()])
+        found.append(events[np.lexsort([events["t"], pixel_of(events)])])
+    assert len(found[0]) > PIXELS
+    assert np.array_equal(found[0][["x", "y", "on"]], found[1][["x", "y", "on"]])
+    off_us = np.abs(found[0]["t"].astype(int) - found[1]["t"].astype(int))
+    assert off_us.max() < 100  # two pieces solve the filter better than one
+
+
+def test_particles_do_not_wake_the_dead():
+    p = with_(defects=DefectParameters(dead_share=0.5), radiation=RadiationParameters(hits_per_cm2_s=1e6))
+    found, _ = run(p, end_ns=100 * MS)
+    assert len(found) > 200
+    assert not np.isin(pixel_of(found), draw_defects(p, 1).dead).any()
+
+
+def test_pixels_turn_hot_within_a_stretch_of_leak_jitter():
+    radiation = RadiationParameters(dose_krad_per_day=1e4, hot_share_per_krad=1e-2)
+    p = with_(leak_hz=0.0, jitter=JitterParameters(leak_share=0.1), radiation=radiation)
+    defects = draw_defects(p, 1)
+    first_ns = int(defects.hot_from_ns[0])
+    assert 0 < first_ns < EPOCH_NS
+    sensor = Sensor(p, 1)
+    sensor.reset(still(), 0)
+    leaks = []
+    for t_ns in (first_ns - 1, first_ns + 1):
+        sensor.expose(still(), t_ns)
+        leaks.append(sensor.pixels.field(Field.LEAK).ravel()[defects.hot[0]])
+    assert leaks[0] == 0 < leaks[1]
+
+
 @settings(max_examples=15, deadline=None)
 @given(steps=st.lists(st.integers(0, 40 * MS), min_size=1, max_size=12), seed=st.integers(0, 2**32))
 def test_every_event_has_one_fate(steps, seed):
