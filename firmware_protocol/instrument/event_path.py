@@ -85,10 +85,9 @@ class EventPath:
         return self._queue.room
 
     @property
-    def horizon_us(self) -> int | None:
-        """Stream time that may be reached without an event's getting too old; None when none waits for the line."""
-        oldest_us = self._queue.oldest_us
-        return None if oldest_us is None or self.rate_limit else oldest_us + self._queue.bounds.age_us
+    def patience_us(self) -> int | None:
+        """How long an event may wait for the line, us; None where a rate limit is what it waits for."""
+        return None if self.rate_limit else self._queue.bounds.age_us
 
     @property
     def oldest_us(self) -> int | None:

@@ -114,8 +114,11 @@ class Instrument(EventDevice):
     @property
     def horizon_us(self) -> int:
         """Stream time to which it can be advanced now without an event's getting too old."""
-        horizon_us = self._path.horizon_us if self.streaming else None
-        return super().horizon_us if horizon_us is None else horizon_us
+        patience_us = self._path.patience_us if self.streaming else None
+        if patience_us is None:
+            return super().horizon_us
+        oldest_us = self._path.oldest_us
+        return patience_us + (self._now_us if oldest_us is None else oldest_us)
 
     @property
     def counters(self) -> CameraCounters:

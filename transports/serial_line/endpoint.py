@@ -89,9 +89,9 @@ class SerialEndpoint(Endpoint):
         while self._heard and self._port is not None and self._port.unsent and self._clock.now_ns() < deadline_ns:
             await asyncio.sleep(_CLOSE_LOOK_S)
         self._notice(False)
-        if self._port is not None:
-            self._port.close()
-            self._port = None
+        port, self._port = self._port, None
+        if port is not None:
+            await asyncio.to_thread(port.close)
 
     @property
     def state(self) -> str:
@@ -159,9 +159,9 @@ class SerialEndpoint(Endpoint):
 
     def _vanished(self) -> None:
         self._notice(False)
-        if self._port is not None:
-            self._port.close()
-            self._port = None
+        port, self._port = self._port, None
+        if port is not None:
+            asyncio.get_running_loop().run_in_executor(None, port.close)
         self._retry_ns = self._clock.now_ns() + _RETRY_NS
 
     def _reopen(self) -> None:

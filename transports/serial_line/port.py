@@ -15,6 +15,7 @@ import fcntl
 import os
 import queue
 import select
+import socket
 import sys
 import termios
 import threading
@@ -127,8 +128,12 @@ class DescriptorPort(Port):
         return 0
 
     def close(self) -> None:
-        """Close it."""
+        """Close it; takes a third of a second for a socket."""
+        # pyserial forgets to close a socket whose other side is gone (protocol_socket.py: shutdown raises first).
+        connection: socket.socket | None = getattr(self._serial, "_socket", None)
         self._serial.close()
+        if connection is not None:
+            connection.close()
 
 
 class ThreadedPort(Port):
