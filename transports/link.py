@@ -27,6 +27,8 @@ from typing import Any, Generic, TypeVar
 from firmware_protocol.edges import Edges
 from firmware_protocol.event_device import CameraCounters, EventDevice
 from transports.deliveries import Deliveries
+from transports.faults.kinds import Fault
+from transports.faults.script import FaultRecord
 from transports.feed import ClockReport, ClockTruth, EdgeReport, Feed, Timing
 from transports.latency import LatencySummary
 from transports.pacing import Clock, MonotonicClock
@@ -42,6 +44,7 @@ __all__ = [
     "LinkReport",
     "LinkSetup",
     "Stop",
+    "Throw",
     "run_link",
 ]
 
@@ -57,6 +60,13 @@ class Stop:
     """The session's last word to a link: deliver what waits, but not for longer than `drain_s`."""
 
     drain_s: float
+
+
+@dataclass(frozen=True)
+class Throw:
+    """The session's word to a link that a fault begins now, one that this kind of link can have."""
+
+    fault: Fault
 
 
 @dataclass(frozen=True)
@@ -96,6 +106,9 @@ class LinkReport:
         What became of edges before the camera took them.
     clock
         How wrong the camera's own clock is, where it is modelled.
+    faults
+        What each fault thrown so far has done. What they destroyed is in `dropped`; the camera's own counters, which
+        cannot know of it, have it as delivered.
     """
 
     state: str
@@ -111,6 +124,7 @@ class LinkReport:
     counts: Mapping[str, int] = field(default_factory=dict)
     edges: EdgeReport = field(default_factory=EdgeReport)
     clock: ClockReport | None = None
+    faults: tuple[FaultRecord, ...] = ()
 
     @property
     def dropped_in_device(self) -> int:
@@ -147,6 +161,19 @@ class Endpoint(ABC):
         USB sends none: a DAVIS346's leave by a connector of their own.
         """
         return 0
+
+    def reach(self, stream_us: int) -> None:
+        """Stream time has reached this: faults in the rig begin and end by it."""
+        return
+
+    def throw(self, fault: Fault) -> None:
+        """Let a fault begin now; raises ValueError for one that this link cannot have."""
+        raise ValueError(f"{fault.kind!r} is no fault of this kind of link")
+
+    @property
+    def faults(self) -> tuple[FaultRecord, ...]:
+        """What each fault has done so far."""
+        return ()
 
     @abstractmethod
     async def close(self) -> None:
@@ -229,6 +256,7 @@ class Link:
         elif origin_ns is not None:
             due_us = max(0, (self._clock.now_ns() - origin_ns) // 1000 - self._holdback_us)
             self._feed.feed(min(due_us, self._ring.now_us), _TAKE_LIMIT)
+        self.endpoint.reach(self._feed.reached_us)
         marks = self._feed.own_marks()
         if len(marks):
             self.endpoint.mark(marks)
@@ -245,11 +273,13 @@ class Link:
         """Say what the link has done; the final report counts what was left in the ring as dropped."""
         counters = self._device.counters
         left = self._ring.waiting if final else 0
+        faults = self.endpoint.faults
+        destroyed = sum(fault.events_lost for fault in faults)
         return LinkReport(
             state="closed" if final else self.endpoint.state,
             address=None if final else self.endpoint.address,
-            delivered=counters.delivered,
-            dropped=counters.lost_on_link + self._ring.refused + left,
+            delivered=counters.delivered - destroyed,
+            dropped=counters.lost_on_link + self._ring.refused + left + destroyed,
             camera=counters,
             latency=self._deliveries.latency.summary(),
             digest=self._deliveries.digest,
@@ -259,6 +289,7 @@ class Link:
             counts=self.endpoint.counts,
             edges=self._feed.edge_report(final=final),
             clock=self._clock_report(final=final),
+            faults=faults,
         )
 
     def _clock_report(self, *, final: bool) -> ClockReport | None:
@@ -338,8 +369,11 @@ async def _tick_until_stopped(link: Link, setup: LinkSetup[Any], control: Connec
             control.send(link.report())
             report_ns = now_ns + _REPORT_PERIOD_NS
         if stop_ns is None and control.poll():
-            stop: Stop = control.recv()
-            stop_ns = now_ns + int(stop.drain_s * 1e9)
+            word: Stop | Throw = control.recv()
+            if isinstance(word, Throw):
+                link.endpoint.throw(word.fault)
+            else:
+                stop_ns = now_ns + int(word.drain_s * 1e9)
         deadline_ns = max(deadline_ns + period_ns, now_ns)
         await _sleep_until(loop, deadline_ns, clock)
 

@@ -12,12 +12,15 @@ from __future__ import annotations
 import asyncio
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.outgoing import Outgoing
 from firmware_protocol.packets.profile import Profile
 from transports.deliveries import Deliveries
+from transports.faults.faulty_line import FaultyLine
+from transports.faults.kinds import Fault
+from transports.faults.script import FaultPlan, FaultRecord
 from transports.link import Endpoint, EndpointFactory, LineUse
 from transports.serial_line.opening import open_port
 from transports.serial_line.pacing import BaudClock
@@ -38,6 +41,7 @@ class SerialFactory(EndpointFactory[Instrument]):
     """Puts an instrument on a line, in the packets and framing that it names."""
 
     line: SerialParameters
+    faults: FaultPlan = field(default_factory=FaultPlan)
 
     def build(self, device: Instrument, deliveries: Deliveries) -> SerialEndpoint:
         """Return the endpoint, its port not yet open."""
@@ -56,6 +60,7 @@ class SerialEndpoint(Endpoint):
         self._commands = self._profile.command_unwrapper()
         self._baud = BaudClock(self._line.baud, self._line.bits)
         self._out: Transmitter[Outgoing] = Transmitter(self._baud, self._next_frame, self._left, _AHEAD_NS)
+        self._faulty = FaultyLine(factory.faults, self._line.profile, self._baud.bytes_per_s, self._arrived)
         self._counts: Counter[str] = Counter()
         self._port: Port | None = None
         self._heard = False
@@ -78,6 +83,8 @@ class SerialEndpoint(Endpoint):
             self._receive(port.read())
             if self._heard:
                 self._out.pump(self._write, self._clock.now_ns())
+                self._faulty.flush(port.write)
+                self._faulty.settle()
         except OSError:
             self._vanished()
 
@@ -89,9 +96,23 @@ class SerialEndpoint(Endpoint):
         while self._heard and self._port is not None and self._port.unsent and self._clock.now_ns() < deadline_ns:
             await asyncio.sleep(_CLOSE_LOOK_S)
         self._notice(False)
+        self._faulty.close()
         port, self._port = self._port, None
         if port is not None:
             await asyncio.to_thread(port.close)
+
+    def reach(self, stream_us: int) -> None:
+        """See `Endpoint.reach`."""
+        self._faulty.advance(stream_us, self._out.begun)
+
+    def throw(self, fault: Fault) -> None:
+        """See `Endpoint.throw`."""
+        self._faulty.throw(fault)
+
+    @property
+    def faults(self) -> tuple[FaultRecord, ...]:
+        """See `Endpoint.faults`."""
+        return self._faulty.records
 
     @property
     def state(self) -> str:
@@ -121,11 +142,12 @@ class SerialEndpoint(Endpoint):
             "damaged_frames": self._instrument.frames_refused,
             "held_back": self._out.held,
             "reconnections": self._counts["reconnections"],
+            "false_messages": self._faulty.false,
         }
 
     def _write(self, data: bytes) -> int:
-        """Give bytes to the port: the one way out, where faults of the line belong."""
-        return 0 if self._port is None else self._port.write(data)
+        """Give bytes to the port, by way of the line's faults: the one way out."""
+        return 0 if self._port is None else self._faulty.write(data, self._port.write)
 
     def _receive(self, data: bytes) -> None:
         """Take bytes of the other side: the one way in."""
@@ -141,8 +163,11 @@ class SerialEndpoint(Endpoint):
         return None if outgoing is None else Frame(self._profile.wrap(outgoing.message), outgoing)
 
     def _left(self, outgoing: Outgoing) -> None:
-        self._deliveries.add(outgoing.events, outgoing.epoch_us, outgoing.edges)
         self._instrument.sent(outgoing)
+        self._faulty.left(outgoing)
+
+    def _arrived(self, outgoing: Outgoing) -> None:
+        self._deliveries.add(outgoing.events, outgoing.epoch_us, outgoing.edges)
 
     def _notice(self, heard: bool) -> None:
         """Follow whether somebody listens."""
@@ -153,6 +178,7 @@ class SerialEndpoint(Endpoint):
             self._baud.restart(self._clock.now_ns())
             self._instrument.connected()
         else:
+            self._faulty.drop()
             for outgoing in self._out.drop():
                 self._instrument.lost(outgoing)
             self._instrument.disconnected()

@@ -62,6 +62,11 @@ class Transmitter(Generic[_Tag]):
         """Bytes that have been pulled and not sent."""
         return self._waiting
 
+    @property
+    def begun(self) -> bytes:
+        """What has left of the frame that is on the line."""
+        return self._frames[0].data[: self._gone] if self._frames else b""
+
     def pump(self, write: Callable[[bytes], int], now_ns: int) -> None:
         """Send what is due, and pull what will be next."""
         while self._fill(now_ns):

@@ -1,0 +1,189 @@
+"""When faults begin and end, what each has done so far, and the log of it.
+
+    rig's [[faults]] --at_s--> +
+    by hand ---------throw---> + --> stages at work --> over: by for_s, by count, or with the run
+                                     |
+                                     +--> FaultRecord for each, and a line of JSON for each begin, strike and end
+
+Randomness is keyed by the run's seed, the link's name and the number of the fault on its link, so that a run repeats.
+"""
+
+from __future__ import annotations
+
+import json
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Generic, Protocol, TypeVar
+
+import numpy as np
+
+from transports.faults.kinds import Fault
+
+__all__ = ["FaultPlan", "FaultRecord", "Faults", "Stage"]
+
+_MOST_PLACES = 16  # told of one strike
+
+
+class Stage(Protocol):
+    """A fault at work; see `ByteStage` and `FrameStage`."""
+
+    hits: int
+    touched: int
+    over: bool
+
+
+S = TypeVar("S", bound=Stage)
+
+
+@dataclass(frozen=True)
+class FaultPlan:
+    """The faults of one link: from the rig, and how those thrown by hand are drawn and logged.
+
+    Attributes
+    ----------
+    log
+        File to which lines are appended; None for none.
+    """
+
+    link: str = ""
+    scripted: tuple[Fault, ...] = ()
+    seed: int = 0
+    log: Path | None = None
+
+
+@dataclass(frozen=True)
+class FaultRecord:
+    """What one fault did.
+
+    Attributes
+    ----------
+    number
+        Of the fault on its link, from 1.
+    began_us, ended_us
+        Stream time; None while it has not ended.
+    hits
+        Times that it struck.
+    touched
+        Bytes or frames that it changed, took away, put in or held.
+    events_lost, edges_lost
+        That a sound receiver does not get because of it. Where faults overlap, the last that struck is blamed.
+    """
+
+    number: int
+    kind: str
+    began_us: int
+    ended_us: int | None = None
+    hits: int = 0
+    touched: int = 0
+    events_lost: int = 0
+    edges_lost: int = 0
+
+
+@dataclass
+class _Thrown(Generic[S]):
+    stage: S
+    record: FaultRecord
+    until_us: int | None
+
+
+class Faults(Generic[S]):
+    """The faults of one link, in stream time.
+
+    Parameters
+    ----------
+    build
+        Makes a fault's stage; raises ValueError for a fault that this link cannot have.
+    """
+
+    def __init__(self, plan: FaultPlan, build: Callable[[Fault, np.random.Generator], S]) -> None:
+        self._plan = plan
+        self._build = build
+        self._waiting = sorted(plan.scripted, key=lambda fault: fault.at_s)
+        self._active: list[_Thrown[S]] = []
+        self._all: list[_Thrown[S]] = []
+        self._blamed: _Thrown[S] | None = None
+        self._now_us = 0
+        self._log = None if plan.log is None else plan.log.open("a", encoding="utf-8", buffering=1)
+
+    @property
+    def stages(self) -> list[S]:
+        """Those at work, the oldest first."""
+        return [thrown.stage for thrown in self._active]
+
+    @property
+    def records(self) -> tuple[FaultRecord, ...]:
+        """What each has done."""
+        return tuple(self._record(thrown) for thrown in self._all)
+
+    @property
+    def lost(self) -> tuple[int, int]:
+        """Events and edges that faults destroyed."""
+        records = [thrown.record for thrown in self._all]
+        return sum(r.events_lost for r in records), sum(r.edges_lost for r in records)
+
+    def advance(self, now_us: int) -> list[S]:
+        """Let stream time pass: begin what is due; return the stages of those that are over now."""
+        self._now_us = max(self._now_us, now_us)
+        while self._waiting and self._waiting[0].at_s * 1e6 <= self._now_us:
+            fault = self._waiting.pop(0)
+            self._begin(fault, round(fault.at_s * 1e6))
+        over = [t for t in self._active if t.stage.over or (t.until_us is not None and t.until_us <= self._now_us)]
+        for thrown in over:
+            self._end(thrown)
+        return [thrown.stage for thrown in over]
+
+    def throw(self, fault: Fault) -> None:
+        """Begin a fault now; raises ValueError when this link cannot have it."""
+        self._begin(fault, self._now_us)
+
+    def struck(self, stage: S, places: list[int]) -> None:
+        """Say that a stage is at work, and has struck anew at `places`; what is lost from now on is its doing."""
+        thrown = next(t for t in self._active if t.stage is stage)
+        self._blamed = thrown
+        if places:
+            self._write(thrown, "struck", places=places[:_MOST_PLACES], hits=len(places))
+
+    def lose(self, events: int, edges: int) -> None:
+        """Count what a sound receiver will not get."""
+        if self._blamed is None or not (events or edges):
+            return
+        record = self._blamed.record
+        self._blamed.record = replace(
+            record, events_lost=record.events_lost + events, edges_lost=record.edges_lost + edges
+        )
+        self._write(self._blamed, "lost", events=events, edges=edges)
+
+    def close(self) -> None:
+        """End them all, and the log."""
+        for thrown in list(self._active):
+            self._end(thrown)
+        if self._log is not None:
+            self._log.close()
+            self._log = None
+
+    def _begin(self, fault: Fault, at_us: int) -> None:
+        number = len(self._all) + 1
+        key = (self._plan.seed, zlib.crc32(self._plan.link.encode()), number)
+        stage = self._build(fault, np.random.default_rng(key))
+        until_us = at_us + round(fault.for_s * 1e6) if fault.for_s else None
+        thrown = _Thrown(stage, FaultRecord(number, fault.kind, self._now_us), until_us)
+        self._active.append(thrown)
+        self._all.append(thrown)
+        self._write(thrown, "began", for_s=fault.for_s)
+
+    def _end(self, thrown: _Thrown[S]) -> None:
+        self._active.remove(thrown)
+        thrown.record = replace(thrown.record, ended_us=self._now_us)
+        self._write(thrown, "ended", hits=thrown.stage.hits, touched=thrown.stage.touched)
+
+    def _record(self, thrown: _Thrown[S]) -> FaultRecord:
+        return replace(thrown.record, hits=thrown.stage.hits, touched=thrown.stage.touched)
+
+    def _write(self, thrown: _Thrown[S], what: str, **told: object) -> None:
+        if self._log is None:
+            return
+        record = thrown.record
+        head = {"t_us": self._now_us, "link": self._plan.link, "fault": record.number, "kind": record.kind}
+        self._log.write(json.dumps({**head, "what": what, **told}) + "\n")
