@@ -198,7 +198,7 @@ class Bodies(Scene):
             seen = self._as_seen(part.mesh, _SEEN_PX * room_m / self._pinhole.focal_px, str(body.shape))
             part.facets = Facets(gl, seen, body.reflectance, self._shadows)
             if self._shadows and body.throws_shadow:
-                part.thrower = self._shadows.thrower(coarser(part.mesh, 2 * self._shadows.texel_m))
+                part.thrower = self._shadows.thrower(coarser(part.mesh, self._shadows.coarse_m))
 
     def _as_seen(self, mesh: Mesh, cell_m: float, name: str) -> Mesh:
         if facet_size_m(mesh) > cell_m:

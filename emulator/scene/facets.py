@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.photometry.reflectance import Reflectance
+from emulator.scene.culling import Cells, draw
 from emulator.scene.mesh import Mesh
 from emulator.scene.shadows import SUNLIT_GLSL, ShadowMap
 
@@ -95,11 +96,14 @@ class Facets:
         if shadows:
             self._program["range_m"] = shadows.range_m
         points = np.hstack([mesh.vertices, mesh.normals]).astype(np.float32)
+        self._cells = Cells(mesh)
         self._array = context.vertex_array(
             self._program,
             [(context.buffer(points), "3f 3f", "position", "normal")],
-            index_buffer=context.buffer(np.ascontiguousarray(mesh.faces)),
+            index_buffer=context.buffer(self._cells.faces),
+            skip_errors=True,  # a black body's shader has no use for normals
         )
+        self._commands = context.buffer(reserve=self._cells.buffer_bytes)
 
     def render(
         self,
@@ -124,4 +128,4 @@ class Facets:
                 self._program[name] = value
         if self._shadows:
             self._shadows.use()
-        self._array.render()
+        draw(self._array, self._cells.seen_from(-(camera_from_body.T @ place_m)), self._commands)

@@ -7,7 +7,11 @@ Along the Sun's rays the map is a parallel projection of a sphere around all tha
 A point is in the dark when the map holds a smaller depth than its own. Four neighbours are asked and their answers
 weighted bilinearly, so an edge is a ramp of one texel rather than a step; a texel is the sphere's diameter / 1024. That
 stands for the Sun's penumbra (its half-degree disc), which is that wide where a shadow falls from 0.1 of the diameter
-away at 1 au. Against surfaces shadowing themselves, points are lifted along their normals by a texel and a half.
+away at 1 au.
+
+Only the sides away from the Sun are drawn into the map. They lie in the dark anyway, so a lit surface cannot throw a
+shadow on itself by rounding, and what throws may be coarser than what is seen (by cells of eight texels). What is left
+of that trouble, near the terminator, is lifted off along the normal by a texel and a half.
 
 Left out: penumbras much wider than a texel, and those of one body on another far away.
 """
@@ -21,6 +25,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.scene.attitude import Matrix, Vector, unit
+from emulator.scene.culling import Cells, draw
 from emulator.scene.mesh import Mesh
 
 if TYPE_CHECKING:
@@ -30,6 +35,7 @@ __all__ = ["SUNLIT_GLSL", "ShadowMap", "Thrower"]
 
 _TEXELS = 1024
 _LIFT_TEXELS = 1.5
+_COARSE_TEXELS = 8
 
 _VERTEX = """
 #version 430
@@ -61,15 +67,17 @@ class Thrower:
     """A mesh that throws shadows, as coarse as the map can show."""
 
     def __init__(self, context: moderngl.Context, program: moderngl.Program, mesh: Mesh) -> None:
+        self._cells = Cells(mesh)
         self._array = context.vertex_array(
             program,
             [(context.buffer(mesh.vertices.astype(np.float32)), "3f", "position")],
-            index_buffer=context.buffer(np.ascontiguousarray(mesh.faces)),
+            index_buffer=context.buffer(self._cells.faces),
         )
+        self._commands = context.buffer(reserve=self._cells.buffer_bytes)
 
-    def render(self) -> None:
-        """Draw into the map."""
-        self._array.render()
+    def render(self, sun: Vector) -> None:
+        """Draw the sides away from the Sun, which is at `sun` (3,) in the body's frame, into the map."""
+        draw(self._array, self._cells.turned_from(sun), self._commands)
 
 
 class ShadowMap:
@@ -78,6 +86,7 @@ class ShadowMap:
     Attributes
     ----------
     lift_m : how far points are to be lifted along their normals before they are looked up.
+    coarse_m : how coarse what throws shadows may be.
     """
 
     def __init__(self, context: moderngl.Context, radius_m: float) -> None:
@@ -90,6 +99,7 @@ class ShadowMap:
         self._program["range_m"] = self._range_m
         self.texel_m = self._range_m / _TEXELS
         self.lift_m = _LIFT_TEXELS * self.texel_m
+        self.coarse_m = _COARSE_TEXELS * self.texel_m
 
     @property
     def range_m(self) -> float:
@@ -115,10 +125,11 @@ class ShadowMap:
         gl = self._context
         self._target.use()
         self._target.clear()
-        gl.enable_only(gl.DEPTH_TEST)
+        gl.enable_only(gl.DEPTH_TEST | gl.CULL_FACE)
+        gl.front_face, gl.cull_face = "cw", "front"
         for thrower, shadow_from_body in throwers:
             self._program["shadow_from_body"] = tuple(shadow_from_body.T.ravel())
-            thrower.render()
+            thrower.render(unit(-shadow_from_body[2, :3]))  # the map's third axis goes away from the Sun
 
     def use(self) -> None:
         """Put the map where shaders look for it."""

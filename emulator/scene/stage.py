@@ -143,7 +143,7 @@ class Stage:
         self._fine.use()
         self._fine.viewport = (-reach.left * n, -reach.top * n, self.size[0] * n, self.size[1] * n)
         gl.enable_only(gl.DEPTH_TEST | gl.CULL_FACE)
-        gl.front_face = "cw"
+        gl.front_face, gl.cull_face = "cw", "back"
         self._fine.clear(viewport=(0, 0, reach.width * n, reach.height * n))
 
     def _average(self, gl: moderngl.Context) -> None:
