@@ -1,26 +1,42 @@
 """What every link promises, each in its own process, with a real host at the other end."""
 
 import os
+import queue
 import signal
+import threading
+import time
+from contextlib import suppress
 from functools import partial
 
 import numpy as np
 import pytest
+import serial
 
 from emulator.link_process import LinkFailed, LinkProcess
 from firmware_protocol.davis346 import Davis346, Davis346Settings
 from firmware_protocol.events import EVENT
+from firmware_protocol.instrument.instrument import Instrument
+from firmware_protocol.instrument.settings import InstrumentSettings
+from firmware_protocol.packets.profile import Profile
 from transports.davis_host import DavisHost
 from transports.digest import digest_of
 from transports.link import LinkSetup
 from transports.loopback import LoopbackFactory
 from transports.pacing import MonotonicClock
 from transports.ring import FREE_RUNNING, EventRing
+from transports.serial_line.endpoint import SerialFactory
+from transports.serial_line.parameters import SerialParameters
+from transports.serial_line.reception import SerialReceiver
 from transports.usbip.client import UsbipHost
 from transports.usbip.endpoint import UsbipFactory
 
-ENDPOINTS = {"loopback": LoopbackFactory(), "usbip": UsbipFactory("127.0.0.1", 0, "1-1")}
 CAMERA = partial(Davis346, Davis346Settings(start_delay_us=0))
+INSTRUMENT = partial(Instrument, (346, 260), InstrumentSettings(housekeeping_s=0))
+ENDPOINTS = {
+    "loopback": (CAMERA, LoopbackFactory()),
+    "usbip": (CAMERA, UsbipFactory("127.0.0.1", 0, "1-1")),
+    "serial": (INSTRUMENT, SerialFactory(SerialParameters(baud=12_000_000))),
+}
 pytestmark = pytest.mark.socket
 
 
@@ -37,6 +53,9 @@ def stream(count, start_us=0):
 class NoHost:
     """The loopback link reads itself."""
 
+    def __init__(self, link):
+        pass
+
     def read(self, count):
         return None
 
@@ -47,8 +66,8 @@ class NoHost:
 class UsbipReader:
     """A driver in this process, attached over TCP."""
 
-    def __init__(self, address):
-        host, _, port = address.rpartition(":")
+    def __init__(self, link):
+        host, _, port = link.report.address.rpartition(":")
         self._camera = DavisHost(UsbipHost.attach(host, int(port), "1-1", timeout_s=10.0))
         self._camera.start()
 
@@ -66,6 +85,43 @@ class UsbipReader:
         self._camera.close()
 
 
+class SerialReader:
+    """A computer that has opened the pty and reads it all the time, as a real one's interrupt does."""
+
+    def __init__(self, link):
+        self._receiver = SerialReceiver(Profile())
+        self._parts = queue.SimpleQueue()
+        self._port = serial.Serial(link.report.address, timeout=0.05)
+        self._open = True
+        self._thread = threading.Thread(target=self._read_on)
+        self._thread.start()
+        while "waiting" in link.listen().state:
+            time.sleep(0.01)
+
+    def _read_on(self):
+        with suppress(OSError):  # the link has closed its side
+            while self._open:
+                if data := self._port.read(self._port.in_waiting or 1):
+                    self._parts.put(data)
+
+    def read(self, count):
+        """Return the next `count` events."""
+        batches, have = [], 0
+        while have < count:
+            batches.append(self._receiver.push(self._parts.get(timeout=20.0)).events)
+            have += len(batches[-1])
+        assert self._receiver.faults == 0
+        return np.concatenate(batches)
+
+    def close(self):
+        self._open = False
+        self._thread.join()
+        self._port.close()
+
+
+READERS = {"loopback": NoHost, "usbip": UsbipReader, "serial": SerialReader}
+
+
 @pytest.fixture(params=ENDPOINTS)
 def endpoint(request):
     return request.param
@@ -73,7 +129,7 @@ def endpoint(request):
 
 @pytest.fixture
 def link(endpoint):
-    setup = LinkSetup(endpoint, EventRing(20_000), CAMERA, ENDPOINTS[endpoint])
+    setup = LinkSetup(endpoint, EventRing(20_000), *ENDPOINTS[endpoint])
     link = LinkProcess(setup, MonotonicClock())
     link.wait_ready()
     yield link
@@ -82,7 +138,7 @@ def link(endpoint):
 
 @pytest.fixture
 def reader(endpoint, link):
-    reader = NoHost() if endpoint == "loopback" else UsbipReader(link.report.address)
+    reader = READERS[endpoint](link)
     yield reader
     reader.close()
 
@@ -134,13 +190,13 @@ def test_a_process_that_dies_is_told(link):
 
 
 def test_hosts_come_and_go():
-    setup = LinkSetup("usbip", EventRing(), CAMERA, ENDPOINTS["usbip"])
+    setup = LinkSetup("usbip", EventRing(), *ENDPOINTS["usbip"])
     link = LinkProcess(setup, MonotonicClock())
     link.wait_ready()
     link.start(FREE_RUNNING)
     now_us = 0
     for _ in range(3):
-        reader = UsbipReader(link.report.address)
+        reader = UsbipReader(link)
         events = stream(2000, now_us)
         now_us += 6000
         link.push_all(events, now_us)
