@@ -243,6 +243,13 @@ def test_an_event_is_thinned_by_the_light_of_its_own_step():
     assert lasting(found) == lasting(Crossings(whole.t_ns[lit], whole.pixel[lit], whole.on[lit]))
 
 
+def test_a_reset_forgets_what_was_ahead():
+    noise = NoiseEvents(PLAIN, 1, np.full(PIXELS, 0.2))
+    noise.step(light(), 50 * MS + 345)
+    noise.reset(0)
+    assert same(noise.step(light(), 100 * MS), run(end_ns=100 * MS))
+
+
 def test_seeds_differ_and_repeat():
     assert same(run(seed=4, end_ns=50 * MS), run(seed=4, end_ns=50 * MS))
     assert not same(run(seed=4, end_ns=50 * MS), run(seed=5, end_ns=50 * MS))
