@@ -3,119 +3,18 @@
 import asyncio
 import socket
 import time
-from functools import partial
 
 import numpy as np
 import pytest
-import serial
+from line_bench import ORIGIN_NS, PATIENCE_S, TICK_NS, Bench, stream
 
-from firmware_protocol.events import EVENT
-from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
-from firmware_protocol.packets.profile import Profile
 from firmware_protocol.packets.telecommands import Ping, SetTick, Start, Stop
 from transports.digest import digest_of
-from transports.link import Link, LinkSetup
-from transports.pacing import FakeClock
 from transports.record import load_record
-from transports.ring import FREE_RUNNING, EventRing
-from transports.serial_line.endpoint import SerialFactory
-from transports.serial_line.parameters import SerialParameters
-from transports.serial_line.reception import SerialReceiver
+from transports.ring import FREE_RUNNING
 
-ORIGIN_NS = 1_000_000_000
-TICK_NS = 500_000
-PATIENCE_S = 20.0
 PROFILES = ["ccsds-cobs", "ccsds-slip", "ccsds-kiss", "csp-kiss", "fprime"]
-
-
-def stream(count, every_us=20, start_us=0):
-    rng = np.random.default_rng(start_us)
-    events = np.zeros(count, EVENT)
-    events["t"] = start_us + np.arange(count) * every_us
-    events["x"], events["y"] = rng.integers(0, 346, count), rng.integers(0, 260, count)
-    events["on"] = rng.integers(0, 2, count)
-    return events
-
-
-class Bench:
-    """A link on a clock that the test moves, and its reader."""
-
-    def __init__(self, record=None, settings=None, **line):
-        self.clock = FakeClock(ORIGIN_NS)
-        self.ring = EventRing(200_000)
-        parameters = SerialParameters(**{"baud": 3_000_000, **line})
-        device = partial(Instrument, (346, 260), settings or InstrumentSettings(housekeeping_s=0))
-        self.link = Link(LinkSetup("serial", self.ring, device, SerialFactory(parameters), record), self.clock)
-        self.receiver = SerialReceiver(Profile(parameters.profile))
-        self.port, self.closed = None, False
-        self.parts, self.told = [], []
-
-    async def open(self):
-        await self.link.endpoint.start()
-
-    def plug(self):
-        """Open the reader's side."""
-        self.port = serial.Serial(self.link.endpoint.address, timeout=0)
-        self.link.tick()
-
-    def give(self, events, now_us):
-        self.ring.push(events)
-        self.ring.publish(now_us)
-
-    def run(self, ticks, read=True):
-        """Let ticks pass; the reader reads meanwhile."""
-        for _ in range(ticks):
-            self.clock.advance(TICK_NS)
-            self.link.tick()
-            if read:
-                self.read()
-
-    def read(self):
-        arrival = self.receiver.push(self.port.read(1 << 16))
-        self.parts.append(arrival.events)
-        self.told += arrival.told
-
-    def read_until(self, count):
-        """Read what the kernel still holds: it hands a pty's bytes over in its own time."""
-        deadline = time.monotonic() + PATIENCE_S
-        while len(self.events) < count:
-            assert time.monotonic() < deadline, f"{len(self.events)} of {count} events came"
-            self.read()
-
-    def tell(self, command):
-        self.port.write(self.receiver.wrap(command))
-        before, deadline = len(self.told), time.monotonic() + PATIENCE_S
-        while len(self.told) < before + 2:
-            assert time.monotonic() < deadline, "no answer"
-            self.run(1)
-        return self.told[before:]
-
-    def close(self):
-        """Unplug, and close the link."""
-        if self.port:
-            self.port.close()
-        asyncio.run(self.link.close())
-        self.closed = True
-
-    @property
-    def events(self):
-        return np.concatenate(self.parts) if self.parts else np.zeros(0, EVENT)
-
-
-@pytest.fixture
-def bench():
-    made = []
-
-    def make(**settings):
-        made.append(Bench(**settings))
-        asyncio.run(made[-1].open())
-        return made[-1]
-
-    yield make
-    for each in made:
-        if not each.closed:
-            each.close()
 
 
 @pytest.mark.parametrize("profile", PROFILES)
