@@ -2,6 +2,8 @@
 
 import asyncio
 import threading
+from dataclasses import replace
+from functools import partial
 
 import can
 import numpy as np
@@ -11,11 +13,19 @@ from hypothesis import strategies as st
 
 from firmware_protocol.can_frames.frame import Frame
 from firmware_protocol.can_frames.socketcand import SocketcandSession, frame_line
+from firmware_protocol.events import EVENT
+from firmware_protocol.instrument.instrument import Instrument
+from firmware_protocol.instrument.settings import InstrumentSettings
 from transports.can_bus.bus import BusDown
+from transports.can_bus.endpoint import CanFactory
+from transports.can_bus.listener import listen_can, peer_of
 from transports.can_bus.parameters import CanParameters
 from transports.can_bus.python_can import PythonCanBus, from_message, to_message
 from transports.can_bus.served import ServedBus
-from transports.pacing import MonotonicClock
+from transports.link import Link, LinkSetup
+from transports.pacing import FakeClock, MonotonicClock
+from transports.record import Recorder, load_record
+from transports.ring import EventRing
 
 
 def test_the_handshake_and_a_frame_each_way():
@@ -75,7 +85,6 @@ def test_python_can_hears_us_and_we_hear_it():
         heard, to_send = [], list(ours)
         while not bus.heard:
             await asyncio.sleep(0.001)
-        await asyncio.sleep(0.03)  # the client's handshake settles
         while thread.is_alive():
             heard += bus.take()
             while to_send and bus.send(to_send[0]):
@@ -100,7 +109,8 @@ def test_our_reader_of_python_can_joins_it():
         port = int(bus.address.rpartition(":")[2])
         reader = PythonCanBus(CanParameters(interface="socketcand", port=port), "can0")
         await reader.open()
-        await asyncio.sleep(0.03)
+        while not bus.heard:
+            await asyncio.sleep(0.001)
         bus.send(Frame(0x080, b"\x07"), urgent=True)
         frames, own = [], []
         while not frames:
@@ -130,3 +140,62 @@ def test_a_port_that_is_taken_is_named():
 
     with pytest.raises(BusDown, match="give this link another port"):
         asyncio.run(twice())
+
+
+@pytest.mark.parametrize("at_us", range(0, 130, 13))
+def test_our_sync_waits_for_one_frame_at_most_on_a_full_bus(at_us):
+    clock = FakeClock(10**9)
+    bus = ServedBus(CanParameters(), clock)
+    events = Frame(0x1A2, bytes(8))
+    while bus.send(events):
+        pass
+    clock.advance(at_us * 1000)
+    offered_ns = clock.now_ns()
+    assert bus.send(Frame(0x080, b"\1"), urgent=True)
+    clock.advance(1_000_000)
+    (sync,) = bus.take()
+    assert sync.t_ns - offered_ns <= (135 + 59) * 1000
+
+
+@pytest.mark.socket
+@pytest.mark.parametrize("carriage", ["raw", "isotp", "cfp"])
+def test_a_listener_gets_the_events_that_the_link_delivers(tmp_path, carriage):
+    rng = np.random.default_rng(2)
+    events = np.zeros(400, EVENT)
+    events["t"] = np.cumsum(rng.exponential(200, 400)).astype(np.uint64)
+    events["x"], events["y"] = rng.integers(0, 346, 400), rng.integers(0, 260, 400)
+    parameters = CanParameters(port=0, carriage=carriage)
+
+    async def both():
+        device = partial(Instrument, (346, 260), InstrumentSettings(queue_ms=60_000))
+        ring, clock = EventRing(1000), MonotonicClock()
+        link = Link(LinkSetup("can", ring, device, CanFactory(parameters)), clock)
+        await link.endpoint.start()
+        there = replace(peer_of(parameters), port=int(link.endpoint.address.rpartition(":")[2]))
+        recorder = Recorder(tmp_path / "got.npz")
+        listening = asyncio.create_task(listen_can(there, lambda now: now.events < 400, clock, recorder))
+        while not (link.endpoint.use.carried or listening.done()):  # until the listener is there
+            link.tick()
+            await asyncio.sleep(0.001)
+        ring.start(clock.now_ns())
+        ring.push(events)
+        ring.publish(10**7)
+        while not listening.done():
+            link.tick()
+            await asyncio.sleep(0.0005)
+        await link.close()
+        recorder.close()
+        return listening.result(), link.report(final=True)
+
+    heard, told = asyncio.run(both())
+    assert heard.digest == told.digest
+    assert (heard.events, heard.faults, heard.gone) == (400, 0, False)
+    assert heard.jitter_us.max > 0
+    got, _ = load_record(tmp_path / "got.npz")
+    assert np.array_equal(np.sort(got, order=["t", "y", "x"]), np.sort(events, order=["t", "y", "x"]))
+
+
+@pytest.mark.socket
+def test_a_bus_that_nobody_serves_is_told_at_once():
+    with pytest.raises(BusDown, match=r"nothing serves a bus on 127\.0\.0\.1 port 1:"):
+        asyncio.run(listen_can(CanParameters(interface="socketcand", port=1), lambda _: True, MonotonicClock()))

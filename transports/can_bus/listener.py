@@ -21,7 +21,7 @@ from transports.record import Recorder
 
 __all__ = ["CanReception", "listen_can", "peer_of"]
 
-_LOOK_PERIOD_S = 0.001
+_LOOK_PERIOD_S = 0.002
 _MOST_DELAYS = 1_000_000
 
 
@@ -113,7 +113,7 @@ class _Listening:
 async def listen_can(
     parameters: CanParameters, goes_on: Callable[[CanReception], bool], clock: Clock, recorder: Recorder | None = None
 ) -> CanReception:
-    """Join the bus of `parameters` and hear it while `goes_on` says so, which is asked a thousand times a second.
+    """Join the bus of `parameters` and hear it while `goes_on` says so, which is asked every two milliseconds.
 
     Raises BusDown when it cannot be joined; a bus that goes away later ends the visit.
     """

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import errno
 import logging
+import socket
 import threading
 import time
 from collections import deque
@@ -20,6 +21,7 @@ from transports.can_bus.parameters import CanParameters
 __all__ = ["PythonCanBus", "from_message", "to_message"]
 
 _READ_TIMEOUT_S = 0.2
+_CONNECT_TIMEOUT_S = 3.0
 _OLDEST_STAMP_S = 1.0  # a stamp of the adapter that is further from now belongs to another clock
 _MOST_UNREAD = 100_000
 _IFF_UP = 1
@@ -92,6 +94,8 @@ class PythonCanBus(CanBus):
         if p.interface == "socketcand":
             # It warns of every frame that TCP delivers in two pieces.
             logging.getLogger("can.interfaces.socketcand").setLevel(logging.ERROR)
+            # It tries for ten seconds where nothing listens.
+            socket.create_connection((p.host, p.port), _CONNECT_TIMEOUT_S).close()
             settings = {"host": p.host, "port": p.port}
         elif p.fd and p.interface != "virtual":
             settings |= {"fd": True, "data_bitrate": p.data_bitrate}

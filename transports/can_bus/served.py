@@ -29,7 +29,7 @@ __all__ = ["ServedBus"]
 _ORDINARY, _URGENT = 0, 1
 _MOST_WAITING = 16  # frames handed over and not begun: 2 ms of a full bus, so that ticks may be late
 _MOST_UNSENT_BYTES = 1 << 20
-_SETTLE_NS = 20_000_000  # python-can takes an answer of the handshake for garbage when a frame follows too soon
+_SETTLE_NS = 250_000_000  # python-can takes an answer of the handshake for garbage when a frame follows too soon
 _READ_BYTES = 65_536
 
 
@@ -76,7 +76,8 @@ class ServedBus(CanBus):
     @property
     def heard(self) -> bool:
         """True while anybody listens: a frame that nobody hears is not acknowledged, and so never sent."""
-        return any(client.session.raw and not client.writer.is_closing() for client in self._clients.values())
+        now_ns = self._clock.now_ns()
+        return any(client.listens(now_ns) for client in self._clients.values())
 
     async def open(self) -> None:
         """Listen; raises BusDown when the port cannot be had."""
@@ -109,11 +110,11 @@ class ServedBus(CanBus):
         """Send off everybody."""
         if self._server is not None:
             self._server.close()
-        for client in self._clients.values():
-            client.writer.close()
+        writers = [client.writer for client in self._clients.values()]
         for task in list(self._tasks):
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
+        await asyncio.gather(*(writer.wait_closed() for writer in writers), return_exceptions=True)
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         task = asyncio.current_task()
