@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
-from emulator.bench import link, pixel, word
+from emulator.bench import link, pixel, serial_line, word
 from emulator.bench.c_decoder import COMPILER, CDecoding
 from emulator.bench.noise import NoiseLoad
 from emulator.bench.scene import Workload
@@ -67,6 +67,7 @@ MEASURES = (
     Measure("checkerboard_1280x720_warped", "steps/s", "higher", None, Workload("checkerboard", LARGE, with_rate=True)),
     Measure("eros_346x260_warped", "steps/s", "higher", None, Workload("eros", SMALL, with_rate=True)),
     Measure("eros_1280x720_warped", "steps/s", "higher", None, Workload("eros", LARGE, with_rate=True)),
+    Measure("serial_fill", "%", "higher", 98, serial_line.serial_fill),
     Measure("usbip_events", "Mev/s", "higher", 12, link.usbip_events),
     Measure("latency_p50", "us", "lower", 2000, link.latency_p50),
     Measure("latency_p99", "us", "lower", 5000, link.latency_p99),
