@@ -13,6 +13,9 @@ the radiance is L = r E, E the irradiance of a surface that faces the Sun. I/F =
                         B = B0 / (1 + tan(g / 2) / h),  H(x) = (1 + 2 x) / (1 + 2 x sqrt(1 - w))
                         (Hapke 1993, Theory of Reflectance and Emittance Spectroscopy; without roughness)
 
+    glossy              r = A mu0 / pi + S (m + 8) / (8 pi) (n.h)^m mu0,  n.h = (mu0 + mu) / (2 cos(g / 2))
+                        (Blinn's lobe around the mirror's direction, normalised: foil, solar cells, bare metal)
+
 with the phase function of Henyey and Greenstein, its mean over all directions 1, b < 0 throwing light back:
 
     P(g) = (1 - b^2) / (1 + 2 b cos g + b^2)^(3/2)
@@ -29,7 +32,7 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Hapke", "Lambert", "LommelSeeliger", "LunarLambert", "Reflectance", "henyey_greenstein"]
+__all__ = ["Glossy", "Hapke", "Lambert", "LommelSeeliger", "LunarLambert", "Reflectance", "henyey_greenstein"]
 
 Floats = npt.NDArray[np.float64]
 
@@ -192,7 +195,46 @@ class Hapke:
         )
 
 
-Reflectance = Lambert | LommelSeeliger | LunarLambert | Hapke
+@dataclass(frozen=True)
+class Glossy:
+    """A mirror that is not quite flat, over an even ground: insulation foil, solar cells.
+
+    Attributes
+    ----------
+    albedo
+        Share of the light that is thrown back evenly.
+    shine
+        Share that is thrown back around the mirror's direction.
+    sharpness
+        Exponent m of the lobe; its width is about 80 degrees / sqrt(m).
+    """
+
+    kind: ClassVar[str] = "glossy"
+    albedo: float = 0.2
+    shine: float = 0.5
+    sharpness: float = 200.0
+
+    def __post_init__(self) -> None:
+        _require(self, "albedo", 0, 1)
+        _require(self, "shine", 0, 1)
+        _require(self, "sharpness", 1, 1e5)
+
+    def reflect(self, mu0: Floats, mu: Floats, phase_rad: float | Floats) -> Floats:
+        """Return r, 1/sr."""
+        lit, m = np.maximum(mu0, 0), self.sharpness
+        halfway = np.minimum((lit + np.abs(mu)) / (2 * np.maximum(np.cos(np.asarray(phase_rad) / 2), 1e-6)), 1)
+        return np.asarray(lit * (self.albedo / math.pi + self.shine * (m + 8) / (8 * math.pi) * halfway**m))
+
+    def glsl(self) -> str:
+        """Return the law as `float reflect_sun(float mu0, float mu, float phase)`."""
+        lobe = self.shine * (self.sharpness + 8) / (8 * math.pi)
+        return _glsl(
+            "float halfway = min((mu0 + mu) / (2.0 * max(cos(0.5 * phase), 1e-6)), 1.0);"
+            f" return mu0 * ({self.albedo / math.pi!r} + {lobe!r} * pow(halfway, {self.sharpness!r}));"
+        )
+
+
+Reflectance = Lambert | LommelSeeliger | LunarLambert | Hapke | Glossy
 """Any of them, as the type of a key in a rig's table."""
 
 _HG = "(1.0 - ({b!r}) * ({b!r})) / pow(1.0 + 2.0 * ({b!r}) * cos(phase) + ({b!r}) * ({b!r}), 1.5)"

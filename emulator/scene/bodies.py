@@ -24,7 +24,7 @@ from emulator.optics.pinhole import Pinhole
 from emulator.scene.attitude import unit
 from emulator.scene.base import Light, Scene, SceneError
 from emulator.scene.bodies_table import BodiesParameters, BodyTable
-from emulator.scene.detail import coarser, facet_size_m
+from emulator.scene.detail import coarser, facet_size_m, flat
 from emulator.scene.facets import Facets, Frame
 from emulator.scene.mesh import Mesh, find_shape, load_mesh
 from emulator.scene.shadows import ShadowMap, Thrower
@@ -196,7 +196,7 @@ class Bodies(Scene):
         for body, part, range_m in zip(self._p.bodies, self._parts, self._ranges_m, strict=True):
             room_m = max(range_m - part.mesh.radius_m, 1e-6)
             seen = self._as_seen(part.mesh, _SEEN_PX * room_m / self._pinhole.focal_px, str(body.shape))
-            part.facets = Facets(gl, seen, body.reflectance, self._shadows)
+            part.facets = Facets(gl, seen if body.smooth else flat(seen), body.reflectance, self._shadows)
             if self._shadows and body.throws_shadow:
                 part.thrower = self._shadows.thrower(coarser(part.mesh, self._shadows.coarse_m))
 

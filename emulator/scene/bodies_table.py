@@ -21,7 +21,8 @@ class BodyTable:
     name
         What others call it who are fixed to it.
     shape
-        A file, or the name of a shipped model: 'eros007790', 'eros022540', 'itokawa_49152', 'target_spacecraft'.
+        A file, or the name of a shipped model: 'eros007790', 'eros022540', 'itokawa_49152', or a part of the
+        rendezvous target: 'target_bus', 'target_panel', 'target_ring', 'target_plate', 'target_marks'.
     units_m
         The shape's unit of length in metres; 1000 for kilometres.
     path
@@ -30,6 +31,8 @@ class BodyTable:
         Name of the body that it stands on; empty: the world.
     reflectance
         How it throws light back.
+    smooth
+        Whether normals are interpolated over facets, as for ground; false shows each facet flat, as for foil and boxes.
     throws_shadow
         Whether it can stand in the light of itself and others.
     """
@@ -40,6 +43,7 @@ class BodyTable:
     path: TrajectoryParameters = field(default_factory=FixedPath)
     fixed_to: str = ""
     reflectance: Reflectance = field(default_factory=LommelSeeliger)
+    smooth: bool = True
     throws_shadow: bool = True
 
     def __post_init__(self) -> None:

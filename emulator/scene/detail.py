@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from emulator.scene.mesh import Mesh
 
-__all__ = ["coarser", "facet_size_m"]
+__all__ = ["coarser", "facet_size_m", "flat"]
 
 
 def facet_size_m(mesh: Mesh) -> float:
@@ -41,6 +41,18 @@ def coarser(mesh: Mesh, cell_m: float) -> Mesh:
     cancelled = length < 1e-6  # both sides of a thin sheet in one cell: any of its normals will do
     normals = np.where(cancelled, mesh.normals[first], normals) / np.where(cancelled, 1.0, np.maximum(length, 1e-6))
     return Mesh(vertices, kept.astype(np.int32), normals, mesh.dropped_facets, mesh.open_edges, mesh.was_inside_out)
+
+
+def flat(mesh: Mesh) -> Mesh:
+    """Return the mesh with corners of its own for each facet, their normals the facet's."""
+    corners = mesh.vertices[mesh.faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    faces = np.arange(3 * len(corners), dtype=np.int32).reshape(-1, 3)
+    vertices = corners.reshape(-1, 3)
+    return Mesh(
+        vertices, faces, np.repeat(normals, 3, axis=0), mesh.dropped_facets, mesh.open_edges, mesh.was_inside_out
+    )
 
 
 def _mean(

