@@ -138,3 +138,26 @@ def test_random_bytes_are_no_block(library):
     rng = np.random.default_rng(3)
     blocks = [rng.bytes(int(rng.integers(0, 100))) for _ in range(3000)]
     assert library("b", request(blocks), size=SIZE).counters[1:3] == [3000, 0]
+
+
+def block_of(mode, size, bits, *, n=1, codes=0x30):
+    """A block with a right header around a payload written as a string of 0 and 1."""
+    w, h = size[0] - 1, size[1] - 1
+    head = bytes([0x10 | mode, codes, n >> 8, n & 255, *bytes(6), w >> 4, (w & 15) << 4 | h >> 8, h & 255])
+    return sealed(head) + bytes(int(bits[i : i + 8].ljust(8, "0"), 2) for i in range(0, len(bits), 8))
+
+
+@pytest.mark.parametrize("codes", [0x30, 0xF0], ids=["1 us", "1 ms"])
+@pytest.mark.parametrize("mode", [1, 2])
+def test_a_block_spans_less_than_2_to_31_us_and_no_more(library, mode, codes):
+    last = 2147483647 if codes == 0x30 else 2147483
+    for steps, good in (([last], 1), ([last, 0], 1), ([last, 1], 0), ([1, last], 0)):
+        # A sensor of one pixel: a step is a number of ticks, here a Rice code with k = 27; spans are one pixel long.
+        coded = ["1" * (step >> 27) + "0" + f"{step & (1 << 27) - 1:027b}" for step in steps]
+        bits = f"{27:08b}" + ("".join(coded) if mode == 1 else "00000000" + "0".join(["", *coded, ""]))
+        assert check(library, [block_of(mode, (1, 1), bits, n=1 + len(steps), codes=codes)]) == good
+
+
+@pytest.mark.parametrize(("codes", "good"), [(0x30, 1), (0x20, 1), (0x10, 0)])
+def test_polarity_one_is_refused(library, codes, good):
+    assert check(library, [block_of(1, SIZE, "0" * 26, codes=codes)]) == good
