@@ -2,6 +2,7 @@
 
 import asyncio
 import itertools
+import os
 from dataclasses import replace
 from functools import partial
 
@@ -372,3 +373,34 @@ def test_a_link_that_is_cut_short_leaves_no_event_without_a_fate(carriage):
     report, _ = go(p, stream(5000), lambda link, peer: link.report().use.carried > 50)
     assert report.camera.accounted == report.camera.offered
     assert report.camera.lost_on_link > 0
+
+
+@pytest.mark.socket
+def test_fd_frames_by_udp_multicast_come_once_and_to_the_others_only():
+    pytest.importorskip("msgpack")
+    p = parameters(
+        interface="udp_multicast", channel="239.74.163.2", fd=True, options={"port": 43_000 + os.getpid() % 1000}
+    )
+
+    async def both():
+        one, two = PythonCanBus(p, p.channel), PythonCanBus(p, p.channel)
+        try:
+            await asyncio.gather(one.open(), two.open())
+        except BusDown as reason:
+            pytest.skip(f"no multicast here: {reason}")
+        sent = [Frame(0x1A2, bytes([i]) * 64, fd=True, brs=True) for i in range(20)]
+        heard, own = [], []
+        for frame in sent:
+            one.send(frame)
+        for _ in range(2000):
+            heard += [h.frame for h in two.take()]
+            own += one.take()
+            if len(heard) == len(sent):
+                break
+            await asyncio.sleep(0.001)
+        await asyncio.gather(one.close(), two.close())
+        return sent, heard, own
+
+    sent, heard, own = asyncio.run(both())
+    assert heard == sent
+    assert own == []

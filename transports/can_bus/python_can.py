@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import errno
 import logging
+import os
 import socket
 import threading
 import time
@@ -68,6 +69,8 @@ class PythonCanBus(CanBus):
         self._unread: deque[Heard] = deque(maxlen=_MOST_UNREAD)
         self._failure: str | None = None
         self._closing = threading.Event()
+        # udp_multicast gives our own frames back to us (python-can 4.6): they are told by this.
+        self._signature = f"evstim-{os.getpid()}-{id(self)}"
 
     @property
     def address(self) -> str:
@@ -105,7 +108,7 @@ class PythonCanBus(CanBus):
         """See `CanBus.send`. Whether an urgent frame passes others is up to the driver; it is said to leave at once."""
         bus = self._living()
         try:
-            bus.send(to_message(frame))
+            bus.send(self._message(frame))
         except can.CanOperationError as error:
             if error.error_code in _FULL or "buffer full" in str(error).lower():
                 return False
@@ -136,6 +139,12 @@ class PythonCanBus(CanBus):
         if bus is not None:
             bus.shutdown()
 
+    def _message(self, frame: Frame) -> can.Message:
+        message = to_message(frame)
+        if self._parameters.interface == "udp_multicast":
+            message.channel = self._signature
+        return message
+
     def _living(self) -> can.BusABC:
         if self._failure is not None:
             raise BusDown(self._failure)
@@ -161,7 +170,7 @@ class PythonCanBus(CanBus):
 
     def _keep(self, message: can.Message) -> None:
         frame = from_message(message)
-        if frame is None:
+        if frame is None or message.channel == self._signature:
             return
         if frame.error and frame.identifier & _BUS_OFF:
             self._failure = (
