@@ -12,10 +12,18 @@ from emulator.scene.picture import Rgb, event_picture, save_png
 
 PICTURES = Path(__file__).parent / "pictures"
 
+# Rig, second of the run, milliseconds of events, brightness of white, for the page on scenes.
+SCENES = (
+    ("itokawa", 6.0, 30.0, 1.0),
+    ("eros-flyover", 20.0, 30.0, 1.0),
+    ("rendezvous", 100.0, 30.0, 1.0),
+    ("stars", 3.0, 300.0, 1.0),
+)
 
-def draw(rig: str, at_s: float, window_ms: float) -> Rgb:
+
+def draw(rig: str, at_s: float, window_ms: float, dimming: float = 0.6) -> Rgb:
     """Return a rig's picture at twice the sensor's size."""
-    picture = event_picture(*look(load_rig(rig), at_s, window_ms), dimming=0.6)
+    picture = event_picture(*look(load_rig(rig), at_s, window_ms), dimming=dimming)
     return np.asarray(picture.repeat(2, axis=0).repeat(2, axis=1))
 
 
@@ -26,6 +34,8 @@ def main() -> None:
     gap = np.full((eros.shape[0], 16, 3), 255, np.uint8)
     save_png(PICTURES / "eros.png", eros)
     save_png(PICTURES / "checkerboard.png", board)
+    for rig, at_s, window_ms, dimming in SCENES:
+        save_png(PICTURES / f"{rig}.png", draw(rig, at_s, window_ms, dimming))
     save_png(PICTURES / "readme.png", np.concatenate([eros, gap, board], axis=1))
 
 
