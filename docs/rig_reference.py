@@ -8,6 +8,7 @@ import re
 from collections.abc import Iterator
 from typing import Any
 
+from emulator.faults import FAULTS
 from emulator.rig import LINKS, SCENES, Camera, Run, Trigger
 from emulator.sensor.presets import PRESETS
 from emulator.typed_table import field_types, item_type, kinds_of, table_type
@@ -28,6 +29,7 @@ def reference() -> str:
     parts += _sections("trigger", Trigger)
     parts += _sections("run", Run)
     parts += [section for kind, cls in LINKS.items() for section in _sections("[links]", cls, kind)]
+    parts += [section for kind, cls in FAULTS.items() for section in _sections("[faults]", cls, kind)]
     return "\n\n".join(parts)
 
 
@@ -53,7 +55,7 @@ def _tables(path: str, annotation: Any) -> Iterator[tuple[str, type, str]]:
 
 
 def _section(title: str, cls: type, leave_out: list[str]) -> str:
-    told = _attributes(cls)
+    told = {name: text for base in reversed(cls.__mro__) for name, text in _attributes(base).items()}
     lines = [f"## `{title}`", "", (inspect.getdoc(cls) or "").partition("\n\n")[0], ""]
     rows = [f for f in dataclasses.fields(cls) if f.name not in leave_out]
     if rows:

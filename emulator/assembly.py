@@ -30,6 +30,7 @@ from firmware_protocol.instrument.settings import InstrumentSettings
 from firmware_protocol.usb.device import Speed, UsbCamera
 from transports.can_bus.endpoint import CanFactory
 from transports.can_bus.parameters import CanParameters
+from transports.faults.script import FaultPlan
 from transports.feed import Timing
 from transports.link import EndpointFactory, LinkSetup
 from transports.loopback import LoopbackFactory
@@ -101,27 +102,34 @@ def record_paths(rig: Rig, record: Path | None) -> list[Path | None]:
     return [record.with_name(f"{record.stem}-{link.name}{record.suffix}") for link in rig.links]
 
 
-def link_setups(rig: Rig, record: Path | None = None, truth: Path | None = None) -> list[LinkSetup[Any]]:
-    """Return what each link's process needs; `record` and `truth` are files for what was delivered, and when."""
+def link_setups(
+    rig: Rig, record: Path | None = None, truth: Path | None = None, fault_log: Path | None = None
+) -> list[LinkSetup[Any]]:
+    """Return what each link's process needs; the files are for what was delivered, and when, and what faults did."""
     triggers = TriggerPaths(rig.trigger, [link.name for link in rig.links], rig.run.seed, rig.run.lockstep_us)
     setups = [
-        _link_setup(rig, link, path, triggers, triggers.timing(link.name, rig.camera.clock, shown))
+        _link_setup(rig, link, path, triggers, triggers.timing(link.name, rig.camera.clock, shown), fault_log)
         for link, path, shown in zip(rig.links, record_paths(rig, record), record_paths(rig, truth), strict=True)
     ]
     return [dataclasses.replace(setup, fifo_priority=rig.run.fifo_priority) for setup in setups]
 
 
 def _link_setup(
-    rig: Rig, link: LinkParameters, record: Path | None, triggers: TriggerPaths, timing: Timing
+    rig: Rig, link: LinkParameters, record: Path | None, triggers: TriggerPaths, timing: Timing, fault_log: Path | None
 ) -> LinkSetup[Any]:
     ring = EventRing()
     if isinstance(link, SerialParameters):
-        return LinkSetup(link.name, ring, _instrument(rig, link.instrument), SerialFactory(link), record, timing=timing)
+        line = SerialFactory(link, _faults(rig, link, fault_log))
+        return LinkSetup(link.name, ring, _instrument(rig, link.instrument), line, record, timing=timing)
     if isinstance(link, CanParameters):
         endpoint = CanFactory(link, triggers.sink(link.name, ring))
         return LinkSetup(link.name, ring, _instrument(rig, link.instrument), endpoint, record, timing=timing)
     camera: Callable[[], UsbCamera] = partial(Davis346, _camera(rig, link))
     return LinkSetup(link.name, ring, camera, _usb_endpoint(link), record, timing=timing)
+
+
+def _faults(rig: Rig, link: LinkParameters, log: Path | None) -> FaultPlan:
+    return FaultPlan(link.name, tuple(f for f in rig.faults if f.link == link.name), rig.run.seed, log)
 
 
 def _instrument(rig: Rig, settings: InstrumentSettings) -> Callable[[], Instrument]:

@@ -7,6 +7,7 @@
     [camera.clock]   how the camera's own clock goes wrong
     [trigger]        what is connected to the camera's external input
     [run]            step_us, seed, seconds, pace, lead_us
+    [[faults]]       what goes wrong on a link, and when
     [[links]]        kind = "usbip" | "loopback" | "serial" | "can", and that link's own keys; any number of them
 
 Every key is a field of a dataclass in this module or in the room that owns the thing. A mistake raises RigError, which
@@ -24,6 +25,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
+from emulator.faults import convert_fault
 from emulator.optics.lens import LensParameters
 from emulator.playback.recording import RecordingParameters
 from emulator.rig_files import beside
@@ -41,6 +43,7 @@ from firmware_protocol.can_frames.identifiers import Identifiers
 from firmware_protocol.can_frames.raw_events import RAW_LIMIT_PX
 from firmware_protocol.device_clock import ClockSettings
 from transports.can_bus.parameters import CanParameters
+from transports.faults.kinds import Fault
 from transports.serial_line.parameters import SerialParameters
 
 __all__ = [
@@ -251,6 +254,7 @@ class Rig:
     run: Run = field(default_factory=Run)
     links: tuple[LinkParameters, ...] = ()
     trigger: Trigger | None = None
+    faults: tuple[Fault, ...] = ()
 
 
 def shipped_rigs() -> dict[str, Path]:
@@ -302,7 +306,7 @@ def _dotted(path: KeyPath) -> str:
 
 
 def _rig(table: dict[str, Any], name: str) -> Rig:
-    known = ["title", "scene", "camera", "trigger", "run", "links"]
+    known = ["title", "scene", "camera", "trigger", "run", "links", "faults"]
     for key in table:
         if key not in known:
             raise TableError(unknown(key, known), (key,))
@@ -319,7 +323,14 @@ def _rig(table: dict[str, Any], name: str) -> Rig:
         raise TableError(
             "lockstep needs a bus that drives it: give [trigger] source = the name of a CAN link", ("run", "pace")
         )
-    return Rig(name, title, convert_kind(table["scene"], SCENES, ("scene",)), camera, run, links, trigger)
+    scene = convert_kind(table["scene"], SCENES, ("scene",))
+    return Rig(name, title, scene, camera, run, links, trigger, _faults(table.get("faults", []), links))
+
+
+def _faults(tables: object, links: tuple[LinkParameters, ...]) -> tuple[Fault, ...]:
+    if not isinstance(tables, list):
+        raise TableError("expected [[faults]] tables", ("faults",))
+    return tuple(convert_fault(table, links, ("faults", i)) for i, table in enumerate(tables))
 
 
 def _trigger(table: object, links: tuple[LinkParameters, ...]) -> Trigger:

@@ -9,6 +9,7 @@ from typing import Any
 
 import msgspec
 
+from emulator.faults import FAULTS
 from emulator.rig import LINKS, SCENES, Camera, Run, Trigger
 from emulator.sensor.presets import PRESETS
 from emulator.typed_table import field_types, item_type, kinds_of, table_type
@@ -38,6 +39,7 @@ def rig_schema() -> dict[str, Any]:
             "trigger": trigger,
             "run": run,
             "links": {"type": "array", "items": link},
+            "faults": {"type": "array", "items": _one_of(FAULTS, definitions)},
         },
         "$defs": definitions,
     }

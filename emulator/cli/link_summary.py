@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 from emulator.ledger import LinkLedger
+from transports.faults.script import FaultRecord
 from transports.link import LinkReport
 
 __all__ = ["link_json", "link_lines"]
@@ -27,6 +28,7 @@ def link_json(report: LinkReport) -> dict[str, object]:
         "dropped_in_device": dropped,
         "use": None if report.use is None else dataclasses.asdict(report.use),
         "counts": dict(report.counts),
+        "faults": [dataclasses.asdict(fault) for fault in report.faults],
     }
 
 
@@ -41,7 +43,17 @@ def link_lines(link: LinkLedger, report: LinkReport) -> list[str]:
     told = [f"{count} {name.replace('_', ' ')}" for name, count in report.counts.items() if count]
     if told:
         lines.append(f"{link.name}: {', '.join(told)}")
+    lines += [f"{link.name}: {_fault(fault)}" for fault in report.faults]
     return lines
+
+
+def _fault(fault: FaultRecord) -> str:
+    ended = "the end" if fault.ended_us is None else f"{fault.ended_us * 1e-6:.3f} s"
+    edges = f" and {fault.edges_lost} edges" if fault.edges_lost else ""
+    return (
+        f"fault {fault.number}, {fault.kind}, {fault.began_us * 1e-6:.3f} s to {ended}: {fault.hits} hits, "
+        f"{fault.touched} touched, {fault.events_lost} events{edges} lost in it"
+    )
 
 
 def _causes(report: LinkReport) -> str:

@@ -37,10 +37,22 @@ class Files:
         Write what was delivered to this .npz (fields `events` and `edges`, device time).
     truth
         Write what the camera's own clock really shows to this .csv, ten lines a second; the rig needs [camera.clock].
+    fault_log
+        Write what faults do to the links to this file, a line of JSON for each begin, strike, loss and end.
     """
 
     record: Path | None = None
     truth: Path | None = None
+    fault_log: Path | None = None
+
+    def begin_fault_log(self) -> None:
+        """Empty the fault log, to which every link then appends; raises Failure where that cannot be."""
+        if self.fault_log is None:
+            return
+        try:
+            self.fault_log.write_bytes(b"")
+        except OSError as error:
+            raise Failure(f"--fault-log: {self.fault_log}: {error.strerror}", WRONG_USE) from error
 
 
 _NO_FILES = Files()
@@ -75,7 +87,8 @@ def run(
         loaded = _with_options(load_rig(rig), seconds, seed, pace)
         _check_record(loaded, files.record)
         _check_truth(loaded, files.truth)
-        result = run_rig(loaded, files.record, files.truth, show=not json)
+        files.begin_fault_log()
+        result = run_rig(loaded, files, show=not json)
     if json:
         print_json(summary(loaded, result))
     else:
@@ -109,12 +122,13 @@ def _check_truth(rig: Rig, truth: Path | None) -> None:
         raise Failure(f"--truth: the folder {truth.parent} does not exist", WRONG_USE)
 
 
-def run_rig(rig: Rig, record: Path | None = None, truth: Path | None = None, *, show: bool = False) -> RunResult:
+def run_rig(rig: Rig, files: Files = _NO_FILES, *, show: bool = False) -> RunResult:
     """Run a loaded rig, with a live table on stderr when `show`."""
     with build_scene(rig) as scene:
         for note in scene.notes if show else ():
             console.print(f"note: {note}")
-        session = build_session(rig, scene, link_setups(rig, record, truth), MonotonicClock())
+        setups = link_setups(rig, files.record, files.truth, files.fault_log)
+        session = build_session(rig, scene, setups, MonotonicClock())
         with stopped_by_signals(session), LiveTable(rig, status) if show else nullcontext() as live:
             return session.run(schedule(rig), live.update if live else lambda _: None)
 

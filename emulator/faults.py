@@ -1,0 +1,45 @@
+"""Which faults which link can have, and how a table becomes one: from a rig, or from `evstim fault`."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Protocol
+
+from emulator.typed_table import Path, TableError, convert_kind, unknown
+from transports.faults.kinds import SERIAL_FAULTS, Fault
+from transports.serial_line.parameters import SerialParameters
+
+__all__ = ["FAULTS", "convert_fault", "faults_of"]
+
+FAULTS: Mapping[str, type[Fault]] = {**SERIAL_FAULTS}
+"""All kinds of faults."""
+
+
+class _Link(Protocol):
+    @property
+    def name(self) -> str: ...
+
+
+def faults_of(link: object) -> Mapping[str, type[Fault]]:
+    """Return the faults that a link of these parameters can have, by kind."""
+    return SERIAL_FAULTS if isinstance(link, SerialParameters) else {}
+
+
+def convert_fault(table: object, links: Sequence[_Link], path: Path) -> Fault:
+    """Return a table as a fault of one of `links`, whose name it then has; raises TableError."""
+    fault = convert_kind(table, FAULTS, path)
+    able = [link.name for link in links if fault.kind in faults_of(link)]
+    if not fault.link and len(able) == 1:
+        return dataclasses.replace(fault, link=able[0])
+    if fault.link in able:
+        return fault
+    if not able:
+        raise TableError(f"no link of this rig can have a fault of kind {fault.kind!r}", (*path, "kind"))
+    if not fault.link:
+        raise TableError(f"'link' is missing: {', '.join(able)} can all have {fault.kind!r}", (*path, "kind"))
+    if fault.link not in [link.name for link in links]:
+        raise TableError(unknown(fault.link, [link.name for link in links]), (*path, "link"))
+    raise TableError(
+        f"link {fault.link!r} cannot have a fault of kind {fault.kind!r}; {', '.join(able)} can", (*path, "link")
+    )
