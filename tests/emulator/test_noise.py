@@ -177,6 +177,20 @@ def test_an_event_at_a_steps_end_belongs_to_the_next_step():
     assert (ahead.t_ns[:2].tolist(), ahead.key[:2].tolist()) == ([21, 20], [0, 4])
 
 
+def test_steps_that_end_at_events_lose_none():
+    whole = run(end_ns=50 * MS)
+    noise = NoiseEvents(PLAIN, 1, np.full(PIXELS, 0.2))
+    found = [noise.step(light(), int(t)) for t in [*np.unique(whole.t_ns), 50 * MS]]
+    assert same(joined(found), whole)
+
+
+def test_in_the_dark_seconds_are_due_windows_later_and_come_once():
+    found = run(level=0.0, end_ns=6000 * MS, step_ns=7 * MS)
+    assert len(set(lasting(found))) == len(found)
+    settled = np.count_nonzero(found.t_ns > 1000 * MS)  # the seconds of what began before the start are missing
+    assert settled == pytest.approx(2 * 5 * model_hz(level=0.0) * PIXELS, rel=0.03)
+
+
 def test_a_copy_goes_on_the_same():
     noise = NoiseEvents(PLAIN, 1, np.full(PIXELS, 0.2))
     noise.step(light(), 77 * MS + 123)
