@@ -52,7 +52,7 @@ class SerialReceiver:
         self._unwrapper = profile.unwrapper()
         self._counts: Counter[str] = Counter()
         self._asked: dict[RequestId, str] = {}
-        self._in_step = False
+        self._began = self._lost = False
         self._damaged_at_start = 0
         self._damaged = 0
         self.housekeeping: Housekeeping | None = None
@@ -106,12 +106,13 @@ class SerialReceiver:
         """Count how often the stream was lost and found again; what was damaged before the first frame is no fault."""
         seen = self._unwrapper.counters
         damaged = sum(seen.frames.refused.values()) + sum(seen.refused.values())
-        if not self._in_step and good:
-            self._in_step = True
-            self._damaged_at_start = damaged
-        elif self._in_step and damaged > self._damaged and good:
-            self._counts["resynchronised"] += 1
+        self._lost |= self._began and damaged > self._damaged
         self._damaged = damaged
+        if good and not self._began:
+            self._began, self._damaged_at_start = True, damaged
+        elif good and self._lost:
+            self._lost = False
+            self._counts["resynchronised"] += 1
 
     def _block(self, message: Message, events: list[Events], edges: list[Edges]) -> None:
         try:

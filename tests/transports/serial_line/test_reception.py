@@ -1,0 +1,116 @@
+"""A computer on a damaged line: what is lost is counted, and no wrong event is taken."""
+
+import hypothesis.strategies as st
+import numpy as np
+import pytest
+from hypothesis import given, settings
+
+from firmware_protocol.events import EVENT
+from firmware_protocol.instrument.instrument import Instrument
+from firmware_protocol.instrument.settings import InstrumentSettings
+from firmware_protocol.packets.profile import PROFILES, Profile
+from firmware_protocol.packets.telecommands import SetRegion, Start
+from transports.serial_line.reception import SerialReceiver
+
+LINES = [name for name in PROFILES if "-" in name or name == "fprime"]
+SIZE = (346, 260)
+
+
+def stream(count):
+    rng = np.random.default_rng(7)
+    events = np.zeros(count, EVENT)
+    events["t"] = np.cumsum(rng.integers(1, 20, count))
+    events["x"], events["y"] = rng.integers(0, SIZE[0], count), rng.integers(0, SIZE[1], count)
+    events["on"] = rng.integers(0, 2, count)
+    return events
+
+
+def frames(profile, count=2000, **changes):
+    """Return the frames of a stream, and the events of each as a receiver will see them."""
+    instrument = Instrument(SIZE, InstrumentSettings(housekeeping_s=0, block_bytes=256, **changes))
+    instrument.offer(stream(count))
+    wrapped, seen, writer = [], [], Profile(profile)
+    while (outgoing := instrument.next_message()) is not None:
+        wrapped.append(writer.wrap(outgoing.message))
+        seen.append(outgoing.events)
+        instrument.sent(outgoing)
+    return wrapped, seen
+
+
+DATA = {profile: frames(profile) for profile in LINES}
+
+
+def heard_of(receiver, data):
+    return receiver.push(data).events
+
+
+@pytest.mark.parametrize("profile", LINES)
+def test_any_cut_of_the_bytes_gives_the_same(profile):
+    wrapped, seen = DATA[profile]
+    data, receiver = b"".join(wrapped), SerialReceiver(Profile(profile))
+    parts = [heard_of(receiver, data[at : at + 37]) for at in range(0, len(data), 37)]
+    assert np.array_equal(np.concatenate(parts), np.concatenate(seen))
+    assert receiver.faults == 0
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.sampled_from(LINES), st.floats(0, 0.999), st.sampled_from(["flip", "lose", "insert"]), st.data())
+def test_one_damaged_byte_costs_two_blocks_at_most_and_is_counted(profile, where, what, data):
+    wrapped, seen = DATA[profile]
+    line = bytearray(b"".join(wrapped))
+    at = len(wrapped[0]) + int(where * (len(line) - len(wrapped[0]) - len(wrapped[-1]) - len(wrapped[-2])))
+    if what == "flip":
+        line[at] ^= 1 << data.draw(st.integers(0, 7))
+    elif what == "lose":
+        del line[at]
+    else:
+        line.insert(at, data.draw(st.integers(0, 255)))
+    receiver = SerialReceiver(Profile(profile))
+    got = heard_of(receiver, bytes(line))
+    blocks = {block.tobytes() for block in seen}
+    kept = [block for block in seen if block.tobytes() in got.tobytes()]
+    assert len(seen) - len(kept) <= 2
+    assert len(got) == sum(map(len, kept)), "no event but those of whole blocks"
+    assert len(blocks) == len(seen)
+    if len(kept) < len(seen):
+        assert receiver.faults > 0
+        assert receiver.counts["messages_missing"] == len(seen) - len(kept)
+
+
+def test_joining_in_the_middle_of_a_frame_is_no_fault():
+    wrapped, seen = DATA["ccsds-cobs"]
+    receiver = SerialReceiver(Profile())
+    got = heard_of(receiver, b"".join(wrapped)[len(wrapped[0]) // 2 :])
+    assert len(got) == sum(map(len, seen[1:]))
+    assert receiver.faults == 0
+    assert sum(count for name, count in receiver.counts.items() if name.startswith("damaged")) == 1
+
+
+def test_being_lost_and_found_again_is_told():
+    wrapped, _ = DATA["ccsds-cobs"]
+    receiver = SerialReceiver(Profile())
+    for index, frame in enumerate(wrapped[:6]):
+        receiver.push(frame if index != 2 else bytes([frame[0] ^ 1]) + frame[1:])
+    assert receiver.counts["resynchronised"] == 1
+    assert receiver.faults == 2, "a damaged frame, and a gap where it was"
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.sampled_from(LINES), st.binary(max_size=3000))
+def test_noise_is_no_event(profile, noise):
+    arrival = SerialReceiver(Profile(profile)).push(noise)
+    assert len(arrival.events) == len(arrival.edges) == 0
+
+
+def test_answers_are_told_with_the_command_they_belong_to():
+    instrument = Instrument(SIZE, InstrumentSettings(housekeeping_s=0))
+    ours, theirs = Profile(), Profile()
+    receiver, commands = SerialReceiver(ours), theirs.command_unwrapper()
+    for command in (Start(), SetRegion(300, 0, 100, 1)):
+        for received in commands.push(receiver.wrap(command)):
+            instrument.command(received)
+    told = []
+    while (outgoing := instrument.next_message()) is not None:
+        told += receiver.push(theirs.wrap(outgoing.message)).told
+    assert told[:3] == ["Start: acceptance good", "Start: completion good", "SetRegion: acceptance good"]
+    assert told[3].startswith("SetRegion: completion failed: region [300, 0, 100, 1] reaches beyond")
