@@ -193,7 +193,8 @@ def live_counts(*paths: Trajectory) -> dict[str, int]:
     """Return what came in for those of the paths that are flown from outside, added up; empty where none is."""
     inlets = [path.counters for path in paths if isinstance(path, Inlet)]
     names = vars(LiveCounters()) if inlets else ()
-    return {f"live {name}": sum(int(vars(counters)[name]) for counters in inlets) for name in names}
+    told = {name: "pictures with a late pose" if name == "late_pictures" else f"poses {name}" for name in names}
+    return {told[name]: sum(int(vars(counters)[name]) for counters in inlets) for name in names}
 
 
 def _between(t0_ns: int, a: Pose, t1_ns: int, b: Pose, t_ns: int) -> Pose:

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from emulator.trajectory.live import Inlet, LivePoses
+from emulator.trajectory.live import Inlet, LivePoses, close_inlets, live_counts
 from emulator.trajectory.measured import turn_rad
-from emulator.trajectory.pose import Pose
+from emulator.trajectory.pose import Fixed, Pose
 from firmware_protocol.pose_message import NOW, POSE_BYTES, PoseMessage, PoseMessageError
 
 MS = 1_000_000
@@ -118,3 +118,17 @@ def test_the_layout_is_the_documented_one():
     assert data[8:16] == (1).to_bytes(8, "little")
     assert data[16:24].hex() == "000000000000f03f"
     assert data[72:76] == bytes([4, 3, 2, 1])
+
+
+@pytest.mark.socket
+def test_what_came_in_is_told_for_all_inlets_together():
+    assert live_counts(Fixed()) == {}
+    inlets = [Inlet("127.0.0.1", 0, LivePoses(hold_ns=0)) for _ in range(2)]
+    for inlet in inlets:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+            sender.sendto(bytes(message(0, 3.0)), inlet.address)
+        inlet.pose(1)
+    counts = live_counts(*inlets, Fixed())
+    assert (counts["poses taken"], counts["pictures with a late pose"]) == (2, 2)
+    close_inlets(*inlets, Fixed())
+    assert [inlet._socket.fileno() for inlet in inlets] == [-1, -1]
