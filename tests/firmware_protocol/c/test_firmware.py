@@ -5,6 +5,7 @@ import pytest
 from block_strategies import stream
 
 from firmware_protocol.davis346.words import WordEncoder
+from firmware_protocol.edges import EDGE
 from firmware_protocol.packets.message import Message, MessageKind
 from firmware_protocol.packets.profile import Profile
 from firmware_protocol.telemetry import BlockEncoder, as_received
@@ -37,9 +38,12 @@ def telemetry(profile, events):
 @pytest.mark.parametrize(("letter", "name"), [("c", "ccsds-cobs"), ("s", "ccsds-slip")])
 def test_telemetry(board, letter, name):
     board.ask(letter)
-    wrapped, events = telemetry(Profile(name), stream(SIZE, 2000, 50_000, 1, start_us=2**33))
+    profile = Profile(name)
+    wrapped, events = telemetry(profile, stream(SIZE, 2000, 50_000, 1, start_us=2**33))
+    edges = np.array([(2**33, 2, 0, 1), (2**33 + 4, 3, 0, 2)], EDGE)
+    wrapped.append(profile.wrap(Message(MessageKind.EDGES, BlockEncoder(SIZE).encode_edges(edges, 1), 2**33)))
     told = board.feed(b"".join(wrapped))
-    assert (told["events"], told["digest"]) == (len(events), digest_of(events))
+    assert (told["events"], told["digest"], told["edges"]) == (len(events), digest_of(events), 2)
     assert (told["packets"], told["dropped"], told["missing"], told["errors"]) == (len(wrapped), len(wrapped), 0, 0)
 
 
