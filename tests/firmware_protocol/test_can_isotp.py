@@ -167,6 +167,17 @@ def test_frames_keep_the_separation_that_the_peer_asks_for():
     assert (separation_ns(0x7F), separation_ns(0x80)) == (127_000_000, 127_000_000)
 
 
+def test_no_more_frames_leave_than_the_peer_has_room_for():
+    sender = IsoTpSender(IsoTpSettings(OURS, THEIRS, timeout_ns=1000))
+    sender.start(bytes(60))
+    sender.next_frame(0)
+    for _ in range(2):
+        sender.flow_control(Frame(THEIRS, b"\x30\x02\x00"), 0)
+        assert [sender.next_frame(0) is not None for _ in range(3)] == [True, True, False]
+    with pytest.raises(IsoTpFailure, match="in time"):
+        sender.next_frame(1001)
+
+
 def test_a_message_that_stays_away_times_out():
     receiver = IsoTpReceiver(IsoTpSettings(OURS, THEIRS, timeout_ns=10))
     first, second, *_ = frames_of(bytes(40))
