@@ -10,6 +10,7 @@ they are full, so that nothing is lost. In lockstep they go on as far as the SYN
 from __future__ import annotations
 
 import dataclasses
+import logging
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
@@ -34,6 +35,8 @@ from transports.pacing import Clock
 from transports.ring import FREE_RUNNING
 
 __all__ = ["RunResult", "RunStatus", "Schedule", "Session", "load_kernels"]
+
+log = logging.getLogger(__name__)
 
 _STATUS_PERIOD_NS = 100_000_000
 _HEAD_START_NS = 20_000_000  # between deciding to start and stream time zero, so that the first step is in time
@@ -163,6 +166,7 @@ class Session:
         with said_if_slow("opening the links: the first time their coders are compiled, some seconds, once"):
             for link in self._links:
                 link.wait_ready()
+                log.info("%s: %s", link.name, link.report.state)
 
     def _warm_up(self) -> None:
         """Do all slow first-time work before the clock runs: compile the kernels, draw the first picture."""
