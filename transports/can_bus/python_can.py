@@ -28,7 +28,16 @@ _MOST_UNREAD = 100_000
 _IFF_UP = 1
 _BUS_OFF = 0x40  # linux/can/error.h
 _FULL = (errno.ENOBUFS, errno.EAGAIN)
-_CAN_ERRORS = (can.CanError, OSError, ImportError, NameError, AttributeError, ValueError, TypeError)
+_CAN_ERRORS = (
+    can.CanError,
+    OSError,
+    ImportError,
+    NotImplementedError,
+    NameError,
+    AttributeError,
+    ValueError,
+    TypeError,
+)
 """What interfaces of python-can raise when their bus, their driver or their library is not there."""
 
 
@@ -102,7 +111,8 @@ class PythonCanBus(CanBus):
             settings = {"host": p.host, "port": p.port}
         elif p.fd and p.interface != "virtual":
             settings |= {"fd": True, "data_bitrate": p.data_bitrate}
-        return can.Bus(channel=self._channel, interface=p.interface, **(settings | p.options))
+        # A configuration file of python-can on this machine must not change what the rig says.
+        return can.Bus(channel=self._channel, interface=p.interface, ignore_config=True, **(settings | p.options))
 
     def send(self, frame: Frame, *, urgent: bool = False) -> bool:
         """See `CanBus.send`. Whether an urgent frame passes others is up to the driver; it is said to leave at once."""
@@ -222,7 +232,7 @@ def _cure_by_text(p: CanParameters, text: str) -> str:
     driver = f"the maker's driver for {p.interface} is not installed"
     cures = {
         "No module named": f"pip install 'python-can[{p.interface.replace('_', '-')}]'",
-        "Unknown interface": f"known are {', '.join(sorted(can.VALID_INTERFACES))} and served",
+        "' not supported": f"known are {', '.join(sorted(can.VALID_INTERFACES))} and served",
         "Permission denied": _NOT_ALLOWED,
         "No such file": _NO_ADAPTER,
         "library": driver,
