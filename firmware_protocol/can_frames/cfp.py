@@ -12,7 +12,8 @@ The data of the first frame start with the rest of the CSP header, big-endian, t
 
 All other frames carry eight bytes. Frame count is 0 in the first frame and counts modulo 8, packet count modulo 4: a
 hole of exactly eight frames goes unseen, so that only the CRC-32C at the end of a CSP packet finds it. Source: libcsp,
-`csp_if_can.h` and `csp_if_can.c` (csp_can2_tx, csp_can2_rx), October 2024.
+`csp_if_can.h` and `csp_if_can.c` (csp_can2_tx, csp_can2_rx), October 2024; compared with what
+csp_can2_tx, compiled, sends.
 
 Here a packet is its bytes as on other carriers: the six bytes of the CSP header, then the data, CRC included.
 """

@@ -33,6 +33,29 @@ def test_the_frames_that_libcsp_sends():
     assert third == Frame(fixed | 2 << 2 | 1, b"\x0c", extended=True)
 
 
+@pytest.mark.parametrize(
+    ("k", "length", "frames"),
+    [
+        (0, 0, "00014343#00147C00"),
+        (1, 1, "087E4363#0FB08C4100"),
+        (2, 4, "10FB4303#1F4C9C8200070E15"),
+        (3, 5, "19784322#2EE8ACC300070E15 19784325#1C"),
+    ],
+)
+def test_frames_made_by_libcsps_own_code(k, length, frames):
+    """What csp_can2_tx of libcsp, compiled and run (address 70, packet counter from 2), sends."""
+    whole = packet(
+        bytes(7 * i for i in range(length)),
+        k,
+        destination=10 + 1000 * k,
+        source=5 + 999 * k,
+        ports=(7 + k, 48 + k),
+        flags=k,
+    )
+    made = " ".join(str(frame) for frame in cfp_frames(whole, 70, 2 + k))
+    assert made == frames
+
+
 def test_a_short_packet_is_one_frame():
     (only,) = cfp_frames(packet(b""), sender=70, packet_count=4)
     assert only.identifier & 3 == 3
