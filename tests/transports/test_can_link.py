@@ -243,7 +243,7 @@ def test_a_peer_that_never_answers_isotp_costs_messages_and_is_counted(monkeypat
     p = parameters(carriage="isotp", answer_ms=20)
 
     def deaf(link, _):
-        return link.report().counts.get("given up", 0)
+        return link.report().counts.get("ISO-TP messages given up", 0)
 
     monkeypatch.setattr(Peer, "say", lambda peer, frame: None)
     report, _ = go(p, stream(100), deaf, InstrumentSettings(housekeeping_s=0))

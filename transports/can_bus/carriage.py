@@ -30,7 +30,9 @@ _RAW_EVENTS_A_TIME = 8  # so that only so few have an uncertain fate when a bus 
 
 
 class FrameSource(ABC):
-    """Frames of one kind, in order."""
+    """Frames of one kind, in order. `label` names the kind where its faults are told."""
+
+    label = "frames"
 
     def __init__(self, instrument: Instrument, deliveries: Deliveries) -> None:
         self._instrument = instrument
@@ -143,6 +145,8 @@ class RawEdges(FrameSource):
 class IsoTpMail(FrameSource):
     """Messages by ISO-TP, and telecommands the same way back; `with_all` when events and edges go this way too."""
 
+    label = "ISO-TP"
+
     def __init__(
         self, instrument: Instrument, deliveries: Deliveries, settings: IsoTpSettings, *, with_all: bool
     ) -> None:
@@ -165,7 +169,7 @@ class IsoTpMail(FrameSource):
         try:
             return self._sender.next_frame(now_ns)
         except IsoTpFailure:
-            self.faults["given up"] += 1
+            self.faults["messages given up"] += 1
             self.drop()
             return None
 
@@ -195,12 +199,14 @@ class IsoTpMail(FrameSource):
         try:
             self._sender.flow_control(frame, now_ns)
         except IsoTpFailure:
-            self.faults["refused by the peer"] += 1
+            self.faults["messages refused by the peer"] += 1
             self.drop()
 
 
 class CfpMail(FrameSource):
     """Messages in CSP packets, cut up by CFP 2, and telecommands the same way back."""
+
+    label = "CFP"
 
     def __init__(self, instrument: Instrument, deliveries: Deliveries, parameters: CanParameters) -> None:
         super().__init__(instrument, deliveries)

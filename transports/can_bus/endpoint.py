@@ -116,9 +116,10 @@ class CanEndpoint(Endpoint):
         return len(edges)
 
     async def close(self) -> None:
-        """Drop what is under way, and let go of the buses."""
+        """Drop what is under way and what still waits, and let go of the buses."""
         self._closed_ns = self._clock.now_ns()
         self._drop()
+        self._instrument.disconnected()
         for slot in self._slots:
             if slot.opening is not None:
                 slot.opening.cancel()
@@ -150,7 +151,7 @@ class CanEndpoint(Endpoint):
         """What else happened."""
         total = self._counts + self._node.counts
         for source in self._sources:
-            total += source.faults
+            total += Counter({f"{source.label} {name}": n for name, n in source.faults.items()})
         if self._node.selector is not None:
             total["bus changes"] = self._node.selector.turns
         missed = sum(slot.bus.missed for slot in self._slots if isinstance(slot.bus, ServedBus))
