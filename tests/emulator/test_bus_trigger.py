@@ -73,9 +73,10 @@ def test_syncs_drive_the_run_and_are_edges_on_every_link(tmp_path, capsys):
     rig.write_text(RIG.format(port=port))
     bus = threading.Thread(target=send_syncs, args=(port,))
     bus.start()
-    assert _main(["run", str(rig), "--json", "--record", str(record)]) == 0
+    code = _main(["run", str(rig), "--json", "--record", str(record)])
     bus.join()
     summary = json.loads(capsys.readouterr().out.strip().splitlines()[-1])
+    assert code == 0, json.dumps([summary["links"], summary["events"]])
     assert summary["balanced"]
     assert summary["sim_seconds"] == pytest.approx(0.2)
     assert summary["syncs"] >= 10

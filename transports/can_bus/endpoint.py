@@ -29,7 +29,7 @@ __all__ = ["CanEndpoint", "CanFactory"]
 
 _RETRY_NS = 1_000_000_000
 _SECOND_NS = 1_000_000_000
-_MAKE_UP_NS = 2_000_000  # bus time that a late tick may make up
+_MAKE_UP_NS = 5_000_000  # bus time that a late tick may make up
 _NAMES = ("A", "B")
 
 
