@@ -27,7 +27,7 @@ from transports.pacing import Clock
 __all__ = ["ServedBus"]
 
 _ORDINARY, _URGENT = 0, 1
-_MOST_WAITING = 16  # frames handed over and not begun: 2 ms of a full bus, so that ticks may be late
+_MOST_WAITING = 48  # frames handed over and not begun: 5 ms of a full bus, so that ticks may be late
 _MOST_UNSENT_BYTES = 1 << 20
 _SETTLE_NS = 250_000_000  # python-can takes an answer of the handshake for garbage when a frame follows too soon
 _READ_BYTES = 65_536

@@ -1,0 +1,185 @@
+"""The place of faults on a CAN link: around each of its buses.
+
+    endpoint --post--> stage --> stage --> [what the bus had no room for] --> bus
+    endpoint <--take---------------------- unless the bus is dead or off ----'
+
+While no fault is at work frames pass untouched. What happens to a bus itself (off, dead, flooded) shows as the bus's own
+state, so that the endpoint reacts as it does to the real thing.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from functools import partial
+
+from firmware_protocol.can_frames.bus_time import BitRates
+from firmware_protocol.can_frames.frame import Frame
+from transports.can_bus.bus import BusDown, CanBus, Heard
+from transports.faults.bus import Babbler, FrameStage, Parcel, frame_stage
+from transports.faults.kinds import Fault
+from transports.faults.script import FaultPlan, FaultRecord, Faults
+
+__all__ = ["BusFaults", "FaultyBus"]
+
+_AHEAD_NS = 1_000_000  # a babbling node's frames are put on the bus so long before their time
+
+
+class BusFaults:
+    """The faults of one link, for all its buses."""
+
+    def __init__(self, plan: FaultPlan, rates: BitRates) -> None:
+        self._faults: Faults[FrameStage] = Faults(plan, partial(frame_stage, rates=rates))
+        self._posted = 0
+
+    @property
+    def records(self) -> tuple[FaultRecord, ...]:
+        """What each fault has done."""
+        return self._faults.records
+
+    @property
+    def strikes_frames(self) -> bool:
+        """True while a fault may hit single frames."""
+        return any(stage.bus is None for stage in self._faults.stages)
+
+    def advance(self, now_us: int) -> tuple[bool, list[Parcel]]:
+        """Let stream time pass; say whether any fault is over now, and return the frames that it had held."""
+        over = self._faults.advance(now_us)
+        return bool(over), [parcel for stage in over for parcel in stage.finish()]
+
+    def throw(self, fault: Fault) -> None:
+        """Begin a fault now; raises ValueError for one that a bus does not have."""
+        self._faults.throw(fault)
+
+    def lose(self, events: int, edges: int) -> None:
+        """Count what a sound receiver will not get."""
+        self._faults.lose(events, edges)
+
+    def changed(self, parcel: Parcel) -> list[Parcel]:
+        """Return what goes to the bus instead of a frame."""
+        parcels = [parcel]
+        for stage in self._faults.stages:
+            before = stage.hits
+            parcels = [out for each in parcels for out in stage.change(each)]
+            if stage.hits != before:
+                self._faults.struck(stage, [self._posted])
+        self._posted += 1
+        return parcels
+
+    def is_off(self, bus: int) -> bool:
+        """Say whether our controller has left this bus."""
+        return any(stage.off for stage in self._of(bus))
+
+    def is_dead(self, bus: int) -> bool:
+        """Say whether this bus is cut."""
+        return any(stage.dead for stage in self._of(bus))
+
+    def babblers(self, bus: int) -> list[Babbler]:
+        """Return the nodes that flood this bus."""
+        return [stage for stage in self._of(bus) if isinstance(stage, Babbler)]
+
+    def close(self) -> None:
+        """End them all."""
+        self._faults.close()
+
+    def _of(self, bus: int) -> list[FrameStage]:
+        return [stage for stage in self._faults.stages if stage.bus == bus]
+
+
+class FaultyBus(CanBus):
+    """A bus on which faults happen; `index` is 0 for bus A, 1 for bus B."""
+
+    def __init__(self, bus: CanBus, index: int, faults: BusFaults) -> None:
+        self._bus = bus
+        self._index = index
+        self._faults = faults
+        self._rest: deque[Parcel] = deque()
+        self._is_off = False  # by a fault: the bus itself is open
+
+    async def open(self) -> None:
+        """See `CanBus.open`; while the controller is off by a fault, that is what it says."""
+        self._check_off()
+        if self._is_off:
+            self._is_off = False
+            self._bus.take()  # what was on it meanwhile was not heard
+            return
+        await self._bus.open()
+
+    def send(self, frame: Frame, *, urgent: bool = False) -> bool:
+        """See `CanBus.send`."""
+        return self.post(Parcel(frame, urgent))
+
+    def post(self, parcel: Parcel) -> bool:
+        """Send a frame by way of the faults; False: there is no room now. Raises BusDown when the bus is gone."""
+        self._check_off()
+        if not self._flush():
+            return False
+        if parcel.cargo is None and not self._faults.strikes_frames:
+            return self._bus.send(parcel.frame, urgent=parcel.urgent)
+        self.put(self._faults.changed(parcel))
+        return True
+
+    def put(self, parcels: list[Parcel]) -> None:
+        """Send these as they are, as soon as there is room; raises BusDown when the bus is gone."""
+        self._rest += parcels
+        self._flush()
+
+    def drop(self) -> None:
+        """The bus is not in use any more, or gone: forget what waits."""
+        while self._rest:
+            cargo = self._rest.popleft().cargo
+            if cargo is not None:
+                cargo.gone()
+
+    def take(self) -> list[Heard]:
+        """See `CanBus.take`."""
+        self._check_off()
+        self._flush()
+        heard = self._bus.take()
+        return [] if self._faults.is_dead(self._index) else heard
+
+    def babble(self, now_ns: int) -> None:
+        """Let the nodes talk that flood this bus."""
+        for babbler in self._faults.babblers(self._index):
+            for t_ns in babbler.due(now_ns + _AHEAD_NS):
+                self._bus.flood(babbler.frame, t_ns)
+
+    async def close(self) -> None:
+        """See `CanBus.close`."""
+        self.drop()
+        await self._bus.close()
+
+    @property
+    def address(self) -> str:
+        """See `CanBus.address`."""
+        return self._bus.address
+
+    @property
+    def waiting(self) -> int:
+        """See `CanBus.waiting`."""
+        return self._bus.waiting + len(self._rest)
+
+    @property
+    def heard(self) -> bool:
+        """See `CanBus.heard`."""
+        return self._bus.heard and not self._faults.is_dead(self._index)
+
+    @property
+    def missed(self) -> int:
+        """See `CanBus.missed`."""
+        return self._bus.missed
+
+    def _check_off(self) -> None:
+        if self._faults.is_off(self._index):
+            self._is_off = True
+            raise BusDown(f"{self.address} is bus-off, by a fault of this rig; it comes back when that is over")
+
+    def _flush(self) -> bool:
+        """Send what waits; say whether nothing is left."""
+        while self._rest:
+            parcel = self._rest[0]
+            if not self._bus.send(parcel.frame, urgent=parcel.urgent):
+                return False
+            self._rest.popleft()
+            if parcel.cargo is not None:
+                parcel.cargo.arrived(parcel.frame)
+        return True
