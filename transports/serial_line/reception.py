@@ -85,7 +85,8 @@ class SerialReceiver:
     def faults(self) -> int:
         """Things that a sound line never shows: damage after the first good frame, gaps, blocks that are wrong."""
         seen = self._unwrapper.counters
-        return self._damaged - self._damaged_at_start + seen.missing + seen.disordered + self._counts["bad_blocks"]
+        wrong = self._counts["bad_blocks"] + self._counts["bad_answers"]
+        return self._damaged - self._damaged_at_start + seen.missing + seen.disordered + wrong
 
     @property
     def counts(self) -> Mapping[str, int]:

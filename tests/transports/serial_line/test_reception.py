@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from firmware_protocol.events import EVENT
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
+from firmware_protocol.packets.message import Message, MessageKind
 from firmware_protocol.packets.profile import PROFILES, Profile
 from firmware_protocol.packets.telecommands import SetRegion, Start
 from transports.serial_line.reception import SerialReceiver
@@ -100,6 +101,14 @@ def test_being_lost_and_found_again_is_told():
 def test_noise_is_no_event(profile, noise):
     arrival = SerialReceiver(Profile(profile)).push(noise)
     assert len(arrival.events) == len(arrival.edges) == 0
+
+
+def test_a_sound_packet_with_a_bad_block_is_a_fault():
+    receiver, sender = SerialReceiver(Profile()), Profile()
+    assert len(receiver.push(sender.wrap(Message(MessageKind.EVENTS, b"no block at all", 0))).events) == 0
+    assert receiver.push(sender.wrap(Message(MessageKind.HOUSEKEEPING, b"short", 0))).told == ()
+    assert receiver.counts["bad_blocks"] == receiver.counts["bad_answers"] == 1
+    assert receiver.faults == 2
 
 
 def test_answers_are_told_with_the_command_they_belong_to():
