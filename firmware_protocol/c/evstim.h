@@ -151,8 +151,7 @@ struct evstim_can {
     const struct evstim_sink *sink;
     struct evstim_can_ids ids;
     uint16_t width, height; /* at most 512 each */
-    uint64_t near_tick;     /* time last told, in ticks, */
-    uint16_t rest_us;       /* and what is left of it */
+    uint64_t near_tick;     /* time last told */
     uint16_t tick_us;
     uint16_t epoch_sent, epoch_dropped;
     uint32_t since_epoch; /* events received since the last epoch frame */

@@ -54,7 +54,7 @@ void evstim_can_init(struct evstim_can *can, const struct evstim_can_ids *ids, u
 
 static uint64_t near_us(const struct evstim_can *c)
 {
-    return c->near_tick * c->tick_us + c->rest_us;
+    return c->near_tick * c->tick_us;
 }
 
 /* `pixel`: x 9 bits, y 9 bits, on 1 bit. */
@@ -72,7 +72,6 @@ static void deliver(struct evstim_can *c, uint64_t tick, uint32_t pixel)
         .on = pixel >> 18 & 1u,
     };
     c->near_tick = tick;
-    c->rest_us = 0;
     c->events++;
     c->since_epoch++;
     if (c->sink->event != NULL)
@@ -170,7 +169,6 @@ static bool epoch(struct evstim_can *c, const uint8_t *data, size_t n)
     }
     c->tick_us = ticks_us[time >> 30];
     c->near_tick = divided(now_us, c->tick_us);
-    c->rest_us = (uint16_t)(now_us - c->near_tick * c->tick_us);
     c->epoch_sent = sent;
     c->epoch_dropped = dropped;
     c->since_epoch = 0;

@@ -106,3 +106,11 @@ def test_random_frames_do_no_harm(library, fd):
     frames = [Frame(EPOCH, bytes(8))]
     frames += [Frame(EVENTS, rng.bytes(64 if fd else 8), fd=fd) for _ in range(3000)]
     same_as_python(library, frames)
+
+
+@pytest.mark.parametrize("cells", [19, 20, 27, 255])
+def test_a_frame_longer_than_any_is_refused(library, cells):
+    epoch = struct.pack("<HBB", EPOCH, 0, 8) + bytes(8)
+    length = (7 + 3 * cells + 15) // 16 * 16 & 255
+    reply = library("n", epoch + struct.pack("<HBB", EVENTS, 1, length) + bytes([0] * 5 + [cells] + [0] * (length - 6)))
+    assert (len(reply.events), reply.counters[-1]) == ((19, 0) if cells == 19 else (0, 1))
