@@ -36,7 +36,8 @@ def reference() -> str:
 def _sections(path: str, cls: type, kind: str = "") -> list[str]:
     """Return the section of a table, and those of the tables in it."""
     types = field_types(cls)
-    tables = {name: list(_tables(f"{path}.{name}", of)) for name, of in types.items()}
+    inside = path.strip("[]")  # a table within [[links]] is [links.its_name]
+    tables = {name: list(_tables(f"{inside}.{name}", of)) for name, of in types.items()}
     title = f'[{path}] kind = "{kind}"' if kind else f"[{path}]"
     inner = [
         part for found in tables.values() for at, table, its_kind in found for part in _sections(at, table, its_kind)

@@ -85,9 +85,9 @@ def _opened(path: str) -> Iterator[int]:
 
 def _point(link: Path, target: str) -> None:
     """Make or renew a symbolic link; raises OSError rather than replace what is no link."""
-    if link.is_symlink():
-        link.unlink()
     try:
+        if link.is_symlink():
+            link.unlink()
         link.symlink_to(target)
     except OSError as error:
         cure = "give a path that is free, in a folder that exists"
