@@ -77,11 +77,27 @@ class EdgeReport:
 
 @dataclass(frozen=True)
 class ClockReport:
-    """How wrong the device's clock was at stream time `t_us`: what a receiver sees less stream time, and its rate."""
+    """How wrong the device's clock was at stream time `t_us`.
+
+    Attributes
+    ----------
+    offset_us
+        What it showed less stream time, had nobody ever set it to zero.
+    ppm
+        How much too fast it ran.
+    epoch_us
+        What it would have shown when it was last set to zero, by its host or by a restart.
+    """
 
     t_us: int
     offset_us: float
     ppm: float
+    epoch_us: int = 0
+
+    @property
+    def device_us(self) -> float:
+        """What a receiver saw."""
+        return self.t_us + self.offset_us - self.epoch_us
 
 
 class ClockTruth:
@@ -93,7 +109,7 @@ class ClockTruth:
 
     def add(self, monotonic_ns: int, report: ClockReport) -> None:
         """Write one line."""
-        self._file.write(f"{monotonic_ns},{report.t_us},{report.t_us + report.offset_us:.3f}\n")
+        self._file.write(f"{monotonic_ns},{report.t_us},{report.device_us:.3f}\n")
 
     def close(self) -> None:
         """Close the file."""
@@ -191,5 +207,5 @@ class Feed:
         if self.clock is None:
             return None
         t_us = self.reached_us
-        shown_us = float(self.clock.shown_ns(t_us * 1000)[0]) / 1000 - self._device.epoch_us
-        return ClockReport(t_us, round(shown_us - t_us, 3), self.clock.ppm(t_us))
+        shown_us = float(self.clock.shown_ns(t_us * 1000)[0]) / 1000
+        return ClockReport(t_us, round(shown_us - t_us, 3), self.clock.ppm(t_us), self._device.epoch_us)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from firmware_protocol.events import Events
+from firmware_protocol.events import Events, empty_events
 from transports.davis_host import DavisHost, StreamSettings
 from transports.digest import digest_of
 from transports.pacing import Clock
@@ -33,6 +34,8 @@ class Reception:
         Words that a healthy stream does not hold.
     gone
         True when the camera went away.
+    edges
+        What the external input told of.
     """
 
     events: int = 0
@@ -41,17 +44,23 @@ class Reception:
     digest: int = 0
     faults: int = 0
     gone: bool = False
+    edges: int = 0
 
-    def with_events(self, events: Events) -> Reception:
-        """Return this and `events`, in device time."""
+    def with_events(self, events: Events, edges: int = 0) -> Reception:
+        """Return this and `events`, in device time, and so many edges."""
+        more = dataclasses.replace(self, edges=self.edges + edges)
         if not len(events):
-            return self
-        digest = digest_of(events, self.digest)
-        return Reception(self.events + len(events), self.seconds, int(events["t"][-1]), digest, self.faults, self.gone)
+            return more
+        return dataclasses.replace(
+            more,
+            events=self.events + len(events),
+            last_t_us=int(events["t"][-1]),
+            digest=digest_of(events, self.digest),
+        )
 
     def at(self, seconds: float, faults: int, *, gone: bool = False) -> Reception:
         """Return this at a later moment."""
-        return Reception(self.events, seconds, self.last_t_us, self.digest, faults, gone)
+        return dataclasses.replace(self, seconds=seconds, faults=faults, gone=gone)
 
 
 def receive(
@@ -66,13 +75,13 @@ def receive(
 
     def take(events: Events | None) -> None:
         nonlocal reception
-        if events is not None and len(events):
-            reception = reception.with_events(events)
-            if recorder is not None:
-                recorder.append(events)
+        events, edges = empty_events() if events is None else events, camera.take_edges()
+        reception = reception.with_events(events, len(edges))
+        if recorder is not None and (len(events) or len(edges)):
+            recorder.append(events, edges=edges)
         reception = reception.at((clock.now_ns() - start_ns) * 1e-9, camera.faults.total)
 
-    camera.start(StreamSettings())
+    camera.start(StreamSettings(edges=True))
     try:
         while goes_on(reception):
             take(camera.read(_READ_TIMEOUT_S))

@@ -46,7 +46,7 @@ def listen(
     events
         Stop after this many events.
     record
-        Write what arrives to this .npz (field `events`, device time).
+        Write what arrives to this .npz (fields `events` and `edges`, device time).
     json
         Print one JSON object as the last line on stdout.
     """
@@ -62,8 +62,9 @@ def listen(
         print_json(dataclasses.asdict(reception))
     else:
         console.print(
-            f"{reception.events} events in {reception.seconds:.2f} s, digest {reception.digest:08x}, "
-            f"{reception.faults} malformed words{', the camera went away' if reception.gone else ''}"
+            f"{reception.events} events and {reception.edges} edges in {reception.seconds:.2f} s, "
+            f"digest {reception.digest:08x}, {reception.faults} malformed words"
+            f"{', the camera went away' if reception.gone else ''}"
         )
     return BAD_VERDICT if reception.faults else GOOD
 
