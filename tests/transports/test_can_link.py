@@ -279,7 +279,7 @@ def test_a_bus_that_goes_away_comes_back():
     def work(link, peer):
         slot = link.endpoint._slots[0]
         if not gone and peer.frames:
-            slot.bus._bus.shutdown()  # as when an adapter is pulled out
+            slot.bus._bus._bus.shutdown()  # as when an adapter is pulled out
             gone.append(slot.bus)
         if gone and not slot.up:
             slot.retry_ns = 0
@@ -373,7 +373,7 @@ def test_a_link_that_is_cut_short_leaves_no_event_without_a_fate(carriage):
     p = parameters(carriage=carriage, share=0.1)
     report, _ = go(p, stream(5000), lambda link, peer: link.report().use.carried > 50)
     assert report.camera.accounted == report.camera.offered
-    assert report.camera.lost_on_link > 0
+    assert report.camera.lost_on_link + report.camera.flushed > 0
 
 
 @pytest.mark.socket

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
@@ -21,7 +20,7 @@ from transports.record import Recorder
 
 __all__ = ["CanReception", "listen_can", "peer_of"]
 
-_LOOK_PERIOD_S = 0.002
+_LOOK_PERIOD_S = 0.1
 _MOST_DELAYS = 1_000_000
 
 
@@ -113,7 +112,7 @@ class _Listening:
 async def listen_can(
     parameters: CanParameters, goes_on: Callable[[CanReception], bool], clock: Clock, recorder: Recorder | None = None
 ) -> CanReception:
-    """Join the bus of `parameters` and hear it while `goes_on` says so, which is asked every two milliseconds.
+    """Join the bus of `parameters` and hear it while `goes_on` says so, which is asked whenever something has come.
 
     Raises BusDown when it cannot be joined; a bus that goes away later ends the visit.
     """
@@ -124,7 +123,7 @@ async def listen_can(
     try:
         while goes_on(listening.now):
             listening.take(bus)
-            await asyncio.sleep(_LOOK_PERIOD_S)
+            await bus.wait(_LOOK_PERIOD_S)
     except BusDown:
         gone = True
     finally:

@@ -10,6 +10,7 @@ import socket
 import threading
 import time
 from collections import deque
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -78,6 +79,8 @@ class PythonCanBus(CanBus):
         self._unread: deque[Heard] = deque(maxlen=_MOST_UNREAD)
         self._failure: str | None = None
         self._closing = threading.Event()
+        self._arrived = asyncio.Event()
+        self._told = False  # whether `_arrived` is set or about to be
         # udp_multicast gives our own frames back to us (python-can 4.6): they are told by this.
         self._signature = f"evstim-{os.getpid()}-{id(self)}"
 
@@ -94,6 +97,7 @@ class PythonCanBus(CanBus):
         except _CAN_ERRORS as error:
             raise BusDown(self._advice(error)) from error
         self._failure = None
+        self._loop = asyncio.get_running_loop()
         self._closing.clear()
         self._reader = threading.Thread(target=self._read, args=(self._bus,), name=self.address, daemon=True)
         self._reader.start()
@@ -139,6 +143,13 @@ class PythonCanBus(CanBus):
             heard.append(self._unread.popleft())
         return heard
 
+    async def wait(self, timeout_s: float) -> None:
+        """Return when something has come since the last `wait`, or after `timeout_s`."""
+        with suppress(TimeoutError):
+            await asyncio.wait_for(self._arrived.wait(), timeout_s)
+        self._arrived.clear()
+        self._told = False
+
     async def close(self) -> None:
         """See `CanBus.close`."""
         self._closing.set()
@@ -174,9 +185,17 @@ class PythonCanBus(CanBus):
             except _CAN_ERRORS as error:
                 if not self._closing.is_set():
                     self._failure = self._advice(error)
+                    self._tell()
                 return
             if message is not None:
                 self._keep(message)
+                self._tell()
+
+    def _tell(self) -> None:
+        """Wake who waits, at most once for all that has come."""
+        if not self._told and not self._closing.is_set():
+            self._told = True
+            self._loop.call_soon_threadsafe(self._arrived.set)
 
     def _keep(self, message: can.Message) -> None:
         frame = from_message(message)
