@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from emulator.scene.gl import probe
+from emulator.scene.gl import PACKAGES, WANTED, probe, renderers
 
 __all__ = ["Finding", "examine"]
 
@@ -44,9 +44,20 @@ def examine() -> list[Finding]:
 def _egl() -> Finding:
     report = probe()
     wanted = "rigs with a mesh (eros)"
+    there = renderers()
     if report.available:
-        return Finding("EGL", True, f"{report.renderer}, OpenGL {report.version}", wanted)
-    return Finding("EGL", False, report.reason, wanted, "apt-get install libegl1 libgl1 libgl1-mesa-dri")
+        others = f"; also there: {', '.join(_others(there, report.renderer))}" if len(there) > 1 else ""
+        return Finding("EGL", True, f"{report.renderer}, OpenGL {report.version}{others}", wanted)
+    fix = f"unset {WANTED}" if there else f"apt-get install {PACKAGES}"
+    return Finding("EGL", False, report.reason, wanted, fix)
+
+
+def _others(there: tuple[str, ...], chosen: str) -> list[str]:
+    """Return the renderers but the chosen one, once, if it is among them."""
+    others = list(there)
+    if chosen in others:
+        others.remove(chosen)
+    return others
 
 
 def _usbip_tool() -> Finding:

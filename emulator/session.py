@@ -79,6 +79,7 @@ class RunResult:
     suspect_share: float | None = None
     scene_counts: Mapping[str, int] = field(default_factory=dict)
     syncs: int | None = None
+    renderer: str | None = None
 
     @property
     def good(self) -> bool:
@@ -158,6 +159,7 @@ class Session:
             links=reports,
             suspect_share=self._sensor.suspect_share,
             scene_counts=self._pictures.scene.counts,
+            renderer=self._pictures.scene.renderer,
             syncs=None if self._lockstep is None else self._lockstep.heard,
         )
 

@@ -125,6 +125,8 @@ def _check_truth(rig: Rig, truth: Path | None) -> None:
 def run_rig(rig: Rig, files: Files = _NO_FILES, *, show: bool = False) -> RunResult:
     """Run a loaded rig, with a live table on stderr when `show`."""
     with build_scene(rig) as scene:
+        if show and scene.renderer:
+            console.print(f"drawn by {scene.renderer}")
         for note in scene.notes if show else ():
             console.print(f"note: {note}")
         setups = link_setups(rig, files.record, files.truth, files.fault_log)
@@ -148,6 +150,7 @@ def summary(rig: Rig, result: RunResult) -> dict[str, object]:
         "lateness": result.lateness.as_json(),
         "suspect_share": result.suspect_share,
         "scene": result.scene_counts,
+        "renderer": result.renderer,
         "syncs": result.syncs,
         "links": {
             name: {

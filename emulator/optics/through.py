@@ -79,6 +79,11 @@ class Through(Scene):
         return self.scene.notes
 
     @property
+    def renderer(self) -> str | None:
+        """That of the scene."""
+        return self.scene.renderer
+
+    @property
     def counts(self) -> Mapping[str, int]:
         """Those of the scene."""
         return self.scene.counts

@@ -56,6 +56,11 @@ class Scene(ABC):
         return ()
 
     @property
+    def renderer(self) -> str | None:
+        """The name of what draws, in GL's words; None where no GL is used."""
+        return None
+
+    @property
     def counts(self) -> Mapping[str, int]:
         """Named counts of what happened to the scene during the run, for the summary."""
         return {}

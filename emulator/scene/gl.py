@@ -1,9 +1,10 @@
 """The one place where a GL context is made: offscreen, through EGL, with errors that say what to install.
 
 OpenGL 4.3 core is asked for. Of the machine's EGL devices the first that is not a software renderer is taken, else the
-first that works; glcontext's own variables decide instead where they are set:
+first that works. What draws is a matter of the machine, not of the rig, so the environment may choose instead:
 
-    GLCONTEXT_DEVICE_INDEX    which EGL device
+    EVSTIM_RENDERER           part of a renderer's name in GL's words, upper or lower case: llvmpipe, nvidia, radeon
+    GLCONTEXT_DEVICE_INDEX    which EGL device: no other is tried
     GLCONTEXT_LINUX_LIBEGL    file name of libEGL
     GLCONTEXT_LINUX_LIBGL     file name of libGL (libOpenGL.so.0 needs no X library)
 
@@ -24,10 +25,13 @@ from emulator.scene.base import MachineLacks, SceneError
 if TYPE_CHECKING:
     import moderngl
 
-__all__ = ["PACKAGES", "GlReport", "open_context", "probe", "renderer_name"]
+__all__ = ["PACKAGES", "WANTED", "GlReport", "is_software", "open_context", "probe", "renderer_name", "renderers"]
 
 PACKAGES = "libegl1 libgl1 libgl1-mesa-dri"
 """The Debian packages that give a machine without a GPU its GL."""
+
+WANTED = "EVSTIM_RENDERER"
+"""The environment's variable that chooses what draws."""
 
 _VERSION = 430
 _MOST_DEVICES = 16
@@ -68,27 +72,42 @@ def open_context() -> moderngl.Context:
     Raises
     ------
     SceneError
-        With the driver's message, its meaning and the packages to install.
+        With the driver's message, its meaning and the packages to install; or with the renderers that are there, where
+        none is the wanted one.
     """
-    opened: list[moderngl.Context] = []
-    failures: list[SceneError] = []
+    wanted = os.environ.get(WANTED, "").strip()
+    spare: moderngl.Context | None = None
+    seen: list[str] = []
     with _quiet_driver():
-        for index in _device_indices():
-            try:
-                opened.append(_open_device(index))
-            except SceneError as error:
-                failures.append(error)
-                if "requested device index" in str(error):
-                    break  # that was the last device
+        for context in _contexts():
+            name = renderer_name(context)
+            seen.append(name)
+            if _suits(name, wanted):
+                _release(spare)
+                return context
+            if spare is None and not wanted:
+                spare = context
             else:
-                if not _is_software(renderer_name(opened[-1])):
-                    break
-    if not opened:
-        raise failures[0]
-    best = opened.pop() if not _is_software(renderer_name(opened[-1])) else opened.pop(0)
-    for context in opened:
-        context.release()
-    return best
+                context.release()
+    if spare is not None:
+        return spare
+    raise MachineLacks(
+        f"{WANTED} = {wanted!r} is in the name of no renderer of this machine; there is {', '.join(seen)}. "
+        "Give part of one of these names, or unset it"
+    )
+
+
+def renderers() -> tuple[str, ...]:
+    """Return the names of all that can draw here, in the order in which they are tried; none where there is no GL."""
+    names = []
+    try:
+        with _quiet_driver():
+            for context in _contexts():
+                names.append(renderer_name(context))
+                context.release()
+    except SceneError:
+        return ()
+    return tuple(names)
 
 
 def probe() -> GlReport:
@@ -99,7 +118,7 @@ def probe() -> GlReport:
         return GlReport(False, reason=str(error))
     name, version = renderer_name(context), str(context.info["GL_VERSION"])
     context.release()
-    return GlReport(True, name, version, _is_software(name))
+    return GlReport(True, name, version, is_software(name))
 
 
 def renderer_name(context: moderngl.Context) -> str:
@@ -107,8 +126,36 @@ def renderer_name(context: moderngl.Context) -> str:
     return str(context.info["GL_RENDERER"])
 
 
-def _is_software(renderer: str) -> bool:
+def is_software(renderer: str) -> bool:
+    """Tell whether the renderer of that name draws with the processor."""
     return any(name in renderer.lower() for name in _SOFTWARE)
+
+
+def _suits(renderer: str, wanted: str) -> bool:
+    return wanted.lower() in renderer.lower() if wanted else not is_software(renderer)
+
+
+def _release(context: moderngl.Context | None) -> None:
+    if context is not None:
+        context.release()
+
+
+def _contexts() -> Iterator[moderngl.Context]:
+    """Yield a context of each device that works, for the taker to release; raise the first failure if none does."""
+    failure: SceneError | None = None
+    works = False
+    for index in _device_indices():
+        try:
+            context = _open_device(index)
+        except SceneError as error:
+            failure = failure or error
+            if "requested device index" in str(error):
+                break  # that was the last device
+        else:
+            works = True
+            yield context
+    if not works and failure is not None:
+        raise failure
 
 
 def _device_indices() -> Iterator[int | None]:

@@ -7,10 +7,12 @@ import sys
 import numpy as np
 import pytest
 
-from emulator.scene.base import SceneError
+from emulator.doctor import examine
+from emulator.scene import gl as gl_module
+from emulator.scene.base import MachineLacks, SceneError
 from emulator.scene.body import Body, BodyParameters
 from emulator.scene.checkerboard import Checkerboard, CheckerboardParameters
-from emulator.scene.gl import PACKAGES, open_context, probe, renderer_name
+from emulator.scene.gl import PACKAGES, WANTED, open_context, probe, renderer_name, renderers
 
 
 @pytest.mark.gl
@@ -82,3 +84,74 @@ def test_scenes_can_be_imported_without_loading_gl_or_trimesh():
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
     assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.gl
+def test_the_renderer_can_be_chosen_by_part_of_its_name(gl, monkeypatch):
+    monkeypatch.setenv(WANTED, gl.renderer.split()[0].upper())
+    assert probe().renderer == gl.renderer
+
+
+@pytest.mark.gl
+def test_a_renderer_that_is_not_there_is_refused_with_those_that_are(gl, monkeypatch):
+    monkeypatch.setenv(WANTED, "matrox")
+    with pytest.raises(MachineLacks, match=rf"'matrox'.*there is {gl.renderer.split()[0]}"):
+        open_context()
+    egl = next(finding for finding in examine() if finding.name == "EGL")
+    assert (egl.good, egl.fix) == (False, f"unset {WANTED}")
+
+
+class Device:
+    """A context by the name of what draws."""
+
+    def __init__(self, name):
+        self.info, self.open = {"GL_RENDERER": name}, True
+
+    def release(self):
+        self.open = False
+
+
+CARDS = ["llvmpipe (LLVM 15)", "NVIDIA A", "NVIDIA B"]
+
+
+@pytest.mark.parametrize(
+    ("wanted", "cards", "taken", "opened"),
+    [
+        ("", CARDS, "NVIDIA A", 2),
+        ("", CARDS[:1] * 2, "llvmpipe (LLVM 15)", 2),
+        ("llvm", CARDS[::-1], "llvmpipe (LLVM 15)", 3),
+        ("nvidia b", CARDS, "NVIDIA B", 3),
+    ],
+)
+def test_a_graphics_card_goes_before_the_processor_and_a_name_before_both(monkeypatch, wanted, cards, taken, opened):
+    monkeypatch.setenv(WANTED, wanted)
+    made = _devices(monkeypatch, cards)
+    context = open_context()
+    assert renderer_name(context) == taken
+    assert [device.open for device in made] == [device is context for device in made]
+    assert len(made) == opened
+
+
+def test_doctor_tells_what_else_could_draw(monkeypatch):
+    monkeypatch.delenv(WANTED, raising=False)
+    made = _devices(monkeypatch, CARDS)
+    assert renderers() == tuple(CARDS)
+    assert not any(device.open for device in made)
+    egl = next(finding for finding in examine() if finding.name == "EGL")
+    assert egl.detail.endswith("also there: llvmpipe (LLVM 15), NVIDIA B")
+
+
+def _devices(monkeypatch, names):
+    """Let the machine have devices of these names; returns those that were opened."""
+    made = []
+
+    def open_device(index):
+        if index >= len(names):
+            raise MachineLacks(f"requested device index {index}, but found {len(names)} devices")
+        made.append(Device(names[index]))
+        made[-1].info["GL_VERSION"] = "4.6"
+        return made[-1]
+
+    monkeypatch.delenv("GLCONTEXT_DEVICE_INDEX", raising=False)
+    monkeypatch.setattr(gl_module, "_open_device", open_device)
+    return made
