@@ -8,11 +8,12 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from emulator.accuracy.rendering import Drawn
 from emulator.accuracy.stability import Cell, Sweep
 from emulator.accuracy.work_precision import Point
 from emulator.drawing import pyplot, save
 
-__all__ = ["draw_stability", "draw_work_precision"]
+__all__ = ["draw_rendering", "draw_stability", "draw_work_precision"]
 
 _COLOURS = {
     "warped": "#000000",
@@ -113,6 +114,26 @@ def _panel(axes: Any, points: Sequence[Point], against: str, value: Callable[[Po
     axes.tick_params(axis="x", rotation=45)
     axes.grid(True, which="major", alpha=0.3)
     axes.tick_params(labelsize=8)
+
+
+def draw_rendering(rows: Sequence[Drawn], stem: Path) -> list[Path]:
+    """Draw false and missed events of each rig's settings against the time of a picture."""
+    plt = pyplot()
+    names = list(dict.fromkeys(row.rig for row in rows))
+    figure, grid = plt.subplots(1, len(names), figsize=(4.6 * len(names), 4.4), **_GRID)
+    for axes, name in zip(grid[0], names, strict=True):
+        for k, row in enumerate(row for row in rows if row.rig == name):
+            share = 100 * _above(row.false + row.missed, _FLOOR_SHARE)
+            axes.plot(row.ms, share, marker="os^Dv<>p"[k % 8], color=f"C{k}", linestyle="", label=row.setting)
+        axes.set_title(name, fontsize=10)
+        axes.set_xscale("log")
+        axes.set_yscale("log")
+        axes.set_xlabel("ms a picture, with its derivative", fontsize=9)
+        axes.set_ylabel("false + missed events, %", fontsize=9)
+        axes.grid(True, which="both", alpha=0.3)
+        axes.tick_params(labelsize=8, which="both")
+    _legend(figure, grid[0][0])
+    return save(figure, stem)
 
 
 def draw_stability(cells: Sequence[Cell], sweeps: Sequence[Sweep], stem: Path) -> list[Path]:

@@ -10,13 +10,21 @@ from pathlib import Path
 from typing import Any
 
 from emulator.accuracy.cases import Swept
-from emulator.accuracy.charts import draw_stability, draw_work_precision
+from emulator.accuracy.charts import draw_rendering, draw_stability, draw_work_precision
 from emulator.accuracy.effects import EffectRow
+from emulator.accuracy.rendering import Drawn
 from emulator.accuracy.stability import Cell, Sweep, boundary
 from emulator.accuracy.work_precision import Point, frames_needed
 from emulator.page import inline, sentences, table, write_csv, write_json, write_page
 
-__all__ = ["reading", "reading_of_the_map", "write_stability", "write_work_precision"]
+__all__ = [
+    "reading",
+    "reading_of_rendering",
+    "reading_of_the_map",
+    "write_rendering",
+    "write_stability",
+    "write_work_precision",
+]
 
 _TARGETS_US = (10.0, 100.0)
 
@@ -79,6 +87,25 @@ def write_stability(cells: Sequence[Cell], sweeps: Sequence[Sweep], out: Path) -
         "<h2>All cells</h2>" + table(rows),
     ]
     return [write_page("Where methods fail", sections, out / "stability.html"), *files]
+
+
+def write_rendering(rows: Sequence[Drawn], out: Path) -> list[Path]:
+    """Write the chart of drawing time against false and missed events into folder `out`; the page first."""
+    told = [row.row() for row in rows]
+    drawn = draw_rendering(rows, out / "rendering")
+    sections = [sentences(reading_of_rendering(rows)), inline(drawn[0]), table(told)]
+    page = write_page("What drawing more cheaply costs in events", sections, out / "rendering.html")
+    return [page, write_csv(told, out / "rendering.csv"), write_json({"rows": told}, out / "rendering.json"), *drawn]
+
+
+def reading_of_rendering(rows: Sequence[Drawn]) -> list[str]:
+    """Say in sentences what the chart shows."""
+    said = []
+    for rig in dict.fromkeys(row.rig for row in rows):
+        own = [row for row in rows if row.rig == rig]
+        best = [f"{r.setting} {100 * (r.false + r.missed):.1f} % in {r.ms:.1f} ms" for r in own]
+        said.append(f"{rig}: false and missed events together, of {own[0].events}: {'; '.join(best)}.")
+    return said
 
 
 def reading(points: Sequence[Point], told: Mapping[str, str]) -> list[str]:

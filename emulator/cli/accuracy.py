@@ -12,20 +12,23 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from emulator.accuracy.cases import CASES, QUICK
 from emulator.accuracy.effects import EFFECTS, QUICK_EFFECTS, effect_rows
 from emulator.accuracy.harness import methods
-from emulator.accuracy.report import write_stability, write_work_precision
+from emulator.accuracy.rendering import drawn_settings, fits, rendering_rows
+from emulator.accuracy.report import write_rendering, write_stability, write_work_precision
 from emulator.accuracy.stability import QUICK_SWEEPS, SWEEPS, cells
 from emulator.accuracy.work_precision import settings, sweep
-from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, console, print_json, status
+from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, console, failures, print_json, status
 from emulator.drawing import ChartsLacking, check
+from emulator.rig import load_rig, shipped_rigs
 
 __all__ = ["accuracy"]
 
 _Item = TypeVar("_Item")
 _EFFECTS_STEP_S = 1e-3
+_PICTURES, _QUICK_PICTURES = 60, 12
 
 
 def accuracy(
-    what: Literal["chart", "stability"] = "chart",
+    what: Literal["chart", "stability", "rendering"] = "chart",
     *,
     out: Path,
     quick: Annotated[bool, Parameter(negative="")] = False,
@@ -38,6 +41,7 @@ def accuracy(
     what
         "chart": timestamp error and wrong events against work, and what each effect costs and changes.
         "stability": where each method fails.
+        "rendering": false and missed events of the shipped rigs' scenes against the time that a picture takes.
     out
         Folder to write into; made if missing.
     quick
@@ -52,7 +56,7 @@ def accuracy(
         raise Failure(str(error), LACKING) from error
     except OSError as error:
         raise Failure(f"--out {out}: {error.strerror}", WRONG_USE) from error
-    files = {"chart": _chart, "stability": _stability}[what](out, quick)
+    files = {"chart": _chart, "stability": _stability, "rendering": _rendering}[what](out, quick)
     if json:
         print_json({"files": files})
     else:
@@ -74,6 +78,15 @@ def _stability(out: Path, quick: bool) -> list[Path]:
     chosen, ways = QUICK_SWEEPS if quick else SWEEPS, methods()
     found = _all(cells(chosen, ways), len(ways) * sum(len(axis.values) for axis in chosen), "cells")
     return _written(lambda: write_stability(found, chosen, out))
+
+
+def _rendering(out: Path, quick: bool) -> list[Path]:
+    with failures():
+        rigs = [rig for rig in map(load_rig, shipped_rigs()) if fits(rig)]
+        rigs = rigs[:1] if quick else rigs
+        count = sum(len(drawn_settings(rig)) for rig in rigs)
+        rows = _all(rendering_rows(rigs, _QUICK_PICTURES if quick else _PICTURES), count, "settings")
+    return _written(lambda: write_rendering(rows, out))
 
 
 def _all(items: Iterable[_Item], count: int, what: str) -> list[_Item]:

@@ -4,7 +4,7 @@ A body stands in the world, or in the frame of another one that it is fixed to (
 radiance, W m-2 sr-1, 400 to 700 nm, by each body's law of reflection; all is drawn relative to the camera, subtracted
 in float64.
 
-Detail: a mesh whose facets would be smaller than half a pixel even at the closest approach is gathered into vertices
+Detail: a mesh whose facets would be smaller than `detail_px` even at the closest approach is gathered into vertices
 that far apart, with the normals of the fine one (see `detail`). What throws shadows is as coarse as the map (see
 `shadows`). Left out: light from one surface onto another, but for an even `ambient_w_m2`.
 """
@@ -39,7 +39,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Bodies"]
 
-_SEEN_PX = 0.5  # facets smaller than this are gathered
 _LOOKS = 64  # instants at which ranges are taken beforehand
 _LOOK_S = 60.0
 _NEAREST_SHARE = 1e-4  # of the farthest depth: no nearer plane, or float32 depth would resolve nothing
@@ -195,7 +194,7 @@ class Bodies(Scene):
             self._shadows = ShadowMap(gl, self._throwing_radius_m())
         for body, part, range_m in zip(self._p.bodies, self._parts, self._ranges_m, strict=True):
             room_m = max(range_m - part.mesh.radius_m, 1e-6)
-            seen = self._as_seen(part.mesh, _SEEN_PX * room_m / self._pinhole.focal_px, str(body.shape))
+            seen = self._as_seen(part.mesh, self._p.detail_px * room_m / self._pinhole.focal_px, str(body.shape))
             part.facets = Facets(gl, seen if body.smooth else flat(seen), body.reflectance, self._shadows)
             if self._shadows and body.throws_shadow:
                 part.thrower = self._shadows.thrower(coarser(part.mesh, self._shadows.coarse_m))
@@ -206,7 +205,7 @@ class Bodies(Scene):
         seen = coarser(mesh, cell_m)
         if seen is not mesh:
             self._notes.append(
-                f"{name}: {len(seen.faces)} of {len(mesh.faces)} facets: the others are below half a pixel"
+                f"{name}: {len(seen.faces)} of {len(mesh.faces)} facets: the others are too small to be seen"
             )
         return seen
 

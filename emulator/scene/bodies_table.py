@@ -67,6 +67,8 @@ class BodiesParameters:
         Light from all around, W/m2: earthshine, 0.06 on the Moon under a full Earth.
     samples
         Light is averaged over samples x samples points of each pixel, 1 to 4.
+    detail_px
+        Facets smaller than this are gathered into larger ones, pixels; 0 keeps every facet.
     shadows
         Whether bodies throw shadows.
     time_scale
@@ -79,6 +81,7 @@ class BodiesParameters:
     sun: Sun = field(default_factory=Sun)
     ambient_w_m2: float = 0.0
     samples: int = 2
+    detail_px: float = 0.5
     shadows: bool = True
     time_scale: float = 1.0
     bodies: tuple[BodyTable, ...] = ()
@@ -88,6 +91,8 @@ class BodiesParameters:
             raise ValueError(f"ambient_w_m2 is {self.ambient_w_m2}: it must be 0 to 1e6")
         if self.samples not in (1, 2, 3, 4):
             raise ValueError(f"samples is {self.samples}: it must be 1, 2, 3 or 4")
+        if not 0 <= self.detail_px <= 100:
+            raise ValueError(f"detail_px is {self.detail_px}: it must be 0 to 100")
         if not 0 < self.time_scale <= 1e6:
             raise ValueError(f"time_scale is {self.time_scale}: it must be above 0 and at most 1e6")
         if not self.bodies:

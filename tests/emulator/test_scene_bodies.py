@@ -163,7 +163,7 @@ def test_detail_that_nobody_sees_is_left_out_and_told(shapes):
     parameters = BodiesParameters(bodies=(far,), sun=Sun((0.5, 0, -1)), shadows=False, samples=4)
     with Bodies(parameters, CAMERA) as scene:
         (note,) = scene.notes
-        assert "facets: the others are below half a pixel" in note
+        assert "facets: the others are too small to be seen" in note
         coarse = np.zeros(CAMERA.size[::-1], np.float32)
         scene.light(0, coarse)
     mesh = build_mesh(*(lambda s: (s.vertices, s.faces))(trimesh.creation.icosphere(4)))
