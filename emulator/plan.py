@@ -99,7 +99,8 @@ def make_plan(rig: Rig, probe: Probe) -> Plan:
 
 def limits(rig: Rig, motion_bound_px_s: float) -> Limits:
     """Return what controlled steps of this rig are held to."""
-    return Limits(rig.run.tolerance_us, motion_bound_px_s=motion_bound_px_s)
+    share = rig.run.tolerated_wrong_share
+    return Limits(rig.run.tolerance_us, motion_bound_px_s=motion_bound_px_s, wrong_share=share)
 
 
 def _steps(rig: Rig, probe: Probe) -> Steps:
@@ -110,11 +111,18 @@ def _steps(rig: Rig, probe: Probe) -> Steps:
         return Steps(False, step_us, error_us, "pinned by the rig", _step_for(max(error_us, 0.01), probe, 2))
     held = limits(rig, probe.motion_px_s)
     by_error_us = _step_for(wanted_us, probe, order)
+    by_sequences_us = _step_for_sequences(held.slips, probe, order)
     by_motion_us = held.longest_step_ns(has_slopes=order == _HERMITE) / 1000
-    step_us = max(min(by_error_us, by_motion_us), held.shortest_ns / 1000)
+    shortest_us = held.shortest_ns / 1000
+    step_us = max(min(by_error_us, by_sequences_us, by_motion_us), shortest_us)
     bound = "the tolerance" if by_error_us <= by_motion_us else "the picture's motion"
-    if by_motion_us >= held.longest_ns / 1000 <= by_error_us:
+    if by_sequences_us < min(by_error_us, by_motion_us):
+        bound = "the sequences, where light turns"
+    if by_motion_us >= held.longest_ns / 1000 <= min(by_error_us, by_sequences_us):
         bound = "the longest step"
+    if min(by_error_us, by_sequences_us) < shortest_us:
+        needed_us = min(by_error_us, by_sequences_us)
+        bound = f"the shortest step: what is asked for would need {needed_us:.2g} us, and cannot be kept"
     return Steps(True, step_us, _error(step_us, probe, order), bound, _step_for(wanted_us, probe, 2))
 
 
@@ -138,6 +146,12 @@ def _step_for(wanted_us: float, probe: Probe, order: int) -> float:
     if error_us <= 0:
         return 1e6
     return min(1e6, probe.step_s * 1e6 * float((wanted_us / error_us) ** (1 / order)))
+
+
+def _step_for_sequences(tolerated: float, probe: Probe, order: int) -> float:
+    """Return the step, us, that makes so many slips an event; at most a second."""
+    made = probe.hermite_slips if order == _HERMITE else probe.line_slips
+    return min(1e6, probe.step_s * 1e6 * float((tolerated / made) ** (1 / order))) if made > 0 else 1e6
 
 
 def _load(rig: Rig, probe: Probe, steps: Steps) -> Load:

@@ -21,7 +21,7 @@ import numpy.typing as npt
 from emulator.scene.base import Light, Scene
 from emulator.sensor.presets import SensorParameters
 from emulator.sensor.temperature import at_temperature
-from emulator.steps import Sampled, error_us, sample, weighted_quantile
+from emulator.steps import Sampled, error_us, sample, slips, weighted_quantile
 
 __all__ = ["Probe", "probe"]
 
@@ -57,6 +57,8 @@ class Probe:
         Seconds for one picture, and for one with its derivative.
     motion_px_s
         The scene's bound.
+    line_slips, hermite_slips
+        Slips an event at a step of `step_s`; see `steps`.
     """
 
     contrast_rate: float
@@ -72,6 +74,8 @@ class Probe:
     draw_s: float
     draw_with_rate_s: float
     motion_px_s: float
+    line_slips: float = 0.0
+    hermite_slips: float = 0.0
 
 
 def probe(scene: Scene, sensor: SensorParameters, step_ns: int, duration_s: float) -> Probe:
@@ -117,7 +121,8 @@ def _figures(
     weight = np.abs(change)
     total = float(weight.sum())
     threshold = (sensor.threshold_on + sensor.threshold_off) / 2
-    line = _errors([[_without_slopes(s) for s in triple] for triple in triples])
+    without = [[_without_slopes(s) for s in triple] for triple in triples]
+    line = _errors(without)
     line_mean_us = float((line[0] * line[1]).sum()) / total if total else 0.0
     return Probe(
         contrast_rate=float((weight**2).sum()) / total / h if total else 0.0,
@@ -133,11 +138,18 @@ def _figures(
         draw_s=draw_s[0],
         draw_with_rate_s=draw_s[1],
         motion_px_s=scene.motion_bound_px_s,
+        line_slips=_slips(without),
+        hermite_slips=_slips(triples),
     )
 
 
 def _without_slopes(s: Sampled) -> Sampled:
     return Sampled(s.u, None, s.t_ns)
+
+
+def _slips(triples: list[list[Sampled]]) -> float:
+    missed, events = (sum(column) for column in zip(*(slips(*triple) for triple in triples), strict=True))
+    return missed / events if events else 0.0
 
 
 def _errors(triples: list[list[Sampled]]) -> tuple[Floats, Floats]:

@@ -153,7 +153,8 @@ class Run:
         Tolerated timestamp error, 95th percentile. Above 0, steps are as long as it allows (`step_us` is the first one)
         and effects that change less than that are left out; see `evstim plan`. 0: steps of `step_us`, nothing left out.
     tolerated_wrong_share
-        Share of the events that may be wrong, missing or invented, when `tolerance_us` is given.
+        Share of the events that may be wrong, missing or invented, when `tolerance_us` is given; and of a pixel's
+        sequences of 300 events, those that may not be right. 1: steps are held to times alone.
     """
 
     seconds: float = 0.0

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from emulator.steps import ControlledSteps, FixedSteps, Limits, error_us, sample, weighted_quantile
+from emulator.steps import ControlledSteps, FixedSteps, Halves, Limits, error_us, sample, weighted_quantile
 
 DARK = 1e-3
 PHASES = np.linspace(0, 2 * np.pi, 900, endpoint=False).reshape(30, 30)
@@ -21,7 +21,7 @@ def sine(t_ns, with_rate=True):
 
 
 def settled(tolerance_us, with_rate, first_ns=1_000_000, limits=None):
-    steps = ControlledSteps(limits or Limits(tolerance_us), DARK, first_ns)
+    steps = ControlledSteps(limits or Limits(tolerance_us, wrong_share=1.0), DARK, first_ns)
     t_ns = 0
     for _ in range(40):
         steps.observe(*sine(t_ns, with_rate), t_ns)
@@ -63,18 +63,35 @@ def test_where_the_first_step_begins_does_not_matter():
 
 
 def test_steps_stay_within_their_limits():
-    assert settled(1e9, True, limits=Limits(1e9, longest_ns=3_000_000)) == 3.0
+    assert settled(1e9, True, limits=Limits(1e9, wrong_share=1.0, longest_ns=3_000_000)) == 3.0
     assert settled(1e-9, False, limits=Limits(1e-9, shortest_ns=70_000)) == pytest.approx(0.07)
 
 
 def test_motion_bounds_a_step():
-    assert settled(1e9, True, limits=Limits(1e9, motion_bound_px_s=100.0)) == 5.0
-    assert settled(1e9, False, limits=Limits(1e9, motion_bound_px_s=100.0)) == 2.5
+    assert settled(1e9, True, limits=Limits(1e9, wrong_share=1.0, motion_bound_px_s=100.0)) == 5.0
+    assert settled(1e9, False, limits=Limits(1e9, wrong_share=1.0, motion_bound_px_s=100.0)) == 2.5
+
+
+def test_sequences_are_kept_where_light_turns_though_times_would_allow_more():
+    loose, strict = (settled(1e3, True, limits=Limits(1e3, wrong_share=share)) for share in (1.0, 0.01))
+    assert strict < 0.7 * loose
+    assert settled(1e3, True, limits=Limits(1e3, wrong_share=0.16)) == pytest.approx(2 * strict, rel=0.2)
+
+
+def test_halves_allow_longer_steps_until_they_cost_a_picture():
+    limits, lengths = Limits(10.0), []
+    for halves in (None, Halves(0.2)):
+        steps, t_ns = ControlledSteps(limits, DARK, 1_000_000, halves), 0
+        for _ in range(60):
+            steps.observe(*sine(t_ns), t_ns)
+            t_ns += steps.step_ns
+        lengths.append(steps.step_ns)
+    assert 1.5 < lengths[1] / lengths[0] < 4
 
 
 def test_one_glint_does_not_set_the_pace():
     def observe(glint):
-        steps, t_ns, lengths = ControlledSteps(Limits(10.0), DARK, 1_000_000), 0, []
+        steps, t_ns, lengths = ControlledSteps(Limits(10.0, wrong_share=1.0), DARK, 1_000_000), 0, []
         while t_ns < 1_000_000_000:
             light, rate = sine(t_ns)
             if glint:  # one of 900 pixels flashes 100:1, ten times a second
