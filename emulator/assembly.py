@@ -22,7 +22,7 @@ from emulator.sensor.rules import RULES
 from emulator.sensor.sensor import Sensor
 from emulator.sensor.temperature import at_temperature
 from emulator.session import Schedule, Session
-from emulator.steps import ControlledSteps, FixedSteps, StepSource
+from emulator.steps import ControlledSteps, FixedSteps, Halves, StepSource
 from emulator.triggers import TriggerPaths
 from firmware_protocol.davis346 import Davis346, Davis346Settings, Layout
 from firmware_protocol.instrument.instrument import Instrument
@@ -57,7 +57,8 @@ def build_session(rig: Rig, scene: Scene, setups: Sequence[LinkSetup[Any]], cloc
     if run.tolerance_us:
         parameters = make_plan(rig, probe(scene, parameters, run.step_us * 1000, run.seconds or 10.0)).sensor
         dark = at_temperature(parameters).dark_current_relative
-        steps = ControlledSteps(limits(rig, scene.motion_bound_px_s), dark, run.step_us * 1000)
+        halves = None if scene.pixel_light is None else Halves(min(parameters.threshold_on, parameters.threshold_off))
+        steps = ControlledSteps(limits(rig, scene.motion_bound_px_s), dark, run.step_us * 1000, halves)
     return Session(build_pictures(rig, scene), build_sensor(rig, parameters), steps, setups, clock)
 
 
@@ -122,7 +123,7 @@ def _link_setup(
         line = SerialFactory(link, _faults(rig, link, fault_log))
         return LinkSetup(link.name, ring, _instrument(rig, link.instrument), line, record, timing=timing)
     if isinstance(link, CanParameters):
-        endpoint = CanFactory(link, triggers.sink(link.name, ring))
+        endpoint = CanFactory(link, triggers.sink(link.name, ring), _faults(rig, link, fault_log))
         return LinkSetup(link.name, ring, _instrument(rig, link.instrument), endpoint, record, timing=timing)
     camera: Callable[[], UsbCamera] = partial(Davis346, _camera(rig, link))
     return LinkSetup(link.name, ring, camera, _usb_endpoint(link), record, timing=timing)

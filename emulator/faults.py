@@ -7,13 +7,16 @@ from collections.abc import Mapping, Sequence
 from typing import Protocol
 
 from emulator.typed_table import Path, TableError, convert_kind, unknown
-from transports.faults.kinds import SERIAL_FAULTS, Fault
+from transports.can_bus.parameters import CanParameters
+from transports.faults.kinds import CAN_FAULTS, SERIAL_FAULTS, ErrorFrames, Fault
 from transports.serial_line.parameters import SerialParameters
 
 __all__ = ["FAULTS", "convert_fault", "faults_of"]
 
-FAULTS: Mapping[str, type[Fault]] = {**SERIAL_FAULTS}
+FAULTS: Mapping[str, type[Fault]] = {**SERIAL_FAULTS, **CAN_FAULTS}
 """All kinds of faults."""
+_OWN_BUSES = ("served", "virtual")
+"""Interfaces that carry an error frame that is given to them; a controller makes its own."""
 
 
 class _Link(Protocol):
@@ -23,7 +26,12 @@ class _Link(Protocol):
 
 def faults_of(link: object) -> Mapping[str, type[Fault]]:
     """Return the faults that a link of these parameters can have, by kind."""
-    return SERIAL_FAULTS if isinstance(link, SerialParameters) else {}
+    if isinstance(link, SerialParameters):
+        return SERIAL_FAULTS
+    if not isinstance(link, CanParameters):
+        return {}
+    own = link.interface in _OWN_BUSES
+    return {kind: fault for kind, fault in CAN_FAULTS.items() if own or fault is not ErrorFrames}
 
 
 def convert_fault(table: object, links: Sequence[_Link], path: Path) -> Fault:

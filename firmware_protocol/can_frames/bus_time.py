@@ -15,6 +15,8 @@ the first and after every fourth bit, 4 bits of stuff count and 17 (up to 16 dat
     both       ESI 1 | DLC 4 | data 8n | stuff count 4 | CRC 17 or 21 | fixed stuff 6 or 7     at the data rate with BRS
                CRC delimiter 1 | ACK 1 | ACK delimiter 1 | end of frame 7 | intermission 3     at the nominal rate
 
+An error frame is the flags of all nodes, 6 to 12 bits, a delimiter of 8 and the intermission of 3: 23 bits are counted.
+
 Dynamic stuff bits of FD count at the rate of the part that they are in.
 """
 
@@ -28,6 +30,7 @@ from firmware_protocol.can_frames.frame import FD_LENGTHS, Frame
 __all__ = ["BitRates", "BusShare", "FrameBits", "crc15", "frame_bits", "worst_bits"]
 
 _TAIL_BITS = 13
+_ERROR_BITS = 12 + 8 + 3
 _RUN = 5
 _CRC15 = 0x4599
 
@@ -61,6 +64,8 @@ class BitRates:
 @lru_cache(maxsize=64)  # a frame is asked for when it is handed over, and again when it is carried
 def frame_bits(frame: Frame) -> FrameBits:
     """Return the bits that `frame` takes on the bus, its own stuff bits counted exactly."""
+    if frame.error:
+        return FrameBits(_ERROR_BITS)
     if frame.fd:
         return _fd_bits(frame)
     head, bits = _classic_head(frame)

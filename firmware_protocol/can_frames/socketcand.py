@@ -8,6 +8,7 @@
     < ok >                              ->
     < frame 1A2 1700000000.123456 0011 >    ->      identifier (3 or 8 digits), seconds.microseconds, data
                                         <-  < send 1A2 2 0 11 >         identifier, length, one number a byte
+    < error 20000088 1700000000.123456 >    ->      an error frame: its class, as in linux/can/error.h, and the flag
     < error TEXT >                      ->
                                         <-  < echo >
     < echo >                            ->
@@ -26,14 +27,17 @@ __all__ = ["GREETING", "SocketcandSession", "frame_line"]
 
 GREETING = b"< hi >"
 
+_ERROR_FLAG = 0x2000_0000  # CAN_ERR_FLAG of linux/can.h
 _MOST_UNREAD = 4096
 _COMMAND = re.compile(rb"<([^<>]*)>")
 
 
 def frame_line(frame: Frame, wall_us: int) -> bytes:
-    """Return the line that tells a client of a classic frame, received at `wall_us` since 1970."""
+    """Return the line that tells a client of a classic frame, or an error frame, received at `wall_us` since 1970."""
     identifier = f"{frame.identifier:08X}" if frame.extended else f"{frame.identifier:03X}"
     seconds, us = divmod(wall_us, 1_000_000)
+    if frame.error:
+        return f"< error {frame.identifier | _ERROR_FLAG:08X} {seconds}.{us:06d} >".encode()
     return f"< frame {identifier} {seconds}.{us:06d} {frame.data.hex().upper()} >".encode()
 
 

@@ -24,7 +24,15 @@ class Heard:
 
 
 class CanBus(ABC):
-    """One bus. Its methods return at once, except `open`."""
+    """One bus. Its methods return at once, except `open`.
+
+    Attributes
+    ----------
+    missed
+        Frames that others were too slow to take, where that is known.
+    """
+
+    missed = 0
 
     @abstractmethod
     async def open(self) -> None:
@@ -36,6 +44,10 @@ class CanBus(ABC):
 
         An urgent frame passes ordinary ones that wait on our side, where the bus can do that.
         """
+
+    def flood(self, frame: Frame, t_ns: int) -> None:
+        """Put a frame of a strange node on the bus, at `t_ns` (CLOCK_MONOTONIC) where that can be chosen."""
+        self.send(frame)
 
     @abstractmethod
     def take(self) -> list[Heard]:

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections import Counter, deque
+from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,13 +18,17 @@ from firmware_protocol.can_frames.frame import Frame
 from firmware_protocol.can_frames.isotp import IsoTpFailure, IsoTpReceiver, IsoTpSender, IsoTpSettings
 from firmware_protocol.can_frames.marks import pack_marks
 from firmware_protocol.can_frames.raw_stream import Packed, RawSender
+from firmware_protocol.edges import empty_edges
 from firmware_protocol.event_copies import copy_events
+from firmware_protocol.events import empty_events
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.outgoing import Outgoing
 from firmware_protocol.packets.addresses import Addresses
+from firmware_protocol.packets.message import Received
 from firmware_protocol.packets.profile import CommandUnwrapper, Profile
 from transports.can_bus.parameters import CanParameters
 from transports.deliveries import Deliveries
+from transports.faults.watch import Load, Watch
 
 __all__ = ["CfpMail", "FrameSource", "IsoTpMail", "RawEdges", "RawEvents", "sources"]
 
@@ -30,7 +36,13 @@ _RAW_EVENTS_A_TIME = 8  # so that only so few have an uncertain fate when a bus 
 
 
 class FrameSource(ABC):
-    """Frames of one kind, in order. `label` names the kind where its faults are told."""
+    """Frames of one kind, in order. `label` names the kind where its faults are told.
+
+    Attributes
+    ----------
+    watch
+        Follows what arrives while faults may hit frames; set and taken away between two messages.
+    """
 
     label = "frames"
 
@@ -39,6 +51,21 @@ class FrameSource(ABC):
         self._deliveries = deliveries
         self._outgoing: Outgoing | None = None
         self.faults: Counter[str] = Counter()
+        self.watch: Watch | None = None
+
+    @property
+    def between(self) -> bool:
+        """True when no message is under way."""
+        return self._outgoing is None
+
+    @property
+    def load(self) -> Load:
+        """What the frame given last carries by itself."""
+        return Load.nothing()
+
+    def reader(self) -> Callable[[Frame], list[Received]] | None:
+        """Return what makes messages of frames, as the other side does; None where frames stand alone."""
+        return None
 
     @abstractmethod
     def next_frame(self, now_ns: int) -> Frame | None:
@@ -53,6 +80,8 @@ class FrameSource(ABC):
         if self._outgoing is not None:
             self._instrument.lost(self._outgoing)
             self._outgoing = None
+            if self.watch is not None:
+                self.watch.dropped()
 
     def hear(self, frame: Frame, now_ns: int) -> Frame | None:
         """Take a frame of another node; return what has to be answered at once."""
@@ -62,7 +91,10 @@ class FrameSource(ABC):
         outgoing, self._outgoing = self._outgoing, None
         if outgoing is not None:
             self._instrument.sent(outgoing)
-            self._deliveries.add(outgoing.events, outgoing.epoch_us, outgoing.edges)
+            if self.watch is not None:
+                self.watch.left(outgoing)
+            else:
+                self._deliveries.add(outgoing.events, outgoing.epoch_us, outgoing.edges)
 
 
 class RawEvents(FrameSource):
@@ -74,13 +106,24 @@ class RawEvents(FrameSource):
         self._tick_us = instrument.tick_us
         self._sender = RawSender(parameters.raw(self._tick_us))
         self._frames: deque[Packed] = deque()
+        self._load = Load.nothing()
+        self._epoch_us = 0
+
+    @property
+    def load(self) -> Load:
+        """See `FrameSource.load`."""
+        return self._load
 
     def next_frame(self, now_ns: int) -> Frame | None:
         """See `FrameSource.next_frame`."""
         if not self._frames:
             self._pack()
         if self._frames:
-            return self._frames.popleft().frame
+            packed = self._frames.popleft()
+            if self.watch is not None:
+                self._load = Load(packed.events, empty_edges(), self._epoch_us)
+            return packed.frame
+        self._load = Load.nothing()
         if self._outgoing is not None:
             return None  # its last frame is under way
         return self._sender.epoch(self._instrument.own_us, self._instrument.counters.dropped_in_device)
@@ -105,6 +148,7 @@ class RawEvents(FrameSource):
             self._tick_us = self._instrument.tick_us
             self._sender.set_tick(self._tick_us)
         own = copy_events(outgoing.events)
+        self._epoch_us = outgoing.epoch_us
         epoch = np.uint64(outgoing.epoch_us % (1 << 64))
         own["t"] -= epoch
         self._frames += self._sender.pack(own, self._instrument.counters.dropped_in_device)
@@ -130,6 +174,15 @@ class RawEdges(FrameSource):
             own["t"] -= np.uint64(self._outgoing.epoch_us % (1 << 64))
             self._frames += [Frame(self._identifier, data) for data in pack_marks(own)]
         return self._frames.popleft() if self._frames else None
+
+    @property
+    def load(self) -> Load:
+        """See `FrameSource.load`."""
+        if self._outgoing is None:
+            return Load.nothing()
+        edges = self._outgoing.edges
+        at = len(edges) - len(self._frames) - 1
+        return Load(empty_events(), edges[at : at + 1], self._outgoing.epoch_us)
 
     def left(self) -> None:
         """See `FrameSource.left`."""
@@ -183,6 +236,12 @@ class IsoTpMail(FrameSource):
         self._sender.abort()
         super().drop()
 
+    def reader(self) -> Callable[[Frame], list[Received]]:
+        """See `FrameSource.reader`."""
+        peer = replace(self._settings, send=self._settings.receive, receive=self._settings.send)
+        receiver, unwrapper = IsoTpReceiver(peer), Profile("ccsds").unwrapper()
+        return lambda frame: unwrapper.push(receiver.push(frame, 0) or b"")
+
     def hear(self, frame: Frame, now_ns: int) -> Frame | None:
         """See `FrameSource.hear`."""
         if not self._settings.is_ours(frame):
@@ -210,7 +269,7 @@ class CfpMail(FrameSource):
 
     def __init__(self, instrument: Instrument, deliveries: Deliveries, parameters: CanParameters) -> None:
         super().__init__(instrument, deliveries)
-        self._address = parameters.csp_address
+        self._address, self._peer = parameters.csp_address, parameters.csp_peer
         self._profile = Profile("csp", Addresses(csp_node=parameters.csp_address, csp_peer=parameters.csp_peer))
         self._commands = self._profile.command_unwrapper()
         self._receiver = CfpReceiver(parameters.csp_address)
@@ -238,6 +297,12 @@ class CfpMail(FrameSource):
         """See `FrameSource.drop`."""
         self._frames.clear()
         super().drop()
+
+    def reader(self) -> Callable[[Frame], list[Received]]:
+        """See `FrameSource.reader`."""
+        addresses = Addresses(csp_node=self._address, csp_peer=self._peer)
+        receiver, unwrapper = CfpReceiver(self._peer), Profile("csp", addresses).unwrapper()
+        return lambda frame: unwrapper.push(receiver.push(frame, 0) or b"")
 
     def hear(self, frame: Frame, now_ns: int) -> Frame | None:
         """See `FrameSource.hear`."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 import asyncio
 from collections import Counter, deque
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from firmware_protocol.can_frames.bus_time import BusShare
 from firmware_protocol.can_frames.frame import Frame
@@ -17,11 +17,16 @@ from firmware_protocol.edges import Edges
 from firmware_protocol.instrument.instrument import Instrument
 from transports.can_bus.bus import BusDown, CanBus
 from transports.can_bus.carriage import FrameSource, sources
+from transports.can_bus.faulty_bus import BusFaults, FaultyBus
 from transports.can_bus.node import EdgeSink, Node
 from transports.can_bus.parameters import CanParameters
 from transports.can_bus.python_can import PythonCanBus
 from transports.can_bus.served import ServedBus
 from transports.deliveries import Deliveries
+from transports.faults.bus import Parcel
+from transports.faults.kinds import Fault
+from transports.faults.script import FaultPlan, FaultRecord
+from transports.faults.watch import Watch
 from transports.link import Endpoint, EndpointFactory, LineUse
 from transports.pacing import Clock
 
@@ -39,6 +44,7 @@ class CanFactory(EndpointFactory[Instrument]):
 
     parameters: CanParameters
     sink: EdgeSink | None = None
+    faults: FaultPlan = field(default_factory=FaultPlan)
 
     def build(self, device: Instrument, deliveries: Deliveries) -> CanEndpoint:
         """Return the endpoint, its buses not yet open."""
@@ -47,14 +53,16 @@ class CanFactory(EndpointFactory[Instrument]):
             buses: list[CanBus] = [ServedBus(p, clock)]
         else:
             buses = [PythonCanBus(p, channel) for channel in (p.channel, p.channel_b) if channel]
-        return CanEndpoint(buses, device, Node(p, device, deliveries, self.sink), sources(device, deliveries, p), clock)
+        faults = BusFaults(self.faults, p.rates, deliveries)
+        node = Node(p, device, deliveries, self.sink)
+        return CanEndpoint(buses, faults, node, sources(device, deliveries, p), clock)
 
 
 @dataclass
 class _Slot:
     """One of the buses, and whether it can be used."""
 
-    bus: CanBus
+    bus: FaultyBus
     up: bool = False
     why: str = ""
     retry_ns: int = 0
@@ -65,17 +73,18 @@ class CanEndpoint(Endpoint):
     """An instrument on its bus."""
 
     def __init__(
-        self, buses: list[CanBus], instrument: Instrument, node: Node, carried: list[FrameSource], clock: Clock
+        self, buses: list[CanBus], faults: BusFaults, node: Node, carried: list[FrameSource], clock: Clock
     ) -> None:
         p = node.parameters
-        self._slots = [_Slot(bus) for bus in buses]
-        self._instrument = instrument
+        self._slots = [_Slot(FaultyBus(bus, index, faults)) for index, bus in enumerate(buses)]
+        self._faults = faults
+        self._instrument = node.instrument
         self._node = node
         self._sources = carried
         self._clock = clock
         self._share = BusShare(p.rates, p.share, _MAKE_UP_NS)
         self._urgent: deque[Frame] = deque()
-        self._kept: tuple[FrameSource, Frame] | None = None  # the bus had no room for it
+        self._kept: tuple[FrameSource, Parcel] | None = None  # the bus had no room for it
         self._use = _Use()
         self._counts: Counter[str] = Counter()
         self._active = 0
@@ -95,6 +104,8 @@ class CanEndpoint(Endpoint):
         for index, slot in enumerate(self._slots):
             self._listen(index, slot)
         now_ns = self._clock.now_ns()
+        for slot in self._slots:
+            slot.bus.babble(now_ns)
         self._follow_the_master(now_ns)
         slot = self._slots[self._active]
         self._be_heard(slot.up and slot.bus.heard)
@@ -106,6 +117,29 @@ class CanEndpoint(Endpoint):
             self._send_ordinary(slot, now_ns)
         except BusDown as error:
             self._down(slot, error)
+        self._settle()
+
+    def reach(self, stream_us: int) -> None:
+        """See `Endpoint.reach`."""
+        over, held = self._faults.advance(stream_us)
+        if not over:
+            return
+        slot = self._slots[self._active]
+        try:
+            slot.bus.put(held)
+        except BusDown as error:
+            self._down(slot, error)
+        for watch in self._watches():
+            watch.damaged()
+
+    def throw(self, fault: Fault) -> None:
+        """See `Endpoint.throw`."""
+        self._faults.throw(fault)
+
+    @property
+    def faults(self) -> tuple[FaultRecord, ...]:
+        """See `Endpoint.faults`."""
+        return self._faults.records
 
     def mark(self, edges: Edges) -> int:
         """See `Endpoint.mark`."""
@@ -125,6 +159,9 @@ class CanEndpoint(Endpoint):
                 slot.opening.cancel()
                 await asyncio.gather(slot.opening, return_exceptions=True)
             await slot.bus.close()
+        for watch in self._watches():
+            watch.close()
+        self._faults.close()
 
     @property
     def state(self) -> str:
@@ -154,7 +191,7 @@ class CanEndpoint(Endpoint):
             total += Counter({f"{source.label} {name}": n for name, n in source.faults.items()})
         if self._node.selector is not None:
             total["bus changes"] = self._node.selector.turns
-        missed = sum(slot.bus.missed for slot in self._slots if isinstance(slot.bus, ServedBus))
+        missed = sum(slot.bus.missed for slot in self._slots)
         return dict(total + Counter({"frames missed by slow listeners": missed}))
 
     def _listen(self, index: int, slot: _Slot) -> None:
@@ -184,17 +221,20 @@ class CanEndpoint(Endpoint):
             if answer is not None:
                 self._urgent.append(answer)
 
-    def _send(self, slot: _Slot, frame: Frame, now_ns: int, *, urgent: bool = False) -> bool:
+    def _send(self, slot: _Slot, parcel: Parcel, now_ns: int) -> bool:
         """Hand a frame to the bus; False when it has no room. Raises BusDown."""
-        if not slot.bus.send(frame, urgent=urgent):
+        if not slot.bus.post(parcel):
             self._counts["bus had no room"] += 1
             return False
-        self._use.add(self._share.spend(frame, now_ns), now_ns)
+        self._use.add(self._share.spend(parcel.frame, now_ns), now_ns)
         return True
 
     def _send_urgent(self, slot: _Slot, now_ns: int) -> None:
-        while self._urgent and self._send(slot, self._urgent[0], now_ns, urgent=True):
-            self._urgent.popleft()
+        waiting, self._urgent = self._urgent, deque()
+        while waiting:
+            if not self._send(slot, Parcel(waiting[0], urgent=True), now_ns):
+                self._urgent.append(waiting[0])  # the next one may have a buffer of its own
+            waiting.popleft()
 
     def _send_ordinary(self, slot: _Slot, now_ns: int) -> None:
         while self._share.has_room(now_ns):
@@ -202,24 +242,35 @@ class CanEndpoint(Endpoint):
                 self._kept = self._next(now_ns)
             if self._kept is None:
                 return
-            source, frame = self._kept
-            if not self._send(slot, frame, now_ns):
+            source, parcel = self._kept
+            if not self._send(slot, parcel, now_ns):
                 return
             self._kept = None
             source.left()
 
-    def _next(self, now_ns: int) -> tuple[FrameSource, Frame] | None:
+    def _next(self, now_ns: int) -> tuple[FrameSource, Parcel] | None:
         for source in self._sources:
-            frame = source.next_frame(now_ns)
+            if source.between:
+                self._faults.look_at(source)
+            frame, watch = source.next_frame(now_ns), source.watch
             if frame is not None:
-                return source, frame
+                cargo = None if watch is None else watch.cargo(source.load)
+                return source, Parcel(frame, cargo=cargo, exempt=watch is None)
         return None
+
+    def _watches(self) -> list[Watch]:
+        return [source.watch for source in self._sources if source.watch is not None]
+
+    def _settle(self) -> None:
+        for watch in self._watches():
+            watch.settle()
 
     def _follow_the_master(self, now_ns: int) -> None:
         if self._node.selector is not None:
             self._node.selector.poll(now_ns)
         if self._active != self._node.bus:
             self._drop()
+            self._slots[self._active].bus.drop()
             self._active = self._node.bus
 
     def _be_heard(self, heard: bool) -> None:
@@ -241,6 +292,7 @@ class CanEndpoint(Endpoint):
     def _down(self, slot: _Slot, error: BusDown) -> None:
         slot.up, slot.why = False, str(error)
         slot.retry_ns = self._clock.now_ns() + _RETRY_NS
+        slot.bus.drop()
         self._counts["bus lost"] += 1
         if slot is self._slots[self._active]:
             self._drop()

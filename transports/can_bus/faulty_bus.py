@@ -3,7 +3,7 @@
     endpoint --post--> stage --> stage --> [what the bus had no room for] --> bus
     endpoint <--take---------------------- unless the bus is dead or off ----'
 
-While no fault is at work frames pass untouched. What happens to a bus itself (off, dead, flooded) shows as the bus's own
+While no fault is at work frames pass untouched. What happens to a bus itself (off, dead, flooded) shows as its own
 state, so that the endpoint reacts as it does to the real thing.
 """
 
@@ -15,9 +15,12 @@ from functools import partial
 from firmware_protocol.can_frames.bus_time import BitRates
 from firmware_protocol.can_frames.frame import Frame
 from transports.can_bus.bus import BusDown, CanBus, Heard
+from transports.can_bus.carriage import FrameSource
+from transports.deliveries import Deliveries
 from transports.faults.bus import Babbler, FrameStage, Parcel, frame_stage
 from transports.faults.kinds import Fault
 from transports.faults.script import FaultPlan, FaultRecord, Faults
+from transports.faults.watch import FrameWatch, MessageWatch, Tell
 
 __all__ = ["BusFaults", "FaultyBus"]
 
@@ -27,9 +30,13 @@ _AHEAD_NS = 1_000_000  # a babbling node's frames are put on the bus so long bef
 class BusFaults:
     """The faults of one link, for all its buses."""
 
-    def __init__(self, plan: FaultPlan, rates: BitRates) -> None:
+    def __init__(self, plan: FaultPlan, rates: BitRates, deliveries: Deliveries) -> None:
         self._faults: Faults[FrameStage] = Faults(plan, partial(frame_stage, rates=rates))
         self._posted = 0
+        self._tell = Tell(
+            lambda load: deliveries.add(load.events, load.epoch_us, load.edges),
+            lambda load: self._faults.lose(len(load.events), len(load.edges)),
+        )
 
     @property
     def records(self) -> tuple[FaultRecord, ...]:
@@ -50,9 +57,13 @@ class BusFaults:
         """Begin a fault now; raises ValueError for one that a bus does not have."""
         self._faults.throw(fault)
 
-    def lose(self, events: int, edges: int) -> None:
-        """Count what a sound receiver will not get."""
-        self._faults.lose(events, edges)
+    def look_at(self, source: FrameSource) -> None:
+        """Begin or end the watch on a source that is between two messages."""
+        if source.watch is None and self.strikes_frames:
+            read = source.reader()
+            source.watch = FrameWatch(self._tell) if read is None else MessageWatch(self._tell, read)
+        elif source.watch is not None and source.watch.in_step and not self.strikes_frames:
+            source.watch = None
 
     def changed(self, parcel: Parcel) -> list[Parcel]:
         """Return what goes to the bus instead of a frame."""
@@ -93,6 +104,7 @@ class FaultyBus(CanBus):
         self._index = index
         self._faults = faults
         self._rest: deque[Parcel] = deque()
+        self.missed = 0
         self._is_off = False  # by a fault: the bus itself is open
 
     async def open(self) -> None:
@@ -113,7 +125,7 @@ class FaultyBus(CanBus):
         self._check_off()
         if not self._flush():
             return False
-        if parcel.cargo is None and not self._faults.strikes_frames:
+        if parcel.exempt or (parcel.cargo is None and not self._faults.strikes_frames):
             return self._bus.send(parcel.frame, urgent=parcel.urgent)
         self.put(self._faults.changed(parcel))
         return True
@@ -135,6 +147,7 @@ class FaultyBus(CanBus):
         self._check_off()
         self._flush()
         heard = self._bus.take()
+        self.missed = self._bus.missed
         return [] if self._faults.is_dead(self._index) else heard
 
     def babble(self, now_ns: int) -> None:
@@ -162,11 +175,6 @@ class FaultyBus(CanBus):
     def heard(self) -> bool:
         """See `CanBus.heard`."""
         return self._bus.heard and not self._faults.is_dead(self._index)
-
-    @property
-    def missed(self) -> int:
-        """See `CanBus.missed`."""
-        return self._bus.missed
 
     def _check_off(self) -> None:
         if self._faults.is_off(self._index):

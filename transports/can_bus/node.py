@@ -45,7 +45,7 @@ class Node:
     ) -> None:
         self.parameters = self._p = parameters
         self._ids = parameters.identifiers
-        self._instrument = instrument
+        self.instrument = self._instrument = instrument
         self._deliveries = deliveries
         self._sink = sink
         self._next_ns: dict[str, int] = {}

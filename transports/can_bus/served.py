@@ -5,8 +5,8 @@ Others join with python-can (`interface = "socketcand"`), with `evstim listen ca
 onto a vcan of another machine. What it does not model: errors, acknowledgement, CAN FD. A client that reads too slowly
 misses frames, which are counted.
 
-Two nodes of the wire are ours, one for ordinary frames and one for urgent ones, as a controller with two transmit
-buffers has; so an urgent frame waits for one frame at most.
+Several nodes of the wire are ours: one for ordinary frames, and one for each urgent identifier, as a controller with
+that many transmit buffers has; so a SYNC waits for one frame at most, also when a heartbeat cannot get through.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from transports.pacing import Clock
 
 __all__ = ["ServedBus"]
 
-_ORDINARY, _URGENT = 0, 1
+_ORDINARY, _STRANGER = 0, 1
 _MOST_WAITING = 48  # frames handed over and not begun: 5 ms of a full bus, so that ticks may be late
 _MOST_UNSENT_BYTES = 1 << 20
 _SETTLE_NS = 250_000_000  # python-can takes an answer of the handshake for garbage when a frame follows too soon
@@ -93,12 +93,17 @@ class ServedBus(CanBus):
 
     def send(self, frame: Frame, *, urgent: bool = False) -> bool:
         """See `CanBus.send`."""
-        if self._wire.waiting(_URGENT if urgent else _ORDINARY) >= _MOST_WAITING:
+        node = _mailbox(frame) if urgent else _ORDINARY
+        if self._wire.waiting(node) >= _MOST_WAITING:
             return False
         now_ns = self._clock.now_ns()
         self._carry(now_ns)
-        self._wire.offer(_URGENT if urgent else _ORDINARY, frame, now_ns)
+        self._wire.offer(node, frame, now_ns)
         return True
+
+    def flood(self, frame: Frame, t_ns: int) -> None:
+        """See `CanBus.flood`."""
+        self._wire.offer(_STRANGER, frame, t_ns)
 
     def take(self) -> list[Heard]:
         """See `CanBus.take`."""
@@ -149,7 +154,7 @@ class ServedBus(CanBus):
         """Let the wire move on, and tell everybody what it carried."""
         for carried in self._wire.advance(now_ns):
             if carried.node != _ORDINARY:
-                self._unread.append(Heard(carried.frame, carried.end_ns, own=carried.node == _URGENT))
+                self._unread.append(Heard(carried.frame, carried.end_ns, own=carried.node < _ORDINARY))
             if self._clients:
                 self._tell(carried)
 
@@ -162,3 +167,8 @@ class ServedBus(CanBus):
                 self.missed += 1
             else:
                 client.writer.write(line)
+
+
+def _mailbox(frame: Frame) -> int:
+    """Return the node of the wire that stands for the transmit buffer of an urgent frame."""
+    return -1 - frame.identifier

@@ -14,6 +14,7 @@ from collections.abc import Callable
 from functools import partial
 
 from firmware_protocol.instrument.outgoing import Outgoing
+from firmware_protocol.packets.profile import Profile, Unwrapper
 from transports.faults.kinds import Fault
 from transports.faults.line import ByteStage, byte_stage
 from transports.faults.script import FaultPlan, FaultRecord, Faults
@@ -42,6 +43,7 @@ class FaultyLine:
         self._profile = profile
         self._arrived = arrived
         self._witness: Witness | None = None
+        self._unwrapper: Unwrapper | None = None
         self._rest = b""
         self._sent = 0
         self.false = 0
@@ -60,6 +62,8 @@ class FaultyLine:
         """Let stream time pass; `begun` is what has left of the frame on the line."""
         for stage in self._faults.advance(now_us):
             self._arrive(stage.finish())
+            if self._witness is not None:
+                self._witness.damaged()
         self._watch(begun)
 
     def throw(self, fault: Fault) -> None:
@@ -76,8 +80,7 @@ class FaultyLine:
             self.flush(port)
         else:
             taken = port(data)
-            if self._witness is not None:
-                self._witness.push(data[:taken])
+            self._see(data[:taken])
         self._sent += taken
         return taken
 
@@ -123,8 +126,8 @@ class FaultyLine:
 
     def _watch(self, begun: bytes) -> None:
         if self._faults.stages and self._witness is None:
-            self._witness = Witness(self._profile)
-            self._witness.push(begun)
+            self._witness, self._unwrapper = Witness(), Profile(self._profile).unwrapper()
+            self._see(begun)
 
     def _hold(self, data: bytes) -> list[ByteStage]:
         holding = [stage for stage in self._faults.stages if stage.holds]
@@ -141,14 +144,15 @@ class FaultyLine:
             data = stage.change(data)
             if stage.touched != before or stage.places:
                 self._faults.struck(stage, [self._sent + place for place in stage.places])
-                if self._witness is not None:
-                    self._witness.damaged()
         return data
 
     def _arrive(self, data: bytes) -> None:
         self._rest += data
-        if self._witness is not None:
-            self._witness.push(data)
+        self._see(data)
+
+    def _see(self, data: bytes) -> None:
+        if self._witness is not None and self._unwrapper is not None:
+            self._witness.came(self._unwrapper.push(data))
 
     def _lose(self, lost: list[Outgoing]) -> None:
         for outgoing in lost:

@@ -1,7 +1,7 @@
 """What a sound receiver makes of a damaged line: the ground truth of what faults destroyed.
 
-    transmitter --bytes--> faults --bytes--+--> port
-                --left---> expected        +--> unwrapper, as at the other side: what came, compared with what was sent
+    sender --bytes or frames--> faults --+--> port or bus
+           --left--> expected            +--> reader, as at the other side --> came, compared with what is expected
 
 It listens only from a fault's beginning until whole messages come again.
 """
@@ -9,10 +9,10 @@ It listens only from a fault's beginning until whole messages come again.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterable
 
 from firmware_protocol.instrument.outgoing import Outgoing
-from firmware_protocol.packets.message import Message
-from firmware_protocol.packets.profile import Profile
+from firmware_protocol.packets.message import Message, Received
 
 __all__ = ["Witness"]
 
@@ -25,11 +25,10 @@ class Witness:
     Attributes
     ----------
     false
-        Messages that came and were never sent: none, or the packets' checks are too weak.
+        Messages that came and were not sent, or came again.
     """
 
-    def __init__(self, profile: str) -> None:
-        self._unwrapper = Profile(profile).unwrapper()
+    def __init__(self) -> None:
         self._expected: deque[Outgoing] = deque()
         self._came: deque[Message] = deque()
         self._in_step = 0
@@ -40,12 +39,12 @@ class Witness:
         """True when nothing is outstanding and messages come whole again."""
         return not self._expected and self._in_step >= _IN_STEP
 
-    def push(self, data: bytes) -> None:
-        """Take bytes as they arrive."""
-        self._came += [received.message for received in self._unwrapper.push(data)]
+    def came(self, received: Iterable[Received]) -> None:
+        """Say what a sound receiver has made of what arrived."""
+        self._came += [each.message for each in received]
 
     def left(self, outgoing: Outgoing) -> None:
-        """Say that the last byte of this has left, whatever became of it; its bytes have been pushed."""
+        """Say that the last byte of this has left, whatever became of it."""
         self._expected.append(outgoing)
 
     def settle(self) -> tuple[list[Outgoing], list[Outgoing]]:
@@ -70,7 +69,7 @@ class Witness:
         return lost
 
     def damaged(self) -> None:
-        """A fault has struck again."""
+        """A fault has been at work until now."""
         self._in_step = 0
 
 

@@ -1,0 +1,205 @@
+"""What faults do to the frames that a node sends on a CAN bus, and to the bus itself. Sans-I/O."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from firmware_protocol.can_frames.bus_time import BitRates, frame_bits
+from firmware_protocol.can_frames.frame import Frame
+from transports.faults.kinds import (
+    BabblingIdiot,
+    BusOff,
+    ChangedFrames,
+    DeadBus,
+    ErrorFrames,
+    Fault,
+    HitFault,
+    LostFrames,
+    ReorderedFrames,
+    RepeatedFrames,
+)
+from transports.faults.places import Places
+
+__all__ = ["Babbler", "Cargo", "FrameStage", "Parcel", "frame_stage"]
+
+_PROTOCOL_ERROR = 0x88  # CAN_ERR_PROT | CAN_ERR_BUSERROR of linux/can/error.h
+_BUSES = {"A": 0, "B": 1}
+
+
+class Cargo(Protocol):
+    """What depends on a frame's arriving."""
+
+    def arrived(self, frame: Frame) -> None:
+        """Another node has it."""
+
+    def gone(self) -> None:
+        """No other node will ever have it."""
+
+    def spoilt(self) -> Cargo | None:
+        """Its data are wrong; return what now depends on its arriving."""
+
+
+@dataclass(frozen=True)
+class Parcel:
+    """A frame on its way to the bus; `exempt` from faults of frames when its message was under way as they began."""
+
+    frame: Frame
+    urgent: bool = False
+    cargo: Cargo | None = None
+    exempt: bool = False
+
+
+class FrameStage:
+    """One fault at work; without a method of its own, it lets frames pass.
+
+    Attributes
+    ----------
+    hits
+        Times that it struck.
+    touched
+        Frames that it changed, took away, put in or held.
+    over
+        True when it has nothing more to do.
+    bus
+        The bus that is off, dead or flooded; None for faults of frames.
+    off, dead
+        What has become of that bus.
+    """
+
+    bus: int | None = None
+    off = dead = False
+
+    def __init__(self) -> None:
+        self.hits = self.touched = 0
+        self.over = False
+
+    def change(self, parcel: Parcel) -> list[Parcel]:
+        """Return what goes to the bus instead of a frame."""
+        return [parcel]
+
+    def finish(self) -> list[Parcel]:
+        """Return what still goes to the bus when the fault is over."""
+        return []
+
+
+class _Hitting(FrameStage):
+    """Does something to each frame that is hit."""
+
+    def __init__(self, fault: HitFault, random: np.random.Generator) -> None:
+        super().__init__()
+        where, self._random = random.spawn(2)
+        self._where = Places(fault, where)
+
+    def change(self, parcel: Parcel) -> list[Parcel]:
+        if not self._where.within(1):
+            return [parcel]
+        self.hits += 1
+        self.touched += 1
+        self.over = self._where.over
+        return self._hit(parcel)
+
+    def _hit(self, parcel: Parcel) -> list[Parcel]:
+        return [parcel, parcel]
+
+
+class _Lost(_Hitting):
+    def _hit(self, parcel: Parcel) -> list[Parcel]:
+        if parcel.cargo is not None:
+            parcel.cargo.gone()
+        return []
+
+
+class _Changed(_Hitting):
+    def _hit(self, parcel: Parcel) -> list[Parcel]:
+        data = bytearray(parcel.frame.data)
+        if not data:
+            return [parcel]
+        bit = int(self._random.integers(8 * len(data)))
+        data[bit >> 3] ^= 1 << (bit & 7)
+        cargo = None if parcel.cargo is None else parcel.cargo.spoilt()
+        return [replace(parcel, frame=replace(parcel.frame, data=bytes(data)), cargo=cargo)]
+
+
+class _Destroyed(_Hitting):
+    def _hit(self, parcel: Parcel) -> list[Parcel]:
+        return [Parcel(Frame(_PROTOCOL_ERROR, bytes(8), error=True), parcel.urgent), parcel]
+
+
+class _Overtaken(FrameStage):
+    def __init__(self, fault: ReorderedFrames, random: np.random.Generator) -> None:
+        super().__init__()
+        self._where = Places(fault, random)
+        self._behind = fault.behind
+        self._held: deque[tuple[Parcel, int]] = deque()  # and how many frames still overtake it
+
+    def change(self, parcel: Parcel) -> list[Parcel]:
+        if parcel.urgent:
+            return [parcel]  # it has a way of its own
+        if self._where.within(1):
+            self.hits += 1
+            self.touched += 1
+            self._held.append((parcel, self._behind))
+            return []
+        self.touched += bool(self._held)
+        self._held = deque((held, left - 1) for held, left in self._held)
+        out = [parcel]
+        while self._held and self._held[0][1] <= 0:
+            out.append(self._held.popleft()[0])
+        self.over = self._where.over and not self._held
+        return out
+
+    def finish(self) -> list[Parcel]:
+        return [held for held, _ in self._held]
+
+
+class _Bus(FrameStage):
+    def __init__(self, fault: BusOff | DeadBus) -> None:
+        super().__init__()
+        self.bus = _BUSES[fault.bus]
+        self.off, self.dead = isinstance(fault, BusOff), isinstance(fault, DeadBus)
+        self.hits = 1
+
+
+class Babbler(FrameStage):
+    """A node that floods the bus; `due` tells when its frames are."""
+
+    def __init__(self, fault: BabblingIdiot, rates: BitRates) -> None:
+        super().__init__()
+        self.bus = _BUSES[fault.bus]
+        self.frame = Frame(fault.identifier, bytes(8))
+        self._period_ns = round(rates.duration_ns(frame_bits(self.frame)) / fault.load)
+        self._next_ns: int | None = None
+
+    def due(self, until_ns: int) -> list[int]:
+        """Return when it wants to send, ns, since the last call and until then."""
+        if self._next_ns is None:
+            self._next_ns = until_ns
+        times = list(range(self._next_ns, until_ns, self._period_ns))
+        self._next_ns += len(times) * self._period_ns
+        self.hits = 1
+        self.touched += len(times)
+        return times
+
+
+def frame_stage(fault: Fault, random: np.random.Generator, rates: BitRates) -> FrameStage:
+    """Return what this fault does to a bus of these bit rates; raises ValueError for one that a bus does not have."""
+    match fault:
+        case LostFrames():
+            return _Lost(fault, random)
+        case RepeatedFrames():
+            return _Hitting(fault, random)
+        case ReorderedFrames():
+            return _Overtaken(fault, random)
+        case ChangedFrames():
+            return _Changed(fault, random)
+        case ErrorFrames():
+            return _Destroyed(fault, random)
+        case BusOff() | DeadBus():
+            return _Bus(fault)
+        case BabblingIdiot():
+            return Babbler(fault, rates)
+    raise ValueError(f"{fault.kind!r} is no fault of a CAN bus")
