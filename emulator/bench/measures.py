@@ -36,6 +36,27 @@ _IN_C = (
     Measure("c_decode_words", "Mev/s", "higher", None, CDecoding("words")),
 )
 
+# Rigs, and their targets in frames a second at both sizes.
+_RIGS: tuple[tuple[str, float | None, float | None], ...] = (
+    ("checkerboard", 2000, 200),
+    ("eros", 150, 60),
+    ("itokawa", 150, 60),
+    ("eros-flyover", 150, 60),
+    ("rendezvous", None, None),
+    ("stars", 1000, 300),
+)
+
+
+def _of_a_rig(rig: str, small: float | None, large: float | None) -> tuple[Measure, ...]:
+    """Return what is measured of a rig: frames a second, and steps with the light's derivative."""
+    name = rig.replace("-", "_")
+    return tuple(
+        Measure(f"{name}_{size[0]}x{size[1]}{end}", unit, "higher", target, Workload(rig, size, with_rate=bool(end)))
+        for end, unit in (("", "frames/s"), ("_warped", "steps/s"))
+        for size, target in ((SMALL, None if end else small), (LARGE, None if end else large))
+    )
+
+
 MEASURES = (
     Measure("pixel_quiet", "Mpixel/s", "higher", 900, pixel.pixel_quiet),
     Measure("pixel_5pct", "Mpixel/s", "higher", 400, pixel.pixel_5pct),
@@ -59,14 +80,7 @@ MEASURES = (
     Measure("blocks_stars_100us", "bits/ev", "lower", 16.5, BlockBits("stars", 100)),
     Measure("blocks_target_100us", "bits/ev", "lower", 10.5, BlockBits("target", 100)),
     *(_IN_C if COMPILER else ()),
-    Measure("checkerboard_346x260", "frames/s", "higher", 2000, Workload("checkerboard", SMALL)),
-    Measure("checkerboard_1280x720", "frames/s", "higher", 200, Workload("checkerboard", LARGE)),
-    Measure("eros_346x260", "frames/s", "higher", 150, Workload("eros", SMALL)),
-    Measure("eros_1280x720", "frames/s", "higher", 60, Workload("eros", LARGE)),
-    Measure("checkerboard_346x260_warped", "steps/s", "higher", None, Workload("checkerboard", SMALL, with_rate=True)),
-    Measure("checkerboard_1280x720_warped", "steps/s", "higher", None, Workload("checkerboard", LARGE, with_rate=True)),
-    Measure("eros_346x260_warped", "steps/s", "higher", None, Workload("eros", SMALL, with_rate=True)),
-    Measure("eros_1280x720_warped", "steps/s", "higher", None, Workload("eros", LARGE, with_rate=True)),
+    *(measure for rig in _RIGS for measure in _of_a_rig(*rig)),
     Measure("serial_fill", "%", "higher", 98, serial_line.serial_fill),
     Measure("usbip_events", "Mev/s", "higher", 12, link.usbip_events),
     Measure("latency_p50", "us", "lower", 2000, link.latency_p50),
