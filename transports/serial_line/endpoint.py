@@ -12,6 +12,7 @@ from __future__ import annotations
 import asyncio
 from collections import Counter
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 from firmware_protocol.instrument.instrument import Instrument
@@ -32,8 +33,9 @@ __all__ = ["SerialEndpoint", "SerialFactory"]
 
 _AHEAD_NS = 600_000  # a little more than a tick of the link
 _RETRY_NS = 500_000_000
-_CLOSE_NS = 500_000_000
+_CLOSE_S = 0.5
 _CLOSE_LOOK_S = 0.005
+_CLOSE_LOOKS = 4  # a pty hands bytes on in its own time: for a moment they are neither here nor there
 
 
 @dataclass(frozen=True)
@@ -92,9 +94,8 @@ class SerialEndpoint(Endpoint):
         """Close the port once the other side has taken what has left; what has not left is lost."""
         if self._opening is not None:
             self._opening.cancel()
-        deadline_ns = self._clock.now_ns() + _CLOSE_NS
-        while self._heard and self._port is not None and self._port.unsent and self._clock.now_ns() < deadline_ns:
-            await asyncio.sleep(_CLOSE_LOOK_S)
+        if self._heard and self._port is not None:
+            await _emptied(self._port)
         self._notice(False)
         self._faulty.close()
         port, self._port = self._port, None
@@ -203,3 +204,13 @@ class SerialEndpoint(Endpoint):
         if opening.exception() is None:
             self._port = opening.result()
             self._counts["reconnections"] += 1
+
+
+async def _emptied(port: Port) -> None:
+    """Return when the other side has taken what the port was given, or after half a second."""
+    looks = 0
+    with suppress(TimeoutError):
+        async with asyncio.timeout(_CLOSE_S):
+            while looks < _CLOSE_LOOKS:
+                looks = 0 if port.unsent else looks + 1
+                await asyncio.sleep(_CLOSE_LOOK_S)
