@@ -1,5 +1,7 @@
 """What controlled steps make of a wish, against the truth."""
 
+import functools
+
 import pytest
 
 from emulator.accuracy.cases import CASES
@@ -10,6 +12,7 @@ BY_NAME = {swept.case.name: swept.case for swept in CASES}
 WISH_US = 10.0
 
 
+@functools.cache
 def run(name, *, with_rate=True, halved=False, wish_us=WISH_US):
     return control(BY_NAME[name], Limits(wish_us), with_rate=with_rate, halved=halved)
 
