@@ -2,6 +2,7 @@
 
 import asyncio
 import socket
+import threading
 import time
 
 import numpy as np
@@ -106,6 +107,21 @@ def test_a_reader_that_does_not_read_never_blocks_the_tick(bench):
     b.run(100)
     b.read_until(b.link.report().delivered)
     assert b.link.report().camera.accounted == 100_000
+
+
+def test_the_last_bytes_reach_a_reader_that_is_late(bench):
+    b = bench()
+    b.plug()
+    b.ring.start(ORIGIN_NS)
+    b.give(stream(3000), 60_000)
+    b.run(140, read=False)
+    assert b.link.report().delivered == 3000
+    closing = threading.Thread(target=lambda: asyncio.run(b.link.close()))
+    closing.start()
+    b.read_until(3000)
+    closing.join()
+    b.port.close()
+    b.closed = True
 
 
 def test_telecommands_are_done_and_answered(bench):
