@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from types import TracebackType
 from typing import Self
 
@@ -69,6 +69,14 @@ class Scene(ABC):
     def light(self, t_ns: int, out: Light) -> None:
         """Write the light at stream time `t_ns` into `out`, (height, width) float32. Depends on nothing else."""
 
+    def lights(self, times_ns: Sequence[int], outs: Sequence[Light]) -> None:
+        """Write the light at several times, each into its own picture, as so many calls of `light` would.
+
+        Scenes that are drawn begin all before they wait for the first.
+        """
+        for t_ns, out in zip(times_ns, outs, strict=True):
+            self.light(t_ns, out)
+
     def light_and_rate(self, t_ns: int, light: Light, rate: Light) -> None:
         """Write the light at `t_ns` and its time derivative, per second, into (height, width) float32 arrays.
 
@@ -77,8 +85,7 @@ class Scene(ABC):
         less than the many that slopes save.
         """
         apart_ns = self._apart_ns()
-        self.light(t_ns - apart_ns, rate)
-        self.light(t_ns + apart_ns, light)
+        self.lights((t_ns - apart_ns, t_ns + apart_ns), (rate, light))
         before = rate.copy()
         np.subtract(light, before, out=rate)
         rate *= np.float32(0.5e9 / apart_ns)

@@ -12,7 +12,7 @@ that far apart, with the normals of the fine one (see `detail`). What throws sha
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
@@ -132,12 +132,11 @@ class Bodies(Scene):
 
     def light(self, t_ns: int, out: Light) -> None:
         """Write the radiance at `t_ns` into `out`, (height, width) float32."""
-        scene_ns = self._time.scene_ns(t_ns)
-        camera, poses = self._camera.pose(scene_ns), self._poses(scene_ns)
-        shadow_from_world = self._shadow_from_world(poses)
-        self._stage.draw(
-            partial(self._render, camera, poses, shadow_from_world), out, partial(self._cast, poses, shadow_from_world)
-        )
+        self.lights((t_ns,), (out,))
+
+    def lights(self, times_ns: Sequence[int], outs: Sequence[Light]) -> None:
+        """Write the radiance at several times into their pictures."""
+        self._stage.draw_all([self._beginning(t_ns) for t_ns in times_ns], outs)
 
     def close(self) -> None:
         """Give back the GL context and the ports; a second call does nothing."""
@@ -229,6 +228,17 @@ class Bodies(Scene):
         if self._shadows is None:
             return np.eye(4)
         return self._shadows.from_world(self._sun, _middle(self._throwing(poses)))
+
+    def _beginning(self, t_ns: int) -> Callable[[], None]:
+        """Return what lets the stage begin the picture of `t_ns`; whatever can fail has been done."""
+        scene_ns = self._time.scene_ns(t_ns)
+        camera, poses = self._camera.pose(scene_ns), self._poses(scene_ns)
+        shadow_from_world = self._shadow_from_world(poses)
+        return partial(
+            self._stage.begin,
+            partial(self._render, camera, poses, shadow_from_world),
+            partial(self._cast, poses, shadow_from_world),
+        )
 
     def _cast(self, poses: list[Pose], shadow_from_world: Matrix) -> None:
         """Draw the shadow map."""

@@ -25,6 +25,7 @@ so would fall between the samples: it is refused.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 
@@ -170,7 +171,11 @@ class Body(Scene):
 
     def light(self, t_ns: int, out: Light) -> None:
         """Write the light at `t_ns` into `out`, (height, width) float32."""
-        self._raster.draw(self._view(self._turn.turns(t_ns)), out)
+        self.lights((t_ns,), (out,))
+
+    def lights(self, times_ns: Sequence[int], outs: Sequence[Light]) -> None:
+        """Write the light at several times into their pictures."""
+        self._raster.draw([self._view(self._turn.turns(t_ns)) for t_ns in times_ns], outs)
 
     def close(self) -> None:
         """Give back the GL context; a second call does nothing."""

@@ -14,10 +14,13 @@ draws. moderngl is imported here when it is first needed, so closed-form scenes 
 
 from __future__ import annotations
 
+import ctypes
+import ctypes.util
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from emulator.scene.base import MachineLacks, SceneError
@@ -25,7 +28,17 @@ from emulator.scene.base import MachineLacks, SceneError
 if TYPE_CHECKING:
     import moderngl
 
-__all__ = ["PACKAGES", "WANTED", "GlReport", "is_software", "open_context", "probe", "renderer_name", "renderers"]
+__all__ = [
+    "PACKAGES",
+    "WANTED",
+    "GlReport",
+    "flush",
+    "is_software",
+    "open_context",
+    "probe",
+    "renderer_name",
+    "renderers",
+]
 
 PACKAGES = "libegl1 libgl1 libgl1-mesa-dri"
 """The Debian packages that give a machine without a GPU its GL."""
@@ -129,6 +142,16 @@ def renderer_name(context: moderngl.Context) -> str:
 def is_software(renderer: str) -> bool:
     """Tell whether the renderer of that name draws with the processor."""
     return any(name in renderer.lower() for name in _SOFTWARE)
+
+
+def flush() -> None:
+    """Let the current context begin with what it was told to draw, without waiting; moderngl has no word for it."""
+    _libgl().glFlush()
+
+
+@cache
+def _libgl() -> ctypes.CDLL:
+    return ctypes.CDLL(os.environ.get("GLCONTEXT_LINUX_LIBGL") or ctypes.util.find_library("GL") or "libGL.so.1")
 
 
 def _suits(renderer: str, wanted: str) -> bool:

@@ -7,6 +7,7 @@ fragments one division.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
@@ -95,9 +96,9 @@ class Raster:
         """Release the context and what lives in it; a second call does nothing."""
         self._stage.close()
 
-    def draw(self, view: View, out: Light) -> None:
-        """Write the light into `out`, (height, width) float32."""
-        self._stage.draw(partial(self._render, view), out)
+    def draw(self, views: Sequence[View], outs: Sequence[Light]) -> None:
+        """Write the light of each view into its picture, (height, width) float32."""
+        self._stage.draw_all([partial(self._stage.begin, partial(self._render, view)) for view in views], outs)
 
     def _render(self, view: View, _: moderngl.Context) -> None:
         shading = self._shading

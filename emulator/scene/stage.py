@@ -3,7 +3,7 @@
     fine target     R32F with depth, n x n samples a pixel; only the rectangle of the picture that anything can reach
       -> mean       each pixel the mean of its n x n samples, in linear light
     picture         R32F, the sensor's size; outside the rectangle it is 0, the dark sky
-      -> out        (height, width) float32, row 0 on top
+      -> out        (height, width) float32, row 0 on top, by one of the ways of `readback`
 
 Camera axes are OpenCV's: x right, y down, z out. GL's rows run upward; the picture is drawn upside down there, so that
 its first row comes first when it is read, and facets that are counter-clockwise to us are clockwise to GL.
@@ -11,14 +11,13 @@ its first row comes first when it is read, and facets that are counter-clockwise
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from emulator.scene.base import Light, SceneError
-from emulator.scene.gl import open_context, renderer_name
+from emulator.scene.gl import flush, open_context, renderer_name
+from emulator.scene.readback import UNDER_WAY, Readback, Strategy, strategy_for
 
 if TYPE_CHECKING:
     import moderngl
@@ -79,6 +78,7 @@ class Stage:
     Parameters
     ----------
     reach : the largest part of the picture that is ever drawn; the whole picture unless given.
+    readback : how pictures come to memory; what suits the renderer unless given.
 
     Raises
     ------
@@ -86,7 +86,13 @@ class Stage:
         There is no GL, or the picture is too large for it.
     """
 
-    def __init__(self, size: tuple[int, int], samples: int, reach: Rectangle | None = None) -> None:
+    def __init__(
+        self,
+        size: tuple[int, int],
+        samples: int,
+        reach: Rectangle | None = None,
+        readback: Strategy | None = None,
+    ) -> None:
         self.size, self.samples = size, samples
         self.reach = reach or Rectangle(0, 0, *size)
         self._is_open = True
@@ -95,7 +101,7 @@ class Stage:
         try:
             with self.context:
                 _require_fits(self.context, size, (self.reach.width * samples, self.reach.height * samples))
-                self._build()
+                self._build(readback or strategy_for(self.renderer))
         except SceneError:
             self.close()
             raise
@@ -106,16 +112,25 @@ class Stage:
             self._is_open = False
             self.context.release()
 
-    def _build(self) -> None:
+    def _build(self, strategy: Strategy) -> None:
         gl, reach, n = self.context, self.reach, self.samples
         fine_size = (reach.width * n, reach.height * n)
         self._samples_texture = gl.texture(fine_size, 1, dtype="f4")
         self._fine = gl.framebuffer([self._samples_texture], gl.depth_renderbuffer(fine_size))
-        self._picture = gl.framebuffer([gl.renderbuffer(self.size, 1, dtype="f4")])
-        self._picture.clear()
+        self._readback = Readback(gl, self.size, strategy)
         self._mean = gl.program(vertex_shader=_CORNERS, fragment_shader=_MEAN % {"samples": n})
         self._mean["corner"] = (reach.left, reach.top)
         self._cover = gl.vertex_array(self._mean, [])
+
+    @property
+    def readback(self) -> Strategy:
+        """How pictures come to memory."""
+        return self._readback.strategy
+
+    @property
+    def picture(self) -> moderngl.Texture:
+        """The last picture in the context's own memory, R32F, its first row first; until the next is drawn."""
+        return self._readback.last
 
     def draw(
         self, render: Callable[[moderngl.Context], None], out: Light, prepare: Callable[[], None] | None = None
@@ -125,18 +140,40 @@ class Stage:
         `render` finds the context current, the target cleared, and depth test and culling on. `prepare` is called
         before that, for targets of its own.
         """
+        self.begin(render, prepare)
+        self.take(out)
+
+    def draw_all(self, beginnings: Sequence[Callable[[], None]], outs: Sequence[Light]) -> None:
+        """Write the pictures that `beginnings` begin into `outs`, each begun before an earlier one is waited for."""
+        for first in range(0, len(outs), UNDER_WAY):
+            for begin in beginnings[first : first + UNDER_WAY]:
+                begin()
+            for out in outs[first : first + UNDER_WAY]:
+                self.take(out)
+
+    def begin(self, render: Callable[[moderngl.Context], None], prepare: Callable[[], None] | None = None) -> None:
+        """Do as `draw`, but leave the picture where it is drawn, and do not wait for it: `take` does.
+
+        Up to `UNDER_WAY` pictures can be begun before the first one is taken; they are taken in the same order.
+        """
         if not self._is_open:
             raise SceneError("the scene was closed: it draws no more")
+        target = self._readback.target
         with self.context as gl:
             if prepare is not None:
                 prepare()
             self._begin(gl)
             render(gl)
-            self._average(gl)
-            if out.flags.c_contiguous:
-                self._picture.read_into(out, components=1, dtype="f4")
-            else:
-                out[:] = np.frombuffer(self._picture.read(components=1, dtype="f4"), np.float32).reshape(out.shape)
+            self._average(gl, target)
+            self._readback.send()
+            flush()
+
+    def take(self, out: Light) -> None:
+        """Write the picture that was begun first, of those that were not taken, into `out`, (height, width) float32."""
+        if not self._is_open:
+            raise SceneError("the scene was closed: it draws no more")
+        with self.context:
+            self._readback.receive(out)
 
     def _begin(self, gl: moderngl.Context) -> None:
         reach, n = self.reach, self.samples
@@ -146,14 +183,14 @@ class Stage:
         gl.front_face, gl.cull_face = "cw", "back"
         self._fine.clear(viewport=(0, 0, reach.width * n, reach.height * n))
 
-    def _average(self, gl: moderngl.Context) -> None:
+    def _average(self, gl: moderngl.Context, target: moderngl.Framebuffer) -> None:
         reach = self.reach
-        self._picture.use()
-        self._picture.viewport = (reach.left, reach.top, reach.width, reach.height)
+        target.use()
+        target.viewport = (reach.left, reach.top, reach.width, reach.height)
         gl.enable_only(gl.NOTHING)
         self._samples_texture.use(0)
         self._cover.render(gl.TRIANGLES, vertices=3)
-        self._picture.viewport = (0, 0, *self.size)
+        target.viewport = (0, 0, *self.size)
 
 
 def depth_terms(near_m: float, far_m: float) -> tuple[float, float]:

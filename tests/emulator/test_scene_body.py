@@ -192,7 +192,7 @@ def test_drawing_only_where_the_body_can_be_cuts_nothing(pole, camera, turned_de
         body.light(0, part)
         view, mesh = body._view(turned_deg / 360), body.mesh
     raster = Raster(mesh, SIZE, 1, Rectangle(0, 0, *SIZE))
-    raster.draw(view, whole)
+    raster.draw([view], [whole])
     raster.close()
     assert whole.any()
     np.testing.assert_allclose(part, whole, atol=1e-3)  # GL interpolates from another corner
