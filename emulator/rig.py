@@ -34,6 +34,7 @@ from emulator.scene.bodies_table import BodiesParameters
 from emulator.scene.body import BodyParameters
 from emulator.scene.checkerboard import CheckerboardParameters
 from emulator.scene.stars import StarsParameters
+from emulator.scene.terrain_table import TerrainParameters
 from emulator.scene.video import VideoParameters
 from emulator.sensor.presets import PRESETS, SensorParameters
 from emulator.triggers import Trigger
@@ -221,7 +222,13 @@ class LoopbackLink:
 
 
 SceneParameters = (
-    CheckerboardParameters | BodyParameters | BodiesParameters | StarsParameters | VideoParameters | RecordingParameters
+    CheckerboardParameters
+    | BodyParameters
+    | BodiesParameters
+    | TerrainParameters
+    | StarsParameters
+    | VideoParameters
+    | RecordingParameters
 )
 LinkParameters = UsbipLink | LoopbackLink | SerialParameters | CanParameters
 
@@ -229,6 +236,7 @@ SCENES: Mapping[str, type[SceneParameters]] = {
     "checkerboard": CheckerboardParameters,
     "body": BodyParameters,
     "bodies": BodiesParameters,
+    "terrain": TerrainParameters,
     "stars": StarsParameters,
     "video": VideoParameters,
     "recording": RecordingParameters,

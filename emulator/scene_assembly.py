@@ -20,6 +20,7 @@ from emulator.scene.bodies_table import BodiesParameters
 from emulator.scene.body import BodyParameters
 from emulator.scene.checkerboard import Checkerboard, CheckerboardParameters
 from emulator.scene.stars import StarField, StarsParameters
+from emulator.scene.terrain_table import TerrainParameters
 from emulator.scene.video import Video, VideoParameters
 
 __all__ = ["build_scene"]
@@ -43,6 +44,10 @@ def build_scene(rig: Rig, size: tuple[int, int] | None = None) -> Scene:
             from emulator.scene.bodies import Bodies
 
             return _through_lens(rig, size, partial(Bodies, p))
+        case TerrainParameters() as p:
+            from emulator.scene.terrain import Terrain
+
+            return _through_lens(rig, size, partial(Terrain, p))
         case StarsParameters() as p:
             return StarField(p, size, rig.camera.lens, CHIPS[rig.camera.model])
 

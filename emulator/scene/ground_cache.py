@@ -1,0 +1,77 @@
+"""Maps and horizons are made once and kept: in $XDG_CACHE_HOME/evstim, or ~/.cache/evstim.
+
+A file's name is a digest of all that it was made from, so a changed figure makes a new file and an old one is never
+wrong. Files are written beside and moved into place: whoever reads finds a whole one or none. A cache that cannot be
+written or read costs time, nothing else.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["Progress", "cache_folder", "kept"]
+
+_FORMAT = 1
+"""To be raised when the same parameters come to mean another map."""
+
+
+class Progress:
+    """A line on stderr that says what is being made, and how far it is."""
+
+    def __init__(self, what: str) -> None:
+        self._what = what
+
+    def __call__(self, done: int, of: int) -> None:
+        """Tell that `done` parts of `of` are made; on a terminal one line is written over and over."""
+        is_terminal, is_last = sys.stderr.isatty(), done == of
+        if is_terminal or done == 0 or is_last:
+            start, end = ("\r", "\n" if is_last else "") if is_terminal else ("", "\n")
+            sys.stderr.write(f"{start}evstim: {self._what}: {100 * done // of} %{end}")
+            sys.stderr.flush()
+
+
+def cache_folder() -> Path:
+    """Return where files are kept."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "evstim"
+
+
+def kept(name: str, made_from: object, make: Callable[[], npt.NDArray[np.float32]]) -> npt.NDArray[np.float32]:
+    """Return what `make` gives, from the cache where it lies there already; `made_from` tells one from another."""
+    digest = hashlib.sha256(f"{_FORMAT} {name} {made_from!r}".encode()).hexdigest()[:24]
+    path = cache_folder() / f"{name}-{digest}.npy"
+    found = _read(path)
+    if found is None:
+        found = make()
+        _write(path, found)
+    return found
+
+
+def _read(path: Path) -> npt.NDArray[np.float32] | None:
+    try:
+        array = np.load(path, allow_pickle=False)
+    except (OSError, ValueError, EOFError):  # not there, cut short, or not one of ours
+        return None
+    return array if array.dtype == np.float32 and array.ndim == 3 else None
+
+
+def _write(path: Path, array: npt.NDArray[np.float32]) -> None:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        descriptor, beside = tempfile.mkstemp(dir=path.parent, suffix=".part")
+        try:
+            with os.fdopen(descriptor, "wb") as file:
+                np.save(file, array)
+            os.replace(beside, path)
+        except OSError:
+            os.unlink(beside)
+            raise
+    except OSError as error:
+        sys.stderr.write(f"evstim: {path.parent} cannot be written ({error.strerror}): it is made anew each time\n")
