@@ -17,6 +17,7 @@ __all__ = ["draw_rendering", "draw_stability", "draw_work_precision"]
 
 _COLOURS = {
     "warped": "#000000",
+    "halved": "#56b4e9",
     "line": "#0072b2",
     "held": "#009e73",
     "v2e": "#e69f00",
@@ -25,7 +26,16 @@ _COLOURS = {
     "esim": "#7f5fa8",
     "frame_difference": "#999999",
 }
-_MARKERS = {"warped": "o", "line": "s", "held": "v", "v2e": "^", "pangu": "D", "sikorski": "x", "esim": "+"}
+_MARKERS = {
+    "warped": "o",
+    "halved": "P",
+    "line": "s",
+    "held": "v",
+    "v2e": "^",
+    "pangu": "D",
+    "sikorski": "x",
+    "esim": "+",
+}
 _COLUMNS = 4
 _GRID: dict[str, Any] = {"squeeze": False, "layout": "constrained"}
 _FLOOR_US = 1e-3
