@@ -53,11 +53,13 @@ def joined(port):
 
 
 def send_syncs(port):
-    """Send a SYNC each millisecond until the bus is gone."""
+    """Join, wait until the camera says something, and send a SYNC each millisecond until the bus is gone."""
     with joined(port) as bus:
         for words in (b"< open can0 >", b"< rawmode >"):
             bus.recv(1024)
             bus.sendall(words)
+        while b"frame" not in bus.recv(1024):
+            pass
         try:
             while True:
                 bus.sendall(b"< send 080 0 >")

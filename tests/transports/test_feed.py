@@ -11,7 +11,7 @@ from firmware_protocol.device_clock import ClockSettings, ClockStep
 from firmware_protocol.edges import EdgeKind
 from firmware_protocol.events import EVENT
 from transports.edges import EdgeRing, EdgeSink, EdgeTiming, PeriodicEdges
-from transports.feed import EdgeReport, Timing
+from transports.feed import EdgeReport, Feed, Timing
 from transports.link import Link, LinkSetup
 from transports.loopback import LoopbackFactory
 from transports.pacing import FakeClock
@@ -168,3 +168,17 @@ def test_the_camera_says_when_its_own_time_comes_round():
         clock.advance(500_000)
     close(link)
     assert sent == [(1000, EdgeKind.PULSE, 0, 1), (2000, EdgeKind.PULSE, 0, 2), (3000, EdgeKind.PULSE, 0, 3)]
+
+
+def test_edges_wait_for_the_events_of_a_cut_batch():
+    offered = []
+    ring, device = EventRing(1000), Davis346()
+    device.offer_edges = lambda edges: offered.extend(edges["t"].tolist())
+    feed = Feed(device, ring, Timing(PeriodicEdges(1000, RISING)))
+    ring.push(stream(100, every_us=100))
+    ring.publish(10_000)
+    feed.feed(10_000, 35)
+    assert offered == [1000, 2000, 3000]
+    assert feed.reached_us == 3400
+    feed.feed(10_000, 100)
+    assert offered == [1000 * k for k in range(1, 11)]
