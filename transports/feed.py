@@ -67,12 +67,16 @@ class EdgeReport:
         Of those, came after their time had passed in the device, and by how much at worst.
     left
         Were heard and not offered when the run ended, or found the ring full.
+    marks, marks_sent
+        The device's own that it made, and those that its link could send.
     """
 
     taken: int = 0
     late: int = 0
     worst_late_us: int = 0
     left: int = 0
+    marks: int = 0
+    marks_sent: int = 0
 
 
 @dataclass(frozen=True)
@@ -126,7 +130,9 @@ class Feed:
         self.clock = None if timing.clock is None else DeviceClock(timing.clock, timing.seed)
         self._restarts_us = [] if self.clock is None else self.clock.restarts_us
         self._period_us = timing.send_period_us
-        self._sent_marks = 0
+        self._last_mark = 0
+        self._marks = 0
+        self.marks_sent = 0
         self._taken = self._late = self._worst_late_us = 0
         self.reached_us = 0
 
@@ -137,7 +143,7 @@ class Feed:
                 return
             del self._restarts_us[0]
             if self._device.restart_clock():
-                self._sent_marks = 0
+                self._last_mark = 0
         self._stretch(until_us, limit)
 
     def _stretch(self, until_us: int, limit: int) -> bool:
@@ -189,8 +195,9 @@ class Feed:
         if not self._period_us:
             return empty_edges()
         last = (self._device.now_us - self._device.epoch_us) // self._period_us
-        first, self._sent_marks = self._sent_marks + 1, max(self._sent_marks, last)
+        first, self._last_mark = self._last_mark + 1, max(self._last_mark, last)
         numbers = np.arange(first, last + 1)
+        self._marks += len(numbers)
         marks = empty_edges(len(numbers))
         marks["t"], marks["kind"], marks["seq"] = numbers * self._period_us, EdgeKind.PULSE, numbers & 0xFFFF
         return marks
@@ -200,7 +207,7 @@ class Feed:
         lost = 0
         if self._edges is not None:
             lost = self._edges.refused + (len(self._edges.take(self._ring.now_us)) if final else 0)
-        return EdgeReport(self._taken, self._late, self._worst_late_us, lost)
+        return EdgeReport(self._taken, self._late, self._worst_late_us, lost, self._marks, self.marks_sent)
 
     def clock_report(self) -> ClockReport | None:
         """Return how wrong the clock is where the device has got to; None for a device that shows stream time."""

@@ -259,7 +259,7 @@ class Link:
         self.endpoint.reach(self._feed.reached_us)
         marks = self._feed.own_marks()
         if len(marks):
-            self.endpoint.mark(marks)
+            self._feed.marks_sent += self.endpoint.mark(marks)
         self.endpoint.pump()
 
     @property

@@ -31,6 +31,8 @@ def timing_lines(name: str, report: LinkReport) -> Iterator[str]:
             f"{name}: {e.offered} edges, {e.added} added = {e.delivered} delivered, {e.ignored} not asked for, "
             f"{e.dropped} dropped{lost}{late}{left}"
         )
+    if report.edges.marks:
+        yield f"{name}: {report.edges.marks} marks of the camera's own, {report.edges.marks_sent} sent"
     if report.clock is not None:
         c = report.clock
         yield f"{name}: the camera's clock is {c.offset_us:+.1f} us off at {c.t_us * 1e-6:.3f} s, and {c.ppm:+.3f} ppm"

@@ -161,12 +161,13 @@ def test_the_truth_of_the_clock_is_written_down(tmp_path):
 def test_the_camera_says_when_its_own_time_comes_round():
     link, ring, clock = linked(Timing(send_period_us=1000, clock=ClockSettings(offset_us=300)))
     sent = []
-    link.endpoint.mark = lambda edges: sent.extend(edges.tolist())
+    link.endpoint.mark = lambda edges: sent.extend(edges.tolist()) or len(edges)
     ring.publish(10_000)
     for _ in range(8):
         link.tick()
         clock.advance(500_000)
     close(link)
+    assert link.report(final=True).edges == EdgeReport(marks=3, marks_sent=3)
     assert sent == [(1000, EdgeKind.PULSE, 0, 1), (2000, EdgeKind.PULSE, 0, 2), (3000, EdgeKind.PULSE, 0, 3)]
 
 
