@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import multiprocessing
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 from firmware_protocol.events import Events
-from transports.link import LinkReport, LinkSetup, Stop, run_link
+from transports.faults.kinds import Fault
+from transports.link import LinkReport, LinkSetup, Stop, Throw, run_link
 from transports.pacing import Clock
 
 __all__ = ["LinkFailed", "LinkProcess"]
@@ -54,6 +56,11 @@ class LinkProcess:
     def start(self, origin_ns: int) -> None:
         """Let stream time run; see EventRing.start."""
         self._ring.start(origin_ns)
+
+    def throw(self, fault: Fault) -> None:
+        """Let a fault begin on it, one that it can have."""
+        with suppress(BrokenPipeError):  # it died: `listen` will say so
+            self._control.send(Throw(fault))
 
     def push(self, events: Events, now_us: int) -> None:
         """Hand over events up to `now_us`; what finds no room in the ring is refused and counted there."""

@@ -30,6 +30,7 @@ from emulator.sensor.sensor import Sensor
 from emulator.steps import StepSource
 from emulator.waiting import said_if_slow
 from firmware_protocol.events import Events
+from transports.faults.kinds import Fault
 from transports.link import LinkReport, LinkSetup
 from transports.pacing import Clock
 from transports.ring import FREE_RUNNING
@@ -136,6 +137,10 @@ class Session:
         An exception inside a step, such as KeyboardInterrupt, would leave events without a fate.
         """
         self._stopping = True
+
+    def throw(self, fault: Fault) -> None:
+        """Let a fault begin on the link that it names, one that this link can have; for `on_status`."""
+        next(link for link in self._links if link.name == fault.link).throw(fault)
 
     def run(self, schedule: Schedule, on_status: Callable[[RunStatus], None] = lambda _: None) -> RunResult:
         """Run until the schedule's end or `stop`; raises LinkFailed when a link cannot go on."""

@@ -8,7 +8,7 @@ from emulator.ledger import LinkLedger
 from transports.faults.script import FaultRecord
 from transports.link import LinkReport
 
-__all__ = ["link_json", "link_lines"]
+__all__ = ["fault_line", "link_json", "link_lines"]
 
 _CAUSES = {
     "not_running": "no host was streaming",
@@ -43,11 +43,12 @@ def link_lines(link: LinkLedger, report: LinkReport) -> list[str]:
     told = [f"{count} {name.replace('_', ' ')}" for name, count in report.counts.items() if count]
     if told:
         lines.append(f"{link.name}: {', '.join(told)}")
-    lines += [f"{link.name}: {_fault(fault)}" for fault in report.faults]
+    lines += [f"{link.name}: {fault_line(fault)}" for fault in report.faults]
     return lines
 
 
-def _fault(fault: FaultRecord) -> str:
+def fault_line(fault: FaultRecord) -> str:
+    """Return what a fault did, in a line."""
     ended = "the end" if fault.ended_us is None else f"{fault.ended_us * 1e-6:.3f} s"
     edges = f" and {fault.edges_lost} edges" if fault.edges_lost else ""
     return (

@@ -16,9 +16,10 @@ from emulator.cli.live import LiveTable
 from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, console, failures, print_json, status
 from emulator.cli.signals import stopped_by_signals
 from emulator.cli.timing import timing_json, timing_lines
+from emulator.fault_desk import fault_desk
 from emulator.rig import Rig, load_rig
 from emulator.scene_assembly import build_scene
-from emulator.session import RunResult
+from emulator.session import RunResult, RunStatus
 from transports.latency import LatencySummary
 from transports.pacing import MonotonicClock
 
@@ -131,8 +132,20 @@ def run_rig(rig: Rig, files: Files = _NO_FILES, *, show: bool = False) -> RunRes
             console.print(f"note: {note}")
         setups = link_setups(rig, files.record, files.truth, files.fault_log)
         session = build_session(rig, scene, setups, MonotonicClock())
-        with stopped_by_signals(session), LiveTable(rig, status) if show else nullcontext() as live:
-            return session.run(schedule(rig), live.update if live else lambda _: None)
+        with (
+            stopped_by_signals(session),
+            fault_desk(rig, session) as desk,
+            LiveTable(rig, status) if show else nullcontext() as live,
+        ):
+            if show and desk.trouble:
+                console.print(f"note: {desk.trouble}")
+
+            def report(now: RunStatus) -> None:
+                desk.serve(now)
+                if live:
+                    live.update(now)
+
+            return session.run(schedule(rig), report)
 
 
 def summary(rig: Rig, result: RunResult) -> dict[str, object]:
