@@ -30,8 +30,10 @@ def kernel(function: _Function) -> _Function:
 
 
 def entry(function: _Function) -> _Function:
-    """Compile `function` for Python callers."""
+    """Compile `function` for Python callers; with NUMBA_DISABLE_JIT leave it as it is."""
     dispatcher: Any = njit(cache=True, **_COUNTED)(function)
+    if dispatcher is function:
+        return function
     on_disk = dispatcher._cache._cache_file
     on_disk._source_stamp = (on_disk._source_stamp, _SOURCES)
     compiled: _Function = dispatcher
