@@ -68,6 +68,7 @@ class EventPath:
         self.fates = Fates()
         self.in_flight = 0
         self._held_by_rate = False
+        self._last_us = 0
         self._queue = EventQueue(settings.bounds)
         self._encoder = BlockEncoder(size, block_settings(settings))
         self.select(settings.selection(size))
@@ -125,10 +126,12 @@ class EventPath:
         if (events["t"][1:] < events["t"][:-1]).any():
             raise ValueError("events are not sorted by time")
 
-    def put(self, events: Events, now_us: int) -> None:
-        """Take in events (n,), which are copied."""
+    def put(self, events: Events, now_us: int, offset_us: int = 0) -> None:
+        """Take in events (n,), which are copied; the instrument's own time is `offset_us` ahead of stream time."""
         chosen = copy_events(events) if self._all else self.selection.of(events)
         self.fates.not_selected += len(events) - len(chosen)
+        if self.tick_us > 1:
+            chosen = self._in_block_order(chosen, offset_us)
         self._count(self._queue.put(chosen, now_us))
 
     def advance(self, now_us: int) -> None:
@@ -173,6 +176,17 @@ class EventPath:
     def clear(self) -> None:
         """Drop what waits."""
         self.fates.flushed += self._queue.clear()
+
+    def _in_block_order(self, events: Events, offset_us: int) -> Events:
+        """Cut times to the tick and put each tick in raster order, for smaller blocks where a tick fills several."""
+        shift = np.uint64(offset_us % (1 << 64))
+        own = copy_events(events)
+        own["t"] += shift
+        ordered = as_received(own, self.tick_us)
+        ordered["t"] -= shift
+        ordered["t"] = np.maximum(ordered["t"], np.uint64(self._last_us))  # a tick may span two batches
+        self._last_us = int(ordered["t"][-1]) if len(ordered) else self._last_us
+        return ordered
 
     def _next(self, limit: int) -> Events | None:
         """Return what may leave from the head; None while nothing waits or the bucket is too empty for it."""

@@ -148,7 +148,7 @@ class Instrument(EventDevice):
         self._now_us = int(events["t"][-1])
         self._path.fates.offered += len(events)
         if self.streaming:
-            self._path.put(events, self._now_us)
+            self._path.put(events, self._now_us, self._offset_us)
         else:
             self._path.fates.not_running += len(events)
 

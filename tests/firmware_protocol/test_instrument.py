@@ -400,3 +400,19 @@ class Life(stateful.RuleBasedStateMachine):
 
 Life.TestCase.settings = settings(max_examples=40, stateful_step_count=25, deadline=None)
 test_any_life_of_an_instrument_balances = Life.TestCase
+
+
+def test_dense_events_leave_in_block_order_over_blocks_and_stay_the_same_events(make):
+    """A tick of 1 ms that fills several blocks: put in raster order before it is cut, they are smaller."""
+    instrument, ground = make(tick_us=1000, block_events=256, block_bytes=1024)
+    offered = stream(4000, every_us=1)
+    for part in np.array_split(offered, 3):
+        instrument.offer(part)
+        instrument.advance(int(part["t"][-1]))
+    ground.pull()
+    received = np.concatenate(ground.events)
+    np.testing.assert_array_equal(by_time(received), by_time(as_received(offered, 1000)))
+    assert (np.diff(received["t"].astype(np.int64)) >= 0).all()
+    first_tick = received[:1000]
+    assert len(ground.blocks[0].events) < 1000
+    assert (np.diff(first_tick["y"].astype(int) * SIZE[0] + first_tick["x"]) >= 0).all()
