@@ -58,6 +58,11 @@ class FaultyLine:
         """Events and edges that faults destroyed."""
         return self._faults.lost
 
+    @property
+    def gone(self) -> bool:
+        """True while a fault has taken the port away."""
+        return any(stage.gone for stage in self._faults.stages)
+
     def advance(self, now_us: int, begun: bytes) -> None:
         """Let stream time pass; `begun` is what has left of the frame on the line."""
         for stage in self._faults.advance(now_us):

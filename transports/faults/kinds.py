@@ -32,6 +32,7 @@ __all__ = [
     "RepeatedFrames",
     "Stall",
     "StuckLine",
+    "Unplugged",
     "WrongBaud",
 ]
 
@@ -206,6 +207,13 @@ class Stall(LastingFault):
 
 
 @dataclass(frozen=True)
+class Unplugged(LastingFault):
+    """The port goes away and comes back, as an adapter does that is pulled out; it is found within half a second."""
+
+    kind: ClassVar[str] = "unplugged"
+
+
+@dataclass(frozen=True)
 class LostFrames(HitFault):
     """Frames that no other node takes: a bus repeats what it damages, but a gateway or a full receiver loses frames."""
 
@@ -313,6 +321,7 @@ CAN_FAULTS: Mapping[str, type[Fault]] = {
 """Faults of a CAN bus, by kind."""
 
 SERIAL_FAULTS: Mapping[str, type[Fault]] = {
-    each.kind: each for each in (BitFlips, InsertedBytes, LostBytes, Burst, Overrun, StuckLine, WrongBaud, Stall)
+    each.kind: each
+    for each in (BitFlips, InsertedBytes, LostBytes, Burst, Overrun, StuckLine, WrongBaud, Stall, Unplugged)
 }
 """Faults of a serial line, by kind."""

@@ -16,11 +16,14 @@ from transports.faults.kinds import (
     Overrun,
     Stall,
     StuckLine,
+    Unplugged,
     WrongBaud,
 )
 from transports.faults.places import Places
 
 __all__ = ["ByteStage", "byte_stage"]
+
+_NOISE_BYTES = 256
 
 
 class ByteStage(ABC):
@@ -38,9 +41,11 @@ class ByteStage(ABC):
         True when it has nothing more to do.
     holds
         True where it lets no byte leave.
+    gone
+        True where it takes the port away.
     """
 
-    holds = False
+    holds = gone = False
 
     def __init__(self) -> None:
         self.hits = self.touched = 0
@@ -137,8 +142,13 @@ class _Runs(ByteStage):
 
 
 class _Noise(_Runs):
+    _drawn = b""
+
     def _instead(self, count: int) -> bytes:
-        return bytes(self._random.integers(0, 256, count, np.uint8))
+        while len(self._drawn) < count:  # in portions of one size: a generator's bytes depend on how many are asked for
+            self._drawn += self._random.bytes(_NOISE_BYTES)
+        noise, self._drawn = self._drawn[:count], self._drawn[count:]
+        return noise
 
 
 class _Stuck(ByteStage):
@@ -154,6 +164,11 @@ class _Stuck(ByteStage):
 
 class _Hold(ByteStage):
     holds = True
+
+    def __init__(self, fault: Stall | Unplugged) -> None:
+        super().__init__()
+        self.gone = isinstance(fault, Unplugged)
+        self.hits = int(self.gone)
 
     def change(self, data: bytes) -> bytes:
         self.hits = 1
@@ -213,6 +228,6 @@ def byte_stage(fault: Fault, random: np.random.Generator, bytes_per_s: float) ->
             return _Stuck(fault)
         case WrongBaud():
             return _Resampled(fault)
-        case Stall():
-            return _Hold()
+        case Stall() | Unplugged():
+            return _Hold(fault)
     raise ValueError(f"{fault.kind!r} is no fault of a serial line")

@@ -33,6 +33,7 @@ __all__ = ["SerialEndpoint", "SerialFactory"]
 
 _AHEAD_NS = 600_000  # a little more than a tick of the link
 _RETRY_NS = 500_000_000
+_PULL_NS = 50_000_000
 _CLOSE_S = 0.5
 _CLOSE_LOOK_S = 0.005
 _CLOSE_LOOKS = 4  # a pty hands bytes on in its own time: for a moment they are neither here nor there
@@ -68,6 +69,7 @@ class SerialEndpoint(Endpoint):
         self._heard = False
         self._opening: asyncio.Future[Port] | None = None
         self._retry_ns = 0
+        self._pulled_ns: int | None = None
 
     async def start(self) -> None:
         """Open the port; raises OSError, with what to do, when it cannot be had."""
@@ -77,6 +79,9 @@ class SerialEndpoint(Endpoint):
     def pump(self) -> None:
         """Take what came, and send what is due."""
         port = self._port
+        if self._faulty.gone or self._pulled_ns is not None:
+            self._pull_out()
+            return
         if port is None:
             self._reopen()
             return
@@ -183,6 +188,17 @@ class SerialEndpoint(Endpoint):
             for outgoing in self._out.drop():
                 self._instrument.lost(outgoing)
             self._instrument.disconnected()
+
+    def _pull_out(self) -> None:
+        """Let the port vanish, but not what has left and waits in the kernel: that is on the wire."""
+        if self._port is None:
+            return
+        now_ns = self._clock.now_ns()
+        if self._pulled_ns is None:
+            self._pulled_ns = now_ns + _PULL_NS
+        if not self._port.unsent or now_ns >= self._pulled_ns:
+            self._vanished()
+            self._pulled_ns = None
 
     def _vanished(self) -> None:
         self._notice(False)

@@ -2,10 +2,13 @@
 
 import asyncio
 import json
+import time
+from contextlib import suppress
 
 import numpy as np
 import pytest
-from line_bench import ORIGIN_NS, stream
+import serial
+from line_bench import ORIGIN_NS, PATIENCE_S, Bench, stream
 
 from firmware_protocol.instrument.settings import InstrumentSettings
 from transports.digest import digest_of
@@ -17,6 +20,7 @@ from transports.faults.kinds import (
     Overrun,
     Stall,
     StuckLine,
+    Unplugged,
     WrongBaud,
 )
 from transports.faults.script import FaultPlan
@@ -120,6 +124,43 @@ def test_the_log_tells_what_was_done_and_when(bench, tmp_path):
     assert [line["t_us"] for line in lines] == sorted(line["t_us"] for line in lines)
     assert lines[3]["events"] == report.faults[0].events_lost
     assert np.array_equal(load_record(tmp_path / "sent.npz")[0], b.events)
+
+
+def test_a_port_that_is_pulled_out_comes_back(tmp_path):
+    b = Bench(faults=FaultPlan("serial", (Unplugged(at_s=0.05, for_s=0.1),)), symlink=str(tmp_path / "camera"))
+
+    async def whole():
+        await b.open()
+        b.plug()
+        b.ring.start(ORIGIN_NS)
+        b.give(stream(100_000), 2_000_000)
+        b.run(95)
+        assert b.link.endpoint.state.startswith("3000000 baud")
+        await until(lambda: "is gone" in b.link.endpoint.state)
+        first = len(b.events)
+        assert 2000 < first == b.link.report().delivered
+        with pytest.raises(serial.SerialException):
+            b.port.read(1)
+        await until(lambda: b.link.report().counts["reconnections"] == 1)
+        assert b.link.report().faults[0].ended_us == pytest.approx(150_000, abs=1000)
+        b.port.close()
+        b.plug()
+        b.run(100)
+        b.read_until(b.link.report().delivered)
+        assert len(b.events) > first
+        assert digest_of(b.events) == b.link.report().digest
+        b.port.close()
+        await b.link.close()
+
+    async def until(condition):
+        deadline = time.monotonic() + PATIENCE_S
+        while not condition():
+            assert time.monotonic() < deadline
+            with suppress(serial.SerialException):  # its port is gone
+                b.run(1)
+            await asyncio.sleep(0.0005)
+
+    asyncio.run(whole())
 
 
 def test_a_fault_thrown_by_hand_begins_at_once(bench):
