@@ -126,7 +126,8 @@ def _link_setup(
         endpoint = CanFactory(link, triggers.sink(link.name, ring), _faults(rig, link, fault_log))
         return LinkSetup(link.name, ring, _instrument(rig, link.instrument), endpoint, record, timing=timing)
     camera: Callable[[], UsbCamera] = partial(Davis346, _camera(rig, link))
-    return LinkSetup(link.name, ring, camera, _usb_endpoint(link), record, timing=timing)
+    endpoint_on_usb = _usb_endpoint(link, _faults(rig, link, fault_log))
+    return LinkSetup(link.name, ring, camera, endpoint_on_usb, record, timing=timing)
 
 
 def _faults(rig: Rig, link: LinkParameters, log: Path | None) -> FaultPlan:
@@ -153,7 +154,7 @@ def _camera(rig: Rig, link: UsbipLink | LoopbackLink) -> Davis346Settings:
     )
 
 
-def _usb_endpoint(link: UsbipLink | LoopbackLink) -> EndpointFactory[UsbCamera]:
+def _usb_endpoint(link: UsbipLink | LoopbackLink, faults: FaultPlan) -> EndpointFactory[UsbCamera]:
     if isinstance(link, LoopbackLink):
         return LoopbackFactory()
-    return UsbipFactory(link.host, link.port, link.busid)
+    return UsbipFactory(link.host, link.port, link.busid, faults)

@@ -8,12 +8,13 @@ from typing import Protocol
 
 from emulator.typed_table import Path, TableError, convert_kind, unknown
 from transports.can_bus.parameters import CanParameters
-from transports.faults.kinds import CAN_FAULTS, SERIAL_FAULTS, ErrorFrames, Fault
+from transports.faults.kinds import CAN_FAULTS, SERIAL_FAULTS, USB_FAULTS, ErrorFrames, Fault
 from transports.serial_line.parameters import SerialParameters
+from transports.usbip.parameters import UsbipLink
 
 __all__ = ["FAULTS", "convert_fault", "faults_of"]
 
-FAULTS: Mapping[str, type[Fault]] = {**SERIAL_FAULTS, **CAN_FAULTS}
+FAULTS: Mapping[str, type[Fault]] = {**SERIAL_FAULTS, **CAN_FAULTS, **USB_FAULTS}
 """All kinds of faults."""
 _OWN_BUSES = ("served", "virtual")
 """Interfaces that carry an error frame that is given to them; a controller makes its own."""
@@ -28,6 +29,8 @@ def faults_of(link: object) -> Mapping[str, type[Fault]]:
     """Return the faults that a link of these parameters can have, by kind."""
     if isinstance(link, SerialParameters):
         return SERIAL_FAULTS
+    if isinstance(link, UsbipLink):
+        return USB_FAULTS
     if not isinstance(link, CanParameters):
         return {}
     own = link.interface in _OWN_BUSES

@@ -17,7 +17,6 @@ tells the file, the line, the key, what is wrong and what would be right.
 from __future__ import annotations
 
 import dataclasses
-import re
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -46,6 +45,7 @@ from firmware_protocol.device_clock import ClockSettings
 from transports.can_bus.parameters import CanParameters
 from transports.faults.kinds import Fault
 from transports.serial_line.parameters import SerialParameters
+from transports.usbip.parameters import UsbipLink
 
 __all__ = [
     "LINKS",
@@ -188,30 +188,6 @@ class Run:
             raise ValueError(f"tolerance_us must be 0 (none) or 0.01 to 1e6, got {self.tolerance_us}")
         if not 0 <= self.tolerated_wrong_share <= 1:
             raise ValueError(f"tolerated_wrong_share must be 0 to 1, got {self.tolerated_wrong_share}")
-
-
-@dataclass(frozen=True)
-class UsbipLink:
-    """The camera as a USB device over USB/IP: `usbip attach -r HOST -b BUSID` on a Linux machine.
-
-    Attributes
-    ----------
-    host, port
-        Address to listen on. USB/IP has no authentication: leave it on 127.0.0.1 or a network of your own.
-    busid
-        Bus id under which the camera is exported.
-    """
-
-    host: str = "127.0.0.1"
-    port: int = 3240
-    busid: str = "1-1"
-    name: str = "usbip"
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.port <= 65535:
-            raise ValueError(f"port must be 0 (any free one) to 65535, got {self.port}")
-        if not re.fullmatch(r"[1-9]\d{0,2}-[1-9]\d{0,2}", self.busid):
-            raise ValueError(f"busid must be a bus and a port such as '1-1', got {self.busid!r}")
 
 
 @dataclass(frozen=True)

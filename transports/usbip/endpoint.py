@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
-from firmware_protocol.usb.device import UsbCamera, UsbDevice
+from firmware_protocol.usb.device import UsbCamera
 from transports.deliveries import Deliveries
+from transports.faults.kinds import Fault
+from transports.faults.script import FaultPlan, FaultRecord
+from transports.faults.usb import FaultyDevice
 from transports.link import Endpoint, EndpointFactory
 from transports.observed import Observed
 from transports.usbip.server import UsbipServer
@@ -20,17 +23,20 @@ class UsbipFactory(EndpointFactory[UsbCamera]):
     host: str
     port: int
     busid: str
+    faults: FaultPlan = field(default_factory=FaultPlan)
 
     def build(self, device: UsbCamera, deliveries: Deliveries) -> UsbipEndpoint:
         """Return the server, not yet listening."""
-        return UsbipEndpoint(self, Observed(device, deliveries))
+        return UsbipEndpoint(self, FaultyDevice(Observed(device, deliveries), self.faults))
 
 
 class UsbipEndpoint(Endpoint):
     """One camera on one port."""
 
-    def __init__(self, factory: UsbipFactory, device: UsbDevice) -> None:
+    def __init__(self, factory: UsbipFactory, device: FaultyDevice) -> None:
         self._at = factory
+        self._device = device
+        self._is_gone = False
         self._server = UsbipServer({factory.busid: device})
 
     async def start(self) -> None:
@@ -48,13 +54,32 @@ class UsbipEndpoint(Endpoint):
         """Answer the hosts' pending requests."""
         self._server.pump()
 
+    def reach(self, stream_us: int) -> None:
+        """See `Endpoint.reach`."""
+        self._device.advance(stream_us)
+        if self._device.gone != self._is_gone:
+            self._is_gone = self._device.gone
+            (self._server.unplug if self._is_gone else self._server.plug)(self._at.busid)
+
+    def throw(self, fault: Fault) -> None:
+        """See `Endpoint.throw`."""
+        self._device.throw(fault)
+
+    @property
+    def faults(self) -> tuple[FaultRecord, ...]:
+        """See `Endpoint.faults`."""
+        return self._device.records
+
     async def close(self) -> None:
         """Drop the hosts and stop listening."""
         await self._server.close()
+        self._device.close()
 
     @property
     def state(self) -> str:
         """Who holds the camera, or where it can be had."""
+        if self._is_gone:
+            return "unplugged, by a fault"
         host = self._server.attached.get(self._at.busid)
         if host is not None:
             return f"attached by {host}"

@@ -58,6 +58,7 @@ class UsbipServer:
         self._connections: set[Connection] = set()
         self._holders: dict[str, Connection] = {}
         self._listener: asyncio.Server | None = None
+        self._unplugged: set[str] = set()
         self._idle = asyncio.Event()
         self._idle.set()
 
@@ -91,6 +92,16 @@ class UsbipServer:
         for connection in tuple(self._holders.values()):
             connection.answer()
 
+    def unplug(self, busid: str) -> None:
+        """Take a device away from its host, and from the list, until `plug`."""
+        self._unplugged.add(busid)
+        if busid in self._holders:
+            self._holders[busid].hang_up()
+
+    def plug(self, busid: str) -> None:
+        """Let a device that was unplugged be had again."""
+        self._unplugged.discard(busid)
+
     async def close(self, linger_s: float = 1.0) -> None:
         """Stop listening and drop all hosts; devices are detached when this returns.
 
@@ -110,12 +121,12 @@ class UsbipServer:
     # What connections ask (`transports.usbip.connection.Bus`).
 
     def list_devices(self) -> DeviceListReply:
-        """List all devices, also those that are taken, as usbipd does."""
-        return DeviceListReply(tuple(self._records.values()))
+        """List all devices that are plugged in, also those that are taken, as usbipd does."""
+        return DeviceListReply(tuple(r for busid, r in self._records.items() if busid not in self._unplugged))
 
     def claim(self, busid: str, connection: Connection) -> tuple[ImportReply, UsbDevice | None]:
         """Give a device to a connection, or say why not."""
-        if busid not in self._devices:
+        if busid not in self._devices or busid in self._unplugged:
             return ImportReply(OpStatus.NO_DEVICE), None
         if busid in self._holders:
             return ImportReply(OpStatus.BUSY), None

@@ -1,0 +1,32 @@
+"""What a rig says of a USB/IP link."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+__all__ = ["UsbipLink"]
+
+
+@dataclass(frozen=True)
+class UsbipLink:
+    """The camera as a USB device over USB/IP: `usbip attach -r HOST -b BUSID` on a Linux machine.
+
+    Attributes
+    ----------
+    host, port
+        Address to listen on. USB/IP has no authentication: leave it on 127.0.0.1 or a network of your own.
+    busid
+        Bus id under which the camera is exported.
+    """
+
+    host: str = "127.0.0.1"
+    port: int = 3240
+    busid: str = "1-1"
+    name: str = "usbip"
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.port <= 65535:
+            raise ValueError(f"port must be 0 (any free one) to 65535, got {self.port}")
+        if not re.fullmatch(r"[1-9]\d{0,2}-[1-9]\d{0,2}", self.busid):
+            raise ValueError(f"busid must be a bus and a port such as '1-1', got {self.busid!r}")
