@@ -13,13 +13,14 @@ from emulator.plan import limits, make_plan
 from emulator.playback.recording import RecordingParameters, load_recording
 from emulator.playback.replay import Replay
 from emulator.probe import probe
-from emulator.rig import LinkParameters, LoopbackLink, Rig, RigError, UsbipLink
+from emulator.rig import LinkParameters, LoopbackLink, Rig, RigError, Run, UsbipLink
 from emulator.scene.base import Scene
 from emulator.sensor.event_source import EventSource
+from emulator.sensor.gpu.array import GpuArray
 from emulator.sensor.pixels import PixelArray
 from emulator.sensor.presets import SensorParameters
 from emulator.sensor.rules import RULES
-from emulator.sensor.sensor import Sensor
+from emulator.sensor.sensor import MakePixels, Sensor
 from emulator.sensor.temperature import at_temperature
 from emulator.session import Schedule, Session
 from emulator.steps import ControlledSteps, FixedSteps, Halves, StepSource
@@ -57,7 +58,8 @@ def build_session(rig: Rig, scene: Scene, setups: Sequence[LinkSetup[Any]], cloc
     if run.tolerance_us:
         parameters = make_plan(rig, probe(scene, parameters, run.step_us * 1000, run.seconds or 10.0)).sensor
         dark = at_temperature(parameters).dark_current_relative
-        halves = None if scene.pixel_light is None else Halves(min(parameters.threshold_on, parameters.threshold_off))
+        halved = scene.pixel_light is not None and run.pixels == "cpu"
+        halves = None if not halved else Halves(min(parameters.threshold_on, parameters.threshold_off))
         steps = ControlledSteps(limits(rig, scene.motion_bound_px_s), dark, run.step_us * 1000, halves)
     return Session(build_pictures(rig, scene), build_sensor(rig, parameters), steps, setups, clock)
 
@@ -70,9 +72,14 @@ def build_sensor(rig: Rig, parameters: SensorParameters) -> EventSource:
     if isinstance(rig.scene, RecordingParameters):
         return _replay(rig.scene, parameters)
     try:
-        return Sensor(parameters, rig.run.seed, RULES.get(rig.run.method, PixelArray))
+        return Sensor(parameters, rig.run.seed, _pixels(rig.run))
     except ValueError as error:
-        raise RigError(f"{rig.name}: run.method = {rig.run.method!r}: {error}") from error
+        asked = f"method = {rig.run.method!r}" if rig.run.pixels == "cpu" else f"pixels = {rig.run.pixels!r}"
+        raise RigError(f"{rig.name}: run.{asked}: {error}") from error
+
+
+def _pixels(run: Run) -> MakePixels:
+    return GpuArray if run.pixels == "gpu" else RULES.get(run.method, PixelArray)
 
 
 def _replay(p: RecordingParameters, parameters: SensorParameters) -> Replay:

@@ -150,6 +150,9 @@ class Run:
         How pixels are solved between two pictures: "warped" (light as a cubic from value and derivative), "line" (a
         straight line in log light), or another's rule, to reproduce what was published with it: "pangu", "v2e", "held",
         "esim", "sikorski", "frame_difference".
+    pixels
+        Where they are solved: "cpu", or "gpu", a compute shader for large sensors with methods "warped" and "line" and
+        without a second pole, parasitic leak, defects, and noise of grade "grid".
     tolerance_us
         Tolerated timestamp error, 95th percentile. Above 0, steps are as long as it allows (`step_us` is the first one)
         and effects that change less than that are left out; see `evstim plan`. 0: steps of `step_us`, nothing left out.
@@ -166,6 +169,7 @@ class Run:
     lead_us: int = 10_000
     fifo_priority: int = 0
     method: Method = "warped"
+    pixels: Literal["cpu", "gpu"] = "cpu"
     tolerance_us: float = 0.0
     tolerated_wrong_share: float = 0.01
 
@@ -180,6 +184,8 @@ class Run:
             raise ValueError(f"lockstep_us must be 0 to 3600000000, got {self.lockstep_us}")
         if (self.pace == "lockstep") != bool(self.lockstep_us):
             raise ValueError('lockstep_us and pace = "lockstep" go together: give both or neither')
+        if self.pixels == "gpu" and self.method not in ("warped", "line"):
+            raise ValueError(f'pixels = "gpu" has methods "warped" and "line", got method = {self.method!r}')
         if not 0 <= self.fifo_priority <= 99:
             raise ValueError(f"fifo_priority must be 0 (none) to 99, got {self.fifo_priority}")
         if not 0 <= self.lead_us <= 10_000_000:

@@ -81,6 +81,7 @@ class RunResult:
     scene_counts: Mapping[str, int] = field(default_factory=dict)
     syncs: int | None = None
     renderer: str | None = None
+    pixels_by: str | None = None
 
     @property
     def good(self) -> bool:
@@ -165,6 +166,7 @@ class Session:
             suspect_share=self._sensor.suspect_share,
             scene_counts=self._pictures.scene.counts,
             renderer=self._pictures.scene.renderer,
+            pixels_by=self._sensor.renderer if isinstance(self._sensor, Sensor) else None,
             syncs=None if self._lockstep is None else self._lockstep.heard,
         )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fnmatch
 from typing import Annotated
 
 from cyclopts import Parameter
@@ -24,7 +25,7 @@ def bench(
     Parameters
     ----------
     only
-        Measure just this one; may be given several times.
+        Measure just this one, or all that match, as in 'gpu_*'; may be given several times.
     json
         Print one JSON object as the last line on stdout.
     """
@@ -55,7 +56,10 @@ def _value(measure: Measure) -> float:
 
 def _chosen(only: list[str] | None) -> list[Measure]:
     by_name = {measure.name: measure for measure in MEASURES}
-    for name in only or ():
-        if name not in by_name:
-            raise Failure(f"--only: {unknown(name, list(by_name))}", WRONG_USE)
-    return [by_name[name] for name in only or by_name]
+    chosen = []
+    for pattern in only or ["*"]:
+        names = fnmatch.filter(by_name, pattern)
+        if not names:
+            raise Failure(f"--only: {unknown(pattern, list(by_name))}", WRONG_USE)
+        chosen += names
+    return [by_name[name] for name in chosen]

@@ -164,6 +164,7 @@ def summary(rig: Rig, result: RunResult) -> dict[str, object]:
         "suspect_share": result.suspect_share,
         "scene": result.scene_counts,
         "renderer": result.renderer,
+        "pixels_by": result.pixels_by,
         "syncs": result.syncs,
         "links": {
             name: {
@@ -215,6 +216,8 @@ def _print_summary(rig: Rig, result: RunResult) -> None:
         )
     if result.scene_counts:
         console.print(f"scene: {', '.join(f'{n} {name}' for name, n in result.scene_counts.items())}")
+    if result.pixels_by:
+        console.print(f"pixels by {result.pixels_by}")
     late = result.lateness
     if late.frames_late:
         console.print(

@@ -24,7 +24,7 @@ from emulator.sensor.layout import BLOCK, FIELDS, Field, Pixels, StepConstants
 from emulator.sensor.presets import SensorParameters
 from emulator.sensor.trust import SUSPECT
 
-__all__ = ["Crossings", "PixelArray", "PixelState"]
+__all__ = ["Crossings", "PixelArray", "PixelState", "light_constants"]
 
 _EPOCH_BITS = 33
 _EPOCH_NS = 1 << _EPOCH_BITS
@@ -123,7 +123,7 @@ class PixelArray:
         self._pixels = parameters.width * parameters.height
         self._pixel_bits = max(1, (self._pixels - 1).bit_length())
         self._refractory_ns = round(parameters.refractory_us * 1000)
-        self._light_constants = _light_constants(parameters)
+        self._light_constants = light_constants(parameters)
         self._room = _Room()
         self._table = new_table()
         self.state = self._dark_state()
@@ -324,7 +324,7 @@ def _put(fields: _Float32s, which: Field, values: npt.NDArray[np.floating]) -> N
     fields[:, which] = row.reshape(-1, BLOCK)
 
 
-def _light_constants(p: SensorParameters) -> tuple[np.float32, np.float32, np.float32, np.float32]:
+def light_constants(p: SensorParameters) -> tuple[np.float32, np.float32, np.float32, np.float32]:
     """Return the dark current, the filter's rate at light 1 and its bounds, rad/s."""
     at_reference, least, most = (
         (_NO_LOW_PASS_RATE,) * 3

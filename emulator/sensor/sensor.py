@@ -21,6 +21,7 @@ import numpy.typing as npt
 
 from emulator.scene.base import PixelLight
 from emulator.sensor.defects import ArrayFaults, Defects, Faults, draw_defects
+from emulator.sensor.gpu.array import GpuArray
 from emulator.sensor.imager import Imager, part_of_the_way
 from emulator.sensor.jitter import Jitter
 from emulator.sensor.leaks import NEVER_NS, Leaks
@@ -138,9 +139,14 @@ class Sensor:
 
         The honest measure of whether pictures are close enough together.
         """
-        if not isinstance(self.pixels, PixelArray):
+        if not isinstance(self.pixels, PixelArray | GpuArray):
             return None
         return self.pixels.suspects / max(self.pixels.candidates, 1)
+
+    @property
+    def renderer(self) -> str | None:
+        """The name of what computes the pixels, in GL's words; None for the processor."""
+        return self.pixels.renderer if isinstance(self.pixels, GpuArray) else None
 
     @property
     def quiet_nan(self) -> int:

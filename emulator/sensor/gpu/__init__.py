@@ -1,0 +1,1 @@
+"""The pixel step as a compute shader, for large sensors."""
