@@ -20,7 +20,11 @@ with the phase function of Henyey and Greenstein, its mean over all directions 1
 
     P(g) = (1 - b^2) / (1 + 2 b cos g + b^2)^(3/2)
 
-On the night side (mu0 <= 0) r is 0. Each law writes itself as GLSL too, the same formula in float32, for the renderer.
+On the night side (mu0 <= 0) r is 0. Each law writes itself as GLSL too, the same formula in float32, for the renderer:
+
+    vec2 phase_terms(float phase)                          what depends on the phase angle alone, fit for a vertex
+    float reflect_at(float mu0, float mu, vec2 terms)      the rest, for each fragment
+    float reflect_sun(float mu0, float mu, float phase)    both at once
 """
 
 from __future__ import annotations
@@ -76,8 +80,8 @@ class Lambert:
         return np.asarray(self.albedo / math.pi * np.maximum(mu0, 0))
 
     def glsl(self) -> str:
-        """Return the law as `float reflect_sun(float mu0, float mu, float phase)`."""
-        return _glsl(f"return {self.albedo / math.pi!r} * mu0;")
+        """Return the law as GLSL; see the module's first lines."""
+        return _glsl("vec2(0.0)", f"return {self.albedo / math.pi!r} * mu0;")
 
 
 @dataclass(frozen=True)
@@ -106,9 +110,9 @@ class LommelSeeliger:
         return np.asarray(scattered * _seeliger(np.maximum(mu0, 0), mu))
 
     def glsl(self) -> str:
-        """Return the law as `float reflect_sun(float mu0, float mu, float phase)`."""
+        """Return the law as GLSL; see the module's first lines."""
         share = self.single_scattering_albedo / (4 * math.pi)
-        return _glsl(f"return {share!r} * {_HG.format(b=self.asymmetry)} * seeliger(mu0, mu);")
+        return _glsl(f"vec2({share!r} * {_HG.format(b=self.asymmetry)}, 0.0)", "return terms.x * seeliger(mu0, mu);")
 
 
 @dataclass(frozen=True)
@@ -136,12 +140,12 @@ class LunarLambert:
         return np.asarray(self.albedo / math.pi * np.exp(-0.9 * np.asarray(phase_rad)) * mixture)
 
     def glsl(self) -> str:
-        """Return the law as `float reflect_sun(float mu0, float mu, float phase)`."""
+        """Return the law as GLSL; see the module's first lines."""
+        g = "degrees(phase)"
+        share = f"clamp(1.0 + {g} * (-0.019 + {g} * (2.42e-4 - 1.46e-6 * {g})), 0.0, 1.0)"
+        scale = f"{self.albedo / math.pi!r} * exp(-0.9 * phase)"
         return _glsl(
-            "float g = degrees(phase);"
-            " float share = clamp(1.0 + g * (-0.019 + g * (2.42e-4 - 1.46e-6 * g)), 0.0, 1.0);"
-            f" return {self.albedo / math.pi!r} * exp(-0.9 * phase)"
-            " * (2.0 * share * seeliger(mu0, mu) + (1.0 - share) * mu0);"
+            f"{scale} * vec2(2.0 * {share}, 1.0 - {share})", "return terms.x * seeliger(mu0, mu) + terms.y * mu0;"
         )
 
 
@@ -183,15 +187,15 @@ class Hapke:
         return np.asarray(w / (4 * math.pi) * _seeliger(lit, seen) * (once + often))
 
     def glsl(self) -> str:
-        """Return the law as `float reflect_sun(float mu0, float mu, float phase)`."""
+        """Return the law as GLSL; see the module's first lines."""
         w = self.single_scattering_albedo
         gamma = math.sqrt(1 - w)
+        surge = f"(1.0 + {self.surge!r} / (1.0 + tan(0.5 * phase) / {self.surge_width!r}))"
         return _glsl(
-            f"float surge = 1.0 + {self.surge!r} / (1.0 + tan(0.5 * phase) / {self.surge_width!r});"
-            f" float once = surge * {_HG.format(b=self.asymmetry)};"
-            " float often = (1.0 + 2.0 * mu0) * (1.0 + 2.0 * mu)"
+            f"vec2({surge} * {_HG.format(b=self.asymmetry)}, 0.0)",
+            "float often = (1.0 + 2.0 * mu0) * (1.0 + 2.0 * mu)"
             f" / ((1.0 + 2.0 * mu0 * {gamma!r}) * (1.0 + 2.0 * mu * {gamma!r})) - 1.0;"
-            f" return {w / (4 * math.pi)!r} * seeliger(mu0, mu) * (once + often);"
+            f" return {w / (4 * math.pi)!r} * seeliger(mu0, mu) * (terms.x + often);",
         )
 
 
@@ -226,11 +230,12 @@ class Glossy:
         return np.asarray(lit * (self.albedo / math.pi + self.shine * (m + 8) / (8 * math.pi) * halfway**m))
 
     def glsl(self) -> str:
-        """Return the law as `float reflect_sun(float mu0, float mu, float phase)`."""
+        """Return the law as GLSL; see the module's first lines."""
         lobe = self.shine * (self.sharpness + 8) / (8 * math.pi)
         return _glsl(
-            "float halfway = min((mu0 + mu) / (2.0 * max(cos(0.5 * phase), 1e-6)), 1.0);"
-            f" return mu0 * ({self.albedo / math.pi!r} + {lobe!r} * pow(halfway, {self.sharpness!r}));"
+            "vec2(0.5 / max(cos(0.5 * phase), 1e-6), 0.0)",
+            "float halfway = min((mu0 + mu) * terms.x, 1.0);"
+            f" return mu0 * ({self.albedo / math.pi!r} + {lobe!r} * pow(halfway, {self.sharpness!r}));",
         )
 
 
@@ -240,10 +245,12 @@ Reflectance = Lambert | LommelSeeliger | LunarLambert | Hapke | Glossy
 _HG = "(1.0 - ({b!r}) * ({b!r})) / pow(1.0 + 2.0 * ({b!r}) * cos(phase) + ({b!r}) * ({b!r}), 1.5)"
 
 
-def _glsl(body: str) -> str:
+def _glsl(terms: str, body: str) -> str:
     """Wrap a formula: what is not lit is black, and a normal that leans away by a little counts as that little."""
     return (
         "float seeliger(float mu0, float mu) { return mu0 / max(mu0 + mu, 1e-12); }\n"
-        "float reflect_sun(float mu0, float mu, float phase) {\n"
+        f"vec2 phase_terms(float phase) {{ return {terms}; }}\n"
+        "float reflect_at(float mu0, float mu, vec2 terms) {\n"
         f"    if (mu0 <= 0.0) return 0.0;\n    mu = abs(mu);\n    {body}\n}}\n"
+        "float reflect_sun(float mu0, float mu, float phase) { return reflect_at(mu0, mu, phase_terms(phase)); }\n"
     )

@@ -39,6 +39,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Bodies"]
 
+_FINE = 2.0  # pixels or texels: facets as small as this answer for shadows at their corners
 _LOOKS = 64  # instants at which ranges are taken beforehand
 _LOOK_S = 60.0
 _NEAREST_SHARE = 1e-4  # of the farthest depth: no nearer plane, or float32 depth would resolve nothing
@@ -194,9 +195,16 @@ class Bodies(Scene):
         for body, part, range_m in zip(self._p.bodies, self._parts, self._ranges_m, strict=True):
             room_m = max(range_m - part.mesh.radius_m, 1e-6)
             seen = self._as_seen(part.mesh, self._p.detail_px * room_m / self._pinhole.focal_px, str(body.shape))
-            part.facets = Facets(gl, seen if body.smooth else flat(seen), body.reflectance, self._shadows)
+            fine = body.smooth and facet_size_m(seen) <= self._fine_m(room_m)
+            drawn = seen if body.smooth else flat(seen)
+            part.facets = Facets(gl, drawn, body.reflectance, self._shadows, at_vertices=fine)
             if self._shadows and body.throws_shadow:
                 part.thrower = self._shadows.thrower(coarser(part.mesh, self._shadows.coarse_m))
+
+    def _fine_m(self, room_m: float) -> float:
+        """Return the size of facets at whose corners the shadow map may be asked: two pixels, or two texels."""
+        texel_m = self._shadows.texel_m if self._shadows else 0.0
+        return _FINE * max(texel_m, room_m / self._pinhole.focal_px)
 
     def _as_seen(self, mesh: Mesh, cell_m: float, name: str) -> Mesh:
         if facet_size_m(mesh) > cell_m:

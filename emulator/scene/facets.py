@@ -1,12 +1,15 @@
 """A mesh on a stage: lit by the Sun by its law of reflection, with shadows.
 
-The vertex shader finds the cosines of incidence and emission and the phase angle, and they are interpolated over a
-facet, so normals are, and facets do not show. Phase angles come from atan(|cross|, dot): acos is good to 1.6e-4 rad
-only. The fragment gives radiance, W m-2 sr-1:
+The vertex shader finds the cosines of incidence and emission, and what depends on the phase angle alone; they are
+interpolated over a facet, so normals are, and facets do not show. Phase angles come from atan(|cross|, dot): acos is
+good to 1.6e-4 rad only. The fragment gives radiance, W m-2 sr-1:
 
     L = E_sun r(mu0, mu, g) sunlit + ambient r(mu, mu, 0)
 
 where `ambient` stands for light from all around (earthshine, light from other ground), as if it came from the eye.
+
+The shadow map is asked at the vertices where facets are about as small as its texels or as pixels, and their answers
+interpolated, which is as sharp and costs a fraction; for larger facets it is asked at every fragment.
 """
 
 from __future__ import annotations
@@ -35,14 +38,18 @@ uniform vec3 sun;            // towards it, camera axes
 uniform vec2 zoom, depth;    // see Stage
 uniform mat4 shadow_from_body;
 in vec3 position, normal;
-out vec3 angles;             // cosines of incidence and emission, phase angle
-out vec3 in_shadow_map;
+out vec4 angles;             // cosines of incidence and emission, terms of the phase angle
+out vec3 in_shadow_map;      // or the share of the Sun, in x
+%(reflectance)s
+%(sunlit)s
 void main() {
     vec3 outward = camera_from_body * normal;
     vec3 ray = camera_from_body * position + place;
     vec3 eye = -normalize(ray);
-    angles = vec3(dot(outward, sun), dot(outward, eye), atan(length(cross(sun, eye)), dot(sun, eye)));
+    float phase = atan(length(cross(sun, eye)), dot(sun, eye));
+    angles = vec4(dot(outward, sun), dot(outward, eye), phase_terms(phase));
     in_shadow_map = (shadow_from_body * vec4(position + normal * %(lift)s, 1.0)).xyz;
+    %(answer)s
     gl_Position = vec4(zoom * ray.xy, depth.x * ray.z + depth.y, ray.z);
 }
 """
@@ -50,18 +57,31 @@ void main() {
 _FRAGMENT = """
 #version 430
 uniform float irradiance, ambient;
-in vec3 angles;
+in vec4 angles;
 in vec3 in_shadow_map;
 out float radiance;
 %(reflectance)s
 %(sunlit)s
 void main() {
-    float lit = reflect_sun(angles.x, angles.y, angles.z);
-    if (lit > 0.0) lit *= sunlit(in_shadow_map);
-    float around = abs(angles.y);
-    radiance = irradiance * lit + ambient * reflect_sun(around, around, 0.0);
+    float lit = reflect_at(angles.x, angles.y, angles.zw);
+    if (lit > 0.0) lit *= %(share)s;
+    radiance = irradiance * lit;
+    if (ambient > 0.0) {
+        float around = abs(angles.y);
+        radiance += ambient * reflect_sun(around, around, 0.0);
+    }
 }
 """
+
+# Where the shadow map is asked: nowhere, at vertices, at fragments.
+_NOWHERE = {"vertex": "", "answer": "", "fragment": "", "share": "1.0"}
+_AT_VERTICES = {
+    "vertex": SUNLIT_GLSL,
+    "answer": "in_shadow_map.x = sunlit(in_shadow_map);",
+    "fragment": "",
+    "share": "in_shadow_map.x",
+}
+_AT_FRAGMENTS = {"vertex": "", "answer": "", "fragment": SUNLIT_GLSL, "share": "sunlit(in_shadow_map)"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,15 +103,31 @@ class Frame:
 
 
 class Facets:
-    """One mesh in a context's memory, with its law of reflection."""
+    """One mesh in a context's memory, with its law of reflection.
 
-    def __init__(self, context: moderngl.Context, mesh: Mesh, law: Reflectance, shadows: ShadowMap | None) -> None:
+    Parameters
+    ----------
+    shadows : the map to ask; None for no shadows.
+    at_vertices : whether it is asked at the vertices only.
+    """
+
+    def __init__(
+        self,
+        context: moderngl.Context,
+        mesh: Mesh,
+        law: Reflectance,
+        shadows: ShadowMap | None,
+        *,
+        at_vertices: bool = False,
+    ) -> None:
         self._shadows = shadows
-        lift = shadows.lift_m if shadows else 0.0
+        asked = _NOWHERE if shadows is None else _AT_VERTICES if at_vertices else _AT_FRAGMENTS
+        lift = repr(float(shadows.lift_m if shadows else 0.0))
+        law_text, answer, share = law.glsl(), asked["answer"], asked["share"]
         self._program = context.program(
-            vertex_shader=_VERTEX % {"lift": repr(float(lift))},
-            fragment_shader=_FRAGMENT
-            % {"reflectance": law.glsl(), "sunlit": SUNLIT_GLSL if shadows else "float sunlit(vec3 s) { return 1.0; }"},
+            vertex_shader=_VERTEX
+            % {"reflectance": law_text, "sunlit": asked["vertex"], "lift": lift, "answer": answer},
+            fragment_shader=_FRAGMENT % {"reflectance": law_text, "sunlit": asked["fragment"], "share": share},
         )
         if shadows:
             self._program["range_m"] = shadows.range_m
