@@ -191,7 +191,7 @@ class Bodies(Scene):
         """Take meshes into the context's memory, with as much detail as is seen."""
         throwing = [part for body, part in zip(self._p.bodies, self._parts, strict=True) if body.throws_shadow]
         if self._p.shadows and throwing:
-            self._shadows = ShadowMap(gl, self._throwing_radius_m())
+            self._shadows = ShadowMap(gl, self._throwing_radius_m(), self.distance_m / self._pinhole.focal_px)
         for body, part, range_m in zip(self._p.bodies, self._parts, self._ranges_m, strict=True):
             room_m = max(range_m - part.mesh.radius_m, 1e-6)
             seen = self._as_seen(part.mesh, self._p.detail_px * room_m / self._pinhole.focal_px, str(body.shape))

@@ -5,9 +5,9 @@ Along the Sun's rays the map is a parallel projection of a sphere around all tha
     x, y    0 to 1 over the sphere's diameter        z    metres behind the sphere's sunward side
 
 A point is in the dark when the map holds a smaller depth than its own. Four neighbours are asked and their answers
-weighted bilinearly, so an edge is a ramp of one texel rather than a step; a texel is the sphere's diameter / 1024. That
-stands for the Sun's penumbra (its half-degree disc), which is that wide where a shadow falls from 0.1 of the diameter
-away at 1 au.
+weighted bilinearly, so an edge is a ramp of one texel rather than a step; a texel is at most a pixel, or the sphere's
+diameter / 1024. That stands for the Sun's penumbra (its half-degree disc), which is as wide as 1 / 1024 where a shadow
+falls from 0.1 of the diameter away at 1 au.
 
 Only the sides away from the Sun are drawn into the map. They lie in the dark anyway, so a lit surface cannot throw a
 shadow on itself by rounding, and what throws may be coarser than what is seen (by cells of eight texels). What is left
@@ -18,6 +18,7 @@ Left out: penumbras much wider than a texel, and those of one body on another fa
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
 
 __all__ = ["SUNLIT_GLSL", "ShadowMap", "Thrower"]
 
-_TEXELS = 1024
+_LEAST_TEXELS, _MOST_TEXELS = 256, 1024
 _LIFT_TEXELS = 1.5
 _COARSE_TEXELS = 8
 
@@ -81,7 +82,12 @@ class Thrower:
 
 
 class ShadowMap:
-    """The map of one stage; `radius_m` is that of the sphere around all that throws shadows.
+    """The map of one stage.
+
+    Parameters
+    ----------
+    radius_m : of the sphere around all that throws shadows.
+    pixel_m : what a pixel spans at the closest range: finer texels would not be seen.
 
     Attributes
     ----------
@@ -89,15 +95,17 @@ class ShadowMap:
     coarse_m : how coarse what throws shadows may be.
     """
 
-    def __init__(self, context: moderngl.Context, radius_m: float) -> None:
+    def __init__(self, context: moderngl.Context, radius_m: float, pixel_m: float) -> None:
         self._context, self._range_m = context, 2 * radius_m
-        self._depths = context.depth_texture((_TEXELS, _TEXELS))
+        wanted = 2 ** math.ceil(math.log2(max(1.0, self._range_m / pixel_m)))
+        texels = min(max(wanted, _LEAST_TEXELS), _MOST_TEXELS)
+        self._depths = context.depth_texture((texels, texels))
         self._depths.compare_func = ""
         self._depths.repeat_x = self._depths.repeat_y = False
         self._target = context.framebuffer(depth_attachment=self._depths)
         self._program = context.program(vertex_shader=_VERTEX, fragment_shader=_FRAGMENT)
         self._program["range_m"] = self._range_m
-        self.texel_m = self._range_m / _TEXELS
+        self.texel_m = self._range_m / texels
         self.lift_m = _LIFT_TEXELS * self.texel_m
         self.coarse_m = _COARSE_TEXELS * self.texel_m
 
