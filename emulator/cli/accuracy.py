@@ -16,7 +16,8 @@ from emulator.accuracy.rendering import drawn_settings, fits, rendering_rows
 from emulator.accuracy.report import write_rendering, write_stability, write_work_precision
 from emulator.accuracy.stability import QUICK_SWEEPS, SWEEPS, cells
 from emulator.accuracy.work_precision import settings, sweep
-from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, console, failures, print_json, status
+from emulator.cli.failures import failures
+from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, console, print_json, status
 from emulator.drawing import ChartsLacking, check
 from emulator.rig import load_rig, shipped_rigs
 

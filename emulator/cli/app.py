@@ -14,7 +14,6 @@ from importlib.metadata import version
 from cyclopts import App, CycloptsError
 from rich.logging import RichHandler
 
-from emulator.cli.listen import listen
 from emulator.cli.output import BAD_VERDICT, WRONG_USE, Failure, print_json, status
 
 __all__ = ["app", "main"]
@@ -43,13 +42,11 @@ for verb, module, told in (
     ("bench", "bench", "Measure the speeds that the docs quote."),
 ):
     app.command(f"emulator.cli.{module}:{verb}", name=verb, help=told)
-
-_listening = App(name="listen", help="Read a camera, real or emulated: on USB (also without the word), or on a line.")
-_listening.default(listen)
-_listening.command("emulator.cli.listen:listen", name="usb", help="Read a DAVIS346 on USB.")
-_listening.command("emulator.cli.listen_serial:serial", name="serial", help="Read a camera on a serial line.")
-_listening.command("emulator.cli.listen_can:can", name="can", help="Read a camera on a CAN bus.")
-app.command(_listening)
+app.command(
+    "emulator.cli.listen_verbs:verbs",
+    name="listen",
+    help="Read a camera, real or emulated: on USB (also without the word), or on a line.",
+)
 
 
 def main() -> None:

@@ -9,7 +9,8 @@ from cyclopts import Parameter
 
 from emulator.bench.failed import BenchFailed
 from emulator.bench.measures import MEASURES, Measure
-from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, console, failures, print_json, status
+from emulator.cli.failures import failures
+from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, console, print_json, status
 from emulator.typed_table import unknown
 
 __all__ = ["bench"]

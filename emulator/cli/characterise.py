@@ -11,7 +11,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from emulator.characterise.measurements import figures, measurements
 from emulator.characterise.points import Point
 from emulator.characterise.report import reading, write
-from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, console, failures, print_json, status
+from emulator.cli.failures import failures
+from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, console, print_json, status
 from emulator.drawing import ChartsLacking, check
 from emulator.rig import load_rig
 from emulator.sensor.presets import PRESETS, SensorParameters

@@ -13,7 +13,8 @@ import numpy as np
 from cyclopts import Parameter
 
 from emulator.assembly import build_session, link_setups, schedule
-from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, console, failures, print_json, status
+from emulator.cli.failures import failures
+from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, console, print_json, status
 from emulator.cli.run import summary
 from emulator.cli.signals import stopped_by_signals
 from emulator.rig import Rig, UsbipLink, load_rig

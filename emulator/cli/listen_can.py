@@ -9,8 +9,9 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
+from emulator.cli.failures import failures
 from emulator.cli.listening import Limits, until
-from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, WRONG_USE, Failure, console, failures, print_json, status
+from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, WRONG_USE, Failure, console, print_json, status
 from emulator.rig import Rig, load_rig
 from firmware_protocol.can_frames.dbc import dbc_text
 from transports.can_bus.bus import BusDown

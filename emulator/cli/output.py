@@ -1,21 +1,15 @@
-"""What every verb shares: how it prints, and how it fails."""
+"""What every verb shares: how it prints, and what its exit codes are."""
 
 from __future__ import annotations
 
 import dataclasses
 import json
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 from rich.console import Console
 
-from emulator.link_process import LinkFailed
-from emulator.rig import RigError
-from emulator.scene.base import MachineLacks, SceneError
-
-__all__ = ["BAD_VERDICT", "GOOD", "LACKING", "WRONG_USE", "Failure", "console", "failures", "print_json", "status"]
+__all__ = ["BAD_VERDICT", "GOOD", "LACKING", "WRONG_USE", "Failure", "console", "print_json", "status"]
 
 GOOD, BAD_VERDICT, WRONG_USE, LACKING = range(4)
 
@@ -32,17 +26,6 @@ class Failure(Exception):
     def __init__(self, message: str, exit_code: int) -> None:
         super().__init__(message)
         self.exit_code = exit_code
-
-
-@contextmanager
-def failures() -> Iterator[None]:
-    """Turn the errors of all rooms into Failure with its exit code."""
-    try:
-        yield
-    except (MachineLacks, LinkFailed) as error:
-        raise Failure(str(error), LACKING) from error
-    except (RigError, SceneError) as error:
-        raise Failure(str(error), WRONG_USE) from error
 
 
 def print_json(value: object) -> None:

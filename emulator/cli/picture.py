@@ -9,7 +9,8 @@ import numpy as np
 from cyclopts import Parameter
 
 from emulator.assembly import build_pictures, build_sensor
-from emulator.cli.output import GOOD, console, failures, print_json
+from emulator.cli.failures import failures
+from emulator.cli.output import GOOD, console, print_json
 from emulator.rig import Rig, load_rig
 from emulator.scene.base import Light
 from emulator.scene.picture import event_picture, save_png

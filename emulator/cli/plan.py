@@ -9,7 +9,8 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from emulator.bounds import Decision
-from emulator.cli.output import GOOD, console, failures, print_json
+from emulator.cli.failures import failures
+from emulator.cli.output import GOOD, console, print_json
 from emulator.optics.lens import CHIPS
 from emulator.plan import Plan, make_plan
 from emulator.probe import probe

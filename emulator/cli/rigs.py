@@ -6,7 +6,8 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from emulator.cli.output import GOOD, console, failures, print_json
+from emulator.cli.failures import failures
+from emulator.cli.output import GOOD, console, print_json
 from emulator.rig import Rig, load_rig, shipped_rigs
 from emulator.rig_schema import rig_schema
 from emulator.scene_assembly import build_scene

@@ -11,9 +11,10 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from emulator.assembly import build_session, link_setups, schedule
+from emulator.cli.failures import failures
 from emulator.cli.link_summary import link_json, link_lines
 from emulator.cli.live import LiveTable
-from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, console, failures, print_json, status
+from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, console, print_json, status
 from emulator.cli.signals import stopped_by_signals
 from emulator.cli.timing import timing_json, timing_lines
 from emulator.fault_desk import fault_desk

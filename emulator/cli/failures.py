@@ -1,0 +1,24 @@
+"""What the errors of all rooms mean to whoever typed a verb."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from emulator.cli.output import LACKING, WRONG_USE, Failure
+from emulator.link_process import LinkFailed
+from emulator.rig import RigError
+from emulator.scene.base import MachineLacks, SceneError
+
+__all__ = ["failures"]
+
+
+@contextmanager
+def failures() -> Iterator[None]:
+    """Turn the errors of all rooms into Failure with its exit code."""
+    try:
+        yield
+    except (MachineLacks, LinkFailed) as error:
+        raise Failure(str(error), LACKING) from error
+    except (RigError, SceneError) as error:
+        raise Failure(str(error), WRONG_USE) from error
