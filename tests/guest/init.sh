@@ -21,6 +21,8 @@ mkdir -p /root/proc /root/sys /root/dev /root/run /root/evstim-results
 mount -t proc proc /root/proc
 mount -t sysfs sys /root/sys
 mount -t devtmpfs dev /root/dev
+mkdir -p /root/dev/shm
+mount -t tmpfs shm /root/dev/shm
 mount -t tmpfs run /root/run
 mount -t 9p -o "$options" results /root/evstim-results
 

@@ -1,0 +1,70 @@
+"""evstim's CAN link on a bus of this machine's kernel, without a session: it sends what a file holds and tells of it.
+
+python can_link.py CHANNEL EVENTS.npy REPORT.json SECONDS
+"""
+
+import asyncio
+import json
+import sys
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from firmware_protocol.instrument.instrument import Instrument
+from firmware_protocol.instrument.settings import InstrumentSettings
+from transports.can_bus.endpoint import CanFactory
+from transports.can_bus.parameters import CanParameters
+from transports.can_bus.python_can import PythonCanBus
+from transports.link import Link, LinkSetup
+from transports.pacing import MonotonicClock
+from transports.ring import EventRing
+
+
+async def main(channel, events_file, report_file, seconds):
+    events = np.load(events_file)
+    clock, ring, syncs = MonotonicClock(), EventRing(), []
+    device = partial(Instrument, (346, 260), InstrumentSettings(queue_ms=60_000, housekeeping_s=0))
+    parameters = CanParameters("socketcan", channel, heartbeat_ms=100)
+    link = Link(LinkSetup("can", ring, device, CanFactory(parameters, lambda *mark: syncs.append(mark))), clock)
+    sent = tapped()
+    await link.endpoint.start()
+    origin_ns = clock.now_ns()
+    ring.start(origin_ns)
+    ring.push(events)
+    ring.publish(int(seconds * 1e6))
+    while clock.now_ns() - origin_ns < seconds * 1e9:
+        link.tick()
+        await asyncio.sleep(0.0005)
+    state = link.report().state
+    await link.close()
+    report = link.report(final=True)
+    told = {
+        "sent": sent,
+        "syncs": [seq for _, seq in syncs],
+        "sync_us": [(t_ns - origin_ns) / 1000 for t_ns, _ in syncs],
+        "state": state,
+        "delivered": report.delivered,
+        "not_running": report.camera.not_running,
+        "counts": dict(report.counts),
+    }
+    Path(report_file).write_text(json.dumps(told))
+
+
+def tapped():
+    """Note each frame that the kernel took."""
+    sent = []
+    take = PythonCanBus.send
+
+    def send(bus, frame, *, urgent=False):
+        taken = take(bus, frame, urgent=urgent)
+        if taken:
+            sent.append(str(frame))
+        return taken
+
+    PythonCanBus.send = send
+    return sent
+
+
+if __name__ == "__main__":
+    asyncio.run(main(sys.argv[1], sys.argv[2], sys.argv[3], float(sys.argv[4])))
