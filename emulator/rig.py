@@ -31,8 +31,8 @@ from emulator.rig_files import beside
 from emulator.rig_text import line_of
 from emulator.scene.bodies_table import BodiesParameters
 from emulator.scene.body import BodyParameters
-from emulator.scene.checkerboard import CheckerboardParameters
-from emulator.scene.stars import StarsParameters
+from emulator.scene.checkerboard_table import CheckerboardParameters
+from emulator.scene.stars_table import StarsParameters
 from emulator.scene.terrain_table import TerrainParameters
 from emulator.scene.video import VideoParameters
 from emulator.sensor.presets import PRESETS, SensorParameters

@@ -18,8 +18,10 @@ from emulator.scene.base import Scene
 from emulator.scene.blank import Blank
 from emulator.scene.bodies_table import BodiesParameters
 from emulator.scene.body import BodyParameters
-from emulator.scene.checkerboard import Checkerboard, CheckerboardParameters
-from emulator.scene.stars import StarField, StarsParameters
+from emulator.scene.checkerboard import Checkerboard
+from emulator.scene.checkerboard_table import CheckerboardParameters
+from emulator.scene.stars import StarField
+from emulator.scene.stars_table import StarsParameters
 from emulator.scene.terrain_table import TerrainParameters
 from emulator.scene.video import Video, VideoParameters
 

@@ -19,7 +19,7 @@ from emulator.bench.failed import BenchFailed
 from emulator.bench.streams import saturated_stream
 from emulator.link_process import LinkProcess
 from emulator.rig import UsbipLink, load_rig
-from emulator.scene.checkerboard import CheckerboardParameters
+from emulator.scene.checkerboard_table import CheckerboardParameters
 from emulator.scene_assembly import build_scene
 from emulator.session import RunResult, RunStatus
 from firmware_protocol.davis346 import Davis346, Davis346Settings

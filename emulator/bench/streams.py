@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from emulator.rig import load_rig
-from emulator.scene.checkerboard import Checkerboard, CheckerboardParameters
+from emulator.scene.checkerboard import Checkerboard
+from emulator.scene.checkerboard_table import CheckerboardParameters
 from emulator.sensor.pixels import PixelArray
 from emulator.sensor.readout import ReadOut
 from firmware_protocol.events import Events, empty_events

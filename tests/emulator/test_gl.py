@@ -11,7 +11,8 @@ from emulator.doctor import examine
 from emulator.scene import gl as gl_module
 from emulator.scene.base import MachineLacks, SceneError
 from emulator.scene.body import Body, BodyParameters
-from emulator.scene.checkerboard import Checkerboard, CheckerboardParameters
+from emulator.scene.checkerboard import Checkerboard
+from emulator.scene.checkerboard_table import CheckerboardParameters
 from emulator.scene.gl import PACKAGES, WANTED, open_context, probe, renderer_name, renderers
 
 

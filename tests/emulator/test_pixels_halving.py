@@ -8,7 +8,8 @@ import pytest
 
 from emulator.accuracy.metrics import compare
 from emulator.accuracy.stream import Stream
-from emulator.scene.checkerboard import Checkerboard, CheckerboardParameters
+from emulator.scene.checkerboard import Checkerboard
+from emulator.scene.checkerboard_table import CheckerboardParameters
 from emulator.sensor import pixels
 from emulator.sensor.pixels import PixelArray
 from emulator.sensor.presets import PRESETS

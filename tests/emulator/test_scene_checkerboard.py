@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from emulator.scene.checkerboard import Checkerboard, CheckerboardParameters
+from emulator.scene.checkerboard import Checkerboard
+from emulator.scene.checkerboard_table import CheckerboardParameters
 from emulator.scene.cycle import Cycle
 
 NS = 1_000_000_000

@@ -14,7 +14,8 @@ from emulator.scene.attitude import quaternion_of
 from emulator.scene.base import SceneError
 from emulator.scene.catalogue import SUN_V, irradiance_w_m2, load_stars
 from emulator.scene.splats import splat
-from emulator.scene.stars import MovingPoint, StarField, StarsParameters
+from emulator.scene.stars import StarField
+from emulator.scene.stars_table import MovingPoint, StarsParameters
 from emulator.trajectory.looking import looking_along
 from emulator.trajectory.parameters import FixedPath, Keyframe, KeyframePath, SpinPath
 

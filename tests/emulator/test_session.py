@@ -9,7 +9,8 @@ import pytest
 from emulator.cli.signals import stopped_by_signals
 from emulator.pictures import Pictures
 from emulator.scene.base import Scene
-from emulator.scene.checkerboard import Checkerboard, CheckerboardParameters
+from emulator.scene.checkerboard import Checkerboard
+from emulator.scene.checkerboard_table import CheckerboardParameters
 from emulator.sensor.presets import PRESETS
 from emulator.sensor.sensor import Sensor
 from emulator.session import Schedule, Session
