@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from operator import itemgetter, mul
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from transports.faults.places import Places
 __all__ = ["ByteStage", "byte_stage"]
 
 _NOISE_BYTES = 256
+_WEIGHTS = tuple(1 << n for n in range(8))
 
 
 class ByteStage(ABC):
@@ -183,6 +185,7 @@ class _Resampled(ByteStage):
         self._bits = b""
         # The middle of its n-th bit, in bits of the sender from the falling edge of the start bit.
         self._middles = [int((n + 0.5) / fault.ratio) for n in range(10)]
+        self._data_bits = itemgetter(*self._middles[1:9])
 
     def change(self, data: bytes) -> bytes:
         self._strike([0] if data and not self.hits else [], len(data))
@@ -198,12 +201,12 @@ class _Resampled(ByteStage):
 
     def _sample(self) -> bytes:
         bits, at, out = self._bits, 0, bytearray()
-        first, *data_bits, stop = self._middles
+        first, stop, read = self._middles[0], self._middles[-1], self._data_bits
         while (start := bits.find(b"\0", at)) >= 0 and start + stop < len(bits):
             if bits[start + first]:  # too short for a start bit
                 at = start + first
                 continue
-            out.append(sum(bits[start + middle] << n for n, middle in enumerate(data_bits)))
+            out.append(sum(map(mul, read(bits[start : start + stop + 1]), _WEIGHTS)))
             # A UART looks for the next start bit from the middle of the stop bit on.
             at = start + stop if bits[start + stop] else start + stop + 1
         self._bits = b"" if start < 0 else bits[start:]

@@ -95,6 +95,11 @@ class Faults(Generic[S]):
     ----------
     build
         Makes a fault's stage; raises ValueError for a fault that this link cannot have.
+
+    Attributes
+    ----------
+    stages
+        Those at work, the oldest first.
     """
 
     def __init__(self, plan: FaultPlan, build: Callable[[Fault, np.random.Generator], S]) -> None:
@@ -102,15 +107,11 @@ class Faults(Generic[S]):
         self._build = build
         self._waiting = sorted(plan.scripted, key=lambda fault: fault.at_s)
         self._active: list[_Thrown[S]] = []
+        self.stages: list[S] = []
         self._all: list[_Thrown[S]] = []
         self._blamed: _Thrown[S] | None = None
         self._now_us = 0
         self._log = None if plan.log is None else plan.log.open("a", encoding="utf-8", buffering=1)
-
-    @property
-    def stages(self) -> list[S]:
-        """Those at work, the oldest first."""
-        return [thrown.stage for thrown in self._active]
 
     @property
     def records(self) -> tuple[FaultRecord, ...]:
@@ -170,11 +171,13 @@ class Faults(Generic[S]):
         until_us = at_us + round(fault.for_s * 1e6) if fault.for_s else None
         thrown = _Thrown(stage, FaultRecord(number, fault.kind, self._now_us), until_us)
         self._active.append(thrown)
+        self.stages.append(stage)
         self._all.append(thrown)
         self._write(thrown, "began", for_s=fault.for_s)
 
     def _end(self, thrown: _Thrown[S]) -> None:
         self._active.remove(thrown)
+        self.stages.remove(thrown.stage)
         thrown.record = replace(thrown.record, ended_us=self._now_us)
         self._write(thrown, "ended", hits=thrown.stage.hits, touched=thrown.stage.touched)
 
