@@ -38,6 +38,7 @@ from transports.ring import EventRing
 ORIGIN_NS = 1_000_000_000
 TICK_NS = 500_000
 CHANNELS = itertools.count()
+EVENTS = 600
 CARRIAGES = ["raw", "isotp", "cfp"]
 
 
@@ -76,7 +77,7 @@ class Bench:
         self.frames = [[] for _ in channels]
         self.parts = [np.zeros(0, EVENT)]
 
-    async def start(self, events=1000):
+    async def start(self, events=EVENTS):
         await self.link.endpoint.start()
         self.ring.start(self.origin_ns)
         self.ring.push(stream(events))
@@ -109,7 +110,7 @@ class Bench:
             peer.shutdown()
 
 
-def play(faults, ticks=800, **more):
+def play(faults, ticks=500, **more):
     """Run a link with these faults; return the bench and the final report."""
 
     async def whole():
@@ -125,7 +126,7 @@ def play(faults, ticks=800, **more):
     return asyncio.run(whole())
 
 
-def assert_known(b, report, sent=1000):
+def assert_known(b, report, sent=EVENTS):
     lost = sum(fault.events_lost for fault in report.faults)
     assert report.camera.delivered == sent
     assert report.dropped == lost
@@ -168,7 +169,7 @@ def test_a_changed_frame_is_never_taken_where_messages_are_checked(carriage):
 
 def test_a_changed_raw_frame_is_taken_since_only_the_bus_would_check_it():
     _, report = play([ChangedFrames(at_s=0.05, rate=0.02, count=5)])
-    assert report.camera.delivered == 1000
+    assert report.camera.delivered == EVENTS
     assert report.faults[0].hits == 5
     assert 0 < report.faults[0].events_lost <= 10
 
@@ -183,7 +184,7 @@ def test_a_node_that_is_bus_off_comes_back():
     assert beats[silent[0] + 1] < 1.4  # it looks every second
     assert report.counts["bus lost"] == 1
     assert report.camera.not_running > 0
-    assert report.delivered + report.dropped + report.dropped_in_device == 1000
+    assert report.delivered + report.dropped + report.dropped_in_device == EVENTS
     assert len(b.events) == report.delivered
 
 
@@ -219,7 +220,7 @@ def test_when_bus_a_dies_the_camera_turns_to_bus_b():
     assert first_on_b > 0.4  # after the master's heartbeat had been missing there for so long
     report = b.link.report(final=True)
     assert report.counts["bus changes"] == 1
-    assert report.delivered + report.dropped + report.dropped_in_device == 1000
+    assert report.delivered + report.dropped + report.dropped_in_device == EVENTS
 
 
 @pytest.mark.parametrize(("identifier", "most_frames"), [(0x100, 1), (0x000, None)])

@@ -27,6 +27,7 @@ from transports.faults.script import FaultPlan
 from transports.record import load_record
 
 PROFILES = ["ccsds-cobs", "ccsds-slip", "ccsds-kiss", "csp-kiss", "fprime"]
+COUNT = 8_000
 KINDS = [
     BitFlips(at_s=0.05, for_s=0.1, rate=1e-5, count=0),
     InsertedBytes(at_s=0.05, rate=1e-3, count=3),
@@ -40,8 +41,8 @@ KINDS = [
 ]
 
 
-def damaged(bench, faults, count=10_000, **settings):
-    """Run 10 000 events over a line with these faults; return the bench and the final report."""
+def damaged(bench, faults, count=COUNT, **settings):
+    """Run events over a line with these faults; return the bench and the final report."""
     b = bench(faults=FaultPlan("serial", tuple(faults), 1, settings.pop("log", None)), **settings)
     b.plug()
     b.ring.start(ORIGIN_NS)
@@ -51,7 +52,7 @@ def damaged(bench, faults, count=10_000, **settings):
     return b, b.link.report()
 
 
-def assert_known(b, report, sent=10_000):
+def assert_known(b, report, sent=COUNT):
     """Every event has one fate, and what came is what the link says came, bit by bit."""
     lost = sum(fault.events_lost for fault in report.faults)
     assert len(b.events) == report.delivered == sent - lost
@@ -91,7 +92,7 @@ def test_a_stall_loses_nothing_that_the_camera_does_not_declare(bench):
     b, report = damaged(bench, [Stall(at_s=0.05, for_s=0.06)], settings=settings)
     dropped = report.camera.dropped_in_device
     assert dropped > 0
-    assert report.delivered + dropped == 10_000
+    assert report.delivered + dropped == COUNT
     assert b.receiver.counts["events_dropped"] == dropped
     assert b.receiver.faults == 0
     assert report.counts["held_back"] > 0
@@ -167,7 +168,7 @@ def test_a_fault_thrown_by_hand_begins_at_once(bench):
     b = bench()
     b.plug()
     b.ring.start(ORIGIN_NS)
-    b.give(stream(10_000), 200_000)
+    b.give(stream(COUNT), COUNT * 20)
     b.run(100)
     b.link.endpoint.throw(LostBytes())
     b.run(360)
