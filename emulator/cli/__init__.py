@@ -1,5 +1,11 @@
 """The command line: one verb for each wish, for people and, with `--json`, for programs."""
 
-from emulator.cli.app import main
-
 __all__ = ["main"]
+
+
+def main() -> None:
+    """Run the command line and exit with its code."""
+    # Here and not above: each link's process begins by importing the script that calls this, and needs no verbs.
+    from emulator.cli.app import main as run
+
+    run()

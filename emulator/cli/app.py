@@ -29,7 +29,7 @@ app = App(
 for verb, module, told in (
     ("run", "run", "Run a rig: render its scene, simulate its sensor, serve its camera."),
     ("demo", "demo", "Run a rig, attach to its camera as a driver does, and compare every event."),
-    ("check", "rigs", "Check a rig file without running it."),
+    ("check", "check", "Check a rig file without running it."),
     ("plan", "plan", "Tell what a run will model, and why."),
     ("fault", "fault", "Throw a fault on a link of a rig that runs."),
     ("rigs", "rigs", "List the rigs that come with evstim."),

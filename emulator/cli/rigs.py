@@ -1,4 +1,4 @@
-"""`evstim rigs`, `evstim check RIG`, `evstim schema`: what can be run, and whether a rig is right."""
+"""`evstim rigs` and `evstim schema`: what can be run, and how it is written."""
 
 from __future__ import annotations
 
@@ -8,11 +8,10 @@ from cyclopts import Parameter
 
 from emulator.cli.failures import failures
 from emulator.cli.output import GOOD, console, print_json
-from emulator.rig import Rig, load_rig, shipped_rigs
+from emulator.rig import load_rig, shipped_rigs
 from emulator.rig_schema import rig_schema
-from emulator.scene_assembly import build_scene
 
-__all__ = ["check", "rigs", "schema"]
+__all__ = ["rigs", "schema"]
 
 Json = Annotated[bool, Parameter(negative="")]
 
@@ -34,38 +33,6 @@ def rigs(*, json: Json = False) -> int:
     for name, title in titles.items():
         console.print(f"{name:{width}}  {title}")
     return GOOD
-
-
-def check(rig: str, /, *, draw: Annotated[bool, Parameter(negative="")] = False, json: Json = False) -> int:
-    """Check a rig file without running it.
-
-    Parameters
-    ----------
-    rig
-        Path of a rig file, or the name of a shipped one.
-    draw
-        Also build the scene, which reads its mesh and needs a GL library where the scene does.
-    json
-        Print one JSON object as the last line on stdout.
-    """
-    with failures():
-        loaded = load_rig(rig)
-        if draw:
-            build_scene(loaded).close()
-    if json:
-        print_json({"rig": loaded.name, "good": True, "title": loaded.title})
-    else:
-        console.print(f"{loaded.name}: good. {_sentence(loaded)}")
-    return GOOD
-
-
-def _sentence(rig: Rig) -> str:
-    sensor = rig.camera.sensor
-    links = ", ".join(link.name for link in rig.links) or "none"
-    return (
-        f"{type(rig.scene).__name__.removesuffix('Parameters')} seen by a {rig.camera.model} of "
-        f"{sensor.width}x{sensor.height} pixels, a step every {rig.run.step_us} us; links: {links}."
-    )
 
 
 def schema() -> int:

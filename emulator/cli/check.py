@@ -1,0 +1,48 @@
+"""`evstim check RIG`: whether a rig is right."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from emulator.cli.failures import failures
+from emulator.cli.output import GOOD, console, print_json
+from emulator.rig import Rig, load_rig
+from emulator.scene_assembly import build_scene
+
+__all__ = ["check"]
+
+Json = Annotated[bool, Parameter(negative="")]
+
+
+def check(rig: str, /, *, draw: Annotated[bool, Parameter(negative="")] = False, json: Json = False) -> int:
+    """Check a rig file without running it.
+
+    Parameters
+    ----------
+    rig
+        Path of a rig file, or the name of a shipped one.
+    draw
+        Also build the scene, which reads its mesh and needs a GL library where the scene does.
+    json
+        Print one JSON object as the last line on stdout.
+    """
+    with failures():
+        loaded = load_rig(rig)
+        if draw:
+            build_scene(loaded).close()
+    if json:
+        print_json({"rig": loaded.name, "good": True, "title": loaded.title})
+    else:
+        console.print(f"{loaded.name}: good. {_sentence(loaded)}")
+    return GOOD
+
+
+def _sentence(rig: Rig) -> str:
+    sensor = rig.camera.sensor
+    links = ", ".join(link.name for link in rig.links) or "none"
+    return (
+        f"{type(rig.scene).__name__.removesuffix('Parameters')} seen by a {rig.camera.model} of "
+        f"{sensor.width}x{sensor.height} pixels, a step every {rig.run.step_us} us; links: {links}."
+    )
