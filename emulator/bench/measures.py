@@ -8,6 +8,7 @@ from typing import Literal
 
 from emulator.bench import link, pixel, serial_line, word
 from emulator.bench.c_decoder import COMPILER, CDecoding
+from emulator.bench.gpu import Drawing, PixelSteps, Reading
 from emulator.bench.noise import NoiseLoad
 from emulator.bench.scene import Workload
 from emulator.bench.scenes_alike import ScenesAlike
@@ -57,6 +58,22 @@ def _of_a_rig(rig: str, small: float | None, large: float | None) -> tuple[Measu
     )
 
 
+def _of_the_card(size: tuple[int, int]) -> tuple[Measure, ...]:
+    """Return what a graphics card could do instead of the processor, at one size."""
+    at = f"{size[0]}x{size[1]}"
+    runs: tuple[tuple[str, Callable[[], float]], ...] = (
+        (f"gpu_pixels_quiet_{at}", PixelSteps(size, fires=False)),
+        (f"gpu_pixels_quiet_{at}_on_cpu", PixelSteps(size, fires=False, on_card=False)),
+        (f"gpu_pixels_20pct_{at}", PixelSteps(size, fires=True)),
+        (f"gpu_pixels_20pct_{at}_on_cpu", PixelSteps(size, fires=True, on_card=False)),
+        (f"gpu_picture_{at}", Drawing(size, with_rate=False)),
+        (f"gpu_picture_pair_{at}", Drawing(size, with_rate=True)),
+        (f"gpu_readback_direct_{at}", Reading(size, "direct")),
+        (f"gpu_readback_ring_{at}", Reading(size, "ring")),
+    )
+    return tuple(Measure(name, "ms", "lower", None, run) for name, run in runs)
+
+
 MEASURES = (
     Measure("pixel_quiet", "Mpixel/s", "higher", 900, pixel.pixel_quiet),
     Measure("pixel_5pct", "Mpixel/s", "higher", 400, pixel.pixel_5pct),
@@ -81,6 +98,8 @@ MEASURES = (
     Measure("blocks_target_100us", "bits/ev", "lower", 10.5, BlockBits("target", 100)),
     *(_IN_C if COMPILER else ()),
     *(measure for rig in _RIGS for measure in _of_a_rig(*rig)),
+    *_of_the_card(SMALL),
+    *_of_the_card(LARGE),
     Measure("serial_fill", "%", "higher", 98, serial_line.serial_fill),
     Measure("usbip_events", "Mev/s", "higher", 12, link.usbip_events),
     Measure("latency_p50", "us", "lower", 2000, link.latency_p50),

@@ -24,7 +24,16 @@ import numpy.typing as npt
 from emulator.sensor.pixels import PixelArray
 from emulator.sensor.presets import PRESETS, SensorParameters
 
-__all__ = ["FiringRun", "firing", "pixel_5pct", "pixel_5pct_line", "pixel_edges", "pixel_quiet", "pixel_quiet_line"]
+__all__ = [
+    "FiringRun",
+    "firing",
+    "grating",
+    "pixel_5pct",
+    "pixel_5pct_line",
+    "pixel_edges",
+    "pixel_quiet",
+    "pixel_quiet_line",
+]
 
 _STEP_NS = 1_000_000
 _WARM_UP = 50
@@ -46,7 +55,7 @@ class FiringRun:
     share: float
 
 
-def _grating(parameters: SensorParameters, phase: float, phase_step: float) -> _Picture:
+def grating(parameters: SensorParameters, phase: float, phase_step: float) -> _Picture:
     """Return the grating, its logarithm a sine around ln 0.5 that loses `phase_step` a step; (height, width) each."""
     y, x = np.mgrid[: parameters.height, : parameters.width]
     angle = 2 * np.pi * (x + 0.5 * y) / _PERIOD_PX + phase
@@ -92,7 +101,7 @@ def firing(
     phase_step = share * threshold / swing * np.pi  # two swings in 2 pi
     count = max(2, round(2 * np.pi / phase_step))
     step = 2 * np.pi / count
-    pictures = [_grating(parameters, -step * k, step) for k in range(min(count, _WARM_UP + steps + 1))]
+    pictures = [grating(parameters, -step * k, step) for k in range(min(count, _WARM_UP + steps + 1))]
     median_s, events = _timed(PixelArray(parameters, 1), lambda k: pictures[k % len(pictures)], steps, line=line)
     pixels = parameters.width * parameters.height
     return FiringRun(pixels / median_s / 1e6, events / median_s / 1e6, events / pixels)
@@ -100,7 +109,7 @@ def firing(
 
 def _quiet(*, line: bool) -> float:
     parameters = dataclasses.replace(PRESETS["davis346"], leak_hz=0.0)
-    still = _grating(parameters, 0.0, 0.0)
+    still = grating(parameters, 0.0, 0.0)
     median_s, _ = _timed(PixelArray(parameters, 1), lambda k: still, _STEPS, line=line)
     return still[0].size / median_s / 1e6
 

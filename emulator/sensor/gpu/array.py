@@ -1,8 +1,9 @@
 """Event pixels in a graphics card's memory: the same as `PixelArray`, step by step in a compute shader.
 
-One dispatch a step: light goes in as a texture, uploaded or drawn in the same context, and events come out as a list of
-pixels and times within the step, which the processor puts in order. Whatever is random is drawn by the processor, keyed
-as for `PixelArray`, so both have the same pixels; their events agree within the rounding of float32.
+Light goes in as a texture, uploaded or drawn in the same context; a first pass moves the quiet pixels and lists those
+that may fire, a second one moves these; and events come out as a list of pixels and times within the step, which the
+processor puts in order. Whatever is random is drawn by the processor, keyed as for `PixelArray`, so both have the same
+pixels; their events agree within the rounding of float32.
 
 Time on the card is relative: within a step as a share of it, from step to step as whole nanoseconds that a pixel is yet
 blind. So steps and refractory periods are at most 2^31 ns. A list that was too short is made longer and the step taken
@@ -21,7 +22,7 @@ import numpy.typing as npt
 
 from emulator.scene.base import MachineLacks
 from emulator.scene.gl import open_context, renderer_name
-from emulator.sensor.gpu.step import COUNTS, GROUP, NOT_KNOWN, PIXEL, STEP, THRESHOLDS
+from emulator.sensor.gpu.step import COUNTS, CROSSINGS, GROUP, NOT_KNOWN, PIXEL, QUIET, THRESHOLDS
 from emulator.sensor.pixels import Crossings, light_constants
 from emulator.sensor.presets import SensorParameters
 from emulator.sensor.rules.drawn import draw
@@ -37,6 +38,7 @@ _FIRST_ROOM = 1 << 16
 _EVENT_BYTES = 8
 
 _NOTHING = np.empty((0, 2), np.uint32)
+_NO_COUNTS = np.array([(0, 1, 1, 0, 0, 0, 0, 0)], COUNTS)
 
 _Float32s = npt.NDArray[np.float32]
 
@@ -83,13 +85,14 @@ class GpuArray:
     def _build(self) -> None:
         gl, pixels = self._gl, self.parameters.width * self.parameters.height
         _require_room(gl, self._size)
-        self._step = gl.compute_shader(STEP)
+        self._passes = gl.compute_shader(QUIET), gl.compute_shader(CROSSINGS)
         self._states = [gl.buffer(reserve=pixels * PIXEL.itemsize) for _ in range(2)]
         thresholds = np.empty(pixels, THRESHOLDS)
         for name in ("on", "off", "leak"):
             thresholds[name] = getattr(self._drawn, name)
         self._thresholds = gl.buffer(thresholds)
-        self._counts = gl.buffer(np.zeros(1, COUNTS))
+        self._counts = gl.buffer(reserve=COUNTS.itemsize)
+        self._candidates = gl.buffer(reserve=pixels * 4)
         self._most_room = int(gl.info["GL_MAX_SHADER_STORAGE_BLOCK_SIZE"]) // _EVENT_BYTES
         self._make_room(_FIRST_ROOM)
         self._light, self._rate = (gl.texture(self._size, 1, dtype="f4") for _ in range(2))
@@ -98,8 +101,10 @@ class GpuArray:
         self._set(dark=dark, rate_at_reference=at_reference, rate_min=least, rate_max=most)
 
     def _set(self, **uniforms: object) -> None:
-        for name, value in uniforms.items():
-            self._step[name] = value
+        """Set uniforms in those passes that have them: what a shader has no use for, its compiler leaves out."""
+        for step in self._passes:
+            for name in uniforms.keys() & set(step):
+                step[name] = uniforms[name]
 
     def _make_room(self, events: int) -> None:
         self._room = min(events, self._most_room)
@@ -197,11 +202,14 @@ class GpuArray:
         before, after = self._states
         groups = [-(-side // of) for side, of in zip(self._size, GROUP, strict=True)]
         while True:
-            self._counts.write(np.zeros(1, COUNTS))
+            self._counts.write(_NO_COUNTS)
             self._set(room=self._room)
-            for binding, buffer in enumerate((before, after, self._thresholds, self._events, self._counts)):
+            buffers = before, after, self._thresholds, self._events, self._counts, self._candidates
+            for binding, buffer in enumerate(buffers):
                 buffer.bind_to_storage_buffer(binding)
-            self._step.run(*groups)
+            self._passes[0].run(*groups)
+            self._gl.memory_barrier()
+            self._passes[1].run_indirect(self._counts)
             self._gl.memory_barrier()
             values = np.frombuffer(self._counts.read(), COUNTS)[0]
             counts = {name: int(values[name]) for name in COUNTS.names or ()}

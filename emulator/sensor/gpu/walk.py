@@ -10,11 +10,23 @@ from emulator.sensor.events import MOST_EVENTS
 from emulator.sensor.gpu.arithmetic import constant
 from emulator.sensor.trust import LARGEST_CHANGE, SUSPECT
 
-__all__ = ["WALK"]
+__all__ = ["TRUST", "WALK"]
 
-WALK = f"""
+TRUST = f"""
 {constant("LARGEST_CHANGE", LARGEST_CHANGE)}   // of log light in a piece
 {constant("TRUST", SUSPECT)}                   // share of a threshold from which on a step is suspect
+
+bool is_plain(float d, float a0, float a1, float unseen) {{
+    float steepest = max(abs(a0), abs(a1));
+    bool one_piece = max(2.0 * abs(d), steepest) <= 2.0 * LARGEST_CHANGE;
+    bool seen = max(abs(2.0 * d - (a0 + a1)), 0.25 * abs(a0 - a1)) <= 2.0 * unseen;
+    bool fits = steepest <= 2.1213 * abs(d) + 0.014142 || a0 * a1 < 0.0;
+    return one_piece && seen && fits;
+}}
+"""
+"""Whether a step can be taken in one piece, as it is."""
+
+WALK = f"""
 {constant("ABSURD", 1e9)}                      // a slope that no light has: not known
 const float SHARE = 0.004, LEAST_MISS = 2e-5;  // of a threshold, and ln units: what a piece's cubic may miss
 const float NEARLY = 1.001, SETTLED = 3e-5;
@@ -30,14 +42,6 @@ struct Piece {{  // rates per step and log light at both ends, and its course
     float u0, u1, r0, r1;
     Course course;
 }};
-
-bool is_plain(float d, float a0, float a1, float unseen) {{
-    float steepest = max(abs(a0), abs(a1));
-    bool one_piece = max(2.0 * abs(d), steepest) <= 2.0 * LARGEST_CHANGE;
-    bool seen = max(abs(2.0 * d - (a0 + a1)), 0.25 * abs(a0 - a1)) <= 2.0 * unseen;
-    bool fits = steepest <= 2.1213 * abs(d) + 0.014142 || a0 * a1 < 0.0;
-    return one_piece && seen && fits;
-}}
 
 bool is_suspect(float d, float a0, float a1, float unseen) {{
     bool turns = a0 * a1 < 0.0 && 0.125 * abs(a0 - a1) > unseen;
@@ -193,4 +197,4 @@ void walk(uint pixel, Thresholds p, Light light, inout Pixel s) {{
     s.blind = blind ? 1u + (max(sees_ns, h_ns) - h_ns) : 0u;
 }}
 """
-"""Needs `ARITHMETIC` and what `step` declares before it."""
+"""Needs `TRUST`, `ARITHMETIC`, and what `step` declares before them."""
