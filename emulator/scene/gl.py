@@ -14,13 +14,10 @@ draws. moderngl is imported here when it is first needed, so closed-form scenes 
 
 from __future__ import annotations
 
-import ctypes
-import ctypes.util
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from emulator.scene.base import MachineLacks, SceneError
@@ -32,7 +29,6 @@ __all__ = [
     "PACKAGES",
     "WANTED",
     "GlReport",
-    "flush",
     "is_software",
     "open_context",
     "probe",
@@ -142,16 +138,6 @@ def renderer_name(context: moderngl.Context) -> str:
 def is_software(renderer: str) -> bool:
     """Tell whether the renderer of that name draws with the processor."""
     return any(name in renderer.lower() for name in _SOFTWARE)
-
-
-def flush() -> None:
-    """Let the current context begin with what it was told to draw, without waiting; moderngl has no word for it."""
-    _libgl().glFlush()
-
-
-@cache
-def _libgl() -> ctypes.CDLL:
-    return ctypes.CDLL(os.environ.get("GLCONTEXT_LINUX_LIBGL") or ctypes.util.find_library("GL") or "libGL.so.1")
 
 
 def _suits(renderer: str, wanted: str) -> bool:

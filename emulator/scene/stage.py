@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from emulator.scene.base import Light, SceneError
-from emulator.scene.gl import flush, open_context, renderer_name
+from emulator.scene.gl import open_context, renderer_name
 from emulator.scene.readback import UNDER_WAY, Readback, Strategy, strategy_for
 
 if TYPE_CHECKING:
@@ -166,7 +166,7 @@ class Stage:
             render(gl)
             self._average(gl, target)
             self._readback.send()
-            flush()
+        # Leaving a context flushes it (EGL 1.5, section 3.7.3): what draws now begins.
 
     def take(self, out: Light) -> None:
         """Write the picture that was begun first, of those that were not taken, into `out`, (height, width) float32."""

@@ -158,7 +158,10 @@ class GpuArray:
         return self.step_drawn(self._light, t_ns, None if rate is None else self._rate)
 
     def step_drawn(self, light: moderngl.Texture, t_ns: int, rate: moderngl.Texture | None = None) -> Crossings:
-        """Do as `step`, with pictures that are in the context's memory: R32F textures, the first row first."""
+        """Do as `step`, with pictures that are in the context's memory: R32F textures, the first row first.
+
+        Not to be called inside `with context`, which does not nest.
+        """
         t_ns, h_ns = int(t_ns), int(t_ns) - self._t_ns
         if h_ns < 0:
             raise ValueError(f"t_ns = {t_ns}: before the last step's {self._t_ns}; time does not go back")
