@@ -159,6 +159,21 @@ def test_what_a_fault_of_frames_destroyed_is_known_to_the_event(fault, carriage)
         assert b.receiver.counts["frames: error frame"] == did.hits
 
 
+@pytest.mark.parametrize("carriage", CARRIAGES)
+def test_what_never_arrives_is_counted_when_the_link_closes(carriage):
+    b, report = play([LostFrames(at_s=0.05, for_s=10, rate=1, count=0)], carriage=carriage)
+    assert_known(b, report)
+    assert report.faults[0].events_lost > EVENTS // 2
+
+
+@pytest.mark.parametrize("carriage", CARRIAGES)
+def test_a_frame_that_is_held_comes_when_the_fault_is_over(carriage):
+    b, report = play([ReorderedFrames(at_s=0.05, for_s=0.05, behind=1000)], carriage=carriage)
+    assert_known(b, report)
+    assert report.faults[0].hits == 1
+    assert (report.faults[0].events_lost == 0) == (carriage == "raw")
+
+
 @pytest.mark.parametrize("carriage", ["isotp", "cfp"])
 def test_a_changed_frame_is_never_taken_where_messages_are_checked(carriage):
     b, report = play([ChangedFrames(at_s=0.05, rate=0.02, count=5)], carriage=carriage)

@@ -87,6 +87,26 @@ def test_one_bad_bit_or_lost_byte_costs_at_most_two_messages(bench, fault, profi
     assert sum(each.events_lost for each in report.faults) > 0
 
 
+@pytest.mark.parametrize("profile", PROFILES)
+def test_faults_that_begin_and_end_within_messages_are_known_too(bench, profile):
+    """On a line so slow that a message takes many ticks."""
+    faults = [
+        BitFlips(at_s=0.02 + 0.0107 * n, rate=0.002 * (1 + n % 3), count=1)
+        if n % 2
+        else StuckLine(at_s=0.01 * n + 0.02, for_s=0.0006)
+        for n in range(30)
+    ]
+    b = bench(faults=FaultPlan("serial", tuple(faults), 1), profile=profile, baud=500_000)
+    b.plug()
+    b.ring.start(ORIGIN_NS)
+    b.give(stream(4000, every_us=100), 400_000)
+    b.run(1000)
+    b.read_until(b.link.report().delivered)
+    report = b.link.report()
+    assert_known(b, report, 4000)
+    assert sum(each.events_lost for each in report.faults) > 100
+
+
 def test_a_stall_loses_nothing_that_the_camera_does_not_declare(bench):
     settings = InstrumentSettings(housekeeping_s=0, queue_ms=20, when_full="drop_oldest")
     b, report = damaged(bench, [Stall(at_s=0.05, for_s=0.06)], settings=settings)
@@ -188,6 +208,7 @@ def test_a_reader_that_leaves_takes_what_is_under_way_with_it(bench):
     b.port.close()
     b.port = None
     b.run(1, read=False)
+    assert b.link.report().faults[0].events_lost > 0
     asyncio.run(b.link.close())
     b.closed = True
     report = b.link.report(final=True)
