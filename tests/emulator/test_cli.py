@@ -172,7 +172,7 @@ def test_the_same_run_again_gives_the_same_events(rig, tmp_path):
     digests = {}
     for name, seed in (("a", 7), ("b", 7), ("c", 8)):
         record = tmp_path / f"{name}.npz"
-        assert run("run", rig, "--seed", seed, "--pace", "free", "--record", record).returncode == 0
+        assert _main(["run", str(rig), "--seed", str(seed), "--pace", "free", "--record", str(record)]) == 0
         with np.load(record) as file:
             digests[name] = file["events"].tobytes()
     assert digests["a"] == digests["b"] != digests["c"]
@@ -191,7 +191,7 @@ def test_a_stop_ends_with_the_summary(rig, stop):
     assert "Traceback" not in err
 
 
-def test_a_port_that_is_taken_is_told_with_the_cure(rig, tmp_path):
+def test_a_port_that_is_taken_is_told_with_the_cure(rig, tmp_path, capsys):
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
@@ -199,20 +199,19 @@ def test_a_port_that_is_taken_is_told_with_the_cure(rig, tmp_path):
         text = rig.read_text().replace("width = 64\nheight = 48\n", "").replace('"loopback"', f'"usbip"\nport = {port}')
         path = tmp_path / "taken.toml"
         path.write_text(text)
-        done = run("run", path, "--json")
-    assert done.returncode == 3
-    assert "another port" in last_json(done.stdout)["error"]
+        assert _main(["run", str(path), "--json"]) == 3
+    assert "another port" in last_json(capsys.readouterr().out)["error"]
 
 
 @pytest.mark.socket
-def test_the_demo_compares_every_event(tmp_path):
+def test_the_demo_compares_every_event(tmp_path, capsys):
     path = tmp_path / "demo.toml"
     path.write_text(
         '[scene]\nkind = "checkerboard"\nspeed_px_s = 10.0\n[run]\nstep_us = 5000\n[[links]]\nkind = "usbip"\n'
     )
-    done = run("demo", path, "--seconds", "1.5", "--json")
-    assert done.returncode == 0, done.stderr
-    told = last_json(done.stdout)
+    code = _main(["demo", str(path), "--seconds", "1.5", "--json"])
+    told = last_json(capsys.readouterr().out)
+    assert code == 0, told
     assert told["good"] is True
     assert told["comparison"]["equal"] is True
     assert told["comparison"]["received"] > 1000
