@@ -60,6 +60,15 @@ def test_a_port_without_room_gets_every_byte_in_order(room):
     assert b"".join(took) == DATA
 
 
+def test_the_last_byte_at_a_wrong_baud_rate_comes_when_the_line_idles():
+    faulty, took = line(), []
+    faulty.throw(WrongBaud(ratio=0.9, for_s=0.1))
+    assert faulty.write(b"\x0f", lambda data: took.append(data) or len(data)) == 1
+    faulty.advance(100_000, b"")
+    faulty.flush(lambda data: took.append(data) or len(data))
+    assert b"".join(took) == b"\x87"  # bits 1 2 3 5 6 7 8 of those sent, and the stop bit
+
+
 def test_a_stall_takes_nothing_until_it_is_over():
     faulty, took = line(), []
     faulty.throw(Stall(for_s=0.1))
