@@ -13,6 +13,8 @@ is 0.12 % at 86 degrees; with the map's middle known its posts are brought neare
 from __future__ import annotations
 
 import math
+import struct
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -28,6 +30,8 @@ __all__ = ["filled", "load_heightmap"]
 Floats = npt.NDArray[np.float64]
 
 _PIXEL_SCALE, _TIEPOINT, _NODATA = 33550, 33922, 42113
+_PILLOW_FAILS = (Warning, SyntaxError, KeyError, TypeError, IndexError, struct.error)
+"""What pillow raises over damaged files, beside OSError and ValueError."""
 _STEEPEST_DEG = 75.0
 _LEAST_POSTS, _MOST_POSTS = 3, 1 << 14
 
@@ -114,13 +118,13 @@ def _read_geotiff(path: Path) -> _Map:
     except ImportError as error:
         raise MachineLacks("reading a GeoTIFF needs pillow: pip install 'evstim[report]'") from error
     try:
-        with Image.open(path) as image:
+        with warnings.catch_warnings(action="error"), Image.open(path) as image:
             tags = dict(getattr(image, "tag_v2", {}))
             heights = _numbers(np.array(image))
     except UnidentifiedImageError as error:
         raise SceneError("is not a TIFF that pillow reads") from error
-    except Image.DecompressionBombError as error:
-        raise SceneError(f"is too large: at most {_MOST_POSTS} posts a side") from error
+    except (Image.DecompressionBombError, *_PILLOW_FAILS) as error:
+        raise SceneError(f"is damaged, or too large: {error}") from error
     _mark_nodata(heights, str(tags.get(_NODATA, "")))
     scale, tie = tags.get(_PIXEL_SCALE), tags.get(_TIEPOINT)
     if scale is None:

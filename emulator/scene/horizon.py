@@ -114,11 +114,7 @@ def _walk(
             k -= 1
         at = x / (1 << k) + middle_column
         if _is_on(at, columns):
-            at = min(max(at, 0.0), columns - 1.0)
-            row, low = (y >> k) + middle_row, min(int(at), columns - 2)
-            part = at - low
-            z = heights[k, row, low] * (1 - part) + heights[k, row, low + 1] * part
-            t = -y * length_m
+            t, z = -y * length_m, _height(heights, k, x, y)
             slope = -1e3
             while kept:
                 slope = (height[kept - 1] - z) / (t - place[kept - 1])
@@ -128,10 +124,26 @@ def _walk(
             place[kept], height[kept] = t, z
             kept += 1
             if k == grid:
-                out[row] = slope
+                out[(y >> k) + middle_row] = slope
         elif k == grid:
             out[(y >> k) + middle_row] = -1e3
         y -= 1 << k
+
+
+@numba.njit(cache=True, nogil=True)
+def _height(heights: npt.NDArray[np.float32], grid: int, x: float, y: int) -> float:
+    """Return the height at a lattice place on a grid, or from a coarser one where it lies beside it."""
+    rows, columns = heights.shape[1], heights.shape[2]
+    at = x / (1 << grid) + (columns - 1) // 2
+    while grid + 1 < len(heights) and not 0.0 <= at <= columns - 1.0:
+        grid += 1
+        at = x / (1 << grid) + (columns - 1) // 2
+    at, up = min(max(at, 0.0), columns - 1.0), y / (1 << grid) + (rows - 1) // 2
+    row, column = min(int(up), rows - 2), min(int(at), columns - 2)
+    part, above = at - column, up - row
+    low = heights[grid, row, column] * (1 - part) + heights[grid, row, column + 1] * part
+    high = heights[grid, row + 1, column] * (1 - part) + heights[grid, row + 1, column + 1] * part
+    return float(low * (1 - above) + high * above)
 
 
 @numba.njit(cache=True, nogil=True)

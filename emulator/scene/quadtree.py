@@ -21,8 +21,8 @@ from emulator.scene.ground import Ground
 
 __all__ = ["BLOCK", "LEAST_REACH", "Quadtree"]
 
-BLOCK = 16
-LEAST_REACH = 160.0
+BLOCK = 8
+LEAST_REACH = 80.0
 """Below it a block is larger than the part of the range in which levels meet."""
 
 _MOST_BLOCKS = 1 << 16

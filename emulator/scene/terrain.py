@@ -41,6 +41,7 @@ __all__ = ["Terrain", "build_ground"]
 
 _LOOKS = 240  # instants, a second of the scene apart, at which the path is looked at beforehand
 _LOOK_NS = 1_000_000_000
+_FINEST_PX = 0.25
 _APART_NS = 20_000_000
 _NEAR_SHARE = 0.25  # of the camera's height: nothing is nearer, along the boresight
 
@@ -65,7 +66,7 @@ class Terrain(Scene):
             raise SceneError(f"scene.camera: {error}") from error
         self._ground = build_ground(p)
         self._heights_m = self._heights_on_the_way()
-        reach = max(pinhole.focal_px / p.facet_px, LEAST_REACH)
+        reach = max(pinhole.focal_px / _facet_px(p, pinhole), LEAST_REACH)
         self._tree = Quadtree(self._ground, reach)
         sun = Sun(distance_au=p.sun_distance_au)
         self._sun, self._irradiance = _towards(p.sun_azimuth_deg, p.sun_elevation_deg), sun.irradiance_w_m2
@@ -167,10 +168,16 @@ class Terrain(Scene):
         return z - ground_m
 
     def _sunlit(self, sun: Sun) -> npt.NDArray[np.float32]:
-        """Return the share of the Sun that each post sees."""
+        """Return the share of the Sun that each post sees.
+
+        Beyond the map the body goes on at the height of the map's lowest ground: its own horizon is the least there is.
+        """
         azimuth, ground = self._p.sun_azimuth_deg, self._ground
         digest = hashlib.sha256(ground.heights_m.tobytes()).hexdigest()
         slopes = kept("horizon", (digest, ground.unit_m, azimuth), lambda: horizon_slopes(ground, azimuth))
+        radius_m, relief_m = self._p.body_radius_m, float(np.ptp(ground.heights_m))
+        dip = math.sqrt(2 * relief_m / radius_m) if radius_m else 0.0
+        slopes = np.maximum(slopes, np.float32(-dip))
         return sunlit_share(slopes, math.radians(self._p.sun_elevation_deg), sun.radius_rad)
 
 
@@ -183,6 +190,12 @@ def build_ground(p: TerrainParameters) -> Ground:
     else:
         ground = load_heightmap(p.ground, p.body_radius_m)
     return ground.curved(p.body_radius_m) if p.body_radius_m else ground
+
+
+def _facet_px(p: TerrainParameters, pinhole: Pinhole) -> float:
+    """Return the side of a facet; two facets are a quad."""
+    affordable = math.sqrt(2 * pinhole.width * pinhole.height / p.most_facets)
+    return max(p.detail_px, affordable) if p.detail_px else _FINEST_PX
 
 
 def _towards(azimuth_deg: float, elevation_deg: float) -> Floats:

@@ -135,8 +135,11 @@ class TerrainParameters:
         How the ground throws light back.
     body_radius_m
         Of the sphere that the map lies on, 1 737 400 for the Moon; 0: it is flat.
-    facet_px
-        Side of a facet in the picture, about, before it is halved.
+    detail_px
+        Side of a facet in the picture, about; slopes and shadows are those of the fine map whatever it is. 0: a quarter
+        of a pixel, whatever `most_facets` says.
+    most_facets
+        Facets in a large picture are larger, so that about this many would cover it face on.
     samples
         Light is averaged over samples x samples points of each pixel, 1 to 4.
     time_scale
@@ -151,7 +154,8 @@ class TerrainParameters:
     ambient_w_m2: float = EARTHLIGHT_W_M2
     reflectance: Reflectance = field(default_factory=LunarLambert)
     body_radius_m: float = 1_737_400.0
-    facet_px: float = 2.0
+    detail_px: float = 2.0
+    most_facets: int = 60_000
     samples: int = 2
     time_scale: float = 1.0
 
@@ -162,7 +166,8 @@ class TerrainParameters:
         _require(self, "ambient_w_m2", 0, 1e6)
         if self.body_radius_m != 0:
             _require(self, "body_radius_m", 100, 1e9)
-        _require(self, "facet_px", 0.25, 64)
+        _require(self, "detail_px", 0, 64)
+        _require(self, "most_facets", 1000, 100_000_000)
         if self.samples not in (1, 2, 3, 4):
             raise ValueError(f"samples is {self.samples}: it must be 1, 2, 3 or 4")
         if not 0 < self.time_scale <= 1e6:
