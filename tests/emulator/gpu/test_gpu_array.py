@@ -6,6 +6,8 @@ import math
 import numpy as np
 import pytest
 
+from emulator.accuracy.cases import CASES as ACCURACY_CASES
+from emulator.accuracy.harness import Method, score
 from emulator.accuracy.metrics import compare
 from emulator.accuracy.stream import Stream
 from emulator.scene.base import MachineLacks
@@ -114,6 +116,14 @@ def test_the_events_are_those_of_the_processor(case, h_ns):
     assert ours.candidates <= theirs.candidates
     keys = np.lexsort((found[1], found[0]))
     np.testing.assert_array_equal(keys, np.arange(keys.size))
+
+
+@pytest.mark.parametrize("name", ["sine", "star"])
+def test_they_are_as_near_to_the_truth(name):
+    case = next(swept.case for swept in ACCURACY_CASES if swept.case.name == name)
+    ours, theirs = (score(Method(name, make, rate=True), case, 1e-3) for make in (GpuArray, PixelArray))
+    assert ours.right == theirs.right == 1
+    assert ours.t95_us == pytest.approx(theirs.t95_us, rel=0.1)
 
 
 def test_two_arrays_of_a_seed_are_equal_and_of_two_seeds_are_not():
