@@ -9,6 +9,7 @@ import pytest
 from scipy import stats
 
 from emulator.sensor import kernels
+from emulator.sensor.kept import kept_entry
 from emulator.sensor.layout import BEFORE_ROWS, BLOCK, Field, StepConstants
 from emulator.sensor.pixels import PixelArray
 from emulator.sensor.presets import PRESETS, SensorParameters
@@ -403,5 +404,10 @@ def _loud(fields, light_and_slope, at_reference, h, since):
     c = StepConstants(f(1e-3), *rates, **times, h_ns=round(h * 1e9), t0_ns=0, **extras)
     s, before = fields.reshape(-1), np.empty(len(BEFORE_ROWS) * BLOCK, np.float32)
     loud = np.empty(BLOCK, np.uint8)
-    kernels._quiet_pass(*light_and_slope, s, before, loud, c)
+    _quiet_pass(*light_and_slope, s, before, loud, c)
     return loud
+
+
+@kept_entry
+def _quiet_pass(light, slope, s, before, loud, c):
+    kernels._quiet_pass(light, slope, s, before, loud, c)
