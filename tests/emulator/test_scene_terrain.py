@@ -160,10 +160,14 @@ def test_a_wall_s_shadow_reaches_as_far_as_the_sun_is_low(tmp_path):
     assert lit.max() + 1 == pytest.approx(begins, abs=1.5)
 
 
+DOWNWARD = DescentPath((Gate(0.0, 400.0, 0.0, 10.0, 50.0), Gate(60.0, 30.0, 0.0, 3.0, 80.0), Gate(70.0, 8.0)))
+ACROSS = KeyframePath((Keyframe(0.0, (-180.0, 5.0, 25.0)), Keyframe(70.0, (180.0, 5.0, 25.0))), (0.0, 20.0, -150.0))
+
+
 @pytest.mark.gl
-def test_there_are_no_cracks_and_nothing_jumps_on_the_way_down():
-    """Lambert ground under a high Sun, so that nothing on it is dark, from 400 m to 4 m."""
-    path = DescentPath((Gate(0.0, 400.0, 0.0, 10.0, 50.0), Gate(60.0, 30.0, 0.0, 3.0, 80.0), Gate(70.0, 8.0)))
+@pytest.mark.parametrize("path", [DOWNWARD, ACROSS], ids=["down", "across the borders of grids"])
+def test_there_are_no_cracks_and_nothing_jumps_on_the_way(path):
+    """Lambert ground under a high Sun, so that nothing on it is dark."""
     p = parameters(camera=path, sun_elevation_deg=85.0, reflectance=Lambert(1.0), ambient_w_m2=50.0)
     times = [round(t * 1e9) for t in np.linspace(0, 69, 60)]
     close = [t + 200_000 for t in times]  # 2 mm later
