@@ -44,6 +44,7 @@ _RIGS: tuple[tuple[str, float | None, float | None], ...] = (
     ("itokawa", 150, 60),
     ("eros-flyover", 150, 60),
     ("rendezvous", None, None),
+    ("malapert", 60, 25),
     ("stars", 1000, 300),
 )
 
