@@ -186,6 +186,8 @@ class Run:
             raise ValueError('lockstep_us and pace = "lockstep" go together: give both or neither')
         if self.pixels == "gpu" and self.method not in ("warped", "line"):
             raise ValueError(f'pixels = "gpu" has methods "warped" and "line", got method = {self.method!r}')
+        if self.pixels == "gpu" and self.step_us > 250_000:
+            raise ValueError(f'step_us must be at most 250000 with pixels = "gpu", got {self.step_us}')
         if not 0 <= self.fifo_priority <= 99:
             raise ValueError(f"fifo_priority must be 0 (none) to 99, got {self.fifo_priority}")
         if not 0 <= self.lead_us <= 10_000_000:

@@ -44,6 +44,8 @@ def test_a_run_raises_as_many_events_as_on_the_processor(gl, more):
 def test_methods_and_effects_that_are_not_done_there_are_refused():
     with pytest.raises(RigError, match=r'"gpu" has methods "warped" and "line", got method = \'v2e\''):
         rig('method = "v2e"\n')
+    with pytest.raises(RigError, match="at most 250000"):
+        rig("step_us = 250001\n")
     for table, meaning in (
         ("[camera.sensor.defects]\nhot_share = 0.5\n", "own pixels"),
         ('[camera.sensor.noise]\nrms = 0.05\ngrade = "grid"\n', "leave it out"),
