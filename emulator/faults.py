@@ -8,7 +8,9 @@ from typing import Protocol
 
 from emulator.typed_table import Path, TableError, convert_kind, unknown
 from transports.can_bus.parameters import CanParameters
-from transports.faults.kinds import CAN_FAULTS, SERIAL_FAULTS, USB_FAULTS, ErrorFrames, Fault
+from transports.faults.can_kinds import CAN_FAULTS, ErrorFrames
+from transports.faults.kinds import SERIAL_FAULTS, Fault
+from transports.faults.usb_kinds import USB_FAULTS
 from transports.serial_line.parameters import SerialParameters
 from transports.usbip.parameters import UsbipLink
 

@@ -18,7 +18,8 @@ from emulator.lateness import Lateness
 from emulator.rig import RigError, parse_rig
 from emulator.scene_assembly import build_scene
 from emulator.session import RunStatus
-from transports.faults.kinds import BitFlips, DeadBus
+from transports.faults.can_kinds import DeadBus
+from transports.faults.kinds import BitFlips
 from transports.faults.script import FaultRecord
 from transports.link import LinkReport
 from transports.pacing import MonotonicClock

@@ -20,7 +20,7 @@ from transports.can_bus.python_can import from_message, to_message
 from transports.can_bus.receiver import CanReceiver
 from transports.can_bus.served import ServedBus
 from transports.digest import digest_of
-from transports.faults.kinds import (
+from transports.faults.can_kinds import (
     BabblingIdiot,
     BusOff,
     ChangedFrames,

@@ -10,18 +10,17 @@ import numpy as np
 
 from firmware_protocol.can_frames.bus_time import BitRates, frame_bits
 from firmware_protocol.can_frames.frame import Frame
-from transports.faults.kinds import (
+from transports.faults.can_kinds import (
     BabblingIdiot,
     BusOff,
     ChangedFrames,
     DeadBus,
     ErrorFrames,
-    Fault,
-    HitFault,
     LostFrames,
     ReorderedFrames,
     RepeatedFrames,
 )
+from transports.faults.kinds import Fault, HitFault
 from transports.faults.places import Places
 
 __all__ = ["Babbler", "Cargo", "FrameStage", "Parcel", "frame_stage"]

@@ -1,5 +1,7 @@
 """The faults that a link can be given, as a rig writes them: a table with a `kind`, one frozen dataclass each.
 
+Here are what all have in common and those of a serial line; `can_kinds` and `usb_kinds` have the others.
+
 A fault begins at `at_s` of stream time and lasts `for_s`. Those that hit single bits, bytes or frames hit each with a
 chance of `rate` and are over after `count` hits.
 """
@@ -12,32 +14,18 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 __all__ = [
-    "CAN_FAULTS",
     "SERIAL_FAULTS",
-    "USB_FAULTS",
-    "BabblingIdiot",
     "BitFlips",
     "Burst",
-    "BusOff",
-    "ChangedFrames",
-    "DeadBus",
-    "ErrorFrames",
     "Fault",
     "HitFault",
     "InsertedBytes",
     "LastingFault",
     "LostBytes",
-    "LostFrames",
     "Overrun",
-    "ReorderedFrames",
-    "RepeatedFrames",
-    "ShortTransfers",
     "Stall",
     "StuckLine",
     "Unplugged",
-    "UsbSilence",
-    "UsbStall",
-    "UsbUnplugged",
     "WrongBaud",
 ]
 
@@ -217,183 +205,6 @@ class Unplugged(LastingFault):
 
     kind: ClassVar[str] = "unplugged"
 
-
-@dataclass(frozen=True)
-class LostFrames(HitFault):
-    """Frames that no other node takes: a bus repeats what it damages, but a gateway or a full receiver loses frames."""
-
-    kind: ClassVar[str] = "lost_frames"
-
-
-@dataclass(frozen=True)
-class RepeatedFrames(HitFault):
-    """Frames that come twice, as when the last bit of a good frame is disturbed and the sender repeats it."""
-
-    kind: ClassVar[str] = "repeated_frames"
-
-
-@dataclass(frozen=True)
-class ReorderedFrames(HitFault):
-    """Frames that others overtake, as in a controller with several transmit buffers, or a gateway.
-
-    Attributes
-    ----------
-    behind
-        How many frames overtake it.
-    """
-
-    kind: ClassVar[str] = "reordered_frames"
-    behind: int = 1
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not 1 <= self.behind <= 1000:
-            raise ValueError(f"behind must be 1 to 1000 frames, got {self.behind}")
-
-
-@dataclass(frozen=True)
-class ChangedFrames(HitFault):
-    """One bit of a frame's data turned over. The CRC of a real bus would not let that pass; a gateway's memory does."""
-
-    kind: ClassVar[str] = "changed_frames"
-
-
-@dataclass(frozen=True)
-class ErrorFrames(HitFault):
-    """Frames that are destroyed on the bus: an error frame, and the frame again. Only time is lost."""
-
-    kind: ClassVar[str] = "error_frames"
-
-
-@dataclass(frozen=True)
-class _OfBus(LastingFault):
-    """Of one bus of a link.
-
-    Attributes
-    ----------
-    bus
-        "A" or, where the link has a redundant bus, "B".
-    """
-
-    bus: Literal["A", "B"] = "A"
-
-
-@dataclass(frozen=True)
-class BusOff(_OfBus):
-    """The camera's controller has seen too many errors and left the bus; it comes back when this is over."""
-
-    kind: ClassVar[str] = "bus_off"
-
-
-@dataclass(frozen=True)
-class DeadBus(_OfBus):
-    """The bus is cut at the camera: it hears nobody, and nobody hears it."""
-
-    kind: ClassVar[str] = "dead_bus"
-
-
-@dataclass(frozen=True)
-class BabblingIdiot(_OfBus):
-    """A node that floods the bus.
-
-    Attributes
-    ----------
-    identifier
-        Of its frames, 11 bits: the lower, the more others have to wait.
-    load
-        Share of the bus's time that it asks for.
-    """
-
-    kind: ClassVar[str] = "babbling_idiot"
-    identifier: int = 0
-    load: float = 1.0
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not 0 <= self.identifier < 1 << 11:
-            raise ValueError(f"identifier must be 0 to 2047, got {self.identifier}")
-        if not 0 < self.load <= 1:
-            raise ValueError(f"load must be above 0 and at most 1, got {self.load}")
-
-
-@dataclass(frozen=True)
-class UsbSilence(LastingFault):
-    """The endpoint has nothing to say (NAK): the host's transfers wait, and the camera's FIFO fills.
-
-    Attributes
-    ----------
-    endpoint
-        Number of the IN endpoint; 2 bears a DAVIS346's data.
-    """
-
-    kind: ClassVar[str] = "usb_silence"
-    endpoint: int = 2
-
-
-@dataclass(frozen=True)
-class UsbStall(Fault):
-    """The endpoint halts (STALL) until the host clears the halt: libcaer takes that for an unplugged camera.
-
-    Attributes
-    ----------
-    endpoint
-        Number of the IN endpoint.
-    count
-        How often: it halts again when the host has cleared it.
-    """
-
-    kind: ClassVar[str] = "usb_stall"
-    endpoint: int = 2
-    count: int = 1
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.count < 1:
-            raise ValueError(f"count must be 1 or more, got {self.count}")
-
-
-@dataclass(frozen=True)
-class ShortTransfers(LastingFault):
-    """Transfers end early, with a short packet: a host must not count on full buffers.
-
-    Attributes
-    ----------
-    endpoint
-        Number of the IN endpoint.
-    most_bytes
-        Of one transfer.
-    """
-
-    kind: ClassVar[str] = "short_transfers"
-    endpoint: int = 2
-    most_bytes: int = 34
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.most_bytes < 2 or self.most_bytes % 2:
-            raise ValueError(f"most_bytes must be even, a DAVIS346 sends words of two bytes, got {self.most_bytes}")
-
-
-@dataclass(frozen=True)
-class UsbUnplugged(LastingFault):
-    """The camera is pulled out and plugged in again: its host loses it, and finds it without power until then."""
-
-    kind: ClassVar[str] = "usb_unplugged"
-
-
-USB_FAULTS: Mapping[str, type[Fault]] = {
-    each.kind: each for each in (UsbSilence, UsbStall, ShortTransfers, UsbUnplugged)
-}
-"""Faults of a camera on USB/IP, by kind."""
-
-CAN_FAULTS: Mapping[str, type[Fault]] = {
-    each.kind: each
-    for each in (
-        *(LostFrames, RepeatedFrames, ReorderedFrames, ChangedFrames, ErrorFrames),
-        *(BusOff, DeadBus, BabblingIdiot),
-    )
-}
-"""Faults of a CAN bus, by kind."""
 
 SERIAL_FAULTS: Mapping[str, type[Fault]] = {
     each.kind: each

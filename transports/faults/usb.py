@@ -8,8 +8,9 @@ import numpy as np
 
 from firmware_protocol.usb.control import Feature, Recipient, StandardRequest
 from firmware_protocol.usb.device import Identity, RequestKind, SetupPacket, Stall, Transfer, UsbDevice
-from transports.faults.kinds import Fault, ShortTransfers, UsbSilence, UsbStall, UsbUnplugged
+from transports.faults.kinds import Fault
 from transports.faults.script import FaultPlan, FaultRecord, Faults
+from transports.faults.usb_kinds import ShortTransfers, UsbSilence, UsbStall, UsbUnplugged
 
 __all__ = ["FaultyDevice", "UsbStage"]
 

@@ -14,16 +14,9 @@ from firmware_protocol.packets.message import Message, MessageKind
 from transports.can_bus.bus import BusDown, CanBus, Heard
 from transports.can_bus.faulty_bus import BusFaults, FaultyBus
 from transports.faults.bus import Parcel
+from transports.faults.can_kinds import BabblingIdiot, BusOff, DeadBus, RepeatedFrames
 from transports.faults.faulty_line import FaultyLine
-from transports.faults.kinds import (
-    BabblingIdiot,
-    BusOff,
-    DeadBus,
-    LostBytes,
-    RepeatedFrames,
-    Stall,
-    WrongBaud,
-)
+from transports.faults.kinds import LostBytes, Stall, WrongBaud
 from transports.faults.script import FaultPlan
 from transports.faults.watch import FrameWatch, Load, Tell
 

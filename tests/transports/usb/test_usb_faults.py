@@ -7,9 +7,10 @@ import pytest
 
 from firmware_protocol.davis346 import Davis346, Davis346Settings
 from firmware_protocol.usb.device import SetupPacket
-from transports.faults.kinds import USB_FAULTS, LostBytes, ShortTransfers, UsbSilence, UsbStall, UsbUnplugged
+from transports.faults.kinds import LostBytes
 from transports.faults.script import FaultPlan
 from transports.faults.usb import FaultyDevice, usb_stage
+from transports.faults.usb_kinds import USB_FAULTS, ShortTransfers, UsbSilence, UsbStall, UsbUnplugged
 from transports.link import Link, LinkSetup
 from transports.pacing import FakeClock
 from transports.ring import EventRing
