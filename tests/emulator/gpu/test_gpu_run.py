@@ -60,3 +60,12 @@ def test_noise_of_points_and_jitter_go_with_it():
     loaded = rig("[camera.sensor.noise]\nrms = 0.08\n[camera.sensor.jitter]\nlatency_us = 50\n")
     assert isinstance(build_sensor(loaded, loaded.camera.sensor).pixels, GpuArray)
     assert run_rig(loaded).good
+
+
+def test_a_run_tells_what_draws(gl, capsys):
+    text = '[scene]\nkind = "body"\nshape = "eros007790"\n' + RIG.partition('"checkerboard"')[2].replace("gpu", "cpu")
+    loaded = parse_rig(text, "file.toml", "file")
+    result = run_rig(dataclasses.replace(loaded, run=dataclasses.replace(loaded.run, seconds=0.005)), show=True)
+    assert capsys.readouterr().out.splitlines()[0] == f"drawn by {gl.renderer}"
+    assert summary(loaded, result)["renderer"] == gl.renderer
+    assert summary(loaded, result)["pixels_by"] is None
