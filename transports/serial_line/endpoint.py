@@ -34,6 +34,7 @@ __all__ = ["SerialEndpoint", "SerialFactory"]
 _AHEAD_NS = 600_000  # a little more than a tick of the link
 _RETRY_NS = 500_000_000
 _PULL_NS = 50_000_000
+_PULL_LOOKS = 10  # a pty's kernel moves bytes in its own time, and shows none meanwhile
 _CLOSE_S = 0.5
 _CLOSE_LOOK_S = 0.005
 _CLOSE_LOOKS = 4  # a pty hands bytes on in its own time: for a moment they are neither here nor there
@@ -70,6 +71,7 @@ class SerialEndpoint(Endpoint):
         self._opening: asyncio.Future[Port] | None = None
         self._retry_ns = 0
         self._pulled_ns: int | None = None
+        self._empty_looks = 0
 
     async def start(self) -> None:
         """Open the port; raises OSError, with what to do, when it cannot be had."""
@@ -195,8 +197,9 @@ class SerialEndpoint(Endpoint):
             return
         now_ns = self._clock.now_ns()
         if self._pulled_ns is None:
-            self._pulled_ns = now_ns + _PULL_NS
-        if not self._port.unsent or now_ns >= self._pulled_ns:
+            self._pulled_ns, self._empty_looks = now_ns + _PULL_NS, 0
+        self._empty_looks = 0 if self._port.unsent else self._empty_looks + 1
+        if self._empty_looks >= _PULL_LOOKS or now_ns >= self._pulled_ns:
             self._vanished()
             self._pulled_ns = None
 
