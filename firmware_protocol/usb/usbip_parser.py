@@ -90,7 +90,7 @@ class ServerParser:
             return None
         command, seqnum, devid, direction, endpoint, *rest = usbip.SUBMIT.unpack_from(self._buffer)
         if command == usbip.CMD_UNLINK:
-            del self._buffer[:usbip.URB_HEADER_BYTES]
+            del self._buffer[: usbip.URB_HEADER_BYTES]
             return Unlink(seqnum, devid, rest[0])
         if command != usbip.CMD_SUBMIT:
             raise UsbipError(f"unknown URB command 0x{command:08x}; known are 1 (submit) and 2 (unlink)")

@@ -115,7 +115,7 @@ def test_a_shape_that_cannot_be_used_is_the_rigs_fault(shape, tmp_path, capsys):
 
 
 def test_a_method_that_lacks_an_effect_is_the_rigs_fault(rig, capsys):
-    text = rig.read_text().replace("[run]", "[camera.sensor.defects]\nhot_share = 0.01\n[run]\nmethod = \"pangu\"")
+    text = rig.read_text().replace("[run]", '[camera.sensor.defects]\nhot_share = 0.01\n[run]\nmethod = "pangu"')
     rig.write_text(text)
     assert _main(["run", str(rig), "--json"]) == 2
     assert "pangu" in last_json(capsys.readouterr().out)["error"]
