@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from emulator.optics.pinhole import Pinhole
-from emulator.photometry.reflectance import Lambert, LunarLambert
+from emulator.photometry.reflectance import Hapke, Lambert, LommelSeeliger, LunarLambert
 from emulator.photometry.sun import SUN_W_M2
 from emulator.scene.base import SceneError
 from emulator.scene.ground import nested
@@ -111,7 +111,7 @@ def test_a_coarse_grid_s_cells_are_the_means_of_the_fine_one_s():
 
 
 @pytest.mark.gl
-@pytest.mark.parametrize("law", [Lambert(0.5), LunarLambert(0.12)])
+@pytest.mark.parametrize("law", [Lambert(0.5), LommelSeeliger(), LunarLambert(0.12), Hapke()])
 def test_level_ground_has_the_light_of_its_law(tmp_path, law):
     p = parameters(ground=flat_map(tmp_path), reflectance=law, body_radius_m=0.0, sun_azimuth_deg=30.0)
     light = drawn(p)
