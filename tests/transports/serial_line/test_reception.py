@@ -1,5 +1,7 @@
 """A computer on a damaged line: what is lost is counted, and no wrong event is taken."""
 
+import functools
+
 import hypothesis.strategies as st
 import numpy as np
 import pytest
@@ -38,7 +40,9 @@ def frames(profile, count=2000, **changes):
     return wrapped, seen
 
 
-DATA = {profile: frames(profile) for profile in LINES}
+@functools.cache
+def data_of(profile):
+    return frames(profile)
 
 
 def heard_of(receiver, data):
@@ -47,7 +51,7 @@ def heard_of(receiver, data):
 
 @pytest.mark.parametrize("profile", LINES)
 def test_any_cut_of_the_bytes_gives_the_same(profile):
-    wrapped, seen = DATA[profile]
+    wrapped, seen = data_of(profile)
     data, receiver = b"".join(wrapped), SerialReceiver(Profile(profile))
     parts = [heard_of(receiver, data[at : at + 37]) for at in range(0, len(data), 37)]
     assert np.array_equal(np.concatenate(parts), np.concatenate(seen))
@@ -57,7 +61,7 @@ def test_any_cut_of_the_bytes_gives_the_same(profile):
 @settings(max_examples=60, deadline=None)
 @given(st.sampled_from(LINES), st.floats(0, 0.999), st.sampled_from(["flip", "lose", "insert"]), st.data())
 def test_one_damaged_byte_costs_two_blocks_at_most_and_is_counted(profile, where, what, data):
-    wrapped, seen = DATA[profile]
+    wrapped, seen = data_of(profile)
     line = bytearray(b"".join(wrapped))
     at = len(wrapped[0]) + int(where * (len(line) - len(wrapped[0]) - len(wrapped[-1]) - len(wrapped[-2])))
     if what == "flip":
@@ -79,7 +83,7 @@ def test_one_damaged_byte_costs_two_blocks_at_most_and_is_counted(profile, where
 
 
 def test_joining_in_the_middle_of_a_frame_is_no_fault():
-    wrapped, seen = DATA["ccsds-cobs"]
+    wrapped, seen = data_of("ccsds-cobs")
     receiver = SerialReceiver(Profile())
     got = heard_of(receiver, b"".join(wrapped)[len(wrapped[0]) // 2 :])
     assert len(got) == sum(map(len, seen[1:]))
@@ -88,7 +92,7 @@ def test_joining_in_the_middle_of_a_frame_is_no_fault():
 
 
 def test_being_lost_and_found_again_is_told():
-    wrapped, _ = DATA["ccsds-cobs"]
+    wrapped, _ = data_of("ccsds-cobs")
     receiver = SerialReceiver(Profile())
     for index, frame in enumerate(wrapped[:6]):
         receiver.push(frame if index != 2 else bytes([frame[0] ^ 1]) + frame[1:])
