@@ -44,9 +44,9 @@ def free_port():
 
 def joined(port):
     """The bus, as socketcand's protocol lets any program join it."""
-    for _ in range(600):
+    for _ in range(6000):  # the link may have its coders to compile
         try:
-            return socket.create_connection(("127.0.0.1", port), timeout=10)
+            return socket.create_connection(("127.0.0.1", port), timeout=60)
         except ConnectionRefusedError:
             time.sleep(0.05)
     raise TimeoutError("nobody serves the bus")

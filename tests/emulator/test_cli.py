@@ -18,7 +18,7 @@ EVSTIM = [sys.executable, "-c", "from emulator.cli import main; main()"]
 
 
 def run(*arguments, **options):
-    return subprocess.run([*EVSTIM, *map(str, arguments)], capture_output=True, text=True, timeout=60, **options)
+    return subprocess.run([*EVSTIM, *map(str, arguments)], capture_output=True, text=True, timeout=300, **options)
 
 
 def last_json(text):
@@ -185,7 +185,7 @@ def test_a_stop_ends_with_the_summary(rig, stop):
     while "real time" not in process.stderr.readline():  # it says so when it runs
         assert process.poll() is None
     process.send_signal(stop)
-    out, err = process.communicate(timeout=30)
+    out, err = process.communicate(timeout=300)
     assert process.returncode == 0, err
     assert "ledger: balanced" in out
     assert "Traceback" not in err

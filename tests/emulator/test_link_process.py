@@ -68,14 +68,14 @@ class UsbipReader:
 
     def __init__(self, link):
         host, _, port = link.report.address.rpartition(":")
-        self._camera = DavisHost(UsbipHost.attach(host, int(port), "1-1", timeout_s=10.0))
+        self._camera = DavisHost(UsbipHost.attach(host, int(port), "1-1", timeout_s=60.0))
         self._camera.start()
 
     def read(self, count):
         """Return the next `count` events, in device time."""
         batches, have = [], 0
         while have < count:
-            events = self._camera.read(10.0)
+            events = self._camera.read(60.0)
             assert events is not None, f"only {have} of {count} events came"
             batches.append(events)
             have += len(events)
@@ -108,7 +108,7 @@ class SerialReader:
         """Return the next `count` events."""
         batches, have = [], 0
         while have < count:
-            batches.append(self._receiver.push(self._parts.get(timeout=20.0)).events)
+            batches.append(self._receiver.push(self._parts.get(timeout=60.0)).events)
             have += len(batches[-1])
         assert self._receiver.faults == 0
         return np.concatenate(batches)
@@ -148,7 +148,7 @@ def test_every_event_arrives_in_order(link, reader):
     link.start(FREE_RUNNING)
     link.push_all(events, 300_000)
     received = reader.read(len(events))
-    report = link.stop(5.0)
+    report = link.stop(60.0)
     assert (report.delivered, report.dropped, report.dropped_in_device) == (100_000, 0, 0)
     assert report.digest == digest_of(events)
     assert received is None or np.array_equal(received, events)
@@ -160,7 +160,7 @@ def test_a_paced_link_lets_events_go_at_their_time(link, reader):
     link.start(clock.now_ns() + 20_000_000)
     link.push(events, 30_000)
     reader.read(len(events))
-    report = link.stop(5.0)
+    report = link.stop(60.0)
     assert report.delivered == 10_000
     assert report.latency.p50 is not None
     assert report.latency.p50 >= 0
@@ -184,7 +184,7 @@ def test_a_full_link_does_not_hold_up_a_run_that_is_to_stop(link, reader):
 
 def test_a_process_that_dies_is_told(link):
     os.kill(link._process.pid, signal.SIGKILL)
-    link._process.join(10.0)
+    link._process.join(60.0)
     with pytest.raises(LinkFailed, match="ended"):
         link.listen()
 

@@ -21,7 +21,7 @@ from transports.serial_line.reception import SerialReceiver
 
 ORIGIN_NS = 1_000_000_000
 TICK_NS = 500_000
-PATIENCE_S = 20.0
+PATIENCE_S = 60.0
 
 
 def stream(count, every_us=20, start_us=0):

@@ -43,7 +43,7 @@ class FakeDevice(UsbDevice):
 
     def wait_for(self, entry: str, times: int = 1) -> None:
         with self.events:
-            assert self.events.wait_for(lambda: self.log.count(entry) >= times, 5), (entry, times, self.log)
+            assert self.events.wait_for(lambda: self.log.count(entry) >= times, 30), (entry, times, self.log)
 
     @property
     def identity(self) -> Identity:
@@ -114,7 +114,7 @@ class ServerThread:
         return self.server
 
     def run(self, coroutine):
-        return asyncio.run_coroutine_threadsafe(coroutine, self.loop).result(5)
+        return asyncio.run_coroutine_threadsafe(coroutine, self.loop).result(30)
 
     def call(self, function, *args):
         async def wrapped():
@@ -130,13 +130,13 @@ class ServerThread:
         self.call(feed)
 
     def connect(self) -> socket.socket:
-        sock = socket.create_connection(("127.0.0.1", self.server.port), 5)
+        sock = socket.create_connection(("127.0.0.1", self.server.port), 30)
         self._sockets.append(sock)
         return sock
 
     def pair(self) -> socket.socket:
         ours, theirs = socket.socketpair()
-        ours.settimeout(5)
+        ours.settimeout(30)
         self._sockets.append(ours)
         self.run(self.server.serve(theirs))
         return ours

@@ -68,13 +68,13 @@ def test_a_halt_lasts_until_the_host_clears_it(bench, faulty, device):
             stream = host.stream(2, 64, 1)
             bench.call(bench.server.pump)
             with pytest.raises(StallError):
-                stream.read(5)
+                stream.read(30)
             stream.close()
             host.clear_halt(2)
         bench.call(faulty.advance, 1000)
         stream = host.stream(2, 64, 1)
         bench.call(bench.server.pump)
-        assert stream.read(5) == b"abcd"
+        assert stream.read(30) == b"abcd"
     assert faulty.records[0].hits == 2
     assert faulty.records[0].ended_us == 1000
 
