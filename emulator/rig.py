@@ -1,7 +1,7 @@
 """Rig files: what to run, as TOML, with units in the keys; typed and frozen once loaded.
 
     title = "what this rig shows"
-    [scene]          kind = "checkerboard" | "body", and that scene's own keys
+    [scene]          kind = "checkerboard" | "bodies" | "terrain" | ..., and that scene's own keys
     [camera]         model = a preset's name, serial, ...
     [camera.sensor]  any figure of the preset, changed for this rig
     [camera.clock]   how the camera's own clock goes wrong
@@ -30,7 +30,6 @@ from emulator.playback.recording import RecordingParameters
 from emulator.rig_files import beside
 from emulator.rig_text import line_of
 from emulator.scene.bodies_table import BodiesParameters
-from emulator.scene.body import BodyParameters
 from emulator.scene.checkerboard_table import CheckerboardParameters
 from emulator.scene.stars_table import StarsParameters
 from emulator.scene.terrain_table import TerrainParameters
@@ -207,7 +206,6 @@ class LoopbackLink:
 
 SceneParameters = (
     CheckerboardParameters
-    | BodyParameters
     | BodiesParameters
     | TerrainParameters
     | StarsParameters
@@ -218,7 +216,6 @@ LinkParameters = UsbipLink | LoopbackLink | SerialParameters | CanParameters
 
 SCENES: Mapping[str, type[SceneParameters]] = {
     "checkerboard": CheckerboardParameters,
-    "body": BodyParameters,
     "bodies": BodiesParameters,
     "terrain": TerrainParameters,
     "stars": StarsParameters,

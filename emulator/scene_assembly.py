@@ -17,7 +17,6 @@ from emulator.rig import Rig
 from emulator.scene.base import Scene
 from emulator.scene.blank import Blank
 from emulator.scene.bodies_table import BodiesParameters
-from emulator.scene.body import BodyParameters
 from emulator.scene.checkerboard import Checkerboard
 from emulator.scene.checkerboard_table import CheckerboardParameters
 from emulator.scene.stars import StarField
@@ -34,10 +33,6 @@ def build_scene(rig: Rig, size: tuple[int, int] | None = None) -> Scene:
     match rig.scene:
         case CheckerboardParameters() as p:
             return Checkerboard(p, size)
-        case BodyParameters() as p:
-            from emulator.scene.body import Body
-
-            return Body(p, size)
         case RecordingParameters():
             return Blank(size)
         case VideoParameters() as p:

@@ -29,7 +29,7 @@ from emulator.sensor.effects import NoiseParameters
 from emulator.sensor.sensor import Sensor
 from firmware_protocol.events import Events, empty_events
 
-__all__ = ["SETTINGS", "Drawn", "Setting", "drawn_settings", "fits", "rendering_rows"]
+__all__ = ["SETTINGS", "Drawn", "Setting", "fits", "rendering_rows"]
 
 _STEPS = 60
 
@@ -92,17 +92,11 @@ def fits(rig: Rig) -> bool:
     return hasattr(rig.scene, "samples")
 
 
-def drawn_settings(rig: Rig) -> list[Setting]:
-    """Return the settings that the rig's scene knows."""
-    has_detail = hasattr(rig.scene, "detail_px")
-    return [setting for setting in SETTINGS if has_detail or setting.detail_px is None]
-
-
 def rendering_rows(rigs: Sequence[Rig], steps: int = _STEPS) -> Iterator[Drawn]:
     """Yield one row for each rig and setting."""
     for rig in rigs:
         reference, _ = _look(rig, REFERENCE, steps)
-        for setting in drawn_settings(rig):
+        for setting in SETTINGS:
             stream, ms = _look(rig, setting, steps)
             yield _compared(rig.name, setting.name, stream, reference, ms)
 
@@ -110,7 +104,7 @@ def rendering_rows(rigs: Sequence[Rig], steps: int = _STEPS) -> Iterator[Drawn]:
 def _look(rig: Rig, setting: Setting, steps: int) -> tuple[Stream, float]:
     """Return the events of a stretch of the rig's run, drawn as `setting` says, and milliseconds a picture."""
     changes: dict[str, Any] = {"samples": setting.samples}
-    if setting.detail_px is not None and hasattr(rig.scene, "detail_px"):
+    if setting.detail_px is not None:
         changes["detail_px"] = setting.detail_px
     changed = dataclasses.replace(rig, scene=dataclasses.replace(rig.scene, **changes))
     quiet = dataclasses.replace(rig.camera.sensor, leak_hz=0.0, noise=NoiseParameters())

@@ -12,7 +12,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from emulator.accuracy.cases import CASES, QUICK
 from emulator.accuracy.effects import EFFECTS, QUICK_EFFECTS, effect_rows
 from emulator.accuracy.harness import methods
-from emulator.accuracy.rendering import drawn_settings, fits, rendering_rows
+from emulator.accuracy.rendering import SETTINGS, fits, rendering_rows
 from emulator.accuracy.report import write_rendering, write_stability, write_work_precision
 from emulator.accuracy.stability import QUICK_SWEEPS, SWEEPS, cells
 from emulator.accuracy.work_precision import settings, sweep
@@ -85,7 +85,7 @@ def _rendering(out: Path, quick: bool) -> list[Path]:
     with failures():
         rigs = [rig for rig in map(load_rig, shipped_rigs()) if fits(rig)]
         rigs = rigs[:1] if quick else rigs
-        count = sum(len(drawn_settings(rig)) for rig in rigs)
+        count = len(SETTINGS) * len(rigs)
         rows = _all(rendering_rows(rigs, _QUICK_PICTURES if quick else _PICTURES), count, "settings")
     return _written(lambda: write_rendering(rows, out))
 

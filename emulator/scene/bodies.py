@@ -21,17 +21,19 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.optics.pinhole import Pinhole
+from emulator.scene.arrangement import Arrangement, Placed, middle
 from emulator.scene.attitude import unit
 from emulator.scene.base import Light, Scene, SceneError
 from emulator.scene.bodies_table import BodiesParameters, BodyTable
 from emulator.scene.detail import coarser, facet_size_m, flat
 from emulator.scene.facets import Facets, Frame
 from emulator.scene.mesh import Mesh, find_shape, load_mesh
+from emulator.scene.reach import box_corners, reach
 from emulator.scene.shadows import ShadowMap, Thrower
 from emulator.scene.stage import Stage, depth_terms
 from emulator.trajectory.building import build_trajectory
 from emulator.trajectory.live import close_inlets, live_counts
-from emulator.trajectory.pose import Pose, Trajectory, TrajectoryError
+from emulator.trajectory.pose import Pose, TrajectoryError
 from emulator.trajectory.timescale import Timescale
 
 if TYPE_CHECKING:
@@ -40,20 +42,27 @@ if TYPE_CHECKING:
 __all__ = ["Bodies"]
 
 _FINE = 2.0  # pixels or texels: facets as small as this answer for shadows at their corners
-_LOOKS = 64  # instants at which ranges are taken beforehand
-_LOOK_S = 60.0
 _NEAREST_SHARE = 1e-4  # of the farthest depth: no nearer plane, or float32 depth would resolve nothing
+_ROOM = 1.01  # of a body's radius: what rounding may add to it
 
 Matrix = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """Where a body is in the camera's axes."""
+
+    camera_from_body: Matrix
+    place_m: Matrix
 
 
 @dataclass(eq=False)
 class _Part:
     """A body as it is drawn."""
 
-    path: Trajectory
-    parent: int | None
+    placed: Placed
     mesh: Mesh
+    corners: Matrix
     facets: Facets | None = None
     thrower: Thrower | None = None
 
@@ -71,6 +80,7 @@ class Bodies(Scene):
         self._p, self._pinhole = parameters, pinhole
         self._time = Timescale(parameters.time_scale)
         self._sun = unit(parameters.sun.direction)
+        self._throwing = [k for k, body in enumerate(parameters.bodies) if body.throws_shadow]
         try:
             self._camera = build_trajectory(parameters.camera)
             self._parts = [self._part(body) for body in parameters.bodies]
@@ -81,7 +91,7 @@ class Bodies(Scene):
             for b, part in zip(parameters.bodies, self._parts, strict=True)
             for w in part.mesh.warnings
         ]
-        self._ranges_m = self._closest()
+        self._arrangement = Arrangement(self._camera, [part.placed for part in self._parts], self._time)
         self._require_outside()
         self._stage = Stage(pinhole.size, parameters.samples)
         self._shadows: ShadowMap | None = None
@@ -101,22 +111,13 @@ class Bodies(Scene):
     @property
     def motion_bound_px_s(self) -> float:
         """From the paths' speeds and turns, at the closest ranges met in the first minute."""
-        p, focal = self._pinhole, self._pinhole.focal_px
-        turn = self._camera.turn_bound_rad_s * focal * (1 + math.tan(p.widest_rad) ** 2)
-        fastest = 0.0
-        for k, part in enumerate(self._parts):
-            chain = list(self._ancestry(k))
-            speed = self._camera.speed_bound_m_s + sum(one.path.speed_bound_m_s for one in chain)
-            around = sum(one.path.turn_bound_rad_s for one in chain) * part.mesh.radius_m
-            room_m = max(self._ranges_m[k] - part.mesh.radius_m, 0.01 * part.mesh.radius_m)
-            fastest = max(fastest, focal * (speed + around) / room_m)
-        return (turn + fastest) * self._time.factor
+        in_a_corner = 1 + math.tan(self._pinhole.widest_rad) ** 2
+        return self._pinhole.focal_px * in_a_corner * self._arrangement.turn_bound_rad_s * self._time.factor
 
     @property
     def distance_m(self) -> float:
         """The closest range of any body, less its radius."""
-        gaps = (r - part.mesh.radius_m for r, part in zip(self._ranges_m, self._parts, strict=True))
-        return max(min(gaps), 1e-3)
+        return self._arrangement.distance_m
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -129,7 +130,7 @@ class Bodies(Scene):
     @property
     def counts(self) -> Mapping[str, int]:
         """What poses from outside did."""
-        return live_counts(self._camera, *(part.path for part in self._parts))
+        return live_counts(self._camera, *(part.placed.path for part in self._parts))
 
     def light(self, t_ns: int, out: Light) -> None:
         """Write the radiance at `t_ns` into `out`, (height, width) float32."""
@@ -142,45 +143,26 @@ class Bodies(Scene):
     def close(self) -> None:
         """Give back the GL context and the ports; a second call does nothing."""
         self._stage.close()
-        close_inlets(self._camera, *(part.path for part in self._parts))
+        close_inlets(self._camera, *(part.placed.path for part in self._parts))
 
     def _part(self, body: BodyTable) -> _Part:
         names = [other.name for other in self._p.bodies]
         parent = names.index(body.fixed_to) if body.fixed_to else None
-        return _Part(build_trajectory(body.path), parent, load_mesh(find_shape(body.shape), body.units_m))
-
-    def _ancestry(self, k: int) -> Sequence[_Part]:
-        """Return a body and those that it is fixed to, one after another."""
-        chain = [self._parts[k]]
-        while chain[-1].parent is not None:
-            chain.append(self._parts[chain[-1].parent])
-        return chain
-
-    def _poses(self, scene_ns: int) -> list[Pose]:
-        """Return each body's pose in the world."""
-        poses: list[Pose] = []
-        for part in self._parts:
-            own = part.path.pose(scene_ns)
-            poses.append(own if part.parent is None else poses[part.parent].after(own))
-        return poses
-
-    def _closest(self) -> list[float]:
-        """Return each body's closest range in the first minute, m."""
-        times = [self._time.scene_ns(round(k * _LOOK_S / _LOOKS * 1e9)) for k in range(_LOOKS)]
-        ranges = np.array(
-            [[np.linalg.norm(p.position_m - self._camera.pose(t).position_m) for p in self._poses(t)] for t in times]
-        )
-        return [float(r) for r in ranges.min(axis=0)]
+        mesh = load_mesh(find_shape(body.shape), body.units_m)
+        placed = Placed(build_trajectory(body.path), parent, mesh.radius_m)
+        return _Part(placed, mesh, box_corners(mesh.vertices))
 
     def _require_outside(self) -> None:
-        for body, part, range_m in zip(self._p.bodies, self._parts, self._ranges_m, strict=True):
+        for body, part, range_m in zip(self._p.bodies, self._parts, self._arrangement.ranges_m, strict=True):
             core_m = float(np.linalg.norm(part.mesh.vertices, axis=1).min())
             if range_m <= core_m:
                 raise SceneError(
                     f"the camera comes within {range_m:g} m of the middle of {body.shape}, whose surface is at least "
                     f"{core_m:g} m from it: it would be inside. Move it out, or look at units_m"
                 )
-        across = max(2 * part.mesh.radius_m / r for part, r in zip(self._parts, self._ranges_m, strict=True))
+        across = max(
+            2 * part.mesh.radius_m / r for part, r in zip(self._parts, self._arrangement.ranges_m, strict=True)
+        )
         if across * self._pinhole.focal_px < 2:
             raise SceneError(
                 f"the largest body is {across * self._pinhole.focal_px:.2g} px across at its closest and would be lost "
@@ -189,10 +171,11 @@ class Bodies(Scene):
 
     def _upload(self, gl: moderngl.Context) -> None:
         """Take meshes into the context's memory, with as much detail as is seen."""
-        throwing = [part for body, part in zip(self._p.bodies, self._parts, strict=True) if body.throws_shadow]
-        if self._p.shadows and throwing:
-            self._shadows = ShadowMap(gl, self._throwing_radius_m(), self.distance_m / self._pinhole.focal_px)
-        for body, part, range_m in zip(self._p.bodies, self._parts, self._ranges_m, strict=True):
+        if self._p.shadows and self._throwing:
+            # a tenth more than in the first minute, for what comes later
+            around_m = 1.1 * self._arrangement.radius_m(self._throwing)
+            self._shadows = ShadowMap(gl, around_m, self.distance_m / self._pinhole.focal_px)
+        for body, part, range_m in zip(self._p.bodies, self._parts, self._arrangement.ranges_m, strict=True):
             room_m = max(range_m - part.mesh.radius_m, 1e-6)
             seen = self._as_seen(part.mesh, self._p.detail_px * room_m / self._pinhole.focal_px, str(body.shape))
             fine = body.smooth and facet_size_m(seen) <= self._fine_m(room_m)
@@ -216,76 +199,61 @@ class Bodies(Scene):
             )
         return seen
 
-    def _throwing(self, poses: list[Pose]) -> list[tuple[Pose, float]]:
-        return [
-            (pose, part.mesh.radius_m)
-            for body, part, pose in zip(self._p.bodies, self._parts, poses, strict=True)
-            if body.throws_shadow
-        ]
-
-    def _throwing_radius_m(self) -> float:
-        """Return the radius of a sphere around all that throws shadows, in the first minute and a tenth more."""
-        radii = []
-        for k in range(_LOOKS):
-            spheres = self._throwing(self._poses(self._time.scene_ns(round(k * _LOOK_S / _LOOKS * 1e9))))
-            centre = _middle(spheres)
-            radii.append(max(float(np.linalg.norm(pose.position_m - centre)) + radius for pose, radius in spheres))
-        return 1.1 * max(radii)
-
-    def _shadow_from_world(self, poses: list[Pose]) -> Matrix:
+    def _shadow_from_bodies(self, poses: list[Pose]) -> list[Matrix]:
+        """Return shadow_from_body of each body, (4, 4)."""
         if self._shadows is None:
-            return np.eye(4)
-        return self._shadows.from_world(self._sun, _middle(self._throwing(poses)))
+            return [np.eye(4)] * len(poses)
+        shadow_from_world = self._shadows.from_world(
+            self._sun, middle([(poses[k], self._parts[k].mesh.radius_m) for k in self._throwing])
+        )
+        return [shadow_from_world @ _matrix(pose) for pose in poses]
 
     def _beginning(self, t_ns: int) -> Callable[[], None]:
         """Return what lets the stage begin the picture of `t_ns`; whatever can fail has been done."""
         scene_ns = self._time.scene_ns(t_ns)
-        camera, poses = self._camera.pose(scene_ns), self._poses(scene_ns)
-        shadow_from_world = self._shadow_from_world(poses)
+        camera, poses = self._camera.pose(scene_ns), self._arrangement.poses(scene_ns)
+        camera_from_world = camera.world_from_body.T
+        seen = [
+            _Seen(camera_from_world @ pose.world_from_body, camera_from_world @ (pose.position_m - camera.position_m))
+            for pose in poses
+        ]
+        frame = self._frame(camera_from_world @ self._sun, seen)
+        shadow_from_bodies = self._shadow_from_bodies(poses)
+        boxes = (part.corners @ s.camera_from_body.T + s.place_m for part, s in zip(self._parts, seen, strict=True))
         return partial(
             self._stage.begin,
-            partial(self._render, camera, poses, shadow_from_world),
-            partial(self._cast, poses, shadow_from_world),
+            partial(self._render, frame, seen, shadow_from_bodies),
+            partial(self._cast, shadow_from_bodies),
+            reach(boxes, self._pinhole),
         )
 
-    def _cast(self, poses: list[Pose], shadow_from_world: Matrix) -> None:
+    def _cast(self, shadow_from_bodies: list[Matrix]) -> None:
         """Draw the shadow map."""
         if self._shadows is not None:
-            throwers = [
-                (part.thrower, shadow_from_world @ _matrix(pose))
-                for part, pose in zip(self._parts, poses, strict=True)
-                if part.thrower is not None
-            ]
-            self._shadows.render(throwers)
+            both = zip(self._parts, shadow_from_bodies, strict=True)
+            self._shadows.render([(part.thrower, matrix) for part, matrix in both if part.thrower is not None])
 
-    def _render(self, camera: Pose, poses: list[Pose], shadow_from_world: Matrix, gl: moderngl.Context) -> None:
-        camera_from_world = camera.world_from_body.T
-        seen = [camera_from_world @ (pose.position_m - camera.position_m) for pose in poses]
-        frame = Frame(
-            camera_from_world @ self._sun,
+    def _render(self, frame: Frame, seen: list[_Seen], shadow_from_bodies: list[Matrix], _: moderngl.Context) -> None:
+        for part, how, shadow_from_body in zip(self._parts, seen, shadow_from_bodies, strict=True):
+            if part.facets is not None:
+                part.facets.render(frame, how.camera_from_body, how.place_m, shadow_from_body)
+
+    def _frame(self, sun: Matrix, seen: list[_Seen]) -> Frame:
+        """Return what is the same for all bodies; depths reach around all that is before the camera."""
+        ahead = [
+            (how.place_m[2], part.mesh.radius_m * _ROOM)
+            for how, part in zip(seen, self._parts, strict=True)
+            if how.place_m[2] + part.mesh.radius_m > 0
+        ]
+        far = max((z + r for z, r in ahead), default=1.0)
+        near = min((z - r for z, r in ahead), default=0.5)
+        return Frame(
+            sun,
             self._pinhole.zoom,
-            self._depth([place[2] for place in seen]),
+            depth_terms(max(near, _NEAREST_SHARE * far), far),
             self._p.sun.irradiance_w_m2,
             self._p.ambient_w_m2,
         )
-        for part, pose, place in zip(self._parts, poses, seen, strict=True):
-            if part.facets is not None:
-                turned = camera_from_world @ pose.world_from_body
-                part.facets.render(frame, turned, place, shadow_from_world @ _matrix(pose))
-
-    def _depth(self, ahead_m: list[float]) -> tuple[float, float]:
-        """Return depth terms around all that is before the camera."""
-        radii = [part.mesh.radius_m for part in self._parts]
-        far = max([z + r for z, r in zip(ahead_m, radii, strict=True) if z + r > 0], default=1.0)
-        near = min([z - r for z, r in zip(ahead_m, radii, strict=True) if z + r > 0], default=0.5)
-        return depth_terms(max(0.99 * near, _NEAREST_SHARE * far), 1.01 * far)
-
-
-def _middle(spheres: list[tuple[Pose, float]]) -> npt.NDArray[np.float64]:
-    """Return the middle of the box around spheres."""
-    low = np.min([pose.position_m - radius for pose, radius in spheres], axis=0)
-    high = np.max([pose.position_m + radius for pose, radius in spheres], axis=0)
-    return np.asarray((low + high) / 2)
 
 
 def _matrix(pose: Pose) -> Matrix:

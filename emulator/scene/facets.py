@@ -35,7 +35,8 @@ _VERTEX = """
 uniform mat3 camera_from_body;
 uniform vec3 place;          // of the body's origin, camera axes, m
 uniform vec3 sun;            // towards it, camera axes
-uniform vec2 zoom, depth;    // see Stage
+uniform vec2 zoom;           // see Pinhole
+uniform vec2 depth;          // terms for depths from the body's origin, so that a long range cancels nothing
 uniform mat4 shadow_from_body;
 in vec3 position, normal;
 out vec4 angles;             // cosines of incidence and emission, terms of the phase angle
@@ -44,13 +45,14 @@ out vec3 in_shadow_map;      // or the share of the Sun, in x
 %(sunlit)s
 void main() {
     vec3 outward = camera_from_body * normal;
-    vec3 ray = camera_from_body * position + place;
+    vec3 from_origin = camera_from_body * position;
+    vec3 ray = from_origin + place;
     vec3 eye = -normalize(ray);
     float phase = atan(length(cross(sun, eye)), dot(sun, eye));
     angles = vec4(dot(outward, sun), dot(outward, eye), phase_terms(phase));
     in_shadow_map = (shadow_from_body * vec4(position + normal * %(lift)s, 1.0)).xyz;
     %(answer)s
-    gl_Position = vec4(zoom * ray.xy, depth.x * ray.z + depth.y, ray.z);
+    gl_Position = vec4(zoom * ray.xy, depth.x * from_origin.z + depth.y, ray.z);
 }
 """
 
@@ -149,12 +151,13 @@ class Facets:
         shadow_from_body: npt.NDArray[np.float64],
     ) -> None:
         """Draw; matrices (3, 3) and (4, 4), the body's origin (3,) in camera axes."""
+        a, b = frame.depth
         values = {
             "camera_from_body": tuple(camera_from_body.T.ravel()),  # GL stores columns
             "place": tuple(place_m),
             "sun": tuple(frame.sun),
             "zoom": frame.zoom,
-            "depth": frame.depth,
+            "depth": (a, a * place_m[2] + b),
             "irradiance": frame.irradiance,
             "ambient": frame.ambient,
             "shadow_from_body": tuple(shadow_from_body.T.ravel()),

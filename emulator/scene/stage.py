@@ -1,8 +1,8 @@
 """Where GL draws: a context, and the targets in which a picture comes to be.
 
-    fine target     R32F with depth, n x n samples a pixel; only the rectangle of the picture that anything can reach
-      -> mean       each pixel the mean of its n x n samples, in linear light
-    picture         R32F, the sensor's size; outside the rectangle it is 0, the dark sky
+    fine target     R32F with depth, n x n samples a pixel
+      -> mean       each pixel the mean of its n x n samples, in linear light; only in the reach of that picture
+    picture         R32F, the sensor's size; outside the reach it is 0, the dark sky
       -> out        (height, width) float32, row 0 on top, by one of the ways of `readback`
 
 Camera axes are OpenCV's: x right, y down, z out. GL's rows run upward; the picture is drawn upside down there, so that
@@ -35,7 +35,6 @@ _MEAN = """
 #version 430
 const int N = %(samples)d;
 uniform sampler2D fine;
-uniform ivec2 corner;    // of the rectangle in the picture
 out float light;
 
 float sum_of_gathers(vec2 first) {   // four samples a time, a third faster on llvmpipe
@@ -55,7 +54,7 @@ float sum_of_fetches(ivec2 first) {
 }
 
 void main() {
-    ivec2 first = (ivec2(gl_FragCoord.xy) - corner) * N;
+    ivec2 first = ivec2(gl_FragCoord.xy) * N;
     float sum = N %% 2 == 0 ? sum_of_gathers(vec2(first)) : sum_of_fetches(first);
     light = sum / float(N * N);
 }
@@ -77,7 +76,6 @@ class Stage:
 
     Parameters
     ----------
-    reach : the largest part of the picture that is ever drawn; the whole picture unless given.
     readback : how pictures come to memory; what suits the renderer unless given.
 
     Raises
@@ -86,21 +84,14 @@ class Stage:
         There is no GL, or the picture is too large for it.
     """
 
-    def __init__(
-        self,
-        size: tuple[int, int],
-        samples: int,
-        reach: Rectangle | None = None,
-        readback: Strategy | None = None,
-    ) -> None:
+    def __init__(self, size: tuple[int, int], samples: int, readback: Strategy | None = None) -> None:
         self.size, self.samples = size, samples
-        self.reach = reach or Rectangle(0, 0, *size)
         self._is_open = True
         self.context = open_context()
         self.renderer = renderer_name(self.context)
         try:
             with self.context:
-                _require_fits(self.context, size, (self.reach.width * samples, self.reach.height * samples))
+                _require_fits(self.context, size, (size[0] * samples, size[1] * samples))
                 self._build(readback or strategy_for(self.renderer))
         except SceneError:
             self.close()
@@ -113,13 +104,12 @@ class Stage:
             self.context.release()
 
     def _build(self, strategy: Strategy) -> None:
-        gl, reach, n = self.context, self.reach, self.samples
-        fine_size = (reach.width * n, reach.height * n)
+        gl, n = self.context, self.samples
+        fine_size = (self.size[0] * n, self.size[1] * n)
         self._samples_texture = gl.texture(fine_size, 1, dtype="f4")
         self._fine = gl.framebuffer([self._samples_texture], gl.depth_renderbuffer(fine_size))
         self._readback = Readback(gl, self.size, strategy)
         self._mean = gl.program(vertex_shader=_CORNERS, fragment_shader=_MEAN % {"samples": n})
-        self._mean["corner"] = (reach.left, reach.top)
         self._cover = gl.vertex_array(self._mean, [])
 
     @property
@@ -133,14 +123,18 @@ class Stage:
         return self._readback.last
 
     def draw(
-        self, render: Callable[[moderngl.Context], None], out: Light, prepare: Callable[[], None] | None = None
+        self,
+        render: Callable[[moderngl.Context], None],
+        out: Light,
+        prepare: Callable[[], None] | None = None,
+        reach: Rectangle | None = None,
     ) -> None:
         """Let `render` draw the samples, and write their means into `out`, (height, width) float32.
 
         `render` finds the context current, the target cleared, and depth test and culling on. `prepare` is called
-        before that, for targets of its own.
+        before that, for targets of its own. Nothing may be drawn outside `reach`, where it is given; it saves time.
         """
-        self.begin(render, prepare)
+        self.begin(render, prepare, reach)
         self.take(out)
 
     def draw_all(self, beginnings: Sequence[Callable[[], None]], outs: Sequence[Light]) -> None:
@@ -151,20 +145,28 @@ class Stage:
             for out in outs[first : first + UNDER_WAY]:
                 self.take(out)
 
-    def begin(self, render: Callable[[moderngl.Context], None], prepare: Callable[[], None] | None = None) -> None:
+    def begin(
+        self,
+        render: Callable[[moderngl.Context], None],
+        prepare: Callable[[], None] | None = None,
+        reach: Rectangle | None = None,
+    ) -> None:
         """Do as `draw`, but leave the picture where it is drawn, and do not wait for it: `take` does.
 
         Up to `UNDER_WAY` pictures can be begun before the first one is taken; they are taken in the same order.
         """
         if not self._is_open:
             raise SceneError("the scene was closed: it draws no more")
-        target = self._readback.target
+        target, whole = self._readback.target, Rectangle(0, 0, *self.size)
         with self.context as gl:
             if prepare is not None:
                 prepare()
-            self._begin(gl)
+            self._fine.use()
+            self._fine.clear()
+            gl.enable_only(gl.DEPTH_TEST | gl.CULL_FACE)
+            gl.front_face, gl.cull_face = "cw", "back"
             render(gl)
-            self._average(gl, target)
+            self._average(gl, target, whole if reach is None else reach)
             self._readback.send()
         # Leaving a context flushes it (EGL 1.5, section 3.7.3): what draws now begins.
 
@@ -175,17 +177,9 @@ class Stage:
         with self.context:
             self._readback.receive(out)
 
-    def _begin(self, gl: moderngl.Context) -> None:
-        reach, n = self.reach, self.samples
-        self._fine.use()
-        self._fine.viewport = (-reach.left * n, -reach.top * n, self.size[0] * n, self.size[1] * n)
-        gl.enable_only(gl.DEPTH_TEST | gl.CULL_FACE)
-        gl.front_face, gl.cull_face = "cw", "back"
-        self._fine.clear(viewport=(0, 0, reach.width * n, reach.height * n))
-
-    def _average(self, gl: moderngl.Context, target: moderngl.Framebuffer) -> None:
-        reach = self.reach
+    def _average(self, gl: moderngl.Context, target: moderngl.Framebuffer, reach: Rectangle) -> None:
         target.use()
+        target.clear()
         target.viewport = (reach.left, reach.top, reach.width, reach.height)
         gl.enable_only(gl.NOTHING)
         self._samples_texture.use(0)

@@ -109,7 +109,7 @@ def test_a_wrong_rig_is_told_without_a_traceback(tmp_path):
 def test_a_shape_that_cannot_be_used_is_the_rigs_fault(shape, tmp_path, capsys):
     (tmp_path / "broken.tab").write_text("v 0 0 0\nv 1 0 0\nv nan 1 0\nf 0 1 2\n")
     path = tmp_path / "rock.toml"
-    path.write_text(f'[scene]\nkind = "body"\nshape = "{shape}"\n')
+    path.write_text(f'[scene]\nkind = "bodies"\n[[scene.bodies]]\nshape = "{shape}"\n')
     assert _main(["check", str(path), "--draw", "--json"]) == 2
     assert shape in last_json(capsys.readouterr().out)["error"]
 

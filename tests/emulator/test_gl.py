@@ -8,12 +8,17 @@ import numpy as np
 import pytest
 
 from emulator.doctor import examine
+from emulator.optics.pinhole import Pinhole
 from emulator.scene import gl as gl_module
 from emulator.scene.base import MachineLacks, SceneError
-from emulator.scene.body import Body, BodyParameters
+from emulator.scene.bodies import Bodies
+from emulator.scene.bodies_table import BodiesParameters, BodyTable
 from emulator.scene.checkerboard import Checkerboard
 from emulator.scene.checkerboard_table import CheckerboardParameters
 from emulator.scene.gl import PACKAGES, WANTED, open_context, probe, renderer_name, renderers
+from emulator.trajectory.parameters import FixedPath
+
+EROS = BodiesParameters(camera=FixedPath((0.0, 0.0, -1e5)), bodies=(BodyTable(shape="eros007790", units_m=1000.0),))
 
 
 @pytest.mark.gl
@@ -51,7 +56,7 @@ def test_without_gl_the_error_names_the_packages(monkeypatch, variable, value, m
     assert meaning in report.reason
     assert f"apt install {PACKAGES}" in report.reason
     with pytest.raises(SceneError, match="libgl1-mesa-dri"):
-        Body(BodyParameters(shape="eros007790"), (32, 24))
+        Bodies(EROS, Pinhole.of_field((32, 24), 25.0))
 
 
 @pytest.mark.gl
@@ -80,7 +85,7 @@ def test_closed_forms_need_no_gl(monkeypatch):
 
 def test_scenes_can_be_imported_without_loading_gl_or_trimesh():
     program = (
-        "import sys, emulator.scene.body, emulator.scene.checkerboard, emulator.scene.picture\n"
+        "import sys, emulator.scene.bodies, emulator.scene.checkerboard, emulator.scene.picture\n"
         "assert not {'moderngl', 'glcontext', 'trimesh', 'PIL'} & set(sys.modules)"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=300)

@@ -145,8 +145,8 @@ def test_rigs_are_found_by_path_or_name(tmp_path):
 def test_a_shape_is_looked_for_beside_the_rig(tmp_path):
     (tmp_path / "rock.tab").write_text("v 0 0 0\n")
     path = tmp_path / "rock.toml"
-    path.write_text('[scene]\nkind = "body"\nshape = "rock.tab"\n')
-    assert load_rig(str(path)).scene.shape == str(tmp_path / "rock.tab")
+    path.write_text('[scene]\nkind = "bodies"\n[[scene.bodies]]\nshape = "rock.tab"\n')
+    assert load_rig(str(path)).scene.bodies[0].shape == str(tmp_path / "rock.tab")
 
 
 def test_the_schema_knows_every_key():

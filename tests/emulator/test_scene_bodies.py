@@ -61,11 +61,14 @@ def test_the_sun_s_distance_dims(shapes):
     np.testing.assert_allclose(far * 4, near, rtol=1e-5)
 
 
-def test_a_nearer_body_hides_a_farther_one_whichever_is_named_first(shapes):
-    dark, bright = ball(shapes, (0, 0, 8.0), Lambert(0.0)), ball(shapes, (0, 0, 12.0))
-    one, other = drawn([dark, bright]), drawn([bright, dark])
+@pytest.mark.parametrize("range_m", [8.0, 1e9])
+def test_a_nearer_body_hides_a_farther_one_whichever_is_named_first(shapes, range_m):
+    dark, bright = ball(shapes, (0, 0, range_m), Lambert(0.0)), ball(shapes, (0.7, 0, range_m + 4))
+    near = Pinhole.of_field((64, 48), math.degrees(4.2 / range_m))
+    one, other = (drawn(both, pinhole=near) for both in ([dark, bright], [bright, dark]))
     np.testing.assert_array_equal(one, other)
     assert one[24, 32] == 0
+    assert one.any()
 
 
 def test_ambient_light_fills_the_night(shapes):
@@ -98,6 +101,41 @@ def test_a_moving_camera_sees_a_still_body_move(shapes):
         scene.light_and_rate(500_000_000, light, rate)
         assert np.abs(rate).max() > 0
         assert scene.distance_m == pytest.approx(9.0, rel=0.1)
+
+
+def test_a_panel_that_its_body_swings_around_keeps_the_motion_bound(shapes):
+    hub = ball(shapes, name="hub", law=Lambert(0.0))
+    turning = dataclasses.replace(hub, path=SpinPath((0, 0, 10.0), (0, -1, 0), spin_deg_s=30.0))
+    panel = BodyTable(
+        shape=str(shapes / "pebble.obj"), path=FixedPath((4.0, 0.0, 0.0)), fixed_to="hub", reflectance=Lambert(1.0)
+    )
+    wide = Pinhole.of_field((64, 48), 90.0)
+    parameters = BodiesParameters(bodies=(turning, panel), sun=BEHIND_CAMERA, shadows=False, samples=4)
+    columns, light = [], np.zeros((48, 64), np.float32)
+    with Bodies(parameters, wide) as scene:
+        for t_ns in (8_900_000_000, 9_100_000_000):  # before the hub, on its way to the side
+            scene.light(t_ns, light)
+            columns.append((light.sum(0) * np.arange(64)).sum() / light.sum())
+        fastest = abs(columns[1] - columns[0]) / 0.2
+        assert fastest == pytest.approx(wide.focal_px * math.radians(30) * 4 / 6, rel=0.05)
+        assert fastest <= scene.motion_bound_px_s < 4 * fastest
+
+
+def test_what_crosses_a_corner_of_a_wide_picture_keeps_the_motion_bound(shapes):
+    wide, aside = Pinhole.of_field((640, 480), 120.0), math.radians(50)
+    across = np.array([math.cos(aside), 0, -math.sin(aside)])
+    start = np.array([10 * math.sin(aside), 0, 10 * math.cos(aside)])
+    path = KeyframePath((Keyframe(0.0, tuple(start - 0.1 * across)), Keyframe(0.2, tuple(start + 0.1 * across))))
+    pebble = BodyTable(shape=str(shapes / "pebble.obj"), units_m=0.2, path=path, reflectance=Lambert(1.0))
+    parameters = BodiesParameters(bodies=(pebble,), sun=Sun(tuple(-start)), shadows=False, samples=4)
+    columns, light = [], np.zeros((480, 640), np.float32)
+    with Bodies(parameters, wide) as scene:
+        for t_ns in (0, 200_000_000):
+            scene.light(t_ns, light)
+            columns.append((light.sum(0) * np.arange(640)).sum() / light.sum())
+        speed = (columns[1] - columns[0]) / 0.2
+        assert speed == pytest.approx(wide.focal_px / 10 / math.cos(aside) ** 2, rel=0.05)
+        assert speed <= scene.motion_bound_px_s
 
 
 def test_shadows_fall_where_a_ray_caster_says(shapes):
@@ -181,9 +219,9 @@ def test_a_black_picture_is_told(shapes):
 @pytest.mark.parametrize(
     ("position", "units_m", "message"),
     [
-        ((0, 0, 0.5), 1.0, "it would be inside"),
-        ((0, 0, 10.0), 1000.0, "look at units_m"),
-        ((0, 0, 1e6), 1.0, "lost between samples"),
+        ((0, 0, 0.5), 1.0, r"it would be inside\. Move it out, or look at units_m"),
+        ((0, 0, 10.0), 1000.0, r"it would be inside\. Move it out, or look at units_m"),
+        ((0, 0, 1e6), 1.0, r"is 0\.00024 px across .* lost between samples: .* look at units_m"),
     ],
 )
 def test_a_camera_in_the_wrong_place_is_refused(shapes, position, units_m, message):
@@ -195,6 +233,14 @@ def test_a_camera_in_the_wrong_place_is_refused(shapes, position, units_m, messa
     ("make", "message"),
     [
         (lambda: BodiesParameters(), "bodies is empty"),
+        (lambda: BodyTable(shape="a", units_m=-1.0), "units_m is -1"),
+        (lambda: SpinPath(pole=(0.0, 0.0, 0.0)), "pole is all zeros"),
+        (lambda: SpinPath(spin_deg_s=math.inf), "spin_deg_s is inf"),
+        (lambda: FixedPath(q_world_from_body=(0.0, 0.0, 0.0, 0.0)), "a unit quaternion"),
+        (lambda: FixedPath((0.0, 0.0, math.nan)), "position_m is .*nan"),
+        (lambda: Sun((0.0, math.nan, 1.0)), "direction is .*nan"),
+        (lambda: Pinhole.of_field((4, 4), 180.0), "between 0 and 180"),
+        (lambda: LommelSeeliger(asymmetry=1.0), "asymmetry is 1"),
         (lambda: BodyTable(), "shape is missing"),
         (lambda: BodiesParameters(bodies=(BodyTable(shape="a", fixed_to="b"),)), "must be the name of an earlier"),
         (lambda: BodiesParameters(bodies=(BodyTable(shape="a"),), samples=5), "samples is 5"),

@@ -3,10 +3,14 @@
 import numpy as np
 import pytest
 
+from emulator.optics.pinhole import Pinhole
+from emulator.photometry.sun import Sun
 from emulator.scene.base import SceneError
-from emulator.scene.body import Body, BodyParameters
+from emulator.scene.bodies import Bodies
+from emulator.scene.bodies_table import BodiesParameters, BodyTable
 from emulator.scene.readback import READBACK, UNDER_WAY, strategy_for
 from emulator.scene.stage import Rectangle, Stage
+from emulator.trajectory.parameters import FixedPath, SpinPath
 
 pytestmark = [pytest.mark.gl, pytest.mark.usefixtures("gl")]
 
@@ -18,13 +22,18 @@ void main() { gl_Position = vec4(mat2(cos(turn), -sin(turn), sin(turn), cos(turn
 """
 FRAGMENT = "#version 430\nout float r;\nvoid main() { r = 1.0 + fract(gl_FragCoord.x * 0.37) + gl_FragCoord.y; }"
 SIZE = (33, 21)
+TURNING_EROS = BodiesParameters(
+    camera=FixedPath((0.0, 0.0, -1e5)),
+    sun=Sun((-0.8, -0.2, -0.6)),
+    bodies=(BodyTable(shape="eros007790", units_m=1000.0, path=SpinPath(pole=(0.0, -1.0, 0.0), spin_deg_s=90.0)),),
+)
 
 
 class Turning:
-    """A triangle that turns, on a stage that leaves a margin undrawn."""
+    """A triangle that turns, in a picture whose margin it cannot reach."""
 
     def __init__(self, readback):
-        self.stage = Stage(SIZE, 3, Rectangle(2, 1, 29, 18), readback)
+        self.stage = Stage(SIZE, 3, readback)
         with self.stage.context as gl:
             self.program = gl.program(vertex_shader=VERTEX, fragment_shader=FRAGMENT)
             corners = np.array([(-0.9, -0.8), (0.1, 0.9), (0.8, -0.3)], np.float32)
@@ -35,7 +44,7 @@ class Turning:
             self.program["turn"] = turn
             self.array.render()
 
-        self.stage.begin(render)
+        self.stage.begin(render, reach=Rectangle(2, 1, 29, 18))
 
     def take(self, out=None):
         out = np.full(SIZE[::-1], 9, np.float32) if out is None else out
@@ -116,7 +125,7 @@ def test_a_scene_gives_the_same_light_and_rate_by_either_way(monkeypatch):
     pictures = {}
     for readback in ("direct", "ring"):
         monkeypatch.setenv(READBACK, readback)
-        with Body(BodyParameters(shape="eros007790", spin_deg_s=90), (48, 36)) as body:
+        with Bodies(TURNING_EROS, Pinhole.of_field((48, 36), 25.0)) as body:
             light, rate, before, after = (np.zeros((36, 48), np.float32) for _ in range(4))
             body.light_and_rate(7_000_000, light, rate)
             apart_ns = body._apart_ns()

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from emulator.scene.base import SceneError
-from emulator.scene.stage import Stage, depth_terms
+from emulator.scene.readback import UNDER_WAY
+from emulator.scene.stage import Rectangle, Stage, depth_terms
 
 pytestmark = pytest.mark.gl
 
@@ -53,6 +54,21 @@ def test_what_is_nearer_hides_what_is_farther(order):
 
 def test_the_far_side_is_not_drawn():
     assert np.all(draw([(EVERYWHERE[::-1], 5.0, 1.0)]) == 0)
+
+
+def test_outside_its_reach_a_picture_is_black_whatever_was_there_before():
+    stage, picture = Stage((8, 6), 2), np.empty((6, 8), np.float32)
+    with stage.context as gl:
+        program = gl.program(vertex_shader=VERTEX, fragment_shader=FRAGMENT)
+        program["depth"] = depth_terms(1.0, 1000.0)
+        data = np.array([[*corner, 5.0, 3.0] for corner in EVERYWHERE], np.float32)
+        array = gl.vertex_array(program, [(gl.buffer(data), "3f 1f", "place", "shine")])
+    for reach in [None] * UNDER_WAY + [Rectangle(2, 1, 3, 4), Rectangle(4, 3, 4, 3)] * UNDER_WAY:
+        stage.draw(lambda _: array.render(), picture, reach=reach)
+        left, top, width, height = (reach.left, reach.top, reach.width, reach.height) if reach else (0, 0, 8, 6)
+        assert np.all(picture[top : top + height, left : left + width] == 3)
+        assert (picture != 0).sum() == width * height
+    stage.close()
 
 
 def test_depth_terms_reach_from_near_to_far():

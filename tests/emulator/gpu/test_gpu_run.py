@@ -6,7 +6,7 @@ import pytest
 
 from emulator.assembly import build_sensor
 from emulator.cli.run import run_rig, summary
-from emulator.rig import RigError, parse_rig
+from emulator.rig import LoopbackLink, RigError, load_rig, parse_rig
 from emulator.sensor.gpu.array import GpuArray
 
 pytestmark = pytest.mark.gl
@@ -63,9 +63,9 @@ def test_noise_of_points_and_jitter_go_with_it():
 
 
 def test_a_run_tells_what_draws(gl, capsys):
-    text = '[scene]\nkind = "body"\nshape = "eros007790"\n' + RIG.partition('"checkerboard"')[2].replace("gpu", "cpu")
-    loaded = parse_rig(text, "file.toml", "file")
-    result = run_rig(dataclasses.replace(loaded, run=dataclasses.replace(loaded.run, seconds=0.005)), show=True)
+    loaded = load_rig("eros")
+    run = dataclasses.replace(loaded.run, pace="free", seconds=0.005)
+    result = run_rig(dataclasses.replace(loaded, run=run, links=(LoopbackLink(),)), show=True)
     assert capsys.readouterr().out.splitlines()[0] == f"drawn by {gl.renderer}"
     assert summary(loaded, result)["renderer"] == gl.renderer
     assert summary(loaded, result)["pixels_by"] is None
