@@ -1,13 +1,15 @@
-"""evstim's CAN link on a real kernel's CAN: vcan in the guest, with candump, cansend and our listener as other nodes.
+"""evstim's CAN link on a real kernel's CAN: vcan in the guest, with the programs of can-utils as other nodes.
 
-One run serves all tests here, since Python takes its time to start on a processor that QEMU translates. Raw frames need
-nothing of what numba compiles, so it is told not to: that would take minutes there.
+Raw frames go to candump and our listener, orders come from cansend. Blocks go to the kernel's own ISO-TP by isotprecv,
+telecommands come from isotpsend. One run for each serves all its tests, since Python takes its time to start on a
+processor that QEMU translates; numba is told not to compile: that would take minutes there.
 """
 
 from __future__ import annotations
 
 import json
 import sys
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +21,12 @@ import pytest
 from firmware_protocol.can_frames.frame import Frame
 from firmware_protocol.can_frames.identifiers import Identifiers
 from firmware_protocol.can_frames.raw_stream import RawReceiver
-from firmware_protocol.events import EVENT, Events
+from firmware_protocol.events import EVENT, Events, empty_events
+from firmware_protocol.packets.message import Message, MessageKind
+from firmware_protocol.packets.profile import Profile
+from firmware_protocol.packets.telecommands import Ping, Stop
+from firmware_protocol.packets.verification import RequestId, Stage, Verification
+from firmware_protocol.telemetry import as_received, decode_block
 from tests.guest.machine import Guest
 from transports.digest import digest_of
 
@@ -33,6 +40,8 @@ TIMEOUT_S = 300.0
 SECONDS = 20
 EARLY, LATE = 200, 50
 """Events before the order to stop, and after it."""
+BURST = 100
+"""Events that come at once, for blocks of more than sixteen frames."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +66,7 @@ def stream() -> Events:
 
 @pytest.fixture(scope="module")
 def vcan(guest: Guest) -> Iterator[str]:
-    for module in ("vcan", "can-raw"):
+    for module in ("vcan", "can-raw", "can-isotp"):
         guest.load(module)
     guest.check(["ip", "link", "add", "dev", "vcan0", "type", "vcan"])
     guest.check(["ip", "link", "set", "vcan0", "up"])
@@ -78,7 +87,7 @@ def seen(guest: Guest, vcan: str) -> Seen:
     guest.check(
         ["sh", "-c", f"until grep -q 'CAN bus\\|Error' {at('listening')}; do sleep 0.2; done; sleep 3"], TIMEOUT_S
     )
-    run = f"{PYTHON} {CLIENT} {vcan} {at('events.npy')} {at('report')} {SECONDS}"
+    run = f"{PYTHON} {CLIENT} {vcan} raw {at('events.npy')} {at('report')} {SECONDS}"
     link = guest.start(["sh", "-c", f"{run} || {{ touch {at('failed')}; exit 1; }}"], TIMEOUT_S)
     lives = f"until [ -e {at('failed')} ] || candump -n 1 -T 500 {vcan},{IDS.heartbeat:X}:7FF | grep -q .; do :; done"
     # The epoch frames count the events sent.
@@ -131,3 +140,83 @@ def test_a_bus_that_is_down_is_named_with_its_cure(guest: Guest, vcan: str) -> N
         guest.check(["ip", "link", "set", vcan, "up"])
     assert finished.code == 3
     assert f"sudo ip link set {vcan} up" in " ".join(finished.stderr.split())
+
+
+@dataclass(frozen=True)
+class SeenByKernel:
+    """What came out of the kernel's ISO-TP, what the link says it sent, and which telecommands were for it."""
+
+    events: Events
+    told: dict[str, Any]
+    packets: list[bytes]
+    requests: list[RequestId]
+
+
+def packets_in(dump: Path) -> list[bytes]:
+    """Return what isotprecv has written so far: a packet a line, in hexadecimal."""
+    lines = dump.read_text().splitlines(keepends=True) if dump.exists() else []
+    return [bytes.fromhex(line) for line in lines if line.endswith("\n")]
+
+
+def messages_in(packets: list[bytes]) -> list[Message]:
+    unwrapper = Profile("ccsds").unwrapper()
+    messages = [received.message for packet in packets for received in unwrapper.push(packet)]
+    assert (unwrapper.counters.packets, unwrapper.counters.missing) == (len(packets), 0)
+    return messages
+
+
+def events_in(packets: list[bytes]) -> Events:
+    blocks = [decode_block(m.payload, m.t_us) for m in messages_in(packets) if m.kind is MessageKind.EVENTS]
+    return np.concatenate([empty_events(), *(block.events for block in blocks)])
+
+
+@pytest.fixture(scope="module")
+def seen_by_kernel(guest: Guest, vcan: str) -> SeenByKernel:
+    """Run the link for some seconds; isotpsend says ping while blocks come, and stop when all have."""
+    events = stream()
+    events["t"][:BURST] = events["t"][BURST] - 10 * np.arange(BURST, 0, -1, dtype=np.uint64)
+    np.save(guest.results / "burst.npy", events)
+    at, dump, over = guest.path_in_guest, guest.results / "packets", guest.results / "over"
+    sides = f"-s {IDS.telecommand:X} -d {IDS.telemetry:X} {vcan}"
+    receive = f"stdbuf -oL isotprecv -l {sides} > {at('packets')} &"
+    listens = f"until grep -q ' {IDS.telemetry:x} ' /proc/net/can/rcvlist_sff; do sleep 0.1; done"
+    run = f"{PYTHON} {CLIENT} {vcan} isotp {at('burst.npy')} {at('isotp-report')} {SECONDS}"
+    link = guest.start(
+        ["sh", "-c", f"{receive} {listens}; {run}; code=$?; kill $!; touch {at('over')}; exit $code"], TIMEOUT_S
+    )
+
+    def wait_for(count: int) -> None:
+        while len(events_in(packets_in(dump))) < count:
+            if over.exists():
+                pytest.fail(f"{len(events_in(packets_in(dump)))} of {count} events came: {link.wait()}")
+            time.sleep(0.2)
+
+    computer, requests = Profile("ccsds"), []
+    for count, command in ((1, Ping()), (EARLY, Stop())):
+        wait_for(count)
+        packet = computer.wrap_command(command)
+        guest.check(["sh", "-c", f"echo {packet.hex(' ')} | isotpsend -b {sides}"])
+        assert computer.last_request is not None
+        requests.append(computer.last_request)
+    finished = link.wait()
+    assert finished.ok, str(finished)
+    return SeenByKernel(events, json.loads((guest.results / "isotp-report").read_text()), packets_in(dump), requests)
+
+
+def test_the_kernels_isotp_takes_every_packet_byte_for_byte(seen_by_kernel: SeenByKernel) -> None:
+    packets = seen_by_kernel.packets
+    assert [packet.hex() for packet in packets] == seen_by_kernel.told["packets"]
+    # A block tells the events of one microsecond in raster order.
+    assert np.array_equal(as_received(events_in(packets), 1), as_received(seen_by_kernel.events[:EARLY], 1))
+    assert seen_by_kernel.told["delivered"] == EARLY
+    assert max(map(len, packets)) > 6 + 16 * 7, "no packet so long that its frames' numbers began anew"
+
+
+def test_telecommands_from_the_kernels_isotp_are_obeyed_and_answered(seen_by_kernel: SeenByKernel) -> None:
+    messages = messages_in(seen_by_kernel.packets)
+    verified = [m.payload for m in messages if m.kind is MessageKind.VERIFICATION]
+    stages = (Stage.ACCEPTANCE, Stage.COMPLETION)
+    assert verified == [Verification(stage, r).encode() for r in seen_by_kernel.requests for stage in stages]
+    assert [m.kind for m in messages].count(MessageKind.PONG) == 1
+    assert seen_by_kernel.told["state"].endswith("stopped")
+    assert seen_by_kernel.told["not_running"] == LATE

@@ -1,6 +1,6 @@
 """evstim's CAN link on a bus of this machine's kernel, without a session: it sends what a file holds and tells of it.
 
-python can_link.py CHANNEL EVENTS.npy REPORT.json SECONDS
+python can_link.py CHANNEL CARRIAGE EVENTS.npy REPORT.json SECONDS
 """
 
 import asyncio
@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from firmware_protocol.can_frames.isotp import IsoTpSender
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
 from transports.can_bus.endpoint import CanFactory
@@ -21,13 +22,13 @@ from transports.pacing import MonotonicClock
 from transports.ring import EventRing
 
 
-async def main(channel, events_file, report_file, seconds):
+async def main(channel, carriage, events_file, report_file, seconds):
     events = np.load(events_file)
     clock, ring, syncs = MonotonicClock(), EventRing(), []
     device = partial(Instrument, (346, 260), InstrumentSettings(queue_ms=60_000, housekeeping_s=0))
-    parameters = CanParameters("socketcan", channel, heartbeat_ms=100)
+    parameters = CanParameters("socketcan", channel, heartbeat_ms=100, carriage=carriage, answer_ms=10_000)
     link = Link(LinkSetup("can", ring, device, CanFactory(parameters, lambda *mark: syncs.append(mark))), clock)
-    sent = tapped()
+    sent, packets = tapped_frames(), tapped_packets()
     await link.endpoint.start()
     origin_ns = clock.now_ns()
     ring.start(origin_ns)
@@ -41,6 +42,7 @@ async def main(channel, events_file, report_file, seconds):
     report = link.report(final=True)
     told = {
         "sent": sent,
+        "packets": packets,
         "syncs": [seq for _, seq in syncs],
         "sync_us": [(t_ns - origin_ns) / 1000 for t_ns, _ in syncs],
         "state": state,
@@ -51,7 +53,7 @@ async def main(channel, events_file, report_file, seconds):
     Path(report_file).write_text(json.dumps(told))
 
 
-def tapped():
+def tapped_frames():
     """Note each frame that the kernel took."""
     sent = []
     take = PythonCanBus.send
@@ -66,5 +68,18 @@ def tapped():
     return sent
 
 
+def tapped_packets():
+    """Note each packet that goes by ISO-TP."""
+    packets = []
+    start = IsoTpSender.start
+
+    def begin(sender, packet):
+        start(sender, packet)
+        packets.append(packet.hex())
+
+    IsoTpSender.start = begin
+    return packets
+
+
 if __name__ == "__main__":
-    asyncio.run(main(sys.argv[1], sys.argv[2], sys.argv[3], float(sys.argv[4])))
+    asyncio.run(main(sys.argv[1], sys.argv[2], sys.argv[3], sys.argv[4], float(sys.argv[5])))
