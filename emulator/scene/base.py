@@ -84,7 +84,7 @@ class Scene(ABC):
         mean misses the light by a thousandth of what a straight line over half a pixel would, and two pictures cost
         less than the many that slopes save.
         """
-        apart_ns = self._apart_ns()
+        apart_ns = self._apart_ns(t_ns)
         self.lights((t_ns - apart_ns, t_ns + apart_ns), (rate, light))
         before = rate.copy()
         np.subtract(light, before, out=rate)
@@ -100,10 +100,14 @@ class Scene(ABC):
         """
         return None
 
-    def _apart_ns(self) -> int:
-        """Time in which the picture moves by a twentieth of a pixel, within 20 us to 2 ms, ns."""
-        motion = self.motion_bound_px_s
+    def _apart_ns(self, t_ns: int = 0) -> int:
+        """Time in which the picture at `t_ns` moves by a twentieth of a pixel, within 20 us to 2 ms, ns."""
+        motion = self._motion_px_s(t_ns)
         return round(min(max(0.05e9 / motion, 20_000), 2_000_000)) if motion > 0 else 2_000_000
+
+    def _motion_px_s(self, t_ns: int) -> float:
+        """How fast the picture moves at `t_ns`: as its bound says, unless a scene knows better."""
+        return self.motion_bound_px_s
 
     @abstractmethod
     def close(self) -> None:

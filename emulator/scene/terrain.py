@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -66,6 +66,7 @@ class Terrain(Scene):
             raise SceneError(f"scene.camera: {error}") from error
         self._ground = build_ground(p)
         self._heights_m = self._heights_on_the_way()
+        self._fastest_px_s = max(self._moving_px_s(k * _LOOK_NS) for k in range(_LOOKS))
         reach = max(pinhole.focal_px / _facet_px(p, pinhole), LEAST_REACH)
         self._tree = Quadtree(self._ground, reach)
         sun = Sun(distance_au=p.sun_distance_au)
@@ -89,14 +90,7 @@ class Terrain(Scene):
     @property
     def motion_bound_px_s(self) -> float:
         """From the path's speed, turning and height, looked at once a second of the first four minutes."""
-        if not math.isfinite(self._camera.speed_bound_m_s):
-            return math.inf
-        focal, wide = self._pinhole.focal_px, 1 + math.tan(self._pinhole.widest_rad) ** 2
-        fastest = 0.0
-        for k, height_m in enumerate(self._heights_m):
-            speed, turn = measured_bounds(self._camera.pose, [k * _LOOK_NS, k * _LOOK_NS + _APART_NS])
-            fastest = max(fastest, focal * wide * (turn + speed / max(height_m, 1e-3)))
-        return fastest * self._time.factor
+        return self._fastest_px_s
 
     @property
     def distance_m(self) -> float:
@@ -122,16 +116,24 @@ class Terrain(Scene):
 
     def light(self, t_ns: int, out: Light) -> None:
         """Write the radiance at `t_ns` into `out`, (height, width) float32; raises SceneError below the ground."""
-        scene_ns = self._time.scene_ns(t_ns)
-        pose = self._camera.pose(scene_ns)
-        view = self._view(pose, self._height_m(scene_ns, pose))
-        blocks = self._tree.blocks(pose.position_m, _planes(pose, self._pinhole))
-        self._stage.draw(partial(self._render, view, blocks), out)
+        self.lights((t_ns,), (out,))
+
+    def lights(self, times_ns: Sequence[int], outs: Sequence[Light]) -> None:
+        """Write the radiance at several times into their pictures."""
+        self._stage.draw_all([self._beginning(t_ns) for t_ns in times_ns], outs)
 
     def close(self) -> None:
         """Give back the GL context and the port; a second call does nothing."""
         self._stage.close()
         close_inlets(self._camera)
+
+    def _beginning(self, t_ns: int) -> Callable[[], None]:
+        """Return what lets the stage begin the picture of `t_ns`; whatever can fail has been done."""
+        scene_ns = self._time.scene_ns(t_ns)
+        pose = self._camera.pose(scene_ns)
+        view = self._view(pose, self._height_m(scene_ns, pose))
+        blocks = self._tree.blocks(pose.position_m, _planes(pose, self._pinhole))
+        return partial(self._stage.begin, partial(self._render, view, blocks))
 
     def _render(self, view: GroundView, blocks: list[npt.NDArray[np.int32]], _: moderngl.Context) -> None:
         self._mesh.render(view, self._sun, blocks)
@@ -148,6 +150,18 @@ class Terrain(Scene):
             self._irradiance,
             self._p.ambient_w_m2,
         )
+
+    def _motion_px_s(self, t_ns: int) -> float:
+        return self._moving_px_s(self._time.scene_ns(t_ns))
+
+    def _moving_px_s(self, scene_ns: int) -> float:
+        """Return how fast the ground moves through the picture, from the path's speed, turning and height then."""
+        if not math.isfinite(self._camera.speed_bound_m_s):
+            return math.inf
+        speed, turn = measured_bounds(self._camera.pose, [scene_ns, scene_ns + _APART_NS])
+        height_m = self._height_m(scene_ns, self._camera.pose(scene_ns))
+        wide = 1 + math.tan(self._pinhole.widest_rad) ** 2
+        return self._pinhole.focal_px * wide * (turn + speed / max(height_m, 1e-3)) * self._time.factor
 
     def _heights_on_the_way(self) -> list[float]:
         """Return the camera's height over the ground at the looks; refuses a path through the ground."""
