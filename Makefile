@@ -19,12 +19,12 @@ demo: $(VENV)/.installed
 test: $(VENV)/.installed-test
 	@.ci/apt $(APT_TEST)
 	$(MAKE) check
-	$(BIN)/pytest -m "not guest and not arm" -n 2 --dist loadfile
-	$(BIN)/pytest -m "guest or arm" --timeout 900
+	$(BIN)/pytest -m "not guest and not arm and not anew" -n 2 --dist loadfile
+	$(BIN)/pytest -m "guest or arm or anew" --timeout 900
 
-# The part of the tests that needs no QEMU.
+# The part of the tests that needs no QEMU and installs nothing.
 fast: $(VENV)/.installed-test
-	$(BIN)/pytest -m "not guest and not arm" -n 2 --dist loadfile
+	$(BIN)/pytest -m "not guest and not arm and not anew" -n 2 --dist loadfile
 
 check: $(VENV)/.installed-test
 	$(BIN)/ruff check .

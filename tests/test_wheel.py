@@ -34,6 +34,7 @@ def test_what_is_in_the_wheel(wheel):
     assert rooms == {"emulator", "transports", "firmware_protocol", "rigs"}
 
 
+@pytest.mark.anew
 def test_an_installed_wheel_runs_elsewhere(wheel, tmp_path):
     site = tmp_path / "site"
     pip("install", wheel, "--no-deps", "--target", site)
