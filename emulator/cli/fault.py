@@ -17,7 +17,7 @@ from transports.faults.script import FaultRecord
 __all__ = ["fault"]
 
 _LOOK_PERIOD_S = 0.1
-_PATIENCE_S = 3.0  # beyond the fault's own length
+_PATIENCE_S = 20.0  # beyond the fault's own length
 
 
 def fault(
