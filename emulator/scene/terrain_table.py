@@ -155,7 +155,7 @@ class TerrainParameters:
     reflectance: Reflectance = field(default_factory=LunarLambert)
     body_radius_m: float = 1_737_400.0
     detail_px: float = 2.0
-    most_facets: int = 60_000
+    most_facets: int = 45_000
     samples: int = 2
     time_scale: float = 1.0
 
