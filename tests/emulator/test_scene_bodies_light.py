@@ -1,5 +1,6 @@
 """One body in sunlight: closed forms of its light, where its points land, and that nothing but time matters."""
 
+import functools
 import math
 
 import numpy as np
@@ -29,17 +30,27 @@ BEHIND_CAMERA = (0.0, 0.0, -1.0)
 ALBEDO = 0.33
 
 
-@pytest.fixture
-def ball(tmp_path):
+@pytest.fixture(scope="module")
+def ball(tmp_path_factory):
     """Return what writes a ball into a file and returns its name."""
+    folder = tmp_path_factory.mktemp("balls")
 
+    @functools.cache
     def written(radius_m=BALL_M, at=(0.0, 0.0, 0.0), subdivisions=5):
         sphere = trimesh.creation.icosphere(subdivisions, radius_m)
         sphere.apply_translation(at)
-        sphere.export(tmp_path / "ball.obj")
-        return str(tmp_path / "ball.obj")
+        path = folder / f"ball-{radius_m}-{at}-{subdivisions}.obj"
+        sphere.export(path)
+        return str(path)
 
     return written
+
+
+@pytest.fixture(scope="module", autouse=True)
+def each_shape_is_read_once():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(bodies_module, "load_mesh", functools.cache(load_mesh))
+        yield
 
 
 def eros(**more):
@@ -158,7 +169,7 @@ def test_a_point_off_the_axis_lands_where_the_pinhole_says(ball, pole, camera, t
     point = np.array([700.0, 150.0, 300.0])
     behind_camera = -Rotation.from_rotvec(camera).apply([0, 0, 1])
     light = shoot(
-        ball(30.0, point, subdivisions=3),
+        ball(30.0, tuple(point), subdivisions=3),
         t_ns=2 * NS,
         spin_deg_s=turned_deg / 2,
         pole=pole,
