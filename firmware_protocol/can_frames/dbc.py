@@ -72,60 +72,54 @@ def dbc_text(identifiers: Identifiers, *, fd: bool = False) -> str:
 
 
 def _messages(fd: bool) -> list[_Message]:
-    state = _Signal("state", 0, 7, values=_values(NodeState))
+    return [*_network(), *_times(), *_carried(fd), *_heartbeats()]
+
+
+def _network() -> list[_Message]:
+    orders = (_Signal("command", 0, 8, values=_values(NmtCommand)), _Signal("node", 8, 8))
+    overflow = (_Signal("code", 0, 16), _Signal("register", 16, 8), _Signal("dropped", 24, 32, "events"))
     return [
-        _Message(
-            "nmt",
-            2,
-            MASTER,
-            "Orders to the camera",
-            (_Signal("command", 0, 8, values=_values(NmtCommand)), _Signal("node", 8, 8)),
-        ),
+        _Message("nmt", 2, MASTER, "Orders to the camera", orders),
         _Message("sync", 1, MASTER, "Trigger and beat; may come without its counter", (_Signal("counter", 0, 8),)),
-        _Message(
-            "emcy",
-            8,
-            CAMERA,
-            "8110: events were dropped; 0000: no more",
-            (_Signal("code", 0, 16), _Signal("register", 16, 8), _Signal("dropped", 24, 32, "events")),
-        ),
+        _Message("emcy", 8, CAMERA, "8110: events were dropped; 0000: no more", overflow),
+    ]
+
+
+def _times() -> list[_Message]:
+    spacecraft = (
+        _Signal("seconds", 7, 32, "s", big_endian=True),
+        _Signal("fraction", 39, 24, "s", "5.960464477539063e-08", big_endian=True),
+    )
+    left = (_Signal("counter", 0, 8), _Signal("sent", 8, 56, "ns"))
+    return [
         _Message("time", 6, MASTER, "Since 1984-01-01", (_Signal("ms", 0, 28, "ms"), _Signal("days", 32, 16, "d"))),
-        _Message(
-            "scet",
-            7,
-            MASTER,
-            "Spacecraft time, CUC 4+3",
-            (
-                _Signal("seconds", 7, 32, "s", big_endian=True),
-                _Signal("fraction", 39, 24, "s", "5.960464477539063e-08", big_endian=True),
-            ),
-        ),
-        _Message(
-            "follow_up",
-            8,
-            CAMERA,
-            "When the SYNC of this counter left",
-            (_Signal("counter", 0, 8), _Signal("sent", 8, 56, "ns")),
-        ),
+        _Message("scet", 7, MASTER, "Spacecraft time, CUC 4+3", spacecraft),
+        _Message("follow_up", 8, CAMERA, "When the SYNC of this counter left", left),
+    ]
+
+
+def _carried(fd: bool) -> list[_Message]:
+    epoch = (
+        _Signal("t", 0, 30, "us"),
+        _Signal("tick", 30, 2, values=tuple(enumerate(f"{us} us" for us in TICKS_US))),
+        _Signal("sent", 32, 16, "events"),
+        _Signal("dropped", 48, 16, "events"),
+    )
+    return [
         _fd_events() if fd else _events(),
-        _Message(
-            "epoch",
-            8,
-            CAMERA,
-            "Where the events' times lie, and how many events there have been",
-            (
-                _Signal("t", 0, 30, "us"),
-                _Signal("tick", 30, 2, values=tuple(enumerate(f"{us} us" for us in TICKS_US))),
-                _Signal("sent", 32, 16, "events"),
-                _Signal("dropped", 48, 16, "events"),
-            ),
-        ),
+        _Message("epoch", 8, CAMERA, "Where the events' times lie, and how many events there have been", epoch),
         _Message("marks", 8, CAMERA, "The camera's own trigger and exposure marks", _marks()),
         _Message("edges", 8, CAMERA, "Edges on the camera's external input", _marks()),
         _Message("telemetry", 8, CAMERA, "ISO-TP", (_Signal("pci", 0, 8),)),
         _Message("telecommand", 8, MASTER, "ISO-TP", (_Signal("pci", 0, 8),)),
-        _Message("heartbeat", 1, CAMERA, "State of the camera", (state,)),
-        _Message("master_heartbeat", 1, MASTER, "Says which bus is in use", (state,)),
+    ]
+
+
+def _heartbeats() -> list[_Message]:
+    state = (_Signal("state", 0, 7, values=_values(NodeState)),)
+    return [
+        _Message("heartbeat", 1, CAMERA, "State of the camera", state),
+        _Message("master_heartbeat", 1, MASTER, "Says which bus is in use", state),
     ]
 
 
