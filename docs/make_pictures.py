@@ -17,7 +17,7 @@ SCENES = (
     ("itokawa", 6.0, 30.0, 1.0),
     ("eros-flyover", 20.0, 30.0, 1.0),
     ("rendezvous", 100.0, 30.0, 1.0),
-    ("malapert", 12.0, 20.0, 0.8),
+    ("malapert", 12.0, 40.0, 0.8),
     ("stars", 3.0, 300.0, 1.0),
 )
 
@@ -35,9 +35,10 @@ def main() -> None:
     gap = np.full((eros.shape[0], 16, 3), 255, np.uint8)
     save_png(PICTURES / "eros.png", eros)
     save_png(PICTURES / "checkerboard.png", board)
-    for rig, at_s, window_ms, dimming in SCENES:
-        save_png(PICTURES / f"{rig}.png", draw(rig, at_s, window_ms, dimming))
-    save_png(PICTURES / "readme.png", np.concatenate([eros, gap, board], axis=1))
+    scenes = {rig: draw(rig, at_s, window_ms, dimming) for rig, at_s, window_ms, dimming in SCENES}
+    for rig, picture in scenes.items():
+        save_png(PICTURES / f"{rig}.png", picture)
+    save_png(PICTURES / "readme.png", np.concatenate([scenes["malapert"], gap, scenes["itokawa"]], axis=1))
 
 
 if __name__ == "__main__":
