@@ -10,8 +10,8 @@
     [[faults]]       what goes wrong on a link, and when
     [[links]]        kind = "usbip" | "loopback" | "serial" | "can", and that link's own keys; any number of them
 
-Every key is a field of a dataclass in this module or in the room that owns the thing. A mistake raises RigError, which
-tells the file, the line, the key, what is wrong and what would be right.
+Every key is a field of a dataclass in `emulator.rig_tables` or in the room that owns the thing. A mistake raises
+RigError, which tells the file, the line, the key, what is wrong and what would be right.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, TypeVar
 
 from emulator.faults import convert_fault
-from emulator.optics.lens import LensParameters
 from emulator.playback.recording import RecordingParameters
 from emulator.rig_files import beside
+from emulator.rig_tables import Camera, LoopbackLink, Run
 from emulator.rig_text import line_of
 from emulator.scene.bodies_table import BodiesParameters
 from emulator.scene.checkerboard_table import CheckerboardParameters
@@ -40,7 +40,6 @@ from emulator.typed_table import Path as KeyPath
 from emulator.typed_table import TableError, convert, convert_kind, unknown
 from firmware_protocol.can_frames.identifiers import Identifiers
 from firmware_protocol.can_frames.raw_events import RAW_LIMIT_PX
-from firmware_protocol.device_clock import ClockSettings
 from transports.can_bus.parameters import CanParameters
 from transports.faults.kinds import Fault
 from transports.serial_line.parameters import SerialParameters
@@ -62,146 +61,11 @@ __all__ = [
     "shipped_rigs",
 ]
 
-
 T = TypeVar("T")
-
-Method = Literal["warped", "line", "pangu", "v2e", "held", "esim", "sikorski", "frame_difference"]
 
 
 class RigError(Exception):
     """A rig file cannot be used; the message is for its author."""
-
-
-@dataclass(frozen=True)
-class Camera:
-    """The camera that is not there.
-
-    Attributes
-    ----------
-    model
-        Name of a preset: the sensor's size, its pixels and its read-out.
-    serial
-        Serial number that the host reads, up to 8 characters.
-    speed
-        USB speed: "super" or "high".
-    layout
-        How the chip lies: "upright", or "turned" as in the hardware, where the words called rows carry x. Drivers turn
-        it back by themselves.
-    fifo_bytes
-        Size of the camera's output buffer; what finds no room in it is dropped and counted. 256 KiB, as in an FX3.
-    start_delay_ms
-        How long after the host's start command the first event may come (0 suits every driver but one).
-    sensor
-        Figures of the preset changed for this rig.
-    clock
-        The camera's own clock; without it the camera shows stream time.
-    lens
-        For scenes in units of radiance; the others bring their own light.
-    """
-
-    model: str = "davis346"
-    serial: str = "00000346"
-    speed: Literal["super", "high"] = "super"
-    layout: Literal["upright", "turned"] = "upright"
-    fifo_bytes: int = 256 * 1024
-    start_delay_ms: float = 300.0
-    sensor: SensorParameters = field(default_factory=lambda: PRESETS["davis346"])
-    clock: ClockSettings | None = None
-    lens: LensParameters = field(default_factory=LensParameters)
-
-    def __post_init__(self) -> None:
-        if not 1 <= len(self.serial) <= 8 or not self.serial.isascii() or not self.serial.isprintable():
-            raise ValueError(f"serial must have 1 to 8 printable ASCII characters, got {self.serial!r}")
-        if not 4096 <= self.fifo_bytes <= 1 << 30:
-            raise ValueError(f"fifo_bytes must be 4096 to {1 << 30}, got {self.fifo_bytes}")
-        if not 0 <= self.start_delay_ms <= 4000:
-            raise ValueError(f"start_delay_ms must be 0 to 4000 (drivers give up at 5000), got {self.start_delay_ms}")
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """(width, height) of the sensor, pixels."""
-        return self.sensor.width, self.sensor.height
-
-
-@dataclass(frozen=True)
-class Run:
-    """How the run goes through time.
-
-    Attributes
-    ----------
-    seconds
-        Stream time to run for; 0 means until Ctrl-C.
-    step_us
-        Time between two pictures.
-    seed
-        Seed of all that is random.
-    pace
-        "realtime": every event leaves at its own time; "free": as fast as the machine can, losing nothing; "lockstep":
-        as far as the SYNCs of the trigger's bus let it, `lockstep_us` for each.
-    lockstep_us
-        Stream time that one SYNC is worth.
-    lead_us
-        How far ahead of real time steps are computed; at least one step. Covers the jitter of the machine.
-    fifo_priority
-        Above 0: links run under SCHED_FIFO at this priority (1 to 99), before all that is not as urgent. Delivery and
-        the stamps of a bus are then steady on a busy machine. Needs root, or a limit of 'rtprio'.
-    method
-        How pixels are solved between two pictures: "warped" (light as a cubic from value and derivative), "line" (a
-        straight line in log light), or another's rule, to reproduce what was published with it: "pangu", "v2e", "held",
-        "esim", "sikorski", "frame_difference".
-    pixels
-        Where they are solved: "cpu", or "gpu", a compute shader for large sensors with methods "warped" and "line" and
-        without a second pole, parasitic leak, defects, and noise of grade "grid".
-    tolerance_us
-        Tolerated timestamp error, 95th percentile. Above 0, steps are as long as it allows (`step_us` is the first one)
-        and effects that change less than that are left out; see `evstim plan`. 0: steps of `step_us`, nothing left out.
-    tolerated_wrong_share
-        Share of the events that may be wrong, missing or invented, when `tolerance_us` is given; and of a pixel's
-        sequences of 300 events, those that may not be right. 1: steps are held to times alone.
-    """
-
-    seconds: float = 0.0
-    step_us: int = 1000
-    seed: int = 1
-    pace: Literal["realtime", "free", "lockstep"] = "realtime"
-    lockstep_us: int = 0
-    lead_us: int = 10_000
-    fifo_priority: int = 0
-    method: Method = "warped"
-    pixels: Literal["cpu", "gpu"] = "cpu"
-    tolerance_us: float = 0.0
-    tolerated_wrong_share: float = 0.01
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.seconds <= 3.2e7:
-            raise ValueError(f"seconds must be 0 (until Ctrl-C) to 3.2e7 (a year), got {self.seconds}")
-        if not 1 <= self.step_us <= 1_000_000:
-            raise ValueError(f"step_us must be 1 to 1000000, got {self.step_us}")
-        if not 0 <= self.seed < 1 << 63:
-            raise ValueError(f"seed must be 0 to 2^63 - 1, got {self.seed}")
-        if not 0 <= self.lockstep_us <= 3_600_000_000:
-            raise ValueError(f"lockstep_us must be 0 to 3600000000, got {self.lockstep_us}")
-        if (self.pace == "lockstep") != bool(self.lockstep_us):
-            raise ValueError('lockstep_us and pace = "lockstep" go together: give both or neither')
-        if self.pixels == "gpu" and self.method not in ("warped", "line"):
-            raise ValueError(f'pixels = "gpu" has methods "warped" and "line", got method = {self.method!r}')
-        if self.pixels == "gpu" and self.step_us > 250_000:
-            raise ValueError(f'step_us must be at most 250000 with pixels = "gpu", got {self.step_us}')
-        if not 0 <= self.fifo_priority <= 99:
-            raise ValueError(f"fifo_priority must be 0 (none) to 99, got {self.fifo_priority}")
-        if not 0 <= self.lead_us <= 10_000_000:
-            raise ValueError(f"lead_us must be 0 to 10000000, got {self.lead_us}")
-        if self.tolerance_us != 0 and not 0.01 <= self.tolerance_us <= 1e6:
-            raise ValueError(f"tolerance_us must be 0 (none) or 0.01 to 1e6, got {self.tolerance_us}")
-        if not 0 <= self.tolerated_wrong_share <= 1:
-            raise ValueError(f"tolerated_wrong_share must be 0 to 1, got {self.tolerated_wrong_share}")
-
-
-@dataclass(frozen=True)
-class LoopbackLink:
-    """A host inside the link's own process that starts the camera, decodes every byte and compares: no USB anywhere."""
-
-    name: str = "loopback"
 
 
 SceneParameters = (
