@@ -30,9 +30,7 @@ from firmware_protocol.usb.usbip import (
     Unlink,
     Unlinked,
     UrbStatus,
-    UsbipError,
 )
-from firmware_protocol.usb.usbip_parser import HostParser, Reply
 from transports.usb_host import (
     DeviceAbsent,
     DeviceBusy,
@@ -42,17 +40,17 @@ from transports.usb_host import (
     TransferTimeout,
     UsbHostError,
 )
+from transports.usbip.wire import Wire, connect
 
 __all__ = ["UrbStream", "UsbipHost", "list_devices"]
 
-_RECEIVE_BYTES = 256 << 10
 # Linux itself sets this flag for IN transfers (URB_DIR_IN).
 _FLAG_IN = 0x200
 
 
 def list_devices(host: str = "127.0.0.1", port: int = 3240, timeout_s: float = 5.0) -> tuple[DeviceRecord, ...]:
     """List what a server offers. Raises PeerGone, PeerBroken, TransferTimeout."""
-    wire = _Wire(_connect(host, port, timeout_s))
+    wire = Wire(connect(host, port, timeout_s))
     try:
         wire.send(bytes(DeviceListRequest()))
         reply = wire.receive(_deadline(timeout_s))
@@ -86,7 +84,7 @@ class UsbipHost:
     """
 
     def __init__(self, sock: socket.socket, busid: str, timeout_s: float = 1.0) -> None:
-        self._wire = _Wire(sock)
+        self._wire = Wire(sock)
         self._timeout_s = timeout_s
         self._seqnum = 0
         self._streams: list[UrbStream] = []
@@ -102,7 +100,7 @@ class UsbipHost:
     @classmethod
     def attach(cls, host: str = "127.0.0.1", port: int = 3240, busid: str = "1-1", timeout_s: float = 1.0) -> Self:
         """Connect to a server and import a device."""
-        return cls(_connect(host, port, timeout_s), busid, timeout_s)
+        return cls(connect(host, port, timeout_s), busid, timeout_s)
 
     @property
     def identity(self) -> Identity:
@@ -260,62 +258,6 @@ class UrbStream:
 
     def _submit(self) -> int:
         return self._host.submit_in(self._endpoint, self._transfer_bytes, self._replies)
-
-
-class _Wire:
-    """A socket and the parser of what comes from it."""
-
-    def __init__(self, sock: socket.socket) -> None:
-        self.parser = HostParser()
-        self._sock = sock
-        self._chunk = memoryview(bytearray(_RECEIVE_BYTES))
-        if sock.family in (socket.AF_INET, socket.AF_INET6):
-            sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-
-    def send(self, data: bytes) -> None:
-        # Requests are small and few are in flight: a server that takes none for so long is gone.
-        self._sock.settimeout(10.0)
-        try:
-            self._sock.sendall(data)
-        except OSError as error:
-            raise PeerGone(f"the USB/IP server went away: {error}") from error
-
-    def receive(self, deadline: float) -> Reply | None:
-        """Return the next reply; None when none is complete by `deadline` (monotonic seconds)."""
-        while (reply := self._parse()) is None:
-            if not self._fill(deadline):
-                return None
-        return reply
-
-    def close(self) -> None:
-        self._sock.close()
-
-    def _parse(self) -> Reply | None:
-        try:
-            return self.parser.next_message()
-        except UsbipError as error:
-            raise PeerBroken(f"the USB/IP server breaks the protocol: {error}") from error
-
-    def _fill(self, deadline: float) -> bool:
-        # Once more after the deadline, without waiting: what has arrived counts.
-        self._sock.settimeout(max(0.0, deadline - time.monotonic()))
-        try:
-            n = self._sock.recv_into(self._chunk)
-        except (TimeoutError, BlockingIOError):
-            return False
-        except OSError as error:
-            raise PeerGone(f"the USB/IP server went away: {error}") from error
-        if n == 0:
-            raise PeerGone("the USB/IP server closed the connection")
-        self.parser.receive(self._chunk[:n])
-        return True
-
-
-def _connect(host: str, port: int, timeout_s: float) -> socket.socket:
-    try:
-        return socket.create_connection((host, port), timeout_s)
-    except OSError as error:
-        raise PeerGone(f"no USB/IP server at {host}:{port} ({error}); is the emulator running?") from error
 
 
 def _refusal(busid: str, status: int) -> UsbHostError:

@@ -25,14 +25,14 @@ def host(request, served):
 
 def test_lists_every_device(bench, new_device):
     bench.start({"1-1": new_device(), "2-3": new_device()})
-    records = list_devices(port=bench.server.port)
+    records = list_devices(port=bench.server.port, timeout_s=30)
     assert [(r.busid, r.busnum, r.devnum) for r in records] == [("1-1", 1, 2), ("2-3", 2, 4)]
     assert records[0].identity == new_device().identity
 
 
 def test_attach_powers_the_device_and_detach_tells_it(served, device):
     for cycle in range(1, 4):
-        host = UsbipHost.attach(port=served.server.port)
+        host = UsbipHost.attach(port=served.server.port, timeout_s=30)
         device.wait_for("attached", cycle)
         assert list(served.server.attached) == ["1-1"]
         host.close()

@@ -61,7 +61,7 @@ def test_a_halt_lasts_until_the_host_clears_it(bench, faulty, device):
     control = device.control
     device.control = lambda setup, data: b"" if setup.request == 1 else control(setup, data)
     bench.start({"1-1": faulty})
-    with UsbipHost.attach(port=bench.server.port) as host:
+    with UsbipHost.attach(port=bench.server.port, timeout_s=30) as host:
         device.chunks.append(b"abcd")
         bench.call(faulty.throw, UsbStall(count=2))
         for _ in range(2):
@@ -92,7 +92,7 @@ def test_a_camera_that_is_pulled_out_is_lost_and_found_again():
         ring.publish(10**6)
 
         async def attach():
-            return await asyncio.to_thread(UsbipHost.attach, port=port)
+            return await asyncio.to_thread(UsbipHost.attach, port=port, timeout_s=30)
 
         async def reach(us):
             clock.advance(us * 1000)
