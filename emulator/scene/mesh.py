@@ -16,6 +16,7 @@ tables of the Planetary Data System (`.tab`, see `plates`) and every surface for
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -56,7 +57,7 @@ class Mesh:
     open_edges: int = 0
     was_inside_out: bool = False
 
-    @property
+    @cached_property
     def radius_m(self) -> float:
         """The distance of the farthest vertex from the origin."""
         return float(np.linalg.norm(self.vertices, axis=1).max())
