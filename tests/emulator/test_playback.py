@@ -54,6 +54,12 @@ def test_a_loop_does_not_depend_on_the_step(steps_us):
     assert (np.diff(at_once["t"].astype(np.int64)) >= 0).all()
 
 
+def test_an_event_at_the_end_of_a_step_belongs_to_it():
+    replay = Replay(SENSOR, recorded([0, 7]), loop=False)
+    replay.reset(DARK, 0)
+    assert [len(replay.expose(DARK, t)) for t in (0, 6_999, 7_000)] == [1, 0, 1]
+
+
 def test_a_time_scale_plays_faster():
     events = recorded([0, 1000, 3001])
     fast = played(Replay(SENSOR, events, time_scale=2.0, loop=False), [10**7])

@@ -151,6 +151,15 @@ def test_distortion_moves_a_star_and_keeps_its_light():
     assert abs(int(bent.max(0).argmax()) - int(straight.max(0).argmax())) >= 1
 
 
+def test_a_star_off_the_axis_sees_a_narrower_aperture():
+    away = math.radians(7)
+    ahead, aside = (
+        drawn(StarsParameters(camera=at(direction(SIRIUS[0] + d, SIRIUS[1])), faintest_v=-1.0))[0] for d in (0.0, away)
+    )
+    cosine = math.cos(away) * math.cos(SIRIUS[1]) ** 2 + math.sin(SIRIUS[1]) ** 2
+    assert aside.sum(dtype=float) / ahead.sum(dtype=float) == pytest.approx(cosine, abs=1e-3)
+
+
 def test_the_sky_between_the_stars():
     light, _ = drawn(StarsParameters(faintest_v=-2.0, sky_w_m2_sr=0.01))
     assert np.unique(light).size == 1

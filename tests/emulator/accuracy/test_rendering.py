@@ -25,6 +25,7 @@ def test_fewer_samples_make_more_wrong_events_and_the_reference_none(monkeypatch
     wrong = {name: row.false + row.missed for name, row in rows.items()}
     assert set(rows) == {setting.name for setting in kept}
     assert wrong["1 sample"] > wrong["3 x 3"] > wrong["4 x 4"] == 0
+    assert rows["1 sample"].false > 0 < rows["1 sample"].missed
     assert all(row.ms > 0 and row.events > 100 for row in rows.values())
 
 

@@ -92,6 +92,12 @@ def test_straightening_undoes_bending(k1, p1, p2, x, y):
     np.testing.assert_allclose(np.array(back).ravel(), [x, y], atol=1e-9)
 
 
+def test_bending_is_opencv_s_formula():
+    """x = .3, y = .2 by hand: r^2 = .13, radial 1.013171197."""
+    (x,), (y,) = Distortion(0.1, 0.01, 0.001, 0.02, -0.03).bend(np.array([0.3]), np.array([0.2]))
+    assert (x, y) == pytest.approx((0.2970513591, 0.2032342394))
+
+
 def test_a_bent_picture_shows_each_direction_where_the_model_says():
     lens = LensParameters(field_of_view_deg=60.0, k1=-0.2, p1=0.01, vignetting=False)
     light, _, _ = look(lens, lambda x, y, t: 2 + x)

@@ -115,6 +115,14 @@ def test_an_attitude_file_in_any_direction_and_order(direction, order, first):
     np.testing.assert_allclose(pose.world_from_body @ [1, 0, 0], [0, 1, 0], atol=1e-12)
 
 
+@pytest.mark.parametrize(("direction", "sign"), [("A2B", -1), ("B2A", 1)])
+def test_an_attitude_file_whose_first_frame_is_the_spacecraft(direction, sign):
+    text = AEM.format(direction=direction, order="LAST", first=f"0 0 {HALF} {HALF}")
+    text = text.replace("REF_FRAME_A = ICRF", "REF_FRAME_A = SC_BODY_1").replace("_B = SC_BODY_1", "_B = ICRF")
+    pose = parse_aem(text).poses[0]
+    np.testing.assert_allclose(pose.world_from_body @ [1, 0, 0], [0, sign, 0], atol=1e-12)
+
+
 def test_euler_angles_are_not_read():
     text = AEM.format(direction="A2B", order="LAST", first="0 0 0 1").replace("= QUATERNION\n", "= EULER_ANGLE\n", 1)
     with pytest.raises(TrajectoryError, match="line 10: ATTITUDE_TYPE EULER_ANGLE is not read"):
@@ -145,6 +153,7 @@ def test_rigs_build_every_kind(tmp_path):
     file = build_trajectory(FilePath(str(tmp_path / "path.oem"), str(tmp_path / "path.aem"), axes="opengl"))
     np.testing.assert_allclose(file.pose(0).position_m, [50_000, 0, 0])
     np.testing.assert_allclose(file.pose(0).world_from_body @ [0, 0, 1], [0, 0, -1], atol=1e-12)
+    np.testing.assert_allclose(file.pose(0).world_from_body @ [1, 0, 0], [0, 1, 0], atol=1e-12)
     keyframes = KeyframePath((Keyframe(0.0, (0, 0, 0)), Keyframe(1.0, (1, 0, 0))), look_at_m=(0, 9, 0))
     np.testing.assert_allclose(build_trajectory(keyframes).pose(0).world_from_body @ [0, 0, 1], [0, 1, 0], atol=1e-9)
     orbit = build_trajectory(OrbitPath(4.4628e5, 50_000.0)).pose(0)
