@@ -5,14 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 from davis_host import IN, OUT, RUN, STOP, Host, events_of, steady
-from davis_strategies import STEPS_US
-from hypothesis import settings, stateful
-from hypothesis import strategies as st
 
-from firmware_protocol.davis346 import Davis346, Davis346Settings, Decoder, Layout, WordEncoder
-from firmware_protocol.edges import EDGE
+from firmware_protocol.davis346 import Davis346, Davis346Settings, Layout, WordEncoder
 from firmware_protocol.event_device import CameraCounters
-from firmware_protocol.events import EVENT, empty_events
+from firmware_protocol.events import empty_events
 from firmware_protocol.usb.device import Stall
 
 PROMPT = Davis346Settings(start_delay_us=0)
@@ -416,110 +412,3 @@ def test_a_fifo_too_small_or_an_array_too_large_is_refused():
         Davis346(Davis346Settings(fifo_bytes=1000))
     with pytest.raises(ValueError, match="5000 x 10"):
         Davis346(Davis346Settings(size=(5000, 10)))
-
-
-# --- every event has one fate, whatever happens
-
-
-class Life(stateful.RuleBasedStateMachine):
-    """A camera under any sequence of events, time, requests and reads.
-
-    Counters must balance at any time, and what a host decodes must be what each transfer says it completes.
-    """
-
-    def __init__(self):
-        super().__init__()
-        self.camera = Davis346(Davis346Settings(fifo_bytes=1024, start_delay_us=100))
-        self.host = Host(self.camera)
-        self.host.write_all(RUN)
-        self.open = []
-        self.t_us = 0
-
-    @stateful.rule(steps=st.lists(STEPS_US, min_size=1, max_size=8), repeat=st.integers(1, 40), seed=st.integers(0, 9))
-    def offer(self, steps, repeat, seed):
-        events = np.zeros(len(steps) * repeat, EVENT)
-        events["t"] = self.t_us + np.cumsum(np.tile(steps, repeat))
-        rng = np.random.default_rng(seed)
-        events["x"], events["y"] = rng.integers(0, 346, len(events)), rng.integers(0, 3, len(events))
-        self.camera.offer(events)
-        self.t_us = int(events["t"][-1])
-
-    @stateful.rule(steps=st.lists(STEPS_US, min_size=1, max_size=4), back_us=STEPS_US, kinds=st.integers(0, 80))
-    def offer_edges(self, steps, back_us, kinds):
-        edges = np.zeros(len(steps), EDGE)
-        edges["t"] = max(0, self.t_us - back_us) + np.cumsum(steps)
-        edges["kind"] = [2 + kinds // 3**k % 3 for k in range(len(steps))]
-        self.camera.offer_edges(edges)
-
-    @stateful.rule(bits=st.integers(0, 127))
-    def listen(self, bits):
-        """Any selection of the detector, of the generator's edges, and of what a stall drops."""
-        self.host.write_all([(4, k, bits >> k & 1) for k in range(4)])
-        self.host.write_all([(4, 13, 104 * 700), (4, 14, 104 * 300), (4, 15, 1), (4, 16, 1), (4, 11, bits >> 4 & 1)])
-        self.host.write_all([(4, 5, 104 * 20), (0, 4, bits >> 5 & 1)])
-
-    @stateful.rule(step_us=STEPS_US)
-    def advance(self, step_us):
-        self.t_us += step_us
-        self.camera.advance(self.t_us)
-
-    @stateful.rule(max_bytes=st.sampled_from([2, 5, 64, 512, 4096]), times=st.integers(1, 4), good=st.booleans())
-    def read(self, max_bytes, times, good):
-        self.settle(good)
-        for _ in range(times):
-            transfer = self.camera.read(2, max_bytes)
-            if transfer is None:
-                return
-            decoded = self.host.decoder.feed(transfer.data)
-            for seen, said in ((decoded.events, transfer.events), (decoded.edges, transfer.edges)):
-                seen["t"] += np.uint64(transfer.epoch_us)
-                assert np.array_equal(seen, said)
-            self.open.append(transfer)
-
-    def settle(self, good):
-        for transfer in self.open:
-            (self.camera.sent if good else self.camera.lost)(transfer)
-        self.open = []
-
-    @stateful.rule()
-    def reset(self):
-        self.host.reset_timestamps()
-
-    @stateful.rule()
-    def flush(self):
-        self.host.control(OUT, 0xC6, 0, 0)
-
-    @stateful.rule(bit=st.sampled_from([(m, p) for m, p, _ in RUN]), again=st.integers(0, 3))
-    def switch_off(self, bit, again):
-        self.host.write(*bit, 0)
-        if again:
-            self.run()
-
-    @stateful.rule(again=st.integers(0, 3))
-    def unplug(self, again):
-        self.camera.detached()
-        self.host = Host(self.camera)
-        if again:
-            self.run()
-
-    @stateful.rule()
-    def run(self):
-        if not self.host.read(0, 1):
-            self.host.decoder = Decoder((346, 260))
-        self.host.write_all(RUN)
-
-    @stateful.invariant()
-    def every_event_has_one_fate(self):
-        assert balanced(self.camera.counters)
-        edges = self.camera.counters.edges
-        assert edges.accounted == edges.offered + edges.added
-        assert min(dataclasses.astuple(edges)) >= 0
-        assert min(dataclasses.astuple(self.camera.counters)[:-1]) >= 0  # the last are the edges
-
-    @stateful.invariant()
-    def the_host_finds_no_fault(self):
-        assert self.host.decoder.faults.total == 0
-
-
-Life.TestCase.settings = settings(max_examples=150, stateful_step_count=40, deadline=None)
-test_any_life_of_a_camera_balances = Life.TestCase
