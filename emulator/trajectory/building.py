@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from fractions import Fraction
 from pathlib import Path
@@ -32,6 +33,8 @@ from emulator.trajectory.spinning import Spinning, Tilt
 from emulator.trajectory.table_file import Samples, parse_table
 
 __all__ = ["build_trajectory"]
+
+_LOG = logging.getLogger(__name__)
 
 _Triple = tuple[float, float, float]
 _MEASURED = 1024  # instants at which a path's turning is measured
@@ -102,7 +105,11 @@ def _samples(path: Path, period_s: float) -> Samples:
         case ".oem":
             return parse_oem(text)
         case ".fli":
-            return parse_flight(text, period_s).samples
+            flight = parse_flight(text, period_s)
+            if flight.left_out:
+                told = ", ".join(f"{count} {command}" for command, count in flight.left_out.items())
+                _LOG.info("%s: left out of the flight: %s", path, told)
+            return flight.samples
         case ".csv":
             return parse_table(text)
     raise TrajectoryError("which format this is cannot be told: name it .csv, .oem or .fli")

@@ -163,6 +163,13 @@ def test_rigs_build_every_kind(tmp_path):
     assert isinstance(build_trajectory(FixedPath()).pose(0), Pose)
 
 
+def test_what_a_flight_file_holds_beside_poses_is_told(tmp_path, caplog):
+    (tmp_path / "a.fli").write_text("sun_position 1 2 3\nquaternion 5 6 7 1 0 0 0\nsun_position 3 2 1\n")
+    with caplog.at_level("INFO"):
+        assert build_trajectory(FilePath(str(tmp_path / "a.fli"))).pose(0).position_m[2] == 7
+    assert "left out of the flight: 2 sun_position" in caplog.text
+
+
 def test_a_live_path_from_a_rig_listens():
     inlet = build_trajectory(LivePath(port=0))
     assert inlet.address[1] > 0
