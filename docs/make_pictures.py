@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from emulator.cli.picture import look
-from emulator.rig import load_rig
-from emulator.scene.picture import Rgb, event_picture, save_png
+from emulator.report.preview import Rgb, event_picture, save_png
+from emulator.rig.loading import load_rig
 
 PICTURES = Path(__file__).parent / "pictures"
 

@@ -1,4 +1,4 @@
-"""Makes emulator/scene/stars_data/hipparcos.npz of hip2.dat (Hipparcos, new reduction; van Leeuwen 2007, CDS I/311).
+"""Makes emulator/scene/stars/data/hipparcos.npz of hip2.dat (Hipparcos, new reduction; van Leeuwen 2007, CDS I/311).
 
     python docs/make_star_catalogue.py hip2.dat
 
@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 FAINTEST_HP = 7.0
-FILE = Path(__file__).parent.parent / "emulator/scene/stars_data/hipparcos.npz"
+FILE = Path(__file__).parent.parent / "emulator/scene/stars/data/hipparcos.npz"
 
 # Fields of hip2.dat, counted from 0: right ascension and declination (rad, ICRS, epoch J1991.25), proper motions
 # (mas/a, that in right ascension times cos dec), magnitude Hp and colour B-V.

@@ -1,4 +1,4 @@
-"""Makes the parts of the rendezvous target in emulator/scene/shapes/, from simple solids.
+"""Makes the parts of the rendezvous target in emulator/scene/bodies/shapes/, from simple solids.
 
     python docs/make_target_spacecraft.py
 
@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-SHAPES = Path(__file__).parent.parent / "emulator/scene/shapes"
+SHAPES = Path(__file__).parent.parent / "emulator/scene/bodies/shapes"
 CRINKLE_M = 0.012
 
 

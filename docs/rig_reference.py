@@ -8,10 +8,10 @@ import re
 from collections.abc import Iterator
 from typing import Any
 
-from emulator.faults import FAULTS
-from emulator.rig import LINKS, SCENES, Camera, Run, Trigger
+from emulator.rig.fault_tables import FAULTS
+from emulator.rig.loading import LINKS, SCENES, Camera, Run, Trigger
 from emulator.sensor.presets import PRESETS
-from emulator.typed_table import field_types, item_type, kinds_of, table_type
+from emulator.tables.typed_table import field_types, item_type, kinds_of, table_type
 
 MARKER = "<!-- rig reference -->"
 

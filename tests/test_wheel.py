@@ -28,7 +28,7 @@ def wheel(tmp_path_factory):
 def test_what_is_in_the_wheel(wheel):
     with zipfile.ZipFile(wheel) as archive:
         names = set(archive.namelist())
-    for path in (*(ROOT / "rigs").glob("*.toml"), *(ROOT / "emulator/scene/shapes").iterdir()):
+    for path in (*(ROOT / "rigs").glob("*.toml"), *(ROOT / "emulator/scene/bodies/shapes").iterdir()):
         assert str(path.relative_to(ROOT)) in names
     rooms = {name.partition("/")[0] for name in names if ".dist-info" not in name}
     assert rooms == {"emulator", "transports", "firmware_protocol", "rigs"}

@@ -11,7 +11,7 @@ from typing import Any
 from emulator.accuracy.rendering import Drawn
 from emulator.accuracy.stability import Cell, Sweep
 from emulator.accuracy.work_precision import Point
-from emulator.drawing import pyplot, save
+from emulator.report.figures import pyplot, save
 
 __all__ = ["draw_rendering", "draw_stability", "draw_work_precision"]
 

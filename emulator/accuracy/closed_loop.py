@@ -1,6 +1,6 @@
 """What controlled steps make of a wish: frames spent, and the error that came out, against the truth.
 
-The step rule is the product's own (`emulator.steps`), told nothing but pictures, as in a run.
+The step rule is the product's own (`emulator.plan.step_control`), told nothing but pictures, as in a run.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from emulator.accuracy.harness import SEED, Case, pixel_light, truth
 from emulator.accuracy.light import Float64s
 from emulator.accuracy.metrics import Scores, compare
 from emulator.accuracy.stream import Stream
-from emulator.sensor.pixels import Crossings, PixelArray
-from emulator.steps import ControlledSteps, Halves, Limits
+from emulator.plan.step_control import ControlledSteps, Halves, Limits
+from emulator.sensor.pixels.array import Crossings, PixelArray
 
 __all__ = ["WISHES_US", "Controlled", "control", "controlled"]
 

@@ -5,7 +5,7 @@ A case is a row of pixels under closed-form light with a sensor to look at it. M
     warped   our own kernel, given the light and its time derivative
     halved   the same, given the light of single pixels between the pictures too: it solves suspects in halves
     line     the same kernel without derivatives: a straight line in log light
-    others   the rules of `emulator.sensor.rules`
+    others   the rules of `emulator.sensor.other_simulators`
 
 All get the same float32 pictures at the same instants, with the same thresholds, leak rates and phases. Time is taken
 on a sensor of 346 x 260 pixels, whose picture is the case's row over and over: the median of some steps, the method's
@@ -29,10 +29,10 @@ from emulator.accuracy.light import ClosedLight
 from emulator.accuracy.metrics import Scores, compare
 from emulator.accuracy.stream import Stream
 from emulator.accuracy.truth import true_events
-from emulator.scene.base import PixelLight
-from emulator.sensor.pixels import Crossings, PixelArray
+from emulator.light import PixelLight
+from emulator.sensor.other_simulators import RULES
+from emulator.sensor.pixels.array import Crossings, PixelArray
 from emulator.sensor.presets import SensorParameters
-from emulator.sensor.rules import RULES
 
 __all__ = ["SEED", "Case", "Method", "PixelMethod", "events", "methods", "score", "step_cost_us", "truth"]
 

@@ -22,9 +22,9 @@ import numpy as np
 from emulator.accuracy.sequences import Events as Sequences
 from emulator.accuracy.sequences import common_subsequences
 from emulator.accuracy.stream import Stream
-from emulator.pictures import Pictures
-from emulator.rig import Rig
-from emulator.scene_assembly import build_scene
+from emulator.rig.loading import Rig
+from emulator.run.frames import Pictures
+from emulator.run.scene_assembly import build_scene
 from emulator.sensor.effects import NoiseParameters
 from emulator.sensor.sensor import Sensor
 from firmware_protocol.events import Events, empty_events

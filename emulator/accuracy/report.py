@@ -15,7 +15,7 @@ from emulator.accuracy.effects import EffectRow
 from emulator.accuracy.rendering import Drawn
 from emulator.accuracy.stability import Cell, Sweep, boundary
 from emulator.accuracy.work_precision import Point, frames_needed
-from emulator.page import inline, sentences, table, write_csv, write_json, write_page
+from emulator.report.html import inline, sentences, table, write_csv, write_json, write_page
 
 __all__ = [
     "reading",

@@ -28,8 +28,8 @@ from numba import njit
 
 from emulator.accuracy.light import ClosedLight
 from emulator.accuracy.stream import Stream
+from emulator.sensor.pixels.mismatch import draw
 from emulator.sensor.presets import SensorParameters
-from emulator.sensor.rules.drawn import draw
 
 __all__ = ["true_events"]
 

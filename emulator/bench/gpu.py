@@ -22,12 +22,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from emulator.bench.pixel import grating
-from emulator.rig import load_rig
-from emulator.scene.readback import Strategy
-from emulator.scene.stage import Stage
-from emulator.scene_assembly import build_scene
+from emulator.gl.readback import Strategy
+from emulator.gl.render_target import Stage
+from emulator.rig.loading import load_rig
+from emulator.run.scene_assembly import build_scene
 from emulator.sensor.gpu.array import GpuArray
-from emulator.sensor.pixels import PixelArray
+from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.presets import PRESETS
 
 __all__ = ["Drawing", "PixelSteps", "Reading"]

@@ -14,22 +14,22 @@ from functools import partial
 from multiprocessing.connection import Connection
 from typing import Any
 
-from emulator.assembly import build_session, link_setups, schedule
 from emulator.bench.failed import BenchFailed
 from emulator.bench.streams import saturated_stream
-from emulator.link_process import LinkProcess
-from emulator.rig import UsbipLink, load_rig
-from emulator.scene.checkerboard_table import CheckerboardParameters
-from emulator.scene_assembly import build_scene
-from emulator.session import RunResult, RunStatus
+from emulator.rig.loading import UsbipLink, load_rig
+from emulator.run.assembly import build_session, link_setups, schedule
+from emulator.run.link_process import LinkProcess
+from emulator.run.scene_assembly import build_scene
+from emulator.run.session import RunResult, RunStatus
+from emulator.scene.checkerboard.table import CheckerboardParameters
 from firmware_protocol.davis346 import Davis346, Davis346Settings
-from transports.davis_host import DavisHost
-from transports.link import LinkReport, LinkSetup
-from transports.pacing import MonotonicClock
-from transports.receiver import Reception, receive
-from transports.ring import FREE_RUNNING, EventRing
-from transports.usbip.client import UsbipHost
-from transports.usbip.endpoint import UsbipFactory
+from transports.link.pacing import MonotonicClock
+from transports.link.process import LinkReport, LinkSetup
+from transports.link.ring import FREE_RUNNING, EventRing
+from transports.usb.davis_host import DavisHost
+from transports.usb.receiver import Reception, receive
+from transports.usb.usbip.client import UsbipHost
+from transports.usb.usbip.endpoint import UsbipFactory
 
 __all__ = ["latency_p50", "latency_p99", "usbip_events"]
 

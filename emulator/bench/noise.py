@@ -18,11 +18,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from emulator.sensor.effects import NoiseParameters
-from emulator.sensor.noise import NoiseEvents
-from emulator.sensor.noise_law import bandwidth_hz, corner_hz, rate_over_bandwidth, rms
-from emulator.sensor.pixels import PixelArray
+from emulator.sensor.noise.law import bandwidth_hz, corner_hz, rate_over_bandwidth, rms
+from emulator.sensor.noise.point_process import NoiseEvents
+from emulator.sensor.pixels.array import PixelArray
+from emulator.sensor.pixels.mismatch import draw
 from emulator.sensor.presets import PRESETS, SensorParameters
-from emulator.sensor.rules.drawn import draw
 from emulator.sensor.sensor import Sensor
 
 __all__ = ["NoiseLoad", "noisy_sensor"]

@@ -14,9 +14,9 @@ import statistics
 import time
 from dataclasses import dataclass
 
-from emulator.pictures import Pictures
-from emulator.rig import Rig, load_rig
-from emulator.scene_assembly import build_scene
+from emulator.rig.loading import Rig, load_rig
+from emulator.run.frames import Pictures
+from emulator.run.scene_assembly import build_scene
 from emulator.sensor.sensor import Sensor
 
 __all__ = ["Workload", "steps_per_second"]

@@ -13,12 +13,12 @@ from typing import Any
 
 from emulator.bench.failed import BenchFailed
 from emulator.bench.sparse_streams import SIZE, stars
-from emulator.link_process import LinkProcess
+from emulator.run.link_process import LinkProcess
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
-from transports.link import LinkReport, LinkSetup
-from transports.pacing import MonotonicClock
-from transports.ring import FREE_RUNNING, EventRing
+from transports.link.pacing import MonotonicClock
+from transports.link.process import LinkReport, LinkSetup
+from transports.link.ring import FREE_RUNNING, EventRing
 from transports.serial_line.endpoint import SerialFactory
 from transports.serial_line.listener import SerialReception, listen_serial
 from transports.serial_line.parameters import SerialParameters

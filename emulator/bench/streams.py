@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from emulator.rig import load_rig
-from emulator.scene.checkerboard import Checkerboard
-from emulator.scene.checkerboard_table import CheckerboardParameters
-from emulator.sensor.pixels import PixelArray
-from emulator.sensor.readout import ReadOut
+from emulator.rig.loading import load_rig
+from emulator.scene.checkerboard.checkerboard import Checkerboard
+from emulator.scene.checkerboard.table import CheckerboardParameters
+from emulator.sensor.chip.readout import ReadOut
+from emulator.sensor.pixels.array import PixelArray
 from firmware_protocol.events import Events, empty_events
 
 __all__ = ["checkerboard_stream", "saturated_stream"]

@@ -10,7 +10,7 @@ from typing import Any
 
 from emulator.characterise.points import CURVES, Curve, Point
 from emulator.characterise.published import PUBLISHED, Published
-from emulator.drawing import pyplot, save
+from emulator.report.figures import pyplot, save
 
 __all__ = ["draw"]
 

@@ -14,8 +14,8 @@ import numpy.typing as npt
 
 from emulator.characterise.points import FIGURE, Point
 from emulator.characterise.stimuli import Bench, lag_s, log_current, settled, without_readout
+from emulator.sensor.chip.temperature import at_temperature
 from emulator.sensor.presets import SensorParameters
-from emulator.sensor.temperature import at_temperature
 
 __all__ = ["leak_light", "leak_spread", "leak_temperature", "s_curve", "spread"]
 

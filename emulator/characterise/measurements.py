@@ -12,9 +12,9 @@ from emulator.characterise.curves import leak_light, leak_spread, leak_temperatu
 from emulator.characterise.points import FIGURE, Point
 from emulator.characterise.stimuli import on_the_bench, without_readout
 from emulator.characterise.timing import burst, flicker, latency, noise_law, noise_light
-from emulator.sensor.noise_law import corner_hz
+from emulator.sensor.chip.temperature import at_temperature
+from emulator.sensor.noise.law import corner_hz
 from emulator.sensor.presets import SensorParameters
-from emulator.sensor.temperature import at_temperature
 
 __all__ = ["CONFIGURED", "Measurement", "figures", "measurements"]
 

@@ -13,7 +13,7 @@ import numpy as np
 from emulator.characterise.charts import draw
 from emulator.characterise.points import CURVES, FIGURE, Point
 from emulator.characterise.published import PUBLISHED, Published
-from emulator.page import inline, sentences, table, write_csv, write_json, write_page
+from emulator.report.html import inline, sentences, table, write_csv, write_json, write_page
 
 __all__ = ["Comparison", "comparisons", "reading", "write"]
 

@@ -17,10 +17,10 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.noise_law import corner_hz
+from emulator.sensor.chip.temperature import at_temperature
+from emulator.sensor.noise.law import corner_hz
 from emulator.sensor.presets import ReadoutParameters, SensorParameters
 from emulator.sensor.sensor import Sensor
-from emulator.sensor.temperature import at_temperature
 from firmware_protocol.events import EVENT, Events
 
 __all__ = ["Bench", "lag_s", "lags_s", "log_current", "on_the_bench", "settled", "without_readout"]

@@ -13,9 +13,9 @@ import numpy.typing as npt
 
 from emulator.characterise.points import Point
 from emulator.characterise.stimuli import Bench, lag_s, lags_s, log_current, on_the_bench, settled, without_readout
-from emulator.sensor.noise_law import bandwidth_hz, corner_hz, rate_over_bandwidth, rms
+from emulator.sensor.chip.temperature import at_temperature
+from emulator.sensor.noise.law import bandwidth_hz, corner_hz, rate_over_bandwidth, rms
 from emulator.sensor.presets import SensorParameters
-from emulator.sensor.temperature import at_temperature
 
 __all__ = ["burst", "flicker", "latency", "noise_law", "noise_light"]
 

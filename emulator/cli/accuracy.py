@@ -18,8 +18,8 @@ from emulator.accuracy.stability import QUICK_SWEEPS, SWEEPS, cells
 from emulator.accuracy.work_precision import settings, sweep
 from emulator.cli.failures import failures
 from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, console, print_json, status
-from emulator.drawing import ChartsLacking, check
-from emulator.rig import load_rig, shipped_rigs
+from emulator.report.figures import ChartsLacking, check
+from emulator.rig.loading import load_rig, shipped_rigs
 
 __all__ = ["accuracy"]
 

@@ -33,7 +33,7 @@ for verb, module, told in (
     ("plan", "plan", "Tell what a run will model, and why."),
     ("fault", "fault", "Throw a fault on a link of a rig that runs."),
     ("rigs", "rigs", "List the rigs that come with evstim."),
-    ("dbc", "listen_can", "Write the DBC file of a rig's CAN link."),
+    ("dbc", "listen.can", "Write the DBC file of a rig's CAN link."),
     ("schema", "rigs", "Print the JSON Schema of rig files."),
     ("picture", "picture", "Write one look at a rig as PNG."),
     ("accuracy", "accuracy", "Chart speed against accuracy, and map where methods fail."),
@@ -43,7 +43,7 @@ for verb, module, told in (
 ):
     app.command(f"emulator.cli.{module}:{verb}", name=verb, help=told)
 app.command(
-    "emulator.cli.listen_verbs:verbs",
+    "emulator.cli.listen.verbs:verbs",
     name="listen",
     help="Read a camera, real or emulated: on USB (also without the word), or on a line.",
 )

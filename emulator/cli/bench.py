@@ -11,7 +11,7 @@ from emulator.bench.failed import BenchFailed
 from emulator.bench.measures import MEASURES, Measure
 from emulator.cli.failures import failures
 from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, console, print_json, status
-from emulator.typed_table import unknown
+from emulator.tables.typed_table import unknown
 
 __all__ = ["bench"]
 

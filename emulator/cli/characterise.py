@@ -13,8 +13,8 @@ from emulator.characterise.points import Point
 from emulator.characterise.report import reading, write
 from emulator.cli.failures import failures
 from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, console, print_json, status
-from emulator.drawing import ChartsLacking, check
-from emulator.rig import load_rig
+from emulator.report.figures import ChartsLacking, check
+from emulator.rig.loading import load_rig
 from emulator.sensor.presets import PRESETS, SensorParameters
 
 __all__ = ["characterise"]

@@ -8,8 +8,8 @@ from cyclopts import Parameter
 
 from emulator.cli.failures import failures
 from emulator.cli.output import GOOD, console, print_json
-from emulator.rig import Rig, load_rig
-from emulator.scene_assembly import build_scene
+from emulator.rig.loading import Rig, load_rig
+from emulator.run.scene_assembly import build_scene
 
 __all__ = ["check"]
 

@@ -12,16 +12,16 @@ from typing import Annotated
 import numpy as np
 from cyclopts import Parameter
 
-from emulator.assembly import build_session, link_setups, schedule
 from emulator.cli.failures import failures
 from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, console, print_json, status
 from emulator.cli.run import summary
 from emulator.cli.signals import stopped_by_signals
-from emulator.rig import Rig, UsbipLink, load_rig
-from emulator.scene_assembly import build_scene
-from emulator.session import RunResult, RunStatus
-from transports.pacing import MonotonicClock
-from transports.record import load_record
+from emulator.rig.loading import Rig, UsbipLink, load_rig
+from emulator.run.assembly import build_session, link_setups, schedule
+from emulator.run.scene_assembly import build_scene
+from emulator.run.session import RunResult, RunStatus
+from transports.link.pacing import MonotonicClock
+from transports.link.record import load_record
 
 __all__ = ["demo"]
 

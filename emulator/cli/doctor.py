@@ -8,7 +8,7 @@ from cyclopts import Parameter
 from rich.text import Text
 
 from emulator.cli.output import GOOD, console, print_json
-from emulator.doctor import examine
+from emulator.run.machine import examine
 
 __all__ = ["doctor"]
 

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from emulator.cli.output import LACKING, WRONG_USE, Failure
-from emulator.link_process import LinkFailed
-from emulator.rig import RigError
-from emulator.scene.base import MachineLacks, SceneError
+from emulator.light import MachineLacks, SceneError
+from emulator.rig.loading import RigError
+from emulator.run.link_process import LinkFailed
 
 __all__ = ["failures"]
 

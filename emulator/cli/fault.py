@@ -9,9 +9,9 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from emulator.cli.link_summary import fault_line
 from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, console, print_json
-from emulator.control import NoAnswer, ask, sockets
+from emulator.cli.run_output.link_summary import fault_line
+from emulator.run.control import NoAnswer, ask, sockets
 from transports.faults.script import FaultRecord
 
 __all__ = ["fault"]

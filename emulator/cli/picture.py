@@ -8,13 +8,13 @@ from typing import Annotated
 import numpy as np
 from cyclopts import Parameter
 
-from emulator.assembly import build_pictures, build_sensor
 from emulator.cli.failures import failures
 from emulator.cli.output import GOOD, console, print_json
-from emulator.rig import Rig, load_rig
-from emulator.scene.base import Light
-from emulator.scene.picture import event_picture, save_png
-from emulator.scene_assembly import build_scene
+from emulator.light import Light
+from emulator.report.preview import event_picture, save_png
+from emulator.rig.loading import Rig, load_rig
+from emulator.run.assembly import build_pictures, build_sensor
+from emulator.run.scene_assembly import build_scene
 from firmware_protocol.events import Events, empty_events
 
 __all__ = ["look", "picture"]

@@ -8,14 +8,14 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from emulator.bounds import Decision
 from emulator.cli.failures import failures
 from emulator.cli.output import GOOD, console, print_json
 from emulator.optics.lens import CHIPS
-from emulator.plan import Plan, make_plan
-from emulator.probe import probe
-from emulator.rig import Rig, load_rig
-from emulator.scene_assembly import build_scene
+from emulator.plan.decide import Decision
+from emulator.plan.plan import Plan, make_plan
+from emulator.plan.scene_probe import probe
+from emulator.rig.loading import Rig, load_rig
+from emulator.run.scene_assembly import build_scene
 
 __all__ = ["plan"]
 

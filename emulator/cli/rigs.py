@@ -8,8 +8,8 @@ from cyclopts import Parameter
 
 from emulator.cli.failures import failures
 from emulator.cli.output import GOOD, console, print_json
-from emulator.rig import load_rig, shipped_rigs
-from emulator.rig_schema import rig_schema
+from emulator.rig.loading import load_rig, shipped_rigs
+from emulator.rig.schema import rig_schema
 
 __all__ = ["rigs", "schema"]
 

@@ -10,19 +10,19 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from emulator.assembly import build_session, link_setups, schedule
 from emulator.cli.failures import failures
-from emulator.cli.link_summary import link_json, link_lines
-from emulator.cli.live import LiveTable
 from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, console, print_json, status
+from emulator.cli.run_output.link_summary import link_json, link_lines
+from emulator.cli.run_output.live import LiveTable
+from emulator.cli.run_output.timing import timing_json, timing_lines
 from emulator.cli.signals import stopped_by_signals
-from emulator.cli.timing import timing_json, timing_lines
-from emulator.fault_desk import fault_desk
-from emulator.rig import Rig, load_rig
-from emulator.scene_assembly import build_scene
-from emulator.session import RunResult, RunStatus
-from transports.latency import LatencySummary
-from transports.pacing import MonotonicClock
+from emulator.rig.loading import Rig, load_rig
+from emulator.run.assembly import build_session, link_setups, schedule
+from emulator.run.fault_injection import fault_desk
+from emulator.run.scene_assembly import build_scene
+from emulator.run.session import RunResult, RunStatus
+from transports.link.latency import LatencySummary
+from transports.link.pacing import MonotonicClock
 
 __all__ = ["run", "run_rig"]
 

@@ -6,7 +6,7 @@ import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from emulator.session import Session
+from emulator.run.session import Session
 
 __all__ = ["stopped_by_signals"]
 

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from emulator.geometry.pinhole import Pinhole
 from emulator.optics.lens import LensParameters
-from emulator.optics.pinhole import Pinhole
 
 __all__ = ["Distortion", "DistortionError", "straight_columns_and_rows"]
 

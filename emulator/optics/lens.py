@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from emulator.optics.pinhole import Pinhole
+from emulator.geometry.pinhole import Pinhole
 from emulator.photometry.sun import LUMENS_A_WATT
 
 __all__ = ["CHIPS", "Chip", "LensParameters"]

@@ -19,11 +19,11 @@ from collections.abc import Callable, Mapping
 import numpy as np
 import numpy.typing as npt
 
+from emulator.geometry.pinhole import Pinhole
+from emulator.light import Light, Scene, SceneError
 from emulator.optics.distortion import Distortion, DistortionError, straight_columns_and_rows
 from emulator.optics.lens import Chip, LensParameters
 from emulator.optics.passes import Bilinear, bend, blur, gaussian_taps, scale
-from emulator.optics.pinhole import Pinhole
-from emulator.scene.base import Light, Scene, SceneError
 
 __all__ = ["Through"]
 

@@ -15,10 +15,10 @@ from pathlib import Path
 
 import numpy as np
 
-from emulator.rig_files import NO_FILE, RigFile
-from emulator.scene.base import MachineLacks, SceneError
+from emulator.light import MachineLacks, SceneError
+from emulator.tables.files import NO_FILE, RigFile
 from firmware_protocol.events import EVENT, Events
-from transports.record import load_record
+from transports.link.record import load_record
 
 __all__ = ["RecordingParameters", "load_recording"]
 

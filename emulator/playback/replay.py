@@ -11,9 +11,9 @@ from fractions import Fraction
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.pixels import Crossings
+from emulator.sensor.chip.readout import ReadOut
+from emulator.sensor.pixels.array import Crossings
 from emulator.sensor.presets import SensorParameters
-from emulator.sensor.readout import ReadOut
 from firmware_protocol.events import EVENT, Events
 
 __all__ = ["Replay"]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from emulator.scene.base import Light, Scene
+from emulator.light import Light, Scene
 
 __all__ = ["Blank"]
 

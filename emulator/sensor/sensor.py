@@ -19,21 +19,21 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from emulator.scene.base import PixelLight
-from emulator.sensor.defects import ArrayFaults, Defects, Faults, draw_defects
+from emulator.light import PixelLight
+from emulator.sensor.chip.defects import ArrayFaults, Defects, Faults, draw_defects
+from emulator.sensor.chip.imager import Imager, part_of_the_way
+from emulator.sensor.chip.jitter import Jitter
+from emulator.sensor.chip.leak import NEVER_NS, Leaks
+from emulator.sensor.chip.radiation import Particles
+from emulator.sensor.chip.readout import ReadOut
+from emulator.sensor.chip.temperature import at_temperature
 from emulator.sensor.gpu.array import GpuArray
-from emulator.sensor.imager import Imager, part_of_the_way
-from emulator.sensor.jitter import Jitter
-from emulator.sensor.leaks import NEVER_NS, Leaks
-from emulator.sensor.merging import NO_CROSSINGS, joined
-from emulator.sensor.noise import NoiseEvents
-from emulator.sensor.noisy_pixels import NoisyPixels
-from emulator.sensor.pixels import Crossings, PixelArray
+from emulator.sensor.noise.grid import NoisyPixels
+from emulator.sensor.noise.point_process import NoiseEvents
+from emulator.sensor.pixels.array import Crossings, PixelArray
+from emulator.sensor.pixels.merging import NO_CROSSINGS, joined
+from emulator.sensor.pixels.mismatch import draw
 from emulator.sensor.presets import SensorParameters
-from emulator.sensor.radiation import Particles
-from emulator.sensor.readout import ReadOut
-from emulator.sensor.rules.drawn import draw
-from emulator.sensor.temperature import at_temperature
 from firmware_protocol.events import Events
 
 __all__ = ["MakePixels", "PixelMethod", "Sensor"]

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from emulator.scene.cycle import Cycle
+from emulator.geometry.cycle import Cycle
 from emulator.trajectory.ccsds_file import parse_aem, parse_oem
 from emulator.trajectory.conventions import from_opengl
 from emulator.trajectory.descent import Descent

@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from emulator.scene.attitude import Matrix, quaternion_of
+from emulator.geometry.attitude import Matrix, quaternion_of
 
 __all__ = ["CAMERA_FROM_MSI", "from_basilisk", "from_opengl", "from_scalar_last", "from_spice"]
 

@@ -27,7 +27,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from emulator.scene.attitude import Vector, quaternion_of
+from emulator.geometry.attitude import Vector, quaternion_of
 from emulator.trajectory.keyframes import Keyframes
 from emulator.trajectory.looking import looking_along
 from emulator.trajectory.pose import Pose, Trajectory, TrajectoryError

@@ -23,7 +23,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from emulator.scene.attitude import quaternion_of
+from emulator.geometry.attitude import quaternion_of
 from emulator.trajectory.looking import looking_along
 from emulator.trajectory.pose import Pose, TrajectoryError
 from emulator.trajectory.table_file import Samples

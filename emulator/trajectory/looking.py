@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from emulator.scene.attitude import Matrix, Vector, quaternion_of, unit
+from emulator.geometry.attitude import Matrix, Vector, quaternion_of, unit
 from emulator.trajectory.measured import measured_bounds
 from emulator.trajectory.pose import Pose, Trajectory, TrajectoryError
 

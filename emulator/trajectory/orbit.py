@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from emulator.scene.attitude import Matrix, Vector
+from emulator.geometry.attitude import Matrix, Vector
 from emulator.trajectory.pose import STILL, Pose, Trajectory
 
 __all__ = ["Elements", "Orbit", "eccentric_anomaly"]

@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
-from emulator.rig_files import NO_FILE, RigFile
+from emulator.tables.files import NO_FILE, RigFile
 from emulator.trajectory.descent import LANDING, Gate
 from emulator.trajectory.orbit import Elements
 

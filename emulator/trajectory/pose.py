@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from emulator.scene.attitude import Matrix, Vector, matrix_of
+from emulator.geometry.attitude import Matrix, Vector, matrix_of
 
 __all__ = ["STILL", "Fixed", "Pose", "Trajectory", "TrajectoryError", "multiply"]
 

@@ -17,8 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from emulator.scene.attitude import Matrix, quaternion_of, spin, unit
-from emulator.scene.cycle import Cycle
+from emulator.geometry.attitude import Matrix, quaternion_of, spin, unit
+from emulator.geometry.cycle import Cycle
 from emulator.trajectory.pose import Pose, Trajectory
 
 __all__ = ["Spinning", "Tilt"]

@@ -4,7 +4,7 @@ import os
 
 import pytest
 
-from emulator.scene.gl import probe
+from emulator.gl.context import probe
 
 
 @pytest.fixture(scope="session")

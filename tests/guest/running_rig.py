@@ -15,7 +15,7 @@ from typing import Any
 
 from firmware_protocol.edges import Edges
 from firmware_protocol.events import Events
-from transports.record import load_edges, load_record
+from transports.link.record import load_edges, load_record
 
 __all__ = ["Delivered", "RunningRig"]
 

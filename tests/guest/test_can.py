@@ -28,7 +28,7 @@ from firmware_protocol.packets.telecommands import Ping, Stop
 from firmware_protocol.packets.verification import RequestId, Stage, Verification
 from firmware_protocol.telemetry import as_received, decode_block
 from tests.guest.machine import Guest
-from transports.digest import digest_of
+from transports.link.digest import digest_of
 
 pytestmark = [pytest.mark.guest, pytest.mark.socket, pytest.mark.timeout(600), pytest.mark.xdist_group("guest")]
 

@@ -12,7 +12,7 @@ from tests.guest.attachment import Attachment
 from tests.guest.comparison import assert_same
 from tests.guest.machine import Guest
 from tests.guest.running_rig import RunningRig
-from transports.record import load_record
+from transports.link.record import load_record
 
 pytestmark = [pytest.mark.guest, pytest.mark.socket, pytest.mark.timeout(400), pytest.mark.xdist_group("guest")]
 

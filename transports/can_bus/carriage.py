@@ -27,8 +27,8 @@ from firmware_protocol.packets.addresses import Addresses
 from firmware_protocol.packets.message import Received
 from firmware_protocol.packets.profile import CommandUnwrapper, Profile
 from transports.can_bus.parameters import CanParameters
-from transports.deliveries import Deliveries
-from transports.faults.watch import Load, Watch
+from transports.faults.tracker import Load, Watch
+from transports.link.deliveries import Deliveries
 
 __all__ = ["CfpMail", "FrameSource", "IsoTpMail", "RawEdges", "RawEvents", "sources"]
 

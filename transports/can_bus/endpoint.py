@@ -22,13 +22,13 @@ from transports.can_bus.node import EdgeSink, Node
 from transports.can_bus.parameters import CanParameters
 from transports.can_bus.python_can import PythonCanBus
 from transports.can_bus.served import ServedBus
-from transports.deliveries import Deliveries
 from transports.faults.bus import Parcel
 from transports.faults.kinds import Fault
 from transports.faults.script import FaultPlan, FaultRecord
-from transports.faults.watch import Watch
-from transports.link import Endpoint, EndpointFactory, LineUse
-from transports.pacing import Clock
+from transports.faults.tracker import Watch
+from transports.link.deliveries import Deliveries
+from transports.link.pacing import Clock
+from transports.link.process import Endpoint, EndpointFactory, LineUse
 
 __all__ = ["CanEndpoint", "CanFactory"]
 

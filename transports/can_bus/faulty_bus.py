@@ -16,11 +16,11 @@ from firmware_protocol.can_frames.bus_time import BitRates
 from firmware_protocol.can_frames.frame import Frame
 from transports.can_bus.bus import BusDown, CanBus, Heard
 from transports.can_bus.carriage import FrameSource
-from transports.deliveries import Deliveries
 from transports.faults.bus import Babbler, FrameStage, Parcel, frame_stage
 from transports.faults.kinds import Fault
 from transports.faults.script import FaultPlan, FaultRecord, Faults
-from transports.faults.watch import FrameWatch, MessageWatch, Tell
+from transports.faults.tracker import FrameWatch, MessageWatch, Tell
+from transports.link.deliveries import Deliveries
 
 __all__ = ["BusFaults", "FaultyBus"]
 

@@ -13,10 +13,10 @@ from transports.can_bus.bus import BusDown
 from transports.can_bus.parameters import CanParameters
 from transports.can_bus.python_can import PythonCanBus
 from transports.can_bus.receiver import CanReceiver
-from transports.digest import digest_of
-from transports.latency import LatencySummary
-from transports.pacing import Clock
-from transports.record import Recorder
+from transports.link.digest import digest_of
+from transports.link.latency import LatencySummary
+from transports.link.pacing import Clock
+from transports.link.record import Recorder
 
 __all__ = ["CanReception", "listen_can", "peer_of"]
 

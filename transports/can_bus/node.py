@@ -26,7 +26,7 @@ from firmware_protocol.can_frames.redundancy import BusSelector
 from firmware_protocol.can_frames.timing import FollowUp
 from firmware_protocol.instrument.instrument import Instrument
 from transports.can_bus.parameters import CanParameters
-from transports.deliveries import Deliveries
+from transports.link.deliveries import Deliveries
 
 __all__ = ["EdgeSink", "Node"]
 

@@ -22,7 +22,7 @@ from firmware_protocol.can_frames.socketcand import GREETING, SocketcandSession,
 from firmware_protocol.can_frames.wire import Carried, Wire
 from transports.can_bus.bus import BusDown, CanBus, Heard
 from transports.can_bus.parameters import CanParameters
-from transports.pacing import Clock
+from transports.link.pacing import Clock
 
 __all__ = ["ServedBus"]
 

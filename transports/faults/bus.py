@@ -20,8 +20,8 @@ from transports.faults.can_kinds import (
     ReorderedFrames,
     RepeatedFrames,
 )
+from transports.faults.hit_places import Places
 from transports.faults.kinds import Fault, HitFault
-from transports.faults.places import Places
 
 __all__ = ["Babbler", "Cargo", "FrameStage", "Parcel", "frame_stage"]
 

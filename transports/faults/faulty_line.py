@@ -17,8 +17,8 @@ from firmware_protocol.instrument.outgoing import Outgoing
 from firmware_protocol.packets.profile import Profile, Unwrapper
 from transports.faults.kinds import Fault
 from transports.faults.line import ByteStage, byte_stage
+from transports.faults.reference_receiver import Witness
 from transports.faults.script import FaultPlan, FaultRecord, Faults
-from transports.faults.witness import Witness
 
 __all__ = ["FaultyLine"]
 

@@ -7,6 +7,7 @@ from operator import itemgetter, mul
 
 import numpy as np
 
+from transports.faults.hit_places import Places
 from transports.faults.kinds import (
     BitFlips,
     Burst,
@@ -20,7 +21,6 @@ from transports.faults.kinds import (
     Unplugged,
     WrongBaud,
 )
-from transports.faults.places import Places
 
 __all__ = ["ByteStage", "byte_stage"]
 

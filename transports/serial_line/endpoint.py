@@ -18,11 +18,11 @@ from dataclasses import dataclass, field
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.outgoing import Outgoing
 from firmware_protocol.packets.profile import Profile
-from transports.deliveries import Deliveries
 from transports.faults.faulty_line import FaultyLine
 from transports.faults.kinds import Fault
 from transports.faults.script import FaultPlan, FaultRecord
-from transports.link import Endpoint, EndpointFactory, LineUse
+from transports.link.deliveries import Deliveries
+from transports.link.process import Endpoint, EndpointFactory, LineUse
 from transports.serial_line.opening import open_port
 from transports.serial_line.pacing import BaudClock
 from transports.serial_line.parameters import SerialParameters

@@ -10,10 +10,10 @@ import numpy as np
 from firmware_protocol.packets.housekeeping import Housekeeping
 from firmware_protocol.packets.profile import Profile
 from firmware_protocol.packets.telecommands import Telecommand
-from transports.digest import digest_of
-from transports.latency import LatencySummary
-from transports.pacing import Clock
-from transports.record import Recorder
+from transports.link.digest import digest_of
+from transports.link.latency import LatencySummary
+from transports.link.pacing import Clock
+from transports.link.record import Recorder
 from transports.serial_line.opening import open_port
 from transports.serial_line.parameters import SerialParameters
 from transports.serial_line.port import Port

@@ -20,12 +20,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from emulator.scene.base import MachineLacks
-from emulator.scene.gl import open_context, renderer_name
+from emulator.gl.context import open_context, renderer_name
+from emulator.light import MachineLacks
 from emulator.sensor.gpu.step import COUNTS, CROSSINGS, GROUP, NOT_KNOWN, PIXEL, QUIET, THRESHOLDS
-from emulator.sensor.pixels import Crossings, light_constants
+from emulator.sensor.pixels.array import Crossings, light_constants
+from emulator.sensor.pixels.mismatch import draw
 from emulator.sensor.presets import SensorParameters
-from emulator.sensor.rules.drawn import draw
 
 if TYPE_CHECKING:
     import moderngl

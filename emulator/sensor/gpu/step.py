@@ -17,7 +17,7 @@ from __future__ import annotations
 import numpy as np
 
 from emulator.sensor.gpu.arithmetic import ARITHMETIC, constant
-from emulator.sensor.gpu.walk import TRUST, WALK
+from emulator.sensor.gpu.march import TRUST, WALK
 
 __all__ = ["COUNTS", "CROSSINGS", "GROUP", "NOT_KNOWN", "PIXEL", "QUIET", "THRESHOLDS"]
 

@@ -14,8 +14,8 @@ from emulator.accuracy.light import BlurredCheckerboard, ClosedLight, Flash, Mov
 from emulator.accuracy.metrics import compare
 from emulator.accuracy.stability import smooth_case
 from emulator.accuracy.truth import true_events
-from emulator.sensor.pixels import PixelArray
-from emulator.sensor.rules.drawn import draw
+from emulator.sensor.pixels.array import PixelArray
+from emulator.sensor.pixels.mismatch import draw
 from tests.emulator.accuracy.rows import row
 
 BY_NAME = {method.name: method for method in methods()}

@@ -6,7 +6,7 @@ import pytest
 
 from emulator.accuracy.cases import CASES
 from emulator.accuracy.closed_loop import control
-from emulator.steps import Limits
+from emulator.plan.step_control import Limits
 
 BY_NAME = {swept.case.name: swept.case for swept in CASES}
 WISH_US = 10.0

@@ -7,7 +7,7 @@ import pytest
 from emulator.accuracy import rendering
 from emulator.accuracy.rendering import SETTINGS, Drawn, fits, rendering_rows
 from emulator.accuracy.report import reading_of_rendering, write_rendering
-from emulator.rig import load_rig
+from emulator.rig.loading import load_rig
 
 pytestmark = pytest.mark.gl
 

@@ -5,12 +5,12 @@ import math
 import numpy as np
 import pytest
 
-from emulator.sensor.rules import RULES
-from emulator.sensor.rules.counting import Held, V2e
-from emulator.sensor.rules.difference import FrameDifference
-from emulator.sensor.rules.pangu import RAW_CHANNELS, Pangu
-from emulator.sensor.rules.rule import MOST_EVENTS
-from emulator.sensor.rules.straight import Esim, Sikorski
+from emulator.sensor.other_simulators import RULES
+from emulator.sensor.other_simulators.counting import Held, V2e
+from emulator.sensor.other_simulators.difference import FrameDifference
+from emulator.sensor.other_simulators.pangu import RAW_CHANNELS, Pangu
+from emulator.sensor.other_simulators.rule import MOST_EVENTS
+from emulator.sensor.other_simulators.straight import Esim, Sikorski
 from tests.emulator.accuracy.rows import row
 
 MS = 1_000_000

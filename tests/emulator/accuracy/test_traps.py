@@ -1,7 +1,7 @@
 """The traps of event simulators: for each, a rule that falls into it, shown falling, and our kernel beside it, not.
 
 Rules that are nobody's method any more, or only a part of one, are written here; the others are those of
-`emulator.sensor.rules`.
+`emulator.sensor.other_simulators`.
 """
 
 import math
@@ -14,14 +14,14 @@ from emulator.accuracy.light import BlurredCheckerboard, Dark, Flash, SineGratin
 from emulator.accuracy.metrics import compare
 from emulator.accuracy.stability import SWEEPS, cells
 from emulator.accuracy.stream import Stream
-from emulator.sensor.layout import Field
-from emulator.sensor.pixels import PixelArray
-from emulator.sensor.rules import RULES
-from emulator.sensor.rules.counting import Held, V2e
-from emulator.sensor.rules.difference import FrameDifference
-from emulator.sensor.rules.drawn import draw
-from emulator.sensor.rules.rule import Fired
-from emulator.sensor.rules.straight import Esim, Sikorski
+from emulator.sensor.other_simulators import RULES
+from emulator.sensor.other_simulators.counting import Held, V2e
+from emulator.sensor.other_simulators.difference import FrameDifference
+from emulator.sensor.other_simulators.rule import Fired
+from emulator.sensor.other_simulators.straight import Esim, Sikorski
+from emulator.sensor.pixels.array import PixelArray
+from emulator.sensor.pixels.mismatch import draw
+from emulator.sensor.pixels.state import Field
 from tests.emulator.accuracy.rows import row
 
 OURS = methods()[0]

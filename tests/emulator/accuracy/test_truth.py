@@ -10,9 +10,9 @@ from scipy.optimize import brentq
 from emulator.accuracy.light import Dark, Flash, SineGrating, SlowRamp
 from emulator.accuracy.metrics import compare
 from emulator.accuracy.truth import true_events
-from emulator.sensor.layout import Field
-from emulator.sensor.pixels import PixelArray
-from emulator.sensor.rules.drawn import draw
+from emulator.sensor.pixels.array import PixelArray
+from emulator.sensor.pixels.mismatch import draw
+from emulator.sensor.pixels.state import Field
 from tests.emulator.accuracy.rows import row
 
 SEED = 3

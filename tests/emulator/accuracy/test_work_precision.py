@@ -19,8 +19,8 @@ from emulator.accuracy.stability import SWEEPS, boundary, cells
 from emulator.accuracy.work_precision import Point, frames_needed, settings, sweep
 from emulator.cli.accuracy import accuracy
 from emulator.cli.output import LACKING, WRONG_USE, Failure
-from emulator.sensor.pixels import PixelArray
-from emulator.sensor.rules.drawn import draw
+from emulator.sensor.pixels.array import PixelArray
+from emulator.sensor.pixels.mismatch import draw
 from tests.emulator.accuracy.rows import row
 
 SMALL = Case("sine", SineGrating(pixels=8), row(8), 0.05)

@@ -10,7 +10,7 @@ from scipy import stats
 from emulator.characterise.curves import leak_light, leak_spread, leak_temperature, s_curve, spread
 from emulator.characterise.stimuli import Bench, lags_s, log_current, on_the_bench, settled, without_readout
 from emulator.characterise.timing import burst, flicker, latency, noise_law, noise_light
-from emulator.sensor.noise_law import rate_over_bandwidth
+from emulator.sensor.noise.law import rate_over_bandwidth
 from emulator.sensor.presets import PRESETS
 
 ALPHA = 1e-4

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import emulator.cli.characterise as verb
-from emulator import drawing
 from emulator.characterise.curves import leak_light, s_curve
 from emulator.characterise.measurements import figures, measurements
 from emulator.characterise.points import CURVES, FIGURE, Point
@@ -18,6 +17,7 @@ from emulator.characterise.report import comparisons, reading
 from emulator.characterise.stimuli import on_the_bench
 from emulator.characterise.timing import burst, latency
 from emulator.cli.output import LACKING, WRONG_USE, Failure
+from emulator.report import figures as drawing
 from emulator.sensor.effects import DefectParameters
 from emulator.sensor.presets import PRESETS
 

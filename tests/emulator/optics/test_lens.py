@@ -8,13 +8,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter1d
 
+from emulator.geometry.pinhole import Pinhole
+from emulator.light import Scene, SceneError
 from emulator.optics.distortion import Distortion, DistortionError
 from emulator.optics.lens import CHIPS, LensParameters
 from emulator.optics.passes import Bilinear, bend, blur, gaussian_taps
-from emulator.optics.pinhole import Pinhole
 from emulator.optics.through import Through
 from emulator.photometry.sun import LUMENS_A_WATT, SUN_W_M2
-from emulator.scene.base import Scene, SceneError
 
 CHIP = CHIPS["davis346"]
 

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
+from emulator.gl.context import open_context
 from emulator.photometry.reflectance import Glossy, Hapke, Lambert, LommelSeeliger, LunarLambert, henyey_greenstein
 from emulator.photometry.sun import LUMENS_A_WATT, Sun
-from emulator.scene.gl import open_context
 
 LAWS = [
     Lambert(0.7),

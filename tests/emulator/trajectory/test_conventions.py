@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from emulator.scene.attitude import matrix_of
+from emulator.geometry.attitude import matrix_of
 from emulator.trajectory.conventions import (
     CAMERA_FROM_MSI,
     from_basilisk,

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
-from emulator.scene.attitude import matrix_of, quaternion_of
-from emulator.scene.cycle import Cycle
+from emulator.geometry.attitude import matrix_of, quaternion_of
+from emulator.geometry.cycle import Cycle
 from emulator.trajectory.descent import LANDING, Descent, Gate
 from emulator.trajectory.looking import Looking
 from emulator.trajectory.measured import measured_bounds

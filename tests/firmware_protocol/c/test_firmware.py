@@ -10,7 +10,7 @@ from firmware_protocol.packets.message import Message, MessageKind
 from firmware_protocol.packets.profile import Profile
 from firmware_protocol.telemetry import BlockEncoder, as_received
 from tests.firmware_protocol.c.board import Board, build_firmware
-from transports.digest import digest_of
+from transports.link.digest import digest_of
 
 pytestmark = [pytest.mark.arm, pytest.mark.socket]
 

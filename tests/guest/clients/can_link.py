@@ -17,9 +17,9 @@ from firmware_protocol.instrument.settings import InstrumentSettings
 from transports.can_bus.endpoint import CanFactory
 from transports.can_bus.parameters import CanParameters
 from transports.can_bus.python_can import PythonCanBus
-from transports.link import Link, LinkSetup
-from transports.pacing import MonotonicClock
-from transports.ring import EventRing
+from transports.link.pacing import MonotonicClock
+from transports.link.process import Link, LinkSetup
+from transports.link.ring import EventRing
 
 
 async def main(channel, carriage, events_file, report_file, seconds):

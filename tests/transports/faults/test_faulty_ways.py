@@ -18,7 +18,7 @@ from transports.faults.can_kinds import BabblingIdiot, BusOff, DeadBus, Repeated
 from transports.faults.faulty_line import FaultyLine
 from transports.faults.kinds import LostBytes, Stall, WrongBaud
 from transports.faults.script import FaultPlan
-from transports.faults.watch import FrameWatch, Load, Tell
+from transports.faults.tracker import FrameWatch, Load, Tell
 
 DATA = np.random.default_rng(3).bytes(5000)
 FRAME = Frame(0x1A2, bytes(8))

@@ -12,9 +12,9 @@ from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
 from firmware_protocol.packets.profile import Profile
 from transports.faults.script import FaultPlan
-from transports.link import Link, LinkSetup
-from transports.pacing import FakeClock
-from transports.ring import EventRing
+from transports.link.pacing import FakeClock
+from transports.link.process import Link, LinkSetup
+from transports.link.ring import EventRing
 from transports.serial_line.endpoint import SerialFactory
 from transports.serial_line.parameters import SerialParameters
 from transports.serial_line.reception import SerialReceiver

@@ -11,7 +11,6 @@ import serial
 from line_bench import ORIGIN_NS, PATIENCE_S, Bench, stream
 
 from firmware_protocol.instrument.settings import InstrumentSettings
-from transports.digest import digest_of
 from transports.faults.kinds import (
     BitFlips,
     Burst,
@@ -24,7 +23,8 @@ from transports.faults.kinds import (
     WrongBaud,
 )
 from transports.faults.script import FaultPlan
-from transports.record import load_record
+from transports.link.digest import digest_of
+from transports.link.record import load_record
 
 PROFILES = ["ccsds-cobs", "ccsds-slip", "ccsds-kiss", "csp-kiss", "fprime"]
 COUNT = 8_000

@@ -17,8 +17,8 @@ import usb.util
 
 from firmware_protocol.usb.descriptors import DescriptorSet
 from firmware_protocol.usb.device import Identity, SetupPacket, Speed, Stall, Transfer, UsbDevice
-from transports.usbip.connection import ConnectionSettings
-from transports.usbip.server import UsbipServer
+from transports.usb.usbip.connection import ConnectionSettings
+from transports.usb.usbip.server import UsbipServer
 
 STREAM_ENDPOINT = 2
 

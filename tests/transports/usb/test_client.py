@@ -17,8 +17,8 @@ from firmware_protocol.usb.usbip import (
     Submitted,
     Unlinked,
 )
-from transports.usb_host import DeviceAbsent, DeviceBusy, PeerBroken, PeerGone, TransferTimeout
-from transports.usbip.client import UsbipHost, list_devices
+from transports.usb.host import DeviceAbsent, DeviceBusy, PeerBroken, PeerGone, TransferTimeout
+from transports.usb.usbip.client import UsbipHost, list_devices
 
 RECORD = DeviceRecord("1-1", 1, 2, Identity(0x152A, 0x841A, 0x0206, Speed.SUPER))
 IMPORTED = bytes(ImportReply(OpStatus.OK, RECORD))

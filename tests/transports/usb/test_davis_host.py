@@ -8,10 +8,10 @@ import pytest
 from firmware_protocol.davis346 import Davis346, Davis346Settings, Layout, SystemInfo, WordEncoder
 from firmware_protocol.events import EVENT
 from firmware_protocol.usb.device import Identity, SetupPacket, Speed
-from transports.davis_host import DavisHost, StreamSettings
-from transports.pyusb_host import PyusbHost
-from transports.usb_host import PeerGone, StallError, TransferTimeout, UnsuitableDevice
-from transports.usbip.client import UsbipHost
+from transports.usb.davis_host import DavisHost, StreamSettings
+from transports.usb.host import PeerGone, StallError, TransferTimeout, UnsuitableDevice
+from transports.usb.pyusb_host import PyusbHost
+from transports.usb.usbip.client import UsbipHost
 
 pytestmark = pytest.mark.socket
 
@@ -213,7 +213,7 @@ def test_camera_that_goes_away_while_streaming(bench):
 
 
 def test_reset_that_never_shows_is_a_timeout(bench, monkeypatch):
-    monkeypatch.setattr("transports.davis_host._RESET_TIMEOUT_S", 0.05)
+    monkeypatch.setattr("transports.usb.davis_host._RESET_TIMEOUT_S", 0.05)
     camera = Davis346()
     monkeypatch.setattr(camera, "read", lambda endpoint, max_bytes: None)
     bench.start({"1-1": camera})

@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from firmware_protocol.usb.usbip import DeviceListRequest, ImportRequest, Submit, Unlink
-from transports.usbip.server import UsbipServer
+from transports.usb.usbip.server import UsbipServer
 
 small = st.integers(0, 20)
 u32 = st.integers(0, 0xFFFFFFFF)

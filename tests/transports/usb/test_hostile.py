@@ -11,10 +11,10 @@ import pytest
 
 from firmware_protocol.usb.device import SetupPacket
 from firmware_protocol.usb.usbip import DeviceListRequest, ImportRequest, Submit, Unlink
-from transports.usb_host import PeerGone
-from transports.usbip.client import UsbipHost
-from transports.usbip.connection import ConnectionSettings
-from transports.usbip.server import UsbipServer
+from transports.usb.host import PeerGone
+from transports.usb.usbip.client import UsbipHost
+from transports.usb.usbip.connection import ConnectionSettings
+from transports.usb.usbip.server import UsbipServer
 
 pytestmark = pytest.mark.socket
 

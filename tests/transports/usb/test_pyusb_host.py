@@ -8,8 +8,7 @@ import pytest
 import usb.core
 
 from firmware_protocol.davis346 import Davis346
-from transports.pyusb_host import PyusbHost
-from transports.usb_host import (
+from transports.usb.host import (
     AccessDenied,
     DeviceAbsent,
     DeviceBusy,
@@ -18,6 +17,7 @@ from transports.usb_host import (
     TransferTimeout,
     UsbHostError,
 )
+from transports.usb.pyusb_host import PyusbHost
 
 
 @pytest.fixture

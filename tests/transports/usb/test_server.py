@@ -6,8 +6,8 @@ import pytest
 import usbip as other
 
 from firmware_protocol.usb.device import SetupPacket
-from transports.usb_host import DeviceAbsent, DeviceBusy, StallError
-from transports.usbip.client import UsbipHost, list_devices
+from transports.usb.host import DeviceAbsent, DeviceBusy, StallError
+from transports.usb.usbip.client import UsbipHost, list_devices
 
 pytestmark = pytest.mark.socket
 

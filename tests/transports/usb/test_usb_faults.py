@@ -11,12 +11,12 @@ from transports.faults.kinds import LostBytes
 from transports.faults.script import FaultPlan
 from transports.faults.usb import FaultyDevice, usb_stage
 from transports.faults.usb_kinds import USB_FAULTS, ShortTransfers, UsbSilence, UsbStall, UsbUnplugged
-from transports.link import Link, LinkSetup
-from transports.pacing import FakeClock
-from transports.ring import EventRing
-from transports.usb_host import DeviceAbsent, StallError, UsbHostError
-from transports.usbip.client import UsbipHost
-from transports.usbip.endpoint import UsbipFactory
+from transports.link.pacing import FakeClock
+from transports.link.process import Link, LinkSetup
+from transports.link.ring import EventRing
+from transports.usb.host import DeviceAbsent, StallError, UsbHostError
+from transports.usb.usbip.client import UsbipHost
+from transports.usb.usbip.endpoint import UsbipFactory
 
 
 @pytest.fixture

@@ -16,8 +16,8 @@ import time
 from multiprocessing.connection import Connection
 
 from firmware_protocol.usb.device import Identity, SetupPacket, Speed, Stall, Transfer, UsbDevice
-from transports.usbip.client import UsbipHost
-from transports.usbip.server import UsbipServer
+from transports.usb.usbip.client import UsbipHost
+from transports.usb.usbip.server import UsbipServer
 
 SIZES = {131_072: 32, 8_192: 32, 512: 32}
 

@@ -1,0 +1,129 @@
+"""`evstim listen can` and `evstim dbc`: the computer's side of a CAN link."""
+
+from __future__ import annotations
+
+import asyncio
+import dataclasses
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from emulator.cli.failures import failures
+from emulator.cli.listen.limits import Limits, until
+from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, WRONG_USE, Failure, console, print_json, status
+from emulator.rig.loading import Rig, load_rig
+from firmware_protocol.can_frames.dbc import dbc_text
+from transports.can_bus.bus import BusDown
+from transports.can_bus.listener import CanReception, listen_can, peer_of
+from transports.can_bus.parameters import CanParameters
+from transports.link.pacing import MonotonicClock
+from transports.link.record import Recorder
+
+__all__ = ["can", "dbc"]
+
+_NO_LIMITS = Limits()
+
+
+def can(
+    rig: str = "can-demo",
+    /,
+    *,
+    link: str | None = None,
+    interface: str | None = None,
+    channel: str | None = None,
+    limits: Annotated[Limits, Parameter(name="*")] = _NO_LIMITS,
+    json: Annotated[bool, Parameter(negative="")] = False,
+) -> int:
+    """Join the CAN bus of a rig, decode what its camera says, and tell what is missing. Ctrl-C ends it.
+
+    Parameters
+    ----------
+    rig
+        Path of the rig that runs elsewhere, or the name of a shipped one: identifiers, bus and carriage come from it.
+    link
+        Which of its CAN links; the first one otherwise.
+    interface
+        Join the bus by this interface of python-can instead.
+    channel
+        Join the bus under this name instead.
+    limits
+        When to stop, and where to keep what came.
+    json
+        Print one JSON object as the last line on stdout.
+    """
+    limits.check()
+    with failures():
+        parameters = peer_of(_link(load_rig(rig), link))
+    parameters = dataclasses.replace(
+        parameters, interface=interface or parameters.interface, channel=channel or parameters.channel
+    )
+    reception = _listen(parameters, limits)
+    if json:
+        print_json(dataclasses.asdict(reception))
+    else:
+        _print(reception)
+    return BAD_VERDICT if reception.faults else GOOD
+
+
+def dbc(
+    rig: str,
+    /,
+    *,
+    link: str | None = None,
+    output: Annotated[Path | None, Parameter(alias="-o")] = None,
+) -> int:
+    """Write the DBC file of a rig's CAN link: its identifiers and the layouts of its frames.
+
+    Parameters
+    ----------
+    rig
+        Path of a rig file, or the name of a shipped one.
+    link
+        Which of its CAN links; the first one otherwise.
+    output
+        The file to write; stdout otherwise.
+    """
+    with failures():
+        parameters = _link(load_rig(rig), link)
+    text = dbc_text(parameters.identifiers, fd=parameters.fd)
+    if output is None:
+        console.print(text, end="", markup=False)
+        return GOOD
+    try:
+        output.write_text(text, encoding="ascii")
+    except OSError as error:
+        raise Failure(f"{output}: {error.strerror}", WRONG_USE) from error
+    return GOOD
+
+
+def _link(rig: Rig, name: str | None) -> CanParameters:
+    links = [one for one in rig.links if isinstance(one, CanParameters) and name in (None, one.name)]
+    if not links:
+        raise Failure(f"{rig.name} has no CAN link{f' {name!r}' if name else ''}", WRONG_USE)
+    return links[0]
+
+
+def _listen(parameters: CanParameters, limits: Limits) -> CanReception:
+    recorder = Recorder(limits.record) if limits.record is not None else None
+    status.print(f"CAN bus {parameters.channel} by {parameters.interface}, {parameters.bitrate} bit/s")
+    try:
+        return asyncio.run(listen_can(parameters, until(limits), MonotonicClock(), recorder))
+    except BusDown as error:
+        raise Failure(str(error), LACKING) from error
+    finally:
+        if recorder is not None:
+            recorder.close()
+
+
+def _print(reception: CanReception) -> None:
+    gone = ", the bus went away" if reception.gone else ""
+    console.print(
+        f"{reception.events} events and {reception.edges} edges in {reception.seconds:.2f} s, "
+        f"digest {reception.digest:08x}, {reception.faults} faults{gone}"
+    )
+    if reception.jitter_us.p50 is not None:
+        j = reception.jitter_us
+        console.print(f"later than the quickest: p50 {j.p50:.0f} us, p99 {j.p99:.0f} us, max {j.max:.0f} us")
+    for name, count in reception.counts.items():
+        console.print(f"{name}: {count}", markup=False)

@@ -1,0 +1,184 @@
+"""`evstim listen serial`: the computer's side of a serial line."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+from cyclopts import Parameter
+
+from emulator.cli.listen.limits import Limits, until
+from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, WRONG_USE, Failure, console, print_json, status
+from firmware_protocol.packets.telecommands import (
+    Ping,
+    RequestHousekeeping,
+    SetRateLimit,
+    SetRegion,
+    SetTick,
+    SetTime,
+    Start,
+    Stop,
+    Telecommand,
+)
+from transports.link.pacing import MonotonicClock
+from transports.link.record import Recorder
+from transports.serial_line.listener import SerialReception, listen_serial
+from transports.serial_line.parameters import SerialParameters
+
+__all__ = ["serial"]
+
+
+@dataclass(frozen=True)
+class Line:
+    """How the line is driven; the same as on the other side.
+
+    Attributes
+    ----------
+    profile
+        Packets and framing.
+    baud
+        Bits a second; a pty does not care.
+    parity
+        The character's.
+    stop_bits
+        1, 1.5 or 2.
+    """
+
+    profile: Literal["ccsds-cobs", "ccsds-slip", "ccsds-kiss", "csp-kiss", "fprime"] = "ccsds-cobs"
+    baud: int = 921_600
+    parity: Literal["none", "even", "odd", "mark", "space"] = "none"
+    stop_bits: float = 1.0
+
+
+@dataclass(frozen=True)
+class Orders:
+    """What to tell the camera, once, when the line is open, in this order.
+
+    Attributes
+    ----------
+    set_time
+        Set its clock to this machine's (UTC as Unix time).
+    tick
+        Count the time of events in 1, 10, 100 or 1000 us.
+    region
+        X Y WIDTH HEIGHT: send only these pixels.
+    rate_limit
+        Send at most so many events a second; 0 lifts the limit.
+    start
+        Let events flow.
+    stop
+        Let no events flow.
+    ping
+        Ask whether it is there.
+    housekeeping
+        Ask for a report now.
+    """
+
+    set_time: Annotated[bool, Parameter(negative="")] = False
+    tick: int | None = None
+    region: Annotated[tuple[int, int, int, int] | None, Parameter(negative="")] = None
+    rate_limit: int | None = None
+    start: Annotated[bool, Parameter(negative="")] = False
+    stop: Annotated[bool, Parameter(negative="")] = False
+    ping: Annotated[bool, Parameter(negative="")] = False
+    housekeeping: Annotated[bool, Parameter(negative="")] = False
+
+    def telecommands(self) -> list[Telecommand]:
+        """Return them; raises ValueError for a value that cannot be."""
+        wanted: list[tuple[bool, Callable[[], Telecommand]]] = [
+            (self.set_time, lambda: SetTime(time.time_ns() // 1000)),
+            (self.tick is not None, lambda: SetTick(self.tick or 0)),
+            (self.region is not None, lambda: SetRegion(*(self.region or ()))),
+            (self.rate_limit is not None, lambda: SetRateLimit(self.rate_limit or 0)),
+            (self.start, Start),
+            (self.stop, Stop),
+            (self.ping, Ping),
+            (self.housekeeping, RequestHousekeeping),
+        ]
+        return [make() for is_wanted, make in wanted if is_wanted]
+
+
+_NO_LIMITS, _LINE, _NO_ORDERS = Limits(), Line(), Orders()
+
+
+def serial(
+    port: str,
+    /,
+    *,
+    line: Annotated[Line, Parameter(name="*")] = _LINE,
+    orders: Annotated[Orders, Parameter(name="*")] = _NO_ORDERS,
+    limits: Annotated[Limits, Parameter(name="*")] = _NO_LIMITS,
+    json: Annotated[bool, Parameter(negative="")] = False,
+) -> int:
+    """Read a camera on a serial line, decode what it says, and tell what is missing. Ctrl-C ends it.
+
+    Parameters
+    ----------
+    port
+        Path of the port, such as the one that `evstim run serial-demo` prints, or any URL of pyserial.
+    line
+        How the line is driven.
+    orders
+        What to tell the camera.
+    limits
+        When to stop, and where to keep what came.
+    json
+        Print one JSON object as the last line on stdout.
+    """
+    limits.check()
+    try:
+        parameters = SerialParameters(port=port, **dataclasses.asdict(line))
+        telecommands = orders.telecommands()
+    except ValueError as error:
+        raise Failure(str(error), WRONG_USE) from error
+    if port == "pty":
+        raise Failure("a listener opens the path that the camera's side prints, not a pty of its own", WRONG_USE)
+    reception = _listen(parameters, telecommands, limits)
+    if json:
+        print_json(dataclasses.asdict(reception))
+    else:
+        _print(reception)
+    return BAD_VERDICT if reception.faults else GOOD
+
+
+def _listen(parameters: SerialParameters, telecommands: list[Telecommand], limits: Limits) -> SerialReception:
+    recorder = Recorder(limits.record) if limits.record is not None else None
+    goes_on = until(limits)
+    told = 0
+
+    def follow(now: SerialReception) -> bool:
+        nonlocal told
+        for answer in now.told[told:]:
+            status.print(answer, markup=False)
+        told = len(now.told)
+        return goes_on(now)
+
+    try:
+        return listen_serial(parameters, follow, MonotonicClock(), recorder, telecommands)
+    except OSError as error:
+        raise Failure(str(error), LACKING) from error
+    finally:
+        if recorder is not None:
+            recorder.close()
+
+
+def _print(reception: SerialReception) -> None:
+    console.print(
+        f"{reception.events} events and {reception.edges} edges in {reception.seconds:.2f} s, "
+        f"digest {reception.digest:08x}{', the other side went away' if reception.gone else ''}"
+    )
+    console.print(", ".join(f"{count} {name}" for name, count in reception.counts.items()), markup=False)
+    jitter = reception.jitter_us
+    if jitter.p50 is not None:
+        console.print(f"blocks behind the quickest one: p50 {jitter.p50:.0f} us, p99 {jitter.p99:.0f} us")
+    if (report := reception.housekeeping) is not None:
+        e = report.events
+        console.print(
+            f"the camera says: {report.mode.name.lower()}, {e.offered} events offered = {e.sent} sent + {e.waiting} "
+            f"waiting + {e.not_running} not running + {e.not_selected} not selected + {e.over_rate} over the rate + "
+            f"{e.too_late} too late + {e.buffer_full} buffer full + {e.flushed} flushed + {e.lost_on_link} lost"
+        )
+    console.print("no fault" if not reception.faults else f"{reception.faults} FAULTS")

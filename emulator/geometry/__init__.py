@@ -1,0 +1,1 @@
+"""Attitudes, the pinhole camera, and the phase of periodic motion."""

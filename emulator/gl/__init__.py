@@ -1,0 +1,1 @@
+"""Drawing with OpenGL: the context, the render targets and the read-back."""

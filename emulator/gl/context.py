@@ -1,0 +1,198 @@
+"""The one place where a GL context is made: offscreen, through EGL, with errors that say what to install.
+
+OpenGL 4.3 core is asked for. Of the machine's EGL devices the first that is not a software renderer is taken, else the
+first that works. What draws is a matter of the machine, not of the rig, so the environment may choose instead:
+
+    EVSTIM_RENDERER           part of a renderer's name in GL's words, upper or lower case: llvmpipe, nvidia, radeon
+    GLCONTEXT_DEVICE_INDEX    which EGL device: no other is tried
+    GLCONTEXT_LINUX_LIBEGL    file name of libEGL
+    GLCONTEXT_LINUX_LIBGL     file name of libGL (libOpenGL.so.0 needs no X library)
+
+A context belongs to the thread that made it, and does not survive `fork`: make it in the process and the thread that
+draws. moderngl is imported here when it is first needed, so closed-form scenes run without any GL library.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from emulator.light import MachineLacks, SceneError
+
+if TYPE_CHECKING:
+    import moderngl
+
+__all__ = [
+    "PACKAGES",
+    "WANTED",
+    "GlReport",
+    "is_software",
+    "open_context",
+    "probe",
+    "renderer_name",
+    "renderers",
+]
+
+PACKAGES = "libegl1 libgl1 libgl1-mesa-dri"
+"""The Debian packages that give a machine without a GPU its GL."""
+
+WANTED = "EVSTIM_RENDERER"
+"""The environment's variable that chooses what draws."""
+
+_VERSION = 430
+_MOST_DEVICES = 16
+_SOFTWARE = ("llvmpipe", "softpipe", "swrast", "swiftshader")
+
+# What glcontext says (in bare Exceptions), and what it means.
+_MEANINGS = (
+    ("not loaded", "the library is not installed"),
+    ("found 0 devices", "libEGL is there, but no driver for it"),
+    ("eglInitialize failed", "the driver is there, but its renderer cannot be loaded"),
+    ("eglCreateContext failed", "the renderer is older than OpenGL 4.3"),
+    ("requested device index", "the device asked for is not there; look at GLCONTEXT_DEVICE_INDEX"),
+)
+
+
+@dataclass(frozen=True)
+class GlReport:
+    """What this machine offers for drawing.
+
+    Attributes
+    ----------
+    available : whether meshes can be drawn.
+    renderer, version : GL's own words; empty where not available.
+    is_software : whether the processor draws.
+    reason : why it is not available, and what to do; empty where it is.
+    """
+
+    available: bool
+    renderer: str = ""
+    version: str = ""
+    is_software: bool = False
+    reason: str = ""
+
+
+def open_context() -> moderngl.Context:
+    """Make an offscreen context in this thread; its owner releases it.
+
+    Raises
+    ------
+    SceneError
+        With the driver's message, its meaning and the packages to install; or with the renderers that are there, where
+        none is the wanted one.
+    """
+    wanted = os.environ.get(WANTED, "").strip()
+    spare: moderngl.Context | None = None
+    seen: list[str] = []
+    with _quiet_driver():
+        for context in _contexts():
+            name = renderer_name(context)
+            seen.append(name)
+            if _suits(name, wanted):
+                _release(spare)
+                return context
+            if spare is None and not wanted:
+                spare = context
+            else:
+                context.release()
+    if spare is not None:
+        return spare
+    raise MachineLacks(
+        f"{WANTED} = {wanted!r} is in the name of no renderer of this machine; there is {', '.join(seen)}. "
+        "Give part of one of these names, or unset it"
+    )
+
+
+def renderers() -> tuple[str, ...]:
+    """Return the names of all that can draw here, in the order in which they are tried; none where there is no GL."""
+    names = []
+    try:
+        with _quiet_driver():
+            for context in _contexts():
+                names.append(renderer_name(context))
+                context.release()
+    except SceneError:
+        return ()
+    return tuple(names)
+
+
+def probe() -> GlReport:
+    """Open and release a context, and tell how it went. Call it where no `fork` follows."""
+    try:
+        context = open_context()
+    except SceneError as error:
+        return GlReport(False, reason=str(error))
+    name, version = renderer_name(context), str(context.info["GL_VERSION"])
+    context.release()
+    return GlReport(True, name, version, is_software(name))
+
+
+def renderer_name(context: moderngl.Context) -> str:
+    """Return the name of what draws, for instance 'llvmpipe (LLVM 15.0.6, 256 bits)'."""
+    return str(context.info["GL_RENDERER"])
+
+
+def is_software(renderer: str) -> bool:
+    """Tell whether the renderer of that name draws with the processor."""
+    return any(name in renderer.lower() for name in _SOFTWARE)
+
+
+def _suits(renderer: str, wanted: str) -> bool:
+    return wanted.lower() in renderer.lower() if wanted else not is_software(renderer)
+
+
+def _release(context: moderngl.Context | None) -> None:
+    if context is not None:
+        context.release()
+
+
+def _contexts() -> Iterator[moderngl.Context]:
+    """Yield a context of each device that works, for the taker to release; raise the first failure if none does."""
+    failure: SceneError | None = None
+    works = False
+    for index in _device_indices():
+        try:
+            context = _open_device(index)
+        except SceneError as error:
+            failure = failure or error
+            if "requested device index" in str(error):
+                break  # that was the last device
+        else:
+            works = True
+            yield context
+    if not works and failure is not None:
+        raise failure
+
+
+def _device_indices() -> Iterator[int | None]:
+    """Yield the devices to try; None leaves the choice to glcontext, which reads the environment."""
+    if "GLCONTEXT_DEVICE_INDEX" in os.environ:
+        yield None
+    else:
+        yield from range(_MOST_DEVICES)
+
+
+def _open_device(index: int | None) -> moderngl.Context:
+    import moderngl
+
+    settings: dict[str, Any] = {"backend": "egl"} if index is None else {"backend": "egl", "device_index": index}
+    try:
+        return moderngl.create_context(standalone=True, require=_VERSION, **settings)
+    except Exception as error:  # glcontext raises nothing more special
+        meaning = next((text for sign, text in _MEANINGS if sign in str(error)), "unknown to us")
+        raise MachineLacks(f"no GL context: {error} ({meaning}). On Debian: apt install {PACKAGES}") from error
+
+
+@contextmanager
+def _quiet_driver() -> Iterator[None]:
+    """Keep Mesa from writing on stderr what the exception tells as well."""
+    before = os.environ.get("EGL_LOG_LEVEL")
+    os.environ.setdefault("EGL_LOG_LEVEL", "fatal")
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ["EGL_LOG_LEVEL"]

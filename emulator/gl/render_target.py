@@ -1,0 +1,208 @@
+"""Where GL draws: a context, and the targets in which a picture comes to be.
+
+    fine target     R32F with depth, n x n samples a pixel
+      -> mean       each pixel the mean of its n x n samples, in linear light; only in the reach of that picture
+    picture         R32F, the sensor's size; outside the reach it is 0, the dark sky
+      -> out        (height, width) float32, row 0 on top, by one of the ways of `readback`
+
+Camera axes are OpenCV's: x right, y down, z out. GL's rows run upward; the picture is drawn upside down there, so that
+its first row comes first when it is read, and facets that are counter-clockwise to us are clockwise to GL.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from emulator.gl.context import open_context, renderer_name
+from emulator.gl.readback import UNDER_WAY, Readback, Strategy, strategy_for
+from emulator.light import Light, SceneError
+
+if TYPE_CHECKING:
+    import moderngl
+
+__all__ = ["Rectangle", "Stage", "depth_terms"]
+
+_CORNERS = """
+#version 430
+void main() {
+    gl_Position = vec4(vec2(gl_VertexID & 1, gl_VertexID >> 1) * 4.0 - 1.0, 0.0, 1.0);
+}
+"""
+
+_MEAN = """
+#version 430
+const int N = %(samples)d;
+uniform sampler2D fine;
+out float light;
+
+float sum_of_gathers(vec2 first) {   // four samples a time, a third faster on llvmpipe
+    vec4 sum = vec4(0.0);
+    for (int j = 1; j < N; j += 2)
+        for (int i = 1; i < N; i += 2)
+            sum += textureGather(fine, (first + vec2(i, j)) / vec2(textureSize(fine, 0)));
+    return dot(sum, vec4(1.0));
+}
+
+float sum_of_fetches(ivec2 first) {
+    float sum = 0.0;
+    for (int j = 0; j < N; ++j)
+        for (int i = 0; i < N; ++i)
+            sum += texelFetch(fine, first + ivec2(i, j), 0).r;
+    return sum;
+}
+
+void main() {
+    ivec2 first = ivec2(gl_FragCoord.xy) * N;
+    float sum = N %% 2 == 0 ? sum_of_gathers(vec2(first)) : sum_of_fetches(first);
+    light = sum / float(N * N);
+}
+"""
+
+
+@dataclass(frozen=True)
+class Rectangle:
+    """Part of a picture: columns `left` to `left + width`, rows `top` to `top + height`."""
+
+    left: int
+    top: int
+    width: int
+    height: int
+
+
+class Stage:
+    """A context of its own, in this thread, for pictures of `size` = (width, height), `samples` x `samples` a pixel.
+
+    Parameters
+    ----------
+    readback : how pictures come to memory; what suits the renderer unless given.
+
+    Raises
+    ------
+    SceneError
+        There is no GL, or the picture is too large for it.
+    """
+
+    def __init__(self, size: tuple[int, int], samples: int, readback: Strategy | None = None) -> None:
+        self.size, self.samples = size, samples
+        self._is_open = True
+        self.context = open_context()
+        self.renderer = renderer_name(self.context)
+        try:
+            with self.context:
+                _require_fits(self.context, size, (size[0] * samples, size[1] * samples))
+                self._build(readback or strategy_for(self.renderer))
+        except SceneError:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """Release the context and what lives in it; a second call does nothing."""
+        if self._is_open:
+            self._is_open = False
+            self.context.release()
+
+    def _build(self, strategy: Strategy) -> None:
+        gl, n = self.context, self.samples
+        fine_size = (self.size[0] * n, self.size[1] * n)
+        self._samples_texture = gl.texture(fine_size, 1, dtype="f4")
+        self._fine = gl.framebuffer([self._samples_texture], gl.depth_renderbuffer(fine_size))
+        self._readback = Readback(gl, self.size, strategy)
+        self._mean = gl.program(vertex_shader=_CORNERS, fragment_shader=_MEAN % {"samples": n})
+        self._cover = gl.vertex_array(self._mean, [])
+
+    @property
+    def readback(self) -> Strategy:
+        """How pictures come to memory."""
+        return self._readback.strategy
+
+    @property
+    def picture(self) -> moderngl.Texture:
+        """The last picture in the context's own memory, R32F, its first row first; until the next is drawn."""
+        return self._readback.last
+
+    def draw(
+        self,
+        render: Callable[[moderngl.Context], None],
+        out: Light,
+        prepare: Callable[[], None] | None = None,
+        reach: Rectangle | None = None,
+    ) -> None:
+        """Let `render` draw the samples, and write their means into `out`, (height, width) float32.
+
+        `render` finds the context current, the target cleared, and depth test and culling on. `prepare` is called
+        before that, for targets of its own. Nothing may be drawn outside `reach`, where it is given; it saves time.
+        """
+        self.begin(render, prepare, reach)
+        self.take(out)
+
+    def draw_all(self, beginnings: Sequence[Callable[[], None]], outs: Sequence[Light]) -> None:
+        """Write the pictures that `beginnings` begin into `outs`, each begun before an earlier one is waited for."""
+        for first in range(0, len(outs), UNDER_WAY):
+            for begin in beginnings[first : first + UNDER_WAY]:
+                begin()
+            for out in outs[first : first + UNDER_WAY]:
+                self.take(out)
+
+    def begin(
+        self,
+        render: Callable[[moderngl.Context], None],
+        prepare: Callable[[], None] | None = None,
+        reach: Rectangle | None = None,
+    ) -> None:
+        """Do as `draw`, but leave the picture where it is drawn, and do not wait for it: `take` does.
+
+        Up to `UNDER_WAY` pictures can be begun before the first one is taken; they are taken in the same order.
+        """
+        if not self._is_open:
+            raise SceneError("the scene was closed: it draws no more")
+        target, whole = self._readback.target, Rectangle(0, 0, *self.size)
+        with self.context as gl:
+            if prepare is not None:
+                prepare()
+            self._fine.use()
+            self._fine.clear()
+            gl.enable_only(gl.DEPTH_TEST | gl.CULL_FACE)
+            gl.front_face, gl.cull_face = "cw", "back"
+            render(gl)
+            self._average(gl, target, whole if reach is None else reach)
+            self._readback.send()
+        # Leaving a context flushes it (EGL 1.5, section 3.7.3): what draws now begins.
+
+    def take(self, out: Light) -> None:
+        """Write the picture that was begun first, of those that were not taken, into `out`, (height, width) float32."""
+        if not self._is_open:
+            raise SceneError("the scene was closed: it draws no more")
+        with self.context:
+            self._readback.receive(out)
+
+    def _average(self, gl: moderngl.Context, target: moderngl.Framebuffer, reach: Rectangle) -> None:
+        target.use()
+        target.clear()
+        target.viewport = (reach.left, reach.top, reach.width, reach.height)
+        gl.enable_only(gl.NOTHING)
+        self._samples_texture.use(0)
+        self._cover.render(gl.TRIANGLES, vertices=3)
+        target.viewport = (0, 0, *self.size)
+
+
+def depth_terms(near_m: float, far_m: float) -> tuple[float, float]:
+    """Return a, b of gl_Position.z = a z + b with w = z, for things between `near_m` and `far_m` along the boresight.
+
+    Take both from what is seen at that moment, and coordinates relative to the camera, subtracted in float64: float32
+    depth then resolves z^2 / near / 16 million.
+    """
+    if not 0 < near_m < far_m:
+        raise ValueError(f"near_m = {near_m:g}, far_m = {far_m:g}: must be above 0 and in this order")
+    apart = far_m - near_m
+    return (far_m + near_m) / apart, -2 * far_m * near_m / apart
+
+
+def _require_fits(context: moderngl.Context, *sizes: tuple[int, int]) -> None:
+    most = int(context.info["GL_MAX_TEXTURE_SIZE"])
+    for size in sizes:
+        if max(size) > most:
+            raise SceneError(
+                f"{size[0]} x {size[1]} samples are needed and this GL draws at most {most} in a row: use fewer samples"
+            )

@@ -1,0 +1,162 @@
+"""What a run will model, decided before it starts: steps, and each effect kept or dropped with the bound that decided.
+
+A rig that gives no tolerance pins everything: steps of its own length, nothing dropped. The plan then still tells what
+error the step makes and what each effect is worth. One that gives a tolerance gets controlled steps (see `steps`), and
+loses the effects that change less than it tolerates (see `bounds`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from emulator.plan.decide import Decision, Tolerance, decide, without
+from emulator.plan.scene_probe import Probe
+from emulator.plan.step_control import Limits
+from emulator.rig.loading import Rig
+from emulator.sensor.presets import SensorParameters
+
+__all__ = ["Load", "Plan", "Steps", "limits", "make_plan"]
+
+# What a step costs on one thread, from the benchmarks: seconds a pixel that stays quiet, and for each event.
+_QUIET_PIXEL_S = 1.0e-9
+_EVENT_S = 40e-9 + 20e-9
+_LINE, _HERMITE = 2, 4  # orders of the two ways to join pictures
+_PINNED_TOLERANCE_US = 100.0  # what effects are measured against where the rig gives nothing
+
+
+@dataclass(frozen=True)
+class Steps:
+    """How long steps will be.
+
+    Attributes
+    ----------
+    controlled
+        Whether they follow the picture; else all are `step_us` long.
+    step_us
+        Expected length.
+    error_us
+        Expected 95th percentile of timestamp errors from what happens between two pictures.
+    bound
+        What decided the length.
+    line_step_us
+        What a straight line in log light would need for the same error.
+    """
+
+    controlled: bool
+    step_us: float
+    error_us: float
+    bound: str
+    line_step_us: float
+
+
+@dataclass(frozen=True)
+class Load:
+    """Seconds of one core for a second of stream."""
+
+    pictures_per_s: float
+    drawing: float
+    pixels: float
+    events: float
+
+    @property
+    def total(self) -> float:
+        """All of it; above 1 the run cannot keep up with real time."""
+        return self.drawing + self.pixels + self.events
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a run will model."""
+
+    rig: Rig
+    probe: Probe
+    tolerance: Tolerance
+    steps: Steps
+    decisions: list[Decision]
+    load: Load
+
+    @property
+    def pinned(self) -> bool:
+        """True when the rig gives no tolerance, so that nothing is dropped."""
+        return self.rig.run.tolerance_us == 0
+
+    @property
+    def sensor(self) -> SensorParameters:
+        """The sensor as it will run."""
+        sensor = self.rig.camera.sensor
+        return sensor if self.pinned else without(sensor, self.decisions)
+
+
+def make_plan(rig: Rig, probe: Probe) -> Plan:
+    """Decide what to model of a probed scene."""
+    run = rig.run
+    duration_s = run.seconds or 10.0
+    tolerance = Tolerance(run.tolerance_us or _PINNED_TOLERANCE_US, run.tolerated_wrong_share, duration_s)
+    steps = _steps(rig, probe)
+    sensor = rig.camera.sensor
+    return Plan(rig, probe, tolerance, steps, decide(sensor, probe, tolerance), _load(rig, probe, steps))
+
+
+def limits(rig: Rig, motion_bound_px_s: float) -> Limits:
+    """Return what controlled steps of this rig are held to."""
+    share = rig.run.tolerated_wrong_share
+    return Limits(rig.run.tolerance_us, motion_bound_px_s=motion_bound_px_s, wrong_share=share)
+
+
+def _steps(rig: Rig, probe: Probe) -> Steps:
+    wanted_us, order = rig.run.tolerance_us, _order(rig)
+    if not wanted_us:
+        step_us = float(rig.run.step_us)
+        error_us = _error(step_us, probe, order)
+        return Steps(False, step_us, error_us, "pinned by the rig", _step_for(max(error_us, 0.01), probe, 2))
+    held = limits(rig, probe.motion_px_s)
+    by_error_us = _step_for(wanted_us, probe, order)
+    by_sequences_us = _step_for_sequences(held.slips, probe, order)
+    by_motion_us = held.longest_step_ns(has_slopes=order == _HERMITE) / 1000
+    shortest_us = held.shortest_ns / 1000
+    step_us = max(min(by_error_us, by_sequences_us, by_motion_us), shortest_us)
+    bound = "the tolerance" if by_error_us <= by_motion_us else "the picture's motion"
+    if by_sequences_us < min(by_error_us, by_motion_us):
+        bound = "the sequences, where light turns"
+    if by_motion_us >= held.longest_ns / 1000 <= min(by_error_us, by_sequences_us):
+        bound = "the longest step"
+    if min(by_error_us, by_sequences_us) < shortest_us:
+        needed_us = min(by_error_us, by_sequences_us)
+        bound = f"the shortest step: what is asked for would need {needed_us:.2g} us, and cannot be kept"
+    return Steps(True, step_us, _error(step_us, probe, order), bound, _step_for(wanted_us, probe, 2))
+
+
+def _order(rig: Rig) -> int:
+    """Return by which power of the step the error grows."""
+    return _HERMITE if rig.run.method == "warped" else _LINE
+
+
+def _probed_us(probe: Probe, order: int) -> float:
+    return probe.hermite_error_us if order == _HERMITE else probe.line_error_us
+
+
+def _error(step_us: float, probe: Probe, order: int) -> float:
+    """Return the error at another step than the probe's, us."""
+    return float(_probed_us(probe, order) * (step_us * 1e-6 / probe.step_s) ** order)
+
+
+def _step_for(wanted_us: float, probe: Probe, order: int) -> float:
+    """Return the step, us, that makes an error of `wanted_us`; at most a second."""
+    error_us = _probed_us(probe, order)
+    if error_us <= 0:
+        return 1e6
+    return min(1e6, probe.step_s * 1e6 * float((wanted_us / error_us) ** (1 / order)))
+
+
+def _step_for_sequences(tolerated: float, probe: Probe, order: int) -> float:
+    """Return the step, us, that makes so many slips an event; at most a second."""
+    made = probe.hermite_slips if order == _HERMITE else probe.line_slips
+    return min(1e6, probe.step_s * 1e6 * float((tolerated / made) ** (1 / order))) if made > 0 else 1e6
+
+
+def _load(rig: Rig, probe: Probe, steps: Steps) -> Load:
+    per_s = 1e6 / steps.step_us
+    draw_s = probe.draw_with_rate_s if _order(rig) == _HERMITE else probe.draw_s
+    sensor = rig.camera.sensor
+    quiet_s = sensor.width * sensor.height * _QUIET_PIXEL_S
+    return Load(per_s, draw_s * per_s, quiet_s * per_s, probe.events_per_s * _EVENT_S)

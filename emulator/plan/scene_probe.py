@@ -1,0 +1,157 @@
+"""What a scene does to a sensor, measured from a few of its pictures before the run.
+
+At some instants spread over the run three pictures in a row are drawn, and from the log light of some 4096 pixels come
+the figures that all bounds are made of. Means are weighted by the events that each pixel is about to have, that is by
+its change D of log light, because errors are errors of events.
+
+    contrast rate A     mean of |D| / h                    per second
+    bend C              mean of |u''| / |u'|               per second; a straight line misses C dt^2 / 12
+    fourth E4           mean of |u''''| / |u'| dt^4 term   through the Hermite estimate of `steps`
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from emulator.light import Light, Scene
+from emulator.plan.step_control import Sampled, error_us, sample, slips, weighted_quantile
+from emulator.sensor.chip.temperature import at_temperature
+from emulator.sensor.presets import SensorParameters
+
+__all__ = ["Probe", "probe"]
+
+_INSTANTS = 8
+_FASTEST_CORNER_SHARE = 0.95
+
+Floats = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Probe:
+    """A scene in figures.
+
+    Attributes
+    ----------
+    contrast_rate
+        A, 1/s.
+    bend
+        C, 1/s.
+    line_error_us, hermite_error_us
+        95th percentile of the timestamp error at a step of `step_s`, us.
+    step_s
+        The step of the probe, s.
+    active_share
+        Share of the pixels whose light changes by more than a hundredth of a threshold in a second.
+    least_current, largest_current
+        Photocurrent of the active pixels, relative, 5th and 95th percentile over events.
+    fastest_change
+        Largest |D| / h of any pixel, 1/s.
+    events_per_s
+        Predicted, without refractory period or noise.
+    draw_s
+        Seconds for one picture, and for one with its derivative.
+    motion_px_s
+        The scene's bound.
+    line_slips, hermite_slips
+        Slips an event at a step of `step_s`; see `steps`.
+    """
+
+    contrast_rate: float
+    bend: float
+    line_error_us: float
+    hermite_error_us: float
+    step_s: float
+    active_share: float
+    least_current: float
+    largest_current: float
+    fastest_change: float
+    events_per_s: float
+    draw_s: float
+    draw_with_rate_s: float
+    motion_px_s: float
+    line_slips: float = 0.0
+    hermite_slips: float = 0.0
+
+
+def probe(scene: Scene, sensor: SensorParameters, step_ns: int, duration_s: float) -> Probe:
+    """Look at a scene at some instants of a run of `duration_s`, with steps of `step_ns`."""
+    sensor = at_temperature(sensor)
+    instants_ns = [round((k + 0.5) / _INSTANTS * duration_s * 1e9) for k in range(_INSTANTS)]
+    triples = [[_look(scene, sensor, t_ns + k * step_ns) for k in range(3)] for t_ns in instants_ns]
+    return _figures(scene, sensor, triples, _draw_times(scene, instants_ns[0]))
+
+
+def _look(scene: Scene, sensor: SensorParameters, t_ns: int) -> Sampled:
+    light, rate = _pictures(scene)
+    scene.light_and_rate(t_ns, light, rate)
+    return sample(light, rate, sensor.dark_current_relative, t_ns)
+
+
+def _pictures(scene: Scene) -> tuple[Light, Light]:
+    width, height = scene.size
+    return np.zeros((height, width), np.float32), np.zeros((height, width), np.float32)
+
+
+def _draw_times(scene: Scene, t_ns: int) -> tuple[float, float]:
+    """Return seconds for a picture, and for one with its derivative: the best of three."""
+    light, rate = _pictures(scene)
+    plain, with_rate = [], []
+    for k in range(3):
+        start_s = time.perf_counter()
+        scene.light(t_ns + k, light)
+        middle_s = time.perf_counter()
+        scene.light_and_rate(t_ns + k, light, rate)
+        plain.append(middle_s - start_s)
+        with_rate.append(time.perf_counter() - middle_s)
+    return min(plain), min(with_rate)
+
+
+def _figures(
+    scene: Scene, sensor: SensorParameters, triples: list[list[Sampled]], draw_s: tuple[float, float]
+) -> Probe:
+    h = (triples[0][1].t_ns - triples[0][0].t_ns) * 1e-9
+    change = np.concatenate([after.u - middle.u for _, middle, after in triples])
+    current = np.exp(np.concatenate([middle.u for _, middle, _ in triples]))
+    change = np.where(np.isfinite(change), change, 0.0)
+    weight = np.abs(change)
+    total = float(weight.sum())
+    threshold = (sensor.threshold_on + sensor.threshold_off) / 2
+    without = [[_without_slopes(s) for s in triple] for triple in triples]
+    line = _errors(without)
+    line_mean_us = float((line[0] * line[1]).sum()) / total if total else 0.0
+    return Probe(
+        contrast_rate=float((weight**2).sum()) / total / h if total else 0.0,
+        bend=12 * line_mean_us * 1e-6 / h**2,
+        line_error_us=weighted_quantile(*line, 0.95),
+        hermite_error_us=weighted_quantile(*_errors(triples), 0.95),
+        step_s=h,
+        active_share=float(np.mean(weight / h > 0.01 * threshold)),
+        least_current=weighted_quantile(current, weight, 1 - _FASTEST_CORNER_SHARE) if total else math.nan,
+        largest_current=weighted_quantile(current, weight, _FASTEST_CORNER_SHARE) if total else math.nan,
+        fastest_change=float(weight.max()) / h,
+        events_per_s=float(weight.mean()) / h / threshold * sensor.width * sensor.height,
+        draw_s=draw_s[0],
+        draw_with_rate_s=draw_s[1],
+        motion_px_s=scene.motion_bound_px_s,
+        line_slips=_slips(without),
+        hermite_slips=_slips(triples),
+    )
+
+
+def _without_slopes(s: Sampled) -> Sampled:
+    return Sampled(s.u, None, s.t_ns)
+
+
+def _slips(triples: list[list[Sampled]]) -> float:
+    missed, events = (sum(column) for column in zip(*(slips(*triple) for triple in triples), strict=True))
+    return missed / events if events else 0.0
+
+
+def _errors(triples: list[list[Sampled]]) -> tuple[Floats, Floats]:
+    pairs = [error_us(*triple) for triple in triples]
+    return np.concatenate([e for e, _ in pairs]), np.concatenate([w for _, w in pairs])

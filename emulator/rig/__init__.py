@@ -1,0 +1,1 @@
+"""Rig files: loading, tables, schema and the table of faults."""

@@ -1,0 +1,1 @@
+"""A run of a rig: assembly, session, pacing, ledger, triggers and control."""

@@ -1,0 +1,89 @@
+"""Faults by hand: what a running session answers to `evstim fault`.
+
+{"ask": "faults"}                     ->  {"rig": ..., "t_s": ..., "links": {NAME: {"kinds": [...], "thrown": [...]}}}
+{"ask": "throw", "fault": {table}}    ->  {"link": NAME, "after": number of its faults so far} or {"error": ...}
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, Protocol
+
+from emulator.rig.fault_tables import convert_fault, faults_of
+from emulator.rig.loading import Rig
+from emulator.run.control import ControlSocket, Message
+from emulator.run.session import RunStatus
+from emulator.tables.typed_table import TableError
+from transports.faults.kinds import Fault
+
+__all__ = ["FaultDesk", "fault_desk"]
+
+
+class _Session(Protocol):
+    def throw(self, fault: Fault) -> None:
+        """Let a fault begin on the link that it names."""
+
+
+class FaultDesk:
+    """Answers for one run; without a socket it does nothing.
+
+    Attributes
+    ----------
+    trouble
+        Why there is no socket; "" where there is one, or none is needed.
+    """
+
+    def __init__(self, rig: Rig, session: _Session, socket: ControlSocket | None, trouble: str = "") -> None:
+        self._rig = rig
+        self._session = session
+        self._socket = socket
+        self.trouble = trouble
+
+    def serve(self, status: RunStatus) -> None:
+        """Answer what has been asked since the last call."""
+        if self._socket is not None:
+            self._socket.poll(lambda message: self.answer(message, status))
+
+    def answer(self, message: Message, status: RunStatus) -> Message:
+        """Return the answer to one question."""
+        match message:
+            case {"ask": "faults"}:
+                return self._faults(status)
+            case {"ask": "throw", "fault": table}:
+                return self._throw(table, status)
+        return {"error": "known are ask = 'faults' and ask = 'throw' with a fault"}
+
+    def _faults(self, status: RunStatus) -> Message:
+        links: dict[str, Any] = {}
+        for link in self._rig.links:
+            report = status.links.get(link.name)
+            thrown = [] if report is None else [dataclasses.asdict(record) for record in report.faults]
+            links[link.name] = {"kinds": list(faults_of(link)), "thrown": thrown}
+        return {"rig": self._rig.name, "t_s": status.sim_seconds, "links": links}
+
+    def _throw(self, table: object, status: RunStatus) -> Message:
+        try:
+            fault = convert_fault(table, self._rig.links, ())
+        except TableError as error:
+            at = ".".join(str(part) for part in error.path)
+            return {"error": f"{at}: {error}" if at else str(error)}
+        report = status.links.get(fault.link)
+        self._session.throw(fault)
+        return {"link": fault.link, "after": 0 if report is None else len(report.faults)}
+
+
+@contextmanager
+def fault_desk(rig: Rig, session: _Session) -> Iterator[FaultDesk]:
+    """Open the socket of a run whose links can have faults; where that fails the desk says why, and the run goes on."""
+    if not any(faults_of(link) for link in rig.links):
+        yield FaultDesk(rig, session, None)
+        return
+    try:
+        socket = ControlSocket(rig.name)
+    except OSError as error:
+        yield FaultDesk(rig, session, None, f"no control socket, so no `evstim fault` for this run: {error}")
+        return
+    with socket:
+        yield FaultDesk(rig, session, socket)

@@ -1,0 +1,77 @@
+"""Keeping up with real time, in a planned way.
+
+A paced run computes each step one lead ahead of the moment its first event is due. When a step is ready after that
+moment it is late, and counted. A run that is behind takes longer steps (twice as long each time, up to eight times):
+the light is then sampled more coarsely, which costs accuracy in event times but keeps the run with the clock; when it
+has caught up the steps shrink again. What was done is in the summary: the run never just falls behind.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from emulator.plan.step_control import StepSource
+
+__all__ = ["Lateness", "StepRule"]
+
+LONGEST_STRETCH = 8
+_MEMORY = 0.9  # of the running mean of a length's load, a step
+
+
+@dataclass
+class Lateness:
+    """How far a paced run fell behind."""
+
+    frames_late: int = 0
+    worst_gap_us: float = 0.0
+    steps_stretched: int = 0
+
+    def add(self, gap_ns: int, stretch: int) -> None:
+        """Count one step that was ready `gap_ns` after its first event was due (negative: in time)."""
+        self.steps_stretched += stretch > 1
+        if gap_ns > 0:
+            self.frames_late += 1
+            self.worst_gap_us = max(self.worst_gap_us, gap_ns / 1000)
+
+    def as_json(self) -> dict[str, float]:
+        """The `lateness` object of `evstim run --json`."""
+        return {
+            "frames_late": self.frames_late,
+            "worst_gap_us": round(self.worst_gap_us, 1),
+            "steps_stretched": self.steps_stretched,
+        }
+
+
+class StepRule:
+    """How long the next step is: as planned while the run keeps up, longer while it does not and longer is cheaper.
+
+    Longer steps save pictures. They do not always save time: where many pixels change a lot within a step, each of them
+    costs more, so what a length costs for each second of stream is measured, and a dearer one is left again.
+    """
+
+    def __init__(self, steps: StepSource) -> None:
+        self._steps = steps
+        self._load: dict[int, float] = {}
+        self.stretch = 1
+
+    @property
+    def step_ns(self) -> int:
+        """Length of the next step, ns."""
+        return self._steps.step_ns * self.stretch
+
+    def follow(self, gap_ns: int, cost_ns: int) -> None:
+        """Adapt to the last step: `gap_ns` late (negative: in time), `cost_ns` of computing."""
+        load = cost_ns / max(self.step_ns, 1)
+        self._load[self.stretch] = load + _MEMORY * (self._load.get(self.stretch, load) - load)
+        if gap_ns > self._steps.step_ns:
+            self.stretch = self._cheaper()
+        elif gap_ns <= 0 and self.stretch > 1:
+            self.stretch //= 2
+
+    def _cheaper(self) -> int:
+        """Return the neighbouring length with the least load; one not tried yet is thought to be half as dear."""
+        shorter, longer = max(self.stretch // 2, 1), min(2 * self.stretch, LONGEST_STRETCH)
+        here = self._load[self.stretch]
+        expected = {shorter: self._load.get(shorter, here), longer: self._load.get(longer, here / 2)}
+        expected[self.stretch] = here
+        return min(expected, key=lambda stretch: expected[stretch])

@@ -1,0 +1,131 @@
+"""What this machine offers and lacks, each with the exact command that mends it.
+
+Nothing here is needed by everything: `needed_for` says what goes without.
+"""
+
+from __future__ import annotations
+
+import ctypes.util
+import os
+import platform
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from emulator.gl.context import PACKAGES, WANTED, probe, renderers
+
+__all__ = ["Finding", "examine"]
+
+_SBIN = "/usr/sbin:/sbin"
+_UDEV_FIX = (
+    """echo 'SUBSYSTEM=="usb", ATTR{idVendor}=="152a", MODE="0666"' | sudo tee /etc/udev/rules.d/65-inivation.rules """
+    "&& sudo udevadm control --reload && sudo udevadm trigger"
+)
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing looked at. `fix` is a shell command, None where nothing is wrong."""
+
+    name: str
+    good: bool
+    detail: str
+    needed_for: str
+    fix: str | None = None
+
+
+def examine() -> list[Finding]:
+    """Look at everything; takes about a second, most of it for opening GL."""
+    looks: list[Callable[[], Finding]] = [_egl, _usbip_tool, _vhci, _udc, _vcan, _libusb, _usb_permission, _cores]
+    return [look() for look in looks]
+
+
+def _egl() -> Finding:
+    report = probe()
+    wanted = "rigs with a mesh (eros)"
+    there = renderers()
+    if report.available:
+        others = f"; also there: {', '.join(_others(there, report.renderer))}" if len(there) > 1 else ""
+        return Finding("EGL", True, f"{report.renderer}, OpenGL {report.version}{others}", wanted)
+    fix = f"unset {WANTED}" if there else f"apt-get install {PACKAGES}"
+    return Finding("EGL", False, report.reason, wanted, fix)
+
+
+def _others(there: tuple[str, ...], chosen: str) -> list[str]:
+    """Return the renderers but the chosen one, once, if it is among them."""
+    others = list(there)
+    if chosen in others:
+        others.remove(chosen)
+    return others
+
+
+def _usbip_tool() -> Finding:
+    path = shutil.which("usbip") or shutil.which("usbip", path=_SBIN)
+    wanted = "attaching the camera to this machine's own USB bus"
+    if path:
+        return Finding("usbip", True, path, wanted)
+    return Finding("usbip", False, "the tool is not installed", wanted, "apt-get install usbip")
+
+
+def _vhci() -> Finding:
+    wanted = "attaching the camera to this machine's own USB bus"
+    if Path("/sys/devices/platform/vhci_hcd.0").exists():
+        return Finding("vhci-hcd", True, "loaded", wanted)
+    return _module_missing("vhci-hcd", wanted)
+
+
+def _udc() -> Finding:
+    folder = Path("/sys/class/udc")
+    controllers = sorted(p.name for p in folder.iterdir()) if folder.is_dir() else []
+    wanted = "a camera on a real USB cable (gadget mode)"
+    if controllers:
+        return Finding("UDC", True, ", ".join(controllers), wanted)
+    fix = "modprobe dummy_hcd  # or a board with a USB device port"
+    return Finding("UDC", False, "no USB device controller", wanted, fix)
+
+
+def _vcan() -> Finding:
+    wanted = "virtual CAN buses in the kernel"
+    if Path("/sys/module/vcan").exists():
+        return Finding("vcan", True, "loaded", wanted)
+    return _module_missing("vcan", wanted)
+
+
+def _module_missing(module: str, wanted: str) -> Finding:
+    """Tell a module that can be loaded from one that this kernel does not have."""
+    release = platform.release()
+    built = any(Path(f"/lib/modules/{release}").rglob(f"{module}.ko*"))
+    if built:
+        return Finding(module, False, "not loaded", wanted, f"modprobe {module}")
+    detail = f"kernel {release} comes without it"
+    return Finding(module, False, detail, wanted, "apt-get install linux-image-amd64  # and boot it")
+
+
+def _libusb() -> Finding:
+    path = ctypes.util.find_library("usb-1.0")
+    wanted = "`evstim listen` on the real USB bus"
+    if path:
+        return Finding("libusb", True, path, wanted)
+    return Finding("libusb", False, "not found", wanted, "apt-get install libusb-1.0-0")
+
+
+def _usb_permission() -> Finding:
+    bus = Path("/dev/bus/usb")
+    wanted = "opening USB cameras on this machine"
+    if not bus.is_dir():
+        detail = "no /dev/bus/usb: this machine has no USB host"
+        return Finding("USB permission", False, detail, wanted, "modprobe vhci-hcd")
+    nodes = [node for node in bus.rglob("*") if node.is_char_device()]
+    closed = [node for node in nodes if not os.access(node, os.R_OK | os.W_OK)]
+    if not closed:
+        return Finding("USB permission", True, f"all {len(nodes)} device nodes can be opened", wanted)
+    detail = f"{len(closed)} of {len(nodes)} device nodes cannot be opened"
+    return Finding("USB permission", False, detail, wanted, _UDEV_FIX)
+
+
+def _cores() -> Finding:
+    count = len(os.sched_getaffinity(0))
+    wanted = "the session and each link in a process of its own"
+    fix = None if count >= 2 else "taskset -p ffff $$  # or a machine with two cores"
+    return Finding("cores", count >= 2, str(count), wanted, fix)

@@ -1,0 +1,284 @@
+"""One run of one rig: scene, sensor and links wired together, paced, counted and stopped cleanly.
+
+    for each step [t, t1]:   picture(t1) -> sensor -> events -> a ring for each link
+
+Paced in real time, a step is computed `lead` ahead of the moment its first event is due, and each link lets every event
+go at its own time. Not paced, steps follow each other as fast as they can be computed and links hold the run back when
+they are full, so that nothing is lost. In lockstep they go on as far as the SYNCs of a bus let them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from emulator.plan.step_control import StepSource
+from emulator.run.frames import Pictures
+from emulator.run.lateness import Lateness, StepRule
+from emulator.run.ledger import Ledger, LinkLedger
+from emulator.run.link_process import LinkProcess
+from emulator.run.lockstep import Lockstep
+from emulator.run.slow_notice import said_if_slow
+from emulator.sensor.effects import DefectParameters
+from emulator.sensor.event_source import EventSource
+from emulator.sensor.presets import SensorParameters
+from emulator.sensor.sensor import Sensor
+from firmware_protocol.events import Events
+from transports.faults.kinds import Fault
+from transports.link.pacing import Clock
+from transports.link.process import LinkReport, LinkSetup
+from transports.link.ring import FREE_RUNNING
+
+__all__ = ["RunResult", "RunStatus", "Schedule", "Session", "load_kernels"]
+
+log = logging.getLogger(__name__)
+
+_STATUS_PERIOD_NS = 100_000_000
+_HEAD_START_NS = 20_000_000  # between deciding to start and stream time zero, so that the first step is in time
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """How a run goes through time. Above 0, each SYNC on a link's bus is worth `lockstep_ns`, and nothing else is."""
+
+    lead_ns: int = 5_000_000
+    duration_ns: int | None = None
+    paced: bool = True
+    drain_s: float = 1.0
+    lockstep_ns: int = 0
+
+
+@dataclass(frozen=True)
+class RunStatus:
+    """What a run has done so far, for the live table."""
+
+    sim_seconds: float
+    wall_seconds: float
+    frames: int
+    read_out: int
+    lateness: Lateness
+    links: dict[str, LinkReport]
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """What a run has done."""
+
+    sim_seconds: float
+    wall_seconds: float
+    frames: int
+    steps: int
+    ledger: Ledger
+    lateness: Lateness
+    links: dict[str, LinkReport] = field(default_factory=dict)
+    suspect_share: float | None = None
+    scene_counts: Mapping[str, int] = field(default_factory=dict)
+    syncs: int | None = None
+    renderer: str | None = None
+    pixels_by: str | None = None
+
+    @property
+    def good(self) -> bool:
+        """True when every event and edge has exactly one fate and no link found fault with what it did."""
+        links = self.links.values()
+        return self.ledger.balanced and all(link.error is None and link.edges_balanced for link in links)
+
+
+def load_kernels(sensor: SensorParameters) -> None:
+    """Compile the sensor's kernels, or load them from disk, by flashing a light at a few pixels like `sensor`'s."""
+    few = dataclasses.replace(sensor, width=16, height=16, defects=DefectParameters())
+    flashed = Sensor(few, 0)
+    flashed.reset(np.zeros((16, 16), np.float32), 0)
+    flashed.expose(np.ones((16, 16), np.float32), 1_000_000, np.zeros((16, 16), np.float32))
+    flashed.finish()
+
+
+class Session:
+    """Owns a run from the first light to the last report.
+
+    Parameters
+    ----------
+    pictures
+        What the camera looks at; the caller closes the scene.
+    sensor
+        From light to events.
+    steps
+        How long each step is.
+    setups
+        One for each link.
+    """
+
+    def __init__(
+        self, pictures: Pictures, sensor: EventSource, steps: StepSource, setups: Sequence[LinkSetup[Any]], clock: Clock
+    ) -> None:
+        size = (sensor.parameters.width, sensor.parameters.height)
+        if pictures.size != size:
+            raise ValueError(f"the scene is {pictures.size} pixels, the sensor {size}")
+        self._pictures = pictures
+        self._sensor = sensor
+        self._step_source = steps
+        self._setups = setups
+        self._clock = clock
+        self._links: list[LinkProcess] = []
+        self._steps = 0
+        self._t_ns = 0
+        self._lateness = Lateness()
+        self._stopping = False
+        self._lockstep: Lockstep | None = None
+
+    def stop(self) -> None:
+        """End the run after the present step; for `on_status`, and for a signal handler.
+
+        An exception inside a step, such as KeyboardInterrupt, would leave events without a fate.
+        """
+        self._stopping = True
+
+    def throw(self, fault: Fault) -> None:
+        """Let a fault begin on the link that it names, one that this link can have; for `on_status`."""
+        next(link for link in self._links if link.name == fault.link).throw(fault)
+
+    def run(self, schedule: Schedule, on_status: Callable[[RunStatus], None] = lambda _: None) -> RunResult:
+        """Run until the schedule's end or `stop`; raises LinkFailed when a link cannot go on."""
+        with ExitStack() as stack:
+            stack.callback(self._stop_links, 0.0)  # does nothing more when the links have been stopped in order
+            self._open_links()
+            self._warm_up()
+            start_ns = self._clock.now_ns()
+            self._run_steps(schedule, on_status)
+            wall_seconds = (self._clock.now_ns() - start_ns) * 1e-9
+            self._publish(self._sensor.finish(), schedule)
+            reports = self._stop_links(schedule.drain_s)
+        frames, ledger = self._pictures.frames, self._ledger(reports)
+        return RunResult(
+            sim_seconds=self._t_ns * 1e-9,
+            wall_seconds=wall_seconds,
+            frames=frames,
+            steps=self._steps,
+            ledger=ledger,
+            lateness=self._lateness,
+            links=reports,
+            suspect_share=self._sensor.suspect_share,
+            scene_counts=self._pictures.scene.counts,
+            renderer=self._pictures.scene.renderer,
+            pixels_by=self._sensor.renderer if isinstance(self._sensor, Sensor) else None,
+            syncs=None if self._lockstep is None else self._lockstep.heard,
+        )
+
+    def _open_links(self) -> None:
+        self._links = [LinkProcess(setup, self._clock) for setup in self._setups]
+        with said_if_slow("opening the links: the first time their coders are compiled, some seconds, once"):
+            for link in self._links:
+                link.wait_ready()
+                log.info("%s: %s", link.name, link.report.state)
+
+    def _warm_up(self) -> None:
+        """Do all slow first-time work before the clock runs: compile the kernels, draw the first picture."""
+        with said_if_slow("compiling the sensor's kernels: takes some seconds, once; they are kept on disk"):
+            if isinstance(self._sensor, Sensor):
+                load_kernels(self._sensor.parameters)
+        self._pictures.draw(0)
+        self._sensor.reset(self._pictures.light, 0)
+        self._step_source.observe(self._pictures.light, self._pictures.rate, 0)
+
+    def _run_steps(self, schedule: Schedule, on_status: Callable[[RunStatus], None]) -> None:
+        start_ns = self._clock.now_ns()
+        self._lockstep = self._locked(schedule)
+        origin_ns = start_ns + _HEAD_START_NS if schedule.paced else FREE_RUNNING
+        for link in self._links:
+            link.start(origin_ns)
+        rule = StepRule(self._step_source)
+        status_ns = start_ns
+        while not self._stopping and (schedule.duration_ns is None or self._t_ns < schedule.duration_ns):
+            if schedule.paced:
+                self._clock.sleep_until(origin_ns + self._t_ns - max(schedule.lead_ns, rule.step_ns))
+            elif not self._may_go_on(start_ns, on_status):
+                break
+            due_ns, begun_ns = origin_ns + self._t_ns, self._clock.now_ns()
+            self._step(rule, schedule)
+            if schedule.paced:
+                ready_ns = self._clock.now_ns()
+                self._lateness.add(ready_ns - due_ns, rule.stretch)
+                rule.follow(ready_ns - due_ns, ready_ns - begun_ns)
+            if self._clock.now_ns() >= status_ns:
+                status_ns = self._clock.now_ns() + _STATUS_PERIOD_NS
+                on_status(self._status(start_ns))
+
+    def _locked(self, schedule: Schedule) -> Lockstep | None:
+        """Return what drives the run, where a bus does."""
+        if not schedule.lockstep_ns:
+            return None
+        rings = [setup.timing.syncs for setup in self._setups if setup.timing.syncs is not None]
+        if not rings:
+            raise ValueError("no link's bus drives this run")
+        return Lockstep(rings[0], schedule.lockstep_ns, self._clock)
+
+    def _may_go_on(self, start_ns: int, on_status: Callable[[RunStatus], None]) -> bool:
+        """Wait for a SYNC where the run needs one, telling how things stand; False when the run is to end."""
+        if self._lockstep is None:
+            return True
+        status_ns = self._clock.now_ns()
+
+        def goes_on() -> bool:
+            nonlocal status_ns
+            if self._clock.now_ns() >= status_ns:
+                status_ns = self._clock.now_ns() + _STATUS_PERIOD_NS
+                on_status(self._status(start_ns))
+            return not self._stopping
+
+        return self._lockstep.wait(self._t_ns, goes_on) > self._t_ns
+
+    def _step(self, rule: StepRule, schedule: Schedule) -> None:
+        t1_ns = self._t_ns + rule.step_ns
+        if self._lockstep is not None:
+            t1_ns = min(t1_ns, self._lockstep.limit_ns)
+        if schedule.duration_ns is not None:
+            t1_ns = min(t1_ns, schedule.duration_ns)
+        picture = self._pictures
+        picture.draw(t1_ns)
+        events = self._sensor.expose(picture.light, t1_ns, picture.rate, picture.pixel_light)
+        self._step_source.observe(picture.light, picture.rate, t1_ns)
+        self._t_ns = t1_ns
+        self._steps += 1
+        self._publish(events, schedule)
+
+    def _publish(self, events: Events, schedule: Schedule) -> None:
+        now_us = self._t_ns // 1000
+        if len(events):  # at the run's end the read-out sends what still queues, later than the last step
+            now_us = max(now_us, int(events["t"][-1]))
+        for link in self._links:
+            if schedule.paced:
+                link.push(events, now_us)
+            else:
+                link.push_all(events, now_us, lambda: not self._stopping)
+
+    def _status(self, start_ns: int) -> RunStatus:
+        return RunStatus(
+            self._t_ns * 1e-9,
+            (self._clock.now_ns() - start_ns) * 1e-9,
+            self._pictures.frames,
+            self._sensor.read_out,
+            self._lateness,
+            {link.name: link.listen() for link in self._links},
+        )
+
+    def _stop_links(self, drain_s: float) -> dict[str, LinkReport]:
+        links, self._links = self._links, []
+        return {link.name: link.stop(drain_s) for link in links}
+
+    def _ledger(self, reports: dict[str, LinkReport]) -> Ledger:
+        return Ledger(
+            raised=self._sensor.raised,
+            lost_in_pixel=self._sensor.lost_in_pixel,
+            lost_at_readout=self._sensor.lost_at_readout,
+            read_out=self._sensor.read_out,
+            links=tuple(
+                LinkLedger(name, report.delivered, report.dropped, report.dropped_in_device)
+                for name, report in reports.items()
+            ),
+        )

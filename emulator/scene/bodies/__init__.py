@@ -1,0 +1,1 @@
+"""Bodies in sunlight: meshes, their places, their light and shadows."""

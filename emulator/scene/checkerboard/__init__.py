@@ -1,0 +1,1 @@
+"""A moving checkerboard in closed form."""

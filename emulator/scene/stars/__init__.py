@@ -1,0 +1,1 @@
+"""Stars, planets and debris: points of light on a dark sky."""

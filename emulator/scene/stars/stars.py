@@ -1,0 +1,150 @@
+"""Stars, planets and debris: points of light on a dark sky, without any GL.
+
+The world's axes are those of the catalogue (ICRS) and the camera turns among them along its path. A star's irradiance E
+falls on the chip as if its pixel saw the radiance E f^2 / cos^3 (f: focal length in pixels, a pixel's solid angle being
+cos^3 / f^2), spread over pixels by the lens's blur. A moving body of radius R at the distance d is a point too:
+
+    E = E_sun p (R / d)^2 phi(a),    phi(a) = (sin a + (pi - a) cos a) / pi       (a Lambert sphere)
+
+with its geometric albedo p and phase angle a. Light and its time derivative are closed forms; only pixels that a point
+reaches are computed. Distortion is applied to directions and so costs nothing; a body more than a pixel across, or one
+behind another, is beyond this scene.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from emulator.geometry.attitude import unit
+from emulator.light import Light, Scene, SceneError
+from emulator.optics.distortion import Distortion
+from emulator.optics.lens import Chip, LensParameters
+from emulator.scene.stars.catalogue import irradiance_w_m2, load_stars
+from emulator.scene.stars.splats import splat
+from emulator.scene.stars.table import StarsParameters
+from emulator.trajectory.building import build_trajectory
+from emulator.trajectory.live import close_inlets, live_counts
+from emulator.trajectory.parameters import LivePath
+from emulator.trajectory.pose import Pose, Trajectory, TrajectoryError
+from emulator.trajectory.timescale import Timescale
+
+__all__ = ["StarField"]
+
+_SHARPEST_PX = 0.3  # no lens is sharper; a blur of nothing would make light jump from pixel to pixel
+_APART_NS = 1_000_000  # poses from which velocities are taken
+_NO_RATE = np.zeros((0, 0), np.float32)
+
+Floats = npt.NDArray[np.float64]
+
+
+class StarField(Scene):
+    """The sky of `parameters` through `lens` on `chip`, in light relative to the sensor's reference.
+
+    Raises
+    ------
+    SceneError
+        A path cannot be used.
+    """
+
+    def __init__(self, parameters: StarsParameters, size: tuple[int, int], lens: LensParameters, chip: Chip) -> None:
+        self._p, self._size, self._lens = parameters, size, lens
+        self._pinhole = lens.pinhole(size)
+        self._sigma_px = max(_SHARPEST_PX, lens.blur_sigma_px(chip, self._pinhole.focal_px))
+        self._bend = Distortion.of(lens)
+        self._time = Timescale(parameters.time_scale)
+        try:
+            self._camera = build_trajectory(parameters.camera)
+            self._paths: Sequence[Trajectory] = [build_trajectory(point.path) for point in parameters.points]
+        except (TrajectoryError, OSError) as error:
+            raise SceneError(f"scene: {error}") from error
+        stars = load_stars(parameters.faintest_v, parameters.epoch_year)
+        self._directions = stars.directions
+        self._irradiance = irradiance_w_m2(stars.v_mag)
+        self._sun = unit(parameters.sun.direction)
+        self._cone_cosine = max(0.05, math.cos(min(math.pi, 1.2 * self._pinhole.widest_rad + 0.02)))
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height) in pixels."""
+        return self._size
+
+    @property
+    def motion_bound_px_s(self) -> float:
+        """From the camera's turning; not known where points or poses from outside move."""
+        if self._paths or isinstance(self._p.camera, LivePath):
+            return math.inf
+        stretch = 1 + math.tan(self._pinhole.widest_rad) ** 2
+        return self._camera.turn_bound_rad_s * self._time.factor * self._pinhole.focal_px * stretch
+
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """What poses from outside did."""
+        return live_counts(self._camera, *self._paths)
+
+    def light(self, t_ns: int, out: Light) -> None:
+        """Write the light at `t_ns`."""
+        out.fill(self._p.sky_w_m2_sr * self._lens.light_per_radiance)
+        splat(self._points(t_ns), self._sigma_px, out, _NO_RATE)
+
+    def light_and_rate(self, t_ns: int, light: Light, rate: Light) -> None:
+        """Write the light and its time derivative, both in closed form."""
+        light.fill(self._p.sky_w_m2_sr * self._lens.light_per_radiance)
+        rate.fill(0)
+        splat(self._points(t_ns), self._sigma_px, light, rate)
+
+    def close(self) -> None:
+        """Let go of the sockets that paths listen on."""
+        close_inlets(self._camera, *self._paths)
+
+    def _points(self, t_ns: int) -> Floats:
+        """Return column, row, light, px/s and px/s of every point near the picture, (n, 5).
+
+        From two looks, before and after: their mean is the place, their difference the speed.
+        """
+        before_ns, after_ns = (self._time.scene_ns(t_ns + d) for d in (-_APART_NS, _APART_NS))
+        before, after = self._camera.pose(before_ns), self._camera.pose(after_ns)
+        stars = self._near(before)
+        moving_before, shine = self._moving(before_ns, before)
+        moving_after, _ = self._moving(after_ns, after)
+        behind = self._seen(np.vstack([self._directions[stars], moving_before]), before)
+        ahead = self._seen(np.vstack([self._directions[stars], moving_after]), after)
+        focal, middle = self._pinhole.focal_px, np.array(self._size) / 2
+        place = middle + focal / 2 * (ahead[:, :2] + behind[:, :2])
+        light = np.concatenate([self._irradiance[stars], shine]) * focal**2 * self._lens.light_per_radiance
+        speed = focal / (2e-9 * _APART_NS) * (ahead[:, :2] - behind[:, :2])
+        return np.column_stack([place, light * ahead[:, 2], speed])
+
+    def _near(self, camera: Pose) -> npt.NDArray[np.intp]:
+        """Return which stars are before the camera, in or near the picture."""
+        return np.flatnonzero(self._directions @ camera.world_from_body[:, 2] > self._cone_cosine)
+
+    def _seen(self, directions: Floats, camera: Pose) -> Floats:
+        """Return where directions in the world, (n, 3), appear: two tangents and the cosine off the axis, (n, 3)."""
+        own = directions @ camera.world_from_body
+        x, y = self._bend.bend(own[:, 0] / own[:, 2], own[:, 1] / own[:, 2])
+        return np.column_stack([x, y, own[:, 2]])
+
+    def _moving(self, scene_ns: int, camera: Pose) -> tuple[Floats, Floats]:
+        """Return directions (n, 3) and irradiances (n,) of the moving points, dark where they are not before us."""
+        if not self._paths:
+            return np.zeros((0, 3)), np.zeros(0)
+        away = np.array([path.pose(scene_ns).position_m for path in self._paths]) - camera.position_m
+        distance = np.linalg.norm(away, axis=1)
+        if not distance.all():
+            raise SceneError(f"at {scene_ns * 1e-9:g} s the camera is inside one of the scene's points")
+        to_point = away / distance[:, None]
+        shine = np.array([p.albedo * p.radius_m**2 for p in self._p.points]) / distance**2 * _phase(to_point, self._sun)
+        boresight = camera.world_from_body[:, 2]
+        is_ahead = to_point @ boresight > self._cone_cosine
+        to_point[~is_ahead] = boresight
+        return to_point, np.where(is_ahead, self._p.sun.irradiance_w_m2 * shine, 0.0)
+
+
+def _phase(to_point: Floats, sun: Floats) -> Floats:
+    """Return the phase law of a Lambert sphere, 1 when fully lit."""
+    angle = np.arccos(np.clip(-to_point @ sun, -1, 1))
+    return np.asarray((np.sin(angle) + (math.pi - angle) * np.cos(angle)) / math.pi)

@@ -1,0 +1,77 @@
+"""Stars and points that move, as a rig writes them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from emulator.photometry.sun import Sun
+from emulator.scene.stars.catalogue import FAINTEST_V
+from emulator.trajectory.parameters import FixedPath, TrajectoryParameters
+
+__all__ = ["MovingPoint", "StarsParameters"]
+
+
+@dataclass(frozen=True)
+class MovingPoint:
+    """A body in sunlight that is too far away to have a shape.
+
+    Attributes
+    ----------
+    path
+        Where it goes.
+    radius_m
+        Of the sphere that it stands for.
+    albedo
+        Its geometric albedo.
+    """
+
+    path: TrajectoryParameters = field(default_factory=FixedPath)
+    radius_m: float = 1.0
+    albedo: float = 0.2
+
+    def __post_init__(self) -> None:
+        if not 0 < self.radius_m <= 1e9:
+            raise ValueError(f"radius_m is {self.radius_m}: it must be above 0 and at most 1e9")
+        if not 0 <= self.albedo <= 2:
+            raise ValueError(f"albedo is {self.albedo}: it must be 0 to 2")
+
+
+@dataclass(frozen=True)
+class StarsParameters:
+    """A sky of stars, and points that move before it.
+
+    Attributes
+    ----------
+    camera
+        The camera's path among the stars; its attitude is what counts.
+    faintest_v
+        Stars down to this visual magnitude; the catalogue is complete to 6.8.
+    epoch_year
+        Year to which proper motions are carried.
+    sky_w_m2_sr
+        Radiance of the sky between the stars, W m-2 sr-1.
+    sun
+        What lights the moving points.
+    time_scale
+        How much faster than in reality everything moves.
+    points
+        Planets and debris.
+    """
+
+    camera: TrajectoryParameters = field(default_factory=FixedPath)
+    faintest_v: float = 6.5
+    epoch_year: float = 2026.0
+    sky_w_m2_sr: float = 0.0
+    sun: Sun = field(default_factory=Sun)
+    time_scale: float = 1.0
+    points: tuple[MovingPoint, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not -2 <= self.faintest_v <= FAINTEST_V:
+            raise ValueError(f"faintest_v is {self.faintest_v}: it must be -2 to {FAINTEST_V}")
+        if not 1900 <= self.epoch_year <= 2200:
+            raise ValueError(f"epoch_year is {self.epoch_year}: it must be 1900 to 2200")
+        if not 0 <= self.sky_w_m2_sr <= 1e6:
+            raise ValueError(f"sky_w_m2_sr is {self.sky_w_m2_sr}: it must be 0 to 1e6")
+        if not 0 < self.time_scale <= 1e6:
+            raise ValueError(f"time_scale is {self.time_scale}: it must be above 0 and at most 1e6")

@@ -1,0 +1,1 @@
+"""Terrain under a low Sun: heights, horizons, blocks and light."""

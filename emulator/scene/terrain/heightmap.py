@@ -1,0 +1,185 @@
+"""Heightmaps from files: `.npy`, and GeoTIFF as far as a map of a planet needs it.
+
+Of a GeoTIFF these tags are read (OGC 19-008r4; GDAL for the last one), beside the heights of its first band:
+
+    33550   ModelPixelScale    distance of posts east and north, in the unit of the projection, metres
+    33922   ModelTiepoint      column, row, 0 -> x, y, z in the plane of the projection
+    42113   GDAL_NODATA        a number as text: what stands where nothing was measured
+
+The plane of a polar stereographic projection is stretched: at a distance rho from the pole by 1 + (rho / 2 R)^2, which
+is 0.12 % at 86 degrees; with the map's middle known its posts are brought nearer by as much.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from emulator.light import MachineLacks, SceneError
+from emulator.scene.terrain.ground import Ground, nested
+from emulator.scene.terrain.table import Heightmap
+
+__all__ = ["filled", "load_heightmap"]
+
+Floats = npt.NDArray[np.float64]
+
+_PIXEL_SCALE, _TIEPOINT, _NODATA = 33550, 33922, 42113
+_PILLOW_FAILS = (Warning, SyntaxError, KeyError, TypeError, IndexError, struct.error)
+"""What pillow raises over damaged files, beside OSError and ValueError."""
+_STEEPEST_DEG = 75.0
+_LEAST_POSTS, _MOST_POSTS = 3, 1 << 14
+
+
+@dataclass(frozen=True, eq=False)
+class _Map:
+    """What a file says: heights (rows, columns) with NaN for holes, and the rest where it says so."""
+
+    heights: Floats
+    post_m: float = 0.0
+    centre_m: tuple[float, float] | None = None
+
+
+def load_heightmap(p: Heightmap, body_radius_m: float) -> Ground:
+    """Read a map.
+
+    Raises
+    ------
+    SceneError
+        It cannot be read, has too many holes, or its units make no ground; MachineLacks where pillow is missing.
+    """
+    try:
+        found = _read(Path(p.path))
+        post_m, notes = _post_m(p, found, body_radius_m)
+        _require_size(found.heights)
+        heights, holes = filled(found.heights * p.units_m, p.fill_share)
+        if holes:
+            notes.append(f"{holes} of {heights.size} posts are holes, filled from their neighbours")
+        _require_slopes(heights, post_m)
+    except SceneError as error:
+        raise type(error)(f"{p.path}: {error}") from error
+    return nested(post_m, [heights[::-1]], tuple(notes))
+
+
+def filled(heights: Floats, most_share: float) -> tuple[Floats, int]:
+    """Return heights with each hole (not finite) given the mean of its neighbours, from its edge inwards, and how many.
+
+    Raises SceneError when more than `most_share` of the posts are holes.
+    """
+    holes = ~np.isfinite(heights)
+    count = int(holes.sum())
+    if count > most_share * heights.size:
+        raise SceneError(
+            f"{count} of {heights.size} posts ({100 * count / heights.size:.1f} %) are holes, more than fill_share = "
+            f"{most_share:g} allows: fill them with care, or raise fill_share"
+        )
+    out = np.where(holes, 0.0, heights)
+    while holes.any():
+        known = np.pad((~holes).astype(np.float64), 1)
+        around = _sum_around(known)
+        total = _sum_around(np.pad(np.where(holes, 0.0, out), 1))
+        ready = holes & (around > 0)
+        out[ready] = total[ready] / around[ready]
+        holes = holes & ~ready
+    return out, count
+
+
+def _sum_around(a: Floats) -> Floats:
+    """Return the sum of the eight neighbours of all but the border."""
+    rows, columns = a.shape[0] - 2, a.shape[1] - 2
+    total = np.zeros((rows, columns))
+    for i in range(3):
+        for j in range(3):
+            if (i, j) != (1, 1):
+                total += a[i : i + rows, j : j + columns]
+    return total
+
+
+def _read(path: Path) -> _Map:
+    try:
+        match path.suffix.lower():
+            case ".npy":
+                return _Map(_numbers(np.load(path, allow_pickle=False)))
+            case ".tif" | ".tiff":
+                return _read_geotiff(path)
+    except (OSError, ValueError, EOFError) as error:
+        raise SceneError(f"cannot be read: {getattr(error, 'strerror', None) or error}") from error
+    raise SceneError("which format this is cannot be told: name it .npy or .tif")
+
+
+def _read_geotiff(path: Path) -> _Map:
+    try:
+        from PIL import Image, UnidentifiedImageError
+    except ImportError as error:
+        raise MachineLacks("reading a GeoTIFF needs pillow: pip install 'evstim[report]'") from error
+    try:
+        with warnings.catch_warnings(action="error"), Image.open(path) as image:
+            tags = dict(getattr(image, "tag_v2", {}))
+            heights = _numbers(np.array(image))
+    except UnidentifiedImageError as error:
+        raise SceneError("is not a TIFF that pillow reads") from error
+    except (Image.DecompressionBombError, *_PILLOW_FAILS) as error:
+        raise SceneError(f"is damaged, or too large: {error}") from error
+    _mark_nodata(heights, str(tags.get(_NODATA, "")))
+    scale, tie = tags.get(_PIXEL_SCALE), tags.get(_TIEPOINT)
+    if scale is None:
+        return _Map(heights)
+    if len(scale) < 2 or not math.isclose(scale[0], scale[1], rel_tol=1e-6):
+        raise SceneError(f"its posts are {scale[0]:g} by {scale[-1]:g} apart: square ones are needed")
+    return _Map(heights, float(scale[0]), _centre(heights.shape, float(scale[0]), tie))
+
+
+def _numbers(array: npt.NDArray[np.generic]) -> Floats:
+    if array.ndim != 2 or array.dtype.kind not in "fiu":
+        raise SceneError(f"holds {array.dtype} of shape {array.shape}: heights are numbers in rows and columns")
+    return np.asarray(array, np.float64)
+
+
+def _mark_nodata(heights: Floats, text: str) -> None:
+    """Set what the file calls no data to NaN."""
+    try:
+        nothing = float(text.strip("\0 \n") or "nan")
+    except ValueError as error:
+        raise SceneError(f"its GDAL_NODATA tag is {text!r}, which is no number") from error
+    heights[np.isclose(heights, nothing, rtol=1e-6)] = np.nan
+
+
+def _centre(shape: tuple[int, ...], post_m: float, tie: object) -> tuple[float, float] | None:
+    """Return the place of the map's middle in the projection, from the tie of one pixel."""
+    if not isinstance(tie, tuple) or len(tie) < 6:
+        return None
+    column, row, _, x, y = (float(v) for v in tie[:5])
+    return x + (shape[1] / 2 - column) * post_m, y - (shape[0] / 2 - row) * post_m
+
+
+def _post_m(p: Heightmap, found: _Map, body_radius_m: float) -> tuple[float, list[str]]:
+    """Return the distance of posts on the ground, and what to say of the map's place."""
+    post_m = p.post_m or found.post_m
+    if not post_m:
+        raise SceneError("does not say how far its posts are apart: give post_m")
+    centre_m = p.centre_m or found.centre_m
+    if centre_m is None or not body_radius_m:
+        return post_m, []
+    tangent = math.hypot(*centre_m) / (2 * body_radius_m)
+    latitude = 90 - math.degrees(2 * math.atan(tangent))
+    return post_m / (1 + tangent**2), [f"its middle is {latitude:.2f} degrees from the equator"]
+
+
+def _require_size(heights: Floats) -> None:
+    if min(heights.shape) < _LEAST_POSTS or max(heights.shape) > _MOST_POSTS:
+        rows, columns = heights.shape
+        raise SceneError(f"has {rows} x {columns} posts: {_LEAST_POSTS} to {_MOST_POSTS} a side are drawn")
+
+
+def _require_slopes(heights: Floats, post_m: float) -> None:
+    rise = np.abs(np.diff(heights, axis=1))
+    typical = math.degrees(math.atan(float(np.sqrt((rise**2).mean())) / post_m))
+    if typical > _STEEPEST_DEG:
+        raise SceneError(
+            f"its slopes are {typical:.0f} degrees, root mean square: look at units_m and post_m ({post_m:g} m)"
+        )

@@ -1,0 +1,201 @@
+"""Which blocks of a ground are drawn, and how fine: a quadtree over its nest of grids.
+
+A block of level l is a square of 16 x 16 quads, 2^l lattice units wide each. It is drawn where it lies no nearer than
+the level's range, else its four quarters are looked at:
+
+    range of level l       reach x 2^l units          reach: how far away, in its own width, a quad may be split
+    distance of a place    max(from the camera, crowd x from the site)    no finer than the ground's grids are there
+
+So the level is a function of the place's distance alone, whatever block it falls into: in the last part of a level's
+range its vertices slide together into those of the next coarser one (`ground_mesh`), neighbours always fit, and nothing
+jumps when blocks change. Source: Strugar 2010, Continuous distance-dependent level of detail for rendering heightmaps.
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from emulator.scene.terrain.ground import Ground
+
+__all__ = ["BLOCK", "LEAST_REACH", "Quadtree"]
+
+BLOCK = 8
+LEAST_REACH = 80.0
+"""Below it a block is larger than the part of the range in which levels meet."""
+
+_MOST_BLOCKS = 1 << 16
+
+Ints = npt.NDArray[np.int64]
+Floats = npt.NDArray[np.float64]
+
+
+class Quadtree:
+    """The blocks of `ground`, split within `reach` widths of a quad.
+
+    Attributes
+    ----------
+    crowd : see the module's first lines; 0 for a single grid.
+    """
+
+    def __init__(self, ground: Ground, reach: float) -> None:
+        self._ground = ground
+        self._reach_m = reach * ground.unit_m
+        half = (min(ground.shape) - 1) // 2
+        self.crowd = 1.002 * reach / half if ground.grids > 1 else 0.0
+        bounds = _bounds(ground)
+        self._low = np.concatenate([low.ravel() for low, _ in bounds])
+        self._high = np.concatenate([high.ravel() for _, high in bounds])
+        self._levels = self._table([low.shape for low, _ in bounds])
+
+    @property
+    def levels(self) -> int:
+        """How many there are."""
+        return len(self._levels)
+
+    def blocks(self, camera_m: Floats, planes: Floats) -> list[npt.NDArray[np.int32]]:
+        """Return what to draw of each grid: (n, 3) first column and row, and posts from vertex to vertex; near first.
+
+        Parameters
+        ----------
+        camera_m : (3,) in the world.
+        planes : (n, 3) inward normals, in the world, of the planes through the camera between which all that is seen
+            lies.
+        """
+        ground = self._ground
+        figures = (ground.unit_m, self._reach_m, self.crowd, ground.grids, *ground.shape)
+        found, distance = _select(self._levels, self._low, self._high, figures, camera_m, planes)
+        order = np.argsort(distance, kind="stable")
+        found = found[order]
+        return [np.ascontiguousarray(found[found[:, 0] == k, 1:]) for k in range(ground.grids)]
+
+    def _table(self, shapes: list[tuple[int, ...]]) -> Ints:
+        """Return a row for each level: rows, columns, first x and y, offset in the bounds."""
+        table = np.zeros((len(shapes), 5), np.int64)
+        offset = 0
+        for level, (rows, columns) in enumerate(shapes):
+            table[level] = rows, columns, *self._ground.first(min(level, self._ground.grids - 1)), offset
+            offset += rows * columns
+        return table
+
+
+def _bounds(ground: Ground) -> list[tuple[Floats, Floats]]:
+    """Return the lowest and highest post of each block, level by level, with those of finer levels within."""
+    levels: list[tuple[Floats, Floats]] = []
+    for grid in range(ground.grids):
+        low, high = (_over_blocks(ground.heights_m[grid].astype(np.float64), f) for f in (np.minimum, np.maximum))
+        if levels:
+            _take_finer(ground, low, levels[-1][0], np.minimum)
+            _take_finer(ground, high, levels[-1][1], np.maximum)
+        levels.append((low, high))
+    while max(levels[-1][0].shape) > 1:
+        low, high = levels[-1]
+        levels.append((_quarters(low, np.inf, np.minimum), _quarters(high, -np.inf, np.maximum)))
+    return levels
+
+
+def _over_blocks(heights: Floats, extreme: np.ufunc) -> Floats:
+    """Return the extreme of the posts of each block, its last row and column with it."""
+    rows, columns = (max(n - 1, 1) for n in heights.shape)
+    shared = extreme(heights[:rows, :columns], heights[1:, :columns])
+    shared = extreme(shared, extreme(heights[:rows, 1:], heights[1:, 1:]))
+    by_rows = extreme.reduceat(shared, np.arange(0, rows, BLOCK), axis=0)
+    return np.asarray(extreme.reduceat(by_rows, np.arange(0, columns, BLOCK), axis=1))
+
+
+def _take_finer(ground: Ground, coarse: Floats, finer: Floats, extreme: np.ufunc) -> None:
+    quarters = _quarters(finer, np.nan, extreme)
+    top, left = ((n - 1) // 4 // BLOCK for n in ground.shape)
+    inner = coarse[top : top + quarters.shape[0], left : left + quarters.shape[1]]
+    extreme(inner, quarters, out=inner)
+
+
+def _quarters(values: Floats, padding: float, extreme: np.ufunc) -> Floats:
+    """Return the extreme of two by two."""
+    rows, columns = values.shape
+    even = np.pad(values, ((0, rows % 2), (0, columns % 2)), constant_values=padding)
+    by_rows = extreme(even[::2], even[1::2])
+    return np.asarray(extreme(by_rows[:, ::2], by_rows[:, 1::2]))
+
+
+@numba.njit(cache=True, nogil=True)
+def _select(
+    levels: Ints,
+    low: Floats,
+    high: Floats,
+    figures: tuple[float, float, float, int, int, int],
+    camera: Floats,
+    planes: Floats,
+) -> tuple[npt.NDArray[np.int32], Floats]:
+    """Return (n, 4) grid, column, row, posts from vertex to vertex, and the distances."""
+    unit, reach, crowd, grids, rows, columns = figures
+    found, distances = np.empty((_MOST_BLOCKS, 4), np.int32), np.empty(_MOST_BLOCKS)
+    stack = np.empty((4 * len(levels) + 4, 3), np.int64)
+    stack[0] = len(levels) - 1, 0, 0
+    waiting, count = 1, 0
+    while waiting and count < _MOST_BLOCKS:
+        waiting -= 1
+        level, i, j = stack[waiting]
+        size = BLOCK << level
+        x, y = levels[level, 2] + j * size, levels[level, 3] + i * size
+        at = levels[level, 4] + i * levels[level, 1] + j
+        box = (x * unit, y * unit, size * unit, low[at], high[at])
+        if _is_outside(box, camera, planes):
+            continue
+        distance = max(_distance(box, camera), crowd * _from_site(box))
+        if level == 0 or distance > reach * (1 << (level - 1)):
+            grid = _finest_around(x, y, size, min(level, grids - 1), (rows, columns))
+            found[count, 0] = grid
+            found[count, 1] = (x >> grid) + (columns - 1) // 2
+            found[count, 2] = (y >> grid) + (rows - 1) // 2
+            found[count, 3] = 1 << (level - grid)
+            distances[count] = distance
+            count += 1
+            continue
+        half, below = size // 2, level - 1
+        for k in range(4):
+            ci = (y + (k // 2) * half - levels[below, 3]) // half
+            cj = (x + (k % 2) * half - levels[below, 2]) // half
+            if 0 <= ci < levels[below, 0] and 0 <= cj < levels[below, 1]:
+                stack[waiting] = below, ci, cj
+                waiting += 1
+    return found[:count].copy(), distances[:count].copy()
+
+
+@numba.njit(cache=True, nogil=True)
+def _is_outside(box: tuple[float, float, float, float, float], camera: Floats, planes: Floats) -> bool:
+    x, y, size, low, high = box
+    for k in range(len(planes)):
+        a, b, c = planes[k, 0], planes[k, 1], planes[k, 2]
+        ahead = a * ((x + size if a > 0 else x) - camera[0]) + b * ((y + size if b > 0 else y) - camera[1])
+        if ahead + c * ((high if c > 0 else low) - camera[2]) < 0:
+            return True
+    return False
+
+
+@numba.njit(cache=True, nogil=True)
+def _distance(box: tuple[float, float, float, float, float], camera: Floats) -> float:
+    x, y, size, low, high = box
+    dx = max(x - camera[0], 0.0, camera[0] - x - size)
+    dy = max(y - camera[1], 0.0, camera[1] - y - size)
+    dz = max(low - camera[2], 0.0, camera[2] - high)
+    return float(np.sqrt(dx * dx + dy * dy + dz * dz))
+
+
+@numba.njit(cache=True, nogil=True)
+def _from_site(box: tuple[float, float, float, float, float]) -> float:
+    """Return how far the box begins from the site, along the axis on which that is more."""
+    x, y, size, _, _ = box
+    return max(x, -x - size, y, -y - size, 0.0)
+
+
+@numba.njit(cache=True, nogil=True)
+def _finest_around(x: int, y: int, size: int, grid: int, shape: tuple[int, int]) -> int:
+    """Return the finest grid that holds a block wholly, `grid` being one that does."""
+    while grid > 0:
+        half_x, half_y = ((shape[1] - 1) // 2) << (grid - 1), ((shape[0] - 1) // 2) << (grid - 1)
+        if x < -half_x or y < -half_y or x + size > half_x or y + size > half_y:
+            return grid
+        grid -= 1
+    return grid

@@ -1,0 +1,174 @@
+"""Ground under a low Sun, as a rig writes it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+from emulator.photometry.reflectance import LunarLambert, Reflectance
+from emulator.photometry.sun import EARTHLIGHT_W_M2
+from emulator.tables.files import NO_FILE, RigFile
+from emulator.trajectory.parameters import DescentPath, TrajectoryParameters
+
+__all__ = ["GroundParameters", "Heightmap", "Ridge", "TerrainParameters"]
+
+
+def _require(owner: object, name: str, low: float, high: float) -> None:
+    value = getattr(owner, name)
+    if not low <= value <= high:
+        raise ValueError(f"{name} is {value:g}: it must be {low:g} to {high:g}")
+
+
+@dataclass(frozen=True)
+class Ridge:
+    """A ridge like Malapert's near the lunar south pole, made by published laws of relief, craters and boulders.
+
+    The map is a nest of square grids of `posts` posts a side, each of half the size and twice the detail of the one
+    around it, down to `finest_m`, with the landing site in the middle.
+
+    Attributes
+    ----------
+    size_m
+        Side of the whole map.
+    finest_m
+        Distance of posts around the landing site; it is met within a factor of two.
+    posts
+        Posts a side of each grid: a power of two, 64 to 4096.
+    ridge_m
+        Height of the ridge above its base, which is three times as wide: 5000 for Malapert.
+    slope_deg
+        Root mean square slope of the relief over 10 m, without craters and ridge.
+    crater_density
+        N(> D) D^2, craters larger than D per m2 times D^2: 0.046 where they are 3 % of geometric saturation.
+    boulder_cover
+        Share of the ground under boulders: k of Golombek and Rapp, 0.01 to 0.05; 0 for none.
+    seed
+        Of the whole map.
+    """
+
+    kind: ClassVar[str] = "ridge"
+    size_m: float = 32768.0
+    finest_m: float = 0.04
+    posts: int = 1024
+    ridge_m: float = 5000.0
+    slope_deg: float = 4.0
+    crater_density: float = 0.046
+    boulder_cover: float = 0.02
+    seed: int = 1
+
+    def __post_init__(self) -> None:
+        _require(self, "size_m", 1, 200_000)
+        _require(self, "finest_m", 0.001, 1000)
+        if self.posts not in [1 << k for k in range(6, 13)]:
+            raise ValueError(f"posts is {self.posts}: it must be a power of two, 64 to 4096")
+        _require(self, "ridge_m", 0, 10_000)
+        _require(self, "slope_deg", 0, 30)
+        _require(self, "crater_density", 0, 0.3)
+        _require(self, "boulder_cover", 0, 0.1)
+        if not 0 <= self.seed < 1 << 63:
+            raise ValueError(f"seed is {self.seed}: it must be 0 to 2^63 - 1")
+        if self.ridge_m > self.size_m / 3:
+            raise ValueError(
+                f"ridge_m is {self.ridge_m:g}: its base, three times as wide, finds no room on {self.size_m:g} m"
+            )
+
+
+@dataclass(frozen=True)
+class Heightmap:
+    """A map from a file.
+
+    Attributes
+    ----------
+    path
+        A `.npy` of heights, (rows, columns), or a GeoTIFF with one band, north up in both.
+    units_m
+        Unit of the heights in metres; 1000 for kilometres.
+    post_m
+        Distance of posts; 0: as the GeoTIFF says.
+    centre_m
+        Where the middle of the map lies in the plane of a polar stereographic projection; needed only to tell its
+        latitude and the projection's stretch, and read from a GeoTIFF that has it.
+    fill_share
+        At most this share of the posts may be holes, which are filled from their neighbours.
+    """
+
+    kind: ClassVar[str] = "heightmap"
+    path: RigFile = NO_FILE
+    units_m: float = 1.0
+    post_m: float = 0.0
+    centre_m: tuple[float, float] | None = None
+    fill_share: float = 0.01
+
+    def __post_init__(self) -> None:
+        if not self.path:
+            raise ValueError("path is missing: name a .npy or .tif file")
+        _require(self, "units_m", 1e-6, 1e6)
+        if self.post_m != 0:
+            _require(self, "post_m", 1e-3, 1e5)
+        _require(self, "fill_share", 0, 0.5)
+
+
+GroundParameters = Ridge | Heightmap
+
+
+@dataclass(frozen=True)
+class TerrainParameters:
+    """Ground in the light of a low Sun, seen from a camera on its path.
+
+    The world's z is up and its y north on the map; the origin is on the ground in the middle of the map.
+
+    Attributes
+    ----------
+    ground
+        A ridge made here, or a heightmap from a file.
+    camera
+        The camera's path in the world.
+    sun_azimuth_deg
+        Where the Sun stands: 0 along +y, 90 along +x.
+    sun_elevation_deg
+        Above the horizontal; at 86 degrees south it never rises above 5.5.
+    sun_distance_au
+        How far it is.
+    ambient_w_m2
+        Light from all around, W/m2: earthshine, 0.06 on the Moon under a full Earth.
+    reflectance
+        How the ground throws light back.
+    body_radius_m
+        Of the sphere that the map lies on, 1 737 400 for the Moon; 0: it is flat.
+    detail_px
+        Side of a facet in the picture, about; slopes and shadows are those of the fine map whatever it is. 0: a quarter
+        of a pixel, whatever `most_facets` says.
+    most_facets
+        Facets in a large picture are larger, so that about this many would cover it face on.
+    samples
+        Light is averaged over samples x samples points of each pixel, 1 to 4.
+    time_scale
+        How much faster than in reality the camera moves.
+    """
+
+    ground: GroundParameters = field(default_factory=Ridge)
+    camera: TrajectoryParameters = field(default_factory=DescentPath)
+    sun_azimuth_deg: float = 60.0
+    sun_elevation_deg: float = 4.0
+    sun_distance_au: float = 1.0
+    ambient_w_m2: float = EARTHLIGHT_W_M2
+    reflectance: Reflectance = field(default_factory=LunarLambert)
+    body_radius_m: float = 1_737_400.0
+    detail_px: float = 2.0
+    most_facets: int = 45_000
+    samples: int = 2
+    time_scale: float = 1.0
+
+    def __post_init__(self) -> None:
+        _require(self, "sun_azimuth_deg", -360, 360)
+        _require(self, "sun_elevation_deg", -90, 90)
+        _require(self, "sun_distance_au", 0.01, 1000)
+        _require(self, "ambient_w_m2", 0, 1e6)
+        if self.body_radius_m != 0:
+            _require(self, "body_radius_m", 100, 1e9)
+        _require(self, "detail_px", 0, 64)
+        _require(self, "most_facets", 1000, 100_000_000)
+        if self.samples not in (1, 2, 3, 4):
+            raise ValueError(f"samples is {self.samples}: it must be 1, 2, 3 or 4")
+        if not 0 < self.time_scale <= 1e6:
+            raise ValueError(f"time_scale is {self.time_scale:g}: it must be above 0 and at most 1e6")

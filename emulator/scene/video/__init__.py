@@ -1,0 +1,1 @@
+"""A video or a sequence of images as a scene."""

@@ -1,0 +1,193 @@
+"""A video before the camera: frames with times, joined in the logarithm of light.
+
+Between two frames each pixel's light goes along a straight line in log, so its rate is known exactly; before the first
+frame and after the last it stands still, or begins anew. Frames of another size than the sensor's are resampled by area
+in linear light. Darkness is held `floor` above zero, or there would be no logarithm.
+
+A video with 8 bits is a poor scene for an event sensor, which `notes` tells: from one level to the next light steps by
+a ratio that is large where it is dark, and wherever that ratio is more than a threshold a pixel fires at steps that
+only the file has.
+"""
+
+from __future__ import annotations
+
+import bisect
+import math
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from emulator.light import Light, Scene, SceneError
+from emulator.scene.video.frames import Frames, linear_light, read_frames
+from emulator.tables.files import NO_FILE, RigFile
+
+__all__ = ["Video", "VideoParameters", "coarsest_level"]
+
+_Float32s = npt.NDArray[np.float32]
+
+_TYPICAL_THRESHOLD = 0.2
+
+
+@dataclass(frozen=True)
+class VideoParameters:
+    """A video or a sequence of images.
+
+    Attributes
+    ----------
+    path
+        A folder of images, a .npy array, an animation or a video, beside the rig file.
+    frames_per_s
+        Where the file gives no times of its own.
+    levels
+        "srgb": decoded by the sRGB curve; "linear": proportional to light, as floats always are.
+    light_at_white
+        Light of white relative to the sensor's reference level.
+    floor
+        Light of black, as a share of white.
+    time_scale
+        How much faster than recorded it is shown.
+    loop
+        Whether it begins anew at its end; else the last frame stays.
+    """
+
+    path: RigFile = NO_FILE
+    frames_per_s: float = 30.0
+    levels: Literal["srgb", "linear"] = "srgb"
+    light_at_white: float = 1.0
+    floor: float = 1e-3
+    time_scale: float = 1.0
+    loop: bool = True
+
+    def __post_init__(self) -> None:
+        if not self.path:
+            raise ValueError("path is missing: name a folder of images, a .npy file or a video")
+        bounds = {
+            "frames_per_s": (1e-3, 1e6),
+            "light_at_white": (1e-9, 1e9),
+            "floor": (1e-6, 1.0),
+            "time_scale": (1e-6, 1e6),
+        }
+        for name, (low, high) in bounds.items():
+            if not low <= getattr(self, name) <= high:
+                raise ValueError(f"{name} is {getattr(self, name)}: it must be {low:g} to {high:g}")
+
+
+def coarsest_level(full_scale: float, floor: float, *, is_linear: bool, threshold: float) -> int:
+    """Return the level below which one level is a step of more than `threshold` in log light."""
+    levels = np.arange(int(full_scale) + 1)
+    log_light = np.log(linear_light(levels, full_scale, is_linear=is_linear) + np.float32(floor))
+    coarse = np.flatnonzero(np.diff(log_light) > threshold)
+    return int(coarse[-1]) + 1 if coarse.size else 0
+
+
+class Video(Scene):
+    """The video of `parameters` on a sensor of `size` = (width, height); raises SceneError."""
+
+    def __init__(self, parameters: VideoParameters, size: tuple[int, int]) -> None:
+        self._p, self._size = parameters, size
+        self._frames = read_frames(Path(parameters.path))
+        self._times_ns = _times_ns(self._frames, parameters)
+        self._round_ns = _round_ns(self._times_ns)
+        self._is_linear = parameters.levels == "linear" or self._frames.levels.dtype.kind == "f"
+        self._kept: dict[int, _Float32s] = {}
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height) in pixels."""
+        return self._size
+
+    @property
+    def motion_bound_px_s(self) -> float:
+        """Nobody knows how fast things move in a video."""
+        return math.inf
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the depth of the frames costs."""
+        levels = self._frames.levels
+        if levels.dtype.kind == "f":
+            return ()
+        scale = self._frames.full_scale
+        coarse = coarsest_level(scale, self._p.floor, is_linear=self._is_linear, threshold=_TYPICAL_THRESHOLD)
+        share = float((levels[0] < coarse).mean())
+        if not share:
+            return ()
+        return (
+            f"{levels.dtype.itemsize * 8}-bit frames: below level {coarse} of {scale:.0f} ({share:.0%} of the first "
+            f"frame's pixels) one level is a step of more than {_TYPICAL_THRESHOLD} in log light, and fires events "
+            "that are not in the scene",
+        )
+
+    def light(self, t_ns: int, out: Light) -> None:
+        """Write the light at `t_ns`."""
+        before, after, share, _ = self._around(t_ns)
+        np.exp((1 - share) * before + share * after, out=out)
+
+    def light_and_rate(self, t_ns: int, light: Light, rate: Light) -> None:
+        """Write the light and its time derivative, both exact for a straight line in log."""
+        before, after, share, apart_s = self._around(t_ns)
+        np.exp((1 - share) * before + share * after, out=light)
+        if apart_s:
+            np.multiply(light, (after - before) / np.float32(apart_s), out=rate)
+        else:
+            rate.fill(0)
+
+    def close(self) -> None:
+        """Let go of the frames that are decoded."""
+        self._kept.clear()
+
+    def _around(self, t_ns: int) -> tuple[_Float32s, _Float32s, np.float32, float]:
+        """Return the log light of the frames around `t_ns`, how far between them it lies, and the seconds between."""
+        t_ns = int(t_ns) % self._round_ns if self._p.loop else int(t_ns)
+        times = self._times_ns
+        k = bisect.bisect_right(times, t_ns) - 1
+        if k < 0 or k >= len(times) - 1:
+            still = self._log_light(max(k, 0))
+            return still, still, np.float32(0), 0.0
+        apart_ns = times[k + 1] - times[k]
+        return self._log_light(k), self._log_light(k + 1), np.float32((t_ns - times[k]) / apart_ns), apart_ns * 1e-9
+
+    def _log_light(self, k: int) -> _Float32s:
+        """Return frame k in log light; the last few stay decoded."""
+        if k not in self._kept:
+            while len(self._kept) >= 3:
+                del self._kept[next(iter(self._kept))]
+            light = linear_light(self._frames.levels[k], self._frames.full_scale, is_linear=self._is_linear)
+            light = _resampled(light, self._size)
+            self._kept[k] = np.log((light + np.float32(self._p.floor)) * np.float32(self._p.light_at_white))
+        return self._kept[k]
+
+
+def _times_ns(frames: Frames, p: VideoParameters) -> list[int]:
+    """Return when each frame is shown, stream time."""
+    scale = Fraction(repr(float(p.time_scale)))
+    if frames.times_s is not None:
+        return [int(Fraction(t) * 10**9 / scale) for t in frames.times_s]
+    period = 10**9 / (Fraction(repr(float(p.frames_per_s))) * scale)
+    return [int(k * period) for k in range(len(frames.levels))]
+
+
+def _round_ns(times_ns: list[int]) -> int:
+    """Return the time of one round: the last frame is shown for as long as the mean one."""
+    return times_ns[-1] + max(1, times_ns[-1] // max(1, len(times_ns) - 1)) if len(times_ns) > 1 else 1
+
+
+def _resampled(light: _Float32s, size: tuple[int, int]) -> _Float32s:
+    """Return `light` (height, width) at another size: means over areas."""
+    if light.shape == size[::-1]:
+        return light
+    down, across = _shares(light.shape[0], size[1]), _shares(light.shape[1], size[0])
+    return np.asarray(down @ light @ across.T, np.float32)
+
+
+def _shares(source: int, target: int) -> _Float32s:
+    """Return which share of each of `target` equal stretches each of `source` equal ones fills, (target, source)."""
+    if source < 1:
+        raise SceneError("a frame has no pixels")
+    edges = np.arange(target + 1) * (source / target)
+    overlap = np.minimum(edges[1:, None], np.arange(1, source + 1)) - np.maximum(edges[:-1, None], np.arange(source))
+    return np.asarray(np.clip(overlap, 0, None) * (target / source), np.float32)

@@ -1,0 +1,212 @@
+"""What any imager does to light: efficiency, fixed pattern, dark current that differs, and the counting of electrons.
+
+The pixel computes the log of a photocurrent i = E + dark. Here E becomes E' so that
+
+    i' = (g E + dark_p) e^m        g    efficiencies times the pixel's gain, normal around 1 (PRNU)
+                                   dark_p   the pixel's dark current, log-normal (DCNU), mean `dark_current_relative`
+                                   m    shot noise
+
+The array itself is given the least dark current of all its pixels, and each E' holds the rest of its own.
+
+Shot noise. Over a time G a pixel counts N = electrons i G, whose relative deviation is s = 1 / sqrt(N); photoelectrons
+and dark electrons are counted together, as the sum of two Poisson numbers is one, but either's share of s^2 can be left
+out. On a fixed grid of times k G every pixel has a keyed normal number n_k, and between two of them, x of the way,
+
+    m = s ((1 - x) n_k + x n_(k+1)) - s^2 ((1 - x)^2 + x^2) / 2
+
+with s for the light at that moment; the last term keeps the mean current. m is a straight line in the *log* of the
+light, which is how pixels take light to go between two pictures anyway. So nothing depends on where a step ends, but a
+grid time must be one of the ends: `Sensor` cuts steps there. Noise faster than the grid belongs to `noise`, whose rms
+is that of the whole bandwidth; slower than the grid, the spectrum is that of counting.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from emulator.light import PixelLight
+from emulator.sensor.numerics.cached import kept_entry
+from emulator.sensor.numerics.compiled import vector_kernel
+from emulator.sensor.numerics.elementary import decay, natural_log
+from emulator.sensor.numerics.keyed import Purpose, normal, root_of
+from emulator.sensor.numerics.keyed_kernels import normals, streams
+from emulator.sensor.presets import SensorParameters
+
+__all__ = ["Imager", "part_of_the_way"]
+
+_LEAST_GAIN = 0.1
+_LARGEST = np.finfo(np.float32).max
+_ROOM_BELOW = 0.01  # of the dark current, left to the array when counting can take some of it away
+_ZERO, _ONE, _HALF = (np.float32(x) for x in (0, 1, 0.5))
+
+_Float32s = npt.NDArray[np.float32]
+_Floats = npt.NDArray[np.float64]
+
+
+class _Pattern(NamedTuple):
+    """What is fixed for each pixel, (pixels,), and the dark current that the array adds by itself."""
+
+    gain: _Float32s
+    dark: _Float32s
+    least: np.float32
+
+
+class _Counting(NamedTuple):
+    """The normal numbers of the grid times before and after, and how much of them counts now."""
+
+    n0: _Float32s
+    n1: _Float32s
+    x: np.float32
+    per_count: np.float32  # 1 / (electrons G)
+    of_light: np.float32  # 0 or 1, share in s^2
+    of_dark: np.float32
+
+
+@vector_kernel
+def _shine(light: _Float32s, gain: _Float32s, dark: _Float32s, out: _Float32s) -> None:
+    """Write g E + dark into `out`; light below 0 is dark, light that is not finite stays so."""
+    for k in range(out.size):
+        e = light[k]
+        lit = e if e > _ZERO else _ZERO
+        out[k] = lit * gain[k] + dark[k] if abs(e) <= _LARGEST else e
+
+
+@vector_kernel
+def _power(exponent: np.float32) -> np.float32:
+    """Return e^exponent, within 6e-7 of it."""
+    less: np.float32 = _ONE - decay(abs(exponent))
+    return less if exponent < _ZERO else _ONE / less
+
+
+@vector_kernel
+def _count(current: _Float32s, dark: _Float32s, c: _Counting) -> None:
+    """Multiply currents by e^m, in place."""
+    left, right = _ONE - c.x, c.x
+    spread = _HALF * (left * left + right * right)
+    for k in range(current.size):
+        i = current[k]
+        counted = c.of_light * (i - dark[k]) + c.of_dark * dark[k]
+        variance = c.per_count * counted / (i * i)
+        m = np.sqrt(variance) * (left * c.n0[k] + right * c.n1[k]) - variance * spread
+        current[k] = i * _power(m)
+
+
+@vector_kernel
+def _without(least: np.float32, out: _Float32s) -> None:
+    """Take off what the array adds; below 0 only where counting leaves nothing at all. NaN stays."""
+    for k in range(out.size):
+        e = out[k] - least
+        out[k] = _ZERO if e < _ZERO else e
+
+
+@vector_kernel
+def _interpolate(before: _Float32s, after: _Float32s, dark: np.float32, share: np.float32, out: _Float32s) -> None:
+    for k in range(out.size):
+        e0, e1 = before[k], after[k]
+        first, last = (e0 if e0 > _ZERO else _ZERO) + dark, (e1 if e1 > _ZERO else _ZERO) + dark
+        between = first * _power(share * natural_log(last / first)) - dark
+        moves = (abs(e0) <= _LARGEST) & (abs(e1) <= _LARGEST) & (e0 != e1)
+        out[k] = between if moves else e1
+
+
+@kept_entry
+def part_of_the_way(before: _Float32s, after: _Float32s, dark: np.float32, share: np.float32, out: _Float32s) -> None:
+    """Write the light between two pictures into `out`, all (pixels,): straight in the log of light + dark.
+
+    Where either is not finite it is the later one.
+    """
+    _interpolate(before, after, dark, share, out)
+
+
+@kept_entry
+def _see(light: _Float32s, p: _Pattern, out: _Float32s) -> None:
+    _shine(light, p.gain, p.dark, out)
+    _without(p.least, out)
+
+
+@kept_entry
+def _see_counted(light: _Float32s, p: _Pattern, c: _Counting, out: _Float32s) -> None:
+    _shine(light, p.gain, p.dark, out)
+    _count(out, p.dark, c)
+    _without(p.least, out)
+
+
+class Imager:
+    """The imager in front of an array.
+
+    Parameters
+    ----------
+    parameters : the sensor.
+    seed : keys gains, dark currents and counts.
+
+    Attributes
+    ----------
+    works : False if it would leave the light as it is.
+    dark_current_relative : what the array must add to E' to have i'.
+    grid_ns : length G of the grid, 0 without shot noise.
+    """
+
+    def __init__(self, parameters: SensorParameters, seed: int) -> None:
+        p, pixel = parameters.imager, np.arange(parameters.width * parameters.height)
+        gain = np.maximum(1 + p.prnu * normal(seed, Purpose.PHOTO_RESPONSE, pixel), _LEAST_GAIN)
+        dark = np.exp(p.dcnu * normal(seed, Purpose.DARK_CURRENT, pixel) - p.dcnu**2 / 2)
+        dark *= parameters.dark_current_relative
+        counts = p.photon_shot_noise or p.dark_shot_noise
+        self.works = counts or p.prnu > 0 or p.dcnu > 0 or p.system_efficiency * p.quantum_efficiency != 1
+        self.dark_current_relative = float(dark.min()) * (_ROOM_BELOW if counts else 1.0)
+        self.grid_ns = p.shot_grid_us * 1000 if counts else 0
+        self._parameters = p
+        self._pattern = _Pattern(
+            (gain * p.system_efficiency * p.quantum_efficiency).astype(np.float32),
+            dark.astype(np.float32),
+            np.float32(self.dark_current_relative),
+        )
+        self._out = np.empty((parameters.height, parameters.width), np.float32)
+        if counts:
+            self._streams = streams(root_of(seed, Purpose.SHOT_NOISE), pixel.size)
+            self._grid, self._drawn = -2, (np.empty(0, np.float32), np.empty(0, np.float32))
+
+    def see(self, light: _Float32s, t_ns: int) -> _Float32s:
+        """Return E' for `light`, (height, width) float32, at a time; valid until the next call."""
+        if not self.works:
+            return light
+        flat, out = np.ascontiguousarray(light).reshape(-1), self._out.reshape(-1)
+        if self.grid_ns:
+            _see_counted(flat, self._pattern, self._counting(t_ns), out)
+        else:
+            _see(flat, self._pattern, out)
+        return self._out
+
+    def see_rate(self, rate: _Float32s | None) -> _Float32s | None:
+        """Return the time derivative of E' for that of the light; None with shot noise, which has none."""
+        if not self.works or rate is None:
+            return rate
+        return None if self.grid_ns else rate * self._pattern.gain.reshape(rate.shape)
+
+    def see_pixels(self, at: PixelLight | None) -> PixelLight | None:
+        """Return what tells E' of single pixels for what tells their light; None with shot noise, as `see_rate`."""
+        if not self.works or at is None:
+            return at
+        return None if self.grid_ns else partial(_see_pixels, at, self._pattern)
+
+    def _counting(self, t_ns: int) -> _Counting:
+        p, grid = self._parameters, t_ns // self.grid_ns
+        if grid != self._grid:
+            before = self._drawn[1] if grid == self._grid + 1 else normals(self._streams, grid)
+            self._grid, self._drawn = grid, (before, normals(self._streams, grid + 1))
+        x = (t_ns - grid * self.grid_ns) / self.grid_ns
+        electrons = p.electrons_per_s_at_reference * p.shot_grid_us * 1e-6
+        shares = np.float32(p.photon_shot_noise), np.float32(p.dark_shot_noise)
+        return _Counting(*self._drawn, np.float32(x), np.float32(1 / electrons), *shares)
+
+
+def _see_pixels(at: PixelLight, p: _Pattern, t_ns: int, pixels: npt.NDArray[np.int64]) -> tuple[_Float32s, _Float32s]:
+    """Return E' of single pixels and its time derivative, as `Imager.see` and `see_rate` do for a whole picture."""
+    light, rate = at(t_ns, pixels)
+    pattern, seen = _Pattern(p.gain[pixels], p.dark[pixels], p.least), np.empty(pixels.size, np.float32)
+    _see(light, pattern, seen)
+    return seen, rate * pattern.gain

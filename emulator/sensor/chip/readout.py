@@ -1,0 +1,300 @@
+"""The read-out: one arbiter that turns requests of pixels into events on the output bus.
+
+A pixel that fires raises a request and holds it until served; a crossing of a pixel whose request still waits is lost,
+and counted. The arbiter, whenever it is free and any request waits, does this:
+
+    pick     the next row with requests, going round from the row after the one served last
+    latch    row_ns later: take all requests of that row at that moment; their pixels are free again
+    send     these, by rising column, one each event_ns; an event is stamped when it leaves
+
+after which it is free. A decision at time T knows the requests raised up to and including T and no others, so the
+result does not depend on how crossings are split over calls of `push`. No row is served twice while another waits (the
+arbiter is not greedy, Lichtsteiner et al. 2008), and the bus sends at most 1 / event_ns.
+
+Not modelled: a held pixel's comparator stays in reset, so its reference would be read anew when it is served. Here the
+pixel goes on as if served at once, and only its events are lost; the two differ when the wait is longer than the
+refractory period.
+
+Linear time: requests and rows are bit maps, 64 to a word, and nothing is sorted or searched event by event.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from emulator.sensor.numerics.cached import kept_entry
+from emulator.sensor.numerics.compiled import kernel, say_if_not_compiled
+from emulator.sensor.numerics.elementary import lowest_bit
+from emulator.sensor.pixels.array import Crossings
+from emulator.sensor.presets import SensorParameters
+from firmware_protocol.events import EVENT, Events
+
+__all__ = ["ReadOut"]
+
+_FOREVER_NS = (1 << 63) - 1
+
+_Words = npt.NDArray[np.uint64]
+_Int64s = npt.NDArray[np.int64]
+
+# What the arbiter is doing.
+_IDLE, _PICKED, _SENDING = range(3)
+
+
+class _Maps(NamedTuple):
+    """Requests, as bit maps: 64 pixels of a row to a word."""
+
+    waiting: _Words  # (height, words), bit set: this pixel holds a request
+    polarity: _Words  # (height, words), of those requests
+    rows: _Words  # bit set: this row has requests
+    counts: _Int64s  # (height,), requests in each row
+    words: _Int64s  # (height,), word of the row's latest request
+    latched: _Words  # (words,), of the row being sent, not yet sent: all 0 when nothing is being sent
+    latched_polarity: _Words
+
+
+class _Arrivals(NamedTuple):
+    """Crossings, as in `Crossings`."""
+
+    t_ns: _Int64s
+    pixel: npt.NDArray[np.uint32]
+    on: npt.NDArray[np.bool_]
+
+
+class _Timing(NamedTuple):
+    width: int
+    row_ns: int
+    event_ps: int
+
+
+class _Queue(NamedTuple):
+    """How many requests wait, since when if none waited before, the row of the latest one, and how many were lost."""
+
+    waiting: int
+    ready_ns: int
+    row: int
+    lost: int
+
+
+class _Arbiter(NamedTuple):
+    """All else that the arbiter remembers."""
+
+    phase: int
+    free_ns: int  # when idle: since when
+    row: int  # picked, being sent, or last sent
+    latch_ns: int
+    latched: int  # events of the row
+    sent: int  # of them
+    word: int  # where the next one is looked for
+
+
+@kernel
+def _admit(arrivals: _Arrivals, k: int, until_ns: int, maps: _Maps, width: int, queue: _Queue) -> tuple[int, _Queue]:
+    """Let crossings from k on, up to and including `until_ns`, raise requests; return the next k and the queue."""
+    waiting, ready_ns, latest, lost = queue
+    while k < arrivals.t_ns.size and arrivals.t_ns[k] <= until_ns:
+        pixel = np.uint64(arrivals.pixel[k])
+        row = int(np.int64(pixel // np.uint64(width)))
+        x = np.int64(pixel) - row * width
+        word, place = x >> 6, np.uint64(x & 63)
+        bit = np.uint64(1) << place
+        if maps.waiting[row, word] & bit:
+            lost += 1
+        else:
+            ready_ns = ready_ns if waiting else arrivals.t_ns[k]
+            waiting += 1
+            latest = row
+            maps.waiting[row, word] |= bit
+            maps.polarity[row, word] |= np.uint64(arrivals.on[k]) << place
+            maps.rows[row >> 6] |= np.uint64(1) << np.uint64(row & 63)
+            maps.counts[row] += 1
+            maps.words[row] = word
+        k += 1
+    return k, _Queue(waiting, ready_ns, latest, lost)
+
+
+@kernel
+def _next_row(rows: _Words, last: int, height: int) -> int:
+    """Return the first row with requests after `last`, going round; there is one."""
+    first = last + 1 if last + 1 < height else 0
+    word = first >> 6
+    here = rows[word] & (~np.uint64(0) << np.uint64(first & 63))
+    while here == 0:
+        word = word + 1 if word + 1 < rows.size else 0
+        here = rows[word]
+    return int(word * 64 + np.int64(lowest_bit(here)))
+
+
+@kernel
+def _latch(maps: _Maps, row: int) -> tuple[int, int]:
+    """Take all requests of a row: return how many and the first word. One request, the usual case, has a known word."""
+    n = maps.counts[row]
+    first, beyond = (maps.words[row], maps.words[row] + 1) if n == 1 else (0, maps.latched.size)
+    for word in range(first, beyond):
+        maps.latched[word] = maps.waiting[row, word]
+        maps.latched_polarity[word] = maps.polarity[row, word]
+        maps.waiting[row, word] = maps.polarity[row, word] = np.uint64(0)
+    maps.rows[row >> 6] &= ~(np.uint64(1) << np.uint64(row & 63))
+    maps.counts[row] = 0
+    return n, first
+
+
+@kernel
+def _send(maps: _Maps, a: _Arbiter, event_ps: int, until_ns: int, out: Events, n: int) -> tuple[int, _Arbiter]:
+    """Send latched events that leave before `until_ns`, into `out` from n on; return the new n and the arbiter."""
+    sent, word = a.sent, a.word
+    exit_ns = a.free_ns
+    while sent < a.latched:
+        leaves_ns = a.latch_ns + ((sent + 1) * event_ps + 999) // 1000
+        if leaves_ns >= until_ns:
+            break
+        exit_ns = leaves_ns
+        while maps.latched[word] == 0:
+            word += 1
+        bits = maps.latched[word]
+        x = lowest_bit(bits)
+        maps.latched[word] = bits & (bits - np.uint64(1))
+        event = out[n]
+        event.t = exit_ns // 1000
+        event.x = np.int64(word) * 64 + np.int64(x)
+        event.y = a.row
+        event.on = (maps.latched_polarity[word] >> x) & np.uint64(1) != 0
+        n += 1
+        sent += 1
+    phase = _SENDING if sent < a.latched else _IDLE
+    return n, _Arbiter(phase, exit_ns, a.row, a.latch_ns, a.latched, sent, word)
+
+
+@kernel
+def _run(
+    arrivals: _Arrivals, until_ns: int, maps: _Maps, queue: _Queue, a: _Arbiter, timing: _Timing, out: Events
+) -> tuple[int, _Queue, _Arbiter]:
+    """Let the arbiter do all that happens before `until_ns`; return the number of events written to `out`."""
+    n = k = 0
+    while True:
+        if a.phase == _SENDING:
+            n, a = _send(maps, a, timing.event_ps, until_ns, out, n)
+            if a.phase == _SENDING:
+                break
+        if a.phase == _IDLE:
+            if queue.waiting == 0 and k == arrivals.t_ns.size:
+                break
+            first_ns = queue.ready_ns if queue.waiting else arrivals.t_ns[k]
+            start_ns = max(a.free_ns, first_ns)
+            if start_ns >= until_ns:
+                break
+            k, queue = _admit(arrivals, k, start_ns, maps, timing.width, queue)
+            lone = queue.waiting == 1 and maps.counts[queue.row] == 1
+            row = queue.row if lone else _next_row(maps.rows, a.row, maps.counts.size)
+            a = _Arbiter(_PICKED, a.free_ns, row, start_ns + timing.row_ns, 0, 0, 0)
+        if a.latch_ns >= until_ns:
+            break
+        k, queue = _admit(arrivals, k, a.latch_ns, maps, timing.width, queue)
+        taken, word = _latch(maps, a.row)
+        queue = _Queue(queue.waiting - taken, queue.ready_ns, queue.row, queue.lost)
+        a = _Arbiter(_SENDING, a.free_ns, a.row, a.latch_ns, taken, 0, word)
+    _, queue = _admit(arrivals, k, _FOREVER_NS, maps, timing.width, queue)
+    return n, queue, a
+
+
+@kept_entry
+def _serve(
+    arrivals: _Arrivals,
+    until_ns: int,
+    maps: _Maps,
+    queue: _Queue,
+    a: _Arbiter,
+    timing: _Timing,
+    out: Events,
+) -> tuple[int, _Queue, _Arbiter]:
+    """Do as `_run`; kept on disk."""
+    n, queue, a = _run(arrivals, until_ns, maps, queue, a, timing, out)
+    return n, queue, a
+
+
+class ReadOut:
+    """The arbiter of one sensor.
+
+    Parameters
+    ----------
+    parameters : the sensor: its size and its `readout` times.
+
+    Attributes
+    ----------
+    raised : crossings pushed; always lost_at_readout + read_out + pending.
+    read_out : events returned.
+    """
+
+    def __init__(self, parameters: SensorParameters) -> None:
+        say_if_not_compiled(_serve, "the read-out")
+        times, height = parameters.readout, parameters.height
+        words = -(-parameters.width // 64)
+        self._timing = _Timing(parameters.width, times.row_ns, max(1, round(times.event_ns * 1000)))
+        self._maps = _Maps(
+            waiting=np.zeros((height, words), np.uint64),
+            polarity=np.zeros((height, words), np.uint64),
+            rows=np.zeros(-(-height // 64), np.uint64),
+            counts=np.zeros(height, np.int64),
+            words=np.zeros(height, np.int64),
+            latched=np.zeros(words, np.uint64),
+            latched_polarity=np.zeros(words, np.uint64),
+        )
+        self._queue = _Queue(0, 0, 0, 0)
+        self._arbiter = _Arbiter(_IDLE, -_FOREVER_NS, height - 1, 0, 0, 0, 0)
+        self._until_ns = -_FOREVER_NS
+        self._out = np.empty(0, EVENT)
+        self.raised = 0
+        self.read_out = 0
+
+    @property
+    def lost_at_readout(self) -> int:
+        """Crossings of pixels whose request still waited."""
+        return self._queue.lost
+
+    @property
+    def pending(self) -> int:
+        """Requests that wait, and latched events that have not left."""
+        a = self._arbiter
+        return self._queue.waiting + (a.latched - a.sent if a.phase == _SENDING else 0)
+
+    def push(self, crossings: Crossings, until_ns: int) -> Events:
+        """Take crossings, and return the events that leave before `until_ns`.
+
+        Parameters
+        ----------
+        crossings : sorted by time, none before the last `until_ns` and none after this one.
+        until_ns : stream time up to which all crossings are known now.
+
+        Returns
+        -------
+        (n,) EVENT, sorted by t, which is the time of leaving in us, rounded down.
+
+        Raises
+        ------
+        ValueError
+            Time goes back.
+        """
+        t_ns = crossings.t_ns
+        if until_ns < self._until_ns:
+            raise ValueError(f"until_ns = {until_ns}: before the last one, {self._until_ns}; time does not go back")
+        if t_ns.size and (t_ns[0] < self._until_ns or t_ns[-1] > until_ns):
+            raise ValueError(
+                f"crossings from {t_ns[0]} to {t_ns[-1]} ns: must lie from {self._until_ns} to {until_ns} ns"
+            )
+        self.raised += t_ns.size
+        self._until_ns = until_ns
+        room = self.pending + t_ns.size
+        if room > self._out.size:
+            self._out = np.empty(max(room, 2 * self._out.size), EVENT)
+        arrivals = _Arrivals(t_ns, crossings.pixel, crossings.on)
+        n, queue, arbiter = _serve(arrivals, until_ns, self._maps, self._queue, self._arbiter, self._timing, self._out)
+        self._queue, self._arbiter = _Queue(*queue), _Arbiter(*arbiter)
+        self.read_out += n
+        return self._out[:n].copy()
+
+    def finish(self) -> Events:
+        """Return the events that have not left yet; nothing is pending afterwards, and nothing can be pushed."""
+        nothing = Crossings(np.empty(0, np.int64), np.empty(0, np.uint32), np.empty(0, np.bool_))
+        return self.push(nothing, _FOREVER_NS)

@@ -1,0 +1,301 @@
+"""The loops of `noise`: candidates drawn a window ahead, thinned by the light of a step, and put among its crossings.
+
+What a window of some slots will bring is drawn once, whatever the steps that go through it, and lies sorted by time. A
+step then touches the candidates of its own time alone, and the seconds that are due: those due within the window lie in
+`soon`, later ones in `later`, so that no step searches through all of them.
+
+Numbers of one kind share an array, because each array costs a call 0.05 us, each named tuple twice that (named tuples
+and arrays made for the result, as elsewhere in this folder, came to 4 us):
+
+    candidates   (3, room) int64: WHEN, KEY (pixel << 1 | on), PAIR (random bits for the second of its pair)
+    chances      (2, room) float32: ROW of the table of rates, by the pixel's thresholds, and LOG: the candidate fires
+                 if this is less than ln of the rate in the light of its step
+    table        (thresholds + 2, nodes) float32: ln of the primaries' rate in Hz over (threshold, ln f); below, what a
+                 second needs over ln f: its share and tau in ns
+    lights       (6,) float32: dark current, corner frequency at the reference, least, most, nodes a fold, last place
+    soon, later  (2, room) int64: WHEN, KEY
+    state        (9,) int64, see `State`
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+import numpy as np
+import numpy.typing as npt
+
+from emulator.sensor.chip.slots import SLOT_NS
+from emulator.sensor.numerics.cached import kept_entry
+from emulator.sensor.numerics.compiled import kernel, vector_kernel
+from emulator.sensor.numerics.elementary import natural_log
+from emulator.sensor.numerics.keyed_kernels import high, low, stream, unit, word
+
+__all__ = ["State", "draw_window", "fire", "insert", "sort_in"]
+
+_BATCH = 256
+_SECONDS = 1 << 40  # first index of the numbers that seconds are drawn from
+_ONE, _S32 = np.uint64(1), np.uint64(32)
+_LARGEST = np.finfo(np.float32).max
+_ZERO, _UNITY, _HALF, _NAN = (np.float32(x) for x in (0, 1, 0.5, np.nan))
+_WHEN, _KEY, _PAIR = range(3)
+_ROW, _LOG = range(2)
+_SHARE, _TAU = -2, -1  # rows of the table
+
+_Float32s = npt.NDArray[np.float32]
+_Floats = npt.NDArray[np.float64]
+_Int64s = npt.NDArray[np.int64]
+_Words = npt.NDArray[np.uint64]
+_Events = tuple[_Int64s, npt.NDArray[np.uint32], npt.NDArray[np.bool_]]
+
+
+class State(IntEnum):
+    """What a place of `state` holds: ends of step and window, candidates done and drawn, seconds; two that stay."""
+
+    T0_NS = 0
+    T1_NS = 1
+    WINDOW_NS = 2
+    FIRST = 3
+    COUNT = 4
+    SOON = 5
+    LATER = 6
+    REFRACTORY_NS = 7
+    PIXEL_BITS = 8
+
+
+_T0, _T1, _WINDOW, _FIRST, _COUNT, _SOON, _LATER, _REFRACTORY, _PIXEL_BITS = (int(place) for place in State)
+
+
+@vector_kernel
+def _logs(base: np.uint64, index: int, n: int, out: _Float32s) -> None:
+    """Write ln of the uniform numbers made of every third word from `index` on."""
+    for k in range(n):
+        out[k] = natural_log(np.float32(unit(high(word(base, index + 3 * k)))))
+
+
+@kernel
+def _words(base: np.uint64, index: int, n: int, out: _Words) -> None:
+    for k in range(n):
+        out[k] = word(base, index + 3 * k)
+
+
+@kernel
+def _times(log_gap: _Float32s, n: int, t: float, mean_gap: float, out: _Floats) -> tuple[int, float]:
+    """Write the times of the next candidates as shares of the slot; return how many lie in it, and the last time."""
+    for k in range(n):
+        t -= mean_gap * np.float64(log_gap[k])
+        out[k] = t
+        if t >= 1:
+            return k, t
+    return n, t
+
+
+@kernel
+def _choose_pixels(bits: _Words, n: int, alias: _Words, out: _Words) -> None:
+    """Write the pixel of each word: one drawn evenly, or the one that its entry [share of its own | other] names."""
+    pixels = np.uint64(alias.size)
+    for k in range(n):
+        pixel = (high(bits[k]) * pixels) >> _S32
+        entry = alias[pixel]
+        out[k] = pixel if low(bits[k]) < high(entry) else low(entry)
+
+
+@kept_entry
+def draw_window(
+    slots: tuple[int, int, np.uint64, float],
+    alias: _Words,
+    row: _Float32s,
+    log_highest: _Float32s,
+    candidates: _Int64s,
+    chances: _Float32s,
+) -> int:
+    """Draw the candidates of some slots; return how many, or -1 if there is not room for them.
+
+    `slots` are the first, their number, the root of their streams and the mean gap between candidates as a share of a
+    slot; `alias` and `row` are (pixels,), `log_highest` ln W by row of the table.
+    """
+    begin, number, root, mean_gap = slots
+    n, chunk = 0, min(_BATCH, max(8, int(1.2 / mean_gap)))
+    log_gap, t = np.empty(chunk, np.float32), np.empty(chunk)
+    drawn = np.empty((4, chunk), np.uint64)
+    sign, bits, pixel, pair = drawn[0], drawn[1], drawn[2], drawn[3]
+    for slot in range(begin, begin + number):
+        base, first, last = stream(root, slot), 0, 0.0
+        while last < 1:
+            if n + chunk > candidates.shape[1]:
+                return -1
+            _logs(base, 3 * first, chunk, log_gap)
+            some, last = _times(log_gap, chunk, last, mean_gap, t)
+            _words(base, 3 * first, some, sign)
+            _words(base, 3 * first + 1, some, bits)
+            _words(base, 3 * first + _SECONDS, some, pair)
+            _choose_pixels(bits, some, alias, pixel)
+            _logs(base, 3 * first + 2, some, log_gap)
+            for k in range(some):
+                candidates[_WHEN, n + k] = slot * SLOT_NS + np.int64(t[k] * SLOT_NS)
+                candidates[_KEY, n + k] = np.int64(pixel[k] << _ONE | (sign[k] & _ONE))
+                candidates[_PAIR, n + k] = np.int64(pair[k])
+                place = row[pixel[k]]
+                i = np.uint64(np.int64(place))
+                y = place - np.float32(i)
+                chances[_ROW, n + k] = place
+                chances[_LOG, n + k] = log_gap[k] + (log_highest[i] * (_UNITY - y) + log_highest[i + _ONE] * y)
+            first, n = first + some, n + some
+    return n
+
+
+@vector_kernel
+def _find_nodes(node: _Float32s, n: int, lights: _Float32s) -> None:
+    """Turn the light of n candidates into where it lies among the nodes; light that is not finite into NaN."""
+    dark, at_reference, lowest = lights[0], lights[1], lights[2]
+    highest, a_fold, last = lights[3], lights[4], lights[5]
+    for k in range(n):
+        light = node[k]
+        lit = light if light > _ZERO else _ZERO
+        hz = min(max(at_reference * (lit + dark), lowest), highest)
+        place = min(natural_log(hz / lowest) * a_fold, last)
+        node[k] = max(place, _ZERO) if abs(light) <= _LARGEST else _NAN
+
+
+@kernel
+def _find_rates(row: _Float32s, node: _Float32s, n: int, table: _Float32s, out: _Float32s) -> None:
+    """Write ln of each candidate's rate; NaN where light is unreadable. Straight between nodes in both directions."""
+    for k in range(n):
+        place = node[k] if node[k] == node[k] else _ZERO
+        i, j = np.uint64(np.int64(row[k])), np.uint64(np.int64(place))
+        y, x = row[k] - np.float32(i), node[k] - np.float32(j)
+        upper = table[i, j] * (_UNITY - x) + table[i, j + _ONE] * x
+        lower = table[i + _ONE, j] * (_UNITY - x) + table[i + _ONE, j + _ONE] * x
+        out[k] = upper * (_UNITY - y) + lower * y
+
+
+@kernel
+def _choose(log_chance: _Float32s, log_rate: _Float32s, n: int, kept: _Int64s) -> int:
+    """List those of n candidates that fire, return how many."""
+    found = 0
+    for k in range(n):
+        kept[found] = k
+        found += log_chance[k] < log_rate[k]
+    return found
+
+
+@kernel
+def _wait_ns(pair: np.uint64, node: np.float32, table: _Float32s, refractory_ns: int) -> int:
+    """Return how long after its first a pair's second comes; -1 if there is none."""
+    nearest = np.int64(node + _HALF)
+    if unit(low(pair)) >= table[_SHARE, nearest]:
+        return -1
+    wait = 0.8 - 1.4 * np.float64(natural_log(np.float32(unit(high(pair)))))
+    wait_ns = int(wait * table[_TAU, nearest])
+    return wait_ns if wait_ns > refractory_ns else refractory_ns
+
+
+@kernel
+def _pack(t_ns: int, key: int, ends: tuple[int, int, int], keys: _Words, n: int) -> int:
+    """Write an event of the step, packed as [time since t0 | pixel | on], to place n; return the next place."""
+    t0_ns, t1_ns, bits = ends
+    keys[n] = np.uint64(t_ns - t0_ns) << np.uint64(bits + 1) | np.uint64(key)
+    return n + ((t0_ns <= t_ns) & (t_ns < t1_ns))
+
+
+@kernel
+def _put(ahead: _Int64s, n: int, t_ns: int, key: int) -> int:
+    ahead[_WHEN, n], ahead[_KEY, n] = t_ns, key
+    return n + 1
+
+
+@kernel
+def _due(soon: _Int64s, n: int, ends: tuple[int, int, int], keys: _Words) -> tuple[int, int]:
+    """Pack the seconds that the step reaches and move up the rest; return the numbers of both."""
+    found = kept = 0
+    for k in range(n):
+        t_ns, key = soon[_WHEN, k], soon[_KEY, k]
+        soon[_WHEN, kept], soon[_KEY, kept] = t_ns, key
+        kept += t_ns >= ends[1]
+        found = _pack(t_ns, key, ends, keys, found)
+    return found, kept
+
+
+@kept_entry
+def sort_in(soon: _Int64s, later: _Int64s, state: _Int64s) -> None:
+    """Move what is due before the end of a new window from `later` to `soon`."""
+    near, far, window_ns = state[_SOON], 0, state[_WINDOW]
+    for k in range(state[_LATER]):
+        t_ns, key = later[_WHEN, k], later[_KEY, k]
+        _put(soon, near, t_ns, key)
+        _put(later, far, t_ns, key)
+        near += t_ns < window_ns
+        far += t_ns >= window_ns
+    state[_SOON], state[_LATER] = near, far
+
+
+@kernel
+def _take(light: _Float32s, candidates: _Int64s, span: tuple[int, int, int], out: _Float32s) -> int:
+    """Write the light of a step's next candidates, `span` being the first, the end and t1; return how many."""
+    first, end, t1_ns = span
+    n = 0
+    while n < _BATCH and first + n < end and candidates[_WHEN, first + n] < t1_ns:
+        out[n] = light[np.uint64(candidates[_KEY, first + n]) >> _ONE]
+        n += 1
+    return n
+
+
+@kept_entry
+def fire(
+    light: _Float32s,
+    drawn: tuple[_Int64s, _Float32s],
+    rates: tuple[_Float32s, _Float32s],
+    seconds: tuple[_Int64s, _Int64s],
+    keys: _Words,
+    state: _Int64s,
+) -> int:
+    """Let the candidates of a step fire: pack its events, unsorted, into `keys`; return how many, and move `state`.
+
+    `drawn` are candidates and chances, `rates` table and lights, `seconds` soon and later.
+    """
+    (candidates, chances), (table, lights), (soon, later) = drawn, rates, seconds
+    t1_ns, window_ns, first = state[_T1], state[_WINDOW], state[_FIRST]
+    ends = state[_T0], t1_ns, state[_PIXEL_BITS]
+    found, near = _due(soon, state[_SOON], ends, keys)
+    far = state[_LATER]
+    node, rate = np.empty(_BATCH, np.float32), np.empty(_BATCH, np.float32)
+    kept = np.empty(_BATCH + 1, np.int64)
+    n = _take(light, candidates, (first, state[_COUNT], t1_ns), node)
+    while n > 0:
+        _find_nodes(node, n, lights)
+        _find_rates(chances[_ROW, first:], node, n, table, rate)
+        for one in range(_choose(chances[_LOG, first:], rate, n, kept)):
+            k = first + kept[one]
+            t_ns, key = candidates[_WHEN, k], candidates[_KEY, k]
+            found = _pack(t_ns, key, ends, keys, found)
+            wait_ns = _wait_ns(np.uint64(candidates[_PAIR, k]), node[kept[one]], table, state[_REFRACTORY])
+            if wait_ns < 0:
+                continue
+            t_ns, key = t_ns + wait_ns, key ^ 1
+            if t_ns < t1_ns:
+                found = _pack(t_ns, key, ends, keys, found)
+            elif t_ns < window_ns:
+                near = _put(soon, near, t_ns, key)
+            else:
+                far = _put(later, far, t_ns, key)
+        first += n
+        n = _take(light, candidates, (first, state[_COUNT], t1_ns), node)
+    state[_FIRST], state[_SOON], state[_LATER] = first, near, far
+    return int(found)
+
+
+@kept_entry
+def insert(keys: _Words, t0_ns: int, pixel_bits: int, crossings: _Events, out: _Events) -> None:
+    """Write sorted keys and crossings to `out`, sorted by (time, pixel); of equals, crossings come first."""
+    (at_ns, at, on), (out_ns, out_at, out_on) = crossings, out
+    shift, mask = np.uint64(pixel_bits + 1), (_ONE << np.uint64(pixel_bits)) - _ONE
+    k = n = 0
+    for key in keys:
+        t_ns, pixel = t0_ns + np.int64(key >> shift), (key >> _ONE) & mask
+        while k < at_ns.size and (at_ns[k] < t_ns or (at_ns[k] == t_ns and np.uint64(at[k]) <= pixel)):
+            out_ns[n], out_at[n], out_on[n] = at_ns[k], at[k], on[k]
+            k, n = k + 1, n + 1
+        out_ns[n], out_at[n], out_on[n] = t_ns, pixel, key & _ONE != 0
+        n += 1
+    while k < at_ns.size:
+        out_ns[n], out_at[n], out_on[n] = at_ns[k], at[k], on[k]
+        k, n = k + 1, n + 1

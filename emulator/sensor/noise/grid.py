@@ -1,0 +1,341 @@
+"""Pixels with their noise followed in time, on a fixed grid: the reference for `noise`, for some thousand pixels.
+
+A method like `PixelArray`, in float64 and by brute force. The grid's step is a tenth of the shortest time constant of
+the noise, rounded down to a power of two of 1 us, and its times are multiples of it since stream time zero. From one
+grid time to the next, with log light on a straight line between pictures,
+
+    filter    v in warped time, as in `kernels`; behind a second pole w, for a v that goes straight
+    noise     n1 = n0 A + sigma sqrt(1 - A^2) N,  A = e^(-delta / tau_n), N keyed by (seed, pixel, grid time)
+    x - r     what the comparator sees: moves by the change of w + n and by the leaks, that of light by its mean
+
+Within a grid step x is a Brownian bridge of variance V = 2 sigma^2 delta / tau_n: a level c above both ends a, b is met
+all the same with probability exp(-2 (c - a)(c - b) / V), at a time drawn uniformly; what the comparator sees when a
+blind stretch ends is drawn from the bridge.
+
+All draws are keyed by grid time, and events are known up to the last grid time only (`settled_ns`). So in still light
+the result does not depend on the steps at all, and in moving light no more than the light between pictures does.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from emulator.sensor.chip.defects import DEAD_THRESHOLD
+from emulator.sensor.chip.slots import Ahead, new_ahead, roomy
+from emulator.sensor.noise.law import bandwidth_hz
+from emulator.sensor.numerics.cached import kept_entry
+from emulator.sensor.numerics.compiled import kernel, kernel_that_allocates
+from emulator.sensor.numerics.keyed import Purpose, normal, root_of
+from emulator.sensor.numerics.keyed_kernels import high, low, normal_of, stream, unit, word
+from emulator.sensor.pixels.array import Crossings
+from emulator.sensor.pixels.merging import NO_CROSSINGS, unpacked
+from emulator.sensor.pixels.mismatch import draw
+from emulator.sensor.presets import SensorParameters
+
+__all__ = ["NoisyPixels", "grid_ns"]
+
+_MOST_EVENTS = 16  # of a pixel in a grid step
+_DRAWS = 4 * _MOST_EVENTS + 4  # numbers set apart for a grid step
+_HOPELESS = 40.0
+_FASTEST_HZ = 1e9
+
+_Floats = npt.NDArray[np.float64]
+
+
+class _Model(NamedTuple):
+    """What does not change in a step; (pixels,) float64: thresholds, leak and that of light 1, in ln units a second."""
+
+    on: _Floats
+    off: _Floats
+    leak: _Floats
+    parasitic: _Floats
+    voltage_root: np.uint64
+    bridge_root: np.uint64
+    delta_ns: int
+    refractory_ns: int
+    hz_at_reference: float
+    hz_min: float
+    hz_max: float
+    second: float  # rate of the second pole times the grid step; 0: none
+    noise_rms: float
+    noise_corner_hz: float
+
+
+class _State(NamedTuple):
+    """At the last grid time, (pixels,) each: log light, filtered once, twice, noise, x - r (NaN: blind), until when."""
+
+    u: _Floats
+    v: _Floats
+    w: _Floats
+    n: _Floats
+    seen: _Floats
+    blind_until_ns: npt.NDArray[np.int64]
+
+
+class _Span(NamedTuple):
+    """The grid times after `first` up to `last`; between which pictures they lie."""
+
+    first: int
+    last: int
+    t0_ns: int
+    t1_ns: int
+
+
+class _Move(NamedTuple):
+    """What happens to x - r of a pixel in a grid step: start, change, the bridge's variance; stream and next number."""
+
+    pixel: int
+    start_ns: int
+    change: float
+    variance: float
+    base: np.uint64
+    draw: int
+
+
+def grid_ns(p: SensorParameters) -> int:
+    """Return the grid's step, ns."""
+    fastest = np.inf if math.isinf(p.corner_hz_at_reference) else min(p.corner_max_hz, _FASTEST_HZ)
+    tau_us = 1e6 / (2 * math.pi * float(bandwidth_hz(p, fastest)))
+    return int(1000 * 2 ** max(0, math.floor(math.log2(0.1 * tau_us))))
+
+
+@kernel
+def _corner_hz(u: float, m: _Model) -> float:
+    hz = m.hz_at_reference * math.exp(u)
+    return min(max(hz, m.hz_min), m.hz_max)
+
+
+@kernel
+def _filtered(u0: float, u1: float, v0: float, m: _Model) -> float:
+    """Return the photoreceptor's output a grid step later."""
+    rate0, rate1 = 2 * math.pi * _corner_hz(u0, m), 2 * math.pi * _corner_hz(u1, m)
+    d = u1 - u0
+    warped = m.delta_ns * 1e-9 * max((rate0 + rate1) / 2 + d * (rate0 - rate1) / 12, min(rate0, rate1))
+    q = -math.expm1(-warped)
+    return float(v0 + q * (u0 - v0) + d * (1 - q / warped))
+
+
+@kernel
+def _behind_second_pole(v0: float, v1: float, w0: float, m: _Model) -> float:
+    """Return the second pole's output a grid step later."""
+    if m.second == 0:
+        return v1
+    q = -math.expm1(-m.second)
+    return float(w0 + q * (v0 - w0) + (v1 - v0) * (1 - q / m.second))
+
+
+@kernel
+def _leaked(u0: float, u1: float, pixel: int, m: _Model) -> float:
+    """Return by how much leaks raise x - r in a grid step."""
+    by_light = m.parasitic[pixel] * (math.exp(u0) + math.exp(u1)) / 2 if m.parasitic[pixel] > 0 else 0.0
+    return float((m.leak[pixel] + by_light) * m.delta_ns * 1e-9)
+
+
+@kernel
+def _noise_figures(u: float, m: _Model) -> tuple[float, float]:
+    """Return sigma and delta / tau_n in a light (see `noise_law`)."""
+    hz = _corner_hz(u, m)
+    passed = m.noise_corner_hz / (m.noise_corner_hz + hz)
+    return m.noise_rms * math.sqrt(passed), 2 * math.pi * hz * passed * m.delta_ns * 1e-9
+
+
+@kernel
+def _next_event(at: float, seen: float, end: float, move: _Move, thresholds: tuple[float, float]) -> tuple[float, int]:
+    """Return where in the grid step, after `at`, a threshold is met first, and 1 for ON; 2 if none is."""
+    on, off = thresholds
+    left = 1 - at
+    if end >= on or end <= -off:
+        level = on if end >= on else -off
+        share = (level - seen) / (end - seen) if end != seen else 0.0
+        return at + left * min(max(share, 0.0), 1.0), 1 if end >= on else 0
+    bits = word(move.base, move.draw)
+    where = at + left * unit(high(word(move.base, move.draw + 1)))
+    variance = move.variance * left
+    rising, falling = 2 * (on - seen) * (on - end), 2 * (seen + off) * (end + off)
+    if rising < _HOPELESS * variance and unit(high(bits)) < math.exp(-rising / variance):
+        return where, 1
+    if falling < _HOPELESS * variance and unit(low(bits)) < math.exp(-falling / variance):
+        return where, 0
+    return 2.0, 0
+
+
+@kernel
+def _bridge(at: float, to: float, seen: float, end: float, move: _Move) -> float:
+    """Return x - r at `to`, on the way from `seen` at `at` to `end` at 1."""
+    share = (to - at) / (1 - at)
+    deviation = math.sqrt(max(move.variance * (1 - at) * share * (1 - share), 0.0))
+    return float(seen + share * (end - seen) + deviation * normal_of(word(move.base, move.draw + 2)))
+
+
+@kernel
+def _later(move: _Move) -> _Move:
+    """Return the same move with fresh numbers."""
+    return _Move(move.pixel, move.start_ns, move.change, move.variance, move.base, move.draw + 4)
+
+
+@kernel_that_allocates
+def _fire(move: _Move, m: _Model, s: _State, ahead: Ahead, n: int) -> tuple[Ahead, int, int]:
+    """Take a pixel's comparator over one grid step; return its events added to `ahead`, and how many are lost."""
+    pixel, events, blind = move.pixel, 0, m.refractory_ns / m.delta_ns
+    at, seen, end = 0.0, s.seen[pixel], s.seen[pixel] + move.change
+    if seen != seen:
+        at = max((s.blind_until_ns[pixel] - move.start_ns) / m.delta_ns, 0.0)
+        if at >= 1:
+            return ahead, n, 0
+        seen, end = 0.0, move.change - _bridge(0.0, at, 0.0, move.change, move)
+    while True:
+        move = _later(move)
+        at_event, on = _next_event(at, seen, end, move, (m.on[pixel], m.off[pixel]))
+        if at_event > 1:
+            s.seen[pixel] = end
+            break
+        events += 1
+        if events <= _MOST_EVENTS:
+            ahead = roomy(ahead, n, 1)
+            ahead.t_ns[n] = move.start_ns + int(at_event * m.delta_ns)
+            ahead.key[n] = np.uint64(pixel) << np.uint64(1) | np.uint64(on)
+            n += 1
+        level = m.on[pixel] if on else -m.off[pixel]
+        at = at_event + blind
+        if blind > 0 and at >= 1:
+            s.seen[pixel], s.blind_until_ns[pixel] = np.nan, move.start_ns + int(at * m.delta_ns)
+            break
+        seen, end = 0.0, end - (_bridge(at_event, at, level, end, move) if blind > 0 else level)
+    return ahead, n, max(events - _MOST_EVENTS, 0)
+
+
+@kept_entry
+def _advance(
+    light: tuple[_Floats, _Floats],
+    span: _Span,
+    m: _Model,
+    s: _State,
+    ahead: Ahead,
+) -> tuple[Ahead, int, int]:
+    """Take all pixels over the grid times of a span, whose pictures' log light is `light`, (pixels,) each."""
+    n = lost = 0
+    for pixel in range(m.on.size):
+        voltage, bridge = stream(m.voltage_root, pixel), stream(m.bridge_root, pixel)
+        for grid in range(span.first + 1, span.last + 1):
+            share = (grid * m.delta_ns - span.t0_ns) / (span.t1_ns - span.t0_ns)
+            u = light[0][pixel] + share * (light[1][pixel] - light[0][pixel])
+            v = _filtered(s.u[pixel], u, s.v[pixel], m)
+            w = _behind_second_pole(s.v[pixel], v, s.w[pixel], m)
+            sigma, delta = _noise_figures(s.u[pixel], m)
+            kept = math.exp(-delta)
+            noise = s.n[pixel] * kept + sigma * math.sqrt(-math.expm1(-2 * delta)) * normal_of(word(voltage, grid))
+            change = w - s.w[pixel] + noise - s.n[pixel] + _leaked(s.u[pixel], u, pixel, m)
+            start_ns, variance = (grid - 1) * m.delta_ns, 2 * sigma * sigma * delta
+            move = _Move(pixel, start_ns, change, variance, bridge, grid * _DRAWS)
+            ahead, n, more = _fire(move, m, s, ahead, n)
+            lost += more
+            s.u[pixel], s.v[pixel], s.w[pixel], s.n[pixel] = u, v, w, noise
+    return ahead, n, lost
+
+
+class NoisyPixels:
+    """An array of pixels whose noise is followed in time.
+
+    Parameters
+    ----------
+    parameters : the sensor; `noise.rms` > 0.
+    seed : the same thresholds, leak and phases as a `PixelArray` of that seed has; keys the noise too.
+
+    Attributes
+    ----------
+    lost_in_pixel : crossings beyond 16 of a pixel in a grid step.
+    quiet_nan : pixel-steps whose light was not finite; such a pixel keeps the light it had.
+    settled_ns : stream time up to which all events have been returned.
+    """
+
+    def __init__(self, parameters: SensorParameters, seed: int) -> None:
+        p, drawn = parameters, draw(parameters, seed)
+        self.parameters, self._seed = parameters, seed
+        self.lost_in_pixel = self.quiet_nan = self.settled_ns = 0
+        self._phase = drawn.phase
+        no_low_pass = math.isinf(p.corner_hz_at_reference)
+        self._model = _Model(
+            drawn.on, drawn.off, drawn.leak, p.parasitic_hz_at_reference * drawn.on,
+            voltage_root=root_of(seed, Purpose.NOISE_VOLTAGE),
+            bridge_root=root_of(seed, Purpose.NOISE_BRIDGE),
+            delta_ns=grid_ns(p),
+            refractory_ns=round(p.refractory_us * 1000),
+            hz_at_reference=_FASTEST_HZ if no_low_pass else p.corner_hz_at_reference,
+            hz_min=_FASTEST_HZ if no_low_pass else p.corner_min_hz,
+            hz_max=_FASTEST_HZ if no_low_pass else min(p.corner_max_hz, _FASTEST_HZ),
+            second=2 * math.pi * p.source_follower_hz * grid_ns(p) * 1e-9,
+            noise_rms=p.noise.rms * (math.sqrt(1 + _FASTEST_HZ / p.noise.corner_hz) if no_low_pass else 1.0),
+            noise_corner_hz=p.noise.corner_hz,
+        )  # fmt: skip
+        self._u = np.zeros(drawn.on.size)
+        self._t_ns = 0
+
+    def kill(self, pixel: npt.NDArray[np.int64]) -> None:
+        """Make pixels, (n,), dead; before the array is reset."""
+        m = self._model
+        m.on[pixel] = m.off[pixel] = DEAD_THRESHOLD
+        m.leak[pixel] = m.parasitic[pixel] = self._phase[pixel] = 0
+
+    def leak_hz(self) -> _Floats:
+        """Return the leak rate of all pixels, (pixels,), without that of light."""
+        return np.asarray(self._model.leak / self._model.on)
+
+    def let_leak(self, leak_hz: _Floats) -> None:
+        """Let all pixels leak at `leak_hz`, (pixels,), from the last grid time on."""
+        self._model.leak[:] = leak_hz * self._model.on
+
+    def reset(self, light: npt.NDArray[np.float32], t_ns: int) -> None:
+        """Start at `t_ns`, at rest on `light`, (height, width) float32; the noise is drawn as it is in the long run."""
+        m, pixels = self._model, self._u.size
+        self._u[:] = np.log(self.parameters.dark_current_relative)
+        self._u, self._t_ns = self._log(light), int(t_ns)
+        self.lost_in_pixel = self.quiet_nan = 0
+        first = -(-self._t_ns // m.delta_ns)
+        self.settled_ns = first * m.delta_ns
+        hz = np.clip(m.hz_at_reference * np.exp(self._u), m.hz_min, m.hz_max)
+        sigma = m.noise_rms * np.sqrt(m.noise_corner_hz / (m.noise_corner_hz + hz))
+        noise = sigma * normal(self._seed, Purpose.NOISE_VOLTAGE, np.arange(pixels), first)
+        seen = m.on * self._phase + noise
+        self._state = _State(self._u.copy(), self._u.copy(), self._u.copy(), noise, seen, np.zeros(pixels, np.int64))
+
+    def step(self, light: npt.NDArray[np.float32], t_ns: int, rate: npt.NDArray[np.float32] | None = None) -> Crossings:
+        """Move from the last picture to `light`, (height, width) float32, at `t_ns`; `rate` is of no use here.
+
+        Returns
+        -------
+        The crossings between the last `settled_ns` and the new one, the last grid time before `t_ns`.
+
+        Raises
+        ------
+        ValueError
+            Time goes back, or the picture has not the sensor's size.
+        """
+        t_ns, m = int(t_ns), self._model
+        if t_ns < self._t_ns:
+            raise ValueError(f"t_ns = {t_ns}: before the last step's {self._t_ns}; time does not go back")
+        if t_ns == self._t_ns:
+            return NO_CROSSINGS
+        u, settled = self._log(light), self.settled_ns
+        span = _Span(settled // m.delta_ns, t_ns // m.delta_ns, self._t_ns, t_ns)
+        ahead, n, lost = _advance((self._u, u), span, m, self._state, new_ahead())
+        self._u, self._t_ns, self.settled_ns = u, t_ns, max(span.last * m.delta_ns, settled)
+        self.lost_in_pixel += lost
+        bits = max(1, (u.size - 1).bit_length())
+        keys = (ahead[0][:n] - settled).astype(np.uint64) << np.uint64(bits + 1) | ahead[1][:n]
+        found = unpacked(keys, settled, bits)
+        return Crossings(found.t_ns, found.pixel, found.on, lost)
+
+    def _log(self, light: npt.NDArray[np.float32]) -> _Floats:
+        """Return the log of the photocurrent, (pixels,); where the light is not finite, what it was before."""
+        size = (self.parameters.height, self.parameters.width)
+        if light.shape != size or light.dtype != np.float32:
+            raise ValueError(f"light is {light.shape} {light.dtype}: must be {size} float32")
+        flat = light.reshape(-1).astype(np.float64)
+        readable = np.isfinite(flat)
+        self.quiet_nan += int((~readable).sum())
+        current = np.maximum(np.where(readable, flat, 0), 0) + self.parameters.dark_current_relative
+        return np.where(readable, np.log(current), self._u)

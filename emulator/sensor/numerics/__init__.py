@@ -1,0 +1,1 @@
+"""Compiled loops, elementary functions in float32, and keyed random numbers."""

@@ -1,0 +1,1 @@
+"""The pixel array: from light to threshold crossings with exact times."""

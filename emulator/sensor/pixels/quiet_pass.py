@@ -1,0 +1,363 @@
+"""The pixel step in float32: one quiet pass over every pixel, then work for the few that may fire.
+
+What is solved (photocurrent i relative to the reference light, u = ln i, natural logarithms throughout):
+
+    rate      lambda = 2 pi f(i), f proportional to i within its bounds
+    filter    dv/dt = lambda (u - v), and if there is a second pole dw/dt = lambda2 (v - w); else w is v
+    leak      the reference falls by l each second, and by the parasitic l' i; instead, the filtered value is raised:
+              g = w + l T + the parasitic part, T seconds since the epoch, and the stored reference moves at events only
+    crossing  ON when g - reference >= threshold_on, OFF when <= -threshold_off
+
+Between two pictures u is the cubic through its values and time derivatives at both; the filter is solved over S, the
+integral of lambda dt, by `lowpass`, and so is the second pole.
+
+The step of a pixel is *quiet* when bounds show that it cannot fire: v stays between v0 and v0 + q (U - v0), with
+q = 1 - e^-S and U the highest (lowest) of u, for which the cubic's Bernstein coefficients are bounds. Most pixels are,
+most of the time, and cost one pass of plain arithmetic. It is *plain* when its light is a cubic to be trusted: known
+slopes, less than 0.5 in log light from end to end, no sign of something unseen between the pictures. What is not quiet
+or not plain goes to `candidates`.
+
+What makes it fast, all measured:
+
+- State is kept in blocks of 1024 pixels, field after field within a block (see `Field`), in one flat array. A block
+  stays in the nearest caches with its scratch, and all its fields lie at distances known when compiled: LLVM gives up
+  on a loop with many separate arrays, because it would have to check each pair for overlap.
+- Loops run from 0 over BLOCK, a constant: no test for negative indices, no remainder, and a pixel's arithmetic does not
+  depend on where in the picture it lies.
+- Short loops instead of one long: their constants stay in registers.
+- No integer arithmetic in vector loops (numba widens it to 64 bits); logarithm and exponential are polynomials
+  (`elementary`), and `compiled` tells which compiler options matter.
+- Slopes are kept by warped time, which saves the divisions by the rate.
+- What few sensors have (second pole, parasitic leak) is a loop of its own, entered block by block or not at all.
+- The list of candidates is made without a branch, `found[k] = i; k += flag`, and only where a word of flags has any.
+- Candidates are gathered while their block is in the first cache, and solved in batches (`candidates`).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from emulator.sensor.numerics.cached import kept_entry
+from emulator.sensor.numerics.compiled import Real, kernel, lane, vector_kernel
+from emulator.sensor.numerics.elementary import decay, exponential, lowest_bit, natural_log
+from emulator.sensor.pixels.candidates import BATCH, Table, gather, gather_rare, select, solve
+from emulator.sensor.pixels.interpolation import is_plain
+from emulator.sensor.pixels.lowpass import Course, Filtered, rise_behind_second_pole, rise_of_filter, warped_time
+from emulator.sensor.pixels.state import BEFORE_ROWS, BLOCK, FIELDS, Field, Pixels, StepConstants
+from emulator.sensor.pixels.subset import Aside, set_aside
+
+__all__ = ["Tally", "advance", "unpack"]
+
+_Float32s = npt.NDArray[np.float32]
+_Int64s = npt.NDArray[np.int64]
+_Bytes = npt.NDArray[np.uint8]
+_Keys = npt.NDArray[np.uint64]
+
+_U, _V, _L, _G, _REF, _ON, _OFF, _LEAK, _W, _P = (int(f) * BLOCK for f in Field)
+_U0, _V0, _L0, _G0, _A0, _A1, _S, _Q, _W0, _P0, _HIGH, _LOW = BEFORE_ROWS
+
+
+class Tally(NamedTuple):
+    """What a step has to tell beside its events, all in pixel-steps but the first."""
+
+    lost: int  # crossings beyond MOST_EVENTS of a pixel
+    suspects: int  # light that did something between the pictures
+    candidates: int  # solved for crossings
+    unreadable: int  # light not finite
+    aside: int  # suspects that are not solved, but set aside
+
+
+_COLLECT = np.uint64(0x0102040810204080)
+_NAN = np.float32(np.nan)
+_ZERO, _ONE, _HALF = (np.float32(x) for x in (0, 1, 0.5))
+_THIRD, _TWELFTH = np.float32(1 / 3), np.float32(1 / 12)
+_BRIGHTEST = np.finfo(np.float32).max
+_MARGIN = np.float32(5e-6)  # rounding of the quiet test, ln units
+_WIDER = np.float32(1.08)  # covers the error of S for the largest plain change, bounds of the rate included
+_MORE = np.float32(1.5)  # the same for the integral of light
+_BULGE = np.float32(1.2)  # ... and light that is higher inside the step than at its ends: e^x < 1 + 1.2 x there
+
+
+@vector_kernel
+def _take_light(light: _Float32s, rate: _Float32s, s: _Float32s, before: _Float32s, c: StepConstants) -> None:
+    """Put a block's new log light (NaN where the light is not finite), its slope and rate into the state.
+
+    The old ones go aside.
+    """
+    for i in range(BLOCK):
+        e, r = light[i], rate[i]
+        lit = e > _ZERO
+        current = (e if lit else _ZERO) + c.dark
+        before[_U0 + i], before[_L0 + i], before[_G0 + i] = s[_U + i], s[_L + i], s[_G + i]
+        rate_after = min(max(c.rate_at_reference * current, c.rate_min), c.rate_max)
+        s[_U + i] = natural_log(current) if abs(e) <= _BRIGHTEST else _NAN
+        s[_L + i] = rate_after
+        s[_G + i] = (r if lit else _ZERO * r) / (current * rate_after)
+
+
+@vector_kernel
+def _take_light_alone(light: _Float32s, s: _Float32s, before: _Float32s, c: StepConstants) -> None:
+    """Do as `_take_light` without a rate: the log light goes along a straight line, and the slopes say so."""
+    for i in range(BLOCK):
+        e, u0, l0 = light[i], s[_U + i], s[_L + i]
+        current = (e if e > _ZERO else _ZERO) + c.dark
+        u1 = natural_log(current) if abs(e) <= _BRIGHTEST else _NAN
+        l1 = min(max(c.rate_at_reference * current, c.rate_min), c.rate_max)
+        slope = (u1 - u0) / (c.h * l0 * l1)
+        before[_U0 + i], before[_L0 + i], before[_G0 + i] = u0, l0, slope * l1
+        s[_U + i], s[_L + i], s[_G + i] = u1, l1, slope * l0
+
+
+@vector_kernel
+def _warp(s: _Float32s, before: _Float32s, c: StepConstants) -> None:
+    """Write a block's S, q = 1 - e^-S, and the slopes of u per step."""
+    for i in range(BLOCK):
+        l0, l1 = before[_L0 + i], s[_L + i]
+        a0, a1 = c.h * l0 * before[_G0 + i], c.h * l1 * s[_G + i]
+        warped = warped_time(c.h, (l0, l1), a0, a1, c)
+        before[_A0 + i], before[_A1 + i] = a0, a1
+        before[_S + i], before[_Q + i] = warped, decay(warped)
+
+
+@vector_kernel
+def _filter(s: _Float32s, before: _Float32s) -> None:
+    """Put a block's new filtered values into the state, the old ones aside."""
+    for i in range(BLOCK):
+        u0, u1, v0 = before[_U0 + i], s[_U + i], s[_V + i]
+        warped, g0, g1 = before[_S + i], before[_G0 + i], s[_G + i]
+        before[_V0 + i] = v0
+        s[_V + i] = v0 + rise_of_filter(before[_Q + i], u0 - v0, Course(warped, u1 - u0, warped * g0, warped * g1))
+
+
+@lane
+def _reach(q: Real, behind: Real, d: Real, a0: Real, a1: Real) -> tuple[Real, Real]:
+    """Return by how much the filtered value may rise, and fall (<= 0): by the light's Bernstein coefficients."""
+    first, last = _THIRD * a0, d - _THIRD * a1
+    end = max(d, _ZERO)
+    top, bottom = max(end, max(first, last)), min(min(d, _ZERO), min(first, last))
+    share = min(q * (_WIDER + _BULGE * (top - end)), _ONE)
+    return share * max(behind + top, _ZERO), share * min(behind + bottom, _ZERO)
+
+
+@vector_kernel
+def _filter_and_test(s: _Float32s, before: _Float32s, loud: _Bytes, c: StepConstants) -> None:
+    """Do as `_filter`, and put 1 into `loud` where a pixel may fire or is not plain, else 0: the usual case in one.
+
+    Whatever is NaN makes the pixel loud: blind ones, whose reference is NaN, and those with unreadable light.
+    """
+    for i in range(BLOCK):
+        u0, u1, v0, q = before[_U0 + i], s[_U + i], s[_V + i], before[_Q + i]
+        warped, g0, g1 = before[_S + i], before[_G0 + i], s[_G + i]
+        d, behind, a0, a1 = u1 - u0, u0 - v0, before[_A0 + i], before[_A1 + i]
+        before[_V0 + i] = v0
+        s[_V + i] = v0 + rise_of_filter(q, behind, Course(warped, d, warped * g0, warped * g1))
+        on, off, leak, above = s[_ON + i], s[_OFF + i], s[_LEAK + i], v0 - s[_REF + i]
+        rise, fall = _reach(q, behind, d, a0, a1)
+        high, low = above + (rise + leak * c.since_epoch_1), above + (fall + leak * c.since_epoch_0)
+        quiet = (high < on - _MARGIN) & (low > _MARGIN - off)
+        loud[i] = 0 if quiet & is_plain(d, a0, a1, c.trust * min(on, off)) else 1
+
+
+@vector_kernel
+def _bound(s: _Float32s, before: _Float32s) -> None:
+    """Write bounds of a block's filtered values during the step, for what comes behind the filter."""
+    for i in range(BLOCK):
+        u0, v0, a0, a1 = before[_U0 + i], before[_V0 + i], before[_A0 + i], before[_A1 + i]
+        rise, fall = _reach(before[_Q + i], u0 - v0, s[_U + i] - u0, a0, a1)
+        before[_HIGH + i], before[_LOW + i] = v0 + rise, v0 + fall
+
+
+@vector_kernel
+def _add_second_pole(s: _Float32s, before: _Float32s, c: StepConstants) -> None:
+    """Put what a block has behind the second pole into the state, and its bounds in the place of the filter's."""
+    q = decay(c.second)
+    for i in range(BLOCK):
+        u0, u1, v0, w0, warped = before[_U0 + i], s[_U + i], before[_V0 + i], s[_W + i], before[_S + i]
+        light = Course(warped, u1 - u0, warped * before[_G0 + i], warped * s[_G + i])
+        filtered = Filtered(u0 - v0, u1 - s[_V + i], s[_V + i] - v0, c.h * before[_L0 + i], c.h * s[_L + i])
+        before[_W0 + i] = w0
+        s[_W + i] = w0 + rise_behind_second_pole(q, v0 - w0, c.second, light, filtered)
+        before[_HIGH + i] = w0 + q * max(before[_HIGH + i] - w0, _ZERO)
+        before[_LOW + i] = w0 + q * min(before[_LOW + i] - w0, _ZERO)
+
+
+@vector_kernel
+def _add_parasitic(s: _Float32s, before: _Float32s, c: StepConstants) -> None:
+    """Add what light leaks in a block to its pixels' sums and to the bounds: the integral of i, as that of the rate."""
+    for i in range(BLOCK):
+        i0, i1, p0 = exponential(before[_U0 + i]), exponential(s[_U + i]), s[_P + i]
+        a0, a1 = before[_A0 + i], before[_A1 + i]
+        share = max(_HALF * (i0 + i1) + _TWELFTH * (i0 * a0 - i1 * a1), min(i0, i1))
+        p1 = p0 + c.h * c.parasitic * s[_ON + i] * share
+        before[_P0 + i], s[_P + i] = p0, p1
+        before[_HIGH + i], before[_LOW + i] = before[_HIGH + i] + _MORE * (p1 - p0) + p0, before[_LOW + i] + p0
+
+
+@vector_kernel
+def _test(s: _Float32s, before: _Float32s, loud: _Bytes, c: StepConstants) -> None:
+    """Put 1 into `loud` where a block's pixel may fire, by the bounds written, or is not plain; else 0."""
+    for i in range(BLOCK):
+        on, off, leak, reference = s[_ON + i], s[_OFF + i], s[_LEAK + i], s[_REF + i]
+        high = (before[_HIGH + i] - reference) + leak * c.since_epoch_1
+        low = (before[_LOW + i] - reference) + leak * c.since_epoch_0
+        quiet = (high < on - _MARGIN) & (low > _MARGIN - off)
+        plain = is_plain(s[_U + i] - before[_U0 + i], before[_A0 + i], before[_A1 + i], c.trust * min(on, off))
+        loud[i] = 0 if quiet & plain else 1
+
+
+@kernel
+def _list(eights: npt.NDArray[np.uint64], found: _Int64s) -> int:
+    """Write the indices of a block's loud pixels into `found`; return how many. `eights` is `loud`, eight at a time."""
+    k = 0
+    for word in range(BLOCK // 64):
+        bits = np.uint64(0)
+        for eight in range(8):  # each byte is 0 or 1; the product collects them in the top byte
+            bits |= ((eights[8 * word + eight] * _COLLECT) >> np.uint64(56)) << np.uint64(8 * eight)
+        while bits != 0:
+            found[k] = 64 * word + np.int64(lowest_bit(bits))
+            k += 1
+            bits &= bits - np.uint64(1)
+    return k
+
+
+@kernel
+def _quiet_pass(
+    light: _Float32s, rate: _Float32s, s: _Float32s, before: _Float32s, loud: _Bytes, c: StepConstants
+) -> None:
+    """Move a block over the step as if nothing fired, and flag what may."""
+    if c.chord:
+        _take_light_alone(light, s, before, c)
+    else:
+        _take_light(light, rate, s, before, c)
+    _warp(s, before, c)
+    if (c.second == _ZERO) & (c.parasitic == _ZERO):
+        _filter_and_test(s, before, loud, c)
+        return
+    _filter(s, before)
+    _bound(s, before)
+    if c.second > _ZERO:
+        _add_second_pole(s, before, c)
+    if c.parasitic > _ZERO:
+        _add_parasitic(s, before, c)
+    _test(s, before, loud, c)
+
+
+class _Scratch(NamedTuple):
+    """A block's scratch: BEFORE_ROWS, a last block's light and rate with nothing behind, flags and their indices."""
+
+    before: _Float32s
+    light: _Float32s
+    rate: _Float32s
+    loud: _Bytes
+    found: _Int64s
+
+
+@kernel
+def _padded(values: _Float32s, room: _Float32s) -> _Float32s:
+    """Return `room` with the values in front."""
+    for i in range(values.size):
+        room[i] = values[i]
+    return room
+
+
+@kernel
+def _move_block(
+    light: _Float32s, rate: _Float32s, pixels: Pixels, scratch: _Scratch, first: int, c: StepConstants
+) -> int:
+    """Move the block that begins at pixel `first`, list those that may fire, and return how many.
+
+    A function of its own, because making slices here counts no references.
+    """
+    s = pixels.fields[first * FIELDS : (first + BLOCK) * FIELDS]
+    here, rate_here = light[first : first + BLOCK], rate[first : first + BLOCK]
+    if here.size < BLOCK:
+        here = _padded(here, scratch.light)
+    if rate_here.size < BLOCK and not c.chord:
+        rate_here = _padded(rate_here, scratch.rate)
+    _quiet_pass(here, rate_here, s, scratch.before, scratch.loud, c)
+    return int(_list(scratch.loud.view(np.uint64), scratch.found))
+
+
+@kernel
+def _gather_block(
+    pixels: Pixels, table: Table, scratch: _Scratch, first: int, listed_and_n: tuple[int, int], c: StepConstants
+) -> tuple[int, int]:
+    """Add the block's listed pixels to the table, from column n on; return how many, and how many were unreadable."""
+    listed, n = listed_and_n
+    s = pixels.fields[first * FIELDS : (first + BLOCK) * FIELDS]
+    blind_until_ns = pixels.blind_until_ns[first : first + BLOCK]
+    kept, unreadable = select(scratch.found[:listed], s, scratch.before, blind_until_ns, c)
+    gather(scratch.found[:kept], s, scratch.before, first, table, n)
+    if (c.second > _ZERO) | (c.parasitic > _ZERO):
+        gather_rare(scratch.found[:kept], s, scratch.before, n, table, c)
+    return kept, unreadable
+
+
+@kernel
+def _set_aside_of_block(
+    pixels: Pixels, aside: Aside, scratch: _Scratch, first: int, listed_and_n: tuple[int, int], c: StepConstants
+) -> tuple[int, int]:
+    """Set the suspects among the block's listed pixels aside, after the n that are; return both numbers anew."""
+    listed, n = listed_and_n
+    s = pixels.fields[first * FIELDS : (first + BLOCK) * FIELDS]
+    left, n = set_aside(scratch.found[:listed], s, scratch.before, aside, (first, n), c)
+    return left, n
+
+
+@kept_entry
+def advance(
+    picture: tuple[_Float32s, _Float32s], pixels: Pixels, table: Table, aside: Aside, keys: _Keys, c: StepConstants
+) -> tuple[_Keys, int, Tally]:
+    """Move all pixels over one step, but those that are set aside: their light alone is up to date.
+
+    Parameters
+    ----------
+    picture : light, (pixels,) float32, at the end of the step; and its time derivative, a second; empty if `c.chord`.
+    pixels : the state, changed in place.
+    table : room for the candidates.
+    aside : room for suspects, if `c.halve`.
+    keys : (any,) uint64, room for the events; replaced by a longer one if it does not do.
+    c : the step.
+
+    Returns
+    -------
+    keys, number of events in it (packed as in `unpack`, unsorted), and what else there is to tell.
+    """
+    scratch = _Scratch(
+        np.empty(len(BEFORE_ROWS) * BLOCK, np.float32),
+        np.zeros(BLOCK, np.float32),
+        np.zeros(BLOCK, np.float32),
+        np.empty(BLOCK, np.uint8),
+        np.empty(BLOCK, np.int64),
+    )
+    light, rate = picture
+    n = n_keys = lost = suspects = candidates = unreadable = put_aside = 0
+    for first in range(0, light.size, BLOCK):
+        listed = _move_block(light, rate, pixels, scratch, first, c)
+        if listed == 0:
+            continue
+        if c.halve:
+            listed, put_aside = _set_aside_of_block(pixels, aside, scratch, first, (listed, put_aside), c)
+        kept, bad = _gather_block(pixels, table, scratch, first, (listed, n), c)
+        n, candidates, unreadable = n + kept, candidates + kept, unreadable + bad
+        if n > BATCH:
+            keys, n_keys, more, doubtful = solve(pixels, table, n, keys, n_keys, c)
+            lost, suspects, n = lost + more, suspects + doubtful, 0
+    keys, n_keys, more, doubtful = solve(pixels, table, n, keys, n_keys, c)
+    return keys, n_keys, Tally(lost + more, suspects + doubtful, candidates, unreadable, put_aside)
+
+
+@kept_entry
+def unpack(
+    keys: _Keys, t0_ns: int, pixel_bits: int, t_ns: _Int64s, pixel: npt.NDArray[np.uint32], on: npt.NDArray[np.bool_]
+) -> None:
+    """Split sorted keys [dt_ns | pixel | on] into arrays of one field each, all of the same length."""
+    mask = np.uint64((1 << pixel_bits) - 1)
+    for k in range(keys.size):
+        key = keys[k]
+        t_ns[k] = t0_ns + np.int64(key >> np.uint64(pixel_bits + 1))
+        pixel[k] = np.uint32((key >> np.uint64(1)) & mask)
+        on[k] = (key & np.uint64(1)) != 0

@@ -1,0 +1,1 @@
+"""TOML tables turned into frozen dataclasses, with messages that name the key."""

@@ -1,0 +1,1 @@
+"""The ground side: decoders of what a camera sends, and the estimate of its clock."""

@@ -1,0 +1,34 @@
+"""That the benches compare what they say: loads of noise have their rate, and scenes alike about as many events."""
+
+import numpy as np
+import pytest
+
+from emulator.bench import scenes_alike
+from emulator.bench.noise import NoiseLoad, noisy_sensor
+from emulator.bench.scenes_alike import ScenesAlike
+from emulator.sensor.noise.point_process import NoiseEvents
+
+
+@pytest.mark.parametrize("events_hz", [0.1, 1.0, 10.0])
+def test_a_load_of_noise_has_its_rate(events_hz):
+    p = noisy_sensor(events_hz)
+    pixels = p.width * p.height
+    noise = NoiseEvents(p, 1, np.full(pixels, (p.threshold_on + p.threshold_off) / 2))
+    found = noise.step(np.full(pixels, 0.05, np.float32), 500_000_000)
+    assert len(found) / pixels / 0.5 == pytest.approx(events_hz, rel=0.05)
+
+
+def test_a_load_takes_some_time(monkeypatch):
+    for name, less in (("_STEPS", 20), ("_BLOCKS", 3)):
+        monkeypatch.setattr(f"emulator.bench.noise.{name}", less)
+    assert 0 < NoiseLoad(10.0)() < 1e5
+    assert abs(NoiseLoad(10.0, with_readout=True)()) < 1e5  # a difference, which a busy machine may turn round
+
+
+@pytest.mark.parametrize("events", [64, 1024])
+def test_scenes_alike_have_as_many_events(monkeypatch, events):
+    monkeypatch.setattr(scenes_alike, "_STEPS", 30)
+    found = {name: number for name, (_, number) in ScenesAlike(events).times().items()}
+    assert found["grating"] == pytest.approx(events, rel=0.5)
+    assert all(number == pytest.approx(events, rel=0.35) for name, number in found.items() if name != "grating")
+    assert ScenesAlike(events)() >= 1

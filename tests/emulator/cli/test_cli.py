@@ -1,0 +1,217 @@
+"""The command line as a user meets it: exit codes, JSON, and messages that say what to do."""
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from emulator.cli.app import _main
+from firmware_protocol.events import EVENT
+from transports.link.digest import digest_of
+
+EVSTIM = [sys.executable, "-c", "from emulator.cli import main; main()"]
+
+
+def run(*arguments, **options):
+    return subprocess.run([*EVSTIM, *map(str, arguments)], capture_output=True, text=True, timeout=300, **options)
+
+
+def last_json(text):
+    return json.loads(text.strip().splitlines()[-1])
+
+
+@pytest.fixture
+def rig(tmp_path):
+    """A small rig that runs anywhere: a slow board on few pixels, read back by the loopback host."""
+    path = tmp_path / "small.toml"
+    path.write_text(
+        '[scene]\nkind = "checkerboard"\nspeed_px_s = 20.0\n'
+        "[camera.sensor]\nwidth = 64\nheight = 48\n"
+        '[run]\nstep_us = 2000\nseconds = 0.2\n[[links]]\nkind = "loopback"\n'
+    )
+    return path
+
+
+def test_every_verb_tells_what_it_does(capsys):
+    verbs = "run demo listen check plan rigs schema picture accuracy characterise doctor bench"
+    for verb in verbs.split():
+        assert _main([verb, "--help"]) == 0
+        assert verb in capsys.readouterr().out
+
+
+def test_rigs_and_their_json(capsys):
+    assert _main(["rigs", "--json"]) == 0
+    rigs = last_json(capsys.readouterr().out)["rigs"]
+    assert {"checkerboard", "eros", "loopback"} <= {rig["name"] for rig in rigs}
+
+
+@pytest.mark.parametrize("name", ["checkerboard", "eros", "loopback"])
+def test_shipped_rigs_are_good(name, capsys):
+    assert _main(["check", name, "--json"]) == 0
+    assert last_json(capsys.readouterr().out)["good"] is True
+
+
+def test_the_version_has_json_too(capsys):
+    assert _main(["--version", "--json"]) == 0
+    assert last_json(capsys.readouterr().out)["name"] == "evstim"
+
+
+def test_the_schema_is_json(capsys):
+    assert _main(["schema"]) == 0
+    assert last_json(capsys.readouterr().out)["title"] == "evstim rig"
+
+
+def test_doctor_names_a_fix_for_everything_that_is_missing(capsys):
+    assert _main(["doctor", "--json"]) == 0
+    findings = last_json(capsys.readouterr().out)["findings"]
+    assert {"EGL", "usbip", "vhci-hcd", "UDC", "vcan", "USB permission"} <= {f["name"] for f in findings}
+    assert all(f["good"] or f["fix"] for f in findings)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["bogus"],
+        ["run"],
+        ["run", "nosuch"],
+        ["run", "loopback", "--pace", "fast"],
+        ["run", "loopback", "--seconds", "-1"],
+        ["run", "loopback", "--record", "/no/such/folder/x.npz"],
+        ["bench", "--only", "nosuch"],
+        ["demo", "loopback"],
+        ["listen", "--usbip", "here"],
+    ],
+)
+def test_wrong_use_is_exit_code_2_and_one_json_object(arguments, capsys):
+    assert _main([*arguments, "--json"]) == 2
+    told = last_json(capsys.readouterr().out)
+    assert told["exit_code"] == 2
+    assert told["error"]
+
+
+def test_a_wrong_rig_is_told_without_a_traceback(tmp_path):
+    path = tmp_path / "wrong.toml"
+    path.write_text('[scene]\nkind = "checkerboard"\nsquare_px = -3.0\n')
+    done = run("run", path)
+    assert done.returncode == 2
+    assert "Traceback" not in done.stderr
+    told = " ".join(done.stderr.split())
+    assert "line 3" in told
+    assert "scene.square_px" in told
+
+
+@pytest.mark.parametrize("shape", ["nosuch", "broken.tab"])
+def test_a_shape_that_cannot_be_used_is_the_rigs_fault(shape, tmp_path, capsys):
+    (tmp_path / "broken.tab").write_text("v 0 0 0\nv 1 0 0\nv nan 1 0\nf 0 1 2\n")
+    path = tmp_path / "rock.toml"
+    path.write_text(f'[scene]\nkind = "bodies"\n[[scene.bodies]]\nshape = "{shape}"\n')
+    assert _main(["check", str(path), "--draw", "--json"]) == 2
+    assert shape in last_json(capsys.readouterr().out)["error"]
+
+
+def test_a_method_that_lacks_an_effect_is_the_rigs_fault(rig, capsys):
+    text = rig.read_text().replace("[run]", '[camera.sensor.defects]\nhot_share = 0.01\n[run]\nmethod = "pangu"')
+    rig.write_text(text)
+    assert _main(["run", str(rig), "--json"]) == 2
+    assert "pangu" in last_json(capsys.readouterr().out)["error"]
+
+
+def test_a_picture_shows_what_the_rig_models(rig, tmp_path, capsys):
+    noisy = tmp_path / "noisy.toml"
+    hot = "[camera.sensor.defects]\nhot_share = 0.3\nhot_hz = 2000.0\n[run]"
+    noisy.write_text(rig.read_text().replace("[run]", hot))
+    counts = []
+    for path in (rig, noisy):
+        assert _main(["picture", str(path), str(tmp_path / "a.png"), "--at-s", "0.1", "--json"]) == 0
+        counts.append(last_json(capsys.readouterr().out)["events"])
+    assert counts[1] > 2 * counts[0]
+
+
+def test_without_gl_the_error_names_the_packages_and_closed_forms_still_run(rig):
+    without_gl = {**os.environ, "GLCONTEXT_LINUX_LIBEGL": "libEGL_absent.so.1"}
+    done = run("check", "eros", "--draw", "--json", env=without_gl)
+    assert done.returncode == 3
+    assert "apt install libegl1 libgl1 libgl1-mesa-dri" in last_json(done.stdout)["error"]
+    assert run("run", rig, "--pace", "free", env=without_gl).returncode == 0
+
+
+def test_a_camera_that_is_not_there_is_exit_code_3(capsys):
+    assert _main(["listen", "--usbip", "127.0.0.1:9", "--json"]) == 3
+    assert last_json(capsys.readouterr().out)["exit_code"] == 3
+
+
+def test_a_run_tells_where_every_event_went(rig, tmp_path):
+    record = tmp_path / "delivered.npz"
+    done = run("run", rig, "--json", "--record", record, "--pace", "free")
+    assert done.returncode == 0, done.stderr
+    told = last_json(done.stdout)
+    assert {
+        "rig", "sim_seconds", "wall_seconds", "frames", "steps", "events", "balanced", "latency_us", "lateness",
+    } <= set(told)  # fmt: skip
+    events = told["events"]
+    link = events["links"]["loopback"]
+    assert told["balanced"] is True
+    assert told["sim_seconds"] == pytest.approx(0.2)
+    assert told["steps"] == 100
+    assert events["raised"] == events["lost_in_pixel"] + events["lost_at_readout"] + events["read_out"]
+    assert events["read_out"] == link["delivered"] + link["dropped"] + link["dropped_in_device"]
+    assert link["delivered"] > 100
+    assert told["links"]["loopback"]["error"] is None
+    with np.load(record) as file:
+        assert file["events"].dtype == EVENT
+        assert len(file["events"]) == link["delivered"]
+        assert digest_of(file["events"]) == told["links"]["loopback"]["digest"]
+
+
+def test_the_same_run_again_gives_the_same_events(rig, tmp_path):
+    digests = {}
+    for name, seed in (("a", 7), ("b", 7), ("c", 8)):
+        record = tmp_path / f"{name}.npz"
+        assert _main(["run", str(rig), "--seed", str(seed), "--pace", "free", "--record", str(record)]) == 0
+        with np.load(record) as file:
+            digests[name] = file["events"].tobytes()
+    assert digests["a"] == digests["b"] != digests["c"]
+
+
+@pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGTERM])
+def test_a_stop_ends_with_the_summary(rig, stop):
+    command = [*EVSTIM, "run", str(rig), "--seconds", "0"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    while "real time" not in process.stderr.readline():  # it says so when it runs
+        assert process.poll() is None
+    process.send_signal(stop)
+    out, err = process.communicate(timeout=300)
+    assert process.returncode == 0, err
+    assert "ledger: balanced" in out
+    assert "Traceback" not in err
+
+
+def test_a_port_that_is_taken_is_told_with_the_cure(rig, tmp_path, capsys):
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        text = rig.read_text().replace("width = 64\nheight = 48\n", "").replace('"loopback"', f'"usbip"\nport = {port}')
+        path = tmp_path / "taken.toml"
+        path.write_text(text)
+        assert _main(["run", str(path), "--json"]) == 3
+    assert "another port" in last_json(capsys.readouterr().out)["error"]
+
+
+@pytest.mark.socket
+def test_the_demo_compares_every_event(tmp_path, capsys):
+    path = tmp_path / "demo.toml"
+    path.write_text(
+        '[scene]\nkind = "checkerboard"\nspeed_px_s = 10.0\n[run]\nstep_us = 5000\n[[links]]\nkind = "usbip"\n'
+    )
+    code = _main(["demo", str(path), "--seconds", "1.5", "--json"])
+    told = last_json(capsys.readouterr().out)
+    assert code == 0, told
+    assert told["good"] is True
+    assert told["comparison"]["equal"] is True
+    assert told["comparison"]["received"] > 1000

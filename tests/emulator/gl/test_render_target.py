@@ -1,0 +1,93 @@
+"""The stage: means over samples, orientation, depth, and what it refuses."""
+
+import numpy as np
+import pytest
+
+from emulator.gl.readback import UNDER_WAY
+from emulator.gl.render_target import Rectangle, Stage, depth_terms
+from emulator.light import SceneError
+
+pytestmark = pytest.mark.gl
+
+VERTEX = """
+#version 430
+uniform vec2 depth;
+in vec3 place;
+in float shine;
+flat out float light;
+void main() { light = shine; gl_Position = vec4(place.xy * place.z, depth.x * place.z + depth.y, place.z); }
+"""
+FRAGMENT = "#version 430\nflat in float light;\nout float r;\nvoid main() { r = light; }"
+
+
+def draw(triangles, size=(8, 6), samples=2, depth=(1.0, 1000.0)):
+    """Draw triangles ((x, y) of -1 to 1 with y down, z along the boresight, light), clockwise on the screen."""
+    stage = Stage(size, samples)
+    out = np.full(size[::-1], 9.0, np.float32)
+    with stage.context as gl:
+        program = gl.program(vertex_shader=VERTEX, fragment_shader=FRAGMENT)
+        program["depth"] = depth_terms(*depth)
+        data = np.array([[*corner, z, light] for corners, z, light in triangles for corner in corners], np.float32)
+        array = gl.vertex_array(program, [(gl.buffer(data), "3f 1f", "place", "shine")])
+    stage.draw(lambda _: array.render(), out)
+    stage.close()
+    return out
+
+
+# clockwise as GL counts (its rows run upward), so counter-clockwise on the sensor, where rows run down
+EVERYWHERE = [(-1, -1), (-1, 3), (3, -1)]
+UPPER_LEFT_HALF = [(-1, -1), (-1, 1), (1, -1)]
+
+
+def test_row_0_is_on_top_and_edges_are_averaged():
+    out = draw([(UPPER_LEFT_HALF, 5.0, 1.0)], size=(8, 8), samples=4)
+    assert out[0, 0] == 1
+    assert out[7, 7] == 0
+    assert out[0, 7] == out[7, 0] == pytest.approx(0.5, abs=0.15)
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_what_is_nearer_hides_what_is_farther(order):
+    both = [(EVERYWHERE, 900.0, 1.0), (EVERYWHERE, 899.0, 2.0)][::order]
+    assert np.all(draw(both) == 2.0)
+
+
+def test_the_far_side_is_not_drawn():
+    assert np.all(draw([(EVERYWHERE[::-1], 5.0, 1.0)]) == 0)
+
+
+def test_outside_its_reach_a_picture_is_black_whatever_was_there_before():
+    stage, picture = Stage((8, 6), 2), np.empty((6, 8), np.float32)
+    with stage.context as gl:
+        program = gl.program(vertex_shader=VERTEX, fragment_shader=FRAGMENT)
+        program["depth"] = depth_terms(1.0, 1000.0)
+        data = np.array([[*corner, 5.0, 3.0] for corner in EVERYWHERE], np.float32)
+        array = gl.vertex_array(program, [(gl.buffer(data), "3f 1f", "place", "shine")])
+    for reach in [None] * UNDER_WAY + [Rectangle(2, 1, 3, 4), Rectangle(4, 3, 4, 3)] * UNDER_WAY:
+        stage.draw(lambda _: array.render(), picture, reach=reach)
+        left, top, width, height = (reach.left, reach.top, reach.width, reach.height) if reach else (0, 0, 8, 6)
+        assert np.all(picture[top : top + height, left : left + width] == 3)
+        assert (picture != 0).sum() == width * height
+    stage.close()
+
+
+def test_depth_terms_reach_from_near_to_far():
+    a, b = depth_terms(2.0, 50.0)
+    assert (a * 2.0 + b) / 2.0 == pytest.approx(-1)
+    assert (a * 50.0 + b) / 50.0 == pytest.approx(1)
+    for bad in ((0.0, 1.0), (2.0, 2.0), (3.0, 2.0)):
+        with pytest.raises(ValueError, match="in this order"):
+            depth_terms(*bad)
+
+
+def test_a_closed_stage_draws_no_more():
+    stage = Stage((4, 4), 1)
+    stage.close()
+    stage.close()
+    with pytest.raises(SceneError, match="was closed"):
+        stage.draw(lambda _: None, np.zeros((4, 4), np.float32))
+
+
+def test_a_picture_too_large_is_refused():
+    with pytest.raises(SceneError, match="use fewer samples"):
+        Stage((16000, 4), 4)

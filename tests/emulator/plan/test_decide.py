@@ -1,0 +1,197 @@
+"""Effects kept or dropped by their bounds."""
+
+import dataclasses
+import math
+
+import pytest
+
+from emulator.plan.decide import Tolerance, decide, without
+from emulator.plan.scene_probe import Probe
+from emulator.sensor.effects import (
+    DefectParameters,
+    ImagerParameters,
+    JitterParameters,
+    NoiseParameters,
+    RadiationParameters,
+    TemperatureParameters,
+)
+from emulator.sensor.presets import PRESETS
+
+SCENE = Probe(
+    contrast_rate=20.0,
+    bend=50.0,
+    line_error_us=5.0,
+    hermite_error_us=0.1,
+    step_s=1e-3,
+    active_share=0.3,
+    least_current=0.1,
+    largest_current=1.0,
+    fastest_change=300.0,
+    events_per_s=1e6,
+    draw_s=1e-3,
+    draw_with_rate_s=2e-3,
+    motion_px_s=20.0,
+)
+SENSOR = dataclasses.replace(
+    PRESETS["davis346"],
+    source_follower_hz=286.0,
+    parasitic_hz_at_reference=0.05,
+    temperature=TemperatureParameters(celsius=30.0),
+    noise=NoiseParameters(rms=0.05, grade="grid"),
+    jitter=JitterParameters(latency_us=10.0, deviation_us=2.0, leak_share=0.2),
+    defects=DefectParameters(hot_share=1e-3, dead_share=1e-3),
+    imager=ImagerParameters(
+        system_efficiency=0.8,
+        quantum_efficiency=0.9,
+        prnu=0.01,
+        dcnu=0.3,
+        photon_shot_noise=True,
+        dark_shot_noise=True,
+        electrons_per_s_at_reference=2e4,
+    ),
+    radiation=RadiationParameters(hits_per_cm2_s=4.0, dose_krad=1.0),
+)
+ALL = {
+    "low-pass",
+    "bandwidth following the light",
+    "source follower",
+    "leak",
+    "leak spread",
+    "leak jitter",
+    "parasitic",
+    "mismatch",
+    "refractory period",
+    "noise",
+    "shift by noise",
+    "jitter",
+    "temperature",
+    "system efficiency",
+    "quantum efficiency",
+    "PRNU",
+    "DCNU",
+    "photon shot noise",
+    "dark shot noise",
+    "hot pixels",
+    "dead pixels",
+    "radiation",
+    "dose",
+}
+ALWAYS = {"dark current"}
+
+
+def decisions(eps_us, wrong_share=0.01, sensor=SENSOR, scene=SCENE, duration_s=10.0):
+    return {d.effect: d for d in decide(sensor, scene, Tolerance(eps_us, wrong_share, duration_s))}
+
+
+def test_every_effect_that_is_on_has_a_decision():
+    assert set(decisions(10.0)) == ALL | ALWAYS
+
+
+def test_effects_that_are_off_have_none():
+    bare = dataclasses.replace(
+        PRESETS["davis346"], corner_hz_at_reference=math.inf, leak_hz=0.0, mismatch=0.0, refractory_us=0.0
+    )
+    assert set(decisions(10.0, sensor=bare)) == ALWAYS
+
+
+def test_nothing_is_dropped_without_tolerance_and_everything_with_much():
+    assert all(d.kept for d in decisions(0.0, 0.0).values())
+    assert {name for name, d in decisions(1e12, 1.0).items() if d.kept} == ALWAYS
+
+
+@pytest.mark.parametrize("effect", sorted(ALL))
+def test_a_cost_is_compared_with_the_tolerance(effect):
+    cost = decisions(1.0)[effect]
+    eps_us = cost.cost_us if cost.cost_us is not None else 1.0
+    share = cost.cost_share if cost.cost_share is not None else 0.5
+    assert decisions(eps_us * 0.99, share * 0.99)[effect].kept
+    assert not decisions(eps_us * 1.01, min(share * 1.01, 1e9))[effect].kept
+
+
+def test_dropping_takes_an_effect_out_of_the_sensor():
+    loose = list(decisions(1e12, 1.0).values())
+    bare = without(SENSOR, loose)
+    assert set(decisions(1.0, sensor=bare)) == ALWAYS
+    assert bare.dark_current_relative == SENSOR.dark_current_relative
+    assert (bare.width, bare.threshold_on, bare.readout) == (SENSOR.width, SENSOR.threshold_on, SENSOR.readout)
+
+
+@pytest.mark.parametrize("effect", sorted(ALL))
+def test_an_effect_goes_alone(effect):
+    bare = without(SENSOR, [dataclasses.replace(decisions(1.0)[effect], kept=False)])
+    gone = ALL - set(decisions(1.0, sensor=bare))
+    with_it = {"low-pass": {"bandwidth following the light"}, "noise": {"shift by noise"},
+               "leak": {"leak spread", "leak jitter"}}  # fmt: skip
+    still_named = {"shift by noise"}  # of a point process: left out, which is told
+    assert gone == ({effect} | with_it.get(effect, set())) - ({effect} & still_named)
+    assert bare != SENSOR
+
+
+def test_a_point_process_leaves_the_shift_out_and_says_so():
+    points = without(SENSOR, [dataclasses.replace(decisions(1.0)["shift by noise"], kept=False)])
+    assert points.noise == NoiseParameters(rms=0.05, grade="points")
+    found = decisions(0.0, sensor=points)["shift by noise"]
+    assert not found.kept
+    assert not found.choice
+    # the corner is 300 Hz, its noise 0.05 (286 / 586)^.5 and 146 Hz wide: rho is .62, .87 and .81 on the table
+    sigma = 0.05 * math.sqrt(286 / 586)
+    rho = 20 / (2 * math.pi * 300 * 286 / 586) / sigma
+    share = math.log(rho / 0.3) / math.log(1 / 0.3)
+    earlier, deviation = 1.32 + share * (0.71 - 1.32), 0.72 + share * (0.86 - 0.72)
+    assert found.cost_us == pytest.approx(sigma / 20 * (earlier + 1.645 * deviation) * 1e6, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("rms", "refractory_us", "contrast_rate", "beyond"),
+    [(0.05, 0.0, 20.0, False), (0.12, 0.0, 50.0, True), (0.09, 0.0, 50.0, False), (0.09, 100.0, 50.0, True),
+     (0.09, 5000.0, 50.0, False), (0.05, 0.0, 5.0, True), (0.05, 0.0, 0.0, True)],
+)  # fmt: skip
+def test_where_a_point_process_ends_the_grid_is_kept(rms, refractory_us, contrast_rate, beyond):
+    """Thresholds are 0.2725; a is 7.8, 3.3 and 4.3; 3.5 is wanted, 4.5 with refractory periods shorter than 1.09 ms."""
+    sensor = dataclasses.replace(SENSOR, noise=NoiseParameters(rms=rms, grade="grid"), refractory_us=refractory_us)
+    scene = dataclasses.replace(SCENE, contrast_rate=contrast_rate)
+    assert decisions(1e9, 1.0, sensor=sensor, scene=scene)["shift by noise"].kept is beyond
+
+
+def test_kept_effects_stay_as_they_are():
+    assert without(SENSOR, list(decisions(0.0, 0.0).values())) == SENSOR
+
+
+def test_the_figures_of_the_table():
+    found = decisions(10.0)
+    assert found["low-pass"].cost_us == pytest.approx(1e6 / (2 * math.pi * 300), rel=1e-6)
+    assert found["source follower"].cost_us == pytest.approx(556.5, rel=1e-3)
+    # leak 0.1 Hz, threshold 0.2725, 10 s, contrast rate 20: the drift is at most one event's interval
+    assert found["leak"].cost_us == pytest.approx(0.1 * 0.2725 * 10 / 20 * 1e6, rel=1e-6)
+    assert found["leak"].cost_share == pytest.approx(0.1 * 0.2725 / 20, rel=1e-6)
+    assert found["refractory period"].cost_share == pytest.approx(3.4e-6 * 20 / 0.2725, rel=1e-6)
+    assert found["jitter"].cost_us == 14.0
+    tau_us = 1e6 / (2 * math.pi * 300)
+    assert found["bandwidth following the light"].cost_us == pytest.approx(tau_us * 0.9, rel=1e-6)
+    assert found["leak jitter"].cost_us == pytest.approx(0.2 * found["leak"].cost_us, rel=1e-6)
+    assert found["leak spread"].cost_us == pytest.approx(0.3 * found["leak"].cost_us, rel=1e-6)
+    assert found["dark current"].cost_share == pytest.approx(0.01)
+    warm = 2 ** (10 / 9) - 1, 2 ** (10 / 8) - 1
+    assert found["temperature"].cost_us == pytest.approx(0.2725 / 20 * 1e6, rel=1e-6)  # all of an interval
+    assert found["temperature"].cost_share == pytest.approx(warm[0] * found["leak"].cost_share + warm[1] * 0.01)
+    assert found["system efficiency"].cost_us == pytest.approx(tau_us * 0.25 * 0.99, rel=1e-6)
+    assert found["quantum efficiency"].cost_share == pytest.approx((1 / 0.9 - 1) * 0.01, rel=1e-6)
+    assert found["PRNU"].cost_us == pytest.approx(tau_us * 0.02 * 0.99, rel=1e-6)
+    assert found["DCNU"].cost_us == pytest.approx(tau_us * 0.6 * 0.01, rel=1e-6)
+    assert found["DCNU"].cost_share == pytest.approx(0.6 * 0.01, rel=1e-6)
+    electrons = 2e4 * 8192e-6
+    assert found["photon shot noise"].cost_us == pytest.approx(math.sqrt(0.099 / electrons) / 0.1 / 20 * 1e6, rel=1e-6)
+    assert found["dark shot noise"].cost_us == pytest.approx(math.sqrt(0.001 / electrons) / 0.1 / 20 * 1e6, rel=1e-6)
+    assert found["dead pixels"].cost_share == 1e-3
+    assert found["dose"].cost_share == pytest.approx(346 * 260 * 1e-3 * 20 / 1e6, rel=1e-3)
+    area_cm2 = 346 * 260 * (18.5e-4) ** 2
+    assert found["radiation"].cost_share == pytest.approx(4 * area_cm2 * (1 + 20 / 18.5) * 1.3 / 1e6, rel=1e-6)
+    assert found["hot pixels"].cost_share == pytest.approx(346 * 260 * 1e-3 * 20 / 1e6, rel=1e-6)
+
+
+def test_in_a_still_scene_what_makes_events_is_kept():
+    still = dataclasses.replace(
+        SCENE, contrast_rate=0.0, events_per_s=0.0, least_current=math.nan, largest_current=math.nan
+    )
+    kept = {name for name, d in decisions(100.0, scene=still).items() if d.kept}
+    assert {"leak", "noise", "hot pixels", "radiation"} <= kept

@@ -1,0 +1,74 @@
+"""Plans of probed scenes."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from emulator.plan.plan import make_plan
+from emulator.plan.scene_probe import probe
+from emulator.rig.loading import load_rig
+from emulator.scene.checkerboard.checkerboard import Checkerboard
+from tests.emulator.plan.test_decide import SCENE
+
+RIG = load_rig("checkerboard")
+
+
+def with_tolerance(tolerance_us, **scene):
+    rig = dataclasses.replace(RIG, run=dataclasses.replace(RIG.run, tolerance_us=tolerance_us, method="warped"))
+    return make_plan(rig, dataclasses.replace(SCENE, **scene))
+
+
+def test_a_rig_without_tolerance_pins_everything():
+    plan = make_plan(RIG, SCENE)
+    assert plan.pinned
+    assert not plan.steps.controlled
+    assert plan.steps.step_us == RIG.run.step_us
+    assert plan.sensor == RIG.camera.sensor
+
+
+def test_a_tolerance_sets_the_step_by_the_fourth_root():
+    near, far = with_tolerance(0.2, motion_px_s=1.0), with_tolerance(3.2, motion_px_s=1.0)
+    assert far.steps.step_us / near.steps.step_us == pytest.approx(2.0)
+    assert far.steps.error_us == pytest.approx(3.2)
+    assert far.steps.bound == "the tolerance"
+
+
+def test_a_line_needs_far_more_pictures():
+    plan = with_tolerance(3.2, motion_px_s=1.0)
+    assert plan.steps.line_step_us == pytest.approx(1000 * (3.2 / 5.0) ** 0.5)
+    assert plan.steps.step_us > 2.9 * plan.steps.line_step_us
+
+
+def test_motion_and_the_longest_step_bound_it():
+    assert with_tolerance(1e5, motion_px_s=100.0).steps.step_us == 5000
+    assert "motion" in with_tolerance(1e5, motion_px_s=100.0).steps.bound
+    assert with_tolerance(1e5, motion_px_s=1.0).steps.step_us == 20_000
+    assert "longest" in with_tolerance(1e5, motion_px_s=1.0).steps.bound
+
+
+def test_a_loose_tolerance_leaves_effects_out_of_the_sensor():
+    plan = with_tolerance(1e6)
+    assert plan.sensor.refractory_us == 0
+    assert plan.sensor != plan.rig.camera.sensor
+
+
+def test_the_load_counts_pictures():
+    plan = with_tolerance(3.2, motion_px_s=1.0)
+    assert plan.load.pictures_per_s == pytest.approx(1e6 / plan.steps.step_us)
+    assert plan.load.drawing == pytest.approx(SCENE.draw_with_rate_s * plan.load.pictures_per_s)
+    assert plan.load.total == plan.load.drawing + plan.load.pixels + plan.load.events
+
+
+def test_a_probe_of_the_board_predicts_its_events():
+    """Squares of 50 px, 100 px/s to the right: two edges of ln(bright/dark) a second in each pixel."""
+    sensor = RIG.camera.sensor
+    board = dataclasses.replace(RIG.scene, square_px=50.0, direction_deg=0.0, speed_px_s=100.0)
+    with Checkerboard(board, (sensor.width, sensor.height)) as scene:
+        seen = probe(scene, sensor, 10_000_000, 2.0)
+    swing = np.log((board.bright + sensor.dark_current_relative) / (board.dark + sensor.dark_current_relative))
+    threshold = (sensor.threshold_on + sensor.threshold_off) / 2
+    expected = sensor.width * sensor.height * 100.0 / 50.0 * swing / threshold
+    assert seen.events_per_s == pytest.approx(expected, rel=0.05)
+    assert seen.motion_px_s == pytest.approx(100.0)
+    assert 0.9 < seen.largest_current / board.bright < 1.1

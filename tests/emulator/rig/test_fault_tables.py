@@ -1,0 +1,220 @@
+"""Faults in a rig and by hand: which link can have which, and a run that is told of one while it goes."""
+
+import json
+import os
+import socket
+import stat
+import threading
+from dataclasses import replace
+
+import pytest
+
+from emulator.cli.app import _main
+from emulator.rig.fault_tables import FAULTS
+from emulator.rig.loading import RigError, parse_rig
+from emulator.run.assembly import build_session, link_setups, schedule
+from emulator.run.control import ControlSocket, NoAnswer, ask, runtime_directory, sockets
+from emulator.run.fault_injection import FaultDesk, fault_desk
+from emulator.run.lateness import Lateness
+from emulator.run.scene_assembly import build_scene
+from emulator.run.session import RunStatus
+from transports.faults.can_kinds import DeadBus
+from transports.faults.kinds import BitFlips
+from transports.faults.script import FaultRecord
+from transports.link.pacing import MonotonicClock
+from transports.link.process import LinkReport
+
+SCENE = '[scene]\nkind = "checkerboard"\nsquare_px = 40.0\nspeed_px_s = 3.0\n'
+SERIAL = '[[links]]\nkind = "serial"\nport = "pty"\n'
+CAN = '[[links]]\nkind = "can"\n[links.instrument]\nregion = [0, 0, 64, 64]\n'
+LOOPBACK = '[[links]]\nkind = "loopback"\n'
+
+
+def rig(links, fault=""):
+    return parse_rig(SCENE + links + (f"[[faults]]\n{fault}\n" if fault else ""), "bench.toml", "bench")
+
+
+@pytest.fixture
+def runtime(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    return tmp_path
+
+
+def test_a_fault_finds_the_only_link_that_can_have_it():
+    (fault,) = rig(SERIAL + LOOPBACK, 'kind = "bit_flips"\nat_s = 2.0\nrate = 1e-4').faults
+    assert fault == BitFlips(link="serial", at_s=2.0, rate=1e-4)
+    (fault,) = rig(SERIAL + CAN, 'kind = "dead_bus"\nbus = "A"\nlink = "can"').faults
+    assert fault == DeadBus(link="can")
+
+
+@pytest.mark.parametrize(
+    ("links", "fault", "told"),
+    [
+        (LOOPBACK, 'kind = "bit_flips"', "no link of this rig can have"),
+        (SERIAL + CAN, 'kind = "bit_flips"\nlink = "can"', "link 'can' cannot have"),
+        (SERIAL, 'kind = "bit_flips"\nlink = "sreial"', "did you mean 'serial'"),
+        (SERIAL + SERIAL + 'name = "two"\n', 'kind = "bit_flips"', "serial, two can all have"),
+        (SERIAL, 'kind = "bit_flop"', "did you mean 'bit_flips'"),
+        (SERIAL, 'kind = "bit_flips"\nrate = 2', "rate must be above 0"),
+        (SERIAL, 'kind = "bit_flips"\nbus = "A"', "'bus' is not known here"),
+        (CAN.replace('"can"\n', '"can"\ninterface = "socketcan"\n'), 'kind = "error_frames"', "no link of this rig"),
+    ],
+)
+def test_a_fault_that_cannot_be_says_why(links, fault, told):
+    with pytest.raises(RigError, match=told) as refusal:
+        rig(links, fault)
+    assert "bench.toml, line" in str(refusal.value)
+
+
+def test_each_link_gets_its_own_faults_and_the_log(tmp_path):
+    bench = rig(SERIAL + CAN, 'kind = "stall"\n[[faults]]\nkind = "lost_frames"')
+    log = tmp_path / "log.jsonl"
+    plans = [setup.endpoint.faults for setup in link_setups(bench, fault_log=log)]
+    assert [(plan.link, [fault.kind for fault in plan.scripted]) for plan in plans] == [
+        ("serial", ["stall"]),
+        ("can", ["lost_frames"]),
+    ]
+    assert all(plan.log == log for plan in plans)
+
+
+def test_the_socket_is_for_its_owner_only_and_goes_with_the_run(runtime):
+    with ControlSocket("bench") as control:
+        assert control.path == runtime / "evstim" / f"bench-{os.getpid()}.sock"
+        assert stat.S_IMODE(control.path.stat().st_mode) == 0o600
+        assert stat.S_IMODE(control.path.parent.stat().st_mode) == 0o700
+        assert sockets() == [control.path]
+    assert sockets() == []
+    with pytest.raises(NoAnswer):
+        ask(control.path, {"ask": "faults"})
+
+
+def test_a_directory_of_others_is_not_used(runtime):
+    (runtime / "evstim").mkdir(mode=0o777)
+    (runtime / "evstim").chmod(0o777)
+    with pytest.raises(PermissionError, match="yours alone"):
+        runtime_directory()
+
+
+def test_foreign_bytes_at_the_socket_hurt_nobody(runtime):
+    said = [b"", b"\n", b"[]\n", b"{\n", b"\xff\xfe\n", b'{"ask": 7}\n', b"x" * 5000, b'{"ask": "fau', b"{}\nmore"]
+    with ControlSocket("bench") as control:
+        clients = []
+        for data in said:
+            client = socket.socket(socket.AF_UNIX)
+            client.connect(str(control.path))
+            client.sendall(data)
+            clients.append(client)
+        for _ in range(3):
+            control.poll(lambda message: {"heard": message})
+        answers = {}
+        for data, client in zip(said, clients, strict=True):
+            client.setblocking(False)
+            try:
+                answers[data] = client.recv(1000)
+            except BlockingIOError:
+                answers[data] = None  # it may still finish its line
+            client.close()
+    assert json.loads(answers[b'{"ask": 7}\n']) == {"heard": {"ask": 7}}
+    assert json.loads(answers[b"{}\nmore"]) == {"heard": {}}
+    assert all("error" in json.loads(answers[data]) for data in said[1:5])
+    assert [answers[data] for data in (b"", b"x" * 5000, b'{"ask": "fau')] == [None] * 3
+
+
+class Thrower:
+    def __init__(self):
+        self.thrown = []
+
+    def throw(self, fault):
+        self.thrown.append(fault)
+
+
+def status(**links):
+    return RunStatus(1.5, 1.6, 10, 100, Lateness(), links)
+
+
+def test_the_desk_lists_and_throws():
+    session = Thrower()
+    desk = FaultDesk(rig(SERIAL + LOOPBACK), session, None)
+    now = status(serial=LinkReport("open", faults=(FaultRecord(1, "stall", 5, 6, 1, 0),)))
+    told = desk.answer({"ask": "faults"}, now)
+    assert "bit_flips" in told["links"]["serial"]["kinds"]
+    assert told["links"]["serial"]["thrown"][0]["ended_us"] == 6
+    assert told["links"]["loopback"] == {"kinds": [], "thrown": []}
+    answer = desk.answer({"ask": "throw", "fault": {"kind": "bit_flips", "rate": 0.5}}, now)
+    assert answer == {"link": "serial", "after": 1}
+    assert session.thrown == [BitFlips(link="serial", rate=0.5)]
+
+
+@pytest.mark.parametrize(
+    ("message", "told"),
+    [
+        ({}, "known are"),
+        ({"ask": "throw"}, "known are"),
+        ({"ask": "throw", "fault": 7}, "expected a table"),
+        ({"ask": "throw", "fault": {"kind": "bit_flips", "rate": "x"}}, "rate"),
+        ({"ask": "throw", "fault": {"kind": "lost_frames"}}, "no link"),
+    ],
+)
+def test_the_desk_says_what_is_wrong_and_throws_nothing(message, told):
+    session = Thrower()
+    assert told in FaultDesk(rig(SERIAL), session, None).answer(message, status())["error"]
+    assert session.thrown == []
+
+
+def test_without_a_socket_the_run_goes_on_and_says_so(runtime):
+    (runtime / "evstim").write_text("not a directory")
+    with fault_desk(rig(SERIAL), Thrower()) as desk:
+        assert "no control socket" in desk.trouble
+        desk.serve(status())
+    with fault_desk(rig(LOOPBACK), Thrower()) as desk:
+        assert desk.trouble == ""
+
+
+def test_the_word_for_it_without_a_run(runtime, capsys):
+    assert _main(["fault"]) == 3
+    assert _main(["fault", "bit_flips", "--run", "elsewhere", "--json"]) == 3
+    assert "no rig 'elsewhere'" in capsys.readouterr().out
+
+
+def test_a_fault_thrown_into_a_run_is_done_and_told(runtime, capsys):
+    bench = rig(SERIAL)
+    bench = replace(bench, run=replace(bench.run, seconds=30.0))
+    codes = []
+
+    def throw():
+        codes.append(_main(["fault", "stall", "--for-s", "0.2", "--json"]))
+        codes.append(_main(["fault", "stall", "--set", "for_s=0.1", "--set", "x"]))
+        codes.append(_main(["fault", "lost_frames"]))
+        codes.append(_main(["fault"]))
+        session.stop()
+
+    with build_scene(bench) as scene:
+        session = build_session(bench, scene, link_setups(bench), MonotonicClock())
+        with fault_desk(bench, session) as desk:
+            client = threading.Thread(target=throw)
+            begun = []
+
+            def on_status(now):
+                desk.serve(now)
+                if not begun:
+                    begun.append(now)
+                    client.start()
+
+            result = session.run(schedule(bench), on_status)
+            client.join()
+    assert codes == [0, 2, 2, 0]
+    said = capsys.readouterr().out
+    told = json.loads(said.splitlines()[0])
+    assert told["link"] == "serial"
+    assert told["fault"]["kind"] == "stall"
+    lasted_us = told["fault"]["ended_us"] - told["fault"]["began_us"]
+    assert 190_000 < lasted_us < 10_000_000  # its end is noticed by a process that may have to wait for its turn
+    assert "fault 1, stall, " in said
+    assert [record.kind for record in result.links["serial"].faults] == ["stall"]
+    assert result.good
+
+
+def test_every_kind_is_in_the_schema(capsys):
+    assert _main(["schema"]) == 0
+    defined = json.loads(capsys.readouterr().out)["$defs"]
+    assert all(cls.__name__ in defined for cls in FAULTS.values())

@@ -1,0 +1,177 @@
+"""A run without links: pacing, stopping, and sums, with a clock and a scene that the test holds."""
+
+import dataclasses
+import signal
+
+import numpy as np
+import pytest
+
+from emulator.cli.signals import stopped_by_signals
+from emulator.light import Scene
+from emulator.plan.step_control import FixedSteps
+from emulator.run.frames import Pictures
+from emulator.run.session import Schedule, Session
+from emulator.scene.checkerboard.checkerboard import Checkerboard
+from emulator.scene.checkerboard.table import CheckerboardParameters
+from emulator.sensor.presets import PRESETS
+from emulator.sensor.sensor import Sensor
+from transports.link.pacing import FakeClock
+from transports.link.process import LinkReport
+
+SENSOR = dataclasses.replace(PRESETS["davis346"], width=24, height=16, leak_hz=0.0)
+STEP_NS = 1_000_000
+
+
+class Flashing(Scene):
+    """The whole picture doubles and halves in turn; drawing costs `cost_ns` of the clock."""
+
+    def __init__(self, clock, cost_ns=0, size=(24, 16)):
+        self._clock, self._cost_ns, self._size = clock, cost_ns, size
+        self.times = []
+
+    @property
+    def size(self):
+        return self._size
+
+    @property
+    def motion_bound_px_s(self):
+        return 0.0
+
+    def light(self, t_ns, out):
+        self.times.append(t_ns)
+        self._clock.advance(self._cost_ns)
+        out[:] = 1.0 if t_ns // STEP_NS % 2 else 0.5
+
+    def close(self):
+        pass
+
+
+def session(scene, clock, step_ns=STEP_NS):
+    return Session(Pictures(scene, with_rate=False), Sensor(SENSOR, 1), FixedSteps(step_ns), [], clock)
+
+
+def test_a_free_run_draws_each_step_once_and_balances():
+    clock = FakeClock()
+    scene = Flashing(clock)
+    result = session(scene, clock).run(Schedule(duration_ns=20 * STEP_NS, paced=False))
+    assert scene.times == [k * STEP_NS for k in range(21)]
+    assert (result.steps, result.frames) == (20, 21)
+    assert result.sim_seconds == pytest.approx(0.02)
+    assert result.ledger.raised > 20 * 24 * 16
+    assert result.ledger.balanced
+
+
+def test_a_paced_run_follows_the_clock():
+    clock = FakeClock()
+    result = session(Flashing(clock, 10_000), clock).run(Schedule(duration_ns=50 * STEP_NS, lead_ns=2 * STEP_NS))
+    assert result.lateness.frames_late == 0
+    assert result.wall_seconds == pytest.approx(0.05 + 0.02, abs=0.004)  # the duration and the head start
+
+
+def test_a_slow_scene_makes_a_paced_run_coarser_not_later():
+    clock = FakeClock()
+    result = session(Flashing(clock, 3 * STEP_NS), clock).run(Schedule(duration_ns=300 * STEP_NS))
+    assert result.lateness.steps_stretched > 0
+    assert result.steps < 150
+    assert result.sim_seconds == pytest.approx(0.3)
+    assert result.lateness.worst_gap_us < 20_000
+
+
+def test_the_last_step_ends_at_the_end():
+    clock = FakeClock()
+    scene = Flashing(clock)
+    session(scene, clock, 700_000).run(Schedule(duration_ns=1_000_000, paced=False))
+    assert scene.times == [0, 700_000, 1_000_000]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_inside_a_step_ends_the_run_after_it(number):
+    clock = FakeClock()
+
+    class Interrupting(Flashing):
+        def light(self, t_ns, out):
+            if t_ns == 7 * STEP_NS:
+                signal.raise_signal(number)
+            super().light(t_ns, out)
+
+    running = session(Interrupting(clock), clock)
+    with stopped_by_signals(running):
+        result = running.run(Schedule(paced=False))
+    assert result.steps == 7
+    assert result.ledger.balanced
+
+
+def test_a_second_signal_interrupts_at_once():
+    clock = FakeClock()
+    running = session(Flashing(clock), clock)
+    with stopped_by_signals(running):
+        signal.raise_signal(signal.SIGINT)
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+
+
+def test_a_run_can_be_stopped_from_its_status():
+    clock = FakeClock()
+    running = session(Flashing(clock, STEP_NS), clock)
+    seen = []
+
+    def stop_after_two(status):
+        seen.append(status)
+        if len(seen) == 2:
+            running.stop()
+
+    result = running.run(Schedule(paced=False), stop_after_two)
+    assert len(seen) == 2
+    assert seen[1].read_out > 0
+    assert result.steps < 200
+
+
+def test_events_do_not_depend_on_the_pace():
+    clock = FakeClock()
+    counts = {
+        paced: session(Flashing(clock), clock).run(Schedule(duration_ns=30 * STEP_NS, paced=paced)).ledger
+        for paced in (True, False)
+    }
+    assert counts[True] == counts[False]
+
+
+def test_light_that_is_not_a_number_is_dark_for_the_ledger_too():
+    clock = FakeClock()
+
+    class Broken(Flashing):
+        def light(self, t_ns, out):
+            super().light(t_ns, out)
+            out[:, ::2] = np.nan
+
+    result = session(Broken(clock), clock).run(Schedule(duration_ns=10 * STEP_NS, paced=False))
+    whole = session(Flashing(clock), clock).run(Schedule(duration_ns=10 * STEP_NS, paced=False))
+    assert result.ledger.balanced
+    assert 0 < result.ledger.raised < whole.ledger.raised
+
+
+def test_pictures_too_far_apart_show_as_suspects():
+    sensor = dataclasses.replace(SENSOR, width=64, height=48)
+    board = CheckerboardParameters(square_px=8.0, speed_px_s=100.0)
+
+    def suspects(step_ns):
+        with Checkerboard(board, (64, 48)) as scene:
+            pictures = Pictures(scene, with_rate=True)
+            running = Session(pictures, Sensor(sensor, 1), FixedSteps(step_ns), [], FakeClock())
+            return running.run(Schedule(duration_ns=100 * STEP_NS, paced=False)).suspect_share
+
+    close, apart = suspects(100_000), suspects(20_000_000)
+    assert close < 0.05
+    assert apart > 0.5
+
+
+def test_a_link_that_found_fault_makes_the_run_bad():
+    clock = FakeClock()
+    result = session(Flashing(clock), clock).run(Schedule(duration_ns=2 * STEP_NS, paced=False))
+    assert result.good
+    assert not dataclasses.replace(result, links={"loopback": LinkReport("closed", error="others received")}).good
+
+
+def test_a_scene_of_another_size_is_refused():
+    clock = FakeClock()
+    with pytest.raises(ValueError, match="the scene is"):
+        session(Flashing(clock, size=(24, 24)), clock)

@@ -1,0 +1,180 @@
+"""The made ridge: spectrum, size laws, shapes, the nest of grids, and the cache."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy import integrate, special
+
+from emulator.scene.terrain import ground_cache
+from emulator.scene.terrain.ground import nested
+from emulator.scene.terrain.ground_cache import Progress, kept
+from emulator.scene.terrain.landforms import (
+    DEPTH,
+    REACH,
+    RIM,
+    boulder_sizes,
+    crater_sizes,
+    height_of_crater,
+    raise_boulders,
+    sink_craters,
+)
+from emulator.scene.terrain.relief import HURST, fractal, make_ridge
+from emulator.scene.terrain.table import Ridge
+
+SMALL = Ridge(size_m=2048.0, finest_m=4.0, posts=128, ridge_m=300.0)
+
+
+def test_relief_has_the_spectrum_s_slope_and_the_height_differences_of_its_law():
+    rng, n, rough = np.random.default_rng(5), 512, 0.1
+    power = np.mean([np.abs(np.fft.fft2(fractal(rng, n, 1.0, (0.0, 0.5), rough))) ** 2 for _ in range(4)], axis=0)
+    k = np.hypot(*np.meshgrid(np.fft.fftfreq(n), np.fft.fftfreq(n)))
+    inside = (k > 4 / n) & (k < 0.5)
+    slope, _ = np.polyfit(np.log(k[inside]), np.log(power[inside]), 1)
+    # each of 2e5 log powers scatters by about 0.7: the slope's standard error is some 0.005
+    assert slope == pytest.approx(-(2 * HURST + 2), abs=0.02)
+    # v(r)^2 is an integral over the band that the map holds
+    r, a = 8.0, rough**2 / (4 * math.pi * (2 * math.pi) ** (2 * HURST) * _bessel_integral())
+    band = integrate.quad(
+        lambda q: 4 * math.pi * a * q ** (-2 * HURST - 1) * (1 - special.j0(2 * math.pi * q * r)), 1 / n, 0.5, limit=400
+    )[0]
+    z = np.stack([fractal(rng, n, 1.0, (0.0, 0.5), rough) for _ in range(4)])
+    assert np.mean((z[:, :, 8:] - z[:, :, :-8]) ** 2) == pytest.approx(band, rel=0.15)
+
+
+def _bessel_integral():
+    return integrate.quad(lambda x: x ** (-2 * HURST - 1) * (1 - special.j0(x)), 0, 200, limit=2000)[0]
+
+
+def test_the_strength_s_integral_is_the_closed_form():
+    h = HURST
+    closed = math.gamma(1 - h) / (2 ** (2 * h + 1) * h * math.gamma(1 + h))
+    assert _bessel_integral() == pytest.approx(closed, rel=1e-3)
+
+
+def test_craters_are_as_many_of_each_size_as_the_law_says():
+    area, limits = 4e6, (10.0, 300.0)
+    sizes = crater_sizes(np.random.default_rng(7), 0.046, limits, area)
+    assert (np.diff(sizes) <= 0).all()
+    for d in (10.0, 20.0, 50.0):
+        expected = 0.046 * (d**-2 - limits[1] ** -2) * area
+        assert abs((sizes > d).sum() - expected) < 4 * math.sqrt(expected)  # four standard deviations
+    # maximum likelihood of a truncated power law's exponent; its standard error is about 2 / sqrt(n)
+    inner = sizes[sizes < 100]
+    exponent = len(inner) / np.log(inner / 10).sum()
+    assert exponent == pytest.approx(2.0, abs=0.05 + 8 / math.sqrt(len(inner)))
+
+
+def test_boulders_cover_the_share_of_the_ground_that_the_law_says():
+    k, limits, area = 0.02, (0.1, 0.4), 2e4
+    q = 1.79 + 0.152 / k
+    sizes = boulder_sizes(np.random.default_rng(3), k, limits, area)
+    covered = (math.pi / 4 * sizes**2).sum() / area
+    assert covered == pytest.approx(k * (math.exp(-q * limits[0]) - math.exp(-q * limits[1])), rel=0.05)
+    assert limits[0] <= sizes.min() <= sizes.max() <= limits[1]
+    assert boulder_sizes(np.random.default_rng(3), 0.0, limits, area).size == 0
+
+
+def test_a_crater_has_its_depth_its_rim_and_its_volume():
+    posts, d = 301, 80.0
+    heights = np.zeros((posts, posts))
+    sink_craters(heights, np.array([[150.0, 150.0]]), np.array([d]), np.array([1.0]))
+    assert heights.min() == pytest.approx(-(DEPTH - RIM) * d)
+    assert heights.max() == pytest.approx(RIM * d, rel=0.05)
+    profile = integrate.quad(lambda r: 2 * math.pi * r * height_of_crater(r, d) * (d / 2) ** 2, 0, REACH, points=[1.0])
+    bowl = math.pi * (d / 2) ** 2 * d * (RIM - DEPTH / 2)  # integral of 0.2 (r^2 - 1) + 0.04
+    edge = RIM / REACH**3
+    blanket = RIM * (1 - 1 / REACH) - edge / (REACH - 1) * ((REACH**3 - 1) / 3 - (REACH**2 - 1) / 2)
+    assert profile[0] == pytest.approx(bowl + 2 * math.pi * (d / 2) ** 2 * d * blanket, rel=1e-6)
+    assert heights.sum() == pytest.approx(profile[0], rel=0.01)
+    assert heights[0, 0] == 0
+
+
+def test_a_boulder_is_half_as_high_as_wide():
+    heights = np.zeros((41, 41))
+    raise_boulders(heights, np.array([[20.0, 20.0]]), np.array([20.0]))
+    assert heights.max() == pytest.approx(10.0)
+    assert heights.sum() == pytest.approx(2 / 3 * math.pi * 1000, rel=0.02)
+
+
+def test_grids_agree_where_they_overlap_and_the_site_is_at_zero():
+    ground = make_ridge(SMALL)
+    assert ground.grids == 3
+    assert ground.unit_m == pytest.approx(4.0)
+    for finer, coarser in zip(ground.heights_m[:-1], ground.heights_m[1:], strict=True):
+        np.testing.assert_array_equal(finer[::2, ::2], coarser[32:97, 32:97])
+    assert ground.height_m(0.0, 0.0) == 0
+    assert ground.height_m(1024.1, 0.0) is None
+    curved = ground.curved(1_737_400.0)
+    drop = ground.height_m(-1000.0, 600.0) - curved.height_m(-1000.0, 600.0)
+    assert drop == pytest.approx((1000.0**2 + 600.0**2) / (2 * 1_737_400.0), rel=0.01)
+    for finer, coarser in zip(curved.heights_m[:-1], curved.heights_m[1:], strict=True):
+        np.testing.assert_array_equal(finer[::2, ::2], coarser[32:97, 32:97])
+
+
+def test_a_map_is_the_same_for_a_seed_and_another_for_another():
+    first, again = (make_ridge(SMALL).heights_m for _ in range(2))
+    np.testing.assert_array_equal(first, again)
+    other = make_ridge(Ridge(size_m=2048.0, finest_m=4.0, posts=128, ridge_m=300.0, seed=2)).heights_m
+    assert np.abs(first - other).max() > 1
+
+
+def test_the_ridge_rises_above_its_base():
+    bare = Ridge(size_m=32768.0, finest_m=256.0, posts=128, slope_deg=0.0, crater_density=0.0, boulder_cover=0.0)
+    ground = make_ridge(bare)
+    assert ground.heights_m.max() == 0  # the site is on the crest
+    assert ground.heights_m.min() == pytest.approx(-5000.0, rel=1e-3)
+    assert ground.height_m(0.0, 7500.0) == pytest.approx(-4500.0, rel=0.01)  # the edge of a base 15 km wide
+
+
+def test_heights_between_posts_are_linear():
+    rows, columns = np.mgrid[:9, :13].astype(float)
+    ground = nested(2.0, [3 * rows + columns])
+    assert ground.first(0) == (-6, -4)
+    assert ground.height_m(3.0, -5.0) == pytest.approx(3 * (-2.5) + 1.5)
+    assert ground.half_m == 8.0
+
+
+def test_what_was_made_is_kept(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    made = []
+
+    def make():
+        made.append(1)
+        return np.full((1, 2, 3), len(made), np.float32)
+
+    for _ in range(2):
+        assert kept("thing", SMALL, make)[0, 0, 0] == 1
+    assert kept("thing", Ridge(), make)[0, 0, 0] == 2
+    for path in (tmp_path / "evstim").iterdir():
+        path.write_bytes(path.read_bytes()[:-5])  # cut short by a full disk
+    assert kept("thing", SMALL, make)[0, 0, 0] == 3
+    assert not list((tmp_path / "evstim").glob("*.part"))
+
+
+def test_a_cache_that_cannot_be_written_costs_nothing_but_time(tmp_path, monkeypatch, capsys):
+    (tmp_path / "file").write_text("in the way")
+    monkeypatch.setattr(ground_cache, "cache_folder", lambda: tmp_path / "file" / "evstim")
+    assert kept("thing", SMALL, lambda: np.ones((1, 2, 2), np.float32)).all()
+    assert "cannot be written" in capsys.readouterr().err
+
+
+def test_progress_is_told_on_stderr(capsys):
+    progress = Progress("making the map")
+    for done in range(4):
+        progress(done, 3)
+    assert capsys.readouterr().err == "evstim: making the map: 0 %\nevstim: making the map: 100 %\n"
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"posts": 100}, "posts is 100"),
+        ({"ridge_m": 5000.0, "size_m": 8000.0}, "finds no room"),
+        ({"seed": -1}, "seed is -1"),
+        ({"slope_deg": float("nan")}, "slope_deg is nan"),
+    ],
+)
+def test_nonsense_is_refused(changes, message):
+    with pytest.raises(ValueError, match=message):
+        Ridge(**changes)

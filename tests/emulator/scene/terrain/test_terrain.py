@@ -1,0 +1,245 @@
+"""Ground drawn: blocks that tile it, closed-form light, no cracks, no jumps, and what is refused."""
+
+import dataclasses
+import itertools
+import math
+
+import numpy as np
+import pytest
+
+from emulator.geometry.pinhole import Pinhole
+from emulator.light import SceneError
+from emulator.photometry.reflectance import Hapke, Lambert, LommelSeeliger, LunarLambert
+from emulator.photometry.sun import SUN_W_M2
+from emulator.scene.terrain.ground import nested
+from emulator.scene.terrain.ground_mesh import shading
+from emulator.scene.terrain.quadtree import BLOCK, Quadtree
+from emulator.scene.terrain.relief import make_ridge
+from emulator.scene.terrain.table import Heightmap, Ridge, TerrainParameters
+from emulator.scene.terrain.terrain import Terrain
+from emulator.trajectory.descent import Gate
+from emulator.trajectory.parameters import DescentPath, FixedPath, Keyframe, KeyframePath
+
+CAMERA = Pinhole.of_field((96, 64), 60.0)
+DOWN = (0.0, 1.0, 0.0, 0.0)  # x right east, y down south, the boresight to the nadir
+RIDGE = Ridge(size_m=1024.0, finest_m=2.0, posts=128, ridge_m=100.0, seed=2)
+
+
+@pytest.fixture(autouse=True)
+def own_cache(tmp_path_factory, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.getbasetemp() / "cache"))
+
+
+def parameters(**changes):
+    plain = TerrainParameters(
+        ground=RIDGE, camera=FixedPath((0.0, 0.0, 150.0), DOWN), sun_elevation_deg=20.0, ambient_w_m2=0.0, samples=1
+    )
+    return dataclasses.replace(plain, **changes)
+
+
+def drawn(p, times_ns=(0,), camera=CAMERA):
+    pictures = []
+    with Terrain(p, camera) as scene:
+        for t_ns in times_ns:
+            out = np.full(camera.size[::-1], np.nan, np.float32)
+            scene.light(t_ns, out)
+            assert np.isfinite(out).all()
+            pictures.append(out)
+    return pictures if len(pictures) > 1 else pictures[0]
+
+
+def flat_map(folder, posts=65, post_m=8.0):
+    np.save(folder / "flat.npy", np.zeros((posts, posts)))
+    return Heightmap(path=str(folder / "flat.npy"), post_m=post_m)
+
+
+# Blocks
+
+
+@pytest.mark.parametrize("place", [(0.0, 0.0, 30.0), (120.0, -300.0, 5.0), (-700.0, 10.0, 400.0)])
+def test_blocks_cover_the_ground_once(place):
+    ground = make_ridge(RIDGE)
+    tree = Quadtree(ground, 80.0)
+    half = 64 << (ground.grids - 1)
+    covered = np.zeros((2 * half, 2 * half), int)
+    for grid, blocks in enumerate(tree.blocks(np.array(place), np.empty((0, 3)))):
+        x0, y0 = ground.first(grid)
+        for column, row, stride in blocks:
+            side = BLOCK * stride << grid
+            x, y = x0 + (column << grid) + half, y0 + (row << grid) + half
+            covered[y : y + side, x : x + side] += 1
+            assert column + BLOCK * stride <= 128  # the grid holds it
+            assert row + BLOCK * stride <= 128
+    assert (covered == 1).all()
+
+
+def test_blocks_out_of_sight_are_left_out():
+    ground = make_ridge(RIDGE)
+    tree = Quadtree(ground, 80.0)
+    eastern = np.array([[1.0, 0.0, 0.0]])
+    blocks = tree.blocks(np.array([300.0, 0.0, 100.0]), eastern)
+    ends = [
+        ground.first(grid)[0] + ((column + BLOCK * stride) << grid)
+        for grid, chosen in enumerate(blocks)
+        for column, _, stride in chosen
+    ]
+    assert min(ends) * ground.unit_m >= 300.0
+    assert sum(map(len, blocks)) > 4
+
+
+def test_a_quad_is_no_finer_than_its_distance_asks():
+    ground = nested(1.0, [np.zeros((257, 257))])
+    camera = np.array([0.0, 0.0, 20.0])
+    (blocks,) = Quadtree(ground, 80.0).blocks(camera, np.empty((0, 3)))
+    for column, row, stride in blocks:
+        nearest = [max(c - 128, 128 - c - BLOCK * stride, 0) for c in (column, row)]
+        distance = math.hypot(*nearest, 20.0)
+        assert stride == 1 or distance > 80.0 * stride / 2
+        assert distance <= 80.0 * stride + 2 * BLOCK * stride * math.sqrt(2)
+
+
+def test_a_coarse_grid_s_cells_are_the_means_of_the_fine_one_s():
+    ground = make_ridge(RIDGE)
+    cells = shading(ground, np.ones_like(ground.heights_m), np.array([0.6, 0.0, 0.8])).astype(np.float32)
+    for finer, coarser in itertools.pairwise(cells):
+        np.testing.assert_allclose(coarser[32:96, 32:96], finer.reshape(64, 2, 64, 2, 4).mean(axis=(1, 3)), atol=2e-3)
+    length = np.hypot(cells[0, ..., 0], cells[0, ..., 1])
+    assert length.max() < 1
+
+
+# Light
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize("law", [Lambert(0.5), LommelSeeliger(), LunarLambert(0.12), Hapke()])
+def test_level_ground_has_the_light_of_its_law(tmp_path, law):
+    p = parameters(ground=flat_map(tmp_path), reflectance=law, body_radius_m=0.0, sun_azimuth_deg=30.0)
+    light = drawn(p)
+    rows, columns = np.mgrid[:64, :96] + 0.5
+    ray = np.stack([(columns - 48) / CAMERA.focal_px, -(rows - 32) / CAMERA.focal_px, -np.ones_like(rows)], -1)
+    eye = -ray / np.linalg.norm(ray, axis=-1, keepdims=True)
+    a, e = math.radians(30.0), math.radians(20.0)
+    sun = np.array([math.sin(a) * math.cos(e), math.cos(a) * math.cos(e), math.sin(e)])
+    expected = SUN_W_M2 * law.reflect(np.full(rows.shape, sun[2]), eye[..., 2], np.arccos(eye @ sun))
+    np.testing.assert_allclose(light, expected, rtol=2e-3)
+
+
+@pytest.mark.gl
+def test_a_slope_is_lit_by_its_own_normal_and_stands_where_it_is(tmp_path):
+    """East of the middle the ground rises by one in four; seen from above the crease is in the middle column."""
+    x = (np.arange(65) - 32) * 8.0
+    np.save(tmp_path / "slope.npy", np.tile(np.maximum(0, x / 4), (65, 1)))
+    ground = Heightmap(path=str(tmp_path / "slope.npy"), post_m=8.0)
+    p = parameters(
+        ground=ground, reflectance=Lambert(1.0), body_radius_m=0.0, sun_azimuth_deg=-90.0, sun_elevation_deg=40.0
+    )
+    light = drawn(p)
+    e = math.radians(40.0)
+    level = SUN_W_M2 / math.pi * math.sin(e)
+    slope = SUN_W_M2 / math.pi * (math.sin(e) * 4 + math.cos(e)) / math.sqrt(17)
+    np.testing.assert_allclose(light[:, :44], level, rtol=2e-3)
+    np.testing.assert_allclose(light[:, 52:], slope, rtol=2e-3)
+
+
+@pytest.mark.gl
+def test_a_wall_s_shadow_reaches_as_far_as_the_sun_is_low(tmp_path):
+    heights = np.zeros((129, 129))
+    heights[:, 80:84] = 20.0
+    np.save(tmp_path / "wall.npy", heights)
+    p = parameters(
+        ground=Heightmap(path=str(tmp_path / "wall.npy"), post_m=2.0),
+        reflectance=Lambert(1.0),
+        body_radius_m=0.0,
+        sun_azimuth_deg=90.0,
+        sun_elevation_deg=15.0,
+    )
+    row = drawn(p)[32]
+    focal, reach_m = CAMERA.focal_px, 20.0 / math.tan(math.radians(15.0))
+    begins = 48 + (32.0 - reach_m) * focal / 150.0  # the wall's foot is 32 m east of the middle
+    lit = np.flatnonzero(row[:58] > 0.5 * row[5])
+    assert lit.max() + 1 == pytest.approx(begins, abs=1.5)
+
+
+DOWNWARD = DescentPath((Gate(0.0, 400.0, 0.0, 10.0, 50.0), Gate(60.0, 30.0, 0.0, 3.0, 80.0), Gate(70.0, 8.0)))
+ACROSS = KeyframePath((Keyframe(0.0, (-180.0, 5.0, 25.0)), Keyframe(70.0, (180.0, 5.0, 25.0))), (0.0, 20.0, -150.0))
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize("path", [DOWNWARD, ACROSS], ids=["down", "across the borders of grids"])
+def test_there_are_no_cracks_and_nothing_jumps_on_the_way(path):
+    """Lambert ground under a high Sun, so that nothing on it is dark."""
+    p = parameters(camera=path, sun_elevation_deg=85.0, reflectance=Lambert(1.0), ambient_w_m2=50.0)
+    times = [round(t * 1e9) for t in np.linspace(0, 69, 60)]
+    close = [t + 200_000 for t in times]  # 2 mm later
+    pictures = drawn(p, [t for pair in zip(times, close, strict=True) for t in pair])
+    for before, after in zip(pictures[::2], pictures[1::2], strict=True):
+        ground = before[28:]  # the map ends above
+        assert ground.min() > 5  # a crack would show the black sky; ambient light alone gives 15
+        assert np.median(np.abs(after - before)) < 1e-3 * np.median(before)
+        assert (np.abs(after - before) > 0.2 * before.max()).sum() <= 2  # samples on a rim's outline may change sides
+
+
+@pytest.mark.gl
+def test_coarse_facets_keep_the_fine_map_s_light():
+    slanting = parameters(sun_elevation_deg=8.0, camera=FixedPath((0.0, 0.0, 600.0), DOWN), samples=2)
+    fine, coarse = (drawn(dataclasses.replace(slanting, detail_px=d)) for d in (0.0, 4.0))
+    scale = fine.std()
+    assert np.sqrt(np.mean((fine - coarse) ** 2)) < 0.2 * scale
+
+
+@pytest.mark.gl
+def test_the_sky_and_what_lies_beyond_the_map_are_black():
+    p = parameters(camera=FixedPath((0.0, 0.0, 50.0), look_at_m=(0.0, 500.0, 50.0)), ambient_w_m2=10.0)
+    light = drawn(p)
+    assert (light[:16] == 0).all()
+    assert (light[-6:] > 0).all()
+
+
+@pytest.mark.gl
+def test_a_night_is_told():
+    p = parameters(sun_elevation_deg=-10.0)
+    with Terrain(p, CAMERA) as scene:
+        assert "below the horizontal" in scene.notes[-2]
+        assert "black" in scene.notes[-1]
+
+
+@pytest.mark.gl
+def test_motion_is_bounded_by_path_and_height(tmp_path):
+    path = KeyframePath((Keyframe(0.0, (0, 0, 100), DOWN), Keyframe(10.0, (50.0, 0, 100), DOWN)))
+    p = parameters(ground=flat_map(tmp_path), camera=path, body_radius_m=0.0)
+    with Terrain(p, CAMERA) as scene:
+        nadir = CAMERA.focal_px * 5.0 / 100
+        assert nadir < scene.motion_bound_px_s < 3 * nadir
+        assert scene.distance_m == pytest.approx(100.0)
+        light, rate = (np.zeros(CAMERA.size[::-1], np.float32) for _ in range(2))
+        scene.light_and_rate(1_000_000_000, light, rate)
+        assert np.isfinite(rate).all()
+
+
+# What is refused
+
+
+def test_a_camera_below_the_ground_is_told_when_and_where():
+    path = KeyframePath((Keyframe(0.0, (0, 0, 20.0), DOWN), Keyframe(10.0, (0, 0, -20.0), DOWN)))
+    with pytest.raises(SceneError, match=r"m below the ground at 5\.\d+ s, x = .* m, y = "):
+        Terrain(parameters(camera=path), CAMERA)
+
+
+def test_a_path_that_cannot_be_used_is_a_scene_error():
+    with pytest.raises(SceneError, match=r"scene\.camera: an empty trajectory"):
+        Terrain(parameters(camera=KeyframePath()), CAMERA)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"samples": 5}, "samples is 5"),
+        ({"sun_elevation_deg": 91.0}, "sun_elevation_deg is 91"),
+        ({"ambient_w_m2": math.nan}, "ambient_w_m2 is nan"),
+        ({"time_scale": 0.0}, "time_scale is 0"),
+        ({"body_radius_m": 5.0}, "body_radius_m is 5"),
+    ],
+)
+def test_nonsense_is_refused(changes, message):
+    with pytest.raises(ValueError, match=message):
+        TerrainParameters(**changes)

@@ -1,0 +1,473 @@
+"""A link on a CAN bus: python-can's virtual bus in this process, with a receiver as its peer."""
+
+import asyncio
+import errno
+import itertools
+import os
+from dataclasses import replace
+from functools import partial
+
+import can
+import numpy as np
+import pytest
+
+from firmware_protocol.can_frames.canopen import Emergency, NmtCommand, NmtOrder, NodeState, scet
+from firmware_protocol.can_frames.frame import Frame
+from firmware_protocol.can_frames.isotp import IsoTpSender
+from firmware_protocol.can_frames.redundancy import SelectorSettings
+from firmware_protocol.edges import EDGE
+from firmware_protocol.events import EVENT
+from firmware_protocol.instrument.instrument import Instrument
+from firmware_protocol.instrument.settings import InstrumentSettings
+from firmware_protocol.packets.profile import Profile
+from firmware_protocol.packets.telecommands import Ping
+from transports.can_bus.bus import BusDown
+from transports.can_bus.endpoint import CanFactory
+from transports.can_bus.parameters import CanParameters
+from transports.can_bus.python_can import PythonCanBus, from_message, to_message
+from transports.can_bus.receiver import CanReceiver
+from transports.link.pacing import FakeClock, MonotonicClock
+from transports.link.process import Link, LinkSetup
+from transports.link.ring import FREE_RUNNING, EventRing
+
+SIZE = (346, 260)
+CHANNELS = itertools.count()
+PATIENT = InstrumentSettings(queue_ms=60_000)
+
+
+def parameters(**more):
+    return CanParameters(**{"interface": "virtual", "channel": f"test-{next(CHANNELS)}", "share": 1.0} | more)
+
+
+def stream(n, gap_us=40, seed=1):
+    rng = np.random.default_rng(seed)
+    events = np.zeros(n, EVENT)
+    events["t"] = np.cumsum(rng.exponential(gap_us, n)).astype(np.uint64)
+    events["x"], events["y"] = rng.integers(0, SIZE[0], n), rng.integers(0, SIZE[1], n)
+    events["on"] = rng.integers(0, 2, n)
+    return events
+
+
+class Peer:
+    """A computer on the same virtual bus."""
+
+    def __init__(self, p, channel=None):
+        self.bus = can.Bus(interface="virtual", channel=channel or p.channel)
+        self.receiver = CanReceiver(p)
+        self.frames = []
+        self.events = [np.zeros(0, EVENT)]
+
+    def listen(self):
+        while (message := self.bus.recv(0)) is not None:
+            frame = from_message(message)
+            self.frames.append(frame)
+            self.events.append(self.receiver.push(frame, 0))
+            if self.receiver.answer is not None:
+                self.say(self.receiver.answer)
+
+    def say(self, frame):
+        self.bus.send(to_message(frame))
+
+    def heard(self, identifier):
+        return [frame.data for frame in self.frames if frame.identifier == identifier]
+
+
+async def run(p, settings, events, work, *, sink=None, paced=False):
+    """Run a link that is given `events` at once; `work(link, peer)` is called each tick until it says True."""
+    ring = EventRing(1 << 16)
+    device = partial(Instrument, SIZE, settings)
+    link = Link(LinkSetup("can", ring, device, CanFactory(p, sink)), MonotonicClock())
+    peer = Peer(p)
+    try:
+        await link.endpoint.start()
+        ring.start(MonotonicClock().now_ns() - 10**9 if paced else FREE_RUNNING)
+        ring.push(events)
+        ring.publish(int(events["t"][-1]) if len(events) else 0)
+        for _ in range(20_000):
+            link.tick()
+            peer.listen()
+            if work(link, peer):
+                break
+            await asyncio.sleep(0.0002)
+        else:
+            pytest.fail(f"it never came to an end: {link.report()}")
+    finally:
+        await link.close()
+        peer.bus.shutdown()
+    return link.report(final=True), peer
+
+
+def until_delivered(link, peer):
+    return link.idle
+
+
+def go(p, events=None, work=until_delivered, settings=PATIENT, **more):
+    events = np.zeros(0, EVENT) if events is None else events
+    return asyncio.run(run(p, settings, events, work, **more))
+
+
+@pytest.mark.parametrize(
+    "more",
+    [
+        {"carriage": "raw"},
+        {"carriage": "raw", "fd": True},
+        {"carriage": "isotp"},
+        {"carriage": "isotp", "fd": True},
+        {"carriage": "cfp"},
+    ],
+)
+def test_every_event_sent_is_received(more):
+    p = parameters(**more)
+    events = stream(3000)
+    report, peer = go(p, events)
+    got = np.concatenate(peer.events)
+    order = ["t", "y", "x", "on"]
+    assert np.array_equal(np.sort(got, order=order), np.sort(events, order=order))
+    assert (report.delivered, report.dropped, report.camera.accounted) == (3000, 0, 3000)
+    assert peer.receiver.faults == 0
+
+
+@pytest.mark.parametrize("share", [0.2, 0.6, 0.9])
+def test_the_load_is_kept_at_the_share_within_two_percent(share):
+    clock = FakeClock(10**9)
+    ring = EventRing(1 << 16)
+    link = Link(LinkSetup("can", ring, partial(Instrument, SIZE, PATIENT), CanFactory(parameters(share=share))), clock)
+    ring.start(FREE_RUNNING)
+    ring.push(stream(20_000))
+    ring.publish(1_000_000)
+
+    async def half_a_second():
+        await link.endpoint.start()
+        for _ in range(1000):
+            link.tick()
+            clock.advance(500_000)
+        use = link.report().use
+        await link.close()
+        return use
+
+    use = asyncio.run(half_a_second())
+    assert use.share == pytest.approx(share, rel=0.02)
+    assert use.carried > 500
+
+
+def test_nmt_orders_start_and_stop_the_camera():
+    p = parameters(heartbeat_ms=5)
+    steps = iter(
+        [
+            lambda peer: peer.say(Frame(p.identifiers.nmt, bytes(NmtOrder(NmtCommand.STOP, p.node)))),
+            lambda peer: peer.say(Frame(p.identifiers.nmt, bytes(NmtOrder(NmtCommand.START, 99)))),
+            lambda peer: peer.say(Frame(p.identifiers.nmt, bytes(NmtOrder(NmtCommand.START)))),
+        ]
+    )
+    seen = []
+
+    def work(link, peer):
+        beats = peer.heard(p.identifiers.heartbeat)
+        if len(beats) >= 3:
+            seen.append([NodeState(b[0]) for b in beats])
+            peer.frames.clear()
+            step = next(steps, None)
+            if step is None:
+                return True
+            step(peer)
+        return False
+
+    report, _ = go(p, None, work)
+    assert seen[0][:2] == [NodeState.BOOT, NodeState.OPERATIONAL]
+    assert seen[1][-1] is NodeState.STOPPED
+    assert seen[2][-1] is NodeState.STOPPED
+    assert seen[3][-1] is NodeState.OPERATIONAL
+    assert report.counts["NMT orders"] == 2
+
+
+def test_syncs_reach_the_sink_at_their_time_on_the_bus():
+    p = parameters()
+    marks = []
+    counters = iter([1, 2, 4, 240, 1])
+
+    def work(link, peer):
+        counter = next(counters, None)
+        if counter is not None:
+            peer.say(Frame(p.identifiers.sync, bytes([counter])))
+        return len(marks) == 5
+
+    clock = MonotonicClock()
+    before_ns = clock.now_ns()
+    report, _ = go(p, None, work, sink=lambda t_ns, seq: marks.append((t_ns, seq)))
+    assert [seq for _, seq in marks] == [1, 2, 4, 240, 1]
+    assert all(before_ns <= t_ns <= clock.now_ns() for t_ns, _ in marks)
+    assert report.counts["SYNC gaps"] == 2
+
+
+def test_as_a_master_it_sends_sync_and_time():
+    p = parameters(sync_ms=2, time_ms=2)
+    marks = []
+    _, peer = go(p, None, lambda *_: len(marks) >= 3, sink=lambda *mark: marks.append(mark))
+    assert peer.heard(p.identifiers.sync)[:3] == [b"\x01", b"\x02", b"\x03"]
+    assert [seq for _, seq in marks][:3] == [1, 2, 3]
+    assert peer.heard(p.identifiers.scet)[0] == scet(0)
+
+
+def test_an_overflow_is_told_by_an_emergency_and_its_end_too():
+    p = parameters(share=0.05, bitrate=50_000)
+    settings = InstrumentSettings(queue_events=2048, block_events=256)
+    _, peer = go(p, stream(10_000), lambda _, peer: peer.heard(p.identifiers.emcy), settings, paced=True)
+    assert Emergency.parse(peer.heard(p.identifiers.emcy)[0]).dropped > 1000
+
+
+@pytest.mark.parametrize("carriage", ["raw", "isotp"])
+def test_telecommands_by_isotp_are_obeyed_and_answered(carriage):
+    p = parameters(carriage=carriage)
+    computer = Profile("ccsds")
+    sender = IsoTpSender(p.peer_isotp)
+
+    def work(link, peer):
+        if not commands_sent:
+            sender.start(computer.wrap_command(Ping()))
+            commands_sent.append(1)
+        for data in peer.heard(p.identifiers.telemetry):
+            if data[0] >> 4 == 3:
+                sender.flow_control(Frame(p.identifiers.telemetry, data), 0)
+        frame = sender.next_frame(0)
+        if frame is not None:
+            peer.say(frame)
+        return peer.receiver.counts.get("frames: message verification") == 2
+
+    commands_sent = []
+    settings = InstrumentSettings(housekeeping_s=0)
+    _, peer = go(p, None, work, settings)
+    assert peer.receiver.counts["frames: message pong"] == 1
+
+
+def test_a_peer_that_never_answers_isotp_costs_messages_and_is_counted(monkeypatch):
+    p = parameters(carriage="isotp", answer_ms=20)
+
+    def deaf(link, _):
+        return link.report().counts.get("ISO-TP messages given up", 0)
+
+    monkeypatch.setattr(Peer, "say", lambda peer, frame: None)
+    report, _ = go(p, stream(100), deaf, InstrumentSettings(housekeeping_s=0))
+    assert report.dropped == 100
+    assert report.camera.accounted == 100
+
+
+def test_the_second_bus_is_used_when_the_master_moves_there():
+    p = parameters(channel_b="b", heartbeat_ms=5, redundancy=SelectorSettings(heartbeat_ms=40, toggle_ms=200))
+    p = replace(p, channel_b=p.channel + "-b")
+    other = Peer(p, p.channel_b)
+    master = Frame(p.identifiers.master_heartbeat, b"\x05")
+
+    def work(link, peer):
+        other.listen()
+        if len(peer.heard(p.identifiers.heartbeat)) < 5:
+            peer.say(master)
+        else:
+            other.say(master)
+        return len(other.heard(p.identifiers.heartbeat)) >= 5
+
+    try:
+        report, _ = go(p, stream(100), work)
+    finally:
+        other.bus.shutdown()
+    assert report.counts["bus changes"] == 1
+
+
+def test_a_bus_that_goes_away_comes_back():
+    p = parameters(heartbeat_ms=5)
+    gone = []
+
+    def work(link, peer):
+        slot = link.endpoint._slots[0]
+        if not gone and peer.frames:
+            slot.bus._bus._bus.shutdown()  # as when an adapter is pulled out
+            gone.append(slot.bus)
+        if gone and not slot.up:
+            slot.retry_ns = 0
+            peer.frames.clear()
+        return (
+            gone and slot.up and len(peer.heard(p.identifiers.heartbeat)) > 2 and link.report().counts.get("bus lost")
+        )
+
+    report, _ = go(p, None, work)
+    assert report.counts["bus lost"] == 1
+
+
+@pytest.mark.parametrize(
+    ("more", "cure"),
+    [
+        ({"interface": "socketcan", "channel": "can0"}, r"modprobe|ip link set can0 up"),
+        ({"interface": "slcan", "channel": "/dev/ttyNOPE"}, "plugged in"),
+        ({"interface": "gs_usb", "options": {"index": 0}}, r"python-can\[gs-usb\]"),
+        ({"interface": "nonsense"}, "socketcan, .*served"),
+    ],
+)
+def test_a_bus_that_cannot_be_had_names_the_cure(more, cure):
+    p = CanParameters(**more)
+    with pytest.raises(BusDown, match=cure):
+        asyncio.run(PythonCanBus(p, p.channel).open())
+
+
+def test_messages_of_python_can_come_back():
+    for frame in (Frame(0x123, b"ab"), Frame(0x12345678, extended=True), Frame(1, bytes(12), fd=True, brs=True)):
+        assert from_message(to_message(frame)) == frame
+    assert from_message(can.Message(is_remote_frame=True)) is None
+
+
+@pytest.mark.parametrize(
+    ("wrong", "why"),
+    [
+        ({"channel_b": "can1"}, "one bus"),
+        ({"fd": True}, "classic frames only"),
+        ({"interface": "socketcan", "fd": True, "carriage": "cfp"}, "classic frames only"),
+        ({"share": 0}, "share"),
+        ({"node": 0}, "node"),
+        ({"bitrate": 2_000_000}, "bitrate"),
+        ({"channel": ""}, "channel"),
+        ({"heartbeat_ms": -1}, "heartbeat_ms"),
+        ({"csp_peer": 0x3FFF}, "csp_peer"),
+    ],
+)
+def test_parameters_say_what_is_wrong(wrong, why):
+    with pytest.raises(ValueError, match=why):
+        CanParameters(**wrong)
+
+
+def edges_of(count):
+    edges = np.zeros(count, EDGE)
+    edges["t"], edges["kind"], edges["seq"] = 1000 * np.arange(count), 4, np.arange(count)
+    return edges
+
+
+@pytest.mark.parametrize("carriage", ["raw", "isotp", "cfp"])
+def test_edges_are_received_too(carriage):
+    p = parameters(carriage=carriage)
+    edges = edges_of(300)
+
+    def work(link, peer):
+        if not offered:
+            link._device.offer_edges(edges)
+            offered.append(1)
+        return sum(map(len, peer.receiver.edges)) == 300
+
+    offered = []
+    _, peer = go(p, stream(10), work)
+    assert np.array_equal(np.concatenate(peer.receiver.edges), edges)
+
+
+def test_the_cameras_own_marks_have_frames_of_their_own():
+    p = parameters()
+
+    def work(link, peer):
+        if not marked:
+            marked.append(link.endpoint.mark(edges_of(3)))
+        return len(peer.heard(p.identifiers.marks)) == 3
+
+    marked = []
+    _, peer = go(p, stream(10), work)
+    assert marked == [3]
+    assert np.array_equal(np.concatenate(peer.receiver.edges), edges_of(3))
+
+
+@pytest.mark.parametrize("carriage", ["raw", "isotp", "cfp"])
+def test_a_link_that_is_cut_short_leaves_no_event_without_a_fate(carriage):
+    p = parameters(carriage=carriage, share=0.1)
+    report, _ = go(p, stream(5000), lambda link, peer: link.report().use.carried > 50)
+    assert report.camera.accounted == report.camera.offered
+    assert report.camera.lost_on_link + report.camera.flushed > 0
+
+
+@pytest.mark.socket
+def test_fd_frames_by_udp_multicast_come_once_and_to_the_others_only():
+    pytest.importorskip("msgpack")
+    p = parameters(
+        interface="udp_multicast", channel="239.74.163.2", fd=True, options={"port": 43_000 + os.getpid() % 1000}
+    )
+
+    async def both():
+        one, two = PythonCanBus(p, p.channel), PythonCanBus(p, p.channel)
+        try:
+            await asyncio.gather(one.open(), two.open())
+        except BusDown as reason:
+            pytest.skip(f"no multicast here: {reason}")
+        sent = [Frame(0x1A2, bytes([i]) * 64, fd=True, brs=True) for i in range(20)]
+        heard, own = [], []
+        for frame in sent:
+            one.send(frame)
+        for _ in range(2000):
+            heard += [h.frame for h in two.take()]
+            own += one.take()
+            if len(heard) == len(sent):
+                break
+            await asyncio.sleep(0.001)
+        await asyncio.gather(one.close(), two.close())
+        return sent, heard, own
+
+    sent, heard, own = asyncio.run(both())
+    assert heard == sent
+    assert own == []
+
+
+def with_virtual_bus(work, **more):
+    """Open a bus and a peer's, let `work(bus, peer)` run, and close both."""
+    p = parameters(**more)
+
+    async def opened():
+        bus, peer = PythonCanBus(p, p.channel), can.Bus(interface="virtual", channel=p.channel)
+        try:
+            await bus.open()
+            return await work(bus, peer)
+        finally:
+            await bus.close()
+            peer.shutdown()
+
+    return asyncio.run(opened())
+
+
+@pytest.mark.parametrize("full", [("No buffer space available", errno.ENOBUFS), ("Transmit buffer full", None)])
+def test_a_full_driver_is_no_fault(monkeypatch, full):
+    async def work(bus, _):
+        def send(message):
+            raise can.CanOperationError(*full)
+
+        monkeypatch.setattr(bus._bus, "send", send)
+        return bus.send(Frame(1))
+
+    assert with_virtual_bus(work) is False
+
+
+@pytest.mark.parametrize(
+    ("error", "cure"),
+    [
+        (
+            can.CanOperationError("Failed to transmit", errno.ENETDOWN),
+            r"it is down: sudo ip link set test-\d+ up type can",
+        ),
+        (can.CanOperationError("Failed to transmit", errno.ENXIO), "tried again every second"),
+        (OSError(errno.EIO, "Input/output error"), "documentation of python-can"),
+    ],
+)
+def test_a_bus_that_fails_names_the_cure(monkeypatch, error, cure):
+    async def work(bus, _):
+        def send(message):
+            raise error
+
+        monkeypatch.setattr(bus._bus, "send", send)
+        with pytest.raises(BusDown, match=cure):
+            bus.send(Frame(1))
+        with pytest.raises(BusDown, match=cure):
+            bus.take()
+
+    with_virtual_bus(work)
+
+
+def test_bus_off_is_told_with_what_brings_it_back():
+    async def work(bus, peer):
+        peer.send(to_message(Frame(0x04, bytes(8), error=True)))
+        peer.send(to_message(Frame(0x40, bytes(8), error=True)))
+        seen = []
+        while True:
+            seen += bus.take()
+            await asyncio.sleep(0.001)
+
+    with pytest.raises(BusDown, match=r"bus-off.*restart-ms 100"):
+        with_virtual_bus(work)

@@ -1,0 +1,202 @@
+"""A bus that evstim serves, read by python-can's own socketcand client."""
+
+import asyncio
+import threading
+from dataclasses import replace
+from functools import partial
+
+import can
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from firmware_protocol.can_frames.frame import Frame
+from firmware_protocol.can_frames.socketcand import SocketcandSession, frame_line
+from firmware_protocol.events import EVENT
+from firmware_protocol.instrument.instrument import Instrument
+from firmware_protocol.instrument.settings import InstrumentSettings
+from transports.can_bus.bus import BusDown
+from transports.can_bus.endpoint import CanFactory
+from transports.can_bus.listener import listen_can, peer_of
+from transports.can_bus.parameters import CanParameters
+from transports.can_bus.python_can import PythonCanBus, from_message, to_message
+from transports.can_bus.served import ServedBus
+from transports.link.pacing import FakeClock, MonotonicClock
+from transports.link.process import Link, LinkSetup
+from transports.link.record import Recorder, load_record
+from transports.link.ring import EventRing
+
+
+def test_the_handshake_and_a_frame_each_way():
+    session = SocketcandSession("can0")
+    assert session.push(b"< open ca") == (b"", [])
+    assert session.push(b"n0 >< rawmode >") == (b"< ok >< ok >", [])
+    assert session.raw
+    assert session.push(b"< send 123 2 1 ff >< send 00000123 0 >") == (
+        b"",
+        [Frame(0x123, b"\x01\xff"), Frame(0x123, extended=True)],
+    )
+    assert frame_line(Frame(0x123, b"\x1a\x22"), 23_424_242) == b"< frame 123 23.424242 1A22 >"
+
+
+def test_what_a_client_should_not_say():
+    assert SocketcandSession("can0").push(b"< rawmode >")[0] == b"< error unknown command >"
+    session = SocketcandSession("can0")
+    assert session.push(b"< open can1 >")[0].startswith(b"< error")
+    assert session.refused
+    session = SocketcandSession("can0")
+    session.push(b"< open can0 >")
+    said = session.push(b"< send 123 2 1 >< send zzz 0 >< send 800 0 >< echo >")
+    assert said == (b"< error syntax >" * 3 + b"< echo >", [])
+
+
+@settings(deadline=None)
+@given(st.lists(st.binary(max_size=50) | st.sampled_from([b"< open can0 >", b"< send 123 1 5 >", b"<", b">"])))
+def test_foreign_bytes_hurt_nobody(pieces):
+    session = SocketcandSession("can0")
+    for piece in pieces:
+        _, frames = session.push(piece)
+        assert all(len(frame.data) <= 8 for frame in frames)
+
+
+def served():
+    return ServedBus(CanParameters(port=0, bitrate=1_000_000), MonotonicClock())
+
+
+@pytest.mark.socket
+def test_python_can_hears_us_and_we_hear_it():
+    ours = [Frame(0x1A2, bytes([i & 255, i >> 8])) for i in range(300)]
+    theirs = [Frame(0x522, bytes([i])) for i in range(50)]
+    got = []
+
+    def client(port):
+        with can.Bus(interface="socketcand", channel="can0", host="127.0.0.1", port=port) as bus:
+            for frame in theirs:
+                bus.send(to_message(frame))
+            while len(got) < len(ours) and (message := bus.recv(5.0)) is not None:
+                got.append(from_message(message))
+
+    async def serve():
+        bus = served()
+        await bus.open()
+        assert not bus.heard
+        thread = threading.Thread(target=client, args=(int(bus.address.rpartition(":")[2]),))
+        thread.start()
+        heard, to_send = [], list(ours)
+        while not bus.heard:
+            await asyncio.sleep(0.001)
+        while thread.is_alive():
+            heard += bus.take()
+            while to_send and bus.send(to_send[0]):
+                to_send.pop(0)
+            await asyncio.sleep(0.0005)
+        heard += bus.take()
+        await bus.close()
+        return heard
+
+    heard = asyncio.run(serve())
+    assert got == ours
+    assert [h.frame for h in heard] == theirs
+    stamps = np.array([h.t_ns for h in heard])
+    assert (np.diff(stamps) > 50_000).all()  # no two frames overlap on the wire
+
+
+@pytest.mark.socket
+def test_our_reader_of_python_can_joins_it():
+    async def both():
+        bus = served()
+        await bus.open()
+        port = int(bus.address.rpartition(":")[2])
+        reader = PythonCanBus(CanParameters(interface="socketcand", port=port), "can0")
+        await reader.open()
+        while not bus.heard:
+            await asyncio.sleep(0.001)
+        bus.send(Frame(0x080, b"\x07"), urgent=True)
+        frames, own = [], []
+        while not frames:
+            own += bus.take()
+            frames += reader.take()
+            await asyncio.sleep(0.001)
+        await reader.close()
+        await bus.close()
+        return frames, own
+
+    frames, own = asyncio.run(both())
+    assert [h.frame for h in frames] == [Frame(0x080, b"\x07")]
+    assert [(h.frame, h.own) for h in own] == [(Frame(0x080, b"\x07"), True)]
+    assert abs(frames[0].t_ns - own[0].t_ns) < 50_000_000
+
+
+@pytest.mark.socket
+def test_a_port_that_is_taken_is_named():
+    async def twice():
+        first = served()
+        await first.open()
+        port = int(first.address.rpartition(":")[2])
+        try:
+            await ServedBus(CanParameters(port=port), MonotonicClock()).open()
+        finally:
+            await first.close()
+
+    with pytest.raises(BusDown, match="give this link another port"):
+        asyncio.run(twice())
+
+
+@pytest.mark.parametrize("at_us", range(0, 130, 13))
+def test_our_sync_waits_for_one_frame_at_most_on_a_full_bus(at_us):
+    clock = FakeClock(10**9)
+    bus = ServedBus(CanParameters(), clock)
+    events = Frame(0x1A2, bytes(8))
+    while bus.send(events):
+        pass
+    clock.advance(at_us * 1000)
+    offered_ns = clock.now_ns()
+    assert bus.send(Frame(0x080, b"\1"), urgent=True)
+    clock.advance(1_000_000)
+    (sync,) = bus.take()
+    assert sync.t_ns - offered_ns <= (135 + 59) * 1000
+
+
+@pytest.mark.socket
+@pytest.mark.parametrize("carriage", ["raw", "isotp", "cfp"])
+def test_a_listener_gets_the_events_that_the_link_delivers(tmp_path, carriage):
+    rng = np.random.default_rng(2)
+    events = np.zeros(400, EVENT)
+    events["t"] = np.cumsum(rng.exponential(200, 400)).astype(np.uint64)
+    events["x"], events["y"] = rng.integers(0, 346, 400), rng.integers(0, 260, 400)
+    parameters = CanParameters(port=0, carriage=carriage)
+
+    async def both():
+        device = partial(Instrument, (346, 260), InstrumentSettings(queue_ms=60_000))
+        ring, clock = EventRing(1000), MonotonicClock()
+        link = Link(LinkSetup("can", ring, device, CanFactory(parameters)), clock)
+        await link.endpoint.start()
+        there = replace(peer_of(parameters), port=int(link.endpoint.address.rpartition(":")[2]))
+        recorder = Recorder(tmp_path / "got.npz")
+        listening = asyncio.create_task(listen_can(there, lambda now: now.events < 400, clock, recorder))
+        while not (link.endpoint.use.carried or listening.done()):  # until the listener is there
+            link.tick()
+            await asyncio.sleep(0.001)
+        ring.start(clock.now_ns())
+        ring.push(events)
+        ring.publish(10**7)
+        while not listening.done():
+            link.tick()
+            await asyncio.sleep(0.0005)
+        await link.close()
+        recorder.close()
+        return listening.result(), link.report(final=True)
+
+    heard, told = asyncio.run(both())
+    assert heard.digest == told.digest
+    assert (heard.events, heard.faults, heard.gone) == (400, 0, False)
+    assert heard.jitter_us.max > 0
+    got, _ = load_record(tmp_path / "got.npz")
+    assert np.array_equal(np.sort(got, order=["t", "y", "x"]), np.sort(events, order=["t", "y", "x"]))
+
+
+@pytest.mark.socket
+def test_a_bus_that_nobody_serves_is_told_at_once():
+    with pytest.raises(BusDown, match=r"nothing serves a bus on 127\.0\.0\.1 port 1:"):
+        asyncio.run(listen_can(CanParameters(interface="socketcand", port=1), lambda _: True, MonotonicClock()))

@@ -1,0 +1,170 @@
+"""A link fed from a ring: pacing, counting, recording, with a clock that the test moves."""
+
+import asyncio
+from functools import partial
+
+import numpy as np
+import pytest
+
+from firmware_protocol.davis346 import Davis346, Davis346Settings
+from firmware_protocol.events import EVENT
+from firmware_protocol.usb.device import SetupPacket, Transfer
+from transports.link.digest import digest_of
+from transports.link.pacing import FakeClock
+from transports.link.process import Link, LinkBroken, LinkSetup
+from transports.link.record import load_record
+from transports.link.ring import FREE_RUNNING, EventRing
+from transports.usb.host import StallError
+from transports.usb.loopback import DirectHost, LoopbackEndpoint, LoopbackFactory
+
+ORIGIN_NS = 1_000_000_000
+
+
+def stream(count, every_us=10, start_us=0, seed=1):
+    rng = np.random.default_rng(seed)
+    events = np.zeros(count, EVENT)
+    events["t"] = start_us + np.arange(count) * every_us
+    events["x"] = rng.integers(0, 346, count)
+    events["y"] = rng.integers(0, 260, count)
+    events["on"] = rng.integers(0, 2, count)
+    return events
+
+
+def loopback_link(tmp_path=None, ring=None, clock=None):
+    ring = ring or EventRing(10_000)
+    record = tmp_path / "link.npz" if tmp_path else None
+    camera = partial(Davis346, Davis346Settings(start_delay_us=0))
+    setup = LinkSetup("loopback", ring, camera, LoopbackFactory(), record)
+    link = Link(setup, clock or FakeClock(ORIGIN_NS))
+    asyncio.run(link.endpoint.start())
+    return link, ring
+
+
+def test_a_paced_link_holds_each_event_until_its_time():
+    clock = FakeClock(ORIGIN_NS)
+    link, ring = loopback_link(clock=clock)
+    events = stream(100, every_us=100)
+    ring.start(ORIGIN_NS)
+    ring.push(events)
+    ring.publish(10_000)
+    delivered = []
+    for _ in range(12):
+        link.tick()
+        delivered.append(link.report().delivered)
+        clock.advance(1_000_000)
+    assert delivered == [1, 11, 21, 31, 41, 51, 61, 71, 81, 91, 100, 100]
+
+
+def test_a_link_never_runs_ahead_of_the_writer():
+    clock = FakeClock(ORIGIN_NS)
+    link, ring = loopback_link(clock=clock)
+    ring.start(ORIGIN_NS)
+    ring.push(stream(10, every_us=100))
+    ring.publish(450)  # the writer is late: it has reached 0.45 ms
+    clock.advance(5_000_000)
+    link.tick()
+    assert link.report().delivered == 5
+    ring.publish(5000)
+    link.tick()
+    assert link.report().delivered == 10
+
+
+def test_latency_is_from_the_events_own_time():
+    clock = FakeClock(ORIGIN_NS)
+    link, ring = loopback_link(clock=clock)
+    ring.start(ORIGIN_NS)
+    ring.push(stream(1, start_us=1000))
+    ring.publish(5000)
+    clock.advance(3_500_000)
+    link.tick()
+    latency = link.report().latency
+    assert latency.max == 2500
+    assert latency.p50 == 2500
+
+
+def test_nothing_flows_before_the_run_starts():
+    link, ring = loopback_link()
+    ring.push(stream(10))
+    ring.publish(1000)
+    link.tick()
+    assert link.report().delivered == 0
+    assert ring.waiting == 10
+
+
+def test_a_free_link_takes_no_more_than_the_camera_has_room_for():
+    ring = EventRing(200_000)
+    link, _ = loopback_link(ring=ring)
+    events = stream(150_000, every_us=1)
+    ring.start(FREE_RUNNING)
+    ring.push(events)
+    ring.publish(150_000)
+    while not link.idle:
+        before = link.report().delivered
+        link.tick()
+        assert link.report().delivered > before
+    report = link.report(final=True)
+    assert (report.delivered, report.dropped, report.dropped_in_device) == (150_000, 0, 0)
+    assert report.digest == digest_of(events)
+
+
+def test_a_record_is_what_was_delivered(tmp_path):
+    link, ring = loopback_link(tmp_path)
+    events = stream(5000, every_us=7)
+    ring.start(FREE_RUNNING)
+    ring.push(events)
+    ring.publish(35_000)
+    while not link.idle:
+        link.tick()
+    asyncio.run(link.close())
+    recorded, resets = load_record(tmp_path / "link.npz")
+    assert np.array_equal(recorded, events)
+    assert resets == [0]
+
+
+def test_what_stays_in_the_ring_is_dropped_by_the_link():
+    link, ring = loopback_link(ring=EventRing(50))
+    ring.push(stream(60))
+    report = link.report(final=True)
+    assert report.dropped == 60
+    assert report.delivered == 0
+
+
+def test_events_without_a_host_are_dropped_in_the_device():
+    ring = EventRing(1000)
+    setup = LinkSetup("alone", ring, Davis346, LoopbackFactory())
+    link = Link(setup, FakeClock())
+    ring.start(FREE_RUNNING)
+    ring.push(stream(100))
+    ring.publish(1000)
+    link.tick()
+    report = link.report()
+    assert report.dropped_in_device == report.camera.not_running == 100
+    assert link.idle
+
+
+class Liar(Davis346):
+    """A camera that says it sent other events than it did."""
+
+    def read(self, endpoint, max_bytes):
+        transfer = super().read(endpoint, max_bytes)
+        if transfer is None or not len(transfer.events):
+            return transfer
+        events = transfer.events.copy()
+        events["x"][0] ^= 1
+        return Transfer(transfer.data, events, transfer.epoch_us)
+
+
+def test_the_loopback_host_compares_every_event():
+    camera = Liar(Davis346Settings(start_delay_us=0))
+    endpoint = LoopbackEndpoint(camera)
+    asyncio.run(endpoint.start())
+    camera.offer(stream(10))
+    with pytest.raises(LinkBroken, match="others received"):
+        endpoint.pump()
+
+
+def test_a_direct_host_passes_stalls_on():
+    host = DirectHost(Davis346())
+    with pytest.raises(StallError):
+        host.control_in(SetupPacket(0xC0, 0x77, 0, 0, 4))
+    host.close()

@@ -1,0 +1,86 @@
+"""The ring between the sensor and a link."""
+
+import multiprocessing
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from firmware_protocol.events import EVENT
+from transports.link.ring import EventRing
+
+
+def events_at(times):
+    events = np.zeros(len(times), EVENT)
+    events["t"] = times
+    events["x"] = np.arange(len(times)) % 346
+    return events
+
+
+@given(st.integers(1, 50), st.lists(st.tuples(st.integers(0, 60), st.integers(0, 60)), max_size=20))
+def test_a_ring_gives_back_what_it_took_in_order(capacity, pushes_and_takes):
+    ring = EventRing(capacity)
+    t, pushed, taken = 0, [], []
+    for push, take in pushes_and_takes:
+        batch = events_at(range(t, t + push))
+        n = ring.push(batch)
+        t += push
+        pushed.extend(batch["t"][:n])
+        taken.extend(ring.take(10**9, take)["t"])
+        assert ring.waiting + ring.room == capacity
+    taken.extend(ring.take(10**9)["t"])
+    assert taken == pushed
+    assert ring.refused == t - len(pushed)
+
+
+def test_events_are_not_taken_before_their_time():
+    ring = EventRing(10)
+    ring.push(events_at([5, 10, 10, 15]))
+    assert list(ring.take(9)["t"]) == [5]
+    assert list(ring.take(10)["t"]) == [10, 10]
+    assert list(ring.take(14)["t"]) == []
+    assert list(ring.take(15)["t"]) == [15]
+
+
+def test_what_does_not_fit_is_refused_and_counted():
+    ring = EventRing(3)
+    assert ring.push(events_at(range(5))) == 3
+    assert ring.refused == 2
+    assert list(ring.take(9)["t"]) == [0, 1, 2]
+
+
+def test_a_ring_says_where_the_run_is():
+    ring = EventRing(3)
+    assert (ring.origin_ns, ring.now_us, ring.closed) == (None, 0, False)
+    ring.start(123)
+    ring.publish(7)
+    ring.close()
+    assert (ring.origin_ns, ring.now_us, ring.closed) == (123, 7, True)
+
+
+def test_a_ring_needs_room_for_an_event():
+    with pytest.raises(ValueError, match="at least one"):
+        EventRing(0)
+
+
+def _write(ring, count):
+    for start in range(0, count, 1000):
+        batch = events_at(range(start, start + 1000))
+        while len(batch):
+            batch = batch[ring.push(batch) :]
+        ring.publish(start + 999)
+    ring.close()
+
+
+def test_another_process_writes_while_this_one_reads():
+    ring = EventRing(3000)
+    count = 200_000
+    writer = multiprocessing.get_context("spawn").Process(target=_write, args=(ring, count))
+    writer.start()
+    times = []
+    while not (ring.closed and ring.waiting == 0):
+        now_us = ring.now_us
+        times.append(ring.take(now_us)["t"])
+    writer.join()
+    assert np.array_equal(np.concatenate(times), np.arange(count))

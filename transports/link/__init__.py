@@ -1,0 +1,1 @@
+"""Links: an event device, its endpoint, and the process that they run in."""

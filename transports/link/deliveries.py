@@ -1,0 +1,90 @@
+"""What a link delivered, seen from outside the camera: how late events left, their digest, and their record."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from firmware_protocol.device_clock import DeviceClock
+from firmware_protocol.edges import Edges, empty_edges
+from firmware_protocol.event_copies import copy_events
+from firmware_protocol.events import Events
+from transports.link.digest import digest_of
+from transports.link.latency import LatencyHistogram
+from transports.link.pacing import Clock
+from transports.link.record import Recorder
+from transports.link.ring import FREE_RUNNING, EventRing
+
+__all__ = ["Deliveries"]
+
+
+class Deliveries:
+    """Times, digests and records the events that an endpoint says have left.
+
+    Parameters
+    ----------
+    device_clock
+        The camera's own, where its times are not stream time.
+
+    Attributes
+    ----------
+    clock
+        What the link goes by.
+    """
+
+    def __init__(
+        self, ring: EventRing, clock: Clock, recorder: Recorder | None = None, device_clock: DeviceClock | None = None
+    ) -> None:
+        self._ring = ring
+        self.clock = clock
+        self._recorder = recorder
+        self._device_clock = device_clock
+        self._epoch_us: int | None = None
+        self.latency = LatencyHistogram()
+        self.digest = 0
+
+    def add(self, events: Events, epoch_us: int = 0, edges: Edges | None = None) -> None:
+        """Take note of events (n,) EVENT and edges (m,) EDGE that have left just now, in the time told to the device.
+
+        `epoch_us` is the time at which the device's own clock is zero; negative where that was before the run.
+        """
+        edges = empty_edges() if edges is None else edges
+        if len(events):
+            self._measure(events)
+        if len(events) or len(edges):
+            self._keep(events, edges, epoch_us)
+
+    def device_ns(self, monotonic_ns: int) -> int | None:
+        """Return what the camera's clock shows at a time of CLOCK_MONOTONIC, less no epoch; None outside a paced run.
+
+        What a receiver sees of it is less by the device's `epoch_us`.
+        """
+        origin_ns = self._ring.origin_ns
+        if origin_ns is None or origin_ns == FREE_RUNNING or monotonic_ns < origin_ns:
+            return None
+        stream_ns = monotonic_ns - origin_ns
+        return stream_ns if self._device_clock is None else int(self._device_clock.shown_ns(stream_ns)[0])
+
+    def close(self) -> None:
+        """Close the record."""
+        if self._recorder is not None:
+            self._recorder.close()
+
+    def _measure(self, events: Events) -> None:
+        origin_ns = self._ring.origin_ns
+        if origin_ns is None or origin_ns == FREE_RUNNING:
+            return
+        now_us = (self.clock.now_ns() - origin_ns) / 1000
+        due_us = events["t"].astype(np.int64).astype(np.float64)
+        if self._device_clock is not None:
+            due_us = self._device_clock.stream_us(events["t"].astype(np.int64), max(0, int(now_us)))
+        self.latency.add(now_us - due_us)
+
+    def _keep(self, events: Events, edges: Edges, epoch_us: int) -> None:
+        events, edges = copy_events(events), edges.copy()
+        events["t"] -= np.uint64(epoch_us % (1 << 64))
+        edges["t"] -= np.uint64(epoch_us % (1 << 64))
+        restarted = epoch_us != self._epoch_us
+        self._epoch_us = epoch_us
+        self.digest = digest_of(events, 0 if restarted else self.digest)
+        if self._recorder is not None:
+            self._recorder.append(events, edges=edges, restarted=restarted)

@@ -1,0 +1,383 @@
+"""One link: an event device, the transport that carries its bytes, and the process they run in.
+
+    session process                      link process
+    ---------------                      ------------------------------------------------
+    EventRing  ---- events, now_us --->  feed: device.offer, device.advance
+    Connection ---- Stop ------------->  endpoint: USB/IP server, serial line ...
+               <--- LinkReport --------  (ten a second, and a last one)
+
+Each link has a process of its own because a busy Python thread turns pacing of microseconds into tens of milliseconds.
+The link decides *when* an event leaves: at its own time when the run is paced, as soon as it is there when it is not.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import os
+import selectors
+import signal
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+from firmware_protocol.edges import Edges
+from firmware_protocol.event_device import CameraCounters, EventDevice
+from transports.faults.kinds import Fault
+from transports.faults.script import FaultRecord
+from transports.link.deliveries import Deliveries
+from transports.link.feed import ClockReport, ClockTruth, EdgeReport, Feed, Timing
+from transports.link.latency import LatencySummary
+from transports.link.pacing import Clock, MonotonicClock
+from transports.link.record import Recorder
+from transports.link.ring import FREE_RUNNING, EventRing
+
+__all__ = [
+    "Endpoint",
+    "EndpointFactory",
+    "LineUse",
+    "Link",
+    "LinkBroken",
+    "LinkReport",
+    "LinkSetup",
+    "Stop",
+    "Throw",
+    "run_link",
+]
+
+_REPORT_PERIOD_NS = 100_000_000
+_TAKE_LIMIT = 1 << 17  # events a tick: bounds the memory and the time of one tick
+
+_Served = TypeVar("_Served", contravariant=True)  # an endpoint for any camera on USB serves a Davis346 too
+_Device = TypeVar("_Device", bound=EventDevice)
+
+
+@dataclass(frozen=True)
+class Stop:
+    """The session's last word to a link: deliver what waits, but not for longer than `drain_s`."""
+
+    drain_s: float
+
+
+@dataclass(frozen=True)
+class Throw:
+    """The session's word to a link that a fault begins now, one that this kind of link can have."""
+
+    fault: Fault
+
+
+@dataclass(frozen=True)
+class LineUse:
+    """How full a line was, from its first bit to now.
+
+    Attributes
+    ----------
+    carried
+        Bytes or frames that were sent.
+    share
+        Part of the line's time that sending took, 0 to 1.
+    busiest
+        The same over the busiest second.
+    """
+
+    carried: int = 0
+    share: float = 0.0
+    busiest: float = 0.0
+
+
+@dataclass(frozen=True)
+class LinkReport:
+    """What a link has done so far.
+
+    Attributes
+    ----------
+    digest
+        Of the events delivered since the camera's clock was last zero, in device time; see `digest_of`.
+    error
+        Set when the link could not start or had to give up.
+    use
+        How full the line was, where it has a capacity.
+    counts
+        What else happened on this kind of link, by name.
+    edges
+        What became of edges before the camera took them.
+    clock
+        How wrong the camera's own clock is, where it is modelled.
+    faults
+        What each fault thrown so far has done. What they destroyed is in `dropped`; the camera's own counters, which
+        cannot know of it, have it as delivered.
+    """
+
+    state: str
+    address: str | None = None
+    delivered: int = 0
+    dropped: int = 0
+    camera: CameraCounters | None = None
+    latency: LatencySummary = field(default_factory=LatencySummary)
+    digest: int = 0
+    final: bool = False
+    error: str | None = None
+    use: LineUse | None = None
+    counts: Mapping[str, int] = field(default_factory=dict)
+    edges: EdgeReport = field(default_factory=EdgeReport)
+    clock: ClockReport | None = None
+    faults: tuple[FaultRecord, ...] = ()
+
+    @property
+    def dropped_in_device(self) -> int:
+        """Events that the camera took and did not hand to the link."""
+        return 0 if self.camera is None else self.camera.dropped_in_device
+
+    @property
+    def edges_balanced(self) -> bool:
+        """True when every edge has one fate."""
+        if self.camera is None:
+            return True
+        edges = self.camera.edges
+        return edges.offered == self.edges.taken and edges.accounted == edges.offered + edges.added
+
+
+class LinkBroken(Exception):
+    """A link found that it does not do what it promises; the run cannot go on."""
+
+
+class Endpoint(ABC):
+    """The far side of a camera's plug: whatever asks it for bytes."""
+
+    @abstractmethod
+    async def start(self) -> None:
+        """Open; raises OSError when the machine refuses."""
+
+    @abstractmethod
+    def pump(self) -> None:
+        """The camera may have new data: hand over what is asked for."""
+
+    def mark(self, edges: Edges) -> int:
+        """Send the camera's own marks, (n > 0,) EDGE in the time its receivers see; return how many could be sent.
+
+        USB sends none: a DAVIS346's leave by a connector of their own.
+        """
+        return 0
+
+    def reach(self, stream_us: int) -> None:
+        """Stream time has reached this: faults in the rig begin and end by it."""
+        return
+
+    def throw(self, fault: Fault) -> None:
+        """Let a fault begin now; raises ValueError for one that this link cannot have."""
+        raise ValueError(f"{fault.kind!r} is no fault of this kind of link")
+
+    @property
+    def faults(self) -> tuple[FaultRecord, ...]:
+        """What each fault has done so far."""
+        return ()
+
+    @abstractmethod
+    async def close(self) -> None:
+        """Let go of the host and close."""
+
+    @property
+    @abstractmethod
+    def state(self) -> str:
+        """A few words for the live table."""
+
+    @property
+    def address(self) -> str | None:
+        """Where a host finds the camera; None where there is no such place."""
+        return None
+
+    @property
+    def use(self) -> LineUse | None:
+        """How full the line is; None where it has no capacity of its own."""
+        return None
+
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """What else happened, by name, for the summary."""
+        return {}
+
+
+class EndpointFactory(ABC, Generic[_Served]):
+    """Makes an endpoint inside the link process; itself passed to it by pickling."""
+
+    @abstractmethod
+    def build(self, device: _Served, deliveries: Deliveries) -> Endpoint:
+        """Return the endpoint that serves `device` and tells `deliveries` of the events that have left."""
+
+
+@dataclass(frozen=True)
+class LinkSetup(Generic[_Device]):
+    """All that a link process needs to know.
+
+    Attributes
+    ----------
+    device
+        Makes the device, inside the link's process: `partial(Davis346, settings)` and the like, which can be pickled.
+    timing
+        Triggers, and the device's own clock.
+    fifo_priority
+        Above 0, the process runs under SCHED_FIFO, so that the rest of the machine cannot keep it waiting.
+    """
+
+    name: str
+    ring: EventRing
+    device: Callable[[], _Device]
+    endpoint: EndpointFactory[_Device]
+    record: Path | None = None
+    tick_us: int = 500
+    timing: Timing = field(default_factory=Timing)
+    fifo_priority: int = 0
+
+
+class Link:
+    """An event device fed from a ring and emptied by an endpoint. One tick moves what is due."""
+
+    def __init__(self, setup: LinkSetup[Any], clock: Clock) -> None:
+        self._ring = setup.ring
+        self._clock = clock
+        self._device: EventDevice = setup.device()
+        recorder = None if setup.record is None else Recorder(setup.record)
+        self._feed = Feed(self._device, setup.ring, setup.timing)
+        self._holdback_us = setup.timing.holdback_us
+        self._truth = None if setup.timing.truth is None else ClockTruth(setup.timing.truth)
+        self._last_clock: ClockReport | None = None
+        self._deliveries = Deliveries(setup.ring, clock, recorder, self._feed.clock)
+        self.endpoint: Endpoint = setup.endpoint.build(self._device, self._deliveries)
+
+    def tick(self) -> None:
+        """Feed the camera what is due and let the endpoint take what it asked for."""
+        origin_ns = self._ring.origin_ns
+        if origin_ns == FREE_RUNNING:
+            room = self._device.room_events if self._device.streaming else _TAKE_LIMIT
+            self._feed.feed(min(self._ring.now_us, self._feed.horizon_us), min(room, _TAKE_LIMIT))
+        elif origin_ns is not None:
+            due_us = max(0, (self._clock.now_ns() - origin_ns) // 1000 - self._holdback_us)
+            self._feed.feed(min(due_us, self._ring.now_us), _TAKE_LIMIT)
+        self.endpoint.reach(self._feed.reached_us)
+        marks = self._feed.own_marks()
+        if len(marks):
+            self._feed.marks_sent += self.endpoint.mark(marks)
+        self.endpoint.pump()
+
+    @property
+    def idle(self) -> bool:
+        """True when nothing waits, neither in the ring nor in the camera."""
+        counters = self._device.counters
+        reached = self._ring.origin_ns is None or self._feed.reached_us >= self._ring.now_us
+        return reached and self._ring.waiting == 0 and counters.queued == 0 and counters.edges.queued == 0
+
+    def report(self, *, final: bool = False, error: str | None = None) -> LinkReport:
+        """Say what the link has done; the final report counts what was left in the ring as dropped."""
+        counters = self._device.counters
+        left = self._ring.waiting if final else 0
+        faults = self.endpoint.faults
+        destroyed = sum(fault.events_lost for fault in faults)
+        return LinkReport(
+            state="closed" if final else self.endpoint.state,
+            address=None if final else self.endpoint.address,
+            delivered=counters.delivered - destroyed,
+            dropped=counters.lost_on_link + self._ring.refused + left + destroyed,
+            camera=counters,
+            latency=self._deliveries.latency.summary(),
+            digest=self._deliveries.digest,
+            final=final,
+            error=error,
+            use=self.endpoint.use,
+            counts=self.endpoint.counts,
+            edges=self._feed.edge_report(final=final),
+            clock=self._clock_report(final=final),
+            faults=faults,
+        )
+
+    def _clock_report(self, *, final: bool) -> ClockReport | None:
+        if final:  # the host has gone, and with it the device's time
+            return self._last_clock
+        report = self._last_clock = self._feed.clock_report()
+        origin_ns = self._ring.origin_ns
+        if report is not None and self._truth is not None and origin_ns is not None:
+            at_ns = self._clock.now_ns() if origin_ns == FREE_RUNNING else origin_ns + report.t_us * 1000
+            self._truth.add(at_ns, report)
+        return report
+
+    async def close(self) -> None:
+        """Close the endpoint, then the records; what the camera still holds is flushed and counted."""
+        self._clock_report(final=False)
+        await self.endpoint.close()
+        self._deliveries.close()
+        if self._truth is not None:
+            self._truth.close()
+
+
+def run_link(setup: LinkSetup[Any], control: Connection) -> None:
+    """Run one link until the session says Stop or is gone. The target of the link's process."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the session, which then says Stop
+    gc.freeze()
+    # epoll rounds waits up to whole milliseconds, which would double a tick of half a millisecond; select does not.
+    with asyncio.Runner(loop_factory=lambda: asyncio.SelectorEventLoop(selectors.SelectSelector())) as runner:
+        runner.run(_serve(setup, control))
+
+
+async def _serve(setup: LinkSetup[Any], control: Connection) -> None:
+    clock = MonotonicClock()
+    try:
+        _take_priority(setup.fifo_priority)
+        link = Link(setup, clock)
+        await link.endpoint.start()
+    except OSError as error:
+        control.send(LinkReport("failed", final=True, error=str(error)))
+        return
+    control.send(link.report())
+    broken: str | None = None
+    try:
+        await _tick_until_stopped(link, setup, control, clock)
+    except (EOFError, BrokenPipeError):
+        return  # the session is gone: there is nobody to report to
+    except LinkBroken as error:
+        broken = str(error)
+    finally:
+        await link.close()
+    control.send(link.report(final=True, error=broken))
+
+
+def _take_priority(fifo_priority: int) -> None:
+    """Run before everything that is not as urgent; raises OSError, with what to do, where that is not allowed."""
+    if not fifo_priority:
+        return
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(fifo_priority))
+    except PermissionError as error:
+        raise OSError(
+            f"may not run with run.fifo_priority = {fifo_priority}: leave it out, run as root, or give this user "
+            "'rtprio' in /etc/security/limits.conf",
+        ) from error
+
+
+async def _tick_until_stopped(link: Link, setup: LinkSetup[Any], control: Connection, clock: Clock) -> None:
+    loop = asyncio.get_running_loop()
+    period_ns = setup.tick_us * 1000
+    deadline_ns = report_ns = clock.now_ns()
+    stop_ns: int | None = None
+    while True:
+        link.tick()
+        now_ns = clock.now_ns()
+        if stop_ns is not None and (link.idle or now_ns > stop_ns):
+            return
+        if now_ns >= report_ns:
+            control.send(link.report())
+            report_ns = now_ns + _REPORT_PERIOD_NS
+        if stop_ns is None and control.poll():
+            word: Stop | Throw = control.recv()
+            if isinstance(word, Throw):
+                link.endpoint.throw(word.fault)
+            else:
+                stop_ns = now_ns + int(word.drain_s * 1e9)
+        deadline_ns = max(deadline_ns + period_ns, now_ns)
+        await _sleep_until(loop, deadline_ns, clock)
+
+
+async def _sleep_until(loop: asyncio.AbstractEventLoop, deadline_ns: int, clock: Clock) -> None:
+    """Sleep, but give the event loop at least one turn even when late: the sockets must be served."""
+    await asyncio.sleep(max(0, deadline_ns - clock.now_ns()) * 1e-9)

@@ -1,0 +1,290 @@
+"""What a driver does with a DAVIS346, on any `UsbHost`: identify it, start it, read its events, stop it.
+
+The order of requests is that of dv-processing 2.0.4, which is the strictest of the known drivers:
+
+    identify   configuration, serial number, system registers; refuse what is not a DAVIS with logic 18
+    stop       sources, multiplexer and USB off, chip last
+    configure  biases and chip as dv-processing sets them, on-chip filters off, early packet delay
+    queue      bulk transfers on endpoint 2
+    start      chip, USB, timestamps, multiplexer, at last the DVS
+    reset      timestamps to zero, and wait for the reset in the stream: what came before it is thrown away
+
+Register requests (vendor, device): 0xBF one register, wValue module, wIndex address, 4 bytes big-endian;
+0xC2 several registers, wValue their number, each u8 module, u8 address, u32 big-endian.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import struct
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from firmware_protocol.davis346.decoder import Decoded, Decoder, WordFaults
+from firmware_protocol.davis346.registers import Layout, Module, SystemInfo, registers
+from firmware_protocol.edges import Edges, empty_edges
+from firmware_protocol.events import Events, empty_events
+from firmware_protocol.usb.device import SetupPacket
+from transports.usb.host import BulkReader, StallError, TransferTimeout, UnsuitableDevice, UsbHost, UsbHostError
+
+__all__ = ["DAVIS_PRODUCT", "DAVIS_VENDOR", "DavisHost", "DavisInfo", "StreamSettings"]
+
+DAVIS_VENDOR = 0x152A
+DAVIS_PRODUCT = 0x841A
+
+_STREAM_ENDPOINT = 2
+_REGISTER, _REGISTERS, _LOG_LEVEL, _FLUSH = 0xBF, 0xC2, 0xB1, 0xC6
+_ENTRY = struct.Struct(">BBI")
+_MINIMUM_FIRMWARE = 6
+_LOGIC_VERSION = 18
+_RESET_TIMEOUT_S = 5.0
+
+Entry = tuple[Module, int, int]
+"""(module, address, value)."""
+
+_STOP: tuple[Entry, ...] = (
+    (Module.DVS, 3, 0),
+    (Module.APS, 4, 0),
+    (Module.IMU, 2, 0),
+    (Module.IMU, 3, 0),
+    (Module.IMU, 4, 0),
+    (Module.EXTERNAL_INPUT, 0, 0),
+    (Module.EXTERNAL_INPUT, 11, 0),
+    (Module.MULTIPLEXER, 0, 0),
+    (Module.MULTIPLEXER, 1, 0),
+    (Module.USB, 0, 0),
+    (Module.MULTIPLEXER, 3, 0),
+)
+_FILTERS_OFF: tuple[Entry, ...] = tuple((Module.DVS, address, 0) for address in (31, 33, 51, 61, 62))
+_START: tuple[Entry, ...] = (
+    (Module.MULTIPLEXER, 3, 1),
+    (Module.USB, 0, 1),
+    (Module.MULTIPLEXER, 1, 1),
+    (Module.MULTIPLEXER, 0, 1),
+    (Module.DVS, 3, 1),
+)
+_LISTEN: tuple[Entry, ...] = tuple((Module.EXTERNAL_INPUT, address, 1) for address in (1, 2, 3, 0))
+_RESET_TIME: tuple[Entry, ...] = ((Module.MULTIPLEXER, 2, 1), (Module.MULTIPLEXER, 2, 0))
+
+
+@dataclass(frozen=True)
+class DavisInfo:
+    """What a DAVIS says of itself. `size` is (width, height) in the user's frame."""
+
+    serial: str
+    firmware: int
+    logic_version: int
+    logic_patch: int
+    chip_id: int
+    usb_clock_mhz: int
+    size: tuple[int, int]
+    turned: bool
+    timestamp_master: bool
+
+
+@dataclass(frozen=True)
+class StreamSettings:
+    """How a stream is read.
+
+    Attributes
+    ----------
+    transfer_bytes, transfers
+        Size and number of the bulk transfers in flight: neuromorphic_drivers has 32 of 131072, libcaer 8 of 8192.
+    reset_timestamps
+        Set the camera's clock to zero after the start and wait for it, as dv-processing does; without it events carry
+        the time since the camera's clock was started.
+    early_packet_us
+        A buffer that is not full leaves the camera after this time; libcaer's default is 1 ms.
+    edges
+        Ask the external input for rising and falling edges and for pulses; see `DavisHost.take_edges`.
+    """
+
+    transfer_bytes: int = 131_072
+    transfers: int = 32
+    reset_timestamps: bool = True
+    early_packet_us: int = 1000
+    edges: bool = False
+
+
+class DavisHost:
+    """A driver for one DAVIS346.
+
+    Parameters
+    ----------
+    host
+        The device; it is closed with the driver, and when it cannot be used.
+
+    Raises
+    ------
+    UnsuitableDevice
+        Not a DAVIS, or firmware or logic that the known drivers refuse.
+    UsbHostError
+        Whatever the host raises.
+    """
+
+    def __init__(self, host: UsbHost) -> None:
+        self._host = host
+        self._reader: BulkReader | None = None
+        self._held = empty_events()
+        self._edges: list[Edges] = []
+        self._keeps_edges = False
+        try:
+            host.configure()
+            self.info = self._identify()
+        except UsbHostError:
+            host.close()
+            raise
+        self._decoder = Decoder(self.info.size, self.info.turned)
+
+    @property
+    def faults(self) -> WordFaults:
+        """Words that a healthy stream does not hold, counted since the last start."""
+        return self._decoder.faults
+
+    def start(self, settings: StreamSettings | None = None) -> None:
+        """Configure the camera and let events flow.
+
+        Raises TransferTimeout when the timestamp reset does not appear in the stream within 5 s.
+        """
+        settings = settings or StreamSettings()
+        self.stop()
+        self._tolerated(_LOG_LEVEL, value=4)
+        self._flush()
+        self._configure(settings)
+        self._decoder = Decoder(self.info.size, self.info.turned)
+        self._edges, self._keeps_edges = [], settings.edges
+        self._reader = self._host.stream(_STREAM_ENDPOINT, settings.transfer_bytes, settings.transfers)
+        self._write_each(_START)
+        if settings.edges:
+            self._write_each(_LISTEN)
+        if settings.reset_timestamps:
+            self.write_registers(_RESET_TIME)
+            self._held = self._after_reset(self._reader)
+
+    def read(self, timeout_s: float) -> Events | None:
+        """Return the events of the next transfer, in device time; None when none came in time.
+
+        An idle camera sends timestamps, so a transfer may hold no event.
+        """
+        if self._reader is None:
+            raise RuntimeError("the camera is not started")
+        if len(self._held):
+            held, self._held = self._held, empty_events()
+            return held
+        data = self._reader.read(timeout_s)
+        return None if data is None else self._decode(data).events
+
+    def take_edges(self) -> Edges:
+        """Return the edges read since the last call, (n,) EDGE in device time, where the start asked for them."""
+        edges, self._edges = self._edges, []
+        return np.concatenate([empty_edges(), *edges])
+
+    def _decode(self, data: bytes) -> Decoded:
+        decoded = self._decoder.feed(data)
+        if self._keeps_edges:
+            self._edges.append(decoded.edges)
+        return decoded
+
+    def stop(self) -> Events:
+        """Stop the camera and the stream; gives the events that were still under way."""
+        self._write_each(_STOP)
+        reader, self._reader = self._reader, None
+        rest = [self._decode(data).events for data in reader.close()] if reader else []
+        held, self._held = self._held, empty_events()
+        return np.concatenate([held, *rest])
+
+    def close(self) -> None:
+        """Stop the camera, if it is still there, and let go of it."""
+        with contextlib.suppress(UsbHostError):
+            self.stop()
+        self._host.close()
+
+    # Registers.
+
+    def read_register(self, module: int, address: int) -> int:
+        """Return one 32-bit register. Raises UnsuitableDevice when the reply is too short."""
+        data = self._host.control_in(SetupPacket(0xC0, _REGISTER, module, address, 4))
+        if len(data) != 4:
+            raise UnsuitableDevice(f"register {module}.{address} came with {len(data)} bytes, it has 4")
+        return int.from_bytes(data, "big")
+
+    def write_register(self, module: int, address: int, value: int) -> None:
+        """Set one 32-bit register."""
+        self._host.control_out(SetupPacket(0x40, _REGISTER, module, address, 4), value.to_bytes(4, "big"))
+
+    def write_registers(self, entries: Iterable[Entry]) -> None:
+        """Set several registers with one request."""
+        data = b"".join(_ENTRY.pack(*entry) for entry in entries)
+        self._host.control_out(SetupPacket(0x40, _REGISTERS, len(data) // _ENTRY.size, 0, len(data)), data)
+
+    def _write_each(self, entries: Iterable[Entry]) -> None:
+        for entry in entries:
+            self.write_register(*entry)
+
+    # Steps.
+
+    def _identify(self) -> DavisInfo:
+        identity = self._host.identity
+        if (identity.vendor_id, identity.product_id) != (DAVIS_VENDOR, DAVIS_PRODUCT):
+            raise UnsuitableDevice(f"{identity.vendor_id:04x}:{identity.product_id:04x} is not a DAVIS (152a:841a)")
+        firmware = identity.bcd_device & 0xFF
+        _require("firmware", firmware, firmware >= _MINIMUM_FIRMWARE, f"at least {_MINIMUM_FIRMWARE}")
+        serial = self._serial()
+        logic, patch = self.read_register(Module.SYSTEM, 0), self.read_register(Module.SYSTEM, 7)
+        _require("logic", logic, logic == _LOGIC_VERSION, f"exactly {_LOGIC_VERSION}")
+        _require("logic patch", patch, patch >= 1, "at least 1")
+        columns, rows, orientation = (self.read_register(Module.DVS, address) for address in range(3))
+        turned = bool(orientation & 4)
+        return DavisInfo(
+            serial, firmware, logic, patch,
+            chip_id=self.read_register(Module.SYSTEM, 1),
+            usb_clock_mhz=self.read_register(Module.SYSTEM, 5),
+            size=(rows, columns) if turned else (columns, rows),
+            turned=turned,
+            timestamp_master=bool(self.read_register(Module.SYSTEM, 2)),
+        )  # fmt: skip
+
+    def _serial(self) -> str:
+        """Read string 3; empty when the device has none."""
+        try:
+            data = self._host.control_in(SetupPacket(0x80, 6, 0x0303, 0x0409, 255))
+        except StallError:
+            return ""
+        return data[2 : data[0] if data else 0].decode("utf-16-le", "replace")
+
+    def _configure(self, settings: StreamSettings) -> None:
+        declared = registers(self.info.size, Layout.UPRIGHT, SystemInfo())
+        chip = [(r.module, r.address, r.default) for r in declared if r.module is Module.BIAS]
+        self.write_registers(chip)
+        self.write_registers(_FILTERS_OFF)
+        self.write_register(Module.USB, 1, settings.early_packet_us * self.info.usb_clock_mhz)
+
+    def _flush(self) -> None:
+        self._tolerated(_FLUSH)
+        self._host.clear_halt(_STREAM_ENDPOINT)
+
+    def _tolerated(self, request: int, value: int = 0) -> None:
+        """Make a request that older firmware may refuse."""
+        with contextlib.suppress(StallError):
+            self._host.control_out(SetupPacket(0x40, request, value, 0, 0))
+
+    def _after_reset(self, reader: BulkReader) -> Events:
+        """Read until the timestamp reset shows; gives the events behind it."""
+        deadline = time.monotonic() + _RESET_TIMEOUT_S
+        while True:
+            data = reader.read(max(0.0, deadline - time.monotonic()))
+            if data is None:
+                raise TransferTimeout(f"no timestamp reset in the stream within {_RESET_TIMEOUT_S:g} s")
+            decoded = self._decoder.feed(data)
+            if len(decoded.resets):
+                after = decoded.since_reset()
+                self._edges = [after.edges] if self._keeps_edges else []
+                return after.events
+
+
+def _require(what: str, found: int, good: bool, wanted: str) -> None:
+    if not good:
+        raise UnsuitableDevice(f"the camera has {what} version {found}; {wanted} is needed: update the camera")

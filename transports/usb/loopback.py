@@ -1,0 +1,152 @@
+"""A host and its camera in one process: the fake of every USB link, with the real device model and real decoder.
+
+`DirectHost` is a `UsbHost` whose cable is a function call; `LoopbackEndpoint` drives a camera through it as a driver
+does and compares every event that it decodes with the event that the camera says it sent.
+
+What it does not model: time on a wire, packets, other traffic, a host that is slow or goes away. Transfers are never
+lost and have no latency.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from firmware_protocol.edges import Edges
+from firmware_protocol.events import Events
+from firmware_protocol.usb.device import Identity, SetupPacket, Stall, Transfer, UsbCamera, UsbDevice
+from transports.link.deliveries import Deliveries
+from transports.link.process import Endpoint, EndpointFactory, LinkBroken
+from transports.usb.davis_host import DavisHost, StreamSettings
+from transports.usb.host import StallError
+from transports.usb.observed import Observed
+
+__all__ = ["DirectHost", "DirectReader", "LoopbackEndpoint", "LoopbackFactory"]
+
+
+class DirectReader:
+    """Reads one IN endpoint by asking the device; gives None where a real host would wait."""
+
+    def __init__(self, device: UsbDevice, endpoint: int, transfer_bytes: int) -> None:
+        self._device = device
+        self._endpoint = endpoint
+        self._transfer_bytes = transfer_bytes
+        self.last: Transfer | None = None
+
+    def read(self, timeout_s: float) -> bytes | None:
+        """Return what the device has now, however long `timeout_s` is."""
+        self.last = self._device.read(self._endpoint, self._transfer_bytes)
+        if self.last is None:
+            return None
+        self._device.sent(self.last)
+        return self.last.data
+
+    def close(self) -> list[bytes]:
+        """Nothing is ever pending."""
+        return []
+
+
+class DirectHost:
+    """A `UsbHost` that holds its device in its hands."""
+
+    def __init__(self, device: UsbDevice) -> None:
+        self._device = device
+        self._is_open = True
+        self.reader: DirectReader | None = None
+        device.attached()
+
+    @property
+    def identity(self) -> Identity:
+        """The device's own."""
+        return self._device.identity
+
+    def configure(self) -> None:
+        """Select configuration 1."""
+        self.control_out(SetupPacket(0x00, 9, 1, 0, 0))
+
+    def clear_halt(self, endpoint: int) -> None:
+        """Clear the halt of an IN endpoint."""
+        self.control_out(SetupPacket(0x02, 1, 0, 0x80 | endpoint, 0))
+
+    def control_in(self, setup: SetupPacket) -> bytes:
+        """Ask the device; raises StallError."""
+        return self._control(setup, b"")
+
+    def control_out(self, setup: SetupPacket, data: bytes = b"") -> int:
+        """Tell the device; raises StallError."""
+        self._control(setup, data)
+        return len(data)
+
+    def _control(self, setup: SetupPacket, data: bytes) -> bytes:
+        try:
+            return self._device.control(setup, data)
+        except Stall as stall:
+            raise StallError(f"the device refused {setup}") from stall
+
+    def stream(self, endpoint: int, transfer_bytes: int = 131_072, transfers: int = 32) -> DirectReader:
+        """Read an IN endpoint; there is nothing to queue."""
+        self.reader = DirectReader(self._device, endpoint, transfer_bytes)
+        return self.reader
+
+    def close(self) -> None:
+        """Let go of the device."""
+        if self._is_open:
+            self._is_open = False
+            self._device.detached()
+
+
+@dataclass(frozen=True)
+class LoopbackFactory(EndpointFactory[UsbCamera]):
+    """Puts a host beside the camera."""
+
+    def build(self, device: UsbCamera, deliveries: Deliveries) -> LoopbackEndpoint:
+        """Return the host, which takes the camera when it is started."""
+        return LoopbackEndpoint(Observed(device, deliveries))
+
+
+class LoopbackEndpoint(Endpoint):
+    """A driver that reads a camera as soon as it has data, and checks them."""
+
+    def __init__(self, device: UsbDevice) -> None:
+        self._device = device
+        self._host: DirectHost | None = None
+        self._camera: DavisHost | None = None
+        self._received = self._edges = 0
+
+    async def start(self) -> None:
+        """Take the camera, identify it, start it and reset its clock."""
+        self._host = DirectHost(self._device)
+        self._camera = DavisHost(self._host)
+        self._camera.start(StreamSettings(edges=True))
+
+    def pump(self) -> None:
+        """Read all that the camera has; raises LinkBroken when an event is not what was sent."""
+        while self._camera is not None and self._host is not None:
+            received = self._camera.read(0.0)
+            if received is None:
+                return
+            edges = self._camera.take_edges()
+            self._received += len(received)
+            self._edges += len(edges)
+            _compare(received, edges, self._host.reader.last if self._host.reader else None)
+
+    async def close(self) -> None:
+        """Stop the camera and let go of it."""
+        if self._camera is not None:
+            self._camera.close()
+
+    @property
+    def state(self) -> str:
+        """How much has been checked."""
+        edges = f", {self._edges} edges" if self._edges else ""
+        return f"{self._received} events{edges} checked"
+
+
+def _compare(received: Events, edges: Edges, transfer: Transfer | None) -> None:
+    transfer = transfer or Transfer(b"")
+    for what, got, said in (("events", received, transfer.events), ("edges", edges, transfer.edges)):
+        sent = said.copy()
+        sent["t"] -= np.uint64(transfer.epoch_us)
+        if not np.array_equal(got, sent):
+            raise LinkBroken(f"loopback: {len(sent)} {what} were sent and {len(got)} others received")

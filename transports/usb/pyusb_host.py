@@ -1,0 +1,203 @@
+"""A device on this machine's real USB bus, real or emulated, through libusb (pyusb).
+
+pyusb is synchronous, so a thread keeps one bulk read going while the caller works on the data of those before. Between
+two reads the camera has nowhere to send; it buffers or drops, and counts what it dropped.
+"""
+
+from __future__ import annotations
+
+import errno
+import queue
+import threading
+from typing import NoReturn
+
+import usb.backend
+import usb.core
+import usb.util
+
+from firmware_protocol.usb.device import Identity, SetupPacket, Speed
+from transports.usb.host import (
+    AccessDenied,
+    DeviceAbsent,
+    DeviceBusy,
+    LibraryMissing,
+    PeerGone,
+    StallError,
+    TransferTimeout,
+    UsbHostError,
+)
+
+__all__ = ["UDEV_RULE", "PyusbHost", "PyusbReader"]
+
+UDEV_RULE = 'SUBSYSTEM=="usb", ATTR{idVendor}=="152a", MODE="0666"'
+"""Lets every user open the cameras of this vendor."""
+
+_LIBUSB_MISSING = "libusb 1.0 is missing: apt-get install libusb-1.0-0"
+_DENIED = (
+    "this user may not open the camera: put the line\n"
+    f"  {UDEV_RULE}\n"
+    "into /etc/udev/rules.d/65-event-camera.rules, then run: udevadm control --reload && udevadm trigger"
+)
+_POLL_S = 0.1
+
+
+class PyusbHost:
+    """A device opened with libusb.
+
+    Parameters
+    ----------
+    device
+        A pyusb device.
+    timeout_s
+        How long a control request may take.
+    """
+
+    def __init__(self, device: usb.core.Device, timeout_s: float = 1.0) -> None:
+        self._device = device
+        self._timeout_ms = round(1000 * timeout_s)
+        self._readers: list[PyusbReader] = []
+
+    @classmethod
+    def find(
+        cls, vendor_id: int, product_id: int, backend: usb.backend.IBackend | None = None, timeout_s: float = 1.0
+    ) -> PyusbHost:
+        """Find the first device with these numbers.
+
+        Raises LibraryMissing without libusb, and DeviceAbsent when no such device is on the bus.
+        """
+        try:
+            device = usb.core.find(idVendor=vendor_id, idProduct=product_id, backend=backend)
+        except usb.core.NoBackendError as error:
+            raise LibraryMissing(_LIBUSB_MISSING) from error
+        if device is None:
+            raise DeviceAbsent(
+                f"no device {vendor_id:04x}:{product_id:04x} on this machine's USB bus: plug the camera in, "
+                "or attach an emulated one (usbip attach -r HOST -b 1-1)"
+            )
+        return cls(device, timeout_s)
+
+    @property
+    def identity(self) -> Identity:
+        """The device as its descriptor describes it."""
+        d = self._device
+        speed = Speed(d.speed) if d.speed in (1, 2, 3) else Speed.SUPER
+        classes = (d.bDeviceClass, d.bDeviceSubClass, d.bDeviceProtocol)
+        return Identity(d.idVendor, d.idProduct, d.bcdDevice, speed, classes, configurations=d.bNumConfigurations)
+
+    def configure(self) -> None:
+        """Select configuration 1 unless it is active already, and claim interface 0."""
+        try:
+            if self._active_configuration() != 1:
+                self._device.set_configuration(1)
+            usb.util.claim_interface(self._device, 0)
+        except usb.core.USBError as error:
+            _raise(error, "opening the camera")
+
+    def clear_halt(self, endpoint: int) -> None:
+        """Clear the halt of an IN endpoint, here and in the device."""
+        try:
+            self._device.clear_halt(0x80 | endpoint)
+        except usb.core.USBError as error:
+            _raise(error, f"endpoint {endpoint}")
+
+    def control_in(self, setup: SetupPacket) -> bytes:
+        """Ask the device for at most `setup.length` bytes."""
+        return bytes(self._control(setup, setup.length))
+
+    def control_out(self, setup: SetupPacket, data: bytes = b"") -> int:
+        """Send `data` with a control request; gives the number of bytes the device took."""
+        return int(self._control(setup, data))
+
+    def stream(self, endpoint: int, transfer_bytes: int = 131_072, transfers: int = 32) -> PyusbReader:
+        """Start reading an IN endpoint; `transfers` are held for a caller that is slow."""
+        reader = PyusbReader(self._device, endpoint, transfer_bytes, transfers)
+        self._readers.append(reader)
+        return reader
+
+    def close(self) -> None:
+        """Stop reading and let go of the device."""
+        for reader in self._readers:
+            reader.close()
+        usb.util.dispose_resources(self._device)
+
+    def _active_configuration(self) -> int:
+        try:
+            return int(self._device.get_active_configuration().bConfigurationValue)
+        except usb.core.USBError as error:
+            if error.errno in (errno.EACCES, errno.ENODEV):
+                raise
+            return 0  # not configured yet
+
+    def _control(self, setup: SetupPacket, data_or_length: bytes | int) -> bytes:
+        try:
+            result: bytes = self._device.ctrl_transfer(
+                setup.request_type, setup.request, setup.value, setup.index, data_or_length, self._timeout_ms
+            )
+        except usb.core.USBError as error:
+            _raise(error, str(setup))
+        return result
+
+
+class PyusbReader:
+    """A thread that reads one IN endpoint into a bounded queue."""
+
+    def __init__(self, device: usb.core.Device, endpoint: int, transfer_bytes: int, depth: int) -> None:
+        self._device = device
+        self._address = 0x80 | endpoint
+        self._transfer_bytes = transfer_bytes
+        self._arrived: queue.Queue[bytes | usb.core.USBError] = queue.Queue(depth)
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name=f"usb endpoint {endpoint}", daemon=True)
+        self._thread.start()
+
+    def read(self, timeout_s: float) -> bytes | None:
+        """Return the next transfer's data; None when none came in time.
+
+        Raises PeerGone when the device went away, StallError when the endpoint is halted.
+        """
+        try:
+            item = self._arrived.get(timeout=timeout_s)
+        except queue.Empty:
+            return None
+        if isinstance(item, usb.core.USBError):
+            _raise(item, "reading the stream")
+        return item
+
+    def close(self) -> list[bytes]:
+        """Stop reading; gives the transfers that had arrived unread."""
+        self._stop.set()
+        rest: list[bytes | usb.core.USBError] = []
+        while self._thread.is_alive() or not self._arrived.empty():
+            # The thread may be waiting for room in the queue.
+            try:
+                rest.append(self._arrived.get(timeout=_POLL_S))
+            except queue.Empty:
+                continue
+        return [item for item in rest if isinstance(item, bytes)]
+
+    def _run(self) -> None:
+        while not self._stop.is_set():
+            try:
+                data = self._device.read(self._address, self._transfer_bytes, round(1000 * _POLL_S))
+            except usb.core.USBTimeoutError:
+                continue  # libusb hands over what came before a timeout, so nothing is lost here
+            except usb.core.USBError as error:
+                self._arrived.put(error)
+                return
+            self._arrived.put(bytes(data))
+
+
+def _raise(error: usb.core.USBError, what: str) -> NoReturn:
+    """Raise the error of ours that says whose fault it is."""
+    match error.errno:
+        case errno.EACCES:
+            raise AccessDenied(_DENIED) from error
+        case errno.EBUSY:
+            raise DeviceBusy("another program has the camera open; close it first") from error
+        case errno.ENODEV | errno.EIO:
+            raise PeerGone(f"{what}: the camera went away") from error
+        case errno.EPIPE:
+            raise StallError(f"{what}: the device refused (STALL)") from error
+        case errno.ETIMEDOUT:
+            raise TransferTimeout(f"{what}: no answer in time") from error
+    raise UsbHostError(f"{what}: {error}") from error

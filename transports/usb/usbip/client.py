@@ -1,0 +1,278 @@
+"""A USB/IP host in user space: attaches to a device and uses it as a driver would, without a kernel module.
+
+Everything is synchronous and in the caller's thread. Transfers of a `UrbStream` stay in flight while control requests
+are made: replies that come meanwhile are kept, and a stream submits a URB anew only when its data are taken, so no more
+than the stream's own URBs are ever held.
+
+What it does not model: a host controller. There are no packets, no bandwidth limit and no address, and URBs may have
+any length.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import time
+from collections import deque
+from types import TracebackType
+from typing import Self
+
+from firmware_protocol.usb.device import Identity, SetupPacket
+from firmware_protocol.usb.usbip import (
+    DeviceListReply,
+    DeviceListRequest,
+    DeviceRecord,
+    ImportReply,
+    ImportRequest,
+    OpStatus,
+    Submit,
+    Submitted,
+    Unlink,
+    Unlinked,
+    UrbStatus,
+)
+from transports.usb.host import (
+    DeviceAbsent,
+    DeviceBusy,
+    PeerBroken,
+    PeerGone,
+    StallError,
+    TransferTimeout,
+    UsbHostError,
+)
+from transports.usb.usbip.wire import Wire, connect
+
+__all__ = ["UrbStream", "UsbipHost", "list_devices"]
+
+# Linux itself sets this flag for IN transfers (URB_DIR_IN).
+_FLAG_IN = 0x200
+
+
+def list_devices(host: str = "127.0.0.1", port: int = 3240, timeout_s: float = 5.0) -> tuple[DeviceRecord, ...]:
+    """List what a server offers. Raises PeerGone, PeerBroken, TransferTimeout."""
+    wire = Wire(connect(host, port, timeout_s))
+    try:
+        wire.send(bytes(DeviceListRequest()))
+        reply = wire.receive(_deadline(timeout_s))
+    finally:
+        wire.close()
+    if reply is None:
+        raise TransferTimeout(f"{host}:{port} did not list its devices within {timeout_s:g} s")
+    if not isinstance(reply, DeviceListReply):
+        raise PeerBroken(f"{host}:{port} answered a device list request with {reply}")
+    return reply.devices
+
+
+class UsbipHost:
+    """A device attached over USB/IP.
+
+    Parameters
+    ----------
+    sock
+        A connected stream socket to a USB/IP server; it is closed with the host.
+    busid
+        The device to import.
+    timeout_s
+        How long the import and each control request may take.
+
+    Raises
+    ------
+    DeviceAbsent, DeviceBusy
+        The server has no such device, or gave it to another host.
+    PeerGone, PeerBroken, TransferTimeout
+        The server went away, broke the protocol, or kept silent.
+    """
+
+    def __init__(self, sock: socket.socket, busid: str, timeout_s: float = 1.0) -> None:
+        self._wire = Wire(sock)
+        self._timeout_s = timeout_s
+        self._seqnum = 0
+        self._streams: list[UrbStream] = []
+        # Where the reply to each pending URB goes.
+        self._owners: dict[int, deque[Submitted]] = {}
+        self._unlinked: set[int] = set()
+        try:
+            self.record = self._import(busid)
+        except UsbHostError:
+            self._wire.close()
+            raise
+
+    @classmethod
+    def attach(cls, host: str = "127.0.0.1", port: int = 3240, busid: str = "1-1", timeout_s: float = 1.0) -> Self:
+        """Connect to a server and import a device."""
+        return cls(connect(host, port, timeout_s), busid, timeout_s)
+
+    @property
+    def identity(self) -> Identity:
+        """The device as its record describes it."""
+        return self.record.identity
+
+    def configure(self) -> None:
+        """Select the configuration; there is no interface to claim, since nobody else has the device."""
+        self.control_out(SetupPacket(0x00, 9, self.identity.configuration_value or 1, 0, 0))
+
+    def clear_halt(self, endpoint: int) -> None:
+        """Clear the halt of an IN endpoint."""
+        self.control_out(SetupPacket(0x02, 1, 0, 0x80 | endpoint, 0))
+
+    def control_in(self, setup: SetupPacket) -> bytes:
+        """Ask the device for at most `setup.length` bytes."""
+        urb = self._urb(0, is_in=True, length=setup.length, setup=bytes(setup))
+        return self._control(setup, urb).data
+
+    def control_out(self, setup: SetupPacket, data: bytes = b"") -> int:
+        """Send `data` with a control request; gives the number of bytes the device took."""
+        urb = self._urb(0, is_in=False, length=len(data), setup=bytes(setup))
+        return self._control(setup, urb._replace(data=data)).actual_length
+
+    def stream(self, endpoint: int, transfer_bytes: int = 131_072, transfers: int = 32) -> UrbStream:
+        """Start reading an IN endpoint with `transfers` URBs in flight."""
+        stream = UrbStream(self, endpoint, transfer_bytes, transfers)
+        self._streams.append(stream)
+        return stream
+
+    def close(self) -> None:
+        """Take back what is pending and detach."""
+        for stream in self._streams:
+            # A server that is gone has nothing left to take back.
+            with contextlib.suppress(UsbHostError):
+                stream.close()
+        self._wire.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    # For streams.
+
+    def submit_in(self, endpoint: int, length: int, replies: deque[Submitted]) -> int:
+        """Submit an IN URB whose reply goes to `replies`; gives its sequence number."""
+        urb = self._urb(endpoint, is_in=True, length=length)
+        self._submit(urb, replies)
+        return urb.seqnum
+
+    def receive(self, deadline: float) -> bool:
+        """Take in one reply; False when none came until `deadline` (monotonic seconds)."""
+        reply = self._wire.receive(deadline)
+        if isinstance(reply, Submitted):
+            self._owners.pop(reply.seqnum).append(reply)
+        elif isinstance(reply, Unlinked):
+            self._unlinked.discard(reply.seqnum)
+        elif reply is not None:
+            raise PeerBroken(f"unexpected {type(reply).__name__} among URB replies")
+        return reply is not None
+
+    def unlink(self, seqnums: list[int]) -> None:
+        """Take back pending URBs and wait until the server has said so for each."""
+        unlinks = [Unlink(self._next_seqnum(), self.record.devid, victim) for victim in seqnums]
+        self._unlinked = {unlink.seqnum for unlink in unlinks}
+        self._wire.send(b"".join(map(bytes, unlinks)))
+        deadline = _deadline(self._timeout_s)
+        while self._unlinked:
+            if not self.receive(deadline):
+                raise TransferTimeout(f"{len(self._unlinked)} URBs were not taken back within {self._timeout_s:g} s")
+        for victim in seqnums:
+            self._owners.pop(victim, None)
+            self._wire.parser.forget(victim)
+
+    # Inside.
+
+    def _import(self, busid: str) -> DeviceRecord:
+        self._wire.send(bytes(ImportRequest(busid)))
+        reply = self._wire.receive(_deadline(self._timeout_s))
+        if reply is None:
+            raise TransferTimeout(f"the server did not answer the import of {busid} within {self._timeout_s:g} s")
+        if not isinstance(reply, ImportReply):
+            raise PeerBroken(f"the server answered the import of {busid} with {reply}")
+        if reply.device is None:
+            raise _refusal(busid, reply.status)
+        self._wire.parser.begin_urbs()
+        return reply.device
+
+    def _next_seqnum(self) -> int:
+        self._seqnum = self._seqnum % 0xFFFFFFFF + 1
+        return self._seqnum
+
+    def _urb(self, endpoint: int, *, is_in: bool, length: int, setup: bytes = bytes(8)) -> Submit:
+        flags = _FLAG_IN if is_in else 0
+        return Submit(self._next_seqnum(), self.record.devid, is_in, endpoint, length, setup, flags=flags)
+
+    def _submit(self, urb: Submit, replies: deque[Submitted]) -> None:
+        self._owners[urb.seqnum] = replies
+        self._wire.parser.expect(urb)
+        self._wire.send(bytes(urb))
+
+    def _control(self, setup: SetupPacket, urb: Submit) -> Submitted:
+        replies: deque[Submitted] = deque()
+        deadline = _deadline(self._timeout_s)
+        self._submit(urb, replies)
+        while not replies:
+            if not self.receive(deadline):
+                self.unlink([urb.seqnum])
+                raise TransferTimeout(f"{setup}: no answer within {self._timeout_s:g} s")
+        return _checked(replies[0], str(setup))
+
+
+class UrbStream:
+    """Data of one IN endpoint, in order, with a number of URBs in flight."""
+
+    def __init__(self, host: UsbipHost, endpoint: int, transfer_bytes: int, transfers: int) -> None:
+        self._host = host
+        self._endpoint = endpoint
+        self._transfer_bytes = transfer_bytes
+        self._replies: deque[Submitted] = deque()
+        self._pending = deque(self._submit() for _ in range(transfers))
+        self._open = True
+
+    def read(self, timeout_s: float) -> bytes | None:
+        """Return the data of the next transfer; None when none came in time.
+
+        Raises StallError when the endpoint is halted, PeerGone when the server went away.
+        """
+        deadline = _deadline(timeout_s)
+        while not self._replies:
+            if not self._host.receive(deadline):
+                return None
+        reply = self._replies.popleft()
+        due = self._pending.popleft()
+        if reply.seqnum != due:
+            raise PeerBroken(f"endpoint {self._endpoint}: URB {reply.seqnum} was answered before URB {due}")
+        data = _checked(reply, f"endpoint {self._endpoint}").data
+        # When the server has gone, what came before is still to be read; the next wait for data tells.
+        with contextlib.suppress(PeerGone):
+            self._pending.append(self._submit())
+        return data
+
+    def close(self) -> list[bytes]:
+        """Take back the pending URBs; gives the data that had arrived unread, or came while URBs were taken back."""
+        if self._open:
+            self._open = False
+            self._host.unlink(list(self._pending))
+        rest = [reply.data for reply in self._replies]
+        self._replies.clear()
+        return rest
+
+    def _submit(self) -> int:
+        return self._host.submit_in(self._endpoint, self._transfer_bytes, self._replies)
+
+
+def _refusal(busid: str, status: int) -> UsbHostError:
+    if status == OpStatus.BUSY:
+        return DeviceBusy(f"the server gave device {busid} to another host; detach it there first")
+    return DeviceAbsent(f"the server does not give device {busid} (status {status}); ask it for its list of devices")
+
+
+def _checked(reply: Submitted, what: str) -> Submitted:
+    if reply.status == UrbStatus.STALL:
+        raise StallError(f"{what}: the device refused (STALL)")
+    if reply.status != UrbStatus.OK:
+        raise PeerBroken(f"{what}: URB status {reply.status}")
+    return reply
+
+
+def _deadline(timeout_s: float) -> float:
+    return time.monotonic() + timeout_s

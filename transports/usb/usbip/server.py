@@ -1,0 +1,166 @@
+"""A USB/IP server: device models on a TCP port, for `usbip attach` on any Linux machine.
+
+The server runs in one asyncio loop and shares it with whoever drives the devices: call `pump` after a device was given
+new data. USB/IP has no authentication and no encryption: whoever reaches the port has the camera. It is meant for the
+loopback interface, an SSH tunnel, or a bench network with nobody else on it.
+
+    bus id    "B-P": bus number B, port P; the device number is P + 1, as if a hub had address 1
+"""
+
+from __future__ import annotations
+
+import asyncio
+import ipaddress
+import logging
+import re
+import socket
+from collections.abc import Mapping
+
+from firmware_protocol.usb.device import UsbDevice
+from firmware_protocol.usb.usbip import DeviceListReply, DeviceRecord, ImportReply, OpStatus
+from transports.usb.usbip.connection import Connection, ConnectionSettings
+
+__all__ = ["UsbipServer"]
+
+log = logging.getLogger(__name__)
+
+_BUSID = re.compile(r"([1-9]\d{0,2})-([1-9]\d{0,2})")
+
+
+class UsbipServer:
+    """Offers devices to USB/IP hosts.
+
+    Parameters
+    ----------
+    devices
+        The devices by bus id, such as "1-1".
+    settings
+        Limits and patience of each connection.
+    max_connections
+        Connections held at once; one more is closed at once. Each device needs one.
+
+    Raises
+    ------
+    ValueError
+        A bus id does not look like "1-1".
+    """
+
+    def __init__(
+        self,
+        devices: Mapping[str, UsbDevice],
+        settings: ConnectionSettings | None = None,
+        max_connections: int = 64,
+    ) -> None:
+        self._devices = dict(devices)
+        self._records = {busid: _record(busid, device) for busid, device in devices.items()}
+        self._settings = settings or ConnectionSettings()
+        self._max_connections = max_connections
+        self._connections: set[Connection] = set()
+        self._holders: dict[str, Connection] = {}
+        self._listener: asyncio.Server | None = None
+        self._unplugged: set[str] = set()
+        self._idle = asyncio.Event()
+        self._idle.set()
+
+    @property
+    def attached(self) -> Mapping[str, str]:
+        """The bus ids that hosts hold now, and the address of each host."""
+        return {busid: connection.peer for busid, connection in self._holders.items()}
+
+    @property
+    def port(self) -> int:
+        """The TCP port that the server is bound to; raises RuntimeError before `start`."""
+        if self._listener is None:
+            raise RuntimeError("the USB/IP server is not started")
+        port: int = self._listener.sockets[0].getsockname()[1]
+        return port
+
+    async def start(self, host: str = "127.0.0.1", port: int = 3240) -> None:
+        """Listen on an address; port 0 takes a free one. Raises OSError when the address cannot be had."""
+        self._listener = await asyncio.get_running_loop().create_server(self._accept, host, port)
+        for sock in self._listener.sockets:
+            address = sock.getsockname()[0]
+            if not ipaddress.ip_address(address.partition("%")[0]).is_loopback:
+                log.warning("USB/IP listens on %s without authentication: whoever reaches it has the camera", address)
+
+    async def serve(self, sock: socket.socket) -> None:
+        """Serve a host at the other end of a connected stream socket."""
+        await asyncio.get_running_loop().connect_accepted_socket(self._accept, sock)
+
+    def pump(self) -> None:
+        """Answer pending URBs with what the attached devices have now."""
+        for connection in tuple(self._holders.values()):
+            connection.answer()
+
+    def unplug(self, busid: str) -> None:
+        """Take a device away from its host, and from the list, until `plug`."""
+        self._unplugged.add(busid)
+        if busid in self._holders:
+            self._holders[busid].hang_up()
+
+    def plug(self, busid: str) -> None:
+        """Let a device that was unplugged be had again."""
+        self._unplugged.discard(busid)
+
+    async def close(self, linger_s: float = 1.0) -> None:
+        """Stop listening and drop all hosts; devices are detached when this returns.
+
+        Hosts have `linger_s` to take what was sent and hang up themselves.
+        """
+        if self._listener:
+            self._listener.close()
+        for connection in tuple(self._connections):
+            connection.hang_up()
+        try:
+            await asyncio.wait_for(self._idle.wait(), linger_s)
+        except TimeoutError:
+            for connection in tuple(self._connections):
+                connection.abort()
+            await self._idle.wait()
+
+    # What connections ask (`transports.usb.usbip.connection.Bus`).
+
+    def list_devices(self) -> DeviceListReply:
+        """List all devices that are plugged in, also those that are taken, as usbipd does."""
+        return DeviceListReply(tuple(r for busid, r in self._records.items() if busid not in self._unplugged))
+
+    def claim(self, busid: str, connection: Connection) -> tuple[ImportReply, UsbDevice | None]:
+        """Give a device to a connection, or say why not."""
+        if busid not in self._devices or busid in self._unplugged:
+            return ImportReply(OpStatus.NO_DEVICE), None
+        if busid in self._holders:
+            return ImportReply(OpStatus.BUSY), None
+        self._holders[busid] = connection
+        return ImportReply(OpStatus.OK, self._records[busid]), self._devices[busid]
+
+    def closed(self, connection: Connection) -> None:
+        """Forget a connection."""
+        self._connections.discard(connection)
+        self._holders = {busid: holder for busid, holder in self._holders.items() if holder is not connection}
+        if not self._connections:
+            self._idle.set()
+
+    def _accept(self) -> asyncio.Protocol:
+        if len(self._connections) >= self._max_connections:
+            log.warning("a connection was refused: %d are open", self._max_connections)
+            return _Refusal()
+        connection = Connection(self, self._settings)
+        self._connections.add(connection)
+        self._idle.clear()
+        return connection
+
+
+class _Refusal(asyncio.Protocol):
+    """Closes a connection that is one too many."""
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        assert isinstance(transport, asyncio.Transport)
+        transport.abort()
+
+
+def _record(busid: str, device: UsbDevice) -> DeviceRecord:
+    match = _BUSID.fullmatch(busid)
+    if match is None:
+        raise ValueError(f"a bus id looks like '1-1' (bus-port, numbers below 1000), got {busid!r}")
+    bus, port = int(match[1]), int(match[2])
+    return DeviceRecord(busid, bus, port + 1, device.identity, f"/sys/devices/evstim/usb{bus}/{busid}")
