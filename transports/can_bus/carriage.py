@@ -1,7 +1,8 @@
 """How what an instrument says gets into frames: raw events, or whole messages by ISO-TP or in CSP packets.
 
-A source gives its next frame when the bus has room, is told when that frame has left, and tells the instrument when all
-of a message has. Frames are given once: the endpoint keeps one that the bus did not take.
+A source gives its next frame when the bus has room, and is told when the bus has taken it. With the last frame of a
+message it gives back the message, and is told by `delivered` or `lost` what became of it. Frames are given once: the
+endpoint keeps one that the bus did not take.
 """
 
 from __future__ import annotations
@@ -72,8 +73,17 @@ class FrameSource(ABC):
         """Return the next frame if there is one that may go now."""
 
     @abstractmethod
-    def left(self) -> None:
-        """Say that the frame given last has left."""
+    def left(self) -> Outgoing | None:
+        """Say that the bus has taken the frame given last; return the message that it ends, if no watch follows it."""
+
+    def delivered(self, outgoing: Outgoing) -> None:
+        """Say that all frames of a message were on the bus."""
+        self._instrument.sent(outgoing)
+        self._deliveries.add(outgoing.events, outgoing.epoch_us, outgoing.edges)
+
+    def lost(self, outgoing: Outgoing) -> None:
+        """Say that the last frames of a message never were on the bus."""
+        self._instrument.lost(outgoing)
 
     def drop(self) -> None:
         """Forget the message under way: the bus is gone."""
@@ -87,14 +97,13 @@ class FrameSource(ABC):
         """Take a frame of another node; return what has to be answered at once."""
         return None
 
-    def _delivered(self) -> None:
+    def _finished(self) -> Outgoing | None:
         outgoing, self._outgoing = self._outgoing, None
-        if outgoing is not None:
-            self._instrument.sent(outgoing)
-            if self.watch is not None:
-                self.watch.left(outgoing)
-            else:
-                self._deliveries.add(outgoing.events, outgoing.epoch_us, outgoing.edges)
+        if outgoing is None or self.watch is None:
+            return outgoing
+        self._instrument.sent(outgoing)
+        self.watch.left(outgoing)
+        return None
 
 
 class RawEvents(FrameSource):
@@ -128,10 +137,9 @@ class RawEvents(FrameSource):
             return None  # its last frame is under way
         return self._sender.epoch(self._instrument.own_us, self._instrument.counters.dropped_in_device)
 
-    def left(self) -> None:
+    def left(self) -> Outgoing | None:
         """See `FrameSource.left`."""
-        if not self._frames:
-            self._delivered()
+        return None if self._frames else self._finished()
 
     def drop(self) -> None:
         """See `FrameSource.drop`."""
@@ -184,10 +192,9 @@ class RawEdges(FrameSource):
         at = len(edges) - len(self._frames) - 1
         return Load(empty_events(), edges[at : at + 1], self._outgoing.epoch_us)
 
-    def left(self) -> None:
+    def left(self) -> Outgoing | None:
         """See `FrameSource.left`."""
-        if not self._frames:
-            self._delivered()
+        return None if self._frames else self._finished()
 
     def drop(self) -> None:
         """See `FrameSource.drop`."""
@@ -226,10 +233,9 @@ class IsoTpMail(FrameSource):
             self.drop()
             return None
 
-    def left(self) -> None:
+    def left(self) -> Outgoing | None:
         """See `FrameSource.left`."""
-        if not self._sender.busy:
-            self._delivered()
+        return None if self._sender.busy else self._finished()
 
     def drop(self) -> None:
         """See `FrameSource.drop`."""
@@ -288,10 +294,9 @@ class CfpMail(FrameSource):
             self._packets += 1
         return self._frames.popleft() if self._frames else None
 
-    def left(self) -> None:
+    def left(self) -> Outgoing | None:
         """See `FrameSource.left`."""
-        if not self._frames:
-            self._delivered()
+        return None if self._frames else self._finished()
 
     def drop(self) -> None:
         """See `FrameSource.drop`."""

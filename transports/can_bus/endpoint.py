@@ -9,6 +9,7 @@ import asyncio
 from collections import Counter, deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import partial
 
 from firmware_protocol.can_frames.bus_time import BusShare
 from firmware_protocol.can_frames.frame import Frame
@@ -36,6 +37,7 @@ _RETRY_NS = 1_000_000_000
 _SECOND_NS = 1_000_000_000
 _MAKE_UP_NS = 5_000_000  # bus time that a late tick may make up
 _NAMES = ("A", "B")
+_DRAIN_TURNS, _DRAIN_TURN_S = 1000, 0.001  # what waits on our side at the end has a second to leave
 
 
 @dataclass(frozen=True)
@@ -150,7 +152,8 @@ class CanEndpoint(Endpoint):
         return len(edges)
 
     async def close(self) -> None:
-        """Drop what is under way and what still waits, and let go of the buses."""
+        """Let frames go that the bus has taken, drop the rest, and let go of the buses."""
+        await self._drain()
         self._closed_ns = self._clock.now_ns()
         self._drop()
         self._instrument.disconnected()
@@ -192,7 +195,8 @@ class CanEndpoint(Endpoint):
         if self._node.selector is not None:
             total["bus changes"] = self._node.selector.turns
         missed = sum(slot.bus.missed for slot in self._slots)
-        return dict(total + Counter({"frames missed by slow listeners": missed}))
+        total["frames missed by slow listeners"] += missed
+        return dict(sum((Counter(slot.bus.counts) for slot in self._slots), total))
 
     def _listen(self, index: int, slot: _Slot) -> None:
         now_ns = self._clock.now_ns()
@@ -246,7 +250,9 @@ class CanEndpoint(Endpoint):
             if not self._send(slot, parcel, now_ns):
                 return
             self._kept = None
-            source.left()
+            outgoing = source.left()
+            if outgoing is not None:
+                slot.bus.follow(partial(source.delivered, outgoing), partial(source.lost, outgoing))
 
     def _next(self, now_ns: int) -> tuple[FrameSource, Parcel] | None:
         for source in self._sources:
@@ -261,7 +267,18 @@ class CanEndpoint(Endpoint):
     def _watches(self) -> list[Watch]:
         return [source.watch for source in self._sources if source.watch is not None]
 
+    async def _drain(self) -> None:
+        slot = self._slots[self._active]
+        for _ in range(_DRAIN_TURNS):
+            if not (slot.up and slot.bus.heard and slot.bus.waiting):
+                return
+            await asyncio.sleep(_DRAIN_TURN_S)
+            self._listen(self._active, slot)
+            self._settle()
+
     def _settle(self) -> None:
+        for slot in self._slots:
+            slot.bus.settle()
         for watch in self._watches():
             watch.settle()
 
@@ -270,7 +287,6 @@ class CanEndpoint(Endpoint):
             self._node.selector.poll(now_ns)
         if self._active != self._node.bus:
             self._drop()
-            self._slots[self._active].bus.drop()
             self._active = self._node.bus
 
     def _be_heard(self, heard: bool) -> None:
@@ -284,6 +300,7 @@ class CanEndpoint(Endpoint):
             self._instrument.disconnected()
 
     def _drop(self) -> None:
+        self._slots[self._active].bus.drop()
         self._kept = None
         self._urgent.clear()
         for source in self._sources:
@@ -292,10 +309,11 @@ class CanEndpoint(Endpoint):
     def _down(self, slot: _Slot, error: BusDown) -> None:
         slot.up, slot.why = False, str(error)
         slot.retry_ns = self._clock.now_ns() + _RETRY_NS
-        slot.bus.drop()
         self._counts["bus lost"] += 1
         if slot is self._slots[self._active]:
             self._drop()
+        else:
+            slot.bus.drop()
 
     async def _reopen(self, slot: _Slot) -> None:
         try:

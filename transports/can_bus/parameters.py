@@ -11,6 +11,7 @@ from firmware_protocol.can_frames.isotp import IsoTpSettings
 from firmware_protocol.can_frames.raw_stream import RawSettings
 from firmware_protocol.can_frames.redundancy import SelectorSettings
 from firmware_protocol.instrument.settings import InstrumentSettings
+from transports.network.allow import check_allow
 
 __all__ = ["CanParameters", "Option"]
 
@@ -32,6 +33,8 @@ class CanParameters:
         The redundant bus; "" for none. The master's heartbeat says which one is in use.
     host, port
         Where the bus is served, with interface = "served".
+    allow
+        Addresses and networks that may join a served bus; needed where `host` can be reached from other machines.
     bitrate, data_bitrate
         Bits a second, of the bus and of the data of CAN FD frames.
     fd
@@ -76,6 +79,7 @@ class CanParameters:
     channel_b: str = ""
     host: str = "127.0.0.1"
     port: int = 29536
+    allow: tuple[str, ...] = ()
     bitrate: int = 1_000_000
     data_bitrate: int = 5_000_000
     fd: bool = False
@@ -132,6 +136,8 @@ class CanParameters:
             raise ValueError("fd: CSP's fragmentation protocol has classic frames only")
         if not 0 <= self.port <= 65535:
             raise ValueError(f"port must be 0 (any free one) to 65535, got {self.port}")
+        if self.interface == "served":
+            check_allow(self.host, self.allow)
 
     @property
     def rates(self) -> BitRates:
