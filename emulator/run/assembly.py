@@ -164,4 +164,4 @@ def _camera(rig: Rig, link: UsbipLink | LoopbackLink) -> Davis346Settings:
 def _usb_endpoint(link: UsbipLink | LoopbackLink, faults: FaultPlan) -> EndpointFactory[UsbCamera]:
     if isinstance(link, LoopbackLink):
         return LoopbackFactory()
-    return UsbipFactory(link.host, link.port, link.busid, faults)
+    return UsbipFactory(link.host, link.port, link.busid, faults, link.allow)

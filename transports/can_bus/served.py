@@ -33,7 +33,7 @@ __all__ = ["ServedBus"]
 
 _ORDINARY, _STRANGER = 0, 1
 _MOST_WAITING = 48  # frames handed over and not begun: 5 ms of a full bus, so that ticks may be late
-_MOST_UNREAD = 100_000  # frames of others that the endpoint has not taken; while its bus is off by a fault it takes none
+_MOST_UNREAD = 100_000  # frames of others that the endpoint has not taken: none while its bus is off by a fault
 _SETTLE_NS = 250_000_000  # python-can takes an answer of the handshake for garbage when a frame follows too soon
 _PLACES = Places(total=32, per_address=16)
 _REFUSAL = b"< error too many clients >"

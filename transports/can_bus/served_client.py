@@ -1,7 +1,8 @@
 """The bus's end of one client's connection, in the protocol of socketcand.
 
-What the client can fill is bounded: one read, the frames that wait for the bus (then nothing more is read until there is
-room), and what it has not read. A client with too much unread misses frames; one that also asks for answers is sent off.
+What the client can fill is bounded: one read, the frames that wait for the bus (then nothing more is read until there
+is room), and what it has not read. A client with too much unread misses frames; one that also asks for answers is sent
+off.
 """
 
 from __future__ import annotations

@@ -15,7 +15,6 @@ from __future__ import annotations
 import asyncio
 import gc
 import os
-import selectors
 import signal
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
@@ -34,6 +33,7 @@ from transports.link.latency import LatencySummary
 from transports.link.pacing import Clock, MonotonicClock
 from transports.link.record import Recorder
 from transports.link.ring import FREE_RUNNING, EventRing
+from transports.link.selector import FineSelector
 
 __all__ = [
     "Endpoint",
@@ -315,8 +315,7 @@ def run_link(setup: LinkSetup[Any], control: Connection) -> None:
     """Run one link until the session says Stop or is gone. The target of the link's process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the session, which then says Stop
     gc.freeze()
-    # epoll rounds waits up to whole milliseconds, which would double a tick of half a millisecond; select does not.
-    with asyncio.Runner(loop_factory=lambda: asyncio.SelectorEventLoop(selectors.SelectSelector())) as runner:
+    with asyncio.Runner(loop_factory=lambda: asyncio.SelectorEventLoop(FineSelector())) as runner:
         runner.run(_serve(setup, control))
 
 
