@@ -30,7 +30,6 @@ __all__ = ["UsbipServer"]
 log = logging.getLogger(__name__)
 
 _PLACES = Places()
-
 _BUSID = re.compile(r"([1-9]\d{0,2})-([1-9]\d{0,2})")
 
 
