@@ -85,6 +85,10 @@ class FrameSource(ABC):
         """Say that the last frames of a message never were on the bus."""
         self._instrument.lost(outgoing)
 
+    def cut(self) -> Outgoing | None:
+        """Cut off what the bus has taken of a message under way, where that stands by itself and is not watched."""
+        return None
+
     def drop(self) -> None:
         """Forget the message under way: the bus is gone."""
         if self._outgoing is not None:
@@ -116,6 +120,7 @@ class RawEvents(FrameSource):
         self._sender = RawSender(parameters.raw(self._tick_us))
         self._frames: deque[Packed] = deque()
         self._load = Load.nothing()
+        self._given = self._taken = 0  # events in the frame given last; in those of this message that the bus has
         self._epoch_us = 0
 
     @property
@@ -129,6 +134,7 @@ class RawEvents(FrameSource):
             self._pack()
         if self._frames:
             packed = self._frames.popleft()
+            self._given = len(packed.events)
             if self.watch is not None:
                 self._load = Load(packed.events, empty_edges(), self._epoch_us)
             return packed.frame
@@ -139,11 +145,25 @@ class RawEvents(FrameSource):
 
     def left(self) -> Outgoing | None:
         """See `FrameSource.left`."""
-        return None if self._frames else self._finished()
+        self._taken += self._given
+        if self._frames:
+            return None
+        self._given = self._taken = 0
+        return self._finished()
+
+    def cut(self) -> Outgoing | None:
+        """See `FrameSource.cut`."""
+        outgoing, taken = self._outgoing, self._taken
+        if outgoing is None or self.watch is not None:
+            return None
+        self._outgoing = replace(outgoing, events=outgoing.events[taken:])
+        self._taken = 0
+        return replace(outgoing, events=outgoing.events[:taken])
 
     def drop(self) -> None:
         """See `FrameSource.drop`."""
         self._frames.clear()
+        self._given = self._taken = 0
         super().drop()
 
     def _pack(self) -> None:

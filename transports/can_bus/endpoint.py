@@ -16,6 +16,7 @@ from firmware_protocol.can_frames.frame import Frame
 from firmware_protocol.can_frames.marks import pack_marks
 from firmware_protocol.edges import Edges
 from firmware_protocol.instrument.instrument import Instrument
+from firmware_protocol.instrument.outgoing import Outgoing
 from transports.can_bus.bus import BusDown, CanBus
 from transports.can_bus.carriage import FrameSource, sources
 from transports.can_bus.faulty_bus import BusFaults, FaultyBus
@@ -250,9 +251,12 @@ class CanEndpoint(Endpoint):
             if not self._send(slot, parcel, now_ns):
                 return
             self._kept = None
-            outgoing = source.left()
-            if outgoing is not None:
-                slot.bus.follow(partial(source.delivered, outgoing), partial(source.lost, outgoing))
+            self._follow(slot, source, source.left())
+
+    def _follow(self, slot: _Slot, source: FrameSource, outgoing: Outgoing | None) -> None:
+        """Have a message counted when the frames that the bus has taken so far have begun, or never will."""
+        if outgoing is not None:
+            slot.bus.follow(partial(source.delivered, outgoing), partial(source.lost, outgoing))
 
     def _next(self, now_ns: int) -> tuple[FrameSource, Parcel] | None:
         for source in self._sources:
@@ -300,7 +304,10 @@ class CanEndpoint(Endpoint):
             self._instrument.disconnected()
 
     def _drop(self) -> None:
-        self._slots[self._active].bus.drop()
+        slot = self._slots[self._active]
+        for source in self._sources:
+            self._follow(slot, source, source.cut())
+        slot.bus.drop()
         self._kept = None
         self._urgent.clear()
         for source in self._sources:
