@@ -1,7 +1,7 @@
 """Bytes that break the rules, for each parser that reads what a peer of a port sends.
 
 A thousand for each parser by default; `EVSTIM_HOSTILE_INPUTS=1000000` for the figures of docs/robustness.md. Half of
-the inputs are good messages with some bytes changed, cut or repeated, since noise alone seldom gets past the first check.
+the inputs are good messages with some bytes changed, cut or repeated: noise alone seldom gets past the first check.
 """
 
 import json

@@ -228,4 +228,5 @@ class FaultyBus(CanBus):
         self._taken += not parcel.urgent
         if parcel.cargo is not None:
             self.follow(partial(parcel.cargo.arrived, parcel.frame), parcel.cargo.gone)
+            self.settle()
         return True
