@@ -38,6 +38,7 @@ _RETRY_NS = 1_000_000_000
 _SECOND_NS = 1_000_000_000
 _MAKE_UP_NS = 5_000_000  # bus time that a late tick may make up
 _NAMES = ("A", "B")
+_MOST_ANSWERS = 1024  # urgent frames that wait while others keep the bus busy
 _DRAIN_TURNS, _DRAIN_TURN_S = 1000, 0.001  # what waits on our side at the end has a second to leave
 
 
@@ -223,8 +224,10 @@ class CanEndpoint(Endpoint):
         self._use.add(self._share.spend(frame, now_ns), now_ns, ours=False)
         for source in self._sources:
             answer = source.hear(frame, now_ns)
-            if answer is not None:
+            if answer is not None and len(self._urgent) < _MOST_ANSWERS:
                 self._urgent.append(answer)
+            elif answer is not None:
+                self._counts["answers dropped, the bus had no room"] += 1
 
     def _send(self, slot: _Slot, parcel: Parcel, now_ns: int) -> bool:
         """Hand a frame to the bus; False when it has no room. Raises BusDown."""

@@ -287,3 +287,23 @@ def test_what_was_heard_before_a_bus_was_lost_is_still_told():
     assert [heard.frame for heard in bus.take()] == [Frame(0x1A2)]
     with pytest.raises(BusDown, match="gone"):
         bus.take()
+
+
+def test_answers_that_find_no_room_are_bounded_and_counted():
+    """Others ask for a flow control with every frame while the bus never has room for it."""
+    clock = FakeClock(10**9)
+
+    async def run():
+        ring = EventRing(100)
+        device = partial(Instrument, (346, 260), InstrumentSettings())
+        parameters = CanParameters(port=0, carriage="isotp")
+        link = Link(LinkSetup("can", ring, device, CanFactory(parameters)), clock)
+        endpoint = link.endpoint
+        first = Frame(parameters.isotp.receive, bytes([0x10, 20, 1, 2, 3, 4, 5, 6]))
+        for _ in range(2000):
+            endpoint._hear(0, first, clock.now_ns())
+        return len(endpoint._urgent), dict(endpoint.counts)
+
+    waiting, counts = asyncio.run(run())
+    assert waiting == 1024
+    assert counts["answers dropped, the bus had no room"] == 2000 - 1024
