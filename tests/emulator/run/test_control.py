@@ -39,7 +39,9 @@ def asked(control, answer=heard):
     return told[0]
 
 
-@pytest.mark.parametrize("data", [b"[" * 60_000 + b"\n", b'{"a":' * 10_000 + b"\n", b"[" * 200_000, b"9" * 60_000 + b"\n"])
+@pytest.mark.parametrize(
+    "data", [b"[" * 60_000 + b"\n", b'{"a":' * 10_000 + b"\n", b"[" * 200_000, b"9" * 60_000 + b"\n"]
+)
 def test_what_no_parser_takes_is_answered_and_ends_nothing(control, data):
     with client(control) as sock:
         sock.setblocking(False)
