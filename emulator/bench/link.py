@@ -1,4 +1,4 @@
-"""The USB/IP link under load: how many events a second it sustains, and how late events leave.
+"""The USB/IP link under load: sustained events per second, and latency of the events.
 
 Three processes, as in a run: this one feeds the ring; the link's own process holds the camera and the USB/IP server;
 a receiver attaches over TCP on the loopback interface, does what a driver does, decodes every word, and digests every

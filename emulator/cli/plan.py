@@ -20,7 +20,7 @@ from emulator.run.scene_assembly import build_scene
 __all__ = ["plan"]
 
 _METHODS = {
-    "warped": "cubic in log light from value and derivative, low-pass solved in warped time",
+    "hermite": "cubic in log light from value and derivative, low-pass solved in warped time",
     "line": "straight line in log light, low-pass solved exactly for it",
 }
 

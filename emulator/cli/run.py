@@ -26,7 +26,7 @@ from transports.link.pacing import MonotonicClock
 
 __all__ = ["run", "run_rig"]
 
-_MANY_SUSPECTS = 0.1  # from here on shorter steps for all are cheaper than mending single pixels
+_MANY_UNDERSAMPLED = 0.1  # from here on shorter steps for all are cheaper than mending single pixels
 
 
 @dataclass(frozen=True)
@@ -162,7 +162,8 @@ def summary(rig: Rig, result: RunResult) -> dict[str, object]:
         "balanced": result.ledger.balanced,
         "latency_us": dataclasses.asdict(_worst(latencies)),
         "lateness": result.lateness.as_json(),
-        "suspect_share": result.suspect_share,
+        "undersampled_share": result.undersampled_share,
+        "suspect_share": result.undersampled_share,  # the old key, for one version
         "scene": result.scene_counts,
         "renderer": result.renderer,
         "pixels_by": result.pixels_by,
@@ -210,10 +211,10 @@ def _print_summary(rig: Rig, result: RunResult) -> None:
                 f"{link.name}: event to socket p50 {report.latency.p50:.0f} us, p99 {report.latency.p99:.0f} us, "
                 f"max {report.latency.max:.0f} us"
             )
-    if result.suspect_share is not None and result.suspect_share > _MANY_SUSPECTS:
+    if result.undersampled_share is not None and result.undersampled_share > _MANY_UNDERSAMPLED:
         console.print(
-            f"pictures too far apart: in {result.suspect_share:.0%} of the solved pixel-steps the light did something "
-            "between them; shorten run.step_us, or give run.tolerance_us"
+            f"pictures too far apart: in {result.undersampled_share:.0%} of the solved pixel-steps the light changed "
+            "unseen between them; shorten run.step_us, or give run.tolerance_us"
         )
     if result.scene_counts:
         console.print(f"scene: {', '.join(f'{n} {name}' for name, n in result.scene_counts.items())}")

@@ -31,7 +31,7 @@ class Replay:
     through_readout : whether the arbiter of `parameters` takes part.
     """
 
-    suspect_share: float | None = None
+    undersampled_share: float | None = None
     lost_in_pixel = 0
 
     def __init__(

@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from emulator.playback.recording import RecordingParameters
+from emulator.rig.aliases import with_new_spellings
 from emulator.rig.fault_tables import convert_fault
 from emulator.rig.tables import Camera, LoopbackLink, Run
 from emulator.rig.text import line_of
@@ -160,6 +161,7 @@ def _dotted(path: KeyPath) -> str:
 
 
 def _rig(table: dict[str, Any], name: str) -> Rig:
+    table = with_new_spellings(table)
     known = ["title", "scene", "camera", "trigger", "run", "links", "faults"]
     for key in table:
         if key not in known:

@@ -11,7 +11,7 @@ from firmware_protocol.device_clock import ClockSettings
 
 __all__ = ["Camera", "LoopbackLink", "Method", "Run"]
 
-Method = Literal["warped", "line", "pangu", "v2e", "held", "esim", "sikorski", "frame_difference"]
+Method = Literal["hermite", "line", "pangu", "v2e", "v2e_exact_filter", "esim", "sikorski", "frame_difference"]
 
 
 @dataclass(frozen=True)
@@ -88,11 +88,11 @@ class Run:
         Above 0: links run under SCHED_FIFO at this priority (1 to 99), before all that is not as urgent. Delivery and
         the stamps of a bus are then steady on a busy machine. Needs root, or a limit of 'rtprio'.
     method
-        How pixels are solved between two pictures: "warped" (light as a cubic from value and derivative), "line" (a
-        straight line in log light), or another's rule, to reproduce what was published with it: "pangu", "v2e", "held",
-        "esim", "sikorski", "frame_difference".
+        How light is interpolated between two frames: "hermite" (a cubic from value and derivative) or "line" (a
+        straight line in log light); or another simulator's rule, to reproduce published results: "pangu", "v2e",
+        "v2e_exact_filter", "esim", "sikorski", "frame_difference".
     pixels
-        Where they are solved: "cpu", or "gpu", a compute shader for large sensors with methods "warped" and "line" and
+        Where they are solved: "cpu", or "gpu", a compute shader for large sensors with methods "hermite" and "line" and
         without a second pole, parasitic leak, defects, and noise of grade "grid".
     tolerance_us
         Tolerated timestamp error, 95th percentile. Above 0, steps are as long as it allows (`step_us` is the first one)
@@ -109,7 +109,7 @@ class Run:
     lockstep_us: int = 0
     lead_us: int = 10_000
     fifo_priority: int = 0
-    method: Method = "warped"
+    method: Method = "hermite"
     pixels: Literal["cpu", "gpu"] = "cpu"
     tolerance_us: float = 0.0
     tolerated_wrong_share: float = 0.01
@@ -125,8 +125,8 @@ class Run:
             raise ValueError(f"lockstep_us must be 0 to 3600000000, got {self.lockstep_us}")
         if (self.pace == "lockstep") != bool(self.lockstep_us):
             raise ValueError('lockstep_us and pace = "lockstep" go together: give both or neither')
-        if self.pixels == "gpu" and self.method not in ("warped", "line"):
-            raise ValueError(f'pixels = "gpu" has methods "warped" and "line", got method = {self.method!r}')
+        if self.pixels == "gpu" and self.method not in ("hermite", "line"):
+            raise ValueError(f'pixels = "gpu" has methods "hermite" and "line", got method = {self.method!r}')
         if self.pixels == "gpu" and self.step_us > 250_000:
             raise ValueError(f'step_us must be at most 250000 with pixels = "gpu", got {self.step_us}')
         if not 0 <= self.fifo_priority <= 99:

@@ -11,7 +11,7 @@ from typing import Any
 from emulator.light import Scene
 from emulator.plan.plan import limits, make_plan
 from emulator.plan.scene_probe import probe
-from emulator.plan.step_control import ControlledSteps, FixedSteps, Halves, StepSource
+from emulator.plan.step_control import ControlledSteps, FixedSteps, RefinementModel, StepSource
 from emulator.playback.recording import RecordingParameters, load_recording
 from emulator.playback.replay import Replay
 from emulator.rig.loading import LinkParameters, LoopbackLink, Rig, RigError, Run, UsbipLink
@@ -21,7 +21,7 @@ from emulator.run.triggers import TriggerPaths
 from emulator.sensor.chip.temperature import at_temperature
 from emulator.sensor.event_source import EventSource
 from emulator.sensor.gpu.array import GpuArray
-from emulator.sensor.other_simulators import RULES
+from emulator.sensor.other_simulators import OTHER_SIMULATORS
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.presets import SensorParameters
 from emulator.sensor.sensor import MakePixels, Sensor
@@ -58,9 +58,9 @@ def build_session(rig: Rig, scene: Scene, setups: Sequence[LinkSetup[Any]], cloc
     if run.tolerance_us:
         parameters = make_plan(rig, probe(scene, parameters, run.step_us * 1000, run.seconds or 10.0)).sensor
         dark = at_temperature(parameters).dark_current_relative
-        halved = scene.pixel_light is not None and run.pixels == "cpu"
-        halves = None if not halved else Halves(min(parameters.threshold_on, parameters.threshold_off))
-        steps = ControlledSteps(limits(rig, scene.motion_bound_px_s), dark, run.step_us * 1000, halves)
+        refines = scene.pixel_light is not None and run.pixels == "cpu"
+        refinement = None if not refines else RefinementModel(min(parameters.threshold_on, parameters.threshold_off))
+        steps = ControlledSteps(limits(rig, scene.motion_bound_px_s), dark, run.step_us * 1000, refinement)
     return Session(build_pictures(rig, scene), build_sensor(rig, parameters), steps, setups, clock)
 
 
@@ -79,7 +79,7 @@ def build_sensor(rig: Rig, parameters: SensorParameters) -> EventSource:
 
 
 def _pixels(run: Run) -> MakePixels:
-    return GpuArray if run.pixels == "gpu" else RULES.get(run.method, PixelArray)
+    return GpuArray if run.pixels == "gpu" else OTHER_SIMULATORS.get(run.method, PixelArray)
 
 
 def _replay(p: RecordingParameters, parameters: SensorParameters) -> Replay:
@@ -88,8 +88,8 @@ def _replay(p: RecordingParameters, parameters: SensorParameters) -> Replay:
 
 
 def build_pictures(rig: Rig, scene: Scene) -> Pictures:
-    """Return the scene's pictures, as the rig's method wants them; suspects are halved where a tolerance is kept."""
-    return Pictures(scene, with_rate=rig.run.method == "warped", halving=rig.run.tolerance_us > 0)
+    """Return the scene's pictures, as the rig's method wants them; undersampled steps are refined for a tolerance."""
+    return Pictures(scene, with_rate=rig.run.method == "hermite", halving=rig.run.tolerance_us > 0)
 
 
 def schedule(rig: Rig) -> Schedule:

@@ -77,7 +77,7 @@ class RunResult:
     ledger: Ledger
     lateness: Lateness
     links: dict[str, LinkReport] = field(default_factory=dict)
-    suspect_share: float | None = None
+    undersampled_share: float | None = None
     scene_counts: Mapping[str, int] = field(default_factory=dict)
     syncs: int | None = None
     renderer: str | None = None
@@ -163,7 +163,7 @@ class Session:
             ledger=ledger,
             lateness=self._lateness,
             links=reports,
-            suspect_share=self._sensor.suspect_share,
+            undersampled_share=self._sensor.undersampled_share,
             scene_counts=self._pictures.scene.counts,
             renderer=self._pictures.scene.renderer,
             pixels_by=self._sensor.renderer if isinstance(self._sensor, Sensor) else None,

@@ -38,11 +38,11 @@ def test_a_run_raises_as_many_events_as_on_the_processor(gl, more):
     assert here.ledger.raised == pytest.approx(there.ledger.raised, rel=0.005)
     assert (here.pixels_by, there.pixels_by) == (gl.renderer, None)
     assert summary(ours, here)["pixels_by"] == gl.renderer
-    assert here.suspect_share is not None
+    assert here.undersampled_share is not None
 
 
 def test_methods_and_effects_that_are_not_done_there_are_refused():
-    with pytest.raises(RigError, match=r'"gpu" has methods "warped" and "line", got method = \'v2e\''):
+    with pytest.raises(RigError, match=r'"gpu" has methods "hermite" and "line", got method = \'v2e\''):
         rig('method = "v2e"\n')
     with pytest.raises(RigError, match="at most 250000"):
         rig("step_us = 250001\n")
