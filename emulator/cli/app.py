@@ -31,7 +31,7 @@ for verb, module, told in (
     ("demo", "demo", "Run a rig, attach to its camera as a driver does, and compare every event."),
     ("check", "check", "Check a rig file without running it."),
     ("plan", "plan", "Tell what a run will model, and why."),
-    ("fault", "fault", "Throw a fault on a link of a rig that runs."),
+    ("fault", "fault", "Inject a fault on a link of a rig that runs."),
     ("rigs", "rigs", "List the rigs that come with evstim."),
     ("dbc", "listen.can", "Write the DBC file of a rig's CAN link."),
     ("schema", "rigs", "Print the JSON Schema of rig files."),

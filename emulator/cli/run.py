@@ -18,7 +18,7 @@ from emulator.cli.run_output.timing import timing_json, timing_lines
 from emulator.cli.signals import stopped_by_signals
 from emulator.rig.loading import Rig, load_rig
 from emulator.run.assembly import build_session, link_setups, schedule
-from emulator.run.fault_injection import fault_desk
+from emulator.run.fault_injection import fault_injection
 from emulator.run.scene_assembly import build_scene
 from emulator.run.session import RunResult, RunStatus
 from transports.link.latency import LatencySummary
@@ -135,14 +135,14 @@ def run_rig(rig: Rig, files: Files = _NO_FILES, *, show: bool = False) -> RunRes
         session = build_session(rig, scene, setups, MonotonicClock())
         with (
             stopped_by_signals(session),
-            fault_desk(rig, session) as desk,
+            fault_injection(rig, session) as faults,
             LiveTable(rig, status) if show else nullcontext() as live,
         ):
-            if show and desk.trouble:
-                console.print(f"note: {desk.trouble}")
+            if show and faults.trouble:
+                console.print(f"note: {faults.trouble}")
 
             def report(now: RunStatus) -> None:
-                desk.serve(now)
+                faults.serve(now)
                 if live:
                     live.update(now)
 

@@ -32,9 +32,10 @@ from firmware_protocol.usb.device import Speed, UsbCamera
 from transports.can_bus.endpoint import CanFactory
 from transports.can_bus.parameters import CanParameters
 from transports.faults.script import FaultPlan
+from transports.link.endpoint import EndpointFactory
 from transports.link.feed import Timing
 from transports.link.pacing import Clock
-from transports.link.process import EndpointFactory, LinkSetup
+from transports.link.process import LinkSetup
 from transports.link.ring import EventRing
 from transports.serial_line.endpoint import SerialFactory
 from transports.serial_line.parameters import SerialParameters

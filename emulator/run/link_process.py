@@ -10,7 +10,8 @@ from typing import Any
 from firmware_protocol.events import Events
 from transports.faults.kinds import Fault
 from transports.link.pacing import Clock
-from transports.link.process import LinkReport, LinkSetup, Stop, Throw, run_link
+from transports.link.process import InjectFault, LinkSetup, Stop, run_link
+from transports.link.report import LinkReport
 
 __all__ = ["LinkFailed", "LinkProcess"]
 
@@ -57,10 +58,10 @@ class LinkProcess:
         """Let stream time run; see EventRing.start."""
         self._ring.start(origin_ns)
 
-    def throw(self, fault: Fault) -> None:
-        """Let a fault begin on it, one that it can have."""
+    def inject(self, fault: Fault) -> None:
+        """Begin a fault on it, one that it can have."""
         with suppress(BrokenPipeError):  # it died: `listen` will say so
-            self._control.send(Throw(fault))
+            self._control.send(InjectFault(fault))
 
     def push(self, events: Events, now_us: int) -> None:
         """Hand over events up to `now_us`; what finds no room in the ring is refused and counted there."""

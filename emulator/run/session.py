@@ -32,7 +32,8 @@ from emulator.sensor.sensor import Sensor
 from firmware_protocol.events import Events
 from transports.faults.kinds import Fault
 from transports.link.pacing import Clock
-from transports.link.process import LinkReport, LinkSetup
+from transports.link.process import LinkSetup
+from transports.link.report import LinkReport
 from transports.link.ring import FREE_RUNNING
 
 __all__ = ["RunResult", "RunStatus", "Schedule", "Session", "load_kernels"]
@@ -139,9 +140,9 @@ class Session:
         """
         self._stopping = True
 
-    def throw(self, fault: Fault) -> None:
-        """Let a fault begin on the link that it names, one that this link can have; for `on_status`."""
-        next(link for link in self._links if link.name == fault.link).throw(fault)
+    def inject(self, fault: Fault) -> None:
+        """Begin a fault on the link that it names, one that this link can have; for `on_status`."""
+        next(link for link in self._links if link.name == fault.link).inject(fault)
 
     def run(self, schedule: Schedule, on_status: Callable[[RunStatus], None] = lambda _: None) -> RunResult:
         """Run until the schedule's end or `stop`; raises LinkFailed when a link cannot go on."""
