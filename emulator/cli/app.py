@@ -15,6 +15,7 @@ from cyclopts import App, CycloptsError
 from rich.logging import RichHandler
 
 from emulator.cli.output import BAD_VERDICT, WRONG_USE, Failure, print_json, status
+from transports.link.background_log import BackgroundWriter
 
 __all__ = ["app", "main"]
 
@@ -51,7 +52,11 @@ app.command(
 
 def main() -> None:
     """Run the command line and exit with its code."""
-    sys.exit(_main(sys.argv[1:]))
+    status.file = log = BackgroundWriter(2)  # an stderr that nobody reads must not stop a camera
+    try:
+        sys.exit(_main(sys.argv[1:]))
+    finally:
+        log.drain()
 
 
 def _main(tokens: list[str]) -> int:

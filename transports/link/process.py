@@ -18,6 +18,7 @@ import os
 import selectors
 import signal
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -25,6 +26,7 @@ from typing import Any, Generic, TypeVar
 
 from firmware_protocol.event_device import EventDevice
 from transports.faults.kinds import Fault
+from transports.link.background_log import log_in_background
 from transports.link.deliveries import Deliveries
 from transports.link.endpoint import Endpoint, EndpointFactory, LinkBroken
 from transports.link.feed import ClockReport, ClockTruth, Feed, Timing
@@ -32,8 +34,12 @@ from transports.link.pacing import Clock, MonotonicClock
 from transports.link.record import Recorder
 from transports.link.report import LinkReport
 from transports.link.ring import FREE_RUNNING, EventRing
+from transports.link.tally import DeliveryTally
 
-__all__ = ["InjectFault", "Link", "LinkSetup", "Stop", "run_link"]
+__all__ = ["STOP_SIGNALS", "InjectFault", "Link", "LinkSetup", "Stop", "run_link"]
+
+STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+"""Signals that end a run: to the session alone or to its whole process group."""
 
 _REPORT_PERIOD_NS = 100_000_000
 _TAKE_LIMIT = 1 << 17  # events a tick: bounds the memory and the time of one tick
@@ -67,6 +73,10 @@ class LinkSetup(Generic[_Device]):
         Triggers, and the device's own clock.
     fifo_priority
         Above 0, the process runs under SCHED_FIFO, so that the rest of the machine cannot keep it waiting.
+    restart
+        Whether the process is started again when it dies.
+    tally
+        Count of delivered events that outlives the process.
     """
 
     name: str
@@ -77,6 +87,8 @@ class LinkSetup(Generic[_Device]):
     tick_us: int = 500
     timing: Timing = field(default_factory=Timing)
     fifo_priority: int = 0
+    restart: bool = False
+    tally: DeliveryTally = field(default_factory=DeliveryTally)
 
 
 class Link:
@@ -84,6 +96,7 @@ class Link:
 
     def __init__(self, setup: LinkSetup[Any], clock: Clock) -> None:
         self._ring = setup.ring
+        self._tally = setup.tally
         self._clock = clock
         self._device: EventDevice = setup.device()
         recorder = None if setup.record is None else Recorder(setup.record)
@@ -108,6 +121,12 @@ class Link:
         if len(marks):
             self._feed.marks_sent += self.endpoint.mark(marks)
         self.endpoint.pump()
+        self._tally.delivered = self._delivered
+
+    @property
+    def _delivered(self) -> int:
+        destroyed = sum(fault.events_lost for fault in self.endpoint.faults)
+        return self._device.counters.delivered - destroyed
 
     @property
     def idle(self) -> bool:
@@ -160,14 +179,24 @@ class Link:
 
 def run_link(setup: LinkSetup[Any], control: Connection) -> None:
     """Run one link until the session says Stop or is gone. The target of the link's process."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the session, which then says Stop
+    for number in STOP_SIGNALS:  # they are for the session, which then says Stop
+        signal.signal(number, signal.SIG_IGN)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, STOP_SIGNALS)
+    log = log_in_background()
     gc.freeze()
     # epoll rounds waits up to whole milliseconds, which would double a tick of half a millisecond; select does not.
     with asyncio.Runner(loop_factory=lambda: asyncio.SelectorEventLoop(selectors.SelectSelector())) as runner:
         runner.run(_serve(setup, control))
+    log.drain()
 
 
 async def _serve(setup: LinkSetup[Any], control: Connection) -> None:
+    with suppress(EOFError, ConnectionError):  # the session is gone: there is nobody to report to
+        await _report_all(setup, control)
+
+
+async def _report_all(setup: LinkSetup[Any], control: Connection) -> None:
+    """Open the link, run it, and send its reports; raises EOFError or ConnectionError when the session is gone."""
     clock = MonotonicClock()
     try:
         _take_priority(setup.fifo_priority)
@@ -176,12 +205,10 @@ async def _serve(setup: LinkSetup[Any], control: Connection) -> None:
     except OSError as error:
         control.send(LinkReport("failed", final=True, error=str(error)))
         return
-    control.send(link.report())
     broken: str | None = None
     try:
+        control.send(link.report())
         await _tick_until_stopped(link, setup, control, clock)
-    except (EOFError, BrokenPipeError):
-        return  # the session is gone: there is nobody to report to
     except LinkBroken as error:
         broken = str(error)
     finally:
