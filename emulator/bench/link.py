@@ -24,7 +24,8 @@ from emulator.run.session import RunResult, RunStatus
 from emulator.scene.checkerboard.table import CheckerboardParameters
 from firmware_protocol.davis346 import Davis346, Davis346Settings
 from transports.link.pacing import MonotonicClock
-from transports.link.process import LinkReport, LinkSetup
+from transports.link.process import LinkSetup
+from transports.link.report import LinkReport
 from transports.link.ring import FREE_RUNNING, EventRing
 from transports.usb.davis_host import DavisHost
 from transports.usb.receiver import Reception, receive

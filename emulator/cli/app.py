@@ -10,11 +10,13 @@ import logging
 import os
 import sys
 from importlib.metadata import version
+from typing import IO, cast
 
 from cyclopts import App, CycloptsError
 from rich.logging import RichHandler
 
 from emulator.cli.output import BAD_VERDICT, WRONG_USE, Failure, print_json, status
+from transports.link.background_log import BackgroundWriter
 
 __all__ = ["app", "main"]
 
@@ -31,7 +33,7 @@ for verb, module, told in (
     ("demo", "demo", "Run a rig, attach to its camera as a driver does, and compare every event."),
     ("check", "check", "Check a rig file without running it."),
     ("plan", "plan", "Tell what a run will model, and why."),
-    ("fault", "fault", "Throw a fault on a link of a rig that runs."),
+    ("fault", "fault", "Inject a fault on a link of a rig that runs."),
     ("rigs", "rigs", "List the rigs that come with evstim."),
     ("dbc", "listen.can", "Write the DBC file of a rig's CAN link."),
     ("schema", "rigs", "Print the JSON Schema of rig files."),
@@ -51,7 +53,12 @@ app.command(
 
 def main() -> None:
     """Run the command line and exit with its code."""
-    sys.exit(_main(sys.argv[1:]))
+    log = BackgroundWriter(2)
+    status.file = cast(IO[str], log)  # an stderr that nobody reads must not stop a camera
+    try:
+        sys.exit(_main(sys.argv[1:]))
+    finally:
+        log.drain()
 
 
 def _main(tokens: list[str]) -> int:

@@ -30,7 +30,7 @@ def fault(
     keys: Annotated[tuple[str, ...], Parameter(name="--set", negative="")] = (),
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
-    """Throw a fault on a link of a rig that runs, and tell what it did. Without a kind: list what can be thrown.
+    """Inject a fault on a link of a rig that runs, and tell what it did. Without a kind: list what can be injected.
 
     Parameters
     ----------
@@ -52,14 +52,14 @@ def fault(
         return _list(faults, json)
     table = {"kind": kind, **_keys(keys)}
     table |= {key: value for key, value in (("link", link), ("for_s", for_s)) if value is not None}
-    thrown = _ask(path, {"ask": "throw", "fault": table})
-    if "error" in thrown:
-        raise Failure(str(thrown["error"]), WRONG_USE)
-    record = _follow(path, thrown, kind, float(table.get("for_s", 0.0)))
+    injected = _ask(path, {"ask": "inject", "fault": table})
+    if "error" in injected:
+        raise Failure(str(injected["error"]), WRONG_USE)
+    record = _follow(path, injected, kind, float(table.get("for_s", 0.0)))
     if json:
-        print_json({"link": thrown["link"], "fault": record})
+        print_json({"link": injected["link"], "fault": record})
     else:
-        console.print(f"{thrown['link']}: {fault_line(record)}")
+        console.print(f"{injected['link']}: {fault_line(record)}")
     return GOOD
 
 
@@ -89,7 +89,7 @@ def _list(faults: dict[str, Any], json: bool) -> int:
         return GOOD
     for name, link in faults["links"].items():
         console.print(f"{faults['rig']}, link {name}: {', '.join(link['kinds']) or 'no faults of this kind of link'}")
-        for record in link["thrown"]:
+        for record in link["injected"]:
             console.print(f"  {fault_line(FaultRecord(**record))}")
     return GOOD
 
@@ -115,14 +115,14 @@ def _ask(path: Path, message: dict[str, Any]) -> dict[str, Any]:
         raise Failure(str(error), LACKING) from error
 
 
-def _follow(path: Path, thrown: dict[str, Any], kind: str, for_s: float) -> FaultRecord:
+def _follow(path: Path, injected: dict[str, Any], kind: str, for_s: float) -> FaultRecord:
     """Wait until the fault is over, or patience is, and return what it did."""
     until_s = time.monotonic() + for_s + _PATIENCE_S
     record = None
     while record is None or (record.ended_us is None and time.monotonic() < until_s):
         time.sleep(_LOOK_PERIOD_S)
-        records = _ask(path, {"ask": "faults"})["links"][thrown["link"]]["thrown"][thrown["after"] :]
+        records = _ask(path, {"ask": "faults"})["links"][injected["link"]]["injected"][injected["after"] :]
         record = next((FaultRecord(**each) for each in records if each["kind"] == kind), None)
         if record is None and time.monotonic() > until_s:
-            raise Failure(f"link {thrown['link']!r} did not begin it", LACKING)
+            raise Failure(f"link {injected['link']!r} did not begin it", LACKING)
     return record

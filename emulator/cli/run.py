@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,13 +13,15 @@ from cyclopts import Parameter
 
 from emulator.cli.failures import failures
 from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, console, print_json, status
+from emulator.cli.run_output.lateness import lateness_lines
 from emulator.cli.run_output.link_summary import link_json, link_lines
 from emulator.cli.run_output.live import LiveTable
 from emulator.cli.run_output.timing import timing_json, timing_lines
 from emulator.cli.signals import stopped_by_signals
 from emulator.rig.loading import Rig, load_rig
 from emulator.run.assembly import build_session, link_setups, schedule
-from emulator.run.fault_injection import fault_desk
+from emulator.run.fault_injection import fault_injection
+from emulator.run.ready import ReadySignal
 from emulator.run.scene_assembly import build_scene
 from emulator.run.session import RunResult, RunStatus
 from transports.link.latency import LatencySummary
@@ -41,11 +44,14 @@ class Files:
         Write what the camera's own clock really shows to this .csv, ten lines a second; the rig needs [camera.clock].
     fault_log
         Write what faults do to the links to this file, a line of JSON for each begin, strike, loss and end.
+    ready_file
+        Write a line of JSON with each link's address to this file when the run has begun.
     """
 
     record: Path | None = None
     truth: Path | None = None
     fault_log: Path | None = None
+    ready_file: Path | None = None
 
     def begin_fault_log(self) -> None:
         """Empty the fault log, to which every link then appends; raises Failure where that cannot be."""
@@ -89,6 +95,7 @@ def run(
         loaded = _with_options(load_rig(rig), seconds, seed, pace)
         _check_record(loaded, files.record)
         _check_truth(loaded, files.truth)
+        _check_folder("--ready-file", files.ready_file)
         files.begin_fault_log()
         result = run_rig(loaded, files, show=not json)
     if json:
@@ -111,8 +118,9 @@ def _check_record(rig: Rig, record: Path | None) -> None:
         return
     if not rig.links:
         raise Failure("--record: this rig has no link, so nothing is delivered", WRONG_USE)
-    if not record.parent.is_dir():
-        raise Failure(f"--record: the folder {record.parent} does not exist", WRONG_USE)
+    if record.suffix != ".npz":
+        raise Failure(f"--record: {record} must end in .npz, the one format that is written", WRONG_USE)
+    _check_folder("--record", record)
 
 
 def _check_truth(rig: Rig, truth: Path | None) -> None:
@@ -120,8 +128,19 @@ def _check_truth(rig: Rig, truth: Path | None) -> None:
         return
     if rig.camera.clock is None or not rig.links:
         raise Failure("--truth: this rig needs a [camera.clock] table and a link that carries its times", WRONG_USE)
-    if not truth.parent.is_dir():
-        raise Failure(f"--truth: the folder {truth.parent} does not exist", WRONG_USE)
+    _check_folder("--truth", truth)
+
+
+def _check_folder(option: str, path: Path | None) -> None:
+    """Raise Failure where a file cannot be written at the run's end: that is said before the run."""
+    if path is None:
+        return
+    if not path.parent.is_dir():
+        raise Failure(f"{option}: the folder {path.parent} does not exist", WRONG_USE)
+    if path.is_dir():
+        raise Failure(f"{option}: {path} is a folder; name a file", WRONG_USE)
+    if not os.access(path if path.exists() else path.parent, os.W_OK):
+        raise Failure(f"{option}: {path} may not be written", WRONG_USE)
 
 
 def run_rig(rig: Rig, files: Files = _NO_FILES, *, show: bool = False) -> RunResult:
@@ -135,14 +154,17 @@ def run_rig(rig: Rig, files: Files = _NO_FILES, *, show: bool = False) -> RunRes
         session = build_session(rig, scene, setups, MonotonicClock())
         with (
             stopped_by_signals(session),
-            fault_desk(rig, session) as desk,
+            fault_injection(rig, session) as faults,
             LiveTable(rig, status) if show else nullcontext() as live,
         ):
-            if show and desk.trouble:
-                console.print(f"note: {desk.trouble}")
+            if show and faults.trouble:
+                console.print(f"note: {faults.trouble}")
+
+            ready = ReadySignal(files.ready_file)
 
             def report(now: RunStatus) -> None:
-                desk.serve(now)
+                ready.tell({name: link.address for name, link in now.links.items()})
+                faults.serve(now)
                 if live:
                     live.update(now)
 
@@ -161,7 +183,7 @@ def summary(rig: Rig, result: RunResult) -> dict[str, object]:
         "events": result.ledger.as_json(),
         "balanced": result.ledger.balanced,
         "latency_us": dataclasses.asdict(_worst(latencies)),
-        "lateness": result.lateness.as_json(),
+        "lateness": {**result.lateness.as_json(), "too_late": result.too_late},
         "undersampled_share": result.undersampled_share,
         "suspect_share": result.undersampled_share,  # the old key, for one version
         "scene": result.scene_counts,
@@ -220,12 +242,8 @@ def _print_summary(rig: Rig, result: RunResult) -> None:
         console.print(f"scene: {', '.join(f'{n} {name}' for name, n in result.scene_counts.items())}")
     if result.pixels_by:
         console.print(f"pixels by {result.pixels_by}")
-    late = result.lateness
-    if late.frames_late:
-        console.print(
-            f"late: {late.frames_late} frames, worst gap {late.worst_gap_us:.0f} us, "
-            f"{late.steps_stretched} steps stretched to keep up"
-        )
+    for line in lateness_lines(rig, result):
+        console.print(line)
     console.print("ledger: balanced" if ledger.balanced else f"ledger: OFF BY {ledger.imbalance} EVENTS")
 
 

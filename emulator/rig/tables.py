@@ -84,6 +84,11 @@ class Run:
         Stream time that one SYNC is worth.
     lead_us
         How far ahead of real time steps are computed; at least one step. Covers the jitter of the machine.
+    max_late_ms
+        In real time: a run whose worst step was ready later than this after it was due has not kept up, and its verdict
+        is bad. 0: no limit.
+    restart_links
+        Whether a link whose process died is started again. Otherwise the other links go on without it.
     fifo_priority
         Above 0: links run under SCHED_FIFO at this priority (1 to 99), before all that is not as urgent. Delivery and
         the stamps of a bus are then steady on a busy machine. Needs root, or a limit of 'rtprio'.
@@ -108,6 +113,8 @@ class Run:
     pace: Literal["realtime", "free", "lockstep"] = "realtime"
     lockstep_us: int = 0
     lead_us: int = 10_000
+    max_late_ms: float = 1000.0
+    restart_links: bool = False
     fifo_priority: int = 0
     method: Method = "hermite"
     pixels: Literal["cpu", "gpu"] = "cpu"
@@ -131,6 +138,8 @@ class Run:
             raise ValueError(f'step_us must be at most 250000 with pixels = "gpu", got {self.step_us}')
         if not 0 <= self.fifo_priority <= 99:
             raise ValueError(f"fifo_priority must be 0 (none) to 99, got {self.fifo_priority}")
+        if not 0 <= self.max_late_ms <= 3.6e6:
+            raise ValueError(f"max_late_ms must be 0 (no limit) to 3.6e6, got {self.max_late_ms}")
         if not 0 <= self.lead_us <= 10_000_000:
             raise ValueError(f"lead_us must be 0 to 10000000, got {self.lead_us}")
         if self.tolerance_us != 0 and not 0.01 <= self.tolerance_us <= 1e6:

@@ -32,9 +32,10 @@ from firmware_protocol.usb.device import Speed, UsbCamera
 from transports.can_bus.endpoint import CanFactory
 from transports.can_bus.parameters import CanParameters
 from transports.faults.script import FaultPlan
+from transports.link.endpoint import EndpointFactory
 from transports.link.feed import Timing
 from transports.link.pacing import Clock
-from transports.link.process import EndpointFactory, LinkSetup
+from transports.link.process import LinkSetup
 from transports.link.ring import EventRing
 from transports.serial_line.endpoint import SerialFactory
 from transports.serial_line.parameters import SerialParameters
@@ -100,6 +101,7 @@ def schedule(rig: Rig) -> Schedule:
         duration_ns=round(run.seconds * 1e9) or None,
         paced=run.pace == "realtime",
         lockstep_ns=run.lockstep_us * 1000,
+        max_late_us=run.max_late_ms * 1000,
     )
 
 
@@ -119,7 +121,8 @@ def link_setups(
         _link_setup(rig, link, path, triggers, triggers.timing(link.name, rig.camera.clock, shown), fault_log)
         for link, path, shown in zip(rig.links, record_paths(rig, record), record_paths(rig, truth), strict=True)
     ]
-    return [dataclasses.replace(setup, fifo_priority=rig.run.fifo_priority) for setup in setups]
+    run = rig.run
+    return [dataclasses.replace(setup, fifo_priority=run.fifo_priority, restart=run.restart_links) for setup in setups]
 
 
 def _link_setup(

@@ -29,8 +29,8 @@ from transports.faults.kinds import Fault
 from transports.faults.script import FaultPlan, FaultRecord
 from transports.faults.tracker import Watch
 from transports.link.deliveries import Deliveries
+from transports.link.endpoint import Endpoint, EndpointFactory, LineUse
 from transports.link.pacing import Clock
-from transports.link.process import Endpoint, EndpointFactory, LineUse
 
 __all__ = ["CanEndpoint", "CanFactory"]
 
@@ -123,8 +123,8 @@ class CanEndpoint(Endpoint):
             self._down(slot, error)
         self._settle()
 
-    def reach(self, stream_us: int) -> None:
-        """See `Endpoint.reach`."""
+    def advance_faults(self, stream_us: int) -> None:
+        """See `Endpoint.advance_faults`."""
         over, held = self._faults.advance(stream_us)
         if not over:
             return
@@ -136,9 +136,9 @@ class CanEndpoint(Endpoint):
         for watch in self._watches():
             watch.damaged()
 
-    def throw(self, fault: Fault) -> None:
-        """See `Endpoint.throw`."""
-        self._faults.throw(fault)
+    def inject(self, fault: Fault) -> None:
+        """See `Endpoint.inject`."""
+        self._faults.inject(fault)
 
     @property
     def faults(self) -> tuple[FaultRecord, ...]:

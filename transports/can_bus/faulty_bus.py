@@ -56,9 +56,9 @@ class BusFaults:
         over = self._faults.advance(now_us)
         return bool(over), [parcel for stage in over for parcel in stage.finish()]
 
-    def throw(self, fault: Fault) -> None:
+    def inject(self, fault: Fault) -> None:
         """Begin a fault now; raises ValueError for one that a bus does not have."""
-        self._faults.throw(fault)
+        self._faults.inject(fault)
 
     def look_at(self, source: FrameSource) -> None:
         """Begin or end the watch on a source that is between two messages."""

@@ -22,7 +22,7 @@ from transports.faults.faulty_line import FaultyLine
 from transports.faults.kinds import Fault
 from transports.faults.script import FaultPlan, FaultRecord
 from transports.link.deliveries import Deliveries
-from transports.link.process import Endpoint, EndpointFactory, LineUse
+from transports.link.endpoint import Endpoint, EndpointFactory, LineUse
 from transports.serial_line.opening import open_port
 from transports.serial_line.pacing import BaudClock
 from transports.serial_line.parameters import SerialParameters
@@ -109,13 +109,13 @@ class SerialEndpoint(Endpoint):
         if port is not None:
             await asyncio.to_thread(port.close)
 
-    def reach(self, stream_us: int) -> None:
-        """See `Endpoint.reach`."""
+    def advance_faults(self, stream_us: int) -> None:
+        """See `Endpoint.advance_faults`."""
         self._faulty.advance(stream_us, self._out.begun)
 
-    def throw(self, fault: Fault) -> None:
-        """See `Endpoint.throw`."""
-        self._faulty.throw(fault)
+    def inject(self, fault: Fault) -> None:
+        """See `Endpoint.inject`."""
+        self._faulty.inject(fault)
 
     @property
     def faults(self) -> tuple[FaultRecord, ...]:

@@ -6,7 +6,7 @@ import dataclasses
 
 from emulator.run.ledger import LinkLedger
 from transports.faults.script import FaultRecord
-from transports.link.process import LinkReport
+from transports.link.report import LinkReport
 
 __all__ = ["fault_line", "link_json", "link_lines"]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterator
 
-from transports.link.process import LinkReport
+from transports.link.report import LinkReport
 
 __all__ = ["timing_json", "timing_lines"]
 

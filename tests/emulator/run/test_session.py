@@ -16,7 +16,7 @@ from emulator.scene.checkerboard.table import CheckerboardParameters
 from emulator.sensor.presets import PRESETS
 from emulator.sensor.sensor import Sensor
 from transports.link.pacing import FakeClock
-from transports.link.process import LinkReport
+from transports.link.report import LinkReport
 
 SENSOR = dataclasses.replace(PRESETS["davis346"], width=24, height=16, leak_hz=0.0)
 STEP_NS = 1_000_000

@@ -10,7 +10,7 @@ from transports.faults.kinds import Fault
 from transports.faults.script import FaultPlan, FaultRecord
 from transports.faults.usb import FaultyDevice
 from transports.link.deliveries import Deliveries
-from transports.link.process import Endpoint, EndpointFactory
+from transports.link.endpoint import Endpoint, EndpointFactory
 from transports.usb.observed import Observed
 from transports.usb.usbip.server import UsbipServer
 
@@ -56,16 +56,16 @@ class UsbipEndpoint(Endpoint):
         """Answer the hosts' pending requests."""
         self._server.pump()
 
-    def reach(self, stream_us: int) -> None:
-        """See `Endpoint.reach`."""
+    def advance_faults(self, stream_us: int) -> None:
+        """See `Endpoint.advance_faults`."""
         self._device.advance(stream_us)
         if self._device.gone != self._is_gone:
             self._is_gone = self._device.gone
             (self._server.unplug if self._is_gone else self._server.plug)(self._at.busid)
 
-    def throw(self, fault: Fault) -> None:
-        """See `Endpoint.throw`."""
-        self._device.throw(fault)
+    def inject(self, fault: Fault) -> None:
+        """See `Endpoint.inject`."""
+        self._device.inject(fault)
 
     @property
     def faults(self) -> tuple[FaultRecord, ...]:
