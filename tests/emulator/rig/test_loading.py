@@ -5,9 +5,8 @@ import json
 
 import pytest
 
+from emulator.rig.link_kinds import LINKS
 from emulator.rig.loading import (
-    LINKS,
-    SCENES,
     LoopbackLink,
     RigError,
     UsbipLink,
@@ -16,6 +15,7 @@ from emulator.rig.loading import (
     parse_rig,
     shipped_rigs,
 )
+from emulator.rig.scene_kinds import SCENES
 from emulator.rig.schema import rig_schema
 from emulator.sensor.presets import PRESETS
 
@@ -161,7 +161,8 @@ def test_a_shape_is_looked_for_beside_the_rig(tmp_path):
 
 def test_the_schema_knows_every_key():
     schema = json.loads(json.dumps(rig_schema()))
-    for parameters in (*SCENES.values(), *LINKS.values()):
+    for kind in (*SCENES.values(), *LINKS.values()):
+        parameters = kind.parameters
         known = schema["$defs"][parameters.__name__]["properties"]
         assert {f.name for f in dataclasses.fields(parameters)} | {"kind"} == set(known)
     assert "required" not in schema["$defs"]["SensorParameters"]
