@@ -37,6 +37,11 @@ class LinkProcess:
         theirs.close()
         self.report = LinkReport("starting")
 
+    @property
+    def pid(self) -> int | None:
+        """Number of the process."""
+        return self._process.pid
+
     def wait_ready(self) -> None:
         """Return when the link is open; raises LinkFailed."""
         if not self._control.poll(_START_TIMEOUT_S):
