@@ -43,6 +43,10 @@ class SceneKind:
     lens: Literal["none", "applied", "own"] = "none"
     events: str = ""
 
+    def __post_init__(self) -> None:
+        if not isinstance(getattr(self.parameters, "kind", None), str):
+            raise ValueError("the parameters of a scene need a class attribute `kind`")
+
     @property
     def name(self) -> str:
         """What rigs write as `kind`."""

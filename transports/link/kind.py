@@ -6,6 +6,7 @@ Each transport has a record in its own folder, and a package outside evstim give
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Generic, Literal, Protocol, TypeVar
@@ -165,6 +166,13 @@ class LinkKind(Generic[P]):
     listens_on: Callable[[P], tuple[str, int] | None] = _nowhere
     usb_model: str | None = None
     start_delay: bool = True
+
+    def __post_init__(self) -> None:
+        needed = {"name"} | ({"instrument"} if self.serves == "instrument" else set())
+        if not isinstance(getattr(self.parameters, "kind", None), str):
+            raise ValueError("the parameters of a link need a class attribute `kind`")
+        if missing := needed - {one.name for one in dataclasses.fields(self.parameters)}:
+            raise ValueError(f"the parameters of a link that serves {self.serves!r} need {', '.join(sorted(missing))}")
 
     @property
     def name(self) -> str:

@@ -122,6 +122,16 @@ def test_links_have_names_and_ports_of_their_own():
     assert "port 4000 is taken" in message(scene + usbip + usbip + 'name = "other"\n')
 
 
+def test_two_served_buses_need_ports_of_their_own():
+    served = '[[links]]\nkind = "can"\nport = 4000\n'
+    scene = '[scene]\nkind = "checkerboard"\n'
+    assert "port 4000 is taken" in message(scene + served + served + 'name = "other"\n')
+    joined = served.replace("port = 4000", 'interface = "virtual"')
+    parse_rig(scene + joined + joined + 'name = "other"\n', "my.toml", "my")
+    free = served.replace("4000", "0")
+    parse_rig(scene + free + free + 'name = "other"\n', "my.toml", "my")
+
+
 def test_an_infinite_corner_switches_the_low_pass_off():
     rig = parse_rig(GOOD.replace("threshold_on = 0.2", "corner_hz_at_reference = inf"), "my.toml", "my")
     assert rig.camera.sensor.corner_hz_at_reference == float("inf")

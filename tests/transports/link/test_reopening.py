@@ -56,6 +56,6 @@ def test_one_attempt_at_a_time_and_none_after_the_end():
             await asyncio.sleep(0)
         assert (begun, ended) == ([1], [])
         await again.close()
-        return ended
+        return len(ended)  # now: the end of the loop cancels it too
 
-    assert asyncio.run(work()) == [1]
+    assert asyncio.run(work()) == 1
