@@ -31,7 +31,7 @@ def test_what_is_in_the_wheel(wheel):
     for path in (*(ROOT / "rigs").glob("*.toml"), *(ROOT / "emulator/scene/bodies/shapes").iterdir()):
         assert str(path.relative_to(ROOT)) in names
     rooms = {name.partition("/")[0] for name in names if ".dist-info" not in name}
-    assert rooms == {"emulator", "transports", "firmware_protocol", "rigs"}
+    assert rooms == {"evstim", "emulator", "transports", "firmware_protocol", "rigs"}
 
 
 @pytest.mark.anew

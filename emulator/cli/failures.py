@@ -9,6 +9,7 @@ from emulator.cli.output import LACKING, WRONG_USE, Failure
 from emulator.light import MachineLacks, SceneError
 from emulator.rig.loading import RigError
 from emulator.run.link_process import LinkFailed
+from emulator.tables.registry import PluginError
 
 __all__ = ["failures"]
 
@@ -18,7 +19,7 @@ def failures() -> Iterator[None]:
     """Turn the errors of all rooms into Failure with its exit code."""
     try:
         yield
-    except (MachineLacks, LinkFailed) as error:
+    except (MachineLacks, LinkFailed, PluginError) as error:
         raise Failure(str(error), LACKING) from error
     except (RigError, SceneError) as error:
         raise Failure(str(error), WRONG_USE) from error

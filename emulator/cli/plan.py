@@ -10,10 +10,10 @@ from cyclopts import Parameter
 
 from emulator.cli.failures import failures
 from emulator.cli.output import GOOD, console, print_json
-from emulator.optics.lens import CHIPS
 from emulator.plan.decide import Decision
 from emulator.plan.plan import Plan, make_plan
 from emulator.plan.scene_probe import probe
+from emulator.rig.camera_models import CAMERA_MODELS
 from emulator.rig.loading import Rig, load_rig
 from emulator.run.scene_assembly import build_scene
 
@@ -99,7 +99,7 @@ def _print(made: Plan) -> None:
 
 def _chip(made: Plan) -> str:
     """Return the light of the active pixels in units: on the chip, and as a pixel's current."""
-    lens, chip = made.rig.camera.lens, CHIPS[made.rig.camera.model]
+    lens, chip = made.rig.camera.lens, CAMERA_MODELS[made.rig.camera.model].chip
     bounds = made.probe.least_current, made.probe.largest_current
     if not all(map(math.isfinite, bounds)):
         return "no pixel's light changes"

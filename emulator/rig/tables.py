@@ -1,4 +1,4 @@
-"""The tables of a rig that belong to no room: the camera as a whole, the run, and the link within evstim."""
+"""The tables of a rig that belong to no room: the camera as a whole, and the run."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from emulator.optics.lens import LensParameters
 from emulator.sensor.presets import PRESETS, SensorParameters
 from firmware_protocol.device_clock import ClockSettings
 
-__all__ = ["Camera", "LoopbackLink", "Method", "Run"]
+__all__ = ["Camera", "Method", "Run"]
 
 Method = Literal["hermite", "line", "pangu", "v2e", "v2e_exact_filter", "esim", "sikorski", "frame_difference"]
 
@@ -146,10 +146,3 @@ class Run:
             raise ValueError(f"tolerance_us must be 0 (none) or 0.01 to 1e6, got {self.tolerance_us}")
         if not 0 <= self.tolerated_wrong_share <= 1:
             raise ValueError(f"tolerated_wrong_share must be 0 to 1, got {self.tolerated_wrong_share}")
-
-
-@dataclass(frozen=True)
-class LoopbackLink:
-    """A host inside the link's own process that starts the camera, decodes every byte and compares: no USB anywhere."""
-
-    name: str = "loopback"

@@ -58,6 +58,11 @@ class LinkProcess:
         self.report = LinkReport("starting")
         self._spawn()
 
+    @property
+    def pid(self) -> int | None:
+        """Number of the process."""
+        return self._process.pid
+
     def wait_ready(self) -> None:
         """Return when the link is open; raises LinkFailed."""
         if not self._control.poll(_START_TIMEOUT_S):

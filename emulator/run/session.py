@@ -9,14 +9,11 @@ they are full, so that nothing is lost. In lockstep they go on as far as the SYN
 
 from __future__ import annotations
 
-import dataclasses
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from typing import Any
-
-import numpy as np
 
 from emulator.plan.step_control import StepSource
 from emulator.run.frames import Pictures
@@ -25,10 +22,7 @@ from emulator.run.ledger import Ledger, LinkLedger
 from emulator.run.link_process import LinkProcess
 from emulator.run.lockstep import Lockstep
 from emulator.run.slow_notice import said_if_slow
-from emulator.sensor.effects import DefectParameters
 from emulator.sensor.event_source import EventSource
-from emulator.sensor.presets import SensorParameters
-from emulator.sensor.sensor import Sensor
 from firmware_protocol.events import Events
 from transports.faults.kinds import Fault
 from transports.link.pacing import Clock
@@ -36,7 +30,7 @@ from transports.link.process import LinkSetup
 from transports.link.report import LinkReport
 from transports.link.ring import FREE_RUNNING
 
-__all__ = ["RunResult", "RunStatus", "Schedule", "Session", "load_kernels"]
+__all__ = ["RunResult", "RunStatus", "Schedule", "Session"]
 
 log = logging.getLogger(__name__)
 
@@ -100,15 +94,6 @@ class RunResult:
         links = self.links.values()
         sound = self.ledger.balanced and all(link.error is None and link.edges_balanced for link in links)
         return sound and not self.too_late
-
-
-def load_kernels(sensor: SensorParameters) -> None:
-    """Compile the sensor's kernels, or load them from disk, by flashing a light at a few pixels like `sensor`'s."""
-    few = dataclasses.replace(sensor, width=16, height=16, defects=DefectParameters())
-    flashed = Sensor(few, 0)
-    flashed.reset(np.zeros((16, 16), np.float32), 0)
-    flashed.expose(np.ones((16, 16), np.float32), 1_000_000, np.zeros((16, 16), np.float32))
-    flashed.finish()
 
 
 class Session:
@@ -178,7 +163,7 @@ class Session:
             undersampled_share=self._sensor.undersampled_share,
             scene_counts=self._pictures.scene.counts,
             renderer=self._pictures.scene.renderer,
-            pixels_by=self._sensor.renderer if isinstance(self._sensor, Sensor) else None,
+            pixels_by=self._sensor.renderer,
             syncs=None if self._lockstep is None else self._lockstep.heard,
             max_late_us=schedule.max_late_us if schedule.paced else 0.0,
         )
@@ -193,8 +178,7 @@ class Session:
     def _warm_up(self) -> None:
         """Do all slow first-time work before the clock runs: compile the kernels, draw the first picture."""
         with said_if_slow("compiling the sensor's kernels: takes some seconds, once; they are kept on disk"):
-            if isinstance(self._sensor, Sensor):
-                load_kernels(self._sensor.parameters)
+            self._sensor.warm_up()
         self._pictures.draw(0)
         self._sensor.reset(self._pictures.light, 0)
         self._step_source.observe(self._pictures.light, self._pictures.rate, 0)

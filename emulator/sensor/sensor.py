@@ -26,6 +26,7 @@ from emulator.sensor.chip.leak import NEVER_NS, Leaks
 from emulator.sensor.chip.radiation import Particles
 from emulator.sensor.chip.readout import ReadOut
 from emulator.sensor.chip.temperature import at_temperature
+from emulator.sensor.effects import DefectParameters
 from emulator.sensor.noise.grid import NoisyPixels
 from emulator.sensor.noise.point_process import NoiseEvents
 from emulator.sensor.pixels.array import Crossings, PixelArray
@@ -185,6 +186,14 @@ class Sensor:
     def quiet_nan(self) -> int:
         """Pixel-steps whose light was NaN or infinite."""
         return self.pixels.quiet_nan
+
+    def warm_up(self) -> None:
+        """Compile the kernels, or load them from disk, by flashing a light at a few pixels like these."""
+        few = dataclasses.replace(self.parameters, width=16, height=16, defects=DefectParameters())
+        flashed = Sensor(few, 0)
+        flashed.reset(np.zeros((16, 16), np.float32), 0)
+        flashed.expose(np.ones((16, 16), np.float32), 1_000_000, np.zeros((16, 16), np.float32))
+        flashed.finish()
 
     def reset(self, light: _Float32s, t_ns: int) -> None:
         """Start at `t_ns`, at rest on `light`, (height, width) float32; nothing is pending, all counters are zero."""

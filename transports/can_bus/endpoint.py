@@ -31,6 +31,7 @@ from transports.faults.tracker import Watch
 from transports.link.deliveries import Deliveries
 from transports.link.endpoint import Endpoint, EndpointFactory, LineUse
 from transports.link.pacing import Clock
+from transports.link.reopening import Reopening
 
 __all__ = ["CanEndpoint", "CanFactory"]
 
@@ -67,10 +68,8 @@ class _Slot:
     """One of the buses, and whether it can be used."""
 
     bus: FaultyBus
+    reopening: Reopening[bool]
     up: bool = False
-    why: str = ""
-    retry_ns: int = 0
-    opening: asyncio.Task[None] | None = None
 
 
 class CanEndpoint(Endpoint):
@@ -80,7 +79,7 @@ class CanEndpoint(Endpoint):
         self, buses: list[CanBus], faults: BusFaults, node: Node, carried: list[FrameSource], clock: Clock
     ) -> None:
         p = node.parameters
-        self._slots = [_Slot(FaultyBus(bus, index, faults)) for index, bus in enumerate(buses)]
+        self._slots = [_slot(FaultyBus(bus, index, faults), clock) for index, bus in enumerate(buses)]
         self._faults = faults
         self._instrument = node.instrument
         self._node = node
@@ -160,9 +159,7 @@ class CanEndpoint(Endpoint):
         self._drop()
         self._instrument.disconnected()
         for slot in self._slots:
-            if slot.opening is not None:
-                slot.opening.cancel()
-                await asyncio.gather(slot.opening, return_exceptions=True)
+            await slot.reopening.close()
             await slot.bus.close()
         for watch in self._watches():
             watch.close()
@@ -173,7 +170,7 @@ class CanEndpoint(Endpoint):
         """Which bus, and how things stand there."""
         slot = self._slots[self._active]
         if not slot.up:
-            return slot.why
+            return slot.reopening.why
         name = f", bus {_NAMES[self._active]}" if len(self._slots) > 1 else ""
         told = self._node.state.name.lower() if slot.bus.heard else "nobody listens yet"
         return f"on {slot.bus.address}{name}, {told}"
@@ -201,10 +198,8 @@ class CanEndpoint(Endpoint):
         return dict(sum((Counter(slot.bus.counts) for slot in self._slots), total))
 
     def _listen(self, index: int, slot: _Slot) -> None:
-        now_ns = self._clock.now_ns()
         if not slot.up:
-            if slot.opening is None and now_ns >= slot.retry_ns:
-                slot.opening = asyncio.get_running_loop().create_task(self._reopen(slot))
+            slot.up = slot.reopening.poll() or False
             return
         try:
             for heard in slot.bus.take():
@@ -317,23 +312,21 @@ class CanEndpoint(Endpoint):
             source.drop()
 
     def _down(self, slot: _Slot, error: BusDown) -> None:
-        slot.up, slot.why = False, str(error)
-        slot.retry_ns = self._clock.now_ns() + _RETRY_NS
+        slot.up = False
+        slot.reopening.lost(str(error))
         self._counts["bus lost"] += 1
         if slot is self._slots[self._active]:
             self._drop()
         else:
             slot.bus.drop()
 
-    async def _reopen(self, slot: _Slot) -> None:
-        try:
-            await slot.bus.open()
-            slot.up, slot.why = True, ""
-        except BusDown as error:
-            slot.why = str(error)
-            slot.retry_ns = self._clock.now_ns() + _RETRY_NS
-        finally:
-            slot.opening = None
+
+def _slot(bus: FaultyBus, clock: Clock) -> _Slot:
+    async def opened() -> bool:
+        await bus.open()
+        return True
+
+    return _Slot(bus, Reopening(clock, _RETRY_NS, opened))
 
 
 class _Use:

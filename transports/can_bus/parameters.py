@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import ClassVar, Literal
 
 from firmware_protocol.can_frames.bus_time import BitRates
 from firmware_protocol.can_frames.identifiers import Identifiers
@@ -74,6 +74,7 @@ class CanParameters:
         What the camera says, and how much of it.
     """
 
+    kind: ClassVar[str] = "can"
     interface: str = "served"
     channel: str = "can0"
     channel_b: str = ""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from typing import ClassVar
 
 from transports.network.allow import check_allow
 
@@ -24,6 +25,7 @@ class UsbipLink:
         Bus id under which the camera is exported.
     """
 
+    kind: ClassVar[str] = "usbip"
     host: str = "127.0.0.1"
     port: int = 3240
     busid: str = "1-1"
