@@ -7,12 +7,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from firmware_protocol.edges import Edges, empty_edges
-from firmware_protocol.events import Events
+from firmware_protocol.receiver.can import CanReceiver
 from transports.can_bus.bus import BusDown
 from transports.can_bus.parameters import CanParameters
 from transports.can_bus.python_can import PythonCanBus
-from transports.can_bus.receiver import CanReceiver
 from transports.link.digest import digest_of
 from transports.link.latency import LatencySummary
 from transports.link.pacing import Clock
@@ -66,21 +64,20 @@ class _Listening:
     """One visit to the bus."""
 
     def __init__(self, parameters: CanParameters, clock: Clock, recorder: Recorder | None) -> None:
-        self._receiver = CanReceiver(parameters)
+        self._receiver = CanReceiver(parameters.receiver)
         self._recorder = recorder
         self._clock = clock
         self._start_ns = clock.now_ns()
         self._delays_us: list[float] = []
-        self._edges_kept = 0
         self.now = CanReception()
 
     def take(self, bus: PythonCanBus) -> None:
         """Hear all that has come; raises BusDown when the bus is gone."""
         for heard in bus.take():
-            events = self._receiver.push(heard.frame, heard.t_ns)
-            if self._receiver.answer is not None:
-                bus.send(self._receiver.answer)
-            self._keep(events, heard.t_ns)
+            self._receiver.push(heard.frame, heard.t_ns)
+            for reply in self._receiver.take_replies():
+                bus.send(reply)
+            self._keep(heard.t_ns)
         self.now = replace(self.now, seconds=(self._clock.now_ns() - self._start_ns) * 1e-9)
 
     def finish(self, *, gone: bool) -> CanReception:
@@ -88,16 +85,15 @@ class _Listening:
         receiver = self._receiver
         return replace(
             self.now,
-            edges=sum(len(edges) for edges in receiver.edges),
             faults=receiver.faults,
             counts=receiver.counts,
             jitter_us=_jitter(self._delays_us),
             gone=gone,
         )
 
-    def _keep(self, events: Events, t_ns: int) -> None:
-        new, self._edges_kept = self._receiver.edges[self._edges_kept :], len(self._receiver.edges)
-        edges: Edges = np.concatenate(new) if new else empty_edges()
+    def _keep(self, t_ns: int) -> None:
+        events, edges = self._receiver.take_events(), self._receiver.take_edges()
+        self.now = replace(self.now, edges=self.now.edges + len(edges))
         if self._recorder is not None and (len(events) or len(edges)):
             self._recorder.append(events, edges=edges)
         if not len(events):

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from firmware_protocol.packets.housekeeping import Housekeeping
-from firmware_protocol.packets.profile import Profile
 from firmware_protocol.packets.telecommands import Telecommand
+from firmware_protocol.receiver.serial import SerialReceiver
 from transports.link.digest import digest_of
 from transports.link.latency import LatencySummary
 from transports.link.pacing import Clock
@@ -17,12 +17,12 @@ from transports.link.record import Recorder
 from transports.serial_line.opening import open_port
 from transports.serial_line.parameters import SerialParameters
 from transports.serial_line.port import Port
-from transports.serial_line.reception import SerialReceiver
 
 __all__ = ["SerialReception", "listen_serial"]
 
 _LOOK_PERIOD_NS = 500_000
 _MOST_DELAYS = 1_000_000
+_MOST_TOLD = 1024
 
 
 @dataclass(frozen=True)
@@ -45,8 +45,10 @@ class SerialReception:
         How much later than the quickest block each came: the camera's clock is not known.
     housekeeping
         The newest report.
+    answers
+        Number of answers to telecommands.
     told
-        Answers to telecommands.
+        The newest of them in words, at most 1024.
     gone
         True when the other side went away.
     """
@@ -60,6 +62,7 @@ class SerialReception:
     counts: Mapping[str, int] = field(default_factory=dict)
     jitter_us: LatencySummary = field(default_factory=LatencySummary)
     housekeeping: Housekeeping | None = None
+    answers: int = 0
     told: tuple[str, ...] = ()
     gone: bool = False
 
@@ -68,7 +71,7 @@ class _Listening:
     """One visit to the line."""
 
     def __init__(self, profile: str, clock: Clock, recorder: Recorder | None) -> None:
-        self.receiver = SerialReceiver(Profile(profile))
+        self.receiver = SerialReceiver(profile)
         self._recorder = recorder
         self._clock = clock
         self._start_ns = clock.now_ns()
@@ -78,8 +81,9 @@ class _Listening:
     def take(self, data: bytes) -> None:
         """Hear bytes that have come just now."""
         now_ns = self._clock.now_ns()
-        arrival = self.receiver.push(data)
-        events, edges, now = arrival.events, arrival.edges, self.now
+        self.receiver.push(data)
+        events, edges, now = self.receiver.take_events(), self.receiver.take_edges(), self.now
+        told = self.receiver.take_reports()
         if self._recorder is not None and (len(events) or len(edges)):
             self._recorder.append(events, edges=edges)
         if len(events) and len(self._delays_us) < _MOST_DELAYS:
@@ -91,7 +95,8 @@ class _Listening:
             seconds=(now_ns - self._start_ns) * 1e-9,
             last_t_us=int(events["t"][-1]) if len(events) else now.last_t_us,
             digest=digest_of(events, now.digest),
-            told=now.told + arrival.told,
+            answers=now.answers + len(told),
+            told=(now.told + told)[-_MOST_TOLD:] if told else now.told,
         )
 
     def finish(self, *, gone: bool) -> SerialReception:

@@ -17,14 +17,13 @@ from firmware_protocol.davis346 import Davis346, Davis346Settings
 from firmware_protocol.events import EVENT
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
-from firmware_protocol.packets.profile import Profile
+from firmware_protocol.receiver.serial import SerialReceiver
 from transports.link.digest import digest_of
 from transports.link.pacing import MonotonicClock
 from transports.link.process import LinkSetup
 from transports.link.ring import FREE_RUNNING, EventRing
 from transports.serial_line.endpoint import SerialFactory
 from transports.serial_line.parameters import SerialParameters
-from transports.serial_line.reception import SerialReceiver
 from transports.usb.davis_host import DavisHost
 from transports.usb.loopback import LoopbackFactory
 from transports.usb.usbip.client import UsbipHost
@@ -89,7 +88,7 @@ class SerialReader:
     """A computer that has opened the pty and reads it all the time, as a real one's interrupt does."""
 
     def __init__(self, link):
-        self._receiver = SerialReceiver(Profile())
+        self._receiver = SerialReceiver()
         self._parts = queue.SimpleQueue()
         self._port = serial.Serial(link.report.address, timeout=0.05)
         self._open = True
@@ -108,7 +107,8 @@ class SerialReader:
         """Return the next `count` events."""
         batches, have = [], 0
         while have < count:
-            batches.append(self._receiver.push(self._parts.get(timeout=60.0)).events)
+            self._receiver.push(self._parts.get(timeout=60.0))
+            batches.append(self._receiver.take_events())
             have += len(batches[-1])
         assert self._receiver.faults == 0
         return np.concatenate(batches)
