@@ -100,7 +100,7 @@ def _times() -> list[_Message]:
 
 def _carried(fd: bool) -> list[_Message]:
     epoch = (
-        _Signal("t", 0, 30, "us"),
+        _Signal("t", 0, 30, "ticks"),
         _Signal("tick", 30, 2, values=tuple(enumerate(f"{us} us" for us in TICKS_US))),
         _Signal("sent", 32, 16, "events"),
         _Signal("dropped", 48, 16, "events"),
@@ -108,6 +108,7 @@ def _carried(fd: bool) -> list[_Message]:
     return [
         _fd_events() if fd else _events(),
         _Message("epoch", 8, CAMERA, "Where the events' times lie, and how many events there have been", epoch),
+        _Message("clock", 8, CAMERA, "All bits of the events' time", (_Signal("t", 0, 64, "us"),)),
         _Message("marks", 8, CAMERA, "The camera's own trigger and exposure marks", _marks()),
         _Message("edges", 8, CAMERA, "Edges on the camera's external input", _marks()),
         _Message("telemetry", 8, CAMERA, "ISO-TP", (_Signal("pci", 0, 8),)),

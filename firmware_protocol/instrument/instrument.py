@@ -317,7 +317,7 @@ class Instrument(EventDevice):
     def _outgoing(self, piece: Piece | None) -> Outgoing | None:
         if piece is None:
             return None
-        own_us = int(piece.events["t"][0]) + self._offset_us
+        own_us = (int(piece.events["t"][0]) + self._offset_us) % (1 << 64)  # a tick may begin before the stream
         message = Message(MessageKind.EVENTS, piece.block, own_us)
         return Outgoing(message, piece.events, epoch_us=-self._offset_us, dropped=piece.dropped)
 

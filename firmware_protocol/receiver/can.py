@@ -80,7 +80,7 @@ class CanReceiver:
         ids = settings.identifiers
         self._names = {value: name for name, value in ids.by_name.items()}
         self._edge_ids = (ids.edges, ids.marks)
-        self._raw = RawReceiver(ids.events, ids.epoch)
+        self._raw = RawReceiver(ids.events, ids.epoch, ids.clock)
         self._isotp = IsoTpReceiver(settings.isotp)
         self._cfp = CfpReceiver(settings.csp_peer)
         self._from_isotp = Profile("ccsds").unwrapper()
@@ -139,6 +139,7 @@ class CanReceiver:
             "gaps in raw frames": raw.gaps,
             "raw frames repeated": raw.repeated,
             "raw frames before an epoch": raw.before_epoch,
+            "raw frames before a clock frame": raw.before_clock,
             "raw frames malformed": raw.malformed,
             "packets missing": self._missing,
             "packets refused": sum(

@@ -116,17 +116,15 @@ class RawEvents(FrameSource):
 
     def next_frame(self, now_ns: int) -> Frame | None:
         """See `FrameSource.next_frame`."""
-        if not self._frames:
+        if not self._frames and self._outgoing is None:
             self._pack()
-        if self._frames:
-            packed = self._frames.popleft()
-            if self.watch is not None:
-                self._load = Load(packed.events, empty_edges(), self._epoch_us)
-            return packed.frame
-        self._load = Load.nothing()
-        if self._outgoing is not None:
-            return None  # its last frame is under way
-        return self._sender.epoch(self._instrument.own_us, self._instrument.counters.dropped_in_device)
+        if not self._frames:
+            self._load = Load.nothing()
+            return None
+        packed = self._frames.popleft()
+        if self.watch is not None:
+            self._load = Load(packed.events, empty_edges(), self._epoch_us)
+        return packed.frame
 
     def left(self) -> None:
         """See `FrameSource.left`."""
@@ -139,19 +137,18 @@ class RawEvents(FrameSource):
         super().drop()
 
     def _pack(self) -> None:
-        if self._outgoing is not None:
-            return
-        outgoing = self._instrument.next_events(_RAW_EVENTS_A_TIME)
-        if outgoing is None:
-            return
         if self._instrument.tick_us != self._tick_us:
             self._tick_us = self._instrument.tick_us
             self._sender.set_tick(self._tick_us)
+        outgoing = self._instrument.next_events(_RAW_EVENTS_A_TIME)
+        if outgoing is None:
+            self._frames += self._sender.epoch(self._instrument.own_us, self._instrument.counters.dropped_for_room)
+            return
         own = copy_events(outgoing.events)
         self._epoch_us = outgoing.epoch_us
         epoch = np.uint64(outgoing.epoch_us % (1 << 64))
         own["t"] -= epoch
-        self._frames += self._sender.pack(own, self._instrument.counters.dropped_in_device)
+        self._frames += self._sender.pack(own, self._instrument.counters.dropped_for_room)
         own["t"] = own["t"] // np.uint64(self._tick_us) * np.uint64(self._tick_us) + epoch
         self._outgoing = Outgoing(outgoing.message, own, outgoing.edges, outgoing.epoch_us, outgoing.dropped)
 

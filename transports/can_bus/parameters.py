@@ -160,4 +160,4 @@ class CanParameters:
     def raw(self, tick_us: int) -> RawSettings:
         """Return how raw frames are made at a tick."""
         ids = self.identifiers
-        return RawSettings(ids.events, ids.epoch, tick_us, round(self.epoch_ms * 1000), self.fd)
+        return RawSettings(ids.events, ids.epoch, tick_us, round(self.epoch_ms * 1000), self.fd, clock=ids.clock)
