@@ -99,11 +99,19 @@ class RawSender:
         return frames
 
     def epoch(self, now_us: int, dropped: int) -> list[Packed]:
-        """Return the epoch frame that is due at `now_us` when no earlier event waits, with its clock frame; else none."""
+        """Return the epoch frame that is due at `now_us` when no earlier event waits, and its clock frame."""
         if self._told_us is not None and abs(now_us - self._epoch_told_us) < self._settings.epoch_us:
             return []
         self._dropped = dropped
         return self._epoch(now_us)
+
+    def time_frames(self, t_us: int) -> list[Packed]:
+        """Return what a frame with the low 32 bits of `t_us` needs before it, so that the upper bits are known."""
+        return [] if self._settings.clock is None or self._knows(t_us) else self._epoch(t_us)
+
+    def forget(self) -> None:
+        """Tell the time anew before the next frame: frames that were made have not left."""
+        self._told_us = self._clock_told_us = None
 
     def set_tick(self, tick_us: int) -> None:
         """Count time in another unit from the next frame on, which is an epoch frame that tells so."""
@@ -158,10 +166,13 @@ class RawSender:
         epoch = Frame(self._settings.epoch, bytes(Epoch(t_us // tick_us, tick_us, self._sent, self._dropped)))
         return [*self._clock(t_us), Packed(epoch)]
 
+    def _knows(self, t_us: int) -> bool:
+        """Say whether the last clock frame is near enough to `t_us`."""
+        return self._clock_told_us is not None and abs(t_us - self._clock_told_us) < _CLOCK_PERIOD_US
+
     def _clock(self, t_us: int) -> list[Packed]:
         """Return the clock frame that an epoch frame needs before it, if it does."""
-        known = self._clock_told_us is not None and abs(t_us - self._clock_told_us) < _CLOCK_PERIOD_US
-        if known or self._settings.clock is None:
+        if self._settings.clock is None or self._knows(t_us):
             return []
         self._clock_told_us = t_us
         return [Packed(Frame(self._settings.clock, pack_clock(t_us)))]

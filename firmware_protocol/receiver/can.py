@@ -89,7 +89,7 @@ class CanReceiver:
         self._messages = MessageReader(self._inbox)
         self._replies: deque[Frame] = deque(maxlen=_MOST_REPLIES)
         self._heard: Counter[str] = Counter()
-        self._missing = 0
+        self._missing = self._message_us = 0
 
     def push(self, frame: Frame, now_ns: int = 0) -> None:
         """Take a frame that came at `now_ns`, which bounds pauses inside a message; never raises."""
@@ -164,9 +164,14 @@ class CanReceiver:
 
     def _take_edge(self, frame: Frame) -> None:
         try:
-            self._inbox.put_edges(unpack_mark(frame.data, self._raw.now_us or 0))
+            self._inbox.put_edges(unpack_mark(frame.data, self._near_us))
         except ObjectError:
             self._heard["edge frames malformed"] += 1
+
+    @property
+    def _near_us(self) -> int:
+        """The camera's newest time: of raw frames, or where there are none of messages."""
+        return self._message_us if self._raw.now_us is None else self._raw.now_us
 
     def _name(self, frame: Frame) -> str:
         return "CFP" if frame.extended else self._names.get(frame.identifier, f"{frame.identifier:03X}")
@@ -177,6 +182,7 @@ class CanReceiver:
         for received in unwrapper.push(packet):
             self._missing += received.missing
             self._messages.read(received.message)
+            self._message_us = received.message.t_us
 
 
 _COUNTED_APART = frozenset({"events_dropped", "edges_dropped", "bad_blocks", "bad_answers"})

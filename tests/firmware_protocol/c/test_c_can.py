@@ -4,9 +4,9 @@ import struct
 
 import numpy as np
 import pytest
-from raw_strategies import frames_of, jumping_streams
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from raw_strategies import frames_of, jumping_streams
 
 from firmware_protocol.can_frames.frame import FD_LENGTHS, Frame
 from firmware_protocol.can_frames.identifiers import Identifiers
