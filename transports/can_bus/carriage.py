@@ -144,6 +144,7 @@ class RawEvents(FrameSource):
     def drop(self) -> None:
         """See `FrameSource.drop`."""
         self._frames.clear()
+        self.sender.forget()
         super().drop()
 
     def _pack(self) -> None:
@@ -199,9 +200,8 @@ class RawEdges(FrameSource):
         own = outgoing.edges.copy()
         own["t"] -= np.uint64(outgoing.epoch_us % (1 << 64))
         for at, data in enumerate(pack_marks(own)):
-            self._frames += [
-                (packed.frame, empty_edges()) for packed in self._events.sender.time_frames(int(own["t"][at]))
-            ]
+            before = self._events.sender.time_frames(int(own["t"][at]))
+            self._frames += [(packed.frame, empty_edges()) for packed in before]
             self._frames.append((Frame(self._identifier, data), outgoing.edges[at : at + 1]))
 
     def left(self) -> None:
@@ -212,6 +212,7 @@ class RawEdges(FrameSource):
     def drop(self) -> None:
         """See `FrameSource.drop`."""
         self._frames.clear()
+        self._events.sender.forget()
         super().drop()
 
 

@@ -153,7 +153,7 @@ class Node:
             self._booted = False
 
     def _set_time(self, master_us: int, t_ns: int) -> None:
-        """Set the camera's time so that it was `master_us` when the frame was on the bus; an impossible one is counted."""
+        """Set the camera's time so that it was `master_us` when the frame was on the bus; count impossible times."""
         then_ns = self._deliveries.device_ns(t_ns)
         if then_ns is None:
             return

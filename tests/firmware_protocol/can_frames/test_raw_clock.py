@@ -70,6 +70,21 @@ def test_a_clock_frame_comes_first_then_once_a_second():
     assert [t for t, identifier in told if identifier == IDS.clock] == [0, 1_000_000, 2_000_000]
 
 
+def test_frames_that_never_left_are_made_up_for():
+    sender = RawSender(RawSettings(IDS.events, IDS.epoch, clock=IDS.clock))
+    assert len(sender.epoch(5, 0)) == 2
+    assert sender.epoch(6, 0) == []
+    sender.forget()
+    assert [p.frame.identifier for p in sender.epoch(6, 0)] == [IDS.clock, IDS.epoch]
+
+
+def test_an_edge_far_from_the_time_told_has_its_time_told_first():
+    sender = RawSender(RawSettings(IDS.events, IDS.epoch, clock=IDS.clock))
+    assert [p.frame.identifier for p in sender.time_frames(1 << 35)] == [IDS.clock, IDS.epoch]
+    assert sender.time_frames((1 << 35) + 999_999) == []
+    assert len(sender.time_frames(0)) == 2
+
+
 def test_a_clock_frame():
     assert pack_clock(0x0123_4567_89AB) == bytes.fromhex("ab89674523010000")
     assert unpack_clock(bytes.fromhex("ab89674523010000")) == 0x0123_4567_89AB
