@@ -57,7 +57,7 @@ def test_every_telecommand_is_in_the_table_with_its_length():
     assert set(rows) == {kind.__name__ for kind in TELECOMMANDS.values()}
     for kind in TELECOMMANDS.values():
         types, length = rows[kind.__name__][1:3]
-        assert kind.TYPE == tuple(int(part) for part in types.split(","))
+        assert tuple(int(part) for part in types.split(",")) == kind.TYPE
         data = (SHORT[kind] if kind in SHORT else kind(0) if kind.__name__ == "SetRateLimit" else kind()).encode()
         assert len(data) == int(length)
 
