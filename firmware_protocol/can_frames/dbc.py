@@ -27,9 +27,7 @@ _ABSENT: Mapping[str, frozenset[str]] = {
 }
 """Messages that a link with this transport does not have."""
 _FD_FRAMES = frozenset({"events", "telemetry", "telecommand"})
-_CFP_COMMENT = (
-    "Events, edges, answers and telecommands are CSP packets, cut up by CFP 2 into frames of extended identifiers"
-)
+_CFP_COMMENT = "Events, edges, answers and telecommands are CSP packets, in frames of CFP 2 with extended identifiers"
 
 
 @dataclass(frozen=True)
