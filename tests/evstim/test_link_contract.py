@@ -14,13 +14,12 @@ import serial
 from emulator.rig.link_kinds import LINKS
 from evstim.testing.link_contract import LinkContract, NoReader
 from firmware_protocol.instrument.settings import InstrumentSettings
-from firmware_protocol.packets.profile import Profile
+from firmware_protocol.receiver.can import CanReceiver
+from firmware_protocol.receiver.serial import SerialReceiver
 from transports.can_bus.listener import peer_of
 from transports.can_bus.parameters import CanParameters
 from transports.can_bus.python_can import PythonCanBus
-from transports.can_bus.receiver import CanReceiver
 from transports.serial_line.parameters import SerialParameters
-from transports.serial_line.reception import SerialReceiver
 from transports.usb.davis_host import DavisHost
 from transports.usb.loopback_kind import LoopbackLink
 from transports.usb.usbip.client import UsbipHost
@@ -81,7 +80,7 @@ class SerialReader(_ReadAllTheTime):
     absent = "waiting"
 
     def __init__(self, link):
-        self._receiver = SerialReceiver(Profile())
+        self._receiver = SerialReceiver()
         self._port = serial.Serial(link.report.address, timeout=0.05)
         super().__init__(link)
 
@@ -89,7 +88,8 @@ class SerialReader(_ReadAllTheTime):
         with suppress(OSError):  # the link has closed its side
             while self._open:
                 if data := self._port.read(self._port.in_waiting or 1):
-                    self._parts.put(self._receiver.push(data).events)
+                    self._receiver.push(data)
+                    self._parts.put(self._receiver.take_events())
 
     def close(self):
         super().close()
@@ -110,14 +110,15 @@ class CanReader(_ReadAllTheTime):
         asyncio.run(self._join())
 
     async def _join(self):
-        bus, receiver = PythonCanBus(self._parameters, "can0"), CanReceiver(self._parameters)
+        bus, receiver = PythonCanBus(self._parameters, "can0"), CanReceiver(self._parameters.receiver)
         await bus.open()
         with suppress(OSError):  # the link has closed the bus
             while self._open:
                 for heard in bus.take():
-                    self._parts.put(receiver.push(heard.frame, heard.t_ns))
-                    if receiver.answer is not None:
-                        bus.send(receiver.answer)
+                    receiver.push(heard.frame, heard.t_ns)
+                    self._parts.put(receiver.take_events())
+                    for reply in receiver.take_replies():
+                        bus.send(reply)
                 await bus.wait(0.05)
         await bus.close()
 

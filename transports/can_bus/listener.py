@@ -5,13 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
-import numpy as np
-
-from firmware_protocol.edges import Edges, empty_edges
+from firmware_protocol.receiver.can import CanReceiver
 from transports.can_bus.bus import BusDown
 from transports.can_bus.parameters import CanParameters
 from transports.can_bus.python_can import PythonCanBus
-from transports.can_bus.receiver import CanReceiver
 from transports.link.arrivals import Arrivals
 from transports.link.latency import LatencySummary
 from transports.link.pacing import Clock
@@ -64,9 +61,8 @@ class _Listening:
     """One visit to the bus."""
 
     def __init__(self, parameters: CanParameters, clock: Clock, recorder: Recorder | None) -> None:
-        self._receiver = CanReceiver(parameters)
+        self._receiver = CanReceiver(parameters.receiver)
         self._arrivals = Arrivals(clock, recorder)
-        self._edges_seen = 0
 
     @property
     def now(self) -> CanReception:
@@ -77,19 +73,15 @@ class _Listening:
     def take(self, bus: PythonCanBus) -> None:
         """Hear all that has come; raises BusDown when the bus is gone."""
         for heard in bus.take():
-            events = self._receiver.push(heard.frame, heard.t_ns)
-            if self._receiver.answer is not None:
-                bus.send(self._receiver.answer)
-            self._arrivals.add(events, self._new_edges(), heard.t_ns)
+            self._receiver.push(heard.frame, heard.t_ns)
+            for reply in self._receiver.take_replies():
+                bus.send(reply)
+            self._arrivals.add(self._receiver.take_events(), self._receiver.take_edges(), heard.t_ns)
 
     def finish(self, *, gone: bool) -> CanReception:
         """Return everything."""
         receiver, jitter = self._receiver, self._arrivals.jitter()
         return replace(self.now, faults=receiver.faults, counts=receiver.counts, jitter_us=jitter, gone=gone)
-
-    def _new_edges(self) -> Edges:
-        new, self._edges_seen = self._receiver.edges[self._edges_seen :], len(self._receiver.edges)
-        return np.concatenate(new) if new else empty_edges()
 
 
 async def listen_can(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import ClassVar, Literal
 
 from firmware_protocol.can_frames.bus_time import BitRates
@@ -11,6 +11,7 @@ from firmware_protocol.can_frames.isotp import IsoTpSettings
 from firmware_protocol.can_frames.raw_stream import RawSettings
 from firmware_protocol.can_frames.redundancy import SelectorSettings
 from firmware_protocol.instrument.settings import InstrumentSettings
+from firmware_protocol.receiver.can import CanReceiverSettings
 from transports.network.allow import check_allow
 
 __all__ = ["CanParameters", "Option"]
@@ -148,20 +149,22 @@ class CanParameters:
     @property
     def isotp(self) -> IsoTpSettings:
         """Our ISO-TP channel."""
-        ids = self.identifiers
-        return self._channel(ids.telemetry, ids.telecommand)
+        peer = self.peer_isotp
+        return replace(peer, send=peer.receive, receive=peer.send)
 
     @property
     def peer_isotp(self) -> IsoTpSettings:
         """The same channel as the peer sees it."""
-        ids = self.identifiers
-        return self._channel(ids.telecommand, ids.telemetry)
+        return self.receiver.isotp
 
-    def _channel(self, send: int, receive: int) -> IsoTpSettings:
-        timeout_ns = self.answer_ms * 1_000_000
-        return IsoTpSettings(send, receive, fd=self.fd, flow_control=self.flow_control, timeout_ns=timeout_ns)
+    @property
+    def receiver(self) -> CanReceiverSettings:
+        """What the computer has to know of this link."""
+        return CanReceiverSettings(
+            self.identifiers, self.fd, self.flow_control, self.answer_ms, self.csp_address, self.csp_peer
+        )
 
     def raw(self, tick_us: int) -> RawSettings:
         """Return how raw frames are made at a tick."""
         ids = self.identifiers
-        return RawSettings(ids.events, ids.epoch, tick_us, round(self.epoch_ms * 1000), self.fd)
+        return RawSettings(ids.events, ids.epoch, tick_us, round(self.epoch_ms * 1000), self.fd, clock=ids.clock)

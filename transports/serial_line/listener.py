@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from firmware_protocol.packets.housekeeping import Housekeeping
-from firmware_protocol.packets.profile import Profile
 from firmware_protocol.packets.telecommands import Telecommand
+from firmware_protocol.receiver.serial import SerialReceiver
 from transports.link.arrivals import Arrivals
 from transports.link.latency import LatencySummary
 from transports.link.pacing import Clock
@@ -15,11 +15,11 @@ from transports.link.record import Recorder
 from transports.serial_line.opening import open_port
 from transports.serial_line.parameters import SerialParameters
 from transports.serial_line.port import Port
-from transports.serial_line.reception import SerialReceiver
 
 __all__ = ["SerialReception", "listen_serial"]
 
 _LOOK_PERIOD_NS = 500_000
+_MOST_TOLD = 1024
 
 
 @dataclass(frozen=True)
@@ -42,8 +42,10 @@ class SerialReception:
         How much later than the quickest block each came: the camera's clock is not known.
     housekeeping
         The newest report.
+    answers
+        Number of answers to telecommands.
     told
-        Answers to telecommands.
+        The newest of them in words, at most 1024.
     gone
         True when the other side went away.
     """
@@ -57,6 +59,7 @@ class SerialReception:
     counts: Mapping[str, int] = field(default_factory=dict)
     jitter_us: LatencySummary = field(default_factory=LatencySummary)
     housekeeping: Housekeeping | None = None
+    answers: int = 0
     told: tuple[str, ...] = ()
     gone: bool = False
 
@@ -65,23 +68,27 @@ class _Listening:
     """One visit to the line."""
 
     def __init__(self, profile: str, clock: Clock, recorder: Recorder | None) -> None:
-        self.receiver = SerialReceiver(Profile(profile))
+        self.receiver = SerialReceiver(profile)
         self._clock = clock
         self._arrivals = Arrivals(clock, recorder)
         self._told: tuple[str, ...] = ()
+        self._answers = 0
 
     @property
     def now(self) -> SerialReception:
         """What has come so far, without what is known at the end alone."""
         a = self._arrivals
-        return SerialReception(a.events, a.edges, a.seconds, a.last_t_us, a.digest, told=self._told)
+        counted = SerialReception(a.events, a.edges, a.seconds, a.last_t_us, a.digest)
+        return replace(counted, answers=self._answers, told=self._told)
 
     def take(self, data: bytes) -> None:
         """Hear bytes that have come just now."""
         now_ns = self._clock.now_ns()
-        arrival = self.receiver.push(data)
-        self._arrivals.add(arrival.events, arrival.edges, now_ns)
-        self._told += arrival.told
+        self.receiver.push(data)
+        self._arrivals.add(self.receiver.take_events(), self.receiver.take_edges(), now_ns)
+        told = self.receiver.take_reports()
+        self._answers += len(told)
+        self._told = (self._told + told)[-_MOST_TOLD:]
 
     def finish(self, *, gone: bool) -> SerialReception:
         """Return everything."""

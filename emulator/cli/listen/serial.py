@@ -151,9 +151,9 @@ def _listen(parameters: SerialParameters, telecommands: list[Telecommand], limit
 
     def follow(now: SerialReception) -> bool:
         nonlocal told
-        for answer in now.told[told:]:
+        for answer in now.told[len(now.told) - (now.answers - told) :]:
             status.print(answer, markup=False)
-        told = len(now.told)
+        told = now.answers
         return goes_on(now)
 
     try:
