@@ -8,9 +8,9 @@
                        airy = 0.42 lambda N / pitch (the Gaussian nearest to Airy's disc), and a disc of confusion of
                        diameter c counts as c / 4: c = f^2 / (N (s - f)) |s - d| / d for focus at s, object at d
 
-The irradiance is pi tau L sin^2 u with u the half angle of the cone of light on the chip. A photographic lens is aplanatic
-(Abbe's sine condition), so the sine is 1 / (2 N), and a star (an irradiance through the area of the aperture) and a
-surface of the same light agree at every f-number. The other common form, 1 / (4 N^2 + 1), takes 1 / (2 N) for the
+The irradiance is pi tau L sin^2 u with u the half angle of the cone of light on the chip. A photographic lens is
+aplanatic (Abbe's sine condition), so the sine is 1 / (2 N), and a star (an irradiance through the area of the aperture)
+and a surface of the same light agree at every f-number. The other common form, 1 / (4 N^2 + 1), takes 1 / (2 N) for the
 tangent: it is 11 % lower at f/1.4. Source: Born and Wolf, Principles of Optics, sections 4.5.1 and 4.8.
 
 The chip's figures are estimates (fill factor 22 %, peak efficiency 24 % for the front-illuminated DAVIS346; pitch as in

@@ -5,11 +5,11 @@ Light is counted in the Sun's band (see `photometry.sun`): a star of magnitude V
 
     E = 530 W/m2 * 10^(-0.4 (V + 26.74))
 
-The catalogue holds Hp and B-V. V - Hp is a function of B-V: Bessell 2000, PASP 112, 961, table 2 (for dwarfs from B to G
-and giants of K and M; good to 0.02 mag, and to 0.1 for the reddest variable stars). Detectors of Hipparcos were not
-linear for the brightest stars: Hp of Sirius is 0.37 mag too faint, that of Canopus 0.14. So the V of stars above 0.5 is
-replaced by that of the Bright Star Catalogue (Hoffleit and Warren 1991, CDS V/50), see `_BRIGHTEST`; so is that of alpha
-Centauri B, whose Hp holds light of A.
+The catalogue holds Hp and B-V. V - Hp is a function of B-V: Bessell 2000, PASP 112, 961, table 2 (for dwarfs from B to
+G and giants of K and M; good to 0.02 mag, and to 0.1 for the reddest variable stars). The detectors of Hipparcos were
+not linear for the brightest stars: Hp of Sirius is 0.37 mag too faint, that of Canopus 0.14. So the V of stars brighter
+than 0.5 is that of the Bright Star Catalogue (Hoffleit and Warren 1991, CDS V/50), see `_BRIGHTEST`; so is the V of
+alpha Centauri B, whose Hp holds light of A.
 """
 
 from __future__ import annotations
@@ -32,13 +32,17 @@ _FILE = Path(__file__).parent / "data" / "hipparcos.npz"
 _EPOCH = 1991.25
 _MAS_RAD = np.pi / 180 / 3600 / 1000
 
-_B_V = (-0.219, -0.179, -0.139, -0.095, -0.048, -0.005, 0.04, 0.083, 0.13, 0.179, 0.227, 0.275, 0.325, 0.374, 0.42, 0.465,
-        0.505, 0.549, 0.59, 0.632, 0.674, 0.715, 0.756, 0.796, 0.837, 0.878, 0.919, 0.958, 0.996, 1.034, 1.072, 1.111,
-        1.151, 1.19, 1.228, 1.266, 1.305, 1.344, 1.384, 1.423, 1.462, 1.501, 1.541, 1.58, 1.619, 1.658)  # fmt: skip
-_V_MINUS_HP = (0.066, 0.051, 0.036, 0.021, 0.006, -0.011, -0.025, -0.038, -0.048, -0.058, -0.069, -0.079, -0.087, -0.094,
-               -0.101, -0.108, -0.114, -0.12, -0.127, -0.131, -0.134, -0.137, -0.142, -0.147, -0.151, -0.155, -0.158,
-               -0.157, -0.16, -0.162, -0.164, -0.166, -0.166, -0.165, -0.164, -0.161, -0.157, -0.153, -0.148, -0.143,
-               -0.137, -0.131, -0.125, -0.119, -0.112, -0.106)  # fmt: skip
+_B_V = (
+    -0.219, -0.179, -0.139, -0.095, -0.048, -0.005, 0.04, 0.083, 0.13, 0.179, 0.227, 0.275, 0.325, 0.374, 0.42,
+    0.465, 0.505, 0.549, 0.59, 0.632, 0.674, 0.715, 0.756, 0.796, 0.837, 0.878, 0.919, 0.958, 0.996, 1.034,
+    1.072, 1.111, 1.151, 1.19, 1.228, 1.266, 1.305, 1.344, 1.384, 1.423, 1.462, 1.501, 1.541, 1.58, 1.619, 1.658,
+)  # fmt: skip
+_V_MINUS_HP = (
+    0.066, 0.051, 0.036, 0.021, 0.006, -0.011, -0.025, -0.038, -0.048, -0.058, -0.069, -0.079, -0.087, -0.094,
+    -0.101, -0.108, -0.114, -0.12, -0.127, -0.131, -0.134, -0.137, -0.142, -0.147, -0.151, -0.155, -0.158,
+    -0.157, -0.16, -0.162, -0.164, -0.166, -0.166, -0.165, -0.164, -0.161, -0.157, -0.153, -0.148, -0.143,
+    -0.137, -0.131, -0.125, -0.119, -0.112, -0.106,
+)  # fmt: skip
 """Bessell's table, its colours BT-VT turned into B-V; beyond its ends the nearest entry holds."""
 
 _BRIGHTEST_HP = 1.3
