@@ -1,4 +1,7 @@
-"""From a rig's table to a trajectory."""
+"""Trajectories from a rig's tables.
+
+The paths of one scene are built together, because live ones share a port: the camera is number 0, bodies follow.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,7 @@ from emulator.trajectory.conventions import from_opengl
 from emulator.trajectory.descent import Descent
 from emulator.trajectory.flight_file import parse_flight
 from emulator.trajectory.keyframes import Keyframes
-from emulator.trajectory.live import Inlet, LivePoses
+from emulator.trajectory.live import LivePoses
 from emulator.trajectory.looking import Looking
 from emulator.trajectory.orbit import Orbit
 from emulator.trajectory.parameters import (
@@ -29,15 +32,29 @@ from emulator.trajectory.parameters import (
     TrajectoryParameters,
 )
 from emulator.trajectory.pose import Fixed, Pose, Trajectory, TrajectoryError
+from emulator.trajectory.pose_receiver import PoseReceiver, ReceivedPath, close_receivers
 from emulator.trajectory.spinning import Spinning, Tilt
 from emulator.trajectory.table_file import Samples, parse_table
 
-__all__ = ["build_trajectory"]
+__all__ = ["build_trajectories", "build_trajectory"]
 
 _LOG = logging.getLogger(__name__)
 
 _Triple = tuple[float, float, float]
 _MEASURED = 1024  # instants at which a path's turning is measured
+
+
+def build_trajectories(paths: Sequence[TrajectoryParameters]) -> list[Trajectory]:
+    """Return the trajectories of a scene's camera and bodies, in this order; raises as `build_trajectory`."""
+    receivers: dict[tuple[str, int], PoseReceiver] = {}
+    built: list[Trajectory] = []
+    try:
+        for number, p in enumerate(paths):
+            built.append(_received(p, number, receivers) if isinstance(p, LivePath) else build_trajectory(p))
+    except (TrajectoryError, OSError):
+        close_receivers(*built)
+        raise
+    return built
 
 
 def build_trajectory(p: TrajectoryParameters) -> Trajectory:
@@ -60,8 +77,17 @@ def build_trajectory(p: TrajectoryParameters) -> Trajectory:
             path = _read(p)
             return _looking(path, p.look_at_m, p.up, _spread(*path.span_ns))
         case LivePath():
-            first = Pose(np.array(p.position_m), np.array(p.q_world_from_body))
-            return Inlet(p.host, p.port, LivePoses(first, round(p.hold_ms * 1e6)))
+            return _received(p, 0, {})
+
+
+def _received(p: LivePath, number: int, receivers: dict[tuple[str, int], PoseReceiver]) -> ReceivedPath:
+    """Return the live path of a scene's thing `number`, on a receiver that others may use already."""
+    receiver = receivers.get((p.host, p.port)) or PoseReceiver(p.host, p.port, p.allow)
+    receivers[p.host, p.port] = receiver
+    if receiver.allow != frozenset(p.allow):
+        raise TrajectoryError(f"live paths that share port {p.port} must have the same addresses in `allow`")
+    first = Pose(np.array(p.position_m), np.array(p.q_world_from_body))
+    return ReceivedPath(receiver, number, LivePoses(first, round(p.hold_ms * 1e6), round(p.ahead_ms * 1e6)))
 
 
 def _looking(path: Trajectory, target_m: _Triple | None, up: _Triple, times_ns: Sequence[int]) -> Trajectory:

@@ -171,9 +171,9 @@ def test_what_a_flight_file_holds_beside_poses_is_told(tmp_path, caplog):
 
 
 def test_a_live_path_from_a_rig_listens():
-    inlet = build_trajectory(LivePath(port=0))
-    assert inlet.address[1] > 0
-    inlet.close()
+    path = build_trajectory(LivePath(port=0))
+    assert path.receiver.address[1] > 0
+    path.receiver.close()
 
 
 @pytest.mark.parametrize(("name", "message"), [("a.txt", "name it .csv, .oem or .fli"), ("none.csv", "cannot be read")])
@@ -192,6 +192,7 @@ def test_a_file_that_cannot_be_used(tmp_path, name, message):
         lambda: FilePath(),
         lambda: LivePath(port=70000),
         lambda: LivePath(hold_ms=-1.0),
+        lambda: LivePath(ahead_ms=1e6),
         lambda: FilePath("a.fli", period_s=0.0),
     ],
 )
