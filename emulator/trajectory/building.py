@@ -5,18 +5,13 @@ The paths of one scene are built together, because live ones share a port: the c
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Sequence
 from fractions import Fraction
-from pathlib import Path
 
 import numpy as np
 
 from emulator.geometry.cycle import Cycle
-from emulator.trajectory.ccsds_file import parse_aem, parse_oem
-from emulator.trajectory.conventions import from_opengl
 from emulator.trajectory.descent import Descent
-from emulator.trajectory.flight_file import parse_flight
 from emulator.trajectory.keyframes import Keyframes
 from emulator.trajectory.live import LivePoses
 from emulator.trajectory.looking import Looking
@@ -33,12 +28,10 @@ from emulator.trajectory.parameters import (
 )
 from emulator.trajectory.pose import Fixed, Pose, Trajectory, TrajectoryError
 from emulator.trajectory.pose_receiver import PoseReceiver, ReceivedPath, close_receivers
+from emulator.trajectory.recorded import read_path
 from emulator.trajectory.spinning import Spinning, Tilt
-from emulator.trajectory.table_file import Samples, parse_table
 
 __all__ = ["build_trajectories", "build_trajectory"]
-
-_LOG = logging.getLogger(__name__)
 
 _Triple = tuple[float, float, float]
 _MEASURED = 1024  # instants at which a path's turning is measured
@@ -74,8 +67,8 @@ def build_trajectory(p: TrajectoryParameters) -> Trajectory:
         case DescentPath():
             return Descent(p.gates, p.heading_deg, p.site_m)
         case FilePath():
-            path = _read(p)
-            return _looking(path, p.look_at_m, p.up, _spread(*path.span_ns))
+            recorded, span_ns = read_path(p)
+            return _looking(recorded, p.look_at_m, p.up, _spread(*span_ns))
         case LivePath():
             return _received(p, 0, {})
 
@@ -105,54 +98,3 @@ def _spinning(p: SpinPath) -> Spinning:
     turned = Cycle(turns(p.spin_deg_s), turns(p.start_deg))
     tilt = Tilt(float(np.radians(p.tilt_deg)), Cycle(turns(p.precession_deg_s)))
     return Spinning(p.position_m, p.pole, turned, tilt)
-
-
-def _read(p: FilePath) -> Keyframes:
-    """Read a path, and the attitudes from a file of their own where there is one."""
-    try:
-        samples = _samples(Path(p.path), p.period_s)
-        if p.attitude_path:
-            samples = _with_attitudes(samples, parse_aem(_text(Path(p.attitude_path))))
-    except TrajectoryError as error:
-        raise TrajectoryError(f"{p.path}: {error}") from error
-    poses = samples.poses
-    if p.axes == "opengl":
-        poses = [Pose(pose.position_m, from_opengl(pose.q_world_from_body)) for pose in poses]
-    velocities = np.array(samples.velocities_m_s) if samples.velocities_m_s else None
-    try:
-        return Keyframes(samples.times_ns, poses, velocities)
-    except TrajectoryError as error:
-        raise TrajectoryError(f"{p.path}: {error}") from error
-
-
-def _samples(path: Path, period_s: float) -> Samples:
-    text = _text(path)
-    match path.suffix.lower():
-        case ".oem":
-            return parse_oem(text)
-        case ".fli":
-            flight = parse_flight(text, period_s)
-            if flight.left_out:
-                told = ", ".join(f"{count} {command}" for command, count in flight.left_out.items())
-                _LOG.info("%s: left out of the flight: %s", path, told)
-            return flight.samples
-        case ".csv":
-            return parse_table(text)
-    raise TrajectoryError("which format this is cannot be told: name it .csv, .oem or .fli")
-
-
-def _with_attitudes(places: Samples, attitudes: Samples) -> Samples:
-    """Return the places with attitudes of their times; both files start at the same instant."""
-    turning = Keyframes(attitudes.times_ns, attitudes.poses)
-    poses = [
-        Pose(place.position_m, turning.pose(t_ns).q_world_from_body)
-        for t_ns, place in zip(places.times_ns, places.poses, strict=True)
-    ]
-    return Samples(places.times_ns, poses, places.velocities_m_s)
-
-
-def _text(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise TrajectoryError(f"cannot be read: {getattr(error, 'strerror', None) or error}") from error

@@ -18,13 +18,14 @@ sender that does not count (other poses with the same counter) is heard.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
 
-from emulator.trajectory.measured import turn_rad
-from emulator.trajectory.pose import STILL, Pose, Trajectory, multiply
+from emulator.geometry.attitude import Quaternion, Vector, conjugate, multiply, quaternion_of_vector
+from emulator.trajectory.pose import STILL, Pose, Trajectory
 from firmware_protocol.pose_message import NOW, PoseMessage
 
 __all__ = ["LiveCounters", "LivePoses"]
@@ -160,12 +161,13 @@ def _between(before: _Known, after: _Known, t_ns: int) -> Pose:
     a, b = before.pose, after.pose
     x = (t_ns - before.t_ns) / (after.t_ns - before.t_ns)
     place = (1 - x) * a.position_m + x * b.position_m  # exact at both, also beside a place very far away
-    if turn_rad(a, b) < 1e-9:
-        return Pose(place, b.q_world_from_body)
-    turn = multiply(b.q_world_from_body, a.q_world_from_body * np.array([1.0, -1.0, -1.0, -1.0]))
-    if turn[0] < 0:
-        turn = -turn
-    half = np.arctan2(np.linalg.norm(turn[1:]), turn[0])
-    axis = turn[1:] / np.linalg.norm(turn[1:])
-    part = np.concatenate([[np.cos(x * half)], np.sin(x * half) * axis])
-    return Pose(place, multiply(part, a.q_world_from_body))
+    turn = multiply(b.q_world_from_body, conjugate(a.q_world_from_body))
+    part = quaternion_of_vector((x - 1) * _vector_of(turn))
+    return Pose(place, multiply(part, b.q_world_from_body))
+
+
+def _vector_of(q: Quaternion) -> Vector:
+    """Return the rotation vector of a unit quaternion, at most half a turn long."""
+    sine = float(np.linalg.norm(q[1:]))
+    half = math.atan2(sine, abs(q[0]))
+    return np.asarray(math.copysign(2 * half / sine if sine > 0 else 2.0, q[0]) * q[1:])

@@ -11,11 +11,10 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from emulator.geometry.attitude import Matrix, Vector, matrix_of
+from emulator.geometry.attitude import Matrix, Quaternion, Vector, conjugate, matrix_of, multiply
 
-__all__ = ["STILL", "Fixed", "Pose", "Trajectory", "TrajectoryError", "multiply"]
+__all__ = ["STILL", "Fixed", "Pose", "Trajectory", "TrajectoryError"]
 
 _UNIT_WITHIN = 1e-3
 
@@ -40,7 +39,7 @@ class Pose:
     """
 
     position_m: Vector
-    q_world_from_body: npt.NDArray[np.float64]
+    q_world_from_body: Quaternion
 
     def __post_init__(self) -> None:
         position, q = np.asarray(self.position_m, np.float64), np.asarray(self.q_world_from_body, np.float64)
@@ -64,8 +63,7 @@ class Pose:
 
     def inverse(self) -> Pose:
         """Return the world as seen from here."""
-        q = self.q_world_from_body * np.array([1.0, -1.0, -1.0, -1.0])
-        return Pose(-(self.world_from_body.T @ self.position_m), q)
+        return Pose(-(self.world_from_body.T @ self.position_m), conjugate(self.q_world_from_body))
 
 
 STILL = Pose(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
@@ -109,9 +107,3 @@ class Fixed(Trajectory):
     def turn_bound_rad_s(self) -> float:
         """It does not turn."""
         return 0.0
-
-
-def multiply(a: npt.NDArray[np.float64], b: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Return the product of two quaternions: the turn `b`, then the turn `a`."""
-    vector = a[0] * b[1:] + b[0] * a[1:] + np.cross(a[1:], b[1:])
-    return np.concatenate([[a[0] * b[0] - a[1:] @ b[1:]], vector])
