@@ -3,7 +3,8 @@
     Lagrange of degree d     through d + 1 samples
     Hermite of degree d      through (d + 1) / 2 samples and their velocities; an even degree is raised by one
 
-The samples lie evenly before and after the instant; at the ends of the path they are the first or last ones. Computed
+The samples lie evenly before and after the instant, an odd one before it; at the ends of the path they are the first or
+last ones. One polynomial follows another at a sample, which both go through, so the place makes no jump. Computed
 by scipy's KroghInterpolator (Krogh 1970, Mathematics of Computation 24, 185) in steps of time, which keeps it well
 conditioned.
 """
@@ -88,8 +89,6 @@ class PolynomialPath(Trajectory):
     def _first_used(self, t_ns: int) -> int:
         """Return the first of the samples around `t_ns`."""
         after = int(np.searchsorted(self._times_ns, t_ns, "right"))
-        if self._used % 2 and after < len(self._times_ns):
-            after += int(2 * t_ns > int(self._times_ns[after - 1]) + int(self._times_ns[after]))
         return min(max(after - (self._used + 1) // 2, 0), len(self._times_ns) - self._used)
 
     def _through(self, first: int) -> KroghInterpolator:
