@@ -34,7 +34,7 @@ _AIRY = 0.42
 
 @dataclass(frozen=True)
 class Chip:
-    """What a sensor's pixel does with light.
+    """Pixel pitch and efficiency of a sensor.
 
     Attributes
     ----------
@@ -59,7 +59,7 @@ CHIPS = {
     "dvxplorer_micro": Chip(9.0, 0.22, 0.24),
     "imx636": Chip(4.86, 0.77, 0.7),
 }
-"""By the camera's model; see the module's first lines for how sure they are."""
+"""Chips by camera model; the first lines of the module say how well they are known."""
 
 
 @dataclass(frozen=True)

@@ -45,7 +45,7 @@ _Line = tuple[int, dict[str, str], list[str]]
 
 @dataclass(frozen=True, eq=False)
 class CcsdsPath:
-    """What a file says.
+    """Contents of a CCSDS file.
 
     Attributes
     ----------

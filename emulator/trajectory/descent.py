@@ -39,7 +39,7 @@ _UP = np.array([0.0, 0.0, 1.0])
 
 @dataclass(frozen=True)
 class Gate:
-    """What a lander does at one moment.
+    """Height, speeds and pitch of a lander at one instant.
 
     Attributes
     ----------
@@ -77,7 +77,7 @@ LANDING = (
 
 
 class Descent(Trajectory):
-    """Goes through `gates`, in order of time, to `site_m` (3,); raises TrajectoryError if it would touch the ground."""
+    """A descent through `gates`, in order of time, to `site_m` (3,); raises TrajectoryError below the ground."""
 
     def __init__(
         self, gates: Sequence[Gate] = LANDING, heading_deg: float = 0.0, site_m: npt.ArrayLike = (0.0, 0.0, 0.0)

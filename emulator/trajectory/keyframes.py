@@ -35,7 +35,7 @@ _Floats = npt.NDArray[np.float64]
 
 
 class Keyframes(Trajectory):
-    """Goes through poses at given times.
+    """A smooth path through poses at given times.
 
     Parameters
     ----------

@@ -67,7 +67,7 @@ def _require_senders(host: str, allow: tuple[str, ...]) -> None:
 
 @dataclass(frozen=True)
 class FixedPath:
-    """Stays where it is.
+    """A fixed pose.
 
     Attributes
     ----------
@@ -118,7 +118,7 @@ class Keyframe:
 
 @dataclass(frozen=True)
 class KeyframePath:
-    """Poses at given times, joined smoothly.
+    """A smooth path through poses at given times.
 
     Attributes
     ----------
@@ -142,7 +142,7 @@ class KeyframePath:
 
 @dataclass(frozen=True)
 class OrbitPath(Elements):
-    """Goes round the origin on an ellipse.
+    """An elliptical orbit around the origin.
 
     Attributes
     ----------
@@ -174,7 +174,7 @@ class OrbitPath(Elements):
 
 @dataclass(frozen=True)
 class SpinPath:
-    """Stays and turns about its +Z axis; with a tilt that axis goes round the angular momentum, as a tumbling body's.
+    """A rotation about +Z at a fixed place; with a tilt that axis precesses about the angular momentum.
 
     Attributes
     ----------

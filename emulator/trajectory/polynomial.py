@@ -27,7 +27,7 @@ _HIGHEST_DEGREE = 25
 
 
 class PolynomialPath(Trajectory):
-    """Goes through places at given times on polynomials; its attitude is that of the world.
+    """A path through places at given times on polynomials, with the attitude of the world.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
-"""A place and an attitude, and what moves through them.
+"""Poses (a place and an attitude), and trajectories that give one at every instant.
 
 World: metres, right-handed. `q_world_from_body` is a unit quaternion, scalar first: it turns coordinates along the
-thing's own axes into coordinates along the world's. A camera's own axes are OpenCV's: x right, y down, z out along the
-boresight. Other conventions (SPICE, Basilisk, ROS, OpenGL) are converted where they come in, see `conventions`.
+body's own axes into coordinates along the world's. A camera's own axes are OpenCV's: x right, y down, z out along the
+boresight. Other conventions (SPICE, Basilisk, ROS, OpenGL) are converted by `conventions`.
 """
 
 from __future__ import annotations
@@ -57,12 +57,12 @@ class Pose:
         return matrix_of(self.q_world_from_body)
 
     def after(self, child: Pose) -> Pose:
-        """Return in the world what `child` is in this thing's own frame."""
+        """Return the pose in the world of `child`, which is given in the frame of this pose."""
         position = self.position_m + self.world_from_body @ child.position_m
         return Pose(position, multiply(self.q_world_from_body, child.q_world_from_body))
 
     def inverse(self) -> Pose:
-        """Return the world as seen from here."""
+        """Return the pose of the world in the frame of this pose."""
         return Pose(-(self.world_from_body.T @ self.position_m), conjugate(self.q_world_from_body))
 
 
@@ -75,21 +75,21 @@ class Trajectory(ABC):
 
     @abstractmethod
     def pose(self, t_ns: int) -> Pose:
-        """Return the pose at stream time `t_ns`; depends on nothing else, unless the trajectory comes from outside."""
+        """Return the pose at time `t_ns`, which depends on nothing else unless poses come from outside."""
 
     @property
     @abstractmethod
     def speed_bound_m_s(self) -> float:
-        """It never moves faster; infinite where that is not known."""
+        """Upper bound of the speed, m/s; infinite where none is known."""
 
     @property
     @abstractmethod
     def turn_bound_rad_s(self) -> float:
-        """It never turns faster; infinite where that is not known."""
+        """Upper bound of the rate of turning, rad/s; infinite where none is known."""
 
 
 class Fixed(Trajectory):
-    """Stays where it is."""
+    """A trajectory that stays at one pose."""
 
     def __init__(self, pose: Pose = STILL) -> None:
         self._pose = pose

@@ -30,7 +30,7 @@ class Segment:
 
 
 class Segmented(Trajectory):
-    """Goes along segments in turn; at an instant that two share the later one holds.
+    """A trajectory of segments in turn; at an instant that two share the later one holds.
 
     Before the first segment and after the last the pose stays what it is there.
 

@@ -27,7 +27,7 @@ _ATTITUDE = ("qw", "qx", "qy", "qz")
 
 @dataclass(eq=False)
 class Samples:
-    """Poses at times as a file gives them."""
+    """Times and poses of a file."""
 
     times_ns: list[int] = field(default_factory=list)
     poses: list[Pose] = field(default_factory=list)
