@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import socket
 
 import numpy as np
 import pytest
@@ -17,7 +18,8 @@ from emulator.scene.stars.splats import splat
 from emulator.scene.stars.stars import StarField
 from emulator.scene.stars.table import MovingPoint, StarsParameters
 from emulator.trajectory.looking import looking_along
-from emulator.trajectory.parameters import FixedPath, Keyframe, KeyframePath, SpinPath
+from emulator.trajectory.parameters import FixedPath, Keyframe, KeyframePath, LivePath, SpinPath
+from firmware_protocol.pose_message import NOW, PoseMessage
 
 SIZE = (64, 48)
 LENS = LensParameters(field_of_view_deg=20.0, blur_px=0.5, f_number=1.4)
@@ -192,6 +194,27 @@ def test_the_sky_between_the_stars():
     light, _ = drawn(StarsParameters(faintest_v=-2.0, sky_w_m2_sr=0.01))
     assert np.unique(light).size == 1
     assert light[0, 0] == pytest.approx(0.01 * LENS.light_per_radiance)
+
+
+@pytest.mark.socket
+def test_a_camera_and_a_point_are_flown_over_one_port():
+    """The point is 1, and is hidden until its pose puts it ahead of the camera, which is 0."""
+    live = LivePath(port=0, position_m=(-1e6, 0.0, 0.0))
+    sky = StarsParameters(
+        camera=LivePath(port=0), faintest_v=-2.0, sun=Sun((0.0, 0.0, -1.0)), points=(MovingPoint(live, 100.0),)
+    )
+    light, still = np.zeros(SIZE[::-1], np.float32), (1.0, 0.0, 0.0, 0.0)
+    with StarField(sky, SIZE, LENS, CHIP) as scene, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        scene.light(0, light)
+        assert light.max() == 0
+        for body, place in ((0, (0.0, 0.0, -1e5)), (1, (0.0, 0.0, 9e5)), (2, (0.0, 0.0, 0.0))):
+            sender.sendto(bytes(PoseMessage(NOW, place, still, body)), scene._camera.receiver.address)
+        scene.light(10_000_000, light)
+        scene.light(20_000_000, light)
+        counts = scene.counts
+    expected = SUN_W_M2 * 0.2 * (100 / 1e6) ** 2 * LENS.pinhole(SIZE).focal_px ** 2 * LENS.light_per_radiance
+    assert light.sum(dtype=float) == pytest.approx(expected, rel=2e-3)
+    assert (counts["poses taken"], counts["poses of unknown bodies"]) == (2, 1)
 
 
 def test_a_camera_inside_a_point_is_refused():
