@@ -31,9 +31,9 @@ from emulator.scene.bodies.mesh import Mesh, find_shape, load_mesh
 from emulator.scene.bodies.shadows import ShadowMap, Thrower
 from emulator.scene.bodies.table import BodiesParameters, BodyTable
 from emulator.scene.bodies.touched_region import box_corners, reach
-from emulator.trajectory.building import build_trajectory
-from emulator.trajectory.live import close_inlets, live_counts
-from emulator.trajectory.pose import Pose, TrajectoryError
+from emulator.trajectory.building import build_trajectories
+from emulator.trajectory.pose import Pose, Trajectory, TrajectoryError
+from emulator.trajectory.pose_receiver import close_receivers, live_counts
 from emulator.trajectory.timescale import Timescale
 
 if TYPE_CHECKING:
@@ -82,8 +82,8 @@ class Bodies(Scene):
         self._sun = unit(parameters.sun.direction)
         self._throwing = [k for k, body in enumerate(parameters.bodies) if body.throws_shadow]
         try:
-            self._camera = build_trajectory(parameters.camera)
-            self._parts = [self._part(body) for body in parameters.bodies]
+            self._camera, *paths = build_trajectories([parameters.camera, *(b.path for b in parameters.bodies)])
+            self._parts = [self._part(body, path) for body, path in zip(parameters.bodies, paths, strict=True)]
         except (TrajectoryError, OSError) as error:
             raise SceneError(f"scene: {error}") from error
         self._notes = [
@@ -143,13 +143,13 @@ class Bodies(Scene):
     def close(self) -> None:
         """Give back the GL context and the ports; a second call does nothing."""
         self._stage.close()
-        close_inlets(self._camera, *(part.placed.path for part in self._parts))
+        close_receivers(self._camera, *(part.placed.path for part in self._parts))
 
-    def _part(self, body: BodyTable) -> _Part:
+    def _part(self, body: BodyTable, path: Trajectory) -> _Part:
         names = [other.name for other in self._p.bodies]
         parent = names.index(body.fixed_to) if body.fixed_to else None
         mesh = load_mesh(find_shape(body.shape), body.units_m)
-        placed = Placed(build_trajectory(body.path), parent, mesh.radius_m)
+        placed = Placed(path, parent, mesh.radius_m)
         return _Part(placed, mesh, box_corners(mesh.vertices))
 
     def _require_outside(self) -> None:

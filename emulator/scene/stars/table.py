@@ -1,4 +1,4 @@
-"""Stars and points that move, as a rig writes them."""
+"""Rig tables of a sky of stars and moving points."""
 
 from __future__ import annotations
 
