@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parent.parent
-ROOMS = ("emulator", "transports", "firmware_protocol")
+ROOMS = ("evstim", "emulator", "transports", "firmware_protocol")
 MODULES = sorted(path for room in ROOMS for path in (ROOT / room).rglob("*.py"))
 LONGEST = 500
 

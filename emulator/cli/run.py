@@ -17,6 +17,7 @@ from emulator.cli.run_output.live import LiveTable
 from emulator.cli.run_output.timing import timing_json, timing_lines
 from emulator.cli.signals import stopped_by_signals
 from emulator.rig.loading import Rig, load_rig
+from emulator.rig.options import with_options
 from emulator.run.assembly import build_session, link_setups, schedule
 from emulator.run.fault_injection import fault_desk
 from emulator.run.scene_assembly import build_scene
@@ -99,9 +100,8 @@ def run(
 
 
 def _with_options(rig: Rig, seconds: float | None, seed: int | None, pace: str | None) -> Rig:
-    changed = {k: v for k, v in (("seconds", seconds), ("seed", seed), ("pace", pace)) if v is not None}
     try:
-        return dataclasses.replace(rig, run=dataclasses.replace(rig.run, **changed))  # type: ignore[arg-type]
+        return with_options(rig, seconds, seed, pace)
     except ValueError as error:
         raise Failure(f"--{error}", WRONG_USE) from error
 

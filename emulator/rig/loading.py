@@ -20,7 +20,6 @@ import dataclasses
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from importlib import resources
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -113,7 +112,9 @@ class Rig:
 
 def shipped_rigs() -> dict[str, Path]:
     """Return the rigs that come with evstim, by name."""
-    folder = Path(str(resources.files("rigs")))
+    root = Path(__file__).parents[2]
+    installed = root / "evstim" / "rigs"
+    folder = installed if installed.is_dir() else root / "rigs"  # the second in a checkout
     return {path.stem: path for path in sorted(folder.glob("*.toml"))}
 
 

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import multiprocessing
-from collections.abc import Callable
-from contextlib import suppress
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from functools import partial
 from typing import Any
 
 from firmware_protocol.events import Events
@@ -16,6 +19,7 @@ __all__ = ["LinkFailed", "LinkProcess"]
 
 _START_TIMEOUT_S = 180.0  # the first time, a link compiles its kernels: 10 s, and longer on a machine that is busy
 _ROOM_WAIT_NS = 200_000
+_starting = threading.Lock()
 
 
 class LinkFailed(Exception):
@@ -32,7 +36,8 @@ class LinkProcess:
         context = multiprocessing.get_context("spawn")
         self._control, theirs = context.Pipe()
         self._process = context.Process(target=run_link, args=(setup, theirs), name=f"evstim {setup.name}", daemon=True)
-        self._process.start()
+        with _without_main_module(setup):
+            self._process.start()
         theirs.close()
         self.report = LinkReport("starting")
 
@@ -96,3 +101,29 @@ class LinkProcess:
         if self._process.is_alive():
             self._process.kill()
         return self.report
+
+
+@contextmanager
+def _without_main_module(setup: LinkSetup[Any]) -> Iterator[None]:
+    """Start a process that does not import the main module again, unless a part of `setup` is defined there.
+
+    Else a script that starts a run without `if __name__ == "__main__":`, or one read from standard input, would fail.
+    """
+    main = sys.modules["__main__"]
+    if "__main__" in (_module_of(setup.device), _module_of(setup.endpoint)):
+        yield
+        return
+    with _starting:
+        hidden = {name: vars(main).pop(name) for name in ("__file__", "__spec__") if name in vars(main)}
+        main.__spec__ = None
+        try:
+            yield
+        finally:
+            vars(main).update(hidden)
+
+
+def _module_of(part: object) -> str:
+    """Return the module in which a factory, or the function in it, is defined."""
+    while isinstance(part, partial):
+        part = part.func
+    return str(getattr(part, "__module__", type(part).__module__))
