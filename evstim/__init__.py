@@ -48,17 +48,18 @@ if TYPE_CHECKING:
     from evstim.running import LiveRun as LiveRun
     from evstim.running import run as run
     from evstim.sensor import Sensor as Sensor
-    from firmware_protocol.davis346.decoder import Decoder as DavisReceiver
     from firmware_protocol.edges import EDGE as EDGE
     from firmware_protocol.events import EVENT as EVENT
     from firmware_protocol.packets.profile import Profile as Profile
+    from firmware_protocol.receiver.can import CanReceiver as CanReceiver
+    from firmware_protocol.receiver.can import CanReceiverSettings as CanReceiverSettings
     from firmware_protocol.receiver.clock_estimator import ClockEstimate as ClockEstimate
     from firmware_protocol.receiver.clock_estimator import ClockEstimator as ClockEstimator
+    from firmware_protocol.receiver.davis import DavisReceiver as DavisReceiver
+    from firmware_protocol.receiver.serial import SerialReceiver as SerialReceiver
     from transports.can_bus.parameters import CanParameters as CanParameters
-    from transports.can_bus.receiver import CanReceiver as CanReceiver
     from transports.link.record import load_record as load_record
     from transports.serial_line.parameters import SerialParameters as SerialParameters
-    from transports.serial_line.reception import SerialReceiver as SerialReceiver
     from transports.usb.usbip.parameters import UsbipLink as UsbipLink
 
 _SOURCES = {
@@ -68,11 +69,12 @@ _SOURCES = {
     "BodiesParameters": "emulator.scene.bodies.table",
     "Camera": "emulator.rig.tables",
     "CanParameters": "transports.can_bus.parameters",
-    "CanReceiver": "transports.can_bus.receiver",
+    "CanReceiver": "firmware_protocol.receiver.can",
+    "CanReceiverSettings": "firmware_protocol.receiver.can",
     "CheckerboardParameters": "emulator.scene.checkerboard.table",
     "ClockEstimate": "firmware_protocol.receiver.clock_estimator",
     "ClockEstimator": "firmware_protocol.receiver.clock_estimator",
-    "DavisReceiver": "firmware_protocol.davis346.decoder:Decoder",
+    "DavisReceiver": "firmware_protocol.receiver.davis",
     "LensParameters": "emulator.optics.lens",
     "LinkFailed": "emulator.run.link_process",
     "LiveRun": "evstim.running",
@@ -89,7 +91,7 @@ _SOURCES = {
     "Sensor": "evstim.sensor",
     "SensorParameters": "emulator.sensor.presets",
     "SerialParameters": "transports.serial_line.parameters",
-    "SerialReceiver": "transports.serial_line.reception",
+    "SerialReceiver": "firmware_protocol.receiver.serial",
     "StarsParameters": "emulator.scene.stars.table",
     "TerrainParameters": "emulator.scene.terrain.table",
     "Trigger": "emulator.rig.trigger_table",

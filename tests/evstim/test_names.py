@@ -8,7 +8,7 @@ import pytest
 import evstim
 
 NAMES = """
-    BodiesParameters Camera CanParameters CanReceiver CheckerboardParameters ClockEstimate ClockEstimator DavisReceiver
+    BodiesParameters Camera CanParameters CanReceiver CanReceiverSettings CheckerboardParameters ClockEstimate ClockEstimator DavisReceiver
     EDGE EVENT LensParameters LinkFailed LiveRun LoopbackLink MachineLacks PRESETS Profile RecordingParameters Rig
     RigError RunParameters RunResult Scene SceneError Sensor SensorParameters SerialParameters SerialReceiver
     StarsParameters TerrainParameters Trigger UsbipLink VideoParameters attitude_from_basilisk attitude_from_opengl
