@@ -14,53 +14,92 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from emulator.light import MachineLacks as MachineLacks
-    from emulator.light import Scene as Scene
-    from emulator.light import SceneError as SceneError
-    from emulator.optics.lens import LensParameters as LensParameters
-    from emulator.playback.recording import RecordingParameters as RecordingParameters
-    from emulator.rig.loading import Rig as Rig
-    from emulator.rig.loading import RigError as RigError
-    from emulator.rig.loading import load_rig as load_rig
-    from emulator.rig.loading import parse_rig as parse_rig
-    from emulator.rig.loading import shipped_rigs as shipped_rigs
-    from emulator.rig.tables import Camera as Camera
-    from emulator.rig.tables import LoopbackLink as LoopbackLink
+    from firmware_protocol.receiver.can import CanReceiver, CanReceiverSettings
+    from firmware_protocol.receiver.davis import DavisReceiver
+    from firmware_protocol.receiver.serial import SerialReceiver
+
+    from emulator.light import MachineLacks, Scene, SceneError
+    from emulator.optics.lens import LensParameters
+    from emulator.playback.recording import RecordingParameters
+    from emulator.rig.loading import Rig, RigError, load_rig, parse_rig, shipped_rigs
+    from emulator.rig.tables import Camera, LoopbackLink
     from emulator.rig.tables import Run as RunParameters
-    from emulator.rig.trigger_table import Trigger as Trigger
-    from emulator.run.link_process import LinkFailed as LinkFailed
-    from emulator.run.scene_assembly import build_scene as build_scene
-    from emulator.run.session import RunResult as RunResult
-    from emulator.scene.bodies.table import BodiesParameters as BodiesParameters
-    from emulator.scene.checkerboard.table import CheckerboardParameters as CheckerboardParameters
-    from emulator.scene.stars.table import StarsParameters as StarsParameters
-    from emulator.scene.terrain.table import TerrainParameters as TerrainParameters
-    from emulator.scene.video.video import VideoParameters as VideoParameters
-    from emulator.sensor.presets import PRESETS as PRESETS
-    from emulator.sensor.presets import SensorParameters as SensorParameters
+    from emulator.rig.trigger_table import Trigger
+    from emulator.run.link_process import LinkFailed
+    from emulator.run.scene_assembly import build_scene
+    from emulator.run.session import RunResult
+    from emulator.scene.bodies.table import BodiesParameters
+    from emulator.scene.checkerboard.table import CheckerboardParameters
+    from emulator.scene.stars.table import StarsParameters
+    from emulator.scene.terrain.table import TerrainParameters
+    from emulator.scene.video.video import VideoParameters
+    from emulator.sensor.presets import PRESETS, SensorParameters
     from emulator.trajectory.conventions import from_basilisk as attitude_from_basilisk
     from emulator.trajectory.conventions import from_opengl as attitude_from_opengl
     from emulator.trajectory.conventions import from_scalar_last as attitude_from_scalar_last
     from emulator.trajectory.conventions import from_spice as attitude_from_spice
-    from evstim.frames import events_from_frames as events_from_frames
-    from evstim.frames import events_from_video as events_from_video
-    from evstim.reconstruction import reconstruct as reconstruct
-    from evstim.running import LiveRun as LiveRun
-    from evstim.running import run as run
-    from evstim.sensor import Sensor as Sensor
-    from firmware_protocol.edges import EDGE as EDGE
-    from firmware_protocol.events import EVENT as EVENT
-    from firmware_protocol.packets.profile import Profile as Profile
-    from firmware_protocol.receiver.can import CanReceiver as CanReceiver
-    from firmware_protocol.receiver.can import CanReceiverSettings as CanReceiverSettings
-    from firmware_protocol.receiver.clock_estimator import ClockEstimate as ClockEstimate
-    from firmware_protocol.receiver.clock_estimator import ClockEstimator as ClockEstimator
-    from firmware_protocol.receiver.davis import DavisReceiver as DavisReceiver
-    from firmware_protocol.receiver.serial import SerialReceiver as SerialReceiver
-    from transports.can_bus.parameters import CanParameters as CanParameters
-    from transports.link.record import load_record as load_record
-    from transports.serial_line.parameters import SerialParameters as SerialParameters
-    from transports.usb.usbip.parameters import UsbipLink as UsbipLink
+    from evstim.frames import events_from_frames, events_from_video
+    from evstim.reconstruction import reconstruct
+    from evstim.running import LiveRun, run
+    from evstim.sensor import Sensor
+    from firmware_protocol.edges import EDGE
+    from firmware_protocol.events import EVENT
+    from firmware_protocol.packets.profile import Profile
+    from firmware_protocol.receiver.clock_estimator import ClockEstimate, ClockEstimator
+    from transports.can_bus.parameters import CanParameters
+    from transports.link.record import load_record
+    from transports.serial_line.parameters import SerialParameters
+    from transports.usb.usbip.parameters import UsbipLink
+
+__all__ = [
+    "EDGE",
+    "EVENT",
+    "PRESETS",
+    "BodiesParameters",
+    "Camera",
+    "CanParameters",
+    "CanReceiver",
+    "CanReceiverSettings",
+    "CheckerboardParameters",
+    "ClockEstimate",
+    "ClockEstimator",
+    "DavisReceiver",
+    "LensParameters",
+    "LinkFailed",
+    "LiveRun",
+    "LoopbackLink",
+    "MachineLacks",
+    "Profile",
+    "RecordingParameters",
+    "Rig",
+    "RigError",
+    "RunParameters",
+    "RunResult",
+    "Scene",
+    "SceneError",
+    "Sensor",
+    "SensorParameters",
+    "SerialParameters",
+    "SerialReceiver",
+    "StarsParameters",
+    "TerrainParameters",
+    "Trigger",
+    "UsbipLink",
+    "VideoParameters",
+    "attitude_from_basilisk",
+    "attitude_from_opengl",
+    "attitude_from_scalar_last",
+    "attitude_from_spice",
+    "build_scene",
+    "events_from_frames",
+    "events_from_video",
+    "load_record",
+    "load_rig",
+    "parse_rig",
+    "reconstruct",
+    "run",
+    "shipped_rigs",
+]
 
 _SOURCES = {
     "EDGE": "firmware_protocol.edges",
@@ -112,8 +151,6 @@ _SOURCES = {
     "shipped_rigs": "emulator.rig.loading",
 }
 """Public name -> "module", or "module:name there" where the two names differ."""
-
-__all__ = list(_SOURCES)  # noqa: PLE0604: the imports above tell the same names to type checkers
 
 
 def __getattr__(name: str) -> Any:

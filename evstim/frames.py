@@ -29,7 +29,7 @@ _MOST_STEP_US = 1_000_000
 Levels = Literal["linear", "srgb"]
 
 
-def events_from_frames(
+def events_from_frames(  # noqa: PLR0913 - one call that names all it needs
     frames: Iterable[npt.ArrayLike],
     times_us: npt.ArrayLike,
     *,

@@ -160,7 +160,7 @@ class LiveRun:
         """Run the session; in a thread, where the scene may hold a GL context."""
         try:
             self._run()
-        except BaseException as error:  # noqa: BLE001: raised again in the reader's thread
+        except BaseException as error:  # noqa: BLE001 - `_join` raises it again in the reader's thread
             self._error = error
         with self._changed:
             self._ended = True

@@ -19,6 +19,7 @@ __all__ = ["LinkFailed", "LinkProcess"]
 
 _START_TIMEOUT_S = 180.0  # the first time, a link compiles its kernels: 10 s, and longer on a machine that is busy
 _ROOM_WAIT_NS = 200_000
+_FOUND_BY = ("__file__", "__spec__")
 _starting = threading.Lock()
 
 
@@ -114,7 +115,7 @@ def _without_main_module(setup: LinkSetup[Any]) -> Iterator[None]:
         yield
         return
     with _starting:
-        hidden = {name: vars(main).pop(name) for name in ("__file__", "__spec__") if name in vars(main)}
+        hidden: dict[str, Any] = {name: vars(main).pop(name) for name in _FOUND_BY if name in vars(main)}
         main.__spec__ = None
         try:
             yield

@@ -7,14 +7,55 @@ import pytest
 
 import evstim
 
-NAMES = """
-    BodiesParameters Camera CanParameters CanReceiver CanReceiverSettings CheckerboardParameters ClockEstimate ClockEstimator DavisReceiver
-    EDGE EVENT LensParameters LinkFailed LiveRun LoopbackLink MachineLacks PRESETS Profile RecordingParameters Rig
-    RigError RunParameters RunResult Scene SceneError Sensor SensorParameters SerialParameters SerialReceiver
-    StarsParameters TerrainParameters Trigger UsbipLink VideoParameters attitude_from_basilisk attitude_from_opengl
-    attitude_from_scalar_last attitude_from_spice build_scene events_from_frames events_from_video load_record load_rig
-    parse_rig reconstruct run shipped_rigs
-""".split()
+NAMES = [
+    "BodiesParameters",
+    "Camera",
+    "CanParameters",
+    "CanReceiver",
+    "CanReceiverSettings",
+    "CheckerboardParameters",
+    "ClockEstimate",
+    "ClockEstimator",
+    "DavisReceiver",
+    "EDGE",
+    "EVENT",
+    "LensParameters",
+    "LinkFailed",
+    "LiveRun",
+    "LoopbackLink",
+    "MachineLacks",
+    "PRESETS",
+    "Profile",
+    "RecordingParameters",
+    "Rig",
+    "RigError",
+    "RunParameters",
+    "RunResult",
+    "Scene",
+    "SceneError",
+    "Sensor",
+    "SensorParameters",
+    "SerialParameters",
+    "SerialReceiver",
+    "StarsParameters",
+    "TerrainParameters",
+    "Trigger",
+    "UsbipLink",
+    "VideoParameters",
+    "attitude_from_basilisk",
+    "attitude_from_opengl",
+    "attitude_from_scalar_last",
+    "attitude_from_spice",
+    "build_scene",
+    "events_from_frames",
+    "events_from_video",
+    "load_record",
+    "load_rig",
+    "parse_rig",
+    "reconstruct",
+    "run",
+    "shipped_rigs",
+]
 
 HEAVY = ("numpy", "numba", "scipy", "moderngl", "trimesh", "can", "serial", "usb", "msgspec", "emulator", "matplotlib")
 
@@ -37,9 +78,10 @@ def test_type_checkers_see_the_same_names():
 
     tree = ast.parse(Path(evstim.__file__).read_text())
     (block,) = [node for node in tree.body if isinstance(node, ast.If)]
-    told = {alias.asname: (node.module, alias.name) for node in block.body for alias in node.names}
-    sources = {name: tuple((at.partition(":")[0], at.partition(":")[2] or name)) for name, at in evstim._SOURCES.items()}
-    assert told == sources
+    told = {alias.asname or alias.name: (node.module, alias.name) for node in block.body for alias in node.names}
+    sources = {name: at.split(":") if ":" in at else [at, name] for name, at in evstim._SOURCES.items()}
+    assert told == {name: tuple(at) for name, at in sources.items()}
+    assert evstim.__all__ == sorted(sources)
 
 
 def test_a_name_that_is_not_there():
@@ -75,7 +117,8 @@ def test_help_is_fast():
 
 
 def test_a_receiver_needs_no_simulator():
-    code = "import sys, evstim; evstim.EVENT, evstim.ClockEstimator; print('numba' in sys.modules, 'emulator' in sys.modules)"
+    used = "evstim.EVENT, evstim.ClockEstimator"
+    code = f"import sys, evstim; {used}; print('numba' in sys.modules, 'emulator' in sys.modules)"
     assert in_a_process(code).split() == ["False", "False"]
 
 
