@@ -153,14 +153,16 @@ _SOURCES = {
 """Public name -> "module", or "module:name there" where the two names differ."""
 
 
-def __getattr__(name: str) -> Any:
-    """Import a public name on its first use."""
-    if name not in _SOURCES:
-        raise AttributeError(f"module 'evstim' has no attribute {name!r}")
-    module, _, there = _SOURCES[name].partition(":")
-    value = getattr(import_module(module), there or name)
-    globals()[name] = value
-    return value
+if not TYPE_CHECKING:  # else a type checker would take any name for one of ours
+
+    def __getattr__(name: str) -> Any:
+        """Import a public name on its first use."""
+        if name not in _SOURCES:
+            raise AttributeError(f"module 'evstim' has no attribute {name!r}")
+        module, _, there = _SOURCES[name].partition(":")
+        value = getattr(import_module(module), there or name)
+        globals()[name] = value
+        return value
 
 
 def __dir__() -> list[str]:

@@ -57,7 +57,7 @@ def spacecraft(path: Path) -> None:
     """Write a box of 2 m with two panels of 3 m."""
     box = trimesh.creation.box((2.0, 1.5, 1.5))
     panels = [trimesh.creation.box((3.0, 1.0, 0.05)).apply_translation((side * 2.6, 0.0, 0.0)) for side in (-1, 1)]
-    trimesh.util.concatenate([box, *panels]).export(path)
+    trimesh.util.concatenate([box, *panels]).export(path)  # type: ignore[no-untyped-call]
 
 
 def main(mesh: str | None = None, seconds: str = "0.5") -> int:
@@ -65,7 +65,7 @@ def main(mesh: str | None = None, seconds: str = "0.5") -> int:
     path = Path(mesh or "spacecraft.obj")
     if mesh is None:
         spacecraft(path)
-    size_m = float(trimesh.load(path, force="mesh").bounding_sphere.primitive.radius)
+    size_m = float(trimesh.load_mesh(path).scale) / 2  # half the diagonal of its box
     rig = path.with_suffix(".toml")
     rig.write_text(RIG.format(mesh=path.name, distance_m=-7.0 * size_m))
     with evstim.run(rig, seconds=float(seconds), pace="free") as run:

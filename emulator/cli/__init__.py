@@ -1,11 +1,11 @@
-"""The command line: one verb for each wish, for people and, with `--json`, for programs."""
+"""The command line: one module for each command; text for people, and JSON for programs with `--json`."""
 
 __all__ = ["main"]
 
 
 def main() -> None:
     """Run the command line and exit with its code."""
-    # Here and not above: each link's process begins by importing the script that calls this, and needs no verbs.
+    # Here and not above: a process that imports the script which calls this needs no commands.
     from emulator.cli.app import main as run
 
     run()

@@ -1,4 +1,4 @@
-"""The examples of docs/python.md run as they are printed."""
+"""The examples of docs/python.md and of the README run as they are printed."""
 
 import os
 import re
@@ -12,7 +12,9 @@ import evstim
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs/python.md").read_text()
-BLOCKS = re.findall(r"^```python\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
+FENCE = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
+BLOCKS = FENCE.findall(PAGE)
+README = FENCE.findall((ROOT / "README.md").read_text())
 TITLES = [PAGE[: PAGE.index(block)].rpartition("\n## ")[2].partition("\n")[0] for block in BLOCKS]
 
 
@@ -21,7 +23,7 @@ def test_the_page_has_its_examples():
     assert all(block.count("\n") <= 15 for block in BLOCKS)
 
 
-@pytest.mark.parametrize("block", BLOCKS, ids=TITLES)
+@pytest.mark.parametrize("block", [*BLOCKS, *README], ids=[*TITLES, "README"])
 def test_an_example_runs(block, tmp_path):
     script = tmp_path / "example.py"
     script.write_text(block)

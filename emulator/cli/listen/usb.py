@@ -33,20 +33,20 @@ def listen(
     record: Path | None = None,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
-    """Read a DAVIS346, real or emulated, and say what arrives. Ctrl-C ends it.
+    """Read a DAVIS346, real or emulated, and count what arrives. Ctrl-C ends it.
 
     Parameters
     ----------
     usbip
-        HOST:PORT of a USB/IP server, read without a kernel; otherwise the first DAVIS346 on this machine's USB bus.
+        HOST:PORT of a USB/IP server, read without a kernel module. Default: this machine's first DAVIS346.
     busid
         Bus id of the camera on that server.
     seconds
-        Stop after this time.
+        Stop after this time, seconds.
     events
         Stop after this many events.
     record
-        Write what arrives to this .npz (fields `events` and `edges`, device time).
+        Write the received events to this .npz (fields `events` and `edges`, device time).
     json
         Print one JSON object as the last line on stdout.
     """
@@ -64,7 +64,7 @@ def listen(
         console.print(
             f"{reception.events} events and {reception.edges} edges in {reception.seconds:.2f} s, "
             f"digest {reception.digest:08x}, {reception.faults} malformed words"
-            f"{', the camera went away' if reception.gone else ''}"
+            f"{', the camera was unplugged' if reception.gone else ''}"
         )
     return BAD_VERDICT if reception.faults else GOOD
 
@@ -74,12 +74,12 @@ def _host(usbip: str | None, busid: str) -> UsbHost:
         return PyusbHost.find(DAVIS_VENDOR, DAVIS_PRODUCT)
     host, _, port = usbip.rpartition(":")
     if not host or not port.isdigit():
-        raise Failure(f"--usbip wants HOST:PORT such as 127.0.0.1:3240, got {usbip!r}", WRONG_USE)
+        raise Failure(f"--usbip must be HOST:PORT such as 127.0.0.1:3240, got {usbip!r}", WRONG_USE)
     return UsbipHost.attach(host, int(port), busid, timeout_s=5.0)
 
 
 def _until(seconds: float | None, events: int | None) -> Callable[[Reception], bool]:
-    """Return what says whether to go on: not past a limit, and not after Ctrl-C; tells the rate meanwhile."""
+    """Return a function that is False past a limit and after Ctrl-C; it prints the event rate meanwhile."""
     stopped = False
     next_line_s, before = _LINE_PERIOD_S, Reception()
 
