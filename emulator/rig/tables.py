@@ -16,7 +16,7 @@ Method = Literal["warped", "line", "pangu", "v2e", "held", "esim", "sikorski", "
 
 @dataclass(frozen=True)
 class Camera:
-    """The camera that is not there.
+    """The emulated camera.
 
     Attributes
     ----------
