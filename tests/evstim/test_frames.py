@@ -116,3 +116,10 @@ def test_a_video_file_is_its_frames(tmp_path):
         evstim.events_from_video(tmp_path / "other.npy")
     with pytest.raises(ValueError, match="frames_per_s is 0"):
         evstim.events_from_video(tmp_path / "frames.npy", frames_per_s=0)
+
+
+def test_the_light_of_white_scales_floats_too():
+    frames, times = ramp(), 1e4 * np.arange(5)
+    scaled = evstim.events_from_frames(frames, times, light_at_white=0.25)
+    assert np.array_equal(scaled, evstim.events_from_frames(0.25 * frames, times))
+    assert not np.array_equal(scaled, evstim.events_from_frames(frames, times))
