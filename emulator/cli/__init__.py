@@ -1,4 +1,4 @@
-"""The command line: one verb for each task, for people and, with `--json`, for programs."""
+"""The command line: one module for each command; text for people, and JSON for programs with `--json`."""
 
 __all__ = ["main"]
 

@@ -1,4 +1,4 @@
-"""What the errors of all rooms mean to whoever typed a verb."""
+"""Errors of the packages as failures of a command, with their exit codes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ["failures"]
 
 @contextmanager
 def failures() -> Iterator[None]:
-    """Turn the errors of all rooms into Failure with its exit code."""
+    """Turn the errors of the packages into Failure with its exit code."""
     try:
         yield
     except (MachineLacks, LinkFailed, PluginError) as error:

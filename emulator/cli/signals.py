@@ -1,4 +1,4 @@
-"""Ctrl-C and a service manager's stop, made clean."""
+"""Clean end of a run at Ctrl-C (SIGINT) and at a service manager's SIGTERM."""
 
 from __future__ import annotations
 

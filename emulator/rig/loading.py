@@ -19,7 +19,6 @@ from __future__ import annotations
 import dataclasses
 import tomllib
 from dataclasses import dataclass, field
-from importlib import resources
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -79,7 +78,9 @@ class Rig:
 
 def shipped_rigs() -> dict[str, Path]:
     """Return the rigs that come with evstim, by name."""
-    folder = Path(str(resources.files("rigs")))
+    root = Path(__file__).parents[2]
+    installed = root / "evstim" / "rigs"
+    folder = installed if installed.is_dir() else root / "rigs"  # the second in a checkout
     return {path.stem: path for path in sorted(folder.glob("*.toml"))}
 
 

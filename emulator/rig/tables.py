@@ -16,7 +16,7 @@ Method = Literal["hermite", "line", "pangu", "v2e", "v2e_exact_filter", "esim", 
 
 @dataclass(frozen=True)
 class Camera:
-    """The camera that is not there.
+    """The emulated camera.
 
     Attributes
     ----------

@@ -13,16 +13,16 @@ from __future__ import annotations
 
 import dataclasses
 import multiprocessing
-import signal
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from emulator.run.spawning import starting_a_link
 from firmware_protocol.events import Events
 from transports.faults.kinds import Fault
 from transports.link.pacing import Clock
-from transports.link.process import STOP_SIGNALS, InjectFault, LinkSetup, Stop, run_link
+from transports.link.process import InjectFault, LinkSetup, Stop, run_link
 from transports.link.report import LinkReport
 from transports.link.tally import DeliveryTally
 
@@ -133,7 +133,7 @@ class LinkProcess:
         context = multiprocessing.get_context("spawn")
         self._control, theirs = context.Pipe()
         self._process = context.Process(target=run_link, args=(setup, theirs), name=f"evstim {self.name}", daemon=True)
-        with _signals_held_back():
+        with starting_a_link(setup):
             self._process.start()
         theirs.close()
         self._starts += 1
@@ -185,16 +185,3 @@ class LinkProcess:
         delivered = report.delivered + self._delivered_before
         dropped = self._offered - delivered - report.dropped_in_device
         return dataclasses.replace(report, delivered=delivered, dropped=dropped, error=self._error)
-
-
-@contextmanager
-def _signals_held_back() -> Iterator[None]:
-    """Hold back the signals that end a run while a process starts: it inherits that, and ignores them when it can.
-
-    A signal to the whole process group would otherwise end the new process before it could say that it ignores it.
-    """
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, STOP_SIGNALS)
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)

@@ -127,6 +127,7 @@ class Session:
         self._t_ns = 0
         self._lateness = Lateness()
         self._stopping = False
+        self._on_events: Callable[[Events], None] = lambda _: None
         self._lockstep: Lockstep | None = None
 
     def stop(self) -> None:
@@ -140,8 +141,17 @@ class Session:
         """Begin a fault on the link that it names, one that this link can have; for `on_status`."""
         next(link for link in self._links if link.name == fault.link).inject(fault)
 
-    def run(self, schedule: Schedule, on_status: Callable[[RunStatus], None] = lambda _: None) -> RunResult:
-        """Run until the schedule's end, `stop`, or the death of the last link; raises LinkFailed if one cannot open."""
+    def run(
+        self,
+        schedule: Schedule,
+        on_status: Callable[[RunStatus], None] = lambda _: None,
+        on_events: Callable[[Events], None] = lambda _: None,
+    ) -> RunResult:
+        """Run until the schedule's end, `stop`, or the death of the last link; raises LinkFailed if one cannot open.
+
+        `on_events` is given the events of each step, after the links; they may be kept.
+        """
+        self._on_events = on_events
         with ExitStack() as stack:
             stack.callback(self._stop_links, 0.0)  # does nothing more when the links have been stopped in order
             self._open_links()
@@ -258,6 +268,7 @@ class Session:
                 link.push(events, now_us)
             else:
                 link.push_all(events, now_us, lambda: self._goes_on)
+        self._on_events(events)
 
     def _status(self, start_ns: int) -> RunStatus:
         return RunStatus(

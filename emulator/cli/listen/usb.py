@@ -31,12 +31,12 @@ def listen(
     limits: Annotated[Limits, Parameter(name="*")] = _NO_LIMITS,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
-    """Read a DAVIS346, real or emulated, and say what arrives. Ctrl-C ends it.
+    """Read a DAVIS346, real or emulated, and count what arrives. Ctrl-C ends it.
 
     Parameters
     ----------
     usbip
-        HOST:PORT of a USB/IP server, read without a kernel; otherwise the first DAVIS346 on this machine's USB bus.
+        HOST:PORT of a USB/IP server, read without a kernel module. Default: this machine's first DAVIS346.
     busid
         Bus id of the camera on that server.
     limits
@@ -57,7 +57,7 @@ def listen(
         console.print(
             f"{reception.events} events and {reception.edges} edges in {reception.seconds:.2f} s, "
             f"digest {reception.digest:08x}, {reception.faults} malformed words"
-            f"{', the camera went away' if reception.gone else ''}"
+            f"{', the camera was unplugged' if reception.gone else ''}"
         )
     return BAD_VERDICT if reception.faults else GOOD
 
@@ -67,7 +67,7 @@ def _host(usbip: str | None, busid: str) -> UsbHost:
         return PyusbHost.find(DAVIS_VENDOR, DAVIS_PRODUCT)
     host, _, port = usbip.rpartition(":")
     if not host or not port.isdigit():
-        raise Failure(f"--usbip wants HOST:PORT such as 127.0.0.1:3240, got {usbip!r}", WRONG_USE)
+        raise Failure(f"--usbip must be HOST:PORT such as 127.0.0.1:3240, got {usbip!r}", WRONG_USE)
     return UsbipHost.attach(host, int(port), busid, timeout_s=5.0)
 
 

@@ -1,4 +1,4 @@
-"""The verbs below `evstim listen`, one for each kind of link; without one of them it reads USB."""
+"""The commands below `evstim listen`, one for each kind of link; USB is the default."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ from emulator.scene.kind import SceneKind
 from emulator.scene.video.frames import Frames, linear_light, read_frames
 from emulator.tables.files import NO_FILE, RigFile
 
-__all__ = ["VIDEO", "Video", "VideoParameters", "coarsest_level"]
+__all__ = ["VIDEO", "Video", "VideoParameters", "coarsest_level", "resampled"]
 
 _Float32s = npt.NDArray[np.float32]
 
@@ -162,7 +162,7 @@ class Video(Scene):
             while len(self._kept) >= 3:
                 del self._kept[next(iter(self._kept))]
             light = linear_light(self._frames.levels[k], self._frames.full_scale, is_linear=self._is_linear)
-            light = _resampled(light, self._size)
+            light = resampled(light, self._size)
             self._kept[k] = np.log((light + np.float32(self._p.floor)) * np.float32(self._p.light_at_white))
         return self._kept[k]
 
@@ -181,7 +181,7 @@ def _round_ns(times_ns: list[int]) -> int:
     return times_ns[-1] + max(1, times_ns[-1] // max(1, len(times_ns) - 1)) if len(times_ns) > 1 else 1
 
 
-def _resampled(light: _Float32s, size: tuple[int, int]) -> _Float32s:
+def resampled(light: _Float32s, size: tuple[int, int]) -> _Float32s:
     """Return `light` (height, width) at another size: means over areas."""
     if light.shape == size[::-1]:
         return light

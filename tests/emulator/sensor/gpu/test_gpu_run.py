@@ -66,6 +66,6 @@ def test_a_run_tells_what_draws(gl, capsys):
     loaded = load_rig("eros")
     run = dataclasses.replace(loaded.run, pace="free", seconds=0.005)
     result = run_rig(dataclasses.replace(loaded, run=run, links=(LoopbackLink(),)), show=True)
-    assert capsys.readouterr().out.splitlines()[0] == f"drawn by {gl.renderer}"
+    assert capsys.readouterr().out.splitlines()[0] == f"renderer: {gl.renderer}"
     assert summary(loaded, result)["renderer"] == gl.renderer
     assert summary(loaded, result)["pixels_by"] is None
