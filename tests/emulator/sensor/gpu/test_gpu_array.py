@@ -183,7 +183,7 @@ def test_crossings_beyond_64_a_pixel_are_counted_and_not_listed():
 
 def test_a_list_that_is_too_short_is_made_longer_and_the_step_taken_again(monkeypatch):
     expected = events(GpuArray(sensor(), 3), grating(400), 10, MS)
-    monkeypatch.setattr(gpu_array, "_FIRST_ROOM", 3)
+    monkeypatch.setattr(gpu_array, "_FIRST_CAPACITY", 3)
     array = GpuArray(sensor(), 3)
     for column, same in zip(events(array, grating(400), 10, MS), expected, strict=True):
         np.testing.assert_array_equal(column, same)
@@ -192,7 +192,7 @@ def test_a_list_that_is_too_short_is_made_longer_and_the_step_taken_again(monkey
 
 def test_what_no_list_can_hold_is_counted():
     whole, short = GpuArray(sensor(), 3), GpuArray(sensor(), 3)
-    short._most_room = short._room = 50
+    short._largest_capacity = short._capacity = 50
     expected = events(whole, grating(400), 10, MS)
     found = events(short, grating(400), 10, MS)
     assert len(found[0]) < len(expected[0])
