@@ -1,0 +1,262 @@
+"""A picture's bands of rows, each drawn in one go.
+
+1. Depth: the nearest 1 / depth at the middle of each pixel and of one more all around.
+2. A facet shows where any of these samples in its box, one pixel wider, is not nearer than its nearest point. This
+   keeps what lies behind out of the sums; where it errs, areas do not add up to one.
+3. The edges of facets that show go into sums along rows (`rows`).
+4. A pixel with the area 1 has its light. All others that hold anything are computed one by one from all facets that
+   touch them, hidden ones too (`pixel`).
+
+What makes it fast: a band's arrays stay in the second-level cache; only columns that facets touch are cleared and read.
+"""
+
+from __future__ import annotations
+
+import math
+
+from emulator.raster.compiled import entry, kernel
+from emulator.raster.layout import (
+    BAND,
+    Floats,
+    Ints,
+    Pictures,
+    W,
+    WHighest,
+    WLowest,
+    XHigh,
+    XLow,
+    YHigh,
+    YLow,
+)
+from emulator.raster.pixel import TOLERANCE, pixel_light
+from emulator.raster.rows import add_facet
+
+__all__ = ["draw_bands"]
+
+_EMPTY = 1e-9  # of a pixel: less is rounding of sums along a row
+
+
+@kernel
+def _extent(facets: Floats, listed: Ints, width: int) -> tuple[int, int]:
+    """Return the first column that facets touch and the one after the last."""
+    low, high = width, 0
+    for f in listed:
+        low = min(low, int(min(max(facets[f, XLow], 0.0), width - 1.0)))
+        high = max(high, int(min(max(facets[f, XHigh], 0.0), width - 1.0)) + 1)
+    return low, high
+
+
+@kernel
+def _fill_depth(data: tuple, listed: Ints, depth: Floats, first: int, last: int) -> None:  # type: ignore[type-arg]
+    """Write the largest 1 / depth at the middles of rows first - 1 to last and of columns -1 to the width."""
+    vertices, faces, facets = data[0], data[1], data[4]
+    most = depth.shape[1] - 2
+    for f in listed:
+        r0 = int(math.ceil(max(facets[f, YLow], first - 1.0) - 0.5))
+        r1 = int(math.floor(min(facets[f, YHigh], last + 1.0) - 0.5))
+        if r1 < r0 or math.floor(facets[f, XHigh] - 0.5) < math.ceil(facets[f, XLow] - 0.5):
+            continue
+        wx, low, high = facets[f, W + 1], facets[f, WLowest], facets[f, WHighest]
+        for r in range(r0, r1 + 1):
+            y = r + 0.5
+            left, right = 1e300, -1e300
+            for side in range(3):
+                a, b = faces[f, side], faces[f, side + 1 if side < 2 else 0]
+                ay, by = vertices[a, 1], vertices[b, 1]
+                if (ay <= y) != (by <= y):
+                    x = vertices[a, 0] + (y - ay) / (by - ay) * (vertices[b, 0] - vertices[a, 0])
+                    left, right = min(left, x), max(right, x)
+            if left > right:
+                continue
+            c0 = int(math.ceil(max(left, -1.0) - 0.5))
+            c1 = int(math.floor(min(right, most + 1.0) - 0.5))
+            at_row = facets[f, W] + facets[f, W + 2] * y
+            line = depth[r - first + 1]
+            for c in range(c0, c1 + 1):
+                w = min(max(at_row + wx * (c + 0.5), low), high)
+                if w > line[c + 1]:
+                    line[c + 1] = w
+
+
+@kernel
+def _shows(facets: Floats, f: int, depth: Floats, first: int, last: int) -> bool:
+    """Tell whether a sample in the facet's box, one pixel wider, is not nearer than the facet."""
+    if facets[f, YHigh] <= first or facets[f, YLow] >= last:
+        return False
+    most = depth.shape[1] - 2
+    if facets[f, XLow] >= most:
+        return False
+    nearest = facets[f, WHighest] * (1.0 + 1e-12)
+    r0, r1 = int(max(facets[f, YLow], first)) - 1, int(min(facets[f, YHigh], last - 1.0)) + 1
+    c0, c1 = int(max(facets[f, XLow], 0.0)) - 1, int(min(max(facets[f, XHigh], 0.0), most - 1.0)) + 1
+    for r in range(r0 - first + 1, r1 - first + 2):
+        for c in range(c0 + 1, c1 + 2):
+            if depth[r, c] <= nearest:
+                return True
+    return False
+
+
+@kernel
+def _sum_up(
+    acc: Floats,
+    rows: tuple[int, int],
+    columns: tuple[int, int, int, int],
+    light: Pictures,
+    rate: Pictures,
+    slots: Ints,
+    found: Ints,
+) -> int:
+    """Write pixels whose area is one or nothing; list the others, number them in `slots`; return how many."""
+    n = 0
+    c0, c1, left, right = columns
+    for r in range(rows[1] - rows[0]):
+        row = rows[0] + r
+        for c in range(left, c0):
+            light[row, c] = rate[row, c] = 0.0
+        for c in range(c1, right):
+            light[row, c] = rate[row, c] = 0.0
+        cell = acc[r, c0]
+        area, l0, l1, g0, g1 = cell[1], cell[3], cell[4], cell[6], cell[7]
+        for c in range(c0, c1):
+            cell = acc[r, c + 1]
+            here = area + cell[0]
+            value = cell[2] + l0 + l1 * (c + 0.5)
+            changing = cell[5] + g0 + g1 * (c + 0.5)
+            area, l0, l1, g0, g1 = area + cell[1], l0 + cell[3], l1 + cell[4], g0 + cell[6], g1 + cell[7]
+            if abs(here) <= _EMPTY:
+                value = changing = 0.0
+            elif abs(here - 1.0) > TOLERANCE:
+                slots[r, c] = n
+                found[n, 0], found[n, 1] = row, c
+                n += 1
+            light[row, c] = max(value, 0.0)
+            rate[row, c] = changing
+    return n
+
+
+@kernel
+def _pair_up(
+    data: tuple,  # type: ignore[type-arg]
+    listed: Ints,
+    slots: Ints,
+    pairs: Ints,
+    rows: tuple[int, int],
+    columns: tuple[int, int],
+) -> int:
+    """Write (slot, facet) of each listed pixel that a facet touches; return how many, beyond what has room too."""
+    vertices, faces, facets = data[0], data[1], data[4]
+    n = 0
+    for f in listed:
+        r0, r1 = int(max(facets[f, YLow], rows[0])), int(min(facets[f, YHigh], rows[1] - 1.0))
+        if facets[f, XHigh] < columns[0] or facets[f, XLow] >= columns[1] or facets[f, YHigh] < rows[0]:
+            continue
+        b0, b1 = int(max(facets[f, XLow], columns[0])), int(min(facets[f, XHigh], columns[1] - 1.0))
+        for r in range(r0, r1 + 1):
+            line = slots[r - rows[0]]
+            c0, c1 = b0, b1
+            while c0 <= c1 and line[c0] < 0:
+                c0 += 1
+            while c1 >= c0 and line[c1] < 0:
+                c1 -= 1
+            if c0 > c1:
+                continue
+            left, right = _strip(vertices, faces, f, r)
+            for c in range(c0, c1 + 1):
+                if line[c] >= 0 and left <= c + 1.0 and right >= c:
+                    if n < len(pairs):
+                        pairs[n, 0], pairs[n, 1] = line[c], f
+                    n += 1
+    return n
+
+
+@kernel
+def _strip(vertices: Floats, faces: Ints, f: int, row: int) -> tuple[float, float]:
+    """Return the least and the largest column of a facet within a row."""
+    left, right = 1e300, -1e300
+    low, high = float(row), row + 1.0
+    for side in range(3):
+        a, b = faces[f, side], faces[f, side + 1 if side < 2 else 0]
+        ax, ay, bx, by = vertices[a, 0], vertices[a, 1], vertices[b, 0], vertices[b, 1]
+        if low <= ay <= high:
+            left, right = min(left, ax), max(right, ax)
+        for y in (low, high):
+            if (ay < y) != (by < y):
+                x = ax + (y - ay) / (by - ay) * (bx - ax)
+                left, right = min(left, x), max(right, x)
+    return left, right
+
+
+@kernel
+def _group(pairs: Ints, n: int, ends: Ints, grouped: Ints) -> None:
+    """Sort facets by slot, keeping their order: those of slot k end at ends[k]."""
+    ends[:] = 0
+    for i in range(n):
+        ends[pairs[i, 0]] += 1
+    total = 0
+    for k in range(len(ends)):
+        count = ends[k]
+        ends[k] = total
+        total += count
+    for i in range(n):
+        k = pairs[i, 0]
+        grouped[ends[k]] = pairs[i, 1]
+        ends[k] += 1
+
+
+@entry
+def draw_bands(
+    data: tuple,  # type: ignore[type-arg]
+    bands: tuple[int, int, int],
+    lists: tuple,  # type: ignore[type-arg]
+    window: tuple[int, int],
+    scratch: tuple,  # type: ignore[type-arg]
+    light: Pictures,
+    rate: Pictures,
+) -> tuple[int, int]:
+    """Draw every `step`-th band from first to last; return the band that needs more room and how much, or (-1, 0).
+
+    Parameters
+    ----------
+    data : vertices, faces, across, smooth, facets, kinds.
+    bands : first, last, step.
+    lists : `starts` and `listed` of `projection.bucket`.
+    window : first column to write, and the one after the last.
+    scratch : see `renderer.Scratch`.
+    """
+    starts, listed = lists
+    acc, depth, shows, slots, found, ends, pairs, grouped, keys, lines = scratch
+    facets = data[4]
+    height, width = light.shape
+    for band in range(bands[0], bands[1], bands[2]):
+        here = listed[starts[band] : starts[band + 1]]
+        first, last = band * BAND, min((band + 1) * BAND, height)
+        c0, c1 = _extent(facets, here, width)
+        if c0 >= c1:
+            light[first:last, window[0] : window[1]] = 0.0
+            rate[first:last, window[0] : window[1]] = 0.0
+            continue
+        acc[:, c0 : c1 + 1] = 0.0
+        depth[:, c0 : c1 + 2] = 0.0
+        _fill_depth(data, here, depth, first, last)
+        for f in here:
+            if _shows(facets, f, depth, first, last):
+                shows[f] = band
+        for f in here:
+            if shows[f] == band:
+                add_facet(acc, f, shows, band, data, (first, last, width))
+        n = _sum_up(acc, (first, last), (c0, c1, window[0], window[1]), light, rate, slots, found)
+        if n == 0:
+            continue
+        count = _pair_up(data, here, slots, pairs, (first, last), (c0, c1))
+        for k in range(n):
+            slots[found[k, 0] - first, found[k, 1]] = -1
+        if count > len(pairs):
+            return band, count
+        _group(pairs, count, ends[:n], grouped)
+        begin = 0
+        for k in range(n):
+            row, column = found[k, 0], found[k, 1]
+            value, changing = pixel_light(data, (column, row), grouped[begin : ends[k]], keys, lines)
+            light[row, column], rate[row, column] = max(value, 0.0), changing
+            begin = ends[k]
+    return -1, 0
