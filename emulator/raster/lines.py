@@ -10,18 +10,18 @@ each other the velocity of equal depth.
 
 from __future__ import annotations
 
-from emulator.raster.compiled import kernel, lane
+from emulator.raster.compiled import lane, vector_kernel
 from emulator.raster.layout import FLAT, Floats, G, Ints, L, W, WHighest, WLowest, YHigh, YLow
 
 __all__ = ["LINES", "LINE_FIELDS", "resolve"]
 
-LINES = 6
+LINES = 4
 LINE_FIELDS = 11
 _SHORTEST = 1e-9  # px
-_FROM, _TO, _U_FROM, _U_TO, _W, _WX, _L, _LX, _G, _GX, _FACET = range(LINE_FIELDS)
+_FROM, _TO, _FROM_SIDE, _TO_SIDE, _W, _WX, _L, _LX, _G, _GX, _FACET = range(LINE_FIELDS)
 
 
-@kernel
+@vector_kernel
 def resolve(
     data: tuple,  # type: ignore[type-arg]
     place: tuple[int, int],
@@ -46,7 +46,7 @@ def resolve(
     return light * apart, rate * apart
 
 
-@kernel
+@vector_kernel
 def _cut(
     data: tuple,  # type: ignore[type-arg]
     place: tuple[int, int],
@@ -60,31 +60,29 @@ def _cut(
     x_pixel, y_pixel = place[o], place[1 - o]
     n = 0
     for f in listed:
-        found = 0
-        xa = xb = ua = ub = 0.0
+        if facets[f, YLow - 2 * o] - y_pixel > y or facets[f, YHigh - 2 * o] - y_pixel < y:
+            continue
+        found = from_side = to_side = 0
+        xa = xb = 0.0
         for side in range(3):
             a, b = faces[f, side], faces[f, side + 1 if side < 2 else 0]
             ya, yb = vertices[a, 1 - o] - y_pixel, vertices[b, 1 - o] - y_pixel
             if (ya <= y) == (yb <= y):
                 continue
-            t = (y - ya) / (yb - ya)
-            slope = (vertices[b, o] - vertices[a, o]) / (yb - ya)
-            x = vertices[a, o] - x_pixel + t * (vertices[b, o] - vertices[a, o])
-            vy = vertices[a, 3 - o] + t * (vertices[b, 3 - o] - vertices[a, 3 - o])
-            u = vertices[a, 2 + o] + t * (vertices[b, 2 + o] - vertices[a, 2 + o]) - vy * slope
+            x = vertices[a, o] - x_pixel + (y - ya) / (yb - ya) * (vertices[b, o] - vertices[a, o])
             if found == 0:
-                xa, ua = x, u
+                xa, from_side = x, side
             else:
-                xb, ub = x, u
+                xb, to_side = x, side
             found += 1
         if found < 2:
             continue
         if xa > xb:
-            xa, xb, ua, ub = xb, xa, ub, ua
+            xa, xb, from_side, to_side = xb, xa, to_side, from_side
         if xb <= 0.0 or xa >= 1.0 or xb - xa <= _SHORTEST:
             continue
         out = lines[n]
-        out[_FROM], out[_TO], out[_U_FROM], out[_U_TO], out[_FACET] = xa, xb, ua, ub, f
+        out[_FROM], out[_TO], out[_FROM_SIDE], out[_TO_SIDE], out[_FACET] = xa, xb, from_side, to_side, f
         y_screen = y_pixel + y
         out[_W] = facets[f, W] + facets[f, W + 1 + o] * x_pixel + facets[f, W + 2 - o] * y_screen
         out[_WX] = facets[f, W + 1 + o]
@@ -103,7 +101,7 @@ def _value(lines, k, at, x):  # type: ignore[no-untyped-def]
     return lines[k, at] + lines[k, at + 1] * x
 
 
-@kernel
+@vector_kernel
 def _nearest(lines: Floats, n: int, x: float) -> int:
     """Return the nearest interval right of x, -1 for none."""
     best, nearest = -1, 0.0
@@ -116,7 +114,7 @@ def _nearest(lines: Floats, n: int, x: float) -> int:
     return best
 
 
-@kernel
+@vector_kernel
 def _change(lines: Floats, n: int, w: int, x: float) -> tuple[float, int, bool]:
     """Return where interval `w`, nearest at x, gives way, to which (-1: see who is next) and whether it is passed."""
     end, heir, passed = lines[w, _TO], -1, False
@@ -138,7 +136,7 @@ def _change(lines: Floats, n: int, w: int, x: float) -> tuple[float, int, bool]:
     return end, heir, passed
 
 
-@kernel
+@vector_kernel
 def _along(
     data: tuple,  # type: ignore[type-arg]
     lines: Floats,
@@ -157,10 +155,9 @@ def _along(
                     end = lines[k, _FROM]
             if end >= 1.0:
                 break
-            following, u = _nearest(lines, n, end), 0.0
+            following = _nearest(lines, n, end)
             if following >= 0:
-                u = lines[following, _U_FROM]
-                rate -= _value(lines, following, _L, end) * u
+                rate -= _value(lines, following, _L, end) * _speed(data, lines, following, _FROM_SIDE, place, line)
         else:
             end, heir, passed = _change(lines, n, w, x)
             stop = min(end, 1.0)
@@ -170,18 +167,34 @@ def _along(
             if end >= 1.0:
                 break
             following = heir if heir >= 0 else _nearest(lines, n, end)
-            u = lines[w, _U_TO]
-            if heir >= 0:
-                u = _meeting(data, lines, w, heir, end, place, line) if passed else lines[heir, _U_FROM]
             step = _value(lines, w, _L, end)
             if following >= 0:
                 step -= _value(lines, following, _L, end)
-            rate += step * u
+            if passed:
+                rate += step * _meeting(data, lines, w, heir, end, place, line)
+            elif heir >= 0:
+                rate += step * _speed(data, lines, heir, _FROM_SIDE, place, line)
+            else:
+                rate += step * _speed(data, lines, w, _TO_SIDE, place, line)
         x, w = end, following
     return light, rate
 
 
-@kernel
+@lane
+def _speed(data, lines, k, which, place, line):  # type: ignore[no-untyped-def]
+    """Return the velocity of an interval's end along the line."""
+    vertices, faces = data[0], data[1]
+    f, side = int(lines[k, _FACET]), int(lines[k, which])
+    a, b = faces[f, side], faces[f, side + 1 if side < 2 else 0]
+    o, y = line
+    along, across = vertices[b, o] - vertices[a, o], vertices[b, 1 - o] - vertices[a, 1 - o]
+    t = (y + place[1 - o] - vertices[a, 1 - o]) / across
+    v_along = vertices[a, 2 + o] + t * (vertices[b, 2 + o] - vertices[a, 2 + o])
+    v_across = vertices[a, 3 - o] + t * (vertices[b, 3 - o] - vertices[a, 3 - o])
+    return v_along - v_across * (along / across)
+
+
+@vector_kernel
 def _meeting(
     data: tuple,  # type: ignore[type-arg]
     lines: Floats,
@@ -201,7 +214,7 @@ def _meeting(
     return -difference / slope if slope != 0.0 else 0.0
 
 
-@kernel
+@vector_kernel
 def _inverse_depth_rate(data: tuple, f: int, spot: tuple[float, float], o: int) -> float:  # type: ignore[type-arg]
     """Return the rate of a facet's 1 / depth at a fixed point of the screen."""
     vertices, faces, facets = data[0], data[1], data[4]

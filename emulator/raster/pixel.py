@@ -7,9 +7,9 @@ exact too: there is nothing behind. All others are resolved on LINES lines acros
 
 from __future__ import annotations
 
-from emulator.raster.compiled import kernel, lane
+from emulator.raster.compiled import lane, vector_kernel
 from emulator.raster.edges import flux, piece
-from emulator.raster.layout import CULLED, Floats, G, Ints, L, Sign, W, WHighest, WLowest
+from emulator.raster.layout import CULLED, Floats, G, Ints, L, Sign, W, WHighest, WLowest, XHigh, XLow, YHigh, YLow
 from emulator.raster.lines import resolve
 
 __all__ = ["TOLERANCE", "pixel_light"]
@@ -27,7 +27,7 @@ def depth_range(facets, f, column, row):  # type: ignore[no-untyped-def]
     return min(max(middle - half, low), high), max(min(middle + half, high), low)
 
 
-@kernel
+@vector_kernel
 def _sort(order: Ints, keys: Floats, n: int) -> None:
     """Sort by descending keys (Shell's method: no worst case that matters, no memory); equal keys by ascending entry."""
     gap = 1
@@ -44,7 +44,22 @@ def _sort(order: Ints, keys: Floats, n: int) -> None:
         gap //= 3
 
 
-@kernel
+@lane
+def _contains(vertices, faces, facets, f, column, row):  # type: ignore[no-untyped-def]
+    """Tell whether a facet contains the whole pixel."""
+    if facets[f, XLow] > column or facets[f, XHigh] < column + 1 or facets[f, YLow] > row or facets[f, YHigh] < row + 1:
+        return False
+    inside = True
+    for side in range(3):
+        a, b = faces[f, side], faces[f, side + 1 if side < 2 else 0]
+        ax, ay = vertices[a, 0], vertices[a, 1]
+        dx, dy = vertices[b, 0] - ax, vertices[b, 1] - ay
+        beyond = (dy * (column + 0.5 - ax) - dx * (row + 0.5 - ay)) * facets[f, Sign]
+        inside = inside and beyond >= 0.5 * (abs(dx) + abs(dy))
+    return inside
+
+
+@vector_kernel
 def integrals(data: tuple, f: int, column: int, row: int) -> tuple[float, float, float]:  # type: ignore[type-arg]
     """Return area, light and rate of a facet within a pixel, exact."""
     vertices, faces, facets = data[0], data[1], data[4]
@@ -53,6 +68,8 @@ def integrals(data: tuple, f: int, column: int, row: int) -> tuple[float, float,
     jx, jy, gx, gy = facets[f, L + 1], facets[f, L + 2], facets[f, G + 1], facets[f, G + 2]
     j0 = facets[f, L] + jx * column + jy * row
     g0 = facets[f, G] + gx * column + gy * row
+    if _contains(vertices, faces, facets, f, column, row):
+        return 1.0, j0 + 0.5 * (jx + jy), g0 + 0.5 * (gx + gy)
     for side in range(3):
         a, b = faces[f, side], faces[f, side + 1 if side < 2 else 0]
         ax, ay, bx, by = (
@@ -104,7 +121,7 @@ def integrals(data: tuple, f: int, column: int, row: int) -> tuple[float, float,
     return k * area, k * light, k * rate
 
 
-@kernel
+@vector_kernel
 def _outline(data: tuple, f: int, column: int, row: int) -> tuple[int, float]:  # type: ignore[type-arg]
     """Return how often the facet's part of an outline passes the pixel's border, and |dx| - |dy| of it within."""
     vertices, faces, across, kinds = data[0], data[1], data[2], data[5]
@@ -131,7 +148,7 @@ def _outline(data: tuple, f: int, column: int, row: int) -> tuple[int, float]:  
     return crossings, lean
 
 
-@kernel
+@vector_kernel
 def pixel_light(
     data: tuple,  # type: ignore[type-arg]
     place: tuple[int, int],

@@ -24,9 +24,12 @@ class _Scratch:
         width = screen.width
         self.acc = np.zeros((BAND, width + 1, 8))
         self.depth = np.zeros((BAND + 2, width + 2))
+        self.nearest = np.full((BAND + 2, width + 2), -1, np.int32)
+        self.held = np.full(facets, -1, np.int32)
         self.shows = np.full(facets, -1, np.int32)
         self.slots = np.full((BAND, width), -1, np.int32)
         self.found = np.zeros((BAND * width, 2), np.int32)
+        self.masks = np.zeros(width, np.int32)
         self.ends = np.zeros(BAND * width, np.int32)
         self.grow(_FIRST_PAIRS)
 
@@ -43,9 +46,12 @@ class _Scratch:
         return (
             self.acc,
             self.depth,
+            self.nearest,
+            self.held,
             self.shows,
             self.slots,
             self.found,
+            self.masks,
             self.ends,
             self.pairs,
             self.grouped,
@@ -93,6 +99,7 @@ class Renderer:
         band, last = window.first_row // BAND, -(-window.last_row // BAND)
         columns = window.first_column, window.last_column
         self._scratch.shows.fill(-1)
+        self._scratch.held.fill(-1)
         while band >= 0:
             band, pairs = draw_bands(
                 self._data, (band, last, 1), (self._starts, self._listed), columns, self._scratch.arrays, light, rate

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 
-from emulator.raster.compiled import kernel, lane
+from emulator.raster.compiled import lane, vector_kernel
 from emulator.raster.edges import flux, piece
 from emulator.raster.layout import SHOWABLE, Floats, G, Ints, L, Sign
 
@@ -28,7 +28,7 @@ def _carry(cell, h, middle, area, light, rate):  # type: ignore[no-untyped-def]
     cell[7] += h * rate[1]
 
 
-@kernel
+@vector_kernel
 def _add_edge(
     acc: Floats,
     ends: tuple[float, float, float, float],
@@ -52,12 +52,15 @@ def _add_edge(
     qa, dq = moving[0], moving[1] - moving[0]
     moves = moving[0] != 0.0 or moving[1] != 0.0
     steep = dy >= abs(dx)
+    per_length = 1.0 / dy if steep else 1.0 / dx
     row = int(math.floor(max(ay, float(first))))
+    slope = dx / dy if dy > 0.0 else 0.0
+    rise = dy / dx if dx != 0.0 else 0.0
+    rightward = dx >= 0.0
     y, x = ay, ax
     if ay < first:
         y = float(first)
-        x = ax + (y - ay) * (dx / dy)
-    slope = dx / dy if dy > 0.0 else 0.0
+        x = ax + (y - ay) * slope
     while row < last:
         y_end, x_end = row + 1.0, bx
         ends_here = by <= y_end
@@ -70,18 +73,11 @@ def _add_edge(
         rate = (g0 + gy * row, gx, gy)
         line = acc[row - first]
         y0, x0 = y, x
-        rise = (y_end - y0) / (x_end - x0) if x_end != x0 else 0.0
-        rightward = x_end >= x0
-        if x0 < 0.0 or x_end < 0.0:  # what is left of the picture only carries
-            if x0 < 0.0 and x_end < 0.0:
-                _carry(line[0], y_end - y0, 0.5 * (y0 + y_end) - row, area, light, rate)
-                x0 = width + 1.0
-                rightward = True
-            elif x0 < 0.0:
-                y_in = y0 - x0 * rise
-                _carry(line[0], y_in - y0, 0.5 * (y0 + y_in) - row, area, light, rate)
-                x0, y0 = 0.0, y_in
-        if x_end < width < x0 and not rightward:
+        if x0 < 0.0:  # what is left of the picture only carries
+            y_in = y_end if x_end < 0.0 else y0 - x0 * rise
+            _carry(line[0], y_in - y0, 0.5 * (y0 + y_in) - row, area, light, rate)
+            x0, y0 = 0.0 if x_end >= 0.0 else width + 1.0, y_in
+        elif x_end < width < x0:
             y0 += (width - x0) * rise
             x0 = float(width)
         column = int(math.floor(min(x0, width + 1.0)))
@@ -96,7 +92,7 @@ def _add_edge(
             elif x_end < column:
                 x1, done = float(column), False
             if not done:
-                y1 = y0 + (x1 - x0) * rise
+                y1 = min(max(y0 + (x1 - x0) * rise, y0), y_end)
             cell = line[column + 1]
             p, q, v0, v1 = x0 - column, x1 - column, y0 - row, y1 - row
             a, mx, my = piece(p, v0, q, v1)
@@ -105,7 +101,9 @@ def _add_edge(
             cell[2] += here * a + jx * mx + jy * my
             local_rate = g_here * a + gx * mx + gy * my
             if moves:
-                t0, t1 = ((y0 - ay) / dy, (y1 - ay) / dy) if steep else ((x0 - ax) / dx, (x1 - ax) / dx)
+                t0, t1 = (x0 - ax) * per_length, (x1 - ax) * per_length
+                if steep:
+                    t0, t1 = (y0 - ay) * per_length, (y1 - ay) * per_length
                 l0, l1 = here + jx * p + jy * v0, here + jx * q + jy * v1
                 local_rate -= flux(t1 - t0, l0, l1, qa + dq * t0, qa + dq * t1)
             cell[5] += local_rate
@@ -114,7 +112,7 @@ def _add_edge(
                 break
             x0, y0 = x1, y1
             column += 1 if rightward else -1
-        if not rightward and column < 0 and x_end < 0.0:
+        if x_end < 0.0 <= x0 <= width:  # the rest of an edge that leaves to the left
             _carry(line[0], y_end - y0, 0.5 * (y0 + y_end) - row, area, light, rate)
         if ends_here:
             break
@@ -122,7 +120,7 @@ def _add_edge(
         row += 1
 
 
-@kernel
+@vector_kernel
 def add_facet(
     acc: Floats,
     f: int,
