@@ -16,6 +16,9 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+import numpy.typing as npt
+
 from emulator.raster.compiled import entry, kernel, lane, vector_kernel
 from emulator.raster.layout import (
     BAND,
@@ -35,7 +38,7 @@ from emulator.raster.layout import (
 from emulator.raster.pixel import TOLERANCE, pixel_light
 from emulator.raster.rows import add_facet
 
-__all__ = ["draw_bands"]
+__all__ = ["draw_bands", "query_bands"]
 
 _EMPTY = 1e-9  # of a pixel: less is rounding of sums along a row
 
@@ -275,6 +278,67 @@ def _group(pairs: Ints, n: int, ends: Ints, grouped: Ints) -> None:
         ends[k] += 1
 
 
+@kernel
+def _one_by_one(
+    data: tuple,  # type: ignore[type-arg]
+    here: Ints,
+    n: int,
+    rows: tuple[int, int],
+    columns: tuple[int, int],
+    scratch: tuple,  # type: ignore[type-arg]
+) -> int:
+    """Write light and rate of the first n `found` pixels to `answers`; return 0, or the room for pairs that it lacks."""
+    slots, found, masks, answers, ends, pairs, grouped, keys, lines = scratch[5:]
+    count = _pair_up(data, here, (slots, found, masks), pairs, rows, columns)
+    masks[columns[0] : columns[1]] = 0
+    for k in range(n):
+        slots[found[k, 0] - rows[0], found[k, 1]] = -1
+    if count > len(pairs):
+        return count
+    _group(pairs, count, ends[:n], grouped)
+    begin = 0
+    for k in range(n):
+        value, changing = pixel_light(data, (found[k, 1], found[k, 0]), grouped[begin : ends[k]], keys, lines)
+        answers[k, 0], answers[k, 1] = max(value, 0.0), changing
+        begin = ends[k]
+    return 0
+
+
+@entry
+def query_bands(
+    data: tuple,  # type: ignore[type-arg]
+    lists: tuple,  # type: ignore[type-arg]
+    pixels: npt.NDArray[np.int64],
+    begin: int,
+    shape: tuple[int, int],
+    scratch: tuple,  # type: ignore[type-arg]
+    out: Floats,
+) -> tuple[int, int]:
+    """Write light and rate, (n, 2), of pixels in ascending order; return where it stopped and the room it lacks."""
+    starts, listed = lists
+    slots, found, masks, answers = scratch[5:9]
+    height, width = shape
+    k = begin
+    while k < len(pixels):
+        band = pixels[k] // width // BAND
+        first, last = band * BAND, min((band + 1) * BAND, height)
+        n = 0
+        c0, c1 = width, 0
+        while k + n < len(pixels) and pixels[k + n] < last * width:
+            row, column = pixels[k + n] // width, pixels[k + n] % width
+            found[n, 0], found[n, 1] = row, column
+            slots[row - first, column] = n
+            masks[column] |= 1 << (row - first)
+            c0, c1 = min(c0, column), max(c1, column + 1)
+            n += 1
+        lacking = _one_by_one(data, listed[starts[band] : starts[band + 1]], n, (first, last), (c0, c1), scratch)
+        if lacking > 0:
+            return k, lacking
+        out[k : k + n] = answers[:n]
+        k += n
+    return k, 0
+
+
 @entry
 def draw_bands(
     data: tuple,  # type: ignore[type-arg]
@@ -296,7 +360,7 @@ def draw_bands(
     scratch : see `renderer.Scratch`.
     """
     starts, listed = lists
-    acc, depth, nearest, held, shows, slots, found, masks, ends, pairs, grouped, keys, lines = scratch
+    acc, depth, nearest, held, shows, slots, found, masks, answers = scratch[:9]
     facets = data[4]
     places = (slots, found, masks)
     height, width = light.shape
@@ -322,17 +386,10 @@ def draw_bands(
         n = _sum_up(acc, (first, last), (c0, c1, window[0], window[1]), (light, rate), facets, nearest, places)
         if n == 0:
             continue
-        count = _pair_up(data, here, places, pairs, (first, last), (c0, c1))
-        masks[c0:c1] = 0
-        for k in range(n):
-            slots[found[k, 0] - first, found[k, 1]] = -1
-        if count > len(pairs):
+        count = _one_by_one(data, here, n, (first, last), (c0, c1), scratch)
+        if count > 0:
             return band, count
-        _group(pairs, count, ends[:n], grouped)
-        begin = 0
         for k in range(n):
             row, column = found[k, 0], found[k, 1]
-            value, changing = pixel_light(data, (column, row), grouped[begin : ends[k]], keys, lines)
-            light[row, column], rate[row, column] = max(value, 0.0), changing
-            begin = ends[k]
+            light[row, column], rate[row, column] = answers[k, 0], answers[k, 1]
     return -1, 0
