@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from emulator.raster import Box, Renderer, Screen, View, join, prepare
-from emulator.scene.mesh import find_shape, load_mesh
+from emulator.scene.bodies.mesh import find_shape, load_mesh
 
 SIZES = ((346, 260), (1280, 720))
 

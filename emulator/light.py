@@ -5,19 +5,42 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from types import TracebackType
 from typing import Self
 
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Light", "MachineLacks", "PixelLight", "Scene", "SceneError"]
+__all__ = ["Light", "MachineLacks", "PixelLight", "Region", "Scene", "SceneError"]
 
 Light = npt.NDArray[np.float32]
 """(height, width) float32, row 0 on top: radiance relative to the sensor's reference level, linear, >= 0."""
 
 PixelLight = Callable[[int, npt.NDArray[np.int64]], tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]]
 """(t_ns, pixels) -> light and its time derivative, a second, of the pixels row * width + column alone, (n,) each."""
+
+
+@dataclass(frozen=True)
+class Region:
+    """Rows and columns of a part of a picture, the last ones not included; empty where a first is not below its last."""
+
+    first_row: int
+    last_row: int
+    first_column: int
+    last_column: int
+
+    @property
+    def empty(self) -> bool:
+        """Whether it holds no pixel."""
+        return self.first_row >= self.last_row or self.first_column >= self.last_column
+
+    def grown(self, by_px: int, size: tuple[int, int]) -> Region:
+        """Return it with `by_px` more pixels on each side, within a picture of `size` = (width, height)."""
+        if self.empty:
+            return self
+        rows = max(0, self.first_row - by_px), min(size[1], self.last_row + by_px)
+        return Region(*rows, max(0, self.first_column - by_px), min(size[0], self.last_column + by_px))
 
 
 class SceneError(Exception):
@@ -98,6 +121,11 @@ class Scene(ABC):
 
         None, unless a scene knows better: what is drawn is drawn as a whole.
         """
+        return None
+
+    @property
+    def changed(self) -> Region | None:
+        """The part of the last picture that may differ from the one before it in the same arrays; None: anything."""
         return None
 
     def _apart_ns(self, t_ns: int = 0) -> int:

@@ -13,7 +13,7 @@ from typing import Any
 
 from numba import njit
 
-from emulator.sensor.compiled import kernel, lane, vector_kernel
+from emulator.sensor.numerics.compiled import kernel, lane, vector_kernel
 
 __all__ = ["entry", "kernel", "lane", "vector_kernel"]
 

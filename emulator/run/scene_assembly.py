@@ -38,9 +38,9 @@ def build_scene(rig: Rig, size: tuple[int, int] | None = None) -> Scene:
         case VideoParameters() as p:
             return Video(p, size)
         case BodiesParameters() as p:
-            from emulator.scene.bodies.bodies import Bodies
+            from emulator.scene.bodies.build import build_bodies
 
-            return _through_lens(rig, size, partial(Bodies, p))
+            return _through_lens(rig, size, partial(build_bodies, p))
         case TerrainParameters() as p:
             from emulator.scene.terrain.terrain import Terrain
 

@@ -14,8 +14,8 @@ from emulator.gl.render_target import Rectangle
 from emulator.light import SceneError
 from emulator.photometry.reflectance import LommelSeeliger, henyey_greenstein
 from emulator.photometry.sun import SUN_W_M2, Sun
-from emulator.scene.bodies import bodies as bodies_module
-from emulator.scene.bodies.bodies import Bodies
+from emulator.scene.bodies import gl_bodies as bodies_module
+from emulator.scene.bodies.gl_bodies import GlBodies
 from emulator.scene.bodies.mesh import build_mesh, find_shape, load_mesh
 from emulator.scene.bodies.table import BodiesParameters, BodyTable
 from emulator.trajectory.parameters import FixedPath, SpinPath
@@ -71,7 +71,7 @@ def scene(
     parameters = BodiesParameters(
         camera=FixedPath(eye, q), sun=Sun(sun), samples=samples, detail_px=0.0, shadows=False, bodies=(body,)
     )
-    return Bodies(parameters, Pinhole.of_field(size, field_deg))
+    return GlBodies(parameters, Pinhole.of_field(size, field_deg))
 
 
 def picture(body, t_ns=0):
