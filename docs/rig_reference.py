@@ -8,8 +8,10 @@ import re
 from collections.abc import Iterator
 from typing import Any
 
-from emulator.rig.fault_tables import FAULTS
-from emulator.rig.loading import LINKS, SCENES, Camera, Run, Trigger
+from emulator.rig.fault_tables import known_faults
+from emulator.rig.link_kinds import LINKS
+from emulator.rig.loading import Camera, Run, Trigger
+from emulator.rig.scene_kinds import SCENES
 from emulator.sensor.presets import PRESETS
 from emulator.tables.typed_table import field_types, item_type, kinds_of, table_type
 
@@ -23,13 +25,13 @@ def on_page_markdown(markdown: str, **_: object) -> str:
 
 def reference() -> str:
     """Return one section for each table of a rig file."""
-    parts = [section for kind, cls in SCENES.items() for section in _sections("scene", cls, kind)]
+    parts = [section for name, kind in SCENES.items() for section in _sections("scene", kind.parameters, name)]
     parts += _sections("camera", Camera)
     parts.append(_presets())
     parts += _sections("trigger", Trigger)
     parts += _sections("run", Run)
-    parts += [section for kind, cls in LINKS.items() for section in _sections("[links]", cls, kind)]
-    parts += [section for kind, cls in FAULTS.items() for section in _sections("[faults]", cls, kind)]
+    parts += [section for name, kind in LINKS.items() for section in _sections("[links]", kind.parameters, name)]
+    parts += [section for kind, cls in known_faults().items() for section in _sections("[faults]", cls, kind)]
     return "\n\n".join(parts)
 
 

@@ -92,16 +92,14 @@ class CameraCounters:
     edges: EdgeCounters = field(default_factory=EdgeCounters)
 
     @property
+    def dropped_for_room(self) -> int:
+        """Events that were to be sent and were dropped before they were; what links tell as `dropped`."""
+        return self.dropped_fifo + self.flushed + self.dropped_rate + self.dropped_late
+
+    @property
     def dropped_in_device(self) -> int:
         """Events that the camera took and did not hand to the link."""
-        return (
-            self.not_running
-            + self.dropped_fifo
-            + self.flushed
-            + self.not_selected
-            + self.dropped_rate
-            + self.dropped_late
-        )
+        return self.not_running + self.not_selected + self.dropped_for_room
 
     @property
     def accounted(self) -> int:

@@ -1,12 +1,12 @@
-"""A pose from outside: one datagram, or one record in a byte stream, for each pose. 80 bytes, little-endian.
+"""The message of one pose from outside: a datagram, or a record in a byte stream, of 80 bytes, little-endian.
 
      0  char[4]   "EVPO"
      4  u16       version, 1
-     6  u16       which thing: 0 the camera, 1 the first body, ...
+     6  u16       number: 0 the camera, 1 the first body, ...
      8  i64       stream time, ns; -1: now
-    16  f64[3]    place in the world, m
+    16  f64[3]    place in the world, m, each within 1e15 (6700 au)
     40  f64[4]    q_world_from_body, scalar first, unit within 0.1 %
-    72  u32       counter of the sender, so that what is lost can be counted; starts anywhere
+    72  u32       counter of the sender, one more for each pose of this number; it starts anywhere and wraps
     76  u32       CRC-32 (zlib) of bytes 0 to 75
 
 Camera axes are OpenCV's (x right, y down, z along the boresight). Own layout; a struct format of "<4sHHq3d4dII".
@@ -26,19 +26,34 @@ _CRC = struct.Struct("<I")
 _MAGIC = b"EVPO"
 _VERSION = 1
 _UNIT_WITHIN = 1e-3
+_FARTHEST_M = 1e15  # the motion between two such places can be carried on without overflow
 
 POSE_BYTES = _LAYOUT.size + _CRC.size
 NOW = -1
-"""Time of a pose that holds from when it comes."""
+"""Time of a pose that holds from its arrival."""
 
 
 class PoseMessageError(ValueError):
-    """Bytes that are no pose; the message says why."""
+    """The bytes are no pose; the text says why."""
 
 
 @dataclass(frozen=True)
 class PoseMessage:
-    """One pose on its way."""
+    """One pose of one body.
+
+    Attributes
+    ----------
+    t_ns : stream time, or `NOW`.
+    position_m : in the world.
+    q_world_from_body : unit quaternion, scalar first.
+    body : 0 the camera, 1 the first body, ...
+    counter : of the sender, modulo 2^32.
+
+    Raises
+    ------
+    PoseMessageError
+        A value that cannot be sent, or that is no pose.
+    """
 
     t_ns: int
     position_m: tuple[float, float, float]
@@ -51,6 +66,8 @@ class PoseMessage:
             raise PoseMessageError(f"time {self.t_ns}: stream time in ns, or {NOW} for now")
         if not all(map(math.isfinite, (*self.position_m, *self.q_world_from_body))):
             raise PoseMessageError(f"place {self.position_m}, attitude {self.q_world_from_body}: all must be finite")
+        if max(map(abs, self.position_m)) > _FARTHEST_M:
+            raise PoseMessageError(f"place {self.position_m}: more than {_FARTHEST_M:g} m from the origin")
         length = math.hypot(*self.q_world_from_body)
         if abs(length - 1) >= _UNIT_WITHIN:
             raise PoseMessageError(f"attitude {self.q_world_from_body} has length {length:.4g}: it must be 1")

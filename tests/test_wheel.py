@@ -28,17 +28,19 @@ def wheel(tmp_path_factory):
 def test_what_is_in_the_wheel(wheel):
     with zipfile.ZipFile(wheel) as archive:
         names = set(archive.namelist())
-    for path in (*(ROOT / "rigs").glob("*.toml"), *(ROOT / "emulator/scene/bodies/shapes").iterdir()):
+    for path in (ROOT / "emulator/scene/bodies/shapes").iterdir():
         assert str(path.relative_to(ROOT)) in names
+    assert {f"evstim/rigs/{path.name}" for path in (ROOT / "rigs").glob("*.toml")} < names
+    assert "evstim/py.typed" in names
     rooms = {name.partition("/")[0] for name in names if ".dist-info" not in name}
-    assert rooms == {"emulator", "transports", "firmware_protocol", "rigs"}
+    assert rooms == {"evstim", "emulator", "transports", "firmware_protocol"}
 
 
 @pytest.mark.anew
 def test_an_installed_wheel_runs_elsewhere(wheel, tmp_path):
     site = tmp_path / "site"
     pip("install", wheel, "--no-deps", "--target", site)
-    code = "import emulator, sys; from emulator.cli import main; print(emulator.__file__, file=sys.stderr); main()"
+    code = "import evstim, sys; from evstim.__main__ import main; print(evstim.__file__, file=sys.stderr); main()"
     environment = {**os.environ, "PYTHONPATH": str(site)}
     done = subprocess.run(
         [sys.executable, "-c", code, "run", "loopback", "--seconds", "0.05", "--pace", "free", "--json"],

@@ -1,7 +1,8 @@
 """The scenes of the chart, each with its sensor and the steps that it is swept over.
 
-As in the tables that the method was chosen by: threshold 0.2 with 3 % mismatch, leak 0.1 Hz with 30 % spread, contrast
-10 : 1, corner frequency 300 Hz at light 1 and proportional to light between 1 and 3000 Hz, 60 pixels, 0.4 s.
+They are those of the tables by which the method was chosen: threshold 0.2 with 3 % mismatch, leak 0.1 Hz with 30 %
+spread, contrast 10 : 1, corner frequency 300 Hz at light 1 and proportional to light between 1 and 3000 Hz, 60 pixels,
+0.4 s.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ PLAIN = SensorParameters(
 
 @dataclass(frozen=True)
 class Swept:
-    """A case, what it is in a few words, and its steps, ms."""
+    """A case, its description in a few words, and its steps, ms."""
 
     case: Case
     told: str

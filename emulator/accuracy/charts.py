@@ -1,4 +1,4 @@
-"""The charts, drawn by matplotlib (the extra `report`)."""
+"""The charts of accuracy, drawn by matplotlib (the extra `report`)."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from emulator.report.figures import pyplot, save
 __all__ = ["draw_rendering", "draw_stability", "draw_work_precision"]
 
 _COLOURS = {
-    "warped": "#000000",
-    "halved": "#56b4e9",
+    "hermite": "#000000",
+    "refined": "#56b4e9",
     "line": "#0072b2",
-    "held": "#009e73",
+    "v2e_exact_filter": "#009e73",
     "v2e": "#e69f00",
     "pangu": "#d55e00",
     "sikorski": "#cc79a7",
@@ -27,10 +27,10 @@ _COLOURS = {
     "frame_difference": "#999999",
 }
 _MARKERS = {
-    "warped": "o",
-    "halved": "P",
+    "hermite": "o",
+    "refined": "P",
     "line": "s",
-    "held": "v",
+    "v2e_exact_filter": "v",
     "v2e": "^",
     "pangu": "D",
     "sikorski": "x",
@@ -48,7 +48,7 @@ def _style(name: str) -> dict[str, Any]:
         "marker": _MARKERS.get(name, "."),
         "label": name.replace("_", " "),
         "markersize": 5,
-        "linewidth": 2.0 if name == "warped" else 1.2,
+        "linewidth": 2.0 if name == "hermite" else 1.2,
         "linestyle": "--" if name in ("esim", "v2e") else "-",  # where it runs over another
     }
 

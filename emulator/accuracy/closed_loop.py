@@ -1,6 +1,6 @@
-"""What controlled steps make of a wish: frames spent, and the error that came out, against the truth.
+"""Controlled steps against the truth: the frames they use, and the timestamp error for a wanted error.
 
-The step rule is the product's own (`emulator.plan.step_control`), told nothing but pictures, as in a run.
+The step rule is that of a run (`emulator.plan.step_control`), and gets nothing but frames.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from emulator.accuracy.harness import SEED, Case, pixel_light, truth
 from emulator.accuracy.light import Float64s
 from emulator.accuracy.metrics import Scores, compare
 from emulator.accuracy.stream import Stream
-from emulator.plan.step_control import ControlledSteps, Halves, Limits
+from emulator.plan.step_control import ControlledSteps, Limits, RefinementModel
 from emulator.sensor.pixels.array import Crossings, PixelArray
 
 __all__ = ["WISHES_US", "Controlled", "control", "controlled"]
@@ -33,21 +33,21 @@ class Controlled:
     Attributes
     ----------
     wish_us
-        What was asked for, 95 %.
+        Wanted 95th percentile of timestamp errors, us.
     with_rate
         Whether the light's derivative was given.
-    halved
-        Whether light of single pixels between the pictures was given.
+    refined
+        Whether the light of single pixels between the frames was given.
     frames_per_s
-        Pictures spent for a second of stream.
+        Frames used for a second of stream.
     asked_per_s
-        Lights of single pixels asked for in a second of stream, in pictures.
+        Lights of single pixels asked for in a second of stream, as a number of frames.
     """
 
     case: str
     wish_us: float
     with_rate: bool
-    halved: bool
+    refined: bool
     frames_per_s: float
     asked_per_s: float
     scores: Scores
@@ -57,35 +57,35 @@ def controlled(cases: Sequence[Swept], wishes_us: Sequence[float] = WISHES_US) -
     """Run every wish on every case: with light in between, with derivatives alone, and with neither."""
     for swept in cases:
         for wish_us in wishes_us:
-            for with_rate, halved in ((True, True), (True, False), (False, False)):
-                yield control(swept.case, Limits(wish_us), with_rate=with_rate, halved=halved)
+            for with_rate, refined in ((True, True), (True, False), (False, False)):
+                yield control(swept.case, Limits(wish_us), with_rate=with_rate, refined=refined)
 
 
-def control(case: Case, limits: Limits, *, with_rate: bool, halved: bool = False) -> Controlled:
+def control(case: Case, limits: Limits, *, with_rate: bool, refined: bool = False) -> Controlled:
     """Run one case in controlled steps, to the end of its last whole step, and score it up to there."""
     array = PixelArray(case.parameters, SEED)
-    at, threshold = (pixel_light(case) if halved else None), case.parameters.threshold_on
-    halves = Halves(threshold) if halved else None
-    steps = ControlledSteps(limits, case.parameters.dark_current_relative, _FIRST_NS, halves)
+    at, threshold = (pixel_light(case) if refined else None), case.parameters.threshold_on
+    refinement = RefinementModel(threshold) if refined else None
+    steps = ControlledSteps(limits, case.parameters.dark_current_relative, _FIRST_NS, refinement)
     end_ns, t_ns, frames = round(case.duration_s * 1e9), 0, 0
     found: list[Crossings] = []
-    light, rate = _picture(case, 0)
+    light, rate = _frame(case, 0)
     array.reset(light, 0)
     steps.observe(light, rate if with_rate else None, 0)
     while t_ns < end_ns:
         t_ns = min(t_ns + steps.step_ns, end_ns)
-        light, rate = _picture(case, t_ns)
+        light, rate = _frame(case, t_ns)
         crossings = array.step(light, t_ns, rate, at) if with_rate else array.step(light, t_ns)
         found.append(Crossings(crossings.t_ns.copy(), crossings.pixel.copy(), crossings.on.copy()))
         steps.observe(light, rate if with_rate else None, t_ns)
         frames += 1
     t, pixel, on = (np.concatenate([getattr(c, name) for c in found]) for name in ("t_ns", "pixel", "on"))
     stream = Stream.of(t * 1e-3, pixel, on, case.scene.pixels)
-    asked = array.halved / case.scene.pixels
+    asked = array.refined / case.scene.pixels
     spent = frames / case.duration_s, asked / case.duration_s
-    return Controlled(case.name, limits.tolerance_us, with_rate, halved, *spent, compare(stream, truth(case)))
+    return Controlled(case.name, limits.tolerance_us, with_rate, refined, *spent, compare(stream, truth(case)))
 
 
-def _picture(case: Case, t_ns: int) -> tuple[np.ndarray, np.ndarray]:
+def _frame(case: Case, t_ns: int) -> tuple[np.ndarray, np.ndarray]:
     t_s: Float64s = np.array([t_ns * 1e-9])
     return case.scene.value(t_s).astype(np.float32), case.scene.rate(t_s).astype(np.float32)

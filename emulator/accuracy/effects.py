@@ -1,4 +1,4 @@
-"""What each effect of the sensor costs and changes when it is switched on alone.
+"""Cost and effect on the events of each effect of the sensor, switched on alone.
 
 The ideal sensor has equal thresholds, no leak, no low-pass, no refractory period, no noise and no fault. Each effect is
 added to it, with the figures of the case's sensor or, where that has it switched off, with those of the table; the
@@ -44,13 +44,16 @@ _BUDGET_S = 0.3  # no more steps are timed once these took so long
 
 @dataclass(frozen=True)
 class Effect:
-    """An effect and what switches it on.
+    """An effect, and the fields that switch it on.
 
     Attributes
     ----------
-    own : fields that are taken from the case's sensor.
-    table : a table of the sensor's and what to set in it.
-    instead : what to set where the case's sensor has the effect switched off.
+    own : tuple of str
+        Fields that are copied from the case's sensor.
+    table : str
+        Table of the sensor in which `instead` is set.
+    instead : tuple
+        Fields and their values where the case's sensor has the effect switched off.
     """
 
     name: str
@@ -77,10 +80,10 @@ EFFECTS = (
     Effect("particles, 1000 a cm2 and s", table="radiation", instead=(("hits_per_cm2_s", 1000.0),)),
     Effect("read-out of 80 ns an event", table="readout", instead=(("event_ns", 80.0), ("row_ns", 80))),
 )
-"""In the order of the table."""
+"""All effects, in the order of the table."""
 
 QUICK_EFFECTS = tuple(effect for effect in EFFECTS if ("grade", "grid") not in effect.instead)
-"""Those that take no second a step."""
+"""The effects whose step takes less than a second."""
 
 
 @dataclass(frozen=True)
@@ -97,8 +100,8 @@ def _changes(effect: Effect, own: SensorParameters) -> dict[str, Any]:
     """Return the fields that switch an effect on."""
     if effect.table:
         return {effect.table: dataclasses.replace(getattr(own, effect.table), **dict(effect.instead))}
-    kept = {name: getattr(own, name) for name in effect.own}
-    return kept | {name: value for name, value in effect.instead if not kept.get(name)}
+    own_values = {name: getattr(own, name) for name in effect.own}
+    return own_values | {name: value for name, value in effect.instead if not own_values.get(name)}
 
 
 def _told(effect: Effect, changes: dict[str, Any]) -> str:
@@ -107,7 +110,7 @@ def _told(effect: Effect, changes: dict[str, Any]) -> str:
 
 
 def _run(case: Case, parameters: SensorParameters, step_s: float) -> Stream:
-    """Return what leaves a sensor of one row under the light of a case."""
+    """Return the events of a sensor of one row under the light of a case."""
     sensor, h_ns = Sensor(parameters, SEED), round(step_s * 1e9)
     t_s = np.arange(round(case.duration_s / step_s) + 1) * step_s
     light, rate = (f(t_s).astype(np.float32)[:, None, :] for f in (case.scene.value, case.scene.rate))

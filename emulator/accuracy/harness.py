@@ -1,13 +1,13 @@
-"""Runs any pixel method over any scene of known light, scores it against the truth, and times it.
+"""Test harness of pixel methods: run a method on known light, score it against the truth, and time it.
 
 A case is a row of pixels under closed-form light with a sensor to look at it. Methods:
 
-    warped   our own kernel, given the light and its time derivative
-    halved   the same, given the light of single pixels between the pictures too: it solves suspects in halves
-    line     the same kernel without derivatives: a straight line in log light
-    others   the rules of `emulator.sensor.other_simulators`
+    hermite   our own kernel, given the light and its time derivative
+    refined   the same, given the light of single pixels between the frames too: it refines undersampled steps
+    line      the same kernel without derivatives: a straight line in log light
+    others    the rules of `emulator.sensor.other_simulators`
 
-All get the same float32 pictures at the same instants, with the same thresholds, leak rates and phases. Time is taken
+All get the same float32 frames at the same times, with the same thresholds, leak rates and phases. Time is taken
 on a sensor of 346 x 260 pixels, whose picture is the case's row over and over: the median of some steps, the method's
 `step` alone.
 """
@@ -20,7 +20,6 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -30,11 +29,12 @@ from emulator.accuracy.metrics import Scores, compare
 from emulator.accuracy.stream import Stream
 from emulator.accuracy.truth import true_events
 from emulator.light import PixelLight
-from emulator.sensor.other_simulators import RULES
+from emulator.sensor.other_simulators import OTHER_SIMULATORS
 from emulator.sensor.pixels.array import Crossings, PixelArray
 from emulator.sensor.presets import SensorParameters
+from emulator.sensor.sensor import MakePixels
 
-__all__ = ["SEED", "Case", "Method", "PixelMethod", "events", "methods", "score", "step_cost_us", "truth"]
+__all__ = ["SEED", "Case", "Method", "events", "methods", "score", "step_cost_us", "truth"]
 
 SEED = 3
 """Fixes mismatch, leak rates and phases of every case."""
@@ -46,48 +46,46 @@ _COST_WARM_UP = 2
 _COST_BUDGET_S = 0.15  # no more steps are timed once these took so long
 
 
-class PixelMethod(Protocol):
-    """What every method of turning pictures into crossings offers; see `PixelArray`."""
-
-    lost_in_pixel: int
-
-    def reset(self, light: _Float32s, t_ns: int) -> None:
-        """Start at rest on a picture, (height, width)."""
-
-    def step(self, light: _Float32s, t_ns: int, rate: _Float32s | None = None) -> Crossings:
-        """Move to the next picture; `rate` is its time derivative, a second."""
-
-
 @dataclass(frozen=True)
 class Method:
-    """A way to get events from pictures.
+    """A method that makes events from frames.
 
     Attributes
     ----------
-    name : as in a rig's `method`.
-    make : builds it for a sensor and a seed.
-    rate : whether it takes the light's time derivative.
-    halves : whether it asks for light between the pictures.
+    name : str
+        As in a rig's `run.method`.
+    make : MakePixels
+        Factory, for a sensor and a seed.
+    rate : bool
+        Whether the method gets the light's time derivative.
+    refines : bool
+        Whether the method gets the light of single pixels between the frames.
     """
 
     name: str
-    make: Callable[[SensorParameters, int], PixelMethod]
+    make: MakePixels
     rate: bool = False
-    halves: bool = False
+    refines: bool = False
 
 
 @dataclass(frozen=True)
 class Case:
-    """Known light, a sensor of one row, and for how long.
+    """Known light, a sensor of one row, and a duration.
 
     Attributes
     ----------
-    name : one word.
-    scene : as many pixels as the sensor.
-    parameters : the sensor.
-    duration_s : stream time.
-    start_ns : stream time at which it begins; the light knows nothing of it.
-    fine_s : step of the truth, s; for slow scenes longer than it need be otherwise.
+    name : str
+        One word.
+    scene : ClosedLight
+        The light, with as many pixels as the sensor.
+    parameters : SensorParameters
+        The sensor.
+    duration_s : float
+        Length in stream time.
+    start_ns : int
+        Stream time of the start; the light counts time from the start.
+    fine_s : float
+        Step of the truth, s; longer for slow scenes.
     """
 
     name: str
@@ -100,9 +98,9 @@ class Case:
 
 def methods() -> list[Method]:
     """Return all methods, our own first."""
-    halved = Method("halved", PixelArray, rate=True, halves=True)
-    ours = Method("warped", PixelArray, rate=True), halved, Method("line", PixelArray)
-    return [*ours, *(Method(name, rule) for name, rule in RULES.items())]
+    refined = Method("refined", PixelArray, rate=True, refines=True)
+    ours = Method("hermite", PixelArray, rate=True), refined, Method("line", PixelArray)
+    return [*ours, *(Method(name, rule) for name, rule in OTHER_SIMULATORS.items())]
 
 
 @lru_cache(maxsize=64)
@@ -118,29 +116,29 @@ def events(
 
     Parameters
     ----------
-    step_s : from picture to picture, s; rounded to ns. A whole number of steps should make up the case: the truth ends
-        with it.
-    seen : what becomes of each picture before the method sees it; nothing where not given.
+    step_s : float
+        Time between two frames, s; rounded to ns. The case should last a whole number of steps: the truth ends with it.
+    seen : callable, optional
+        Change of each frame before the method gets it.
     """
     array, h_ns = method.make(case.parameters, SEED), round(step_s * 1e9)
     steps = round(case.duration_s * 1e9 / h_ns)
     t_s = np.arange(steps + 1) * (h_ns * 1e-9)
-    at = pixel_light(case) if method.halves else None
+    at = pixel_light(case) if method.refines else None
     light = case.scene.value(t_s).astype(np.float32)[:, None, :]
     rate = case.scene.rate(t_s).astype(np.float32)[:, None, :] if method.rate else None
     light = light if seen is None else seen(light)
     found: list[Crossings] = []
-    _start(array, light[0], None if rate is None else rate[0], case.start_ns)
+    array.reset(light[0], case.start_ns, None if rate is None else rate[0])
     for k in range(1, steps + 1):
-        picture = light[k], case.start_ns + k * h_ns, None if rate is None else rate[k]
-        crossings = array.step(*picture, at) if isinstance(array, PixelArray) else array.step(*picture)
+        crossings = array.step(light[k], case.start_ns + k * h_ns, None if rate is None else rate[k], at)
         found.append(Crossings(crossings.t_ns.copy(), crossings.pixel.copy(), crossings.on.copy()))
     t_ns, pixel, on = (np.concatenate([getattr(c, field) for c in found]) for field in ("t_ns", "pixel", "on"))
     return Stream.of((t_ns - case.start_ns) * 1e-3, pixel, on, case.scene.pixels), array.lost_in_pixel
 
 
 def pixel_light(case: Case) -> PixelLight:
-    """Return what tells the light of single pixels of a case; of a wider picture, that of the row over and over."""
+    """Return the source of the light of single pixels of a case; a wider frame repeats the row."""
     scene = case.scene
 
     def at(t_ns: int, pixels: npt.NDArray[np.int64]) -> tuple[_Float32s, _Float32s]:
@@ -149,14 +147,6 @@ def pixel_light(case: Case) -> PixelLight:
         return scene.value(t_s)[0, places].astype(np.float32), scene.rate(t_s)[0, places].astype(np.float32)
 
     return at
-
-
-def _start(array: PixelMethod, light: _Float32s, rate: _Float32s | None, t_ns: int) -> None:
-    """Start a method at rest; our kernel can be told the first picture's derivative, too."""
-    if isinstance(array, PixelArray):
-        array.reset(light, t_ns, rate)
-    else:
-        array.reset(light, t_ns)
 
 
 def score(method: Method, case: Case, step_s: float) -> Scores:
@@ -174,13 +164,13 @@ def step_cost_us(method: Method, case: Case, step_s: float) -> float:
     light = [_tiled(row, width, height) for row in case.scene.value(t_s)]
     rate = [_tiled(row, width, height) for row in case.scene.rate(t_s)] if method.rate else [None] * len(light)
     array = method.make(dataclasses.replace(case.parameters, width=width, height=height), SEED)
-    at = (pixel_light(dataclasses.replace(case, start_ns=0)),) if method.halves else ()
-    _start(array, light[0], rate[0], 0)
-    pictures = [(light[k], k * h_ns, rate[k], *at) for k in range(steps + 1)]
+    at = pixel_light(dataclasses.replace(case, start_ns=0)) if method.refines else None
+    array.reset(light[0], 0, rate[0])
+    frames = [(light[k], k * h_ns, rate[k], at) for k in range(steps + 1)]
     taken = []
     for k in range(1, steps + 1):
         begun = time.perf_counter()
-        array.step(*pictures[k])
+        array.step(*frames[k])
         taken.append(time.perf_counter() - begun)
         if k > _COST_WARM_UP and sum(taken) > _COST_BUDGET_S:
             break

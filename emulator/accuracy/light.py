@@ -23,8 +23,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-
-from emulator.accuracy.bell import bell, normal_distribution
+from scipy.special import ndtr
 
 __all__ = [
     "BlurredCheckerboard",
@@ -48,7 +47,8 @@ class ClosedLight(ABC):
 
     Attributes
     ----------
-    pixels : how many.
+    pixels : int
+        Number of pixels in the row.
     """
 
     pixels: int = 60
@@ -68,6 +68,11 @@ class ClosedLight(ABC):
     def _share(self) -> Float64s:
         """Return each pixel's place in the row, from 0 to 1."""
         return np.linspace(0, 1, self.pixels)
+
+
+def _bell(x: Float64s) -> Float64s:
+    """Return the normal density at x, any shape."""
+    return np.asarray(np.exp(-0.5 * x * x) / math.sqrt(2 * math.pi))
 
 
 def _column(t_s: npt.ArrayLike) -> Float64s:
@@ -117,19 +122,19 @@ class MovingEdge(ClosedLight):
     dark: float = 0.1
     bright: float = 1.0
     duration_s: float = 0.4
-    reach_px: float = 12.0
+    half_width_px: float = 12.0
 
     def _sigmas(self, t_s: npt.ArrayLike) -> Float64s:
-        x = self.reach_px * (2 * self._share() - 1)
+        x = self.half_width_px * (2 * self._share() - 1)
         return np.asarray((self.speed_px_s * (_column(t_s) - self.duration_s / 2) - x) / self.sigma_px)
 
     def value(self, t_s: npt.ArrayLike) -> Float64s:
         """See `ClosedLight`."""
-        return self.dark + (self.bright - self.dark) * normal_distribution(self._sigmas(t_s))
+        return np.asarray(self.dark + (self.bright - self.dark) * ndtr(self._sigmas(t_s)))
 
     def rate(self, t_s: npt.ArrayLike) -> Float64s:
         """See `ClosedLight`."""
-        return (self.bright - self.dark) * bell(self._sigmas(t_s)) * (self.speed_px_s / self.sigma_px)
+        return (self.bright - self.dark) * _bell(self._sigmas(t_s)) * (self.speed_px_s / self.sigma_px)
 
 
 @dataclass(frozen=True)
@@ -160,8 +165,8 @@ class BlurredCheckerboard(ClosedLight):
         wave = np.zeros_like(x)
         slope = np.zeros_like(x)
         for edge, up in ((-side, -1), (0.0, 1), (side, -1)):
-            wave += up * (2 * normal_distribution((place - edge) / sigma) - 1)
-            slope += up * 2 * bell((place - edge) / sigma) / sigma
+            wave += up * (2 * ndtr((place - edge) / sigma) - 1)
+            slope += up * 2 * _bell((place - edge) / sigma) / sigma
         return sign * wave, sign * slope
 
     def value(self, t_s: npt.ArrayLike) -> Float64s:

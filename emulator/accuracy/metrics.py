@@ -1,4 +1,4 @@
-"""How well one event stream agrees with another, and whether the light can be read back from it.
+"""Measures of agreement between two event streams, and the light that a stream's events reconstruct.
 
     right               share of the active pixels (those with events in either stream) whose whole sequence of
                         polarities is the true one; hard: one slip in a hundred events fails a pixel
@@ -36,13 +36,16 @@ _WINDOW = 7
 
 @dataclass(frozen=True, slots=True)
 class Scores:
-    """How a stream compares with the truth; the module's first lines define each. NaN: there is nothing to compare.
+    """Comparison of a stream with the truth, as the module docstring defines it; NaN where nothing can be compared.
 
     Attributes
     ----------
-    right, wrong_events, count, van_rossum, same_time : ratios.
-    t50_us, t95_us, earth_mover_us : us.
-    events, true_events : how many.
+    right, wrong_events, count, van_rossum, same_time : float
+        Ratios.
+    t50_us, t95_us, earth_mover_us : float
+        Times, us.
+    events, true_events : int
+        Numbers of events.
     """
 
     right: float
@@ -62,13 +65,15 @@ def compare(stream: Stream, truth: Stream, tau_us: float = 1000.0) -> Scores:
 
     Parameters
     ----------
-    stream, truth : of the same pixels.
-    tau_us : time constant of van Rossum's distance, > 0.
+    stream, truth : Stream
+        Two streams of the same pixels.
+    tau_us : float
+        Time constant of van Rossum's distance, > 0.
 
     Raises
     ------
     ValueError
-        They have not the same number of pixels, or `tau_us` is not positive.
+        They have different numbers of pixels, or `tau_us` is not positive.
     """
     if stream.pixels != truth.pixels:
         raise ValueError(f"{stream.pixels} pixels against {truth.pixels}: streams must be of the same pixels")
@@ -109,8 +114,10 @@ def reconstruct(stream: Stream, on: npt.ArrayLike, off: npt.ArrayLike, start: np
 
     Parameters
     ----------
-    on, off : each pixel's thresholds, ln units, (pixels,) or one for all.
-    start : log light before the first event, (pixels,).
+    on, off : (pixels,) or scalar
+        Thresholds, ln units.
+    start : (pixels,)
+        Log light before the first event.
     """
     up = np.broadcast_to(np.asarray(on, np.float64), stream.pixels)
     down = np.broadcast_to(np.asarray(off, np.float64), stream.pixels)
@@ -129,8 +136,10 @@ def structural_similarity(picture: npt.ArrayLike, truth: npt.ArrayLike, span: fl
 
     Parameters
     ----------
-    picture, truth : (height, width), at least 7 x 7.
-    span : of the values that can occur; of the truth where not given.
+    picture, truth : (height, width)
+        At least 7 x 7.
+    span : float, optional
+        Range of the possible values; that of the truth where not given.
 
     Raises
     ------

@@ -1,10 +1,10 @@
-"""What drawing a scene more cheaply costs in events: the chart of milliseconds against false and missed events.
+"""Effect of cheaper drawing on the events: milliseconds a frame against false and missed events.
 
 A rig's scene is drawn with fewer samples a pixel and with coarser facets, and each time the same sensor, without leak
 and noise, looks at it for the same stretch of time. The reference is the scene at 4 x 4 samples with every facet. For
-each pixel the two sequences of polarities are laid side by side; what cannot be paired in order is
+each pixel the two sequences of polarities are compared; events that cannot be paired in order are
 
-    false     in the cheaper picture's events only        both over the events of the reference
+    false     in the cheaper frame's events only        both over the events of the reference
     missed    in the reference's events only
 """
 
@@ -36,13 +36,16 @@ _STEPS = 60
 
 @dataclass(frozen=True)
 class Setting:
-    """How a scene is drawn.
+    """Settings with which a scene is drawn.
 
     Attributes
     ----------
-    name : for the chart.
-    samples : along each side of a pixel.
-    detail_px : size of the smallest facets, pixels; 0 for all, None for what the rig says.
+    name : str
+        Label in the chart.
+    samples : int
+        Samples along each side of a pixel.
+    detail_px : float, optional
+        Size of the smallest facets, pixels; 0 for all facets, None for the rig's own value.
     """
 
     name: str
@@ -69,10 +72,14 @@ class Drawn:
 
     Attributes
     ----------
-    rig, setting : names.
-    ms : milliseconds a picture, median.
-    false, missed : over the events of the reference.
-    events : of the reference.
+    rig, setting : str
+        Names.
+    ms : float
+        Milliseconds a frame, median.
+    false, missed : float
+        False and missed events over the events of the reference.
+    events : int
+        Events of the reference.
     """
 
     rig: str

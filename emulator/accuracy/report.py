@@ -1,4 +1,4 @@
-"""Writes what was measured: CSV, JSON, charts, and a page that needs no network."""
+"""Reports of accuracy: CSV, JSON, charts, and a page that needs no network."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def write_rendering(rows: Sequence[Drawn], out: Path) -> list[Path]:
 
 
 def reading_of_rendering(rows: Sequence[Drawn]) -> list[str]:
-    """Say in sentences what the chart shows."""
+    """Return the findings of the chart, in sentences."""
     said = []
     for rig in dict.fromkeys(row.rig for row in rows):
         own = [row for row in rows if row.rig == rig]
@@ -109,7 +109,7 @@ def reading_of_rendering(rows: Sequence[Drawn]) -> list[str]:
 
 
 def reading(points: Sequence[Point], told: Mapping[str, str]) -> list[str]:
-    """Return what the chart says, in sentences."""
+    """Return the findings of the chart, in sentences."""
     names = list(dict.fromkeys(p.method for p in points))
     lines = [
         "Each point is one method in one step. Full marks have at least 90 % of the pixels' sequences right, hollow "
@@ -159,7 +159,7 @@ def _needs(points: Sequence[Point], told: Mapping[str, str]) -> list[dict[str, A
 
 
 def reading_of_the_map(cells: Sequence[Cell], sweeps: Sequence[Sweep]) -> list[str]:
-    """Return what the map says, in sentences."""
+    """Return the findings of the map, in sentences."""
     names = list(dict.fromkeys(cell.method for cell in cells))
     lines = [
         "Each column drives one thing from harmless to absurd. Above: the share of pixels whose sequence of events is "

@@ -1,4 +1,4 @@
-"""Loops over the events of each pixel that the scores are made of; streams as in `stream.Stream`."""
+"""Compiled loops over the events of each pixel, for the scores; streams as in `stream.Stream`."""
 
 from __future__ import annotations
 

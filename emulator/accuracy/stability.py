@@ -1,4 +1,4 @@
-"""Where each method fails: one thing is driven from harmless to absurd at a time, and every method is scored.
+"""Limits of each method: one quantity at a time goes from harmless to extreme, and every method is scored.
 
     dt_over_tau     step over the filter's time constant; fixed corner, 0.3 thresholds a step
     contrast        largest change of log light in a step, in thresholds; step = time constant
@@ -7,7 +7,7 @@
     darkness        level of light, down to nothing but the sensor's dark current (1e-4)
     stream_time     hours of stream before the scene begins
     burst           events of one pixel in one step: a flash, ever brighter
-    bit_depth       bits of the picture that the method is given, linear from 0 to the brightest; 0 stands for float
+    bit_depth       bits of the frame that the method gets, linear from 0 to the brightest; 0 stands for float
 
 A row of 40 pixels; the boundaries are those of right sequences falling below 95 %.
 """
@@ -41,7 +41,7 @@ _Float32s = npt.NDArray[np.float32]
 
 @dataclass(frozen=True)
 class Setting:
-    """A case, the step, and what becomes of the pictures before a method sees them."""
+    """A case, the step, and a change of each frame before the method gets it."""
 
     case: Case
     step_s: float
@@ -54,11 +54,16 @@ class Sweep:
 
     Attributes
     ----------
-    axis : its name.
-    told : in a few words.
-    label : of the axis, with the unit.
-    values : from harmless to absurd.
-    at : the setting of a value.
+    axis : str
+        Name of the axis.
+    told : str
+        Description in a few words.
+    label : str
+        Label of the axis, with the unit.
+    values : tuple of float
+        Values from harmless to extreme.
+    at : callable
+        Returns the setting of a value.
     """
 
     axis: str
@@ -74,9 +79,12 @@ class Cell:
 
     Attributes
     ----------
-    right, count, wrong_events : see `metrics`.
-    t50_steps, t95_steps : timestamp error over the step.
-    lost : crossings beyond the cap of one pixel and step.
+    right, count, wrong_events : float
+        See `metrics`.
+    t50_steps, t95_steps : float
+        Timestamp error over the step.
+    lost : int
+        Crossings beyond the most of one pixel and step.
     """
 
     axis: str

@@ -18,9 +18,12 @@ class Stream:
 
     Attributes
     ----------
-    t_us : (n,) float64.
-    on : (n,) bool, True where it got brighter.
-    first : (pixels + 1,) int64.
+    t_us : (n,) float64
+        Times.
+    on : (n,) bool
+        True where the light increased.
+    first : (pixels + 1,) int64
+        Index of each pixel's first event.
     """
 
     t_us: npt.NDArray[np.float64]

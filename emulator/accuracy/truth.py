@@ -1,4 +1,4 @@
-"""The continuous-time pixel in float64: what every method is held against.
+"""The truth: the continuous-time pixel in float64, against which every method is measured.
 
     i  = max(E, 0) + i_dark                 photocurrent, relative to the reference light
     v' = lambda(i) (ln i - v)               lambda = 2 pi clip(f_ref i, f_min, f_max)
@@ -7,7 +7,7 @@
     g  = w + leak t + R_par theta_on q      what the comparator sees, with the reference at rest
 
 An event where g - r first reaches theta_on or -theta_off (touching fires). Then, without a refractory period, r moves
-by exactly that threshold; with one the pixel is blind until it ends, and r is g there. The start is at rest, r = w
+by exactly that threshold; with one the pixel is silent until it ends, and r is g there. The start is at rest, r = w
 minus a share of theta_on, the same as that of `PixelArray`.
 
 Integrated by Runge-Kutta of fourth order in steps of a few us; between, g is the cubic through its values and slopes,
@@ -36,7 +36,7 @@ __all__ = ["true_events"]
 _Float64s = npt.NDArray[np.float64]
 
 _CHUNK = 512
-_HALVINGS = 60
+_BISECTIONS = 60
 _LONGEST_STEP = 1.5  # in time constants; Runge-Kutta is unstable from 2.8
 
 # Without reference counts, which cost more than the arithmetic: no kernel here makes an array (see sensor.compiled).
@@ -65,17 +65,17 @@ class _Pixels(NamedTuple):
 
 
 class _State(NamedTuple):
-    """All that changes, (pixels,) each; r is the reference and is meaningless before `blind` s."""
+    """The state, (pixels,) each; r is the reference, and is valid after `refractory_until` (s)."""
 
     v: _Float64s
     w: _Float64s
     q: _Float64s
     r: _Float64s
-    blind: _Float64s
+    refractory_until: _Float64s
 
 
 class _Span(NamedTuple):
-    """A stretch of time, s, and the light at its start, middle and end."""
+    """An interval of time, s, and the light at its start, middle and end."""
 
     t: float
     h: float
@@ -84,7 +84,7 @@ class _Span(NamedTuple):
 
 
 class _Events(NamedTuple):
-    """Events found; `n` (1,) goes on where there is no more room."""
+    """Buffers of the events found; `n` (1,) goes on counting when they are full."""
 
     t_s: _Float64s
     pixel: npt.NDArray[np.int64]
@@ -156,7 +156,7 @@ def _first_crossing(g: tuple[float, float, float, float], start: float, low: flo
             up = value >= high
             level = high if up else low
             b = end
-            for _ in range(_HALVINGS):
+            for _ in range(_BISECTIONS):
                 middle = 0.5 * (a + b)
                 if (_cubic(g, middle) >= level) if up else (_cubic(g, middle) <= level):
                     b = middle
@@ -172,11 +172,11 @@ def _fire(j: int, span: _Span, g: tuple[float, float, float, float], p: _Pixels,
     """Write the events of pixel j in a span where the comparator sees the cubic g."""
     t, h, refractory = span.t, span.h, span.refractory
     z = 0.0
-    while s.blind[j] <= t + h:
-        if s.blind[j] > -math.inf:
-            z = min(max((s.blind[j] - t) / h, z), 1.0)
+    while s.refractory_until[j] <= t + h:
+        if s.refractory_until[j] > -math.inf:
+            z = min(max((s.refractory_until[j] - t) / h, z), 1.0)
             s.r[j] = _cubic(g, z)
-            s.blind[j] = -math.inf
+            s.refractory_until[j] = -math.inf
         z = _first_crossing(g, z, s.r[j] - p.off[j], s.r[j] + p.on[j])
         if z > 1:
             break
@@ -186,7 +186,7 @@ def _fire(j: int, span: _Span, g: tuple[float, float, float, float], p: _Pixels,
             out.t_s[n], out.pixel[n], out.on[n] = t + z * h, j, up
         out.n[0] = n + 1
         if refractory > 0:
-            s.blind[j] = t + z * h + refractory
+            s.refractory_until[j] = t + z * h + refractory
         else:
             s.r[j] += p.on[j] if up else -p.off[j]
 
@@ -228,20 +228,26 @@ def _advance(light: _Float64s, t0: float, p: _Pixels, s: _State, c: _Constants, 
 def true_events(
     scene: ClosedLight, parameters: SensorParameters, seed: int, duration_s: float, fine_s: float = 1e-5
 ) -> Stream:
-    """Return what the pixels of a sensor do under a scene from time 0 to `duration_s`.
+    """Return the true events of a sensor under a scene from time 0 to `duration_s`.
 
     Parameters
     ----------
-    scene : the light; as many pixels as the sensor has.
-    parameters, seed : the sensor, and what fixes its mismatch, leak rates and phases.
-    duration_s : rounded to a whole number of fine steps.
-    fine_s : the Runge-Kutta step, s.
+    scene : ClosedLight
+        The light, with as many pixels as the sensor.
+    parameters : SensorParameters
+        The sensor.
+    seed : int
+        Keys its mismatch, leak rates and phases.
+    duration_s : float
+        Rounded to a whole number of fine steps.
+    fine_s : float
+        The Runge-Kutta step, s.
 
     Raises
     ------
     ValueError
-        The scene has not the sensor's pixels; the sensor has no low-pass (the truth is the solution of its equation);
-        the step is too long for the corner frequency.
+        The scene and the sensor have different numbers of pixels; the sensor has no low-pass (the truth is the solution
+        of its equation); the step is too long for the corner frequency.
     """
     pixels = parameters.width * parameters.height
     if scene.pixels != pixels:

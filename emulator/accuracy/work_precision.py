@@ -24,12 +24,18 @@ class Point:
 
     Attributes
     ----------
-    case, method : names.
-    step_ms : from picture to picture.
-    frames_per_s : pictures to be rendered for a second of stream.
-    us_per_frame : pixel work of a step, 346 x 260, one thread.
-    us_per_stream_ms : the same for a millisecond of stream.
-    scores : against the truth.
+    case, method : str
+        Names.
+    step_ms : float
+        Time between two frames.
+    frames_per_s : float
+        Frames rendered for a second of stream.
+    us_per_frame : float
+        Pixel work of a step, 346 x 260, one thread.
+    us_per_stream_ms : float
+        Pixel work of a millisecond of stream.
+    scores : Scores
+        Against the truth.
     """
 
     case: str
@@ -63,13 +69,15 @@ def sweep(cases: Sequence[Swept], methods: Sequence[Method]) -> Iterator[Point]:
 
 @dataclass(frozen=True)
 class Need:
-    """Pictures a second that a method needs for an error.
+    """Frames per second that a method needs for an error.
 
     Attributes
     ----------
-    frames_per_s : infinite where no step gives it.
-    kind : "between" two points of the sweep; "beyond" its shortest step, by the order that its three shortest ones
-        show; "at most" its longest step, which is short enough; "never", as the error does not fall with the step.
+    frames_per_s : float
+        Infinite where no step gives the error.
+    kind : str
+        "between" two points of the sweep; "beyond" its shortest step, by the order of its three shortest ones; "at
+        most" that of its longest step, which is short enough; "never", because the error does not fall with the step.
     """
 
     frames_per_s: float
@@ -83,7 +91,7 @@ class Need:
 
 
 def frames_needed(points: Sequence[Point], case: str, method: str, t95_us: float, right: float = 0.9) -> Need:
-    """Return the pictures a second from which on a method keeps a 95 % error and `right` of the sequences."""
+    """Return the frames per second from which on a method keeps a 95 % error and `right` of the sequences."""
     row = sorted((p for p in points if (p.case, p.method) == (case, method)), key=lambda p: p.frames_per_s)
     first = len(row)
     while first and row[first - 1].scores.right >= right and row[first - 1].scores.t95_us <= t95_us:
@@ -106,7 +114,7 @@ def _order(coarse: Point, fine: Point) -> float:
 
 
 def _beyond(row: Sequence[Point], t95_us: float) -> Need:
-    """Go on from the three shortest steps, if the error falls at all."""
+    """Extrapolate from the three shortest steps, if the error falls with the step."""
     if len(row) < 2:
         return Need(math.inf, "never")
     order = _order(row[-3:][0], row[-1])

@@ -1,4 +1,4 @@
-"""The USB/IP link under load: how many events a second it sustains, and how late events leave.
+"""The USB/IP link under load: sustained events per second, and latency of the events.
 
 Three processes, as in a run: this one feeds the ring; the link's own process holds the camera and the USB/IP server;
 a receiver attaches over TCP on the loopback interface, does what a driver does, decodes every word, and digests every
@@ -24,7 +24,8 @@ from emulator.run.session import RunResult, RunStatus
 from emulator.scene.checkerboard.table import CheckerboardParameters
 from firmware_protocol.davis346 import Davis346, Davis346Settings
 from transports.link.pacing import MonotonicClock
-from transports.link.process import LinkReport, LinkSetup
+from transports.link.process import LinkSetup
+from transports.link.report import LinkReport
 from transports.link.ring import FREE_RUNNING, EventRing
 from transports.usb.davis_host import DavisHost
 from transports.usb.receiver import Reception, receive

@@ -1,4 +1,4 @@
-"""What `evstim bench` measures: names, units, and where each is measured."""
+"""The measures of `evstim bench`: names, units, and the functions that measure them."""
 
 from __future__ import annotations
 
@@ -50,25 +50,25 @@ _RIGS: tuple[tuple[str, float | None, float | None], ...] = (
 
 
 def _of_a_rig(rig: str, small: float | None, large: float | None) -> tuple[Measure, ...]:
-    """Return what is measured of a rig: frames a second, and steps with the light's derivative."""
+    """Return the measures of a rig: frames per second, and steps with the light's derivative."""
     name = rig.replace("-", "_")
     return tuple(
         Measure(f"{name}_{size[0]}x{size[1]}{end}", unit, "higher", target, Workload(rig, size, with_rate=bool(end)))
-        for end, unit in (("", "frames/s"), ("_warped", "steps/s"))
+        for end, unit in (("", "frames/s"), ("_hermite", "steps/s"))
         for size, target in ((SMALL, None if end else small), (LARGE, None if end else large))
     )
 
 
 def _of_the_card(size: tuple[int, int]) -> tuple[Measure, ...]:
-    """Return what a graphics card could do instead of the processor, at one size."""
+    """Return the measures of a graphics card beside the processor, at one size."""
     at = f"{size[0]}x{size[1]}"
     runs: tuple[tuple[str, Callable[[], float]], ...] = (
         (f"gpu_pixels_quiet_{at}", PixelSteps(size, fires=False)),
         (f"gpu_pixels_quiet_{at}_on_cpu", PixelSteps(size, fires=False, on_card=False)),
         (f"gpu_pixels_20pct_{at}", PixelSteps(size, fires=True)),
         (f"gpu_pixels_20pct_{at}_on_cpu", PixelSteps(size, fires=True, on_card=False)),
-        (f"gpu_picture_{at}", Drawing(size, with_rate=False)),
-        (f"gpu_picture_pair_{at}", Drawing(size, with_rate=True)),
+        (f"gpu_frame_{at}", Drawing(size, with_rate=False)),
+        (f"gpu_frame_pair_{at}", Drawing(size, with_rate=True)),
         (f"gpu_readback_direct_{at}", Reading(size, "direct")),
         (f"gpu_readback_ring_{at}", Reading(size, "ring")),
     )

@@ -1,4 +1,4 @@
-"""What point-process noise adds to a step of 346 x 260 pixels and 1 ms: microseconds, one thread.
+"""Cost of point-process noise in a step of 346 x 260 pixels and 1 ms: microseconds, one thread.
 
 The light is still and dim, 0.05 of the reference, and all pixels leak a little; the noise has the rms at which it makes
 the wanted number of events. Each step of the noise is timed alone, right after the pixels' own, so that it finds the

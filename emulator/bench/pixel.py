@@ -1,6 +1,6 @@
-"""How fast the pixel step is: full physics of the DAVIS346 preset, one thread, 1 ms steps, sorted event list included.
+"""Speed of the pixel step: full physics of the DAVIS346 preset, one thread, 1 ms steps, sorted event list included.
 
-Timed is `PixelArray.step` alone, call by call; the picture is written into one buffer before each call, as a renderer
+Timed is `PixelArray.step` alone, call by call; the frame is written into one buffer before each call, as a renderer
 would. The figure is the pixels of the sensor over the median time of a step. The light comes with its time derivative,
 as it does by default in a run: log light as a cubic; `line` is the same without, log light as a straight line.
 
@@ -42,20 +42,20 @@ _PERIOD_PX = 40.0
 _CONTRAST = 1.0  # amplitude of the grating, ln units
 
 _Light = npt.NDArray[np.float32]
-_Picture = tuple[_Light, _Light]
+_Frame = tuple[_Light, _Light]
 """Light and its time derivative, a second."""
 
 
 @dataclasses.dataclass(frozen=True)
 class FiringRun:
-    """What a workload did: Mpixel/s and Mev/s of the median step, and the share of pixels that fired in a step."""
+    """Result of a workload: Mpixel/s and Mev/s of the median step, and the share of pixels that fired in a step."""
 
     mpixel_s: float
     mev_s: float
     share: float
 
 
-def grating(parameters: SensorParameters, phase: float, phase_step: float) -> _Picture:
+def grating(parameters: SensorParameters, phase: float, phase_step: float) -> _Frame:
     """Return the grating, its logarithm a sine around ln 0.5 that loses `phase_step` a step; (height, width) each."""
     y, x = np.mgrid[: parameters.height, : parameters.width]
     angle = 2 * np.pi * (x + 0.5 * y) / _PERIOD_PX + phase
@@ -64,7 +64,7 @@ def grating(parameters: SensorParameters, phase: float, phase_step: float) -> _P
     return light.astype(np.float32), rate.astype(np.float32)
 
 
-def _edges(parameters: SensorParameters, k: int) -> _Picture:
+def _edges(parameters: SensorParameters, k: int) -> _Frame:
     """Return light and dark stripes of 20 px with blurred edges, k steps of 0.5 px along; (height, width) each."""
     y, x = np.mgrid[: parameters.height, : parameters.width]
     sigma_px, speed_px = 0.5, 0.5
@@ -77,7 +77,7 @@ def _edges(parameters: SensorParameters, k: int) -> _Picture:
     return light.astype(np.float32), (-slope * speed_px * 1e9 / _STEP_NS).astype(np.float32)
 
 
-def _timed(array: PixelArray, picture: Callable[[int], _Picture], steps: int, *, line: bool) -> tuple[float, float]:
+def _timed(array: PixelArray, picture: Callable[[int], _Frame], steps: int, *, line: bool) -> tuple[float, float]:
     """Return the median seconds of a step and the mean number of events in one."""
     light, rate = (values.copy() for values in picture(0))
     array.reset(light, 0, None if line else rate)

@@ -1,9 +1,9 @@
-"""Pictures a second of a scene with its sensor, free running: light, pixels and read-out, events and all.
+"""Frames per second of a scene with its sensor, free running: light, pixels and read-out.
 
 The rigs are the shipped ones, without their links; at 1280x720 the sensor is the imx636 preset's size with the same
-pixels. Without slopes a step takes one picture and joins it to the last by a straight line in log light; with slopes
-(`_warped`, what a rig does unless it says otherwise) it takes the light's derivative too, which for a mesh is a second
-picture, and needs several times fewer steps for the same accuracy. Each figure is the median of runs of about a second,
+pixels. Without slopes a step takes one frame, and interpolates log light linearly from the last one; with slopes
+(`_hermite`, the default of a rig) it takes the light's derivative too, which for a mesh is a second frame, and needs
+several times fewer steps for the same accuracy. Each figure is the median of runs of about a second,
 after a warm-up that compiles and settles.
 """
 

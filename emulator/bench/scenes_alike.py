@@ -1,4 +1,4 @@
-"""Whether the cost of a step depends on the number of its events alone, or on which pixels have them and how.
+"""Cost of a step in scenes with the same number of events, but other pixels that have them.
 
 Scenes of about the same number of events a step, on 346 x 260 pixels; each told with its time derivative, as runs have
 it, which for a jump between two pictures is zero. The figure is the time of a step in the slowest of them over that in
@@ -34,7 +34,7 @@ _PERIOD_PX = 40
 _FLASH, _FLASH_EVENTS = 13.0, 46
 
 _Light = npt.NDArray[np.float32]
-_Picture = tuple[_Light, _Light]
+_Frame = tuple[_Light, _Light]
 """Light and its time derivative, a second."""
 
 _SENSOR = dataclasses.replace(PRESETS["davis346"], refractory_us=0.0, leak_hz=0.01)
@@ -43,7 +43,7 @@ _THRESHOLD = (_SENSOR.threshold_on + _SENSOR.threshold_off) / 2
 _PIXELS = _SENSOR.width * _SENSOR.height
 
 
-def _grating(events: int, k: int) -> _Picture:
+def _grating(events: int, k: int) -> _Frame:
     """Return a drifting sine of amplitude 1, which spends a threshold at each turn and fires on the rest of the way.
 
     Before step 0 it goes round once, in 20 steps, so that all pixels have had their turns.
@@ -55,7 +55,7 @@ def _grating(events: int, k: int) -> _Picture:
     return light.astype(np.float32), (-light * np.cos(angle) * turn * 1e9 / _STEP_NS).astype(np.float32)
 
 
-def _jumping(pixels: npt.NDArray[np.int64], by: float, k: int) -> _Picture:
+def _jumping(pixels: npt.NDArray[np.int64], by: float, k: int) -> _Frame:
     light = np.full((_SENSOR.height, _SENSOR.width), 0.3, np.float32)
     light.reshape(-1)[pixels] *= np.float32(math.exp(by if k % 2 else 0.0))
     return light, np.zeros_like(light)
@@ -72,7 +72,7 @@ def _places(events: int) -> dict[str, npt.NDArray[np.int64]]:
     }
 
 
-def _scenes(events: int) -> dict[str, tuple[SensorParameters, Callable[[int], _Picture]]]:
+def _scenes(events: int) -> dict[str, tuple[SensorParameters, Callable[[int], _Frame]]]:
     """Return sensor and picture at step k of each scene, the usual one first."""
     flashing = (np.arange(max(1, round(events / _FLASH_EVENTS))) * 997 + 40_000) % _PIXELS
     jumping = {

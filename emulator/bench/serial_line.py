@@ -17,7 +17,8 @@ from emulator.run.link_process import LinkProcess
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
 from transports.link.pacing import MonotonicClock
-from transports.link.process import LinkReport, LinkSetup
+from transports.link.process import LinkSetup
+from transports.link.report import LinkReport
 from transports.link.ring import FREE_RUNNING, EventRing
 from transports.serial_line.endpoint import SerialFactory
 from transports.serial_line.listener import SerialReception, listen_serial

@@ -1,4 +1,4 @@
-"""Two streams that bracket what a camera in space sends, in closed form or nearly so, the same every time.
+"""Two reproducible event streams, in closed form or nearly so, at the limits of what a camera in space sends.
 
 Pixels fire at each crossing of a contrast threshold, at their exact microsecond; no read-out, no refractory time.
 """
@@ -51,19 +51,19 @@ def _star(at: tuple[float, float], peak: float, duration_s: float) -> list[_Batc
     Where its centre comes nearer than r to a pixel, the light there passes the level that the spot has at r.
     """
     speed_px_s, (along_x, along_y) = 60.0, (np.cos(0.3), np.sin(0.3))
-    reach = int(speed_px_s * duration_s) + 6
-    x, y = (values.ravel() for values in np.meshgrid(*(np.floor(c) + np.arange(-reach, reach) for c in at)))
+    extent = int(speed_px_s * duration_s) + 6
+    x, y = (values.ravel() for values in np.meshgrid(*(np.floor(c) + np.arange(-extent, extent) for c in at)))
     inside = (x >= 0) & (x < SIZE[0]) & (y >= 0) & (y < SIZE[1])
     x, y = x[inside], y[inside]
     ahead = (x - at[0]) * along_x + (y - at[1]) * along_y
-    aside = (y - at[1]) * along_x - (x - at[0]) * along_y
+    across = (y - at[1]) * along_x - (x - at[0]) * along_y
     batches: list[_Batch] = []
     for level in range(1, int(np.log1p(peak) / _THRESHOLD) + 1):
         r_squared = -2 * np.log(np.expm1(level * _THRESHOLD) / peak)
-        half = np.sqrt(np.maximum(r_squared - aside**2, 0))
+        half = np.sqrt(np.maximum(r_squared - across**2, 0))
         for sign, on in ((-1, True), (1, False)):
             t = (ahead + sign * half) / speed_px_s
-            fires = (aside**2 < r_squared) & (t >= 0) & (t < duration_s)
+            fires = (across**2 < r_squared) & (t >= 0) & (t < duration_s)
             batches.append((t[fires], x[fires], y[fires], np.full(fires.sum(), on)))
     return batches
 

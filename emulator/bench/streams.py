@@ -1,4 +1,4 @@
-"""Streams of events to measure with, the same every time."""
+"""Reproducible streams of events for measurements."""
 
 from __future__ import annotations
 

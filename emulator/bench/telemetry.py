@@ -1,4 +1,4 @@
-"""Event blocks: how fast they are made and read, and how many bits an event takes on the line.
+"""Event blocks: speed of encoding and decoding, and bits per event on the line.
 
 One thread, blocks of 1024 bytes at most, streams of a sparse sky and of a textured target (see `sparse_streams`). As in
 a link, what one step of 1 ms brings is put in block order before blocks are cut from it; encoding includes that. Every

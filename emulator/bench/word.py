@@ -1,4 +1,4 @@
-"""DAVIS words a second: encoding and decoding what the checkerboard rig's read-out sends.
+"""DAVIS words per second: encoding and decoding the events of the checkerboard rig's read-out.
 
 One thread, one million events (about 1 Mev/s of stream, so nearly every microsecond has a timestamp word), in batches
 of 20 000 as a busy link sees them. Median of the repeats.

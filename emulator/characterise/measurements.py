@@ -1,4 +1,4 @@
-"""Which points make a characterisation: the sweeps, coarse or fine."""
+"""The sweeps of a characterisation, coarse or fine."""
 
 from __future__ import annotations
 

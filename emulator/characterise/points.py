@@ -1,4 +1,4 @@
-"""What a measurement gives: points of a curve, beside what the pixel's equations say."""
+"""Points of a measured curve, beside the values of the pixel's equations."""
 
 from __future__ import annotations
 
@@ -17,11 +17,16 @@ class Point:
 
     Attributes
     ----------
-    curve : a key of `CURVES`, or `FIGURE`.
-    series : which line of the curve.
-    x, y : in the curve's units.
-    low, high : spread between pixels or events, 5 % and 95 %; NaN: none.
-    model : what the equations say; NaN: no closed form.
+    curve : str
+        A key of `CURVES`, or `FIGURE`.
+    series : str
+        Line of the curve.
+    x, y : float
+        In the curve's units.
+    low, high : float
+        Spread between pixels or events, 5 % and 95 %; NaN: none.
+    model : float
+        Value of the equations; NaN: no closed form.
     """
 
     curve: str

@@ -1,4 +1,4 @@
-"""What is published of real sensors, each figure with its source and how it came here.
+"""Published figures of real sensors, each with its source and how it was obtained.
 
     cited        the source, or the table of a source, says so
     measured     read out of a recording of a real camera
@@ -36,14 +36,22 @@ class Published:
 
     Attributes
     ----------
-    told : what it is, with its value.
-    curve : where it is drawn, or `FIGURE` for a figure in the table alone.
-    x, y : its place or places. No x: a line across at y (two: a band). No y: a line upright at x.
-    source, how : where it is from.
-    series : the line to compare it with; "": all lines of the curve.
-    tolerance : factor within which ours counts as agreeing; 0: no comparison is fair, `remark` says why.
-    remark : what to bear in mind.
-    own : whether the presets have their figure from this very source, so that agreeing shows that they do as told.
+    told : str
+        Description, with the value.
+    curve : str
+        Curve in which it is drawn, or `FIGURE` for a figure in the table alone.
+    x, y : tuple of float
+        Its place or places. No x: a horizontal line at y (two: a band). No y: a vertical line at x.
+    source, how : str
+        Source, and how the figure was obtained.
+    series : str
+        The line to compare it with; "": all lines of the curve.
+    tolerance : float
+        Factor within which our figure agrees; 0: no fair comparison is possible, `remark` says why.
+    remark : str
+        Condition of the comparison.
+    own : bool
+        Whether the presets use this very source, so that agreement shows only that they follow it.
     """
 
     told: str

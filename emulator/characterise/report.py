@@ -1,4 +1,4 @@
-"""Holds what was measured against what is published, and writes the page, the tables and the charts."""
+"""Comparison of measured with published figures, and the page, the tables and the charts about it."""
 
 from __future__ import annotations
 
@@ -33,9 +33,12 @@ class Comparison:
 
     Attributes
     ----------
-    published : the figure.
-    low, high : ours at its place: least and largest of the lines and points that it is compared with; NaN: none.
-    verdict : "agrees", "as told" (agrees with what the presets were made from), "differs", or "not compared".
+    published : Published
+        The figure.
+    low, high : float
+        Our figures at its place: least and largest of the lines and points that it is compared with; NaN: none.
+    verdict : str
+        "agrees", "as told" (agrees with the source of the presets), "differs", or "not compared".
     """
 
     published: Published

@@ -1,6 +1,6 @@
-"""The bench: a small array of the sensor in front of lamps that can do exactly what they are told.
+"""The bench: a small array of the sensor in front of ideal lamps, one for each pixel.
 
-Every pixel has a lamp of its own. Between two pictures the sensor takes the logarithm of the photocurrent along a
+Between two frames the sensor takes the logarithm of the photocurrent along a
 straight line, so a ramp in it, a triangular flicker and a jump (a ramp of 10 ns) are closed forms here, not samples.
 
 A pixel starts at an unknown distance from its threshold, and a step would then ask "how far was it" as well as "how
@@ -64,18 +64,23 @@ def lag_s(p: SensorParameters, light: npt.ArrayLike) -> _Floats:
 
 
 class Bench:
-    """A sensor, its lamps and what it has sent.
+    """A sensor, its lamps and the events that it has sent.
 
     Parameters
     ----------
-    parameters : the sensor, of the bench's size.
-    light : at the start, at which the sensor is at rest; a number or (height, width).
-    seed : keys all that is random.
+    parameters : SensorParameters
+        The sensor, of the bench's size.
+    light : scalar or (height, width)
+        Light at the start, on which the sensor is at rest.
+    seed : int
+        Keys all random numbers.
 
     Attributes
     ----------
-    t_ns : stream time.
-    light : (height, width) float64, of each lamp, relative to the sensor's reference.
+    t_ns : int
+        Stream time.
+    light : (height, width) float64
+        Light of each lamp, relative to the sensor's reference.
     """
 
     def __init__(self, parameters: SensorParameters, light: npt.ArrayLike, seed: int = 1) -> None:

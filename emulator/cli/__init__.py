@@ -1,4 +1,4 @@
-"""The command line: one verb for each wish, for people and, with `--json`, for programs."""
+"""The command line: one module for each command; text for people, and JSON for programs with `--json`."""
 
 __all__ = ["main"]
 
@@ -6,6 +6,10 @@ __all__ = ["main"]
 def main() -> None:
     """Run the command line and exit with its code."""
     # Here and not above: each link's process begins by importing the script that calls this, and needs no verbs.
+    from emulator.cli.signals import exit_on_stop_signals, interrupt_on_stop_signals
+
+    exit_on_stop_signals()
     from emulator.cli.app import main as run
 
+    interrupt_on_stop_signals()
     run()

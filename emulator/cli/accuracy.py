@@ -35,7 +35,7 @@ def accuracy(
     quick: Annotated[bool, Parameter(negative="")] = False,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
-    """Hold the pixel, and the rules of other simulators, against the truth; write charts, tables and a page.
+    """Compare the pixel model, and the rules of other simulators, with the truth; write charts, tables and a page.
 
     Parameters
     ----------
@@ -44,9 +44,9 @@ def accuracy(
         "stability": where each method fails.
         "rendering": false and missed events of the shipped rigs' scenes against the time that a picture takes.
     out
-        Folder to write into; made if missing.
+        Folder to write into; created if missing.
     quick
-        Fewer scenes and steps, in seconds.
+        Fewer scenes and steps; takes seconds.
     json
         Print one JSON object as the last line on stdout.
     """

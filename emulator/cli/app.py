@@ -1,7 +1,7 @@
-"""Puts the verbs together and turns their failures into exit codes.
+"""The application: all commands, and the exit codes of their failures.
 
-Exit codes: 0 good; 1 the run's verdict is bad; 2 wrong use or a wrong rig; 3 the machine lacks something.
-With `--json` the last line on stdout is one JSON object, also when something went wrong (`{"error": ...}`).
+Exit codes: 0 good; 1 the verdict of the run is bad; 2 wrong use or wrong rig; 3 the machine lacks something.
+With `--json` the last line on stdout is one JSON object, also after an error (`{"error": ...}`).
 """
 
 from __future__ import annotations
@@ -10,54 +10,61 @@ import logging
 import os
 import sys
 from importlib.metadata import version
+from typing import IO, cast
 
 from cyclopts import App, CycloptsError
 from rich.logging import RichHandler
 
 from emulator.cli.output import BAD_VERDICT, WRONG_USE, Failure, print_json, status
+from transports.link.background_log import BackgroundWriter
 
 __all__ = ["app", "main"]
 
 app = App(
     name="evstim",
-    help="An event camera that is not there: a scene, a sensor and a DAVIS346 on USB for the computer under test.",
+    help="Emulate an event camera: render a scene, simulate the sensor, send its events over USB, serial lines or CAN.",
     help_epilogue="Try:  evstim run eros      evstim demo      evstim run checkerboard --seconds 10 --json",
     version=version("evstim"),
     result_action="return_value",
 )
-# By name, so that a verb imports no more than it needs: numba and GL make `evstim rigs` wait otherwise.
+# By name, so that a command imports only what it needs: numba and GL would slow `evstim rigs` down.
 for verb, module, told in (
-    ("run", "run", "Run a rig: render its scene, simulate its sensor, serve its camera."),
-    ("demo", "demo", "Run a rig, attach to its camera as a driver does, and compare every event."),
+    ("run", "run", "Run a rig: render its scene, simulate its sensor, serve its links."),
+    ("demo", "demo", "Run a rig, read its camera over USB/IP in a second process, and compare every event."),
     ("check", "check", "Check a rig file without running it."),
-    ("plan", "plan", "Tell what a run will model, and why."),
-    ("fault", "fault", "Throw a fault on a link of a rig that runs."),
-    ("rigs", "rigs", "List the rigs that come with evstim."),
+    ("plan", "plan", "Show what a run will model: step, effects and expected load."),
+    ("fault", "fault", "Inject a fault into a link of a running rig."),
+    ("rigs", "rigs", "List the rigs that are installed with evstim."),
     ("dbc", "listen.can", "Write the DBC file of a rig's CAN link."),
     ("schema", "rigs", "Print the JSON Schema of rig files."),
-    ("picture", "picture", "Write one look at a rig as PNG."),
-    ("accuracy", "accuracy", "Chart speed against accuracy, and map where methods fail."),
-    ("characterise", "characterise", "Measure a simulated sensor as a laboratory does."),
-    ("doctor", "doctor", "Tell what this machine offers and lacks."),
-    ("bench", "bench", "Measure the speeds that the docs quote."),
+    ("picture", "picture", "Write a PNG of a rig: its light and its events."),
+    ("accuracy", "accuracy", "Measure accuracy against speed, and where each method fails."),
+    ("characterise", "characterise", "Measure a simulated sensor with the methods of a laboratory."),
+    ("doctor", "doctor", "Show what this machine has and lacks, with the command that adds it."),
+    ("bench", "bench", "Measure the speeds that the documentation quotes."),
 ):
     app.command(f"emulator.cli.{module}:{verb}", name=verb, help=told)
 app.command(
     "emulator.cli.listen.verbs:verbs",
     name="listen",
-    help="Read a camera, real or emulated: on USB (also without the word), or on a line.",
+    help="Read a camera, real or emulated: on USB (the default), a serial line or a CAN bus.",
 )
 
 
 def main() -> None:
     """Run the command line and exit with its code."""
-    sys.exit(_main(sys.argv[1:]))
+    log = BackgroundWriter(2)
+    status.file = cast(IO[str], log)  # an stderr that nobody reads must not stop a camera
+    try:
+        sys.exit(_main(sys.argv[1:]))
+    finally:
+        log.drain()
 
 
 def _main(tokens: list[str]) -> int:
     logging.basicConfig(format="%(message)s", handlers=[RichHandler(console=status, show_path=False, show_time=False)])
-    for room in ("emulator", "transports"):
-        logging.getLogger(room).setLevel(os.environ.get("EVSTIM_LOG", "INFO").upper())
+    for package in ("emulator", "transports"):
+        logging.getLogger(package).setLevel(os.environ.get("EVSTIM_LOG", "INFO").upper())
     as_json = "--json" in tokens
     if as_json and "--version" in tokens:
         print_json({"name": "evstim", "version": version("evstim")})

@@ -21,12 +21,12 @@ def bench(
     only: Annotated[list[str] | None, Parameter(negative="")] = None,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
-    """Measure the speeds that the docs quote, on this machine, each as a median of several runs.
+    """Measure on this machine the speeds that the documentation quotes, each as the median of several runs.
 
     Parameters
     ----------
     only
-        Measure just this one, or all that match, as in 'gpu_*'; may be given several times.
+        Measure only this one, or those that match a pattern such as 'gpu_*'; may be given several times.
     json
         Print one JSON object as the last line on stdout.
     """
@@ -52,7 +52,7 @@ def _value(measure: Measure) -> float:
     try:
         return measure.run()
     except BenchFailed as error:
-        raise Failure(f"{measure.name} means nothing here: {error}", BAD_VERDICT) from error
+        raise Failure(f"{measure.name} cannot be measured: {error}", BAD_VERDICT) from error
 
 
 def _chosen(only: list[str] | None) -> list[Measure]:

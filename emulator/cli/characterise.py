@@ -28,14 +28,14 @@ def characterise(
     quick: Annotated[bool, Parameter(negative="")] = False,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
-    """Measure a sensor as a laboratory does, beside what is published of real ones; write charts, tables and a page.
+    """Measure a simulated sensor, compare it with published figures of real ones; write charts, tables and a page.
 
     Parameters
     ----------
     camera
-        Name of a preset, or a rig, whose sensor it is then: its path, or the name of a shipped one.
+        Name of a preset; or path or name of a rig, whose sensor is measured.
     out
-        Folder to write into; made if missing.
+        Folder to write into; created if missing.
     quick
         Fewer points.
     json

@@ -1,4 +1,4 @@
-"""`evstim check RIG`: whether a rig is right."""
+"""`evstim check RIG`: check a rig file."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def check(rig: str, /, *, draw: Annotated[bool, Parameter(negative="")] = False,
     rig
         Path of a rig file, or the name of a shipped one.
     draw
-        Also build the scene, which reads its mesh and needs a GL library where the scene does.
+        Also build the scene; this reads its files and needs the libraries that draw it.
     json
         Print one JSON object as the last line on stdout.
     """

@@ -1,4 +1,4 @@
-"""`evstim demo`: the main job without hardware or kernel module, and its proof."""
+"""`evstim demo`: a run over USB/IP without hardware or kernel module, and the comparison of every event."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ __all__ = ["demo"]
 
 
 def demo(rig: str = "eros", /, *, seconds: float = 5.0, json: Annotated[bool, Parameter(negative="")] = False) -> int:
-    """Run a rig, attach to its camera from a second process as a driver does, and compare every event.
+    """Run a rig, read its camera over USB/IP in a second process, as a driver does, and compare every event.
 
     Parameters
     ----------
     rig
         Path of a rig file, or the name of a shipped one; it needs a usbip link.
     seconds
-        How long the second process reads.
+        Time for which the second process reads.
     json
         Print one JSON object as the last line on stdout.
     """
@@ -60,7 +60,7 @@ def _on_a_free_port(rig: Rig) -> Rig:
 
 
 def _run(rig: Rig, sent: Path, received: Path, seconds: float) -> RunResult:
-    """Run until the receiver, started as soon as the camera is there, has ended."""
+    """Start the receiver as soon as the camera has an address, and run until it ends."""
     link = rig.links[0]
     receiver: subprocess.Popen[bytes] | None = None
     with build_scene(rig) as scene:
@@ -96,7 +96,7 @@ def _compare(sent: Path, received: Path) -> dict[str, object]:
     delivered, resets = load_record(sent)
     delivered = delivered[resets[-1] :] if resets else delivered
     if not received.exists():
-        return {"sent": len(delivered), "received": 0, "equal": False, "why": "the second process ended early"}
+        return {"sent": len(delivered), "received": 0, "equal": False, "why": "the second process wrote no record"}
     arrived, _ = load_record(received)
     equal = len(arrived) > 0 and np.array_equal(delivered, arrived)
     return {"sent": len(delivered), "received": len(arrived), "equal": equal}
@@ -105,8 +105,10 @@ def _compare(sent: Path, received: Path) -> dict[str, object]:
 def _print_verdict(result: RunResult, verdict: dict[str, object], good: bool) -> None:
     rate = result.frames / result.wall_seconds
     raised = result.ledger.raised
-    console.print(f"{result.sim_seconds:.1f} s of stream, {rate:.0f} pictures a second, {raised} events raised")
-    console.print(f"sent after the driver's clock reset: {verdict['sent']}, received: {verdict['received']}")
-    console.print("every event arrived as it was sent" if verdict["equal"] else "THE STREAMS DIFFER")
-    console.print("the ledger balances: no event without a fate" if result.ledger.balanced else "THE LEDGER IS OFF")
+    seconds = result.sim_seconds
+    console.print(f"{seconds:.1f} s of stream time, {rate:.0f} frames per second, {raised} events raised")
+    console.print(f"{verdict['sent']} events sent since the last clock reset, {verdict['received']} received")
+    console.print("all events are equal" if verdict["equal"] else "THE STREAMS DIFFER")
+    balance = result.ledger.imbalance
+    console.print("ledger: balanced" if not balance else f"ledger: OFF BY {balance} EVENTS")
     console.print("good" if good else "NOT GOOD")

@@ -14,7 +14,7 @@ __all__ = ["doctor"]
 
 
 def doctor(*, json: Annotated[bool, Parameter(negative="")] = False) -> int:
-    """Tell what this machine offers and lacks, with the command that mends each.
+    """Show what this machine has and lacks, with the command that adds each missing part.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What the errors of all rooms mean to whoever typed a verb."""
+"""Errors of the packages as failures of a command, with their exit codes."""
 
 from __future__ import annotations
 
@@ -9,16 +9,17 @@ from emulator.cli.output import LACKING, WRONG_USE, Failure
 from emulator.light import MachineLacks, SceneError
 from emulator.rig.loading import RigError
 from emulator.run.link_process import LinkFailed
+from emulator.tables.registry import PluginError
 
 __all__ = ["failures"]
 
 
 @contextmanager
 def failures() -> Iterator[None]:
-    """Turn the errors of all rooms into Failure with its exit code."""
+    """Turn the errors of the packages into Failure with its exit code."""
     try:
         yield
-    except (MachineLacks, LinkFailed) as error:
+    except (MachineLacks, LinkFailed, PluginError) as error:
         raise Failure(str(error), LACKING) from error
     except (RigError, SceneError) as error:
         raise Failure(str(error), WRONG_USE) from error

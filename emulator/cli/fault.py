@@ -1,4 +1,4 @@
-"""`evstim fault [KIND]`: a fault on a link of a rig that runs."""
+"""`evstim fault [KIND]`: inject a fault into a link of a running rig."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from transports.faults.script import FaultRecord
 __all__ = ["fault"]
 
 _LOOK_PERIOD_S = 0.1
-_PATIENCE_S = 20.0  # beyond the fault's own length
+_TIMEOUT_S = 20.0  # beyond the fault's own length
 
 
 def fault(
@@ -30,20 +30,20 @@ def fault(
     keys: Annotated[tuple[str, ...], Parameter(name="--set", negative="")] = (),
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
-    """Throw a fault on a link of a rig that runs, and tell what it did. Without a kind: list what can be thrown.
+    """Inject a fault into a link of a running rig and show its effect. Without a kind: list the possible faults.
 
     Parameters
     ----------
     kind
-        Which fault, such as bit_flips; the rig reference tells them all.
+        Kind of fault, such as bit_flips; the rig reference lists all.
     run
-        Name of the rig, where several run; or the path of its socket.
+        Name of the rig if several run; or the path of its control socket.
     link
-        Which of its links, where several can have this fault.
+        Name of the link if several can have this fault.
     for_s
-        How long, in stream time.
+        Duration in stream time, seconds.
     keys
-        More keys of the fault, as in a rig: --set rate=1e-4 --set count=0.
+        Further keys of the fault, as in a rig: --set rate=1e-4 --set count=0.
     json
         Print one JSON object as the last line on stdout.
     """
@@ -52,19 +52,19 @@ def fault(
         return _list(faults, json)
     table = {"kind": kind, **_keys(keys)}
     table |= {key: value for key, value in (("link", link), ("for_s", for_s)) if value is not None}
-    thrown = _ask(path, {"ask": "throw", "fault": table})
-    if "error" in thrown:
-        raise Failure(str(thrown["error"]), WRONG_USE)
-    record = _follow(path, thrown, kind, float(table.get("for_s", 0.0)))
+    injected = _ask(path, {"ask": "inject", "fault": table})
+    if "error" in injected:
+        raise Failure(str(injected["error"]), WRONG_USE)
+    record = _follow(path, injected, kind, float(table.get("for_s", 0.0)))
     if json:
-        print_json({"link": thrown["link"], "fault": record})
+        print_json({"link": injected["link"], "fault": record})
     else:
-        console.print(f"{thrown['link']}: {fault_line(record)}")
+        console.print(f"{injected['link']}: {fault_line(record)}")
     return GOOD
 
 
 def _find(run: str | None) -> tuple[Path, dict[str, Any]]:
-    """Return the socket of the run that is meant, and what it says of its faults."""
+    """Return the control socket of the chosen run, and its answer about faults."""
     if run is not None and Path(run).is_socket():
         return Path(run), _ask(Path(run), {"ask": "faults"})
     found = []
@@ -72,14 +72,14 @@ def _find(run: str | None) -> tuple[Path, dict[str, Any]]:
         try:
             found.append((path, ask(path, {"ask": "faults"})))
         except NoAnswer:
-            continue  # of a run that died
+            continue  # its run has died
     meant = [(path, faults) for path, faults in found if run in (None, faults["rig"])]
     if not meant:
         name = "no rig" if run is None else f"no rig {run!r}"
-        raise Failure(f"{name} with a serial or CAN link runs here; start one: evstim run serial-demo", LACKING)
+        raise Failure(f"{name} with a serial or CAN link is running; start one: evstim run serial-demo", LACKING)
     if len(meant) > 1:
         there = ", ".join(str(path) for path, _ in meant)
-        raise Failure(f"several rigs run; say which by --run: its name, or one of {there}", WRONG_USE)
+        raise Failure(f"several rigs are running; choose one with --run: its name, or one of {there}", WRONG_USE)
     return meant[0]
 
 
@@ -88,8 +88,8 @@ def _list(faults: dict[str, Any], json: bool) -> int:
         print_json(faults)
         return GOOD
     for name, link in faults["links"].items():
-        console.print(f"{faults['rig']}, link {name}: {', '.join(link['kinds']) or 'no faults of this kind of link'}")
-        for record in link["thrown"]:
+        console.print(f"{faults['rig']}, link {name}: {', '.join(link['kinds']) or 'no faults for this kind of link'}")
+        for record in link["injected"]:
             console.print(f"  {fault_line(FaultRecord(**record))}")
     return GOOD
 
@@ -100,7 +100,7 @@ def _keys(keys: tuple[str, ...]) -> dict[str, Any]:
     for key in keys:
         name, is_pair, value = key.partition("=")
         if not is_pair:
-            raise Failure(f"--set {key}: write it as KEY=VALUE", WRONG_USE)
+            raise Failure(f"--set {key}: KEY=VALUE is needed", WRONG_USE)
         try:
             table[name.strip()] = tomllib.loads(f"value = {value}")["value"]
         except tomllib.TOMLDecodeError:
@@ -115,14 +115,14 @@ def _ask(path: Path, message: dict[str, Any]) -> dict[str, Any]:
         raise Failure(str(error), LACKING) from error
 
 
-def _follow(path: Path, thrown: dict[str, Any], kind: str, for_s: float) -> FaultRecord:
-    """Wait until the fault is over, or patience is, and return what it did."""
-    until_s = time.monotonic() + for_s + _PATIENCE_S
+def _follow(path: Path, injected: dict[str, Any], kind: str, for_s: float) -> FaultRecord:
+    """Wait for the end of the fault, within a limit, and return its record."""
+    until_s = time.monotonic() + for_s + _TIMEOUT_S
     record = None
     while record is None or (record.ended_us is None and time.monotonic() < until_s):
         time.sleep(_LOOK_PERIOD_S)
-        records = _ask(path, {"ask": "faults"})["links"][thrown["link"]]["thrown"][thrown["after"] :]
+        records = _ask(path, {"ask": "faults"})["links"][injected["link"]]["injected"][injected["after"] :]
         record = next((FaultRecord(**each) for each in records if each["kind"] == kind), None)
         if record is None and time.monotonic() > until_s:
-            raise Failure(f"link {thrown['link']!r} did not begin it", LACKING)
+            raise Failure(f"link {injected['link']!r} did not begin the fault", LACKING)
     return record

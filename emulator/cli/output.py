@@ -1,4 +1,4 @@
-"""What every verb shares: how it prints, and what its exit codes are."""
+"""Consoles, JSON output and exit codes, the same for every command."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ console = Console(highlight=False, soft_wrap=True)
 """Results, on stdout."""
 
 status = Console(stderr=True, highlight=False)
-"""Progress and complaints, on stderr."""
+"""Progress and errors, on stderr."""
 
 
 class Failure(Exception):
-    """A verb cannot do what it was asked; carries the exit code."""
+    """A command cannot do its work; carries the exit code."""
 
     def __init__(self, message: str, exit_code: int) -> None:
         super().__init__(message)

@@ -1,4 +1,4 @@
-"""`evstim picture RIG FILE`: one look at a rig, as the sensor sees it."""
+"""`evstim picture RIG FILE`: the light and the events of a rig as PNG."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def picture(
     brightness: float = 0.25,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
-    """Write a picture of a rig: its light, dimmed, with ON events in green and OFF events in red.
+    """Write a PNG of a rig: its light, dimmed, with ON events in green and OFF events in red.
 
     Parameters
     ----------
@@ -39,11 +39,11 @@ def picture(
     file
         PNG file to write.
     at_s
-        Stream time of the picture.
+        Stream time of the picture, seconds.
     window_ms
-        Events of this long before it are drawn.
+        Draw the events of this time before it, milliseconds.
     brightness
-        Share of the screen's levels that the brightest light is drawn with.
+        Level of the brightest light, as a share of white.
     json
         Print one JSON object as the last line on stdout.
     """

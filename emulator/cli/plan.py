@@ -10,23 +10,23 @@ from cyclopts import Parameter
 
 from emulator.cli.failures import failures
 from emulator.cli.output import GOOD, console, print_json
-from emulator.optics.lens import CHIPS
 from emulator.plan.decide import Decision
 from emulator.plan.plan import Plan, make_plan
 from emulator.plan.scene_probe import probe
+from emulator.rig.camera_models import CAMERA_MODELS
 from emulator.rig.loading import Rig, load_rig
 from emulator.run.scene_assembly import build_scene
 
 __all__ = ["plan"]
 
 _METHODS = {
-    "warped": "cubic in log light from value and derivative, low-pass solved in warped time",
+    "hermite": "cubic in log light from value and derivative, low-pass solved in warped time",
     "line": "straight line in log light, low-pass solved exactly for it",
 }
 
 
 def plan(rig: str, /, *, json: Annotated[bool, Parameter(negative="")] = False) -> int:
-    """Tell what a run of a rig will model: steps, each effect with the bound that decided it, and the load.
+    """Show what a run of a rig will model: steps, each effect with the bound that decided it, and the expected load.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ def _as_json(made: Plan) -> dict[str, object]:
 
 
 def _finite(table: dict[str, object]) -> dict[str, object]:
-    """JSON knows no infinity."""
+    """Return the table with null for infinity and NaN, which JSON does not have."""
     return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in table.items()}
 
 
@@ -84,25 +84,25 @@ def _print(made: Plan) -> None:
     motion = f", {p.motion_px_s * steps.step_us * 1e-6:.2g} px of motion" if math.isfinite(p.motion_px_s) else ""
     console.print(
         f"steps    {'controlled, about' if steps.controlled else 'fixed,'} {steps.step_us:.0f} us{motion}: "
-        f"{steps.bound}; stamps good to {_us(steps.error_us)} (95 %); a straight line would need "
+        f"{steps.bound}; timestamp error {_us(steps.error_us)} (95 %); a straight line would need "
         f"{steps.line_step_us:.0f} us for that"
     )
     console.print(
-        f"load     {load.total:.2f} of a core: {load.pictures_per_s:.0f} pictures a second {load.drawing:.2f}, pixels "
+        f"load     {load.total:.2f} of a core: {load.pictures_per_s:.0f} frames per second {load.drawing:.2f}, pixels "
         f"{load.pixels:.2f}, events {load.events:.2f}\n"
     )
     for line in _effects(made):
         console.print(line)
     if made.pinned:
-        console.print("\nThe rig pins everything: nothing is dropped. Give run.tolerance_us to let the plan choose.")
+        console.print("\nThis rig has no run.tolerance_us, so no effect is dropped.")
 
 
 def _chip(made: Plan) -> str:
     """Return the light of the active pixels in units: on the chip, and as a pixel's current."""
-    lens, chip = made.rig.camera.lens, CHIPS[made.rig.camera.model]
+    lens, chip = made.rig.camera.lens, CAMERA_MODELS[made.rig.camera.model].chip
     bounds = made.probe.least_current, made.probe.largest_current
     if not all(map(math.isfinite, bounds)):
-        return "no pixel's light changes"
+        return "the light of no pixel changes"
     lux = [lens.chip_lux(light) for light in bounds]
     current_a = [chip.photocurrent_a(lens.chip_irradiance_w_m2(light)) for light in bounds]
     return (
@@ -114,7 +114,7 @@ def _chip(made: Plan) -> str:
 def _effects(made: Plan) -> list[str]:
     """Return the effects as aligned lines."""
     eps, share = _us(made.tolerance.eps_us), f"{made.tolerance.wrong_share:g}"
-    rows = [("effect", "verdict", f"stamps (< {eps})", f"events (< {share})", "what it is measured by")]
+    rows = [("effect", "verdict", f"time error (< {eps})", f"wrong events (< {share})", "bound")]
     rows += [_row(decision, made) for decision in made.decisions]
     widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
     return ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
@@ -122,7 +122,7 @@ def _effects(made: Plan) -> list[str]:
 
 def _row(decision: Decision, made: Plan) -> tuple[str, str, str, str, str]:
     worth = "matters" if decision.kept else "hardly matters"
-    verdict = f"kept: pinned, {worth}" if made.pinned else ("kept" if decision.kept else "dropped")
+    verdict = f"kept: no tolerance, {worth}" if made.pinned else ("kept" if decision.kept else "dropped")
     if not decision.choice:
         verdict = "kept: no choice" if decision.kept else "left out: not in the grade"
     time = "-" if decision.cost_us is None else _us(decision.cost_us)

@@ -1,4 +1,4 @@
-"""`evstim rigs` and `evstim schema`: what can be run, and how it is written."""
+"""`evstim rigs` and `evstim schema`: the installed rigs, and the JSON Schema of rig files."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Json = Annotated[bool, Parameter(negative="")]
 
 
 def rigs(*, json: Json = False) -> int:
-    """List the rigs that come with evstim.
+    """List the rigs that are installed with evstim.
 
     Parameters
     ----------

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,13 +13,16 @@ from cyclopts import Parameter
 
 from emulator.cli.failures import failures
 from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, console, print_json, status
+from emulator.cli.run_output.lateness import lateness_lines
 from emulator.cli.run_output.link_summary import link_json, link_lines
 from emulator.cli.run_output.live import LiveTable
 from emulator.cli.run_output.timing import timing_json, timing_lines
 from emulator.cli.signals import stopped_by_signals
 from emulator.rig.loading import Rig, load_rig
+from emulator.rig.options import with_options
 from emulator.run.assembly import build_session, link_setups, schedule
-from emulator.run.fault_injection import fault_desk
+from emulator.run.fault_injection import fault_injection
+from emulator.run.ready import ReadySignal
 from emulator.run.scene_assembly import build_scene
 from emulator.run.session import RunResult, RunStatus
 from transports.link.latency import LatencySummary
@@ -26,29 +30,32 @@ from transports.link.pacing import MonotonicClock
 
 __all__ = ["run", "run_rig"]
 
-_MANY_SUSPECTS = 0.1  # from here on shorter steps for all are cheaper than mending single pixels
+_MANY_UNDERSAMPLED = 0.1  # above it, shorter steps for all pixels are cheaper than refining single ones
 
 
 @dataclass(frozen=True)
 class Files:
-    """What a run writes.
+    """Files that a run writes.
 
     Attributes
     ----------
     record
-        Write what was delivered to this .npz (fields `events` and `edges`, device time).
+        Write what the links delivered to this .npz (fields `events` and `edges`, device time).
     truth
-        Write what the camera's own clock really shows to this .csv, ten lines a second; the rig needs [camera.clock].
+        Write the true error of the camera's clock to this .csv, ten lines per second; the rig needs [camera.clock].
     fault_log
-        Write what faults do to the links to this file, a line of JSON for each begin, strike, loss and end.
+        Write a line of JSON to this file for each begin, hit, loss and end of a fault.
+    ready_file
+        Write a line of JSON with each link's address to this file when the run has begun.
     """
 
     record: Path | None = None
     truth: Path | None = None
     fault_log: Path | None = None
+    ready_file: Path | None = None
 
     def begin_fault_log(self) -> None:
-        """Empty the fault log, to which every link then appends; raises Failure where that cannot be."""
+        """Empty the fault log, to which every link appends; raises Failure where it cannot be written."""
         if self.fault_log is None:
             return
         try:
@@ -70,18 +77,18 @@ def run(
     files: Annotated[Files, Parameter(name="*")] = _NO_FILES,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
-    """Run a rig: render its scene, simulate its sensor, serve its camera. Ctrl-C ends it with the summary.
+    """Run a rig: render its scene, simulate its sensor, serve its links. Ctrl-C ends the run with its summary.
 
     Parameters
     ----------
     rig
         Path of a rig file, or the name of a shipped one (see `evstim rigs`).
     seconds
-        Stream time to run for; 0 means until Ctrl-C. Instead of the rig's own.
+        Stream time to run for; 0: until Ctrl-C. Default: the rig's.
     seed
-        Seed of all that is random. Instead of the rig's own.
+        Seed of everything random. Default: the rig's.
     pace
-        realtime: every event leaves at its own time; free: as fast as the machine can, losing nothing.
+        realtime: every event leaves at its own time; free: as fast as possible, without loss.
     json
         Print one JSON object as the last line on stdout.
     """
@@ -89,6 +96,7 @@ def run(
         loaded = _with_options(load_rig(rig), seconds, seed, pace)
         _check_record(loaded, files.record)
         _check_truth(loaded, files.truth)
+        _check_folder("--ready-file", files.ready_file)
         files.begin_fault_log()
         result = run_rig(loaded, files, show=not json)
     if json:
@@ -99,9 +107,8 @@ def run(
 
 
 def _with_options(rig: Rig, seconds: float | None, seed: int | None, pace: str | None) -> Rig:
-    changed = {k: v for k, v in (("seconds", seconds), ("seed", seed), ("pace", pace)) if v is not None}
     try:
-        return dataclasses.replace(rig, run=dataclasses.replace(rig.run, **changed))  # type: ignore[arg-type]
+        return with_options(rig, seconds, seed, pace)
     except ValueError as error:
         raise Failure(f"--{error}", WRONG_USE) from error
 
@@ -110,9 +117,10 @@ def _check_record(rig: Rig, record: Path | None) -> None:
     if record is None:
         return
     if not rig.links:
-        raise Failure("--record: this rig has no link, so nothing is delivered", WRONG_USE)
-    if not record.parent.is_dir():
-        raise Failure(f"--record: the folder {record.parent} does not exist", WRONG_USE)
+        raise Failure("--record: this rig has no link, so no event is delivered", WRONG_USE)
+    if record.suffix != ".npz":
+        raise Failure(f"--record: {record} must end in .npz, the one format that is written", WRONG_USE)
+    _check_folder("--record", record)
 
 
 def _check_truth(rig: Rig, truth: Path | None) -> None:
@@ -120,29 +128,43 @@ def _check_truth(rig: Rig, truth: Path | None) -> None:
         return
     if rig.camera.clock is None or not rig.links:
         raise Failure("--truth: this rig needs a [camera.clock] table and a link that carries its times", WRONG_USE)
-    if not truth.parent.is_dir():
-        raise Failure(f"--truth: the folder {truth.parent} does not exist", WRONG_USE)
+    _check_folder("--truth", truth)
+
+
+def _check_folder(option: str, path: Path | None) -> None:
+    """Raise Failure where a file cannot be written at the run's end: that is said before the run."""
+    if path is None:
+        return
+    if not path.parent.is_dir():
+        raise Failure(f"{option}: the folder {path.parent} does not exist", WRONG_USE)
+    if path.is_dir():
+        raise Failure(f"{option}: {path} is a folder; name a file", WRONG_USE)
+    if not os.access(path if path.exists() else path.parent, os.W_OK):
+        raise Failure(f"{option}: {path} may not be written", WRONG_USE)
 
 
 def run_rig(rig: Rig, files: Files = _NO_FILES, *, show: bool = False) -> RunResult:
     """Run a loaded rig, with a live table on stderr when `show`."""
     with build_scene(rig) as scene:
         if show and scene.renderer:
-            console.print(f"drawn by {scene.renderer}")
+            console.print(f"renderer: {scene.renderer}")
         for note in scene.notes if show else ():
             console.print(f"note: {note}")
         setups = link_setups(rig, files.record, files.truth, files.fault_log)
         session = build_session(rig, scene, setups, MonotonicClock())
         with (
             stopped_by_signals(session),
-            fault_desk(rig, session) as desk,
+            fault_injection(rig, session) as faults,
             LiveTable(rig, status) if show else nullcontext() as live,
         ):
-            if show and desk.trouble:
-                console.print(f"note: {desk.trouble}")
+            if show and faults.trouble:
+                console.print(f"note: {faults.trouble}")
+
+            ready = ReadySignal(files.ready_file)
 
             def report(now: RunStatus) -> None:
-                desk.serve(now)
+                ready.tell({name: link.address for name, link in now.links.items()})
+                faults.serve(now)
                 if live:
                     live.update(now)
 
@@ -161,8 +183,9 @@ def summary(rig: Rig, result: RunResult) -> dict[str, object]:
         "events": result.ledger.as_json(),
         "balanced": result.ledger.balanced,
         "latency_us": dataclasses.asdict(_worst(latencies)),
-        "lateness": result.lateness.as_json(),
-        "suspect_share": result.suspect_share,
+        "lateness": {**result.lateness.as_json(), "too_late": result.too_late},
+        "undersampled_share": result.undersampled_share,
+        "suspect_share": result.undersampled_share,  # the old key, for one version
         "scene": result.scene_counts,
         "renderer": result.renderer,
         "pixels_by": result.pixels_by,
@@ -182,7 +205,7 @@ def summary(rig: Rig, result: RunResult) -> dict[str, object]:
 
 
 def _worst(latencies: list[LatencySummary]) -> LatencySummary:
-    """Return the latency of the slowest link, so that one good link does not hide a bad one."""
+    """Return the latency of the slowest link, so that a fast link does not hide it."""
     measured = [latency for latency in latencies if latency.p99 is not None]
     return max(measured, key=lambda latency: latency.p99 or 0.0, default=LatencySummary())
 
@@ -190,7 +213,7 @@ def _worst(latencies: list[LatencySummary]) -> LatencySummary:
 def _print_summary(rig: Rig, result: RunResult) -> None:
     ledger = result.ledger
     console.print(
-        f"{rig.name}: {result.sim_seconds:.3f} s of stream in {result.wall_seconds:.3f} s, "
+        f"{rig.name}: {result.sim_seconds:.3f} s of stream time in {result.wall_seconds:.3f} s, "
         f"{result.frames} frames, {result.steps} steps{_syncs(result)}"
     )
     console.print(
@@ -210,21 +233,17 @@ def _print_summary(rig: Rig, result: RunResult) -> None:
                 f"{link.name}: event to socket p50 {report.latency.p50:.0f} us, p99 {report.latency.p99:.0f} us, "
                 f"max {report.latency.max:.0f} us"
             )
-    if result.suspect_share is not None and result.suspect_share > _MANY_SUSPECTS:
+    if result.undersampled_share is not None and result.undersampled_share > _MANY_UNDERSAMPLED:
         console.print(
-            f"pictures too far apart: in {result.suspect_share:.0%} of the solved pixel-steps the light did something "
-            "between them; shorten run.step_us, or give run.tolerance_us"
+            f"pictures too far apart: in {result.undersampled_share:.0%} of the solved pixel-steps the light changed "
+            "unseen between them; shorten run.step_us, or give run.tolerance_us"
         )
     if result.scene_counts:
         console.print(f"scene: {', '.join(f'{n} {name}' for name, n in result.scene_counts.items())}")
     if result.pixels_by:
-        console.print(f"pixels by {result.pixels_by}")
-    late = result.lateness
-    if late.frames_late:
-        console.print(
-            f"late: {late.frames_late} frames, worst gap {late.worst_gap_us:.0f} us, "
-            f"{late.steps_stretched} steps stretched to keep up"
-        )
+        console.print(f"pixels computed by {result.pixels_by}")
+    for line in lateness_lines(rig, result):
+        console.print(line)
     console.print("ledger: balanced" if ledger.balanced else f"ledger: OFF BY {ledger.imbalance} EVENTS")
 
 

@@ -1,6 +1,9 @@
-"""Rotations as they are written here: matrices `a_from_b` turn coordinates in b into coordinates in a.
+"""Rotations of single attitudes: matrices `a_from_b` turn coordinates in b into coordinates in a.
 
 Unit quaternions are scalar first, (w, x, y, z), and q_a_from_b means the same turn as the matrix a_from_b.
+
+Splines, conventions of others and everything that is done once are scipy's Rotation. What is done for every picture is
+written here: on one rotation scipy 1.17 takes 21 us for a matrix (here 6), 86 us for a quaternion (9).
 """
 
 from __future__ import annotations
@@ -10,13 +13,27 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Matrix", "Vector", "matrix_of", "quaternion_of", "spin", "unit"]
+__all__ = [
+    "Matrix",
+    "Quaternion",
+    "Vector",
+    "conjugate",
+    "matrix_of",
+    "multiply",
+    "quaternion_of",
+    "quaternion_of_vector",
+    "spin",
+    "unit",
+]
 
 Matrix = npt.NDArray[np.float64]
 """(3, 3) rotation."""
 
 Vector = npt.NDArray[np.float64]
 """(3,)."""
+
+Quaternion = npt.NDArray[np.float64]
+"""(4,) scalar first."""
 
 
 def unit(vector: npt.ArrayLike) -> Vector:
@@ -38,6 +55,33 @@ def matrix_of(q: npt.ArrayLike) -> Matrix:
     )
 
 
+def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
+    """Return the product of two quaternions: the turn `b`, then the turn `a`."""
+    aw, ax, ay, az = a.tolist()
+    bw, bx, by, bz = b.tolist()
+    return np.array(
+        [
+            aw * bw - ax * bx - ay * by - az * bz,
+            aw * bx + bw * ax + ay * bz - az * by,
+            aw * by + bw * ay + az * bx - ax * bz,
+            aw * bz + bw * az + ax * by - ay * bx,
+        ]
+    )
+
+
+def conjugate(q: Quaternion) -> Quaternion:
+    """Return the opposite turn."""
+    return np.asarray(q * np.array([1.0, -1.0, -1.0, -1.0]))
+
+
+def quaternion_of_vector(rotation_vector: npt.ArrayLike) -> Quaternion:
+    """Return the unit quaternion of a turn about the vector's direction by its length, rad."""
+    x, y, z = np.asarray(rotation_vector, np.float64).tolist()
+    half = math.hypot(x, y, z) / 2
+    share = math.sin(half) / (2 * half) if half else 0.5
+    return np.array([math.cos(half), share * x, share * y, share * z])
+
+
 def spin(pole: Vector, turns: float) -> Matrix:
     """Return world_from_body of a body that has turned about its +Z axis, which points along the unit vector `pole`.
 
@@ -54,7 +98,7 @@ def spin(pole: Vector, turns: float) -> Matrix:
     return np.column_stack([c * x + s * y, c * y - s * x, pole])
 
 
-def quaternion_of(matrix: npt.ArrayLike) -> npt.NDArray[np.float64]:
+def quaternion_of(matrix: npt.ArrayLike) -> Quaternion:
     """Return the unit quaternion of a rotation, its largest component above 0.
 
     Source: Shepperd 1978, Quaternion from rotation matrix: the largest component is found first, so nothing cancels.

@@ -1,4 +1,4 @@
-"""Phase of something periodic, kept exact for as long as the stream lasts.
+"""Phase of periodic motion, exact for as long as the stream lasts.
 
 A phase computed from seconds in floating point gets coarser as turns pile up; here the whole turns are taken off in
 integers before anything is rounded, so that the phase after a month is as good as in the first second.

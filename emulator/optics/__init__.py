@@ -1,1 +1,1 @@
-"""From radiance in front of the lens to light on the pixels."""
+"""Lenses: from radiance in front of the lens to light on the pixels."""

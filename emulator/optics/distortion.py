@@ -1,4 +1,4 @@
-"""Bent straight lines: the lens model of Brown and Conrady, as OpenCV writes it.
+"""Lens distortion by the model of Brown and Conrady, as OpenCV writes it.
 
 With x, y the tangents of a direction (x / z, y / z) and r^2 = x^2 + y^2, the picture shows it at
 
@@ -27,12 +27,12 @@ _STEPS = 30
 
 
 class DistortionError(ValueError):
-    """A lens's figures fold the picture over itself."""
+    """The coefficients of a lens fold the picture over itself."""
 
 
 @dataclass(frozen=True)
 class Distortion:
-    """The figures of one lens."""
+    """Distortion coefficients of one lens."""
 
     k1: float = 0.0
     k2: float = 0.0
@@ -42,7 +42,7 @@ class Distortion:
 
     @classmethod
     def of(cls, lens: LensParameters) -> Distortion:
-        """Return that of a rig's lens."""
+        """Return the distortion of a rig's lens."""
         return cls(lens.k1, lens.k2, lens.k3, lens.p1, lens.p2)
 
     def bend(self, x: Floats, y: Floats) -> tuple[Floats, Floats]:

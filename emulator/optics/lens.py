@@ -1,12 +1,17 @@
-"""A lens before a sensor: how much light it brings, how sharply, and where.
+"""The lens of a camera: how much light reaches the chip, how sharp the picture is, and where things appear.
 
-    chip irradiance    E = pi tau L / (4 N^2 + 1)        far object of radiance L; times cos^4 off the axis
+    chip irradiance    E = pi tau L / (4 N^2)            far object of radiance L; times cos^4 off the axis
     chip lux           252 lm/W of sunlight, 400 to 700 nm (see `photometry.sun`)
     light              chip lux / reference_lux: what pixels work on, 1 at the sensor's reference
     photocurrent       I = q FF A QE E lambda / (h c) at 555 nm
     blur               Gaussian of standard deviation sqrt(own^2 + airy^2 + defocus^2), pixels;
                        airy = 0.42 lambda N / pitch (the Gaussian nearest to Airy's disc), and a disc of confusion of
                        diameter c counts as c / 4: c = f^2 / (N (s - f)) |s - d| / d for focus at s, object at d
+
+The irradiance is pi tau L sin^2 u with u the half angle of the cone of light on the chip. A photographic lens is
+aplanatic (Abbe's sine condition), so the sine is 1 / (2 N), and a star (an irradiance through the area of the aperture)
+and a surface of the same light agree at every f-number. The other common form, 1 / (4 N^2 + 1), takes 1 / (2 N) for the
+tangent: it is 11 % lower at f/1.4. Source: Born and Wolf, Principles of Optics, sections 4.5.1 and 4.8.
 
 The chip's figures are estimates (fill factor 22 %, peak efficiency 24 % for the front-illuminated DAVIS346; pitch as in
 its data sheet), and so is the reference: 1 klux on a scene of middle grey through f/1.4 is some 50 lx on the chip.
@@ -29,7 +34,7 @@ _AIRY = 0.42
 
 @dataclass(frozen=True)
 class Chip:
-    """What a sensor's pixel does with light.
+    """Pixel pitch and efficiency of a sensor.
 
     Attributes
     ----------
@@ -54,7 +59,7 @@ CHIPS = {
     "dvxplorer_micro": Chip(9.0, 0.22, 0.24),
     "imx636": Chip(4.86, 0.77, 0.7),
 }
-"""By the camera's model; see the module's first lines for how sure they are."""
+"""Chips by camera model; the first lines of the module say how well they are known."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +118,7 @@ class LensParameters:
     @property
     def chip_share(self) -> float:
         """Irradiance of the chip, W/m2, a unit of radiance, W m-2 sr-1, on the axis."""
-        return math.pi * self.transmission / (4 * self.f_number**2 + 1)
+        return math.pi * self.transmission / (4 * self.f_number**2)
 
     @property
     def light_per_radiance(self) -> float:

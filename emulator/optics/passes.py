@@ -1,4 +1,4 @@
-"""What a lens does to a picture, pixel by pixel, in linear light.
+"""Effects of a lens on a picture, pixel by pixel, in linear light.
 
     blur      separable Gaussian, each tap the Gaussian's share of a pixel (erf), the picture's edge repeated
     bend      bilinear look-up of the straight picture at places found once

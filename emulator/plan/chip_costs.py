@@ -1,8 +1,8 @@
-"""What it costs to leave out an effect of the chip: temperature, what any imager does to light, defects, radiation.
+"""Cost of leaving out an effect of the chip: temperature, imager, defects, radiation.
 
-Each is a decision still to be judged; None where the effect is off. `dim` stands for dark current over the photocurrent
-of the darkest active pixels: what changes dark current, or light but not dark current, by a share changes contrasts
-there by that share of `dim`; and time constants by that share.
+Each cost is a decision without its verdict; None where the effect is off. `dim` is dark current over the photocurrent
+of the darkest active pixels: a change of the dark current, or of the light alone, by a share changes contrasts there by
+that share of `dim`, and time constants by that share.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ __all__ = ["chip_costs"]
 
 
 def chip_costs(p: SensorParameters, scene: Probe, tolerance: Tolerance) -> list[Decision | None]:
-    """Return what each effect of the chip is worth."""
+    """Return the cost of each effect of the chip."""
     return [
         _dark_current(p, scene),
         _temperature(p, scene, tolerance),
@@ -77,7 +77,7 @@ def _dcnu(p: SensorParameters, scene: Probe) -> Decision | None:
 def _of_light(
     name: str, change: float, off: dict[str, Any], p: SensorParameters, scene: Probe, *, of_dark: bool = False
 ) -> Decision | None:
-    """Return the worth of something that changes light, or dark current, by a share."""
+    """Return the cost of an effect that changes light, or dark current, by a share."""
     if not change:
         return None
     dim = _dim(p, scene)

@@ -1,7 +1,7 @@
-"""What may be left out of a model, and the bound that says so.
+"""Decisions about effects: which ones may be left out of a model, and the bound that decides.
 
-A is the scene's contrast rate, C its bend (see `probe`), theta the threshold, T the run's length, N = A T / theta the
-events that an active pixel raises, n the events of one monotone run, eps the tolerated timestamp error, delta the
+A is the scene's contrast rate, C its bend (see `scene_probe`), theta the threshold, T the run's length, N = A T / theta
+the events that an active pixel raises, n the events of one monotone run, eps the tolerated timestamp error, delta the
 tolerated share of wrong events, dim the share of dark current in the darkest active light.
 
     effect              what dropping it costs                             dropped when
@@ -25,8 +25,8 @@ tolerated share of wrong events, dim the share of dark current in the darkest ac
     dead pixels         their events                                       less than delta of the pixels
     radiation, dose     its events                                         less than delta of the stream
 
-Mismatch and leak change sequences early: they go only from runs that tolerate it. Effects that a rig has switched off
-are not modelled anyway and have no bound.
+Mismatch and leak soon change the sequences of events: they are dropped only where the run tolerates that. Effects that
+the rig has switched off are not modelled and have no bound.
 """
 
 from __future__ import annotations

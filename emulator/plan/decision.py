@@ -1,4 +1,4 @@
-"""A decision about one effect, and the quantities that costs of effects are made of (see `bounds`)."""
+"""A decision about one effect, and the quantities from which costs of effects are computed (see `decide`)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ __all__ = ["Decision", "Tolerance", "interval_s", "least_current", "over", "run_
 
 @dataclass(frozen=True)
 class Tolerance:
-    """What a run may get wrong: timestamps by `eps_us` (95 %), and a share of its events; it lasts `duration_s`."""
+    """Tolerated errors of a run: timestamps by `eps_us` (95 %), and a share of its events; it lasts `duration_s`."""
 
     eps_us: float
     wrong_share: float
@@ -28,14 +28,14 @@ class Decision:
     Attributes
     ----------
     bound
-        What was compared, in words.
+        The compared quantity, in words.
     cost_us, cost_share
         Error accepted or avoided: of timestamps, us, and as a share of the events; None where it has none.
     changes
-        What to change in SensorParameters to drop the effect; of a table, what to change in it.
+        Changes in SensorParameters that drop the effect; for a table, the changes in it.
     choice
-        Whether there is one: an effect that cannot be left out is kept whatever it costs, and one that the method
-        does not have is left out.
+        False for an effect that cannot be left out, which is kept at any cost, and for one that the method does not
+        have, which is left out.
     kept
         The verdict.
     """
@@ -55,7 +55,7 @@ def threshold(p: SensorParameters) -> float:
 
 
 def over(amount: float, scene: Probe) -> float:
-    """Return `amount` over the contrast rate; infinite in a still scene, where every effect is all there is."""
+    """Return `amount` over the contrast rate; infinite in a still scene, where effects are the only events."""
     return amount / scene.contrast_rate if scene.contrast_rate > 0 else math.inf
 
 

@@ -1,4 +1,4 @@
-"""What it costs to leave out an effect of the pixel: each a decision still to be judged; None where it is off.
+"""Cost of leaving out an effect of the pixel: a decision without its verdict; None where the effect is off.
 
 The shift of events by noise is that of a ramp through a threshold with one-pole noise on it, in units of rms over
 contrast rate A, against rho = A tau_n / rms; simulated, 4000 crossings a column, the same for thresholds of 3 to 15
@@ -31,7 +31,7 @@ _LEAST_A, _LEAST_A_SHORT_REFRACTORY, _LEAST_RHO = 3.5, 4.5, 0.3  # what the poin
 
 
 def pixel_costs(p: SensorParameters, scene: Probe, tolerance: Tolerance) -> list[Decision | None]:
-    """Return what each effect of the pixel is worth."""
+    """Return the cost of each effect of the pixel."""
     return [
         _low_pass(p, scene),
         _bandwidth(p, scene),
@@ -46,7 +46,7 @@ def pixel_costs(p: SensorParameters, scene: Probe, tolerance: Tolerance) -> list
 
 
 def noise_shift(rho: float) -> tuple[float, float]:
-    """Return by how much noise brings events forward, and the deviation of that, both in rms over contrast rate."""
+    """Return the mean time by which noise makes events earlier, and its deviation, in rms over contrast rate."""
     place = math.log(rho)
     nodes = np.log(_RHO)
     return float(np.interp(place, nodes, _EARLIER)), float(np.interp(place, nodes, _DEVIATION))
@@ -127,7 +127,7 @@ def _noise(p: SensorParameters, scene: Probe) -> Decision | None:
 
 
 def _shift(p: SensorParameters, scene: Probe) -> Decision | None:
-    """Return what following the noise in time adds to noise events: real events come earlier, and scattered."""
+    """Return the cost of a noise without voltage in time: it would make real events earlier and scatter them."""
     if not p.noise.rms:
         return None
     f = np.asarray(_corner_hz(p, least_current(p, scene)))

@@ -1,8 +1,8 @@
-"""What a run will model, decided before it starts: steps, and each effect kept or dropped with the bound that decided.
+"""The plan of a run, made before it starts: its steps, and each effect kept or dropped with the bound that decided.
 
-A rig that gives no tolerance pins everything: steps of its own length, nothing dropped. The plan then still tells what
-error the step makes and what each effect is worth. One that gives a tolerance gets controlled steps (see `steps`), and
-loses the effects that change less than it tolerates (see `bounds`).
+A rig without a tolerance fixes everything: steps of its own length, no effect dropped. The plan still tells the error
+of the step and the cost of each effect. A rig with a tolerance gets controlled steps (see `step_control`), and effects
+that change less than the tolerance are dropped (see `decide`).
 """
 
 from __future__ import annotations
@@ -17,29 +17,29 @@ from emulator.sensor.presets import SensorParameters
 
 __all__ = ["Load", "Plan", "Steps", "limits", "make_plan"]
 
-# What a step costs on one thread, from the benchmarks: seconds a pixel that stays quiet, and for each event.
+# Cost of a step on one thread, from the benchmarks: seconds for a quiet pixel, and for an event.
 _QUIET_PIXEL_S = 1.0e-9
 _EVENT_S = 40e-9 + 20e-9
-_LINE, _HERMITE = 2, 4  # orders of the two ways to join pictures
-_PINNED_TOLERANCE_US = 100.0  # what effects are measured against where the rig gives nothing
+_LINE, _HERMITE = 2, 4  # orders of the two interpolations
+_PINNED_TOLERANCE_US = 100.0  # tolerance for the cost of effects where the rig gives none
 
 
 @dataclass(frozen=True)
 class Steps:
-    """How long steps will be.
+    """Expected steps of a run.
 
     Attributes
     ----------
     controlled
-        Whether they follow the picture; else all are `step_us` long.
+        Whether step control sets them; else all are `step_us` long.
     step_us
         Expected length.
     error_us
-        Expected 95th percentile of timestamp errors from what happens between two pictures.
+        Expected 95th percentile of timestamp errors of the interpolation between two frames.
     bound
-        What decided the length.
+        Reason for the length.
     line_step_us
-        What a straight line in log light would need for the same error.
+        Step of the same error with a straight line in log light.
     """
 
     controlled: bool
@@ -51,7 +51,7 @@ class Steps:
 
 @dataclass(frozen=True)
 class Load:
-    """Seconds of one core for a second of stream."""
+    """Expected load: seconds of one core for a second of stream."""
 
     pictures_per_s: float
     drawing: float
@@ -60,13 +60,13 @@ class Load:
 
     @property
     def total(self) -> float:
-        """All of it; above 1 the run cannot keep up with real time."""
+        """Total load; above 1 the run cannot keep up with real time."""
         return self.drawing + self.pixels + self.events
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What a run will model."""
+    """The plan of a run."""
 
     rig: Rig
     probe: Probe
@@ -88,7 +88,7 @@ class Plan:
 
 
 def make_plan(rig: Rig, probe: Probe) -> Plan:
-    """Decide what to model of a probed scene."""
+    """Return the plan of a rig for a probed scene."""
     run = rig.run
     duration_s = run.seconds or 10.0
     tolerance = Tolerance(run.tolerance_us or _PINNED_TOLERANCE_US, run.tolerated_wrong_share, duration_s)
@@ -98,7 +98,7 @@ def make_plan(rig: Rig, probe: Probe) -> Plan:
 
 
 def limits(rig: Rig, motion_bound_px_s: float) -> Limits:
-    """Return what controlled steps of this rig are held to."""
+    """Return the limits of controlled steps of this rig."""
     share = rig.run.tolerated_wrong_share
     return Limits(rig.run.tolerance_us, motion_bound_px_s=motion_bound_px_s, wrong_share=share)
 
@@ -109,26 +109,26 @@ def _steps(rig: Rig, probe: Probe) -> Steps:
         step_us = float(rig.run.step_us)
         error_us = _error(step_us, probe, order)
         return Steps(False, step_us, error_us, "pinned by the rig", _step_for(max(error_us, 0.01), probe, 2))
-    held = limits(rig, probe.motion_px_s)
+    allowed = limits(rig, probe.motion_px_s)
     by_error_us = _step_for(wanted_us, probe, order)
-    by_sequences_us = _step_for_sequences(held.slips, probe, order)
-    by_motion_us = held.longest_step_ns(has_slopes=order == _HERMITE) / 1000
-    shortest_us = held.shortest_ns / 1000
+    by_sequences_us = _step_for_sequences(allowed.slips, probe, order)
+    by_motion_us = allowed.longest_step_ns(has_slopes=order == _HERMITE) / 1000
+    shortest_us = allowed.shortest_ns / 1000
     step_us = max(min(by_error_us, by_sequences_us, by_motion_us), shortest_us)
     bound = "the tolerance" if by_error_us <= by_motion_us else "the picture's motion"
     if by_sequences_us < min(by_error_us, by_motion_us):
         bound = "the sequences, where light turns"
-    if by_motion_us >= held.longest_ns / 1000 <= min(by_error_us, by_sequences_us):
+    if by_motion_us >= allowed.longest_ns / 1000 <= min(by_error_us, by_sequences_us):
         bound = "the longest step"
     if min(by_error_us, by_sequences_us) < shortest_us:
         needed_us = min(by_error_us, by_sequences_us)
-        bound = f"the shortest step: what is asked for would need {needed_us:.2g} us, and cannot be kept"
+        bound = f"the shortest step: the tolerance would need {needed_us:.2g} us, and cannot be kept"
     return Steps(True, step_us, _error(step_us, probe, order), bound, _step_for(wanted_us, probe, 2))
 
 
 def _order(rig: Rig) -> int:
-    """Return by which power of the step the error grows."""
-    return _HERMITE if rig.run.method == "warped" else _LINE
+    """Return the power of the step to which the error is proportional."""
+    return _HERMITE if rig.run.method == "hermite" else _LINE
 
 
 def _probed_us(probe: Probe, order: int) -> float:
@@ -149,7 +149,7 @@ def _step_for(wanted_us: float, probe: Probe, order: int) -> float:
 
 
 def _step_for_sequences(tolerated: float, probe: Probe, order: int) -> float:
-    """Return the step, us, that makes so many slips an event; at most a second."""
+    """Return the step, us, with that number of slips per event; at most a second."""
     made = probe.hermite_slips if order == _HERMITE else probe.line_slips
     return min(1e6, probe.step_s * 1e6 * float((tolerated / made) ** (1 / order))) if made > 0 else 1e6
 

@@ -1,12 +1,12 @@
-"""What a scene does to a sensor, measured from a few of its pictures before the run.
+"""Figures of a scene, measured from a few of its frames before the run.
 
-At some instants spread over the run three pictures in a row are drawn, and from the log light of some 4096 pixels come
-the figures that all bounds are made of. Means are weighted by the events that each pixel is about to have, that is by
-its change D of log light, because errors are errors of events.
+At some instants of the run three frames in a row are drawn. The log light of some 4096 pixels gives the figures on
+which all bounds are based. Means are weighted by the events that each pixel is about to have, that is by its change D
+of log light, because errors are errors of events.
 
     contrast rate A     mean of |D| / h                    per second
     bend C              mean of |u''| / |u'|               per second; a straight line misses C dt^2 / 12
-    fourth E4           mean of |u''''| / |u'| dt^4 term   through the Hermite estimate of `steps`
+    fourth E4           mean of |u''''| / |u'| dt^4 term   through the Hermite estimate of `step_control`
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ Floats = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Probe:
-    """A scene in figures.
+    """The figures of a scene.
 
     Attributes
     ----------
@@ -54,11 +54,11 @@ class Probe:
     events_per_s
         Predicted, without refractory period or noise.
     draw_s
-        Seconds for one picture, and for one with its derivative.
+        Seconds for one frame, and for one with its derivative.
     motion_px_s
-        The scene's bound.
+        The scene's bound on image motion.
     line_slips, hermite_slips
-        Slips an event at a step of `step_s`; see `steps`.
+        Slips per event at a step of `step_s`; see `step_control`.
     """
 
     contrast_rate: float
@@ -79,7 +79,7 @@ class Probe:
 
 
 def probe(scene: Scene, sensor: SensorParameters, step_ns: int, duration_s: float) -> Probe:
-    """Look at a scene at some instants of a run of `duration_s`, with steps of `step_ns`."""
+    """Return the figures of a scene, from some instants of a run of `duration_s` with steps of `step_ns`."""
     sensor = at_temperature(sensor)
     instants_ns = [round((k + 0.5) / _INSTANTS * duration_s * 1e9) for k in range(_INSTANTS)]
     triples = [[_look(scene, sensor, t_ns + k * step_ns) for k in range(3)] for t_ns in instants_ns]
@@ -87,28 +87,28 @@ def probe(scene: Scene, sensor: SensorParameters, step_ns: int, duration_s: floa
 
 
 def _look(scene: Scene, sensor: SensorParameters, t_ns: int) -> Sampled:
-    light, rate = _pictures(scene)
+    light, rate = _buffers(scene)
     scene.light_and_rate(t_ns, light, rate)
     return sample(light, rate, sensor.dark_current_relative, t_ns)
 
 
-def _pictures(scene: Scene) -> tuple[Light, Light]:
+def _buffers(scene: Scene) -> tuple[Light, Light]:
     width, height = scene.size
     return np.zeros((height, width), np.float32), np.zeros((height, width), np.float32)
 
 
 def _draw_times(scene: Scene, t_ns: int) -> tuple[float, float]:
-    """Return seconds for a picture, and for one with its derivative: the best of three."""
-    light, rate = _pictures(scene)
-    plain, with_rate = [], []
+    """Return seconds for a frame, and for one with its derivative: the best of three."""
+    light, rate = _buffers(scene)
+    light_only, with_rate = [], []
     for k in range(3):
         start_s = time.perf_counter()
         scene.light(t_ns + k, light)
         middle_s = time.perf_counter()
         scene.light_and_rate(t_ns + k, light, rate)
-        plain.append(middle_s - start_s)
+        light_only.append(middle_s - start_s)
         with_rate.append(time.perf_counter() - middle_s)
-    return min(plain), min(with_rate)
+    return min(light_only), min(with_rate)
 
 
 def _figures(

@@ -12,15 +12,17 @@ from __future__ import annotations
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
 from emulator.light import MachineLacks, SceneError
+from emulator.scene.kind import SceneKind
 from emulator.tables.files import NO_FILE, RigFile
 from firmware_protocol.events import EVENT, Events
 from transports.link.record import load_record
 
-__all__ = ["RecordingParameters", "load_recording"]
+__all__ = ["RECORDING", "RecordingParameters", "load_recording"]
 
 _MOST_EVENTS = 1 << 31
 
@@ -42,6 +44,7 @@ class RecordingParameters:
         recording of a real camera has been through one already.
     """
 
+    kind: ClassVar[str] = "recording"
     path: RigFile = NO_FILE
     time_scale: float = 1.0
     loop: bool = True
@@ -52,6 +55,9 @@ class RecordingParameters:
             raise ValueError("path is missing: name a recording, .npz or .aedat4")
         if not 1e-6 <= self.time_scale <= 1e6:
             raise ValueError(f"time_scale is {self.time_scale}: it must be 1e-6 to 1e6")
+
+
+RECORDING = SceneKind(RecordingParameters, "emulator.playback.replay:blank", events="emulator.playback.replay:replay")
 
 
 def load_recording(path: Path, size: tuple[int, int]) -> Events:

@@ -7,16 +7,19 @@ no two rounds share an instant. What the step is makes no difference.
 from __future__ import annotations
 
 from fractions import Fraction
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
+from emulator.playback.recording import RecordingParameters, load_recording
+from emulator.scene.blank import Blank
 from emulator.sensor.chip.readout import ReadOut
 from emulator.sensor.pixels.array import Crossings
 from emulator.sensor.presets import SensorParameters
 from firmware_protocol.events import EVENT, Events
 
-__all__ = ["Replay"]
+__all__ = ["Replay", "blank", "replay"]
 
 _NS = 1000
 
@@ -31,7 +34,8 @@ class Replay:
     through_readout : whether the arbiter of `parameters` takes part.
     """
 
-    suspect_share: float | None = None
+    undersampled_share: float | None = None
+    renderer: str | None = None
     lost_in_pixel = 0
 
     def __init__(
@@ -63,6 +67,9 @@ class Replay:
     def read_out(self) -> int:
         """Events returned so far."""
         return self.raised if self._readout is None else self._readout.read_out
+
+    def warm_up(self) -> None:
+        """Nothing is compiled."""
 
     def reset(self, light: npt.NDArray[np.float32], t_ns: int) -> None:
         """Start at stream time `t_ns`; the light does not matter."""
@@ -101,3 +108,20 @@ class Replay:
             return out
         pixel = events["y"].astype(np.uint32) * np.uint32(self.parameters.width) + events["x"]
         return self._readout.push(Crossings(times, pixel, np.ascontiguousarray(events["on"])), t_ns)
+
+
+def replay(parameters: RecordingParameters, sensor: SensorParameters) -> Replay:
+    """Return the recording of a rig in the place of `sensor`; raises SceneError when it cannot be used."""
+    recording = load_recording(Path(parameters.path), (sensor.width, sensor.height))
+    return Replay(
+        sensor,
+        recording,
+        time_scale=parameters.time_scale,
+        loop=parameters.loop,
+        through_readout=parameters.through_readout,
+    )
+
+
+def blank(parameters: RecordingParameters, size: tuple[int, int]) -> Blank:
+    """Return the scene behind a recording: there is nothing to see."""
+    return Blank(size)

@@ -4,44 +4,28 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import Protocol
 
+from emulator.rig.link_kinds import LINKS
 from emulator.tables.typed_table import Path, TableError, convert_kind, unknown
-from transports.can_bus.parameters import CanParameters
-from transports.faults.can_kinds import CAN_FAULTS, ErrorFrames
-from transports.faults.kinds import SERIAL_FAULTS, Fault
-from transports.faults.usb_kinds import USB_FAULTS
-from transports.serial_line.parameters import SerialParameters
-from transports.usb.usbip.parameters import UsbipLink
+from transports.faults.kinds import Fault
+from transports.link.kind import LinkParameters
 
-__all__ = ["FAULTS", "convert_fault", "faults_of"]
-
-FAULTS: Mapping[str, type[Fault]] = {**SERIAL_FAULTS, **CAN_FAULTS, **USB_FAULTS}
-"""All kinds of faults."""
-_OWN_BUSES = ("served", "virtual")
-"""Interfaces that carry an error frame that is given to them; a controller makes its own."""
+__all__ = ["convert_fault", "faults_of", "known_faults"]
 
 
-class _Link(Protocol):
-    @property
-    def name(self) -> str: ...
+def known_faults() -> dict[str, type[Fault]]:
+    """Return the types of all faults, by kind."""
+    return {kind: fault for link in LINKS.usable().values() for kind, fault in link.faults.items()}
 
 
-def faults_of(link: object) -> Mapping[str, type[Fault]]:
+def faults_of(link: LinkParameters) -> Mapping[str, type[Fault]]:
     """Return the faults that a link of these parameters can have, by kind."""
-    if isinstance(link, SerialParameters):
-        return SERIAL_FAULTS
-    if isinstance(link, UsbipLink):
-        return USB_FAULTS
-    if not isinstance(link, CanParameters):
-        return {}
-    own = link.interface in _OWN_BUSES
-    return {kind: fault for kind, fault in CAN_FAULTS.items() if own or fault is not ErrorFrames}
+    return LINKS[link.kind].possible_faults(link)
 
 
-def convert_fault(table: object, links: Sequence[_Link], path: Path) -> Fault:
+def convert_fault(table: object, links: Sequence[LinkParameters], path: Path) -> Fault:
     """Return a table as a fault of one of `links`, whose name it then has; raises TableError."""
-    fault = convert_kind(table, FAULTS, path)
+    fault = convert_kind(table, known_faults(), path)
     able = [link.name for link in links if fault.kind in faults_of(link)]
     if not fault.link and len(able) == 1:
         return dataclasses.replace(fault, link=able[0])

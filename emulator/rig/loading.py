@@ -18,36 +18,30 @@ from __future__ import annotations
 
 import dataclasses
 import tomllib
-from collections.abc import Mapping
 from dataclasses import dataclass, field
-from importlib import resources
 from pathlib import Path
 from typing import Any, TypeVar
 
-from emulator.playback.recording import RecordingParameters
+from emulator.rig.aliases import with_new_spellings
+from emulator.rig.camera_models import CAMERA_MODELS, usb_sizes
 from emulator.rig.fault_tables import convert_fault
-from emulator.rig.tables import Camera, LoopbackLink, Run
+from emulator.rig.link_kinds import LINKS
+from emulator.rig.scene_kinds import SCENES
+from emulator.rig.tables import Camera, Run
 from emulator.rig.text import line_of
 from emulator.rig.trigger_table import Trigger
-from emulator.scene.bodies.table import BodiesParameters
-from emulator.scene.checkerboard.table import CheckerboardParameters
-from emulator.scene.stars.table import StarsParameters
-from emulator.scene.terrain.table import TerrainParameters
-from emulator.scene.video.video import VideoParameters
-from emulator.sensor.presets import PRESETS, SensorParameters
+from emulator.scene.kind import SceneParameters
+from emulator.sensor.presets import SensorParameters
 from emulator.tables.files import beside
+from emulator.tables.registry import PluginError, Record, Registry
 from emulator.tables.typed_table import Path as KeyPath
-from emulator.tables.typed_table import TableError, convert, convert_kind, unknown
-from firmware_protocol.can_frames.identifiers import Identifiers
-from firmware_protocol.can_frames.raw_events import RAW_LIMIT_PX
-from transports.can_bus.parameters import CanParameters
+from emulator.tables.typed_table import TableError, convert, split_kind, unknown
 from transports.faults.kinds import Fault
-from transports.serial_line.parameters import SerialParameters
+from transports.link.kind import CameraFacts, LinkParameters, Unsuitable
+from transports.usb.loopback_kind import LoopbackLink
 from transports.usb.usbip.parameters import UsbipLink
 
 __all__ = [
-    "LINKS",
-    "SCENES",
     "Camera",
     "LoopbackLink",
     "Rig",
@@ -61,40 +55,11 @@ __all__ = [
     "shipped_rigs",
 ]
 
-T = TypeVar("T")
+R = TypeVar("R", bound=Record)
 
 
 class RigError(Exception):
     """A rig file cannot be used; the message is for its author."""
-
-
-SceneParameters = (
-    CheckerboardParameters
-    | BodiesParameters
-    | TerrainParameters
-    | StarsParameters
-    | VideoParameters
-    | RecordingParameters
-)
-LinkParameters = UsbipLink | LoopbackLink | SerialParameters | CanParameters
-
-SCENES: Mapping[str, type[SceneParameters]] = {
-    "checkerboard": CheckerboardParameters,
-    "bodies": BodiesParameters,
-    "terrain": TerrainParameters,
-    "stars": StarsParameters,
-    "video": VideoParameters,
-    "recording": RecordingParameters,
-}
-_BUSES = ("can",)
-"""Kinds of link that hear a SYNC."""
-
-LINKS: Mapping[str, type[LinkParameters]] = {
-    "usbip": UsbipLink,
-    "loopback": LoopbackLink,
-    "serial": SerialParameters,
-    "can": CanParameters,
-}
 
 
 @dataclass(frozen=True)
@@ -113,7 +78,9 @@ class Rig:
 
 def shipped_rigs() -> dict[str, Path]:
     """Return the rigs that come with evstim, by name."""
-    folder = Path(str(resources.files("rigs")))
+    root = Path(__file__).parents[2]
+    installed = root / "evstim" / "rigs"
+    folder = installed if installed.is_dir() else root / "rigs"  # the second in a checkout
     return {path.stem: path for path in sorted(folder.glob("*.toml"))}
 
 
@@ -160,6 +127,7 @@ def _dotted(path: KeyPath) -> str:
 
 
 def _rig(table: dict[str, Any], name: str) -> Rig:
+    table = with_new_spellings(table)
     known = ["title", "scene", "camera", "trigger", "run", "links", "faults"]
     for key in table:
         if key not in known:
@@ -177,7 +145,8 @@ def _rig(table: dict[str, Any], name: str) -> Rig:
         raise TableError(
             "lockstep needs a bus that drives it: give [trigger] source = the name of a CAN link", ("run", "pace")
         )
-    scene = convert_kind(table["scene"], SCENES, ("scene",))
+    kind, rest = _of_kind(table["scene"], SCENES, ("scene",))
+    scene = convert(rest, kind.parameters, ("scene",))
     return Rig(name, title, scene, camera, run, links, trigger, _faults(table.get("faults", []), links))
 
 
@@ -189,7 +158,7 @@ def _faults(tables: object, links: tuple[LinkParameters, ...]) -> tuple[Fault, .
 
 def _trigger(table: object, links: tuple[LinkParameters, ...]) -> Trigger:
     trigger = convert(table, Trigger, ("trigger",))
-    buses = [link.name for link in links if any(isinstance(link, LINKS[kind]) for kind in _BUSES if kind in LINKS)]
+    buses = [link.name for link in links if LINKS[link.kind].has_sync]
     if trigger.source and trigger.source not in buses:
         there = ", ".join(buses) or "none in this rig"
         raise TableError(
@@ -203,11 +172,11 @@ def _camera(table: object) -> Camera:
     if not isinstance(table, dict):
         raise TableError(f"expected a table, got {table!r}", path)
     model = table.get("model", "davis346")
-    if model not in PRESETS:
-        raise TableError(unknown(str(model), list(PRESETS)), (*path, "model"))
+    if model not in CAMERA_MODELS:
+        raise TableError(unknown(str(model), list(CAMERA_MODELS)), (*path, "model"))
     own = {k: v for k, v in table.items() if k != "sensor"}
     camera = convert(own, Camera, path)
-    return dataclasses.replace(camera, sensor=_sensor(table.get("sensor", {}), PRESETS[model]))
+    return dataclasses.replace(camera, sensor=_sensor(table.get("sensor", {}), CAMERA_MODELS[model].sensor))
 
 
 def _sensor(table: object, preset: SensorParameters) -> SensorParameters:
@@ -225,47 +194,35 @@ def _sensor(table: object, preset: SensorParameters) -> SensorParameters:
 def _links(tables: object, camera: Camera) -> tuple[LinkParameters, ...]:
     if not isinstance(tables, list):
         raise TableError("expected [[links]] tables", ("links",))
-    links = tuple(convert_kind(_with_identifiers(table), LINKS, ("links", i)) for i, table in enumerate(tables))
+    links = tuple(_link(table, camera, ("links", i)) for i, table in enumerate(tables))
     for i, link in enumerate(links):
-        if link.name in [other.name for other in links[:i]]:
-            raise TableError(f"name {link.name!r} is taken by an earlier link; give each its own", ("links", i))
-        if isinstance(link, UsbipLink):
-            _check_usb(link, links[:i], camera, i)
-        if isinstance(link, SerialParameters | CanParameters):
-            _check_instrument(link, camera, i)
+        _check_apart(link, links[:i], ("links", i))
     return links
 
 
-def _with_identifiers(table: object) -> object:
-    """Let the identifiers of a CAN link follow its node number where the rig does not give them."""
-    if not isinstance(table, dict) or table.get("kind") != "can":
-        return table
-    node, own = table.get("node", CanParameters.node), table.get("identifiers", {})
-    if not isinstance(node, int) or not 1 <= node <= 127 or not isinstance(own, dict):
-        return table  # refused where its type is checked
-    return {**table, "identifiers": {**Identifiers.of_node(node).by_name, **own}}
-
-
-def _check_instrument(link: SerialParameters | CanParameters, camera: Camera, index: int) -> None:
+def _link(table: object, camera: Camera, path: KeyPath) -> LinkParameters:
+    kind, rest = _of_kind(table, LINKS, path)
+    link: LinkParameters = convert(kind.complete(rest), kind.parameters, path)
     try:
-        link.instrument.selection(camera.size)
-    except ValueError as error:
-        raise TableError(str(error), ("links", index, "instrument", "region")) from error
-    if isinstance(link, CanParameters) and link.carriage == "raw" and max(camera.size) > RAW_LIMIT_PX:
-        raise TableError(
-            f"raw frames number {RAW_LIMIT_PX} columns and rows, not {camera.size[0]}x{camera.size[1]}; "
-            'use carriage = "isotp" or "cfp"',
-            ("links", index, "carriage"),
-        )
+        kind.check(link, CameraFacts(camera.model, camera.size, usb_sizes()))
+    except Unsuitable as error:
+        raise TableError(str(error), (*path, *error.key)) from error
+    return link
 
 
-def _check_usb(link: UsbipLink, earlier: tuple[LinkParameters, ...], camera: Camera, index: int) -> None:
-    if camera.model != "davis346" or (camera.sensor.width, camera.sensor.height) != (346, 260):
-        raise TableError(
-            f"there is no USB model for a {camera.model} of {camera.sensor.width}x{camera.sensor.height} pixels yet; "
-            'use model = "davis346" with its 346x260 pixels, or kind = "loopback"',
-            ("links", index, "kind"),
-        )
-    taken = [(other.host, other.port) for other in earlier if isinstance(other, UsbipLink) and other.port]
-    if (link.host, link.port) in taken:
-        raise TableError(f"port {link.port} is taken by an earlier link; give each its own", ("links", index, "port"))
+def _check_apart(link: LinkParameters, earlier: tuple[LinkParameters, ...], path: KeyPath) -> None:
+    """Raise TableError for a link that has the name or the port of an earlier one."""
+    if link.name in [other.name for other in earlier]:
+        raise TableError(f"name {link.name!r} is taken by an earlier link; give each its own", path)
+    place = LINKS[link.kind].listens_on(link)
+    if place is not None and place in [LINKS[other.kind].listens_on(other) for other in earlier]:
+        raise TableError(f"port {place[1]} is taken by an earlier link; give each its own", (*path, "port"))
+
+
+def _of_kind(table: object, kinds: Registry[R], path: KeyPath) -> tuple[R, dict[str, Any]]:
+    """Return the record that a table's `kind` names, and its other keys; raises TableError."""
+    kind, rest = split_kind(table, kinds, path)
+    try:
+        return kinds[kind], rest
+    except PluginError as error:
+        raise TableError(str(error), (*path, "kind")) from error

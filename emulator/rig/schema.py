@@ -9,9 +9,11 @@ from typing import Any
 
 import msgspec
 
-from emulator.rig.fault_tables import FAULTS
-from emulator.rig.loading import LINKS, SCENES, Camera, Run, Trigger
-from emulator.sensor.presets import PRESETS
+from emulator.rig.camera_models import CAMERA_MODELS
+from emulator.rig.fault_tables import known_faults
+from emulator.rig.link_kinds import LINKS
+from emulator.rig.loading import Camera, Run, Trigger
+from emulator.rig.scene_kinds import SCENES
 from emulator.tables.typed_table import field_types, item_type, kinds_of, table_type
 
 __all__ = ["rig_schema"]
@@ -22,10 +24,13 @@ _Definitions = dict[str, Any]
 def rig_schema() -> dict[str, Any]:
     """Return the schema (draft 2020-12) of a rig file as a table."""
     definitions: _Definitions = {}
-    scene, link = _one_of(SCENES, definitions), _one_of(LINKS, definitions)
+    scene, link = (
+        _one_of({name: kind.parameters for name, kind in kinds.usable().items()}, definitions)
+        for kinds in (SCENES, LINKS)
+    )
     camera, run, trigger = (_table(cls, definitions) for cls in (Camera, Run, Trigger))
     definitions["SensorParameters"].pop("required", None)  # a rig gives what differs from the preset
-    definitions["Camera"]["properties"]["model"]["enum"] = list(PRESETS)
+    definitions["Camera"]["properties"]["model"]["enum"] = list(CAMERA_MODELS)
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "evstim rig",
@@ -39,7 +44,7 @@ def rig_schema() -> dict[str, Any]:
             "trigger": trigger,
             "run": run,
             "links": {"type": "array", "items": link},
-            "faults": {"type": "array", "items": _one_of(FAULTS, definitions)},
+            "faults": {"type": "array", "items": _one_of(known_faults(), definitions)},
         },
         "$defs": definitions,
     }

@@ -1,4 +1,4 @@
-"""The tables of a rig that belong to no room: the camera as a whole, the run, and the link within evstim."""
+"""The tables of a rig that belong to no room: the camera as a whole, and the run."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from emulator.optics.lens import LensParameters
 from emulator.sensor.presets import PRESETS, SensorParameters
 from firmware_protocol.device_clock import ClockSettings
 
-__all__ = ["Camera", "LoopbackLink", "Method", "Run"]
+__all__ = ["Camera", "Method", "Run"]
 
-Method = Literal["warped", "line", "pangu", "v2e", "held", "esim", "sikorski", "frame_difference"]
+Method = Literal["hermite", "line", "pangu", "v2e", "v2e_exact_filter", "esim", "sikorski", "frame_difference"]
 
 
 @dataclass(frozen=True)
 class Camera:
-    """The camera that is not there.
+    """The emulated camera.
 
     Attributes
     ----------
@@ -84,15 +84,20 @@ class Run:
         Stream time that one SYNC is worth.
     lead_us
         How far ahead of real time steps are computed; at least one step. Covers the jitter of the machine.
+    max_late_ms
+        In real time: a run whose worst step was ready later than this after it was due has not kept up, and its verdict
+        is bad. 0: no limit.
+    restart_links
+        Whether a link whose process died is started again. Otherwise the other links go on without it.
     fifo_priority
         Above 0: links run under SCHED_FIFO at this priority (1 to 99), before all that is not as urgent. Delivery and
         the stamps of a bus are then steady on a busy machine. Needs root, or a limit of 'rtprio'.
     method
-        How pixels are solved between two pictures: "warped" (light as a cubic from value and derivative), "line" (a
-        straight line in log light), or another's rule, to reproduce what was published with it: "pangu", "v2e", "held",
-        "esim", "sikorski", "frame_difference".
+        How light is interpolated between two frames: "hermite" (a cubic from value and derivative) or "line" (a
+        straight line in log light); or another simulator's rule, to reproduce published results: "pangu", "v2e",
+        "v2e_exact_filter", "esim", "sikorski", "frame_difference".
     pixels
-        Where they are solved: "cpu", or "gpu", a compute shader for large sensors with methods "warped" and "line" and
+        Where they are solved: "cpu", or "gpu", a compute shader for large sensors with methods "hermite" and "line" and
         without a second pole, parasitic leak, defects, and noise of grade "grid".
     tolerance_us
         Tolerated timestamp error, 95th percentile. Above 0, steps are as long as it allows (`step_us` is the first one)
@@ -108,8 +113,10 @@ class Run:
     pace: Literal["realtime", "free", "lockstep"] = "realtime"
     lockstep_us: int = 0
     lead_us: int = 10_000
+    max_late_ms: float = 1000.0
+    restart_links: bool = False
     fifo_priority: int = 0
-    method: Method = "warped"
+    method: Method = "hermite"
     pixels: Literal["cpu", "gpu"] = "cpu"
     tolerance_us: float = 0.0
     tolerated_wrong_share: float = 0.01
@@ -125,22 +132,17 @@ class Run:
             raise ValueError(f"lockstep_us must be 0 to 3600000000, got {self.lockstep_us}")
         if (self.pace == "lockstep") != bool(self.lockstep_us):
             raise ValueError('lockstep_us and pace = "lockstep" go together: give both or neither')
-        if self.pixels == "gpu" and self.method not in ("warped", "line"):
-            raise ValueError(f'pixels = "gpu" has methods "warped" and "line", got method = {self.method!r}')
+        if self.pixels == "gpu" and self.method not in ("hermite", "line"):
+            raise ValueError(f'pixels = "gpu" has methods "hermite" and "line", got method = {self.method!r}')
         if self.pixels == "gpu" and self.step_us > 250_000:
             raise ValueError(f'step_us must be at most 250000 with pixels = "gpu", got {self.step_us}')
         if not 0 <= self.fifo_priority <= 99:
             raise ValueError(f"fifo_priority must be 0 (none) to 99, got {self.fifo_priority}")
+        if not 0 <= self.max_late_ms <= 3.6e6:
+            raise ValueError(f"max_late_ms must be 0 (no limit) to 3.6e6, got {self.max_late_ms}")
         if not 0 <= self.lead_us <= 10_000_000:
             raise ValueError(f"lead_us must be 0 to 10000000, got {self.lead_us}")
         if self.tolerance_us != 0 and not 0.01 <= self.tolerance_us <= 1e6:
             raise ValueError(f"tolerance_us must be 0 (none) or 0.01 to 1e6, got {self.tolerance_us}")
         if not 0 <= self.tolerated_wrong_share <= 1:
             raise ValueError(f"tolerated_wrong_share must be 0 to 1, got {self.tolerated_wrong_share}")
-
-
-@dataclass(frozen=True)
-class LoopbackLink:
-    """A host inside the link's own process that starts the camera, decodes every byte and compares: no USB anywhere."""
-
-    name: str = "loopback"

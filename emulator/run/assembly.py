@@ -11,35 +11,30 @@ from typing import Any
 from emulator.light import Scene
 from emulator.plan.plan import limits, make_plan
 from emulator.plan.scene_probe import probe
-from emulator.plan.step_control import ControlledSteps, FixedSteps, Halves, StepSource
-from emulator.playback.recording import RecordingParameters, load_recording
-from emulator.playback.replay import Replay
-from emulator.rig.loading import LinkParameters, LoopbackLink, Rig, RigError, Run, UsbipLink
+from emulator.plan.step_control import ControlledSteps, FixedSteps, RefinementModel, StepSource
+from emulator.rig.camera_models import CAMERA_MODELS, UsbSettings
+from emulator.rig.link_kinds import LINKS
+from emulator.rig.loading import Rig, RigError, Run
+from emulator.rig.scene_kinds import SCENES
 from emulator.run.frames import Pictures
 from emulator.run.session import Schedule, Session
 from emulator.run.triggers import TriggerPaths
 from emulator.sensor.chip.temperature import at_temperature
 from emulator.sensor.event_source import EventSource
 from emulator.sensor.gpu.array import GpuArray
-from emulator.sensor.other_simulators import RULES
+from emulator.sensor.other_simulators import OTHER_SIMULATORS
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.presets import SensorParameters
 from emulator.sensor.sensor import MakePixels, Sensor
-from firmware_protocol.davis346 import Davis346, Davis346Settings, Layout
+from emulator.tables.registry import imported
 from firmware_protocol.instrument.instrument import Instrument
-from firmware_protocol.instrument.settings import InstrumentSettings
-from firmware_protocol.usb.device import Speed, UsbCamera
-from transports.can_bus.endpoint import CanFactory
-from transports.can_bus.parameters import CanParameters
+from firmware_protocol.usb.device import UsbCamera
 from transports.faults.script import FaultPlan
 from transports.link.feed import Timing
+from transports.link.kind import LinkKind, LinkParameters, Wiring
 from transports.link.pacing import Clock
-from transports.link.process import EndpointFactory, LinkSetup
+from transports.link.process import LinkSetup
 from transports.link.ring import EventRing
-from transports.serial_line.endpoint import SerialFactory
-from transports.serial_line.parameters import SerialParameters
-from transports.usb.loopback import LoopbackFactory
-from transports.usb.usbip.endpoint import UsbipFactory
 
 __all__ = [
     "build_pictures",
@@ -58,9 +53,9 @@ def build_session(rig: Rig, scene: Scene, setups: Sequence[LinkSetup[Any]], cloc
     if run.tolerance_us:
         parameters = make_plan(rig, probe(scene, parameters, run.step_us * 1000, run.seconds or 10.0)).sensor
         dark = at_temperature(parameters).dark_current_relative
-        halved = scene.pixel_light is not None and run.pixels == "cpu"
-        halves = None if not halved else Halves(min(parameters.threshold_on, parameters.threshold_off))
-        steps = ControlledSteps(limits(rig, scene.motion_bound_px_s), dark, run.step_us * 1000, halves)
+        refines = scene.pixel_light is not None and run.pixels == "cpu"
+        refinement = None if not refines else RefinementModel(min(parameters.threshold_on, parameters.threshold_off))
+        steps = ControlledSteps(limits(rig, scene.motion_bound_px_s), dark, run.step_us * 1000, refinement)
     return Session(build_pictures(rig, scene), build_sensor(rig, parameters), steps, setups, clock)
 
 
@@ -69,8 +64,9 @@ def build_sensor(rig: Rig, parameters: SensorParameters) -> EventSource:
 
     Raises RigError when the rig's method lacks an effect that is asked for, SceneError when a recording cannot be used.
     """
-    if isinstance(rig.scene, RecordingParameters):
-        return _replay(rig.scene, parameters)
+    if events := SCENES[rig.scene.kind].events:
+        source: EventSource = imported(events)(rig.scene, parameters)
+        return source
     try:
         return Sensor(parameters, rig.run.seed, _pixels(rig.run))
     except ValueError as error:
@@ -79,17 +75,12 @@ def build_sensor(rig: Rig, parameters: SensorParameters) -> EventSource:
 
 
 def _pixels(run: Run) -> MakePixels:
-    return GpuArray if run.pixels == "gpu" else RULES.get(run.method, PixelArray)
-
-
-def _replay(p: RecordingParameters, parameters: SensorParameters) -> Replay:
-    recording = load_recording(Path(p.path), (parameters.width, parameters.height))
-    return Replay(parameters, recording, time_scale=p.time_scale, loop=p.loop, through_readout=p.through_readout)
+    return GpuArray if run.pixels == "gpu" else OTHER_SIMULATORS.get(run.method, PixelArray)
 
 
 def build_pictures(rig: Rig, scene: Scene) -> Pictures:
-    """Return the scene's pictures, as the rig's method wants them; suspects are halved where a tolerance is kept."""
-    return Pictures(scene, with_rate=rig.run.method == "warped", halving=rig.run.tolerance_us > 0)
+    """Return the scene's pictures, as the rig's method wants them; undersampled steps are refined for a tolerance."""
+    return Pictures(scene, with_rate=rig.run.method == "hermite", halving=rig.run.tolerance_us > 0)
 
 
 def schedule(rig: Rig) -> Schedule:
@@ -100,6 +91,7 @@ def schedule(rig: Rig) -> Schedule:
         duration_ns=round(run.seconds * 1e9) or None,
         paced=run.pace == "realtime",
         lockstep_ns=run.lockstep_us * 1000,
+        max_late_us=run.max_late_ms * 1000,
     )
 
 
@@ -119,49 +111,30 @@ def link_setups(
         _link_setup(rig, link, path, triggers, triggers.timing(link.name, rig.camera.clock, shown), fault_log)
         for link, path, shown in zip(rig.links, record_paths(rig, record), record_paths(rig, truth), strict=True)
     ]
-    return [dataclasses.replace(setup, fifo_priority=rig.run.fifo_priority) for setup in setups]
+    run = rig.run
+    return [dataclasses.replace(setup, fifo_priority=run.fifo_priority, restart=run.restart_links) for setup in setups]
 
 
 def _link_setup(
     rig: Rig, link: LinkParameters, record: Path | None, triggers: TriggerPaths, timing: Timing, fault_log: Path | None
 ) -> LinkSetup[Any]:
-    ring = EventRing()
-    if isinstance(link, SerialParameters):
-        line = SerialFactory(link, _faults(rig, link, fault_log))
-        return LinkSetup(link.name, ring, _instrument(rig, link.instrument), line, record, timing=timing)
-    if isinstance(link, CanParameters):
-        endpoint = CanFactory(link, triggers.sink(link.name, ring), _faults(rig, link, fault_log))
-        return LinkSetup(link.name, ring, _instrument(rig, link.instrument), endpoint, record, timing=timing)
-    camera: Callable[[], UsbCamera] = partial(Davis346, _camera(rig, link))
-    endpoint_on_usb = _usb_endpoint(link, _faults(rig, link, fault_log))
-    return LinkSetup(link.name, ring, camera, endpoint_on_usb, record, timing=timing)
+    ring, kind = EventRing(), LINKS[link.kind]
+    endpoint = kind.endpoint(link, Wiring(_faults(rig, link, fault_log), triggers.sink(link.name, ring)))
+    device = _instrument(rig, link) if kind.serves == "instrument" else _usb_camera(rig, kind)
+    return LinkSetup(link.name, ring, device, endpoint, record, timing=timing)
 
 
 def _faults(rig: Rig, link: LinkParameters, log: Path | None) -> FaultPlan:
     return FaultPlan(link.name, tuple(f for f in rig.faults if f.link == link.name), rig.run.seed, log)
 
 
-def _instrument(rig: Rig, settings: InstrumentSettings) -> Callable[[], Instrument]:
-    size = (rig.camera.sensor.width, rig.camera.sensor.height)
-    return partial(Instrument, size, settings)
+def _instrument(rig: Rig, link: Any) -> Callable[[], Instrument]:
+    return partial(Instrument, rig.camera.size, link.instrument)
 
 
-def _camera(rig: Rig, link: UsbipLink | LoopbackLink) -> Davis346Settings:
-    camera = rig.camera
-    # The loopback host never loses its way at the start, so it need not wait.
-    delay_ms = 0.0 if isinstance(link, LoopbackLink) else camera.start_delay_ms
-    return Davis346Settings(
-        serial=camera.serial,
-        size=(camera.sensor.width, camera.sensor.height),
-        speed=Speed[camera.speed.upper()],
-        layout=Layout[camera.layout.upper()],
-        fifo_bytes=camera.fifo_bytes,
-        start_delay_us=round(delay_ms * 1000),
-        pulse_us=rig.trigger.pulse_us if rig.trigger else Davis346Settings.pulse_us,
-    )
-
-
-def _usb_endpoint(link: UsbipLink | LoopbackLink, faults: FaultPlan) -> EndpointFactory[UsbCamera]:
-    if isinstance(link, LoopbackLink):
-        return LoopbackFactory()
-    return UsbipFactory(link.host, link.port, link.busid, faults)
+def _usb_camera(rig: Rig, kind: LinkKind[Any]) -> Callable[[], UsbCamera]:
+    model = CAMERA_MODELS[kind.usb_model or rig.camera.model]
+    if model.usb is None:
+        raise RigError(f"{rig.name}: there is no USB model for a {rig.camera.model} yet")
+    delay_ms = rig.camera.start_delay_ms if kind.start_delay else 0.0
+    return model.usb.device(rig.camera, UsbSettings(delay_ms, None if rig.trigger is None else rig.trigger.pulse_us))

@@ -3,7 +3,8 @@
     $XDG_RUNTIME_DIR/evstim/RIG-PID.sock        where there is no such directory: /tmp/evstim-UID/RIG-PID.sock
 
 Only its owner can open it (directory 0700, socket 0600). The session looks at it when it reports its status, ten times
-a second; nobody waits for a client that says nothing.
+a second; nobody waits for a client that says nothing, reads nothing or never stops: lines, clients and the work of one
+look are bounded, and the client that has been silent longest makes way for a newer one.
 """
 
 from __future__ import annotations
@@ -13,16 +14,22 @@ import os
 import socket
 import stat
 import tempfile
+import time
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
 __all__ = ["ControlSocket", "Message", "NoAnswer", "ask", "runtime_directory", "sockets"]
 
-_MOST_BYTES = 1 << 20
+_MOST_LINE_BYTES = 1 << 16
+_MOST_ANSWER_BYTES = 1 << 20
 _MOST_CLIENTS = 16
+_MOST_ACCEPTED = 64  # in one look
+_BACKLOG = 128
 _ANSWER_TIMEOUT_S = 10.0
+_RETRY_S = 0.02
 
 Message = dict[str, Any]
 
@@ -43,9 +50,9 @@ def runtime_directory() -> Path:
 
 
 def sockets() -> list[Path]:
-    """Return the sockets that are there, of runs that go on and of some that died."""
+    """Return the sockets of runs that go on; those that dead runs left behind are removed."""
     try:
-        return sorted(runtime_directory().glob("*.sock"))
+        return [path for path in sorted(runtime_directory().glob("*.sock")) if not _removed(path)]
     except OSError:
         return []
 
@@ -55,9 +62,9 @@ def ask(path: Path, message: Message) -> Message:
     with socket.socket(socket.AF_UNIX) as client:
         client.settimeout(_ANSWER_TIMEOUT_S)
         try:
-            client.connect(str(path))
+            _connect(client, path)
             client.sendall(json.dumps(message).encode() + b"\n")
-            answer = client.makefile("rb").readline(_MOST_BYTES)
+            answer = client.makefile("rb").readline(_MOST_ANSWER_BYTES)
             return _parsed(answer)
         except (OSError, ValueError) as error:
             raise NoAnswer(f"the run at {path} does not answer: {error}") from error
@@ -67,18 +74,15 @@ class ControlSocket:
     """The run's end. Opening it raises OSError where that cannot be; closing it removes it."""
 
     def __init__(self, rig: str) -> None:
+        sockets()
         self.path = runtime_directory() / f"{rig}-{os.getpid()}.sock"
-        self.path.unlink(missing_ok=True)
         self._socket = socket.socket(socket.AF_UNIX)
         try:
-            self._socket.bind(str(self.path))
-            self.path.chmod(0o600)
-            self._socket.listen(_MOST_CLIENTS)
+            self._listen()
         except OSError:
             self._socket.close()
             raise
-        self._socket.setblocking(False)
-        self._clients: dict[socket.socket, bytes] = {}
+        self._clients: list[_Client] = []  # the one that came first in front
 
     def __enter__(self) -> Self:
         return self
@@ -88,13 +92,15 @@ class ControlSocket:
 
     def poll(self, answer: Callable[[Message], Message]) -> None:
         """Answer what has been asked; returns at once."""
-        with suppress(BlockingIOError):
-            while len(self._clients) < _MOST_CLIENTS:
-                client, _ = self._socket.accept()
-                client.setblocking(False)
-                self._clients[client] = b""
-        for client in list(self._clients):
-            self._hear(client, answer)
+        for client in self._clients:
+            client.advance(answer)
+        with suppress(OSError):  # nobody else waits, or who waited has gone
+            for _ in range(_MOST_ACCEPTED):
+                client = _Client(self._socket.accept()[0])
+                client.advance(answer)
+                self._clients.append(client)
+                self._make_way()
+        self._clients = [client for client in self._clients if not client.over]
 
     def close(self) -> None:
         """Send off whoever is there, and remove the socket."""
@@ -104,33 +110,110 @@ class ControlSocket:
         self._socket.close()
         self.path.unlink(missing_ok=True)
 
-    def _hear(self, client: socket.socket, answer: Callable[[Message], Message]) -> None:
+    def _listen(self) -> None:
+        """Listen, and only then take the name: a socket that refuses connections is that of a dead run."""
+        unnamed = self.path.with_suffix(".new")
+        unnamed.unlink(missing_ok=True)
+        self._socket.bind(str(unnamed))
+        unnamed.chmod(0o600)
+        self._socket.listen(_BACKLOG)
+        self._socket.setblocking(False)
+        unnamed.rename(self.path)
+
+    def _make_way(self) -> None:
+        self._clients = [client for client in self._clients if not client.over]
+        while len(self._clients) > _MOST_CLIENTS:
+            self._clients.pop(0).close()
+
+
+@dataclass
+class _Client:
+    """One connection: what it has said of its line, then what it has not taken of its answer."""
+
+    socket: socket.socket
+    line: bytes = b""
+    answer: bytes = b""
+    over: bool = False
+
+    def __post_init__(self) -> None:
+        self.socket.setblocking(False)
+
+    def advance(self, answer: Callable[[Message], Message]) -> None:
+        """Do what can be done without waiting."""
         try:
-            data = client.recv(_MOST_BYTES)
+            if not self.answer and self._hear():
+                self.answer = _encoded(_answered(self.line, answer))
+            if self.answer:
+                self.answer = self.answer[self.socket.send(self.answer) :]
+                self.over = not self.answer
         except BlockingIOError:
             return
-        except OSError:
-            data = b""
-        line = self._clients[client] + data
-        if data and b"\n" not in line and len(line) < _MOST_BYTES:
-            self._clients[client] = line
-            return
-        del self._clients[client]
-        with client, suppress(OSError):  # a client that has gone needs no answer
-            if b"\n" in line:
-                client.sendall(json.dumps(_answered(line, answer)).encode() + b"\n")
+        except OSError:  # it has gone
+            self.over = True
+        if self.over:
+            self.close()
+
+    def close(self) -> None:
+        self.over = True
+        self.socket.close()
+
+    def _hear(self) -> bool:
+        """Read on; say whether the line is complete. One that is too long is answered as far as it came."""
+        data = self.socket.recv(_MOST_LINE_BYTES + 1 - len(self.line))
+        self.line += data
+        self.over = not data
+        return b"\n" in data or len(self.line) > _MOST_LINE_BYTES
+
+
+def _removed(path: Path) -> bool:
+    """Remove a socket at which nobody listens any more; say whether that was so."""
+    with socket.socket(socket.AF_UNIX) as client:
+        client.setblocking(False)
+        try:
+            client.connect(str(path))
+        except ConnectionRefusedError:
+            path.unlink(missing_ok=True)
+            return True
+        except FileNotFoundError:
+            return True
+        except OSError:  # it is too busy for us: somebody is there
+            return False
+    return False
+
+
+def _connect(client: socket.socket, path: Path) -> None:
+    """Connect, and try again while so many others wait that the socket takes no more."""
+    deadline = time.monotonic() + _ANSWER_TIMEOUT_S
+    while True:
+        try:
+            return client.connect(str(path))
+        except BlockingIOError:
+            if time.monotonic() > deadline:
+                raise
+            time.sleep(_RETRY_S)
 
 
 def _answered(line: bytes, answer: Callable[[Message], Message]) -> Message:
+    if len(line) > _MOST_LINE_BYTES:
+        return {"error": f"a line has at most {_MOST_LINE_BYTES} bytes"}
     try:
         return answer(_parsed(line.partition(b"\n")[0]))
     except ValueError as error:
         return {"error": str(error)}
+    except RecursionError:
+        return {"error": "the JSON is nested too deeply"}
+
+
+def _encoded(message: Message) -> bytes:
+    return json.dumps(message).encode()[:_MOST_ANSWER_BYTES] + b"\n"
 
 
 def _parsed(line: bytes) -> Message:
     """Return a line as a JSON object; raises ValueError."""
-    message = json.loads(line)
+    try:
+        message = json.loads(line)
+    except RecursionError as error:
+        raise ValueError("the JSON is nested too deeply") from error
     if not isinstance(message, dict):
         raise ValueError("a JSON object is expected")
     return message

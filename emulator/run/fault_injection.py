@@ -1,7 +1,9 @@
 """Faults by hand: what a running session answers to `evstim fault`.
 
-{"ask": "faults"}                     ->  {"rig": ..., "t_s": ..., "links": {NAME: {"kinds": [...], "thrown": [...]}}}
-{"ask": "throw", "fault": {table}}    ->  {"link": NAME, "after": number of its faults so far} or {"error": ...}
+{"ask": "faults"}                     ->  {"rig": ..., "t_s": ..., "links": {NAME: {"kinds": [...], "injected": [...]}}}
+{"ask": "inject", "fault": {table}}   ->  {"link": NAME, "after": number of its faults so far} or {"error": ...}
+
+For one version more, "throw" is understood for "inject", and "injected" is there as "thrown" too.
 """
 
 from __future__ import annotations
@@ -18,15 +20,15 @@ from emulator.run.session import RunStatus
 from emulator.tables.typed_table import TableError
 from transports.faults.kinds import Fault
 
-__all__ = ["FaultDesk", "fault_desk"]
+__all__ = ["FaultInjection", "fault_injection"]
 
 
 class _Session(Protocol):
-    def throw(self, fault: Fault) -> None:
-        """Let a fault begin on the link that it names."""
+    def inject(self, fault: Fault) -> None:
+        """Begin a fault on the link that it names."""
 
 
-class FaultDesk:
+class FaultInjection:
     """Answers for one run; without a socket it does nothing.
 
     Attributes
@@ -51,39 +53,39 @@ class FaultDesk:
         match message:
             case {"ask": "faults"}:
                 return self._faults(status)
-            case {"ask": "throw", "fault": table}:
-                return self._throw(table, status)
-        return {"error": "known are ask = 'faults' and ask = 'throw' with a fault"}
+            case {"ask": "inject" | "throw", "fault": table}:
+                return self._inject(table, status)
+        return {"error": "known are ask = 'faults' and ask = 'inject' with a fault"}
 
     def _faults(self, status: RunStatus) -> Message:
         links: dict[str, Any] = {}
         for link in self._rig.links:
             report = status.links.get(link.name)
-            thrown = [] if report is None else [dataclasses.asdict(record) for record in report.faults]
-            links[link.name] = {"kinds": list(faults_of(link)), "thrown": thrown}
+            injected = [] if report is None else [dataclasses.asdict(record) for record in report.faults]
+            links[link.name] = {"kinds": list(faults_of(link)), "injected": injected, "thrown": injected}
         return {"rig": self._rig.name, "t_s": status.sim_seconds, "links": links}
 
-    def _throw(self, table: object, status: RunStatus) -> Message:
+    def _inject(self, table: object, status: RunStatus) -> Message:
         try:
             fault = convert_fault(table, self._rig.links, ())
         except TableError as error:
             at = ".".join(str(part) for part in error.path)
             return {"error": f"{at}: {error}" if at else str(error)}
         report = status.links.get(fault.link)
-        self._session.throw(fault)
+        self._session.inject(fault)
         return {"link": fault.link, "after": 0 if report is None else len(report.faults)}
 
 
 @contextmanager
-def fault_desk(rig: Rig, session: _Session) -> Iterator[FaultDesk]:
-    """Open the socket of a run whose links can have faults; where that fails the desk says why, and the run goes on."""
+def fault_injection(rig: Rig, session: _Session) -> Iterator[FaultInjection]:
+    """Open the socket of a run whose links can have faults; if that fails, `trouble` tells why and the run goes on."""
     if not any(faults_of(link) for link in rig.links):
-        yield FaultDesk(rig, session, None)
+        yield FaultInjection(rig, session, None)
         return
     try:
         socket = ControlSocket(rig.name)
     except OSError as error:
-        yield FaultDesk(rig, session, None, f"no control socket, so no `evstim fault` for this run: {error}")
+        yield FaultInjection(rig, session, None, f"no control socket, so no `evstim fault` for this run: {error}")
         return
     with socket:
-        yield FaultDesk(rig, session, socket)
+        yield FaultInjection(rig, session, socket)

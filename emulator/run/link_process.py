@@ -1,98 +1,187 @@
-"""The session's end of a link: starts its process, hears its reports, tells it to stop."""
+"""The session's end of a link: starts its process, hears its reports, and accounts for its events when it dies.
+
+    starting ---> open ---> final report
+                   |  ^
+             died  v  | restart, where the rig asks for it and the process had run for a second
+                  gone
+
+A link that is gone never ends the run. The events that were meant for it are counted as dropped, except those that its
+process had delivered before (see `DeliveryTally`).
+"""
 
 from __future__ import annotations
 
+import dataclasses
 import multiprocessing
 from collections.abc import Callable
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
+from emulator.run.spawning import starting_a_link
 from firmware_protocol.events import Events
 from transports.faults.kinds import Fault
 from transports.link.pacing import Clock
-from transports.link.process import LinkReport, LinkSetup, Stop, Throw, run_link
+from transports.link.process import InjectFault, LinkSetup, Stop, run_link
+from transports.link.report import LinkReport
+from transports.link.tally import DeliveryTally
 
 __all__ = ["LinkFailed", "LinkProcess"]
 
 _START_TIMEOUT_S = 180.0  # the first time, a link compiles its kernels: 10 s, and longer on a machine that is busy
 _ROOM_WAIT_NS = 200_000
+_RESTART_AFTER_NS = 1_000_000_000  # a process that dies sooner would die again
 
 
 class LinkFailed(Exception):
-    """A link could not start, or its process died; the message says which and why."""
+    """A link could not start; the message says which and why."""
 
 
 class LinkProcess:
-    """One link in a process of its own."""
+    """One link in a process of its own.
+
+    Attributes
+    ----------
+    name : the link's name in the rig.
+    report : the newest report.
+    gone : whether nothing more can be delivered.
+    """
 
     def __init__(self, setup: LinkSetup[Any], clock: Clock) -> None:
         self.name = setup.name
-        self._ring = setup.ring
+        self._setup = setup
         self._clock = clock
-        context = multiprocessing.get_context("spawn")
-        self._control, theirs = context.Pipe()
-        self._process = context.Process(target=run_link, args=(setup, theirs), name=f"evstim {setup.name}", daemon=True)
-        self._process.start()
-        theirs.close()
+        self._offered = self._delivered_before = 0
+        self._starts = 0
+        self._error: str | None = None
+        self.gone = False
         self.report = LinkReport("starting")
+        self._spawn()
+
+    @property
+    def pid(self) -> int | None:
+        """Number of the process."""
+        return self._process.pid
 
     def wait_ready(self) -> None:
         """Return when the link is open; raises LinkFailed."""
         if not self._control.poll(_START_TIMEOUT_S):
             raise LinkFailed(f"link {self.name!r} did not start within {_START_TIMEOUT_S:.0f} s")
         self.listen()
+        if self.gone:
+            raise LinkFailed(f"link {self.name!r}: {self._error}")
 
     def listen(self) -> LinkReport:
-        """Take the reports that have come and return the newest; raises LinkFailed when the process has died."""
+        """Take the reports that have come and return the newest; notices when the process has died."""
         try:
-            while self._control.poll():
-                self.report = self._control.recv()
-        except (EOFError, ConnectionResetError) as gone:
-            raise LinkFailed(f"the process of link {self.name!r} ended (exit code {self._process.exitcode})") from gone
-        if self.report.error is not None:
-            raise LinkFailed(f"link {self.name!r}: {self.report.error}")
+            while not self.gone and self._control.poll():
+                self._take(self._control.recv())
+        except (EOFError, ConnectionResetError):
+            self._died()
         return self.report
 
     def start(self, origin_ns: int) -> None:
         """Let stream time run; see EventRing.start."""
-        self._ring.start(origin_ns)
+        self._setup.ring.start(origin_ns)
 
-    def throw(self, fault: Fault) -> None:
+    def inject(self, fault: Fault) -> None:
         """Let a fault begin on it, one that it can have."""
         with suppress(BrokenPipeError):  # it died: `listen` will say so
-            self._control.send(Throw(fault))
+            self._control.send(InjectFault(fault))
 
     def push(self, events: Events, now_us: int) -> None:
         """Hand over events up to `now_us`; what finds no room in the ring is refused and counted there."""
-        self._ring.push(events)
-        self._ring.publish(now_us)
+        self._offered += len(events)
+        self._push(events, now_us)
 
     def push_all(self, events: Events, now_us: int, goes_on: Callable[[], bool] = lambda: True) -> None:
         """Hand over every event, waiting for room: for runs that are not paced, where nothing need be lost.
 
-        When `goes_on` says no, it waits no longer, and what finds no room is refused and counted.
+        When `goes_on` says no, or the link is gone, it waits no longer, and what finds no room is counted as dropped.
         """
-        while len(events) > self._ring.room and goes_on():
-            if self._ring.room == 0:
+        self._offered += len(events)
+        ring = self._setup.ring
+        while len(events) > ring.room and not self.gone and goes_on():
+            if ring.room == 0:
                 self._clock.sleep_until(self._clock.now_ns() + _ROOM_WAIT_NS)
                 self.listen()
                 continue
-            piece = events[: self._ring.room]
-            self._ring.push(piece)
-            self._ring.publish(int(piece["t"][-1]))
+            piece = events[: ring.room]
+            self._push(piece, int(piece["t"][-1]))
             events = events[len(piece) :]
-        self.push(events, now_us)
+        self._push(events, now_us)
 
     def stop(self, drain_s: float) -> LinkReport:
         """Close the ring, let the link deliver what waits, and return its final report."""
-        self._ring.close()
-        try:
-            self._control.send(Stop(drain_s))
-            while not self.report.final and self._control.poll(drain_s + 10.0):
-                self.report = self._control.recv()
-        except (EOFError, ConnectionError):
-            pass  # it died before us; its last report stands, and the ledger will show what is missing
+        self._setup.ring.close()
+        if not self.gone:
+            self._finish(drain_s)
         self._process.join(5.0)
         if self._process.is_alive():
             self._process.kill()
-        return self.report
+        return self._accounted()
+
+    def _push(self, events: Events, now_us: int) -> None:
+        if not self.gone:
+            self._setup.ring.push(events)
+            self._setup.ring.publish(now_us)
+
+    def _spawn(self) -> None:
+        self._tally = DeliveryTally()
+        self._began_ns = self._clock.now_ns()
+        setup = dataclasses.replace(self._setup, tally=self._tally, record=self._record())
+        context = multiprocessing.get_context("spawn")
+        self._control, theirs = context.Pipe()
+        self._process = context.Process(target=run_link, args=(setup, theirs), name=f"evstim {self.name}", daemon=True)
+        with starting_a_link(setup):
+            self._process.start()
+        theirs.close()
+        self._starts += 1
+
+    def _record(self) -> Path | None:
+        """Return the file of this start's record: a restarted link must not write over what is there."""
+        record = self._setup.record
+        if record is None or not self._starts:
+            return record
+        return record.with_name(f"{record.stem}-restart{self._starts}{record.suffix}")
+
+    def _take(self, report: LinkReport) -> None:
+        self.report = report
+        if report.error is not None:
+            self._leave(report.error, "failed")
+
+    def _died(self) -> None:
+        self._process.join(1.0)
+        why = f"its process ended (exit code {self._process.exitcode})"
+        ran_ns = self._clock.now_ns() - self._began_ns
+        if not self._setup.restart or ran_ns < _RESTART_AFTER_NS:
+            self._leave(why, "died")
+            return
+        self._delivered_before += self._tally.delivered
+        self._error = f"{why} and was started again {self._starts} times" if self._starts > 1 else f"{why}; restarted"
+        self._spawn()
+        self.report = LinkReport("restarting")
+
+    def _leave(self, why: str, state: str) -> None:
+        self.gone = True
+        self._error = why
+        self.report = dataclasses.replace(self.report, state=state, address=None)
+
+    def _finish(self, drain_s: float) -> None:
+        try:
+            self._control.send(Stop(drain_s))
+            while not self.report.final and self._control.poll(drain_s + 10.0):
+                self._take(self._control.recv())
+        except (EOFError, ConnectionError):
+            self._leave(f"its process ended (exit code {self._process.exitcode})", "died")
+
+    def _accounted(self) -> LinkReport:
+        """Return the last report with a fate for every event that the link was offered."""
+        report = self.report
+        if report.final and self._error is None:
+            return report
+        if not report.final:  # its process was killed: the camera's own counters are as old as its last report
+            report = dataclasses.replace(report, camera=None, delivered=self._tally.delivered, final=True)
+        delivered = report.delivered + self._delivered_before
+        dropped = self._offered - delivered - report.dropped_in_device
+        return dataclasses.replace(report, delivered=delivered, dropped=dropped, error=self._error)

@@ -9,14 +9,11 @@ they are full, so that nothing is lost. In lockstep they go on as far as the SYN
 
 from __future__ import annotations
 
-import dataclasses
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from typing import Any
-
-import numpy as np
 
 from emulator.plan.step_control import StepSource
 from emulator.run.frames import Pictures
@@ -25,17 +22,15 @@ from emulator.run.ledger import Ledger, LinkLedger
 from emulator.run.link_process import LinkProcess
 from emulator.run.lockstep import Lockstep
 from emulator.run.slow_notice import said_if_slow
-from emulator.sensor.effects import DefectParameters
 from emulator.sensor.event_source import EventSource
-from emulator.sensor.presets import SensorParameters
-from emulator.sensor.sensor import Sensor
 from firmware_protocol.events import Events
 from transports.faults.kinds import Fault
 from transports.link.pacing import Clock
-from transports.link.process import LinkReport, LinkSetup
+from transports.link.process import LinkSetup
+from transports.link.report import LinkReport
 from transports.link.ring import FREE_RUNNING
 
-__all__ = ["RunResult", "RunStatus", "Schedule", "Session", "load_kernels"]
+__all__ = ["RunResult", "RunStatus", "Schedule", "Session"]
 
 log = logging.getLogger(__name__)
 
@@ -45,13 +40,17 @@ _HEAD_START_NS = 20_000_000  # between deciding to start and stream time zero, s
 
 @dataclass(frozen=True)
 class Schedule:
-    """How a run goes through time. Above 0, each SYNC on a link's bus is worth `lockstep_ns`, and nothing else is."""
+    """How a run goes through time. Above 0, each SYNC on a link's bus is worth `lockstep_ns`, and nothing else is.
+
+    A paced run whose worst step was later than `max_late_us` is not good; 0: any lateness is.
+    """
 
     lead_ns: int = 5_000_000
     duration_ns: int | None = None
     paced: bool = True
     drain_s: float = 1.0
     lockstep_ns: int = 0
+    max_late_us: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -77,26 +76,24 @@ class RunResult:
     ledger: Ledger
     lateness: Lateness
     links: dict[str, LinkReport] = field(default_factory=dict)
-    suspect_share: float | None = None
+    undersampled_share: float | None = None
     scene_counts: Mapping[str, int] = field(default_factory=dict)
     syncs: int | None = None
     renderer: str | None = None
     pixels_by: str | None = None
+    max_late_us: float = 0.0
+
+    @property
+    def too_late(self) -> bool:
+        """True when a step was later than the schedule allows."""
+        return 0 < self.max_late_us < self.lateness.worst_gap_us
 
     @property
     def good(self) -> bool:
-        """True when every event and edge has exactly one fate and no link found fault with what it did."""
+        """True when every event and edge has exactly one fate, no link failed, and the run kept up with the clock."""
         links = self.links.values()
-        return self.ledger.balanced and all(link.error is None and link.edges_balanced for link in links)
-
-
-def load_kernels(sensor: SensorParameters) -> None:
-    """Compile the sensor's kernels, or load them from disk, by flashing a light at a few pixels like `sensor`'s."""
-    few = dataclasses.replace(sensor, width=16, height=16, defects=DefectParameters())
-    flashed = Sensor(few, 0)
-    flashed.reset(np.zeros((16, 16), np.float32), 0)
-    flashed.expose(np.ones((16, 16), np.float32), 1_000_000, np.zeros((16, 16), np.float32))
-    flashed.finish()
+        sound = self.ledger.balanced and all(link.error is None and link.edges_balanced for link in links)
+        return sound and not self.too_late
 
 
 class Session:
@@ -130,6 +127,7 @@ class Session:
         self._t_ns = 0
         self._lateness = Lateness()
         self._stopping = False
+        self._on_events: Callable[[Events], None] = lambda _: None
         self._lockstep: Lockstep | None = None
 
     def stop(self) -> None:
@@ -139,12 +137,21 @@ class Session:
         """
         self._stopping = True
 
-    def throw(self, fault: Fault) -> None:
-        """Let a fault begin on the link that it names, one that this link can have; for `on_status`."""
-        next(link for link in self._links if link.name == fault.link).throw(fault)
+    def inject(self, fault: Fault) -> None:
+        """Begin a fault on the link that it names, one that this link can have; for `on_status`."""
+        next(link for link in self._links if link.name == fault.link).inject(fault)
 
-    def run(self, schedule: Schedule, on_status: Callable[[RunStatus], None] = lambda _: None) -> RunResult:
-        """Run until the schedule's end or `stop`; raises LinkFailed when a link cannot go on."""
+    def run(
+        self,
+        schedule: Schedule,
+        on_status: Callable[[RunStatus], None] = lambda _: None,
+        on_events: Callable[[Events], None] = lambda _: None,
+    ) -> RunResult:
+        """Run until the schedule's end, `stop`, or the death of the last link; raises LinkFailed if one cannot open.
+
+        `on_events` is given the events of each step, after the links; they may be kept.
+        """
+        self._on_events = on_events
         with ExitStack() as stack:
             stack.callback(self._stop_links, 0.0)  # does nothing more when the links have been stopped in order
             self._open_links()
@@ -163,11 +170,12 @@ class Session:
             ledger=ledger,
             lateness=self._lateness,
             links=reports,
-            suspect_share=self._sensor.suspect_share,
+            undersampled_share=self._sensor.undersampled_share,
             scene_counts=self._pictures.scene.counts,
             renderer=self._pictures.scene.renderer,
-            pixels_by=self._sensor.renderer if isinstance(self._sensor, Sensor) else None,
+            pixels_by=self._sensor.renderer,
             syncs=None if self._lockstep is None else self._lockstep.heard,
+            max_late_us=schedule.max_late_us if schedule.paced else 0.0,
         )
 
     def _open_links(self) -> None:
@@ -180,8 +188,7 @@ class Session:
     def _warm_up(self) -> None:
         """Do all slow first-time work before the clock runs: compile the kernels, draw the first picture."""
         with said_if_slow("compiling the sensor's kernels: takes some seconds, once; they are kept on disk"):
-            if isinstance(self._sensor, Sensor):
-                load_kernels(self._sensor.parameters)
+            self._sensor.warm_up()
         self._pictures.draw(0)
         self._sensor.reset(self._pictures.light, 0)
         self._step_source.observe(self._pictures.light, self._pictures.rate, 0)
@@ -194,7 +201,7 @@ class Session:
             link.start(origin_ns)
         rule = StepRule(self._step_source)
         status_ns = start_ns
-        while not self._stopping and (schedule.duration_ns is None or self._t_ns < schedule.duration_ns):
+        while self._goes_on and (schedule.duration_ns is None or self._t_ns < schedule.duration_ns):
             if schedule.paced:
                 self._clock.sleep_until(origin_ns + self._t_ns - max(schedule.lead_ns, rule.step_ns))
             elif not self._may_go_on(start_ns, on_status):
@@ -208,6 +215,11 @@ class Session:
             if self._clock.now_ns() >= status_ns:
                 status_ns = self._clock.now_ns() + _STATUS_PERIOD_NS
                 on_status(self._status(start_ns))
+
+    @property
+    def _goes_on(self) -> bool:
+        """Whether nobody stopped the run, and a link is left that can deliver, if there ever was one."""
+        return not self._stopping and (not self._links or any(not link.gone for link in self._links))
 
     def _locked(self, schedule: Schedule) -> Lockstep | None:
         """Return what drives the run, where a bus does."""
@@ -229,7 +241,7 @@ class Session:
             if self._clock.now_ns() >= status_ns:
                 status_ns = self._clock.now_ns() + _STATUS_PERIOD_NS
                 on_status(self._status(start_ns))
-            return not self._stopping
+            return self._goes_on
 
         return self._lockstep.wait(self._t_ns, goes_on) > self._t_ns
 
@@ -255,7 +267,8 @@ class Session:
             if schedule.paced:
                 link.push(events, now_us)
             else:
-                link.push_all(events, now_us, lambda: not self._stopping)
+                link.push_all(events, now_us, lambda: self._goes_on)
+        self._on_events(events)
 
     def _status(self, start_ns: int) -> RunStatus:
         return RunStatus(

@@ -1,4 +1,4 @@
-"""What a session takes its events from: a simulated sensor, or a recording in its place."""
+"""The source of a session's events: a simulated sensor, or a recording in its place."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ __all__ = ["EventSource"]
 
 
 class EventSource(Protocol):
-    """Light in, events out; every event raised is lost in the pixel, lost at the read-out, or read out."""
+    """Light in, events out. Every event raised is lost in the pixel, lost at the read-out, or read out."""
 
     parameters: SensorParameters
 
@@ -39,9 +39,17 @@ class EventSource(Protocol):
         ...
 
     @property
-    def suspect_share(self) -> float | None:
-        """Share of the solved pixel-steps whose light did something between the pictures; None: not known."""
+    def undersampled_share(self) -> float | None:
+        """Share of the solved pixel-steps whose light changed unseen between two frames; None where unknown."""
         ...
+
+    @property
+    def renderer(self) -> str | None:
+        """The name of what computes the pixels, in GL's words; None for the processor."""
+        ...
+
+    def warm_up(self) -> None:
+        """Do the slow work of a first step, such as compiling kernels; what it returns later does not change."""
 
     def reset(self, light: npt.NDArray[np.float32], t_ns: int) -> None:
         """Start at `t_ns` at rest on `light`, (height, width) float32."""

@@ -4,10 +4,9 @@
                          ^      noise ----+
                        leaks    radiation +
 
-Every part that a rig leaves off is not there and costs nothing. Some parts change at fixed stream times (the grid of
-shot noise, leak that varies, pixels turning hot): a step that goes across such a time is cut there, with the light part
-of the way on a straight line in the logarithm of the photocurrent, as `PixelArray` takes it anyway. So what comes out
-depends on the pictures and the seed, and on nothing else.
+A part that the rig leaves off does not exist and costs nothing. Some parts change at fixed stream times (the grid of
+shot noise, changing leak, pixels turning hot). A step across such a time is cut there; the light at the cut lies on a
+straight line in the logarithm of the photocurrent. So the events depend on the frames and the seed only.
 """
 
 from __future__ import annotations
@@ -20,17 +19,18 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.light import PixelLight
-from emulator.sensor.chip.defects import ArrayFaults, Defects, Faults, draw_defects
+from emulator.sensor.chip.defects import Defects, draw_defects
 from emulator.sensor.chip.imager import Imager, part_of_the_way
 from emulator.sensor.chip.jitter import Jitter
 from emulator.sensor.chip.leak import NEVER_NS, Leaks
 from emulator.sensor.chip.radiation import Particles
 from emulator.sensor.chip.readout import ReadOut
 from emulator.sensor.chip.temperature import at_temperature
-from emulator.sensor.gpu.array import GpuArray
+from emulator.sensor.effects import DefectParameters
 from emulator.sensor.noise.grid import NoisyPixels
 from emulator.sensor.noise.point_process import NoiseEvents
 from emulator.sensor.pixels.array import Crossings, PixelArray
+from emulator.sensor.pixels.faults import PixelFaults
 from emulator.sensor.pixels.merging import NO_CROSSINGS, joined
 from emulator.sensor.pixels.mismatch import draw
 from emulator.sensor.presets import SensorParameters
@@ -42,20 +42,51 @@ _Float32s = npt.NDArray[np.float32]
 
 
 class PixelMethod(Protocol):
-    """What turns light into crossings: `PixelArray`, or another's rule."""
+    """Pixels that turn light into crossings: `PixelArray`, `GpuArray`, `NoisyPixels`, or another simulator's rule.
+
+    Attributes
+    ----------
+    lost_in_pixel : int
+        Crossings since `reset` beyond the most that a pixel can have in a step.
+    quiet_nan : int
+        Pixel-steps since `reset` whose light was NaN or infinite.
+    """
 
     lost_in_pixel: int
     quiet_nan: int
 
-    def reset(self, light: _Float32s, t_ns: int) -> None:
-        """Start at `t_ns` at rest on `light`, (height, width) float32."""
+    @property
+    def renderer(self) -> str | None:
+        """Name of the device that computes the pixels, in GL's words; None for the processor."""
 
-    def step(self, light: _Float32s, t_ns: int, rate: _Float32s | None = None) -> Crossings:
-        """Move to `t_ns`, where the light is `light`, its time derivative `rate`; return the crossings on the way."""
+    @property
+    def settled_ns(self) -> int:
+        """Stream time up to which all crossings have been returned."""
+        ...
+
+    @property
+    def undersampled_share(self) -> float | None:
+        """Undersampled pixel-steps over those that had to be solved; None where unknown."""
+
+    def faults(self) -> PixelFaults | None:
+        """Return the access to defects and to the leak; None where the method has neither."""
+
+    def reset(self, light: _Float32s, t_ns: int, rate: _Float32s | None = None) -> None:
+        """Start at `t_ns` at rest on `light`, (height, width) float32; `rate` is its time derivative, if known."""
+
+    def step(
+        self, light: _Float32s, t_ns: int, rate: _Float32s | None = None, at: PixelLight | None = None
+    ) -> Crossings:
+        """Move to `t_ns` and return the crossings on the way.
+
+        `light` and its time derivative `rate` hold at `t_ns`; `at` gives the light of single pixels in between. A
+        method ignores what it cannot use.
+        """
+        ...
 
 
 class _Source(Protocol):
-    """What raises events of its own: noise, particles."""
+    """A source of events beside the pixels: noise, particles."""
 
     def reset(self, t_ns: int) -> None:
         """Start at `t_ns`."""
@@ -65,7 +96,7 @@ class _Source(Protocol):
 
 
 MakePixels = Callable[[SensorParameters, int], PixelMethod]
-"""Makes the pixels of a sensor from its parameters and a seed."""
+"""Factory of a sensor's pixels, from its parameters and a seed."""
 
 
 class Sensor:
@@ -73,19 +104,24 @@ class Sensor:
 
     Parameters
     ----------
-    parameters : the sensor and its effects.
-    seed : keys all that is random.
-    make_pixels : the pixels' method.
+    parameters : SensorParameters
+        The sensor and its effects.
+    seed : int
+        Keys all random numbers.
+    make_pixels : MakePixels
+        The method of the pixels.
 
     Attributes
     ----------
-    parameters : as given.
-    pixels : the pixels.
+    parameters : SensorParameters
+        As given.
+    pixels : PixelMethod
+        The pixels.
 
     Raises
     ------
     ValueError
-        An effect that only `PixelArray` has (defects, changing leak) is asked of another method.
+        The method of the pixels lacks an effect that the parameters switch on (defects, changing leak).
     """
 
     def __init__(self, parameters: SensorParameters, seed: int, make_pixels: MakePixels = PixelArray) -> None:
@@ -106,12 +142,12 @@ class Sensor:
 
     @property
     def raised(self) -> int:
-        """Events that came to be: lost_in_pixel + lost_at_readout + read_out + pending."""
+        """All events raised: lost_in_pixel + lost_at_readout + read_out + pending."""
         return self._readout.raised + self.pixels.lost_in_pixel + self._delayed
 
     @property
     def lost_in_pixel(self) -> int:
-        """Crossings beyond what a pixel can have in a step."""
+        """Crossings beyond the most that a pixel can have in a step."""
         return self.pixels.lost_in_pixel
 
     @property
@@ -134,27 +170,33 @@ class Sensor:
         return self._jitter.waiting if self._jitter is not None else 0
 
     @property
-    def suspect_share(self) -> float | None:
-        """Share of the solved pixel-steps whose light did something unseen between pictures; None where not known.
+    def undersampled_share(self) -> float | None:
+        """Share of the solved pixel-steps whose light changed unseen between two frames; None where unknown.
 
-        The honest measure of whether pictures are close enough together.
+        This is the measure of whether frames are close enough together.
         """
-        if not isinstance(self.pixels, PixelArray | GpuArray):
-            return None
-        return self.pixels.suspects / max(self.pixels.candidates, 1)
+        return self.pixels.undersampled_share
 
     @property
     def renderer(self) -> str | None:
-        """The name of what computes the pixels, in GL's words; None for the processor."""
-        return self.pixels.renderer if isinstance(self.pixels, GpuArray) else None
+        """Name of the device that computes the pixels, in GL's words; None for the processor."""
+        return self.pixels.renderer
 
     @property
     def quiet_nan(self) -> int:
         """Pixel-steps whose light was NaN or infinite."""
         return self.pixels.quiet_nan
 
+    def warm_up(self) -> None:
+        """Compile the kernels, or load them from disk, by flashing a light at a few pixels like these."""
+        few = dataclasses.replace(self.parameters, width=16, height=16, defects=DefectParameters())
+        flashed = Sensor(few, 0)
+        flashed.reset(np.zeros((16, 16), np.float32), 0)
+        flashed.expose(np.ones((16, 16), np.float32), 1_000_000, np.zeros((16, 16), np.float32))
+        flashed.finish()
+
     def reset(self, light: _Float32s, t_ns: int) -> None:
-        """Start anew at `t_ns`, at rest on `light`, (height, width) float32: nothing pending, nothing counted."""
+        """Start at `t_ns`, at rest on `light`, (height, width) float32; nothing is pending, all counters are zero."""
         self._readout = ReadOut(self.parameters)
         self._t_ns = int(t_ns)
         if self._leaks is not None:
@@ -173,10 +215,14 @@ class Sensor:
 
         Parameters
         ----------
-        light : (height, width) float32, relative to the reference level, at `t_ns`; below 0 counts as 0.
-        t_ns : stream time, not before the last one.
-        rate : (height, width) float32, the light's time derivative at `t_ns`, per second; None: not known.
-        at : tells the light of single pixels in between; None: not to be had.
+        light : (height, width) float32
+            Light at `t_ns`, relative to the reference level; values below 0 count as 0.
+        t_ns : int
+            Stream time, not before the last one.
+        rate : (height, width) float32, optional
+            Time derivative of the light at `t_ns`, per second; None where unknown.
+        at : PixelLight, optional
+            Gives the light of single pixels in between; None where there is no such source.
 
         Returns
         -------
@@ -185,19 +231,19 @@ class Sensor:
         Raises
         ------
         ValueError
-            Time goes back, or the picture has not the sensor's size.
+            Time goes back, or the frame does not have the sensor's size.
         """
         t_ns, parts = int(t_ns), []
         t0_ns = self._t_ns
         while (cut_ns := self._next_cut_ns()) < t_ns:
             share = (cut_ns - t0_ns) / (t_ns - t0_ns)
-            parts.append(_kept(self._move(self._between(light, share), cut_ns, None)))
+            parts.append(_copied(self._move(self._between(light, share), cut_ns, None)))
         parts.append(self._move(light, t_ns, rate, at))
         self._remember(light)
-        return self._readout.push(joined(parts), self._settled_ns())
+        return self._readout.push(joined(parts), self.pixels.settled_ns)
 
     def finish(self) -> Events:
-        """Return the events that have not left yet; nothing can be exposed afterwards."""
+        """Return the events that have not left yet; the sensor cannot be exposed afterwards."""
         if self._jitter is None:
             return self._readout.finish()
         end_ns = self._jitter.last_ns() + 1
@@ -205,34 +251,25 @@ class Sensor:
         return np.concatenate([late, self._readout.finish()])
 
     def _next_cut_ns(self) -> int:
-        """Return the next time after now that must be the end of a step."""
+        """Return the next time at which a step must end."""
         grid_ns = self._imager.grid_ns
         shot_ns = (self._t_ns // grid_ns + 1) * grid_ns if grid_ns else NEVER_NS
         return min(shot_ns, self._leaks.next_ns) if self._leaks is not None else shot_ns
 
     def _move(self, light: _Float32s, t_ns: int, rate: _Float32s | None, at: PixelLight | None = None) -> Crossings:
-        """Take all parts to `t_ns`, over no cut."""
+        """Move all parts to `t_ns`; no cut lies in between."""
         if self._leaks is not None and self._leaks.next_ns <= self._t_ns:
             self._leaks.follow(self._t_ns)
         seen = self._imager.see(light, t_ns)
-        crossings = self._of_live_pixels(self._cross(seen, t_ns, self._imager.see_rate(rate), at))
+        rate, at = self._imager.see_rate(rate), self._imager.see_pixels(at)
+        crossings = self._of_live_pixels(self.pixels.step(seen, t_ns, rate, at))
         self._t_ns = t_ns
-        settled_ns = self._settled_ns()
+        settled_ns = self.pixels.settled_ns
         if self._jitter is not None:
             crossings = self._jitter.step(crossings, settled_ns)
         for source in self._sources:
             crossings = source.add_to(crossings, seen.reshape(-1), settled_ns)
         return crossings
-
-    def _cross(self, seen: _Float32s, t_ns: int, rate: _Float32s | None, at: PixelLight | None) -> Crossings:
-        """Move the pixels; evstim's own can make use of light in between."""
-        if isinstance(self.pixels, PixelArray):
-            return self.pixels.step(seen, t_ns, rate, self._imager.see_pixels(at))
-        return self.pixels.step(seen, t_ns, rate)
-
-    def _settled_ns(self) -> int:
-        """Return the time up to which all crossings are known."""
-        return self.pixels.settled_ns if isinstance(self.pixels, NoisyPixels) else self._t_ns
 
     def _of_live_pixels(self, crossings: Crossings) -> Crossings:
         """Return the crossings without those of dead pixels."""
@@ -244,26 +281,26 @@ class Sensor:
         )
 
     def _between(self, light: _Float32s, share: float) -> _Float32s:
-        """Return the light part of the way from the last picture, straight in the log of the photocurrent."""
+        """Return the light at a share of the way from the last frame, linear in the log of the photocurrent."""
         before, after, out = self._before.reshape(-1), np.ascontiguousarray(light).reshape(-1), self._way.reshape(-1)
         part_of_the_way(before, after, self._dark, np.float32(share), out)
         return self._way
 
     def _remember(self, light: _Float32s) -> None:
-        """Keep the last picture, if a step may have to be cut."""
+        """Store the last frame, if a step may have to be cut."""
         if self._next_cut_ns() < NEVER_NS:
             self._before[:] = light
 
 
-def _kept(crossings: Crossings) -> Crossings:
-    """Return a copy that outlives the next step."""
+def _copied(crossings: Crossings) -> Crossings:
+    """Return a copy that stays valid after the next step."""
     return dataclasses.replace(
         crossings, t_ns=crossings.t_ns.copy(), pixel=crossings.pixel.copy(), on=crossings.on.copy()
     )
 
 
 def _pixels(p: SensorParameters, seed: int, make_pixels: MakePixels) -> PixelMethod:
-    """Return the pixels, which have their noise in them where it is of the grid grade."""
+    """Return the pixels; with noise of the grid grade, those that contain it."""
     if p.noise.rms == 0 or p.noise.grade != "grid":
         return make_pixels(p, seed)
     if make_pixels is not PixelArray:
@@ -272,18 +309,18 @@ def _pixels(p: SensorParameters, seed: int, make_pixels: MakePixels) -> PixelMet
 
 
 def _leaks(pixels: PixelMethod, p: SensorParameters, seed: int, defects: Defects) -> Leaks | None:
-    """Give the pixels their defects; return what changes their leak while they run, if anything does."""
+    """Apply the defects to the pixels; return the changing leak, None where it is constant."""
     if not (defects.hot.size or defects.dead.size or p.jitter.leak_share):
         return None
-    if not isinstance(pixels, PixelArray | NoisyPixels):
+    faults = pixels.faults()
+    if faults is None:
         raise ValueError("defects, dose and jitter.leak_share need evstim's own pixels: leave them out, or the method")
-    faults: Faults = ArrayFaults(pixels) if isinstance(pixels, PixelArray) else pixels
     faults.kill(defects.dead)
     return Leaks(faults, seed, p.jitter.leak_share, defects)
 
 
 def _dead(p: SensorParameters, defects: Defects) -> npt.NDArray[np.bool_] | None:
-    """Return whether each pixel is dead; None if none is."""
+    """Return which pixels are dead, (pixels,); None if none is."""
     if not defects.dead.size:
         return None
     dead = np.zeros(p.width * p.height, np.bool_)
@@ -292,7 +329,7 @@ def _dead(p: SensorParameters, defects: Defects) -> npt.NDArray[np.bool_] | None
 
 
 def _sources(p: SensorParameters, seed: int, defects: Defects) -> list[_Source]:
-    """Return what raises events of its own; dead pixels do not."""
+    """Return the sources of events beside the pixels; dead pixels have none."""
     sources: list[_Source] = []
     if p.noise.rms and p.noise.grade == "points" and defects.dead.size < p.width * p.height:
         drawn = draw(p, seed)

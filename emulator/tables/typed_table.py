@@ -13,7 +13,7 @@ import difflib
 import re
 import types
 import typing
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any, TypeVar
 
 import msgspec
@@ -26,6 +26,7 @@ __all__ = [
     "field_types",
     "item_type",
     "kinds_of",
+    "split_kind",
     "table_type",
     "unknown",
 ]
@@ -63,6 +64,12 @@ def convert(table: object, target: type[T], path: Path = ()) -> T:
 
 def convert_kind(table: object, kinds: Mapping[str, type[T]], path: Path) -> T:
     """Convert a table whose `kind` says what it describes; raises TableError."""
+    kind, rest = split_kind(table, kinds, path)
+    return convert(rest, kinds[kind], path)
+
+
+def split_kind(table: object, kinds: Collection[str], path: Path) -> tuple[str, dict[str, Any]]:
+    """Return a table's `kind`, one of `kinds`, and its other keys; raises TableError."""
     if not isinstance(table, dict):
         raise TableError(f"expected a table, got {table!r}", path)
     if "kind" not in table:
@@ -70,7 +77,7 @@ def convert_kind(table: object, kinds: Mapping[str, type[T]], path: Path) -> T:
     kind = str(table["kind"])
     if kind not in kinds:
         raise TableError(unknown(kind, list(kinds)), (*path, "kind"))
-    return convert({k: v for k, v in table.items() if k != "kind"}, kinds[kind], path)
+    return kind, {key: value for key, value in table.items() if key != "kind"}
 
 
 def unknown(key: str, known: list[str]) -> str:

@@ -1,1 +1,1 @@
-"""Where things are and how they are turned, at any instant."""
+"""Poses of cameras and bodies at any instant."""

@@ -11,26 +11,31 @@
 The camera moves along `heading_deg` (0 along +y, 90 along +x), and its boresight lies `depression_deg` below the
 horizontal, ahead; up in the picture is up in the world, or ahead when it looks straight down. Heights and forward
 distances are cubic Hermite curves with the gates' speeds; the forward distance between two gates is the mean of their
-speeds times the time, which is that of constant deceleration. The landing site, where the last gate stands, is at
-`site_m`. Source of the phases: Chandrayaan-3's (rough braking, attitude hold, fine braking, vertical descent, hover,
-touchdown below 2 m/s) and Apollo's gates (high gate 2 km, low gate 150 m), both as reported in public; the default is
-such a landing's last three minutes.
+speeds times the time, which is that of constant deceleration. The depression is a monotone cubic (PCHIP, Fritsch and
+Carlson 1980), so a boresight that is held straight down stays there. The landing site, where the last gate stands, is
+at `site_m`. Source of the phases: Chandrayaan-3's (rough braking, attitude hold, fine braking, vertical descent,
+hover, touchdown below 2 m/s) and Apollo's gates (high gate 2 km, low gate 150 m), both as reported in public; the
+default is such a landing's last three minutes.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
+from scipy.interpolate import PchipInterpolator
 
-from emulator.geometry.attitude import Vector, quaternion_of
+from emulator.geometry.attitude import Quaternion, Vector, quaternion_of
 from emulator.trajectory.keyframes import Keyframes
 from emulator.trajectory.looking import looking_along
-from emulator.trajectory.pose import Pose, Trajectory, TrajectoryError
+from emulator.trajectory.measured import measured_bounds
+from emulator.trajectory.pose import STILL, Pose, Trajectory, TrajectoryError
+from emulator.trajectory.sampling import instants_between
 
 __all__ = ["LANDING", "Descent", "Gate"]
 
@@ -39,7 +44,7 @@ _UP = np.array([0.0, 0.0, 1.0])
 
 @dataclass(frozen=True)
 class Gate:
-    """What a lander does at one moment.
+    """Height, speeds and pitch of a lander at one instant.
 
     Attributes
     ----------
@@ -77,7 +82,7 @@ LANDING = (
 
 
 class Descent(Trajectory):
-    """Goes through `gates`, in order of time, to `site_m` (3,); raises TrajectoryError if it would touch the ground."""
+    """A descent through `gates`, in order of time, to `site_m` (3,); raises TrajectoryError below the ground."""
 
     def __init__(
         self, gates: Sequence[Gate] = LANDING, heading_deg: float = 0.0, site_m: npt.ArrayLike = (0.0, 0.0, 0.0)
@@ -87,13 +92,17 @@ class Descent(Trajectory):
         forward, site = _forward_m(gates), np.asarray(site_m, np.float64)
         places = [site + s * ahead + gate.height_m * _UP for s, gate in zip(forward, gates, strict=True)]
         velocities = [gate.forward_m_s * ahead - gate.down_m_s * _UP for gate in gates]
-        poses = [Pose(place, _attitude(ahead, gate)) for place, gate in zip(places, gates, strict=True)]
-        self._path = Keyframes([round(gate.t_s * 1e9) for gate in gates], poses, np.array(velocities))
+        times_ns = [round(gate.t_s * 1e9) for gate in gates]
+        self._path = Keyframes(times_ns, [Pose(place, STILL.q_world_from_body) for place in places], velocities)
+        self._ahead, self._depression_rad = ahead, _depression(gates)
+        self._turn_rad_s = measured_bounds(self.pose, instants_between(np.array(times_ns, np.int64)))[1]
         self._require_above(float(site[2]))
 
     def pose(self, t_ns: int) -> Pose:
         """Return the pose at `t_ns`; after the last gate it stays there."""
-        return self._path.pose(t_ns)
+        first, last = self.span_ns
+        depression = float(self._depression_rad(min(max(t_ns, first), last) * 1e-9))
+        return Pose(self._path.pose(t_ns).position_m, _attitude(self._ahead, depression))
 
     @property
     def span_ns(self) -> tuple[int, int]:
@@ -108,7 +117,7 @@ class Descent(Trajectory):
     @property
     def turn_bound_rad_s(self) -> float:
         """Measured, see `measured`."""
-        return self._path.turn_bound_rad_s
+        return self._turn_rad_s
 
     def _require_above(self, ground_m: float) -> None:
         first, last = self.span_ns
@@ -126,7 +135,15 @@ def _forward_m(gates: Sequence[Gate]) -> list[float]:
     return [-sum(steps[k:]) for k in range(len(gates))]
 
 
-def _attitude(ahead: Vector, gate: Gate) -> npt.NDArray[np.float64]:
+def _depression(gates: Sequence[Gate]) -> Callable[[float], Any]:
+    """Return the boresight's depression, rad, as a function of seconds; between gates it stays between theirs."""
+    radians = [math.radians(gate.depression_deg) for gate in gates]
+    if len(gates) == 1:
+        return lambda _: radians[0]
+    return cast("Callable[[float], Any]", PchipInterpolator([gate.t_s for gate in gates], radians))
+
+
+def _attitude(ahead: Vector, depression_rad: float) -> Quaternion:
     """Return world_from_camera: the picture's up turns with the boresight, from the zenith to straight ahead."""
-    c, s = math.cos(math.radians(gate.depression_deg)), math.sin(math.radians(gate.depression_deg))
+    c, s = math.cos(depression_rad), math.sin(depression_rad)
     return quaternion_of(looking_along(c * ahead - s * _UP, s * ahead + c * _UP))

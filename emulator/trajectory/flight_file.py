@@ -33,7 +33,7 @@ __all__ = ["Flight", "parse_flight"]
 
 @dataclass(eq=False)
 class Flight:
-    """What a flight file holds.
+    """Contents of a flight file.
 
     Attributes
     ----------

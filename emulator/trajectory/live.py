@@ -1,212 +1,173 @@
-"""Poses that come from outside while the run goes on: the closed loop.
+"""Poses of one body that come from outside while the run goes on: the closed loop.
 
-One UDP datagram a pose (layout: `firmware_protocol.pose_message`). All that have come are taken in whenever a picture
-is to be drawn, so a pose is on the light within one frame. For a picture of time t
+For a picture of time t
 
     between two known poses     the pose is interpolated: straight line, great circle
-    after the newest one        it goes on as it moved last, for at most `hold_ms`; then it stands still, and every
+    after the newest one        the last motion goes on for at most `hold_ns`; then the body stands still, and every
                                 picture is counted as late
     before the first one        the pose that the rig gives
 
-A pose that is older than one already there, or not a pose at all, is refused and counted. Time -1 means now: that pose
-takes the time of the next picture. Poses of other bodies than this one are left to whoever listens for them.
+A pose with a time is refused as stale when it is not newer than the newest one, and as too far ahead when it is stamped
+more than `ahead_ns` beyond its arrival: otherwise one wrong time would make all later poses stale. A pose for now (time
+-1) holds from its arrival, and replaces all poses that are stamped later.
+
+The sender's counter is compared as a signed difference of 32 bits to the last one: 2 to 65 536 more is a loss, 1 to 64
+less is a pose that others overtook, and is refused, as is the same pose again; any other jump is a restarted sender. A
+sender that does not count (other poses with the same counter) is heard.
 """
 
 from __future__ import annotations
 
-import socket
+import math
 from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
 
-from emulator.trajectory.measured import turn_rad
-from emulator.trajectory.pose import STILL, Pose, Trajectory, multiply
-from firmware_protocol.pose_message import NOW, POSE_BYTES, PoseMessage, PoseMessageError
+from emulator.geometry.attitude import Quaternion, Vector, conjugate, multiply, quaternion_of_vector
+from emulator.trajectory.pose import STILL, Pose, Trajectory
+from firmware_protocol.pose_message import NOW, PoseMessage
 
-__all__ = ["Inlet", "LiveCounters", "LivePoses", "close_inlets", "live_counts"]
+__all__ = ["LiveCounters", "LivePoses"]
 
 _KNOWN = 64
+_MOST_LOST = 1 << 16
+_MOST_OVERTAKEN = 64
 
 
 @dataclass
 class LiveCounters:
-    """What came in, and how often it came too late.
+    """Counts of the poses of one body.
 
     Attributes
     ----------
     taken : poses used.
-    refused : datagrams that were no pose.
-    stale : poses older than one that was there.
+    stale : poses not newer than one that was there.
+    too_far_ahead : poses stamped too far beyond their arrival, refused.
+    repeated : duplicates and poses that others overtook, refused.
     lost : poses missing by the sender's counter.
+    restarts : jumps of the counter that are neither a loss nor a repetition.
     late_pictures : pictures drawn with a pose that had stood still for want of a newer one.
     """
 
     taken: int = 0
-    refused: int = 0
     stale: int = 0
+    too_far_ahead: int = 0
+    repeated: int = 0
     lost: int = 0
+    restarts: int = 0
     late_pictures: int = 0
 
 
+@dataclass(frozen=True, eq=False)
+class _Known:
+    """A pose and its time; `on_arrival`: the sender gave no time."""
+
+    t_ns: int
+    pose: Pose
+    on_arrival: bool
+
+
 class LivePoses(Trajectory):
-    """What is known of a path that is still being flown; fed by `add`.
+    """A path that is still being flown; fed by `add`.
 
     Parameters
     ----------
     first : the pose until one comes.
     hold_ns : how long the last motion is carried on.
+    ahead_ns : how far beyond its arrival a pose may be stamped.
     """
 
-    def __init__(self, first: Pose = STILL, hold_ns: int = 100_000_000) -> None:
-        self._first, self._hold_ns = first, hold_ns
-        self._known: deque[tuple[int, Pose]] = deque(maxlen=_KNOWN)
-        self._now: Pose | None = None
-        self._counter: int | None = None
+    def __init__(self, first: Pose = STILL, hold_ns: int = 100_000_000, ahead_ns: int = 1_000_000_000) -> None:
+        self._first, self._hold_ns, self._ahead_ns = first, hold_ns, ahead_ns
+        self._known: deque[_Known] = deque(maxlen=_KNOWN)
+        self._last: PoseMessage | None = None
         self.counters = LiveCounters()
 
-    def add(self, message: PoseMessage) -> None:
-        """Take a pose in, or refuse it as stale."""
-        if self._counter is not None:
-            self.counters.lost += max(0, (message.counter - self._counter - 1) % (1 << 32)) % (1 << 31)
-        self._counter = message.counter
-        pose = Pose(np.array(message.position_m), np.array(message.q_world_from_body))
-        if message.t_ns == NOW:
-            self._now = pose
-        elif self._known and message.t_ns <= self._known[-1][0]:
-            self.counters.stale += 1
-            return
+    def add(self, message: PoseMessage, arrival_ns: int) -> None:
+        """Take a pose in that arrived at the scene's time `arrival_ns`, or refuse it; either is counted."""
+        if message.t_ns > arrival_ns + self._ahead_ns:
+            self.counters.too_far_ahead += 1
+        elif self._is_repetition(message):
+            self.counters.repeated += 1
         else:
-            self._known.append((message.t_ns, pose))
-        self.counters.taken += 1
+            self._last = message
+            self._insert(message, arrival_ns)
+
+    def restart(self, t_ns: int) -> None:
+        """Go back to time `t_ns`: the newest pose without a time of its own holds from there."""
+        arrived = [known for known in self._known if known.on_arrival]
+        timed = [known for known in self._known if not known.on_arrival and known.t_ns <= t_ns + self._ahead_ns]
+        if arrived and (not timed or timed[-1].t_ns < t_ns):
+            timed.append(_Known(t_ns, arrived[-1].pose, on_arrival=True))
+        self._known = deque(timed, maxlen=_KNOWN)
 
     def pose(self, t_ns: int) -> Pose:
         """Return the pose at `t_ns`, as far as it is known by now."""
-        if self._now is not None:
-            while self._known and self._known[-1][0] >= t_ns:
-                self._known.pop()
-            self._known.append((t_ns, self._now))
-            self._now = None
         known = self._known
-        if not known or t_ns < known[0][0]:
-            return known[0][1] if known and len(known) == _KNOWN else self._first
-        if t_ns > known[-1][0]:
+        if not known or t_ns < known[0].t_ns:
+            return known[0].pose if len(known) == _KNOWN else self._first
+        if t_ns > known[-1].t_ns:
             return self._beyond(t_ns)
-        after = next(k for k, (t, _) in enumerate(known) if t >= t_ns)
-        return known[0][1] if after == 0 else _between(*known[after - 1], *known[after], t_ns)
+        after = next(k for k, one in enumerate(known) if one.t_ns >= t_ns)
+        return known[0].pose if after == 0 else _between(known[after - 1], known[after], t_ns)
+
+    @property
+    def speed_bound_m_s(self) -> float:
+        """Infinite: poses to come are not known."""
+        return float("inf")
+
+    @property
+    def turn_bound_rad_s(self) -> float:
+        """Infinite: poses to come are not known."""
+        return float("inf")
+
+    def _is_repetition(self, message: PoseMessage) -> bool:
+        """Return whether a pose, or a later one, was there already; count what its counter says otherwise."""
+        if self._last is None:
+            return False
+        ahead = (message.counter - self._last.counter + (1 << 31)) % (1 << 32) - (1 << 31)
+        if -_MOST_OVERTAKEN <= ahead < 0 or message == self._last:
+            return True
+        if 0 <= ahead <= _MOST_LOST:
+            self.counters.lost += max(0, ahead - 1)
+        else:
+            self.counters.restarts += 1
+        return False
+
+    def _insert(self, message: PoseMessage, arrival_ns: int) -> None:
+        pose = Pose(np.array(message.position_m), np.array(message.q_world_from_body))
+        on_arrival = message.t_ns == NOW
+        t_ns = arrival_ns if on_arrival else message.t_ns
+        while on_arrival and self._known and self._known[-1].t_ns >= t_ns:
+            self._known.pop()
+        if self._known and t_ns <= self._known[-1].t_ns:
+            self.counters.stale += 1
+            return
+        self._known.append(_Known(t_ns, pose, on_arrival))
+        self.counters.taken += 1
 
     def _beyond(self, t_ns: int) -> Pose:
-        t1_ns, newest = self._known[-1]
-        if t_ns - t1_ns > self._hold_ns:
+        newest = self._known[-1]
+        if t_ns - newest.t_ns > self._hold_ns:
             self.counters.late_pictures += 1
         if len(self._known) < 2:
-            return newest
-        return _between(*self._known[-2], t1_ns, newest, min(t_ns, t1_ns + self._hold_ns))
-
-    @property
-    def speed_bound_m_s(self) -> float:
-        """Nobody knows."""
-        return float("inf")
-
-    @property
-    def turn_bound_rad_s(self) -> float:
-        """Nobody knows."""
-        return float("inf")
+            return newest.pose
+        return _between(self._known[-2], newest, min(t_ns, newest.t_ns + self._hold_ns))
 
 
-class Inlet(Trajectory):
-    """Listens on a UDP port for poses of one body; the owner closes it.
-
-    Raises
-    ------
-    OSError
-        The port cannot be had; the message says what to do.
-    """
-
-    def __init__(self, host: str, port: int, poses: LivePoses, body: int = 0) -> None:
-        self._poses, self._body = poses, body
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.setblocking(False)
-        try:
-            self._socket.bind((host, port))
-        except OSError as error:
-            self._socket.close()
-            raise OSError(
-                error.errno,
-                f"cannot listen for poses on {host} port {port}: {error.strerror}; stop what holds the port, or give "
-                "another one (0 takes any free one)",
-            ) from error
-
-    @property
-    def address(self) -> tuple[str, int]:
-        """Host and port that it listens on."""
-        host, port = self._socket.getsockname()
-        return str(host), int(port)
-
-    @property
-    def counters(self) -> LiveCounters:
-        """What came in."""
-        return self._poses.counters
-
-    def pose(self, t_ns: int) -> Pose:
-        """Take in what has come and return the pose at `t_ns`."""
-        self._receive()
-        return self._poses.pose(t_ns)
-
-    def close(self) -> None:
-        """Listen no more."""
-        self._socket.close()
-
-    @property
-    def speed_bound_m_s(self) -> float:
-        """Nobody knows."""
-        return self._poses.speed_bound_m_s
-
-    @property
-    def turn_bound_rad_s(self) -> float:
-        """Nobody knows."""
-        return self._poses.turn_bound_rad_s
-
-    def _receive(self) -> None:
-        while True:
-            try:
-                data = self._socket.recv(POSE_BYTES + 1)
-            except BlockingIOError:
-                return
-            try:
-                message = PoseMessage.parse(data)
-            except PoseMessageError:
-                self.counters.refused += 1
-                continue
-            if message.body == self._body:
-                self._poses.add(message)
-
-
-def close_inlets(*paths: Trajectory) -> None:
-    """Let go of the ports that some of the paths listen on."""
-    for path in paths:
-        if isinstance(path, Inlet):
-            path.close()
-
-
-def live_counts(*paths: Trajectory) -> dict[str, int]:
-    """Return what came in for those of the paths that are flown from outside, added up; empty where none is."""
-    inlets = [path.counters for path in paths if isinstance(path, Inlet)]
-    names = vars(LiveCounters()) if inlets else ()
-    told = {name: "pictures with a late pose" if name == "late_pictures" else f"poses {name}" for name in names}
-    return {told[name]: sum(int(vars(counters)[name]) for counters in inlets) for name in names}
-
-
-def _between(t0_ns: int, a: Pose, t1_ns: int, b: Pose, t_ns: int) -> Pose:
+def _between(before: _Known, after: _Known, t_ns: int) -> Pose:
     """Return the pose on the straight line and great circle through two poses; `t_ns` may lie beyond the second."""
-    x = (t_ns - t0_ns) / (t1_ns - t0_ns)
-    place = a.position_m + x * (b.position_m - a.position_m)
-    if turn_rad(a, b) < 1e-9:
-        return Pose(place, b.q_world_from_body)
-    turn = multiply(b.q_world_from_body, a.q_world_from_body * np.array([1.0, -1.0, -1.0, -1.0]))
-    if turn[0] < 0:
-        turn = -turn
-    half = np.arctan2(np.linalg.norm(turn[1:]), turn[0])
-    axis = turn[1:] / np.linalg.norm(turn[1:])
-    part = np.concatenate([[np.cos(x * half)], np.sin(x * half) * axis])
-    return Pose(place, multiply(part, a.q_world_from_body))
+    a, b = before.pose, after.pose
+    x = (t_ns - before.t_ns) / (after.t_ns - before.t_ns)
+    place = (1 - x) * a.position_m + x * b.position_m  # exact at both, also beside a place very far away
+    turn = multiply(b.q_world_from_body, conjugate(a.q_world_from_body))
+    part = quaternion_of_vector((x - 1) * _vector_of(turn))
+    return Pose(place, multiply(part, b.q_world_from_body))
+
+
+def _vector_of(q: Quaternion) -> Vector:
+    """Return the rotation vector of a unit quaternion, at most half a turn long."""
+    sine = float(np.linalg.norm(q[1:]))
+    half = math.atan2(sine, abs(q[0]))
+    return np.asarray(math.copysign(2 * half / sine if sine > 0 else 2.0, q[0]) * q[1:])

@@ -22,7 +22,7 @@ _ALONG = 1e-9
 
 
 class Looking(Trajectory):
-    """Goes where `place` goes and looks at `target_m`, (3,) in the world.
+    """The path of `place`, with the boresight on `target_m`, (3,) in the world.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
-"""How fast something moves and turns at most, measured where no closed form says it.
+"""Bounds on speed and rate of turning, measured where no closed form gives them.
 
-Poses are taken at many instants, evenly spread; the largest difference quotient, with a quarter more for what lies
-between the instants, stands for the bound. A pose that is smooth between them (splines, orbits, spins) keeps it.
+Poses are taken at many instants, evenly spread. The bound is the largest difference quotient and a quarter more, for
+what lies between the instants. A path that is smooth between them (splines, orbits, spins) keeps it.
 """
 
 from __future__ import annotations

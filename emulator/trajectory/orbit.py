@@ -70,7 +70,7 @@ class Elements:
 
 
 class Orbit(Trajectory):
-    """Goes round the origin; its attitude stays that of the world (see `looking` to look at the body)."""
+    """An orbit around the origin, with the attitude of the world (see `looking` to look at the body)."""
 
     def __init__(self, elements: Elements) -> None:
         self._elements = elements
@@ -99,9 +99,7 @@ class Orbit(Trajectory):
 def eccentric_anomaly(mean_rad: float, eccentricity: float) -> float:
     """Solve Kepler's equation for E, rad, 0 <= eccentricity < 1; to a few units in the last place."""
     mean = math.remainder(mean_rad, 2 * math.pi)
-    anomaly = (
-        math.copysign(math.pi, mean) if eccentricity > 0.8 else mean
-    )  # from where Newton never overshoots for good
+    anomaly = math.copysign(math.pi, mean) if eccentricity > 0.8 else mean  # Newton's method converges from there
     for _ in range(_NEWTON_STEPS):
         step = (anomaly - eccentricity * math.sin(anomaly) - mean) / (1 - eccentricity * math.cos(anomaly))
         anomaly -= step

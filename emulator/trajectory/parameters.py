@@ -7,7 +7,9 @@ picture; without `look_at_m` the attitude is the path's own.
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
+from ipaddress import IPv4Address
 from typing import ClassVar, Literal
 
 from emulator.tables.files import NO_FILE, RigFile
@@ -50,9 +52,22 @@ def _require_direction(owner: object, name: str) -> None:
         raise ValueError(f"{name} is all zeros and points nowhere")
 
 
+def _require_senders(host: str, allow: tuple[str, ...]) -> None:
+    for address in allow:
+        try:
+            IPv4Address(address)
+        except ValueError as error:
+            raise ValueError(f"allow names {address!r}: an IPv4 address such as 192.168.1.5 is needed") from error
+    if not allow and host != "localhost" and not re.fullmatch(r"127(\.\d{1,3}){3}", host):
+        raise ValueError(
+            f"host is {host!r}, where others than this machine can send poses: name those that may in allow, "
+            'for instance allow = ["192.168.1.5"], or listen on 127.0.0.1'
+        )
+
+
 @dataclass(frozen=True)
 class FixedPath:
-    """Stays where it is.
+    """A fixed pose.
 
     Attributes
     ----------
@@ -103,7 +118,7 @@ class Keyframe:
 
 @dataclass(frozen=True)
 class KeyframePath:
-    """Poses at given times, joined smoothly.
+    """A smooth path through poses at given times.
 
     Attributes
     ----------
@@ -127,7 +142,7 @@ class KeyframePath:
 
 @dataclass(frozen=True)
 class OrbitPath(Elements):
-    """Goes round the origin on an ellipse.
+    """An elliptical orbit around the origin.
 
     Attributes
     ----------
@@ -159,7 +174,7 @@ class OrbitPath(Elements):
 
 @dataclass(frozen=True)
 class SpinPath:
-    """Stays and turns about its +Z axis; with a tilt that axis goes round the angular momentum, as a tumbling body's.
+    """A rotation about +Z at a fixed place; with a tilt that axis precesses about the angular momentum.
 
     Attributes
     ----------
@@ -257,27 +272,35 @@ class LivePath:
     Attributes
     ----------
     host, port
-        Where to listen. Leave it on 127.0.0.1 or a network of your own: anybody who reaches it moves the camera.
+        Where to listen. Paths of a scene with one host and port share it: number 0 is the camera, 1 the first body.
+    allow
+        Addresses that may send poses, for instance ["192.168.1.5"]; needed when `host` is not this machine alone.
     position_m, q_world_from_body
         The pose until one comes.
     hold_ms
         How long the last motion is carried on when no newer pose comes.
+    ahead_ms
+        How far beyond its arrival a pose may be stamped; others are refused.
     """
 
     kind: ClassVar[str] = "live"
     host: str = "127.0.0.1"
     port: int = 10364
+    allow: tuple[str, ...] = ()
     position_m: _Triple = (0.0, 0.0, 0.0)
     q_world_from_body: _Quaternion = _AS_THE_WORLD
     hold_ms: float = 100.0
+    ahead_ms: float = 1000.0
 
     def __post_init__(self) -> None:
         _require_finite(self)
         _require_attitude(self, "q_world_from_body")
         if not 0 <= self.port <= 65535:
             raise ValueError(f"port must be 0 (any free one) to 65535, got {self.port}")
-        if not 0 <= self.hold_ms <= 60_000:
-            raise ValueError(f"hold_ms must be 0 to 60000, got {self.hold_ms:g}")
+        for name in ("hold_ms", "ahead_ms"):
+            if not 0 <= getattr(self, name) <= 60_000:
+                raise ValueError(f"{name} must be 0 to 60000, got {getattr(self, name):g}")
+        _require_senders(self.host, self.allow)
 
 
 TrajectoryParameters = FixedPath | KeyframePath | OrbitPath | SpinPath | DescentPath | FilePath | LivePath

@@ -1,8 +1,8 @@
-"""A place and an attitude, and what moves through them.
+"""Poses (a place and an attitude), and trajectories that give one at every instant.
 
 World: metres, right-handed. `q_world_from_body` is a unit quaternion, scalar first: it turns coordinates along the
-thing's own axes into coordinates along the world's. A camera's own axes are OpenCV's: x right, y down, z out along the
-boresight. Other conventions (SPICE, Basilisk, ROS, OpenGL) are converted where they come in, see `conventions`.
+body's own axes into coordinates along the world's. A camera's own axes are OpenCV's: x right, y down, z out along the
+boresight. Other conventions (SPICE, Basilisk, ROS, OpenGL) are converted by `conventions`.
 """
 
 from __future__ import annotations
@@ -11,11 +11,10 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from emulator.geometry.attitude import Matrix, Vector, matrix_of
+from emulator.geometry.attitude import Matrix, Quaternion, Vector, conjugate, matrix_of, multiply
 
-__all__ = ["STILL", "Fixed", "Pose", "Trajectory", "TrajectoryError", "multiply"]
+__all__ = ["STILL", "Fixed", "Pose", "Trajectory", "TrajectoryError"]
 
 _UNIT_WITHIN = 1e-3
 
@@ -40,7 +39,7 @@ class Pose:
     """
 
     position_m: Vector
-    q_world_from_body: npt.NDArray[np.float64]
+    q_world_from_body: Quaternion
 
     def __post_init__(self) -> None:
         position, q = np.asarray(self.position_m, np.float64), np.asarray(self.q_world_from_body, np.float64)
@@ -58,14 +57,13 @@ class Pose:
         return matrix_of(self.q_world_from_body)
 
     def after(self, child: Pose) -> Pose:
-        """Return in the world what `child` is in this thing's own frame."""
+        """Return the pose in the world of `child`, which is given in the frame of this pose."""
         position = self.position_m + self.world_from_body @ child.position_m
         return Pose(position, multiply(self.q_world_from_body, child.q_world_from_body))
 
     def inverse(self) -> Pose:
-        """Return the world as seen from here."""
-        q = self.q_world_from_body * np.array([1.0, -1.0, -1.0, -1.0])
-        return Pose(-(self.world_from_body.T @ self.position_m), q)
+        """Return the pose of the world in the frame of this pose."""
+        return Pose(-(self.world_from_body.T @ self.position_m), conjugate(self.q_world_from_body))
 
 
 STILL = Pose(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
@@ -77,21 +75,21 @@ class Trajectory(ABC):
 
     @abstractmethod
     def pose(self, t_ns: int) -> Pose:
-        """Return the pose at stream time `t_ns`; depends on nothing else, unless the trajectory comes from outside."""
+        """Return the pose at time `t_ns`, which depends on nothing else unless poses come from outside."""
 
     @property
     @abstractmethod
     def speed_bound_m_s(self) -> float:
-        """It never moves faster; infinite where that is not known."""
+        """Upper bound of the speed, m/s; infinite where none is known."""
 
     @property
     @abstractmethod
     def turn_bound_rad_s(self) -> float:
-        """It never turns faster; infinite where that is not known."""
+        """Upper bound of the rate of turning, rad/s; infinite where none is known."""
 
 
 class Fixed(Trajectory):
-    """Stays where it is."""
+    """A trajectory that stays at one pose."""
 
     def __init__(self, pose: Pose = STILL) -> None:
         self._pose = pose
@@ -109,9 +107,3 @@ class Fixed(Trajectory):
     def turn_bound_rad_s(self) -> float:
         """It does not turn."""
         return 0.0
-
-
-def multiply(a: npt.NDArray[np.float64], b: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Return the product of two quaternions: the turn `b`, then the turn `a`."""
-    vector = a[0] * b[1:] + b[0] * a[1:] + np.cross(a[1:], b[1:])
-    return np.concatenate([[a[0] * b[0] - a[1:] @ b[1:]], vector])

@@ -1,4 +1,4 @@
-"""Turning bodies: a steady spin, and the tumbling of a body with an axis of symmetry.
+"""Rotating bodies: a steady spin, and the tumbling of a body with an axis of symmetry.
 
 A body free of torques whose moments of inertia about two of its axes are equal turns about its third, +Z, at a steady
 rate, while that axis goes round the (fixed) angular momentum at another steady rate and a steady tilt (Goldstein,
@@ -26,7 +26,7 @@ __all__ = ["Spinning", "Tilt"]
 
 @dataclass(frozen=True)
 class Tilt:
-    """Of the body's +Z axis against the momentum, and how it goes round."""
+    """Angle of the body's +Z axis to the momentum, and its precession."""
 
     tilt_rad: float
     precession: Cycle
@@ -36,7 +36,7 @@ _UPRIGHT = Tilt(0.0, Cycle(0))
 
 
 class Spinning(Trajectory):
-    """Stays at `position_m` (3,) and turns about its +Z axis, which lies along `momentum` (3,) or goes round it."""
+    """A body at `position_m` (3,) turning about its +Z axis, which lies along `momentum` (3,) or precesses about it."""
 
     def __init__(
         self, position_m: npt.ArrayLike, momentum: npt.ArrayLike, turned: Cycle, tilt: Tilt = _UPRIGHT

@@ -27,11 +27,10 @@ _ATTITUDE = ("qw", "qx", "qy", "qz")
 
 @dataclass(eq=False)
 class Samples:
-    """Poses at times as a file gives them; `velocities_m_s` has as many entries, or none."""
+    """Times and poses of a file."""
 
     times_ns: list[int] = field(default_factory=list)
     poses: list[Pose] = field(default_factory=list)
-    velocities_m_s: list[tuple[float, float, float]] = field(default_factory=list)
 
 
 def parse_table(text: str) -> Samples:

@@ -1,7 +1,8 @@
-"""Slow things made fast: stream time stretched to the time of what is seen, exactly.
+"""Scene time from stream time, by an exact factor that makes slow motion fast.
 
-At Itokawa's distance from Hayabusa a turn takes half a day and a pixel of motion a quarter of a minute. A factor of 100
-shows the same in minutes; events then come 100 times as fast as they would, which a summary should never hide.
+Itokawa turns once in half a day, and from Hayabusa's home position a pixel of motion takes a quarter of a minute. A
+factor of 100 shows the same in minutes; events then come 100 times as fast as they would, which a summary should
+never hide.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ class Timescale:
 
     @property
     def factor(self) -> float:
-        """Scene time a unit of stream time."""
+        """Scene time per unit of stream time."""
         return float(self._factor)
 
     def scene_ns(self, t_ns: int) -> int:

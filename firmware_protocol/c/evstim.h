@@ -144,7 +144,7 @@ bool evstim_telemetry_packet(struct evstim_telemetry *telemetry, const uint8_t *
 /* ---- Raw CAN frames ---------------------------------------------------------------------------------------------- */
 
 struct evstim_can_ids {
-    uint16_t events, epoch, edges, marks; /* 11-bit identifiers: 0x1A2, 0x2A2, 0x422, 0x3A2 for node 0x22 */
+    uint16_t events, epoch, clock, edges, marks; /* 11-bit: 0x1A2, 0x2A2, 0x322, 0x422, 0x3A2 for node 0x22 */
 };
 
 struct evstim_can {
@@ -156,7 +156,8 @@ struct evstim_can {
     uint16_t epoch_sent, epoch_dropped;
     uint32_t since_epoch; /* events received since the last epoch frame */
     uint8_t last[64], last_length, last_seq;
-    bool timed; /* an epoch frame has come */
+    bool timed;   /* an epoch frame has come */
+    bool clocked; /* a clock frame has come */
     uint32_t events;
     uint32_t edges;
     uint32_t marks;
@@ -165,6 +166,7 @@ struct evstim_can {
     uint32_t gaps;    /* times that the sequence count was not the next */
     uint32_t repeated;     /* frames that came twice in a row, used once */
     uint32_t before_epoch; /* events frames before any epoch frame: they have no time */
+    uint32_t before_clock; /* events frames before any clock frame: their times are known modulo 2^30 ticks */
     uint32_t malformed;    /* frames that no camera of this size sends */
 };
 

@@ -2,7 +2,8 @@
  *
  * Events, classic, 64 bits:  t 16 | seq 3 | dt 7 | x0 9 | y0 9 | on0 1 | x1 9 | y1 9 | on1 1   (lowest bits first)
  * Events, FD:                u32 t | u8 seq | u8 n | u8 dropped | n x u24 (x 9 | y 9 | on 1 | dt 5) | zeros
- * Epoch:                     u32 (t_us 30 | tick code 2) | u16 events sent | u16 events dropped
+ * Epoch:                     u32 (t in ticks 30 | tick code 2) | u16 events sent | u16 events dropped
+ * Clock:                     u64 t_us
  * Mark:                      u32 t_us | u8 kind | u8 channel | u16 seq */
 #include "evstim.h"
 #include "evstim_time.h"
@@ -31,7 +32,7 @@ static uint32_t u24(const uint8_t *p)
     return (uint32_t)p[2] << 16 | (uint32_t)p[1] << 8 | p[0];
 }
 
-/* value / divisor, bit by bit: once for an epoch frame, a hundred times a second. */
+/* value / divisor, bit by bit: once for a clock frame, and where the tick changes. */
 static uint64_t divided(uint64_t value, uint32_t divisor)
 {
     uint64_t quotient = 0, rest = 0;
@@ -90,6 +91,7 @@ static bool is_new(struct evstim_can *c, const struct frame *f, const uint8_t *d
     }
     if (c->last_length != 0 && ((c->last_seq + 1 - f->seq) & f->seq_bits) != 0)
         c->gaps++;
+    c->before_clock += !c->clocked;
     c->last_seq = f->seq;
     c->last_length = (uint8_t)n;
     for (size_t i = 0; i < n; i++)
@@ -162,17 +164,27 @@ static bool epoch(struct evstim_can *c, const uint8_t *data, size_t n)
         return false;
     uint32_t time = u32(data), low = time & 0x3FFFFFFFu;
     uint16_t sent = u16(data + 4), dropped = u16(data + 6);
-    uint64_t now_us = c->timed ? evstim_unwrapped(low, 30, near_us(c)) : low;
+    uint16_t tick_us = ticks_us[time >> 30];
+    uint64_t near = tick_us == c->tick_us ? c->near_tick : divided(near_us(c), tick_us);
+    c->near_tick = c->timed || c->clocked ? evstim_unwrapped(low, 30, near) : low;
+    c->tick_us = tick_us;
     if (c->timed) {
         c->lost += (int16_t)(uint16_t)(sent - c->epoch_sent) - (int32_t)c->since_epoch;
         c->dropped += (uint16_t)(dropped - c->epoch_dropped);
     }
-    c->tick_us = ticks_us[time >> 30];
-    c->near_tick = divided(now_us, c->tick_us);
     c->epoch_sent = sent;
     c->epoch_dropped = dropped;
     c->since_epoch = 0;
     c->timed = true;
+    return true;
+}
+
+static bool clock(struct evstim_can *c, const uint8_t *data, size_t n)
+{
+    if (n != CLASSIC_BYTES || data[7] >> 7 != 0)
+        return false;
+    c->near_tick = divided((uint64_t)u32(data + 4) << 32 | u32(data), c->tick_us);
+    c->clocked = true;
     return true;
 }
 
@@ -202,6 +214,8 @@ void evstim_can_frame(struct evstim_can *c, uint32_t identifier, bool fd, const 
     bool sound = true;
     if (identifier == c->ids.epoch)
         sound = epoch(c, data, n);
+    else if (identifier == c->ids.clock)
+        sound = clock(c, data, n);
     else if (identifier == c->ids.edges || identifier == c->ids.marks)
         sound = edge(c, data, n, identifier == c->ids.marks);
     else if (identifier == c->ids.events && !c->timed)

@@ -6,8 +6,9 @@ for spacecraft time, which is big-endian (`@0`, start bit = most significant).
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from typing import Literal
 
 from firmware_protocol.can_frames.canopen import NmtCommand, NodeState
 from firmware_protocol.can_frames.fd_events import FD_CELLS
@@ -17,6 +18,16 @@ from firmware_protocol.can_frames.raw_events import TICKS_US
 __all__ = ["dbc_text"]
 
 CAMERA, MASTER, ANYONE = "CAMERA", "MASTER", "Vector__XXX"
+
+_RAW_ONLY = frozenset({"events", "epoch", "clock", "edges"})
+_ABSENT: Mapping[str, frozenset[str]] = {
+    "raw": frozenset(),
+    "isotp": _RAW_ONLY,
+    "cfp": _RAW_ONLY | {"telemetry", "telecommand"},
+}
+"""Messages that a link with this transport does not have."""
+_FD_FRAMES = frozenset({"events", "telemetry", "telecommand"})
+_CFP_COMMENT = "Events, edges, answers and telecommands are CSP packets, in frames of CFP 2 with extended identifiers"
 
 
 @dataclass(frozen=True)
@@ -53,19 +64,20 @@ class _Message:
     signals: tuple[_Signal, ...] = ()
 
 
-def dbc_text(identifiers: Identifiers, *, fd: bool = False) -> str:
-    """Return the DBC file of a camera with these identifiers, its events in classic or in FD frames."""
-    messages = _messages(fd)
+def dbc_text(identifiers: Identifiers, *, fd: bool = False, carriage: Literal["raw", "isotp", "cfp"] = "raw") -> str:
+    """Return the DBC file of a camera with these identifiers, in classic or in FD frames, for one transport."""
+    messages = [message for message in _messages(fd) if message.name not in _ABSENT[carriage]]
     ids = identifiers.by_name
     lines = ['VERSION ""', "", "NS_ :", "", "BS_:", "", f"BU_: {CAMERA} {MASTER}", ""]
     for m in messages:
         lines += [f"BO_ {ids[m.name]} {m.name}: {m.length} {m.sender}", *(s.line() for s in m.signals), ""]
+    lines += [f'CM_ "{_CFP_COMMENT}";'] if carriage == "cfp" else []
     lines += [f'CM_ BO_ {ids[m.name]} "{m.comment}";' for m in messages]
     if fd:
         lines += [
             'BA_DEF_ BO_ "VFrameFormat" ENUM "StandardCAN","ExtendedCAN","StandardCAN_FD","ExtendedCAN_FD";',
             'BA_DEF_DEF_ "VFrameFormat" "StandardCAN";',
-            f'BA_ "VFrameFormat" BO_ {ids["events"]} 2;',
+            *(f'BA_ "VFrameFormat" BO_ {ids[m.name]} 2;' for m in messages if m.name in _FD_FRAMES),
         ]
     lines += [f"VAL_ {ids[m.name]} {s.name} {s.choices()} ;" for m in messages for s in m.signals if s.values]
     return "\n".join(lines) + "\n"
@@ -100,7 +112,7 @@ def _times() -> list[_Message]:
 
 def _carried(fd: bool) -> list[_Message]:
     epoch = (
-        _Signal("t", 0, 30, "us"),
+        _Signal("t", 0, 30, "ticks"),
         _Signal("tick", 30, 2, values=tuple(enumerate(f"{us} us" for us in TICKS_US))),
         _Signal("sent", 32, 16, "events"),
         _Signal("dropped", 48, 16, "events"),
@@ -108,10 +120,11 @@ def _carried(fd: bool) -> list[_Message]:
     return [
         _fd_events() if fd else _events(),
         _Message("epoch", 8, CAMERA, "Where the events' times lie, and how many events there have been", epoch),
+        _Message("clock", 8, CAMERA, "All bits of the events' time", (_Signal("t", 0, 64, "us"),)),
         _Message("marks", 8, CAMERA, "The camera's own trigger and exposure marks", _marks()),
         _Message("edges", 8, CAMERA, "Edges on the camera's external input", _marks()),
-        _Message("telemetry", 8, CAMERA, "ISO-TP", (_Signal("pci", 0, 8),)),
-        _Message("telecommand", 8, MASTER, "ISO-TP", (_Signal("pci", 0, 8),)),
+        _Message("telemetry", 64 if fd else 8, CAMERA, "ISO-TP", (_Signal("pci", 0, 8),)),
+        _Message("telecommand", 64 if fd else 8, MASTER, "ISO-TP", (_Signal("pci", 0, 8),)),
     ]
 
 

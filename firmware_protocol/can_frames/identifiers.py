@@ -4,7 +4,8 @@
     0x080      SYNC                                0x280+N   epoch frames
     0x080+N    EMCY                                0x380+N   marks: the camera's own trigger and exposure
     0x100      TIME                                0x400+N   edges on the camera's external input
-    0x101      follow-up of a SYNC                 0x480+N   telemetry (ISO-TP, ours)
+    0x101      follow-up of a SYNC                 0x300+N   clock frames
+                                                   0x480+N   telemetry (ISO-TP, ours)
     0x180      SCET of the master                  0x500+N   telecommands (ISO-TP, the peer's)
     0x700      heartbeat of the master             0x700+N   heartbeat
 
@@ -43,6 +44,8 @@ class Identifiers:
         Our events frames.
     epoch
         Our epoch frames, which belong to the events frames.
+    clock
+        Our clock frames, with all bits of the time.
     marks
         Our own trigger and exposure marks.
     edges
@@ -65,6 +68,7 @@ class Identifiers:
     scet: int = 0x180
     events: int = 0x1A2
     epoch: int = 0x2A2
+    clock: int = 0x322
     marks: int = 0x3A2
     edges: int = 0x422
     telemetry: int = 0x4A2
@@ -90,6 +94,7 @@ class Identifiers:
             emcy=0x080 + node,
             events=0x180 + node,
             epoch=0x280 + node,
+            clock=0x300 + node,
             marks=0x380 + node,
             edges=0x400 + node,
             telemetry=0x480 + node,

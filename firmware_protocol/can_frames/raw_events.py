@@ -11,12 +11,16 @@ An events frame, one little-endian 64-bit number:
 
 An epoch frame says where the 16 bits of time lie, and how many events there have been:
 
-    u32   bits 0..29 time in us, low 30 bits; bits 30..31 tick (0: 1 us, 1: 10 us, 2: 100 us, 3: 1000 us)
+    u32   bits 0..29 time in ticks, low 30 bits; bits 30..31 tick (0: 1 us, 1: 10 us, 2: 100 us, 3: 1000 us)
     u16   events sent since the start, modulo 65536
     u16   events dropped before they could be sent, modulo 65536
 
+A clock frame says all 64 bits of the time, in us, as a little-endian number; an epoch frame of the same time follows.
+Events frames and epoch frames hold low bits of one number, the time in whole ticks, so any two of them agree.
+
 The time of a frame is the one nearest to the time last told, by whichever frame. The sender puts an epoch frame before
-each event that lies 2^15 ticks or more from there, and one every few milliseconds in any case. A lost events frame
+each event that lies 2^15 ticks or more from there, and one every few milliseconds in any case; a clock frame once a
+second, and where the time jumps by a second or more. A lost events frame
 loses its own two events; the receiver finds it by `seq`, and the exact number by the next epoch frame, whose counts
 tell also what was dropped. Eight lost in a row escape `seq`, not the counts.
 
@@ -33,7 +37,18 @@ import numpy.typing as npt
 
 from firmware_protocol.events import Events, empty_events
 
-__all__ = ["RAW_LIMIT_PX", "TICKS_US", "Epoch", "EventsFrame", "RawError", "pack_events", "unpack_events", "unwrapped"]
+__all__ = [
+    "RAW_LIMIT_PX",
+    "TICKS_US",
+    "Epoch",
+    "EventsFrame",
+    "RawError",
+    "pack_clock",
+    "pack_events",
+    "unpack_clock",
+    "unpack_events",
+    "unwrapped",
+]
 
 TICKS_US = (1, 10, 100, 1000)
 """Ticks by their code."""
@@ -43,6 +58,7 @@ RAW_LIMIT_PX = 512
 
 _NO_SECOND = 127
 _EPOCH = struct.Struct("<IHH")
+_CLOCK = struct.Struct("<Q")
 
 
 class RawError(ValueError):
@@ -55,22 +71,22 @@ class Epoch:
 
     Attributes
     ----------
-    t_us
-        Low 30 bits of the time, us: unwrap it near the time expected (`unwrapped`).
+    ticks
+        Low 30 bits of the time, in ticks: unwrap it near the time expected (`unwrapped`).
     tick_us
-        Of the events frames that follow.
+        Of this time and of the events frames that follow.
     sent, dropped
         Events since the start, modulo 65536.
     """
 
-    t_us: int
+    ticks: int
     tick_us: int
     sent: int
     dropped: int
 
     def __bytes__(self) -> bytes:
         code = TICKS_US.index(self.tick_us)
-        return _EPOCH.pack((self.t_us & 0x3FFF_FFFF) | code << 30, self.sent & 0xFFFF, self.dropped & 0xFFFF)
+        return _EPOCH.pack((self.ticks & 0x3FFF_FFFF) | code << 30, self.sent & 0xFFFF, self.dropped & 0xFFFF)
 
     @classmethod
     def parse(cls, data: bytes) -> Epoch:
@@ -79,6 +95,21 @@ class Epoch:
             raise RawError(f"an epoch frame has {_EPOCH.size} bytes, not {len(data)}")
         word, sent, dropped = _EPOCH.unpack(data)
         return cls(word & 0x3FFF_FFFF, TICKS_US[word >> 30], sent, dropped)
+
+
+def pack_clock(t_us: int) -> bytes:
+    """Return the data of a clock frame."""
+    return _CLOCK.pack(t_us)
+
+
+def unpack_clock(data: bytes) -> int:
+    """Return the time of a clock frame, us; raises RawError on any other length, or a time of 2^63 us or more."""
+    if len(data) != _CLOCK.size:
+        raise RawError(f"a clock frame has {_CLOCK.size} bytes, not {len(data)}")
+    (t_us,) = _CLOCK.unpack(data)
+    if t_us >> 63:
+        raise RawError(f"a clock frame says {t_us} us, which no camera reaches")
+    return int(t_us)
 
 
 @dataclass(frozen=True)

@@ -11,12 +11,22 @@ import numpy as np
 
 from firmware_protocol.can_frames.fd_events import pack_fd_events, unpack_fd_events
 from firmware_protocol.can_frames.frame import Frame
-from firmware_protocol.can_frames.raw_events import TICKS_US, Epoch, RawError, pack_events, unpack_events, unwrapped
+from firmware_protocol.can_frames.raw_events import (
+    TICKS_US,
+    Epoch,
+    RawError,
+    pack_clock,
+    pack_events,
+    unpack_clock,
+    unpack_events,
+    unwrapped,
+)
 from firmware_protocol.events import Events, empty_events
 
 __all__ = ["Packed", "RawCounters", "RawReceiver", "RawSender", "RawSettings"]
 
 _HALF_SPAN_TICKS = 1 << 15
+_CLOCK_PERIOD_US = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -34,6 +44,8 @@ class RawSettings:
         half the span of a frame's 16 bits: three of 10 ms at a tick of 1 us.
     fd, brs
         CAN FD frames, and whether they switch to the faster bit rate.
+    clock
+        11-bit identifier of clock frames; None for none, where no receiver joins late and nobody sets the time.
     """
 
     events: int
@@ -42,6 +54,7 @@ class RawSettings:
     epoch_us: int = 10_000
     fd: bool = False
     brs: bool = True
+    clock: int | None = None
 
     def __post_init__(self) -> None:
         if self.tick_us not in TICKS_US:
@@ -69,12 +82,13 @@ class RawSender:
         self._seq = 0
         self._told_us: int | None = None
         self._epoch_told_us = 0
+        self._clock_told_us: int | None = None
         self._sent = 0
         self._dropped = 0
         self._dropped_told = 0
 
     def pack(self, events: Events, dropped: int = 0) -> list[Packed]:
-        """Return the frames for events (n,), sorted and not before those packed earlier.
+        """Return the frames for events (n,), sorted; they are before those packed earlier only where time was set back.
 
         `dropped` counts the events lost before they came here, since the start. Raises RawError for pixels beyond 511.
         """
@@ -84,12 +98,20 @@ class RawSender:
             frames += self._frames_of(part)
         return frames
 
-    def epoch(self, now_us: int, dropped: int) -> Frame | None:
-        """Return the epoch frame that is due at `now_us` when no earlier event waits, if one is."""
+    def epoch(self, now_us: int, dropped: int) -> list[Packed]:
+        """Return the epoch frame that is due at `now_us` when no earlier event waits, and its clock frame."""
         if self._told_us is not None and abs(now_us - self._epoch_told_us) < self._settings.epoch_us:
-            return None
+            return []
         self._dropped = dropped
         return self._epoch(now_us)
+
+    def time_frames(self, t_us: int) -> list[Packed]:
+        """Return what a frame with the low 32 bits of `t_us` needs before it, so that the upper bits are known."""
+        return [] if self._settings.clock is None or self._knows(t_us) else self._epoch(t_us)
+
+    def forget(self) -> None:
+        """Tell the time anew before the next frame: frames that were made have not left."""
+        self._told_us = self._clock_told_us = None
 
     def set_tick(self, tick_us: int) -> None:
         """Count time in another unit from the next frame on, which is an epoch frame that tells so."""
@@ -113,9 +135,9 @@ class RawSender:
         if (
             self._told_us is None
             or abs(first_us - self._told_us) >= (_HALF_SPAN_TICKS - 1) * self._settings.tick_us
-            or first_us - self._epoch_told_us >= self._settings.epoch_us
+            or abs(first_us - self._epoch_told_us) >= self._settings.epoch_us
         ):
-            frames.append(Packed(self._epoch(first_us)))
+            frames += self._epoch(first_us)
         frames += self._packed_fd(events) if self._settings.fd else self._packed(events)
         self._told_us = int(events["t"][-1])
         self._sent += len(events)
@@ -138,9 +160,22 @@ class RawSender:
             at += n
         return frames
 
-    def _epoch(self, t_us: int) -> Frame:
+    def _epoch(self, t_us: int) -> list[Packed]:
         self._told_us = self._epoch_told_us = t_us
-        return Frame(self._settings.epoch, bytes(Epoch(t_us, self._settings.tick_us, self._sent, self._dropped)))
+        tick_us = self._settings.tick_us
+        epoch = Frame(self._settings.epoch, bytes(Epoch(t_us // tick_us, tick_us, self._sent, self._dropped)))
+        return [*self._clock(t_us), Packed(epoch)]
+
+    def _knows(self, t_us: int) -> bool:
+        """Say whether the last clock frame is near enough to `t_us`."""
+        return self._clock_told_us is not None and abs(t_us - self._clock_told_us) < _CLOCK_PERIOD_US
+
+    def _clock(self, t_us: int) -> list[Packed]:
+        """Return the clock frame that an epoch frame needs before it, if it does."""
+        if self._settings.clock is None or self._knows(t_us):
+            return []
+        self._clock_told_us = t_us
+        return [Packed(Frame(self._settings.clock, pack_clock(t_us)))]
 
 
 @dataclass(frozen=True)
@@ -161,6 +196,8 @@ class RawCounters:
         Frames that came twice in a row; taken once.
     before_epoch
         Events frames that came before any epoch frame, and so have no time; counted in no other place.
+    before_clock
+        Events frames that came before any clock frame: their times are known modulo 2^30 ticks.
     malformed
         Frames that no sender makes.
     """
@@ -171,15 +208,18 @@ class RawCounters:
     gaps: int = 0
     repeated: int = 0
     before_epoch: int = 0
+    before_clock: int = 0
     malformed: int = 0
 
 
 class RawReceiver:
     """Turns raw frames into events, and counts what is missing. The tick comes with the epoch frames."""
 
-    def __init__(self, events: int, epoch: int) -> None:
+    def __init__(self, events: int, epoch: int, clock: int | None = None) -> None:
         self._events_id = events
         self._epoch_id = epoch
+        self._clock_id = clock
+        self._clocked = clock is None
         self._tick_us = 1
         self._near_us: int | None = None
         self._epoch: Epoch | None = None
@@ -189,7 +229,7 @@ class RawReceiver:
 
     @property
     def now_us(self) -> int | None:
-        """The time last told; None before the first epoch frame."""
+        """The time last told; None before the first epoch or clock frame."""
         return self._near_us
 
     def push(self, frame: Frame) -> Events:
@@ -199,6 +239,8 @@ class RawReceiver:
         try:
             if frame.identifier == self._epoch_id:
                 self._take_epoch(Epoch.parse(frame.data))
+            elif frame.identifier == self._clock_id:
+                self._near_us, self._clocked = unpack_clock(frame.data), True
             elif frame.identifier == self._events_id:
                 return self._take_events(frame)
         except RawError:
@@ -206,17 +248,17 @@ class RawReceiver:
         return empty_events()
 
     def _take_epoch(self, epoch: Epoch) -> None:
-        near = epoch.t_us if self._near_us is None else self._near_us
+        near = epoch.ticks if self._near_us is None else self._near_us // epoch.tick_us
         before, self._epoch = self._epoch, epoch
         self._tick_us = epoch.tick_us
-        self._near_us = unwrapped(epoch.t_us, 30, near)
+        self._near_us = unwrapped(epoch.ticks, 30, near) * epoch.tick_us
         if before is not None:
             sent = _signed16(epoch.sent - before.sent)
             self._count(lost=sent - self._since_epoch, dropped=(epoch.dropped - before.dropped) & 0xFFFF)
         self._since_epoch = 0
 
     def _take_events(self, frame: Frame) -> Events:
-        if self._near_us is None:
+        if self._epoch is None or self._near_us is None:
             self._count(before_epoch=1)
             return empty_events()
         unpack = unpack_fd_events if frame.fd else unpack_events
@@ -231,7 +273,7 @@ class RawReceiver:
         if len(found.events):
             self._near_us = int(found.events["t"][-1])
         self._since_epoch += len(found.events)
-        self._count(events=len(found.events))
+        self._count(events=len(found.events), before_clock=int(not self._clocked))
         return found.events
 
     def _count(self, **more: int) -> None:

@@ -39,6 +39,11 @@ class Wire:
         """Return how many frames of a node have not begun."""
         return len(self._queues.get(node, ()))
 
+    @property
+    def busy(self) -> bool:
+        """True while a frame has begun whose last bit has not passed."""
+        return self._current is not None
+
     def offer(self, node: int, frame: Frame, now_ns: int) -> None:
         """A node wants to send a frame, at the latest time given to `advance` or later."""
         self._queues.setdefault(node, deque()).append((now_ns, frame))

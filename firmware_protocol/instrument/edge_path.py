@@ -7,6 +7,7 @@ import numpy as np
 from firmware_protocol.edges import EDGE, Edges
 from firmware_protocol.event_device import EdgeCounters
 from firmware_protocol.telemetry import BlockEncoder
+from firmware_protocol.telemetry.layout import LONGEST_US
 
 __all__ = ["EdgePath"]
 
@@ -57,7 +58,9 @@ class EdgePath:
         if not len(self._waiting):
             return None
         ordered = self._waiting[np.argsort(self._waiting["t"], kind="stable")]
-        edges, self._waiting = ordered[: self._encoder.max_edges], ordered[self._encoder.max_edges :]
+        in_reach = int(np.searchsorted(ordered["t"], ordered["t"][0] + np.uint64(LONGEST_US), side="right"))
+        count = min(in_reach, self._encoder.max_edges)
+        edges, self._waiting = ordered[:count], ordered[count:]
         own = edges.copy()
         own["t"] += np.uint64(offset_us % (1 << 64))
         told = min(self._untold, _MOST_TOLD)

@@ -132,6 +132,7 @@ class EventPath:
         self.fates.not_selected += len(events) - len(chosen)
         if self.tick_us > 1:
             chosen = self._in_block_order(chosen, offset_us)
+        self._last_us = int(chosen["t"][-1]) if len(chosen) else self._last_us
         self._count(self._queue.put(chosen, now_us))
 
     def advance(self, now_us: int) -> None:
@@ -178,14 +179,17 @@ class EventPath:
         self.fates.flushed += self._queue.clear()
 
     def _in_block_order(self, events: Events, offset_us: int) -> Events:
-        """Cut times to the tick and put each tick in raster order, for smaller blocks where a tick fills several."""
+        """Cut times to the tick and put each tick in raster order, for smaller blocks where a tick fills several.
+
+        The cut never leads before what was queued earlier: a tick may span two batches, may just have become coarser,
+        and may have begun before the stream did.
+        """
         shift = np.uint64(offset_us % (1 << 64))
         own = copy_events(events)
         own["t"] += shift
         ordered = as_received(own, self.tick_us)
         ordered["t"] -= shift
-        ordered["t"] = np.maximum(ordered["t"], np.uint64(self._last_us))  # a tick may span two batches
-        self._last_us = int(ordered["t"][-1]) if len(ordered) else self._last_us
+        ordered["t"] = np.maximum(ordered["t"].astype(np.int64), self._last_us)
         return ordered
 
     def _next(self, limit: int) -> Events | None:

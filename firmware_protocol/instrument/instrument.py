@@ -13,7 +13,6 @@ The camera's own time is stream time plus an offset that SetTime changes; all th
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Mapping
 
 import numpy as np
@@ -22,35 +21,22 @@ from firmware_protocol.davis346.biases import BIASES
 from firmware_protocol.edges import Edges
 from firmware_protocol.event_device import CameraCounters, EventDevice
 from firmware_protocol.events import Events
+from firmware_protocol.instrument.answers import Answers
 from firmware_protocol.instrument.edge_path import EdgePath
 from firmware_protocol.instrument.event_path import EventPath, Piece, block_settings
 from firmware_protocol.instrument.outgoing import Outgoing
+from firmware_protocol.instrument.own_time import OwnTime
 from firmware_protocol.instrument.rate import Selection
 from firmware_protocol.instrument.report import Reporter, State
 from firmware_protocol.instrument.settings import InstrumentSettings
-from firmware_protocol.packets.housekeeping import LinkCounts, TimeReport, TimeStatus
+from firmware_protocol.instrument.telecommand_handler import TelecommandHandler
+from firmware_protocol.packets.housekeeping import Housekeeping, LinkCounts
 from firmware_protocol.packets.message import Message, MessageKind
 from firmware_protocol.packets.profile import ReceivedCommand
-from firmware_protocol.packets.pus import Acknowledge
-from firmware_protocol.packets.telecommands import (
-    Ping,
-    RequestHousekeeping,
-    SetBias,
-    SetRateLimit,
-    SetRegion,
-    SetTick,
-    SetTime,
-    Start,
-    Stop,
-    Telecommand,
-)
-from firmware_protocol.packets.verification import CommandRefused, Failure, FailureCode, RequestId, Stage, Verification
 from firmware_protocol.telemetry import BlockEncoder
 
 __all__ = ["Instrument"]
 
-_MOST_ANSWERS = 256
-_LATEST_US = ((1 << 32) - 366 * 86_400) * 1_000_000
 _KNOWN_BIASES = frozenset(bias.address for bias in BIASES)
 
 
@@ -77,24 +63,23 @@ class Instrument(EventDevice):
         self.settings = settings = settings or InstrumentSettings()
         self._path = EventPath(size, settings)
         self._edges = EdgePath(BlockEncoder(size, block_settings(settings)))
-        self._answers: deque[Message] = deque()
+        self._time = OwnTime()
+        self._answers = Answers(self._time)
+        self._telecommands = TelecommandHandler(self, self._answers, self._time)
         self._reporter = Reporter(round(settings.housekeeping_s * 1e6))
-        self._now_us = self._offset_us = 0
-        self._time_status = TimeStatus.FREE_RUNNING
         self._started, self._connected = settings.autostart, True
         self._biases = {bias.address: int(bias.default) for bias in BIASES}
-        self._taken = self._refused = self._missing = 0
         self.frames_refused = 0
 
     @property
     def now_us(self) -> int:
         """Stream time that the camera has reached."""
-        return self._now_us
+        return self._time.now_us
 
     @property
     def own_us(self) -> int:
         """The camera's own time; never negative."""
-        return self._now_us + self._offset_us
+        return self._time.own_us
 
     @property
     def tick_us(self) -> int:
@@ -118,7 +103,7 @@ class Instrument(EventDevice):
         if patience_us is None:
             return super().horizon_us
         oldest_us = self._path.oldest_us
-        return patience_us + (self._now_us if oldest_us is None else oldest_us)
+        return patience_us + (self._time.now_us if oldest_us is None else oldest_us)
 
     @property
     def counters(self) -> CameraCounters:
@@ -142,25 +127,27 @@ class Instrument(EventDevice):
         """See `EventDevice.offer`."""
         if not len(events):
             return
-        if int(events["t"][0]) < self._now_us:
-            raise ValueError(f"event at {events['t'][0]} us offered after the camera's clock reached {self._now_us} us")
+        if int(events["t"][0]) < self._time.now_us:
+            raise ValueError(
+                f"event at {events['t'][0]} us offered after the camera's clock reached {self._time.now_us} us"
+            )
         self._path.check(events)
-        self._now_us = int(events["t"][-1])
+        self._time.reach(int(events["t"][-1]))
         self._path.fates.offered += len(events)
         if self.streaming:
-            self._path.put(events, self._now_us, self._offset_us)
+            self._path.put(events, self._time.now_us, self._time.offset_us)
         else:
             self._path.fates.not_running += len(events)
 
     def offer_edges(self, edges: Edges) -> None:
         """See `EventDevice.offer_edges`."""
-        seen = self.streaming and not (edges["t"].astype(np.int64) + self._offset_us < 0).any()
+        seen = self.streaming and not (edges["t"].astype(np.int64) + self._time.offset_us < 0).any()
         (self._edges.put if seen else self._edges.ignore)(edges)
 
     def advance(self, now_us: int) -> None:
         """See `EventDevice.advance`."""
-        self._now_us = max(self._now_us, now_us)
-        self._path.advance(self._now_us)
+        self._time.reach(now_us)
+        self._path.advance(self._time.now_us)
 
     @property
     def biases(self) -> Mapping[int, int]:
@@ -188,46 +175,59 @@ class Instrument(EventDevice):
 
     def set_time(self, t_us: int) -> None:
         """Say that the camera's own time is now `t_us`; raises ValueError when that is too far in the future."""
-        if not 0 <= t_us <= _LATEST_US:
-            raise ValueError(f"time {t_us} us leaves no year before 32 bits of seconds are full")
-        self._offset_us = t_us - self._now_us
-        waiting_us = [us for us in (self._path.oldest_us, self._edges.oldest_us) if us is not None]
-        if min(waiting_us, default=self._now_us) + self._offset_us < 0:
-            self._clear()  # what waits would bear a negative time
-        self._time_status = TimeStatus.SET
+        self._time.set(t_us)
+        self._drop_before_zero()
 
     @property
     def epoch_us(self) -> int:
         """Stream time at which the camera's own time is zero; negative when it was set ahead."""
-        return -self._offset_us
+        return self._time.epoch_us
 
     def restart_clock(self) -> bool:
         """Set the camera's own time to zero, unasked; what waits is dropped, for its times would be negative."""
-        self.set_time(0)
-        self._time_status = TimeStatus.FREE_RUNNING
+        self._time.restart()
+        self._drop_before_zero()
         return True
+
+    def set_tick(self, tick_us: int) -> None:
+        """Count time in another unit from the next block on."""
+        self._path.set_tick(tick_us)
+
+    def set_region(self, x: int, y: int, width: int, height: int) -> None:
+        """Send events of these pixels only from now on; raises ValueError when they lie outside the array."""
+        self._path.select(Selection(x, y, width, height, self._path.selection.keep_every))
+
+    def set_rate_limit(self, events_per_s: int) -> None:
+        """Keep to a rate from now on; 0 for none."""
+        self._path.limit(events_per_s, self._time.now_us)
+
+    def set_bias(self, bias: int, value: int) -> None:
+        """Set a bias word by its number; raises ValueError for a number that a DAVIS346 does not have."""
+        if bias not in _KNOWN_BIASES:
+            raise ValueError(f"there is no bias {bias}")
+        self._biases[bias] = value
 
     def next_message(self, *, events: bool = True, edges: bool = True) -> Outgoing | None:
         """Return what is to leave next, None when there is nothing; without what the link packs itself.
 
         `sent` or `lost` must follow for each, in the order of the calls.
         """
-        if self._answers:
-            return Outgoing(self._answers.popleft())
+        if (answer := self._answers.take()) is not None:
+            return Outgoing(answer)
         if edges and (outgoing := self.next_edges()):
             return outgoing
-        if self._reporter.due(self._now_us):
-            return Outgoing(self._housekeeping())
-        return self._outgoing(self._path.next_block(self._offset_us)) if events else None
+        if self._reporter.due(self._time.now_us):
+            return Outgoing(Message(MessageKind.HOUSEKEEPING, self.report().encode(), self.own_us))
+        return self._outgoing(self._path.next_block(self._time.offset_us)) if events else None
 
     def next_edges(self) -> Outgoing | None:
         """Hand out the edges that wait; otherwise as `next_message`."""
-        found = self._edges.next_block(self._offset_us)
+        found = self._edges.next_block(self._time.offset_us)
         if found is None:
             return None
         block, carried = found
-        own_us = int(carried["t"][0]) + self._offset_us
-        return Outgoing(Message(MessageKind.EDGES, block, own_us), edges=carried, epoch_us=-self._offset_us)
+        message = Message(MessageKind.EDGES, block, self._time.of(int(carried["t"][0])))
+        return Outgoing(message, edges=carried, epoch_us=self.epoch_us)
 
     def next_events(self, limit: int) -> Outgoing | None:
         """Hand out up to `limit` events for a link that packs them itself; otherwise as `next_message`."""
@@ -245,96 +245,36 @@ class Instrument(EventDevice):
 
     def command(self, received: ReceivedCommand) -> None:
         """Do what a telecommand says, and answer as PUS service 1 does."""
-        self._missing += received.missing
-        if received.command is None:
-            self._refuse(received.request, Stage.ACCEPTANCE, received.failure)
-            return
-        self._verify(received, Stage.ACCEPTANCE, Acknowledge.ACCEPTANCE)
-        try:
-            self._execute(received.command)
-        except CommandRefused as refusal:
-            self._refuse(received.request, Stage.COMPLETION, refusal.failure)
-            return
-        self._taken += 1
-        self._verify(received, Stage.COMPLETION, Acknowledge.COMPLETION)
+        self._telecommands.handle(received)
 
-    def _execute(self, command: Telecommand) -> None:
-        """Do it; raises CommandRefused when that cannot be."""
-        match command:
-            case Start():
-                self.start()
-            case Stop():
-                self.stop()
-            case Ping():
-                self._say(MessageKind.PONG, b"")
-            case RequestHousekeeping():
-                self._answers.append(self._housekeeping())
-            case SetTick(tick_us):
-                self._path.set_tick(tick_us)
-            case SetRegion(x, y, width, height):
-                self._select(x, y, width, height)
-            case SetRateLimit(events_per_s):
-                self._path.limit(events_per_s, self._now_us)
-            case SetTime(t_us):
-                self._command_time(t_us)
-            case SetBias(bias, value):
-                self._set_bias(bias, value)
-            case _:
-                raise CommandRefused(FailureCode.NOT_SUPPORTED, f"{type(command).__name__} is not done here")
-
-    def _select(self, x: int, y: int, width: int, height: int) -> None:
-        try:
-            self._path.select(Selection(x, y, width, height, self._path.selection.keep_every))
-        except ValueError as error:
-            raise CommandRefused(FailureCode.ILLEGAL_DATA, str(error)) from error
-
-    def _command_time(self, t_us: int) -> None:
-        try:
-            self.set_time(t_us)
-        except ValueError as error:
-            raise CommandRefused(FailureCode.ILLEGAL_DATA, str(error)) from error
-        self._say(MessageKind.TIME, TimeReport(t_us, self._time_status).encode())
-
-    def _set_bias(self, bias: int, value: int) -> None:
-        if bias not in _KNOWN_BIASES:
-            raise CommandRefused(FailureCode.ILLEGAL_DATA, f"there is no bias {bias}")
-        self._biases[bias] = value
-
-    def _verify(self, received: ReceivedCommand, stage: Stage, wanted: Acknowledge) -> None:
-        if received.acknowledge & wanted:
-            self._say(MessageKind.VERIFICATION, Verification(stage, received.request).encode())
-
-    def _refuse(self, request: RequestId, stage: Stage, failure: Failure | None) -> None:
-        self._refused += 1
-        self._say(MessageKind.VERIFICATION, Verification(stage, request, failure).encode())
-
-    def _say(self, kind: MessageKind, payload: bytes) -> None:
-        """Queue an answer; a computer that asks faster than the line answers loses the oldest ones."""
-        if len(self._answers) >= _MOST_ANSWERS:
-            self._answers.popleft()
-        self._answers.append(Message(kind, payload, self.own_us))
-
-    def _outgoing(self, piece: Piece | None) -> Outgoing | None:
-        if piece is None:
-            return None
-        own_us = int(piece.events["t"][0]) + self._offset_us
-        message = Message(MessageKind.EVENTS, piece.block, own_us)
-        return Outgoing(message, piece.events, epoch_us=-self._offset_us, dropped=piece.dropped)
-
-    def _housekeeping(self) -> Message:
+    def report(self) -> Housekeeping:
+        """Return the housekeeping report; its rates are since the last one."""
+        did = self._telecommands
         state = State(
-            now_us=self._now_us,
+            now_us=self._time.now_us,
             own_us=self.own_us,
             streaming=self.streaming,
-            time_status=self._time_status,
+            time_status=self._time.status,
             tick_us=self._path.tick_us,
             rate_limit=self._path.rate_limit,
             selection=self._path.selection,
             temperature_c=self.settings.temperature_c,
             counters=self.counters,
-            link=LinkCounts(self._taken, self._refused, self.frames_refused, self._missing),
+            link=LinkCounts(did.taken, did.refused, self.frames_refused, did.missing),
         )
-        return Message(MessageKind.HOUSEKEEPING, self._reporter.report(state).encode(), self.own_us)
+        return self._reporter.report(state)
+
+    def _outgoing(self, piece: Piece | None) -> Outgoing | None:
+        if piece is None:
+            return None
+        message = Message(MessageKind.EVENTS, piece.block, self._time.of(int(piece.events["t"][0])))
+        return Outgoing(message, piece.events, epoch_us=self.epoch_us, dropped=piece.dropped)
+
+    def _drop_before_zero(self) -> None:
+        """Drop all that waits if some of it would bear a negative time."""
+        waiting_us = [us for us in (self._path.oldest_us, self._edges.oldest_us) if us is not None]
+        if min(waiting_us, default=self._time.now_us) < self._time.epoch_us:
+            self._clear()
 
     def _clear(self) -> None:
         self._path.clear()

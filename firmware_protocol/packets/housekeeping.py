@@ -3,9 +3,9 @@
     housekeeping, 156 octets
       0  u8   structure id, 1
       1  u8   mode: 0 stopped, 1 streaming
-      2  u8   time status: 0 free-running, 1 set by telecommand, 2 synchronised, 3 synchronisation lost
+      2  u8   time status: 0 free-running, 1 set by telecommand; 2 synchronised, 3 synchronisation lost: reserved
       3  u8   0
-      4  u64  time, us since the start of the stream
+      4  u64  the camera's own time, us: since the start of the stream, or the epoch of the bus once it was set
      12  u32  events per second offered by the sensor since the last report
      16  u32  events per second sent since the last report
      20  i16  temperature, 0.01 degree Celsius
@@ -109,7 +109,7 @@ class Housekeeping:
     Attributes
     ----------
     t_us
-        Microseconds since the start of the stream.
+        The camera's own time, us.
     offered_hz, sent_hz
         Events per second since the last report.
     temperature_centi_c

@@ -1,18 +1,18 @@
 """How the loops over events and bits are compiled by numba.
 
 kernel   a loop that other compiled code calls: arrays belong to the caller, so no reference is counted
-entry    what Python calls. Only that is kept on disk, and it is current while no module of this folder changes:
-         numba by itself looks at the entry's own module only
+entry    a function that Python calls. Only entries are cached on disk, valid while no module of this folder changes
 """
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
 from numba import njit
+
+from firmware_protocol.numba_cache import checksum_of, valid_for
 
 __all__ = ["entry", "kernel"]
 
@@ -20,7 +20,7 @@ _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 _COUNTED: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
 _UNCOUNTED: dict[str, Any] = {**_COUNTED, "_nrt": False}
-_SOURCES = zlib.crc32(b"".join(path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py"))))
+_SOURCES = checksum_of(Path(__file__).parent)
 
 
 def kernel(function: _Function) -> _Function:
@@ -34,7 +34,5 @@ def entry(function: _Function) -> _Function:
     dispatcher: Any = njit(cache=True, **_COUNTED)(function)
     if dispatcher is function:
         return function
-    on_disk = dispatcher._cache._cache_file
-    on_disk._source_stamp = (on_disk._source_stamp, _SOURCES)
-    compiled: _Function = dispatcher
+    compiled: _Function = valid_for(_SOURCES, dispatcher)
     return compiled

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from firmware_protocol.can_frames.frame import Frame
@@ -53,6 +54,10 @@ class CanBus(ABC):
     def take(self) -> list[Heard]:
         """Return what was on the bus since the last call, but for our ordinary frames; raises BusDown."""
 
+    def discard(self) -> None:
+        """Forget our ordinary frames that were handed over and have not begun, where that can be done."""
+        return
+
     @abstractmethod
     async def close(self) -> None:
         """Let go of it; may be called at any time."""
@@ -64,8 +69,13 @@ class CanBus(ABC):
 
     @property
     def waiting(self) -> int:
-        """Frames that were handed over and are still on our side, where that is known."""
+        """Ordinary frames that were handed over and have not begun, where that is known."""
         return 0
+
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """What happened to those who joined the bus, by name, for the summary."""
+        return {}
 
     @property
     def heard(self) -> bool:

@@ -1,7 +1,8 @@
 """How what an instrument says gets into frames: raw events, or whole messages by ISO-TP or in CSP packets.
 
-A source gives its next frame when the bus has room, is told when that frame has left, and tells the instrument when all
-of a message has. Frames are given once: the endpoint keeps one that the bus did not take.
+A source gives its next frame when the bus has room, and is told when the bus has taken it. With the last frame of a
+message it gives back the message, and is told by `delivered` or `lost` what became of it. Frames are given once: the
+endpoint keeps one that the bus did not take.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from firmware_protocol.can_frames.frame import Frame
 from firmware_protocol.can_frames.isotp import IsoTpFailure, IsoTpReceiver, IsoTpSender, IsoTpSettings
 from firmware_protocol.can_frames.marks import pack_marks
 from firmware_protocol.can_frames.raw_stream import Packed, RawSender
-from firmware_protocol.edges import empty_edges
+from firmware_protocol.edges import Edges, empty_edges
 from firmware_protocol.event_copies import copy_events
 from firmware_protocol.events import empty_events
 from firmware_protocol.instrument.instrument import Instrument
@@ -72,8 +73,21 @@ class FrameSource(ABC):
         """Return the next frame if there is one that may go now."""
 
     @abstractmethod
-    def left(self) -> None:
-        """Say that the frame given last has left."""
+    def left(self) -> Outgoing | None:
+        """Say that the bus has taken the frame given last; return the message that it ends, if no watch follows it."""
+
+    def delivered(self, outgoing: Outgoing) -> None:
+        """Say that all frames of a message were on the bus."""
+        self._instrument.sent(outgoing)
+        self._deliveries.add(outgoing.events, outgoing.epoch_us, outgoing.edges)
+
+    def lost(self, outgoing: Outgoing) -> None:
+        """Say that the last frames of a message never were on the bus."""
+        self._instrument.lost(outgoing)
+
+    def cut(self) -> Outgoing | None:
+        """Cut off what the bus has taken of a message under way, where that stands by itself and is not watched."""
+        return None
 
     def drop(self) -> None:
         """Forget the message under way: the bus is gone."""
@@ -87,26 +101,31 @@ class FrameSource(ABC):
         """Take a frame of another node; return what has to be answered at once."""
         return None
 
-    def _delivered(self) -> None:
+    def _finished(self) -> Outgoing | None:
         outgoing, self._outgoing = self._outgoing, None
-        if outgoing is not None:
-            self._instrument.sent(outgoing)
-            if self.watch is not None:
-                self.watch.left(outgoing)
-            else:
-                self._deliveries.add(outgoing.events, outgoing.epoch_us, outgoing.edges)
+        if outgoing is None or self.watch is None:
+            return outgoing
+        self._instrument.sent(outgoing)
+        self.watch.left(outgoing)
+        return None
 
 
 class RawEvents(FrameSource):
-    """Events in frames that stand alone."""
+    """Events in frames that stand alone.
 
-    def __init__(self, instrument: Instrument, deliveries: Deliveries, parameters: CanParameters) -> None:
+    Attributes
+    ----------
+    sender
+        Makes them, and the clock and epoch frames.
+    """
+
+    def __init__(self, instrument: Instrument, deliveries: Deliveries, sender: RawSender) -> None:
         super().__init__(instrument, deliveries)
-        self._parameters = parameters
         self._tick_us = instrument.tick_us
-        self._sender = RawSender(parameters.raw(self._tick_us))
+        self.sender = sender
         self._frames: deque[Packed] = deque()
         self._load = Load.nothing()
+        self._given = self._taken = 0  # events in the frame given last; in those of this message that the bus has
         self._epoch_us = 0
 
     @property
@@ -114,84 +133,113 @@ class RawEvents(FrameSource):
         """See `FrameSource.load`."""
         return self._load
 
+    @property
+    def halfway(self) -> bool:
+        """True while frames wait that were made together with one that has been given."""
+        return bool(self._frames)
+
     def next_frame(self, now_ns: int) -> Frame | None:
         """See `FrameSource.next_frame`."""
-        if not self._frames:
+        if not self._frames and self._outgoing is None:
             self._pack()
-        if self._frames:
-            packed = self._frames.popleft()
-            if self.watch is not None:
-                self._load = Load(packed.events, empty_edges(), self._epoch_us)
-            return packed.frame
-        self._load = Load.nothing()
-        if self._outgoing is not None:
-            return None  # its last frame is under way
-        return self._sender.epoch(self._instrument.own_us, self._instrument.counters.dropped_in_device)
-
-    def left(self) -> None:
-        """See `FrameSource.left`."""
         if not self._frames:
-            self._delivered()
+            self._load = Load.nothing()
+            return None
+        packed = self._frames.popleft()
+        self._given = len(packed.events)
+        if self.watch is not None:
+            self._load = Load(packed.events, empty_edges(), self._epoch_us)
+        return packed.frame
+
+    def left(self) -> Outgoing | None:
+        """See `FrameSource.left`."""
+        self._taken += self._given
+        if self._frames:
+            return None
+        self._given = self._taken = 0
+        return self._finished()
+
+    def cut(self) -> Outgoing | None:
+        """See `FrameSource.cut`."""
+        outgoing, taken = self._outgoing, self._taken
+        if outgoing is None or self.watch is not None:
+            return None
+        self._outgoing = replace(outgoing, events=outgoing.events[taken:])
+        self._taken = 0
+        return replace(outgoing, events=outgoing.events[:taken])
 
     def drop(self) -> None:
         """See `FrameSource.drop`."""
         self._frames.clear()
+        self._given = self._taken = 0
+        self.sender.forget()
         super().drop()
 
     def _pack(self) -> None:
-        if self._outgoing is not None:
-            return
-        outgoing = self._instrument.next_events(_RAW_EVENTS_A_TIME)
-        if outgoing is None:
-            return
         if self._instrument.tick_us != self._tick_us:
             self._tick_us = self._instrument.tick_us
-            self._sender.set_tick(self._tick_us)
+            self.sender.set_tick(self._tick_us)
+        outgoing = self._instrument.next_events(_RAW_EVENTS_A_TIME)
+        if outgoing is None:
+            self._frames += self.sender.epoch(self._instrument.own_us, self._instrument.counters.dropped_for_room)
+            return
         own = copy_events(outgoing.events)
         self._epoch_us = outgoing.epoch_us
         epoch = np.uint64(outgoing.epoch_us % (1 << 64))
         own["t"] -= epoch
-        self._frames += self._sender.pack(own, self._instrument.counters.dropped_in_device)
+        self._frames += self.sender.pack(own, self._instrument.counters.dropped_for_room)
         own["t"] = own["t"] // np.uint64(self._tick_us) * np.uint64(self._tick_us) + epoch
         self._outgoing = Outgoing(outgoing.message, own, outgoing.edges, outgoing.epoch_us, outgoing.dropped)
 
 
 class RawEdges(FrameSource):
-    """Edges on the external input, a frame each."""
+    """Edges on the external input, a frame each.
 
-    def __init__(self, instrument: Instrument, deliveries: Deliveries, identifier: int) -> None:
+    They begin between two groups of events frames: the clock and epoch frames of both come from one sender, and have to
+    leave in the order in which it made them.
+    """
+
+    def __init__(self, instrument: Instrument, deliveries: Deliveries, events: RawEvents, identifier: int) -> None:
         super().__init__(instrument, deliveries)
+        self._events = events
         self._identifier = identifier
-        self._frames: deque[Frame] = deque()
+        self._frames: deque[tuple[Frame, Edges]] = deque()
+        self._load = Load.nothing()
 
     def next_frame(self, now_ns: int) -> Frame | None:
         """See `FrameSource.next_frame`."""
         if self._outgoing is None:
-            self._outgoing = self._instrument.next_edges()
+            self._outgoing = None if self._events.halfway else self._instrument.next_edges()
             if self._outgoing is None:
                 return None
-            own = self._outgoing.edges.copy()
-            own["t"] -= np.uint64(self._outgoing.epoch_us % (1 << 64))
-            self._frames += [Frame(self._identifier, data) for data in pack_marks(own)]
-        return self._frames.popleft() if self._frames else None
+            self._pack(self._outgoing)
+        if not self._frames:
+            return None
+        frame, edges = self._frames.popleft()
+        self._load = Load(empty_events(), edges, self._outgoing.epoch_us)
+        return frame
 
     @property
     def load(self) -> Load:
         """See `FrameSource.load`."""
-        if self._outgoing is None:
-            return Load.nothing()
-        edges = self._outgoing.edges
-        at = len(edges) - len(self._frames) - 1
-        return Load(empty_events(), edges[at : at + 1], self._outgoing.epoch_us)
+        return Load.nothing() if self._outgoing is None else self._load
 
-    def left(self) -> None:
+    def _pack(self, outgoing: Outgoing) -> None:
+        own = outgoing.edges.copy()
+        own["t"] -= np.uint64(outgoing.epoch_us % (1 << 64))
+        for at, data in enumerate(pack_marks(own)):
+            before = self._events.sender.time_frames(int(own["t"][at]))
+            self._frames += [(packed.frame, empty_edges()) for packed in before]
+            self._frames.append((Frame(self._identifier, data), outgoing.edges[at : at + 1]))
+
+    def left(self) -> Outgoing | None:
         """See `FrameSource.left`."""
-        if not self._frames:
-            self._delivered()
+        return None if self._frames else self._finished()
 
     def drop(self) -> None:
         """See `FrameSource.drop`."""
         self._frames.clear()
+        self._events.sender.forget()
         super().drop()
 
 
@@ -226,10 +274,9 @@ class IsoTpMail(FrameSource):
             self.drop()
             return None
 
-    def left(self) -> None:
+    def left(self) -> Outgoing | None:
         """See `FrameSource.left`."""
-        if not self._sender.busy:
-            self._delivered()
+        return None if self._sender.busy else self._finished()
 
     def drop(self) -> None:
         """See `FrameSource.drop`."""
@@ -288,10 +335,9 @@ class CfpMail(FrameSource):
             self._packets += 1
         return self._frames.popleft() if self._frames else None
 
-    def left(self) -> None:
+    def left(self) -> Outgoing | None:
         """See `FrameSource.left`."""
-        if not self._frames:
-            self._delivered()
+        return None if self._frames else self._finished()
 
     def drop(self) -> None:
         """See `FrameSource.drop`."""
@@ -318,10 +364,11 @@ def sources(instrument: Instrument, deliveries: Deliveries, parameters: CanParam
         return [CfpMail(instrument, deliveries, parameters)]
     if parameters.carriage == "isotp":
         return [IsoTpMail(instrument, deliveries, parameters.isotp, with_all=True)]
+    events = RawEvents(instrument, deliveries, RawSender(parameters.raw(instrument.tick_us)))
     return [
-        RawEdges(instrument, deliveries, parameters.identifiers.edges),
+        RawEdges(instrument, deliveries, events, parameters.identifiers.edges),
         IsoTpMail(instrument, deliveries, parameters.isotp, with_all=False),
-        RawEvents(instrument, deliveries, parameters),
+        events,
     ]
 
 

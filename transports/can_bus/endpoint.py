@@ -9,12 +9,14 @@ import asyncio
 from collections import Counter, deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import partial
 
 from firmware_protocol.can_frames.bus_time import BusShare
 from firmware_protocol.can_frames.frame import Frame
 from firmware_protocol.can_frames.marks import pack_marks
 from firmware_protocol.edges import Edges
 from firmware_protocol.instrument.instrument import Instrument
+from firmware_protocol.instrument.outgoing import Outgoing
 from transports.can_bus.bus import BusDown, CanBus
 from transports.can_bus.carriage import FrameSource, sources
 from transports.can_bus.faulty_bus import BusFaults, FaultyBus
@@ -27,8 +29,9 @@ from transports.faults.kinds import Fault
 from transports.faults.script import FaultPlan, FaultRecord
 from transports.faults.tracker import Watch
 from transports.link.deliveries import Deliveries
+from transports.link.endpoint import Endpoint, EndpointFactory, LineUse
 from transports.link.pacing import Clock
-from transports.link.process import Endpoint, EndpointFactory, LineUse
+from transports.link.reopening import Reopening
 
 __all__ = ["CanEndpoint", "CanFactory"]
 
@@ -36,6 +39,8 @@ _RETRY_NS = 1_000_000_000
 _SECOND_NS = 1_000_000_000
 _MAKE_UP_NS = 5_000_000  # bus time that a late tick may make up
 _NAMES = ("A", "B")
+_MOST_ANSWERS = 1024  # urgent frames that wait while others keep the bus busy
+_DRAIN_TURNS, _DRAIN_TURN_S = 1000, 0.001  # what waits on our side at the end has a second to leave
 
 
 @dataclass(frozen=True)
@@ -63,10 +68,8 @@ class _Slot:
     """One of the buses, and whether it can be used."""
 
     bus: FaultyBus
+    reopening: Reopening[bool]
     up: bool = False
-    why: str = ""
-    retry_ns: int = 0
-    opening: asyncio.Task[None] | None = None
 
 
 class CanEndpoint(Endpoint):
@@ -76,7 +79,7 @@ class CanEndpoint(Endpoint):
         self, buses: list[CanBus], faults: BusFaults, node: Node, carried: list[FrameSource], clock: Clock
     ) -> None:
         p = node.parameters
-        self._slots = [_Slot(FaultyBus(bus, index, faults)) for index, bus in enumerate(buses)]
+        self._slots = [_slot(FaultyBus(bus, index, faults), clock) for index, bus in enumerate(buses)]
         self._faults = faults
         self._instrument = node.instrument
         self._node = node
@@ -119,8 +122,8 @@ class CanEndpoint(Endpoint):
             self._down(slot, error)
         self._settle()
 
-    def reach(self, stream_us: int) -> None:
-        """See `Endpoint.reach`."""
+    def advance_faults(self, stream_us: int) -> None:
+        """See `Endpoint.advance_faults`."""
         over, held = self._faults.advance(stream_us)
         if not over:
             return
@@ -132,9 +135,9 @@ class CanEndpoint(Endpoint):
         for watch in self._watches():
             watch.damaged()
 
-    def throw(self, fault: Fault) -> None:
-        """See `Endpoint.throw`."""
-        self._faults.throw(fault)
+    def inject(self, fault: Fault) -> None:
+        """See `Endpoint.inject`."""
+        self._faults.inject(fault)
 
     @property
     def faults(self) -> tuple[FaultRecord, ...]:
@@ -150,14 +153,13 @@ class CanEndpoint(Endpoint):
         return len(edges)
 
     async def close(self) -> None:
-        """Drop what is under way and what still waits, and let go of the buses."""
+        """Let frames go that the bus has taken, drop the rest, and let go of the buses."""
+        await self._drain()
         self._closed_ns = self._clock.now_ns()
         self._drop()
         self._instrument.disconnected()
         for slot in self._slots:
-            if slot.opening is not None:
-                slot.opening.cancel()
-                await asyncio.gather(slot.opening, return_exceptions=True)
+            await slot.reopening.close()
             await slot.bus.close()
         for watch in self._watches():
             watch.close()
@@ -168,7 +170,7 @@ class CanEndpoint(Endpoint):
         """Which bus, and how things stand there."""
         slot = self._slots[self._active]
         if not slot.up:
-            return slot.why
+            return slot.reopening.why
         name = f", bus {_NAMES[self._active]}" if len(self._slots) > 1 else ""
         told = self._node.state.name.lower() if slot.bus.heard else "nobody listens yet"
         return f"on {slot.bus.address}{name}, {told}"
@@ -192,13 +194,12 @@ class CanEndpoint(Endpoint):
         if self._node.selector is not None:
             total["bus changes"] = self._node.selector.turns
         missed = sum(slot.bus.missed for slot in self._slots)
-        return dict(total + Counter({"frames missed by slow listeners": missed}))
+        total["frames missed by slow listeners"] += missed
+        return dict(sum((Counter(slot.bus.counts) for slot in self._slots), total))
 
     def _listen(self, index: int, slot: _Slot) -> None:
-        now_ns = self._clock.now_ns()
         if not slot.up:
-            if slot.opening is None and now_ns >= slot.retry_ns:
-                slot.opening = asyncio.get_running_loop().create_task(self._reopen(slot))
+            slot.up = slot.reopening.poll() or False
             return
         try:
             for heard in slot.bus.take():
@@ -218,8 +219,10 @@ class CanEndpoint(Endpoint):
         self._use.add(self._share.spend(frame, now_ns), now_ns, ours=False)
         for source in self._sources:
             answer = source.hear(frame, now_ns)
-            if answer is not None:
+            if answer is not None and len(self._urgent) < _MOST_ANSWERS:
                 self._urgent.append(answer)
+            elif answer is not None:
+                self._counts["answers dropped, the bus had no room"] += 1
 
     def _send(self, slot: _Slot, parcel: Parcel, now_ns: int) -> bool:
         """Hand a frame to the bus; False when it has no room. Raises BusDown."""
@@ -246,7 +249,12 @@ class CanEndpoint(Endpoint):
             if not self._send(slot, parcel, now_ns):
                 return
             self._kept = None
-            source.left()
+            self._follow(slot, source, source.left())
+
+    def _follow(self, slot: _Slot, source: FrameSource, outgoing: Outgoing | None) -> None:
+        """Have a message counted when the frames that the bus has taken so far have begun, or never will."""
+        if outgoing is not None:
+            slot.bus.follow(partial(source.delivered, outgoing), partial(source.lost, outgoing))
 
     def _next(self, now_ns: int) -> tuple[FrameSource, Parcel] | None:
         for source in self._sources:
@@ -261,7 +269,18 @@ class CanEndpoint(Endpoint):
     def _watches(self) -> list[Watch]:
         return [source.watch for source in self._sources if source.watch is not None]
 
+    async def _drain(self) -> None:
+        slot = self._slots[self._active]
+        for _ in range(_DRAIN_TURNS):
+            if not (slot.up and slot.bus.heard and slot.bus.waiting):
+                return
+            await asyncio.sleep(_DRAIN_TURN_S)
+            self._listen(self._active, slot)
+            self._settle()
+
     def _settle(self) -> None:
+        for slot in self._slots:
+            slot.bus.settle()
         for watch in self._watches():
             watch.settle()
 
@@ -270,7 +289,6 @@ class CanEndpoint(Endpoint):
             self._node.selector.poll(now_ns)
         if self._active != self._node.bus:
             self._drop()
-            self._slots[self._active].bus.drop()
             self._active = self._node.bus
 
     def _be_heard(self, heard: bool) -> None:
@@ -284,28 +302,31 @@ class CanEndpoint(Endpoint):
             self._instrument.disconnected()
 
     def _drop(self) -> None:
+        slot = self._slots[self._active]
+        for source in self._sources:
+            self._follow(slot, source, source.cut())
+        slot.bus.drop()
         self._kept = None
         self._urgent.clear()
         for source in self._sources:
             source.drop()
 
     def _down(self, slot: _Slot, error: BusDown) -> None:
-        slot.up, slot.why = False, str(error)
-        slot.retry_ns = self._clock.now_ns() + _RETRY_NS
-        slot.bus.drop()
+        slot.up = False
+        slot.reopening.lost(str(error))
         self._counts["bus lost"] += 1
         if slot is self._slots[self._active]:
             self._drop()
+        else:
+            slot.bus.drop()
 
-    async def _reopen(self, slot: _Slot) -> None:
-        try:
-            await slot.bus.open()
-            slot.up, slot.why = True, ""
-        except BusDown as error:
-            slot.why = str(error)
-            slot.retry_ns = self._clock.now_ns() + _RETRY_NS
-        finally:
-            slot.opening = None
+
+def _slot(bus: FaultyBus, clock: Clock) -> _Slot:
+    async def opened() -> bool:
+        await bus.open()
+        return True
+
+    return _Slot(bus, Reopening(clock, _RETRY_NS, opened))
 
 
 class _Use:

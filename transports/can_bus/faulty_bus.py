@@ -1,7 +1,8 @@
 """The place of faults on a CAN link: around each of its buses.
 
-    endpoint --post--> stage --> stage --> [what the bus had no room for] --> bus
+    endpoint --post--> stage --> stage --> [what the bus had no room for] --> bus [frames that have not begun]
     endpoint <--take---------------------- unless the bus is dead or off ----'
+    endpoint <--settle-- what depends on a frame is told when that has begun, or will never begin
 
 While no fault is at work frames pass untouched. What happens to a bus itself (off, dead, flooded) shows as its own
 state, so that the endpoint reacts as it does to the real thing.
@@ -10,6 +11,8 @@ state, so that the endpoint reacts as it does to the real thing.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import partial
 
 from firmware_protocol.can_frames.bus_time import BitRates
@@ -53,9 +56,9 @@ class BusFaults:
         over = self._faults.advance(now_us)
         return bool(over), [parcel for stage in over for parcel in stage.finish()]
 
-    def throw(self, fault: Fault) -> None:
+    def inject(self, fault: Fault) -> None:
         """Begin a fault now; raises ValueError for one that a bus does not have."""
-        self._faults.throw(fault)
+        self._faults.inject(fault)
 
     def look_at(self, source: FrameSource) -> None:
         """Begin or end the watch on a source that is between two messages."""
@@ -96,6 +99,15 @@ class BusFaults:
         return [stage for stage in self._faults.stages if stage.bus == bus]
 
 
+@dataclass(frozen=True)
+class _Followed:
+    """What depends on the ordinary frames up to `number`."""
+
+    number: int
+    begun: Callable[[], None]
+    gone: Callable[[], None]
+
+
 class FaultyBus(CanBus):
     """A bus on which faults happen; `index` is 0 for bus A, 1 for bus B."""
 
@@ -104,6 +116,8 @@ class FaultyBus(CanBus):
         self._index = index
         self._faults = faults
         self._rest: deque[Parcel] = deque()
+        self._taken = 0  # ordinary frames, by the bus
+        self._followed: deque[_Followed] = deque()
         self.missed = 0
         self._is_off = False  # by a fault: the bus itself is open
 
@@ -126,7 +140,7 @@ class FaultyBus(CanBus):
         if not self._flush():
             return False
         if parcel.exempt or (parcel.cargo is None and not self._faults.strikes_frames):
-            return self._bus.send(parcel.frame, urgent=parcel.urgent)
+            return self._hand_over(parcel)
         self.put(self._faults.changed(parcel))
         return True
 
@@ -135,8 +149,22 @@ class FaultyBus(CanBus):
         self._rest += parcels
         self._flush()
 
+    def follow(self, begun: Callable[[], None], gone: Callable[[], None]) -> None:
+        """Have it told when all ordinary frames that the bus has taken so far have begun, or never will."""
+        self._followed.append(_Followed(self._taken, begun, gone))
+
+    def settle(self) -> None:
+        """Tell whatever depends on frames that have begun."""
+        begun = self._taken - self._bus.waiting
+        while self._followed and self._followed[0].number <= begun:
+            self._followed.popleft().begun()
+
     def drop(self) -> None:
-        """The bus is not in use any more, or gone: forget what waits."""
+        """The bus is not in use any more, or gone: forget what has not begun."""
+        self.settle()
+        self._bus.discard()
+        while self._followed:
+            self._followed.popleft().gone()
         while self._rest:
             cargo = self._rest.popleft().cargo
             if cargo is not None:
@@ -172,6 +200,11 @@ class FaultyBus(CanBus):
         return self._bus.waiting + len(self._rest)
 
     @property
+    def counts(self) -> Mapping[str, int]:
+        """See `CanBus.counts`."""
+        return self._bus.counts
+
+    @property
     def heard(self) -> bool:
         """See `CanBus.heard`."""
         return self._bus.heard and not self._faults.is_dead(self._index)
@@ -184,10 +217,16 @@ class FaultyBus(CanBus):
     def _flush(self) -> bool:
         """Send what waits; say whether nothing is left."""
         while self._rest:
-            parcel = self._rest[0]
-            if not self._bus.send(parcel.frame, urgent=parcel.urgent):
+            if not self._hand_over(self._rest[0]):
                 return False
             self._rest.popleft()
-            if parcel.cargo is not None:
-                parcel.cargo.arrived(parcel.frame)
+        return True
+
+    def _hand_over(self, parcel: Parcel) -> bool:
+        if not self._bus.send(parcel.frame, urgent=parcel.urgent):
+            return False
+        self._taken += not parcel.urgent
+        if parcel.cargo is not None:
+            self.follow(partial(parcel.cargo.arrived, parcel.frame), parcel.cargo.gone)
+            self.settle()
         return True

@@ -5,15 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
-import numpy as np
-
-from firmware_protocol.edges import Edges, empty_edges
-from firmware_protocol.events import Events
+from firmware_protocol.receiver.can import CanReceiver
 from transports.can_bus.bus import BusDown
 from transports.can_bus.parameters import CanParameters
 from transports.can_bus.python_can import PythonCanBus
-from transports.can_bus.receiver import CanReceiver
-from transports.link.digest import digest_of
+from transports.link.arrivals import Arrivals
 from transports.link.latency import LatencySummary
 from transports.link.pacing import Clock
 from transports.link.record import Recorder
@@ -21,7 +17,6 @@ from transports.link.record import Recorder
 __all__ = ["CanReception", "listen_can", "peer_of"]
 
 _LOOK_PERIOD_S = 0.1
-_MOST_DELAYS = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -66,47 +61,27 @@ class _Listening:
     """One visit to the bus."""
 
     def __init__(self, parameters: CanParameters, clock: Clock, recorder: Recorder | None) -> None:
-        self._receiver = CanReceiver(parameters)
-        self._recorder = recorder
-        self._clock = clock
-        self._start_ns = clock.now_ns()
-        self._delays_us: list[float] = []
-        self._edges_kept = 0
-        self.now = CanReception()
+        self._receiver = CanReceiver(parameters.receiver)
+        self._arrivals = Arrivals(clock, recorder)
+
+    @property
+    def now(self) -> CanReception:
+        """What has come so far, without what is known at the end alone."""
+        a = self._arrivals
+        return CanReception(a.events, a.edges, a.seconds, a.last_t_us, a.digest)
 
     def take(self, bus: PythonCanBus) -> None:
         """Hear all that has come; raises BusDown when the bus is gone."""
         for heard in bus.take():
-            events = self._receiver.push(heard.frame, heard.t_ns)
-            if self._receiver.answer is not None:
-                bus.send(self._receiver.answer)
-            self._keep(events, heard.t_ns)
-        self.now = replace(self.now, seconds=(self._clock.now_ns() - self._start_ns) * 1e-9)
+            self._receiver.push(heard.frame, heard.t_ns)
+            for reply in self._receiver.take_replies():
+                bus.send(reply)
+            self._arrivals.add(self._receiver.take_events(), self._receiver.take_edges(), heard.t_ns)
 
     def finish(self, *, gone: bool) -> CanReception:
         """Return everything."""
-        receiver = self._receiver
-        return replace(
-            self.now,
-            edges=sum(len(edges) for edges in receiver.edges),
-            faults=receiver.faults,
-            counts=receiver.counts,
-            jitter_us=_jitter(self._delays_us),
-            gone=gone,
-        )
-
-    def _keep(self, events: Events, t_ns: int) -> None:
-        new, self._edges_kept = self._receiver.edges[self._edges_kept :], len(self._receiver.edges)
-        edges: Edges = np.concatenate(new) if new else empty_edges()
-        if self._recorder is not None and (len(events) or len(edges)):
-            self._recorder.append(events, edges=edges)
-        if not len(events):
-            return
-        if len(self._delays_us) < _MOST_DELAYS:
-            self._delays_us.append(t_ns / 1000 - float(events["t"][-1]))
-        now = self.now
-        digest = digest_of(events, now.digest)
-        self.now = replace(now, events=now.events + len(events), last_t_us=int(events["t"][-1]), digest=digest)
+        receiver, jitter = self._receiver, self._arrivals.jitter()
+        return replace(self.now, faults=receiver.faults, counts=receiver.counts, jitter_us=jitter, gone=gone)
 
 
 async def listen_can(
@@ -129,10 +104,3 @@ async def listen_can(
     finally:
         await bus.close()
     return listening.finish(gone=gone)
-
-
-def _jitter(delays_us: list[float]) -> LatencySummary:
-    if not delays_us:
-        return LatencySummary()
-    above = np.array(delays_us) - min(delays_us)
-    return LatencySummary(float(np.quantile(above, 0.5)), float(np.quantile(above, 0.99)), float(above.max()))

@@ -153,10 +153,14 @@ class Node:
             self._booted = False
 
     def _set_time(self, master_us: int, t_ns: int) -> None:
-        """Set the camera's time so that it was `master_us` when the frame was on the bus."""
+        """Set the camera's time so that it was `master_us` when the frame was on the bus; count impossible times."""
         then_ns = self._deliveries.device_ns(t_ns)
-        if then_ns is not None:
+        if then_ns is None:
+            return
+        try:
             self._instrument.set_time(master_us + self._instrument.now_us - then_ns // 1000)
+        except ValueError:
+            self.counts["times refused"] += 1
 
     def _emergencies(self, now_ns: int) -> list[Frame]:
         if not self._is_due("emergency", _EMCY_PERIOD_NS // _MS, now_ns):

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Literal
+from dataclasses import dataclass, field, replace
+from typing import ClassVar, Literal
 
 from firmware_protocol.can_frames.bus_time import BitRates
 from firmware_protocol.can_frames.identifiers import Identifiers
@@ -11,6 +11,8 @@ from firmware_protocol.can_frames.isotp import IsoTpSettings
 from firmware_protocol.can_frames.raw_stream import RawSettings
 from firmware_protocol.can_frames.redundancy import SelectorSettings
 from firmware_protocol.instrument.settings import InstrumentSettings
+from firmware_protocol.receiver.can import CanReceiverSettings
+from transports.network.allow import check_allow
 
 __all__ = ["CanParameters", "Option"]
 
@@ -32,6 +34,8 @@ class CanParameters:
         The redundant bus; "" for none. The master's heartbeat says which one is in use.
     host, port
         Where the bus is served, with interface = "served".
+    allow
+        Addresses and networks that may join a served bus; needed where `host` can be reached from other machines.
     bitrate, data_bitrate
         Bits a second, of the bus and of the data of CAN FD frames.
     fd
@@ -71,11 +75,13 @@ class CanParameters:
         What the camera says, and how much of it.
     """
 
+    kind: ClassVar[str] = "can"
     interface: str = "served"
     channel: str = "can0"
     channel_b: str = ""
     host: str = "127.0.0.1"
     port: int = 29536
+    allow: tuple[str, ...] = ()
     bitrate: int = 1_000_000
     data_bitrate: int = 5_000_000
     fd: bool = False
@@ -132,6 +138,8 @@ class CanParameters:
             raise ValueError("fd: CSP's fragmentation protocol has classic frames only")
         if not 0 <= self.port <= 65535:
             raise ValueError(f"port must be 0 (any free one) to 65535, got {self.port}")
+        if self.interface == "served":
+            check_allow(self.host, self.allow)
 
     @property
     def rates(self) -> BitRates:
@@ -141,20 +149,22 @@ class CanParameters:
     @property
     def isotp(self) -> IsoTpSettings:
         """Our ISO-TP channel."""
-        ids = self.identifiers
-        return self._channel(ids.telemetry, ids.telecommand)
+        peer = self.peer_isotp
+        return replace(peer, send=peer.receive, receive=peer.send)
 
     @property
     def peer_isotp(self) -> IsoTpSettings:
         """The same channel as the peer sees it."""
-        ids = self.identifiers
-        return self._channel(ids.telecommand, ids.telemetry)
+        return self.receiver.isotp
 
-    def _channel(self, send: int, receive: int) -> IsoTpSettings:
-        timeout_ns = self.answer_ms * 1_000_000
-        return IsoTpSettings(send, receive, fd=self.fd, flow_control=self.flow_control, timeout_ns=timeout_ns)
+    @property
+    def receiver(self) -> CanReceiverSettings:
+        """What the computer has to know of this link."""
+        return CanReceiverSettings(
+            self.identifiers, self.fd, self.flow_control, self.answer_ms, self.csp_address, self.csp_peer
+        )
 
     def raw(self, tick_us: int) -> RawSettings:
         """Return how raw frames are made at a tick."""
         ids = self.identifiers
-        return RawSettings(ids.events, ids.epoch, tick_us, round(self.epoch_ms * 1000), self.fd)
+        return RawSettings(ids.events, ids.epoch, tick_us, round(self.epoch_ms * 1000), self.fd, clock=ids.clock)

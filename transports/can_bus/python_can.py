@@ -136,8 +136,9 @@ class PythonCanBus(CanBus):
         return True
 
     def take(self) -> list[Heard]:
-        """See `CanBus.take`."""
-        self._living()
+        """See `CanBus.take`; what came before the bus was lost is told before that."""
+        if not self._unread:
+            self._living()
         heard = []
         while self._unread:
             heard.append(self._unread.popleft())

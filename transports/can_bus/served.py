@@ -14,35 +14,43 @@ from __future__ import annotations
 import asyncio
 import itertools
 import time
-from contextlib import suppress
+from collections import Counter, deque
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from firmware_protocol.can_frames.frame import Frame
-from firmware_protocol.can_frames.socketcand import GREETING, SocketcandSession, frame_line
+from firmware_protocol.can_frames.socketcand import frame_line
 from firmware_protocol.can_frames.wire import Carried, Wire
 from transports.can_bus.bus import BusDown, CanBus, Heard
 from transports.can_bus.parameters import CanParameters
+from transports.can_bus.served_client import BusClient
 from transports.link.pacing import Clock
+from transports.network.admission import Admission, Places, Seat
+from transports.network.allow import AllowList
+from transports.network.listener import Listener
 
 __all__ = ["ServedBus"]
 
 _ORDINARY, _STRANGER = 0, 1
 _MOST_WAITING = 48  # frames handed over and not begun: 5 ms of a full bus, so that ticks may be late
-_MOST_UNSENT_BYTES = 1 << 20
+_MOST_UNREAD = 100_000  # frames of others that the endpoint has not taken: none while its bus is off by a fault
 _SETTLE_NS = 250_000_000  # python-can takes an answer of the handshake for garbage when a frame follows too soon
-_READ_BYTES = 65_536
+_PLACES = Places(total=32, per_address=16)
+_REFUSAL = b"< error too many clients >"
+_CLOSE_TURNS, _CLOSE_TURN_S = 1000, 0.001  # clients have a second to read the rest
 
 
-@dataclass
-class _Client:
-    node: int
-    session: SocketcandSession
-    writer: asyncio.StreamWriter
+@dataclass(frozen=True)
+class _Member:
+    """A connection, and since when it wants frames (None: it does not)."""
+
+    client: BusClient
+    seat: Seat
     listens_ns: int | None = None
 
     def listens(self, t_ns: int) -> bool:
         """Say whether it is to be told of a frame at `t_ns`."""
-        return self.listens_ns is not None and t_ns >= self.listens_ns and not self.writer.is_closing()
+        return self.listens_ns is not None and t_ns >= self.listens_ns and self.client.wants_frames
 
 
 class ServedBus(CanBus):
@@ -52,20 +60,19 @@ class ServedBus(CanBus):
         self._parameters = parameters
         self._clock = clock
         self._wire = Wire(parameters.rates)
-        self._server: asyncio.Server | None = None
-        self._clients: dict[int, _Client] = {}
-        self._tasks: set[asyncio.Task[None]] = set()
+        self._admission = Admission(AllowList(parameters.allow), _PLACES)
+        self._listener = Listener(self._admission, self._welcome, _REFUSAL)
+        self._members: dict[int, _Member] = {}
         self._nodes = itertools.count(2)
-        self._unread: list[Heard] = []
+        self._unread: deque[Heard] = deque(maxlen=_MOST_UNREAD)
         self._wall_offset_ns = time.time_ns() - time.monotonic_ns()
+        self._counts: Counter[str] = Counter()
         self.missed = 0
 
     @property
     def address(self) -> str:
         """Host and port."""
-        if self._server is None or not self._server.sockets:
-            return f"{self._parameters.host}:{self._parameters.port}"
-        host, port = self._server.sockets[0].getsockname()[:2]
+        host, port = self._listener.address or (self._parameters.host, self._parameters.port)
         return f"{host}:{port}"
 
     @property
@@ -77,13 +84,18 @@ class ServedBus(CanBus):
     def heard(self) -> bool:
         """True while anybody listens: a frame that nobody hears is not acknowledged, and so never sent."""
         now_ns = self._clock.now_ns()
-        return any(client.listens(now_ns) for client in self._clients.values())
+        return any(member.listens(now_ns) for member in self._members.values())
+
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """Clients that were refused or sent off."""
+        return self._counts + self._admission.counts
 
     async def open(self) -> None:
         """Listen; raises BusDown when the port cannot be had."""
         p = self._parameters
         try:
-            self._server = await asyncio.start_server(self._serve, p.host, p.port)
+            self._listener.open(p.host, p.port)
         except OSError as error:
             raise BusDown(
                 error.errno,
@@ -108,65 +120,80 @@ class ServedBus(CanBus):
     def take(self) -> list[Heard]:
         """See `CanBus.take`."""
         self._carry(self._clock.now_ns())
-        heard, self._unread = self._unread, []
+        heard = list(self._unread)
+        self._unread.clear()
         return heard
 
+    def discard(self) -> None:
+        """See `CanBus.discard`; a frame that has begun is not interrupted."""
+        self._wire.forget(_ORDINARY)
+
     async def close(self) -> None:
-        """Send off everybody."""
-        if self._server is not None:
-            self._server.close()
-        writers = [client.writer for client in self._clients.values()]
-        for task in list(self._tasks):
-            task.cancel()
-        await asyncio.gather(*self._tasks, return_exceptions=True)
-        await asyncio.gather(*(writer.wait_closed() for writer in writers), return_exceptions=True)
+        """Let the frame on the wire end, and send off everybody when they have read everything, or a second later."""
+        await self._listener.close()
+        await self._until(lambda: not self._wire.busy)
+        for member in self._members.values():
+            member.client.close()
+        await self._until(lambda: not self._members)
+        for member in self._members.values():
+            self.missed += member.client.unsent_lines
+            member.client.abort()
+        await self._until(lambda: not self._members)
 
-    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        task = asyncio.current_task()
-        assert task is not None
-        self._tasks.add(task)
-        client = _Client(next(self._nodes), SocketcandSession(self._parameters.channel), writer)
-        self._clients[client.node] = client
-        try:
-            with suppress(ConnectionError, asyncio.CancelledError):
-                writer.write(GREETING)
-                await self._talk(client, reader)
-        finally:
-            del self._clients[client.node]
-            self._wire.forget(client.node)
-            self._tasks.discard(task)
-            writer.close()
+    # What clients ask (`transports.can_bus.served_client.ClientHost`).
 
-    async def _talk(self, client: _Client, reader: asyncio.StreamReader) -> None:
-        while not client.session.refused and (data := await reader.read(_READ_BYTES)):
-            now_ns = self._clock.now_ns()
-            self._carry(now_ns)
-            answer, frames = client.session.push(data)
-            if answer:
-                client.writer.write(answer)
-            if client.session.raw and client.listens_ns is None:
-                client.listens_ns = now_ns + _SETTLE_NS
-            for frame in frames:
-                self._wire.offer(client.node, frame, now_ns)
-            self._carry(now_ns)
+    def joined(self, client: BusClient) -> None:
+        """Keep a client from now on, and tell it of frames if it wants that."""
+        member = self._members[client.node]
+        self._admission.settle(member.seat)
+        if client.wants_frames and member.listens_ns is None:
+            self._members[client.node] = _Member(client, member.seat, self._clock.now_ns() + _SETTLE_NS)
+
+    def offer(self, client: BusClient, frames: list[Frame]) -> int:
+        """Put a client's frames on the wire."""
+        now_ns = self._clock.now_ns()
+        self._carry(now_ns)
+        for frame in frames:
+            self._wire.offer(client.node, frame, now_ns)
+        self._carry(now_ns)
+        return self._wire.waiting(client.node)
+
+    def deaf(self, client: BusClient) -> None:
+        """Count a client that does not read."""
+        self._counts["clients sent off that did not read"] += 1
+
+    def left(self, client: BusClient) -> None:
+        """Forget a client, and what it had not begun to send."""
+        self._admission.leave(self._members.pop(client.node).seat)
+        self._wire.forget(client.node)
+
+    def _welcome(self, seat: Seat) -> BusClient:
+        client = BusClient(next(self._nodes), self._parameters.channel, self)
+        self._members[client.node] = _Member(client, seat)
+        return client
+
+    async def _until(self, over: Callable[[], bool]) -> None:
+        for _ in range(_CLOSE_TURNS):
+            if over():
+                return
+            await asyncio.sleep(_CLOSE_TURN_S)
+            self._carry(self._clock.now_ns())
 
     def _carry(self, now_ns: int) -> None:
         """Let the wire move on, and tell everybody what it carried."""
         for carried in self._wire.advance(now_ns):
             if carried.node != _ORDINARY:
                 self._unread.append(Heard(carried.frame, carried.end_ns, own=carried.node < _ORDINARY))
-            if self._clients:
+            if carried.node in self._members:
+                self._members[carried.node].client.resume(self._wire.waiting(carried.node))
+            if self._members:
                 self._tell(carried)
 
     def _tell(self, carried: Carried) -> None:
         line = frame_line(carried.frame, (carried.end_ns + self._wall_offset_ns) // 1000)
-        for client in self._clients.values():
-            if client.node == carried.node or not client.listens(carried.end_ns):
-                continue
-            if client.writer.transport.get_write_buffer_size() > _MOST_UNSENT_BYTES:
-                self.missed += 1
-            else:
-                client.writer.write(line)
+        for member in self._members.values():
+            if member.client.node != carried.node and member.listens(carried.end_ns):
+                self.missed += not member.client.tell(line)
 
 
 def _mailbox(frame: Frame) -> int:

@@ -71,9 +71,9 @@ class FaultyLine:
                 self._witness.damaged()
         self._watch(begun)
 
-    def throw(self, fault: Fault) -> None:
+    def inject(self, fault: Fault) -> None:
         """Begin a fault now; raises ValueError for one that a line does not have."""
-        self._faults.throw(fault)
+        self._faults.inject(fault)
 
     def write(self, data: bytes, port: _Write) -> int:
         """Send bytes by way of the faults; return how many of them have left."""

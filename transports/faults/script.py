@@ -1,7 +1,7 @@
 """When faults begin and end, what each has done so far, and the log of it.
 
     rig's [[faults]] --at_s--> +
-    by hand ---------throw---> + --> stages at work --> over: by for_s, by count, or with the run
+    by hand ---------inject--> + --> stages at work --> over: by for_s, by count, or with the run
                                      |
                                      +--> FaultRecord for each, and a line of JSON for each begin, strike and end
 
@@ -39,7 +39,7 @@ S = TypeVar("S", bound=Stage)
 
 @dataclass(frozen=True)
 class FaultPlan:
-    """The faults of one link: from the rig, and how those thrown by hand are drawn and logged.
+    """The faults of one link: from the rig, and how those injected by hand are drawn and logged.
 
     Attributes
     ----------
@@ -82,7 +82,7 @@ class FaultRecord:
 
 
 @dataclass
-class _Thrown(Generic[S]):
+class _Injected(Generic[S]):
     stage: S
     record: FaultRecord
     until_us: int | None
@@ -106,22 +106,22 @@ class Faults(Generic[S]):
         self._plan = plan
         self._build = build
         self._waiting = sorted(plan.scripted, key=lambda fault: fault.at_s)
-        self._active: list[_Thrown[S]] = []
+        self._active: list[_Injected[S]] = []
         self.stages: list[S] = []
-        self._all: list[_Thrown[S]] = []
-        self._blamed: _Thrown[S] | None = None
+        self._all: list[_Injected[S]] = []
+        self._blamed: _Injected[S] | None = None
         self._now_us = 0
         self._log = None if plan.log is None else plan.log.open("a", encoding="utf-8", buffering=1)
 
     @property
     def records(self) -> tuple[FaultRecord, ...]:
         """What each has done."""
-        return tuple(self._record(thrown) for thrown in self._all)
+        return tuple(self._record(injected) for injected in self._all)
 
     @property
     def lost(self) -> tuple[int, int]:
         """Events and edges that faults destroyed."""
-        records = [thrown.record for thrown in self._all]
+        records = [injected.record for injected in self._all]
         return sum(r.events_lost for r in records), sum(r.edges_lost for r in records)
 
     def advance(self, now_us: int) -> list[S]:
@@ -131,20 +131,20 @@ class Faults(Generic[S]):
             fault = self._waiting.pop(0)
             self._begin(fault, round(fault.at_s * 1e6))
         over = [t for t in self._active if t.stage.over or (t.until_us is not None and t.until_us <= self._now_us)]
-        for thrown in over:
-            self._end(thrown)
-        return [thrown.stage for thrown in over]
+        for injected in over:
+            self._end(injected)
+        return [injected.stage for injected in over]
 
-    def throw(self, fault: Fault) -> None:
+    def inject(self, fault: Fault) -> None:
         """Begin a fault now; raises ValueError when this link cannot have it."""
         self._begin(fault, self._now_us)
 
     def struck(self, stage: S, places: list[int]) -> None:
         """Say that a stage is at work, and has struck anew at `places`; what is lost from now on is its doing."""
-        thrown = next(t for t in self._active if t.stage is stage)
-        self._blamed = thrown
+        injected = next(t for t in self._active if t.stage is stage)
+        self._blamed = injected
         if places:
-            self._write(thrown, "struck", places=places[:_MOST_PLACES], hits=len(places))
+            self._write(injected, "struck", places=places[:_MOST_PLACES], hits=len(places))
 
     def lose(self, events: int, edges: int) -> None:
         """Count what a sound receiver will not get."""
@@ -158,8 +158,8 @@ class Faults(Generic[S]):
 
     def close(self) -> None:
         """End them all, and the log."""
-        for thrown in list(self._active):
-            self._end(thrown)
+        for injected in list(self._active):
+            self._end(injected)
         if self._log is not None:
             self._log.close()
             self._log = None
@@ -169,24 +169,24 @@ class Faults(Generic[S]):
         key = (self._plan.seed, zlib.crc32(self._plan.link.encode()), number)
         stage = self._build(fault, np.random.default_rng(key))
         until_us = at_us + round(fault.for_s * 1e6) if fault.for_s else None
-        thrown = _Thrown(stage, FaultRecord(number, fault.kind, self._now_us), until_us)
-        self._active.append(thrown)
+        injected = _Injected(stage, FaultRecord(number, fault.kind, self._now_us), until_us)
+        self._active.append(injected)
         self.stages.append(stage)
-        self._all.append(thrown)
-        self._write(thrown, "began", for_s=fault.for_s)
+        self._all.append(injected)
+        self._write(injected, "began", for_s=fault.for_s)
 
-    def _end(self, thrown: _Thrown[S]) -> None:
-        self._active.remove(thrown)
-        self.stages.remove(thrown.stage)
-        thrown.record = replace(thrown.record, ended_us=self._now_us)
-        self._write(thrown, "ended", hits=thrown.stage.hits, touched=thrown.stage.touched)
+    def _end(self, injected: _Injected[S]) -> None:
+        self._active.remove(injected)
+        self.stages.remove(injected.stage)
+        injected.record = replace(injected.record, ended_us=self._now_us)
+        self._write(injected, "ended", hits=injected.stage.hits, touched=injected.stage.touched)
 
-    def _record(self, thrown: _Thrown[S]) -> FaultRecord:
-        return replace(thrown.record, hits=thrown.stage.hits, touched=thrown.stage.touched)
+    def _record(self, injected: _Injected[S]) -> FaultRecord:
+        return replace(injected.record, hits=injected.stage.hits, touched=injected.stage.touched)
 
-    def _write(self, thrown: _Thrown[S], what: str, **told: object) -> None:
+    def _write(self, injected: _Injected[S], what: str, **told: object) -> None:
         if self._log is None:
             return
-        record = thrown.record
+        record = injected.record
         head = {"t_us": self._now_us, "link": self._plan.link, "fault": record.number, "kind": record.kind}
         self._log.write(json.dumps({**head, "what": what, **told}) + "\n")

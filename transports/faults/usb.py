@@ -51,9 +51,9 @@ class FaultyDevice(UsbDevice):
         """Let stream time pass."""
         self._faults.advance(now_us)
 
-    def throw(self, fault: Fault) -> None:
+    def inject(self, fault: Fault) -> None:
         """Begin a fault now; raises ValueError for one that USB does not have."""
-        self._faults.throw(fault)
+        self._faults.inject(fault)
 
     def close(self) -> None:
         """End them all."""

@@ -4,27 +4,22 @@
 
 An edge's time is that of the bus, less the run's origin, plus the input's latency and jitter, counted in nanoseconds
 and then cut to whole microseconds, as a counter does. Jitter is keyed by the edge's number.
-
-    ring   head int64[4]   written | taken | refused | -
-           body EDGE[capacity]                              one writer, one reader, as `EventRing`
 """
 
 from __future__ import annotations
 
-import multiprocessing
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
 from firmware_protocol.edges import EDGE, EdgeKind, Edges, empty_edges
 from firmware_protocol.keyed_draws import Draw, normal
 from transports.link.ring import FREE_RUNNING, EventRing
+from transports.link.shared_ring import SharedRing
 
 __all__ = ["EdgeRing", "EdgeSink", "EdgeSource", "EdgeTiming", "PeriodicEdges"]
-
-_WRITTEN, _TAKEN, _REFUSED = range(3)
 
 
 class EdgeSource(Protocol):
@@ -78,52 +73,30 @@ class EdgeRing:
     """A few edges in shared memory; pass it as an argument to a process started by the spawn method."""
 
     def __init__(self, capacity: int = 4096) -> None:
-        context = multiprocessing.get_context("spawn")
-        self._memory = (context.RawArray("q", 4), context.RawArray("B", capacity * EDGE.itemsize))
-        self._map()
-
-    def _map(self) -> None:
-        head, body = self._memory
-        self._head = np.frombuffer(head, np.int64)
-        self._body = np.frombuffer(body, EDGE)
-
-    def __getstate__(self) -> tuple[Any, Any]:
-        return self._memory
-
-    def __setstate__(self, memory: tuple[Any, Any]) -> None:
-        self._memory = memory
-        self._map()
+        self._ring = SharedRing(EDGE, capacity)
 
     @property
     def written(self) -> int:
         """Edges written since the start."""
-        return int(self._head[_WRITTEN])
+        return self._ring.written
 
     @property
     def waiting(self) -> int:
         """Edges written and not yet taken."""
-        return self.written - int(self._head[_TAKEN])
+        return self._ring.waiting
 
     @property
     def refused(self) -> int:
         """Edges that found no room, counted by the writer."""
-        return int(self._head[_REFUSED])
+        return self._ring.refused
 
     def push(self, edge: Edges) -> None:
         """Write one edge, (1,) EDGE, or count it as refused."""
-        if self.waiting >= len(self._body):
-            self._head[_REFUSED] += 1
-            return
-        self._body[self.written % len(self._body)] = edge[0]
-        self._head[_WRITTEN] += 1
+        self._ring.push(edge)
 
     def take(self, until_us: int) -> Edges:
         """Return the edges up to `until_us` that have not been taken, (n,) EDGE in time order; a copy."""
-        taken = int(self._head[_TAKEN])
-        edges = self._body[np.arange(taken, self.written) % len(self._body)]
-        edges = edges[: np.searchsorted(edges["t"], until_us, side="right")]
-        self._head[_TAKEN] = taken + len(edges)
-        return edges
+        return self._ring.take(until_us)
 
 
 class EdgeSink:

@@ -3,7 +3,7 @@
     session process                      link process
     ---------------                      ------------------------------------------------
     EventRing  ---- events, now_us --->  feed: device.offer, device.advance
-    Connection ---- Stop ------------->  endpoint: USB/IP server, serial line ...
+    Connection ---- Stop, InjectFault ->  endpoint: USB/IP server, serial line ...
                <--- LinkReport --------  (ten a second, and a last one)
 
 Each link has a process of its own because a busy Python thread turns pacing of microseconds into tens of milliseconds.
@@ -15,197 +15,50 @@ from __future__ import annotations
 import asyncio
 import gc
 import os
-import selectors
 import signal
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from firmware_protocol.edges import Edges
-from firmware_protocol.event_device import CameraCounters, EventDevice
+from firmware_protocol.event_device import EventDevice
 from transports.faults.kinds import Fault
-from transports.faults.script import FaultRecord
+from transports.link.background_log import log_in_background
 from transports.link.deliveries import Deliveries
-from transports.link.feed import ClockReport, ClockTruth, EdgeReport, Feed, Timing
-from transports.link.latency import LatencySummary
+from transports.link.endpoint import Endpoint, EndpointFactory, LinkBroken
+from transports.link.feed import ClockReport, ClockTruth, Feed, Timing
 from transports.link.pacing import Clock, MonotonicClock
 from transports.link.record import Recorder
+from transports.link.report import LinkReport
 from transports.link.ring import FREE_RUNNING, EventRing
+from transports.link.selector import FineSelector
+from transports.link.tally import DeliveryTally
 
-__all__ = [
-    "Endpoint",
-    "EndpointFactory",
-    "LineUse",
-    "Link",
-    "LinkBroken",
-    "LinkReport",
-    "LinkSetup",
-    "Stop",
-    "Throw",
-    "run_link",
-]
+__all__ = ["STOP_SIGNALS", "InjectFault", "Link", "LinkSetup", "Stop", "run_link"]
+
+STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+"""Signals that end a run: to the session alone or to its whole process group."""
 
 _REPORT_PERIOD_NS = 100_000_000
 _TAKE_LIMIT = 1 << 17  # events a tick: bounds the memory and the time of one tick
 
-_Served = TypeVar("_Served", contravariant=True)  # an endpoint for any camera on USB serves a Davis346 too
 _Device = TypeVar("_Device", bound=EventDevice)
 
 
 @dataclass(frozen=True)
 class Stop:
-    """The session's last word to a link: deliver what waits, but not for longer than `drain_s`."""
+    """The session's request to end: deliver what waits, but not for longer than `drain_s`."""
 
     drain_s: float
 
 
 @dataclass(frozen=True)
-class Throw:
-    """The session's word to a link that a fault begins now, one that this kind of link can have."""
+class InjectFault:
+    """The session's request that a fault begins now, one that this kind of link can have."""
 
     fault: Fault
-
-
-@dataclass(frozen=True)
-class LineUse:
-    """How full a line was, from its first bit to now.
-
-    Attributes
-    ----------
-    carried
-        Bytes or frames that were sent.
-    share
-        Part of the line's time that sending took, 0 to 1.
-    busiest
-        The same over the busiest second.
-    """
-
-    carried: int = 0
-    share: float = 0.0
-    busiest: float = 0.0
-
-
-@dataclass(frozen=True)
-class LinkReport:
-    """What a link has done so far.
-
-    Attributes
-    ----------
-    digest
-        Of the events delivered since the camera's clock was last zero, in device time; see `digest_of`.
-    error
-        Set when the link could not start or had to give up.
-    use
-        How full the line was, where it has a capacity.
-    counts
-        What else happened on this kind of link, by name.
-    edges
-        What became of edges before the camera took them.
-    clock
-        How wrong the camera's own clock is, where it is modelled.
-    faults
-        What each fault thrown so far has done. What they destroyed is in `dropped`; the camera's own counters, which
-        cannot know of it, have it as delivered.
-    """
-
-    state: str
-    address: str | None = None
-    delivered: int = 0
-    dropped: int = 0
-    camera: CameraCounters | None = None
-    latency: LatencySummary = field(default_factory=LatencySummary)
-    digest: int = 0
-    final: bool = False
-    error: str | None = None
-    use: LineUse | None = None
-    counts: Mapping[str, int] = field(default_factory=dict)
-    edges: EdgeReport = field(default_factory=EdgeReport)
-    clock: ClockReport | None = None
-    faults: tuple[FaultRecord, ...] = ()
-
-    @property
-    def dropped_in_device(self) -> int:
-        """Events that the camera took and did not hand to the link."""
-        return 0 if self.camera is None else self.camera.dropped_in_device
-
-    @property
-    def edges_balanced(self) -> bool:
-        """True when every edge has one fate."""
-        if self.camera is None:
-            return True
-        edges = self.camera.edges
-        return edges.offered == self.edges.taken and edges.accounted == edges.offered + edges.added
-
-
-class LinkBroken(Exception):
-    """A link found that it does not do what it promises; the run cannot go on."""
-
-
-class Endpoint(ABC):
-    """The far side of a camera's plug: whatever asks it for bytes."""
-
-    @abstractmethod
-    async def start(self) -> None:
-        """Open; raises OSError when the machine refuses."""
-
-    @abstractmethod
-    def pump(self) -> None:
-        """The camera may have new data: hand over what is asked for."""
-
-    def mark(self, edges: Edges) -> int:
-        """Send the camera's own marks, (n > 0,) EDGE in the time its receivers see; return how many could be sent.
-
-        USB sends none: a DAVIS346's leave by a connector of their own.
-        """
-        return 0
-
-    def reach(self, stream_us: int) -> None:
-        """Stream time has reached this: faults in the rig begin and end by it."""
-        return
-
-    def throw(self, fault: Fault) -> None:
-        """Let a fault begin now; raises ValueError for one that this link cannot have."""
-        raise ValueError(f"{fault.kind!r} is no fault of this kind of link")
-
-    @property
-    def faults(self) -> tuple[FaultRecord, ...]:
-        """What each fault has done so far."""
-        return ()
-
-    @abstractmethod
-    async def close(self) -> None:
-        """Let go of the host and close."""
-
-    @property
-    @abstractmethod
-    def state(self) -> str:
-        """A few words for the live table."""
-
-    @property
-    def address(self) -> str | None:
-        """Where a host finds the camera; None where there is no such place."""
-        return None
-
-    @property
-    def use(self) -> LineUse | None:
-        """How full the line is; None where it has no capacity of its own."""
-        return None
-
-    @property
-    def counts(self) -> Mapping[str, int]:
-        """What else happened, by name, for the summary."""
-        return {}
-
-
-class EndpointFactory(ABC, Generic[_Served]):
-    """Makes an endpoint inside the link process; itself passed to it by pickling."""
-
-    @abstractmethod
-    def build(self, device: _Served, deliveries: Deliveries) -> Endpoint:
-        """Return the endpoint that serves `device` and tells `deliveries` of the events that have left."""
 
 
 @dataclass(frozen=True)
@@ -220,6 +73,10 @@ class LinkSetup(Generic[_Device]):
         Triggers, and the device's own clock.
     fifo_priority
         Above 0, the process runs under SCHED_FIFO, so that the rest of the machine cannot keep it waiting.
+    restart
+        Whether the process is started again when it dies.
+    tally
+        Count of delivered events that outlives the process.
     """
 
     name: str
@@ -230,6 +87,8 @@ class LinkSetup(Generic[_Device]):
     tick_us: int = 500
     timing: Timing = field(default_factory=Timing)
     fifo_priority: int = 0
+    restart: bool = False
+    tally: DeliveryTally = field(default_factory=DeliveryTally)
 
 
 class Link:
@@ -237,6 +96,7 @@ class Link:
 
     def __init__(self, setup: LinkSetup[Any], clock: Clock) -> None:
         self._ring = setup.ring
+        self._tally = setup.tally
         self._clock = clock
         self._device: EventDevice = setup.device()
         recorder = None if setup.record is None else Recorder(setup.record)
@@ -256,11 +116,17 @@ class Link:
         elif origin_ns is not None:
             due_us = max(0, (self._clock.now_ns() - origin_ns) // 1000 - self._holdback_us)
             self._feed.feed(min(due_us, self._ring.now_us), _TAKE_LIMIT)
-        self.endpoint.reach(self._feed.reached_us)
+        self.endpoint.advance_faults(self._feed.reached_us)
         marks = self._feed.own_marks()
         if len(marks):
             self._feed.marks_sent += self.endpoint.mark(marks)
         self.endpoint.pump()
+        self._tally.delivered = self._delivered
+
+    @property
+    def _delivered(self) -> int:
+        destroyed = sum(fault.events_lost for fault in self.endpoint.faults)
+        return self._device.counters.delivered - destroyed
 
     @property
     def idle(self) -> bool:
@@ -313,14 +179,23 @@ class Link:
 
 def run_link(setup: LinkSetup[Any], control: Connection) -> None:
     """Run one link until the session says Stop or is gone. The target of the link's process."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the session, which then says Stop
+    for number in STOP_SIGNALS:  # they are for the session, which then says Stop
+        signal.signal(number, signal.SIG_IGN)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, STOP_SIGNALS)
+    log = log_in_background()
     gc.freeze()
-    # epoll rounds waits up to whole milliseconds, which would double a tick of half a millisecond; select does not.
-    with asyncio.Runner(loop_factory=lambda: asyncio.SelectorEventLoop(selectors.SelectSelector())) as runner:
+    with asyncio.Runner(loop_factory=lambda: asyncio.SelectorEventLoop(FineSelector())) as runner:
         runner.run(_serve(setup, control))
+    log.drain()
 
 
 async def _serve(setup: LinkSetup[Any], control: Connection) -> None:
+    with suppress(EOFError, ConnectionError):  # the session is gone: there is nobody to report to
+        await _report_all(setup, control)
+
+
+async def _report_all(setup: LinkSetup[Any], control: Connection) -> None:
+    """Open the link, run it, and send its reports; raises EOFError or ConnectionError when the session is gone."""
     clock = MonotonicClock()
     try:
         _take_priority(setup.fifo_priority)
@@ -329,12 +204,10 @@ async def _serve(setup: LinkSetup[Any], control: Connection) -> None:
     except OSError as error:
         control.send(LinkReport("failed", final=True, error=str(error)))
         return
-    control.send(link.report())
     broken: str | None = None
     try:
+        control.send(link.report())
         await _tick_until_stopped(link, setup, control, clock)
-    except (EOFError, BrokenPipeError):
-        return  # the session is gone: there is nobody to report to
     except LinkBroken as error:
         broken = str(error)
     finally:
@@ -369,9 +242,9 @@ async def _tick_until_stopped(link: Link, setup: LinkSetup[Any], control: Connec
             control.send(link.report())
             report_ns = now_ns + _REPORT_PERIOD_NS
         if stop_ns is None and control.poll():
-            word: Stop | Throw = control.recv()
-            if isinstance(word, Throw):
-                link.endpoint.throw(word.fault)
+            word: Stop | InjectFault = control.recv()
+            if isinstance(word, InjectFault):
+                link.endpoint.inject(word.fault)
             else:
                 stop_ns = now_ns + int(word.drain_s * 1e9)
         deadline_ns = max(deadline_ns + period_ns, now_ns)

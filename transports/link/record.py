@@ -88,7 +88,7 @@ def save_record(path: Path, events: Events, resets: list[int]) -> None:
         np.savez(file, events=events, resets=np.array(resets, np.int64))
 
 
-def load_record(path: Path) -> tuple[Events, list[int]]:
+def load_record(path: str | Path) -> tuple[Events, list[int]]:
     """Read a record: events (n,) EVENT in device time, and the indices at which device time started anew."""
     with np.load(path) as file:
         return file["events"], [int(i) for i in file["resets"]]

@@ -22,7 +22,8 @@ from transports.faults.faulty_line import FaultyLine
 from transports.faults.kinds import Fault
 from transports.faults.script import FaultPlan, FaultRecord
 from transports.link.deliveries import Deliveries
-from transports.link.process import Endpoint, EndpointFactory, LineUse
+from transports.link.endpoint import Endpoint, EndpointFactory, LineUse
+from transports.link.reopening import Reopening
 from transports.serial_line.opening import open_port
 from transports.serial_line.pacing import BaudClock
 from transports.serial_line.parameters import SerialParameters
@@ -68,8 +69,7 @@ class SerialEndpoint(Endpoint):
         self._counts: Counter[str] = Counter()
         self._port: Port | None = None
         self._heard = False
-        self._opening: asyncio.Future[Port] | None = None
-        self._retry_ns = 0
+        self._reopening = Reopening(self._clock, _RETRY_NS, lambda: asyncio.to_thread(open_port, self._line))
         self._pulled_ns: int | None = None
         self._empty_looks = 0
 
@@ -99,8 +99,7 @@ class SerialEndpoint(Endpoint):
 
     async def close(self) -> None:
         """Close the port once the other side has taken what has left; what has not left is lost."""
-        if self._opening is not None:
-            self._opening.cancel()
+        await self._reopening.close()
         if self._heard and self._port is not None:
             await _emptied(self._port)
         self._notice(False)
@@ -109,13 +108,13 @@ class SerialEndpoint(Endpoint):
         if port is not None:
             await asyncio.to_thread(port.close)
 
-    def reach(self, stream_us: int) -> None:
-        """See `Endpoint.reach`."""
+    def advance_faults(self, stream_us: int) -> None:
+        """See `Endpoint.advance_faults`."""
         self._faulty.advance(stream_us, self._out.begun)
 
-    def throw(self, fault: Fault) -> None:
-        """See `Endpoint.throw`."""
-        self._faulty.throw(fault)
+    def inject(self, fault: Fault) -> None:
+        """See `Endpoint.inject`."""
+        self._faulty.inject(fault)
 
     @property
     def faults(self) -> tuple[FaultRecord, ...]:
@@ -208,20 +207,12 @@ class SerialEndpoint(Endpoint):
         port, self._port = self._port, None
         if port is not None:
             asyncio.get_running_loop().run_in_executor(None, port.close)
-        self._retry_ns = self._clock.now_ns() + _RETRY_NS
+        self._reopening.lost()
 
     def _reopen(self) -> None:
         """Try to open the port again, every half second, in a thread."""
-        if self._opening is None:
-            if self._clock.now_ns() >= self._retry_ns:
-                self._opening = asyncio.ensure_future(asyncio.to_thread(open_port, self._line))
-            return
-        if not self._opening.done():
-            return
-        opening, self._opening = self._opening, None
-        self._retry_ns = self._clock.now_ns() + _RETRY_NS
-        if opening.exception() is None:
-            self._port = opening.result()
+        self._port = self._reopening.poll()
+        if self._port is not None:
             self._counts["reconnections"] += 1
 
 

@@ -5,24 +5,21 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-import numpy as np
-
 from firmware_protocol.packets.housekeeping import Housekeeping
-from firmware_protocol.packets.profile import Profile
 from firmware_protocol.packets.telecommands import Telecommand
-from transports.link.digest import digest_of
+from firmware_protocol.receiver.serial import SerialReceiver
+from transports.link.arrivals import Arrivals
 from transports.link.latency import LatencySummary
 from transports.link.pacing import Clock
 from transports.link.record import Recorder
 from transports.serial_line.opening import open_port
 from transports.serial_line.parameters import SerialParameters
 from transports.serial_line.port import Port
-from transports.serial_line.reception import SerialReceiver
 
 __all__ = ["SerialReception", "listen_serial"]
 
 _LOOK_PERIOD_NS = 500_000
-_MOST_DELAYS = 1_000_000
+_MOST_TOLD = 1024
 
 
 @dataclass(frozen=True)
@@ -45,8 +42,10 @@ class SerialReception:
         How much later than the quickest block each came: the camera's clock is not known.
     housekeeping
         The newest report.
+    answers
+        Number of answers to telecommands.
     told
-        Answers to telecommands.
+        The newest of them in words, at most 1024.
     gone
         True when the other side went away.
     """
@@ -60,6 +59,7 @@ class SerialReception:
     counts: Mapping[str, int] = field(default_factory=dict)
     jitter_us: LatencySummary = field(default_factory=LatencySummary)
     housekeeping: Housekeeping | None = None
+    answers: int = 0
     told: tuple[str, ...] = ()
     gone: bool = False
 
@@ -68,31 +68,27 @@ class _Listening:
     """One visit to the line."""
 
     def __init__(self, profile: str, clock: Clock, recorder: Recorder | None) -> None:
-        self.receiver = SerialReceiver(Profile(profile))
-        self._recorder = recorder
+        self.receiver = SerialReceiver(profile)
         self._clock = clock
-        self._start_ns = clock.now_ns()
-        self._delays_us: list[float] = []
-        self.now = SerialReception()
+        self._arrivals = Arrivals(clock, recorder)
+        self._told: tuple[str, ...] = ()
+        self._answers = 0
+
+    @property
+    def now(self) -> SerialReception:
+        """What has come so far, without what is known at the end alone."""
+        a = self._arrivals
+        counted = SerialReception(a.events, a.edges, a.seconds, a.last_t_us, a.digest)
+        return replace(counted, answers=self._answers, told=self._told)
 
     def take(self, data: bytes) -> None:
         """Hear bytes that have come just now."""
         now_ns = self._clock.now_ns()
-        arrival = self.receiver.push(data)
-        events, edges, now = arrival.events, arrival.edges, self.now
-        if self._recorder is not None and (len(events) or len(edges)):
-            self._recorder.append(events, edges=edges)
-        if len(events) and len(self._delays_us) < _MOST_DELAYS:
-            self._delays_us.append(now_ns / 1000 - float(events["t"][-1]))
-        self.now = replace(
-            now,
-            events=now.events + len(events),
-            edges=now.edges + len(edges),
-            seconds=(now_ns - self._start_ns) * 1e-9,
-            last_t_us=int(events["t"][-1]) if len(events) else now.last_t_us,
-            digest=digest_of(events, now.digest),
-            told=now.told + arrival.told,
-        )
+        self.receiver.push(data)
+        self._arrivals.add(self.receiver.take_events(), self.receiver.take_edges(), now_ns)
+        told = self.receiver.take_reports()
+        self._answers += len(told)
+        self._told = (self._told + told)[-_MOST_TOLD:]
 
     def finish(self, *, gone: bool) -> SerialReception:
         """Return everything."""
@@ -101,7 +97,7 @@ class _Listening:
             self.now,
             faults=receiver.faults,
             counts=receiver.counts,
-            jitter_us=_jitter(self._delays_us),
+            jitter_us=self._arrivals.jitter(),
             housekeeping=receiver.housekeeping,
             gone=gone,
         )
@@ -139,10 +135,3 @@ def _all_there(port: Port) -> bytes:
     while data := port.read():
         parts.append(data)
     return b"".join(parts)
-
-
-def _jitter(delays_us: list[float]) -> LatencySummary:
-    if not delays_us:
-        return LatencySummary()
-    above = np.array(delays_us) - min(delays_us)
-    return LatencySummary(float(np.quantile(above, 0.5)), float(np.quantile(above, 0.99)), float(above.max()))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import ClassVar, Literal
 
 from firmware_protocol.instrument.settings import InstrumentSettings
 
@@ -37,6 +37,7 @@ class SerialParameters:
         Packets and framing: "ccsds-cobs", "ccsds-slip", "ccsds-kiss", "csp-kiss" or "fprime".
     """
 
+    kind: ClassVar[str] = "serial"
     port: str = "pty"
     symlink: str = ""
     baud: int = 921_600

@@ -17,7 +17,7 @@ from firmware_protocol.edges import Edges
 from firmware_protocol.events import Events
 from firmware_protocol.usb.device import Identity, SetupPacket, Stall, Transfer, UsbCamera, UsbDevice
 from transports.link.deliveries import Deliveries
-from transports.link.process import Endpoint, EndpointFactory, LinkBroken
+from transports.link.endpoint import Endpoint, EndpointFactory, LinkBroken
 from transports.usb.davis_host import DavisHost, StreamSettings
 from transports.usb.host import StallError
 from transports.usb.observed import Observed

@@ -1,1 +1,1 @@
-"""The verbs below `evstim listen`, one for each kind of link."""
+"""Commands below `evstim listen`, one for each kind of link."""

@@ -1,4 +1,4 @@
-"""`evstim listen can` and `evstim dbc`: the computer's side of a CAN link."""
+"""`evstim listen can` and `evstim dbc`: the receiving side of a CAN link."""
 
 from __future__ import annotations
 
@@ -35,20 +35,20 @@ def can(
     limits: Annotated[Limits, Parameter(name="*")] = _NO_LIMITS,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
-    """Join the CAN bus of a rig, decode what its camera says, and tell what is missing. Ctrl-C ends it.
+    """Join the CAN bus of a rig, decode the telemetry of its camera, and count what is missing. Ctrl-C ends it.
 
     Parameters
     ----------
     rig
-        Path of the rig that runs elsewhere, or the name of a shipped one: identifiers, bus and carriage come from it.
+        Path of a rig file, or the name of a shipped one: gives identifiers, bus and transport protocol.
     link
-        Which of its CAN links; the first one otherwise.
+        Name of the CAN link. Default: the first one.
     interface
-        Join the bus by this interface of python-can instead.
+        Interface of python-can. Default: the rig's.
     channel
-        Join the bus under this name instead.
+        Channel of that interface. Default: the rig's.
     limits
-        When to stop, and where to keep what came.
+        When to stop, and the file for the received events.
     json
         Print one JSON object as the last line on stdout.
     """
@@ -80,13 +80,13 @@ def dbc(
     rig
         Path of a rig file, or the name of a shipped one.
     link
-        Which of its CAN links; the first one otherwise.
+        Name of the CAN link. Default: the first one.
     output
-        The file to write; stdout otherwise.
+        File to write. Default: stdout.
     """
     with failures():
         parameters = _link(load_rig(rig), link)
-    text = dbc_text(parameters.identifiers, fd=parameters.fd)
+    text = dbc_text(parameters.identifiers, fd=parameters.fd, carriage=parameters.carriage)
     if output is None:
         console.print(text, end="", markup=False)
         return GOOD
@@ -117,13 +117,13 @@ def _listen(parameters: CanParameters, limits: Limits) -> CanReception:
 
 
 def _print(reception: CanReception) -> None:
-    gone = ", the bus went away" if reception.gone else ""
+    gone = ", the bus disappeared" if reception.gone else ""
     console.print(
         f"{reception.events} events and {reception.edges} edges in {reception.seconds:.2f} s, "
         f"digest {reception.digest:08x}, {reception.faults} faults{gone}"
     )
     if reception.jitter_us.p50 is not None:
         j = reception.jitter_us
-        console.print(f"later than the quickest: p50 {j.p50:.0f} us, p99 {j.p99:.0f} us, max {j.max:.0f} us")
+        console.print(f"delay above the shortest: p50 {j.p50:.0f} us, p99 {j.p99:.0f} us, max {j.max:.0f} us")
     for name, count in reception.counts.items():
         console.print(f"{name}: {count}", markup=False)

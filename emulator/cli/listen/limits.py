@@ -1,4 +1,4 @@
-"""What all listeners share: how long to listen, and the rate told meanwhile."""
+"""Limits of a reception, and the event rate shown meanwhile; the same for all kinds of link."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _LINE_PERIOD_S = 1.0
 
 
 class Progress(Protocol):
-    """What a listener knows of itself."""
+    """State of a reception."""
 
     @property
     def events(self) -> int:
@@ -29,16 +29,16 @@ class Progress(Protocol):
 
 @dataclass(frozen=True)
 class Limits:
-    """When to stop, and where to keep what came.
+    """When to stop, and the file for the received events.
 
     Attributes
     ----------
     seconds
-        Stop after this time.
+        Stop after this time, seconds.
     events
         Stop after this many events.
     record
-        Write what arrives to this .npz (fields `events` and `edges`, the camera's time).
+        Write the received events to this .npz (fields `events` and `edges`, camera time).
     """
 
     seconds: float | None = None
@@ -52,7 +52,7 @@ class Limits:
 
 
 def until(limits: Limits) -> Callable[[Progress], bool]:
-    """Return what says whether to go on: not past a limit, and not after Ctrl-C; tells the rate meanwhile."""
+    """Return a function that is False past a limit and after Ctrl-C; it prints the event rate meanwhile."""
     stopped = False
     next_line_s, before = _LINE_PERIOD_S, (0, 0.0)
 

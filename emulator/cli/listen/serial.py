@@ -1,4 +1,4 @@
-"""`evstim listen serial`: the computer's side of a serial line."""
+"""`evstim listen serial`: the receiving side of a serial line."""
 
 from __future__ import annotations
 
@@ -33,18 +33,18 @@ __all__ = ["serial"]
 
 @dataclass(frozen=True)
 class Line:
-    """How the line is driven; the same as on the other side.
+    """Settings of the line; the same on both sides.
 
     Attributes
     ----------
     profile
         Packets and framing.
     baud
-        Bits a second; a pty does not care.
+        Bit rate, bit/s; a pty ignores it.
     parity
-        The character's.
+        Parity bit of each character.
     stop_bits
-        1, 1.5 or 2.
+        Stop bits of each character: 1, 1.5 or 2.
     """
 
     profile: Literal["ccsds-cobs", "ccsds-slip", "ccsds-kiss", "csp-kiss", "fprime"] = "ccsds-cobs"
@@ -55,26 +55,26 @@ class Line:
 
 @dataclass(frozen=True)
 class Orders:
-    """What to tell the camera, once, when the line is open, in this order.
+    """Telecommands sent once, when the line is open, in this order.
 
     Attributes
     ----------
     set_time
-        Set its clock to this machine's (UTC as Unix time).
+        Set the camera's clock to this machine's (UTC as Unix time).
     tick
-        Count the time of events in 1, 10, 100 or 1000 us.
+        Resolution of event times: 1, 10, 100 or 1000 us.
     region
         X Y WIDTH HEIGHT: send only these pixels.
     rate_limit
-        Send at most so many events a second; 0 lifts the limit.
+        Send at most this many events per second; 0: no limit.
     start
-        Let events flow.
+        Start sending events.
     stop
-        Let no events flow.
+        Stop sending events.
     ping
-        Ask whether it is there.
+        Ask for a sign of life.
     housekeeping
-        Ask for a report now.
+        Ask for a housekeeping report now.
     """
 
     set_time: Annotated[bool, Parameter(negative="")] = False
@@ -87,7 +87,7 @@ class Orders:
     housekeeping: Annotated[bool, Parameter(negative="")] = False
 
     def telecommands(self) -> list[Telecommand]:
-        """Return them; raises ValueError for a value that cannot be."""
+        """Return the telecommands; raises ValueError for a value out of range."""
         wanted: list[tuple[bool, Callable[[], Telecommand]]] = [
             (self.set_time, lambda: SetTime(time.time_ns() // 1000)),
             (self.tick is not None, lambda: SetTick(self.tick or 0)),
@@ -113,18 +113,18 @@ def serial(
     limits: Annotated[Limits, Parameter(name="*")] = _NO_LIMITS,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
-    """Read a camera on a serial line, decode what it says, and tell what is missing. Ctrl-C ends it.
+    """Read a camera on a serial line, decode its telemetry, and count what is missing. Ctrl-C ends it.
 
     Parameters
     ----------
     port
         Path of the port, such as the one that `evstim run serial-demo` prints, or any URL of pyserial.
     line
-        How the line is driven.
+        Settings of the line.
     orders
-        What to tell the camera.
+        Telecommands to send.
     limits
-        When to stop, and where to keep what came.
+        When to stop, and the file for the received events.
     json
         Print one JSON object as the last line on stdout.
     """
@@ -135,7 +135,7 @@ def serial(
     except ValueError as error:
         raise Failure(str(error), WRONG_USE) from error
     if port == "pty":
-        raise Failure("a listener opens the path that the camera's side prints, not a pty of its own", WRONG_USE)
+        raise Failure("give the path that `evstim run` prints: a receiver does not make a pty", WRONG_USE)
     reception = _listen(parameters, telecommands, limits)
     if json:
         print_json(dataclasses.asdict(reception))
@@ -151,9 +151,9 @@ def _listen(parameters: SerialParameters, telecommands: list[Telecommand], limit
 
     def follow(now: SerialReception) -> bool:
         nonlocal told
-        for answer in now.told[told:]:
+        for answer in now.told[len(now.told) - (now.answers - told) :]:
             status.print(answer, markup=False)
-        told = len(now.told)
+        told = now.answers
         return goes_on(now)
 
     try:
@@ -168,16 +168,16 @@ def _listen(parameters: SerialParameters, telecommands: list[Telecommand], limit
 def _print(reception: SerialReception) -> None:
     console.print(
         f"{reception.events} events and {reception.edges} edges in {reception.seconds:.2f} s, "
-        f"digest {reception.digest:08x}{', the other side went away' if reception.gone else ''}"
+        f"digest {reception.digest:08x}{', the other side closed the line' if reception.gone else ''}"
     )
     console.print(", ".join(f"{count} {name}" for name, count in reception.counts.items()), markup=False)
     jitter = reception.jitter_us
     if jitter.p50 is not None:
-        console.print(f"blocks behind the quickest one: p50 {jitter.p50:.0f} us, p99 {jitter.p99:.0f} us")
+        console.print(f"delay of blocks above the shortest: p50 {jitter.p50:.0f} us, p99 {jitter.p99:.0f} us")
     if (report := reception.housekeeping) is not None:
         e = report.events
         console.print(
-            f"the camera says: {report.mode.name.lower()}, {e.offered} events offered = {e.sent} sent + {e.waiting} "
+            f"housekeeping: {report.mode.name.lower()}, {e.offered} events offered = {e.sent} sent + {e.waiting} "
             f"waiting + {e.not_running} not running + {e.not_selected} not selected + {e.over_rate} over the rate + "
             f"{e.too_late} too late + {e.buffer_full} buffer full + {e.flushed} flushed + {e.lost_on_link} lost"
         )

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import signal
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
 
+from emulator.cli.listen.limits import Limits, until
 from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, WRONG_USE, Failure, console, print_json, status
 from transports.link.pacing import MonotonicClock
 from transports.link.record import Recorder
@@ -21,41 +21,34 @@ from transports.usb.usbip.client import UsbipHost
 
 __all__ = ["listen"]
 
-_LINE_PERIOD_S = 1.0
+_NO_LIMITS = Limits()
 
 
 def listen(
     *,
     usbip: str | None = None,
     busid: str = "1-1",
-    seconds: float | None = None,
-    events: int | None = None,
-    record: Path | None = None,
+    limits: Annotated[Limits, Parameter(name="*")] = _NO_LIMITS,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
-    """Read a DAVIS346, real or emulated, and say what arrives. Ctrl-C ends it.
+    """Read a DAVIS346, real or emulated, and count what arrives. Ctrl-C ends it.
 
     Parameters
     ----------
     usbip
-        HOST:PORT of a USB/IP server, read without a kernel; otherwise the first DAVIS346 on this machine's USB bus.
+        HOST:PORT of a USB/IP server, read without a kernel module. Default: this machine's first DAVIS346.
     busid
         Bus id of the camera on that server.
-    seconds
-        Stop after this time.
-    events
-        Stop after this many events.
-    record
-        Write what arrives to this .npz (fields `events` and `edges`, device time).
+    limits
+        When to stop, and where to keep what came.
     json
         Print one JSON object as the last line on stdout.
     """
-    if record is not None and not record.parent.is_dir():
-        raise Failure(f"--record: the folder {record.parent} does not exist", WRONG_USE)
+    limits.check()
     try:
         camera = DavisHost(_host(usbip, busid))
         status.print(f"DAVIS346 serial {camera.info.serial}, {camera.info.size[0]}x{camera.info.size[1]} pixels")
-        reception = _receive(camera, _until(seconds, events), record)
+        reception = _receive(camera, until(limits), limits.record)
     except UsbHostError as error:
         raise Failure(str(error), LACKING) from error
     if json:
@@ -64,7 +57,7 @@ def listen(
         console.print(
             f"{reception.events} events and {reception.edges} edges in {reception.seconds:.2f} s, "
             f"digest {reception.digest:08x}, {reception.faults} malformed words"
-            f"{', the camera went away' if reception.gone else ''}"
+            f"{', the camera was unplugged' if reception.gone else ''}"
         )
     return BAD_VERDICT if reception.faults else GOOD
 
@@ -74,32 +67,8 @@ def _host(usbip: str | None, busid: str) -> UsbHost:
         return PyusbHost.find(DAVIS_VENDOR, DAVIS_PRODUCT)
     host, _, port = usbip.rpartition(":")
     if not host or not port.isdigit():
-        raise Failure(f"--usbip wants HOST:PORT such as 127.0.0.1:3240, got {usbip!r}", WRONG_USE)
+        raise Failure(f"--usbip must be HOST:PORT such as 127.0.0.1:3240, got {usbip!r}", WRONG_USE)
     return UsbipHost.attach(host, int(port), busid, timeout_s=5.0)
-
-
-def _until(seconds: float | None, events: int | None) -> Callable[[Reception], bool]:
-    """Return what says whether to go on: not past a limit, and not after Ctrl-C; tells the rate meanwhile."""
-    stopped = False
-    next_line_s, before = _LINE_PERIOD_S, Reception()
-
-    def stop(*_: object) -> None:
-        nonlocal stopped
-        stopped = True
-
-    signal.signal(signal.SIGINT, stop)
-    signal.signal(signal.SIGTERM, stop)
-
-    def goes_on(now: Reception) -> bool:
-        nonlocal next_line_s, before
-        if now.seconds >= next_line_s:
-            rate = (now.events - before.events) / (now.seconds - before.seconds) * 1e-6
-            status.print(f"{now.seconds:7.1f} s  {now.events:>12} events  {rate:7.3f} Mev/s")
-            next_line_s, before = now.seconds + _LINE_PERIOD_S, now
-        in_time = seconds is None or now.seconds < seconds
-        return not stopped and in_time and (events is None or now.events < events)
-
-    return goes_on
 
 
 def _receive(camera: DavisHost, goes_on: Callable[[Reception], bool], record: Path | None) -> Reception:

@@ -1,15 +1,23 @@
-"""The verbs below `evstim listen`, one for each kind of link; without one of them it reads USB."""
+"""The commands below `evstim listen`, one for each kind of link; USB is the default."""
 
 from __future__ import annotations
 
 from cyclopts import App
 
 from emulator.cli.listen.usb import listen
+from emulator.rig.link_kinds import LINKS
+from transports.link.kind import Listener
 
 __all__ = ["verbs"]
 
+
+def _listeners() -> dict[str, Listener]:
+    """Return the listeners of all kinds of links by verb; where two have the same verb, that of the first."""
+    told = [kind.listener for kind in LINKS.usable().values() if kind.listener is not None]
+    return {one.verb: one for one in reversed(told)}
+
+
 verbs = App(name="listen")
 verbs.default(listen)
-verbs.command(listen, name="usb", help="Read a DAVIS346 on USB.")
-verbs.command("emulator.cli.listen.serial:serial", name="serial", help="Read a camera on a serial line.")
-verbs.command("emulator.cli.listen.can:can", name="can", help="Read a camera on a CAN bus.")
+for _verb, _listener in _listeners().items():
+    verbs.command(_listener.path, name=_verb, help=_listener.help)

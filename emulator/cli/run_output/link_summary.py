@@ -1,4 +1,4 @@
-"""What a link's report says, for the summary of a run."""
+"""Delivery statistics of one link, for the summary of a run."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import dataclasses
 
 from emulator.run.ledger import LinkLedger
 from transports.faults.script import FaultRecord
-from transports.link.process import LinkReport
+from transports.link.report import LinkReport
 
 __all__ = ["fault_line", "link_json", "link_lines"]
 
@@ -21,7 +21,7 @@ _CAUSES = {
 
 
 def link_json(report: LinkReport) -> dict[str, object]:
-    """Return a link's fates, line use and counts, for `run --json`."""
+    """Return the drop causes, line use, counts and faults of a link, for `run --json`."""
     camera = report.camera
     dropped = {} if camera is None else {cause: getattr(camera, cause) for cause in _CAUSES}
     return {
@@ -33,7 +33,7 @@ def link_json(report: LinkReport) -> dict[str, object]:
 
 
 def link_lines(link: LinkLedger, report: LinkReport) -> list[str]:
-    """Return the lines of the summary that tell of a link's events and of its line."""
+    """Return the summary lines on a link's events and on the use of its line."""
     lines = [
         f"{link.name}: {link.delivered} delivered (digest {report.digest:08x}), {link.dropped} dropped, "
         f"{link.dropped_in_device} dropped in the device{_causes(report)}"
@@ -48,12 +48,12 @@ def link_lines(link: LinkLedger, report: LinkReport) -> list[str]:
 
 
 def fault_line(fault: FaultRecord) -> str:
-    """Return what a fault did, in a line."""
+    """Return a line on a fault: its time, hits and losses."""
     ended = "the end" if fault.ended_us is None else f"{fault.ended_us * 1e-6:.3f} s"
     edges = f" and {fault.edges_lost} edges" if fault.edges_lost else ""
     return (
         f"fault {fault.number}, {fault.kind}, {fault.began_us * 1e-6:.3f} s to {ended}: {fault.hits} hits, "
-        f"{fault.touched} touched, {fault.events_lost} events{edges} lost in it"
+        f"{fault.touched} units affected, {fault.events_lost} events{edges} lost"
     )
 
 

@@ -1,4 +1,4 @@
-"""The live table of a run: rates, lateness, and each link's state and counts."""
+"""Live table of a run: rates, lateness, and the state and counts of each link."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _RATE_WINDOW = 10  # status reports over which rates are averaged
 
 
 class LiveTable:
-    """Shows RunStatus: a table on a terminal, a line every 5 s elsewhere."""
+    """Shows RunStatus: a table on a terminal; otherwise a line every 5 s."""
 
     def __init__(self, rig: Rig, console: Console) -> None:
         self._title = f"{rig.name}: {rig.title}"

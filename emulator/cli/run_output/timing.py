@@ -1,11 +1,11 @@
-"""What the summary tells of triggers and of the camera's own clock."""
+"""Statistics of triggers and of the camera's clock, for the summary of a run."""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator
 
-from transports.link.process import LinkReport
+from transports.link.report import LinkReport
 
 __all__ = ["timing_json", "timing_lines"]
 
@@ -21,18 +21,18 @@ def timing_json(report: LinkReport) -> dict[str, object]:
 
 
 def timing_lines(name: str, report: LinkReport) -> Iterator[str]:
-    """Yield a line on the edges, where there were any, and one on the clock, where there is one."""
+    """Yield a line on the edges, if there were any, and one on the clock, if the camera has its own."""
     if report.camera is not None and report.camera.edges.offered + report.camera.edges.added + report.edges.left:
         e = report.camera.edges
         late = f", {report.edges.late} late by up to {report.edges.worst_late_us} us" if report.edges.late else ""
         left = f", {report.edges.left} came too late for the run" if report.edges.left else ""
         lost = f", {e.lost_on_link} lost on the link" if e.lost_on_link else ""
         yield (
-            f"{name}: {e.offered} edges, {e.added} added = {e.delivered} delivered, {e.ignored} not asked for, "
+            f"{name}: {e.offered} edges, {e.added} added = {e.delivered} delivered, {e.ignored} not enabled, "
             f"{e.dropped} dropped{lost}{late}{left}"
         )
     if report.edges.marks:
-        yield f"{name}: {report.edges.marks} marks of the camera's own, {report.edges.marks_sent} sent"
+        yield f"{name}: {report.edges.marks} own marks of the camera, {report.edges.marks_sent} sent"
     if report.clock is not None:
         c = report.clock
-        yield f"{name}: the camera's clock is {c.offset_us:+.1f} us off at {c.t_us * 1e-6:.3f} s, and {c.ppm:+.3f} ppm"
+        yield f"{name}: camera clock offset {c.offset_us:+.1f} us at {c.t_us * 1e-6:.3f} s, drift {c.ppm:+.3f} ppm"

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 from emulator.photometry.reflectance import LommelSeeliger, Reflectance
 from emulator.photometry.sun import Sun
+from emulator.scene.kind import SceneKind
 from emulator.tables.files import NO_FILE, RigFile
 from emulator.trajectory.parameters import FixedPath, TrajectoryParameters
 
-__all__ = ["BodiesParameters", "BodyTable"]
+__all__ = ["BODIES", "BodiesParameters", "BodyTable"]
 
 
 @dataclass(frozen=True)
@@ -77,6 +79,7 @@ class BodiesParameters:
         The bodies.
     """
 
+    kind: ClassVar[str] = "bodies"
     camera: TrajectoryParameters = field(default_factory=FixedPath)
     sun: Sun = field(default_factory=Sun)
     ambient_w_m2: float = 0.0
@@ -107,3 +110,6 @@ class BodiesParameters:
                     f"bodies: {body.fixed_to!r}, to which one is fixed, must be the name of an earlier one"
                 )
             names.append(body.name)
+
+
+BODIES = SceneKind(BodiesParameters, "emulator.scene.bodies.build:build_bodies", lens="applied")

@@ -14,9 +14,9 @@ from emulator.scene.bodies.arrangement import Arrangement, Placed
 from emulator.scene.bodies.detail import coarser, facet_size_m
 from emulator.scene.bodies.mesh import Mesh, find_shape, load_mesh
 from emulator.scene.bodies.table import BodiesParameters, BodyTable
-from emulator.trajectory.building import build_trajectory
-from emulator.trajectory.live import close_inlets, live_counts
-from emulator.trajectory.pose import TrajectoryError
+from emulator.trajectory.building import build_trajectories
+from emulator.trajectory.pose import Trajectory, TrajectoryError
+from emulator.trajectory.pose_receiver import close_receivers, live_counts
 from emulator.trajectory.timescale import Timescale
 
 __all__ = ["BodyWorld"]
@@ -45,9 +45,9 @@ class BodyWorld:
         self.parameters, self.pinhole = parameters, pinhole
         self.time = Timescale(parameters.time_scale)
         try:
-            self.camera = build_trajectory(parameters.camera)
+            self.camera, *paths = build_trajectories([parameters.camera, *(b.path for b in parameters.bodies)])
             self.meshes = [load_mesh(find_shape(body.shape), body.units_m) for body in parameters.bodies]
-            self.placed = [self._placed(body, mesh) for body, mesh in zip(parameters.bodies, self.meshes, strict=True)]
+            self.placed = [self._placed(k, path) for k, path in enumerate(paths)]
         except (TrajectoryError, OSError) as error:
             raise SceneError(f"scene: {error}") from error
         self._notes = [
@@ -95,12 +95,11 @@ class BodyWorld:
 
     def close(self) -> None:
         """Close the ports of live poses; a second call does nothing."""
-        close_inlets(self.camera, *(placed.path for placed in self.placed))
+        close_receivers(self.camera, *(placed.path for placed in self.placed))
 
-    def _placed(self, body: BodyTable, mesh: Mesh) -> Placed:
-        names = [other.name for other in self.parameters.bodies]
-        parent = names.index(body.fixed_to) if body.fixed_to else None
-        return Placed(build_trajectory(body.path), parent, mesh.radius_m)
+    def _placed(self, k: int, path: Trajectory) -> Placed:
+        names, fixed_to = [body.name for body in self.parameters.bodies], self.parameters.bodies[k].fixed_to
+        return Placed(path, names.index(fixed_to) if fixed_to else None, self.meshes[k].radius_m)
 
     def _each(self) -> Sequence[tuple[BodyTable, Mesh, float]]:
         return list(zip(self.parameters.bodies, self.meshes, map(float, self.ranges_m), strict=True))

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
-__all__ = ["CheckerboardParameters"]
+from emulator.scene.kind import SceneKind
+
+__all__ = ["CHECKERBOARD", "CheckerboardParameters"]
 
 _BRIGHTEST = 1e9  # far above anything a sensor tells apart, and safe in float32
 
@@ -28,6 +31,7 @@ class CheckerboardParameters:
         Light of the squares relative to the sensor's reference level, linear: 0 <= dark <= bright.
     """
 
+    kind: ClassVar[str] = "checkerboard"
     square_px: float = 20.0
     speed_px_s: float = 200.0
     direction_deg: float = 0.0
@@ -47,3 +51,6 @@ class CheckerboardParameters:
             raise ValueError(
                 f"dark is {self.dark:g} and bright is {self.bright:g}: 0 <= dark <= bright <= {_BRIGHTEST:g} must hold"
             )
+
+
+CHECKERBOARD = SceneKind(CheckerboardParameters, "emulator.scene.checkerboard.checkerboard:Checkerboard")

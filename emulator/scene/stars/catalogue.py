@@ -1,12 +1,15 @@
-"""The fixed stars: directions and brightness from the Hipparcos catalogue.
+"""Fixed stars: directions and brightness from the Hipparcos catalogue.
 
-Directions are unit vectors on the ICRS's axes, moved by proper motion from J1991.25 to the epoch asked for. Light is
-counted in the Sun's band (see `photometry.sun`): a star of magnitude V gives
+Directions are unit vectors along the axes of the ICRS, moved by proper motion from J1991.25 to the epoch asked for.
+Light is counted in the Sun's band (see `photometry.sun`): a star of magnitude V gives
 
     E = 530 W/m2 * 10^(-0.4 (V + 26.74))
 
-with V = Hp - 0.16 (B-V) (Hp is some 0.1 fainter than V for Sun-like stars; for red ones this is good to a tenth of a
-magnitude, which is less than what a pixel's own colour response leaves open).
+The catalogue holds Hp and B-V. V - Hp is a function of B-V: Bessell 2000, PASP 112, 961, table 2 (for dwarfs from B to
+G and giants of K and M; good to 0.02 mag, and to 0.1 for the reddest variable stars). The detectors of Hipparcos were
+not linear for the brightest stars: Hp of Sirius is 0.37 mag too faint, that of Canopus 0.14. So the V of stars brighter
+than 0.5 is that of the Bright Star Catalogue (Hoffleit and Warren 1991, CDS V/50), see `_BRIGHTEST`; so is the V of
+alpha Centauri B, whose Hp holds light of A.
 """
 
 from __future__ import annotations
@@ -28,6 +31,35 @@ FAINTEST_V = 6.8
 _FILE = Path(__file__).parent / "data" / "hipparcos.npz"
 _EPOCH = 1991.25
 _MAS_RAD = np.pi / 180 / 3600 / 1000
+
+_B_V = (
+    -0.219, -0.179, -0.139, -0.095, -0.048, -0.005, 0.04, 0.083, 0.13, 0.179, 0.227, 0.275, 0.325, 0.374, 0.42,
+    0.465, 0.505, 0.549, 0.59, 0.632, 0.674, 0.715, 0.756, 0.796, 0.837, 0.878, 0.919, 0.958, 0.996, 1.034,
+    1.072, 1.111, 1.151, 1.19, 1.228, 1.266, 1.305, 1.344, 1.384, 1.423, 1.462, 1.501, 1.541, 1.58, 1.619, 1.658,
+)  # fmt: skip
+_V_MINUS_HP = (
+    0.066, 0.051, 0.036, 0.021, 0.006, -0.011, -0.025, -0.038, -0.048, -0.058, -0.069, -0.079, -0.087, -0.094,
+    -0.101, -0.108, -0.114, -0.12, -0.127, -0.131, -0.134, -0.137, -0.142, -0.147, -0.151, -0.155, -0.158,
+    -0.157, -0.16, -0.162, -0.164, -0.166, -0.166, -0.165, -0.164, -0.161, -0.157, -0.153, -0.148, -0.143,
+    -0.137, -0.131, -0.125, -0.119, -0.112, -0.106,
+)  # fmt: skip
+"""Bessell's table, its colours BT-VT turned into B-V; beyond its ends the nearest entry holds."""
+
+_BRIGHTEST_HP = 1.3
+_BRIGHTEST = np.array([
+    # right ascension and declination, degrees (ICRS, J1991.25), and V
+    (101.289, -16.713, -1.46),  # Sirius
+    (95.988, -52.696, -0.72),  # Canopus
+    (213.918, 19.187, -0.04),  # Arcturus
+    (219.920, -60.835, -0.01),  # alpha Centauri A
+    (219.914, -60.839, 1.33),  # alpha Centauri B
+    (279.234, 38.783, 0.03),  # Vega
+    (79.172, 45.999, 0.08),  # Capella
+    (78.634, -8.202, 0.12),  # Rigel
+    (114.827, 5.228, 0.38),  # Procyon
+    (24.429, -57.237, 0.46),  # Achernar
+    (88.793, 7.407, 0.50),  # Betelgeuse
+])  # fmt: skip
 
 Floats = npt.NDArray[np.float64]
 
@@ -58,7 +90,7 @@ def load_stars(faintest_v: float = FAINTEST_V, epoch_year: float = 2026.0) -> St
     """Return the catalogue's stars down to `faintest_v`."""
     with np.load(_FILE) as table:
         columns = {name: table[name].astype(np.float64) for name in table.files}
-    v_mag = columns["hp_mag"] - 0.16 * columns["b_v_mag"]
+    v_mag = _v_mag(columns)
     kept = v_mag <= faintest_v
     ra, dec = columns["ra_rad"][kept], columns["dec_rad"][kept]
     years = epoch_year - _EPOCH
@@ -69,3 +101,15 @@ def load_stars(faintest_v: float = FAINTEST_V, epoch_year: float = 2026.0) -> St
     directions = at + moved
     order = np.argsort(v_mag[kept], kind="stable")
     return Stars((directions / np.linalg.norm(directions, axis=1, keepdims=True))[order], v_mag[kept][order])
+
+
+def _v_mag(columns: dict[str, Floats]) -> Floats:
+    """Return the visual magnitudes of the catalogue's stars, (n,)."""
+    v_mag = columns["hp_mag"] + np.interp(columns["b_v_mag"], _B_V, _V_MINUS_HP)
+    ra, dec = np.radians(_BRIGHTEST[:, 0]), np.radians(_BRIGHTEST[:, 1])
+    bright = np.flatnonzero(columns["hp_mag"] < _BRIGHTEST_HP)
+    for ra_star, dec_star, v in zip(ra, dec, _BRIGHTEST[:, 2], strict=True):
+        east = (columns["ra_rad"][bright] - ra_star) * np.cos(dec_star)
+        nearest = bright[np.argmin(np.hypot(east, columns["dec_rad"][bright] - dec_star))]
+        v_mag[nearest] = v
+    return np.asarray(v_mag)

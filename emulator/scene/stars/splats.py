@@ -1,4 +1,4 @@
-"""Points of light spread over pixels by a Gaussian, each pixel given exactly its share.
+"""Points of light spread over pixels by a Gaussian, with the exact share of each pixel.
 
 With s = sigma sqrt(2) and a point at x, pixel j (from j to j + 1) gets
 

@@ -26,10 +26,10 @@ from emulator.optics.lens import Chip, LensParameters
 from emulator.scene.stars.catalogue import irradiance_w_m2, load_stars
 from emulator.scene.stars.splats import splat
 from emulator.scene.stars.table import StarsParameters
-from emulator.trajectory.building import build_trajectory
-from emulator.trajectory.live import close_inlets, live_counts
+from emulator.trajectory.building import build_trajectories
 from emulator.trajectory.parameters import LivePath
 from emulator.trajectory.pose import Pose, Trajectory, TrajectoryError
+from emulator.trajectory.pose_receiver import close_receivers, live_counts
 from emulator.trajectory.timescale import Timescale
 
 __all__ = ["StarField"]
@@ -57,10 +57,11 @@ class StarField(Scene):
         self._bend = Distortion.of(lens)
         self._time = Timescale(parameters.time_scale)
         try:
-            self._camera = build_trajectory(parameters.camera)
-            self._paths: Sequence[Trajectory] = [build_trajectory(point.path) for point in parameters.points]
+            paths = build_trajectories([parameters.camera, *(point.path for point in parameters.points)])
         except (TrajectoryError, OSError) as error:
             raise SceneError(f"scene: {error}") from error
+        self._camera = paths[0]
+        self._paths: Sequence[Trajectory] = paths[1:]
         stars = load_stars(parameters.faintest_v, parameters.epoch_year)
         self._directions = stars.directions
         self._irradiance = irradiance_w_m2(stars.v_mag)
@@ -98,7 +99,7 @@ class StarField(Scene):
 
     def close(self) -> None:
         """Let go of the sockets that paths listen on."""
-        close_inlets(self._camera, *self._paths)
+        close_receivers(self._camera, *self._paths)
 
     def _points(self, t_ns: int) -> Floats:
         """Return column, row, light, px/s and px/s of every point near the picture, (n, 5).

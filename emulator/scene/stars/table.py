@@ -1,14 +1,16 @@
-"""Stars and points that move, as a rig writes them."""
+"""Rig tables of a sky of stars and moving points."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 from emulator.photometry.sun import Sun
+from emulator.scene.kind import SceneKind
 from emulator.scene.stars.catalogue import FAINTEST_V
 from emulator.trajectory.parameters import FixedPath, TrajectoryParameters
 
-__all__ = ["MovingPoint", "StarsParameters"]
+__all__ = ["STARS", "MovingPoint", "StarsParameters"]
 
 
 @dataclass(frozen=True)
@@ -58,6 +60,7 @@ class StarsParameters:
         Planets and debris.
     """
 
+    kind: ClassVar[str] = "stars"
     camera: TrajectoryParameters = field(default_factory=FixedPath)
     faintest_v: float = 6.5
     epoch_year: float = 2026.0
@@ -75,3 +78,6 @@ class StarsParameters:
             raise ValueError(f"sky_w_m2_sr is {self.sky_w_m2_sr}: it must be 0 to 1e6")
         if not 0 < self.time_scale <= 1e6:
             raise ValueError(f"time_scale is {self.time_scale}: it must be above 0 and at most 1e6")
+
+
+STARS = SceneKind(StarsParameters, "emulator.scene.stars.stars:StarField", lens="own")

@@ -6,6 +6,8 @@ Of a GeoTIFF these tags are read (OGC 19-008r4; GDAL for the last one), beside t
     33922   ModelTiepoint      column, row, 0 -> x, y, z in the plane of the projection
     42113   GDAL_NODATA        a number as text: what stands where nothing was measured
 
+Read by pillow: it knows the common compressions, also LZW, for which tifffile would need the large package imagecodecs.
+
 The plane of a polar stereographic projection is stretched: at a distance rho from the pole by 1 + (rho / 2 R)^2, which
 is 0.12 % at 86 degrees; with the map's middle known its posts are brought nearer by as much.
 """

@@ -7,10 +7,11 @@ from typing import ClassVar
 
 from emulator.photometry.reflectance import LunarLambert, Reflectance
 from emulator.photometry.sun import EARTHLIGHT_W_M2
+from emulator.scene.kind import SceneKind
 from emulator.tables.files import NO_FILE, RigFile
 from emulator.trajectory.parameters import DescentPath, TrajectoryParameters
 
-__all__ = ["GroundParameters", "Heightmap", "Ridge", "TerrainParameters"]
+__all__ = ["TERRAIN", "GroundParameters", "Heightmap", "Ridge", "TerrainParameters"]
 
 
 def _require(owner: object, name: str, low: float, high: float) -> None:
@@ -146,6 +147,7 @@ class TerrainParameters:
         How much faster than in reality the camera moves.
     """
 
+    kind: ClassVar[str] = "terrain"
     ground: GroundParameters = field(default_factory=Ridge)
     camera: TrajectoryParameters = field(default_factory=DescentPath)
     sun_azimuth_deg: float = 60.0
@@ -172,3 +174,6 @@ class TerrainParameters:
             raise ValueError(f"samples is {self.samples}: it must be 1, 2, 3 or 4")
         if not 0 < self.time_scale <= 1e6:
             raise ValueError(f"time_scale is {self.time_scale:g}: it must be above 0 and at most 1e6")
+
+
+TERRAIN = SceneKind(TerrainParameters, "emulator.scene.terrain.terrain:Terrain", lens="applied")

@@ -29,9 +29,9 @@ from emulator.scene.terrain.quadtree import LEAST_REACH, Quadtree
 from emulator.scene.terrain.relief import make_ridge
 from emulator.scene.terrain.table import Ridge, TerrainParameters
 from emulator.trajectory.building import build_trajectory
-from emulator.trajectory.live import close_inlets, live_counts
 from emulator.trajectory.measured import measured_bounds
 from emulator.trajectory.pose import Pose, TrajectoryError
+from emulator.trajectory.pose_receiver import close_receivers, live_counts
 from emulator.trajectory.timescale import Timescale
 
 if TYPE_CHECKING:
@@ -125,7 +125,7 @@ class Terrain(Scene):
     def close(self) -> None:
         """Give back the GL context and the port; a second call does nothing."""
         self._stage.close()
-        close_inlets(self._camera)
+        close_receivers(self._camera)
 
     def _beginning(self, t_ns: int) -> Callable[[], None]:
         """Return what lets the stage begin the picture of `t_ns`; whatever can fail has been done."""

@@ -16,16 +16,17 @@ import math
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from emulator.light import Light, Scene, SceneError
+from emulator.scene.kind import SceneKind
 from emulator.scene.video.frames import Frames, linear_light, read_frames
 from emulator.tables.files import NO_FILE, RigFile
 
-__all__ = ["Video", "VideoParameters", "coarsest_level"]
+__all__ = ["VIDEO", "Video", "VideoParameters", "coarsest_level", "resampled"]
 
 _Float32s = npt.NDArray[np.float32]
 
@@ -54,6 +55,7 @@ class VideoParameters:
         Whether it begins anew at its end; else the last frame stays.
     """
 
+    kind: ClassVar[str] = "video"
     path: RigFile = NO_FILE
     frames_per_s: float = 30.0
     levels: Literal["srgb", "linear"] = "srgb"
@@ -82,6 +84,9 @@ def coarsest_level(full_scale: float, floor: float, *, is_linear: bool, threshol
     log_light = np.log(linear_light(levels, full_scale, is_linear=is_linear) + np.float32(floor))
     coarse = np.flatnonzero(np.diff(log_light) > threshold)
     return int(coarse[-1]) + 1 if coarse.size else 0
+
+
+VIDEO = SceneKind(VideoParameters, "emulator.scene.video.video:Video")
 
 
 class Video(Scene):
@@ -157,7 +162,7 @@ class Video(Scene):
             while len(self._kept) >= 3:
                 del self._kept[next(iter(self._kept))]
             light = linear_light(self._frames.levels[k], self._frames.full_scale, is_linear=self._is_linear)
-            light = _resampled(light, self._size)
+            light = resampled(light, self._size)
             self._kept[k] = np.log((light + np.float32(self._p.floor)) * np.float32(self._p.light_at_white))
         return self._kept[k]
 
@@ -176,7 +181,7 @@ def _round_ns(times_ns: list[int]) -> int:
     return times_ns[-1] + max(1, times_ns[-1] // max(1, len(times_ns) - 1)) if len(times_ns) > 1 else 1
 
 
-def _resampled(light: _Float32s, size: tuple[int, int]) -> _Float32s:
+def resampled(light: _Float32s, size: tuple[int, int]) -> _Float32s:
     """Return `light` (height, width) at another size: means over areas."""
     if light.shape == size[::-1]:
         return light

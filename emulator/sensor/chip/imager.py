@@ -1,23 +1,23 @@
-"""What any imager does to light: efficiency, fixed pattern, dark current that differs, and the counting of electrons.
+"""Effects of any imager on light: efficiency, fixed pattern, dark current of each pixel, and shot noise.
 
-The pixel computes the log of a photocurrent i = E + dark. Here E becomes E' so that
+The pixel computes the log of a photocurrent i = E + dark. This module replaces E by E' so that
 
     i' = (g E + dark_p) e^m        g    efficiencies times the pixel's gain, normal around 1 (PRNU)
                                    dark_p   the pixel's dark current, log-normal (DCNU), mean `dark_current_relative`
                                    m    shot noise
 
-The array itself is given the least dark current of all its pixels, and each E' holds the rest of its own.
+The array gets the least dark current of all pixels; the rest of each pixel's own is part of E'.
 
-Shot noise. Over a time G a pixel counts N = electrons i G, whose relative deviation is s = 1 / sqrt(N); photoelectrons
-and dark electrons are counted together, as the sum of two Poisson numbers is one, but either's share of s^2 can be left
-out. On a fixed grid of times k G every pixel has a keyed normal number n_k, and between two of them, x of the way,
+Shot noise. Over a time G a pixel counts N = electrons i G, with the relative deviation s = 1 / sqrt(N). Photoelectrons
+and dark electrons are counted together, as the sum of two Poisson numbers is one; either's share of s^2 can be left
+out. On a fixed grid of times k G every pixel has a keyed normal number n_k, and between two of them, at the share x,
 
     m = s ((1 - x) n_k + x n_(k+1)) - s^2 ((1 - x)^2 + x^2) / 2
 
-with s for the light at that moment; the last term keeps the mean current. m is a straight line in the *log* of the
-light, which is how pixels take light to go between two pictures anyway. So nothing depends on where a step ends, but a
-grid time must be one of the ends: `Sensor` cuts steps there. Noise faster than the grid belongs to `noise`, whose rms
-is that of the whole bandwidth; slower than the grid, the spectrum is that of counting.
+with s for the light at that moment; the last term preserves the mean current. m is a straight line in the *log* of the
+light, and pixels interpolate light in the same way. So the result does not depend on the ends of steps, except that
+every grid time must be one: `Sensor` cuts steps there. Noise faster than the grid belongs to `noise`, whose rms is that
+of the whole bandwidth; slower than the grid, the spectrum is that of counting.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.light import PixelLight
-from emulator.sensor.numerics.cached import kept_entry
+from emulator.sensor.numerics.cached import cached_entry
 from emulator.sensor.numerics.compiled import vector_kernel
 from emulator.sensor.numerics.elementary import decay, natural_log
 from emulator.sensor.numerics.keyed import Purpose, normal, root_of
@@ -40,7 +40,7 @@ __all__ = ["Imager", "part_of_the_way"]
 
 _LEAST_GAIN = 0.1
 _LARGEST = np.finfo(np.float32).max
-_ROOM_BELOW = 0.01  # of the dark current, left to the array when counting can take some of it away
+_ARRAY_SHARE = 0.01  # of the dark current, given to the array when counting can reduce it
 _ZERO, _ONE, _HALF = (np.float32(x) for x in (0, 1, 0.5))
 
 _Float32s = npt.NDArray[np.float32]
@@ -48,7 +48,7 @@ _Floats = npt.NDArray[np.float64]
 
 
 class _Pattern(NamedTuple):
-    """What is fixed for each pixel, (pixels,), and the dark current that the array adds by itself."""
+    """The fixed pattern of gains and dark currents, (pixels,), and the dark current that the array adds by itself."""
 
     gain: _Float32s
     dark: _Float32s
@@ -56,7 +56,7 @@ class _Pattern(NamedTuple):
 
 
 class _Counting(NamedTuple):
-    """The normal numbers of the grid times before and after, and how much of them counts now."""
+    """The normal numbers of the grid times before and after, the share x between them, and their scale."""
 
     n0: _Float32s
     n1: _Float32s
@@ -68,7 +68,7 @@ class _Counting(NamedTuple):
 
 @vector_kernel
 def _shine(light: _Float32s, gain: _Float32s, dark: _Float32s, out: _Float32s) -> None:
-    """Write g E + dark into `out`; light below 0 is dark, light that is not finite stays so."""
+    """Write g E + dark into `out`; light below 0 counts as 0, light that is not finite stays so."""
     for k in range(out.size):
         e = light[k]
         lit = e if e > _ZERO else _ZERO
@@ -97,7 +97,7 @@ def _count(current: _Float32s, dark: _Float32s, c: _Counting) -> None:
 
 @vector_kernel
 def _without(least: np.float32, out: _Float32s) -> None:
-    """Take off what the array adds; below 0 only where counting leaves nothing at all. NaN stays."""
+    """Subtract the dark current that the array adds, limited to 0; NaN stays."""
     for k in range(out.size):
         e = out[k] - least
         out[k] = _ZERO if e < _ZERO else e
@@ -113,22 +113,22 @@ def _interpolate(before: _Float32s, after: _Float32s, dark: np.float32, share: n
         out[k] = between if moves else e1
 
 
-@kept_entry
+@cached_entry
 def part_of_the_way(before: _Float32s, after: _Float32s, dark: np.float32, share: np.float32, out: _Float32s) -> None:
-    """Write the light between two pictures into `out`, all (pixels,): straight in the log of light + dark.
+    """Write the light between two frames into `out`, all (pixels,): linear in the log of light + dark.
 
-    Where either is not finite it is the later one.
+    Where either frame is not finite, the result is the later one.
     """
     _interpolate(before, after, dark, share, out)
 
 
-@kept_entry
+@cached_entry
 def _see(light: _Float32s, p: _Pattern, out: _Float32s) -> None:
     _shine(light, p.gain, p.dark, out)
     _without(p.least, out)
 
 
-@kept_entry
+@cached_entry
 def _see_counted(light: _Float32s, p: _Pattern, c: _Counting, out: _Float32s) -> None:
     _shine(light, p.gain, p.dark, out)
     _count(out, p.dark, c)
@@ -140,14 +140,19 @@ class Imager:
 
     Parameters
     ----------
-    parameters : the sensor.
-    seed : keys gains, dark currents and counts.
+    parameters : SensorParameters
+        The sensor.
+    seed : int
+        Keys gains, dark currents and counts.
 
     Attributes
     ----------
-    works : False if it would leave the light as it is.
-    dark_current_relative : what the array must add to E' to have i'.
-    grid_ns : length G of the grid, 0 without shot noise.
+    works : bool
+        False if the imager does not change the light.
+    dark_current_relative : float
+        Dark current that the array must add to E' to get i'.
+    grid_ns : int
+        Length G of the grid; 0 without shot noise.
     """
 
     def __init__(self, parameters: SensorParameters, seed: int) -> None:
@@ -157,7 +162,7 @@ class Imager:
         dark *= parameters.dark_current_relative
         counts = p.photon_shot_noise or p.dark_shot_noise
         self.works = counts or p.prnu > 0 or p.dcnu > 0 or p.system_efficiency * p.quantum_efficiency != 1
-        self.dark_current_relative = float(dark.min()) * (_ROOM_BELOW if counts else 1.0)
+        self.dark_current_relative = float(dark.min()) * (_ARRAY_SHARE if counts else 1.0)
         self.grid_ns = p.shot_grid_us * 1000 if counts else 0
         self._parameters = p
         self._pattern = _Pattern(
@@ -188,7 +193,7 @@ class Imager:
         return None if self.grid_ns else rate * self._pattern.gain.reshape(rate.shape)
 
     def see_pixels(self, at: PixelLight | None) -> PixelLight | None:
-        """Return what tells E' of single pixels for what tells their light; None with shot noise, as `see_rate`."""
+        """Return the source of E' of single pixels for a source of their light; None with shot noise."""
         if not self.works or at is None:
             return at
         return None if self.grid_ns else partial(_see_pixels, at, self._pattern)
@@ -205,7 +210,7 @@ class Imager:
 
 
 def _see_pixels(at: PixelLight, p: _Pattern, t_ns: int, pixels: npt.NDArray[np.int64]) -> tuple[_Float32s, _Float32s]:
-    """Return E' of single pixels and its time derivative, as `Imager.see` and `see_rate` do for a whole picture."""
+    """Return E' of single pixels and its time derivative, as `Imager.see` and `see_rate` do for a whole frame."""
     light, rate = at(t_ns, pixels)
     pattern, seen = _Pattern(p.gain[pixels], p.dark[pixels], p.least), np.empty(pixels.size, np.float32)
     _see(light, pattern, seen)

@@ -2,8 +2,8 @@
 
 A particle meets the chip anywhere, at any time (a Poisson process, drawn by slots). Its direction is that of isotropic
 flux through a plane: the square of the cosine to the normal is uniform, the azimuth too. While it crosses the sensitive
-layer it goes sideways by depth times the tangent; each pixel under that line raises an ON event at that moment, because
-charge looks like light, and some raise an OFF event when the charge has drained, after an exponential time.
+layer it moves sideways by depth times the tangent; each pixel under that line raises an ON event at that moment,
+because charge looks like light, and some raise an OFF event when the charge has drained, after an exponential time.
 
 The pixel's own level is left alone. Pixels that a dose turns hot are in `defects`.
 """
@@ -16,8 +16,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.chip.slots import SLOT_NS, Ahead, SlottedEvents, Window, give_out, roomy
-from emulator.sensor.numerics.cached import kept_entry
+from emulator.sensor.chip.slots import SLOT_NS, Pending, SlottedEvents, Window, release, reserve
+from emulator.sensor.numerics.cached import cached_entry
 from emulator.sensor.numerics.compiled import kernel, kernel_that_allocates
 from emulator.sensor.numerics.keyed import Purpose, root_of
 from emulator.sensor.numerics.keyed_kernels import high, low, stream, unit, word
@@ -31,7 +31,7 @@ _ONE = np.uint64(1)
 
 
 class _Chip(NamedTuple):
-    """All that does not change."""
+    """The constants of a chip."""
 
     root: np.uint64
     mean_gap: float  # between particles, as a share of a slot
@@ -43,7 +43,7 @@ class _Chip(NamedTuple):
 
 
 class _Track(NamedTuple):
-    """Where a particle goes through the layer, in pixels, from its entry (share 0) to its exit (share 1)."""
+    """Path of a particle through the layer, in pixels, from its entry (share 0) to its exit (share 1)."""
 
     x: float
     y: float
@@ -52,7 +52,7 @@ class _Track(NamedTuple):
 
 
 def hits_per_second(p: SensorParameters) -> float:
-    """Return how many particles a second cross a chip, on average."""
+    """Return the mean number of particles per second that cross a chip."""
     return p.radiation.hits_per_cm2_s * p.width * p.height * p.radiation.pixel_pitch_um**2 / _UM2_PER_CM2
 
 
@@ -103,55 +103,55 @@ def _track(base: np.uint64, chip: _Chip) -> _Track:
 
 
 @kernel
-def _strike(base: np.uint64, t_ns: int, pixel: npt.NDArray[np.int64], chip: _Chip, ahead: Ahead, n: int) -> int:
-    """Add the events of a track's pixels to `ahead` from n on; return the new n."""
+def _strike(base: np.uint64, t_ns: int, pixel: npt.NDArray[np.int64], chip: _Chip, pending: Pending, n: int) -> int:
+    """Add the events of a track's pixels to `pending` from n on; return the new n."""
     for k in range(pixel.size):
         bits, key = word(base, _PIXELS + k), np.uint64(pixel[k]) << _ONE
-        ahead.t_ns[n], ahead.key[n] = t_ns, key | _ONE
+        pending.t_ns[n], pending.key[n] = t_ns, key | _ONE
         n += 1
         if unit(high(bits)) < chip.off_share:
-            ahead.t_ns[n] = t_ns + 1 + int(-chip.recovery_ns * math.log(unit(low(bits))))
-            ahead.key[n] = key
+            pending.t_ns[n] = t_ns + 1 + int(-chip.recovery_ns * math.log(unit(low(bits))))
+            pending.key[n] = key
             n += 1
     return n
 
 
 @kernel_that_allocates
 def _draw_slot(
-    slot: int, chip: _Chip, pixel: npt.NDArray[np.int64], dead: npt.NDArray[np.bool_], ahead: Ahead, n: int
-) -> tuple[Ahead, int]:
-    """Add the particles of a slot to `ahead` from n on."""
+    slot: int, chip: _Chip, pixel: npt.NDArray[np.int64], dead: npt.NDArray[np.bool_], pending: Pending, n: int
+) -> tuple[Pending, int]:
+    """Add the particles of a slot to `pending` from n on."""
     slot_base, t, k = stream(chip.root, slot), 0.0, 0
     while True:
         base = stream(slot_base, k)
         t -= chip.mean_gap * math.log(unit(high(word(base, 0))))
         if t >= 1:
-            return ahead, n
+            return pending, n
         hit = path(_track(base, chip), chip.width, chip.height, pixel)
         alive = 0
         for j in range(hit):
             pixel[alive] = pixel[j]
             alive += not dead[pixel[j]]
-        ahead = roomy(ahead, n, 2 * alive)
-        n = _strike(base, slot * SLOT_NS + int(t * SLOT_NS), pixel[:alive], chip, ahead, n)
+        pending = reserve(pending, n, 2 * alive)
+        n = _strike(base, slot * SLOT_NS + int(t * SLOT_NS), pixel[:alive], chip, pending, n)
         k += 1
 
 
-@kept_entry
+@cached_entry
 def _advance(
     window: Window,
     chip: _Chip,
     dead: npt.NDArray[np.bool_],
-    ahead: Ahead,
+    pending: Pending,
     n: int,
-) -> tuple[Ahead, int, npt.NDArray[np.uint64]]:
-    """Draw what is missing up to t1; return what lies ahead of it, and the packed events before it, unsorted."""
+) -> tuple[Pending, int, npt.NDArray[np.uint64]]:
+    """Draw the slots up to t1; return the events pending after t1, and the packed events before it, unsorted."""
     pixel = np.empty(chip.width + chip.height + 2, np.int64)
     for slot in range(window.slot, -(-window.t1_ns // SLOT_NS)):
-        ahead, n = _draw_slot(slot, chip, pixel, dead, ahead, n)
+        pending, n = _draw_slot(slot, chip, pixel, dead, pending, n)
     keys = np.empty(n + 1, np.uint64)
-    found, kept = give_out(window, ahead, n, keys)
-    return ahead, kept, keys[:found]
+    found, remaining = release(window, pending, n, keys)
+    return pending, remaining, keys[:found]
 
 
 class Particles(SlottedEvents):
@@ -159,9 +159,12 @@ class Particles(SlottedEvents):
 
     Parameters
     ----------
-    parameters : the sensor; `radiation.hits_per_cm2_s` > 0.
-    seed : keys the particles.
-    dead : (n,) int64, pixels that raise nothing.
+    parameters : SensorParameters
+        The sensor, with `radiation.hits_per_cm2_s` > 0.
+    seed : int
+        Keys the particles.
+    dead : (n,) int64
+        Pixels that raise no events.
     """
 
     def __init__(self, parameters: SensorParameters, seed: int, dead: npt.NDArray[np.int64]) -> None:
@@ -180,7 +183,7 @@ class Particles(SlottedEvents):
         )
 
     def _advance(
-        self, window: Window, light: npt.NDArray[np.float32], ahead: Ahead, known: int
-    ) -> tuple[Ahead, int, npt.NDArray[np.uint64]]:
-        result: tuple[Ahead, int, npt.NDArray[np.uint64]] = _advance(window, self._chip, self._dead, ahead, known)
+        self, window: Window, light: npt.NDArray[np.float32], pending: Pending, known: int
+    ) -> tuple[Pending, int, npt.NDArray[np.uint64]]:
+        result: tuple[Pending, int, npt.NDArray[np.uint64]] = _advance(window, self._chip, self._dead, pending, known)
         return result

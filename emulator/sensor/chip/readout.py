@@ -1,21 +1,21 @@
 """The read-out: one arbiter that turns requests of pixels into events on the output bus.
 
-A pixel that fires raises a request and holds it until served; a crossing of a pixel whose request still waits is lost,
-and counted. The arbiter, whenever it is free and any request waits, does this:
+A pixel that fires raises a request until the arbiter serves it. A crossing of a pixel whose request still waits is
+lost, and counted. Whenever the arbiter is free and a request waits, it takes three steps:
 
-    pick     the next row with requests, going round from the row after the one served last
+    pick     select the next row with requests, round-robin from the row after the one served last
     latch    row_ns later: take all requests of that row at that moment; their pixels are free again
-    send     these, by rising column, one each event_ns; an event is stamped when it leaves
+    send     send these by rising column, one each event_ns; an event is stamped when it leaves
 
-after which it is free. A decision at time T knows the requests raised up to and including T and no others, so the
-result does not depend on how crossings are split over calls of `push`. No row is served twice while another waits (the
+Then it is free again. A decision at time T uses the requests raised up to and including T only, so the result does not
+depend on how crossings are divided over calls of `push`. No row is served twice while another waits (the
 arbiter is not greedy, Lichtsteiner et al. 2008), and the bus sends at most 1 / event_ns.
 
-Not modelled: a held pixel's comparator stays in reset, so its reference would be read anew when it is served. Here the
-pixel goes on as if served at once, and only its events are lost; the two differ when the wait is longer than the
-refractory period.
+Not modelled: the comparator of a waiting pixel stays in reset, so its reference is set when it is served. Here the
+pixel continues as if it were served at once, and only its events are lost. The two differ when the wait is longer than
+the refractory period.
 
-Linear time: requests and rows are bit maps, 64 to a word, and nothing is sorted or searched event by event.
+The cost is linear in the events: requests and rows are bit maps, 64 to a word, without sorting or searching by event.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.numerics.cached import kept_entry
-from emulator.sensor.numerics.compiled import kernel, say_if_not_compiled
+from emulator.sensor.numerics.cached import cached_entry
+from emulator.sensor.numerics.compiled import kernel, log_compilation
 from emulator.sensor.numerics.elementary import lowest_bit
 from emulator.sensor.pixels.array import Crossings
 from emulator.sensor.presets import SensorParameters
@@ -39,7 +39,7 @@ _FOREVER_NS = (1 << 63) - 1
 _Words = npt.NDArray[np.uint64]
 _Int64s = npt.NDArray[np.int64]
 
-# What the arbiter is doing.
+# Phases of the arbiter.
 _IDLE, _PICKED, _SENDING = range(3)
 
 
@@ -70,7 +70,7 @@ class _Timing(NamedTuple):
 
 
 class _Queue(NamedTuple):
-    """How many requests wait, since when if none waited before, the row of the latest one, and how many were lost."""
+    """Number of waiting requests, time of the first of them, row of the latest one, and number of lost ones."""
 
     waiting: int
     ready_ns: int
@@ -79,20 +79,20 @@ class _Queue(NamedTuple):
 
 
 class _Arbiter(NamedTuple):
-    """All else that the arbiter remembers."""
+    """The state of the arbiter beside the queue."""
 
     phase: int
-    free_ns: int  # when idle: since when
+    free_ns: int  # start of the idle phase
     row: int  # picked, being sent, or last sent
     latch_ns: int
     latched: int  # events of the row
     sent: int  # of them
-    word: int  # where the next one is looked for
+    word: int  # word of the next event
 
 
 @kernel
 def _admit(arrivals: _Arrivals, k: int, until_ns: int, maps: _Maps, width: int, queue: _Queue) -> tuple[int, _Queue]:
-    """Let crossings from k on, up to and including `until_ns`, raise requests; return the next k and the queue."""
+    """Turn crossings from k on, up to and including `until_ns`, into requests; return the next k and the queue."""
     waiting, ready_ns, latest, lost = queue
     while k < arrivals.t_ns.size and arrivals.t_ns[k] <= until_ns:
         pixel = np.uint64(arrivals.pixel[k])
@@ -117,7 +117,7 @@ def _admit(arrivals: _Arrivals, k: int, until_ns: int, maps: _Maps, width: int, 
 
 @kernel
 def _next_row(rows: _Words, last: int, height: int) -> int:
-    """Return the first row with requests after `last`, going round; there is one."""
+    """Return the first row with requests after `last`, round-robin; at least one row has requests."""
     first = last + 1 if last + 1 < height else 0
     word = first >> 6
     here = rows[word] & (~np.uint64(0) << np.uint64(first & 63))
@@ -171,7 +171,7 @@ def _send(maps: _Maps, a: _Arbiter, event_ps: int, until_ns: int, out: Events, n
 def _run(
     arrivals: _Arrivals, until_ns: int, maps: _Maps, queue: _Queue, a: _Arbiter, timing: _Timing, out: Events
 ) -> tuple[int, _Queue, _Arbiter]:
-    """Let the arbiter do all that happens before `until_ns`; return the number of events written to `out`."""
+    """Run the arbiter until `until_ns`; return the number of events written to `out`, the queue and the arbiter."""
     n = k = 0
     while True:
         if a.phase == _SENDING:
@@ -199,7 +199,7 @@ def _run(
     return n, queue, a
 
 
-@kept_entry
+@cached_entry
 def _serve(
     arrivals: _Arrivals,
     until_ns: int,
@@ -209,7 +209,7 @@ def _serve(
     timing: _Timing,
     out: Events,
 ) -> tuple[int, _Queue, _Arbiter]:
-    """Do as `_run`; kept on disk."""
+    """Run the arbiter as `_run` does; this entry is cached on disk."""
     n, queue, a = _run(arrivals, until_ns, maps, queue, a, timing, out)
     return n, queue, a
 
@@ -219,16 +219,19 @@ class ReadOut:
 
     Parameters
     ----------
-    parameters : the sensor: its size and its `readout` times.
+    parameters : SensorParameters
+        The sensor: its size and its `readout` times.
 
     Attributes
     ----------
-    raised : crossings pushed; always lost_at_readout + read_out + pending.
-    read_out : events returned.
+    raised : int
+        Crossings pushed; always lost_at_readout + read_out + pending.
+    read_out : int
+        Events returned.
     """
 
     def __init__(self, parameters: SensorParameters) -> None:
-        say_if_not_compiled(_serve, "the read-out")
+        log_compilation(_serve, "the read-out")
         times, height = parameters.readout, parameters.height
         words = -(-parameters.width // 64)
         self._timing = _Timing(parameters.width, times.row_ns, max(1, round(times.event_ns * 1000)))
@@ -255,17 +258,19 @@ class ReadOut:
 
     @property
     def pending(self) -> int:
-        """Requests that wait, and latched events that have not left."""
+        """Waiting requests, and latched events that have not left."""
         a = self._arbiter
         return self._queue.waiting + (a.latched - a.sent if a.phase == _SENDING else 0)
 
     def push(self, crossings: Crossings, until_ns: int) -> Events:
-        """Take crossings, and return the events that leave before `until_ns`.
+        """Add crossings, and return the events that leave before `until_ns`.
 
         Parameters
         ----------
-        crossings : sorted by time, none before the last `until_ns` and none after this one.
-        until_ns : stream time up to which all crossings are known now.
+        crossings : Crossings
+            Sorted by time, none before the last `until_ns` and none after this one.
+        until_ns : int
+            Stream time up to which all crossings are known.
 
         Returns
         -------
@@ -295,6 +300,6 @@ class ReadOut:
         return self._out[:n].copy()
 
     def finish(self) -> Events:
-        """Return the events that have not left yet; nothing is pending afterwards, and nothing can be pushed."""
+        """Return the events that have not left yet; afterwards `push` must not be called again."""
         nothing = Crossings(np.empty(0, np.int64), np.empty(0, np.uint32), np.empty(0, np.bool_))
         return self.push(nothing, _FOREVER_NS)

@@ -1,7 +1,7 @@
-"""Random events of their own, as those of particles: drawn by slots of stream time, given out step by step.
+"""Random events that are drawn by slots of stream time and released step by step, such as those of particles.
 
-What is drawn for a slot of 1024 us depends on the slot and the seed alone. An event may lie later than its slot (the
-second of a pair, the OFF event after a particle), so all that is known is kept until a step reaches it.
+The draws of a slot of 1024 us depend on the slot and the seed alone. An event may lie after its slot (the second of a
+pair, the OFF event after a particle), so drawn events stay pending until a step reaches them.
 """
 
 from __future__ import annotations
@@ -16,24 +16,24 @@ from emulator.sensor.numerics.compiled import kernel, kernel_that_allocates
 from emulator.sensor.pixels.array import Crossings
 from emulator.sensor.pixels.merging import NO_CROSSINGS, joined, merged, unpacked
 
-__all__ = ["LONGEST_NS", "SLOT_NS", "Ahead", "SlottedEvents", "Window", "give_out", "new_ahead", "roomy"]
+__all__ = ["LONGEST_NS", "SLOT_NS", "Pending", "SlottedEvents", "Window", "new_pending", "release", "reserve"]
 
 SLOT_NS = 1_024_000
-"""Events are drawn in slots of this length."""
+"""Length of a slot, in which events are drawn."""
 
 LONGEST_NS = 1 << 33
-"""Events of so long a stretch are sorted together: times and pixels must share 64 bits."""
+"""Longest interval whose events are sorted together: time and pixel share 64 bits."""
 
 
-class Ahead(NamedTuple):
-    """Events that are known and have not been given out: times, and pixel << 1 | on; room for more behind."""
+class Pending(NamedTuple):
+    """Events that are drawn and not yet released: times, and pixel << 1 | on; with free space behind them."""
 
     t_ns: npt.NDArray[np.int64]
     key: npt.NDArray[np.uint64]
 
 
 class Window(NamedTuple):
-    """The first slot to draw, the times between which events are wanted, and the bits of a pixel's number."""
+    """The first slot to draw, the start and end of the wanted interval, and the bits of a pixel's number."""
 
     slot: int
     t0_ns: int
@@ -41,45 +41,45 @@ class Window(NamedTuple):
     pixel_bits: int
 
 
-def new_ahead() -> Ahead:
-    """Return an empty one."""
-    return Ahead(np.empty(256, np.int64), np.empty(256, np.uint64))
+def new_pending() -> Pending:
+    """Return an empty list of pending events."""
+    return Pending(np.empty(256, np.int64), np.empty(256, np.uint64))
 
 
 @kernel_that_allocates
-def roomy(ahead: Ahead, n: int, more: int) -> Ahead:
-    """Return `ahead` with room for `more` behind its first n events."""
-    if n + more <= ahead.t_ns.size:
-        return ahead
+def reserve(pending: Pending, n: int, more: int) -> Pending:
+    """Return `pending`, a longer copy where there is no space for `more` behind its first n events."""
+    if n + more <= pending.t_ns.size:
+        return pending
     t_ns, key = np.empty(2 * (n + more), np.int64), np.empty(2 * (n + more), np.uint64)
-    t_ns[:n], key[:n] = ahead.t_ns[:n], ahead.key[:n]
-    return Ahead(t_ns, key)
+    t_ns[:n], key[:n] = pending.t_ns[:n], pending.key[:n]
+    return Pending(t_ns, key)
 
 
 @kernel
-def give_out(window: Window, ahead: Ahead, n: int, keys: npt.NDArray[np.uint64]) -> tuple[int, int]:
-    """Pack the events of the window into `keys`, (n + 1,), and move up those after it; return the numbers of each."""
+def release(window: Window, pending: Pending, n: int, keys: npt.NDArray[np.uint64]) -> tuple[int, int]:
+    """Pack the events of the window into `keys`, (n + 1,), and compact those after it; return both numbers."""
     shift = np.uint64(window.pixel_bits + 1)
-    found = kept = 0
+    found = remaining = 0
     for k in range(n):
-        t_ns, key = ahead.t_ns[k], ahead.key[k]
-        ahead.t_ns[kept], ahead.key[kept] = t_ns, key
-        kept += t_ns >= window.t1_ns
+        t_ns, key = pending.t_ns[k], pending.key[k]
+        pending.t_ns[remaining], pending.key[remaining] = t_ns, key
+        remaining += t_ns >= window.t1_ns
         keys[found] = np.uint64(t_ns - window.t0_ns) << shift | key
         found += (t_ns < window.t1_ns) & (t_ns >= window.t0_ns)
-    return found, kept
+    return found, remaining
 
 
 class SlottedEvents(ABC):
-    """A source of events; `pixels` is the array's number of pixels."""
+    """A source of random events for an array of `pixels` pixels."""
 
     def __init__(self, pixels: int) -> None:
         self._pixel_bits = max(1, (pixels - 1).bit_length())
         self.reset(0)
 
     def reset(self, t_ns: int) -> None:
-        """Start at `t_ns`; what began before is left out."""
-        self._ahead, self._known = new_ahead(), 0
+        """Start at `t_ns`; events that began before are left out."""
+        self._pending, self._known = new_pending(), 0
         self._slot, self._t_ns = t_ns // SLOT_NS, t_ns
 
     def add_to(self, crossings: Crossings, light: npt.NDArray[np.float32], t_ns: int) -> Crossings:
@@ -90,17 +90,17 @@ class SlottedEvents(ABC):
         """Return the events from the last time up to, and without, `t_ns`, under `light`, (pixels,) float32."""
         parts = []
         while self._t_ns < t_ns:
-            parts.append(self._piece(light, min(t_ns, self._t_ns + LONGEST_NS)))
+            parts.append(self._events_until(light, min(t_ns, self._t_ns + LONGEST_NS)))
         return joined(parts) if parts else NO_CROSSINGS
 
-    def _piece(self, light: npt.NDArray[np.float32], t_ns: int) -> Crossings:
+    def _events_until(self, light: npt.NDArray[np.float32], t_ns: int) -> Crossings:
         window = Window(self._slot, self._t_ns, t_ns, self._pixel_bits)
-        ahead, self._known, keys = self._advance(window, light, self._ahead, self._known)
-        self._ahead, self._slot, self._t_ns = Ahead(*ahead), -(-t_ns // SLOT_NS), t_ns
+        pending, self._known, keys = self._advance(window, light, self._pending, self._known)
+        self._pending, self._slot, self._t_ns = Pending(*pending), -(-t_ns // SLOT_NS), t_ns
         return unpacked(keys, window.t0_ns, self._pixel_bits)
 
     @abstractmethod
     def _advance(
-        self, window: Window, light: npt.NDArray[np.float32], ahead: Ahead, known: int
-    ) -> tuple[Ahead, int, npt.NDArray[np.uint64]]:
-        """Draw the slots that begin before the window's end; return what lies ahead, and what `give_out` packed."""
+        self, window: Window, light: npt.NDArray[np.float32], pending: Pending, known: int
+    ) -> tuple[Pending, int, npt.NDArray[np.uint64]]:
+        """Draw the slots that begin before the window's end; return the pending and the packed events."""

@@ -1,4 +1,4 @@
-"""What the chip's temperature does to a sensor's figures: leak and dark current double every so many kelvin."""
+"""Effect of the chip's temperature on a sensor's figures: leak and dark current double every so many kelvin."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ MOST_HZ = 10_000.0
 """Leak rate of any pixel, as in `defects`."""
 
 LEAST_DARK, MOST_DARK = 1e-30, 1e6
-"""Dark current over photocurrent at the reference light: what the pixels' float32 can bear."""
+"""Bounds of dark current over photocurrent at the reference light, for the float32 of the pixels."""
 
 
 def at_temperature(p: SensorParameters) -> SensorParameters:
-    """Return the figures as they are at `temperature.celsius`, given what they are at the reference temperature.
+    """Return the sensor's figures at `temperature.celsius`, from those at the reference temperature.
 
     Hot pixels leak through a junction too, so their rate follows the leak's.
 

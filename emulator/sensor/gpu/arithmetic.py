@@ -1,4 +1,4 @@
-"""GLSL: logarithm, decay, exponential, and the photoreceptor's low-pass, word for word as in the processor's kernel.
+"""GLSL of logarithm, decay, exponential, and the photoreceptor's low-pass, as in the processor's kernel.
 
 The formulas, their names and their limits are those of `elementary` and `lowpass`, where they are explained. Logarithm
 and exponential are polynomials here too, because GLSL's own are good to 1e-6 on one driver and to less on another.
@@ -25,7 +25,7 @@ const uint INFINITE = 0x7f800000u;
 {constant("LOG2_E", float(np.log2(np.e)))}
 {_TWO_TO_THE}
 
-bool is_finite(float x) {{  // by its bits: compilers may take NaN for a thing that never comes
+bool is_finite(float x) {{  // by its bits: compilers may assume that there is no NaN
     return (floatBitsToUint(x) & 0x7fffffffu) < INFINITE;
 }}
 
@@ -62,7 +62,7 @@ float exponential(float x) {{
     return p.x + p.x * p.y;
 }}
 
-struct Course {{  // log light over a stretch: its warped length, its change, its slopes at both ends per stretch
+struct Course {{  // log light over an interval: its warped length, its change, its slopes at both ends per interval
     float s, d, w0, w1;
 }};
 

@@ -1,22 +1,22 @@
-"""GLSL: how far light is trusted, and a pixel's way through a step piece by piece, from crossing to crossing.
+"""GLSL of the interpolation checks, and of a pixel's march through a step, substep by substep and event by event.
 
-What `trust` and `pieces` do for a table of pixels, here for one. All that may fire come this way; there is no faster
-road for simple ones, because a graphics card has lanes enough.
+It does for one pixel what `interpolation`, `substeps` and `march` do for a table of pixels. All pixels that may fire
+march; a faster way for smooth steps is not needed, because a graphics card has lanes enough.
 """
 
 from __future__ import annotations
 
 from emulator.sensor.gpu.arithmetic import constant
-from emulator.sensor.pixels.interpolation import LARGEST_CHANGE, SUSPECT
+from emulator.sensor.pixels.interpolation import LARGEST_CHANGE, UNSEEN_SHARE
 from emulator.sensor.pixels.packed_crossings import MOST_EVENTS
 
-__all__ = ["TRUST", "WALK"]
+__all__ = ["INTERPOLATION", "MARCH"]
 
-TRUST = f"""
-{constant("LARGEST_CHANGE", LARGEST_CHANGE)}   // of log light in a piece
-{constant("TRUST", SUSPECT)}                   // share of a threshold from which on a step is suspect
+INTERPOLATION = f"""
+{constant("LARGEST_CHANGE", LARGEST_CHANGE)}   // of log light in a substep
+{constant("UNSEEN_SHARE", UNSEEN_SHARE)}            // of a threshold; more makes a step undersampled
 
-bool is_plain(float d, float a0, float a1, float unseen) {{
+bool is_smooth(float d, float a0, float a1, float unseen) {{
     float steepest = max(abs(a0), abs(a1));
     bool one_piece = max(2.0 * abs(d), steepest) <= 2.0 * LARGEST_CHANGE;
     bool seen = max(abs(2.0 * d - (a0 + a1)), 0.25 * abs(a0 - a1)) <= 2.0 * unseen;
@@ -24,26 +24,26 @@ bool is_plain(float d, float a0, float a1, float unseen) {{
     return one_piece && seen && fits;
 }}
 """
-"""Whether a step can be taken in one piece, as it is."""
+"""Test whether a step can be solved in one piece with the cubic as it is."""
 
-WALK = f"""
+MARCH = f"""
 {constant("ABSURD", 1e9)}                      // a slope that no light has: not known
-const float SHARE = 0.004, LEAST_MISS = 2e-5;  // of a threshold, and ln units: what a piece's cubic may miss
+const float SHARE = 0.004, LEAST_MISS = 2e-5;  // of a threshold, and ln units: error of a substep's cubic
 const float NEARLY = 1.001, SETTLED = 3e-5;
 const uint MOST_EVENTS = {MOST_EVENTS}u;
-const int MOST_CUTS = 64;                      // pieces that are cut for the exponential's sake
+const int MOST_CUTS = 64;                      // substeps that are shortened for the exponential
 
 struct Light {{  // the log light of a step: a cubic, or a jump of d at mid-step
     float u, d, a0, a1;
     bool jump;
 }};
 
-struct Piece {{  // rates per step and log light at both ends, and its course
+struct Substep {{  // rates per step and log light at both ends, and its course
     float u0, u1, r0, r1;
     Course course;
 }};
 
-bool is_suspect(float d, float a0, float a1, float unseen) {{
+bool is_undersampled(float d, float a0, float a1, float unseen) {{
     bool turns = a0 * a1 < 0.0 && 0.125 * abs(a0 - a1) > unseen;
     return turns || abs(d - 0.5 * (a0 + a1)) > unseen;
 }}
@@ -56,13 +56,13 @@ float limit(float d, float a0, float a1) {{
     return min(3.0 * abs(d) / together, not_too_steep);
 }}
 
-Light taken(float u0, float d, float a0, float a1, float unseen) {{  // as it is to be taken, slopes perhaps unknown
+Light interpolated(float u0, float d, float a0, float a1, float unseen) {{  // the slopes may be unknown
     bool known0 = abs(a0) <= ABSURD, known1 = abs(a1) <= ABSURD;
     float first = known0 ? a0 : known1 ? 2.0 * d - a1 : d;
     float last = known1 ? a1 : known0 ? 2.0 * d - a0 : d;
-    bool suspect = is_suspect(d, first, last, unseen);
-    if (suspect) atomicAdd(suspects, 1u);
-    bool jump = suspect && max(abs(first), abs(last)) < 0.3 * abs(d);
+    bool unseen_change = is_undersampled(d, first, last, unseen);
+    if (unseen_change) atomicAdd(undersampled, 1u);
+    bool jump = unseen_change && max(abs(first), abs(last)) < 0.3 * abs(d);
     float factor = jump ? 0.0 : limit(d, first, last);
     return Light(u0, d, factor * first, factor * last, jump);
 }}
@@ -73,17 +73,18 @@ vec2 light_at(Light light, float z, bool jumped) {{  // value, and slope per ste
     return vec2(light.u + ((c3 * z + c2) * z + light.a0) * z, (3.0 * c3 * z + 2.0 * c2) * z + light.a0);
 }}
 
-Piece piece_of(Light light, float z, float width) {{
+Substep substep_of(Light light, float z, float width) {{
     bool jumped = z >= 0.5;
     vec2 p0 = light_at(light, z, jumped), p1 = light_at(light, z + width, jumped);
     float l0 = clamp(rate_at_reference * exponential(p0.x), rate_min, rate_max);
     float l1 = clamp(rate_at_reference * exponential(p1.x), rate_min, rate_max);
     float s = warped_time(h * width, l0, l1, width * p0.y, width * p1.y);
     Course course = Course(s, p1.x - p0.x, s * p0.y / (h * l0), s * p1.y / (h * l1));
-    return Piece(p0.x, p1.x, h * l0, h * l1, course);
+    return Substep(p0.x, p1.x, h * l0, h * l1, course);
 }}
 
-float share_to_take(float b, float s, float most) {{  // of a stretch, so that a cubic misses less of b e^-s than `most`
+float share_within(float b, float s, float most) {{  // of an interval, on which a cubic misses less than `most` of b
+e^-s
     float allowed = most / max(abs(b), 1e-20);
     float longest = max(sqrt(sqrt(384.0 * allowed)), (allowed - 0.2) * (1.0 / 0.16));
     return min(longest / s, 1.0);
@@ -132,27 +133,27 @@ void raise(uint pixel, bool on, float z, inout uint count) {{
         return;
     }}
     uint k = atomicAdd(raised, 1u);
-    if (k < room) events[k] = uvec2(pixel << 1 | uint(on), floatBitsToUint(z));
+    if (k < capacity) events[k] = uvec2(pixel << 1 | uint(on), floatBitsToUint(z));
 }}
 
-void walk(uint pixel, Thresholds p, Light light, inout Pixel s) {{
+void march(uint pixel, Thresholds p, Light light, inout Pixel s) {{
     float steepness = max(abs(light.d), 0.5 * max(abs(light.a0), abs(light.a1)));
     float wide = light.jump ? 0.5 : 1.0 / max(ceil(steepness / LARGEST_CHANGE), 1.0);
     float most = max(SHARE * min(p.on, p.off), LEAST_MISS);
-    bool blind = s.blind > 0u;
-    uint sees_ns = blind ? s.blind - 1u : 0u;
-    float sees = float(sees_ns) / float(h_ns), v = s.v, level = 0.0, z = 0.0;
-    float base = blind ? v + p.leak * since_epoch_0 : s.reference;
+    bool is_refractory = s.refractory_left > 0u;
+    uint re_armed_ns = is_refractory ? s.refractory_left - 1u : 0u;
+    float re_armed = float(re_armed_ns) / float(h_ns), v = s.v, level = 0.0, z = 0.0;
+    float base = is_refractory ? v + p.leak * since_epoch_0 : s.reference;
     uint count = 0u;
     for (int k = 0; z < 1.0; ++k) {{
         float stop = light.jump && z < 0.5 ? 0.5 : 1.0;
         bool last = stop - z < NEARLY * wide;
         float whole = last ? stop - z : wide;
-        Piece q = piece_of(light, z, whole);
-        float share = share_to_take(transient(q.u0 - v, q.course).b, q.course.s, most);
+        Substep q = substep_of(light, z, whole);
+        float share = share_within(transient(q.u0 - v, q.course).b, q.course.s, most);
         share = k < MOST_CUTS ? share : 1.0;
         float span = share * whole, z1 = last && share == 1.0 ? stop : z + span;
-        if (share < 1.0) q = piece_of(light, z, span);
+        if (share < 1.0) q = substep_of(light, z, span);
 
         float behind = q.u0 - v, v1 = v + rise_of_filter(decay(q.course.s), behind, q.course);
         Transient t = transient(behind, q.course);
@@ -164,11 +165,11 @@ void walk(uint pixel, Thresholds p, Light light, inout Pixel s) {{
         vec2 turns = turns_of(g);
         float x = 0.0;
         while (true) {{
-            if (blind) {{
-                x = max(x, sees > z ? (sees - z) / span : 0.0);
+            if (is_refractory) {{
+                x = max(x, re_armed > z ? (re_armed - z) / span : 0.0);
                 if (x > 1.0) break;
                 level = value(g, x);
-                blind = false;
+                is_refractory = false;
             }}
             float turn = max(turns.x, x), turn2 = max(turns.y, x);
             float g0 = value(g, x) - level, g1 = value(g, turn) - level;
@@ -184,17 +185,17 @@ void walk(uint pixel, Thresholds p, Light light, inout Pixel s) {{
             float when = z + x * span;
             raise(pixel, rising, when, count);
             if (refractory_ns > 0u) {{
-                blind = true;
-                sees = when + refractory;
-                sees_ns = min(uint(when * float(h_ns)), h_ns) + refractory_ns;
+                is_refractory = true;
+                re_armed = when + refractory;
+                re_armed_ns = min(uint(when * float(h_ns)), h_ns) + refractory_ns;
             }}
         }}
         v = v1;
         z = z1;
     }}
     s.v = v;
-    s.reference = blind ? s.reference : base + level;
-    s.blind = blind ? 1u + (max(sees_ns, h_ns) - h_ns) : 0u;
+    s.reference = is_refractory ? s.reference : base + level;
+    s.refractory_left = is_refractory ? 1u + (max(re_armed_ns, h_ns) - h_ns) : 0u;
 }}
 """
-"""Needs `TRUST`, `ARITHMETIC`, and what `step` declares before them."""
+"""Needs `INTERPOLATION`, `ARITHMETIC`, and the declarations of `step` before them."""

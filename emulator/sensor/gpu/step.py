@@ -1,15 +1,15 @@
-"""GLSL: one step of all pixels in two passes: quiet ones, an invocation a pixel, then those that may fire, each one.
+"""GLSL of a step of all pixels in two passes: quiet pixels, one invocation each; then the pixels that may fire.
 
     binding 0   Pixel[n]        the state before the step
-    binding 1   Pixel[n]        the state after it: a step can be taken again
-    binding 2   Thresholds[n]   what is drawn once for each pixel
-    binding 3   uvec2[room]     events: [pixel << 1 | on, bits of the time as a share of the step], in no order
-    binding 4   Counts          the size of the second pass, how many events there were, and what else there is to tell
-    binding 5   uint[n]         pixels that may fire, in no order
+    binding 1   Pixel[n]        the state after it: a step can be repeated
+    binding 2   Thresholds[n]   figures drawn once for each pixel
+    binding 3   uvec2[capacity] events: [pixel << 1 | on, bits of the time as a share of the step], unsorted
+    binding 4   Counts          size of the second pass, number of events, and the other counts of the step
+    binding 5   uint[n]         pixels that may fire, unsorted
     texture 0, 1                light and its time derivative, R32F, the first row first
 
-Of `room` the events beyond are counted but not listed. Nothing here knows the stream's time: blind pixels count down,
-and what leaks is counted from an epoch that the processor moves.
+Events beyond `capacity` are counted but not listed. The shaders do not use stream time: refractory periods count down,
+and leak is counted from an epoch that the processor moves.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from __future__ import annotations
 import numpy as np
 
 from emulator.sensor.gpu.arithmetic import ARITHMETIC, constant
-from emulator.sensor.gpu.march import TRUST, WALK
+from emulator.sensor.gpu.march import INTERPOLATION, MARCH
 
 __all__ = ["COUNTS", "CROSSINGS", "GROUP", "NOT_KNOWN", "PIXEL", "QUIET", "THRESHOLDS"]
 
@@ -28,29 +28,29 @@ CROSSING_GROUP = 128
 """Pixels of a work group of the second pass."""
 
 NOT_KNOWN = 3e38
-"""In the place of a log light or a slope that is not known."""
+"""Value that stands for an unknown log light or slope."""
 
-PIXEL = np.dtype([(name, "<f4") for name in ("u", "v", "rate", "slope", "reference")] + [("blind", "<u4")])
-"""A pixel's state: log light, filtered, its rate (rad/s), slope of u by warped time, the reference with leak times the
-time since the epoch added, and 0 for a pixel that sees or 1 + the time for which it is blind, ns."""
+PIXEL = np.dtype([(name, "<f4") for name in ("u", "v", "rate", "slope", "reference")] + [("refractory_left", "<u4")])
+"""A pixel's state: log light, filter, its rate (rad/s), slope of u by warped time, the reference with leak times the
+time since the epoch added, and 0 for an armed pixel or 1 + the rest of its refractory period, ns."""
 
 THRESHOLDS = np.dtype([(name, "<f4") for name in ("on", "off", "leak")])
 """ON and OFF threshold, ln units, and leak, ln units a second."""
 
-_COUNTED = "groups_x", "groups_y", "groups_z", "raised", "too_many", "candidates", "suspects", "unreadable"
+_COUNTED = "groups_x", "groups_y", "groups_z", "raised", "too_many", "candidates", "undersampled", "unreadable"
 COUNTS = np.dtype([(name, "<u4") for name in _COUNTED])
-"""Work groups of the second pass; then crossings within a pixel's most, those beyond, pixels that may have fired,
-suspects, pixels with unreadable light."""
+"""Work groups of the second pass; then crossings up to the most of a pixel, those beyond, pixels that may have fired,
+undersampled pixels, pixels with unreadable light."""
 
 _DECLARATIONS = f"""
-uniform sampler2D picture, picture_rate;
+uniform sampler2D light, light_rate;
 uniform ivec2 size;
 uniform bool chord;          // no derivative: light is a straight line in its logarithm
-uniform bool slopes_known;   // those of the last picture
+uniform bool slopes_known;   // of the last frame
 uniform float dark, rate_at_reference, rate_min, rate_max;
 uniform float h, since_epoch_0, since_epoch_1, epoch_moved, refractory;
-uniform uint h_ns, refractory_ns, room;
-struct Pixel {{ float u, v, rate, slope, reference; uint blind; }};
+uniform uint h_ns, refractory_ns, capacity;
+struct Pixel {{ float u, v, rate, slope, reference; uint refractory_left; }};
 struct Thresholds {{ float on, off, leak; }};
 layout(std430, binding = 0) readonly buffer Before {{ Pixel before[]; }};
 layout(std430, binding = 1) writeonly buffer After {{ Pixel after[]; }};
@@ -63,7 +63,7 @@ const uint CROSSING_GROUP = {CROSSING_GROUP}u;
 """
 
 _LIGHT = """
-struct Change {  // what the pictures tell of a pixel's step: the end, the change of log light, slopes per step
+struct Change {  // light of a pixel over the step: values at the end, change of log light, slopes per step
     float u, rate, slope, d, a0, a1;
     bool readable;
 };
@@ -73,7 +73,7 @@ float per_step(float rate, float slope) {  // a slope by warped time
 }
 
 Change change_of(ivec2 at, Pixel s) {
-    float e = texelFetch(picture, at, 0).r, r = chord ? 0.0 : texelFetch(picture_rate, at, 0).r;
+    float e = texelFetch(light, at, 0).r, r = chord ? 0.0 : texelFetch(light_rate, at, 0).r;
     bool readable = is_finite(e), lit = readable && e > 0.0;
     float current = (lit ? e : 0.0) + dark, u = natural_log(current), d = u - s.u;
     float rate = clamp(rate_at_reference * current, rate_min, rate_max);
@@ -102,13 +102,13 @@ bool stays_quiet(Change c, float behind, float q, Pixel s, Thresholds p) {
 }
 
 bool moves_quietly(Change c, Thresholds p, inout Pixel s) {  // if so, s is moved
-    if (!is_plain(c.d, c.a0, c.a1, TRUST * min(p.on, p.off))) return false;
+    if (!is_smooth(c.d, c.a0, c.a1, INTERPOLATION * min(p.on, p.off))) return false;
     float warped = warped_time(h, s.rate, c.rate, c.a0, c.a1), q = decay(warped), behind = s.u - s.v;
-    bool stays_blind = s.blind > h_ns + 1u;
-    if (!stays_blind && (s.blind > 0u || !stays_quiet(c, behind, q, s, p))) return false;
+    bool stays_refractory = s.refractory_left > h_ns + 1u;
+    if (!stays_refractory && (s.refractory_left > 0u || !stays_quiet(c, behind, q, s, p))) return false;
     float w0 = warped * (c.a0 / (h * s.rate)), w1 = warped * (c.a1 / (h * c.rate));
     s.v += rise_of_filter(q, behind, Course(warped, c.d, w0, w1));
-    s.blind = stays_blind ? s.blind - h_ns : 0u;
+    s.refractory_left = stays_refractory ? s.refractory_left - h_ns : 0u;
     return true;
 }
 
@@ -121,9 +121,9 @@ void main() {
     s.reference -= p.leak * epoch_moved;
     Change c = change_of(at, s);
     if (!c.readable) atomicAdd(unreadable, 1u);
-    if (!c.readable || s.u == NOT_KNOWN) {  // silent; the filter starts anew from the next readable light
+    if (!c.readable || s.u == NOT_KNOWN) {  // silent; the filter starts again from the next readable light
         s.v = c.u;
-        s.blind = s.blind > 0u ? 1u + (max(s.blind - 1u, h_ns) - h_ns) : 0u;
+        s.refractory_left = s.refractory_left > 0u ? 1u + (max(s.refractory_left - 1u, h_ns) - h_ns) : 0u;
     } else if (!moves_quietly(c, p, s)) {
         uint k = atomicAdd(candidates, 1u);
         listed[k] = pixel;
@@ -142,7 +142,7 @@ void main() {
     Pixel s = before[pixel];
     s.reference -= p.leak * epoch_moved;
     Change c = change_of(ivec2(pixel % uint(size.x), pixel / uint(size.x)), s);
-    walk(pixel, p, taken(s.u, c.d, c.a0, c.a1, TRUST * min(p.on, p.off)), s);
+    march(pixel, p, interpolated(s.u, c.d, c.a0, c.a1, INTERPOLATION * min(p.on, p.off)), s);
     after[pixel] = stored(s, c);
 }
 """
@@ -150,11 +150,11 @@ void main() {
 
 def _source(width: int, height: int, *parts: str) -> str:
     layout = f"layout(local_size_x = {width}, local_size_y = {height}) in;"
-    return "\n".join(["#version 430", layout, _DECLARATIONS, ARITHMETIC, TRUST, _LIGHT, *parts])
+    return "\n".join(["#version 430", layout, _DECLARATIONS, ARITHMETIC, INTERPOLATION, _LIGHT, *parts])
 
 
 QUIET = _source(*GROUP, _QUIET_MAIN)
-"""The compute shader that moves what is quiet, and lists the others."""
+"""The compute shader that moves the quiet pixels, and lists the others."""
 
-CROSSINGS = _source(CROSSING_GROUP, 1, WALK, _CROSSINGS_MAIN)
-"""The compute shader that moves the listed ones, from crossing to crossing."""
+CROSSINGS = _source(CROSSING_GROUP, 1, MARCH, _CROSSINGS_MAIN)
+"""The compute shader that moves the listed pixels, from crossing to crossing."""

@@ -1,11 +1,11 @@
-"""The loops of `noise`: candidates drawn a window ahead, thinned by the light of a step, and put among its crossings.
+"""Compiled loops of `point_process`: draw a window of candidates, thin them by the light, merge them with crossings.
 
-What a window of some slots will bring is drawn once, whatever the steps that go through it, and lies sorted by time. A
-step then touches the candidates of its own time alone, and the seconds that are due: those due within the window lie in
-`soon`, later ones in `later`, so that no step searches through all of them.
+The candidates of a window of some slots are drawn once, whatever the steps that cross it, and lie sorted by time. A
+step then uses the candidates of its own time alone, and the second events that are due: those due within the window lie
+in `soon`, later ones in `later`, so that no step searches all of them.
 
-Numbers of one kind share an array, because each array costs a call 0.05 us, each named tuple twice that (named tuples
-and arrays made for the result, as elsewhere in this folder, came to 4 us):
+Numbers of one kind share an array, because each array argument costs 0.05 us a call, and each named tuple twice that
+(named tuples and arrays made for the result, as elsewhere in this folder, cost 4 us):
 
     candidates   (3, room) int64: WHEN, KEY (pixel << 1 | on), PAIR (random bits for the second of its pair)
     chances      (2, room) float32: ROW of the table of rates, by the pixel's thresholds, and LOG: the candidate fires
@@ -25,7 +25,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.sensor.chip.slots import SLOT_NS
-from emulator.sensor.numerics.cached import kept_entry
+from emulator.sensor.numerics.cached import cached_entry
 from emulator.sensor.numerics.compiled import kernel, vector_kernel
 from emulator.sensor.numerics.elementary import natural_log
 from emulator.sensor.numerics.keyed_kernels import high, low, stream, unit, word
@@ -49,7 +49,7 @@ _Events = tuple[_Int64s, npt.NDArray[np.uint32], npt.NDArray[np.bool_]]
 
 
 class State(IntEnum):
-    """What a place of `state` holds: ends of step and window, candidates done and drawn, seconds; two that stay."""
+    """Entries of `state`: ends of step and window, candidates used and drawn, second events; and two constants."""
 
     T0_NS = 0
     T1_NS = 1
@@ -67,7 +67,7 @@ _T0, _T1, _WINDOW, _FIRST, _COUNT, _SOON, _LATER, _REFRACTORY, _PIXEL_BITS = (in
 
 @vector_kernel
 def _logs(base: np.uint64, index: int, n: int, out: _Float32s) -> None:
-    """Write ln of the uniform numbers made of every third word from `index` on."""
+    """Write ln of the uniform numbers of every third word from `index` on."""
     for k in range(n):
         out[k] = natural_log(np.float32(unit(high(word(base, index + 3 * k)))))
 
@@ -99,7 +99,7 @@ def _choose_pixels(bits: _Words, n: int, alias: _Words, out: _Words) -> None:
         out[k] = pixel if low(bits[k]) < high(entry) else low(entry)
 
 
-@kept_entry
+@cached_entry
 def draw_window(
     slots: tuple[int, int, np.uint64, float],
     alias: _Words,
@@ -108,7 +108,7 @@ def draw_window(
     candidates: _Int64s,
     chances: _Float32s,
 ) -> int:
-    """Draw the candidates of some slots; return how many, or -1 if there is not room for them.
+    """Draw the candidates of some slots; return how many, or -1 if the buffer is too short for them.
 
     `slots` are the first, their number, the root of their streams and the mean gap between candidates as a share of a
     slot; `alias` and `row` are (pixels,), `log_highest` ln W by row of the table.
@@ -145,7 +145,7 @@ def draw_window(
 
 @vector_kernel
 def _find_nodes(node: _Float32s, n: int, lights: _Float32s) -> None:
-    """Turn the light of n candidates into where it lies among the nodes; light that is not finite into NaN."""
+    """Replace the light of n candidates by its position among the nodes; NaN where the light is not finite."""
     dark, at_reference, lowest = lights[0], lights[1], lights[2]
     highest, a_fold, last = lights[3], lights[4], lights[5]
     for k in range(n):
@@ -158,7 +158,7 @@ def _find_nodes(node: _Float32s, n: int, lights: _Float32s) -> None:
 
 @kernel
 def _find_rates(row: _Float32s, node: _Float32s, n: int, table: _Float32s, out: _Float32s) -> None:
-    """Write ln of each candidate's rate; NaN where light is unreadable. Straight between nodes in both directions."""
+    """Write ln of each candidate's rate, by bilinear interpolation; NaN where the light is unreadable."""
     for k in range(n):
         place = node[k] if node[k] == node[k] else _ZERO
         i, j = np.uint64(np.int64(row[k])), np.uint64(np.int64(place))
@@ -169,18 +169,18 @@ def _find_rates(row: _Float32s, node: _Float32s, n: int, table: _Float32s, out: 
 
 
 @kernel
-def _choose(log_chance: _Float32s, log_rate: _Float32s, n: int, kept: _Int64s) -> int:
+def _choose(log_chance: _Float32s, log_rate: _Float32s, n: int, chosen: _Int64s) -> int:
     """List those of n candidates that fire, return how many."""
     found = 0
     for k in range(n):
-        kept[found] = k
+        chosen[found] = k
         found += log_chance[k] < log_rate[k]
     return found
 
 
 @kernel
 def _wait_ns(pair: np.uint64, node: np.float32, table: _Float32s, refractory_ns: int) -> int:
-    """Return how long after its first a pair's second comes; -1 if there is none."""
+    """Return the time from the first to the second event of a pair, ns; -1 if there is no second."""
     nearest = np.int64(node + _HALF)
     if unit(low(pair)) >= table[_SHARE, nearest]:
         return -1
@@ -205,19 +205,19 @@ def _put(ahead: _Int64s, n: int, t_ns: int, key: int) -> int:
 
 @kernel
 def _due(soon: _Int64s, n: int, ends: tuple[int, int, int], keys: _Words) -> tuple[int, int]:
-    """Pack the seconds that the step reaches and move up the rest; return the numbers of both."""
-    found = kept = 0
+    """Pack the second events that the step reaches and compact the rest; return both numbers."""
+    found = remaining = 0
     for k in range(n):
         t_ns, key = soon[_WHEN, k], soon[_KEY, k]
-        soon[_WHEN, kept], soon[_KEY, kept] = t_ns, key
-        kept += t_ns >= ends[1]
+        soon[_WHEN, remaining], soon[_KEY, remaining] = t_ns, key
+        remaining += t_ns >= ends[1]
         found = _pack(t_ns, key, ends, keys, found)
-    return found, kept
+    return found, remaining
 
 
-@kept_entry
+@cached_entry
 def sort_in(soon: _Int64s, later: _Int64s, state: _Int64s) -> None:
-    """Move what is due before the end of a new window from `later` to `soon`."""
+    """Move the events that are due before the end of a new window from `later` to `soon`."""
     near, far, window_ns = state[_SOON], 0, state[_WINDOW]
     for k in range(state[_LATER]):
         t_ns, key = later[_WHEN, k], later[_KEY, k]
@@ -239,7 +239,7 @@ def _take(light: _Float32s, candidates: _Int64s, span: tuple[int, int, int], out
     return n
 
 
-@kept_entry
+@cached_entry
 def fire(
     light: _Float32s,
     drawn: tuple[_Int64s, _Float32s],
@@ -248,7 +248,7 @@ def fire(
     keys: _Words,
     state: _Int64s,
 ) -> int:
-    """Let the candidates of a step fire: pack its events, unsorted, into `keys`; return how many, and move `state`.
+    """Pack the events of a step, unsorted, into `keys`; return how many, and update `state`.
 
     `drawn` are candidates and chances, `rates` table and lights, `seconds` soon and later.
     """
@@ -258,16 +258,16 @@ def fire(
     found, near = _due(soon, state[_SOON], ends, keys)
     far = state[_LATER]
     node, rate = np.empty(_BATCH, np.float32), np.empty(_BATCH, np.float32)
-    kept = np.empty(_BATCH + 1, np.int64)
+    chosen = np.empty(_BATCH + 1, np.int64)
     n = _take(light, candidates, (first, state[_COUNT], t1_ns), node)
     while n > 0:
         _find_nodes(node, n, lights)
         _find_rates(chances[_ROW, first:], node, n, table, rate)
-        for one in range(_choose(chances[_LOG, first:], rate, n, kept)):
-            k = first + kept[one]
+        for one in range(_choose(chances[_LOG, first:], rate, n, chosen)):
+            k = first + chosen[one]
             t_ns, key = candidates[_WHEN, k], candidates[_KEY, k]
             found = _pack(t_ns, key, ends, keys, found)
-            wait_ns = _wait_ns(np.uint64(candidates[_PAIR, k]), node[kept[one]], table, state[_REFRACTORY])
+            wait_ns = _wait_ns(np.uint64(candidates[_PAIR, k]), node[chosen[one]], table, state[_REFRACTORY])
             if wait_ns < 0:
                 continue
             t_ns, key = t_ns + wait_ns, key ^ 1
@@ -283,7 +283,7 @@ def fire(
     return int(found)
 
 
-@kept_entry
+@cached_entry
 def insert(keys: _Words, t0_ns: int, pixel_bits: int, crossings: _Events, out: _Events) -> None:
     """Write sorted keys and crossings to `out`, sorted by (time, pixel); of equals, crossings come first."""
     (at_ns, at, on), (out_ns, out_at, out_on) = crossings, out

@@ -1,19 +1,21 @@
-"""Pixels with their noise followed in time, on a fixed grid: the reference for `noise`, for some thousand pixels.
+"""Pixels whose noise voltage is simulated on a fixed grid of times: the reference for `point_process`.
 
-A method like `PixelArray`, in float64 and by brute force. The grid's step is a tenth of the shortest time constant of
+Its cost allows some thousand pixels.
+
+The method has the interface of `PixelArray`, in float64. The grid's step is a tenth of the shortest time constant of
 the noise, rounded down to a power of two of 1 us, and its times are multiples of it since stream time zero. From one
-grid time to the next, with log light on a straight line between pictures,
+grid time to the next, with log light on a straight line between frames,
 
-    filter    v in warped time, as in `kernels`; behind a second pole w, for a v that goes straight
+    filter    v in warped time, as in `lowpass`; behind a second pole w, for a v on a straight line
     noise     n1 = n0 A + sigma sqrt(1 - A^2) N,  A = e^(-delta / tau_n), N keyed by (seed, pixel, grid time)
     x - r     what the comparator sees: moves by the change of w + n and by the leaks, that of light by its mean
 
 Within a grid step x is a Brownian bridge of variance V = 2 sigma^2 delta / tau_n: a level c above both ends a, b is met
-all the same with probability exp(-2 (c - a)(c - b) / V), at a time drawn uniformly; what the comparator sees when a
-blind stretch ends is drawn from the bridge.
+all the same with probability exp(-2 (c - a)(c - b) / V), at a time drawn uniformly; the
+comparator's value at the end of a refractory period is drawn from the bridge.
 
 All draws are keyed by grid time, and events are known up to the last grid time only (`settled_ns`). So in still light
-the result does not depend on the steps at all, and in moving light no more than the light between pictures does.
+the result does not depend on the steps, and in moving light it does so only through the light between frames.
 """
 
 from __future__ import annotations
@@ -24,14 +26,15 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.chip.defects import DEAD_THRESHOLD
-from emulator.sensor.chip.slots import Ahead, new_ahead, roomy
+from emulator.light import PixelLight
+from emulator.sensor.chip.slots import Pending, new_pending, reserve
 from emulator.sensor.noise.law import bandwidth_hz
-from emulator.sensor.numerics.cached import kept_entry
+from emulator.sensor.numerics.cached import cached_entry
 from emulator.sensor.numerics.compiled import kernel, kernel_that_allocates
 from emulator.sensor.numerics.keyed import Purpose, normal, root_of
 from emulator.sensor.numerics.keyed_kernels import high, low, normal_of, stream, unit, word
 from emulator.sensor.pixels.array import Crossings
+from emulator.sensor.pixels.faults import DEAD_THRESHOLD
 from emulator.sensor.pixels.merging import NO_CROSSINGS, unpacked
 from emulator.sensor.pixels.mismatch import draw
 from emulator.sensor.presets import SensorParameters
@@ -47,7 +50,7 @@ _Floats = npt.NDArray[np.float64]
 
 
 class _Model(NamedTuple):
-    """What does not change in a step; (pixels,) float64: thresholds, leak and that of light 1, in ln units a second."""
+    """Constants; thresholds, leak and parasitic leak at light 1 (ln units per second) are (pixels,) float64."""
 
     on: _Floats
     off: _Floats
@@ -66,18 +69,18 @@ class _Model(NamedTuple):
 
 
 class _State(NamedTuple):
-    """At the last grid time, (pixels,) each: log light, filtered once, twice, noise, x - r (NaN: blind), until when."""
+    """State at the last grid time, (pixels,) each: log light, filter, second pole, noise, x - r (NaN: refractory)."""
 
     u: _Floats
     v: _Floats
     w: _Floats
     n: _Floats
     seen: _Floats
-    blind_until_ns: npt.NDArray[np.int64]
+    refractory_until_ns: npt.NDArray[np.int64]
 
 
 class _Span(NamedTuple):
-    """The grid times after `first` up to `last`; between which pictures they lie."""
+    """The grid times after `first` up to `last`, and the times of the frames before and after them."""
 
     first: int
     last: int
@@ -86,7 +89,7 @@ class _Span(NamedTuple):
 
 
 class _Move(NamedTuple):
-    """What happens to x - r of a pixel in a grid step: start, change, the bridge's variance; stream and next number."""
+    """Motion of x - r of a pixel in a grid step: start, change, the bridge's variance; stream and next number."""
 
     pixel: int
     start_ns: int
@@ -130,14 +133,14 @@ def _behind_second_pole(v0: float, v1: float, w0: float, m: _Model) -> float:
 
 @kernel
 def _leaked(u0: float, u1: float, pixel: int, m: _Model) -> float:
-    """Return by how much leaks raise x - r in a grid step."""
+    """Return the increase of x - r by leaks in a grid step."""
     by_light = m.parasitic[pixel] * (math.exp(u0) + math.exp(u1)) / 2 if m.parasitic[pixel] > 0 else 0.0
     return float((m.leak[pixel] + by_light) * m.delta_ns * 1e-9)
 
 
 @kernel
 def _noise_figures(u: float, m: _Model) -> tuple[float, float]:
-    """Return sigma and delta / tau_n in a light (see `noise_law`)."""
+    """Return sigma and delta / tau_n at a light (see `law`)."""
     hz = _corner_hz(u, m)
     passed = m.noise_corner_hz / (m.noise_corner_hz + hz)
     return m.noise_rms * math.sqrt(passed), 2 * math.pi * hz * passed * m.delta_ns * 1e-9
@@ -145,7 +148,7 @@ def _noise_figures(u: float, m: _Model) -> tuple[float, float]:
 
 @kernel
 def _next_event(at: float, seen: float, end: float, move: _Move, thresholds: tuple[float, float]) -> tuple[float, int]:
-    """Return where in the grid step, after `at`, a threshold is met first, and 1 for ON; 2 if none is."""
+    """Return the first place after `at` in the grid step where a threshold is met, and 1 for ON; 2 if there is none."""
     on, off = thresholds
     left = 1 - at
     if end >= on or end <= -off:
@@ -178,14 +181,14 @@ def _later(move: _Move) -> _Move:
 
 
 @kernel_that_allocates
-def _fire(move: _Move, m: _Model, s: _State, ahead: Ahead, n: int) -> tuple[Ahead, int, int]:
-    """Take a pixel's comparator over one grid step; return its events added to `ahead`, and how many are lost."""
-    pixel, events, blind = move.pixel, 0, m.refractory_ns / m.delta_ns
+def _fire(move: _Move, m: _Model, s: _State, pending: Pending, n: int) -> tuple[Pending, int, int]:
+    """Move a pixel's comparator over one grid step; add its events to `pending`, and return how many are lost."""
+    pixel, events, refractory = move.pixel, 0, m.refractory_ns / m.delta_ns
     at, seen, end = 0.0, s.seen[pixel], s.seen[pixel] + move.change
     if seen != seen:
-        at = max((s.blind_until_ns[pixel] - move.start_ns) / m.delta_ns, 0.0)
+        at = max((s.refractory_until_ns[pixel] - move.start_ns) / m.delta_ns, 0.0)
         if at >= 1:
-            return ahead, n, 0
+            return pending, n, 0
         seen, end = 0.0, move.change - _bridge(0.0, at, 0.0, move.change, move)
     while True:
         move = _later(move)
@@ -195,28 +198,28 @@ def _fire(move: _Move, m: _Model, s: _State, ahead: Ahead, n: int) -> tuple[Ahea
             break
         events += 1
         if events <= _MOST_EVENTS:
-            ahead = roomy(ahead, n, 1)
-            ahead.t_ns[n] = move.start_ns + int(at_event * m.delta_ns)
-            ahead.key[n] = np.uint64(pixel) << np.uint64(1) | np.uint64(on)
+            pending = reserve(pending, n, 1)
+            pending.t_ns[n] = move.start_ns + int(at_event * m.delta_ns)
+            pending.key[n] = np.uint64(pixel) << np.uint64(1) | np.uint64(on)
             n += 1
         level = m.on[pixel] if on else -m.off[pixel]
-        at = at_event + blind
-        if blind > 0 and at >= 1:
-            s.seen[pixel], s.blind_until_ns[pixel] = np.nan, move.start_ns + int(at * m.delta_ns)
+        at = at_event + refractory
+        if refractory > 0 and at >= 1:
+            s.seen[pixel], s.refractory_until_ns[pixel] = np.nan, move.start_ns + int(at * m.delta_ns)
             break
-        seen, end = 0.0, end - (_bridge(at_event, at, level, end, move) if blind > 0 else level)
-    return ahead, n, max(events - _MOST_EVENTS, 0)
+        seen, end = 0.0, end - (_bridge(at_event, at, level, end, move) if refractory > 0 else level)
+    return pending, n, max(events - _MOST_EVENTS, 0)
 
 
-@kept_entry
+@cached_entry
 def _advance(
     light: tuple[_Floats, _Floats],
     span: _Span,
     m: _Model,
     s: _State,
-    ahead: Ahead,
-) -> tuple[Ahead, int, int]:
-    """Take all pixels over the grid times of a span, whose pictures' log light is `light`, (pixels,) each."""
+    pending: Pending,
+) -> tuple[Pending, int, int]:
+    """Move all pixels over the grid times of a span; `light` is the log light of its two frames, (pixels,) each."""
     n = lost = 0
     for pixel in range(m.on.size):
         voltage, bridge = stream(m.voltage_root, pixel), stream(m.bridge_root, pixel)
@@ -226,15 +229,15 @@ def _advance(
             v = _filtered(s.u[pixel], u, s.v[pixel], m)
             w = _behind_second_pole(s.v[pixel], v, s.w[pixel], m)
             sigma, delta = _noise_figures(s.u[pixel], m)
-            kept = math.exp(-delta)
-            noise = s.n[pixel] * kept + sigma * math.sqrt(-math.expm1(-2 * delta)) * normal_of(word(voltage, grid))
+            decay = math.exp(-delta)
+            noise = s.n[pixel] * decay + sigma * math.sqrt(-math.expm1(-2 * delta)) * normal_of(word(voltage, grid))
             change = w - s.w[pixel] + noise - s.n[pixel] + _leaked(s.u[pixel], u, pixel, m)
             start_ns, variance = (grid - 1) * m.delta_ns, 2 * sigma * sigma * delta
             move = _Move(pixel, start_ns, change, variance, bridge, grid * _DRAWS)
-            ahead, n, more = _fire(move, m, s, ahead, n)
+            pending, n, more = _fire(move, m, s, pending, n)
             lost += more
             s.u[pixel], s.v[pixel], s.w[pixel], s.n[pixel] = u, v, w, noise
-    return ahead, n, lost
+    return pending, n, lost
 
 
 class NoisyPixels:
@@ -242,15 +245,25 @@ class NoisyPixels:
 
     Parameters
     ----------
-    parameters : the sensor; `noise.rms` > 0.
-    seed : the same thresholds, leak and phases as a `PixelArray` of that seed has; keys the noise too.
+    parameters : SensorParameters
+        The sensor, with `noise.rms` > 0.
+    seed : int
+        Keys the noise, and the pixels, which are those of a `PixelArray` with that seed.
 
     Attributes
     ----------
-    lost_in_pixel : crossings beyond 16 of a pixel in a grid step.
-    quiet_nan : pixel-steps whose light was not finite; such a pixel keeps the light it had.
-    settled_ns : stream time up to which all events have been returned.
+    lost_in_pixel : int
+        Crossings beyond 16 of a pixel in a grid step.
+    quiet_nan : int
+        Pixel-steps whose light was not finite; the last finite light of the pixel is used.
+    settled_ns : int
+        Stream time up to which all events have been returned.
+    renderer, undersampled_share : None
+        The processor computes; undersampling is unknown.
     """
+
+    renderer: str | None = None
+    undersampled_share: float | None = None
 
     def __init__(self, parameters: SensorParameters, seed: int) -> None:
         p, drawn = parameters, draw(parameters, seed)
@@ -274,6 +287,10 @@ class NoisyPixels:
         self._u = np.zeros(drawn.on.size)
         self._t_ns = 0
 
+    def faults(self) -> NoisyPixels:
+        """Return the access to defects and to the leak: these pixels themselves."""
+        return self
+
     def kill(self, pixel: npt.NDArray[np.int64]) -> None:
         """Make pixels, (n,), dead; before the array is reset."""
         m = self._model
@@ -284,12 +301,12 @@ class NoisyPixels:
         """Return the leak rate of all pixels, (pixels,), without that of light."""
         return np.asarray(self._model.leak / self._model.on)
 
-    def let_leak(self, leak_hz: _Floats) -> None:
-        """Let all pixels leak at `leak_hz`, (pixels,), from the last grid time on."""
+    def set_leak(self, leak_hz: _Floats) -> None:
+        """Set the leak rate of all pixels, (pixels,), from the last grid time on."""
         self._model.leak[:] = leak_hz * self._model.on
 
-    def reset(self, light: npt.NDArray[np.float32], t_ns: int) -> None:
-        """Start at `t_ns`, at rest on `light`, (height, width) float32; the noise is drawn as it is in the long run."""
+    def reset(self, light: npt.NDArray[np.float32], t_ns: int, rate: npt.NDArray[np.float32] | None = None) -> None:
+        """Start at `t_ns`, at rest on `light`, (height, width) float32, with stationary noise."""
         m, pixels = self._model, self._u.size
         self._u[:] = np.log(self.parameters.dark_current_relative)
         self._u, self._t_ns = self._log(light), int(t_ns)
@@ -302,8 +319,14 @@ class NoisyPixels:
         seen = m.on * self._phase + noise
         self._state = _State(self._u.copy(), self._u.copy(), self._u.copy(), noise, seen, np.zeros(pixels, np.int64))
 
-    def step(self, light: npt.NDArray[np.float32], t_ns: int, rate: npt.NDArray[np.float32] | None = None) -> Crossings:
-        """Move from the last picture to `light`, (height, width) float32, at `t_ns`; `rate` is of no use here.
+    def step(
+        self,
+        light: npt.NDArray[np.float32],
+        t_ns: int,
+        rate: npt.NDArray[np.float32] | None = None,
+        at: PixelLight | None = None,
+    ) -> Crossings:
+        """Move from the last frame to `light`, (height, width) float32, at `t_ns`; `rate` and `at` are not used.
 
         Returns
         -------
@@ -312,7 +335,7 @@ class NoisyPixels:
         Raises
         ------
         ValueError
-            Time goes back, or the picture has not the sensor's size.
+            Time goes back, or the frame does not have the sensor's size.
         """
         t_ns, m = int(t_ns), self._model
         if t_ns < self._t_ns:
@@ -321,16 +344,16 @@ class NoisyPixels:
             return NO_CROSSINGS
         u, settled = self._log(light), self.settled_ns
         span = _Span(settled // m.delta_ns, t_ns // m.delta_ns, self._t_ns, t_ns)
-        ahead, n, lost = _advance((self._u, u), span, m, self._state, new_ahead())
+        pending, n, lost = _advance((self._u, u), span, m, self._state, new_pending())
         self._u, self._t_ns, self.settled_ns = u, t_ns, max(span.last * m.delta_ns, settled)
         self.lost_in_pixel += lost
         bits = max(1, (u.size - 1).bit_length())
-        keys = (ahead[0][:n] - settled).astype(np.uint64) << np.uint64(bits + 1) | ahead[1][:n]
+        keys = (pending[0][:n] - settled).astype(np.uint64) << np.uint64(bits + 1) | pending[1][:n]
         found = unpacked(keys, settled, bits)
         return Crossings(found.t_ns, found.pixel, found.on, lost)
 
     def _log(self, light: npt.NDArray[np.float32]) -> _Floats:
-        """Return the log of the photocurrent, (pixels,); where the light is not finite, what it was before."""
+        """Return the log of the photocurrent, (pixels,); the last finite one where the light is not finite."""
         size = (self.parameters.height, self.parameters.width)
         if light.shape != size or light.dtype != np.float32:
             raise ValueError(f"light is {light.shape} {light.dtype}: must be {size} float32")

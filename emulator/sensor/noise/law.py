@@ -1,9 +1,9 @@
-"""How often temporal noise alone makes a pixel fire, in still light.
+"""Rate of the events that temporal noise alone raises in still light.
 
 The noise is a voltage n of rms sigma with one pole at f_n (an Ornstein-Uhlenbeck process). After an event the pixel's
 level moves by a threshold, so an event needs a passage over a whole threshold theta; the rate of such first passages,
 over f_n, depends on a = theta / sigma and on the refractory period in units of tau = 1 / (2 pi f_n), at whose end the
-level is read anew, on a peak of the noise as a rule. ON rate over f_n:
+level is set again, usually on a peak of the noise. ON rate over f_n:
 
     a      refractory period over tau
            0       0.19     1.9      9.4
@@ -15,12 +15,12 @@ level is read anew, on a peak of the noise as a rule. ON rate over f_n:
     4.5    .0072   .0080    .0016    .0013
 
 Simulated with steps of tau / 50 and hidden crossings by the Brownian bridge. The first column is for a pixel whose two
-thresholds differ by some percent, as all do: were they equal and the leak zero, the levels would stay on one lattice
-for ever, and the rate would depend on where it lies (a = 3: .14 f_n with a level at the noise's mean, .54 with the mean
+thresholds differ by some percent, as all do: with equal thresholds and no leak, the levels would stay on one lattice
+for ever, and the rate would depend on its position (a = 3: .14 f_n with a level at the noise's mean, .54 with the mean
 midway between two; a = 4: .006 and .26). From 0 to 0.19 tau the refractory period changes the rate by 10 % or so.
 
 Leak moves the levels too, which the law leaves out: at a = 4 and f_n = 150 Hz, 0.1 Hz of leak raises the rate by two
-thirds without a refractory period, by a tenth with one of tau (pixels of `noisy_pixels`).
+thirds without a refractory period, by a tenth with one of tau (pixels of `grid`).
 
 Between the columns the law runs in the square root of the refractory period, because that is how far a diffusion gets.
 Between the rows and beyond them, log(rate / (a e^(-a^2/2))) runs straight in a^2. For thresholds that differ, a is
@@ -49,7 +49,7 @@ __all__ = ["LEAST_A", "bandwidth_hz", "corner_hz", "rate_over_bandwidth", "rms"]
 _Floats = npt.NDArray[np.float64]
 
 LEAST_A = 1.5
-"""Thresholds below this many sigma count as this many: the pixel fires all the time, and the law ends."""
+"""Smallest threshold of the law, in sigma; lower ones count as this, because the pixel then fires all the time."""
 
 _A = np.array([2.0, 2.5, 3.0, 3.5, 4.0, 4.5])
 _REFRACTORY = np.array([0.0, 0.19, 1.9, 9.4])
@@ -67,7 +67,7 @@ _SHAPE = np.log(_RATES / (_A * np.exp(-(_A**2) / 2))[:, None])
 
 
 def _place(x: _Floats, nodes: _Floats) -> tuple[npt.NDArray[np.int64], _Floats]:
-    """Return the interval of `nodes` that holds x, the outermost for x beyond, and the share of it (beyond 0 to 1)."""
+    """Return the interval of `nodes` that contains x, and the share in it; outside, the outermost interval extended."""
     k = np.clip(np.searchsorted(nodes, x, side="right") - 1, 0, nodes.size - 2)
     return k, (x - nodes[k]) / (nodes[k + 1] - nodes[k])
 

@@ -1,24 +1,24 @@
-"""Noise events as a point process: drawn by their rate, at a cost that follows their number.
+"""Noise events as a point process: drawn by their rate, at a cost proportional to their number.
 
-An excursion of the noise over a threshold and the way back are a pair of events of opposite polarity. So there are
+An excursion of the noise over a threshold and its return are a pair of events of opposite polarity. So there are
 primaries, ON or OFF by equal chance, and each has a second event with probability s, after 0.8 tau and an exponential
 time of mean 1.4 tau (but no sooner than the refractory period lets it). The primaries' rate is 2 R / (1 + s), R the ON
-rate of `noise_law`, so that ON and OFF come to R each. Where the refractory period is longer than tau the level is
-read anew on the way back, and pairs dissolve: s = e^(-1.6 t_ref / tau), which is within 0.1 of a simulated pixel.
+rate of `law`, so that ON and OFF have the rate R each. Where the refractory period is longer than tau the level is
+set again during the return, and pairs dissolve: s = e^(-1.6 t_ref / tau), which is within 0.1 of a simulated pixel.
 
-All that is random is keyed by a slot of 1024 us of stream time, never by the step. The primaries of a slot:
+All random numbers are keyed by a slot of 1024 us of stream time, never by the step. The primaries of a slot:
 
     gaps       exponential, of the total rate W of all pixels, W_p being the highest rate of a pixel in any light
     pixel      by a table of aliases (Walker 1977) in proportion to W_p
-    thinning   kept with probability rate / W_p, the rate being that in the light at the end of the event's step
+    thinning   selected with probability rate / W_p, the rate being that in the light at the end of the event's step
 
-What does not depend on the light is drawn sixteen slots at a time, a window; a step thins what lies in it.
+The numbers that do not depend on the light are drawn for sixteen slots at a time, a window; a step thins the candidates
+in it.
 
 An array of still light thus gives the same noise, bit for bit, whatever the steps. Left out: the pixel's level stays, a
-noise event does not make its pixel blind, and the events of a moving picture are not shifted (noise brings them forward
-by up to two rms over the contrast rate, before anything is known of them). This is enough while pairs do not overlap,
-a >= 3.5 (4.5 with short refractory periods), and the picture moves by more than 0.3 rms in a time constant; else use
-the grid grade.
+noise event starts no refractory period, and the events of a moving scene are not shifted (noise makes them earlier by
+up to two rms over the contrast rate). This is enough while pairs do not overlap, a >= 3.5 (4.5 with short refractory
+periods), and the light changes by more than 0.3 rms in a time constant; else use the grid grade.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ import numpy.typing as npt
 from emulator.sensor.chip.slots import SLOT_NS
 from emulator.sensor.noise.draws import State, draw_window, fire, insert, sort_in
 from emulator.sensor.noise.law import bandwidth_hz, rate_over_bandwidth, rms
-from emulator.sensor.numerics.cached import kept_entry
+from emulator.sensor.numerics.cached import cached_entry
 from emulator.sensor.numerics.keyed import Purpose, root_of
 from emulator.sensor.pixels.array import Crossings
 from emulator.sensor.pixels.merging import NO_CROSSINGS, joined
@@ -49,9 +49,9 @@ _Float32s = npt.NDArray[np.float32]
 _Floats = npt.NDArray[np.float64]
 
 
-@kept_entry
+@cached_entry
 def _aliases(weight: _Floats) -> tuple[_Floats, npt.NDArray[np.uint32]]:
-    """Return, for each pixel, the probability to stay with it and the pixel to take else (Walker 1977, Vose 1991)."""
+    """Return for each pixel the probability of its own, and the alternative pixel (Walker 1977, Vose 1991)."""
     n = weight.size
     own, alias = weight * (n / weight.sum()), np.arange(n).astype(np.uint32)
     poor, rich = np.flatnonzero(own < 1), np.flatnonzero(own >= 1)
@@ -96,7 +96,7 @@ def _lights(p: SensorParameters, nodes: int) -> _Float32s:
 
 
 class _Model:
-    """All that does not change, in the shape that the loops want (see `noise_draws`)."""
+    """The constants, in the layout that the loops of `draws` use."""
 
     def __init__(self, p: SensorParameters, seed: int, thresholds: _Floats) -> None:
         live = np.isfinite(thresholds)
@@ -121,17 +121,19 @@ class NoiseEvents:
 
     Parameters
     ----------
-    parameters : the sensor; `noise.rms` > 0.
-    seed : keys all that is random.
-    thresholds : (pixels,) float64, mean of each pixel's two thresholds, ln units; infinite for dead pixels, which not
-        all are.
+    parameters : SensorParameters
+        The sensor, with `noise.rms` > 0.
+    seed : int
+        Keys all random numbers.
+    thresholds : (pixels,) float64
+        Mean of each pixel's two thresholds, ln units; infinite for dead pixels. At least one pixel is live.
     """
 
     def __init__(self, parameters: SensorParameters, seed: int, thresholds: _Floats) -> None:
         self._pixel_bits = max(1, (thresholds.size - 1).bit_length())
         self._model = _Model(parameters, seed, thresholds)
         expected = _WINDOW_SLOTS / self._model.mean_gap
-        self._make_room(int(expected + 8 * math.sqrt(expected)) + 600)
+        self._reserve_candidates(int(expected + 8 * math.sqrt(expected)) + 600)
         self._soon, self._later = np.empty((2, 0), np.int64), np.empty((2, 0), np.int64)
         self._keys = np.empty(0, np.uint64)
         self._state = np.zeros(len(State), np.int64)
@@ -140,7 +142,7 @@ class NoiseEvents:
         self.reset(0)
 
     def reset(self, t_ns: int) -> None:
-        """Start at `t_ns`; what began before its slot is left out."""
+        """Start at `t_ns`; events that began before its slot are left out."""
         self._t_ns, self._slot = t_ns, t_ns // SLOT_NS
         self._window_ns = self._slot * SLOT_NS
         self._state[[State.FIRST, State.COUNT, State.SOON, State.LATER]] = 0
@@ -154,7 +156,7 @@ class NoiseEvents:
         if t_ns <= self._t_ns:
             return crossings
         if t_ns <= self._window_ns:
-            return self._with_piece(crossings, light, t_ns)
+            return self._advance(crossings, light, t_ns)
         parts, k = [], 0
         while self._t_ns < t_ns:
             if self._t_ns >= self._window_ns:
@@ -162,32 +164,32 @@ class NoiseEvents:
             end_ns = min(t_ns, self._window_ns)
             n = len(crossings) if end_ns == t_ns else int(np.searchsorted(crossings.t_ns, end_ns))
             piece = Crossings(crossings.t_ns[k:n], crossings.pixel[k:n], crossings.on[k:n])
-            parts.append(self._with_piece(piece, light, end_ns))
+            parts.append(self._advance(piece, light, end_ns))
             k = n
         whole = joined(parts)
         return Crossings(whole.t_ns, whole.pixel, whole.on, crossings.lost_in_pixel)
 
-    def _make_room(self, candidates: int) -> None:
+    def _reserve_candidates(self, candidates: int) -> None:
         self._candidates, self._chances = np.empty((3, candidates), np.int64), np.empty((2, candidates), np.float32)
 
     def _open_window(self) -> None:
-        """Draw the candidates of the next window, and make room for all that may come of them."""
+        """Draw the candidates of the next window, and reserve space for all events that may follow from them."""
         m, state = self._model, self._state
         slots = self._slot, _WINDOW_SLOTS, m.root, m.mean_gap
         while (n := draw_window(slots, m.alias, m.row, m.log_highest, self._candidates, self._chances)) < 0:
-            self._make_room(2 * self._candidates.shape[1])
+            self._reserve_candidates(2 * self._candidates.shape[1])
         self._slot += _WINDOW_SLOTS
         self._window_ns = self._slot * SLOT_NS
-        room = int(state[State.SOON] + state[State.LATER]) + n + 1
-        self._soon = _roomy(self._soon, room)
-        self._later = _roomy(self._later, room)
-        if self._keys.size < 2 * room:
-            self._keys = np.empty(4 * room, np.uint64)
+        needed = int(state[State.SOON] + state[State.LATER]) + n + 1
+        self._soon = _reserve(self._soon, needed)
+        self._later = _reserve(self._later, needed)
+        if self._keys.size < 2 * needed:
+            self._keys = np.empty(4 * needed, np.uint64)
         state[State.FIRST], state[State.COUNT], state[State.WINDOW_NS] = 0, n, self._window_ns
         sort_in(self._soon, self._later, state)
 
-    def _with_piece(self, crossings: Crossings, light: _Float32s, t_ns: int) -> Crossings:
-        """Move on within the window, and put its events among the crossings."""
+    def _advance(self, crossings: Crossings, light: _Float32s, t_ns: int) -> Crossings:
+        """Move on within the window, and merge its events with the crossings."""
         t0_ns, self._t_ns = self._t_ns, t_ns
         m, state, bits = self._model, self._state, self._pixel_bits
         state[State.T0_NS], state[State.T1_NS] = t0_ns, t_ns
@@ -203,7 +205,7 @@ class NoiseEvents:
         return Crossings(*out, crossings.lost_in_pixel)
 
 
-def _roomy(ahead: npt.NDArray[np.int64], room: int) -> npt.NDArray[np.int64]:
-    """Return `ahead`, (2, n), as (2, `room` or more)."""
-    n = ahead.shape[1]
-    return ahead if room <= n else np.concatenate([ahead, np.empty((2, 2 * room - n), np.int64)], axis=1)
+def _reserve(pending: npt.NDArray[np.int64], needed: int) -> npt.NDArray[np.int64]:
+    """Return `pending`, (2, n), with at least `needed` columns."""
+    n = pending.shape[1]
+    return pending if needed <= n else np.concatenate([pending, np.empty((2, 2 * needed - n), np.int64)], axis=1)

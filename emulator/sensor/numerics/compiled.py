@@ -1,22 +1,22 @@
-"""How the sensor's loops are compiled by numba, and why so.
+"""Compiler options of the sensor's numba loops, and the reasons for them.
 
     kernel                  plain loops over arrays that the caller owns
     vector_kernel           the same, for loops that must become vectors
-    lane                    arithmetic on numbers, for use inside such loops; inlined, however long: one call that is
-                            left in a loop keeps it from becoming vectors
-    kernel_that_allocates   may make arrays
+    lane                    arithmetic on numbers, for use inside such loops; always inlined, because one call that is
+                            left in a loop prevents vectors
+    kernel_that_allocates   loops that may allocate arrays
 
-Two options decide whether a loop is fast; each cost a factor of 20 to 40 here before it was found:
+Two options decide whether a loop is fast; without them loops here were 20 to 40 times slower:
 
 - error_model="numpy": a division by zero gives inf or NaN. In the Python model it raises, so that a loop with a
   division has an early exit, and no such loop becomes vectors.
 - _nrt=False: no reference counting. Otherwise passing an array to a helper counts a reference up and down with atomic
   operations, and numba leaves them in the loop when the helper has more than one way out: 80 ns a call instead of 2.
 
-And fastmath contracts a*b + c to one rounding and does nothing else: NaN and infinity keep their meaning, and sums
-their order.
+fastmath contracts a*b + c to one rounding and does nothing else: NaN and infinity keep their meaning, and sums their
+order.
 
-What Python calls, and only that, is kept on disk: see `kept`.
+Only the functions that Python calls are cached on disk: see `cached`.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ from typing import Any, TypeVar
 
 from numba import njit
 
-__all__ = ["Real", "kernel", "kernel_that_allocates", "lane", "say_if_not_compiled", "vector_kernel"]
+__all__ = ["Real", "kernel", "kernel_that_allocates", "lane", "log_compilation", "vector_kernel"]
 
 _LOG = logging.getLogger(__name__)
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 _Decorator = Callable[[_Function], _Function]
 
 Real = Any
-"""A float of any width: inside numba, whichever the caller has."""
+"""A float of any width: inside numba, that of the caller."""
 
 _COMMON: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
 _UNCOUNTED: dict[str, Any] = {**_COMMON, "_nrt": False}
@@ -44,7 +44,7 @@ lane: _Decorator[Any] = njit(**_UNCOUNTED, fastmath={"contract"}, forceinline=Tr
 kernel_that_allocates: _Decorator[Any] = njit(**_COMMON)
 
 
-def say_if_not_compiled(function: Callable[..., Any], what: str) -> None:
-    """Log (for debugging; runs say it when it takes long) that `function` is about to be compiled or loaded."""
+def log_compilation(function: Callable[..., Any], what: str) -> None:
+    """Log, at debug level, that `function` is about to be compiled or loaded; runs report it when it takes long."""
     if not getattr(function, "signatures", True):
-        _LOG.debug("compiling %s: takes some seconds once, and is kept on disk for the next run", what)
+        _LOG.debug("compiling %s: takes some seconds once, and is cached on disk for the next run", what)

@@ -1,7 +1,7 @@
-"""The numbers of `keyed`, drawn one by one inside compiled loops.
+"""Keyed random numbers for compiled loops, which draw them one by one.
 
 root = keyed.root_of(seed, purpose)      once, in Python
-base = stream(root, pixel)               the pixel, or what stands in its place: a slot of time, a particle
+base = stream(root, pixel)               of a pixel; or of a slot of time, a particle
 word(base, index)                        equals keyed.words(seed, purpose, pixel, index)
 """
 
@@ -12,15 +12,14 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.numerics.cached import kept_entry
+from emulator.sensor.numerics.cached import cached_entry
 from emulator.sensor.numerics.compiled import kernel, vector_kernel
 from emulator.sensor.numerics.elementary import natural_log
+from firmware_protocol.keyed_draws import GOLDEN, mix
 
 __all__ = ["high", "low", "normal_of", "normals", "stream", "streams", "unit", "word"]
 
-_GOLDEN = np.uint64(0x9E3779B97F4A7C15)
-_A, _B = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
-_S30, _S27, _S31, _S32 = (np.uint64(n) for n in (30, 27, 31, 32))
+_S32 = np.uint64(32)
 _LOW = np.uint64(0xFFFFFFFF)
 _ONE = np.uint64(1)
 _UNIT = 2.0**-32
@@ -31,21 +30,17 @@ _ONE_32, _HALF, _MINUS_TWO, _UNIT_24 = (np.float32(x) for x in (1, 0.5, -2, 2.0*
 _C1, _C2, _C3, _C4, _C5 = (np.float32(c) for c in (-19.7390496, 64.9302786, -85.2868440, 58.8524982, -21.1624988))
 
 
-@kernel
-def _mix(z: np.uint64) -> np.uint64:
-    z = (z ^ (z >> _S30)) * _A
-    z = (z ^ (z >> _S27)) * _B
-    return z ^ (z >> _S31)
+_mix = kernel(mix)
 
 
 @kernel
 def stream(root: np.uint64, pixel: int) -> np.uint64:
     """Return the stream of a pixel (slot, particle), a whole number >= 0."""
-    mixed: np.uint64 = _mix(root + np.uint64(pixel) * _GOLDEN)
+    mixed: np.uint64 = _mix(root + np.uint64(pixel) * GOLDEN)
     return mixed
 
 
-@kept_entry
+@cached_entry
 def streams(root: np.uint64, n: int) -> npt.NDArray[np.uint64]:
     """Return the streams of pixels 0 to n - 1, (n,) uint64."""
     out = np.empty(n, np.uint64)
@@ -57,7 +52,7 @@ def streams(root: np.uint64, n: int) -> npt.NDArray[np.uint64]:
 @kernel
 def word(base: np.uint64, index: int) -> np.uint64:
     """Return number `index` >= 0 of a stream, 64 bits."""
-    mixed: np.uint64 = _mix(base + (np.uint64(index) + _ONE) * _GOLDEN)
+    mixed: np.uint64 = _mix(base + (np.uint64(index) + _ONE) * GOLDEN)
     return mixed
 
 
@@ -101,11 +96,11 @@ def _fill(streams: npt.NDArray[np.uint64], index: int, out: npt.NDArray[np.float
         out[k] = radius * _cosine(np.float32((bits >> _S16) & _MASK) * _UNIT_24)
 
 
-@kept_entry
+@cached_entry
 def normals(streams: npt.NDArray[np.uint64], index: int) -> npt.NDArray[np.float32]:
     """Return normal number `index` >= 0 of each stream, (n,) float32: Box-Muller on 48 of the word's bits.
 
-    Many at once, 0.8 ns each; not the numbers of `keyed.normal`, which are made of all 64 bits.
+    0.8 ns each. They differ from the numbers of `keyed.normal`, which use all 64 bits.
     """
     out = np.empty(streams.size, np.float32)
     _fill(streams, index, out)

@@ -1,7 +1,7 @@
-"""Plain difference of two pictures: AirSim's rule, and the basic one of Ziegler et al. (arXiv 2209.04634).
+"""Difference of two frames: AirSim's rule, and the basic one of Ziegler et al. (arXiv 2209.04634).
 
-A pixel fires as often as the change of log light from one picture to the next holds its threshold; there is no filter,
-no leak and no reference, so that what a step leaves over is forgotten. Events are spread evenly, the last at the end.
+The number of events is the change of log light between two frames over the threshold, rounded down. There is no filter,
+no leak and no reference: the rest of the change is lost. Events are spread evenly, the last at the end of the step.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ __all__ = ["FrameDifference"]
 
 
 class FrameDifference(Rule):
-    """The change since the last picture, counted in thresholds."""
+    """Events by the change of log light since the last frame, in thresholds."""
 
     def _fire(self, frame: Frame) -> Fired:
-        change = np.where(frame.seen, frame.u1, 0) - np.where(frame.seen, frame.u0, 0)
+        change = np.where(frame.readable, frame.u1, 0) - np.where(frame.readable, frame.u0, 0)
         on = change > 0
         counts = np.floor(np.abs(change) / np.where(on, self._drawn.on, self._drawn.off)).astype(np.int64)
         pixel, k = each(counts)

@@ -4,9 +4,10 @@
     reference    reduced by leakage, that of the junction and that by light: r -= (leak + by_light i) h
     difference   d = v - r
     no reset     N = floor(d / theta), r += N theta
-    reset        blind all through: r = v. Else d is scaled by the share of the step that is left after the reset that
-                 was going on, and is taken to grow evenly over it, at s: a first event if d >= theta, at theta / s;
-                 then as many more as periods of reset and event, t_ref + theta / s, fit. The last reset is not counted
+    reset        in reset for the whole step: r = v. Else d is scaled by the share of the step that is left after the
+                 reset that was going on, and is taken to grow evenly over it, at s: a first event if d >= theta, at
+                 theta / s; then as many more as periods of reset and event, t_ref + theta / s, fit. The last reset is
+                 not counted
     event times  the step in N equal slots, each event a keyed uniform share of its slot after its start
 
 The paper does not tell where the reference is after a reset within the step; here it is on the even growth at the end
@@ -41,9 +42,9 @@ class Pangu(Rule):
         self._fired = np.zeros(self._drawn.on.size, np.int64)
         self._raw = np.zeros((parameters.height, parameters.width, len(RAW_CHANNELS)), np.float32)
 
-    def reset(self, light: npt.NDArray[np.float32], t_ns: int) -> None:
+    def reset(self, light: npt.NDArray[np.float32], t_ns: int, rate: npt.NDArray[np.float32] | None = None) -> None:
         """See `Rule`."""
-        super().reset(light, t_ns)
+        super().reset(light, t_ns, rate)
         self._fired[:] = 0
         nothing = np.full(self._fired.size, np.nan)
         self._keep_raw(np.zeros(self._fired.size), nothing, nothing)
@@ -53,10 +54,10 @@ class Pangu(Rule):
         return self._raw.copy()
 
     def _fire(self, frame: Frame) -> Fired:
-        u1 = np.where(frame.seen, frame.u1, self._v)
+        u1 = np.where(frame.readable, frame.u1, self._v)
         self._v = self._v + np.minimum(1.0, self._rate(u1) * frame.h_s) * (u1 - self._v)
         self._r = self._r - (self._drawn.leak + self._by_light * np.exp(u1)) * frame.h_s
-        apart = np.where(frame.seen, self._v - self._r, 0.0)
+        apart = np.where(frame.readable, self._v - self._r, 0.0)
         on, theta = apart > 0, np.where(apart > 0, self._drawn.on, self._drawn.off)
         refractory_ns = self._refractory_ns()
         if refractory_ns:
@@ -65,7 +66,7 @@ class Pangu(Rule):
             counts = np.floor(np.abs(apart) / theta).astype(np.int64)
             first = np.where(counts > 0, theta / np.where(counts > 0, np.abs(apart), 1), np.nan)
             self._r = self._r + counts * np.where(on, theta, -theta)
-        end_ns = np.where(self._blind_until_ns > frame.t0_ns, self._blind_until_ns - frame.t0_ns, np.nan)
+        end_ns = np.where(self._refractory_until_ns > frame.t0_ns, self._refractory_until_ns - frame.t0_ns, np.nan)
         self._keep_raw(np.where(on, counts, -counts), first * frame.h_ns, end_ns)
         pixel, k = each(counts)
         jitter = uniform(self.seed, Purpose.SLOT, pixel, self._fired[pixel] + k)
@@ -76,7 +77,7 @@ class Pangu(Rule):
         self, frame: Frame, apart: _Float64s, theta: _Float64s, refractory_ns: int
     ) -> tuple[_Int64s, _Float64s]:
         """Return counts and the share of the step at which the first event is due (NaN: none); move the references."""
-        waits = np.clip((self._blind_until_ns - frame.t0_ns) / frame.h_ns, 0, 1)
+        waits = np.clip((self._refractory_until_ns - frame.t0_ns) / frame.h_ns, 0, 1)
         reset = refractory_ns / frame.h_ns
         free = 1 - waits
         apart = apart * free
@@ -89,9 +90,9 @@ class Pangu(Rule):
         inside = fires & (last_end < 1)
         reference = np.where(inside, self._v - apart + grown, self._v)
         reference = np.where(fires | (waits >= 1), reference, self._v - apart)
-        self._r = np.where(frame.seen, reference, self._r)
+        self._r = np.where(frame.readable, reference, self._r)
         ends_ns = frame.t0_ns + (last_end * frame.h_ns).astype(np.int64)
-        self._blind_until_ns = np.where(fires, ends_ns, self._blind_until_ns)
+        self._refractory_until_ns = np.where(fires, ends_ns, self._refractory_until_ns)
         return counts, np.where(fires, waits + per_event, np.nan)
 
     def _keep_raw(self, counts: _Float64s, first_ns: _Float64s, end_ns: _Float64s) -> None:

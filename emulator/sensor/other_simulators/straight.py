@@ -1,14 +1,14 @@
 """A straight line in log light, no filter and no leak: Sikorski's rule and ESIM's.
 
-Both draw the log of each pixel's light as a straight line from picture to picture and fire where it meets the next
-level. What keeps them apart:
+Both interpolate the log of each pixel's light linearly between frames, and fire where the line meets the next level.
+The differences:
 
                          Sikorski                        ESIM
     a level met exactly  fires                           must lie above (ON) or below (OFF) where the line starts: a
-    at the line's start                                  signal that turned at a level is deaf to it from then on
-    small changes        count                           below 1e-6 do not
-    thresholds           each pixel's own                ESIM draws them anew for each pixel and picture; here only if
-                                                         asked for (`redraw`), because then pixels die
+    at the line's start                                  signal that turned at a level never meets it again
+    small changes        are used                        below 1e-6 are ignored
+    thresholds           each pixel's own                ESIM draws them again for each pixel and frame; here only with
+                                                         `redraw`, because pixels then die
 
 In both, crossings within the refractory period of the last event ("latency") are lost, and the reference moves on.
 
@@ -37,12 +37,12 @@ _NEVER_NS = -(1 << 62)
 
 
 class Sikorski(Rule):
-    """A straight line in log light, met levels fire."""
+    """Sikorski's rule: a straight line in log light; every level that it meets fires."""
 
-    def reset(self, light: npt.NDArray[np.float32], t_ns: int) -> None:
+    def reset(self, light: npt.NDArray[np.float32], t_ns: int, rate: npt.NDArray[np.float32] | None = None) -> None:
         """See `Rule`."""
-        super().reset(light, t_ns)
-        self._blind_until_ns[:] = _NEVER_NS
+        super().reset(light, t_ns, rate)
+        self._refractory_until_ns[:] = _NEVER_NS
 
     def _thresholds(self, on: _Bools) -> _Float64s:
         return np.where(on, self._drawn.on, self._drawn.off)
@@ -55,10 +55,10 @@ class Sikorski(Rule):
         return np.where(u1 > u0, level <= u1, level >= u1)
 
     def _fire(self, frame: Frame) -> Fired:
-        """Go level by level, with those lines that met the last one."""
+        """Proceed level by level, with the lines that met the last one."""
         up = frame.u1 > frame.u0
         theta = np.where(up, 1, -1) * self._thresholds(up)
-        pixel = np.flatnonzero(frame.seen & self._moves(frame.u0, frame.u1))
+        pixel = np.flatnonzero(frame.readable & self._moves(frame.u0, frame.u1))
         met, shares = [pixel[:0]], [np.empty(0)]
         while pixel.size:
             level, u0, u1 = self._r[pixel] + theta[pixel], frame.u0[pixel], frame.u1[pixel]
@@ -74,18 +74,20 @@ class Sikorski(Rule):
 
     def _pass(self, pixel: _Int64s, t_ns: _Int64s) -> _Bools:
         """Tell which crossings lie outside the refractory period, and begin new ones."""
-        passes = t_ns >= self._blind_until_ns[pixel]
-        self._blind_until_ns[pixel[passes]] = t_ns[passes] + self._refractory_ns()
+        passes = t_ns >= self._refractory_until_ns[pixel]
+        self._refractory_until_ns[pixel[passes]] = t_ns[passes] + self._refractory_ns()
         return passes
 
 
 class Esim(Sikorski):
-    """A straight line in log light under ESIM's comparisons.
+    """ESIM's rule: a straight line in log light, with ESIM's comparisons.
 
     Parameters
     ----------
-    parameters, seed : see `Rule`.
-    redraw : draw every pixel's thresholds anew in each step, with the sensor's mismatch.
+    parameters, seed
+        See `Rule`.
+    redraw : bool
+        Whether every pixel's thresholds are drawn again in each step, with the sensor's mismatch.
     """
 
     def __init__(self, parameters: SensorParameters, seed: int, redraw: bool = False) -> None:

@@ -1,8 +1,8 @@
-"""The pixel array: from pictures of light to threshold crossings with exact times.
+"""The pixel array: from frames of light to threshold crossings with exact times.
 
-All that a pixel remembers is in one `PixelState`; everything else follows from the parameters and the seed. Nothing
-refers to absolute time but whole nanoseconds: leak is counted from an epoch that moves every 2^33 ns (8.6 s), so a step
-30 days into a stream equals the same step at its start.
+The whole memory of a pixel is in one `PixelState`; all other figures follow from the parameters and the seed. Absolute
+time is used as whole nanoseconds only: leak is counted from an epoch that moves every 2^33 ns (8.6 s), so a step 30
+days into a stream equals the same step at its start.
 """
 
 from __future__ import annotations
@@ -14,14 +14,15 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.light import PixelLight
-from emulator.sensor.numerics.compiled import say_if_not_compiled
+from emulator.sensor.numerics.compiled import log_compilation
 from emulator.sensor.numerics.keyed import Purpose, normal, uniform
 from emulator.sensor.pixels.candidates import new_table
-from emulator.sensor.pixels.interpolation import SUSPECT
+from emulator.sensor.pixels.faults import ArrayFaults
+from emulator.sensor.pixels.interpolation import UNSEEN_SHARE
 from emulator.sensor.pixels.quiet_pass import Tally, advance, unpack
-from emulator.sensor.pixels.refinement import SHORTEST_NS, Halving
-from emulator.sensor.pixels.state import BLOCK, FIELDS, Field, Pixels, StepConstants
-from emulator.sensor.pixels.subset import new_aside
+from emulator.sensor.pixels.refinement import SHORTEST_NS, Refinement
+from emulator.sensor.pixels.state import BLOCK, FIELDS, Field, Pixels, PixelState, StepConstants
+from emulator.sensor.pixels.subset import new_subset
 from emulator.sensor.presets import SensorParameters
 
 __all__ = ["Crossings", "PixelArray", "PixelState", "light_constants"]
@@ -34,7 +35,7 @@ _LEAST_THRESHOLD = 0.1  # of the nominal one, however far the mismatch would go
 
 _Float32s = npt.NDArray[np.float32]
 _NO_RATE = np.empty(0, np.float32)
-_NO_ROOM = new_aside(0)
+_NO_SUBSET = new_subset(0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,10 +44,14 @@ class Crossings:
 
     Attributes
     ----------
-    t_ns : (n,) int64, stream time.
-    pixel : (n,) uint32, row * width + column.
-    on : (n,) bool, True where it got brighter.
-    lost_in_pixel : crossings of this step that are not listed, because their pixel had more than 64.
+    t_ns : (n,) int64
+        Stream time.
+    pixel : (n,) uint32
+        row * width + column.
+    on : (n,) bool
+        True where the light increased.
+    lost_in_pixel : int
+        Crossings of this step that are not listed, because their pixel had more than 64.
     """
 
     t_ns: npt.NDArray[np.int64]
@@ -59,36 +64,16 @@ class Crossings:
 
 
 @dataclass(slots=True)
-class PixelState:
-    """All that changes from step to step; copy it to continue elsewhere.
-
-    Attributes
-    ----------
-    fields : (blocks, FIELDS, BLOCK) float32, see `layout.Field`; pixels beyond the picture's end never fire.
-    blind_until_ns : (blocks * BLOCK,) int64, meaningful for blind pixels (reference NaN).
-    t_ns : stream time.
-    epoch_ns : where leak is counted from.
-    slopes_known : whether the last picture came with its time derivative.
-    """
-
-    fields: _Float32s
-    blind_until_ns: npt.NDArray[np.int64]
-    t_ns: int
-    epoch_ns: int
-    slopes_known: bool
-
-
-@dataclass(slots=True)
-class _Room:
-    """Buffers that grow when needed and are kept."""
+class _EventBuffers:
+    """Buffers of events that grow on demand and are used again."""
 
     keys: npt.NDArray[np.uint64] = field(default_factory=lambda: np.empty(4096, np.uint64))
     t_ns: npt.NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
     pixel: npt.NDArray[np.uint32] = field(default_factory=lambda: np.empty(0, np.uint32))
     on: npt.NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, np.bool_))
 
-    def fit(self, n: int) -> None:
-        """Make room for n events, keeping those that are there."""
+    def reserve(self, n: int) -> None:
+        """Provide space for n events; the present ones stay."""
         if n > self.t_ns.size:
             more = max(n, 2 * self.t_ns.size) - self.t_ns.size
             self.t_ns = np.concatenate([self.t_ns, np.empty(more, np.int64)])
@@ -101,19 +86,29 @@ class PixelArray:
 
     Parameters
     ----------
-    parameters : the sensor.
-    seed : keys the mismatch, the leak's phases and spread. Two arrays of one seed are equal.
+    parameters : SensorParameters
+        The sensor.
+    seed : int
+        Keys the mismatch, the phases and the spread of the leak. Two arrays with one seed are equal.
 
     Attributes
     ----------
     state : PixelState
-    lost_in_pixel : crossings since `reset` beyond 64 a pixel and step.
-    quiet_nan : pixel-steps since `reset` whose light was NaN or infinite; such a pixel is silent, and its filter starts
-        anew from the next finite light.
-    suspects, candidates : pixel-steps since `reset` whose light did something between the pictures that they do not
-        show (see `trust`; told only where the time derivative is given), and those that had to be solved for crossings.
-    halved : suspects that were solved in halves instead; so many lights of a pixel were asked for.
+    lost_in_pixel : int
+        Crossings since `reset` beyond 64 of a pixel and step.
+    quiet_nan : int
+        Pixel-steps since `reset` whose light was NaN or infinite; such a pixel is silent, and its filter starts again
+        from the next finite light.
+    candidates, undersampled : int
+        Pixel-steps since `reset` that had to be solved for crossings, and those whose light changed between the frames
+        in a way that the frames do not show (see `interpolation`; known only where the time derivative is given).
+    refined : int
+        Undersampled pixel-steps that were halved instead; each asked for one light of a pixel.
+    renderer : None
+        The processor computes the pixels.
     """
+
+    renderer: str | None = None
 
     def __init__(self, parameters: SensorParameters, seed: int) -> None:
         self.parameters = parameters
@@ -124,13 +119,13 @@ class PixelArray:
         self._pixel_bits = max(1, (self._pixels - 1).bit_length())
         self._refractory_ns = round(parameters.refractory_us * 1000)
         self._light_constants = light_constants(parameters)
-        self._room = _Room()
+        self._buffers = _EventBuffers()
         self._table = new_table()
         self.state = self._dark_state()
-        self._halving: Halving | None = None
+        self._refinement: Refinement | None = None
 
     def _dark_state(self) -> PixelState:
-        """Return the state of an array that never saw light: what is fixed for each pixel is drawn."""
+        """Return the state before the first light, with the fixed figures of each pixel drawn."""
         blocks = -(-self._pixels // BLOCK)
         fields = np.zeros((blocks, FIELDS, BLOCK), np.float32)
         fields[:, Field.ON] = fields[:, Field.OFF] = np.inf
@@ -147,8 +142,22 @@ class PixelArray:
         return PixelState(fields, np.zeros(blocks * BLOCK, np.int64), 0, 0, False)
 
     def _clear_counters(self) -> None:
-        self.lost_in_pixel = self.quiet_nan = self.suspects = self.candidates = 0
-        self.halved = 0
+        self.lost_in_pixel = self.quiet_nan = self.undersampled = self.candidates = 0
+        self.refined = 0
+
+    @property
+    def settled_ns(self) -> int:
+        """Stream time up to which all crossings have been returned."""
+        return self.state.t_ns
+
+    @property
+    def undersampled_share(self) -> float:
+        """Undersampled pixel-steps over those that had to be solved."""
+        return self.undersampled / max(self.candidates, 1)
+
+    def faults(self) -> ArrayFaults:
+        """Return the access to defects and to the leak."""
+        return ArrayFaults(self, self._pixels)
 
     def field(self, which: Field) -> _Float32s:
         """Return a copy of one field of the state, (height, width) float32."""
@@ -156,11 +165,11 @@ class PixelArray:
 
     def reset(self, light: _Float32s, t_ns: int, rate: _Float32s | None = None) -> None:
         """Start at `t_ns` with the filter at rest on `light`, and counters at zero; `light` and `rate` as in `step`."""
-        say_if_not_compiled(advance, "the pixel step")
+        log_compilation(advance, "the pixel step")
         state, p = self.state, self.parameters
         flat, slope = self._flat(light), _NO_RATE if rate is None else self._flat(rate)
         state.t_ns, state.epoch_ns = int(t_ns), (int(t_ns) >> _EPOCH_BITS) << _EPOCH_BITS
-        state.blind_until_ns[:] = t_ns
+        state.refractory_until_ns[:] = t_ns
         current = np.maximum(flat, 0) + np.float32(p.dark_current_relative)
         current[~np.isfinite(flat)] = np.nan
         log_light = np.log(current)
@@ -187,20 +196,24 @@ class PixelArray:
     ) -> Crossings:
         """Move from the last time to `t_ns`.
 
-        The log of the light changes along the cubic through its values and time derivatives at both ends; where only
-        one derivative is known along a parabola; without any, or in steps longer than an epoch, along a straight line.
+        Log light follows the cubic through its values and time derivatives at both ends; the parabola where only one
+        derivative is known; the straight line without derivatives, or in steps longer than an epoch.
 
         Parameters
         ----------
-        light : (height, width) float32, relative to the reference level; below 0 counts as 0.
-        t_ns : stream time of that picture. Equal to the last time: nothing happens.
-        rate : (height, width) float32, the light's time derivative at `t_ns`, a second. Not finite: not known there.
-        at : tells the light of single pixels in between. With it and `rate`, suspects are solved in halves.
+        light : (height, width) float32
+            Relative to the reference level; values below 0 count as 0.
+        t_ns : int
+            Stream time of that frame. If it equals the last time, the step is empty.
+        rate : (height, width) float32, optional
+            Time derivative of the light at `t_ns`, per second; not finite where unknown.
+        at : PixelLight, optional
+            Gives the light of single pixels in between. With it and `rate`, undersampled steps are refined.
 
         Raises
         ------
         ValueError
-            Time goes back, or a picture has not the sensor's size.
+            Time goes back, or a frame does not have the sensor's size.
         """
         flat, slope = self._flat(light), _NO_RATE if rate is None else self._flat(rate)
         state, lost_before = self.state, self.lost_in_pixel
@@ -211,9 +224,9 @@ class PixelArray:
         if t_ns - state.t_ns > _EPOCH_NS:
             n, slope = self._whole_epochs(flat, t_ns), _NO_RATE
         if t_ns > state.t_ns:
-            n = self._piece((flat, slope), t_ns, n, at)
-        room = self._room
-        return Crossings(room.t_ns[:n], room.pixel[:n], room.on[:n], self.lost_in_pixel - lost_before)
+            n = self._advance((flat, slope), t_ns, n, at)
+        found = self._buffers
+        return Crossings(found.t_ns[:n], found.pixel[:n], found.on[:n], self.lost_in_pixel - lost_before)
 
     def _whole_epochs(self, flat: _Float32s, t_ns: int) -> int:
         """Advance by whole epochs, on a straight line in log light, until at most one is left; return the number."""
@@ -221,43 +234,44 @@ class PixelArray:
         before, t0_ns = _take(state.fields, Field.LOG_LIGHT, self._pixels), state.t_ns
         while t_ns - state.t_ns > _EPOCH_NS:
             share = (state.t_ns + _EPOCH_NS - t0_ns) / (t_ns - t0_ns)
-            n = self._piece((self._between(before, flat, share), _NO_RATE), state.t_ns + _EPOCH_NS, n)
+            n = self._advance((self._between(before, flat, share), _NO_RATE), state.t_ns + _EPOCH_NS, n)
         return n
 
     def _between(self, log_before: _Float32s, light: _Float32s, share: float) -> _Float32s:
-        """Return the light part of the way, on a straight line in the logarithm of the photocurrent."""
+        """Return the light at a share of the step, on a straight line in the logarithm of the photocurrent."""
         dark = np.float32(self.parameters.dark_current_relative)
         log_after = np.log(np.maximum(light, 0) + dark)
         return np.asarray(np.exp(log_before + np.float32(share) * (log_after - log_before)) - dark, np.float32)
 
-    def _piece(self, picture: tuple[_Float32s, _Float32s], t_ns: int, n: int, at: PixelLight | None = None) -> int:
+    def _advance(self, frame: tuple[_Float32s, _Float32s], t_ns: int, n: int, at: PixelLight | None = None) -> int:
         """Advance by at most an epoch, add the crossings after the first n, and return the new number."""
-        state, room, slope = self.state, self._room, picture[1]
+        state, buffers, slope = self.state, self._buffers, frame[1]
         self._move_epoch()
         if slope.size and not state.slopes_known:
             state.fields[:, Field.SLOPE] = np.nan
         state.slopes_known = bool(slope.size)
         t0_ns, with_slopes = state.t_ns, bool(slope.size)
-        halving = self._halves() if with_slopes and at is not None and t_ns - t0_ns >= SHORTEST_NS else None
+        refines = with_slopes and at is not None and t_ns - t0_ns >= SHORTEST_NS
+        refinement = self._made_refinement() if refines else None
         pixels, c = (
-            Pixels(state.fields.reshape(-1), state.blind_until_ns),
+            Pixels(state.fields.reshape(-1), state.refractory_until_ns),
             self._constants(t0_ns, t_ns, not with_slopes),
         )
-        if halving is None or at is None:
-            room.keys, found, tally = advance(picture, pixels, self._table, _NO_ROOM, room.keys, c)
+        if refinement is None or at is None:
+            buffers.keys, found, tally = advance(frame, pixels, self._table, _NO_SUBSET, buffers.keys, c)
         else:
-            room.keys, found, tally = halving.step(picture, pixels, room.keys, c, at)
+            buffers.keys, found, tally = refinement.step(frame, pixels, buffers.keys, c, at)
         self._count(tally)
         if found:
-            keys = room.keys[:found]
+            keys = buffers.keys[:found]
             keys.sort()
-            room.fit(n + found)
-            unpack(keys, t0_ns, self._pixel_bits, room.t_ns[n : n + found], room.pixel[n:], room.on[n:])
+            buffers.reserve(n + found)
+            unpack(keys, t0_ns, self._pixel_bits, buffers.t_ns[n : n + found], buffers.pixel[n:], buffers.on[n:])
         state.t_ns = t_ns
         return n + int(found)
 
     def _move_epoch(self) -> None:
-        """Let leak be counted from the last whole epoch: the one place where a reference moves without an event."""
+        """Count leak from the last whole epoch: the only place where a reference moves without an event."""
         state = self.state
         epoch_ns = (state.t_ns >> _EPOCH_BITS) << _EPOCH_BITS
         if epoch_ns != state.epoch_ns:
@@ -265,23 +279,23 @@ class PixelArray:
             state.fields[:, Field.REFERENCE] -= state.fields[:, Field.LEAK] * moved_s
             state.epoch_ns = epoch_ns
 
-    def _halves(self) -> Halving:
-        """Return what solves suspects in halves, made when first needed."""
-        if self._halving is None:
+    def _made_refinement(self) -> Refinement:
+        """Return the refinement, which is made when first needed."""
+        if self._refinement is None:
             dark, at_reference, least, most = self._light_constants
             resting = np.zeros(FIELDS, np.float32)
             resting[[Field.LOG_LIGHT, Field.FILTERED, Field.REFERENCE, Field.SECOND]] = np.log(dark)
             resting[Field.RATE] = np.clip(at_reference * dark, least, most)
             resting[[Field.ON, Field.OFF]] = np.inf
-            self._halving = Halving(self.state.fields.shape[0], resting, self._table, self._constants)
-        return self._halving
+            self._refinement = Refinement(self.state.fields.shape[0], resting, self._table, self._constants)
+        return self._refinement
 
     def _count(self, tally: Tally) -> None:
         self.lost_in_pixel += tally.lost
-        self.suspects += tally.suspects
+        self.undersampled += tally.undersampled
         self.candidates += tally.candidates
         self.quiet_nan += tally.unreadable
-        self.halved += tally.aside
+        self.refined += tally.refined
 
     def _constants(self, t0_ns: int, t1_ns: int, chord: bool = False) -> StepConstants:
         p, (dark, at_reference, least, most) = self.parameters, self._light_constants
@@ -302,14 +316,14 @@ class PixelArray:
             refractory_ns=self._refractory_ns,
             pixel_bits=self._pixel_bits,
             chord=chord,
-            trust=SUSPECT,
-            halve=False,
+            unseen_share=UNSEEN_SHARE,
+            refine=False,
         )
 
-    def _flat(self, picture: _Float32s) -> _Float32s:
-        if picture.shape != self._size or picture.dtype != np.float32:
-            raise ValueError(f"light or rate is {picture.shape} {picture.dtype}: must be {self._size} float32")
-        return np.ascontiguousarray(picture).reshape(-1)
+    def _flat(self, frame: _Float32s) -> _Float32s:
+        if frame.shape != self._size or frame.dtype != np.float32:
+            raise ValueError(f"light or rate is {frame.shape} {frame.dtype}: must be {self._size} float32")
+        return np.ascontiguousarray(frame).reshape(-1)
 
 
 def _take(fields: _Float32s, which: Field, pixels: int) -> _Float32s:
@@ -325,7 +339,7 @@ def _put(fields: _Float32s, which: Field, values: npt.NDArray[np.floating]) -> N
 
 
 def light_constants(p: SensorParameters) -> tuple[np.float32, np.float32, np.float32, np.float32]:
-    """Return the dark current, the filter's rate at light 1 and its bounds, rad/s."""
+    """Return the dark current, relative, the filter's rate at light 1, and the bounds of that rate, rad/s."""
     at_reference, least, most = (
         (_NO_LOW_PASS_RATE,) * 3
         if math.isinf(p.corner_hz_at_reference)

@@ -1,16 +1,16 @@
-"""The photoreceptor's low-pass over a stretch of time, solved in warped time; float32, for loops that become vectors.
+"""The photoreceptor's low-pass over an interval of time, solved in warped time; float32, for loops that become vectors.
 
-Log light u runs from u0 to u1 with slopes at both ends; the filter follows it at the rate lambda, which follows the
-light. In warped time s, the integral of lambda dt, the filter's time constant is one, whatever the light does:
+Log light u goes from u0 to u1 with given slopes at both ends; the filter follows it at the rate lambda, which depends
+on the light. In warped time s, the integral of lambda dt, the filter's time constant is one at any light:
 
-    dv/ds = u - v,    u(s) = the cubic through u0, u1 with the slopes w0, w1 (per whole stretch S) at the ends
+    dv/ds = u - v,    u(s) = the cubic through u0, u1 with the slopes w0, w1 (per whole interval S) at the ends
     v(s)  = u - u' + u'' - u''' + B e^-s                    (primes: d/ds), B such that v(0) = v0
 
-Everything below is of fourth order in the length of the stretch.
+All formulas below are of fourth order in the length of the interval.
 
-A second pole of fixed rate follows v: dw/dt = lambda2 (v - w). Up to S = 1, v is taken as the cubic in time through its
-values and slopes. On longer stretches, where no cubic holds B e^-s and the first slope alone may throw it off by many
-times B, that is done with the steady part of v only; what B e^-s adds has a closed form, good where both rates meet.
+A second pole of fixed rate follows v: dw/dt = lambda2 (v - w). Up to S = 1, v is the cubic in time through its values
+and slopes. On longer intervals no cubic holds B e^-s, and the first slope alone may put it off by many times B; there
+the cubic is used for the steady part of v only, and B e^-s has a closed form, which is accurate where both rates meet.
 """
 
 from __future__ import annotations
@@ -40,15 +40,15 @@ _THIRD, _TWELFTH, _A_384TH = np.float32(1 / 3), np.float32(1 / 12), np.float32(1
 # k = 1/6 - s/24 + s^2/120 ... for s in [0, 0.5]: Chebyshev's polynomial of third degree, within 9e-8.
 _K0, _K1, _K2, _K3 = (np.float32(x) for x in (0.16666658, -0.04166122, 0.00827807, -0.00120679))
 _SERIES_UP_TO = np.float32(0.5)  # beyond, the closed forms lose less than the series
-_SHORTEST = np.float32(0.01)  # below, a cubic misses nothing of an exponential that float32 could hold
-_FAST = np.float32(100)  # from here on an exponential below _FAINT is rounding noise, which its slope would magnify
+_SHORTEST = np.float32(0.01)  # below, the error of a cubic for an exponential is below the resolution of float32
+_FAST = np.float32(100)  # above, an exponential below _FAINT is rounding noise, which its slope would amplify
 _FAINT = np.float32(1e-5)
 _LEAST_GAP = np.float32(1e-6)
 _LINEAR, _OFFSET = np.float32(0.16), np.float32(0.2)
 
 
 class Course(NamedTuple):
-    """Log light over a stretch: its warped length s, its change d, and its slopes at both ends per whole stretch."""
+    """Log light over an interval: its warped length s, its change d, and its slopes at both ends per interval."""
 
     s: Real
     d: Real
@@ -57,16 +57,16 @@ class Course(NamedTuple):
 
 
 class Transient(NamedTuple):
-    """What the filter's answer has beside its steady part: the weight b of e^-s, and the steady lags at both ends."""
+    """The exponential part of the filter's answer: the weight b of e^-s; and the steady lags at both ends."""
 
     b: Real
     lag0: Real
     lag1: Real
-    faint: Real  # whether b is rounding noise, to be left out
+    faint: Real  # whether b is rounding noise, and is to be ignored
 
 
 class Filtered(NamedTuple):
-    """The filter over a stretch: what it lacks of the light at both ends, its rise, and rates times the length."""
+    """The filter over an interval: its distance from the light at both ends, its rise, and rates times the length."""
 
     behind0: Real
     behind1: Real
@@ -79,8 +79,8 @@ class Filtered(NamedTuple):
 def warped_time(h: Real, rates: tuple[Real, Real], a0: Real, a1: Real, c: StepConstants) -> Real:
     """Return the integral of the rate over h seconds, while the log light changes with slopes a0, a1 (per h).
 
-    The trapezium with its end correction, for a rate that goes with the light except at its bounds; at least the lower
-    of the two rates.
+    This is the trapezium rule with end correction, for a rate proportional to the light except at its bounds; the mean
+    rate is at least the lower one of both ends.
     """
     l0, l1 = rates
     bend0 = l0 * a0 if (l0 > c.rate_min) & (l0 < c.rate_max) else _ZERO
@@ -90,7 +90,7 @@ def warped_time(h: Real, rates: tuple[Real, Real], a0: Real, a1: Real, c: StepCo
 
 @lane
 def rise_of_filter(q: Real, behind: Real, u: Course) -> Real:
-    """Return v1 - v0, with behind = u0 - v0 and q = 1 - e^-s. Its rounding shrinks with s.
+    """Return v1 - v0, with behind = u0 - v0 and q = 1 - e^-s. The rounding error shrinks with s.
 
     With the integrals I0 = q / s, I1 = (1 - I0) / s, I2 = (1 - 2 I1) / s, k is (1/2 - I1) / s.
     """
@@ -106,7 +106,7 @@ def rise_of_filter(q: Real, behind: Real, u: Course) -> Real:
 
 @lane
 def transient(behind: Real, u: Course) -> Transient:
-    """Return the exponential that a filter which is `behind` = u0 - v0 adds to its steady lag."""
+    """Return the exponential part of the answer of a filter that starts at `behind` = u0 - v0."""
     inverse = _ONE / max(u.s, _SHORTEST)
     third = _SIX * (u.w0 + u.w1 - _TWO * u.d)  # derivatives of u by s / S
     second = _TWO * (_THREE * u.d - _TWO * u.w0 - u.w1)
@@ -118,18 +118,18 @@ def transient(behind: Real, u: Course) -> Transient:
 
 @lane
 def missed_by_cubic(b: Real, s: Real) -> Real:
-    """Return the most by which a cubic through values and slopes at both ends of a stretch misses b e^-s."""
+    """Return the largest error of a cubic through values and slopes at both ends of an interval for b e^-s."""
     s2 = s * s
     return abs(b) * min(s2 * s2 * _A_384TH, _LINEAR * s + _OFFSET)
 
 
 @lane
 def passed_by_second_pole(s: Real, r0: Real, second: Real) -> Real:
-    """Return what has come of e^-s through a pole of rate `second` at a stretch's end, both rates times its length.
+    """Return the output of a pole of rate `second` for the input e^-s, at the interval's end; rates times its length.
 
-    s is the warped length, r0 the first filter's rate at the start. Its rate is taken as one constant, which does for
-    it what the changing one does, to first order in the change: the mean, s, weighed towards the start the faster e^-s
-    dies. With it the answer is second (e^-r - e^-second) / (second - r).
+    s is the warped length, r0 the first filter's rate at the start. Its rate is taken as one constant that has the
+    effect of the changing one to first order in the change: the mean, s, weighted towards the start the faster e^-s
+    decays. The answer is then second (e^-r - e^-second) / (second - r).
     """
     lead = s - second
     r = r0 + (s - r0) * (_TWO + max(-lead, _ZERO)) / (_THREE + abs(lead))
@@ -141,7 +141,7 @@ def passed_by_second_pole(s: Real, r0: Real, second: Real) -> Real:
 def rise_behind_second_pole(q: Real, behind: Real, second: Real, u: Course, v: Filtered) -> Real:
     """Return w1 - w0, with behind = v0 - w0, and q = 1 - e^-second.
 
-    `second` is the pole's rate times the length of the stretch.
+    `second` is the pole's rate times the length of the interval.
     """
     t = transient(v.behind0, u)
     slow = u.s < _ONE

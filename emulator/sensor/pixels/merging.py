@@ -1,4 +1,4 @@
-"""Lists of crossings put together: from packed keys, one after the other, or merged by time."""
+"""Lists of crossings: made from packed keys, concatenated, or merged by time."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.numerics.cached import kept_entry
+from emulator.sensor.numerics.cached import cached_entry
 from emulator.sensor.pixels.array import Crossings
 from emulator.sensor.pixels.quiet_pass import unpack
 
@@ -16,7 +16,7 @@ __all__ = ["NO_CROSSINGS", "joined", "merged", "unpacked"]
 _Arrays = tuple[npt.NDArray[np.int64], npt.NDArray[np.uint32], npt.NDArray[np.bool_]]
 
 NO_CROSSINGS = Crossings(np.empty(0, np.int64), np.empty(0, np.uint32), np.empty(0, np.bool_))
-"""A step in which nothing happens."""
+"""The crossings of a step in which no pixel fires."""
 
 
 def unpacked(keys: npt.NDArray[np.uint64], t0_ns: int, pixel_bits: int) -> Crossings:
@@ -38,7 +38,7 @@ def joined(parts: Sequence[Crossings]) -> Crossings:
     return Crossings(t_ns, pixel, on, sum(part.lost_in_pixel for part in parts))
 
 
-@kept_entry
+@cached_entry
 def _merge(a: _Arrays, b: _Arrays, out: _Arrays) -> None:
     i = j = 0
     n_a, n_b = a[0].size, b[0].size

@@ -1,6 +1,6 @@
-"""What is drawn once for each pixel of a sensor: the same numbers as `PixelArray` has, in float64.
+"""Thresholds, leak rates and leak phases of each pixel: the numbers of `PixelArray`, in float64.
 
-Every method of one seed thus has the same thresholds, leak rates and phases, and so has the truth.
+All methods and the truth draw them here, so that with one seed all have the same pixels.
 """
 
 from __future__ import annotations
@@ -22,13 +22,16 @@ _Float64s = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Drawn:
-    """Each (pixels,) float64.
+    """Figures drawn once for each pixel.
 
     Attributes
     ----------
-    on, off : thresholds, ln units.
-    leak : ln units a second.
-    phase : share of the ON threshold by which the first reference lies below the first light.
+    on, off : (pixels,) float64
+        Thresholds, ln units.
+    leak : (pixels,) float64
+        Leak, ln units per second.
+    phase : (pixels,) float64
+        Share of the ON threshold by which the first reference lies below the first light.
     """
 
     on: _Float64s
@@ -38,7 +41,7 @@ class Drawn:
 
 
 def draw(parameters: SensorParameters, seed: int) -> Drawn:
-    """Return what `seed` means for the pixels of a sensor."""
+    """Return the figures of a sensor's pixels for a seed."""
     pixel = np.arange(parameters.width * parameters.height)
     on, off = (
         nominal * np.maximum(1 + parameters.mismatch * normal(seed, purpose, pixel), _LEAST_THRESHOLD)

@@ -1,4 +1,4 @@
-"""Events of one step as they are found, unsorted: one number each, so that sorting the numbers sorts the events."""
+"""Packed events of one step, one number each, so that sorting the numbers sorts the events."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ import numpy.typing as npt
 
 from emulator.sensor.numerics.compiled import kernel, kernel_that_allocates
 
-__all__ = ["MOST_EVENTS", "Keys", "pack", "room_for"]
+__all__ = ["MOST_EVENTS", "Keys", "pack", "reserve"]
 
 Keys = npt.NDArray[np.uint64]
 
 MOST_EVENTS = 64
-"""Events of a pixel in a step; crossings beyond are counted as lost in the pixel."""
+"""Most events of a pixel in a step; further crossings are counted as lost in the pixel."""
 
 
 @kernel
@@ -22,7 +22,7 @@ def pack(dt_ns: int, pixel: int, on: int, pixel_bits: int) -> np.uint64:
 
 
 @kernel_that_allocates
-def room_for(keys: Keys, needed: int) -> Keys:
+def reserve(keys: Keys, needed: int) -> Keys:
     """Return `keys`, or a longer copy if it holds fewer than `needed`."""
     if needed <= keys.size:
         return keys

@@ -1,21 +1,21 @@
 """The pixel step in float32: one quiet pass over every pixel, then work for the few that may fire.
 
-What is solved (photocurrent i relative to the reference light, u = ln i, natural logarithms throughout):
+The equations (photocurrent i relative to the reference light, u = ln i, natural logarithms throughout):
 
     rate      lambda = 2 pi f(i), f proportional to i within its bounds
     filter    dv/dt = lambda (u - v), and if there is a second pole dw/dt = lambda2 (v - w); else w is v
-    leak      the reference falls by l each second, and by the parasitic l' i; instead, the filtered value is raised:
-              g = w + l T + the parasitic part, T seconds since the epoch, and the stored reference moves at events only
+    leak      the reference falls by l each second, and by the parasitic l' i; here the filtered value rises instead:
+              g = w + l T + the parasitic part, T seconds since the epoch; the stored reference moves at events only
     crossing  ON when g - reference >= threshold_on, OFF when <= -threshold_off
 
-Between two pictures u is the cubic through its values and time derivatives at both; the filter is solved over S, the
+Between two frames u is the cubic through its values and time derivatives at both; the filter is solved over S, the
 integral of lambda dt, by `lowpass`, and so is the second pole.
 
 The step of a pixel is *quiet* when bounds show that it cannot fire: v stays between v0 and v0 + q (U - v0), with
-q = 1 - e^-S and U the highest (lowest) of u, for which the cubic's Bernstein coefficients are bounds. Most pixels are,
-most of the time, and cost one pass of plain arithmetic. It is *plain* when its light is a cubic to be trusted: known
-slopes, less than 0.5 in log light from end to end, no sign of something unseen between the pictures. What is not quiet
-or not plain goes to `candidates`.
+q = 1 - e^-S and U the highest (lowest) of u, which the cubic's Bernstein coefficients bound. Most steps are quiet and
+cost one pass of plain arithmetic. A step is *smooth* when the cubic describes its light well: known slopes, less than
+0.5 of change in log light, no sign of an unseen change between the frames. A step that is not quiet or not smooth goes
+to `candidates`.
 
 What makes it fast, all measured:
 
@@ -23,12 +23,12 @@ What makes it fast, all measured:
   stays in the nearest caches with its scratch, and all its fields lie at distances known when compiled: LLVM gives up
   on a loop with many separate arrays, because it would have to check each pair for overlap.
 - Loops run from 0 over BLOCK, a constant: no test for negative indices, no remainder, and a pixel's arithmetic does not
-  depend on where in the picture it lies.
+  depend on its place in the frame.
 - Short loops instead of one long: their constants stay in registers.
 - No integer arithmetic in vector loops (numba widens it to 64 bits); logarithm and exponential are polynomials
   (`elementary`), and `compiled` tells which compiler options matter.
-- Slopes are kept by warped time, which saves the divisions by the rate.
-- What few sensors have (second pole, parasitic leak) is a loop of its own, entered block by block or not at all.
+- Slopes are stored by warped time, which saves the divisions by the rate.
+- The second pole and parasitic leak, which few sensors have, are loops of their own, entered once a block or never.
 - The list of candidates is made without a branch, `found[k] = i; k += flag`, and only where a word of flags has any.
 - Candidates are gathered while their block is in the first cache, and solved in batches (`candidates`).
 """
@@ -40,14 +40,14 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.numerics.cached import kept_entry
+from emulator.sensor.numerics.cached import cached_entry
 from emulator.sensor.numerics.compiled import Real, kernel, lane, vector_kernel
 from emulator.sensor.numerics.elementary import decay, exponential, lowest_bit, natural_log
 from emulator.sensor.pixels.candidates import BATCH, Table, gather, gather_rare, select, solve
-from emulator.sensor.pixels.interpolation import is_plain
+from emulator.sensor.pixels.interpolation import is_smooth
 from emulator.sensor.pixels.lowpass import Course, Filtered, rise_behind_second_pole, rise_of_filter, warped_time
 from emulator.sensor.pixels.state import BEFORE_ROWS, BLOCK, FIELDS, Field, Pixels, StepConstants
-from emulator.sensor.pixels.subset import Aside, set_aside
+from emulator.sensor.pixels.subset import Subset, gather_undersampled
 
 __all__ = ["Tally", "advance", "unpack"]
 
@@ -61,13 +61,13 @@ _U0, _V0, _L0, _G0, _A0, _A1, _S, _Q, _W0, _P0, _HIGH, _LOW = BEFORE_ROWS
 
 
 class Tally(NamedTuple):
-    """What a step has to tell beside its events, all in pixel-steps but the first."""
+    """Counts of a step beside its events: crossings in the first field, pixel-steps in the others."""
 
     lost: int  # crossings beyond MOST_EVENTS of a pixel
-    suspects: int  # light that did something between the pictures
+    undersampled: int  # light that changed between the frames in a way that they do not show
     candidates: int  # solved for crossings
     unreadable: int  # light not finite
-    aside: int  # suspects that are not solved, but set aside
+    refined: int  # undersampled, and gathered for refinement instead of being solved
 
 
 _COLLECT = np.uint64(0x0102040810204080)
@@ -76,16 +76,16 @@ _ZERO, _ONE, _HALF = (np.float32(x) for x in (0, 1, 0.5))
 _THIRD, _TWELFTH = np.float32(1 / 3), np.float32(1 / 12)
 _BRIGHTEST = np.finfo(np.float32).max
 _MARGIN = np.float32(5e-6)  # rounding of the quiet test, ln units
-_WIDER = np.float32(1.08)  # covers the error of S for the largest plain change, bounds of the rate included
+_WIDER = np.float32(1.08)  # covers the error of S for the largest smooth change, bounds of the rate included
 _MORE = np.float32(1.5)  # the same for the integral of light
-_BULGE = np.float32(1.2)  # ... and light that is higher inside the step than at its ends: e^x < 1 + 1.2 x there
+_BULGE = np.float32(1.2)  # ... and for light that is higher inside the step than at its ends: e^x < 1 + 1.2 x
 
 
 @vector_kernel
 def _take_light(light: _Float32s, rate: _Float32s, s: _Float32s, before: _Float32s, c: StepConstants) -> None:
-    """Put a block's new log light (NaN where the light is not finite), its slope and rate into the state.
+    """Write a block's new log light (NaN where the light is not finite), its slope and rate to the state.
 
-    The old ones go aside.
+    The old ones go to the scratch rows.
     """
     for i in range(BLOCK):
         e, r = light[i], rate[i]
@@ -100,7 +100,7 @@ def _take_light(light: _Float32s, rate: _Float32s, s: _Float32s, before: _Float3
 
 @vector_kernel
 def _take_light_alone(light: _Float32s, s: _Float32s, before: _Float32s, c: StepConstants) -> None:
-    """Do as `_take_light` without a rate: the log light goes along a straight line, and the slopes say so."""
+    """Write a block's new log light as `_take_light` does, without a rate: the slopes are those of a straight line."""
     for i in range(BLOCK):
         e, u0, l0 = light[i], s[_U + i], s[_L + i]
         current = (e if e > _ZERO else _ZERO) + c.dark
@@ -124,7 +124,7 @@ def _warp(s: _Float32s, before: _Float32s, c: StepConstants) -> None:
 
 @vector_kernel
 def _filter(s: _Float32s, before: _Float32s) -> None:
-    """Put a block's new filtered values into the state, the old ones aside."""
+    """Write a block's new filtered values to the state, the old ones to the scratch rows."""
     for i in range(BLOCK):
         u0, u1, v0 = before[_U0 + i], s[_U + i], s[_V + i]
         warped, g0, g1 = before[_S + i], before[_G0 + i], s[_G + i]
@@ -133,8 +133,8 @@ def _filter(s: _Float32s, before: _Float32s) -> None:
 
 
 @lane
-def _reach(q: Real, behind: Real, d: Real, a0: Real, a1: Real) -> tuple[Real, Real]:
-    """Return by how much the filtered value may rise, and fall (<= 0): by the light's Bernstein coefficients."""
+def _filter_bounds(q: Real, behind: Real, d: Real, a0: Real, a1: Real) -> tuple[Real, Real]:
+    """Return bounds of the filtered value's rise and fall (<= 0), from the light's Bernstein coefficients."""
     first, last = _THIRD * a0, d - _THIRD * a1
     end = max(d, _ZERO)
     top, bottom = max(end, max(first, last)), min(min(d, _ZERO), min(first, last))
@@ -143,10 +143,11 @@ def _reach(q: Real, behind: Real, d: Real, a0: Real, a1: Real) -> tuple[Real, Re
 
 
 @vector_kernel
-def _filter_and_test(s: _Float32s, before: _Float32s, loud: _Bytes, c: StepConstants) -> None:
-    """Do as `_filter`, and put 1 into `loud` where a pixel may fire or is not plain, else 0: the usual case in one.
+def _filter_and_test(s: _Float32s, before: _Float32s, may_fire: _Bytes, c: StepConstants) -> None:
+    """Filter a block, and write 1 to `may_fire` where a pixel may fire or its step is not smooth, else 0.
 
-    Whatever is NaN makes the pixel loud: blind ones, whose reference is NaN, and those with unreadable light.
+    This is the usual case in one loop. NaN in any input gives 1, so pixels in their refractory period, whose reference
+    is NaN, and pixels with unreadable light become candidates and are handled there.
     """
     for i in range(BLOCK):
         u0, u1, v0, q = before[_U0 + i], s[_U + i], s[_V + i], before[_Q + i]
@@ -155,24 +156,24 @@ def _filter_and_test(s: _Float32s, before: _Float32s, loud: _Bytes, c: StepConst
         before[_V0 + i] = v0
         s[_V + i] = v0 + rise_of_filter(q, behind, Course(warped, d, warped * g0, warped * g1))
         on, off, leak, above = s[_ON + i], s[_OFF + i], s[_LEAK + i], v0 - s[_REF + i]
-        rise, fall = _reach(q, behind, d, a0, a1)
+        rise, fall = _filter_bounds(q, behind, d, a0, a1)
         high, low = above + (rise + leak * c.since_epoch_1), above + (fall + leak * c.since_epoch_0)
         quiet = (high < on - _MARGIN) & (low > _MARGIN - off)
-        loud[i] = 0 if quiet & is_plain(d, a0, a1, c.trust * min(on, off)) else 1
+        may_fire[i] = 0 if quiet & is_smooth(d, a0, a1, c.unseen_share * min(on, off)) else 1
 
 
 @vector_kernel
 def _bound(s: _Float32s, before: _Float32s) -> None:
-    """Write bounds of a block's filtered values during the step, for what comes behind the filter."""
+    """Write bounds of a block's filtered values during the step, for the stages behind the filter."""
     for i in range(BLOCK):
         u0, v0, a0, a1 = before[_U0 + i], before[_V0 + i], before[_A0 + i], before[_A1 + i]
-        rise, fall = _reach(before[_Q + i], u0 - v0, s[_U + i] - u0, a0, a1)
+        rise, fall = _filter_bounds(before[_Q + i], u0 - v0, s[_U + i] - u0, a0, a1)
         before[_HIGH + i], before[_LOW + i] = v0 + rise, v0 + fall
 
 
 @vector_kernel
 def _add_second_pole(s: _Float32s, before: _Float32s, c: StepConstants) -> None:
-    """Put what a block has behind the second pole into the state, and its bounds in the place of the filter's."""
+    """Write a block's output of the second pole to the state; its bounds replace those of the filter."""
     q = decay(c.second)
     for i in range(BLOCK):
         u0, u1, v0, w0, warped = before[_U0 + i], s[_U + i], before[_V0 + i], s[_W + i], before[_S + i]
@@ -186,7 +187,7 @@ def _add_second_pole(s: _Float32s, before: _Float32s, c: StepConstants) -> None:
 
 @vector_kernel
 def _add_parasitic(s: _Float32s, before: _Float32s, c: StepConstants) -> None:
-    """Add what light leaks in a block to its pixels' sums and to the bounds: the integral of i, as that of the rate."""
+    """Add a block's parasitic leak, the integral of i, to its pixels' sums and to the bounds."""
     for i in range(BLOCK):
         i0, i1, p0 = exponential(before[_U0 + i]), exponential(s[_U + i]), s[_P + i]
         a0, a1 = before[_A0 + i], before[_A1 + i]
@@ -197,20 +198,23 @@ def _add_parasitic(s: _Float32s, before: _Float32s, c: StepConstants) -> None:
 
 
 @vector_kernel
-def _test(s: _Float32s, before: _Float32s, loud: _Bytes, c: StepConstants) -> None:
-    """Put 1 into `loud` where a block's pixel may fire, by the bounds written, or is not plain; else 0."""
+def _test(s: _Float32s, before: _Float32s, may_fire: _Bytes, c: StepConstants) -> None:
+    """Write 1 to `may_fire` where a pixel's bounds meet a threshold or its step is not smooth, else 0."""
     for i in range(BLOCK):
         on, off, leak, reference = s[_ON + i], s[_OFF + i], s[_LEAK + i], s[_REF + i]
         high = (before[_HIGH + i] - reference) + leak * c.since_epoch_1
         low = (before[_LOW + i] - reference) + leak * c.since_epoch_0
         quiet = (high < on - _MARGIN) & (low > _MARGIN - off)
-        plain = is_plain(s[_U + i] - before[_U0 + i], before[_A0 + i], before[_A1 + i], c.trust * min(on, off))
-        loud[i] = 0 if quiet & plain else 1
+        smooth = is_smooth(s[_U + i] - before[_U0 + i], before[_A0 + i], before[_A1 + i], c.unseen_share * min(on, off))
+        may_fire[i] = 0 if quiet & smooth else 1
 
 
 @kernel
 def _list(eights: npt.NDArray[np.uint64], found: _Int64s) -> int:
-    """Write the indices of a block's loud pixels into `found`; return how many. `eights` is `loud`, eight at a time."""
+    """Write the indices of a block's pixels that may fire into `found`; return how many.
+
+    `eights` is `may_fire` seen as words, eight flags in each.
+    """
     k = 0
     for word in range(BLOCK // 64):
         bits = np.uint64(0)
@@ -225,16 +229,16 @@ def _list(eights: npt.NDArray[np.uint64], found: _Int64s) -> int:
 
 @kernel
 def _quiet_pass(
-    light: _Float32s, rate: _Float32s, s: _Float32s, before: _Float32s, loud: _Bytes, c: StepConstants
+    light: _Float32s, rate: _Float32s, s: _Float32s, before: _Float32s, may_fire: _Bytes, c: StepConstants
 ) -> None:
-    """Move a block over the step as if nothing fired, and flag what may."""
+    """Move a block over the step as if no pixel fired, and flag the pixels that may fire."""
     if c.chord:
         _take_light_alone(light, s, before, c)
     else:
         _take_light(light, rate, s, before, c)
     _warp(s, before, c)
     if (c.second == _ZERO) & (c.parasitic == _ZERO):
-        _filter_and_test(s, before, loud, c)
+        _filter_and_test(s, before, may_fire, c)
         return
     _filter(s, before)
     _bound(s, before)
@@ -242,25 +246,25 @@ def _quiet_pass(
         _add_second_pole(s, before, c)
     if c.parasitic > _ZERO:
         _add_parasitic(s, before, c)
-    _test(s, before, loud, c)
+    _test(s, before, may_fire, c)
 
 
 class _Scratch(NamedTuple):
-    """A block's scratch: BEFORE_ROWS, a last block's light and rate with nothing behind, flags and their indices."""
+    """Buffers for one block: BEFORE_ROWS, padded light and rate of the last block, flags and their indices."""
 
     before: _Float32s
     light: _Float32s
     rate: _Float32s
-    loud: _Bytes
+    may_fire: _Bytes
     found: _Int64s
 
 
 @kernel
-def _padded(values: _Float32s, room: _Float32s) -> _Float32s:
-    """Return `room` with the values in front."""
+def _padded(values: _Float32s, buffer: _Float32s) -> _Float32s:
+    """Return `buffer` with the values in front."""
     for i in range(values.size):
-        room[i] = values[i]
-    return room
+        buffer[i] = values[i]
+    return buffer
 
 
 @kernel
@@ -269,7 +273,7 @@ def _move_block(
 ) -> int:
     """Move the block that begins at pixel `first`, list those that may fire, and return how many.
 
-    A function of its own, because making slices here counts no references.
+    This is a function of its own because its slices then cost no reference counts.
     """
     s = pixels.fields[first * FIELDS : (first + BLOCK) * FIELDS]
     here, rate_here = light[first : first + BLOCK], rate[first : first + BLOCK]
@@ -277,54 +281,61 @@ def _move_block(
         here = _padded(here, scratch.light)
     if rate_here.size < BLOCK and not c.chord:
         rate_here = _padded(rate_here, scratch.rate)
-    _quiet_pass(here, rate_here, s, scratch.before, scratch.loud, c)
-    return int(_list(scratch.loud.view(np.uint64), scratch.found))
+    _quiet_pass(here, rate_here, s, scratch.before, scratch.may_fire, c)
+    return int(_list(scratch.may_fire.view(np.uint64), scratch.found))
 
 
 @kernel
 def _gather_block(
     pixels: Pixels, table: Table, scratch: _Scratch, first: int, listed_and_n: tuple[int, int], c: StepConstants
 ) -> tuple[int, int]:
-    """Add the block's listed pixels to the table, from column n on; return how many, and how many were unreadable."""
+    """Add the block's listed pixels to the table from column n on; return how many, and how many are unreadable."""
     listed, n = listed_and_n
     s = pixels.fields[first * FIELDS : (first + BLOCK) * FIELDS]
-    blind_until_ns = pixels.blind_until_ns[first : first + BLOCK]
-    kept, unreadable = select(scratch.found[:listed], s, scratch.before, blind_until_ns, c)
-    gather(scratch.found[:kept], s, scratch.before, first, table, n)
+    refractory_until_ns = pixels.refractory_until_ns[first : first + BLOCK]
+    selected, unreadable = select(scratch.found[:listed], s, scratch.before, refractory_until_ns, c)
+    gather(scratch.found[:selected], s, scratch.before, first, table, n)
     if (c.second > _ZERO) | (c.parasitic > _ZERO):
-        gather_rare(scratch.found[:kept], s, scratch.before, n, table, c)
-    return kept, unreadable
+        gather_rare(scratch.found[:selected], s, scratch.before, n, table, c)
+    return selected, unreadable
 
 
 @kernel
-def _set_aside_of_block(
-    pixels: Pixels, aside: Aside, scratch: _Scratch, first: int, listed_and_n: tuple[int, int], c: StepConstants
+def _gather_undersampled_of_block(
+    pixels: Pixels, subset: Subset, scratch: _Scratch, first: int, listed_and_n: tuple[int, int], c: StepConstants
 ) -> tuple[int, int]:
-    """Set the suspects among the block's listed pixels aside, after the n that are; return both numbers anew."""
+    """Gather the undersampled of the block's listed pixels; return how many remain and are gathered now."""
     listed, n = listed_and_n
     s = pixels.fields[first * FIELDS : (first + BLOCK) * FIELDS]
-    left, n = set_aside(scratch.found[:listed], s, scratch.before, aside, (first, n), c)
+    left, n = gather_undersampled(scratch.found[:listed], s, scratch.before, subset, (first, n), c)
     return left, n
 
 
-@kept_entry
+@cached_entry
 def advance(
-    picture: tuple[_Float32s, _Float32s], pixels: Pixels, table: Table, aside: Aside, keys: _Keys, c: StepConstants
+    frame: tuple[_Float32s, _Float32s], pixels: Pixels, table: Table, subset: Subset, keys: _Keys, c: StepConstants
 ) -> tuple[_Keys, int, Tally]:
-    """Move all pixels over one step, but those that are set aside: their light alone is up to date.
+    """Move all pixels over one step. Of pixels gathered for refinement only the light moves.
 
     Parameters
     ----------
-    picture : light, (pixels,) float32, at the end of the step; and its time derivative, a second; empty if `c.chord`.
-    pixels : the state, changed in place.
-    table : room for the candidates.
-    aside : room for suspects, if `c.halve`.
-    keys : (any,) uint64, room for the events; replaced by a longer one if it does not do.
-    c : the step.
+    frame : tuple
+        Light at the end of the step, (pixels,) float32, and its time derivative, per second; empty if `c.chord`.
+    pixels : Pixels
+        The state, changed in place.
+    table : Table
+        Buffer for the candidates.
+    subset : Subset
+        Buffer for the undersampled pixels, used if `c.refine`.
+    keys : (any,) uint64
+        Buffer for the events.
+    c : StepConstants
+        The step.
 
     Returns
     -------
-    keys, number of events in it (packed as in `unpack`, unsorted), and what else there is to tell.
+    The keys (a longer copy where they were too short), the number of events in them (packed as in `unpack`, unsorted),
+    and the counts of the step.
     """
     scratch = _Scratch(
         np.empty(len(BEFORE_ROWS) * BLOCK, np.float32),
@@ -333,24 +344,24 @@ def advance(
         np.empty(BLOCK, np.uint8),
         np.empty(BLOCK, np.int64),
     )
-    light, rate = picture
-    n = n_keys = lost = suspects = candidates = unreadable = put_aside = 0
+    light, rate = frame
+    n = n_keys = lost = undersampled = candidates = unreadable = refined = 0
     for first in range(0, light.size, BLOCK):
         listed = _move_block(light, rate, pixels, scratch, first, c)
         if listed == 0:
             continue
-        if c.halve:
-            listed, put_aside = _set_aside_of_block(pixels, aside, scratch, first, (listed, put_aside), c)
-        kept, bad = _gather_block(pixels, table, scratch, first, (listed, n), c)
-        n, candidates, unreadable = n + kept, candidates + kept, unreadable + bad
+        if c.refine:
+            listed, refined = _gather_undersampled_of_block(pixels, subset, scratch, first, (listed, refined), c)
+        selected, bad = _gather_block(pixels, table, scratch, first, (listed, n), c)
+        n, candidates, unreadable = n + selected, candidates + selected, unreadable + bad
         if n > BATCH:
-            keys, n_keys, more, doubtful = solve(pixels, table, n, keys, n_keys, c)
-            lost, suspects, n = lost + more, suspects + doubtful, 0
-    keys, n_keys, more, doubtful = solve(pixels, table, n, keys, n_keys, c)
-    return keys, n_keys, Tally(lost + more, suspects + doubtful, candidates, unreadable, put_aside)
+            keys, n_keys, more, more_undersampled = solve(pixels, table, n, keys, n_keys, c)
+            lost, undersampled, n = lost + more, undersampled + more_undersampled, 0
+    keys, n_keys, more, more_undersampled = solve(pixels, table, n, keys, n_keys, c)
+    return keys, n_keys, Tally(lost + more, undersampled + more_undersampled, candidates, unreadable, refined)
 
 
-@kept_entry
+@cached_entry
 def unpack(
     keys: _Keys, t0_ns: int, pixel_bits: int, t_ns: _Int64s, pixel: npt.NDArray[np.uint32], on: npt.NDArray[np.bool_]
 ) -> None:

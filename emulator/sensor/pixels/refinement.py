@@ -1,11 +1,11 @@
-"""Suspects solved in halves, where their light can be had between two pictures without drawing a third.
+"""Refinement of undersampled steps: the light of such a pixel is asked for between two frames, and its step is halved.
 
-    t0 ---------------- t1     a pixel is suspect in the step between two pictures: its state is set aside,
-    t0 ------ m ------- t1     its light at m is asked for, and both halves are solved by the same kernels;
-         ... m' ...            where a half is suspect still, that half alone is halved again, up to three times
+    t0 ---------------- t1     a pixel is undersampled between two frames: its state is copied to a subset,
+    t0 ------ m ------- t1     its light at m is asked for, and the same kernels solve both halves;
+         ... m' ...            a half that is still undersampled is halved again, up to three times
 
-All that were set aside make up an array of their own, so that a pixel's arithmetic is the one of the whole array and
-does not depend on who else is halved. It costs the scene one light a pixel and halving; pictures cost nothing more.
+All pixels of a subset form an array of their own. The arithmetic of a pixel is that of the whole array, and does not
+depend on which other pixels are refined. A refinement costs the scene the light of one pixel, and no further frame.
 """
 
 from __future__ import annotations
@@ -18,42 +18,46 @@ import numpy.typing as npt
 
 from emulator.light import PixelLight
 from emulator.sensor.pixels.candidates import Table
-from emulator.sensor.pixels.interpolation import HALVED
+from emulator.sensor.pixels.interpolation import REFINED_UNSEEN_SHARE
 from emulator.sensor.pixels.quiet_pass import Tally, advance
 from emulator.sensor.pixels.state import BLOCK, FIELDS, Pixels, StepConstants
-from emulator.sensor.pixels.subset import Aside, new_aside, placed, put_back
+from emulator.sensor.pixels.subset import Subset, new_subset, renumbered, scatter
 
-__all__ = ["LEVELS", "SHORTEST_NS", "Halving"]
+__all__ = ["LEVELS", "SHORTEST_NS", "Refinement"]
 
 LEVELS = 3
-"""How often a step may be halved."""
+"""Most refinements of a step."""
 
 SHORTEST_NS = 2_000
-"""No shorter step is halved: a microsecond is what a camera tells."""
+"""Shortest step that is refined: a camera's timestamps are whole microseconds."""
 
 _Keys = npt.NDArray[np.uint64]
 _Indices = npt.NDArray[np.int64]
-_Picture = tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]
+_Frame = tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]
 
 
-class _Stretch(NamedTuple):
-    """A step or a half: its ends, ns, light and rate at the last of them, and the array's pixels in the whole one."""
+class _Interval(NamedTuple):
+    """A step or a half of one: its ends, ns, light and rate at its end, and its pixels' numbers in the whole array."""
 
     t0_ns: int
     t1_ns: int
-    end: _Picture
+    end: _Frame
     origin: _Indices
 
 
-class Halving:
-    """Moves an array, suspects in halves.
+class Refinement:
+    """Moves an array over steps, and refines the steps of undersampled pixels.
 
     Parameters
     ----------
-    blocks : of the array.
-    resting : (FIELDS,) float32, a pixel that nothing happens to when it sees no light.
-    table : room for the candidates.
-    constants : makes those of a step from its ends, ns.
+    blocks : int
+        Blocks of the array.
+    resting : (FIELDS,) float32
+        State of a pixel to which nothing happens while it sees no light.
+    table : Table
+        Buffer for the candidates.
+    constants : callable
+        Makes the constants of a step from its ends, ns.
     """
 
     def __init__(
@@ -63,7 +67,7 @@ class Halving:
         table: Table,
         constants: Callable[[int, int], StepConstants],
     ) -> None:
-        self._rooms = [*(new_aside(blocks) for _ in range(LEVELS)), new_aside(0)]
+        self._subsets = [*(new_subset(blocks) for _ in range(LEVELS)), new_subset(0)]
         self._resting = resting[:, None]
         self._table = table
         self._constants = constants
@@ -72,46 +76,46 @@ class Halving:
         self._tallies: list[Tally] = []
 
     def step(
-        self, picture: _Picture, pixels: Pixels, keys: _Keys, c: StepConstants, at: PixelLight
+        self, frame: _Frame, pixels: Pixels, keys: _Keys, c: StepConstants, at: PixelLight
     ) -> tuple[_Keys, int, Tally]:
-        """Do as `advance`, suspects in halves; `at` tells their light in between."""
-        c = c._replace(halve=True, trust=HALVED)
-        keys, found, tally = advance(picture, pixels, self._table, self._rooms[0], keys, c)
-        if not tally.aside:
+        """Move the array as `advance` does, and refine; `at` gives the light of single pixels in between."""
+        c = c._replace(refine=True, unseen_share=REFINED_UNSEEN_SHARE)
+        keys, found, tally = advance(frame, pixels, self._table, self._subsets[0], keys, c)
+        if not tally.refined:
             return keys, found, tally
         self._found, self._tallies = [keys[:found]], [tally]
         self._whole, self._at = c, at
-        self._halve(pixels, tally.aside, _Stretch(c.t0_ns, c.t0_ns + c.h_ns, picture, np.arange(picture[0].size)), 0)
+        self._refine(pixels, tally.refined, _Interval(c.t0_ns, c.t0_ns + c.h_ns, frame, np.arange(frame[0].size)), 0)
         together = np.concatenate(self._found)
         return together, together.size, Tally(*(sum(column) for column in zip(*self._tallies, strict=True)))
 
-    def _halve(self, above: Pixels, n: int, whole: _Stretch, level: int) -> None:
-        """Solve in halves what the array `above` has set aside in its stretch, n pixels, and put them back."""
-        room, middle_ns = self._rooms[level], (whole.t0_ns + whole.t1_ns) // 2
-        listed = room.pixels[:n]
-        origin, here = whole.origin[listed], self._array(room, above, n)
+    def _refine(self, above: Pixels, n: int, whole: _Interval, level: int) -> None:
+        """Solve in halves the n pixels that the array `above` has gathered in an interval, and scatter them back."""
+        subset, middle_ns = self._subsets[level], (whole.t0_ns + whole.t1_ns) // 2
+        listed = subset.pixels[:n]
+        origin, here = whole.origin[listed], self._array(subset, above, n)
         last = whole.end[0][listed], whole.end[1][listed]
-        self._go(here, _Stretch(whole.t0_ns, middle_ns, self._at(middle_ns, origin), origin), level)
-        self._go(here, _Stretch(middle_ns, whole.t1_ns, last, origin), level)
-        put_back(here, above, listed)
+        self._advance(here, _Interval(whole.t0_ns, middle_ns, self._at(middle_ns, origin), origin), level)
+        self._advance(here, _Interval(middle_ns, whole.t1_ns, last, origin), level)
+        scatter(here, above, listed)
 
-    def _go(self, here: Pixels, half: _Stretch, level: int) -> None:
-        """Move an array over a half; what is still suspect is halved again."""
+    def _advance(self, here: Pixels, half: _Interval, level: int) -> None:
+        """Move an array over a half; pixels that are still undersampled are refined again."""
         again = level + 1 < LEVELS and half.t1_ns - half.t0_ns >= SHORTEST_NS
-        c = self._constants(half.t0_ns, half.t1_ns)._replace(halve=again, trust=HALVED)
-        self._keys, found, tally = advance(half.end, here, self._table, self._rooms[level + 1], self._keys, c)
+        c = self._constants(half.t0_ns, half.t1_ns)._replace(refine=again, unseen_share=REFINED_UNSEEN_SHARE)
+        self._keys, found, tally = advance(half.end, here, self._table, self._subsets[level + 1], self._keys, c)
         whole = self._whole
-        self._found.append(placed(self._keys[:found], half.origin, half.t0_ns - whole.t0_ns, whole.pixel_bits))
+        self._found.append(renumbered(self._keys[:found], half.origin, half.t0_ns - whole.t0_ns, whole.pixel_bits))
         self._tallies.append(tally)
-        if tally.aside:
-            self._halve(here, tally.aside, half, level + 1)
+        if tally.refined:
+            self._refine(here, tally.refined, half, level + 1)
 
-    def _array(self, room: Aside, above: Pixels, n: int) -> Pixels:
-        """Return the n pixels of a room as an array; its last block's other pixels rest."""
+    def _array(self, subset: Subset, above: Pixels, n: int) -> Pixels:
+        """Return the n pixels of a subset as an array; the other pixels of its last block are at rest."""
         blocks = -(-n // BLOCK)
-        fields = room.fields[: blocks * FIELDS * BLOCK]
+        fields = subset.fields[: blocks * FIELDS * BLOCK]
         if n % BLOCK:
             fields.reshape(-1, FIELDS, BLOCK)[-1, :, n % BLOCK :] = self._resting
-        blind_until_ns = np.zeros(blocks * BLOCK, np.int64)
-        blind_until_ns[:n] = above.blind_until_ns[room.pixels[:n]]
-        return Pixels(fields, blind_until_ns)
+        refractory_until_ns = np.zeros(blocks * BLOCK, np.int64)
+        refractory_until_ns[:n] = above.refractory_until_ns[subset.pixels[:n]]
+        return Pixels(fields, refractory_until_ns)

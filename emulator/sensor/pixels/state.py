@@ -1,7 +1,8 @@
-"""Where a pixel's state lies in memory, and what is the same for all pixels of a step."""
+"""Memory layout of the pixels' state, and the constants of a step."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple
 
@@ -10,10 +11,20 @@ import numpy.typing as npt
 
 from emulator.sensor.numerics.compiled import kernel
 
-__all__ = ["BEFORE_ROWS", "BLOCK", "FIELDS", "Field", "Pixels", "StepConstants", "slot", "whole_vectors"]
+__all__ = [
+    "BEFORE_ROWS",
+    "BLOCK",
+    "FIELDS",
+    "Field",
+    "PixelState",
+    "Pixels",
+    "StepConstants",
+    "slot",
+    "whole_vectors",
+]
 
 BLOCK = 1024
-"""Pixels of a block; the arithmetic of a pixel does not depend on it, the speed does."""
+"""Pixels of a block. The speed depends on it, the arithmetic of a pixel does not."""
 
 
 class Field(IntEnum):
@@ -22,31 +33,56 @@ class Field(IntEnum):
     LOG_LIGHT = 0  # u, ln of the photocurrent at the last step's end; NaN after unreadable light
     FILTERED = 1  # v
     RATE = 2  # lambda, rad/s
-    SLOPE = 3  # of u at the last step's end, by warped time: (du/dt) / lambda; not finite where it is not known
-    REFERENCE = 4  # with leak times the time since the epoch added; NaN while the pixel is blind
+    SLOPE = 3  # of u at the last step's end, by warped time: (du/dt) / lambda; not finite where unknown
+    REFERENCE = 4  # with leak times the time since the epoch added; NaN in the refractory period
     ON = 5  # thresholds, ln units, > 0
     OFF = 6
     LEAK = 7  # ln units a second
-    SECOND = 8  # w, behind the second pole; not in use without one
-    LEAKED = 9  # by light since the pixel's last event, ln units; not in use without parasitic leak
+    SECOND = 8  # w, behind the second pole; unused without one
+    LEAKED = 9  # parasitic leak since the pixel's last event, ln units; unused without parasitic leak
 
 
 FIELDS = len(Field)
 
 BEFORE_ROWS = tuple(k * BLOCK for k in range(12))
-"""Rows of a block's scratch: as it was before the step: u, v, lambda, slope by warped time; then the slopes per step at
-both ends, S, q = 1 - e^-S, what is behind the second pole and had leaked before, and bounds of the compared value."""
+"""Rows of a block's scratch. Before the step: u, v, lambda, slope by warped time; then the slopes per step at both
+ends, S and q = 1 - e^-S; second pole and parasitic leak before the step; high and low bound of the compared value."""
+
+
+@dataclass(slots=True)
+class PixelState:
+    """The state of an array between two steps; a copy of it continues the stream elsewhere.
+
+    Attributes
+    ----------
+    fields : (blocks, FIELDS, BLOCK) float32
+        See `Field`; pixels of the last block beyond the sensor's end never fire.
+    refractory_until_ns : (blocks * BLOCK,) int64
+        End of the refractory period, valid where the reference is NaN.
+    t_ns : int
+        Stream time.
+    epoch_ns : int
+        Time from which leak is counted.
+    slopes_known : bool
+        Whether the last frame came with its time derivative.
+    """
+
+    fields: npt.NDArray[np.float32]
+    refractory_until_ns: npt.NDArray[np.int64]
+    t_ns: int
+    epoch_ns: int
+    slopes_known: bool
 
 
 class Pixels(NamedTuple):
-    """The state of an array: `fields`, flat, and until when (ns) a pixel whose reference is NaN is blind."""
+    """The state of an array: `fields`, flat, and the end (ns) of the refractory period of pixels with reference NaN."""
 
     fields: npt.NDArray[np.float32]
-    blind_until_ns: npt.NDArray[np.int64]
+    refractory_until_ns: npt.NDArray[np.int64]
 
 
 class StepConstants(NamedTuple):
-    """What is the same for all pixels of a step."""
+    """The constants of a step, the same for all pixels."""
 
     dark: np.float32
     rate_at_reference: np.float32  # rad/s
@@ -62,14 +98,14 @@ class StepConstants(NamedTuple):
     t0_ns: int
     refractory_ns: int
     pixel_bits: int
-    chord: bool  # whether light is taken as straight lines in its logarithm, its derivative not given
-    trust: np.float32  # share of a threshold beyond which what goes on unseen makes a step suspect
-    halve: bool  # whether suspects are set aside, to be solved in halves
+    chord: bool  # whether log light is a straight line, because its derivative is not given
+    unseen_share: np.float32  # share of a threshold that may stay unseen; more makes a step undersampled
+    refine: bool  # whether undersampled pixels are gathered for refinement
 
 
 @kernel
 def slot(pixel: int) -> int:
-    """Return where the first field of a pixel is in the flat state; the others follow at multiples of BLOCK."""
+    """Return the index of a pixel's first field in the flat state; its other fields follow at multiples of BLOCK."""
     return (pixel // BLOCK) * (FIELDS * BLOCK) + pixel % BLOCK
 
 
@@ -77,7 +113,7 @@ def slot(pixel: int) -> int:
 def whole_vectors(n: int) -> int:
     """Return n rounded up to where a vector loop ends without a remainder.
 
-    A remainder is scalar code, which may round elsewhere than the vectors do (a*b + c is contracted piece by piece of
-    code), and then a pixel's events would depend on how many others are solved with it.
+    A remainder is scalar code, in which a*b + c may be contracted differently from the vector code. A pixel's events
+    would then depend on how many others are solved with it.
     """
     return (n + 63) // 64 * 64

@@ -19,7 +19,7 @@ from emulator.sensor.pixels.mismatch import draw
 from tests.emulator.accuracy.rows import row
 
 BY_NAME = {method.name: method for method in methods()}
-WARPED, HALVED, LINE, V2E = (BY_NAME[name] for name in ("warped", "halved", "line", "v2e"))
+HERMITE, REFINED_UNSEEN_SHARE, LINE, V2E = (BY_NAME[name] for name in ("hermite", "refined", "line", "v2e"))
 
 DT_OVER_TAU = [0.03, 1.0, 10.0]
 
@@ -37,14 +37,14 @@ def slow_sine(hz=5.0):
 @pytest.mark.parametrize("contrast", [0.1, 0.3])
 def test_s1_smooth_light_in_short_steps(contrast, dt_over_tau):
     """Steps of 10 ms, so that float32 does not decide."""
-    scores = score(WARPED, smooth_case(contrast, dt_over_tau, 1e-2), 1e-2)
+    scores = score(HERMITE, smooth_case(contrast, dt_over_tau, 1e-2), 1e-2)
     assert scores.right >= 0.98
     assert scores.t95_us <= 1e-4 * 1e4
 
 
 @pytest.mark.parametrize("dt_over_tau", DT_OVER_TAU)
 def test_s2_smooth_light_of_a_threshold_a_step(dt_over_tau):
-    scores = score(WARPED, smooth_case(1.0, dt_over_tau), 1e-3)
+    scores = score(HERMITE, smooth_case(1.0, dt_over_tau), 1e-3)
     assert scores.right >= 0.97
     assert scores.t95_us <= 0.006 * 1e3
 
@@ -60,20 +60,20 @@ def test_s3_a_line_on_smooth_light_in_short_steps(contrast, dt_over_tau):
 @pytest.mark.parametrize(
     ("name", "least", "most"),
     [
-        ("warped", 12, 40),
+        ("hermite", 12, 40),
         ("line", 3.5, 5),
-        ("held", 1.8, 2.2),
+        ("v2e_exact_filter", 1.8, 2.2),
     ],
 )
 def test_s4_order_of_the_step(name, least, most):
-    case = slow_sine(20.0 if name == "warped" else 5.0)  # of slower light float32 decides, not the step
+    case = slow_sine(20.0 if name == "hermite" else 5.0)  # of slower light float32 decides, not the step
     coarse, fine = (score(BY_NAME[name], case, step_s).t50_us for step_s in (2e-3, 1e-3))
     assert least <= coarse / fine <= most
 
 
 @pytest.mark.parametrize(("motion_px", "sigma_px"), [(0.5, 0.5), (0.25, 0.3), (0.5, 1.0)])
 def test_s5_a_checkerboard_within_half_a_pixel_and_a_blur_a_step(motion_px, sigma_px):
-    scores = score(WARPED, board(motion_px, sigma_px, 5e-3), 5e-3)
+    scores = score(HERMITE, board(motion_px, sigma_px, 5e-3), 5e-3)
     assert scores.right >= 0.95
     assert scores.t95_us <= 0.012 * 5e3
 
@@ -86,18 +86,18 @@ def test_s6_a_line_on_a_checkerboard_within_a_quarter_of_a_blur_a_step(motion_px
 
 
 @pytest.mark.parametrize(("motion_px", "sigma_px"), [(1.0, 0.3), (0.5, 0.5), (1.0, 0.5), (1.0, 2.0)])
-def test_s7_a_checkerboard_of_a_pixel_a_step_with_suspects_in_halves(motion_px, sigma_px):
-    scores = score(HALVED, board(motion_px, sigma_px, 5e-3), 5e-3)
+def test_s7_a_checkerboard_of_a_pixel_a_step_with_refinement(motion_px, sigma_px):
+    scores = score(REFINED_UNSEEN_SHARE, board(motion_px, sigma_px, 5e-3), 5e-3)
     assert scores.right >= 0.95
     assert scores.t95_us <= 0.012 * 5e3
 
 
 def test_s7_needs_the_halves():
-    assert score(WARPED, board(1.0, 0.3, 5e-3), 5e-3).right < 0.95
+    assert score(HERMITE, board(1.0, 0.3, 5e-3), 5e-3).right < 0.95
 
 
 @pytest.mark.parametrize("motion_px", [0.5, 1.0, 2.0, 4.0])
-@pytest.mark.parametrize("name", ["warped", "line"])
+@pytest.mark.parametrize("name", ["hermite", "line"])
 def test_s8_a_single_edge_keeps_its_sequence(name, motion_px):
     scene = MovingEdge(pixels=40, sigma_px=0.5, speed_px_s=motion_px / 5e-3, duration_s=0.2)
     scores = score(BY_NAME[name], Case("edge", scene, row(40), 0.2), 5e-3)
@@ -107,13 +107,13 @@ def test_s8_a_single_edge_keeps_its_sequence(name, motion_px):
 
 @pytest.mark.parametrize("share", [0, 0.1, 1, 10])
 def test_s9_a_refractory_period_of_any_length(share):
-    scores = score(WARPED, board(0.25, 0.5, 2.5e-3, refractory_us=2500 * share), 2.5e-3)
+    scores = score(HERMITE, board(0.25, 0.5, 2.5e-3, refractory_us=2500 * share), 2.5e-3)
     assert scores.right >= 0.97
     assert scores.count == pytest.approx(1, abs=0.005)
 
 
 @pytest.mark.parametrize("step_s", [1e-4, 1e-3, 1e-2])
-@pytest.mark.parametrize(("name", "share"), [("warped", 0.55), ("line", 0.8)])
+@pytest.mark.parametrize(("name", "share"), [("hermite", 0.55), ("line", 0.8)])
 def test_s10_a_flash_at_an_unknown_instant(name, share, step_s):
     """Half a step is the best that can be had; a line in log light that ended there would give ten steps."""
     scores = score(BY_NAME[name], Case("flash", Flash(pixels=40), row(40), 0.1), step_s)
@@ -177,7 +177,7 @@ def test_a_line_is_right_about_light_that_is_a_line(contrast, dt_over_tau):
     assert scores.t95_us < compare(of_chords, truth(case)).t95_us
 
 
-@pytest.mark.parametrize("name", ["warped", "line"])
+@pytest.mark.parametrize("name", ["hermite", "line"])
 def test_thirty_days_change_nothing(name):
     now = slow_sine()
     later = dataclasses.replace(now, start_ns=(30 * 86400 * 10**9 >> 33) << 33)

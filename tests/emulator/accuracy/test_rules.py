@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from emulator.sensor.other_simulators import RULES
-from emulator.sensor.other_simulators.counting import Held, V2e
+from emulator.sensor.other_simulators import OTHER_SIMULATORS
+from emulator.sensor.other_simulators.counting import V2e, V2eExactFilter
 from emulator.sensor.other_simulators.difference import FrameDifference
 from emulator.sensor.other_simulators.pangu import RAW_CHANNELS, Pangu
 from emulator.sensor.other_simulators.rule import MOST_EVENTS
@@ -37,9 +37,9 @@ def listed(crossings):
     return list(zip(crossings.t_ns.tolist(), crossings.pixel.tolist(), crossings.on.tolist(), strict=True))
 
 
-@pytest.mark.parametrize("name", RULES)
+@pytest.mark.parametrize("name", OTHER_SIMULATORS)
 def test_each_rule_is_used_as_the_array_is(name):
-    rule = RULES[name](row(40), 3)
+    rule = OTHER_SIMULATORS[name](row(40), 3)
     rng = np.random.default_rng(0)
     light = rng.uniform(0.2, 1, (50, 1, 40)).astype(np.float32)
     rule.reset(light[0], 5 * MS)
@@ -58,9 +58,9 @@ def test_each_rule_is_used_as_the_array_is(name):
         rule.step(light[0].astype(float), last)
 
 
-@pytest.mark.parametrize("name", RULES)
+@pytest.mark.parametrize("name", OTHER_SIMULATORS)
 def test_unreadable_light_is_silent_and_counted(name):
-    rule = RULES[name](ideal(3), 3)
+    rule = OTHER_SIMULATORS[name](ideal(3), 3)
     rule.reset(np.array([[1, np.nan, 1]], np.float32), 0)
     for k, middle in enumerate([np.inf, 0.1, 0.1, np.nan, 5.0, 5.0], 1):
         crossings = rule.step(np.array([[1, middle, 1]], np.float32), k * MS)
@@ -70,9 +70,9 @@ def test_unreadable_light_is_silent_and_counted(name):
     assert np.isfinite(rule._v).all()
 
 
-@pytest.mark.parametrize("name", RULES)
+@pytest.mark.parametrize("name", OTHER_SIMULATORS)
 def test_a_flash_beyond_the_cap_is_listed_up_to_it_and_counted(name):
-    rule = started(RULES[name](ideal(2, threshold_on=0.05), 3), -8.0, 0.0)
+    rule = started(OTHER_SIMULATORS[name](ideal(2, threshold_on=0.05), 3), -8.0, 0.0)
     crossings = rule.step(picture(0.0, 0.0), MS)
     whole = math.floor(8.0 / 0.05 + 1e-9)
     assert len(crossings) == MOST_EVENTS
@@ -89,7 +89,7 @@ def test_v2e_spreads_its_count_with_the_last_at_the_end():
 
 def test_the_mixing_factor_is_clamped_in_v2e_and_exact_in_held():
     p = row(1, corner_hz_at_reference=3000.0, corner_max_hz=3000.0)
-    for kind, share in ((V2e, 1.0), (Held, 1 - math.exp(-2 * math.pi * 3)), (Pangu, 1.0)):
+    for kind, share in ((V2e, 1.0), (V2eExactFilter, 1 - math.exp(-2 * math.pi * 3)), (Pangu, 1.0)):
         rule = kind(p, 3)
         rule.reset(picture(0.0), 0)
         rule.step(picture(0.1), MS)

@@ -14,8 +14,8 @@ from emulator.accuracy.light import BlurredCheckerboard, Dark, Flash, SineGratin
 from emulator.accuracy.metrics import compare
 from emulator.accuracy.stability import SWEEPS, cells
 from emulator.accuracy.stream import Stream
-from emulator.sensor.other_simulators import RULES
-from emulator.sensor.other_simulators.counting import Held, V2e
+from emulator.sensor.other_simulators import OTHER_SIMULATORS
+from emulator.sensor.other_simulators.counting import V2e, V2eExactFilter
 from emulator.sensor.other_simulators.difference import FrameDifference
 from emulator.sensor.other_simulators.rule import Fired
 from emulator.sensor.other_simulators.straight import Esim, Sikorski
@@ -215,7 +215,7 @@ def test_a_clamped_filter_turns_itself_off():
     """Behind a ramp in log light the filter lags by tau; with a step of two tau the clamped one does not lag at all."""
     p, slope, tau_s = fixed_corner(2.0, 1e-3, 4), 20.0, 5e-4
     lag_s = {}
-    for rule in (V2e, Held, PixelArray):
+    for rule in (V2e, V2eExactFilter, PixelArray):
         array = rule(p, 3)
         for k in range(40):
             light = np.full((1, 4), np.exp(slope * k * 1e-3) - p.dark_current_relative, np.float32)
@@ -223,7 +223,7 @@ def test_a_clamped_filter_turns_itself_off():
         filtered = array.field(Field.FILTERED)[0] if rule is PixelArray else array._v
         lag_s[rule] = (slope * 0.039 - filtered[0]) / slope
     assert lag_s[V2e] == pytest.approx(0, abs=1e-6)
-    assert lag_s[Held] < 0.5 * tau_s
+    assert lag_s[V2eExactFilter] < 0.5 * tau_s
     assert lag_s[PixelArray] == pytest.approx(tau_s, rel=0.01)
 
 
@@ -241,7 +241,7 @@ def test_time_in_float32_seconds_has_no_room_for_events():
     assert compare(events(OURS, later, 5e-4)[0], truth(case)).t95_us < 20
 
 
-class AtTheEnd(Held):
+class AtTheEnd(V2eExactFilter):
     """All events of a step get its end as their time."""
 
     def _fire(self, frame):
@@ -260,7 +260,7 @@ def test_timestamps_at_the_end_of_the_step_are_batched():
 # --- counting
 
 
-class OneAtMost(Held):
+class OneAtMost(V2eExactFilter):
     """At most one event of a pixel in a step, the rest forgotten."""
 
     def _fire(self, frame):
@@ -310,9 +310,9 @@ def test_the_dark_current_and_nothing_else_sets_the_count_from_black_to_white(da
         assert total / 4 == pytest.approx(expected, abs=1)
 
 
-@pytest.mark.parametrize("name", ["ours", *RULES])
+@pytest.mark.parametrize("name", ["ours", *OTHER_SIMULATORS])
 def test_an_all_black_picture_is_no_trouble(name):
-    array = (PixelArray if name == "ours" else RULES[name])(row(9, leak_hz=0.0), 3)
+    array = (PixelArray if name == "ours" else OTHER_SIMULATORS[name])(row(9, leak_hz=0.0), 3)
     black = np.zeros((1, 9), np.float32)
     array.reset(black, 0)
     assert sum(len(array.step(black, k * MS)) for k in range(1, 20)) == 0

@@ -34,7 +34,17 @@ def point(method, step_ms, t95_us, right=1.0, case="c"):
 
 def test_methods_are_ours_and_those_of_others():
     names = [method.name for method in methods()]
-    assert names == ["warped", "halved", "line", "pangu", "v2e", "held", "sikorski", "esim", "frame_difference"]
+    assert names == [
+        "hermite",
+        "refined",
+        "line",
+        "pangu",
+        "v2e",
+        "v2e_exact_filter",
+        "sikorski",
+        "esim",
+        "frame_difference",
+    ]
 
 
 def test_every_scene_of_the_chart_has_its_sensor():

@@ -93,7 +93,7 @@ def test_people_are_told_in_words(camera, capsys):
     ("arguments", "code", "message"),
     [
         (["/dev/ttyNOWHERE0"], 3, "is it plugged in"),
-        (["pty"], 2, "opens the path that the camera's side prints"),
+        (["pty"], 2, "give the path that"),
         (["/dev/x", "--tick", "7"], 2, "tick 7 us is none of"),
         (["/dev/x", "--baud", "1"], 2, "baud must be"),
         (["/dev/x", "--profile", "morse"], 2, "profile"),

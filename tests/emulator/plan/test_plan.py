@@ -15,7 +15,7 @@ RIG = load_rig("checkerboard")
 
 
 def with_tolerance(tolerance_us, **scene):
-    rig = dataclasses.replace(RIG, run=dataclasses.replace(RIG.run, tolerance_us=tolerance_us, method="warped"))
+    rig = dataclasses.replace(RIG, run=dataclasses.replace(RIG.run, tolerance_us=tolerance_us, method="hermite"))
     return make_plan(rig, dataclasses.replace(SCENE, **scene))
 
 

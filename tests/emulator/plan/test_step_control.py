@@ -5,7 +5,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from emulator.plan.step_control import ControlledSteps, FixedSteps, Halves, Limits, error_us, sample, weighted_quantile
+from emulator.plan.step_control import (
+    ControlledSteps,
+    FixedSteps,
+    Limits,
+    RefinementModel,
+    error_us,
+    sample,
+    weighted_quantile,
+)
 
 DARK = 1e-3
 PHASES = np.linspace(0, 2 * np.pi, 900, endpoint=False).reshape(30, 30)
@@ -80,8 +88,8 @@ def test_sequences_are_kept_where_light_turns_though_times_would_allow_more():
 
 def test_halves_allow_longer_steps_until_they_cost_a_picture():
     limits, lengths = Limits(10.0), []
-    for halves in (None, Halves(0.2)):
-        steps, t_ns = ControlledSteps(limits, DARK, 1_000_000, halves), 0
+    for refinement in (None, RefinementModel(0.2)):
+        steps, t_ns = ControlledSteps(limits, DARK, 1_000_000, refinement), 0
         for _ in range(60):
             steps.observe(*sine(t_ns), t_ns)
             t_ns += steps.step_ns

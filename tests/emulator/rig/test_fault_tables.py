@@ -10,11 +10,11 @@ from dataclasses import replace
 import pytest
 
 from emulator.cli.app import _main
-from emulator.rig.fault_tables import FAULTS
+from emulator.rig.fault_tables import known_faults
 from emulator.rig.loading import RigError, parse_rig
 from emulator.run.assembly import build_session, link_setups, schedule
 from emulator.run.control import ControlSocket, NoAnswer, ask, runtime_directory, sockets
-from emulator.run.fault_injection import FaultDesk, fault_desk
+from emulator.run.fault_injection import FaultInjection, fault_injection
 from emulator.run.lateness import Lateness
 from emulator.run.scene_assembly import build_scene
 from emulator.run.session import RunStatus
@@ -22,7 +22,7 @@ from transports.faults.can_kinds import DeadBus
 from transports.faults.kinds import BitFlips
 from transports.faults.script import FaultRecord
 from transports.link.pacing import MonotonicClock
-from transports.link.process import LinkReport
+from transports.link.report import LinkReport
 
 SCENE = '[scene]\nkind = "checkerboard"\nsquare_px = 40.0\nspeed_px_s = 3.0\n'
 SERIAL = '[[links]]\nkind = "serial"\nport = "pty"\n'
@@ -120,54 +120,54 @@ def test_foreign_bytes_at_the_socket_hurt_nobody(runtime):
     assert [answers[data] for data in (b"", b"x" * 5000, b'{"ask": "fau')] == [None] * 3
 
 
-class Thrower:
+class Injector:
     def __init__(self):
-        self.thrown = []
+        self.injected = []
 
-    def throw(self, fault):
-        self.thrown.append(fault)
+    def inject(self, fault):
+        self.injected.append(fault)
 
 
 def status(**links):
     return RunStatus(1.5, 1.6, 10, 100, Lateness(), links)
 
 
-def test_the_desk_lists_and_throws():
-    session = Thrower()
-    desk = FaultDesk(rig(SERIAL + LOOPBACK), session, None)
+def test_the_control_lists_and_injects():
+    session = Injector()
+    control = FaultInjection(rig(SERIAL + LOOPBACK), session, None)
     now = status(serial=LinkReport("open", faults=(FaultRecord(1, "stall", 5, 6, 1, 0),)))
-    told = desk.answer({"ask": "faults"}, now)
+    told = control.answer({"ask": "faults"}, now)
     assert "bit_flips" in told["links"]["serial"]["kinds"]
-    assert told["links"]["serial"]["thrown"][0]["ended_us"] == 6
-    assert told["links"]["loopback"] == {"kinds": [], "thrown": []}
-    answer = desk.answer({"ask": "throw", "fault": {"kind": "bit_flips", "rate": 0.5}}, now)
+    assert told["links"]["serial"]["injected"][0]["ended_us"] == 6
+    assert told["links"]["loopback"] == {"kinds": [], "injected": [], "thrown": []}
+    answer = control.answer({"ask": "throw", "fault": {"kind": "bit_flips", "rate": 0.5}}, now)
     assert answer == {"link": "serial", "after": 1}
-    assert session.thrown == [BitFlips(link="serial", rate=0.5)]
+    assert session.injected == [BitFlips(link="serial", rate=0.5)]
 
 
 @pytest.mark.parametrize(
     ("message", "told"),
     [
         ({}, "known are"),
-        ({"ask": "throw"}, "known are"),
-        ({"ask": "throw", "fault": 7}, "expected a table"),
+        ({"ask": "inject"}, "known are"),
+        ({"ask": "inject", "fault": 7}, "expected a table"),
         ({"ask": "throw", "fault": {"kind": "bit_flips", "rate": "x"}}, "rate"),
-        ({"ask": "throw", "fault": {"kind": "lost_frames"}}, "no link"),
+        ({"ask": "inject", "fault": {"kind": "lost_frames"}}, "no link"),
     ],
 )
-def test_the_desk_says_what_is_wrong_and_throws_nothing(message, told):
-    session = Thrower()
-    assert told in FaultDesk(rig(SERIAL), session, None).answer(message, status())["error"]
-    assert session.thrown == []
+def test_the_control_says_what_is_wrong_and_injects_nothing(message, told):
+    session = Injector()
+    assert told in FaultInjection(rig(SERIAL), session, None).answer(message, status())["error"]
+    assert session.injected == []
 
 
 def test_without_a_socket_the_run_goes_on_and_says_so(runtime):
     (runtime / "evstim").write_text("not a directory")
-    with fault_desk(rig(SERIAL), Thrower()) as desk:
-        assert "no control socket" in desk.trouble
-        desk.serve(status())
-    with fault_desk(rig(LOOPBACK), Thrower()) as desk:
-        assert desk.trouble == ""
+    with fault_injection(rig(SERIAL), Injector()) as control:
+        assert "no control socket" in control.trouble
+        control.serve(status())
+    with fault_injection(rig(LOOPBACK), Injector()) as control:
+        assert control.trouble == ""
 
 
 def test_the_word_for_it_without_a_run(runtime, capsys):
@@ -176,12 +176,12 @@ def test_the_word_for_it_without_a_run(runtime, capsys):
     assert "no rig 'elsewhere'" in capsys.readouterr().out
 
 
-def test_a_fault_thrown_into_a_run_is_done_and_told(runtime, capsys):
+def test_a_fault_injected_into_a_run_is_done_and_told(runtime, capsys):
     bench = rig(SERIAL)
     bench = replace(bench, run=replace(bench.run, seconds=30.0))
     codes = []
 
-    def throw():
+    def inject():
         codes.append(_main(["fault", "stall", "--for-s", "0.2", "--json"]))
         codes.append(_main(["fault", "stall", "--set", "for_s=0.1", "--set", "x"]))
         codes.append(_main(["fault", "lost_frames"]))
@@ -190,12 +190,12 @@ def test_a_fault_thrown_into_a_run_is_done_and_told(runtime, capsys):
 
     with build_scene(bench) as scene:
         session = build_session(bench, scene, link_setups(bench), MonotonicClock())
-        with fault_desk(bench, session) as desk:
-            client = threading.Thread(target=throw)
+        with fault_injection(bench, session) as control:
+            client = threading.Thread(target=inject)
             begun = []
 
             def on_status(now):
-                desk.serve(now)
+                control.serve(now)
                 if not begun:
                     begun.append(now)
                     client.start()
@@ -217,4 +217,4 @@ def test_a_fault_thrown_into_a_run_is_done_and_told(runtime, capsys):
 def test_every_kind_is_in_the_schema(capsys):
     assert _main(["schema"]) == 0
     defined = json.loads(capsys.readouterr().out)["$defs"]
-    assert all(cls.__name__ in defined for cls in FAULTS.values())
+    assert all(cls.__name__ in defined for cls in known_faults().values())

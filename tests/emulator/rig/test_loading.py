@@ -5,9 +5,8 @@ import json
 
 import pytest
 
+from emulator.rig.link_kinds import LINKS
 from emulator.rig.loading import (
-    LINKS,
-    SCENES,
     LoopbackLink,
     RigError,
     UsbipLink,
@@ -16,6 +15,7 @@ from emulator.rig.loading import (
     parse_rig,
     shipped_rigs,
 )
+from emulator.rig.scene_kinds import SCENES
 from emulator.rig.schema import rig_schema
 from emulator.sensor.presets import PRESETS
 
@@ -122,6 +122,16 @@ def test_links_have_names_and_ports_of_their_own():
     assert "port 4000 is taken" in message(scene + usbip + usbip + 'name = "other"\n')
 
 
+def test_two_served_buses_need_ports_of_their_own():
+    served = '[[links]]\nkind = "can"\nport = 4000\n'
+    scene = '[scene]\nkind = "checkerboard"\n'
+    assert "port 4000 is taken" in message(scene + served + served + 'name = "other"\n')
+    joined = served.replace("port = 4000", 'interface = "virtual"')
+    parse_rig(scene + joined + joined + 'name = "other"\n', "my.toml", "my")
+    free = served.replace("4000", "0")
+    parse_rig(scene + free + free + 'name = "other"\n', "my.toml", "my")
+
+
 def test_an_infinite_corner_switches_the_low_pass_off():
     rig = parse_rig(GOOD.replace("threshold_on = 0.2", "corner_hz_at_reference = inf"), "my.toml", "my")
     assert rig.camera.sensor.corner_hz_at_reference == float("inf")
@@ -161,7 +171,8 @@ def test_a_shape_is_looked_for_beside_the_rig(tmp_path):
 
 def test_the_schema_knows_every_key():
     schema = json.loads(json.dumps(rig_schema()))
-    for parameters in (*SCENES.values(), *LINKS.values()):
+    for kind in (*SCENES.values(), *LINKS.values()):
+        parameters = kind.parameters
         known = schema["$defs"][parameters.__name__]["properties"]
         assert {f.name for f in dataclasses.fields(parameters)} | {"kind"} == set(known)
     assert "required" not in schema["$defs"]["SensorParameters"]

@@ -16,7 +16,7 @@ from emulator.scene.checkerboard.table import CheckerboardParameters
 from emulator.sensor.presets import PRESETS
 from emulator.sensor.sensor import Sensor
 from transports.link.pacing import FakeClock
-from transports.link.process import LinkReport
+from transports.link.report import LinkReport
 
 SENSOR = dataclasses.replace(PRESETS["davis346"], width=24, height=16, leak_hz=0.0)
 STEP_NS = 1_000_000
@@ -149,17 +149,17 @@ def test_light_that_is_not_a_number_is_dark_for_the_ledger_too():
     assert 0 < result.ledger.raised < whole.ledger.raised
 
 
-def test_pictures_too_far_apart_show_as_suspects():
+def test_frames_too_far_apart_show_as_undersampled():
     sensor = dataclasses.replace(SENSOR, width=64, height=48)
     board = CheckerboardParameters(square_px=8.0, speed_px_s=100.0)
 
-    def suspects(step_ns):
+    def share(step_ns):
         with Checkerboard(board, (64, 48)) as scene:
             pictures = Pictures(scene, with_rate=True)
             running = Session(pictures, Sensor(sensor, 1), FixedSteps(step_ns), [], FakeClock())
-            return running.run(Schedule(duration_ns=100 * STEP_NS, paced=False)).suspect_share
+            return running.run(Schedule(duration_ns=100 * STEP_NS, paced=False)).undersampled_share
 
-    close, apart = suspects(100_000), suspects(20_000_000)
+    close, apart = share(100_000), share(20_000_000)
     assert close < 0.05
     assert apart > 0.5
 

@@ -23,7 +23,7 @@ def test_the_imager_sees_single_pixels_as_it_sees_pictures():
     light, _ = picture(6 * MS)
     told, _ = sensor._imager.see_pixels(pixel_light)(6 * MS, listed)
     np.testing.assert_array_equal(told, sensor._imager.see(light, 6 * MS).reshape(-1)[listed])
-    assert sensor.suspect_share < 0.05
+    assert sensor.undersampled_share < 0.05
 
 
 def test_shot_noise_leaves_nothing_to_ask_for():

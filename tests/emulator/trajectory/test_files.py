@@ -82,10 +82,11 @@ def test_no_text_makes_a_reader_fail_otherwise(text):
 
 
 def test_an_orbit_file_with_velocities_in_both_ways_to_write_a_date():
-    samples = parse_oem(OEM)
-    assert samples.times_ns == [0, 10_500_000_000]
-    np.testing.assert_allclose(samples.poses[1].position_m, [50_000, 31.5, 0])
-    assert samples.velocities_m_s == [(0, 3, 0)] * 2
+    path = parse_oem(OEM).path
+    start, stop = path.span_ns
+    assert stop - start == 10_500_000_000
+    np.testing.assert_allclose(path.pose(stop).position_m, [50_000, 31.5, 0])
+    np.testing.assert_allclose(path.pose(start + S // 100).position_m, [50_000, 0.03, 0], atol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -110,7 +111,7 @@ def test_an_orbit_file_s_mistake_is_told_with_its_line(change, message):
     ],
 )
 def test_an_attitude_file_in_any_direction_and_order(direction, order, first):
-    pose = parse_aem(AEM.format(direction=direction, order=order, first=first)).poses[0]
+    pose = parse_aem(AEM.format(direction=direction, order=order, first=first)).path.pose(0)
     # The spacecraft is turned by a quarter about z: its x axis points along the world's y.
     np.testing.assert_allclose(pose.world_from_body @ [1, 0, 0], [0, 1, 0], atol=1e-12)
 
@@ -119,7 +120,7 @@ def test_an_attitude_file_in_any_direction_and_order(direction, order, first):
 def test_an_attitude_file_whose_first_frame_is_the_spacecraft(direction, sign):
     text = AEM.format(direction=direction, order="LAST", first=f"0 0 {HALF} {HALF}")
     text = text.replace("REF_FRAME_A = ICRF", "REF_FRAME_A = SC_BODY_1").replace("_B = SC_BODY_1", "_B = ICRF")
-    pose = parse_aem(text).poses[0]
+    pose = parse_aem(text).path.pose(0)
     np.testing.assert_allclose(pose.world_from_body @ [1, 0, 0], [0, sign, 0], atol=1e-12)
 
 
@@ -171,9 +172,9 @@ def test_what_a_flight_file_holds_beside_poses_is_told(tmp_path, caplog):
 
 
 def test_a_live_path_from_a_rig_listens():
-    inlet = build_trajectory(LivePath(port=0))
-    assert inlet.address[1] > 0
-    inlet.close()
+    path = build_trajectory(LivePath(port=0))
+    assert path.receiver.address[1] > 0
+    path.receiver.close()
 
 
 @pytest.mark.parametrize(("name", "message"), [("a.txt", "name it .csv, .oem or .fli"), ("none.csv", "cannot be read")])
@@ -192,6 +193,7 @@ def test_a_file_that_cannot_be_used(tmp_path, name, message):
         lambda: FilePath(),
         lambda: LivePath(port=70000),
         lambda: LivePath(hold_ms=-1.0),
+        lambda: LivePath(ahead_ms=1e6),
         lambda: FilePath("a.fli", period_s=0.0),
     ],
 )

@@ -33,8 +33,8 @@ def test_given_velocities_make_a_cubic():
     assert path.pose(S).position_m[0] == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize(("degrees", "share"), [(10, 2e-4), (45, 3e-3), (90, 2e-2)])
-def test_a_turn_stays_near_the_great_circle(degrees, share):
+@pytest.mark.parametrize("degrees", [10, 45, 90, 119])
+def test_a_turn_is_the_great_circle(degrees):
     ends = [at(0, angle=0.0), at(0, angle=math.radians(degrees))]
     path = Keyframes([0, S], ends)
     slerp = Slerp([0, 1], Rotation.from_quat([e.q_world_from_body for e in ends], scalar_first=True))
@@ -42,7 +42,44 @@ def test_a_turn_stays_near_the_great_circle(degrees, share):
         turn_rad(path.pose(round(x * S)), Pose(np.zeros(3), slerp(x).as_quat(scalar_first=True)))
         for x in np.linspace(0, 1, 21)
     )
-    assert 0 < worst < share * math.radians(degrees)
+    assert worst < 1e-7  # turn_rad itself is good to a few 1e-8
+    assert turn_rad(path.pose(S // 4), ends[0]) == pytest.approx(math.radians(degrees) / 4, abs=1e-7)
+
+
+@pytest.mark.parametrize("step_deg", [45, 100])
+def test_a_steady_turn_about_an_axis_is_followed_exactly_at_uneven_times(step_deg):
+    axis, times = np.array([0.6, 0.0, 0.8]), [0, 1, 1.7, 2.6, 3.0]
+    rate = math.radians(step_deg)
+
+    def truth(t):
+        return Pose(np.zeros(3), Rotation.from_rotvec(rate * t * axis).as_quat(scalar_first=True))
+
+    path = Keyframes([round(t * S) for t in times], [truth(t) for t in times])
+    assert max(turn_rad(path.pose(round(t * S)), truth(t)) for t in np.linspace(0, 3, 61)) < 1e-7
+
+
+def coning(t):
+    """A body that turns about an axis which itself goes round another."""
+    turn = Rotation.from_rotvec([0, 0, 0.9 * t]) * Rotation.from_rotvec([0.5, 0, 0]) * Rotation.from_rotvec([0, 0, t])
+    return Pose(np.zeros(3), turn.as_quat(scalar_first=True))
+
+
+def test_the_error_of_a_smooth_turn_falls_with_the_fourth_power_of_the_step():
+    worst = []
+    for step in (0.4, 0.2, 0.1):
+        times = np.arange(0, 8 + step / 2, step)
+        path = Keyframes([round(t * S) for t in times], [coning(t) for t in times])
+        worst.append(max(turn_rad(path.pose(round(t * S)), coning(t)) for t in np.arange(2, 6, step / 7)))
+    assert worst[0] / worst[1] > 10
+    assert worst[1] / worst[2] > 10
+
+
+def test_the_rate_of_a_turn_has_no_jump_at_a_keyframe():
+    times = [0, 1, 1.5, 2.5]
+    path = Keyframes([round(t * S) for t in times], [coning(t) for t in times])
+    for at_ns in (S, 3 * S // 2):
+        before, here, after = (path.pose(at_ns + d) for d in (-(10**5), 0, 10**5))
+        assert turn_rad(before, here) == pytest.approx(turn_rad(here, after), rel=1e-3)
 
 
 @settings(max_examples=40)

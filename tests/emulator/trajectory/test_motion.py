@@ -137,6 +137,12 @@ def test_a_landing_has_the_gates_speeds():
         np.testing.assert_allclose((around[1] - around[0]) / 2e-3, [0, gate.forward_m_s, -gate.down_m_s], atol=0.05)
 
 
+def test_a_boresight_held_straight_down_stays_there():
+    landing = Descent(LANDING)
+    boresights = [landing.pose(t * S).world_from_body @ [0, 0, 1] for t in range(85, 166, 5)]
+    np.testing.assert_allclose(boresights, [[0, 0, -1]] * len(boresights), atol=1e-9)
+
+
 def test_a_landing_through_the_ground_is_refused():
     with pytest.raises(TrajectoryError, match="goes through the ground at"):
         Descent([Gate(0, 100, 0, 50), Gate(20, 90, 0, -50)])

@@ -6,7 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from emulator.trajectory.pose import STILL, Fixed, Pose, multiply
+from emulator.geometry.attitude import multiply
+from emulator.trajectory.pose import STILL, Fixed, Pose
 
 numbers = st.floats(-1, 1)
 quaternions = st.tuples(numbers, numbers, numbers, numbers).filter(lambda q: np.linalg.norm(q) > 0.1)

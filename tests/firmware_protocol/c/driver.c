@@ -169,7 +169,7 @@ static void telemetry(const struct request *r, const uint8_t *bytes)
 /* The bytes are records of u16 identifier, u8 fd, u8 length, data. */
 static void can(const struct request *r, const uint8_t *bytes)
 {
-    const struct evstim_can_ids ids = {.events = 0x1A2, .epoch = 0x2A2, .edges = 0x422, .marks = 0x3A2};
+    const struct evstim_can_ids ids = {.events = 0x1A2, .epoch = 0x2A2, .clock = 0x322, .edges = 0x422, .marks = 0x3A2};
     struct evstim_can c;
     evstim_can_init(&c, &ids, r->width, r->height, &sink);
     for (uint32_t at = 0; at < r->n; at += 4u + bytes[at + 3]) {

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from raw_strategies import frames_of, jumping_streams
 
 from firmware_protocol.can_frames.frame import FD_LENGTHS, Frame
 from firmware_protocol.can_frames.identifiers import Identifiers
@@ -16,6 +17,7 @@ from firmware_protocol.events import EVENT, empty_events
 
 IDS = Identifiers.of_node(0x22)
 EVENTS, EPOCH = IDS.events, IDS.epoch
+CLOCK = IDS.clock
 COUNTERS = ("lost", "dropped", "gaps", "repeated", "before_epoch", "malformed")
 
 
@@ -34,7 +36,7 @@ def request(frames):
 
 
 def same_as_python(library, frames):
-    receiver = RawReceiver(EVENTS, EPOCH)
+    receiver = RawReceiver(EVENTS, EPOCH, CLOCK)
     events = np.concatenate([empty_events(), *(receiver.push(frame) for frame in frames)])
     reply = library("n", request(frames), size=(512, 512))
     assert np.array_equal(reply.events, events)
@@ -52,6 +54,15 @@ def test_events_come_back(library, events, tick_us, parts, fd):
     assert np.array_equal(reply.events[["x", "y", "on"]], events[["x", "y", "on"]])
 
 
+@given(jumping_streams(), st.booleans(), st.integers(0, 40))
+@settings(max_examples=150)
+def test_times_are_exact_far_from_zero_over_jumps_and_for_late_joiners(library, parts, fd, joins):
+    frames, expected = frames_of(parts, fd=fd)
+    reply = same_as_python(library, frames)
+    assert np.array_equal(reply.events, np.concatenate(expected))
+    same_as_python(library, frames[joins:])
+
+
 @given(streams(), st.booleans(), st.data())
 @settings(max_examples=80)
 def test_lost_repeated_and_late_frames_count_the_same(library, events, fd, data):
@@ -64,7 +75,7 @@ def test_lost_repeated_and_late_frames_count_the_same(library, events, fd, data)
 
 FD_DATA = st.sampled_from(FD_LENGTHS).flatmap(lambda n: st.binary(min_size=n, max_size=n))
 ANY = st.one_of(
-    st.builds(Frame, st.sampled_from([EVENTS, EPOCH, 0x7FF]), st.binary(max_size=8)),
+    st.builds(Frame, st.sampled_from([EVENTS, EPOCH, CLOCK, 0x7FF]), st.binary(max_size=8)),
     st.builds(lambda d: Frame(EVENTS, d, fd=True), FD_DATA),
     st.builds(
         lambda head, n, cells: Frame(EVENTS, (head + bytes([n, 0]) + cells).ljust(64, b"\0")[:64], fd=True),

@@ -27,14 +27,14 @@ from firmware_protocol.can_frames.dbc import dbc_text
 from firmware_protocol.can_frames.fd_events import pack_fd_events
 from firmware_protocol.can_frames.identifiers import Identifiers
 from firmware_protocol.can_frames.marks import pack_marks, unpack_mark
-from firmware_protocol.can_frames.raw_events import Epoch, pack_events
+from firmware_protocol.can_frames.raw_events import Epoch, pack_clock, pack_events
 from firmware_protocol.can_frames.timing import FollowUp
 from firmware_protocol.edges import EDGE
 from firmware_protocol.events import EVENT
 
 
-def database(fd=False):
-    return cantools.database.load_string(dbc_text(Identifiers(), fd=fd), "dbc")
+def database(**more):
+    return cantools.database.load_string(dbc_text(Identifiers(), **more), "dbc")
 
 
 def test_golden_objects():
@@ -114,6 +114,28 @@ def test_the_dbc_decodes_a_follow_up():
 
 def test_the_dbc_names_every_identifier():
     assert {m.name: m.frame_id for m in database().messages} == Identifiers().by_name
+
+
+@pytest.mark.parametrize(("carriage", "absent"), [("isotp", 4), ("cfp", 6)])
+def test_the_dbc_of_blocks_has_no_raw_frames(carriage, absent):
+    db = database(carriage=carriage)
+    names = {message.name for message in db.messages}
+    assert not names & {"events", "epoch", "clock", "edges"}
+    assert ("telemetry" in names) == (carriage == "isotp")
+    assert len(names) == len(Identifiers().by_name) - absent
+    assert ("CFP 2" in dbc_text(Identifiers(), carriage=carriage)) == (carriage == "cfp")
+
+
+def test_the_dbc_of_isotp_in_fd_frames():
+    db = database(fd=True, carriage="isotp")
+    for name in ("telemetry", "telecommand"):
+        message = db.get_message_by_name(name)
+        assert (message.length, message.is_fd) == (64, True)
+    assert not db.get_message_by_name("heartbeat").is_fd
+
+
+def test_the_dbc_decodes_a_clock_frame():
+    assert database().decode_message("clock", pack_clock(1 << 50)) == {"t": 1 << 50}
 
 
 def test_the_dbc_of_fd_frames():

@@ -14,10 +14,10 @@ from firmware_protocol.can_frames.redundancy import SelectorSettings
 from firmware_protocol.events import EVENT
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
+from firmware_protocol.receiver.can import CanReceiver
 from transports.can_bus.endpoint import CanFactory
 from transports.can_bus.parameters import CanParameters
 from transports.can_bus.python_can import from_message, to_message
-from transports.can_bus.receiver import CanReceiver
 from transports.can_bus.served import ServedBus
 from transports.faults.can_kinds import (
     BabblingIdiot,
@@ -73,7 +73,7 @@ class Bench:
         self.link = Link(LinkSetup("can", self.ring, device, factory), self.clock)
         channels = [c for c in (self.p.channel, self.p.channel_b) if c]
         self.peers = [can.Bus(interface="virtual", channel=channel) for channel in channels]
-        self.receiver = CanReceiver(self.p)
+        self.receiver = CanReceiver(self.p.receiver)
         self.frames = [[] for _ in channels]
         self.parts = [np.zeros(0, EVENT)]
 
@@ -91,7 +91,8 @@ class Bench:
             while (message := peer.recv(0)) is not None:
                 frame = from_message(message)
                 self.frames[bus].append((self.clock.now_ns(), frame))
-                self.parts.append(self.receiver.push(frame, self.clock.now_ns()))
+                self.receiver.push(frame, self.clock.now_ns())
+                self.parts.append(self.receiver.take_events())
 
     async def run(self, ticks):
         for _ in range(ticks):

@@ -21,11 +21,11 @@ from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
 from firmware_protocol.packets.profile import Profile
 from firmware_protocol.packets.telecommands import Ping
+from firmware_protocol.receiver.can import CanReceiver
 from transports.can_bus.bus import BusDown
 from transports.can_bus.endpoint import CanFactory
 from transports.can_bus.parameters import CanParameters
 from transports.can_bus.python_can import PythonCanBus, from_message, to_message
-from transports.can_bus.receiver import CanReceiver
 from transports.link.pacing import FakeClock, MonotonicClock
 from transports.link.process import Link, LinkSetup
 from transports.link.ring import FREE_RUNNING, EventRing
@@ -53,17 +53,19 @@ class Peer:
 
     def __init__(self, p, channel=None):
         self.bus = can.Bus(interface="virtual", channel=channel or p.channel)
-        self.receiver = CanReceiver(p)
+        self.receiver = CanReceiver(p.receiver)
         self.frames = []
-        self.events = [np.zeros(0, EVENT)]
+        self.events, self.edges = [np.zeros(0, EVENT)], []
 
     def listen(self):
         while (message := self.bus.recv(0)) is not None:
             frame = from_message(message)
             self.frames.append(frame)
-            self.events.append(self.receiver.push(frame, 0))
-            if self.receiver.answer is not None:
-                self.say(self.receiver.answer)
+            self.receiver.push(frame, 0)
+            self.events.append(self.receiver.take_events())
+            self.edges.append(self.receiver.take_edges())
+            for reply in self.receiver.take_replies():
+                self.say(reply)
 
     def say(self, frame):
         self.bus.send(to_message(frame))
@@ -231,12 +233,12 @@ def test_telecommands_by_isotp_are_obeyed_and_answered(carriage):
         frame = sender.next_frame(0)
         if frame is not None:
             peer.say(frame)
-        return peer.receiver.counts.get("frames: message verification") == 2
+        return peer.receiver.counts.get("messages: verification") == 2
 
     commands_sent = []
     settings = InstrumentSettings(housekeeping_s=0)
     _, peer = go(p, None, work, settings)
-    assert peer.receiver.counts["frames: message pong"] == 1
+    assert peer.receiver.counts["messages: pong"] == 1
 
 
 def test_a_peer_that_never_answers_isotp_costs_messages_and_is_counted(monkeypatch):
@@ -347,11 +349,11 @@ def test_edges_are_received_too(carriage):
         if not offered:
             link._device.offer_edges(edges)
             offered.append(1)
-        return sum(map(len, peer.receiver.edges)) == 300
+        return sum(map(len, peer.edges)) == 300
 
     offered = []
     _, peer = go(p, stream(10), work)
-    assert np.array_equal(np.concatenate(peer.receiver.edges), edges)
+    assert np.array_equal(np.concatenate(peer.edges), edges)
 
 
 def test_the_cameras_own_marks_have_frames_of_their_own():
@@ -365,7 +367,7 @@ def test_the_cameras_own_marks_have_frames_of_their_own():
     marked = []
     _, peer = go(p, stream(10), work)
     assert marked == [3]
-    assert np.array_equal(np.concatenate(peer.receiver.edges), edges_of(3))
+    assert np.array_equal(np.concatenate(peer.edges), edges_of(3))
 
 
 @pytest.mark.parametrize("carriage", ["raw", "isotp", "cfp"])

@@ -44,7 +44,7 @@ def pour(faulty, took, room):
 @pytest.mark.parametrize("room", [1, 7, 150])
 def test_a_port_without_room_gets_every_byte_in_order(room):
     faulty, took = line(), []
-    faulty.throw(WrongBaud(ratio=1.0, for_s=1.0))
+    faulty.inject(WrongBaud(ratio=1.0, for_s=1.0))
     faulty.advance(1000, b"")
     port = pour(faulty, took, room)
     faulty.advance(2_000_000, b"")
@@ -55,7 +55,7 @@ def test_a_port_without_room_gets_every_byte_in_order(room):
 
 def test_the_last_byte_at_a_wrong_baud_rate_comes_when_the_line_idles():
     faulty, took = line(), []
-    faulty.throw(WrongBaud(ratio=0.9, for_s=0.1))
+    faulty.inject(WrongBaud(ratio=0.9, for_s=0.1))
     assert faulty.write(b"\x0f", lambda data: took.append(data) or len(data)) == 1
     faulty.advance(100_000, b"")
     faulty.flush(lambda data: took.append(data) or len(data))
@@ -64,7 +64,7 @@ def test_the_last_byte_at_a_wrong_baud_rate_comes_when_the_line_idles():
 
 def test_a_stall_takes_nothing_until_it_is_over():
     faulty, took = line(), []
-    faulty.throw(Stall(for_s=0.1))
+    faulty.inject(Stall(for_s=0.1))
     assert faulty.write(DATA, lambda data: len(data)) == 0
     faulty.advance(100_000, b"")
     pour(faulty, took, 150)
@@ -73,7 +73,7 @@ def test_a_stall_takes_nothing_until_it_is_over():
 
 def test_what_waits_for_a_reader_that_left_is_not_for_the_next_one():
     faulty, took = line(), []
-    faulty.throw(LostBytes())
+    faulty.inject(LostBytes())
     faulty.write(DATA[:100], lambda data: 0)
     faulty.drop()
     faulty.advance(0, b"")
@@ -129,7 +129,7 @@ def test_a_controller_that_is_off_comes_back_on_the_same_bus_and_a_bus_that_brok
     b, faults = bus()
     inner = b._bus
     asyncio.run(b.open())
-    faults.throw(BusOff(for_s=0.1))
+    faults.inject(BusOff(for_s=0.1))
     for attempt in (lambda: b.post(Parcel(FRAME)), b.take, lambda: asyncio.run(b.open())):
         with pytest.raises(BusDown, match="bus-off"):
             attempt()
@@ -146,7 +146,7 @@ def test_a_dead_bus_hears_and_is_heard_by_nobody():
     b, faults = bus()
     assert b.heard
     assert len(b.take()) == 1
-    faults.throw(DeadBus(for_s=0.1))
+    faults.inject(DeadBus(for_s=0.1))
     assert not b.heard
     assert b.take() == []
     faults.advance(100_000)
@@ -155,7 +155,7 @@ def test_a_dead_bus_hears_and_is_heard_by_nobody():
 
 def test_a_babbling_node_asks_for_its_share_of_the_bus():
     b, faults = bus()
-    faults.throw(BabblingIdiot(for_s=1.0, identifier=0x100, load=0.25))
+    faults.inject(BabblingIdiot(for_s=1.0, identifier=0x100, load=0.25))
     inner = b._bus
     for ms in range(101):
         b.babble(ms * 1_000_000)
@@ -176,7 +176,7 @@ def test_a_frame_that_comes_twice_counts_once_however_late():
     b, faults = bus()
     fates, inner = Fates(), b._bus
     watch = FrameWatch(fates.tell)
-    faults.throw(RepeatedFrames())
+    faults.inject(RepeatedFrames())
     inner.room = 1
     assert b.post(Parcel(FRAME, cargo=watch.cargo(load(3))))
     watch.left(message())
@@ -205,7 +205,7 @@ def test_a_bus_that_goes_away_takes_what_waits_for_it():
     b, faults = bus()
     fates, inner = Fates(), b._bus
     watch = FrameWatch(fates.tell)
-    faults.throw(RepeatedFrames(rate=0.001))
+    faults.inject(RepeatedFrames(rate=0.001))
     inner.room = 0
     assert b.post(Parcel(FRAME, cargo=watch.cargo(load(3))))
     assert not b.post(Parcel(FRAME))

@@ -10,8 +10,9 @@ from firmware_protocol.davis346 import Davis346, Davis346Settings
 from firmware_protocol.events import EVENT
 from firmware_protocol.usb.device import SetupPacket, Transfer
 from transports.link.digest import digest_of
+from transports.link.endpoint import LinkBroken
 from transports.link.pacing import FakeClock
-from transports.link.process import Link, LinkBroken, LinkSetup
+from transports.link.process import Link, LinkSetup
 from transports.link.record import load_record
 from transports.link.ring import FREE_RUNNING, EventRing
 from transports.usb.host import StallError

@@ -10,14 +10,13 @@ import serial
 from firmware_protocol.events import EVENT
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
-from firmware_protocol.packets.profile import Profile
+from firmware_protocol.receiver.serial import SerialReceiver
 from transports.faults.script import FaultPlan
 from transports.link.pacing import FakeClock
 from transports.link.process import Link, LinkSetup
 from transports.link.ring import EventRing
 from transports.serial_line.endpoint import SerialFactory
 from transports.serial_line.parameters import SerialParameters
-from transports.serial_line.reception import SerialReceiver
 
 ORIGIN_NS = 1_000_000_000
 TICK_NS = 500_000
@@ -44,7 +43,7 @@ class Bench:
         self.link = Link(
             LinkSetup("serial", self.ring, device, SerialFactory(parameters, faults or FaultPlan()), record), self.clock
         )
-        self.receiver = SerialReceiver(Profile(parameters.profile))
+        self.receiver = SerialReceiver(parameters.profile)
         self.port, self.closed = None, False
         self.parts, self.told = [], []
 
@@ -69,9 +68,9 @@ class Bench:
                 self.read()
 
     def read(self):
-        arrival = self.receiver.push(self.port.read(1 << 16))
-        self.parts.append(arrival.events)
-        self.told += arrival.told
+        self.receiver.push(self.port.read(1 << 16))
+        self.parts.append(self.receiver.take_events())
+        self.told += self.receiver.take_reports()
 
     def read_until(self, count):
         """Read what the kernel still holds: it hands a pty's bytes over in its own time."""

@@ -184,13 +184,13 @@ def test_a_port_that_is_pulled_out_comes_back(tmp_path):
     asyncio.run(whole())
 
 
-def test_a_fault_thrown_by_hand_begins_at_once(bench):
+def test_a_fault_injected_by_hand_begins_at_once(bench):
     b = bench()
     b.plug()
     b.ring.start(ORIGIN_NS)
     b.give(stream(COUNT), COUNT * 20)
     b.run(100)
-    b.link.endpoint.throw(LostBytes())
+    b.link.endpoint.inject(LostBytes())
     b.run(360)
     b.read_until(b.link.report().delivered)
     report = b.link.report()

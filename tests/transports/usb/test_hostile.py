@@ -11,6 +11,8 @@ import pytest
 
 from firmware_protocol.usb.device import SetupPacket
 from firmware_protocol.usb.usbip import DeviceListRequest, ImportRequest, Submit, Unlink
+from transports.network.admission import Places
+from transports.network.listener import Listener
 from transports.usb.host import PeerGone
 from transports.usb.usbip.client import UsbipHost
 from transports.usb.usbip.connection import ConnectionSettings
@@ -341,14 +343,44 @@ def test_silent_connection_is_closed_in_the_operation_phase_only(bench, device):
         assert len(host.control_in(GET_DEVICE)) == 18
 
 
-def test_connections_are_bounded(bench, device):
-    bench.start({"1-1": device}, max_connections=2)
+def test_an_idle_connection_makes_way_and_an_attached_host_does_not(bench, device):
+    bench.start({"1-1": device}, places=Places(total=2, per_address=2))
     with UsbipHost(bench.connect(), "1-1", timeout_s=30) as host:
         idle = bench.connect()
         idle.sendall(b"\x01")
+        newer = bench.connect()
+        assert is_closed(idle)
+        newer.sendall(bytes(DeviceListRequest()))
+        assert len(read(newer, 12)) == 12
+        assert len(host.control_in(GET_DEVICE)) == 18
+    assert bench.server.counts == {"idle connections closed for newer ones": 1}
+
+
+def test_attached_hosts_in_all_places_let_nobody_in(bench, device):
+    bench.start({"1-1": device}, places=Places(total=1))
+    with UsbipHost(bench.connect(), "1-1", timeout_s=30) as host:
         assert is_closed(bench.connect())
         assert len(host.control_in(GET_DEVICE)) == 18
-        idle.close()
+    assert bench.server.counts == {"connections refused: too many": 1}
+
+
+def test_idle_connections_do_not_lock_the_device_list(served, device):
+    idle = [served.connect() for _ in range(100)]
+    sock = served.connect()
+    sock.settimeout(2)
+    sock.sendall(bytes(DeviceListRequest()))
+    assert len(read(sock, 12)) == 12
+    assert_serves(served, device)
+    assert all(sock.fileno() > 0 for sock in idle)
+
+
+def test_a_peer_that_is_not_allowed_is_refused_and_counted(bench, device):
+    bench.start({"1-1": device}, allow=["127.0.0.2", "10.0.0.0/8"])
+    assert is_closed(bench.connect())
+    assert bench.server.counts == {"connections refused: address not allowed": 1}
+    with socket.create_connection(("127.0.0.1", bench.server.port), 30, ("127.0.0.2", 0)) as sock:
+        sock.sendall(bytes(DeviceListRequest()))
+        assert len(read(sock, 12)) == 12
 
 
 def test_direction_that_contradicts_the_setup_packet_stalls(served):
@@ -381,18 +413,7 @@ def test_bus_id_that_no_bus_has_is_refused(device):
 
 @pytest.mark.parametrize(("address", "warned"), [("127.0.0.1", False), ("0.0.0.0", True)])
 def test_warns_when_bound_to_more_than_this_machine(device, caplog, address, warned, monkeypatch):
-    class Listener:
-        """Stands in for a listening socket, so that the test opens none to the outside."""
-
-        sockets = (type("Socket", (), {"getsockname": lambda self: (address, 3240)})(),)
-
-    async def create_server(*_):
-        return Listener()
-
-    async def start():
-        monkeypatch.setattr(asyncio.get_running_loop(), "create_server", create_server)
-        await UsbipServer({"1-1": device}).start(address)
-
+    monkeypatch.setattr(Listener, "open", lambda self, host, port: None)  # the test opens nothing to the outside
     with caplog.at_level(logging.WARNING):
-        asyncio.run(start())
+        asyncio.run(UsbipServer({"1-1": device}, allow=["10.0.0.5"]).start(address))
     assert ("without authentication" in caplog.text) is warned

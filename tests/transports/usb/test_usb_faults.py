@@ -26,7 +26,7 @@ def faulty(device):
 
 def test_a_silent_endpoint_keeps_what_it_has(faulty, device):
     device.chunks.append(b"abcd")
-    faulty.throw(UsbSilence(for_s=0.1))
+    faulty.inject(UsbSilence(for_s=0.1))
     assert faulty.read(2, 64) is None
     assert faulty.read(1, 64) is None
     faulty.advance(100_000)
@@ -36,7 +36,7 @@ def test_a_silent_endpoint_keeps_what_it_has(faulty, device):
 
 def test_short_transfers_come_in_order_and_whole(faulty, device):
     device.chunks.append(b"abcdefgh")
-    faulty.throw(ShortTransfers(for_s=0.1, most_bytes=2))
+    faulty.inject(ShortTransfers(for_s=0.1, most_bytes=2))
     parts = [faulty.read(2, 64).data for _ in range(2)]
     faulty.advance(100_000)
     assert [*parts, faulty.read(2, 64).data] == [b"ab", b"cd", b"efgh"]
@@ -63,7 +63,7 @@ def test_a_halt_lasts_until_the_host_clears_it(bench, faulty, device):
     bench.start({"1-1": faulty})
     with UsbipHost.attach(port=bench.server.port, timeout_s=30) as host:
         device.chunks.append(b"abcd")
-        bench.call(faulty.throw, UsbStall(count=2))
+        bench.call(faulty.inject, UsbStall(count=2))
         for _ in range(2):
             stream = host.stream(2, 64, 1)
             bench.call(bench.server.pump)

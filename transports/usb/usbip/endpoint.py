@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from firmware_protocol.usb.device import UsbCamera
@@ -9,7 +10,7 @@ from transports.faults.kinds import Fault
 from transports.faults.script import FaultPlan, FaultRecord
 from transports.faults.usb import FaultyDevice
 from transports.link.deliveries import Deliveries
-from transports.link.process import Endpoint, EndpointFactory
+from transports.link.endpoint import Endpoint, EndpointFactory
 from transports.usb.observed import Observed
 from transports.usb.usbip.server import UsbipServer
 
@@ -18,12 +19,13 @@ __all__ = ["UsbipEndpoint", "UsbipFactory"]
 
 @dataclass(frozen=True)
 class UsbipFactory(EndpointFactory[UsbCamera]):
-    """Serves the camera under `busid` at `host`:`port` (port 0: any free one)."""
+    """Serves the camera under `busid` at `host`:`port` (port 0: any free one) to those whom `allow` names."""
 
     host: str
     port: int
     busid: str
     faults: FaultPlan = field(default_factory=FaultPlan)
+    allow: tuple[str, ...] = ()
 
     def build(self, device: UsbCamera, deliveries: Deliveries) -> UsbipEndpoint:
         """Return the server, not yet listening."""
@@ -37,7 +39,7 @@ class UsbipEndpoint(Endpoint):
         self._at = factory
         self._device = device
         self._is_gone = False
-        self._server = UsbipServer({factory.busid: device})
+        self._server = UsbipServer({factory.busid: device}, allow=factory.allow)
 
     async def start(self) -> None:
         """Listen; raises OSError, with what to do, when the port cannot be had."""
@@ -54,16 +56,16 @@ class UsbipEndpoint(Endpoint):
         """Answer the hosts' pending requests."""
         self._server.pump()
 
-    def reach(self, stream_us: int) -> None:
-        """See `Endpoint.reach`."""
+    def advance_faults(self, stream_us: int) -> None:
+        """See `Endpoint.advance_faults`."""
         self._device.advance(stream_us)
         if self._device.gone != self._is_gone:
             self._is_gone = self._device.gone
             (self._server.unplug if self._is_gone else self._server.plug)(self._at.busid)
 
-    def throw(self, fault: Fault) -> None:
-        """See `Endpoint.throw`."""
-        self._device.throw(fault)
+    def inject(self, fault: Fault) -> None:
+        """See `Endpoint.inject`."""
+        self._device.inject(fault)
 
     @property
     def faults(self) -> tuple[FaultRecord, ...]:
@@ -89,3 +91,8 @@ class UsbipEndpoint(Endpoint):
     def address(self) -> str:
         """Host and port that the server listens on."""
         return f"{self._at.host}:{self._server.port}"
+
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """Connections that were refused, or closed for newer ones."""
+        return self._server.counts

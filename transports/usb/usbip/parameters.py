@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from typing import ClassVar
+
+from transports.network.allow import check_allow
 
 __all__ = ["UsbipLink"]
 
@@ -16,17 +19,22 @@ class UsbipLink:
     ----------
     host, port
         Address to listen on. USB/IP has no authentication: leave it on 127.0.0.1 or a network of your own.
+    allow
+        Addresses and networks that may connect; needed where `host` can be reached from other machines.
     busid
         Bus id under which the camera is exported.
     """
 
+    kind: ClassVar[str] = "usbip"
     host: str = "127.0.0.1"
     port: int = 3240
     busid: str = "1-1"
     name: str = "usbip"
+    allow: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not 0 <= self.port <= 65535:
             raise ValueError(f"port must be 0 (any free one) to 65535, got {self.port}")
         if not re.fullmatch(r"[1-9]\d{0,2}-[1-9]\d{0,2}", self.busid):
             raise ValueError(f"busid must be a bus and a port such as '1-1', got {self.busid!r}")
+        check_allow(self.host, self.allow)

@@ -1,8 +1,10 @@
 """A USB/IP server: device models on a TCP port, for `usbip attach` on any Linux machine.
 
 The server runs in one asyncio loop and shares it with whoever drives the devices: call `pump` after a device was given
-new data. USB/IP has no authentication and no encryption: whoever reaches the port has the camera. It is meant for the
+new data. USB/IP has no authentication and no encryption: whoever may connect has the camera. It is meant for the
 loopback interface, an SSH tunnel, or a bench network with nobody else on it.
+
+A connection that has no device is closed when a newer one needs its place; an attached host never is.
 
     bus id    "B-P": bus number B, port P; the device number is P + 1, as if a hub had address 1
 """
@@ -10,20 +12,24 @@ loopback interface, an SSH tunnel, or a bench network with nobody else on it.
 from __future__ import annotations
 
 import asyncio
-import ipaddress
 import logging
 import re
 import socket
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from functools import partial
 
 from firmware_protocol.usb.device import UsbDevice
 from firmware_protocol.usb.usbip import DeviceListReply, DeviceRecord, ImportReply, OpStatus
+from transports.network.admission import Admission, Places, Seat
+from transports.network.allow import AllowList, is_loopback
+from transports.network.listener import Listener
 from transports.usb.usbip.connection import Connection, ConnectionSettings
 
 __all__ = ["UsbipServer"]
 
 log = logging.getLogger(__name__)
 
+_PLACES = Places()
 _BUSID = re.compile(r"([1-9]\d{0,2})-([1-9]\d{0,2})")
 
 
@@ -36,28 +42,31 @@ class UsbipServer:
         The devices by bus id, such as "1-1".
     settings
         Limits and patience of each connection.
-    max_connections
-        Connections held at once; one more is closed at once. Each device needs one.
+    places
+        Connections held at once, in all and of one address. Each device needs one.
+    allow
+        Addresses and networks that may connect; without any, only this machine.
 
     Raises
     ------
     ValueError
-        A bus id does not look like "1-1".
+        A bus id does not look like "1-1", or an entry of `allow` is neither an address nor a network.
     """
 
     def __init__(
         self,
         devices: Mapping[str, UsbDevice],
         settings: ConnectionSettings | None = None,
-        max_connections: int = 64,
+        places: Places = _PLACES,
+        allow: Sequence[str] = (),
     ) -> None:
         self._devices = dict(devices)
         self._records = {busid: _record(busid, device) for busid, device in devices.items()}
         self._settings = settings or ConnectionSettings()
-        self._max_connections = max_connections
-        self._connections: set[Connection] = set()
+        self._admission = Admission(AllowList(allow), places)
+        self._listener = Listener(self._admission, self._connect)
+        self._connections: dict[Connection, Seat | None] = {}
         self._holders: dict[str, Connection] = {}
-        self._listener: asyncio.Server | None = None
         self._unplugged: set[str] = set()
         self._idle = asyncio.Event()
         self._idle.set()
@@ -70,22 +79,24 @@ class UsbipServer:
     @property
     def port(self) -> int:
         """The TCP port that the server is bound to; raises RuntimeError before `start`."""
-        if self._listener is None:
+        if self._listener.address is None:
             raise RuntimeError("the USB/IP server is not started")
-        port: int = self._listener.sockets[0].getsockname()[1]
-        return port
+        return self._listener.address[1]
+
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """Connections that were refused, or closed for newer ones."""
+        return +self._admission.counts
 
     async def start(self, host: str = "127.0.0.1", port: int = 3240) -> None:
         """Listen on an address; port 0 takes a free one. Raises OSError when the address cannot be had."""
-        self._listener = await asyncio.get_running_loop().create_server(self._accept, host, port)
-        for sock in self._listener.sockets:
-            address = sock.getsockname()[0]
-            if not ipaddress.ip_address(address.partition("%")[0]).is_loopback:
-                log.warning("USB/IP listens on %s without authentication: whoever reaches it has the camera", address)
+        self._listener.open(host, port)
+        if not is_loopback(host):
+            log.warning("USB/IP listens on %s without authentication: whoever may connect has the camera", host)
 
     async def serve(self, sock: socket.socket) -> None:
-        """Serve a host at the other end of a connected stream socket."""
-        await asyncio.get_running_loop().connect_accepted_socket(self._accept, sock)
+        """Serve a host at the other end of a connected stream socket, which needs no place."""
+        await asyncio.get_running_loop().connect_accepted_socket(partial(self._connect, None), sock)
 
     def pump(self) -> None:
         """Answer pending URBs with what the attached devices have now."""
@@ -107,8 +118,7 @@ class UsbipServer:
 
         Hosts have `linger_s` to take what was sent and hang up themselves.
         """
-        if self._listener:
-            self._listener.close()
+        await self._listener.close()
         for connection in tuple(self._connections):
             connection.hang_up()
         try:
@@ -131,31 +141,25 @@ class UsbipServer:
         if busid in self._holders:
             return ImportReply(OpStatus.BUSY), None
         self._holders[busid] = connection
+        seat = self._connections[connection]
+        if seat is not None:
+            self._admission.settle(seat)
         return ImportReply(OpStatus.OK, self._records[busid]), self._devices[busid]
 
     def closed(self, connection: Connection) -> None:
         """Forget a connection."""
-        self._connections.discard(connection)
+        seat = self._connections.pop(connection, None)
+        if seat is not None:
+            self._admission.leave(seat)
         self._holders = {busid: holder for busid, holder in self._holders.items() if holder is not connection}
         if not self._connections:
             self._idle.set()
 
-    def _accept(self) -> asyncio.Protocol:
-        if len(self._connections) >= self._max_connections:
-            log.warning("a connection was refused: %d are open", self._max_connections)
-            return _Refusal()
+    def _connect(self, seat: Seat | None) -> Connection:
         connection = Connection(self, self._settings)
-        self._connections.add(connection)
+        self._connections[connection] = seat
         self._idle.clear()
         return connection
-
-
-class _Refusal(asyncio.Protocol):
-    """Closes a connection that is one too many."""
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        assert isinstance(transport, asyncio.Transport)
-        transport.abort()
 
 
 def _record(busid: str, device: UsbDevice) -> DeviceRecord:

@@ -38,11 +38,11 @@ def test_a_run_raises_as_many_events_as_on_the_processor(gl, more):
     assert here.ledger.raised == pytest.approx(there.ledger.raised, rel=0.005)
     assert (here.pixels_by, there.pixels_by) == (gl.renderer, None)
     assert summary(ours, here)["pixels_by"] == gl.renderer
-    assert here.suspect_share is not None
+    assert here.undersampled_share is not None
 
 
 def test_methods_and_effects_that_are_not_done_there_are_refused():
-    with pytest.raises(RigError, match=r'"gpu" has methods "warped" and "line", got method = \'v2e\''):
+    with pytest.raises(RigError, match=r'"gpu" has methods "hermite" and "line", got method = \'v2e\''):
         rig('method = "v2e"\n')
     with pytest.raises(RigError, match="at most 250000"):
         rig("step_us = 250001\n")
@@ -66,6 +66,6 @@ def test_a_run_tells_what_draws(gl, capsys):
     loaded = load_rig("eros")
     run = dataclasses.replace(loaded.run, pace="free", seconds=0.005)
     result = run_rig(dataclasses.replace(loaded, run=run, links=(LoopbackLink(),)), show=True)
-    assert capsys.readouterr().out.splitlines()[0] == f"drawn by {gl.renderer}"
+    assert capsys.readouterr().out.splitlines()[0] == f"renderer: {gl.renderer}"
     assert summary(loaded, result)["renderer"] == gl.renderer
     assert summary(loaded, result)["pixels_by"] is None

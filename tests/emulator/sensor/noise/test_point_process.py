@@ -13,7 +13,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from emulator.sensor.chip.slots import SLOT_NS, Ahead, Window, give_out
+from emulator.sensor.chip.slots import SLOT_NS, Pending, Window, release
 from emulator.sensor.effects import NoiseParameters
 from emulator.sensor.noise.law import bandwidth_hz, corner_hz, rate_over_bandwidth, rms
 from emulator.sensor.noise.point_process import NoiseEvents
@@ -169,9 +169,9 @@ def test_a_start_in_the_middle_of_a_slot_has_the_rest_of_it():
 
 def test_an_event_at_a_steps_end_belongs_to_the_next_step():
     times = np.array([21, 9, 10, 19, 20], np.int64)
-    ahead = Ahead(times, np.arange(5, dtype=np.uint64))
+    ahead = Pending(times, np.arange(5, dtype=np.uint64))
     keys = np.empty(6, np.uint64)
-    found, kept = give_out(Window(0, 10, 20, 3), ahead, 5, keys)
+    found, kept = release(Window(0, 10, 20, 3), ahead, 5, keys)
     assert (found, kept) == (2, 2)
     assert keys[:2].tolist() == [0 << 4 | 2, 9 << 4 | 3]
     assert (ahead.t_ns[:2].tolist(), ahead.key[:2].tolist()) == ([21, 20], [0, 4])
@@ -241,7 +241,7 @@ def test_any_number_of_candidates_finds_room():
     p = dataclasses.replace(PLAIN, noise=NoiseParameters(rms=0.08, corner_hz=1e5), corner_hz_at_reference=1e5,
                             corner_max_hz=1e5)  # fmt: skip
     noise = NoiseEvents(p, 1, np.full(PIXELS, 0.2))
-    noise._make_room(600)
+    noise._reserve_candidates(600)
     found = noise.step(light(), 30 * MS)
     assert same(found, NoiseEvents(p, 1, np.full(PIXELS, 0.2)).step(light(), 30 * MS))
     assert len(found) == pytest.approx(2 * model_hz(p) * PIXELS * 0.03, rel=0.03)

@@ -183,7 +183,7 @@ def test_a_ramp_in_log_light_leaves_only_the_change_of_the_time_constant_within_
 
 @pytest.mark.parametrize("refractory_us", [10.0, 100.0, 1000.0, 5000.0])
 def test_the_reference_is_read_anew_when_the_refractory_period_ends(refractory_us):
-    """Held against the truth; deferring events instead gives up to 3.6 times as many."""
+    """V2eExactFilter against the truth; deferring events instead gives up to 3.6 times as many."""
     for light in (sine, edge):
         right, _, high, count = score(light, sensor(refractory_us=refractory_us), 0.4, 1e-3)
         assert right >= 0.85

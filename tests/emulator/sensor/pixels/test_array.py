@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from emulator.sensor.numerics.cached import kept_entry
+from emulator.sensor.numerics.cached import cached_entry
 from emulator.sensor.pixels import quiet_pass as kernels
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.pixels.state import BEFORE_ROWS, BLOCK, Field, StepConstants
@@ -361,15 +361,15 @@ def test_the_quiet_test_rejects_no_step_that_fires(touching):
     rate = np.clip(at_reference * np.exp(u0), least, most)
     unused = np.zeros_like(u0)
     fields = np.stack([u0, v0, rate, a0 / h / rate, reference, on, off, leak, unused, unused]).astype(np.float32)
-    loud, light = np.zeros(n, np.uint8), (np.exp(u1) - 1e-3).astype(np.float32)
+    may_fire, light = np.zeros(n, np.uint8), (np.exp(u1) - 1e-3).astype(np.float32)
     slope = (np.exp(u1) * a1 / h).astype(np.float32)
     for block in range(blocks):
         here = slice(block * BLOCK, (block + 1) * BLOCK)
-        loud[here] = _loud(fields[:, here], (light[here], slope[here]), at_reference[block * BLOCK], h, since)
+        may_fire[here] = _may_fire(fields[:, here], (light[here], slope[here]), at_reference[block * BLOCK], h, since)
     assert fires.sum() > 20_000
-    assert np.all(loud[fires] == 1)
-    plain = (np.abs(u1 - u0 - (a0 + a1) / 2) < 0.04) & (np.abs(a0 - a1) < 0.4)  # others are loud for their light
-    assert touching or np.mean(loud[~fires & plain]) < 0.25
+    assert np.all(may_fire[fires] == 1)
+    plain = (np.abs(u1 - u0 - (a0 + a1) / 2) < 0.04) & (np.abs(a0 - a1) < 0.4)  # others are may_fire for their light
+    assert touching or np.mean(may_fire[~fires & plain]) < 0.25
 
 
 def _extremes(light, v0, leak, rate, h, steps=200):
@@ -394,20 +394,20 @@ def _extremes(light, v0, leak, rate, h, steps=200):
     return high, low
 
 
-def _loud(fields, light_and_slope, at_reference, h, since):
+def _may_fire(fields, light_and_slope, at_reference, h, since):
     """What the quiet pass says of one block."""
     f = np.float32
     rates = f(at_reference), f(at_reference * np.exp(-2.5)), f(at_reference * np.exp(-1.5))
     extras = {"parasitic": f(0), "second": f(0), "refractory_ns": 0, "pixel_bits": 17, "chord": False}
-    extras |= {"trust": f(0.5), "halve": False}
+    extras |= {"unseen_share": f(0.5), "refine": False}
     times = {"h": f(h), "since_epoch_0": f(since), "since_epoch_1": f(since + h), "refractory": f(0)}
     c = StepConstants(f(1e-3), *rates, **times, h_ns=round(h * 1e9), t0_ns=0, **extras)
     s, before = fields.reshape(-1), np.empty(len(BEFORE_ROWS) * BLOCK, np.float32)
-    loud = np.empty(BLOCK, np.uint8)
-    _quiet_pass(*light_and_slope, s, before, loud, c)
-    return loud
+    may_fire = np.empty(BLOCK, np.uint8)
+    _quiet_pass(*light_and_slope, s, before, may_fire, c)
+    return may_fire
 
 
-@kept_entry
-def _quiet_pass(light, slope, s, before, loud, c):
-    kernels._quiet_pass(light, slope, s, before, loud, c)
+@cached_entry
+def _quiet_pass(light, slope, s, before, may_fire, c):
+    kernels._quiet_pass(light, slope, s, before, may_fire, c)

@@ -12,7 +12,7 @@ from emulator.scene.checkerboard.checkerboard import Checkerboard
 from emulator.scene.checkerboard.table import CheckerboardParameters
 from emulator.sensor.pixels import array as pixels
 from emulator.sensor.pixels.array import PixelArray
-from emulator.sensor.pixels.interpolation import HALVED
+from emulator.sensor.pixels.interpolation import REFINED_UNSEEN_SHARE
 from emulator.sensor.presets import PRESETS
 
 MS = 1_000_000
@@ -84,7 +84,7 @@ class Asked:
 
 @pytest.mark.parametrize("effect", EFFECTS)
 def test_a_pixel_that_is_halved_has_the_events_and_the_state_of_half_the_step(effect, monkeypatch):
-    monkeypatch.setattr(pixels, "SUSPECT", HALVED)  # what is plain is the same for both
+    monkeypatch.setattr(pixels, "UNSEEN_SHARE", REFINED_UNSEEN_SHARE)  # what is plain is the same for both
     parameters, asked = dataclasses.replace(SMALL, **EFFECTS[effect]), Asked()
     halved, found = run([MS, 4 * MS], asked, parameters)
     twice, finer = run([MS, MS + 3 * MS // 2, 4 * MS], parameters=parameters)
@@ -95,11 +95,11 @@ def test_a_pixel_that_is_halved_has_the_events_and_the_state_of_half_the_step(ef
         np.testing.assert_array_equal(one, other)
     fields = [array.state.fields.transpose(0, 2, 1).reshape(-1, 10)[once] for array in (halved, twice)]
     np.testing.assert_array_equal(*fields)
-    blind = [array.state.blind_until_ns[once] for array in (halved, twice)]
-    np.testing.assert_array_equal(*(np.where(np.isnan(fields[0][:, 4]), until, 0) for until in blind))
+    refractory = [array.state.refractory_until_ns[once] for array in (halved, twice)]
+    np.testing.assert_array_equal(*(np.where(np.isnan(fields[0][:, 4]), until, 0) for until in refractory))
 
 
-def test_suspects_all_over_are_solved_like_a_picture_at_an_eighth_of_the_step():
+def test_undersampled_pixels_all_over_are_solved_like_frames_at_an_eighth_of_the_step():
     halved, found = run([k * 4 * MS for k in range(1, 6)], pixel_light)
     truth = joined(run([k * MS // 8 for k in range(1, 161)])[1])
     coarse = joined(run([k * 4 * MS for k in range(1, 6)])[1])
@@ -109,7 +109,7 @@ def test_suspects_all_over_are_solved_like_a_picture_at_an_eighth_of_the_step():
     assert near.t95_us < 3
     assert far.right < 0.99
     assert far.t95_us > 10 * near.t95_us
-    assert halved.suspects < 0.01 * halved.candidates
+    assert halved.undersampled < 0.01 * halved.candidates
 
 
 def test_what_a_pixel_does_does_not_depend_on_who_else_is_halved():
@@ -148,7 +148,7 @@ def test_nobody_is_asked_where_pictures_are_close_enough_or_come_without_a_deriv
         raise AssertionError
 
     array, _ = run([k * MS // 10 for k in range(1, 20)], never)
-    assert array.halved == 0 < array.candidates
+    assert array.refined == 0 < array.candidates
     light, _ = picture(9 * MS)
     array.step(light, 9 * MS, None, never)
 

@@ -12,7 +12,7 @@ from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.pixels.state import BLOCK, Field
 from emulator.sensor.presets import PRESETS, SensorParameters
 
-OURS = Method("warped", PixelArray, rate=True)
+OURS = Method("hermite", PixelArray, rate=True)
 POLES_HZ = 100.0, 286.0, 1000.0
 MS, US = 1_000_000, 1000
 

@@ -96,7 +96,7 @@ def test_timestamps_are_within_twice_those_of_the_prototype(scene, dt_s, t50, t9
     assert right >= 0.97
     assert median <= 2 * t50
     assert high <= 2 * t95
-    assert array.suspects == 0
+    assert array.undersampled == 0
 
 
 @pytest.mark.parametrize("changes", [{}, {"source_follower_hz": 300.0}, {"corner_hz_at_reference": 30.0}])
@@ -108,7 +108,7 @@ def test_a_flash_between_two_pictures_is_a_jump_at_mid_step(changes, dt_s):
     assert right >= 0.99
     assert median < 0.4 * dt_s * 1e6
     assert high < 0.55 * dt_s * 1e6
-    assert array.suspects == PIXELS
+    assert array.undersampled == PIXELS
 
 
 def test_a_turn_right_in_the_middle_of_a_step_keeps_its_slopes():
@@ -118,10 +118,10 @@ def test_a_turn_right_in_the_middle_of_a_step_keeps_its_slopes():
     assert b.counts.sum() == pytest.approx(a.counts.sum(), rel=0.01)
 
 
-def test_suspects_are_counted_where_pictures_are_too_far_apart():
+def test_undersampled_steps_are_counted_where_frames_are_too_far_apart():
     near, far = (ours(BOARD, sensor(), dt)[1] for dt in (2e-3, 2e-2))
-    assert near.suspects == 0
-    assert far.suspects > 0.05 * far.candidates > 0
+    assert near.undersampled == 0
+    assert far.undersampled > 0.05 * far.candidates > 0
 
 
 def picture(t_ns, width=2500):
@@ -169,7 +169,7 @@ def test_a_tile_gives_the_events_that_the_whole_picture_gives_there(changes):
     inside[:, 1] -= tile.start
     assert len(inside) > 3000
     assert np.array_equal(inside, run(part, TIMES, tile))
-    assert whole.suspects > 0
+    assert whole.undersampled > 0
 
 
 @pytest.mark.parametrize("changes", RARE)
@@ -208,7 +208,7 @@ def test_slopes_that_contradict_the_light_end_and_stay_finite():
         c = array.step(light, k * MS, (rng.normal(0, 1e6, (1, 1000)) * light).astype(np.float32))
         assert np.all((c.t_ns >= (k - 1) * MS) & (c.t_ns <= k * MS))
     assert np.all(np.isfinite(array.field(Field.FILTERED)))
-    assert array.suspects > 10_000
+    assert array.undersampled > 10_000
 
 
 def test_black_light_has_no_slope():

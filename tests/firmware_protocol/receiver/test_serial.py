@@ -12,8 +12,8 @@ from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
 from firmware_protocol.packets.message import Message, MessageKind
 from firmware_protocol.packets.profile import PROFILES, Profile
-from firmware_protocol.packets.telecommands import SetRegion, Start
-from transports.serial_line.reception import SerialReceiver
+from firmware_protocol.packets.telecommands import Ping, SetRegion, Start
+from firmware_protocol.receiver.serial import SerialReceiver
 
 LINES = [name for name in PROFILES if "-" in name or name == "fprime"]
 SIZE = (346, 260)
@@ -46,7 +46,8 @@ def data_of(profile):
 
 
 def heard_of(receiver, data):
-    return receiver.push(data).events
+    receiver.push(data)
+    return receiver.take_events()
 
 
 @pytest.mark.parametrize("profile", LINES)
@@ -103,14 +104,16 @@ def test_being_lost_and_found_again_is_told():
 @settings(max_examples=50, deadline=None)
 @given(st.sampled_from(LINES), st.binary(max_size=3000))
 def test_noise_is_no_event(profile, noise):
-    arrival = SerialReceiver(Profile(profile)).push(noise)
-    assert len(arrival.events) == len(arrival.edges) == 0
+    receiver = SerialReceiver(profile)
+    receiver.push(noise)
+    assert len(receiver.take_events()) == len(receiver.take_edges()) == 0
 
 
 def test_a_sound_packet_with_a_bad_block_is_a_fault():
     receiver, sender = SerialReceiver(Profile()), Profile()
-    assert len(receiver.push(sender.wrap(Message(MessageKind.EVENTS, b"no block at all", 0))).events) == 0
-    assert receiver.push(sender.wrap(Message(MessageKind.HOUSEKEEPING, b"short", 0))).told == ()
+    assert len(heard_of(receiver, sender.wrap(Message(MessageKind.EVENTS, b"no block at all", 0)))) == 0
+    receiver.push(sender.wrap(Message(MessageKind.HOUSEKEEPING, b"short", 0)))
+    assert receiver.take_reports() == ()
     assert receiver.counts["bad_blocks"] == receiver.counts["bad_answers"] == 1
     assert receiver.faults == 2
 
@@ -124,6 +127,28 @@ def test_answers_are_told_with_the_command_they_belong_to():
             instrument.command(received)
     told = []
     while (outgoing := instrument.next_message()) is not None:
-        told += receiver.push(theirs.wrap(outgoing.message)).told
+        receiver.push(theirs.wrap(outgoing.message))
+        told += receiver.take_reports()
     assert told[:3] == ["Start: acceptance good", "Start: completion good", "SetRegion: acceptance good"]
     assert told[3].startswith("SetRegion: completion failed: region [300, 0, 100, 1] reaches beyond")
+
+
+def test_reports_that_nobody_takes_are_bounded_and_counted():
+    receiver, sender = SerialReceiver(), Profile()
+    for _ in range(3000):
+        receiver.push(sender.wrap(Message(MessageKind.PONG, b"", 0)))
+    assert len(receiver.take_reports()) == 1024
+    assert receiver.counts["reports not taken"] == 3000 - 1024
+    assert receiver.take_reports() == ()
+
+
+def test_requests_that_nobody_answers_are_bounded():
+    receiver = SerialReceiver()
+    for _ in range(3000):
+        receiver.wrap(Ping())
+    assert len(receiver._messages._requests) == 1024
+
+
+def test_an_unknown_profile_is_refused():
+    with pytest.raises(ValueError, match="no profile 'morse'"):
+        SerialReceiver("morse")

@@ -1,0 +1,28 @@
+"""Summary lines about lateness: whether the run kept up with the clock, and what to change when it did not."""
+
+from __future__ import annotations
+
+from emulator.rig.loading import Rig
+from emulator.run.session import RunResult
+
+__all__ = ["lateness_lines"]
+
+_STRETCHED_SHARE = 0.01  # fewer longer steps than this change no result
+_WORTH_SAYING_US = 1000.0
+
+
+def lateness_lines(rig: Rig, result: RunResult) -> list[str]:
+    """Return nothing for a run that kept up, else what happened and what to change."""
+    late = result.lateness
+    if result.too_late:
+        return [
+            f"NOT IN REAL TIME: the worst step was {late.worst_gap_us / 1e6:.3g} s late, and run.max_late_ms is "
+            f"{rig.run.max_late_ms:g}. Take a longer run.step_us (now {rig.run.step_us}), fewer scene.samples, or a "
+            "smaller camera; `evstim plan` tells what each costs"
+        ]
+    if late.worst_gap_us > _WORTH_SAYING_US or late.steps_stretched > _STRETCHED_SHARE * result.steps:
+        return [
+            f"late: {late.frames_late} of {result.frames} frames, the worst by {late.worst_gap_us:.0f} us; "
+            f"{late.steps_stretched} steps made longer to keep up"
+        ]
+    return []

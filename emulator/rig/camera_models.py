@@ -1,0 +1,74 @@
+"""The record of each camera model: its sensor, its chip, and its USB device where there is one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+
+from emulator.optics.lens import CHIPS, Chip
+from emulator.rig.tables import Camera
+from emulator.sensor.presets import PRESETS, SensorParameters
+from firmware_protocol.davis346 import Davis346, Davis346Settings, Layout
+from firmware_protocol.usb.device import Speed, UsbCamera
+
+__all__ = ["CAMERA_MODELS", "CameraModel", "UsbModel", "UsbSettings", "usb_sizes"]
+
+
+@dataclass(frozen=True)
+class UsbSettings:
+    """What a run settles for a camera's USB device; `pulse_us` None: no trigger is connected."""
+
+    start_delay_ms: float
+    pulse_us: int | None = None
+
+
+@dataclass(frozen=True)
+class UsbModel:
+    """The USB device of a camera model.
+
+    Attributes
+    ----------
+    size
+        (width, height) of the real camera, pixels.
+    device
+        Returns what makes the device inside a link's process, which can be pickled.
+    """
+
+    size: tuple[int, int]
+    device: Callable[[Camera, UsbSettings], Callable[[], UsbCamera]]
+
+
+@dataclass(frozen=True)
+class CameraModel:
+    """A camera model; `usb` None: there is no USB device for it yet."""
+
+    sensor: SensorParameters
+    chip: Chip
+    usb: UsbModel | None = None
+
+
+def _davis346(camera: Camera, usb: UsbSettings) -> Callable[[], UsbCamera]:
+    settings = Davis346Settings(
+        serial=camera.serial,
+        size=camera.size,
+        speed=Speed[camera.speed.upper()],
+        layout=Layout[camera.layout.upper()],
+        fifo_bytes=camera.fifo_bytes,
+        start_delay_us=round(usb.start_delay_ms * 1000),
+        pulse_us=Davis346Settings.pulse_us if usb.pulse_us is None else usb.pulse_us,
+    )
+    return partial(Davis346, settings)
+
+
+CAMERA_MODELS: Mapping[str, CameraModel] = {
+    "davis346": CameraModel(PRESETS["davis346"], CHIPS["davis346"], UsbModel((346, 260), _davis346)),
+    "dvxplorer_micro": CameraModel(PRESETS["dvxplorer_micro"], CHIPS["dvxplorer_micro"]),
+    "imx636": CameraModel(PRESETS["imx636"], CHIPS["imx636"]),
+}
+"""Camera models by the name that rigs write."""
+
+
+def usb_sizes() -> dict[str, tuple[int, int]]:
+    """Return the size of each camera model that has a USB device."""
+    return {name: model.usb.size for name, model in CAMERA_MODELS.items() if model.usb is not None}

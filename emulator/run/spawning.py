@@ -1,0 +1,64 @@
+"""Start of a link's process: whatever the program that starts it, and whatever signals come meanwhile."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
+from typing import Any
+
+from transports.link.process import STOP_SIGNALS, LinkSetup
+
+__all__ = ["starting_a_link"]
+
+_FOUND_BY = ("__file__", "__spec__")
+_one_at_a_time = threading.Lock()
+
+
+@contextmanager
+def starting_a_link(setup: LinkSetup[Any]) -> Iterator[None]:
+    """Start a process within this block that ignores the signals to the session, and needs no main module."""
+    with _signals_held_back(), _without_main_module(setup):
+        yield
+
+
+@contextmanager
+def _signals_held_back() -> Iterator[None]:
+    """Hold back the signals that end a run while a process starts: it inherits that, and ignores them when it can.
+
+    A signal to the whole process group would otherwise end the new process before it could say that it ignores it.
+    """
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, STOP_SIGNALS)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextmanager
+def _without_main_module(setup: LinkSetup[Any]) -> Iterator[None]:
+    """Start a process that does not import the main module again, unless a part of `setup` is defined there.
+
+    Else a script that starts a run without `if __name__ == "__main__":`, or one read from standard input, would fail.
+    """
+    main = sys.modules["__main__"]
+    if "__main__" in (_module_of(setup.device), _module_of(setup.endpoint)):
+        yield
+        return
+    with _one_at_a_time:
+        hidden: dict[str, Any] = {name: vars(main).pop(name) for name in _FOUND_BY if name in vars(main)}
+        main.__spec__ = None
+        try:
+            yield
+        finally:
+            vars(main).update(hidden)
+
+
+def _module_of(part: object) -> str:
+    """Return the module in which a factory, or the function in it, is defined."""
+    while isinstance(part, partial):
+        part = part.func
+    return str(getattr(part, "__module__", type(part).__module__))

@@ -1,0 +1,53 @@
+"""The record of one kind of scene: its table in a rig, and what builds it.
+
+A package outside evstim gives a record as an entry point of the group "evstim.scenes".
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal, Protocol
+
+__all__ = ["SceneKind", "SceneParameters"]
+
+
+class SceneParameters(Protocol):
+    """A [scene] table of a rig: a frozen dataclass with the name of its kind."""
+
+    kind: ClassVar[str]
+    __dataclass_fields__: ClassVar[dict[str, Any]]
+
+
+@dataclass(frozen=True)
+class SceneKind:
+    """One kind of scene.
+
+    Attributes
+    ----------
+    parameters
+        Type of its [scene] table; its `kind` is the kind's name.
+    build
+        Import path, "module:name", of what returns the `emulator.light.Scene`; imported when a scene is built. It is
+        called with the parameters and what `lens` says.
+    lens
+        What becomes of the camera's lens. "none": the scene brings its own light, build(parameters, size). "applied":
+        the scene is in units of radiance and seen through the lens, build(parameters, pinhole). "own": the scene does
+        what the lens does, build(parameters, size, lens, chip).
+    events
+        Import path of what takes the sensor's place, called with the parameters and the sensor's; "": the sensor sees
+        the scene.
+    """
+
+    parameters: type[SceneParameters]
+    build: str
+    lens: Literal["none", "applied", "own"] = "none"
+    events: str = ""
+
+    def __post_init__(self) -> None:
+        if not isinstance(getattr(self.parameters, "kind", None), str):
+            raise ValueError("the parameters of a scene need a class attribute `kind`")
+
+    @property
+    def name(self) -> str:
+        """What rigs write as `kind`."""
+        return self.parameters.kind

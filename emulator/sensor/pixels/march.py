@@ -1,0 +1,177 @@
+"""The march of pixels through a step, substep by substep and event by event, for a whole table of pixels at once.
+
+The turning points of a cubic are known in closed form. Between them the comparator curve g is monotone, so its values
+at the ends decide whether a level is met, and no crossing is missed. A round takes every column over one substep (see
+`substeps`), and within it from event to event: Newton iterations for all columns together, bisection for the few that
+do not settle.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+import emulator.sensor.pixels.march_table as row
+from emulator.sensor.numerics.compiled import kernel, kernel_that_allocates, lane, vector_kernel
+from emulator.sensor.pixels.cubic_roots import SETTLED, Bracket, Cubic, bisect, newton, value
+from emulator.sensor.pixels.march_table import March
+from emulator.sensor.pixels.packed_crossings import MOST_EVENTS, Keys, pack, reserve
+from emulator.sensor.pixels.state import BLOCK, Field, Pixels, StepConstants, slot, whole_vectors
+from emulator.sensor.pixels.substeps import begin, begin_substep
+
+__all__ = ["march_through"]
+
+_Float32s = npt.NDArray[np.float32]
+
+_V, _REF, _W, _P = (int(f) * BLOCK for f in (Field.FILTERED, Field.REFERENCE, Field.SECOND, Field.LEAKED))
+
+_NAN = np.float32(np.nan)
+_ZERO, _ONE = np.float32(0), np.float32(1)
+
+
+@lane
+def _cubic(rows: _Float32s, j: int) -> Cubic:
+    """Return the curve of column j over its substep."""
+    return Cubic(rows[row.D0 + j], rows[row.C1 + j], rows[row.C2 + j], rows[row.C3 + j])
+
+
+@lane
+def _bracket(rows: _Float32s, j: int) -> Bracket:
+    """Return where the curve of column j meets its level."""
+    to = rows[row.TO + j]
+    return Bracket(rows[row.LOW + j], rows[row.HIGH + j], to, to > rows[row.LEVEL + j])
+
+
+@vector_kernel
+def _find_firing_part(rows: _Float32s, n: int) -> None:
+    """Find for each column the next monotone part of its curve on which it fires; read a new level where re-armed."""
+    for j in range(n):
+        on, off, level, x = rows[row.ON + j], rows[row.OFF + j], rows[row.LEVEL + j], rows[row.X + j]
+        g = _cubic(rows, j)
+        wait = rows[row.RE_ARMED + j] - rows[row.Z + j]
+        opens = wait / rows[row.SPAN + j] if wait > _ZERO else _ZERO
+        refractory = level != level
+        x = max(x, opens) if refractory else x
+        armed = x <= _ONE
+        level = value(g, x) if refractory & armed else level
+        turn, turn2 = max(rows[row.TURN + j], x), max(rows[row.TURN2 + j], x)
+        g0, g1 = value(g, x) - level, value(g, turn) - level
+        g2, g3 = value(g, turn2) - level, value(g, _ONE) - level
+        at_once, by1 = (g0 >= on) | (g0 <= -off), (g1 >= on) | (g1 <= -off)
+        by2, by3 = (g2 >= on) | (g2 <= -off), (g3 >= on) | (g3 <= -off)
+        end = x if at_once else (turn if by1 else (turn2 if by2 else _ONE))
+        there = g0 if at_once else (g1 if by1 else (g2 if by2 else g3))
+        rows[row.LEVEL + j] = level
+        rows[row.X + j] = x if armed else rows[row.X + j]
+        rows[row.FIRES + j] = _ONE if armed & (at_once | by1 | by2 | by3) else _ZERO
+        rows[row.LOW + j] = x if at_once | by1 else (turn if by2 else turn2)
+        rows[row.HIGH + j] = end
+        rows[row.TO + j] = level + (on if there > _ZERO else -off)
+
+
+@vector_kernel
+def _cross(rows: _Float32s, n: int) -> None:
+    """Find where each column meets its level in its monotone part, and write the last Newton correction."""
+    for j in range(n):
+        g, at = _cubic(rows, j), _bracket(rows, j)
+        at_low, at_high = value(g, at.low), value(g, at.high)
+        secant = at.low + (at.high - at.low) * (at.level - at_low) / (at_high - at_low)
+        guess = secant if (secant >= at.low) & (secant <= at.high) else at.high
+        rows[row.HIT + j], rows[row.MISS + j] = newton(g, at, guess)
+
+
+@kernel
+def _bisect_unsettled(march: March, n: int) -> None:
+    """Bisect the crossings whose Newton iterations have not settled; these are listed first."""
+    rows, unsettled = march.rows, 0
+    for j in range(n):
+        march.unsettled[unsettled] = j
+        unsettled += (rows[row.FIRES + j] != _ZERO) & (rows[row.MISS + j] > SETTLED)
+    for k in range(unsettled):
+        j = march.unsettled[k]
+        rows[row.HIT + j] = bisect(_cubic(rows, j), _bracket(rows, j))
+
+
+@kernel
+def _fire(pixels: Pixels, march: March, n: int, keys: Keys, n_keys: int, c: StepConstants) -> tuple[int, int, int]:
+    """Write the events of the columns that fire; return how many events there are now, were written and were lost."""
+    rows = march.rows
+    fired = lost = 0
+    for j in range(n):
+        if rows[row.FIRES + j] == _ZERO:
+            continue
+        fired += 1
+        pixel, to = march.pixels[j], rows[row.TO + j]
+        z = rows[row.Z + j] + rows[row.HIT + j] * rows[row.SPAN + j]
+        dt_ns = min(int(z * c.h_ns), c.h_ns)
+        if rows[row.COUNT + j] < MOST_EVENTS:
+            keys[n_keys] = pack(dt_ns, pixel, to > rows[row.LEVEL + j], c.pixel_bits)
+            n_keys += 1
+        else:
+            lost += 1
+        rows[row.COUNT + j] += _ONE
+        rows[row.X + j], rows[row.LEVEL + j] = rows[row.HIT + j], to
+        if c.refractory > _ZERO:
+            rows[row.LEVEL + j], rows[row.RE_ARMED + j] = _NAN, z + c.refractory
+            pixels.refractory_until_ns[pixel] = c.t0_ns + dt_ns + c.refractory_ns
+    return n_keys, fired, lost
+
+
+@kernel
+def _store(pixels: Pixels, march: March, j: int, c: StepConstants) -> None:
+    """Write the state of a column that has reached the end of the step."""
+    rows, here = march.rows, slot(march.pixels[j])
+    level, leaked = rows[row.LEVEL + j], _ZERO
+    pixels.fields[here + _V] = rows[row.V1 + j]
+    if c.second > _ZERO:
+        pixels.fields[here + _W] = rows[row.W1 + j]
+    if c.parasitic > _ZERO:
+        leaked = rows[row.P1 + j]
+        pixels.fields[here + _P] = leaked if level == _ZERO else _ZERO
+    moved = level - leaked if level != _ZERO else _ZERO
+    pixels.fields[here + _REF] = rows[row.BASE + j] + moved
+
+
+@kernel
+def _end_substep(pixels: Pixels, march: March, n: int, c: StepConstants) -> int:
+    """Store the columns that have reached the end of the step, compact the others; return how many remain."""
+    rows, remaining = march.rows, 0
+    for j in range(n):
+        if rows[row.Z1 + j] >= _ONE:
+            _store(pixels, march, j, c)
+            continue
+        rows[row.V + j], rows[row.W + j], rows[row.P + j] = rows[row.V1 + j], rows[row.W1 + j], rows[row.P1 + j]
+        rows[row.Z + j] = rows[row.Z1 + j]
+        if remaining < j:
+            march.pixels[remaining] = march.pixels[j]
+            for k in range(row.STEP_ROWS):
+                rows[k * row.CAPACITY + remaining] = rows[k * row.CAPACITY + j]
+        remaining += 1
+    return remaining
+
+
+@kernel_that_allocates
+def march_through(
+    pixels: Pixels, march: March, n: int, keys: Keys, n_keys: int, c: StepConstants
+) -> tuple[Keys, int, int, int]:
+    """Take the n columns of the table through the step.
+
+    Returns
+    -------
+    The keys (a longer copy where they were too short), the number of events in them, the number of crossings beyond
+    MOST_EVENTS of a pixel, and the number of undersampled pixels.
+    """
+    begin(march.rows, whole_vectors(n), c)
+    undersampled, lost = int(march.rows[row.UNDERSAMPLED : row.UNDERSAMPLED + n].sum()), 0
+    while n > 0:
+        begin_substep(march.rows, whole_vectors(n), c)
+        fired = n
+        while fired > 0:
+            keys = reserve(keys, n_keys + n)
+            _find_firing_part(march.rows, whole_vectors(n))
+            _cross(march.rows, whole_vectors(n))
+            _bisect_unsettled(march, n)
+            n_keys, fired, more = _fire(pixels, march, n, keys, n_keys, c)
+            lost += more
+        n = _end_substep(pixels, march, n, c)
+    return keys, n_keys, lost, undersampled

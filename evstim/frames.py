@@ -1,0 +1,177 @@
+"""Frames with times in, events out, in one call.
+
+Between two frames the photocurrent of each pixel (light plus dark current) follows a straight line in its logarithm, as
+in v2e and in `[scene] kind = "video"`. The way between two frames is cut into steps of `step_us`, so that the pixel's
+low-pass filter sees the same light however far apart the frames are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from itertools import chain
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from emulator.scene.video.frames import linear_light, read_frames
+from emulator.scene.video.video import resampled
+from emulator.sensor.presets import SensorParameters
+from evstim.sensor import Sensor
+from firmware_protocol.events import Events, empty_events
+
+__all__ = ["events_from_frames", "events_from_video"]
+
+_Float32s = npt.NDArray[np.float32]
+_MOST_STEP_US = 1_000_000
+
+Levels = Literal["linear", "srgb"]
+
+
+def events_from_frames(  # noqa: PLR0913 - one call that names all it needs
+    frames: Iterable[npt.ArrayLike],
+    times_us: npt.ArrayLike,
+    *,
+    sensor: str | SensorParameters = "davis346",
+    levels: Levels = "linear",
+    light_at_white: float = 1.0,
+    step_us: int = 1000,
+    seed: int = 0,
+    **figures: Any,
+) -> Events:
+    """Return the events of a sensor that sees the frames.
+
+    Parameters
+    ----------
+    frames : (n, height, width), or any iterable of n such frames; the sensor has their size. Floats are linear light;
+        uint8 and uint16 are levels from 0 to their full scale.
+    times_us : (n,), time of each frame, us, growing, >= 0; fractions allowed.
+    sensor : name of a preset, or SensorParameters, whose pixels and read-out are used.
+    levels : of integer frames: "linear", proportional to light, or "srgb", decoded by the sRGB curve.
+    light_at_white : light of 1.0, or of the full scale, relative to the sensor's reference level.
+    step_us : longest step of the simulation between two frames, us.
+    seed : seed of everything random.
+    figures : any field of SensorParameters, such as `threshold_on=0.2`.
+
+    Returns
+    -------
+    (n,) EVENT: t in us, x, y, on; sorted by t.
+
+    Raises
+    ------
+    ValueError, TypeError
+        An argument does not fit; the message names it.
+    """
+    if levels not in ("linear", "srgb"):
+        raise ValueError(f'levels is {levels!r}: "linear" or "srgb" is needed')
+    if not 1 <= step_us <= _MOST_STEP_US:
+        raise ValueError(f"step_us is {step_us}: it must be 1 to {_MOST_STEP_US}")
+    if not (light_at_white > 0 and np.isfinite(light_at_white)):
+        raise ValueError(f"light_at_white is {light_at_white}: it must be above 0")
+    times_ns, lights = _times_ns(times_us), _lights(frames, levels, light_at_white)
+    first = next(lights, None)
+    if first is None:
+        raise ValueError("frames is empty: at least one frame is needed")
+    simulated = Sensor(sensor, seed=seed, **{"width": first.shape[1], "height": first.shape[0], **figures})
+    parts = list(_exposed(simulated, chain([first], lights), times_ns, int(step_us) * 1000))
+    return np.concatenate(parts) if parts else empty_events()
+
+
+def events_from_video(
+    path: str | Path,
+    *,
+    frames_per_s: float = 30.0,
+    levels: Levels = "srgb",
+    width: int | None = None,
+    height: int | None = None,
+    **options: Any,
+) -> Events:
+    """Return the events of a sensor that sees a video, a folder of images or a .npy file.
+
+    Parameters
+    ----------
+    path : the file or folder; see `emulator.scene.video.frames` for the formats.
+    frames_per_s : where the file has no times of its own.
+    levels : of integer frames; see `events_from_frames`.
+    width, height : the sensor's size, to which frames are resampled; the frames' own size where not given.
+    options : the other arguments of `events_from_frames`.
+
+    Raises
+    ------
+    SceneError
+        The file cannot be read.
+    """
+    if not (frames_per_s > 0 and np.isfinite(frames_per_s)):
+        raise ValueError(f"frames_per_s is {frames_per_s}: it must be above 0")
+    video = read_frames(Path(path))
+    count, rows, columns = video.levels.shape
+    times_s = np.arange(count) / frames_per_s if video.times_s is None else np.asarray(video.times_s)
+    size = (columns if width is None else width, rows if height is None else height)
+    is_linear = levels == "linear" or video.levels.dtype.kind == "f"
+    lights = (resampled(linear_light(f, video.full_scale, is_linear=is_linear), size) for f in video.levels)
+    return events_from_frames(lights, times_s * 1e6, **options)
+
+
+def _times_ns(times_us: npt.ArrayLike) -> list[int]:
+    times = np.asarray(times_us, np.float64)
+    if times.ndim != 1:
+        raise ValueError(f"times_us has the shape {times.shape}: one time for each frame is needed, (n,)")
+    if not (np.isfinite(times).all() and (times >= 0).all()):
+        raise ValueError("times_us holds a time that is negative or not finite")
+    whole = np.rint(times * 1000).astype(np.int64)
+    stuck = np.flatnonzero(np.diff(whole) <= 0)
+    if stuck.size:
+        k = int(stuck[0]) + 1
+        raise ValueError(f"times_us[{k}] is {times[k]:g}, the one before it {times[k - 1]:g}: times must grow")
+    return [int(t) for t in whole]
+
+
+def _lights(frames: Iterable[npt.ArrayLike], levels: Levels, light_at_white: float) -> Iterator[_Float32s]:
+    """Yield each frame as linear light relative to the reference level."""
+    for k, frame in enumerate(frames):
+        values = np.asarray(frame)
+        if values.ndim != 2 or not values.size:
+            raise ValueError(f"frame {k} has the shape {values.shape}: (height, width) is needed, without colours")
+        if values.dtype.kind == "f":
+            if levels == "srgb":
+                raise TypeError(f'frame {k} is {values.dtype}: levels = "srgb" is for uint8 and uint16')
+            yield np.asarray(values * light_at_white, np.float32)
+        elif values.dtype in (np.uint8, np.uint16):
+            light = linear_light(values, float(np.iinfo(values.dtype).max), is_linear=levels == "linear")
+            yield np.asarray(light * light_at_white, np.float32)
+        else:
+            raise TypeError(f"frame {k} is {values.dtype}: floats (linear light), uint8 or uint16 are needed")
+
+
+def _exposed(sensor: Sensor, lights: Iterator[_Float32s], times_ns: list[int], step_ns: int) -> Iterator[Events]:
+    """Yield the events between each two frames, and those that remain."""
+    dark = np.float32(sensor.parameters.dark_current_relative)
+    before: _Float32s | None = None
+    count = 0
+    for light in lights:
+        if count == len(times_ns):
+            raise ValueError(f"there are more frames than times_us ({count})")
+        if before is None:
+            sensor.reset(light, times_ns[0])
+        else:
+            for t_ns, between in _between(before, light, times_ns[count - 1], times_ns[count], step_ns, dark):
+                yield sensor.expose(between, t_ns)
+        before, count = light, count + 1
+    if count < len(times_ns):
+        raise ValueError(f"there are {count} frames and {len(times_ns)} times_us")
+    yield sensor.finish()
+
+
+def _between(
+    a: _Float32s, b: _Float32s, a_ns: int, b_ns: int, step_ns: int, dark: np.float32
+) -> Iterator[tuple[int, _Float32s]]:
+    """Yield times and light on a straight line in log photocurrent, from after `a` up to and with `b`."""
+    steps = -(-(b_ns - a_ns) // step_ns)
+    with np.errstate(invalid="ignore", divide="ignore"):  # what is not light is refused by the sensor
+        log_a, log_b = np.log(a + dark), np.log(b + dark)
+    for k in range(1, steps):
+        share = np.float32(k / steps)
+        current = np.exp((1 - share) * log_a + share * log_b)
+        yield a_ns + (b_ns - a_ns) * k // steps, np.maximum(current - dark, np.float32(0))
+    yield b_ns, b

@@ -1,0 +1,204 @@
+"""A rig that runs beside a Python program, which reads its events meanwhile.
+
+    body of the `with` block:  for events in run  <--- bounded queue <--- thread: scene, sensor, links (Session)
+
+The session has a thread of its own, so that a slow reader does not disturb the links. With pace "free" it waits for the
+reader and no event is lost; in real time and in lockstep it waits for nobody, and `run.unread` counts the events that
+found the queue full.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import Literal, Self
+
+from emulator.rig.loading import Rig, load_rig
+from emulator.rig.options import with_options
+from emulator.run.assembly import build_session, link_setups, schedule
+from emulator.run.scene_assembly import build_scene
+from emulator.run.session import RunResult, RunStatus, Session
+from firmware_protocol.events import Events
+from transports.link.pacing import MonotonicClock
+
+__all__ = ["LiveRun", "run"]
+
+_MOST_QUEUED = 4_000_000  # events, 52 MB
+
+
+def run(
+    rig: str | Path | Rig,
+    *,
+    seconds: float | None = None,
+    seed: int | None = None,
+    pace: Literal["realtime", "free"] | None = None,
+    record: str | Path | None = None,
+) -> LiveRun:
+    """Return a run of a rig: a context manager that starts it, and an iterator of its events.
+
+    Parameters
+    ----------
+    rig : path of a rig file, name of a shipped rig, or a Rig.
+    seconds : stream time to run for; 0 means until the `with` block ends. By default the rig's own.
+    seed : seed of everything random. By default the rig's own.
+    pace : "realtime": every event leaves at its own time; "free": as fast as the machine can, losing nothing.
+    record : .npz file for the events that the link delivered; see `load_record`.
+
+    Raises
+    ------
+    RigError
+        The rig cannot be used.
+    ValueError
+        An option is out of its range, or there is nothing to record.
+    """
+    loaded = rig if isinstance(rig, Rig) else load_rig(str(rig))
+    if record is not None and not loaded.links:
+        raise ValueError("record: this rig has no link, so no event is delivered")
+    return LiveRun(with_options(loaded, seconds, seed, pace), None if record is None else Path(record))
+
+
+class LiveRun:
+    """A run that goes on while its `with` block does. Made by `run`.
+
+    Iterating over it gives (n,) EVENT arrays as the sensor reads them out, n > 0, and ends with the run. Leaving the
+    block, also by `break` or an exception, stops the run after its present step.
+
+    Attributes
+    ----------
+    rig : what runs.
+    unread : events that were not queued for the iterator, because the reader was too slow; 0 with pace "free".
+    """
+
+    def __init__(self, rig: Rig, record: Path | None = None) -> None:
+        self.rig = rig
+        self.unread = 0
+        self._record = record
+        self._changed = threading.Condition()
+        self._batches: deque[Events] = deque()
+        self._queued = 0
+        self._thread: threading.Thread | None = None
+        self._session: Session | None = None
+        self._status: RunStatus | None = None
+        self._result: RunResult | None = None
+        self._error: BaseException | None = None
+        self._stopping = self._ended = self._discarding = False
+
+    @property
+    def result(self) -> RunResult:
+        """Counts, ledger and link reports of the run, which has ended; raises RuntimeError before."""
+        if self._result is None:
+            raise RuntimeError("the run has no result before the end of its `with` block (or of `wait`)")
+        return self._result
+
+    @property
+    def status(self) -> RunStatus | None:
+        """Counts and link states now, renewed ten times a second; None while the run starts."""
+        return self._status
+
+    def stop(self) -> None:
+        """End the run after its present step."""
+        with self._changed:
+            self._stopping = True
+            if self._session is not None:
+                self._session.stop()
+            self._changed.notify_all()
+
+    def wait(self) -> RunResult:
+        """Let the run go to its end, without reading what remains of its events, and return the result."""
+        with self._changed:
+            self._discard()
+        self._join()
+        return self.result
+
+    def __enter__(self) -> Self:
+        if self._thread is not None:
+            raise RuntimeError("this run has been started before: call evstim.run again")
+        self._thread = threading.Thread(target=self._work, name=f"evstim {self.rig.name}")
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.stop()
+        try:
+            self._join()
+        except Exception as own:
+            if error is None:
+                raise
+            if own is not error:
+                error.add_note(f"the run failed as well: {own}")
+
+    def __iter__(self) -> Iterator[Events]:
+        if self._thread is None:
+            raise RuntimeError("the run has not been started: use `with evstim.run(...) as run:`")
+        while (events := self._next()) is not None:
+            yield events
+        self._join()
+
+    def _next(self) -> Events | None:
+        with self._changed:
+            self._changed.wait_for(lambda: self._batches or self._ended)
+            if not self._batches:
+                return None
+            events = self._batches.popleft()
+            self._queued -= len(events)
+            self._changed.notify_all()
+            return events
+
+    def _join(self) -> None:
+        """Wait for the thread, and raise here what went wrong there."""
+        if self._thread is not None:
+            self._thread.join()
+        if self._error is not None:
+            raise self._error
+
+    def _work(self) -> None:
+        """Run the session; in a thread, where the scene may hold a GL context."""
+        try:
+            self._run()
+        except BaseException as error:  # noqa: BLE001 - `_join` raises it again in the reader's thread
+            self._error = error
+        with self._changed:
+            self._ended = True
+            self._changed.notify_all()
+
+    def _run(self) -> None:
+        with build_scene(self.rig) as scene:
+            session = build_session(self.rig, scene, link_setups(self.rig, self._record), MonotonicClock())
+            with self._changed:
+                self._session = session
+                if self._stopping:
+                    session.stop()
+            self._result = session.run(schedule(self.rig), self._renew, self._take)
+
+    def _renew(self, status: RunStatus) -> None:
+        self._status = status
+
+    def _take(self, events: Events) -> None:
+        """Queue the events of a step."""
+        if not len(events):
+            return
+        with self._changed:
+            if self.rig.run.pace == "free":
+                self._changed.wait_for(lambda: self._has_space(events) or self._stopping or self._discarding)
+            if self._discarding or (self._stopping and not self._has_space(events)):
+                return
+            if not self._has_space(events):
+                self.unread += len(events)
+                return
+            self._batches.append(events)
+            self._queued += len(events)
+            self._changed.notify_all()
+
+    def _has_space(self, events: Events) -> bool:
+        return not self._queued or self._queued + len(events) <= _MOST_QUEUED
+
+    def _discard(self) -> None:
+        self._discarding = True
+        self._batches.clear()
+        self._queued = 0
+        self._changed.notify_all()

@@ -1,0 +1,190 @@
+"""An event sensor as a Python object: pictures of light in, events out."""
+
+from __future__ import annotations
+
+import dataclasses
+import operator
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from emulator.sensor import sensor as simulation
+from emulator.sensor.presets import PRESETS, SensorParameters
+from emulator.tables.typed_table import TableError, convert, unknown
+from firmware_protocol.events import Events
+
+__all__ = ["Sensor", "sensor_parameters"]
+
+_Float32s = npt.NDArray[np.float32]
+_LAST_NS = 1 << 62
+
+
+def sensor_parameters(model: str | SensorParameters, **figures: Any) -> SensorParameters:
+    """Return a preset, or given parameters, with some of its figures changed.
+
+    Parameters
+    ----------
+    model : name of a preset, or the parameters to start from.
+    figures : fields of SensorParameters; a part such as `noise` also as a dict of the fields to change in it.
+
+    Raises
+    ------
+    ValueError
+        A name is not known or a value is not allowed; the message names it.
+    """
+    if isinstance(model, str) and model not in PRESETS:
+        raise ValueError(f"sensor {unknown(model, list(PRESETS))}")
+    table = dataclasses.asdict(PRESETS[model] if isinstance(model, str) else model)
+    for key, value in figures.items():
+        part = dataclasses.asdict(value) if dataclasses.is_dataclass(value) and not isinstance(value, type) else value
+        table[key] = {**table[key], **part} if isinstance(part, dict) and isinstance(table.get(key), dict) else part
+    try:
+        return convert(table, SensorParameters)
+    except TableError as error:
+        raise ValueError(f"sensor parameter {'.'.join(map(str, error.path))}: {error}") from error
+
+
+class Sensor:
+    """A simulated event sensor.
+
+    Light is linear, as (height, width) arrays with row 0 on top: 1.0 is the sensor's reference level. Between two
+    pictures each pixel's photocurrent follows a straight line in its logarithm, so give pictures often enough that
+    nothing else happens between them.
+
+    Parameters
+    ----------
+    model : name of a preset ("davis346", "dvxplorer_micro", "imx636"), or SensorParameters.
+    seed : seed of everything random; the same seed and pictures give the same events.
+    figures : any field of SensorParameters, such as `threshold_on=0.2`, `width=64` or `noise={"rms": 0.05}`.
+
+    Attributes
+    ----------
+    parameters : the sensor's parameters, SensorParameters.
+
+    Raises
+    ------
+    ValueError
+        The model or a field is not known, or a value is not allowed.
+    """
+
+    def __init__(self, model: str | SensorParameters = "davis346", *, seed: int = 0, **figures: Any) -> None:
+        self.parameters = sensor_parameters(model, **figures)
+        self._sensor = simulation.Sensor(self.parameters, _seed(seed))
+        self._t_ns: int | None = None
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height), pixels."""
+        return self.parameters.width, self.parameters.height
+
+    @property
+    def raised(self) -> int:
+        """Events raised since `reset`: lost_in_pixel + lost_at_readout + read_out + pending."""
+        return self._sensor.raised
+
+    @property
+    def lost_in_pixel(self) -> int:
+        """Events lost because one pixel had more than 64 in a step."""
+        return self._sensor.lost_in_pixel
+
+    @property
+    def lost_at_readout(self) -> int:
+        """Events lost because their pixel still waited for the read-out."""
+        return self._sensor.lost_at_readout
+
+    @property
+    def read_out(self) -> int:
+        """Events returned since `reset`."""
+        return self._sensor.read_out
+
+    @property
+    def pending(self) -> int:
+        """Events raised and not yet returned."""
+        return self._sensor.pending
+
+    def reset(self, light: npt.ArrayLike, t_ns: int = 0) -> None:
+        """Start at `t_ns` at rest on `light`; all counts become zero.
+
+        Parameters
+        ----------
+        light : (height, width), linear, >= 0.
+        t_ns : stream time of this picture, ns, >= 0.
+        """
+        picture, at_ns = self._light(light), _time_ns(t_ns)
+        self._sensor.reset(picture, at_ns)
+        self._t_ns = at_ns
+
+    def expose(self, light: npt.ArrayLike, t_ns: int, rate: npt.ArrayLike | None = None) -> Events:
+        """Move on to the picture `light` at `t_ns` and return the events that leave the sensor until then.
+
+        Parameters
+        ----------
+        light : (height, width), linear, >= 0, at `t_ns`.
+        t_ns : stream time of this picture, ns; later than the one before.
+        rate : (height, width), time derivative of the light at `t_ns`, per second, where it is known; the light
+            between two pictures is then a cubic, for pictures that move smoothly.
+
+        Returns
+        -------
+        (n,) EVENT: t in us of stream time, x, y, on; sorted by t. An event that the read-out has not sent by `t_ns`
+        comes with a later call, or with `finish`.
+        """
+        if self._t_ns is None:
+            raise RuntimeError("the sensor has no first picture yet: call reset(light, t_ns) before expose")
+        at_ns = _time_ns(t_ns)
+        if at_ns <= self._t_ns:
+            raise ValueError(f"t_ns is {at_ns}: it must be later than the picture before, {self._t_ns} ns")
+        slope = None if rate is None else self._picture(rate, "rate")
+        events = self._sensor.expose(self._light(light), at_ns, slope)
+        self._t_ns = at_ns
+        return events
+
+    def finish(self) -> Events:
+        """Return the events that the read-out has not sent yet, (n,) EVENT; only `reset` may follow."""
+        if self._t_ns is None:
+            raise RuntimeError("there is nothing to finish: call reset(light, t_ns) and expose first")
+        self._t_ns = None
+        return self._sensor.finish()
+
+    def _light(self, light: npt.ArrayLike) -> _Float32s:
+        picture = self._picture(light, "light")
+        if picture.min() < 0:
+            row, column = np.unravel_index(int(picture.argmin()), picture.shape)
+            raise ValueError(f"light is {picture[row, column]:g} at x = {column}, y = {row}: it must be 0 or more")
+        return picture
+
+    def _picture(self, values: npt.ArrayLike, name: str) -> _Float32s:
+        """Return a picture as the kernels take it; raises TypeError or ValueError that says what is wrong."""
+        given, shape = np.asarray(values), (self.parameters.height, self.parameters.width)
+        if given.dtype.kind != "f":
+            raise TypeError(
+                f"{name} is an array of {given.dtype}: linear light in floats is needed, 1.0 being the reference level "
+                "(for 8-bit frames use evstim.events_from_frames)"
+            )
+        if given.shape != shape:
+            raise ValueError(f"{name} has the shape {given.shape}: (height, width) = {shape} is needed")
+        with np.errstate(over="ignore"):
+            picture = np.ascontiguousarray(given, np.float32)
+        if not np.isfinite(picture).all():
+            row, column = np.argwhere(~np.isfinite(picture))[0]
+            raise ValueError(f"{name} is {given[row, column]} at x = {column}, y = {row}: it must be finite")
+        return picture
+
+
+def _time_ns(t_ns: int) -> int:
+    """Return a stream time; raises TypeError or ValueError where it is none."""
+    try:
+        at_ns = operator.index(t_ns)
+    except TypeError:
+        raise TypeError(f"t_ns is {t_ns!r}: whole nanoseconds are needed, as int") from None
+    if not 0 <= at_ns < _LAST_NS:
+        raise ValueError(f"t_ns is {at_ns}: it must be 0 to 2^62 - 1")
+    return at_ns
+
+
+def _seed(seed: int) -> int:
+    number = operator.index(seed)
+    if not 0 <= number < 1 << 63:
+        raise ValueError(f"seed is {number}: it must be 0 to 2^63 - 1")
+    return number

@@ -1,0 +1,118 @@
+"""Telecommands carried out, and answered as PUS service 1 does."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from firmware_protocol.instrument.answers import Answers
+from firmware_protocol.instrument.own_time import OwnTime
+from firmware_protocol.packets.housekeeping import Housekeeping, TimeReport
+from firmware_protocol.packets.message import MessageKind
+from firmware_protocol.packets.profile import ReceivedCommand
+from firmware_protocol.packets.pus import Acknowledge
+from firmware_protocol.packets.telecommands import (
+    Ping,
+    RequestHousekeeping,
+    SetBias,
+    SetRateLimit,
+    SetRegion,
+    SetTick,
+    SetTime,
+    Start,
+    Stop,
+    Telecommand,
+)
+from firmware_protocol.packets.verification import CommandRefused, Failure, FailureCode, RequestId, Stage, Verification
+
+__all__ = ["Commanded", "TelecommandHandler"]
+
+
+class Commanded(Protocol):
+    """What telecommands act on; each method raises ValueError for a value that does not fit the device."""
+
+    def start(self) -> None:
+        """Let events flow."""
+
+    def stop(self) -> None:
+        """Let no events flow, and drop what waits."""
+
+    def set_tick(self, tick_us: int) -> None:
+        """Count time in another unit."""
+
+    def set_region(self, x: int, y: int, width: int, height: int) -> None:
+        """Send events of these pixels only."""
+
+    def set_rate_limit(self, events_per_s: int) -> None:
+        """Keep to a rate; 0 for none."""
+
+    def set_time(self, t_us: int) -> None:
+        """Set the camera's own time."""
+
+    def set_bias(self, bias: int, value: int) -> None:
+        """Set a bias."""
+
+    def report(self) -> Housekeeping:
+        """Return the housekeeping report."""
+
+
+class TelecommandHandler:
+    """Carries out telecommands one by one.
+
+    Attributes
+    ----------
+    taken, refused, missing
+        Telecommands so far.
+    """
+
+    def __init__(self, device: Commanded, answers: Answers, time: OwnTime) -> None:
+        self._device = device
+        self._answers = answers
+        self._time = time
+        self.taken = self.refused = self.missing = 0
+
+    def handle(self, received: ReceivedCommand) -> None:
+        """Do what a telecommand says, and queue the answers."""
+        self.missing += received.missing
+        if received.command is None:
+            self._refuse(received.request, Stage.ACCEPTANCE, received.failure)
+            return
+        self._verify(received, Stage.ACCEPTANCE, Acknowledge.ACCEPTANCE)
+        try:
+            self._execute(received.command)
+        except ValueError as error:
+            failure = CommandRefused(FailureCode.ILLEGAL_DATA, str(error)).failure
+            self._refuse(received.request, Stage.COMPLETION, failure)
+            return
+        self.taken += 1
+        self._verify(received, Stage.COMPLETION, Acknowledge.COMPLETION)
+
+    def _execute(self, command: Telecommand) -> None:
+        """Do it; raises ValueError when its values do not fit the device."""
+        match command:
+            case Start():
+                self._device.start()
+            case Stop():
+                self._device.stop()
+            case Ping():
+                self._answers.put(MessageKind.PONG, b"")
+            case RequestHousekeeping():
+                self._answers.put(MessageKind.HOUSEKEEPING, self._device.report().encode())
+            case SetTick(tick_us):
+                self._device.set_tick(tick_us)
+            case SetRegion(x, y, width, height):
+                self._device.set_region(x, y, width, height)
+            case SetRateLimit(events_per_s):
+                self._device.set_rate_limit(events_per_s)
+            case SetTime(t_us):
+                self._device.set_time(t_us)
+                self._answers.put(MessageKind.TIME, TimeReport(t_us, self._time.status).encode())
+            case SetBias(bias, value):
+                self._device.set_bias(bias, value)
+
+    def _verify(self, received: ReceivedCommand, stage: Stage, wanted: Acknowledge) -> None:
+        if received.acknowledge & wanted:
+            self._answers.put(MessageKind.VERIFICATION, Verification(stage, received.request).encode())
+
+    def _refuse(self, request: RequestId, stage: Stage, failure: Failure | None) -> None:
+        self.refused += 1
+        self._answers.put(MessageKind.VERIFICATION, Verification(stage, request, failure).encode())

@@ -1,0 +1,26 @@
+"""Freshness of numba's cache on disk: code is valid as long as no source file of its folder changes.
+
+numba by itself looks at the module of a function only, not at the modules that the function calls. Here a checksum of
+all sources is part of the version that numba compares before it reads a cached index. An index of other sources is
+ignored unread, so it may name types that exist no more.
+"""
+
+from __future__ import annotations
+
+import zlib
+from pathlib import Path
+from typing import Any
+
+__all__ = ["checksum_of", "valid_for"]
+
+
+def checksum_of(folder: Path) -> int:
+    """Return the checksum of all Python sources in a folder and below it."""
+    return zlib.crc32(b"".join(path.read_bytes() for path in sorted(folder.rglob("*.py"))))
+
+
+def valid_for(checksum: int, dispatcher: Any) -> Any:
+    """Return a dispatcher of numba, compiled with `cache=True`, whose code on disk is valid for that checksum alone."""
+    index = dispatcher._cache._cache_file
+    index._version = f"{index._version} {checksum}"
+    return dispatcher

@@ -1,1 +1,0 @@
-"""The rigs that ship with evstim, one TOML file each."""

@@ -1,0 +1,40 @@
+"""The examples of docs/python.md and of the README run as they are printed."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import evstim
+
+ROOT = Path(__file__).parents[2]
+PAGE = (ROOT / "docs/python.md").read_text()
+FENCE = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
+BLOCKS = FENCE.findall(PAGE)
+README = FENCE.findall((ROOT / "README.md").read_text())
+TITLES = [PAGE[: PAGE.index(block)].rpartition("\n## ")[2].partition("\n")[0] for block in BLOCKS]
+
+
+def test_the_page_has_its_examples():
+    assert len(BLOCKS) >= 8
+    assert all(block.count("\n") <= 15 for block in BLOCKS)
+
+
+@pytest.mark.parametrize("block", [*BLOCKS, *README], ids=[*TITLES, "README"])
+def test_an_example_runs(block, tmp_path):
+    script = tmp_path / "example.py"
+    script.write_text(block)
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONWARNINGS": "error"}
+    done = subprocess.run(
+        [sys.executable, script], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=300
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def test_every_public_name_is_in_the_reference():
+    reference = (ROOT / "docs/api.md").read_text()
+    missing = [name for name in evstim.__all__ if not re.search(rf"\b{name}\b", reference)]
+    assert missing == []

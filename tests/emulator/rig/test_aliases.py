@@ -1,0 +1,48 @@
+"""Old spellings in rig files: they load as the new ones, and the log says so."""
+
+import logging
+
+import pytest
+
+from emulator.rig.aliases import VALUES
+from emulator.rig.loading import RigError, load_rig, parse_rig
+
+RIG = '[scene]\nkind = "checkerboard"\n[run]\nmethod = "{}"\n'
+RENAMED = VALUES["run", "method"]
+
+
+def loaded(method):
+    return parse_rig(RIG.format(method), "a.toml", "a")
+
+
+def test_the_old_spellings_are_known():
+    assert RENAMED == {"warped": "hermite", "held": "v2e_exact_filter"}
+
+
+@pytest.mark.parametrize("old", ["warped", "held"])
+def test_an_old_spelling_gives_the_same_rig_and_a_warning(old, caplog):
+    with caplog.at_level(logging.WARNING):
+        assert loaded(old) == loaded(RENAMED[old])
+    (record,) = caplog.records
+    assert record.levelno == logging.WARNING
+    assert f"run.method = '{old}' is the old spelling of '{RENAMED[old]}'" in record.getMessage()
+
+
+def test_new_spellings_give_no_warning(caplog):
+    assert loaded("hermite").run.method == "hermite"
+    assert loaded("v2e_exact_filter").run.method == "v2e_exact_filter"
+    assert load_rig("checkerboard").run.method == "hermite"
+    assert not caplog.records
+
+
+@pytest.mark.parametrize("text", ['"heldd"', "3", '["warped"]', "{ warped = 1 }"])
+def test_other_values_are_refused_as_before(text, caplog):
+    with pytest.raises(RigError, match="method"):
+        parse_rig(f'[scene]\nkind = "checkerboard"\n[run]\nmethod = {text}\n', "a.toml", "a")
+    assert not caplog.records
+
+
+@pytest.mark.parametrize("run", ["run = 3", "run = []", 'run = "warped"'])
+def test_a_run_that_is_no_table_is_refused_as_before(run):
+    with pytest.raises(RigError, match="expected a table"):
+        parse_rig(f'{run}\n[scene]\nkind = "checkerboard"\n', "a.toml", "a")

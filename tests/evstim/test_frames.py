@@ -1,0 +1,125 @@
+"""Frames in, events out: against closed forms, and against what is not frames."""
+
+import numpy as np
+import pytest
+
+import evstim
+
+PLAIN = {
+    "mismatch": 0.0, "leak_hz": 0.0, "refractory_us": 0.0, "threshold_on": 0.25, "threshold_off": 0.25,
+    "corner_hz_at_reference": float("inf"), "corner_max_hz": float("inf"), "dark_current_relative": 1e-6,
+}  # fmt: skip
+
+
+def ramp(n=5, height=4, width=6, step=0.7):
+    """Return frames whose log light grows by `step` a frame, the same in all pixels."""
+    return np.exp(-3 + step * np.arange(n))[:, None, None] * np.ones((1, height, width))
+
+
+def test_a_straight_line_in_log_has_its_crossings():
+    events = evstim.events_from_frames(ramp(), times_us=1e4 * np.arange(5), **PLAIN)
+    one = events[(events["x"] == 3) & (events["y"] == 2)]
+    # 2.8 in ln over 40 ms, a threshold each 0.25: 0.25 / 0.07 ms apart; where the first lies is drawn for each pixel.
+    assert len(one) in (11, 12)
+    assert 11 * 24 <= len(events) <= 12 * 24
+    np.testing.assert_allclose(np.diff(one["t"].astype(float)), 250 / 0.07, atol=8)
+    assert one["t"][0] <= 250 / 0.07 + 8
+
+
+@pytest.mark.parametrize("step_us", [200, 40_000])
+def test_steps_do_not_change_a_straight_line(step_us):
+    coarse = evstim.events_from_frames(ramp(), 1e4 * np.arange(5), step_us=step_us, **PLAIN)
+    fine = evstim.events_from_frames(ramp(), 1e4 * np.arange(5), step_us=50, **PLAIN)
+    assert len(coarse) == len(fine)
+    assert np.abs(coarse["t"].astype(float) - fine["t"]).max() <= 2
+
+
+def test_levels_of_8_bits_are_decoded():
+    levels = np.array([20, 200], np.uint8)[:, None, None] * np.ones((1, 4, 6), np.uint8)
+    share = levels / 255
+    light = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
+    times = [0, 30_000]
+    by_levels = evstim.events_from_frames(levels, times, levels="srgb", light_at_white=0.5)
+    by_light = evstim.events_from_frames(light.astype(np.float32) * np.float32(0.5), times)
+    assert len(by_levels)
+    assert np.array_equal(by_levels[["x", "y", "on"]], by_light[["x", "y", "on"]])
+    assert len(evstim.events_from_frames(levels, times)) < len(by_levels), "linear levels have less contrast"
+
+
+def test_any_iterable_of_frames_and_the_sensor_s_own_size():
+    frames, times = ramp(), 1e4 * np.arange(5)
+    whole = evstim.events_from_frames(frames, times, seed=2)
+    assert np.array_equal(whole, evstim.events_from_frames(iter(list(frames)), times, seed=2))
+    assert whole["x"].max() == 5
+    assert whole["y"].max() == 3
+
+
+def test_one_frame_has_no_events():
+    assert not len(evstim.events_from_frames(ramp(1), [0]))
+
+
+def test_black_frames_are_allowed():
+    frames = np.zeros((3, 4, 6))
+    frames[1] = 1.0
+    events = evstim.events_from_frames(frames, [0, 1000, 2000])
+    assert events["on"].any()
+    assert (~events["on"]).any()
+
+
+@pytest.mark.parametrize(
+    ("frames", "times", "options", "message"),
+    [
+        (ramp(3), [0, 1], {}, "more frames than times_us"),
+        (ramp(3), [0, 1, 2, 3], {}, "3 frames and 4 times_us"),
+        (ramp(3), [0, 2, 2], {}, r"times_us\[2\] is 2, the one before it 2"),
+        (ramp(3), [0, 2, 1], {}, "times must grow"),
+        (ramp(3), [0, np.nan, 1], {}, "not finite"),
+        (ramp(3), [-1, 0, 1], {}, "negative"),
+        (ramp(3), [[0, 1, 2]], {}, "times_us has the shape"),
+        (ramp(0), [], {}, "frames is empty"),
+        (np.ones((2, 4, 6, 3)), [0, 1], {}, r"frame 0 has the shape \(4, 6, 3\)"),
+        (-ramp(2), [0, 1], {}, "must be 0 or more"),
+        (np.full((2, 4, 6), np.nan), [0, 1], {}, "must be finite"),
+        ([np.ones((4, 6)), np.ones((6, 4))], [0, 1], {}, "shape"),
+        (ramp(2), [0, 1], {"step_us": 0}, "step_us is 0"),
+        (ramp(2), [0, 1], {"levels": "gamma"}, "levels is 'gamma'"),
+        (ramp(2), [0, 1], {"light_at_white": 0.0}, "light_at_white is 0"),
+        (ramp(2), [0, 1], {"width": 7}, "shape"),
+    ],
+)
+def test_what_does_not_fit_is_named(frames, times, options, message):
+    with pytest.raises(ValueError, match=message):
+        evstim.events_from_frames(frames, times, **options)
+
+
+@pytest.mark.parametrize("frames", [ramp(2).astype(complex), np.ones((2, 4, 6), np.int32), np.ones((2, 4, 6), bool)])
+def test_frames_of_another_type(frames):
+    with pytest.raises(TypeError, match="frame 0 is"):
+        evstim.events_from_frames(frames, [0, 1])
+
+
+def test_floats_are_never_srgb():
+    with pytest.raises(TypeError, match='levels = "srgb" is for uint8'):
+        evstim.events_from_frames(ramp(2), [0, 1], levels="srgb")
+
+
+def test_a_video_file_is_its_frames(tmp_path):
+    levels = np.array([20, 200, 90], np.uint8)[:, None, None] * np.ones((1, 4, 6), np.uint8)
+    np.save(tmp_path / "frames.npy", levels)
+    of_file = evstim.events_from_video(tmp_path / "frames.npy", frames_per_s=100.0, seed=5)
+    of_frames = evstim.events_from_frames(levels, 1e4 * np.arange(3), levels="srgb", seed=5)
+    assert len(of_file)
+    assert np.array_equal(of_file, of_frames)
+    smaller = evstim.events_from_video(tmp_path / "frames.npy", frames_per_s=100.0, width=3, height=2)
+    assert smaller["x"].max() == 2
+    with pytest.raises(evstim.SceneError, match="no such file"):
+        evstim.events_from_video(tmp_path / "other.npy")
+    with pytest.raises(ValueError, match="frames_per_s is 0"):
+        evstim.events_from_video(tmp_path / "frames.npy", frames_per_s=0)
+
+
+def test_the_light_of_white_scales_floats_too():
+    frames, times = ramp(), 1e4 * np.arange(5)
+    scaled = evstim.events_from_frames(frames, times, light_at_white=0.25)
+    assert np.array_equal(scaled, evstim.events_from_frames(0.25 * frames, times))
+    assert not np.array_equal(scaled, evstim.events_from_frames(frames, times))

@@ -1,0 +1,128 @@
+"""The public names of evstim: which there are, that all can be used, and that none costs anything before its use."""
+
+import subprocess
+import sys
+
+import pytest
+
+import evstim
+
+NAMES = [
+    "BodiesParameters",
+    "Camera",
+    "CanParameters",
+    "CanReceiver",
+    "CanReceiverSettings",
+    "CheckerboardParameters",
+    "ClockEstimate",
+    "ClockEstimator",
+    "DavisReceiver",
+    "EDGE",
+    "EVENT",
+    "LensParameters",
+    "LinkFailed",
+    "LiveRun",
+    "LoopbackLink",
+    "MachineLacks",
+    "PRESETS",
+    "Profile",
+    "RecordingParameters",
+    "Rig",
+    "RigError",
+    "RunParameters",
+    "RunResult",
+    "Scene",
+    "SceneError",
+    "Sensor",
+    "SensorParameters",
+    "SerialParameters",
+    "SerialReceiver",
+    "StarsParameters",
+    "TerrainParameters",
+    "Trigger",
+    "UsbipLink",
+    "VideoParameters",
+    "attitude_from_basilisk",
+    "attitude_from_opengl",
+    "attitude_from_scalar_last",
+    "attitude_from_spice",
+    "build_scene",
+    "events_from_frames",
+    "events_from_video",
+    "load_record",
+    "load_rig",
+    "parse_rig",
+    "reconstruct",
+    "run",
+    "shipped_rigs",
+]
+
+HEAVY = ("numpy", "numba", "scipy", "moderngl", "trimesh", "can", "serial", "usb", "msgspec", "emulator", "matplotlib")
+
+
+def test_the_public_names():
+    assert sorted(evstim.__all__) == sorted(NAMES)
+    assert set(NAMES) <= set(dir(evstim))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_each_name_can_be_imported(name):
+    value = getattr(evstim, name)
+    assert value is getattr(evstim, name)
+    assert value is not None
+
+
+def test_type_checkers_see_the_same_names():
+    import ast
+    from pathlib import Path
+
+    tree = ast.parse(Path(evstim.__file__).read_text())
+    block = next(node for node in tree.body if isinstance(node, ast.If))
+    told = {alias.asname or alias.name: (node.module, alias.name) for node in block.body for alias in node.names}
+    sources = {name: at.split(":") if ":" in at else [at, name] for name, at in evstim._SOURCES.items()}
+    assert told == {name: tuple(at) for name, at in sources.items()}
+    assert sorted(evstim.__all__) == sorted(sources)
+
+
+def test_a_name_that_is_not_there():
+    with pytest.raises(AttributeError, match="no attribute 'Sensr'"):
+        evstim.Sensr  # noqa: B018
+
+
+def in_a_process(code):
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=100, check=True)
+    return done.stdout
+
+
+def test_import_loads_nothing_heavy():
+    code = f"import sys, evstim; print([m for m in {HEAVY!r} if m in sys.modules])"
+    assert in_a_process(code).strip() == "[]"
+
+
+def test_import_is_fast():
+    code = "import time; t = time.process_time(); import evstim; print(time.process_time() - t)"
+    assert min(float(in_a_process(code)) for _ in range(3)) <= 0.3
+
+
+def test_help_is_fast():
+    def cpu_s():
+        code = (
+            "import resource, subprocess, sys; subprocess.run([sys.executable, '-m', 'evstim', '--help'], check=True,"
+            " stdout=subprocess.DEVNULL); r = resource.getrusage(resource.RUSAGE_CHILDREN);"
+            " print(r.ru_utime + r.ru_stime)"
+        )
+        return float(in_a_process(code))
+
+    assert min(cpu_s() for _ in range(3)) <= 0.5
+
+
+def test_a_receiver_needs_no_simulator():
+    used = "evstim.EVENT, evstim.ClockEstimator"
+    code = f"import sys, evstim; {used}; print('numba' in sys.modules, 'emulator' in sys.modules)"
+    assert in_a_process(code).split() == ["False", "False"]
+
+
+def test_python_dash_m():
+    done = subprocess.run([sys.executable, "-m", "evstim", "rigs"], capture_output=True, text=True, timeout=100)
+    assert done.returncode == 0
+    assert "loopback" in done.stdout

@@ -1,0 +1,99 @@
+"""Text output that never blocks its writer: a bounded queue and a thread in front of a file descriptor.
+
+A pipe that nobody reads takes 64 KiB and then blocks whoever writes to it. A camera must not stop for that, so log
+lines and the live table go through here: what does not fit into the queue is dropped and counted.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import threading
+import time
+from collections import deque
+from contextlib import suppress
+
+__all__ = ["BackgroundWriter", "log_in_background"]
+
+_CAPACITY_BYTES = 1 << 20
+_CLOSE_TIMEOUT_S = 1.0
+
+
+class BackgroundWriter:
+    """A text file that writes to `descriptor` from a thread of its own.
+
+    Attributes
+    ----------
+    dropped_bytes : bytes that found the queue full.
+    """
+
+    encoding = "utf-8"
+
+    def __init__(self, descriptor: int, capacity_bytes: int = _CAPACITY_BYTES) -> None:
+        self._descriptor = descriptor
+        self._capacity_bytes = capacity_bytes
+        self._waiting: deque[bytes] = deque()
+        self._waiting_bytes = 0
+        self._changed = threading.Condition()
+        self._thread: threading.Thread | None = None
+        self.dropped_bytes = 0
+
+    def write(self, text: str) -> int:
+        """Queue `text`, or drop it when the queue is full; return its length."""
+        data = text.encode(errors="replace")
+        with self._changed:
+            if self._waiting_bytes + len(data) > self._capacity_bytes:
+                self.dropped_bytes += len(data)
+                return len(text)
+            self._waiting.append(data)
+            self._waiting_bytes += len(data)
+            self._start()
+            self._changed.notify_all()
+        return len(text)
+
+    def flush(self) -> None:
+        """Do nothing: waiting here would be the block that this class avoids."""
+
+    def drain(self, timeout_s: float = _CLOSE_TIMEOUT_S) -> bool:
+        """Wait until everything is written, for at most `timeout_s`; return whether it is."""
+        deadline_s = time.monotonic() + timeout_s
+        with self._changed:
+            return self._changed.wait_for(lambda: not self._waiting_bytes, max(0.0, deadline_s - time.monotonic()))
+
+    def isatty(self) -> bool:
+        """Return whether a person sees the output directly."""
+        return os.isatty(self._descriptor)
+
+    def fileno(self) -> int:
+        """Return the file descriptor behind the queue."""
+        return self._descriptor
+
+    def _start(self) -> None:
+        if self._thread is None:
+            # A daemon: the process must be able to end while a write to a full pipe blocks this thread.
+            self._thread = threading.Thread(target=self._write_all, name="background log", daemon=True)
+            self._thread.start()
+
+    def _write_all(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._waiting)
+                data = b"".join(self._waiting)
+                self._waiting.clear()
+            with suppress(OSError):  # the reader has gone: there is nobody to tell
+                _write(self._descriptor, data)
+            with self._changed:
+                self._waiting_bytes -= len(data)
+                self._changed.notify_all()
+
+
+def _write(descriptor: int, data: bytes) -> None:
+    while data:
+        data = data[os.write(descriptor, data) :]
+
+
+def log_in_background(level: int = logging.WARNING) -> BackgroundWriter:
+    """Send this process's log to stderr through a BackgroundWriter; for the processes of links."""
+    writer = BackgroundWriter(2)
+    logging.basicConfig(level=level, format="%(message)s", handlers=[logging.StreamHandler(writer)], force=True)
+    return writer

@@ -1,0 +1,104 @@
+"""The far side of a camera's plug: what a transport implements for a link, and what makes it in the link's process."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+from firmware_protocol.edges import Edges
+from transports.faults.kinds import Fault
+from transports.faults.script import FaultRecord
+from transports.link.deliveries import Deliveries
+
+__all__ = ["Endpoint", "EndpointFactory", "LineUse", "LinkBroken"]
+
+_Served = TypeVar("_Served", contravariant=True)  # an endpoint for any camera on USB serves a Davis346 too
+
+
+@dataclass(frozen=True)
+class LineUse:
+    """How full a line was, from its first bit to now.
+
+    Attributes
+    ----------
+    carried
+        Bytes or frames that were sent.
+    share
+        Part of the line's time that sending took, 0 to 1.
+    busiest
+        The same over the busiest second.
+    """
+
+    carried: int = 0
+    share: float = 0.0
+    busiest: float = 0.0
+
+
+class LinkBroken(Exception):
+    """A link found that it does not do what it promises; the run cannot go on."""
+
+
+class Endpoint(ABC):
+    """The far side of a camera's plug: whatever asks it for bytes."""
+
+    @abstractmethod
+    async def start(self) -> None:
+        """Open; raises OSError when the machine refuses."""
+
+    @abstractmethod
+    def pump(self) -> None:
+        """The camera may have new data: hand over what is asked for."""
+
+    def mark(self, edges: Edges) -> int:
+        """Send the camera's own marks, (n > 0,) EDGE in the time its receivers see; return how many could be sent.
+
+        USB sends none: a DAVIS346's leave by a connector of their own.
+        """
+        return 0
+
+    def advance_faults(self, stream_us: int) -> None:
+        """Begin and end the faults of the rig that are due at this stream time."""
+        return
+
+    def inject(self, fault: Fault) -> None:
+        """Begin a fault now; raises ValueError for one that this link cannot have."""
+        raise ValueError(f"{fault.kind!r} is no fault of this kind of link")
+
+    @property
+    def faults(self) -> tuple[FaultRecord, ...]:
+        """What each fault has done so far."""
+        return ()
+
+    @abstractmethod
+    async def close(self) -> None:
+        """Let go of the host and close."""
+
+    @property
+    @abstractmethod
+    def state(self) -> str:
+        """A few words for the live table."""
+
+    @property
+    def address(self) -> str | None:
+        """Where a host finds the camera; None where there is no such place."""
+        return None
+
+    @property
+    def use(self) -> LineUse | None:
+        """How full the line is; None where it has no capacity of its own."""
+        return None
+
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """What else happened, by name, for the summary."""
+        return {}
+
+
+class EndpointFactory(ABC, Generic[_Served]):
+    """Makes an endpoint inside the link process; itself passed to it by pickling."""
+
+    @abstractmethod
+    def build(self, device: _Served, deliveries: Deliveries) -> Endpoint:
+        """Return the endpoint that serves `device` and tells `deliveries` of the events that have left."""

@@ -1,0 +1,66 @@
+"""The report of a link: its state, the fates of its events and edges, and what its faults did."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from firmware_protocol.event_device import CameraCounters
+from transports.faults.script import FaultRecord
+from transports.link.endpoint import LineUse
+from transports.link.feed import ClockReport, EdgeReport
+from transports.link.latency import LatencySummary
+
+__all__ = ["LinkReport"]
+
+
+@dataclass(frozen=True)
+class LinkReport:
+    """What a link has done so far.
+
+    Attributes
+    ----------
+    digest
+        Of the events delivered since the camera's clock was last zero, in device time; see `digest_of`.
+    error
+        Set when the link could not start or had to give up.
+    use
+        How full the line was, where it has a capacity.
+    counts
+        What else happened on this kind of link, by name.
+    edges
+        What became of edges before the camera took them.
+    clock
+        How wrong the camera's own clock is, where it is modelled.
+    faults
+        What each fault injected so far has done. What they destroyed is in `dropped`; the camera's own counters, which
+        cannot know of it, have it as delivered.
+    """
+
+    state: str
+    address: str | None = None
+    delivered: int = 0
+    dropped: int = 0
+    camera: CameraCounters | None = None
+    latency: LatencySummary = field(default_factory=LatencySummary)
+    digest: int = 0
+    final: bool = False
+    error: str | None = None
+    use: LineUse | None = None
+    counts: Mapping[str, int] = field(default_factory=dict)
+    edges: EdgeReport = field(default_factory=EdgeReport)
+    clock: ClockReport | None = None
+    faults: tuple[FaultRecord, ...] = ()
+
+    @property
+    def dropped_in_device(self) -> int:
+        """Events that the camera took and did not hand to the link."""
+        return 0 if self.camera is None else self.camera.dropped_in_device
+
+    @property
+    def edges_balanced(self) -> bool:
+        """True when every edge has one fate."""
+        if self.camera is None:
+            return True
+        edges = self.camera.edges
+        return edges.offered == self.edges.taken and edges.accounted == edges.offered + edges.added

@@ -1,0 +1,1 @@
+"""Who may connect to what evstim serves, and how many at once."""
