@@ -64,7 +64,7 @@ def test_rate_of_a_bumpy_ball(picture, trace):
 
 def test_bodies_from_a_tenth_of_a_metre_to_a_tenth_of_a_million_kilometres(picture):
     points, faces = bumpy(3)
-    scales, places = (0.004, 1.0, 2e7), ([-0.008, 0, 0.1], [0.5, 0, 25.0], [0, 0, 1e9])
+    scales, places = (0.004, 1.0, 2e7), ([-0.008, 0, 0.1], [-0.5, 0, 25.0], [0, -5.3e7, 1e9])
     views = [view_of(points * s, np.array(p), 0.4) for s, p in zip(scales, places, strict=True)]
     fields = ("positions_m", "velocities_m_s", "radiance", "radiance_rate")
     together = View(*(np.concatenate([getattr(v, f) for v in views]) for f in fields))
@@ -77,7 +77,7 @@ def test_bodies_from_a_tenth_of_a_metre_to_a_tenth_of_a_million_kilometres(pictu
         np.testing.assert_allclose(light[only], one[only], atol=1e-6)
     whole = (alone[0] > 0) & (np.roll(alone[0], 2, 0) > 0) & (np.roll(alone[0], -2, 0) > 0)
     whole &= (np.roll(alone[0], 2, 1) > 0) & (np.roll(alone[0], -2, 1) > 0)
-    assert (whole & on[2]).any()
+    assert (whole & on[1]).any()
     np.testing.assert_allclose(light[whole], alone[0][whole], atol=1e-5)
 
 
