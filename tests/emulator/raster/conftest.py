@@ -42,13 +42,20 @@ def sample():
 
 @pytest.fixture(scope="session")
 def trace():
-    """(screen, points, faces, radiance of vertices, side) -> mean of side x side rays a pixel, by embree."""
+    """(screen, points, faces, radiance of vertices, side) -> mean of side^2 rays a pixel, by embree.
+
+    The rays of a pixel are a lattice by the golden ratio: on a grid an edge along an axis passes whole rows at a time.
+    """
     import trimesh
     from trimesh.ray.ray_pyembree import RayMeshIntersector
 
     def draw(screen, points, faces, radiance, side):
-        rays = _rays(screen, side)
-        flat = rays.reshape(-1, 3)
+        k = np.arange(side * side)
+        row, column, u = np.broadcast_arrays(*np.ogrid[: screen.height, : screen.width, : side * side])
+        x = column + (u * 0.6180339887498949) % 1
+        y = row + (k + 0.5) / side**2
+        x, y = (x - screen.centre_px[0]) / screen.focal_px, (y - screen.centre_px[1]) / screen.focal_px
+        flat = np.stack([x, y, np.ones_like(x)], axis=-1).reshape(-1, 3)
         mesh = trimesh.Trimesh(points, faces, process=False, validate=False)
         hit = RayMeshIntersector(mesh).intersects_first(np.zeros_like(flat), flat)
         light, on = np.zeros(len(flat)), hit >= 0
@@ -56,7 +63,7 @@ def trace():
         shares = np.linalg.solve(np.stack([a, b, c], axis=-1), flat[on][..., None])[..., 0]
         shares /= shares.sum(axis=1, keepdims=True)
         light[on] = (shares * radiance[faces[hit[on]]]).sum(axis=1)
-        return _means(light.reshape(rays.shape[:2]), side)
+        return light.reshape(screen.height, screen.width, side * side).mean(axis=-1)
 
     return draw
 
