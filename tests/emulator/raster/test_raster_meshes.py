@@ -46,7 +46,7 @@ def test_light_of_a_bumpy_ball(picture, trace, subdivisions, range_m):
 
 
 def test_rate_of_a_bumpy_ball_is_the_slope_of_its_light(picture):
-    """The outline of a turning ball hardly moves: rays would need a million a pixel, the light itself is judged above."""
+    """The outline of a turning ball hardly moves: rays would need a million a pixel; light itself is judged above."""
     points, faces = bumpy(4)
     place, step = np.array([0.0, 0.0, 16.0]), 5e-4
     renderer = Renderer(prepare(faces), SCREEN)
