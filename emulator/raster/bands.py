@@ -14,22 +14,20 @@ What makes it fast: a band's arrays stay in the second-level cache; only columns
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import numpy.typing as npt
 
-from emulator.raster.compiled import entry, kernel, lane, vector_kernel
+from emulator.raster.compiled import entry, kernel, vector_kernel
+from emulator.raster.depth import alone, fill_depth, mark_seen
+from emulator.raster.depth import shows as may_show
 from emulator.raster.layout import (
     BAND,
+    Data,
     Floats,
     G,
     Ints,
     L,
     Pictures,
-    W,
-    WHighest,
-    WLowest,
     XHigh,
     XLow,
     YHigh,
@@ -51,107 +49,6 @@ def _extent(facets: Floats, listed: Ints, width: int) -> tuple[int, int]:
         low = min(low, int(min(max(facets[f, XLow], 0.0), width - 1.0)))
         high = max(high, int(min(max(facets[f, XHigh], 0.0), width - 1.0)) + 1)
     return low, high
-
-
-@vector_kernel
-def _fill_depth(
-    data: tuple,  # type: ignore[type-arg]
-    listed: Ints,
-    depth: Floats,
-    nearest: Ints,
-    held: Ints,
-    rows: tuple[int, int, int],
-) -> None:
-    """Write the largest 1 / depth and its facet at the middles of rows first - 1 to last and columns -1 to the width.
-
-    Facets that hold a middle get the number of the band in `held`.
-    """
-    vertices, faces, facets = data[0], data[1], data[4]
-    first, last, band = rows
-    most = depth.shape[1] - 2
-    for f in listed:
-        r0 = int(math.ceil(max(facets[f, YLow], first - 1.0) - 0.5))
-        r1 = int(math.floor(min(facets[f, YHigh], last + 1.0) - 0.5))
-        if r1 < r0 or math.floor(facets[f, XHigh] - 0.5) < math.ceil(facets[f, XLow] - 0.5):
-            continue
-        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-        if vertices[a, 1] > vertices[b, 1]:
-            a, b = b, a
-        if vertices[b, 1] > vertices[c, 1]:
-            b, c = c, b
-        if vertices[a, 1] > vertices[b, 1]:
-            a, b = b, a
-        ax, ay, bx, by, cx, cy = (
-            vertices[a, 0],
-            vertices[a, 1],
-            vertices[b, 0],
-            vertices[b, 1],
-            vertices[c, 0],
-            vertices[c, 1],
-        )
-        long = (cx - ax) / (cy - ay)
-        upper = (bx - ax) / (by - ay) if by > ay else 0.0
-        lower = (cx - bx) / (cy - by) if cy > by else 0.0
-        wx, low, high = facets[f, W + 1], facets[f, WLowest], facets[f, WHighest]
-        holds = False
-        for r in range(r0, r1 + 1):
-            y = r + 0.5
-            left = ax + (y - ay) * long
-            right = ax + (y - ay) * upper if y < by else bx + (y - by) * lower
-            if left > right:
-                left, right = right, left
-            c0 = int(math.ceil(max(left, -1.0) - 0.5))
-            c1 = int(math.floor(min(right, most + 1.0) - 0.5))
-            if c0 > c1:
-                continue
-            holds = True
-            at_row = facets[f, W] + facets[f, W + 2] * y
-            line, owner = depth[r - first + 1], nearest[r - first + 1]
-            for column in range(c0, c1 + 1):
-                w = min(max(at_row + wx * (column + 0.5), low), high)
-                if w > line[column + 1]:
-                    line[column + 1], owner[column + 1] = w, f
-        if holds:
-            held[f] = band
-
-
-@kernel
-def _mark_seen(nearest: Ints, columns: tuple[int, int], shows: Ints, band: int) -> None:
-    """Mark the facets that hold a sample."""
-    for r in range(nearest.shape[0]):
-        for c in range(columns[0], columns[1]):
-            f = nearest[r, c]
-            if f >= 0:
-                shows[f] = band
-
-
-@kernel
-def _shows(facets: Floats, f: int, depth: Floats, first: int, last: int) -> bool:
-    """Tell whether a sample in the facet's box, one pixel wider, is not nearer than the facet."""
-    if facets[f, YHigh] <= first or facets[f, YLow] >= last:
-        return False
-    most = depth.shape[1] - 2
-    if facets[f, XLow] >= most:
-        return False
-    closest = facets[f, WHighest] * (1.0 + 1e-12)
-    r0, r1 = int(max(facets[f, YLow], first)) - 1, int(min(facets[f, YHigh], last - 1.0)) + 1
-    c0, c1 = int(max(facets[f, XLow], 0.0)) - 1, int(min(max(facets[f, XHigh], 0.0), most - 1.0)) + 1
-    for r in range(r0 - first + 1, r1 - first + 2):
-        for c in range(c0 + 1, c1 + 2):
-            if depth[r, c] <= closest:
-                return True
-    return False
-
-
-@lane
-def _alone(nearest, r, c):  # type: ignore[no-untyped-def]
-    """Return the facet that is the nearest at all samples around a pixel, -1 for none: it contains the pixel."""
-    f = nearest[r + 1, c + 1]
-    for i in range(r, r + 3):
-        for j in range(c, c + 3):
-            if nearest[i, j] != f:
-                f = -1
-    return f
 
 
 @vector_kernel
@@ -184,9 +81,9 @@ def _sum_up(
             changing = cell[5] + g0 + g1 * (c + 0.5)
             area, l0, l1, g0, g1 = area + cell[1], l0 + cell[3], l1 + cell[4], g0 + cell[6], g1 + cell[7]
             if abs(here) <= _EMPTY:
-                value = changing = 0.0
+                value, changing = 0.0, cell[5]  # an edge that enters just now
             elif abs(here - 1.0) > TOLERANCE:
-                f = _alone(nearest, r, c)
+                f = alone(nearest, r, c)
                 if f >= 0 and abs(here - round(here)) <= TOLERANCE:
                     x, y = c + 0.5, row + 0.5
                     value = facets[f, L] + facets[f, L + 1] * x + facets[f, L + 2] * y
@@ -203,7 +100,7 @@ def _sum_up(
 
 @vector_kernel
 def _pair_up(
-    data: tuple,  # type: ignore[type-arg]
+    data: Data,
     listed: Ints,
     places: tuple[Ints, Ints, Ints],
     pairs: Ints,
@@ -280,16 +177,16 @@ def _group(pairs: Ints, n: int, ends: Ints, grouped: Ints) -> None:
 
 @kernel
 def _one_by_one(
-    data: tuple,  # type: ignore[type-arg]
+    data: Data,
     here: Ints,
     n: int,
     rows: tuple[int, int],
     columns: tuple[int, int],
-    scratch: tuple,  # type: ignore[type-arg]
+    scratch: Data,
 ) -> int:
-    """Write light and rate of the first n `found` pixels to `answers`; return 0, or the room for pairs that it lacks."""
+    """Write light and rate of the first n `found` pixels to `answers`; return 0, or the pairs that lack room."""
     slots, found, masks, answers, ends, pairs, grouped, keys, lines = scratch[5:]
-    count = _pair_up(data, here, (slots, found, masks), pairs, rows, columns)
+    count: int = _pair_up(data, here, (slots, found, masks), pairs, rows, columns)
     masks[columns[0] : columns[1]] = 0
     for k in range(n):
         slots[found[k, 0] - rows[0], found[k, 1]] = -1
@@ -306,12 +203,12 @@ def _one_by_one(
 
 @entry
 def query_bands(
-    data: tuple,  # type: ignore[type-arg]
-    lists: tuple,  # type: ignore[type-arg]
+    data: Data,
+    lists: Data,
     pixels: npt.NDArray[np.int64],
     begin: int,
     shape: tuple[int, int],
-    scratch: tuple,  # type: ignore[type-arg]
+    scratch: Data,
     out: Floats,
 ) -> tuple[int, int]:
     """Write light and rate, (n, 2), of pixels in ascending order; return where it stopped and the room it lacks."""
@@ -341,11 +238,11 @@ def query_bands(
 
 @entry
 def draw_bands(
-    data: tuple,  # type: ignore[type-arg]
+    data: Data,
     bands: tuple[int, int, int],
-    lists: tuple,  # type: ignore[type-arg]
+    lists: Data,
     window: tuple[int, int],
-    scratch: tuple,  # type: ignore[type-arg]
+    scratch: Data,
     light: Pictures,
     rate: Pictures,
 ) -> tuple[int, int]:
@@ -375,10 +272,10 @@ def draw_bands(
         acc[:, c0 : c1 + 1] = 0.0
         depth[:, c0 : c1 + 2] = 0.0
         nearest[:, c0 : c1 + 2] = -1
-        _fill_depth(data, here, depth, nearest, held, (first, last, band))
-        _mark_seen(nearest, (c0, c1 + 2), shows, band)
+        fill_depth(data, here, depth, nearest, held, (first, last, band))
+        mark_seen(nearest, (c0, c1 + 2), shows, band)
         for f in here:
-            if shows[f] != band and held[f] != band and _shows(facets, f, depth, first, last):
+            if shows[f] != band and held[f] != band and may_show(facets, f, depth, first, last):
                 shows[f] = band
         for f in here:
             if shows[f] == band:

@@ -29,7 +29,8 @@ def clip(topology: Topology, view: View, nearest_m: float) -> tuple[Topology, Vi
     vertices = _Corners(topology.vertices, np.hstack([view.positions_m, view.velocities_m_s]))
     entries = _Corners(topology.entries, np.column_stack([view.radiance, view.radiance_rate]))
     depth = view.positions_m[:, 2]
-    faces, shades = [], []
+    faces: list[list[Ints]] = []
+    shades: list[list[Ints]] = []
     for table, corners, out in ((topology.faces, vertices, faces), (topology.shades, entries, shades)):
         a, b, c = _turned(table[one], turn_one)
         za, zb, zc = (depth[k] for k in _turned(topology.faces[one], turn_one))

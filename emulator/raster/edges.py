@@ -16,12 +16,13 @@ The time derivative of an integral of L is that of G less the flux of L through 
 from __future__ import annotations
 
 from emulator.raster.compiled import lane
+from emulator.raster.layout import SHOWABLE, Data, Sign
 
-__all__ = ["flux", "piece"]
+__all__ = ["flux", "is_still", "piece"]
 
 
 @lane
-def piece(p, y0, q, y1):  # type: ignore[no-untyped-def]
+def piece(p: float, y0: float, q: float, y1: float) -> tuple[float, float, float]:
     """Return the integrals of 1, x and y between an edge's piece and its pixel's right side; pixel's own frame."""
     h = y1 - y0
     ua, ub = 1.0 - p, 1.0 - q
@@ -31,6 +32,16 @@ def piece(p, y0, q, y1):  # type: ignore[no-untyped-def]
 
 
 @lane
-def flux(share, l0, l1, q0, q1):  # type: ignore[no-untyped-def]
+def flux(share: float, l0: float, l1: float, q0: float, q1: float) -> float:
     """Return the flux of a function with the values l0, l1 at a piece's ends, moving with q0, q1."""
     return share * (1.0 / 6.0) * (l0 * (2.0 * q0 + q1) + l1 * (q0 + 2.0 * q1))
+
+
+@lane
+def is_still(data: Data, f: int, side: int) -> bool:
+    """Tell whether light is continuous across a side, so that no flux passes: the neighbour shares its radiance."""
+    across, smooth, facets, kinds = data[2], data[3], data[4], data[5]
+    g = across[f, side]
+    same: bool = facets[g, Sign] == facets[f, Sign]
+    gradients = bool(kinds[f] == SHOWABLE and kinds[g] == SHOWABLE)
+    return same and gradients and bool(smooth[f, side] != 0)

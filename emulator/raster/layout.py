@@ -7,6 +7,8 @@ range of w and of the screen box; and the sign of its winding, +1 seen from outs
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
@@ -17,12 +19,15 @@ __all__ = [
     "FLAT",
     "SHOWABLE",
     "VERTEX_FIELDS",
-    "G",
-    "L",
     "Bytes",
+    "Data",
     "Floats",
+    "G",
     "Ints",
+    "L",
     "Pictures",
+    "Plane",
+    "Sides",
     "Sign",
     "Valid",
     "W",
@@ -38,6 +43,12 @@ Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int32]
 Bytes = npt.NDArray[np.uint8]
 Pictures = npt.NDArray[np.float32]
+
+Data = tuple[Any, ...]
+"""What kernels pass on: vertices, faces, across, smooth, facets, kinds."""
+
+Plane = tuple[float, float, float]
+Sides = tuple[float, float, float, float, float]
 
 BAND = 16
 """Rows of a band: its accumulators stay in the second-level cache."""

@@ -11,11 +11,11 @@ each other the velocity of equal depth.
 from __future__ import annotations
 
 from emulator.raster.compiled import lane, vector_kernel
-from emulator.raster.layout import FLAT, Floats, G, Ints, L, W, WHighest, WLowest, YHigh, YLow
+from emulator.raster.layout import FLAT, Data, Floats, G, Ints, L, W, WHighest, WLowest, YHigh, YLow
 
 __all__ = ["LINES", "LINE_FIELDS", "resolve"]
 
-LINES = 4
+LINES = 6  # with 4 the 99th percentile of rate errors on Itokawa's outlines is 12 % of the rms, with 6 it is 8 %
 LINE_FIELDS = 11
 _SHORTEST = 1e-9  # px
 _FROM, _TO, _FROM_SIDE, _TO_SIDE, _W, _WX, _L, _LX, _G, _GX, _FACET = range(LINE_FIELDS)
@@ -23,7 +23,7 @@ _FROM, _TO, _FROM_SIDE, _TO_SIDE, _W, _WX, _L, _LX, _G, _GX, _FACET = range(LINE
 
 @vector_kernel
 def resolve(
-    data: tuple,  # type: ignore[type-arg]
+    data: Data,
     place: tuple[int, int],
     listed: Ints,
     lines: Floats,
@@ -48,7 +48,7 @@ def resolve(
 
 @vector_kernel
 def _cut(
-    data: tuple,  # type: ignore[type-arg]
+    data: Data,
     place: tuple[int, int],
     listed: Ints,
     lines: Floats,
@@ -97,8 +97,9 @@ def _cut(
 
 
 @lane
-def _value(lines, k, at, x):  # type: ignore[no-untyped-def]
-    return lines[k, at] + lines[k, at + 1] * x
+def _value(lines: Floats, k: int, at: int, x: float) -> float:
+    value: float = lines[k, at] + lines[k, at + 1] * x
+    return value
 
 
 @vector_kernel
@@ -138,7 +139,7 @@ def _change(lines: Floats, n: int, w: int, x: float) -> tuple[float, int, bool]:
 
 @vector_kernel
 def _along(
-    data: tuple,  # type: ignore[type-arg]
+    data: Data,
     lines: Floats,
     n: int,
     place: tuple[int, int],
@@ -181,7 +182,7 @@ def _along(
 
 
 @lane
-def _speed(data, lines, k, which, place, line):  # type: ignore[no-untyped-def]
+def _speed(data: Data, lines: Floats, k: int, which: int, place: tuple[int, int], line: tuple[int, float]) -> float:
     """Return the velocity of an interval's end along the line."""
     vertices, faces = data[0], data[1]
     f, side = int(lines[k, _FACET]), int(lines[k, which])
@@ -191,12 +192,13 @@ def _speed(data, lines, k, which, place, line):  # type: ignore[no-untyped-def]
     t = (y + place[1 - o] - vertices[a, 1 - o]) / across
     v_along = vertices[a, 2 + o] + t * (vertices[b, 2 + o] - vertices[a, 2 + o])
     v_across = vertices[a, 3 - o] + t * (vertices[b, 3 - o] - vertices[a, 3 - o])
-    return v_along - v_across * (along / across)
+    speed: float = v_along - v_across * (along / across)
+    return speed
 
 
 @vector_kernel
 def _meeting(
-    data: tuple,  # type: ignore[type-arg]
+    data: Data,
     lines: Floats,
     k: int,
     m: int,
@@ -215,7 +217,7 @@ def _meeting(
 
 
 @vector_kernel
-def _inverse_depth_rate(data: tuple, f: int, spot: tuple[float, float], o: int) -> float:  # type: ignore[type-arg]
+def _inverse_depth_rate(data: Data, f: int, spot: tuple[float, float], o: int) -> float:
     """Return the rate of a facet's 1 / depth at a fixed point of the screen."""
     vertices, faces, facets = data[0], data[1], data[4]
     a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]

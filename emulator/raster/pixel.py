@@ -8,8 +8,23 @@ exact too: there is nothing behind. All others are resolved on LINES lines acros
 from __future__ import annotations
 
 from emulator.raster.compiled import lane, vector_kernel
-from emulator.raster.edges import flux, piece
-from emulator.raster.layout import CULLED, Floats, G, Ints, L, Sign, W, WHighest, WLowest, XHigh, XLow, YHigh, YLow
+from emulator.raster.edges import flux, is_still, piece
+from emulator.raster.layout import (
+    CULLED,
+    Data,
+    Floats,
+    G,
+    Ints,
+    L,
+    Sign,
+    W,
+    WHighest,
+    WLowest,
+    XHigh,
+    XLow,
+    YHigh,
+    YLow,
+)
 from emulator.raster.lines import resolve
 
 __all__ = ["TOLERANCE", "pixel_light"]
@@ -19,7 +34,7 @@ TOLERANCE = 1e-6
 
 
 @lane
-def depth_range(facets, f, column, row):  # type: ignore[no-untyped-def]
+def depth_range(facets: Floats, f: int, column: int, row: int) -> tuple[float, float]:
     """Return bounds of 1 / depth of a facet in a pixel."""
     middle = facets[f, W] + facets[f, W + 1] * (column + 0.5) + facets[f, W + 2] * (row + 0.5)
     half = 0.5 * (abs(facets[f, W + 1]) + abs(facets[f, W + 2]))
@@ -29,7 +44,7 @@ def depth_range(facets, f, column, row):  # type: ignore[no-untyped-def]
 
 @vector_kernel
 def _sort(order: Ints, keys: Floats, n: int) -> None:
-    """Sort by descending keys (Shell's method: no worst case that matters, no memory); equal keys by ascending entry."""
+    """Sort by descending keys (Shell's method: needs no memory); equal keys by ascending entry."""
     gap = 1
     while gap < n // 3:
         gap = 3 * gap + 1
@@ -45,7 +60,7 @@ def _sort(order: Ints, keys: Floats, n: int) -> None:
 
 
 @lane
-def _contains(vertices, faces, facets, f, column, row):  # type: ignore[no-untyped-def]
+def _contains(vertices: Floats, faces: Ints, facets: Floats, f: int, column: int, row: int) -> bool:
     """Tell whether a facet contains the whole pixel."""
     if facets[f, XLow] > column or facets[f, XHigh] < column + 1 or facets[f, YLow] > row or facets[f, YHigh] < row + 1:
         return False
@@ -60,7 +75,7 @@ def _contains(vertices, faces, facets, f, column, row):  # type: ignore[no-untyp
 
 
 @vector_kernel
-def integrals(data: tuple, f: int, column: int, row: int) -> tuple[float, float, float]:  # type: ignore[type-arg]
+def integrals(data: Data, f: int, column: int, row: int) -> tuple[float, float, float]:
     """Return area, light and rate of a facet within a pixel, exact."""
     vertices, faces, facets = data[0], data[1], data[4]
     k = facets[f, Sign]
@@ -114,15 +129,17 @@ def integrals(data: tuple, f: int, column: int, row: int) -> tuple[float, float,
         within, mx, my = piece(p, y0, q, y1)
         area += within
         light += j0 * within + jx * mx + jy * my
-        qa = vertices[a, 2] * dy - vertices[a, 3] * dx
-        dq = vertices[b, 2] * dy - vertices[b, 3] * dx - qa
-        l0, l1 = j0 + jx * p + jy * y0, j0 + jx * q + jy * y1
-        rate += g0 * within + gx * mx + gy * my - flux(s1 - s0, l0, l1, qa + dq * s0, qa + dq * s1)
+        rate += g0 * within + gx * mx + gy * my
+        if not is_still(data, f, side):  # light is continuous there: what one facet loses its neighbour gains
+            qa = vertices[a, 2] * dy - vertices[a, 3] * dx
+            dq = vertices[b, 2] * dy - vertices[b, 3] * dx - qa
+            l0, l1 = j0 + jx * p + jy * y0, j0 + jx * q + jy * y1
+            rate -= flux(s1 - s0, l0, l1, qa + dq * s0, qa + dq * s1)
     return k * area, k * light, k * rate
 
 
 @vector_kernel
-def _outline(data: tuple, f: int, column: int, row: int) -> tuple[int, float]:  # type: ignore[type-arg]
+def _outline(data: Data, f: int, column: int, row: int) -> tuple[int, float]:
     """Return how often the facet's part of an outline passes the pixel's border, and |dx| - |dy| of it within."""
     vertices, faces, across, kinds = data[0], data[1], data[2], data[5]
     crossings, lean = 0, 0.0
@@ -150,7 +167,7 @@ def _outline(data: tuple, f: int, column: int, row: int) -> tuple[int, float]:  
 
 @vector_kernel
 def pixel_light(
-    data: tuple,  # type: ignore[type-arg]
+    data: Data,
     place: tuple[int, int],
     listed: Ints,
     keys: Floats,
@@ -188,4 +205,5 @@ def pixel_light(
         crossings, lean = crossings + more, lean + leaning
     if area < 1.0 and crossings == 2:
         return light, rate
-    return resolve(data, place, listed[:n], lines, lean > 0.0)
+    light, rate = resolve(data, place, listed[:n], lines, lean > 0.0)
+    return light, rate

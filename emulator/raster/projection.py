@@ -18,6 +18,8 @@ from emulator.raster.layout import (
     G,
     Ints,
     L,
+    Plane,
+    Sides,
     Sign,
     Valid,
     W,
@@ -60,7 +62,9 @@ def project(positions: Floats, velocities: Floats, camera: Floats, out: Floats) 
 
 
 @lane
-def _plane(facets, f, at, corners, edges, values):  # type: ignore[no-untyped-def]
+def _plane(
+    facets: Floats, f: int, at: int, corners: tuple[float, float], edges: Sides, values: Plane
+) -> tuple[float, float]:
     """Write the plane through three corner values."""
     ax, ay = corners
     e1x, e1y, e2x, e2y, det = edges
@@ -149,7 +153,7 @@ def set_up(
 
 
 @lane
-def _bands(y_low, y_high, height):  # type: ignore[no-untyped-def]
+def _bands(y_low: float, y_high: float, height: int) -> tuple[int, int]:
     """Return the bands whose rows, and one more on each side, a facet may touch."""
     first = int(max(y_low - 1.0, 0.0)) // BAND
     last = int(min(max(y_high + 1.0, 0.0), height - 1.0)) // BAND

@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.raster.bands import draw_bands, query_bands
-from emulator.raster.layout import BAND, FACET_FIELDS, VERTEX_FIELDS, Bytes, Floats, Ints, Pictures
 from emulator.raster.clipping import clip
+from emulator.raster.layout import BAND, FACET_FIELDS, VERTEX_FIELDS, Bytes, Floats, Ints, Pictures
 from emulator.raster.lines import LINE_FIELDS
 from emulator.raster.projection import bucket, project, set_up
 from emulator.raster.topology import Topology

@@ -1,4 +1,4 @@
-"""Sums along rows: every edge goes once into the pixels that it crosses, and into what it leaves for those further right.
+"""Sums along rows: every edge goes once into the pixels that it crosses and into what those further right get.
 
 Accumulators of a pixel (8 float64, one cache line), the pixel left of the picture first:
 
@@ -12,14 +12,14 @@ from __future__ import annotations
 import math
 
 from emulator.raster.compiled import lane, vector_kernel
-from emulator.raster.edges import flux, piece
-from emulator.raster.layout import SHOWABLE, Floats, G, Ints, L, Sign
+from emulator.raster.edges import flux, is_still, piece
+from emulator.raster.layout import Data, Floats, G, Ints, L, Plane, Sign
 
 __all__ = ["add_facet"]
 
 
 @lane
-def _carry(cell, h, middle, area, light, rate):  # type: ignore[no-untyped-def]
+def _carry(cell: Floats, h: float, middle: float, area: float, light: Plane, rate: Plane) -> None:
     """Add what pixels right of a piece get; `light`, `rate` are planes in the row's frame, `middle` the mean y."""
     cell[1] += area * h
     cell[3] += h * (light[0] + light[2] * middle)
@@ -53,7 +53,7 @@ def _add_edge(
     moves = moving[0] != 0.0 or moving[1] != 0.0
     steep = dy >= abs(dx)
     per_length = 1.0 / dy if steep else 1.0 / dx
-    row = int(math.floor(max(ay, float(first))))
+    row = math.floor(max(ay, float(first)))
     slope = dx / dy if dy > 0.0 else 0.0
     rise = dy / dx if dx != 0.0 else 0.0
     rightward = dx >= 0.0
@@ -80,7 +80,7 @@ def _add_edge(
         elif x_end < width < x0:
             y0 += (width - x0) * rise
             x0 = float(width)
-        column = int(math.floor(min(x0, width + 1.0)))
+        column = math.floor(min(x0, width + 1.0))
         if not rightward and column == x0:
             column -= 1
         while 0 <= column < width:
@@ -126,11 +126,11 @@ def add_facet(
     f: int,
     shows: Ints,
     stamp: int,
-    data: tuple,  # type: ignore[type-arg]
+    data: Data,
     rows: tuple[int, int, int],
 ) -> None:
     """Add the edges of a facet that shows; an edge between two such facets is added by the first of them."""
-    vertices, faces, across, smooth, facets, kinds = data
+    vertices, faces, across, facets = data[0], data[1], data[2], data[4]
     k = facets[f, Sign]
     for side in range(3):
         g = across[f, side]
@@ -145,7 +145,7 @@ def add_facet(
         still = False
         if shared:
             o = facets[g, Sign]
-            still = smooth[f, side] != 0 and o == k and kinds[f] == SHOWABLE and kinds[g] == SHOWABLE
+            still = is_still(data, f, side)
             area -= o
             j0, jx, jy = j0 - o * facets[g, L], jx - o * facets[g, L + 1], jy - o * facets[g, L + 2]
             g0, gx, gy = g0 - o * facets[g, G], gx - o * facets[g, G + 1], gy - o * facets[g, G + 2]

@@ -25,8 +25,8 @@ from emulator.scene.bodies.world import BodyWorld
 
 __all__ = ["FLAT_PX", "RasterBodies"]
 
-FLAT_PX = 4.0
-_MOST_FLAT_FACETS = 200_000  # of one body: a large flat side near the camera is divided no further
+FLAT_PX = 12.0
+_MOST_FLAT_FACETS = 20_000  # of one body: a large flat side near the camera is divided no further
 _NEAREST_SHARE = 1e-6  # of the range to the nearest body: facets are cut this near the camera
 
 
