@@ -25,7 +25,7 @@ FLAT_SIZE_M = 0.1
 
 
 def _measure(name: str, repeats: int) -> str:
-    scene = load_rig(RIGS / f"{name}.toml").scene
+    scene = load_rig(str(RIGS / f"{name}.toml")).scene
     assert isinstance(scene, BodiesParameters)
     meshes = [load_mesh(find_shape(body.shape), body.units_m) for body in scene.bodies]
     surfaces = [

@@ -28,7 +28,7 @@ import numpy.typing as npt
 
 from emulator.geometry.attitude import Vector, unit
 from emulator.photometry.sun import Sun
-from emulator.scene.bodies.cast_shadow import dim
+from emulator.scene.bodies.cast_shadow import dim, dim_remembering
 from emulator.scene.bodies.horizon_table import Horizons, dim_below, horizon_table, lost_light
 from emulator.scene.bodies.lighting_kernels import choose, dim_at_plane, glow
 from emulator.scene.bodies.lit_surface import Surface, shadow_triangles
@@ -98,6 +98,7 @@ class _Lit:
     law: Law
     group: int
     table: Horizons | None
+    memory: Floats
     middle_m: Vector
     radius_m: float
 
@@ -204,8 +205,11 @@ class Lighting:
             moved[m, :, 3] = other.world_from_group[m].T @ (own.places_m[m] - other.places_m[m])
             moved[m, :, 4] = other.suns[m]
         tangent = math.tan(self._sun.radius_rad)
-        if own is other or _may_shade(tree, body, moved[0], tangent):
-            reaches = (tangent, _NEAR * tree.radius_m)
+        reaches = (tangent, _NEAR * tree.radius_m)
+        if own is other:
+            chosen, memory = self._chosen, body.memory
+            dim_remembering(tree.arrays, body.points, chosen, count, moved, reaches, memory, self._shares)
+        elif _may_shade(tree, body, moved[0], tangent):
             dim(tree.arrays, body.points, self._chosen, count, moved, reaches, self._shares)
 
 
@@ -230,7 +234,8 @@ def _place(surface: Surface, law: Law, group: int, pose: Pose, tree: TriangleTre
     table = _table(tree, points, normals, sun) if surface.smooth and tree is not None else None
     low, high = points.min(axis=0), points.max(axis=0)
     middle, radius_m = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
-    return _Lit(points, normals, surface.lean, law, group, table, middle, radius_m)
+    memory = np.full((len(points), 5), 2.0)
+    return _Lit(points, normals, surface.lean, law, group, table, memory, middle, radius_m)
 
 
 def _table(tree: TriangleTree, points: Floats, normals: Floats, sun: Sun) -> Horizons | None:

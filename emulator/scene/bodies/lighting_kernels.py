@@ -49,11 +49,11 @@ def choose(
             continue
         chosen[count] = k
         count += 1
-    for m in range(2):
-        sx, sy, sz = suns[m, 0], suns[m, 1], suns[m, 2]
-        for i in range(count):
-            k = chosen[i]
-            nx, ny, nz = normals[k, 0], normals[k, 1], normals[k, 2]
+    for i in range(count):
+        k = chosen[i]
+        nx, ny, nz = normals[k, 0], normals[k, 1], normals[k, 2]
+        for m in range(2):
+            sx, sy, sz = suns[m, 0], suns[m, 1], suns[m, 2]
             dx, dy, dz = eyes[m, 0] - points[k, 0], eyes[m, 1] - points[k, 1], eyes[m, 2] - points[k, 2]
             near = 1.0 / math.sqrt(max(dx * dx + dy * dy + dz * dz, 1e-300))
             dx, dy, dz = dx * near, dy * near, dz * near

@@ -90,6 +90,7 @@ def _hapke(p: Floats, mu0: Floats, mu: Floats, chord2: Floats, count: int, out: 
 @numba.njit(error_model="numpy")
 def _glossy(p: Floats, mu0: Floats, mu: Floats, chord2: Floats, count: int, out: Floats) -> None:
     even, lobe, sharpness = p[0], p[1], p[2]
+    rim = math.exp(-60.0 / sharpness)  # beside it the lobe is below 1e-26 of its height: no power is spent on it
     for i in range(count):
         lit = max(mu0[i], 0.0)
         if not lit > 0.0:
@@ -97,7 +98,8 @@ def _glossy(p: Floats, mu0: Floats, mu: Floats, chord2: Floats, count: int, out:
             continue
         between = max(math.sqrt(max(1.0 - 0.25 * chord2[i], 0.0)), 1e-6)
         halfway = min((lit + abs(mu[i])) / (2.0 * between), 1.0)
-        out[i] = lit * (even + lobe * math.exp(sharpness * math.log(halfway)))
+        glint = math.exp(sharpness * math.log(halfway)) if halfway > rim else 0.0
+        out[i] = lit * (even + lobe * glint)
 
 
 @numba.njit(nogil=True, error_model="numpy")
