@@ -1,6 +1,6 @@
 """Milliseconds for the light of the shipped bodies and its rate, one thread.
 
-    python benchmarks/lighting.py [REPEATS]
+python benchmarks/lighting.py [REPEATS]
 """
 
 from __future__ import annotations
@@ -51,7 +51,9 @@ def _measure(name: str, repeats: int) -> str:
         times_ms.append(1e3 * (time.perf_counter() - begun))
     times_ms.sort()
     points = sum(len(surface.points) for surface in surfaces)
-    return f"{name:14} {points:7} points  {made_s:6.2f} s  {times_ms[0]:6.3f} ms  {times_ms[len(times_ms) // 2]:6.3f} ms"
+    return (
+        f"{name:14} {points:7} points  {made_s:6.2f} s  {times_ms[0]:6.3f} ms  {times_ms[len(times_ms) // 2]:6.3f} ms"
+    )
 
 
 def main() -> None:

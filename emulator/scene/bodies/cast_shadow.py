@@ -9,8 +9,8 @@ whole disc, although they may overlap: that is too dark by up to the overlap, in
 A point sees a triangle's outside where it is above its plane by `near_m`, so a facet and its neighbours in one plane
 never hide the Sun from their own points.
 
-What makes it fast: the walk leaves out boxes beside the cone (a box widened by the cone's radius at its far side against
-the axis), it ends where the disc is covered, and points with an answer of 0 or 1 have no second evaluation.
+What makes it fast: the walk leaves out boxes beside the cone (a box widened by the cone's radius at its far side
+against the axis), it ends where the disc is covered, and points with an answer of 0 or 1 have no second evaluation.
 Within one rigid body most points keep their answer while the Sun turns by a degree or more (`dim_remembering`).
 """
 
@@ -22,6 +22,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
+from emulator.scene.bodies.compiled import entry
 from emulator.scene.bodies.solar_disc import edge_area
 from emulator.scene.bodies.triangle_tree import after
 
@@ -39,7 +40,7 @@ _DUST = 1e-9  # shares below that are rounding
 _NEAREST = 1e-4  # of a triangle's distance: what is nearer along the axis than that is cut off
 
 
-@numba.njit(inline="always", error_model="numpy")
+@numba.njit(error_model="numpy")
 def axes_around(sx: float, sy: float, sz: float) -> Frame:
     """Return two axes across a unit direction and the direction itself.
 
@@ -53,7 +54,7 @@ def axes_around(sx: float, sy: float, sz: float) -> Frame:
 
 @numba.njit(error_model="numpy")
 def _cut_area(corners: tuple[float, ...], nearest: float) -> float:
-    """Return the area in the disc of a triangle (x, y, depth) three times over, of which a part lies behind the point."""
+    """Return the area in the disc of a triangle, three times (x, y, depth), of which a part lies behind the point."""
     area, count = 0.0, 0
     first_x = first_y = last_x = last_y = 0.0
     px, py, pw = corners[6], corners[7], corners[8]
@@ -105,10 +106,16 @@ def _triangle_area(corners: Floats, k: int, px: float, py: float, pz: float, axe
     return abs(edge_area(a0, b0, a1, b1) + edge_area(a1, b1, a2, b2) + edge_area(a2, b2, a0, b0))
 
 
-@numba.njit(inline="always", error_model="numpy")
+@numba.njit(error_model="numpy")
 def _box_in_cone(
-    boxes: Floats, node: int, px: float, py: float, pz: float, sun: tuple[float, float, float],
-    inverse: tuple[float, float, float], tangent: float,
+    boxes: Floats,
+    node: int,
+    px: float,
+    py: float,
+    pz: float,
+    sun: tuple[float, float, float],
+    inverse: tuple[float, float, float],
+    tangent: float,
 ) -> bool:
     """Tell whether a box may reach into the cone: widened by the cone's radius at its far side, it meets the axis."""
     cx, cy, cz = boxes[node, 0] - px, boxes[node, 1] - py, boxes[node, 2] - pz
@@ -120,7 +127,7 @@ def _box_in_cone(
     tx, ty, tz = cx * inverse[0], cy * inverse[1], cz * inverse[2]
     rx, ry, rz = (hx + wider) * abs(inverse[0]), (hy + wider) * abs(inverse[1]), (hz + wider) * abs(inverse[2])
     enter = max(tx - rx, ty - ry, tz - rz, 0.0)
-    return enter <= min(tx + rx, ty + ry, tz + rz)
+    return bool(enter <= min(tx + rx, ty + ry, tz + rz))
 
 
 @numba.njit(error_model="numpy")
@@ -130,8 +137,12 @@ def _inverse(x: float) -> float:
 
 @numba.njit(error_model="numpy")
 def covered(
-    tree: Arrays, point: tuple[float, float, float],
-    sun: tuple[float, float, float], tangent: float, near_m: float, enough: float,
+    tree: Arrays,
+    point: tuple[float, float, float],
+    sun: tuple[float, float, float],
+    tangent: float,
+    near_m: float,
+    enough: float,
 ) -> float:
     """Return the covered share of a disc around a direction, each layer counted: above 1 where there are several.
 
@@ -163,7 +174,7 @@ def covered(
             return area / math.pi
 
 
-@numba.njit(inline="always")
+@numba.njit(error_model="numpy")
 def _place(moved: Floats, x: float, y: float, z: float) -> tuple[float, float, float]:
     return (
         moved[0, 0] * x + moved[0, 1] * y + moved[0, 2] * z + moved[0, 3],
@@ -192,10 +203,15 @@ def _dim_point(
     shares[1, i] *= 1.0 - later
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@entry
 def dim(
-    tree: Arrays, points: Floats, chosen: npt.NDArray[np.int32], count: int, moved: Floats,
-    reaches: tuple[float, float], shares: Floats,
+    tree: Arrays,
+    points: Floats,
+    chosen: npt.NDArray[np.int32],
+    count: int,
+    moved: Floats,
+    reaches: tuple[float, float],
+    shares: Floats,
 ) -> None:
     """Multiply the sunlit shares of chosen points by what the tree's triangles leave of the disc.
 
@@ -226,8 +242,13 @@ def _layers(
 
 @numba.njit(error_model="numpy")
 def _remember(
-    tree: Arrays, point: tuple[float, float, float], sun: tuple[float, float, float], wide: float,
-    reaches: tuple[float, float], memory: Floats, k: int,
+    tree: Arrays,
+    point: tuple[float, float, float],
+    sun: tuple[float, float, float],
+    wide: float,
+    reaches: tuple[float, float],
+    memory: Floats,
+    k: int,
 ) -> None:
     """Find how far the Sun may go with the same answer, at most `wide` (rad), and write row k of `memory`."""
     radius = math.atan(reaches[0])
@@ -242,10 +263,16 @@ def _remember(
             return
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@entry
 def dim_remembering(
-    tree: Arrays, points: Floats, chosen: npt.NDArray[np.int32], count: int, moved: Floats,
-    reaches: tuple[float, float], memory: Floats, shares: Floats,
+    tree: Arrays,
+    points: Floats,
+    chosen: npt.NDArray[np.int32],
+    count: int,
+    moved: Floats,
+    reaches: tuple[float, float],
+    memory: Floats,
+    shares: Floats,
 ) -> None:
     """Do as `dim` for points in the tree's own frame, and spare what cannot have changed.
 
@@ -255,8 +282,8 @@ def dim_remembering(
 
     Parameters
     ----------
-    memory : (n, 5), of each point the Sun's direction when it was last looked at, the cosine up to which that holds, and
-        the share (0, 1 or MIXED: to be computed each time). A cosine of 2 is a point not looked at yet.
+    memory : (n, 5), of each point the Sun's direction when it was last looked at, the cosine up to which that holds,
+        and the share (0, 1 or MIXED: to be computed each time). A cosine of 2 is a point not looked at yet.
     """
     x, y, z = moved[0, 0, 4], moved[0, 1, 4], moved[0, 2, 4]
     for i in range(count):

@@ -27,6 +27,7 @@ import numpy.typing as npt
 
 from emulator.scene.array_cache import Progress, kept
 from emulator.scene.bodies.cast_shadow import Arrays, Frame, axes_around, covered
+from emulator.scene.bodies.compiled import entry
 from emulator.scene.bodies.solar_disc import seen_above
 from emulator.scene.bodies.triangle_tree import TriangleTree, after
 
@@ -45,7 +46,7 @@ def horizon_table(tree: TriangleTree, points: Floats, normals: Floats, name: str
     """Return the horizons' sines in 1 / 65535, (points, AZIMUTHS), from the cache where they lie there already."""
     digest = hashlib.sha256()
     for array in (tree.corners, points, normals):
-        digest.update(np.ascontiguousarray(array))
+        digest.update(array.tobytes())
     made_from = (AZIMUTHS, digest.hexdigest())
     return kept("horizons", made_from, lambda: _make(tree, points, normals, name), (np.uint16, 2))
 
@@ -93,7 +94,7 @@ def _direction(j: int) -> tuple[float, float]:
     return y, -x
 
 
-@numba.njit(inline="always", error_model="numpy")
+@numba.njit(error_model="numpy")
 def _azimuth(x: float, y: float) -> float:
     """Return where a direction of the tangent plane lies between azimuths, 0 to AZIMUTHS; not for the normal."""
     at = y / (abs(x) + abs(y))
@@ -157,7 +158,7 @@ def _raise_all(tree: Arrays, point: Floats, axes: Frame, directions: Floats, slo
             return
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@entry
 def _look_around(tree: Arrays, points: Floats, normals: Floats, out: Horizons) -> None:
     """Write the table; points without a sound normal have a horizon of 0."""
     directions, slopes = np.empty((AZIMUTHS, 2)), np.empty(AZIMUTHS)
@@ -172,7 +173,7 @@ def _look_around(tree: Arrays, points: Floats, normals: Floats, out: Horizons) -
             out[i, j] = int(slopes[j] / math.sqrt(1.0 + slopes[j] * slopes[j]) * _FULL + 0.5)
 
 
-@numba.njit(inline="always", error_model="numpy")
+@numba.njit(error_model="numpy")
 def _near(table: Horizons, k: int, tx: float, ty: float) -> tuple[float, float]:
     """Return the sine of the horizon of point k at an azimuth, and how much it rises from one azimuth to the next."""
     at = _azimuth(tx, ty)
@@ -181,7 +182,7 @@ def _near(table: Horizons, k: int, tx: float, ty: float) -> tuple[float, float]:
     return low + (at - j) * (high - low), high - low
 
 
-@numba.njit(inline="always", error_model="numpy")
+@numba.njit(error_model="numpy")
 def _above(table: Horizons, k: int, sun: tuple[float, float, float], radius: float) -> tuple[float, float]:
     """Return how far the Sun's middle is above the horizon of point k in its radii, and the cosine of the line's tilt.
 
@@ -202,10 +203,16 @@ def _above(table: Horizons, k: int, sun: tuple[float, float, float], radius: flo
     return (up * math.sqrt(cosine2) - math.sqrt(level2) * sine) * upright / radius, upright
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@entry
 def dim_below(
-    table: Horizons, normals: Floats, chosen: npt.NDArray[np.int32], count: int, suns: Floats, radius: float,
-    cosines: Floats, shares: Floats,
+    table: Horizons,
+    normals: Floats,
+    chosen: npt.NDArray[np.int32],
+    count: int,
+    suns: Floats,
+    radius: float,
+    cosines: Floats,
+    shares: Floats,
 ) -> None:
     """Write the sunlit shares of chosen points, and lift the cosines of incidence to the mean over what is seen.
 
@@ -230,15 +237,19 @@ def dim_below(
                 break
 
 
-@numba.njit(inline="always", error_model="numpy")
+@numba.njit(error_model="numpy")
 def _along(axes: Frame, x: float, y: float, z: float) -> tuple[float, float, float]:
     ux, uy, uz, vx, vy, vz, nx, ny, nz = axes
     return x * ux + y * uy + z * uz, x * vx + y * vy + z * vz, x * nx + y * ny + z * nz
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@entry
 def _count_lost(
-    tree: Arrays, surface: tuple[Floats, Floats], table: Horizons, chosen: npt.NDArray[np.int32], suns: Floats,
+    tree: Arrays,
+    surface: tuple[Floats, Floats],
+    table: Horizons,
+    chosen: npt.NDArray[np.int32],
+    suns: Floats,
     tangent: float,
 ) -> int:
     points, normals = surface

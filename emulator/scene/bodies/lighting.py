@@ -6,8 +6,8 @@ with a law of reflection r and the share of the Sun's disc that is seen. Near th
 over the part of the disc that is seen, so all is smooth in time. Shadows:
 
     smooth bodies        a table of horizons over all that is rigidly fixed to the body (`horizon_table`)
-    flat-shaded ones     covered areas of the disc, traced (`cast_shadow`); smooth ones too where a table would lose light
-                         under overhangs in more than LOST_AT_MOST of all directions
+    flat-shaded ones     covered areas of the disc, traced (`cast_shadow`); smooth ones too where a table would lose
+                         light under overhangs in more than LOST_AT_MOST of all directions
     bodies on others     traced, in the frame of what throws the shadow
 
 The rate is that of the material point, a second of stream time: directions of the Sun and places of the camera and of

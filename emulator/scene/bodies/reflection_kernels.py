@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.photometry.reflectance import Glossy, Hapke, Lambert, LommelSeeliger, LunarLambert, Reflectance
+from emulator.scene.bodies.compiled import entry
 
 __all__ = ["Law", "law_of", "reflect"]
 
@@ -44,7 +45,7 @@ def law_of(law: Reflectance) -> Law:
             return _GLOSSY, np.array([law.albedo / math.pi, lobe, law.sharpness, 0])
 
 
-@numba.njit(inline="always", error_model="numpy")
+@numba.njit(error_model="numpy")
 def _henyey_greenstein(chord2: float, b: float) -> float:
     inner = (1.0 + b) * (1.0 + b) - b * chord2
     return (1.0 - b * b) / (inner * math.sqrt(inner))
@@ -102,7 +103,7 @@ def _glossy(p: Floats, mu0: Floats, mu: Floats, chord2: Floats, count: int, out:
         out[i] = lit * (even + lobe * glint)
 
 
-@numba.njit(nogil=True, error_model="numpy")
+@entry
 def reflect(kind: int, p: Floats, mu0: Floats, mu: Floats, chord2: Floats, count: int, out: Floats) -> None:
     """Write r, 1/sr, of `count` points.
 

@@ -74,7 +74,10 @@ def test_the_part_of_the_disc_inside_a_polygon():
         for corners in random.normal(size=(30, 3, 2)) * scale:
             turned = np.roll(corners, -1, axis=0)
             area = sum(edge_area(*a, *b) for a, b in zip(corners, turned, strict=True))
-            sides = [(b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0]) > 0 for a, b in zip(corners, turned, strict=True)]
+            sides = [
+                (b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0]) > 0
+                for a, b in zip(corners, turned, strict=True)
+            ]
             inside = np.all(sides, axis=0) | ~np.any(sides, axis=0)
             assert abs(area) / math.pi == pytest.approx(inside.mean(), abs=2e-3)
 
@@ -104,7 +107,7 @@ def test_an_eclipse_by_a_ball_is_two_circles_overlap():
         assert hidden == pytest.approx(_overlap(d, r, big) / math.pi, abs=4e-3)
 
 
-def _overlap(d, r, R):  # noqa: N803
+def _overlap(d, r, R):
     """Area common to two circles: a textbook formula."""
     if d >= r + R:
         return 0.0

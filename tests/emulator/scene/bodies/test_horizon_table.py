@@ -1,4 +1,4 @@
-"""Tables of horizons: walls in closed form, asteroids and balls against a ray caster, what overhangs cost, the cache."""
+"""Tables of horizons: walls in closed form, asteroids against a ray caster, what overhangs cost, the cache."""
 
 import math
 
@@ -66,12 +66,14 @@ def test_a_ring_wall_hides_the_disc_s_share(azimuth_deg, above):
     table = horizon_table(tree, np.zeros((1, 3)), UP)
     assert table.shape == (1, AZIMUTHS)
     elevation, azimuth = math.atan(0.3) + above * RADIUS, math.radians(azimuth_deg)
-    sun = np.array([math.cos(elevation) * math.cos(azimuth), math.cos(elevation) * math.sin(azimuth), math.sin(elevation)])
+    sun = np.array(
+        [math.cos(elevation) * math.cos(azimuth), math.cos(elevation) * math.sin(azimuth), math.sin(elevation)]
+    )
     assert share(table, UP, sun)[0] == pytest.approx(seen_above(above)[0], abs=3e-3)
 
 
 def test_a_wall_s_end_is_right_to_the_spacing_and_a_penumbra_wide():
-    """The Sun goes behind the upright edge of a tower: no step, and the ramp is as wide as the disc, at most doubled."""
+    """The Sun goes behind the upright edge of a tower: no step, and the ramp is about as wide as the disc."""
     tree = wall((10, 0, -1), (11, 60, 90))
     table = horizon_table(tree, np.zeros((1, 3)), UP)
     azimuths = np.radians(np.arange(-10, 10, 0.01))

@@ -91,7 +91,9 @@ def test_the_terminator_of_a_ball_is_as_wide_as_the_sun():
     for n in near:
         elevation = math.asin(normals[n, 0])
         mean = np.maximum(elevation + sun.radius_rad * height, 0).mean()
-        assert glow.radiance[n] == pytest.approx(sun.irradiance_w_m2 / math.pi * mean, abs=1.5e-3 * sun.irradiance_w_m2 / math.pi)
+        assert glow.radiance[n] == pytest.approx(
+            sun.irradiance_w_m2 / math.pi * mean, abs=1.5e-3 * sun.irradiance_w_m2 / math.pi
+        )
     assert glow.radiance[near].max() > 0
     assert glow.radiance[(normals[:, 0] < -math.sin(sun.radius_rad) - 0.02)].max() == 0
 
@@ -103,7 +105,9 @@ def spinning(law, smooth=True, ambient=0.0):
     """A ball with a crest around it, and a box, that tumble before a moving camera."""
     ridge = trimesh.util.concatenate([trimesh.creation.icosphere(4, 1.0), trimesh.creation.annulus(0.8, 1.5, 0.2)])
     path = SpinPath(pole=(0.3, 1.0, 0.2), spin_deg_s=20.0)
-    camera = KeyframePath((Keyframe(0.0, (3.0, 2.0, -6.0)), Keyframe(9.0, (-3.0, 1.0, -5.0))), look_at_m=(0.0, 0.0, 0.0))
+    camera = KeyframePath(
+        (Keyframe(0.0, (3.0, 2.0, -6.0)), Keyframe(9.0, (-3.0, 1.0, -5.0))), look_at_m=(0.0, 0.0, 0.0)
+    )
     mesh = build_mesh(ridge.vertices, ridge.faces)
     sizes = [None if smooth else 0.1]
     sun = Sun((-0.5, 0.3, -0.8), 0.2)
@@ -125,19 +129,35 @@ def test_rates_are_those_of_finite_differences_also_in_penumbras(law, smooth):
 
 
 def test_rates_are_of_stream_time():
-    slow, fast = (World([body(path=SpinPath(spin_deg_s=1.0))], [ball(3)], clock=c, sun=Sun((0.3, 0.4, -1.0)),
-                        camera=FixedPath((0.0, 0.0, -9.0))) for c in (1.0, 600.0))
+    slow, fast = (
+        World(
+            [body(path=SpinPath(spin_deg_s=1.0))],
+            [ball(3)],
+            clock=c,
+            sun=Sun((0.3, 0.4, -1.0)),
+            camera=FixedPath((0.0, 0.0, -9.0)),
+        )
+        for c in (1.0, 600.0)
+    )
     np.testing.assert_allclose(fast.light(10**6)[0].rate, 600 * slow.light(6 * 10**8)[0].rate, rtol=1e-4, atol=1e-6)
 
 
 def test_the_rate_is_right_while_a_wall_s_shadow_passes():
     """A post on a table that turns: points pass through the penumbra one after the other."""
-    table = trimesh.util.concatenate([
-        trimesh.creation.box(bounds=[(-3, -3, -0.2), (3, 3, 0)]), trimesh.creation.box(bounds=[(0.5, -0.3, 0), (1, 0.3, 1.5)])
-    ])
+    table = trimesh.util.concatenate(
+        [
+            trimesh.creation.box(bounds=[(-3, -3, -0.2), (3, 3, 0)]),
+            trimesh.creation.box(bounds=[(0.5, -0.3, 0), (1, 0.3, 1.5)]),
+        ]
+    )
     path = SpinPath(pole=(0.0, 0.0, 1.0), spin_deg_s=5.0)
-    world = World([body(path=path, smooth=False)], [build_mesh(table.vertices, table.faces)], [0.05],
-                  sun=Sun((0.8, 0.1, 0.5)), camera=FixedPath((0.0, 0.0, 20.0)))
+    world = World(
+        [body(path=path, smooth=False)],
+        [build_mesh(table.vertices, table.faces)],
+        [0.05],
+        sun=Sun((0.8, 0.1, 0.5)),
+        camera=FixedPath((0.0, 0.0, 20.0)),
+    )
     step = 10**6
     lights = [world.light(10**9 + k * step)[0] for k in range(80)]
     radiance, rate = (np.array([getattr(g, name) for g in lights]) for name in ("radiance", "rate"))
@@ -170,8 +190,12 @@ def test_the_world_s_axes_do_not_matter():
 def test_a_moon_goes_through_a_shadow():
     """A small ball passes behind a large one: dark in the middle, and its light's rate adds up to its light."""
     path = KeyframePath((Keyframe(0.0, (20.0, -6.0, 0.0)), Keyframe(12.0, (20.0, 6.0, 0.0))))
-    world = World([body(), body(path=path)], [ball(4, 2.0), ball(2, 0.2)], sun=Sun((-1.0, 0.0, 0.0)),
-                  camera=FixedPath((0.0, 0.0, 60.0)))
+    world = World(
+        [body(), body(path=path)],
+        [ball(4, 2.0), ball(2, 0.2)],
+        sun=Sun((-1.0, 0.0, 0.0)),
+        camera=FixedPath((0.0, 0.0, 60.0)),
+    )
     radiance, rate = [], []
     times = np.arange(3_000_000_000, 9_000_000_000, 10_000_000)
     for t in times:
@@ -203,8 +227,10 @@ def test_a_part_shades_another_of_its_group_also_under_an_overhang(smooth):
     plate, hung = mesh_of(trimesh.creation.box((8.0, 8.0, 0.2)), (0, 0, -0.1)), ball(3, 0.8)
     fine = subdivide(plate, 0.1)
     plate = build_mesh(fine.vertices, fine.faces)  # with normals of its own, those of the box lean at its corners
-    bodies = [body(path=SpinPath(spin_deg_s=1.0), name="plate", smooth=smooth),
-              body(path=FixedPath((0.0, 0.0, 2.0)), fixed_to="plate")]
+    bodies = [
+        body(path=SpinPath(spin_deg_s=1.0), name="plate", smooth=smooth),
+        body(path=FixedPath((0.0, 0.0, 2.0)), fixed_to="plate"),
+    ]
     for sun, place in (((0.9, 0.0, 0.44), (-4.1, 0.0)), ((0.1, 0.1, 1.0), (-0.2, -0.2))):
         world = World(bodies, [plate, hung], sun=Sun(sun), camera=FixedPath((0.0, 0.0, 30.0)))
         glow, surface = world.light()[0], world.surfaces[0]
