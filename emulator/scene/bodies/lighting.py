@@ -157,14 +157,16 @@ class Lighting:
         ]
 
     def _step_s(self, motion: Motion) -> float:
-        """Return the time in which nothing turns, or is seen to move, by more than some 1e-7 rad."""
+        """Return the time in which nothing turns, is seen to turn, or goes by its own size, by more than some 1e-7."""
         roots = [group.members[0] for group in self._groups]
+        least_m = max(min(body.radius_m for body in self._bodies), 1e-9)
         fastest = max(_turned(motion, k) for k in roots)
+        fastest = max(fastest, *(_moved_m(motion, k, roots[0]) / least_m for k in roots))
         for body in self._bodies:
-            root = roots[body.group]
-            now = motion.now.bodies[root]
-            gap_m = float(np.linalg.norm(motion.now.camera.position_m - now.position_m)) - body.radius_m
-            fastest = max(fastest, _moved_m(motion, root) / max(gap_m, 1e-3 * body.radius_m, 1e-9))
+            root = motion.now.bodies[roots[body.group]]
+            middle_m = root.position_m + root.world_from_body @ body.middle_m
+            gap_m = float(np.linalg.norm(motion.now.camera.position_m - middle_m)) - body.radius_m
+            fastest = max(fastest, _moved_m(motion, roots[body.group]) / max(gap_m, 1e-3 * body.radius_m, 1e-9))
         return motion.between_s * (_TURN_RAD / fastest if fastest > 0 else 1.0)
 
     def _seen(self, motion: Motion, root: int, step_s: float) -> _Seen:
@@ -252,10 +254,13 @@ def _turned(motion: Motion, k: int) -> float:
     return float(np.linalg.norm(turn))
 
 
-def _moved_m(motion: Motion, k: int) -> float:
-    """Return how far the camera goes against body k."""
-    before, after = (poses.camera.position_m - poses.bodies[k].position_m for poses in (motion.before, motion.after))
-    return float(np.linalg.norm(after - before))
+def _moved_m(motion: Motion, k: int, other: int | None = None) -> float:
+    """Return how far body k goes against another one, or the camera."""
+    places = [
+        (poses.camera if other is None else poses.bodies[other]).position_m - poses.bodies[k].position_m
+        for poses in (motion.before, motion.after)
+    ]
+    return float(np.linalg.norm(places[1] - places[0]))
 
 
 def _may_shade(tree: TriangleTree, body: _Lit, moved: Floats, tangent: float) -> bool:

@@ -32,7 +32,7 @@ def _ball():
     return ball.vertices, ball.faces
 
 
-@pytest.mark.parametrize("size_m", [0.0, -1.0, float("nan")])
+@pytest.mark.parametrize("size_m", [0.0, -1.0, float("nan"), 1e-9])
 def test_a_size_that_is_none_is_refused(size_m):
     with pytest.raises(ValueError, match="sides"):
         subdivide(box(), size_m)
