@@ -21,7 +21,8 @@ from emulator.trajectory.timescale import Timescale
 __all__ = ["main"]
 
 RIGS = Path(__file__).parent.parent / "rigs"
-FLAT_SIZE_M = 0.1
+FLAT_SIZE_M = 0.2
+STEP_NS = 12_000_000  # between calls, as in a run: what is remembered of shadows counts
 
 
 def _measure(name: str, repeats: int) -> str:
@@ -42,7 +43,7 @@ def _measure(name: str, repeats: int) -> str:
     ]
     camera, clock = build_trajectory(scene.camera), Timescale(scene.time_scale)
     arrangement = Arrangement(camera, placed, clock)
-    motions = [motion_at(round(k * 0.3e9), camera, arrangement.poses, clock) for k in range(repeats)]
+    motions = [motion_at(k * STEP_NS, camera, arrangement.poses, clock) for k in range(repeats)]
     lighting.light(motions[0])
     times_ms = []
     for motion in motions:

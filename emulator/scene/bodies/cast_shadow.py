@@ -26,7 +26,7 @@ from emulator.scene.bodies.compiled import entry
 from emulator.scene.bodies.solar_disc import edge_area
 from emulator.scene.bodies.triangle_tree import after
 
-__all__ = ["MIXED", "Arrays", "Frame", "axes_around", "covered", "dim", "dim_remembering"]
+__all__ = ["MIXED", "Arrays", "Frame", "axes_around", "blank_memory", "covered", "dim", "dim_remembering"]
 
 Floats = npt.NDArray[np.float64]
 Arrays = tuple[Floats, npt.NDArray[np.int32], Floats, Floats]
@@ -263,6 +263,13 @@ def _remember(
             return
 
 
+def blank_memory(points: int) -> Floats:
+    """Return the memory of `dim_remembering` with nothing in it, (points, 5)."""
+    memory = np.zeros((points, 5))
+    memory[:, 3] = 2.0
+    return memory
+
+
 @entry
 def dim_remembering(
     tree: Arrays,
@@ -283,7 +290,7 @@ def dim_remembering(
     Parameters
     ----------
     memory : (n, 5), of each point the Sun's direction when it was last looked at, the cosine up to which that holds,
-        and the share (0, 1 or MIXED: to be computed each time). A cosine of 2 is a point not looked at yet.
+        and the share (0, 1 or MIXED: to be computed each time).
     """
     x, y, z = moved[0, 0, 4], moved[0, 1, 4], moved[0, 2, 4]
     for i in range(count):

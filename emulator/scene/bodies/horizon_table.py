@@ -160,14 +160,12 @@ def _raise_all(tree: Arrays, point: Floats, axes: Frame, directions: Floats, slo
 
 @entry
 def _look_around(tree: Arrays, points: Floats, normals: Floats, out: Horizons) -> None:
-    """Write the table; points without a sound normal have a horizon of 0."""
+    """Write the table; a point whose normal is 0 or not a number has a horizon of 0."""
     directions, slopes = np.empty((AZIMUTHS, 2)), np.empty(AZIMUTHS)
     for j in range(AZIMUTHS):
         directions[j, 0], directions[j, 1] = _direction(j)
     for i in range(len(points)):
         axes = axes_around(normals[i, 0], normals[i, 1], normals[i, 2])
-        if not abs(axes[6] ** 2 + axes[7] ** 2 + axes[8] ** 2 - 1.0) < 1e-3:
-            continue
         _raise_all(tree, points[i], axes, directions, slopes)
         for j in range(AZIMUTHS):
             out[i, j] = int(slopes[j] / math.sqrt(1.0 + slopes[j] * slopes[j]) * _FULL + 0.5)

@@ -28,7 +28,7 @@ import numpy.typing as npt
 
 from emulator.geometry.attitude import Vector, unit
 from emulator.photometry.sun import Sun
-from emulator.scene.bodies.cast_shadow import dim, dim_remembering
+from emulator.scene.bodies.cast_shadow import blank_memory, dim, dim_remembering
 from emulator.scene.bodies.horizon_table import Horizons, dim_below, horizon_table, lost_light
 from emulator.scene.bodies.lighting_kernels import choose, dim_at_plane, glow
 from emulator.scene.bodies.lit_surface import Surface, shadow_triangles
@@ -236,7 +236,7 @@ def _place(surface: Surface, law: Law, group: int, pose: Pose, tree: TriangleTre
     table = _table(tree, points, normals, sun) if surface.smooth and tree is not None else None
     low, high = points.min(axis=0), points.max(axis=0)
     middle, radius_m = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
-    memory = np.full((len(points), 5), 2.0)
+    memory = blank_memory(len(points))
     return _Lit(points, normals, surface.lean, law, group, table, memory, middle, radius_m)
 
 

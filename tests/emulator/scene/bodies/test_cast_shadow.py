@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from emulator.scene.bodies.cast_shadow import covered, dim, dim_remembering
+from emulator.scene.bodies.cast_shadow import MIXED, blank_memory, covered, dim, dim_remembering
 from emulator.scene.bodies.lit_surface import lit_surface, shadow_triangles, subdivide
 from emulator.scene.bodies.mesh import build_mesh, find_shape, load_mesh
 from emulator.scene.bodies.solar_disc import edge_area, seen_above
@@ -153,7 +153,7 @@ def test_what_is_remembered_is_what_would_be_computed():
     mesh, _ = joined(trimesh.creation.box((2.0, 2.0, 1.0)), _moved(trimesh.creation.icosphere(2, 0.5), (0.3, 0.2, 1.6)))
     surface = lit_surface(subdivide(mesh, 0.2), smooth=False)
     tree = build_tree(shadow_triangles(mesh))
-    memory = np.full((len(surface.points), 5), 2.0)
+    memory = blank_memory(len(surface.points))
     partly = 0
     for k in range(60):
         sun = unit([math.sin(0.01 * k), 0.3, 1.0])
@@ -162,6 +162,7 @@ def test_what_is_remembered_is_what_would_be_computed():
         np.testing.assert_allclose(remembered, anew, atol=1e-8)
         partly += ((anew > 0) & (anew < 1)).sum()
     assert partly > 100
+    assert (memory[:, 4] != MIXED).mean() > 0.5
 
 
 def test_a_sheet_shades_on_both_sides():
