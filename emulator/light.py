@@ -23,7 +23,7 @@ PixelLight = Callable[[int, npt.NDArray[np.int64]], tuple[npt.NDArray[np.float32
 
 @dataclass(frozen=True)
 class Region:
-    """Rows and columns of a part of a picture, the last ones not included; empty where a first is not below its last."""
+    """Rows and columns of a part of a picture, the last ones not included."""
 
     first_row: int
     last_row: int

@@ -9,8 +9,9 @@ whole disc, although they may overlap: that is too dark by up to the overlap, in
 A point sees a triangle's outside where it is above its plane by `near_m`, so a facet and its neighbours in one plane
 never hide the Sun from their own points.
 
-What makes it fast: the walk leaves out boxes beside the cone (a box widened by the cone's radius at its far side against
-the axis), it ends where the disc is covered, and points with an answer of 0 or 1 have no second evaluation.
+What makes it fast: the walk leaves out boxes beside the cone (a box widened by the cone's radius at its far side
+against the axis), it ends where the disc is covered, and points with an answer of 0 or 1 have no second evaluation.
+Within one rigid body most points keep their answer while the Sun turns by a degree or more (`dim_remembering`).
 """
 
 from __future__ import annotations
@@ -21,18 +22,25 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
+from emulator.scene.bodies.compiled import entry
 from emulator.scene.bodies.solar_disc import edge_area
 from emulator.scene.bodies.triangle_tree import after
 
-__all__ = ["Frame", "axes_around", "covered", "dim"]
+__all__ = ["MIXED", "Arrays", "Frame", "axes_around", "blank_memory", "covered", "dim", "dim_remembering"]
 
 Floats = npt.NDArray[np.float64]
+Arrays = tuple[Floats, npt.NDArray[np.int32], Floats, Floats]
+"""Boxes, starts, corners and planes of a `TriangleTree`."""
 Frame = tuple[float, float, float, float, float, float, float, float, float]
 
+MIXED = 2.0
+_WIDE_RAD = 0.05
+_NARROWER = 0.25
+_DUST = 1e-9  # shares below that are rounding
 _NEAREST = 1e-4  # of a triangle's distance: what is nearer along the axis than that is cut off
 
 
-@numba.njit(inline="always", error_model="numpy")
+@numba.njit(error_model="numpy")
 def axes_around(sx: float, sy: float, sz: float) -> Frame:
     """Return two axes across a unit direction and the direction itself.
 
@@ -46,7 +54,7 @@ def axes_around(sx: float, sy: float, sz: float) -> Frame:
 
 @numba.njit(error_model="numpy")
 def _cut_area(corners: tuple[float, ...], nearest: float) -> float:
-    """Return the area in the disc of a triangle (x, y, depth) three times over, of which a part lies behind the point."""
+    """Return the area in the disc of a triangle, three times (x, y, depth), of which a part lies behind the point."""
     area, count = 0.0, 0
     first_x = first_y = last_x = last_y = 0.0
     px, py, pw = corners[6], corners[7], corners[8]
@@ -98,10 +106,16 @@ def _triangle_area(corners: Floats, k: int, px: float, py: float, pz: float, axe
     return abs(edge_area(a0, b0, a1, b1) + edge_area(a1, b1, a2, b2) + edge_area(a2, b2, a0, b0))
 
 
-@numba.njit(inline="always", error_model="numpy")
+@numba.njit(error_model="numpy")
 def _box_in_cone(
-    boxes: Floats, node: int, px: float, py: float, pz: float, sun: tuple[float, float, float],
-    inverse: tuple[float, float, float], tangent: float,
+    boxes: Floats,
+    node: int,
+    px: float,
+    py: float,
+    pz: float,
+    sun: tuple[float, float, float],
+    inverse: tuple[float, float, float],
+    tangent: float,
 ) -> bool:
     """Tell whether a box may reach into the cone: widened by the cone's radius at its far side, it meets the axis."""
     cx, cy, cz = boxes[node, 0] - px, boxes[node, 1] - py, boxes[node, 2] - pz
@@ -113,7 +127,7 @@ def _box_in_cone(
     tx, ty, tz = cx * inverse[0], cy * inverse[1], cz * inverse[2]
     rx, ry, rz = (hx + wider) * abs(inverse[0]), (hy + wider) * abs(inverse[1]), (hz + wider) * abs(inverse[2])
     enter = max(tx - rx, ty - ry, tz - rz, 0.0)
-    return enter <= min(tx + rx, ty + ry, tz + rz)
+    return bool(enter <= min(tx + rx, ty + ry, tz + rz))
 
 
 @numba.njit(error_model="numpy")
@@ -123,16 +137,20 @@ def _inverse(x: float) -> float:
 
 @numba.njit(error_model="numpy")
 def covered(
-    tree: tuple[Floats, npt.NDArray[np.int32], Floats, Floats], point: tuple[float, float, float],
-    sun: tuple[float, float, float], tangent: float, near_m: float,
+    tree: Arrays,
+    point: tuple[float, float, float],
+    sun: tuple[float, float, float],
+    tangent: float,
+    near_m: float,
+    enough: float,
 ) -> float:
-    """Return the covered share of the Sun's disc, 0 to 1.
+    """Return the covered share of a disc around a direction, each layer counted: above 1 where there are several.
 
     Parameters
     ----------
-    tree : boxes, starts, corners, planes of a `TriangleTree`.
     point, sun : m, and the unit direction of the disc's middle, in the tree's frame.
     tangent : of the disc's angular radius.
+    enough : the walk may end where the share is as high.
     """
     boxes, starts, corners, planes = tree
     px, py, pz = point
@@ -149,14 +167,14 @@ def covered(
             for k in range(starts[node - leaves], starts[node - leaves + 1]):
                 if planes[k, 0] * px + planes[k, 1] * py + planes[k, 2] * pz > planes[k, 3] + near_m:
                     area += _triangle_area(corners, k, px, py, pz, axes)
-            if area >= math.pi * (1.0 - 1e-12):
-                return 1.0
+            if area >= math.pi * enough:
+                return enough
         node = after(node)
         if node == 1:
             return area / math.pi
 
 
-@numba.njit(inline="always")
+@numba.njit(error_model="numpy")
 def _place(moved: Floats, x: float, y: float, z: float) -> tuple[float, float, float]:
     return (
         moved[0, 0] * x + moved[0, 1] * y + moved[0, 2] * z + moved[0, 3],
@@ -165,10 +183,35 @@ def _place(moved: Floats, x: float, y: float, z: float) -> tuple[float, float, f
     )
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit(error_model="numpy")
+def _hide(tree: Arrays, place: tuple[float, float, float], moved: Floats, reaches: tuple[float, float]) -> float:
+    """Return the covered share of the Sun's disc, 0 to 1; `moved` is (3, 5)."""
+    hidden = covered(tree, place, (moved[0, 4], moved[1, 4], moved[2, 4]), reaches[0], reaches[1], 1.0 - _DUST)
+    return 0.0 if hidden < _DUST else hidden if hidden < 1.0 - _DUST else 1.0
+
+
+@numba.njit(error_model="numpy")
+def _dim_point(
+    tree: Arrays, point: tuple[float, float, float], moved: Floats, reaches: tuple[float, float], shares: Floats, i: int
+) -> None:
+    x, y, z = point
+    hidden = _hide(tree, _place(moved[0], x, y, z), moved[0], reaches)
+    later = hidden
+    if 0.0 < hidden < 1.0:
+        later = _hide(tree, _place(moved[1], x, y, z), moved[1], reaches)
+    shares[0, i] *= 1.0 - hidden
+    shares[1, i] *= 1.0 - later
+
+
+@entry
 def dim(
-    tree: tuple[Floats, npt.NDArray[np.int32], Floats, Floats], points: Floats, chosen: npt.NDArray[np.int32],
-    count: int, moved: Floats, reaches: tuple[float, float], shares: Floats,
+    tree: Arrays,
+    points: Floats,
+    chosen: npt.NDArray[np.int32],
+    count: int,
+    moved: Floats,
+    reaches: tuple[float, float],
+    shares: Floats,
 ) -> None:
     """Multiply the sunlit shares of chosen points by what the tree's triangles leave of the disc.
 
@@ -181,18 +224,85 @@ def dim(
     reaches : the tangent of the Sun's radius, and `near_m` of `covered`.
     shares : (2, count), now and an instant later.
     """
-    tangent, near_m = reaches
-    now, later = moved[0], moved[1]
-    sun = (now[0, 4], now[1, 4], now[2, 4])
-    sun_later = (later[0, 4], later[1, 4], later[2, 4])
+    for i in range(count):
+        if shares[0, i] > 0.0 or shares[1, i] > 0.0:
+            k = chosen[i]
+            _dim_point(tree, (points[k, 0], points[k, 1], points[k, 2]), moved, reaches, shares, i)
+
+
+@numba.njit(error_model="numpy")
+def _layers(
+    tree: Arrays, point: tuple[float, float, float], sun: tuple[float, float, float], tangent: float, near_m: float
+) -> int:
+    """Return how many layers cover the whole disc, or -1 where an edge goes through it."""
+    layers = covered(tree, point, sun, tangent, near_m, 1e300)
+    whole = round(layers)
+    return int(whole) if abs(layers - whole) < _DUST else -1
+
+
+@numba.njit(error_model="numpy")
+def _remember(
+    tree: Arrays,
+    point: tuple[float, float, float],
+    sun: tuple[float, float, float],
+    wide: float,
+    reaches: tuple[float, float],
+    memory: Floats,
+    k: int,
+) -> None:
+    """Find how far the Sun may go with the same answer, at most `wide` (rad), and write row k of `memory`."""
+    radius = math.atan(reaches[0])
+    memory[k, 0], memory[k, 1], memory[k, 2] = sun
+    memory[k, 4] = MIXED
+    for part in range(2):
+        angle = wide if part == 0 else wide * _NARROWER
+        memory[k, 3] = math.cos(angle)
+        layers = _layers(tree, point, sun, math.tan(radius + angle), reaches[1])
+        if layers >= 0:
+            memory[k, 4] = 0.0 if layers > 0 else 1.0
+            return
+
+
+def blank_memory(points: int) -> Floats:
+    """Return the memory of `dim_remembering` with nothing in it, (points, 5)."""
+    memory = np.zeros((points, 5))
+    memory[:, 3] = 2.0
+    return memory
+
+
+@entry
+def dim_remembering(
+    tree: Arrays,
+    points: Floats,
+    chosen: npt.NDArray[np.int32],
+    count: int,
+    moved: Floats,
+    reaches: tuple[float, float],
+    memory: Floats,
+    shares: Floats,
+) -> None:
+    """Do as `dim` for points in the tree's own frame, and spare what cannot have changed.
+
+    A disc larger than the Sun's around its direction tells how far the Sun may go before an edge can reach it: where
+    whole layers cover the large disc, or nothing does, the answer stays until the Sun has gone as far. It is the same
+    answer as without memory, but for layers whose edges fall together and halve the large disc to a billionth.
+
+    Parameters
+    ----------
+    memory : (n, 5), of each point the Sun's direction when it was last looked at, the cosine up to which that holds,
+        and the share (0, 1 or MIXED: to be computed each time).
+    """
+    x, y, z = moved[0, 0, 4], moved[0, 1, 4], moved[0, 2, 4]
     for i in range(count):
         if not (shares[0, i] > 0.0 or shares[1, i] > 0.0):
             continue
         k = chosen[i]
-        x, y, z = points[k, 0], points[k, 1], points[k, 2]
-        hidden = covered(tree, _place(now, x, y, z), sun, tangent, near_m)
-        hidden_later = hidden
-        if 0.0 < hidden < 1.0:
-            hidden_later = covered(tree, _place(later, x, y, z), sun_later, tangent, near_m)
-        shares[0, i] *= 1.0 - min(hidden, 1.0)
-        shares[1, i] *= 1.0 - min(hidden_later, 1.0)
+        point = (points[k, 0], points[k, 1], points[k, 2])
+        if not memory[k, 0] * x + memory[k, 1] * y + memory[k, 2] * z > memory[k, 3]:
+            wide = _WIDE_RAD * (0.5 + 0.5 * ((k * 0.6180339887) % 1.0))  # so that not all are looked at anew at once
+            _remember(tree, point, (x, y, z), wide, reaches, memory, k)
+        if memory[k, 4] == MIXED:
+            _dim_point(tree, point, moved, reaches, shares, i)
+        else:
+            shares[0, i] *= memory[k, 4]
+            shares[1, i] *= memory[k, 4]

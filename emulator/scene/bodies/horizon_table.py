@@ -26,7 +26,8 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.scene.array_cache import Progress, kept
-from emulator.scene.bodies.cast_shadow import Frame, axes_around, covered
+from emulator.scene.bodies.cast_shadow import Arrays, Frame, axes_around, covered
+from emulator.scene.bodies.compiled import entry
 from emulator.scene.bodies.solar_disc import seen_above
 from emulator.scene.bodies.triangle_tree import TriangleTree, after
 
@@ -39,14 +40,13 @@ _TRIALS = 20_000
 
 Floats = npt.NDArray[np.float64]
 Horizons = npt.NDArray[np.uint16]
-Arrays = tuple[Floats, npt.NDArray[np.int32], Floats, Floats]
 
 
 def horizon_table(tree: TriangleTree, points: Floats, normals: Floats, name: str = "a body") -> Horizons:
     """Return the horizons' sines in 1 / 65535, (points, AZIMUTHS), from the cache where they lie there already."""
     digest = hashlib.sha256()
     for array in (tree.corners, points, normals):
-        digest.update(np.ascontiguousarray(array))
+        digest.update(array.tobytes())
     made_from = (AZIMUTHS, digest.hexdigest())
     return kept("horizons", made_from, lambda: _make(tree, points, normals, name), (np.uint16, 2))
 
@@ -94,7 +94,7 @@ def _direction(j: int) -> tuple[float, float]:
     return y, -x
 
 
-@numba.njit(inline="always", error_model="numpy")
+@numba.njit(error_model="numpy")
 def _azimuth(x: float, y: float) -> float:
     """Return where a direction of the tangent plane lies between azimuths, 0 to AZIMUTHS; not for the normal."""
     at = y / (abs(x) + abs(y))
@@ -158,48 +158,59 @@ def _raise_all(tree: Arrays, point: Floats, axes: Frame, directions: Floats, slo
             return
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@entry
 def _look_around(tree: Arrays, points: Floats, normals: Floats, out: Horizons) -> None:
-    """Write the table; points without a sound normal have a horizon of 0."""
+    """Write the table; a point whose normal is 0 or not a number has a horizon of 0."""
     directions, slopes = np.empty((AZIMUTHS, 2)), np.empty(AZIMUTHS)
     for j in range(AZIMUTHS):
         directions[j, 0], directions[j, 1] = _direction(j)
     for i in range(len(points)):
         axes = axes_around(normals[i, 0], normals[i, 1], normals[i, 2])
-        if not abs(axes[6] ** 2 + axes[7] ** 2 + axes[8] ** 2 - 1.0) < 1e-3:
-            continue
         _raise_all(tree, points[i], axes, directions, slopes)
         for j in range(AZIMUTHS):
             out[i, j] = int(slopes[j] / math.sqrt(1.0 + slopes[j] * slopes[j]) * _FULL + 0.5)
 
 
-@numba.njit(inline="always", error_model="numpy")
-def _above(table: Horizons, k: int, tx: float, ty: float, up: float, radius: float) -> tuple[float, float]:
-    """Return how far the Sun's middle is above the horizon of point k in its radii, and the cosine of the line's tilt.
-
-    Parameters
-    ----------
-    tx, ty, up : the Sun's direction along the axes around the normal.
-    radius : of the Sun, rad.
-    """
-    around = abs(tx) + abs(ty)
-    if not around > 1e-9:
-        return 1.0, 1.0
+@numba.njit(error_model="numpy")
+def _near(table: Horizons, k: int, tx: float, ty: float) -> tuple[float, float]:
+    """Return the sine of the horizon of point k at an azimuth, and how much it rises from one azimuth to the next."""
     at = _azimuth(tx, ty)
     j = min(int(at), AZIMUTHS - 1)
-    low, high = float(table[k, j]) / _FULL, float(table[k, (j + 1) % AZIMUTHS]) / _FULL
-    sine = low + (at - j) * (high - low)
-    level2 = tx * tx + ty * ty
-    level, cosine = math.sqrt(level2), max(math.sqrt(max(1.0 - sine * sine, 0.0)), 1e-3)
-    tilt = (high - low) * (AZIMUTHS / 4) * level / (cosine * around * around)
-    upright = 1.0 / math.sqrt(1.0 + tilt * tilt)
-    return (up * cosine - level * sine) * upright / radius, upright
+    low, high = table[k, j] * (1.0 / _FULL), table[k, (j + 1) % AZIMUTHS] * (1.0 / _FULL)
+    return low + (at - j) * (high - low), high - low
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit(error_model="numpy")
+def _above(table: Horizons, k: int, sun: tuple[float, float, float], radius: float) -> tuple[float, float]:
+    """Return how far the Sun's middle is above the horizon of point k in its radii, and the cosine of the line's tilt.
+
+    The Sun's direction is along the axes around the normal, the radius in rad. Values far from -1 to 1 are only of the
+    right sign: the sine's difference is at most that of the angles, which spares the roots for nearly all points.
+    """
+    tx, ty, up = sun
+    around = abs(tx) + abs(ty)
+    if not around > 1e-9:
+        return 9.0, 1.0
+    sine, rise = _near(table, k, tx, ty)
+    level2, cosine2 = tx * tx + ty * ty, max(1.0 - sine * sine, 1e-6)
+    tilt2 = rise * rise * (AZIMUTHS * AZIMUTHS / 16.0) * level2 / (cosine2 * (around * around) * (around * around))
+    apart = up - sine
+    if apart * apart > 4.0 * radius * radius * (1.0 + tilt2):
+        return math.copysign(9.0, apart), 1.0
+    upright = 1.0 / math.sqrt(1.0 + tilt2)
+    return (up * math.sqrt(cosine2) - math.sqrt(level2) * sine) * upright / radius, upright
+
+
+@entry
 def dim_below(
-    table: Horizons, normals: Floats, chosen: npt.NDArray[np.int32], count: int, suns: Floats, radius: float,
-    cosines: Floats, shares: Floats,
+    table: Horizons,
+    normals: Floats,
+    chosen: npt.NDArray[np.int32],
+    count: int,
+    suns: Floats,
+    radius: float,
+    cosines: Floats,
+    shares: Floats,
 ) -> None:
     """Write the sunlit shares of chosen points, and lift the cosines of incidence to the mean over what is seen.
 
@@ -212,11 +223,10 @@ def dim_below(
     """
     for i in range(count):
         k = chosen[i]
-        ux, uy, uz, vx, vy, vz, _, _, _ = axes_around(normals[k, 0], normals[k, 1], normals[k, 2])
+        axes = axes_around(normals[k, 0], normals[k, 1], normals[k, 2])
         for m in range(2):
-            sx, sy, sz = suns[m, 0], suns[m, 1], suns[m, 2]
             up = cosines[m, i]
-            x, upright = _above(table, k, sx * ux + sy * uy + sz * uz, sx * vx + sy * vy + sz * vz, up, radius)
+            x, upright = _above(table, k, _along(axes, suns[m, 0], suns[m, 1], suns[m, 2]), radius)
             shares[m, i], lift = seen_above(x)
             if lift != 0.0:
                 cosines[m, i] += radius * lift * upright * math.sqrt(max(1.0 - up * up, 0.0))
@@ -225,20 +235,28 @@ def dim_below(
                 break
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit(error_model="numpy")
+def _along(axes: Frame, x: float, y: float, z: float) -> tuple[float, float, float]:
+    ux, uy, uz, vx, vy, vz, nx, ny, nz = axes
+    return x * ux + y * uy + z * uz, x * vx + y * vy + z * vz, x * nx + y * ny + z * nz
+
+
+@entry
 def _count_lost(
-    tree: Arrays, surface: tuple[Floats, Floats], table: Horizons, chosen: npt.NDArray[np.int32], suns: Floats,
+    tree: Arrays,
+    surface: tuple[Floats, Floats],
+    table: Horizons,
+    chosen: npt.NDArray[np.int32],
+    suns: Floats,
     tangent: float,
 ) -> int:
     points, normals = surface
     lost = 0
     for i in range(len(chosen)):
         k = chosen[i]
-        ux, uy, uz, vx, vy, vz, nx, ny, nz = axes_around(normals[k, 0], normals[k, 1], normals[k, 2])
+        axes = axes_around(normals[k, 0], normals[k, 1], normals[k, 2])
         sx, sy, sz = suns[i, 0], suns[i, 1], suns[i, 2]
-        x, _ = _above(
-            table, k, sx * ux + sy * uy + sz * uz, sx * vx + sy * vy + sz * vz, sx * nx + sy * ny + sz * nz, tangent
-        )
+        x, _ = _above(table, k, _along(axes, sx, sy, sz), tangent)
         if x <= -1.0:
-            lost += covered(tree, (points[k, 0], points[k, 1], points[k, 2]), (sx, sy, sz), tangent, 0.0) == 0.0
+            lost += covered(tree, (points[k, 0], points[k, 1], points[k, 2]), (sx, sy, sz), tangent, 0.0, 1.0) == 0.0
     return lost

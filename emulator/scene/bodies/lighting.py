@@ -6,8 +6,8 @@ with a law of reflection r and the share of the Sun's disc that is seen. Near th
 over the part of the disc that is seen, so all is smooth in time. Shadows:
 
     smooth bodies        a table of horizons over all that is rigidly fixed to the body (`horizon_table`)
-    flat-shaded ones     covered areas of the disc, traced (`cast_shadow`); smooth ones too where a table would lose light
-                         under overhangs in more than LOST_AT_MOST of all directions
+    flat-shaded ones     covered areas of the disc, traced (`cast_shadow`); smooth ones too where a table would lose
+                         light under overhangs in more than LOST_AT_MOST of all directions
     bodies on others     traced, in the frame of what throws the shadow
 
 The rate is that of the material point, a second of stream time: directions of the Sun and places of the camera and of
@@ -28,7 +28,7 @@ import numpy.typing as npt
 
 from emulator.geometry.attitude import Vector, unit
 from emulator.photometry.sun import Sun
-from emulator.scene.bodies.cast_shadow import dim
+from emulator.scene.bodies.cast_shadow import blank_memory, dim, dim_remembering
 from emulator.scene.bodies.horizon_table import Horizons, dim_below, horizon_table, lost_light
 from emulator.scene.bodies.lighting_kernels import choose, dim_at_plane, glow
 from emulator.scene.bodies.lit_surface import Surface, shadow_triangles
@@ -98,6 +98,7 @@ class _Lit:
     law: Law
     group: int
     table: Horizons | None
+    memory: Floats
     middle_m: Vector
     radius_m: float
 
@@ -156,14 +157,16 @@ class Lighting:
         ]
 
     def _step_s(self, motion: Motion) -> float:
-        """Return the time in which nothing turns, or is seen to move, by more than some 1e-7 rad."""
+        """Return the time in which nothing turns, is seen to turn, or goes by its own size, by more than some 1e-7."""
         roots = [group.members[0] for group in self._groups]
+        least_m = max(min(body.radius_m for body in self._bodies), 1e-9)
         fastest = max(_turned(motion, k) for k in roots)
+        fastest = max(fastest, *(_moved_m(motion, k, roots[0]) / least_m for k in roots))
         for body in self._bodies:
-            root = roots[body.group]
-            now = motion.now.bodies[root]
-            gap_m = float(np.linalg.norm(motion.now.camera.position_m - now.position_m)) - body.radius_m
-            fastest = max(fastest, _moved_m(motion, root) / max(gap_m, 1e-3 * body.radius_m, 1e-9))
+            root = motion.now.bodies[roots[body.group]]
+            middle_m = root.position_m + root.world_from_body @ body.middle_m
+            gap_m = float(np.linalg.norm(motion.now.camera.position_m - middle_m)) - body.radius_m
+            fastest = max(fastest, _moved_m(motion, roots[body.group]) / max(gap_m, 1e-3 * body.radius_m, 1e-9))
         return motion.between_s * (_TURN_RAD / fastest if fastest > 0 else 1.0)
 
     def _seen(self, motion: Motion, root: int, step_s: float) -> _Seen:
@@ -204,8 +207,11 @@ class Lighting:
             moved[m, :, 3] = other.world_from_group[m].T @ (own.places_m[m] - other.places_m[m])
             moved[m, :, 4] = other.suns[m]
         tangent = math.tan(self._sun.radius_rad)
-        if own is other or _may_shade(tree, body, moved[0], tangent):
-            reaches = (tangent, _NEAR * tree.radius_m)
+        reaches = (tangent, _NEAR * tree.radius_m)
+        if own is other:
+            chosen, memory = self._chosen, body.memory
+            dim_remembering(tree.arrays, body.points, chosen, count, moved, reaches, memory, self._shares)
+        elif _may_shade(tree, body, moved[0], tangent):
             dim(tree.arrays, body.points, self._chosen, count, moved, reaches, self._shares)
 
 
@@ -230,7 +236,8 @@ def _place(surface: Surface, law: Law, group: int, pose: Pose, tree: TriangleTre
     table = _table(tree, points, normals, sun) if surface.smooth and tree is not None else None
     low, high = points.min(axis=0), points.max(axis=0)
     middle, radius_m = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
-    return _Lit(points, normals, surface.lean, law, group, table, middle, radius_m)
+    memory = blank_memory(len(points))
+    return _Lit(points, normals, surface.lean, law, group, table, memory, middle, radius_m)
 
 
 def _table(tree: TriangleTree, points: Floats, normals: Floats, sun: Sun) -> Horizons | None:
@@ -247,10 +254,13 @@ def _turned(motion: Motion, k: int) -> float:
     return float(np.linalg.norm(turn))
 
 
-def _moved_m(motion: Motion, k: int) -> float:
-    """Return how far the camera goes against body k."""
-    before, after = (poses.camera.position_m - poses.bodies[k].position_m for poses in (motion.before, motion.after))
-    return float(np.linalg.norm(after - before))
+def _moved_m(motion: Motion, k: int, other: int | None = None) -> float:
+    """Return how far body k goes against another one, or the camera."""
+    places = [
+        (poses.camera if other is None else poses.bodies[other]).position_m - poses.bodies[k].position_m
+        for poses in (motion.before, motion.after)
+    ]
+    return float(np.linalg.norm(places[1] - places[0]))
 
 
 def _may_shade(tree: TriangleTree, body: _Lit, moved: Floats, tangent: float) -> bool:

@@ -1,18 +1,18 @@
 """Compiled loops of `lighting`: which points are seen, the angles of light there, and radiance with its rate.
 
 All is computed at an instant and a moment later, so short that the difference is the derivative to seven digits: the
-laws need no derivatives of their own. Points that no facet shows to the camera, and dark ones without ambient light, are
-left out at the first test; they are 60 to 80 % of a closed body's.
+laws need no derivatives of their own. Points that no facet shows to the camera, and dark ones without ambient light,
+are left out at the first test; they are 60 to 80 % of a closed body's.
 """
 
 from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from emulator.scene.bodies.compiled import entry
 from emulator.scene.bodies.reflection_kernels import reflect
 from emulator.scene.bodies.solar_disc import seen_above
 
@@ -22,7 +22,7 @@ Floats = npt.NDArray[np.float64]
 Numbers = npt.NDArray[np.int32]
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@entry
 def choose(
     surface: tuple[Floats, Floats, Floats], suns: Floats, eyes: Floats, lowest: float, chosen: Numbers, angles: Floats
 ) -> int:
@@ -49,11 +49,11 @@ def choose(
             continue
         chosen[count] = k
         count += 1
-    for m in range(2):
-        sx, sy, sz = suns[m, 0], suns[m, 1], suns[m, 2]
-        for i in range(count):
-            k = chosen[i]
-            nx, ny, nz = normals[k, 0], normals[k, 1], normals[k, 2]
+    for i in range(count):
+        k = chosen[i]
+        nx, ny, nz = normals[k, 0], normals[k, 1], normals[k, 2]
+        for m in range(2):
+            sx, sy, sz = suns[m, 0], suns[m, 1], suns[m, 2]
             dx, dy, dz = eyes[m, 0] - points[k, 0], eyes[m, 1] - points[k, 1], eyes[m, 2] - points[k, 2]
             near = 1.0 / math.sqrt(max(dx * dx + dy * dy + dz * dz, 1e-300))
             dx, dy, dz = dx * near, dy * near, dz * near
@@ -63,7 +63,7 @@ def choose(
     return count
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@entry
 def dim_at_plane(count: int, radius: float, cosines: Floats, shares: Floats) -> None:
     """Write the Sun's share above the tangent planes, and lift the cosines of incidence to its mean; see `solar_disc`.
 
@@ -78,10 +78,16 @@ def dim_at_plane(count: int, radius: float, cosines: Floats, shares: Floats) -> 
             cosines[m, i] += radius * lift
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@entry
 def glow(
-    law: tuple[int, Floats], light: tuple[float, float, float], chosen: Numbers, count: int, angles: Floats,
-    shares: Floats, room: Floats, out: Floats,
+    law: tuple[int, Floats],
+    light: tuple[float, float, float],
+    chosen: Numbers,
+    count: int,
+    angles: Floats,
+    shares: Floats,
+    room: Floats,
+    out: Floats,
 ) -> None:
     """Write radiance, W m-2 sr-1, and its rate, a second, of the chosen points.
 

@@ -20,6 +20,7 @@ __all__ = ["Surface", "lit_surface", "shadow_triangles", "subdivide"]
 
 _LIFT = 1e-4  # of the mean length of sides
 _INWARD = 1e-3  # of the way to the middle of the facets around
+_MOST_FACETS = 1e7
 _ONE_PLANE = 1e-6  # normals that differ by less are one
 
 Floats = npt.NDArray[np.float64]
@@ -88,6 +89,8 @@ def subdivide(mesh: Mesh, size_m: float) -> Mesh:
     """Return a mesh without a side longer than `size_m`; no vertex is put on a side of one facet alone."""
     if not size_m > 0:
         raise ValueError(f"a size of {size_m} m: sides can be made no longer than a length above 0")
+    if mesh.area_m2 / size_m**2 > _MOST_FACETS:
+        raise ValueError(f"a size of {size_m} m: sides as short would need more than {_MOST_FACETS:g} facets")
     vertices, faces, normals = mesh.vertices, mesh.faces, mesh.normals
     while (split := _long_sides(vertices, faces, size_m)).any():
         vertices, faces, normals = _split(vertices, faces, normals, split)

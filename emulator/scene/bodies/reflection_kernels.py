@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.photometry.reflectance import Glossy, Hapke, Lambert, LommelSeeliger, LunarLambert, Reflectance
+from emulator.scene.bodies.compiled import entry
 
 __all__ = ["Law", "law_of", "reflect"]
 
@@ -44,7 +45,7 @@ def law_of(law: Reflectance) -> Law:
             return _GLOSSY, np.array([law.albedo / math.pi, lobe, law.sharpness, 0])
 
 
-@numba.njit(inline="always", error_model="numpy")
+@numba.njit(error_model="numpy")
 def _henyey_greenstein(chord2: float, b: float) -> float:
     inner = (1.0 + b) * (1.0 + b) - b * chord2
     return (1.0 - b * b) / (inner * math.sqrt(inner))
@@ -90,6 +91,7 @@ def _hapke(p: Floats, mu0: Floats, mu: Floats, chord2: Floats, count: int, out: 
 @numba.njit(error_model="numpy")
 def _glossy(p: Floats, mu0: Floats, mu: Floats, chord2: Floats, count: int, out: Floats) -> None:
     even, lobe, sharpness = p[0], p[1], p[2]
+    rim = math.exp(-60.0 / sharpness)  # beside it the lobe is below 1e-26 of its height: no power is spent on it
     for i in range(count):
         lit = max(mu0[i], 0.0)
         if not lit > 0.0:
@@ -97,10 +99,11 @@ def _glossy(p: Floats, mu0: Floats, mu: Floats, chord2: Floats, count: int, out:
             continue
         between = max(math.sqrt(max(1.0 - 0.25 * chord2[i], 0.0)), 1e-6)
         halfway = min((lit + abs(mu[i])) / (2.0 * between), 1.0)
-        out[i] = lit * (even + lobe * math.exp(sharpness * math.log(halfway)))
+        glint = math.exp(sharpness * math.log(halfway)) if halfway > rim else 0.0
+        out[i] = lit * (even + lobe * glint)
 
 
-@numba.njit(nogil=True, error_model="numpy")
+@entry
 def reflect(kind: int, p: Floats, mu0: Floats, mu: Floats, chord2: Floats, count: int, out: Floats) -> None:
     """Write r, 1/sr, of `count` points.
 

@@ -21,7 +21,7 @@ import numba
 __all__ = ["edge_area", "seen_above"]
 
 
-@numba.njit(inline="always")
+@numba.njit(error_model="numpy")
 def seen_above(x: float) -> tuple[float, float]:
     """Return the share of the disc above the line y = -x, and the mean y of that part."""
     if x >= 1.0:
@@ -35,12 +35,12 @@ def seen_above(x: float) -> tuple[float, float]:
     return share, 2.0 / 3.0 * half * half * half / (math.pi * share)
 
 
-@numba.njit(inline="always")
+@numba.njit(error_model="numpy")
 def _sector(ax: float, ay: float, bx: float, by: float) -> float:
     return 0.5 * math.atan2(ax * by - ay * bx, ax * bx + ay * by)
 
 
-@numba.njit
+@numba.njit(error_model="numpy")
 def edge_area(ax: float, ay: float, bx: float, by: float) -> float:
     """Return the signed area between the middle of the unit disc and the edge from a to b, inside the disc."""
     dx, dy = bx - ax, by - ay

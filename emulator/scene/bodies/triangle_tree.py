@@ -95,7 +95,7 @@ def _planes(triangles: Floats) -> Floats:
     return np.column_stack([normals, (normals * triangles.mean(axis=1)).sum(axis=1)])
 
 
-@numba.njit(inline="always")
+@numba.njit(error_model="numpy")
 def after(node: int) -> int:
     """Return the node to look at after `node` and all below it; 1 when the walk is over."""
     node += 1

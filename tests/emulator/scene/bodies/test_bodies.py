@@ -11,9 +11,9 @@ from emulator.geometry.pinhole import Pinhole
 from emulator.light import SceneError
 from emulator.photometry.reflectance import Lambert, LommelSeeliger
 from emulator.photometry.sun import SUN_W_M2, Sun
-from emulator.scene.bodies.gl_bodies import GlBodies
 from emulator.scene.bodies.culling import Cells
 from emulator.scene.bodies.detail import coarser, facet_size_m
+from emulator.scene.bodies.gl_bodies import GlBodies
 from emulator.scene.bodies.mesh import build_mesh
 from emulator.scene.bodies.table import BodiesParameters, BodyTable
 from emulator.trajectory.parameters import FixedPath, Keyframe, KeyframePath, SpinPath
