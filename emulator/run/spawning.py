@@ -8,6 +8,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
+from multiprocessing import resource_tracker
 from typing import Any
 
 from transports.link.process import STOP_SIGNALS, LinkSetup
@@ -31,6 +32,7 @@ def _signals_held_back() -> Iterator[None]:
 
     A signal to the whole process group would otherwise end the new process before it could say that it ignores it.
     """
+    resource_tracker.ensure_running()  # it unblocks SIGINT and SIGTERM when it starts, so it must run before
     before = signal.pthread_sigmask(signal.SIG_BLOCK, STOP_SIGNALS)
     try:
         yield

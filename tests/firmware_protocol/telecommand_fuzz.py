@@ -123,15 +123,20 @@ class CanWay:
             if frame is None:
                 continue
             if lost:
+                self._deliver(source, source.cut())
                 source.drop()
                 return True
             self.receiver.push(frame, self._now_ns)
             replies = self.receiver.take_replies()
-            source.left()
+            self._deliver(source, source.left())
             for reply in replies:
                 self._hear(reply)
             return True
         return False
+
+    def _deliver(self, source, outgoing):
+        if outgoing is not None:
+            source.delivered(outgoing)
 
     def _hear(self, frame):
         replies = [source.hear(frame, self._tick()) for source in self._sources]

@@ -11,10 +11,10 @@ import struct
 
 import pytest
 
-from emulator.rig.fault_tables import FAULTS
+from emulator.rig.fault_tables import known_faults
 from emulator.rig.loading import parse_rig
 from emulator.run.control import _answered
-from emulator.run.fault_injection import FaultDesk
+from emulator.run.fault_injection import FaultInjection
 from emulator.run.lateness import Lateness
 from emulator.run.session import RunStatus
 from firmware_protocol.can_frames.socketcand import SocketcandSession
@@ -109,16 +109,16 @@ def test_socketcand():
 
 
 class Session:
-    def throw(self, fault):
-        assert fault.kind in FAULTS
+    def inject(self, fault):
+        assert fault.kind in known_faults()
 
 
 def test_control():
-    desk = FaultDesk(parse_rig(RIG, "bench.toml", "bench"), Session(), None)
+    desk = FaultInjection(parse_rig(RIG, "bench.toml", "bench"), Session(), None)
     now = RunStatus(1.5, 1.6, 10, 100, Lateness(), {})
     rng = random.Random(3)
     good = [b'{"ask": "faults"}\n']
-    for kind, fault in FAULTS.items():
+    for kind, fault in known_faults().items():
         table = {name: rng.choice(VALUES) for name in fault.__dataclass_fields__ if rng.random() < 0.3}
         good.append(json.dumps({"ask": "throw", "fault": {"kind": kind}}).encode() + b"\n")
         good.append(json.dumps({"ask": "throw", "fault": {**table, "kind": kind}}).encode() + b"\n")

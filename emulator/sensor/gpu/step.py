@@ -102,7 +102,7 @@ bool stays_quiet(Change c, float behind, float q, Pixel s, Thresholds p) {
 }
 
 bool moves_quietly(Change c, Thresholds p, inout Pixel s) {  // if so, s is moved
-    if (!is_smooth(c.d, c.a0, c.a1, INTERPOLATION * min(p.on, p.off))) return false;
+    if (!is_smooth(c.d, c.a0, c.a1, UNSEEN_SHARE * min(p.on, p.off))) return false;
     float warped = warped_time(h, s.rate, c.rate, c.a0, c.a1), q = decay(warped), behind = s.u - s.v;
     bool stays_refractory = s.refractory_left > h_ns + 1u;
     if (!stays_refractory && (s.refractory_left > 0u || !stays_quiet(c, behind, q, s, p))) return false;
@@ -142,7 +142,7 @@ void main() {
     Pixel s = before[pixel];
     s.reference -= p.leak * epoch_moved;
     Change c = change_of(ivec2(pixel % uint(size.x), pixel / uint(size.x)), s);
-    march(pixel, p, interpolated(s.u, c.d, c.a0, c.a1, INTERPOLATION * min(p.on, p.off)), s);
+    march(pixel, p, interpolated(s.u, c.d, c.a0, c.a1, UNSEEN_SHARE * min(p.on, p.off)), s);
     after[pixel] = stored(s, c);
 }
 """

@@ -128,8 +128,8 @@ def test_thresholds_drawn_anew_kill_pixels():
 class InStep(V2e):
     """Leak without a phase of each pixel's own."""
 
-    def reset(self, light, t_ns):
-        super().reset(light, t_ns)
+    def reset(self, light, t_ns, rate=None):
+        super().reset(light, t_ns, rate)
         self._r = self._u.copy()
 
 
