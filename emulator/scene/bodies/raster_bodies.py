@@ -96,6 +96,11 @@ class RasterBodies(Scene):
         """Write the radiance at `t_ns` into `out`, (height, width) float32."""
         self.light_and_rate(t_ns, out, self._spare)
 
+    @property
+    def has_rate(self) -> bool:
+        """True: the renderer gives the exact derivative."""
+        return True
+
     def light_and_rate(self, t_ns: int, light: Light, rate: Light) -> None:
         """Write the radiance at `t_ns` and its exact time derivative, a second, both (height, width) float32."""
         known = self._pictures == (id(light), id(rate))

@@ -83,7 +83,7 @@ Substep substep_of(Light light, float z, float width) {{
     return Substep(p0.x, p1.x, h * l0, h * l1, course);
 }}
 
-float share_within(float b, float s, float most) {{  // of an interval, on which a cubic misses less than `most` of b e^-s
+float share_within(float b, float s, float most) {{  // of an interval in which a cubic misses less than that of b e^-s
     float allowed = most / max(abs(b), 1e-20);
     float longest = max(sqrt(sqrt(384.0 * allowed)), (allowed - 0.2) * (1.0 / 0.16));
     return min(longest / s, 1.0);
