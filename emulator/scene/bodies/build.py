@@ -17,7 +17,8 @@ from emulator.scene.bodies.table import BodiesParameters
 __all__ = ["build_bodies", "draws_on_a_card"]
 
 _CARDS = ("/dev/dri", "/dev/nvidia0")
-_THREADS_FROM_PX = 300_000
+_THREADS_FROM_PX = 50_000  # smaller pictures are drawn sooner than a second thread is awake
+_MOST_THREADS = 4
 
 
 def build_bodies(parameters: BodiesParameters, pinhole: Pinhole) -> Scene:
@@ -27,7 +28,7 @@ def build_bodies(parameters: BodiesParameters, pinhole: Pinhole) -> Scene:
 
         return GlBodies(parameters, pinhole)
     large = pinhole.width * pinhole.height >= _THREADS_FROM_PX
-    return RasterBodies(parameters, pinhole, threads=min(os.cpu_count() or 1, 4) if large else 1)
+    return RasterBodies(parameters, pinhole, threads=min(os.cpu_count() or 1, _MOST_THREADS) if large else 1)
 
 
 def draws_on_a_card() -> bool:

@@ -3,8 +3,8 @@
     poses just before, at and after t --> light at the points of surfaces (`lighting`) --+
                                       --> vertices and their velocities -----------------+--> `raster` --> light, rate
 
-Flat facets are divided until they are about FLAT_PX pixels long, so that highlights and the edges of shadows on them
-are drawn; smooth shapes have as much detail as is seen (see `BodyWorld.as_seen`).
+Light is linear over a facet. Facets longer than LONGEST_PX pixels are divided, so that highlights and the edges of
+shadows on them are drawn; facets too small to be seen are gathered (see `BodyWorld.as_seen`).
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from emulator.scene.bodies.lit_surface import Surface, lit_surface, subdivide
 from emulator.scene.bodies.table import BodiesParameters
 from emulator.scene.bodies.world import BodyWorld
 
-__all__ = ["FLAT_PX", "RasterBodies"]
+__all__ = ["LONGEST_PX", "RasterBodies"]
 
-FLAT_PX = 12.0
-_MOST_FLAT_FACETS = 20_000  # of one body: a large flat side near the camera is divided no further
+LONGEST_PX = 12.0
+_MOST_DIVIDED = 8000  # facets of one body: a large side near the camera is divided no further
 _NEAREST_SHARE = 1e-6  # of the range to the nearest body: facets are cut this near the camera
 
 
@@ -123,12 +123,13 @@ class RasterBodies(Scene):
         return self._renderer.query(self._view(t_ns), pixels)
 
     def _surface(self, k: int) -> Surface:
+        """Return where body k is lit: facets that are large in the picture are divided, within a limit."""
         world = self._world
-        body, mesh = world.parameters.bodies[k], world.as_seen(k)
-        if body.smooth:
-            return lit_surface(mesh, smooth=True)
-        longest_m = max(FLAT_PX * world.metres_a_pixel(k), math.sqrt(2 * mesh.area_m2 / _MOST_FLAT_FACETS))
-        return lit_surface(subdivide(mesh, longest_m), smooth=False)
+        mesh, smooth = world.as_seen(k), world.parameters.bodies[k].smooth
+        if len(mesh.faces) < _MOST_DIVIDED:
+            longest_m = max(LONGEST_PX * world.metres_a_pixel(k), math.sqrt(2 * mesh.area_m2 / _MOST_DIVIDED))
+            mesh = subdivide(mesh, longest_m)
+        return lit_surface(mesh, smooth=smooth)
 
     def _view(self, t_ns: int) -> View:
         world = self._world

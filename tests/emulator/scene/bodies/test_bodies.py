@@ -15,10 +15,20 @@ from emulator.scene.bodies.culling import Cells
 from emulator.scene.bodies.detail import coarser, facet_size_m
 from emulator.scene.bodies.gl_bodies import GlBodies
 from emulator.scene.bodies.mesh import build_mesh
+from emulator.scene.bodies.raster_bodies import RasterBodies
 from emulator.scene.bodies.table import BodiesParameters, BodyTable
 from emulator.trajectory.parameters import FixedPath, Keyframe, KeyframePath, SpinPath
 
-pytestmark = pytest.mark.gl
+Bodies = GlBodies
+
+
+@pytest.fixture(autouse=True, params=[RasterBodies, GlBodies], ids=["cpu", "gl"])
+def renderer(request):
+    """Run each test with both renderers; the second where there is a GL library."""
+    if request.param is GlBodies:
+        request.getfixturevalue("gl")
+    globals()["Bodies"] = request.param
+
 
 CAMERA = Pinhole.of_field((64, 48), 30.0)
 BEHIND_CAMERA = Sun((0.0, 0.0, -1.0))
@@ -40,7 +50,7 @@ def ball(shapes, position=(0.0, 0.0, 10.0), law=None, **more):
 def drawn(bodies, t_ns=0, pinhole=CAMERA, **more):
     parameters = BodiesParameters(bodies=tuple(bodies), **{"sun": BEHIND_CAMERA, "shadows": False, **more})
     out = np.full(CAMERA.size[::-1], np.nan, np.float32)
-    with GlBodies(parameters, pinhole) as scene:
+    with Bodies(parameters, pinhole) as scene:
         scene.light(t_ns, out)
     assert np.isfinite(out).all()
     return out
@@ -90,7 +100,7 @@ def test_a_moving_camera_sees_a_still_body_move(shapes):
     path = KeyframePath((Keyframe(0.0, (0, 0, 0)), Keyframe(1.0, (2.0, 0, 0))))
     parameters = BodiesParameters(bodies=(ball(shapes),), sun=BEHIND_CAMERA, camera=path, shadows=False)
     light, rate = (np.zeros(CAMERA.size[::-1], np.float32) for _ in range(2))
-    with GlBodies(parameters, CAMERA) as scene:
+    with Bodies(parameters, CAMERA) as scene:
         middles = []
         for t_ns in (0, 500_000_000):
             scene.light(t_ns, light)
@@ -99,7 +109,8 @@ def test_a_moving_camera_sees_a_still_body_move(shapes):
         assert moved == pytest.approx(CAMERA.focal_px * 2.0 / 10, rel=0.1)
         assert moved <= scene.motion_bound_px_s
         scene.light_and_rate(500_000_000, light, rate)
-        assert np.abs(rate).max() > 0
+        assert np.isfinite(rate).all() == scene.has_rate
+        assert not scene.has_rate or np.abs(rate).max() > 0
         assert scene.distance_m == pytest.approx(9.0, rel=0.1)
 
 
@@ -112,7 +123,7 @@ def test_a_panel_that_its_body_swings_around_keeps_the_motion_bound(shapes):
     wide = Pinhole.of_field((64, 48), 90.0)
     parameters = BodiesParameters(bodies=(turning, panel), sun=BEHIND_CAMERA, shadows=False, samples=4)
     columns, light = [], np.zeros((48, 64), np.float32)
-    with GlBodies(parameters, wide) as scene:
+    with Bodies(parameters, wide) as scene:
         for t_ns in (8_900_000_000, 9_100_000_000):  # before the hub, on its way to the side
             scene.light(t_ns, light)
             columns.append((light.sum(0) * np.arange(64)).sum() / light.sum())
@@ -129,7 +140,7 @@ def test_what_crosses_a_corner_of_a_wide_picture_keeps_the_motion_bound(shapes):
     pebble = BodyTable(shape=str(shapes / "pebble.obj"), units_m=0.2, path=path, reflectance=Lambert(1.0))
     parameters = BodiesParameters(bodies=(pebble,), sun=Sun(tuple(-start)), shadows=False, samples=4)
     columns, light = [], np.zeros((480, 640), np.float32)
-    with GlBodies(parameters, wide) as scene:
+    with Bodies(parameters, wide) as scene:
         for t_ns in (0, 200_000_000):
             scene.light(t_ns, light)
             columns.append((light.sum(0) * np.arange(640)).sum() / light.sum())
@@ -199,7 +210,7 @@ def test_cells_leave_out_only_what_turns_its_back():
 def test_detail_that_nobody_sees_is_left_out_and_told(shapes):
     far = ball(shapes, (0.0, 0.0, 55.0), LommelSeeliger())
     parameters = BodiesParameters(bodies=(far,), sun=Sun((0.5, 0, -1)), shadows=False, samples=4)
-    with GlBodies(parameters, CAMERA) as scene:
+    with Bodies(parameters, CAMERA) as scene:
         (note,) = scene.notes
         assert "facets: the others are too small to be seen" in note
         coarse = np.zeros(CAMERA.size[::-1], np.float32)
@@ -215,7 +226,7 @@ def test_detail_that_nobody_sees_is_left_out_and_told(shapes):
 
 
 def test_a_black_picture_is_told(shapes):
-    with GlBodies(BodiesParameters(bodies=(ball(shapes),), sun=Sun((0, 0, 1.0)), shadows=False), CAMERA) as scene:
+    with Bodies(BodiesParameters(bodies=(ball(shapes),), sun=Sun((0, 0, 1.0)), shadows=False), CAMERA) as scene:
         assert "black" in scene.notes[-1]
 
 
@@ -265,5 +276,7 @@ def test_a_flat_box_s_faces_are_each_of_one_light(shapes):
     box = BodyTable(shape=str(shapes / "plate.obj"), path=turned, reflectance=Lambert(0.5), smooth=False)
     slanting = Sun((0.5, -0.2, -0.8))
     sharp, soft = (drawn([dataclasses.replace(box, smooth=s)], sun=slanting, samples=1) for s in (False, True))
-    assert np.unique(np.round(sharp[sharp > 0], 3)).size <= 3
-    assert np.unique(np.round(soft[soft > 0], 3)).size > 50
+    counts = [np.sort(np.unique(np.round(light[light > 0], 3), return_counts=True)[1]) for light in (sharp, soft)]
+    in_three = [count[-3:].sum() / count.sum() for count in counts]
+    assert in_three[0] > 0.8  # the rest are pixels on edges
+    assert in_three[1] < 0.4
