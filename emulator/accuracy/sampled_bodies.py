@@ -28,18 +28,19 @@ from emulator.trajectory.timescale import Timescale
 __all__ = ["SampledBodies"]
 
 _Floats = npt.NDArray[np.float64]
-_DISC_POINTS = 32
+_DISC_POINTS = 16
 _LIFT = 1e-4  # of the body's radius: how far above its surface a ray to the Sun starts
-_SMALLEST_SHARE = 64  # of a body's radius: flat facets are divided to this part of it
+_SMALLEST_SHARE = 32  # of a body's radius: flat facets are divided to this part of it
 
 
 @dataclass(frozen=True, eq=False)
 class _Body:
-    """A body's corners, (facets, 3, 3) metres in its own frame, and their normals."""
+    """A body's points, (n, 3) metres in its own frame, their normals, and the points of each facet, (facets, 3)."""
 
     table: BodyTable
-    corners_m: _Floats
+    points_m: _Floats
     normals: _Floats
+    facets: npt.NDArray[np.int64]
     lift_m: float
     rays: Any
 
@@ -89,46 +90,46 @@ class SampledBodies(Scene):
         """Do nothing: it holds memory only."""
 
     def _seen(self, k: int, camera: Pose, poses: list[Pose]) -> tuple[_Floats, _Floats]:
-        """Return one body's corners in camera axes and the radiance at each."""
+        """Return one body's corners in camera axes, (facets, 3, 3), and the radiance at each, (facets, 3)."""
         body, pose = self._bodies[k], poses[k]
-        corners = body.corners_m @ pose.world_from_body.T + pose.position_m
+        points = body.points_m @ pose.world_from_body.T + pose.position_m
         normals = body.normals @ pose.world_from_body.T
-        from_eye = corners - camera.position_m
-        eye = -from_eye / np.linalg.norm(from_eye, axis=2, keepdims=True)
+        from_eye = points - camera.position_m
+        eye = -from_eye / np.linalg.norm(from_eye, axis=1, keepdims=True)
         sun = unit(self._p.sun.direction)
-        mu0, mu, phase = normals @ sun, (normals * eye).sum(axis=2), np.arccos(np.clip(eye @ sun, -1, 1))
+        mu0, mu, phase = normals @ sun, (normals * eye).sum(axis=1), np.arccos(np.clip(eye @ sun, -1, 1))
         law = body.table.reflectance
         lit = np.where(mu0 > 0, law.reflect(np.maximum(mu0, 0), mu, phase), 0.0)
         around = np.abs(mu)
-        radiance = self._p.sun.irradiance_w_m2 * lit * self._sunlit(k, corners + normals * body.lift_m, lit > 0, poses)
+        radiance = self._p.sun.irradiance_w_m2 * lit * self._sunlit(points + normals * body.lift_m, lit > 0, poses)
         radiance += self._p.ambient_w_m2 * law.reflect(around, around, 0.0)
-        return from_eye @ camera.world_from_body, radiance
+        return (from_eye @ camera.world_from_body)[body.facets], radiance[body.facets]
 
-    def _sunlit(self, k: int, starts_m: _Floats, wanted: npt.NDArray[np.bool_], poses: list[Pose]) -> _Floats:
-        """Return the share of the Sun's disc that each corner sees, (facets, 3); of those that are not wanted, 1."""
-        share = np.ones(starts_m.shape[:2])
-        if not self._p.shadows:
+    def _sunlit(self, starts_m: _Floats, wanted: npt.NDArray[np.bool_], poses: list[Pose]) -> _Floats:
+        """Return the share of the Sun's disc that each point sees, (n,); of those that are not wanted, 1."""
+        share = np.ones(len(starts_m))
+        starts = starts_m[wanted]
+        if not self._p.shadows or not len(starts):
             return share
-        starts, inverse = np.unique(starts_m[wanted], axis=0, return_inverse=True)
         hidden = np.zeros((len(self._to_sun), len(starts)), bool)
         for other, pose in zip(self._bodies, poses, strict=True):
             if other.table.throws_shadow:
                 own = (starts - pose.position_m) @ pose.world_from_body
                 for i, direction in enumerate(self._to_sun @ pose.world_from_body):
                     hidden[i] |= other.rays.intersects_any(own, np.broadcast_to(direction, own.shape))
-        share[wanted] = (1 - hidden.mean(axis=0))[inverse.ravel()]
+        share[wanted] = 1 - hidden.mean(axis=0)
         return share
 
 
 def _body(table: BodyTable, mesh: Mesh) -> _Body:
-    corners = mesh.vertices[mesh.faces]
-    normals = mesh.normals[mesh.faces]
-    if not table.smooth:
-        corners = _divided(corners, mesh.radius_m / _SMALLEST_SHARE)
-        across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        across /= np.linalg.norm(across, axis=1, keepdims=True)
-        normals = np.repeat(across[:, None], 3, axis=1)
-    return _Body(table, corners, normals, _LIFT * mesh.radius_m, _rays(mesh))
+    lift_m, rays = _LIFT * mesh.radius_m, _rays(mesh)
+    if table.smooth:
+        return _Body(table, mesh.vertices, mesh.normals, mesh.faces.astype(np.int64), lift_m, rays)
+    corners = _divided(mesh.vertices[mesh.faces], mesh.radius_m / _SMALLEST_SHARE)
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    facets = np.arange(3 * len(corners)).reshape(-1, 3)
+    return _Body(table, corners.reshape(-1, 3), np.repeat(across, 3, axis=0), facets, lift_m, rays)
 
 
 def _divided(corners: _Floats, size_m: float) -> _Floats:

@@ -25,7 +25,7 @@ __all__ = ["accuracy"]
 
 _Item = TypeVar("_Item")
 _EFFECTS_STEP_S = 1e-3
-_PICTURES, _QUICK_PICTURES = 60, 12
+_PICTURES, _QUICK_PICTURES = 24, 4
 
 
 def accuracy(

@@ -4,6 +4,9 @@
     bend      bilinear look-up of the straight picture at places found once
     scale     each pixel times its own factor
 
+Blur and scale touch a part of the picture only, (first row, last row, first column, last column): what is beyond it is
+black, or was done before.
+
 Written as loops over rows of float32 that become vectors; look-ups do not, and cost about 3 ns a pixel.
 """
 
@@ -15,9 +18,11 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-__all__ = ["Bilinear", "bend", "blur", "gaussian_taps", "scale"]
+__all__ = ["Bilinear", "Part", "bend", "blur", "gaussian_taps", "scale"]
 
 _Float32s = npt.NDArray[np.float32]
+Part = tuple[int, int, int, int]
+"""Rows and columns of a picture: first row, last row, first column, last column, the last ones not included."""
 
 _REACH_SIGMAS = 3.5
 
@@ -47,17 +52,26 @@ class Bilinear:
         self.width = width
 
 
-def blur(picture: _Float32s, taps: _Float32s, room: _Float32s) -> None:
-    """Blur a picture (height, width) in place; `room` is another of its size."""
-    _blur_rows(picture, taps, room)
-    _blur_columns(room, taps, picture)
+def blur(picture: _Float32s, taps: _Float32s, rows: _Float32s, out: _Float32s, part: Part) -> None:
+    """Write a `picture` (height, width) blurred into `out`, in `part`; `rows` is a third one, for the rows' passes.
+
+    The picture must be right within the taps' width around the part.
+    """
+    _blur_rows(picture, taps, _widened(part, taps.size // 2, picture.shape[0]), rows)
+    _blur_columns(rows, taps, part, out)
+
+
+def _widened(part: Part, by: int, height: int) -> Part:
+    """Return the part with the rows that the columns' pass reads."""
+    return max(0, part[0] - by), min(height, part[1] + by), part[2], part[3]
 
 
 @njit(cache=True, nogil=True)
-def scale(picture: _Float32s, factor: _Float32s, out: _Float32s) -> None:
-    """Write picture * factor into `out`, all (height, width)."""
-    for y in range(out.shape[0]):
-        row, by, to = picture[y], factor[y], out[y]
+def scale(picture: _Float32s, factor: _Float32s, part: Part, out: _Float32s) -> None:
+    """Write picture * factor into `out`, all (height, width), in `part`."""
+    first_row, last_row, first, last = part
+    for y in range(first_row, last_row):
+        row, by, to = picture[y, first:last], factor[y, first:last], out[y, first:last]
         for x in range(to.size):
             to[x] = row[x] * by[x]
 
@@ -81,34 +95,38 @@ def bend(picture: _Float32s, places: Bilinear, out: _Float32s) -> None:
 
 
 @njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
-def _blur_rows(picture: _Float32s, taps: _Float32s, out: _Float32s) -> None:
-    height, width = picture.shape
+def _blur_rows(picture: _Float32s, taps: _Float32s, part: Part, out: _Float32s) -> None:
+    width = picture.shape[1]
     reach = taps.size // 2
-    for y in range(height):
+    first_row, last_row, left, right = part
+    for y in range(first_row, last_row):
         row, to = picture[y], out[y]
-        for x in range(width):
+        for x in range(left, right):
             to[x] = np.float32(0)
         for k in range(taps.size):
             tap, shift = taps[k], k - reach
-            first, last = max(0, -shift), max(0, min(width, width - shift))
-            for x in range(first):
+            # Columns whose neighbour lies within the picture; beyond, the picture's edge is repeated.
+            first = min(max(left, -shift), right)
+            last = max(min(right, width - shift), first)
+            for x in range(left, first):
                 to[x] += tap * row[0]
             near, here = row[first + shift : last + shift], to[first:last]
             for x in range(last - first):
                 here[x] += tap * near[x]
-            for x in range(last, width):
+            for x in range(last, right):
                 to[x] += tap * row[width - 1]
 
 
 @njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
-def _blur_columns(picture: _Float32s, taps: _Float32s, out: _Float32s) -> None:
-    height, width = picture.shape
+def _blur_columns(picture: _Float32s, taps: _Float32s, part: Part, out: _Float32s) -> None:
+    height = picture.shape[0]
     reach = taps.size // 2
-    for y in range(height):
-        to = out[y]
-        for x in range(width):
+    first_row, last_row, left, right = part
+    for y in range(first_row, last_row):
+        to = out[y, left:right]
+        for x in range(right - left):
             to[x] = np.float32(0)
         for k in range(taps.size):
-            tap, row = taps[k], picture[min(max(y + k - reach, 0), height - 1)]
-            for x in range(width):
+            tap, row = taps[k], picture[min(max(y + k - reach, 0), height - 1), left:right]
+            for x in range(right - left):
                 to[x] += tap * row[x]

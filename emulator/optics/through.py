@@ -15,15 +15,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
 
 from emulator.geometry.pinhole import Pinhole
-from emulator.light import Light, Scene, SceneError
+from emulator.light import Light, PixelLight, Region, Scene, SceneError
 from emulator.optics.distortion import Distortion, DistortionError, straight_columns_and_rows
 from emulator.optics.lens import Chip, LensParameters
-from emulator.optics.passes import Bilinear, bend, blur, gaussian_taps, scale
+from emulator.optics.passes import Bilinear, Part, bend, blur, gaussian_taps, scale
 
 __all__ = ["Through"]
 
@@ -52,11 +53,12 @@ class Through(Scene):
         sigma_px = lens.blur_sigma_px(chip, camera.focal_px, self.scene.distance_m)
         self._taps = gaussian_taps(sigma_px) if sigma_px >= _LEAST_BLUR_PX else None
         self.blur_sigma_px = sigma_px
-        self._inner: tuple[Light, Light] | None = None
-        if self._bent is not None:
-            shape = inner.height, inner.width
-            self._inner = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
-        self._room = np.zeros((inner.height, inner.width), np.float32) if self._taps is not None else None
+        shape = inner.height, inner.width
+        self._inner = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+        self._blurred = np.zeros(shape, np.float32)
+        self._rows = np.zeros(shape, np.float32)
+        self._outs: tuple[int, ...] = ()
+        self._changed: Region | None = None
 
     @property
     def size(self) -> tuple[int, int]:
@@ -88,30 +90,75 @@ class Through(Scene):
         """Those of the scene."""
         return self.scene.counts
 
+    @property
+    def has_rate(self) -> bool:
+        """That of the scene."""
+        return self.scene.has_rate
+
+    @property
+    def changed(self) -> Region | None:
+        """That of the scene, wider by the blur; anything, where the lens bends lines."""
+        return self._changed
+
+    @property
+    def pixel_light(self) -> PixelLight | None:
+        """That of the scene, gathered over the blur; None where the lens bends lines."""
+        inner = self.scene.pixel_light
+        return None if inner is None or self._bent is not None else partial(self._pixels, inner)
+
     def light(self, t_ns: int, out: Light) -> None:
         """Write the light on the pixels at `t_ns` into `out`."""
-        picture = out if self._inner is None else self._inner[0]
-        self.scene.light(t_ns, picture)
-        self._pass(picture, out)
+        self.scene.light(t_ns, self._inner[0])
+        self._pass((out,))
 
     def light_and_rate(self, t_ns: int, light: Light, rate: Light) -> None:
         """Write the light on the pixels and its time derivative."""
-        pictures = (light, rate) if self._inner is None else self._inner
-        self.scene.light_and_rate(t_ns, *pictures)
-        for picture, out in zip(pictures, (light, rate), strict=True):
-            self._pass(picture, out)
+        self.scene.light_and_rate(t_ns, *self._inner)
+        self._pass((light, rate))
 
     def close(self) -> None:
         """Close the scene."""
         self.scene.close()
 
-    def _pass(self, picture: Light, out: Light) -> None:
-        if self._taps is not None and self._room is not None:
-            blur(picture, self._taps, self._room)
+    def _pass(self, outs: tuple[Light, ...]) -> None:
+        """Take what the scene has drawn through the lens, where it may differ from what `outs` hold."""
+        whole = Region(0, self._size[1], 0, self._size[0])
+        known, self._outs = self._outs == tuple(map(id, outs)), tuple(map(id, outs))
+        changed = self.scene.changed if known and self._bent is None else None
+        self._changed = None if changed is None else changed.grown(self._reach_px, self._size)
+        part = (self._changed or whole).bounds if self._changed is None or not self._changed.empty else None
+        for picture, out in zip(self._inner, outs, strict=False):
+            if part is not None:
+                self._pass_one(picture, part, out)
+
+    @property
+    def _reach_px(self) -> int:
+        return 0 if self._taps is None else self._taps.size // 2
+
+    def _pass_one(self, picture: Light, part: Part, out: Light) -> None:
+        if self._taps is not None:
+            inside = part if self._bent is None else (0, picture.shape[0], 0, picture.shape[1])
+            blur(picture, self._taps, self._rows, self._blurred, inside)
+            picture = self._blurred
         if self._bent is not None:
             bend(picture, self._bent, out)
             picture = out
-        scale(picture, self._factor, out)
+        scale(picture, self._factor, part, out)
+
+    def _pixels(self, inner: PixelLight, t_ns: int, pixels: npt.NDArray[np.int64]) -> tuple[Light, Light]:
+        """Return the light and rate of single pixels: of the scene's pixels around each, weighted by the blur."""
+        width, height = self._size
+        rows, columns = np.divmod(pixels, width)
+        reach, factor = self._reach_px, self._factor.reshape(-1)[pixels]
+        away = np.arange(-reach, reach + 1)
+        near_rows = np.clip(rows[:, None] + away, 0, height - 1)
+        near_columns = np.clip(columns[:, None] + away, 0, width - 1)
+        around = (near_rows[:, :, None] * width + near_columns[:, None, :]).reshape(-1)
+        wanted, place = np.unique(around, return_inverse=True)
+        taps = np.ones(1, np.float32) if self._taps is None else self._taps
+        shares = np.outer(taps, taps).reshape(-1)
+        light, rate = (values[place].reshape(len(pixels), -1) @ shares * factor for values in inner(t_ns, wanted))
+        return light, rate
 
 
 _Places = tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]

@@ -89,7 +89,7 @@ def probe(scene: Scene, sensor: SensorParameters, step_ns: int, duration_s: floa
 def _look(scene: Scene, sensor: SensorParameters, t_ns: int) -> Sampled:
     light, rate = _buffers(scene)
     scene.light_and_rate(t_ns, light, rate)
-    return sample(light, rate, sensor.dark_current_relative, t_ns)
+    return sample(light, rate if scene.has_rate else None, sensor.dark_current_relative, t_ns)
 
 
 def _buffers(scene: Scene) -> tuple[Light, Light]:

@@ -10,7 +10,7 @@ __all__ = ["Pictures"]
 
 
 class Pictures:
-    """Draws a scene's light, with its time derivative where the pixels' method uses one.
+    """Draws a scene's light, with its time derivative where the scene has it and the pixels' method uses it.
 
     Attributes
     ----------
@@ -21,14 +21,15 @@ class Pictures:
     frames
         Pictures drawn so far.
     pixel_light
-        Tells the light of single pixels at any instant, so that suspects can be solved in halves; None where the
-        scene cannot tell, or it is not wanted.
+        The light of single pixels at any instant, for the refinement of undersampled steps; None where the scene cannot
+        give it, or it is not wanted.
     """
 
     def __init__(self, scene: Scene, *, with_rate: bool, halving: bool = False) -> None:
         width, height = scene.size
         self.scene = scene
         self.light: Light = np.zeros((height, width), np.float32)
+        with_rate = with_rate and scene.has_rate
         self.rate: Light | None = np.zeros((height, width), np.float32) if with_rate else None
         self.pixel_light: PixelLight | None = scene.pixel_light if with_rate and halving else None
         self.frames = 0

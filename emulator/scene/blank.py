@@ -27,6 +27,11 @@ class Blank(Scene):
         """Write zeros."""
         out.fill(0)
 
+    @property
+    def has_rate(self) -> bool:
+        """True: nothing changes."""
+        return True
+
     def light_and_rate(self, t_ns: int, light: Light, rate: Light) -> None:
         """Write zeros."""
         light.fill(0)

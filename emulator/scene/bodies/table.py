@@ -112,4 +112,4 @@ class BodiesParameters:
             names.append(body.name)
 
 
-BODIES = SceneKind(BodiesParameters, "emulator.scene.bodies.bodies:Bodies", lens="applied")
+BODIES = SceneKind(BodiesParameters, "emulator.scene.bodies.build:build_bodies", lens="applied")

@@ -70,6 +70,11 @@ class Checkerboard(Scene):
             steps = (self._cos / period_px, self._sin / period_px)
             _turned(steps, (u, v), self._half, self._middle, out)
 
+    @property
+    def has_rate(self) -> bool:
+        """True: the light is in closed form."""
+        return True
+
     def light_and_rate(self, t_ns: int, light: Light, rate: Light) -> None:
         """Write the light at `t_ns` and its time derivative, per second, both in closed form."""
         self.light(t_ns, light)

@@ -91,6 +91,11 @@ class StarField(Scene):
         out.fill(self._p.sky_w_m2_sr * self._lens.light_per_radiance)
         splat(self._points(t_ns), self._sigma_px, out, _NO_RATE)
 
+    @property
+    def has_rate(self) -> bool:
+        """True: the light is in closed form."""
+        return True
+
     def light_and_rate(self, t_ns: int, light: Light, rate: Light) -> None:
         """Write the light and its time derivative, both in closed form."""
         light.fill(self._p.sky_w_m2_sr * self._lens.light_per_radiance)

@@ -20,8 +20,8 @@ from emulator.geometry.pinhole import Pinhole
 from emulator.gl.render_target import Stage, depth_terms
 from emulator.light import Light, Scene, SceneError
 from emulator.photometry.sun import Sun
+from emulator.scene.array_cache import Progress, kept
 from emulator.scene.terrain.ground import Ground
-from emulator.scene.terrain.ground_cache import Progress, kept
 from emulator.scene.terrain.ground_mesh import GroundMesh, GroundView, shading
 from emulator.scene.terrain.heightmap import load_heightmap
 from emulator.scene.terrain.horizon import horizon_slopes, sunlit_share

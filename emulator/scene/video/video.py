@@ -132,6 +132,11 @@ class Video(Scene):
         before, after, share, _ = self._around(t_ns)
         np.exp((1 - share) * before + share * after, out=out)
 
+    @property
+    def has_rate(self) -> bool:
+        """True: the light between two frames is in closed form."""
+        return True
+
     def light_and_rate(self, t_ns: int, light: Light, rate: Light) -> None:
         """Write the light and its time derivative, both exact for a straight line in log."""
         before, after, share, apart_s = self._around(t_ns)

@@ -12,7 +12,7 @@ from emulator.gl import context as gl_module
 from emulator.gl.context import PACKAGES, WANTED, open_context, probe, renderer_name, renderers
 from emulator.light import MachineLacks, SceneError
 from emulator.run.machine import examine
-from emulator.scene.bodies.bodies import Bodies
+from emulator.scene.bodies.gl_bodies import GlBodies
 from emulator.scene.bodies.table import BodiesParameters, BodyTable
 from emulator.scene.checkerboard.checkerboard import Checkerboard
 from emulator.scene.checkerboard.table import CheckerboardParameters
@@ -56,7 +56,7 @@ def test_without_gl_the_error_names_the_packages(monkeypatch, variable, value, m
     assert meaning in report.reason
     assert f"apt install {PACKAGES}" in report.reason
     with pytest.raises(SceneError, match="libgl1-mesa-dri"):
-        Bodies(EROS, Pinhole.of_field((32, 24), 25.0))
+        GlBodies(EROS, Pinhole.of_field((32, 24), 25.0))
 
 
 @pytest.mark.gl
@@ -85,7 +85,7 @@ def test_closed_forms_need_no_gl(monkeypatch):
 
 def test_scenes_can_be_imported_without_loading_gl_or_trimesh():
     program = (
-        "import sys, emulator.scene.bodies.bodies, emulator.scene.checkerboard.checkerboard, emulator.report.preview\n"
+        "import sys, emulator.scene.bodies.gl_bodies, emulator.scene.bodies.raster_bodies, emulator.report.preview\n"
         "assert not {'moderngl', 'glcontext', 'trimesh', 'PIL'} & set(sys.modules)"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=300)

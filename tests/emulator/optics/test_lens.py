@@ -43,6 +43,13 @@ class Plane(Scene):
         x, y = np.meshgrid(np.arange(c.width) + 0.5 - c.width / 2, np.arange(c.height) + 0.5 - c.height / 2)
         out[:] = self._radiance(x / c.focal_px, y / c.focal_px, t_ns * 1e-9)
 
+    def light_and_rate(self, t_ns, light, rate):
+        before, after = np.zeros_like(light), np.zeros_like(light)
+        self.light(t_ns - 1_000_000, before)
+        self.light(t_ns + 1_000_000, after)
+        self.light(t_ns, light)
+        rate[:] = (after - before) / np.float32(2e-3)
+
     def close(self):
         self.closed = True
 
@@ -132,7 +139,7 @@ def test_blur_keeps_all_light_and_is_a_gaussian(sigma):
     assert taps.sum() == pytest.approx(1.0, abs=1e-6)
     picture = np.random.default_rng(1).uniform(0, 1, (21, 33)).astype(np.float32)
     blurred = picture.copy()
-    blur(blurred, taps, np.zeros_like(picture))
+    blur(picture, taps, np.zeros_like(picture), blurred, (0, picture.shape[0], 0, picture.shape[1]))
     oracle = picture.astype(float)
     for axis in (0, 1):
         # the same taps by another program, its edge repeated as ours
@@ -145,8 +152,9 @@ def test_blur_keeps_all_light_and_is_a_gaussian(sigma):
 def test_blur_s_width_is_that_of_scipy():
     line = np.zeros((1, 101), np.float32)
     line[0, 50] = 1
-    blur(line, gaussian_taps(2.0), np.zeros_like(line))
-    np.testing.assert_allclose(line[0], gaussian_filter1d(np.eye(1, 101, 50)[0], 2.0), atol=3e-3)
+    blurred = np.zeros_like(line)
+    blur(line, gaussian_taps(2.0), np.zeros_like(line), blurred, (0, line.shape[0], 0, line.shape[1]))
+    np.testing.assert_allclose(blurred[0], gaussian_filter1d(np.eye(1, 101, 50)[0], 2.0), atol=3e-3)
 
 
 def test_looking_up_between_pixels_is_exact_for_a_plane():

@@ -11,14 +11,24 @@ from emulator.geometry.pinhole import Pinhole
 from emulator.light import SceneError
 from emulator.photometry.reflectance import Lambert, LommelSeeliger
 from emulator.photometry.sun import SUN_W_M2, Sun
-from emulator.scene.bodies.bodies import Bodies
 from emulator.scene.bodies.culling import Cells
 from emulator.scene.bodies.detail import coarser, facet_size_m
+from emulator.scene.bodies.gl_bodies import GlBodies
 from emulator.scene.bodies.mesh import build_mesh
+from emulator.scene.bodies.raster_bodies import RasterBodies
 from emulator.scene.bodies.table import BodiesParameters, BodyTable
 from emulator.trajectory.parameters import FixedPath, Keyframe, KeyframePath, SpinPath
 
-pytestmark = pytest.mark.gl
+Bodies = GlBodies
+
+
+@pytest.fixture(autouse=True, params=[RasterBodies, GlBodies], ids=["cpu", "gl"])
+def renderer(request):
+    """Run each test with both renderers; the second where there is a GL library."""
+    if request.param is GlBodies:
+        request.getfixturevalue("gl")
+    globals()["Bodies"] = request.param
+
 
 CAMERA = Pinhole.of_field((64, 48), 30.0)
 BEHIND_CAMERA = Sun((0.0, 0.0, -1.0))
@@ -99,7 +109,8 @@ def test_a_moving_camera_sees_a_still_body_move(shapes):
         assert moved == pytest.approx(CAMERA.focal_px * 2.0 / 10, rel=0.1)
         assert moved <= scene.motion_bound_px_s
         scene.light_and_rate(500_000_000, light, rate)
-        assert np.abs(rate).max() > 0
+        assert np.isfinite(rate).all() == scene.has_rate
+        assert not scene.has_rate or np.abs(rate).max() > 0
         assert scene.distance_m == pytest.approx(9.0, rel=0.1)
 
 
@@ -265,5 +276,7 @@ def test_a_flat_box_s_faces_are_each_of_one_light(shapes):
     box = BodyTable(shape=str(shapes / "plate.obj"), path=turned, reflectance=Lambert(0.5), smooth=False)
     slanting = Sun((0.5, -0.2, -0.8))
     sharp, soft = (drawn([dataclasses.replace(box, smooth=s)], sun=slanting, samples=1) for s in (False, True))
-    assert np.unique(np.round(sharp[sharp > 0], 3)).size <= 3
-    assert np.unique(np.round(soft[soft > 0], 3)).size > 50
+    counts = [np.sort(np.unique(np.round(light[light > 0], 3), return_counts=True)[1]) for light in (sharp, soft)]
+    in_three = [count[-3:].sum() / count.sum() for count in counts]
+    assert in_three[0] > 0.8  # the rest are pixels on edges
+    assert in_three[1] < 0.4

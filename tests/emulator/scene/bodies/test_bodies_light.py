@@ -14,13 +14,24 @@ from emulator.gl.render_target import Rectangle
 from emulator.light import SceneError
 from emulator.photometry.reflectance import LommelSeeliger, henyey_greenstein
 from emulator.photometry.sun import SUN_W_M2, Sun
-from emulator.scene.bodies import bodies as bodies_module
-from emulator.scene.bodies.bodies import Bodies
+from emulator.scene.bodies import gl_bodies as bodies_module
+from emulator.scene.bodies import world as world_module
+from emulator.scene.bodies.gl_bodies import GlBodies
 from emulator.scene.bodies.mesh import build_mesh, find_shape, load_mesh
+from emulator.scene.bodies.raster_bodies import RasterBodies
 from emulator.scene.bodies.table import BodiesParameters, BodyTable
 from emulator.trajectory.parameters import FixedPath, SpinPath
 
-pytestmark = [pytest.mark.gl, pytest.mark.usefixtures("gl")]
+Bodies = GlBodies
+
+
+@pytest.fixture(autouse=True, params=[RasterBodies, GlBodies], ids=["cpu", "gl"])
+def renderer(request):
+    """Run each test with both renderers; the second where there is a GL library."""
+    if request.param is GlBodies:
+        request.getfixturevalue("gl")
+    globals()["Bodies"] = request.param
+
 
 NS = 1_000_000_000
 SIZE = (120, 90)
@@ -49,7 +60,7 @@ def ball(tmp_path_factory):
 @pytest.fixture(scope="module", autouse=True)
 def each_shape_is_read_once():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(bodies_module, "load_mesh", functools.cache(load_mesh))
+        patch.setattr(world_module, "load_mesh", functools.cache(load_mesh))
         yield
 
 

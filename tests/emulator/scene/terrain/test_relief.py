@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy import integrate, special
 
-from emulator.scene.terrain import ground_cache
+from emulator.scene import array_cache
+from emulator.scene.array_cache import Progress, kept
 from emulator.scene.terrain.ground import nested
-from emulator.scene.terrain.ground_cache import Progress, kept
 from emulator.scene.terrain.landforms import (
     DEPTH,
     REACH,
@@ -154,7 +154,7 @@ def test_what_was_made_is_kept(tmp_path, monkeypatch):
 
 def test_a_cache_that_cannot_be_written_costs_nothing_but_time(tmp_path, monkeypatch, capsys):
     (tmp_path / "file").write_text("in the way")
-    monkeypatch.setattr(ground_cache, "cache_folder", lambda: tmp_path / "file" / "evstim")
+    monkeypatch.setattr(array_cache, "cache_folder", lambda: tmp_path / "file" / "evstim")
     assert kept("thing", SMALL, lambda: np.ones((1, 2, 2), np.float32)).all()
     assert "cannot be written" in capsys.readouterr().err
 

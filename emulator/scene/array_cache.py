@@ -1,4 +1,4 @@
-"""Maps and horizons are made once and kept: in $XDG_CACHE_HOME/evstim, or ~/.cache/evstim.
+"""Arrays that take long to make are kept on disk: in $XDG_CACHE_HOME/evstim, or ~/.cache/evstim.
 
 A file's name is a digest of all that it was made from, so a changed figure makes a new file and an old one is never
 wrong. Files are written beside and moved into place: whoever reads finds a whole one or none. A cache that cannot be
@@ -13,11 +13,14 @@ import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 __all__ = ["Progress", "cache_folder", "kept"]
+
+T = TypeVar("T", bound=np.generic)
 
 _FORMAT = 1
 """To be raised when the same parameters come to mean another map."""
@@ -43,26 +46,34 @@ def cache_folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "evstim"
 
 
-def kept(name: str, made_from: object, make: Callable[[], npt.NDArray[np.float32]]) -> npt.NDArray[np.float32]:
-    """Return what `make` gives, from the cache where it lies there already; `made_from` tells one from another."""
+def kept(
+    name: str, made_from: object, make: Callable[[], npt.NDArray[T]], kind: tuple[type, int] = (np.float32, 3)
+) -> npt.NDArray[T]:
+    """Return what `make` gives, from the cache where it lies there already.
+
+    Parameters
+    ----------
+    made_from : tells one from another by its repr.
+    kind : the type of numbers and the number of dimensions that `make` gives.
+    """
     digest = hashlib.sha256(f"{_FORMAT} {name} {made_from!r}".encode()).hexdigest()[:24]
     path = cache_folder() / f"{name}-{digest}.npy"
-    found = _read(path)
+    found: npt.NDArray[T] | None = _read(path, kind)
     if found is None:
         found = make()
         _write(path, found)
     return found
 
 
-def _read(path: Path) -> npt.NDArray[np.float32] | None:
+def _read(path: Path, kind: tuple[type, int]) -> npt.NDArray[Any] | None:
     try:
         array = np.load(path, allow_pickle=False)
     except (OSError, ValueError, EOFError):  # not there, cut short, or not one of ours
         return None
-    return array if array.dtype == np.float32 and array.ndim == 3 else None
+    return array if (array.dtype, array.ndim) == kind else None
 
 
-def _write(path: Path, array: npt.NDArray[np.float32]) -> None:
+def _write(path: Path, array: npt.NDArray[T]) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         descriptor, beside = tempfile.mkstemp(dir=path.parent, suffix=".part")

@@ -11,7 +11,6 @@ that far apart, with the normals of the fine one (see `detail`). What throws sha
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -23,23 +22,21 @@ import numpy.typing as npt
 from emulator.geometry.attitude import unit
 from emulator.geometry.pinhole import Pinhole
 from emulator.gl.render_target import Stage, depth_terms
-from emulator.light import Light, Scene, SceneError
-from emulator.scene.bodies.arrangement import Arrangement, Placed, middle
+from emulator.light import Light, Scene
+from emulator.scene.bodies.arrangement import middle
 from emulator.scene.bodies.detail import coarser, facet_size_m, flat
 from emulator.scene.bodies.facets import Facets, Frame
-from emulator.scene.bodies.mesh import Mesh, find_shape, load_mesh
+from emulator.scene.bodies.mesh import Mesh
 from emulator.scene.bodies.shadows import ShadowMap, Thrower
-from emulator.scene.bodies.table import BodiesParameters, BodyTable
+from emulator.scene.bodies.table import BodiesParameters
 from emulator.scene.bodies.touched_region import box_corners, reach
-from emulator.trajectory.building import build_trajectories
-from emulator.trajectory.pose import Pose, Trajectory, TrajectoryError
-from emulator.trajectory.pose_receiver import close_receivers, live_counts
-from emulator.trajectory.timescale import Timescale
+from emulator.scene.bodies.world import BodyWorld
+from emulator.trajectory.pose import Pose
 
 if TYPE_CHECKING:
     import moderngl
 
-__all__ = ["Bodies"]
+__all__ = ["GlBodies"]
 
 _FINE = 2.0  # pixels or texels: facets as small as this answer for shadows at their corners
 _NEAREST_SHARE = 1e-4  # of the farthest depth: no nearer plane, or float32 depth would resolve nothing
@@ -60,15 +57,14 @@ class _Seen:
 class _Part:
     """A body as it is drawn."""
 
-    placed: Placed
     mesh: Mesh
     corners: Matrix
     facets: Facets | None = None
     thrower: Thrower | None = None
 
 
-class Bodies(Scene):
-    """The bodies of `parameters` as `pinhole` sees them, in radiance.
+class GlBodies(Scene):
+    """The bodies of `parameters` as `pinhole` sees them, in radiance, drawn by GL.
 
     Raises
     ------
@@ -78,21 +74,10 @@ class Bodies(Scene):
 
     def __init__(self, parameters: BodiesParameters, pinhole: Pinhole) -> None:
         self._p, self._pinhole = parameters, pinhole
-        self._time = Timescale(parameters.time_scale)
+        self._world = world = BodyWorld(parameters, pinhole)
         self._sun = unit(parameters.sun.direction)
         self._throwing = [k for k, body in enumerate(parameters.bodies) if body.throws_shadow]
-        try:
-            self._camera, *paths = build_trajectories([parameters.camera, *(b.path for b in parameters.bodies)])
-            self._parts = [self._part(body, path) for body, path in zip(parameters.bodies, paths, strict=True)]
-        except (TrajectoryError, OSError) as error:
-            raise SceneError(f"scene: {error}") from error
-        self._notes = [
-            f"{b.shape}: {w}"
-            for b, part in zip(parameters.bodies, self._parts, strict=True)
-            for w in part.mesh.warnings
-        ]
-        self._arrangement = Arrangement(self._camera, [part.placed for part in self._parts], self._time)
-        self._require_outside()
+        self._parts = [_Part(mesh, box_corners(mesh.vertices)) for mesh in world.meshes]
         self._stage = Stage(pinhole.size, parameters.samples)
         self._shadows: ShadowMap | None = None
         with self._stage.context as gl:
@@ -110,27 +95,25 @@ class Bodies(Scene):
 
     @property
     def motion_bound_px_s(self) -> float:
-        """From the paths' speeds and turns, at the closest ranges met in the first minute."""
-        in_a_corner = 1 + math.tan(self._pinhole.widest_rad) ** 2
-        return self._pinhole.focal_px * in_a_corner * self._arrangement.turn_bound_rad_s * self._time.factor
+        """From the paths' speeds and turns."""
+        return self._world.motion_bound_px_s
 
     @property
     def distance_m(self) -> float:
         """The closest range of any body, less its radius."""
-        return self._arrangement.distance_m
+        return self._world.arrangement.distance_m
 
     @property
     def notes(self) -> tuple[str, ...]:
         """What is odd about the shapes, what detail was left out, and a black picture."""
         picture = np.zeros(self.size[::-1], np.float32)
         self.light(0, picture)
-        black = () if picture.any() else ("the first picture is black: no sunlit side is before the camera",)
-        return (*self._notes, *black)
+        return self._world.notes(picture)
 
     @property
     def counts(self) -> Mapping[str, int]:
-        """What poses from outside did."""
-        return live_counts(self._camera, *(part.placed.path for part in self._parts))
+        """Counts of the poses that came from outside."""
+        return self._world.counts
 
     def light(self, t_ns: int, out: Light) -> None:
         """Write the radiance at `t_ns` into `out`, (height, width) float32."""
@@ -143,61 +126,27 @@ class Bodies(Scene):
     def close(self) -> None:
         """Give back the GL context and the ports; a second call does nothing."""
         self._stage.close()
-        close_receivers(self._camera, *(part.placed.path for part in self._parts))
-
-    def _part(self, body: BodyTable, path: Trajectory) -> _Part:
-        names = [other.name for other in self._p.bodies]
-        parent = names.index(body.fixed_to) if body.fixed_to else None
-        mesh = load_mesh(find_shape(body.shape), body.units_m)
-        placed = Placed(path, parent, mesh.radius_m)
-        return _Part(placed, mesh, box_corners(mesh.vertices))
-
-    def _require_outside(self) -> None:
-        for body, part, range_m in zip(self._p.bodies, self._parts, self._arrangement.ranges_m, strict=True):
-            core_m = float(np.linalg.norm(part.mesh.vertices, axis=1).min())
-            if range_m <= core_m:
-                raise SceneError(
-                    f"the camera comes within {range_m:g} m of the middle of {body.shape}, whose surface is at least "
-                    f"{core_m:g} m from it: it would be inside. Move it out, or look at units_m"
-                )
-        across = max(
-            2 * part.mesh.radius_m / r for part, r in zip(self._parts, self._arrangement.ranges_m, strict=True)
-        )
-        if across * self._pinhole.focal_px < 2:
-            raise SceneError(
-                f"the largest body is {across * self._pinhole.focal_px:.2g} px across at its closest and would be lost "
-                "between samples: go nearer, take a longer lens, or look at units_m"
-            )
+        self._world.close()
 
     def _upload(self, gl: moderngl.Context) -> None:
         """Take meshes into the context's memory, with as much detail as is seen."""
+        world = self._world
         if self._p.shadows and self._throwing:
             # a tenth more than in the first minute, for what comes later
-            around_m = 1.1 * self._arrangement.radius_m(self._throwing)
+            around_m = 1.1 * world.arrangement.radius_m(self._throwing)
             self._shadows = ShadowMap(gl, around_m, self.distance_m / self._pinhole.focal_px)
-        for body, part, range_m in zip(self._p.bodies, self._parts, self._arrangement.ranges_m, strict=True):
-            room_m = max(range_m - part.mesh.radius_m, 1e-6)
-            seen = self._as_seen(part.mesh, self._p.detail_px * room_m / self._pinhole.focal_px, str(body.shape))
-            fine = body.smooth and facet_size_m(seen) <= self._fine_m(room_m)
+        for k, (body, part) in enumerate(zip(self._p.bodies, self._parts, strict=True)):
+            seen = world.as_seen(k)
+            fine = body.smooth and facet_size_m(seen) <= self._fine_m(world.metres_a_pixel(k))
             drawn = seen if body.smooth else flat(seen)
             part.facets = Facets(gl, drawn, body.reflectance, self._shadows, at_vertices=fine)
             if self._shadows and body.throws_shadow:
                 part.thrower = self._shadows.thrower(coarser(part.mesh, self._shadows.coarse_m))
 
-    def _fine_m(self, room_m: float) -> float:
+    def _fine_m(self, metres_a_pixel: float) -> float:
         """Return the size of facets at whose corners the shadow map may be asked: two pixels, or two texels."""
         texel_m = self._shadows.texel_m if self._shadows else 0.0
-        return _FINE * max(texel_m, room_m / self._pinhole.focal_px)
-
-    def _as_seen(self, mesh: Mesh, cell_m: float, name: str) -> Mesh:
-        if facet_size_m(mesh) > cell_m:
-            return mesh
-        seen = coarser(mesh, cell_m)
-        if seen is not mesh:
-            self._notes.append(
-                f"{name}: {len(seen.faces)} of {len(mesh.faces)} facets: the others are too small to be seen"
-            )
-        return seen
+        return _FINE * max(texel_m, metres_a_pixel)
 
     def _shadow_from_bodies(self, poses: list[Pose]) -> list[Matrix]:
         """Return shadow_from_body of each body, (4, 4)."""
@@ -210,8 +159,8 @@ class Bodies(Scene):
 
     def _beginning(self, t_ns: int) -> Callable[[], None]:
         """Return what lets the stage begin the picture of `t_ns`; whatever can fail has been done."""
-        scene_ns = self._time.scene_ns(t_ns)
-        camera, poses = self._camera.pose(scene_ns), self._arrangement.poses(scene_ns)
+        scene_ns = self._world.time.scene_ns(t_ns)
+        camera, poses = self._world.camera.pose(scene_ns), self._world.arrangement.poses(scene_ns)
         camera_from_world = camera.world_from_body.T
         seen = [
             _Seen(camera_from_world @ pose.world_from_body, camera_from_world @ (pose.position_m - camera.position_m))

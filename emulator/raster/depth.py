@@ -1,0 +1,114 @@
+"""The nearest facet at samples, and which facets may show at all.
+
+Samples are the middles of a band's pixels and of one more pixel all around.
+"""
+
+from __future__ import annotations
+
+import math
+
+from emulator.raster.compiled import kernel, lane, vector_kernel
+from emulator.raster.layout import Data, Floats, Ints, W, WHighest, WLowest, XHigh, XLow, YHigh, YLow
+
+__all__ = ["alone", "fill_depth", "mark_seen", "shows"]
+
+
+@vector_kernel
+def fill_depth(
+    data: Data,
+    listed: Ints,
+    depth: Floats,
+    nearest: Ints,
+    held: Ints,
+    rows: tuple[int, int, int],
+) -> None:
+    """Write the largest 1 / depth and its facet at the middles of rows first - 1 to last and columns -1 to the width.
+
+    Facets that hold a middle get the number of the band in `held`.
+    """
+    vertices, faces, facets = data[0], data[1], data[4]
+    first, last, band = rows
+    most = depth.shape[1] - 2
+    for f in listed:
+        r0 = math.ceil(max(facets[f, YLow], first - 1.0) - 0.5)
+        r1 = math.floor(min(facets[f, YHigh], last + 1.0) - 0.5)
+        if r1 < r0 or math.floor(facets[f, XHigh] - 0.5) < math.ceil(facets[f, XLow] - 0.5):
+            continue
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        if vertices[a, 1] > vertices[b, 1]:
+            a, b = b, a
+        if vertices[b, 1] > vertices[c, 1]:
+            b, c = c, b
+        if vertices[a, 1] > vertices[b, 1]:
+            a, b = b, a
+        ax, ay, bx, by, cx, cy = (
+            vertices[a, 0],
+            vertices[a, 1],
+            vertices[b, 0],
+            vertices[b, 1],
+            vertices[c, 0],
+            vertices[c, 1],
+        )
+        long = (cx - ax) / (cy - ay)
+        upper = (bx - ax) / (by - ay) if by > ay else 0.0
+        lower = (cx - bx) / (cy - by) if cy > by else 0.0
+        wx, low, high = facets[f, W + 1], facets[f, WLowest], facets[f, WHighest]
+        holds = False
+        for r in range(r0, r1 + 1):
+            y = r + 0.5
+            left = ax + (y - ay) * long
+            right = ax + (y - ay) * upper if y < by else bx + (y - by) * lower
+            if left > right:
+                left, right = right, left
+            c0 = math.ceil(max(left, -1.0) - 0.5)
+            c1 = math.floor(min(right, most + 1.0) - 0.5)
+            if c0 > c1:
+                continue
+            holds = True
+            at_row = facets[f, W] + facets[f, W + 2] * y
+            line, owner = depth[r - first + 1], nearest[r - first + 1]
+            for column in range(c0, c1 + 1):
+                w = min(max(at_row + wx * (column + 0.5), low), high)
+                if w > line[column + 1]:
+                    line[column + 1], owner[column + 1] = w, f
+        if holds:
+            held[f] = band
+
+
+@kernel
+def mark_seen(nearest: Ints, columns: tuple[int, int], shows: Ints, band: int) -> None:
+    """Mark the facets that hold a sample."""
+    for r in range(nearest.shape[0]):
+        for c in range(columns[0], columns[1]):
+            f = nearest[r, c]
+            if f >= 0:
+                shows[f] = band
+
+
+@kernel
+def shows(facets: Floats, f: int, depth: Floats, first: int, last: int) -> bool:
+    """Tell whether a sample in the facet's box, one pixel wider, is not nearer than the facet."""
+    if facets[f, YHigh] <= first or facets[f, YLow] >= last:
+        return False
+    most = depth.shape[1] - 2
+    if facets[f, XLow] >= most:
+        return False
+    closest = facets[f, WHighest] * (1.0 + 1e-12)
+    r0, r1 = int(max(facets[f, YLow], first)) - 1, int(min(facets[f, YHigh], last - 1.0)) + 1
+    c0, c1 = int(max(facets[f, XLow], 0.0)) - 1, int(min(max(facets[f, XHigh], 0.0), most - 1.0)) + 1
+    for r in range(r0 - first + 1, r1 - first + 2):
+        for c in range(c0 + 1, c1 + 2):
+            if depth[r, c] <= closest:
+                return True
+    return False
+
+
+@lane
+def alone(nearest: Ints, r: int, c: int) -> int:
+    """Return the facet that is the nearest at all samples around a pixel, -1 for none: it contains the pixel."""
+    f: int = nearest[r + 1, c + 1]
+    for i in range(r, r + 3):
+        for j in range(c, c + 3):
+            if nearest[i, j] != f:
+                f = -1
+    return f

@@ -1,0 +1,209 @@
+"""Light and rate of one pixel from the facets that touch it.
+
+Facets are taken by nearness. While they fill the pixel without overlap their integrals are exact, and once they fill
+it, what is farther than all of them is hidden. A pixel with free space where a single outline enters and leaves once is
+exact too: there is nothing behind. All others are resolved on LINES lines across the outline (`lines`).
+"""
+
+from __future__ import annotations
+
+from emulator.raster.compiled import lane, vector_kernel
+from emulator.raster.edges import flux, is_still, piece
+from emulator.raster.layout import (
+    CULLED,
+    Data,
+    Floats,
+    G,
+    Ints,
+    L,
+    Sign,
+    W,
+    WHighest,
+    WLowest,
+    XHigh,
+    XLow,
+    YHigh,
+    YLow,
+)
+from emulator.raster.lines import resolve
+
+__all__ = ["TOLERANCE", "pixel_light"]
+
+TOLERANCE = 1e-6
+"""Area, in pixels, below which gaps and overlaps count as rounding."""
+
+
+@lane
+def depth_range(facets: Floats, f: int, column: int, row: int) -> tuple[float, float]:
+    """Return bounds of 1 / depth of a facet in a pixel."""
+    middle = facets[f, W] + facets[f, W + 1] * (column + 0.5) + facets[f, W + 2] * (row + 0.5)
+    half = 0.5 * (abs(facets[f, W + 1]) + abs(facets[f, W + 2]))
+    low, high = facets[f, WLowest], facets[f, WHighest]
+    return min(max(middle - half, low), high), max(min(middle + half, high), low)
+
+
+@vector_kernel
+def _sort(order: Ints, keys: Floats, n: int) -> None:
+    """Sort by descending keys (Shell's method: needs no memory); equal keys by ascending entry."""
+    gap = 1
+    while gap < n // 3:
+        gap = 3 * gap + 1
+    while gap > 0:
+        for i in range(gap, n):
+            key, entry = keys[i], order[i]
+            j = i
+            while j >= gap and (keys[j - gap] < key or (keys[j - gap] == key and order[j - gap] > entry)):
+                keys[j], order[j] = keys[j - gap], order[j - gap]
+                j -= gap
+            keys[j], order[j] = key, entry
+        gap //= 3
+
+
+@lane
+def _contains(vertices: Floats, faces: Ints, facets: Floats, f: int, column: int, row: int) -> bool:
+    """Tell whether a facet contains the whole pixel."""
+    if facets[f, XLow] > column or facets[f, XHigh] < column + 1 or facets[f, YLow] > row or facets[f, YHigh] < row + 1:
+        return False
+    inside = True
+    for side in range(3):
+        a, b = faces[f, side], faces[f, side + 1 if side < 2 else 0]
+        ax, ay = vertices[a, 0], vertices[a, 1]
+        dx, dy = vertices[b, 0] - ax, vertices[b, 1] - ay
+        beyond = (dy * (column + 0.5 - ax) - dx * (row + 0.5 - ay)) * facets[f, Sign]
+        inside = inside and beyond >= 0.5 * (abs(dx) + abs(dy))
+    return inside
+
+
+@vector_kernel
+def integrals(data: Data, f: int, column: int, row: int) -> tuple[float, float, float]:
+    """Return area, light and rate of a facet within a pixel, exact."""
+    vertices, faces, facets = data[0], data[1], data[4]
+    k = facets[f, Sign]
+    area = light = rate = 0.0
+    jx, jy, gx, gy = facets[f, L + 1], facets[f, L + 2], facets[f, G + 1], facets[f, G + 2]
+    j0 = facets[f, L] + jx * column + jy * row
+    g0 = facets[f, G] + gx * column + gy * row
+    if _contains(vertices, faces, facets, f, column, row):
+        return 1.0, j0 + 0.5 * (jx + jy), g0 + 0.5 * (gx + gy)
+    for side in range(3):
+        a, b = faces[f, side], faces[f, side + 1 if side < 2 else 0]
+        ax, ay, bx, by = (
+            vertices[a, 0] - column,
+            vertices[a, 1] - row,
+            vertices[b, 0] - column,
+            vertices[b, 1] - row,
+        )
+        dx, dy = bx - ax, by - ay
+        t0, t1 = 0.0, 1.0  # the part within the row
+        if dy > 0.0:
+            t0, t1 = max(t0, -ay / dy), min(t1, (1.0 - ay) / dy)
+        elif dy < 0.0:
+            t0, t1 = max(t0, (1.0 - ay) / dy), min(t1, -ay / dy)
+        elif not 0.0 <= ay < 1.0:
+            continue
+        if not t0 < t1:
+            continue
+        s0, s1 = t0, t1  # the part within the column
+        if dx > 0.0:
+            s0, s1 = max(s0, -ax / dx), min(s1, (1.0 - ax) / dx)
+        elif dx < 0.0:
+            s0, s1 = max(s0, (1.0 - ax) / dx), min(s1, -ax / dx)
+        elif not 0.0 <= ax < 1.0:
+            s1 = s0
+        left0, left1 = t0, t0  # the part left of the pixel
+        if not s0 < s1:
+            if ax + 0.5 * (t0 + t1) * dx < 0.0:
+                left1 = t1
+        elif dx > 0.0:
+            left1 = s0
+        elif dx < 0.0:
+            left0, left1 = s1, t1
+        if left0 < left1:
+            h, middle = (left1 - left0) * dy, ay + 0.5 * (left0 + left1) * dy
+            area += h
+            light += h * (j0 + 0.5 * jx + jy * middle)
+            rate += h * (g0 + 0.5 * gx + gy * middle)
+        if not s0 < s1:
+            continue
+        p, q, y0, y1 = ax + s0 * dx, ax + s1 * dx, ay + s0 * dy, ay + s1 * dy
+        within, mx, my = piece(p, y0, q, y1)
+        area += within
+        light += j0 * within + jx * mx + jy * my
+        rate += g0 * within + gx * mx + gy * my
+        if not is_still(data, f, side):  # light is continuous there: what one facet loses its neighbour gains
+            qa = vertices[a, 2] * dy - vertices[a, 3] * dx
+            dq = vertices[b, 2] * dy - vertices[b, 3] * dx - qa
+            l0, l1 = j0 + jx * p + jy * y0, j0 + jx * q + jy * y1
+            rate -= flux(s1 - s0, l0, l1, qa + dq * s0, qa + dq * s1)
+    return k * area, k * light, k * rate
+
+
+@vector_kernel
+def _outline(data: Data, f: int, column: int, row: int) -> tuple[int, float]:
+    """Return how often the facet's part of an outline passes the pixel's border, and |dx| - |dy| of it within."""
+    vertices, faces, across, kinds = data[0], data[1], data[2], data[5]
+    crossings, lean = 0, 0.0
+    for side in range(3):
+        g = across[f, side]
+        if g >= 0 and kinds[g] != CULLED and data[4][g, Sign] == data[4][f, Sign]:
+            continue
+        a, b = faces[f, side], faces[f, side + 1 if side < 2 else 0]
+        ax, ay = vertices[a, 0] - column, vertices[a, 1] - row
+        dx, dy = vertices[b, 0] - column - ax, vertices[b, 1] - row - ay
+        t0, t1 = 0.0, 1.0
+        if dx != 0.0:
+            t0, t1 = max(t0, min(-ax / dx, (1.0 - ax) / dx)), min(t1, max(-ax / dx, (1.0 - ax) / dx))
+        elif not 0.0 <= ax <= 1.0:
+            continue
+        if dy != 0.0:
+            t0, t1 = max(t0, min(-ay / dy, (1.0 - ay) / dy)), min(t1, max(-ay / dy, (1.0 - ay) / dy))
+        elif not 0.0 <= ay <= 1.0:
+            continue
+        if t0 < t1:
+            crossings += (t0 > 0.0) + (t1 < 1.0)
+            lean += (t1 - t0) * (abs(dx) - abs(dy))
+    return crossings, lean
+
+
+@vector_kernel
+def pixel_light(
+    data: Data,
+    place: tuple[int, int],
+    listed: Ints,
+    keys: Floats,
+    lines: Floats,
+) -> tuple[float, float]:
+    """Return light and rate of the pixel (column, row).
+
+    Parameters
+    ----------
+    listed : (n,) facets that touch the pixel; sorted in place.
+    keys : (n,) or longer, scratch.
+    lines : (n, 10) or longer, scratch.
+    """
+    column, row = place
+    n = len(listed)
+    for i in range(n):
+        keys[i] = depth_range(data[4], listed[i], column, row)[1]
+    _sort(listed, keys, n)
+    area = light = rate = 0.0
+    farthest = 1e300
+    for i in range(n):
+        if area >= 1.0 - TOLERANCE and keys[i] < farthest:
+            n = i
+            break
+        a, b, c = integrals(data, listed[i], column, row)
+        area, light, rate = area + a, light + b, rate + c
+        if area > 1.0 + TOLERANCE:
+            break
+        farthest = min(farthest, depth_range(data[4], listed[i], column, row)[0])
+    if abs(area - 1.0) <= TOLERANCE:
+        return light, rate
+    crossings, lean = 0, 0.0
+    for i in range(n):
+        more, leaning = _outline(data, listed[i], column, row)
+        crossings, lean = crossings + more, lean + leaning
+    if area < 1.0 and crossings == 2:
+        return light, rate
+    light, rate = resolve(data, place, listed[:n], lines, lean > 0.0)
+    return light, rate

@@ -1,0 +1,179 @@
+"""Vertices on the screen, and the planes of radiance, rate and inverse depth of each facet.
+
+A facet's radiance is linear on the screen: L = c0 + cx x + cy y through its corners. At a fixed point it changes at the
+rate G, linear too, with the corner values dL_i/dt - v_i . grad L, v_i the corner's velocity on the screen. 1 / depth is
+linear on the screen exactly.
+"""
+
+from __future__ import annotations
+
+from emulator.raster.compiled import entry, lane
+from emulator.raster.layout import (
+    BAND,
+    CULLED,
+    FLAT,
+    SHOWABLE,
+    Bytes,
+    Floats,
+    G,
+    Ints,
+    L,
+    Plane,
+    Sides,
+    Sign,
+    Valid,
+    W,
+    WHighest,
+    WLowest,
+    XHigh,
+    XLow,
+    YHigh,
+    YLow,
+)
+
+__all__ = ["bucket", "project", "set_up"]
+
+_THINNEST_PX = 1e-5  # a facet that is thinner has no gradient: rounding would be amplified beyond 1e-8 of its light
+_FARTHEST_PX = 1e15  # the picture ends long before; keeps conversions to integers valid
+
+
+@entry
+def project(positions: Floats, velocities: Floats, camera: Floats, out: Floats) -> int:
+    """Write vertices, (n, 8), and return how many lie nearer than the nearest depth; `camera` is (4,)."""
+    focal, x0, y0, nearest = camera[0], camera[1], camera[2], camera[3]
+    lost = 0
+    for k in range(len(positions)):
+        z = positions[k, 2]
+        if not z >= nearest:
+            out[k, Valid] = 0.0
+            lost += 1
+            continue
+        w = 1.0 / z
+        x, y = positions[k, 0] * w, positions[k, 1] * w
+        dz = velocities[k, 2]
+        out[k, 0] = x0 + focal * x
+        out[k, 1] = y0 + focal * y
+        out[k, 2] = focal * w * (velocities[k, 0] - x * dz)
+        out[k, 3] = focal * w * (velocities[k, 1] - y * dz)
+        out[k, 4] = w
+        out[k, 5] = -dz * w * w
+        out[k, Valid] = 1.0
+    return lost
+
+
+@lane
+def _plane(
+    facets: Floats, f: int, at: int, corners: tuple[float, float], edges: Sides, values: Plane
+) -> tuple[float, float]:
+    """Write the plane through three corner values."""
+    ax, ay = corners
+    e1x, e1y, e2x, e2y, det = edges
+    d1, d2 = values[1] - values[0], values[2] - values[0]
+    px = (d1 * e2y - d2 * e1y) / det
+    py = (d2 * e1x - d1 * e2x) / det
+    facets[f, at] = values[0] - px * ax - py * ay
+    facets[f, at + 1] = px
+    facets[f, at + 2] = py
+    return px, py
+
+
+@entry
+def set_up(
+    vertices: Floats,
+    faces: Ints,
+    shades: Ints,
+    two_sided: Bytes,
+    radiance: Floats,
+    rates: Floats,
+    shape: tuple[int, int],
+    facets: Floats,
+    kinds: Bytes,
+    touched: Ints,
+) -> int:
+    """Write facets (m, 16), kinds (m,) and the touched rows and columns (4,); return entries in all bands' lists."""
+    height, width = shape
+    touched[0], touched[1], touched[2], touched[3] = height, 0, width, 0
+    entries = 0
+    for f in range(len(faces)):
+        kinds[f] = CULLED
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        ax, ay, bx, by, cx, cy = (
+            vertices[a, 0],
+            vertices[a, 1],
+            vertices[b, 0],
+            vertices[b, 1],
+            vertices[c, 0],
+            vertices[c, 1],
+        )
+        e1x, e1y, e2x, e2y = bx - ax, by - ay, cx - ax, cy - ay
+        det = e1x * e2y - e1y * e2x
+        if not (det < 0.0 or (det > 0.0 and two_sided[f])):
+            continue
+        if vertices[a, Valid] + vertices[b, Valid] + vertices[c, Valid] < 3.0:
+            continue
+        x_low, x_high = min(ax, bx, cx), max(ax, bx, cx)
+        y_low, y_high = min(ay, by, cy), max(ay, by, cy)
+        if not (x_high > -1.0 and x_low < width + 1.0 and y_high > -1.0 and y_low < height + 1.0):
+            continue
+        if not (x_high - x_low < _FARTHEST_PX and y_high - y_low < _FARTHEST_PX):
+            continue
+        wa, wb, wc = vertices[a, 4], vertices[b, 4], vertices[c, 4]
+        i, j, k = shades[f, 0], shades[f, 1], shades[f, 2]
+        la, lb, lc = radiance[i], radiance[j], radiance[k]
+        ga, gb, gc = rates[i], rates[j], rates[k]
+        e3x, e3y = cx - bx, cy - by
+        longest2 = max(e1x * e1x + e1y * e1y, e2x * e2x + e2y * e2y, e3x * e3x + e3y * e3y)
+        facets[f, WLowest], facets[f, WHighest] = min(wa, wb, wc), max(wa, wb, wc)
+        facets[f, XLow], facets[f, XHigh], facets[f, YLow], facets[f, YHigh] = x_low, x_high, y_low, y_high
+        facets[f, Sign] = 1.0 if det < 0.0 else -1.0
+        if det * det > _THINNEST_PX * _THINNEST_PX * longest2:
+            kinds[f] = SHOWABLE
+            edges = (e1x, e1y, e2x, e2y, det)
+            px, py = _plane(facets, f, L, (ax, ay), edges, (la, lb, lc))
+            moved = (
+                ga - px * vertices[a, 2] - py * vertices[a, 3],
+                gb - px * vertices[b, 2] - py * vertices[b, 3],
+                gc - px * vertices[c, 2] - py * vertices[c, 3],
+            )
+            _plane(facets, f, G, (ax, ay), edges, moved)
+            _plane(facets, f, W, (ax, ay), edges, (wa, wb, wc))
+        else:
+            kinds[f] = FLAT
+            for at in range(9):
+                facets[f, at] = 0.0
+            facets[f, L], facets[f, G], facets[f, W] = (la + lb + lc) / 3, (ga + gb + gc) / 3, (wa + wb + wc) / 3
+        first, last = _bands(y_low, y_high, height)
+        entries += last - first
+        if x_high > 0.0 and x_low < width and y_high > 0.0 and y_low < height:
+            touched[0] = min(touched[0], int(max(y_low, 0.0)))
+            touched[1] = max(touched[1], int(min(y_high, height - 1.0)) + 1)
+            touched[2] = min(touched[2], int(max(x_low, 0.0)))
+            touched[3] = max(touched[3], int(min(x_high, width - 1.0)) + 1)
+    return entries
+
+
+@lane
+def _bands(y_low: float, y_high: float, height: int) -> tuple[int, int]:
+    """Return the bands whose rows, and one more on each side, a facet may touch."""
+    first = int(max(y_low - 1.0, 0.0)) // BAND
+    last = int(min(max(y_high + 1.0, 0.0), height - 1.0)) // BAND
+    return first, last + 1
+
+
+@entry
+def bucket(kinds: Bytes, facets: Floats, height: int, starts: Ints, listed: Ints) -> None:
+    """Write the facets of each band: those of band b are listed[starts[b]:starts[b + 1]], in ascending order."""
+    starts[:] = 0
+    for f in range(len(kinds)):
+        if kinds[f] != CULLED:
+            first, last = _bands(facets[f, YLow], facets[f, YHigh], height)
+            for b in range(first, last):
+                starts[b + 2] += 1
+    for b in range(2, len(starts)):
+        starts[b] += starts[b - 1]
+    for f in range(len(kinds)):
+        if kinds[f] != CULLED:
+            first, last = _bands(facets[f, YLow], facets[f, YHigh], height)
+            for b in range(first, last):
+                listed[starts[b + 1]] = f
+                starts[b + 1] += 1

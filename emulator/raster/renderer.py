@@ -1,0 +1,197 @@
+"""Pictures of surfaces: exact mean radiance of every pixel and its exact time derivative, by the CPU."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import numpy.typing as npt
+
+from emulator.raster.bands import draw_bands, query_bands
+from emulator.raster.clipping import clip
+from emulator.raster.layout import BAND, FACET_FIELDS, VERTEX_FIELDS, Bytes, Floats, Ints, Pictures
+from emulator.raster.lines import LINE_FIELDS
+from emulator.raster.projection import bucket, project, set_up
+from emulator.raster.topology import Topology
+from emulator.raster.view import Box, Screen, View
+
+__all__ = ["Renderer"]
+
+_FIRST_PAIRS = 1 << 14
+
+
+class _Scratch:
+    """Memory of one thread, for one band at a time."""
+
+    def __init__(self, screen: Screen, facets: int) -> None:
+        width = screen.width
+        self.acc = np.zeros((BAND, width + 1, 8))
+        self.depth = np.zeros((BAND + 2, width + 2))
+        self.nearest = np.full((BAND + 2, width + 2), -1, np.int32)
+        self.held = np.full(facets, -1, np.int32)
+        self.shows = np.full(facets, -1, np.int32)
+        self.slots = np.full((BAND, width), -1, np.int32)
+        self.found = np.zeros((BAND * width, 2), np.int32)
+        self.masks = np.zeros(width, np.int32)
+        self.answers = np.zeros((BAND * width, 2))
+        self.ends = np.zeros(BAND * width, np.int32)
+        self.grow(_FIRST_PAIRS)
+
+    def grow(self, pairs: int) -> None:
+        """Make room for that many pairs of a pixel and a facet in a band."""
+        self.pairs = np.zeros((pairs, 2), np.int32)
+        self.grouped = np.zeros(pairs, np.int32)
+        self.keys = np.zeros(pairs)
+        self.lines = np.zeros((pairs, LINE_FIELDS))
+
+    @property
+    def arrays(self) -> tuple[npt.NDArray[np.generic], ...]:
+        """As `draw_bands` wants them."""
+        return (
+            self.acc,
+            self.depth,
+            self.nearest,
+            self.held,
+            self.shows,
+            self.slots,
+            self.found,
+            self.masks,
+            self.answers,
+            self.ends,
+            self.pairs,
+            self.grouped,
+            self.keys,
+            self.lines,
+        )
+
+
+class Renderer:
+    """Draws surfaces of one topology on one screen; its methods are not for use by several threads at a time.
+
+    Parameters
+    ----------
+    topology : facets of all surfaces, see `prepare` and `join`.
+    threads : how many draw bands of rows at the same time; the pictures are the same to the last bit.
+    """
+
+    def __init__(self, topology: Topology, screen: Screen, threads: int = 1) -> None:
+        self.topology, self.screen = topology, screen
+        self._starts = np.zeros(-(-screen.height // BAND) + 2, np.int32)
+        self._listed = np.zeros(0, np.int32)
+        self._touched = np.zeros(4, np.int32)
+        self._drawn = topology
+        self._make_room(topology)
+        self._scratches = [_Scratch(screen, len(topology.faces)) for _ in range(threads)]
+        self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
+
+    def draw(self, view: View, light: Pictures, rate: Pictures, before: Box | None = None) -> Box:
+        """Write mean radiance and its rate, a second, (height, width) float32; return the part that surfaces touch.
+
+        Only this part and `before` are written: the part that the two arrays hold already of an earlier picture, an
+        empty box for arrays of zeros, None for unknown content.
+        """
+        self._prepare(view)
+        row0, row1, column0, column1 = (int(k) for k in self._touched)
+        touched = Box(row0, row1, column0, column1) if row0 < row1 else Box()
+        whole = Box(0, self.screen.height, 0, self.screen.width)
+        window = touched.union(whole if before is None else before)
+        if not window.empty:
+            self._draw(window, light, rate)
+        return touched
+
+    def query(self, view: View, pixels: npt.NDArray[np.int64]) -> tuple[Pictures, Pictures]:
+        """Return mean radiance and its rate of the pixels row * width + column alone, (n,) float32 each."""
+        width, height = self.screen.width, self.screen.height
+        wanted, place = np.unique(np.asarray(pixels, np.int64), return_inverse=True)
+        if len(wanted) and not 0 <= wanted[0] <= wanted[-1] < width * height:
+            raise ValueError(f"pixels {wanted[0]} to {wanted[-1]} are not all in a picture of {width} x {height}")
+        self._prepare(view)
+        out, scratch, done = np.zeros((len(wanted), 2)), self._scratches[0], 0
+        while done < len(wanted):
+            done, lacking = query_bands(
+                self._data, (self._starts, self._listed), wanted, done, (height, width), scratch.arrays, out
+            )
+            if lacking:
+                scratch.grow(2 * lacking)
+        answers = out[place].astype(np.float32)
+        return answers[:, 0], answers[:, 1]
+
+    def close(self) -> None:
+        """End the threads; a second call does nothing."""
+        if self._pool is not None:
+            self._pool.shutdown()
+
+    def _draw(self, window: Box, light: Pictures, rate: Pictures) -> None:
+        if self._pool is None:
+            self._draw_share(0, window, light, rate)
+            return
+        shares = range(len(self._scratches))
+        list(self._pool.map(lambda share: self._draw_share(share, window, light, rate), shares))
+
+    def _draw_share(self, share: int, window: Box, light: Pictures, rate: Pictures) -> None:
+        """Draw every n-th band, n threads."""
+        scratch = self._scratches[share]
+        scratch.shows.fill(-1)
+        scratch.held.fill(-1)
+        band, last = window.first_row // BAND + share, -(-window.last_row // BAND)
+        columns = window.first_column, window.last_column
+        while band >= 0:
+            bands = band, last, len(self._scratches)
+            band, pairs = draw_bands(
+                self._data, bands, (self._starts, self._listed), columns, scratch.arrays, light, rate
+            )
+            if band >= 0:
+                scratch.grow(2 * pairs)
+
+    @property
+    def _data(self) -> tuple[Floats, Ints, Ints, Bytes, Floats, Bytes]:
+        t = self._drawn
+        return self._vertices, t.faces, t.across, t.smooth, self._facets, self._kinds
+
+    def _make_room(self, topology: Topology) -> None:
+        self._vertices = np.zeros((topology.vertices, VERTEX_FIELDS))
+        self._facets = np.zeros((len(topology.faces), FACET_FIELDS))
+        self._kinds = np.zeros(len(topology.faces), np.uint8)
+
+    def _take(self, topology: Topology) -> None:
+        """Draw this topology, with room for its vertices and facets."""
+        self._drawn = topology
+        if topology.vertices > len(self._vertices) or len(topology.faces) > len(self._kinds):
+            self._make_room(topology)
+        for scratch in self._scratches:
+            if len(topology.faces) > len(scratch.shows):
+                scratch.shows, scratch.held = (np.full(len(topology.faces), -1, np.int32) for _ in range(2))
+
+    def _prepare(self, view: View) -> None:
+        """Project, cut and sort into bands."""
+        t, screen = self.topology, self.screen
+        if len(view.positions_m) < t.vertices or len(view.radiance) < t.entries:
+            raise ValueError(
+                f"the view has {len(view.positions_m)} vertices and {len(view.radiance)} radiances, "
+                f"its facets name {t.vertices} and {t.entries}"
+            )
+        if self._project(t, view):
+            t, view = clip(t, view, screen.nearest_m)
+            self._project(t, view)
+        entries = set_up(
+            self._vertices,
+            t.faces,
+            t.shades,
+            t.two_sided,
+            view.radiance,
+            view.radiance_rate,
+            (screen.height, screen.width),
+            self._facets,
+            self._kinds,
+            self._touched,
+        )
+        if entries > len(self._listed):
+            self._listed = np.zeros(2 * entries, np.int32)
+        bucket(self._kinds[: len(t.faces)], self._facets, screen.height, self._starts, self._listed)
+
+    def _project(self, topology: Topology, view: View) -> bool:
+        """Project the vertices; tell whether any is too near or behind."""
+        self._take(topology)
+        screen, n = self.screen, topology.vertices
+        camera = np.array([screen.focal_px, *screen.centre_px, screen.nearest_m])
+        return bool(project(view.positions_m[:n], view.velocities_m_s[:n], camera, self._vertices))

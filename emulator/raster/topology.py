@@ -1,0 +1,108 @@
+"""Facets of surfaces and their neighbours, prepared once for all pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from emulator.raster.layout import Bytes, Ints
+
+__all__ = ["Topology", "join", "prepare"]
+
+
+@dataclass(frozen=True, eq=False)
+class Topology:
+    """Facets of one or several surfaces.
+
+    Attributes
+    ----------
+    faces : (m, 3) int32, vertices of each facet, counter-clockwise as seen from outside.
+    shades : (m, 3) int32, for each corner the entry of the radiance arrays; `faces` itself for smooth shading.
+    across : (m, 3) int32, the facet behind side k, which goes from corner k to corner k + 1; -1 for none.
+    smooth : (m, 3) uint8, whether both facets of that side share the entries of `shades` at both ends.
+    two_sided : (m,) uint8, whether a facet is seen from behind too. A facet that is not is invisible from behind.
+    vertices, entries : how many vertices and radiances a view must have.
+    """
+
+    faces: Ints
+    shades: Ints
+    across: Ints
+    smooth: Bytes
+    two_sided: Bytes
+    vertices: int
+    entries: int
+
+
+def prepare(faces: npt.ArrayLike, *, shades: npt.ArrayLike | None = None, two_sided: bool = False) -> Topology:
+    """Return the topology of facets (m, 3), with `shades` (m, 3) where radiance is not one value a vertex."""
+    corners = _corners(faces)
+    entries = corners if shades is None else _corners(shades)
+    if entries.shape != corners.shape:
+        raise ValueError(f"shades have the shape {entries.shape}, faces {corners.shape}")
+    across, smooth = _neighbours(corners, entries)
+    sides = np.full(len(corners), two_sided, np.uint8)
+    return Topology(corners, entries, across, smooth, sides, _count(corners), _count(entries))
+
+
+def join(topologies: Sequence[Topology]) -> Topology:
+    """Return one topology of several surfaces, whose vertices and radiances follow each other in a view."""
+    if not topologies:
+        return prepare(np.zeros((0, 3), np.int32))
+    vertices, entries, facets = (
+        np.cumsum([0, *sizes])
+        for sizes in (
+            [t.vertices for t in topologies],
+            [t.entries for t in topologies],
+            [len(t.faces) for t in topologies],
+        )
+    )
+    across = [np.where(t.across < 0, -1, t.across + first) for t, first in zip(topologies, facets, strict=False)]
+    return Topology(
+        _stack([t.faces + first for t, first in zip(topologies, vertices, strict=False)]),
+        _stack([t.shades + first for t, first in zip(topologies, entries, strict=False)]),
+        _stack(across),
+        np.concatenate([t.smooth for t in topologies]),
+        np.concatenate([t.two_sided for t in topologies]),
+        int(vertices[-1]),
+        int(entries[-1]),
+    )
+
+
+def _stack(parts: list[npt.NDArray[np.integer]]) -> Ints:
+    return np.ascontiguousarray(np.concatenate(parts), np.int32)
+
+
+def _corners(faces: npt.ArrayLike) -> Ints:
+    corners = np.ascontiguousarray(faces, np.int32).reshape(-1, 3)
+    if corners.size and corners.min() < 0:
+        raise ValueError("a facet names a vertex below 0")
+    return corners
+
+
+def _count(corners: Ints) -> int:
+    return int(corners.max()) + 1 if corners.size else 0
+
+
+def _neighbours(corners: Ints, shades: Ints) -> tuple[Ints, Bytes]:
+    """Return `across` and `smooth`; sides that more than two facets share, or pass in one direction, stay alone."""
+    start, end = corners.ravel().astype(np.int64), np.roll(corners, -1, axis=1).ravel().astype(np.int64)
+    base = _count(corners)
+    forward, backward = start * base + end, end * base + start
+    across, smooth = np.full(start.size, -1, np.int32), np.zeros(start.size, np.uint8)
+    order = np.argsort(forward, kind="stable")
+    place = np.searchsorted(forward[order], backward)
+    found = np.zeros(start.size, bool)
+    inside = place < start.size
+    found[inside] = forward[order[place[inside]]] == backward[inside]
+    _, number, times = np.unique(forward, return_inverse=True, return_counts=True)
+    alone = times[number] == 1
+    side = np.flatnonzero(found & alone)
+    other = order[place[side]]
+    side, other = side[alone[other]], other[alone[other]]
+    across[side] = other // 3
+    first, last = shades.ravel(), np.roll(shades, -1, axis=1).ravel()
+    smooth[side] = (first[side] == last[other]) & (last[side] == first[other])
+    return across.reshape(-1, 3), smooth.reshape(-1, 3)

@@ -1,0 +1,308 @@
+"""The share of the Sun's disc that triangles cover, seen from points: penumbras of any shape, without a map or samples.
+
+From a point the Sun is a disc. Each triangle that shows its outside to the point and reaches into the cone of that disc
+covers the part of it that lies in the projected triangle, which is a closed formula (`solar_disc`). Such triangles of a
+closed surface tile without gaps, so the sum is exact for one layer, the edges between triangles leave no trace, and the
+share changes smoothly in time. Where two layers cover different parts of the disc their areas are added, at most to the
+whole disc, although they may overlap: that is too dark by up to the overlap, inside a penumbra only.
+
+A point sees a triangle's outside where it is above its plane by `near_m`, so a facet and its neighbours in one plane
+never hide the Sun from their own points.
+
+What makes it fast: the walk leaves out boxes beside the cone (a box widened by the cone's radius at its far side
+against the axis), it ends where the disc is covered, and points with an answer of 0 or 1 have no second evaluation.
+Within one rigid body most points keep their answer while the Sun turns by a degree or more (`dim_remembering`).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from emulator.scene.bodies.compiled import entry
+from emulator.scene.bodies.solar_disc import edge_area
+from emulator.scene.bodies.triangle_tree import after
+
+__all__ = ["MIXED", "Arrays", "Frame", "axes_around", "blank_memory", "covered", "dim", "dim_remembering"]
+
+Floats = npt.NDArray[np.float64]
+Arrays = tuple[Floats, npt.NDArray[np.int32], Floats, Floats]
+"""Boxes, starts, corners and planes of a `TriangleTree`."""
+Frame = tuple[float, float, float, float, float, float, float, float, float]
+
+MIXED = 2.0
+_WIDE_RAD = 0.05
+_NARROWER = 0.25
+_DUST = 1e-9  # shares below that are rounding
+_NEAREST = 1e-4  # of a triangle's distance: what is nearer along the axis than that is cut off
+
+
+@numba.njit(error_model="numpy")
+def axes_around(sx: float, sy: float, sz: float) -> Frame:
+    """Return two axes across a unit direction and the direction itself.
+
+    Source: Duff et al. 2017, Building an orthonormal basis, revisited, JCGT 6 (1).
+    """
+    sign = math.copysign(1.0, sz)
+    a = -1.0 / (sign + sz)
+    b = sx * sy * a
+    return 1.0 + sign * sx * sx * a, sign * b, -sign * sx, b, sign + sy * sy * a, -sy, sx, sy, sz
+
+
+@numba.njit(error_model="numpy")
+def _cut_area(corners: tuple[float, ...], nearest: float) -> float:
+    """Return the area in the disc of a triangle, three times (x, y, depth), of which a part lies behind the point."""
+    area, count = 0.0, 0
+    first_x = first_y = last_x = last_y = 0.0
+    px, py, pw = corners[6], corners[7], corners[8]
+    for k in range(3):
+        x, y, w = corners[3 * k], corners[3 * k + 1], corners[3 * k + 2]
+        for passing in range(2):
+            if passing == 0:
+                if (pw < nearest) == (w < nearest):
+                    continue
+                t = (nearest - pw) / (w - pw)
+                qx, qy = (px + t * (x - px)) / nearest, (py + t * (y - py)) / nearest
+            else:
+                if w < nearest:
+                    continue
+                qx, qy = x / w, y / w
+            if count:
+                area += edge_area(last_x, last_y, qx, qy)
+            else:
+                first_x, first_y = qx, qy
+            last_x, last_y = qx, qy
+            count += 1
+        px, py, pw = x, y, w
+    if count:
+        area += edge_area(last_x, last_y, first_x, first_y)
+    return area
+
+
+@numba.njit(error_model="numpy")
+def _triangle_area(corners: Floats, k: int, px: float, py: float, pz: float, axes: Frame) -> float:
+    """Return the area of the unit disc that triangle k covers; the axes across the Sun are longer by 1 / tan radius."""
+    x0, y0, z0 = corners[k, 0] - px, corners[k, 1] - py, corners[k, 2] - pz
+    x1, y1, z1 = corners[k, 3] - px, corners[k, 4] - py, corners[k, 5] - pz
+    x2, y2, z2 = corners[k, 6] - px, corners[k, 7] - py, corners[k, 8] - pz
+    ux, uy, uz, vx, vy, vz, sx, sy, sz = axes
+    w0, w1, w2 = x0 * sx + y0 * sy + z0 * sz, x1 * sx + y1 * sy + z1 * sz, x2 * sx + y2 * sy + z2 * sz
+    if w0 <= 0.0 and w1 <= 0.0 and w2 <= 0.0:
+        return 0.0
+    a0, a1, a2 = x0 * ux + y0 * uy + z0 * uz, x1 * ux + y1 * uy + z1 * uz, x2 * ux + y2 * uy + z2 * uz
+    if (a0 > w0 and a1 > w1 and a2 > w2) or (-a0 > w0 and -a1 > w1 and -a2 > w2):
+        return 0.0
+    b0, b1, b2 = x0 * vx + y0 * vy + z0 * vz, x1 * vx + y1 * vy + z1 * vz, x2 * vx + y2 * vy + z2 * vz
+    if (b0 > w0 and b1 > w1 and b2 > w2) or (-b0 > w0 and -b1 > w1 and -b2 > w2):
+        return 0.0
+    reach = abs(x0) + abs(y0) + abs(z0) + abs(x1) + abs(y1) + abs(z1) + abs(x2) + abs(y2) + abs(z2)
+    nearest = _NEAREST * reach
+    if w0 < nearest or w1 < nearest or w2 < nearest:
+        return abs(_cut_area((a0, b0, w0, a1, b1, w1, a2, b2, w2), nearest))
+    a0, b0, a1, b1, a2, b2 = a0 / w0, b0 / w0, a1 / w1, b1 / w1, a2 / w2, b2 / w2
+    return abs(edge_area(a0, b0, a1, b1) + edge_area(a1, b1, a2, b2) + edge_area(a2, b2, a0, b0))
+
+
+@numba.njit(error_model="numpy")
+def _box_in_cone(
+    boxes: Floats,
+    node: int,
+    px: float,
+    py: float,
+    pz: float,
+    sun: tuple[float, float, float],
+    inverse: tuple[float, float, float],
+    tangent: float,
+) -> bool:
+    """Tell whether a box may reach into the cone: widened by the cone's radius at its far side, it meets the axis."""
+    cx, cy, cz = boxes[node, 0] - px, boxes[node, 1] - py, boxes[node, 2] - pz
+    hx, hy, hz = boxes[node, 3], boxes[node, 4], boxes[node, 5]
+    far = cx * sun[0] + cy * sun[1] + cz * sun[2] + hx * abs(sun[0]) + hy * abs(sun[1]) + hz * abs(sun[2])
+    if far <= 0.0:
+        return False
+    wider = far * tangent
+    tx, ty, tz = cx * inverse[0], cy * inverse[1], cz * inverse[2]
+    rx, ry, rz = (hx + wider) * abs(inverse[0]), (hy + wider) * abs(inverse[1]), (hz + wider) * abs(inverse[2])
+    enter = max(tx - rx, ty - ry, tz - rz, 0.0)
+    return bool(enter <= min(tx + rx, ty + ry, tz + rz))
+
+
+@numba.njit(error_model="numpy")
+def _inverse(x: float) -> float:
+    return 1.0 / x if abs(x) > 1e-30 else 1e30
+
+
+@numba.njit(error_model="numpy")
+def covered(
+    tree: Arrays,
+    point: tuple[float, float, float],
+    sun: tuple[float, float, float],
+    tangent: float,
+    near_m: float,
+    enough: float,
+) -> float:
+    """Return the covered share of a disc around a direction, each layer counted: above 1 where there are several.
+
+    Parameters
+    ----------
+    point, sun : m, and the unit direction of the disc's middle, in the tree's frame.
+    tangent : of the disc's angular radius.
+    enough : the walk may end where the share is as high.
+    """
+    boxes, starts, corners, planes = tree
+    px, py, pz = point
+    ux, uy, uz, vx, vy, vz, sx, sy, sz = axes_around(sun[0], sun[1], sun[2])
+    k = 1.0 / tangent
+    axes = (k * ux, k * uy, k * uz, k * vx, k * vy, k * vz, sx, sy, sz)
+    inverse = (_inverse(sx), _inverse(sy), _inverse(sz))
+    leaves, node, area = len(starts) - 1, 1, 0.0
+    while True:
+        if _box_in_cone(boxes, node, px, py, pz, sun, inverse, tangent):
+            if node < leaves:
+                node *= 2
+                continue
+            for k in range(starts[node - leaves], starts[node - leaves + 1]):
+                if planes[k, 0] * px + planes[k, 1] * py + planes[k, 2] * pz > planes[k, 3] + near_m:
+                    area += _triangle_area(corners, k, px, py, pz, axes)
+            if area >= math.pi * enough:
+                return enough
+        node = after(node)
+        if node == 1:
+            return area / math.pi
+
+
+@numba.njit(error_model="numpy")
+def _place(moved: Floats, x: float, y: float, z: float) -> tuple[float, float, float]:
+    return (
+        moved[0, 0] * x + moved[0, 1] * y + moved[0, 2] * z + moved[0, 3],
+        moved[1, 0] * x + moved[1, 1] * y + moved[1, 2] * z + moved[1, 3],
+        moved[2, 0] * x + moved[2, 1] * y + moved[2, 2] * z + moved[2, 3],
+    )
+
+
+@numba.njit(error_model="numpy")
+def _hide(tree: Arrays, place: tuple[float, float, float], moved: Floats, reaches: tuple[float, float]) -> float:
+    """Return the covered share of the Sun's disc, 0 to 1; `moved` is (3, 5)."""
+    hidden = covered(tree, place, (moved[0, 4], moved[1, 4], moved[2, 4]), reaches[0], reaches[1], 1.0 - _DUST)
+    return 0.0 if hidden < _DUST else hidden if hidden < 1.0 - _DUST else 1.0
+
+
+@numba.njit(error_model="numpy")
+def _dim_point(
+    tree: Arrays, point: tuple[float, float, float], moved: Floats, reaches: tuple[float, float], shares: Floats, i: int
+) -> None:
+    x, y, z = point
+    hidden = _hide(tree, _place(moved[0], x, y, z), moved[0], reaches)
+    later = hidden
+    if 0.0 < hidden < 1.0:
+        later = _hide(tree, _place(moved[1], x, y, z), moved[1], reaches)
+    shares[0, i] *= 1.0 - hidden
+    shares[1, i] *= 1.0 - later
+
+
+@entry
+def dim(
+    tree: Arrays,
+    points: Floats,
+    chosen: npt.NDArray[np.int32],
+    count: int,
+    moved: Floats,
+    reaches: tuple[float, float],
+    shares: Floats,
+) -> None:
+    """Multiply the sunlit shares of chosen points by what the tree's triangles leave of the disc.
+
+    Parameters
+    ----------
+    points : (n, 3) m, in a frame of their own.
+    chosen, count : numbers of points, (count,) used.
+    moved : (2, 3, 5), now and an instant later: a rotation and a translation from the points' frame into the tree's,
+        and in the last column the Sun's direction in the tree's frame.
+    reaches : the tangent of the Sun's radius, and `near_m` of `covered`.
+    shares : (2, count), now and an instant later.
+    """
+    for i in range(count):
+        if shares[0, i] > 0.0 or shares[1, i] > 0.0:
+            k = chosen[i]
+            _dim_point(tree, (points[k, 0], points[k, 1], points[k, 2]), moved, reaches, shares, i)
+
+
+@numba.njit(error_model="numpy")
+def _layers(
+    tree: Arrays, point: tuple[float, float, float], sun: tuple[float, float, float], tangent: float, near_m: float
+) -> int:
+    """Return how many layers cover the whole disc, or -1 where an edge goes through it."""
+    layers = covered(tree, point, sun, tangent, near_m, 1e300)
+    whole = round(layers)
+    return int(whole) if abs(layers - whole) < _DUST else -1
+
+
+@numba.njit(error_model="numpy")
+def _remember(
+    tree: Arrays,
+    point: tuple[float, float, float],
+    sun: tuple[float, float, float],
+    wide: float,
+    reaches: tuple[float, float],
+    memory: Floats,
+    k: int,
+) -> None:
+    """Find how far the Sun may go with the same answer, at most `wide` (rad), and write row k of `memory`."""
+    radius = math.atan(reaches[0])
+    memory[k, 0], memory[k, 1], memory[k, 2] = sun
+    memory[k, 4] = MIXED
+    for part in range(2):
+        angle = wide if part == 0 else wide * _NARROWER
+        memory[k, 3] = math.cos(angle)
+        layers = _layers(tree, point, sun, math.tan(radius + angle), reaches[1])
+        if layers >= 0:
+            memory[k, 4] = 0.0 if layers > 0 else 1.0
+            return
+
+
+def blank_memory(points: int) -> Floats:
+    """Return the memory of `dim_remembering` with nothing in it, (points, 5)."""
+    memory = np.zeros((points, 5))
+    memory[:, 3] = 2.0
+    return memory
+
+
+@entry
+def dim_remembering(
+    tree: Arrays,
+    points: Floats,
+    chosen: npt.NDArray[np.int32],
+    count: int,
+    moved: Floats,
+    reaches: tuple[float, float],
+    memory: Floats,
+    shares: Floats,
+) -> None:
+    """Do as `dim` for points in the tree's own frame, and spare what cannot have changed.
+
+    A disc larger than the Sun's around its direction tells how far the Sun may go before an edge can reach it: where
+    whole layers cover the large disc, or nothing does, the answer stays until the Sun has gone as far. It is the same
+    answer as without memory, but for layers whose edges fall together and halve the large disc to a billionth.
+
+    Parameters
+    ----------
+    memory : (n, 5), of each point the Sun's direction when it was last looked at, the cosine up to which that holds,
+        and the share (0, 1 or MIXED: to be computed each time).
+    """
+    x, y, z = moved[0, 0, 4], moved[0, 1, 4], moved[0, 2, 4]
+    for i in range(count):
+        if not (shares[0, i] > 0.0 or shares[1, i] > 0.0):
+            continue
+        k = chosen[i]
+        point = (points[k, 0], points[k, 1], points[k, 2])
+        if not memory[k, 0] * x + memory[k, 1] * y + memory[k, 2] * z > memory[k, 3]:
+            wide = _WIDE_RAD * (0.5 + 0.5 * ((k * 0.6180339887) % 1.0))  # so that not all are looked at anew at once
+            _remember(tree, point, (x, y, z), wide, reaches, memory, k)
+        if memory[k, 4] == MIXED:
+            _dim_point(tree, point, moved, reaches, shares, i)
+        else:
+            shares[0, i] *= memory[k, 4]
+            shares[1, i] *= memory[k, 4]

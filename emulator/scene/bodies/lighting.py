@@ -1,0 +1,272 @@
+"""Radiance of bodies in sunlight at the points of their surfaces, and its rate of change, with shadows: on the CPU.
+
+    L = E_sun r(mu0, mu, g) share + ambient r(mu, mu, 0)
+
+with a law of reflection r and the share of the Sun's disc that is seen. Near the edge of what is hidden mu0 is the mean
+over the part of the disc that is seen, so all is smooth in time. Shadows:
+
+    smooth bodies        a table of horizons over all that is rigidly fixed to the body (`horizon_table`)
+    flat-shaded ones     covered areas of the disc, traced (`cast_shadow`); smooth ones too where a table would lose
+                         light under overhangs in more than LOST_AT_MOST of all directions
+    bodies on others     traced, in the frame of what throws the shadow
+
+The rate is that of the material point, a second of stream time: directions of the Sun and places of the camera and of
+other bodies in each body's frame, and their rates, come from poses shortly before and after (`Motion`).
+
+Left out: light from one surface onto another, but for the ambient light; the Sun's limb is as bright as its middle.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from emulator.geometry.attitude import Vector, unit
+from emulator.photometry.sun import Sun
+from emulator.scene.bodies.cast_shadow import blank_memory, dim, dim_remembering
+from emulator.scene.bodies.horizon_table import Horizons, dim_below, horizon_table, lost_light
+from emulator.scene.bodies.lighting_kernels import choose, dim_at_plane, glow
+from emulator.scene.bodies.lit_surface import Surface, shadow_triangles
+from emulator.scene.bodies.mesh import Mesh
+from emulator.scene.bodies.reflection_kernels import Law, law_of
+from emulator.scene.bodies.rigid_groups import RigidGroup, rigid_groups
+from emulator.scene.bodies.table import BodiesParameters
+from emulator.scene.bodies.triangle_tree import TriangleTree, build_tree
+from emulator.trajectory.pose import Pose, Trajectory
+from emulator.trajectory.timescale import Timescale
+
+__all__ = ["LOST_AT_MOST", "Glow", "Lighting", "Motion", "Poses", "motion_at"]
+
+LOST_AT_MOST = 0.002
+_NEAR = 1e-7  # of a tree's radius: points are above a plane from this height on
+_TURN_RAD = 1e-7  # by which things turn between the two instants of a rate
+_SIDE_NS = 1_000_000  # of scene time, between the poses for rates
+
+_LOG = logging.getLogger(__name__)
+
+Floats = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Poses:
+    """Where the camera and each body are in the world."""
+
+    camera: Pose
+    bodies: Sequence[Pose]
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Poses at an instant, and shortly before and after for rates.
+
+    Attributes
+    ----------
+    between_s : stream time from `before` to `after`, s.
+    """
+
+    now: Poses
+    before: Poses
+    after: Poses
+    between_s: float
+
+
+@dataclass(frozen=True, eq=False)
+class Glow:
+    """Light of a body at the points of its surface.
+
+    Attributes
+    ----------
+    radiance, rate : (e,) float64, W m-2 sr-1 and that a second; 0 at points that no facet shows to the camera.
+    """
+
+    radiance: Floats
+    rate: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class _Lit:
+    """A body's points in the frame of its group."""
+
+    points: Floats
+    normals: Floats
+    lean: Floats
+    law: Law
+    group: int
+    table: Horizons | None
+    memory: Floats
+    middle_m: Vector
+    radius_m: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """A group's surroundings in its own frame, now and an instant later: (2, 3, 3) and (2, 3)."""
+
+    world_from_group: Floats
+    places_m: Floats
+    suns: Floats
+    eyes_m: Floats
+
+
+def motion_at(t_ns: int, camera: Trajectory, bodies: Callable[[int], Sequence[Pose]], time: Timescale) -> Motion:
+    """Return the motion at stream time `t_ns`; `bodies` gives the poses of all at a scene time, ns.
+
+    Poses for rates are a millisecond of scene time away; at the start, where paths may begin, only after it.
+    """
+    now_ns = time.scene_ns(t_ns)
+    first_ns, last_ns = max(now_ns - _SIDE_NS, min(now_ns, time.scene_ns(0))), now_ns + _SIDE_NS
+    now, before, after = (Poses(camera.pose(t), bodies(t)) for t in (now_ns, first_ns, last_ns))
+    return Motion(now, before, after, (last_ns - first_ns) / (1e9 * time.factor))
+
+
+class Lighting:
+    """The light of the bodies of a scene. Not for several threads at once.
+
+    Parameters
+    ----------
+    meshes : of each body, as it throws shadows.
+    surfaces : of each body, where it is lit.
+    """
+
+    def __init__(self, parameters: BodiesParameters, meshes: Sequence[Mesh], surfaces: Sequence[Surface]) -> None:
+        self._sun, self._ambient = parameters.sun, parameters.ambient_w_m2
+        self._towards = unit(parameters.sun.direction)
+        self._groups = rigid_groups(parameters.bodies)
+        self._trees = [_group_tree(group, parameters, meshes) for group in self._groups]
+        self._bodies = self._lit(parameters, surfaces)
+        most = max(len(body.points) for body in self._bodies)
+        self._chosen, self._angles = np.empty(most, np.int32), np.empty((6, most))
+        self._shares, self._room = np.empty((2, most)), np.empty((3, most))
+
+    def light(self, motion: Motion) -> list[Glow]:
+        """Return the light of each body."""
+        step_s = self._step_s(motion)
+        seen = [self._seen(motion, group.members[0], step_s) for group in self._groups]
+        return [self._body_light(body, seen, step_s) for body in self._bodies]
+
+    def _lit(self, parameters: BodiesParameters, surfaces: Sequence[Surface]) -> list[_Lit]:
+        where = {k: (g, pose) for g, group in enumerate(self._groups) for k, pose in zip(*_both(group), strict=True)}
+        return [
+            _place(surface, law_of(body.reflectance), *where[k], self._trees[where[k][0]], parameters.sun)
+            for k, (body, surface) in enumerate(zip(parameters.bodies, surfaces, strict=True))
+        ]
+
+    def _step_s(self, motion: Motion) -> float:
+        """Return the time in which nothing turns, is seen to turn, or goes by its own size, by more than some 1e-7."""
+        roots = [group.members[0] for group in self._groups]
+        least_m = max(min(body.radius_m for body in self._bodies), 1e-9)
+        fastest = max(_turned(motion, k) for k in roots)
+        fastest = max(fastest, *(_moved_m(motion, k, roots[0]) / least_m for k in roots))
+        for body in self._bodies:
+            root = motion.now.bodies[roots[body.group]]
+            middle_m = root.position_m + root.world_from_body @ body.middle_m
+            gap_m = float(np.linalg.norm(motion.now.camera.position_m - middle_m)) - body.radius_m
+            fastest = max(fastest, _moved_m(motion, roots[body.group]) / max(gap_m, 1e-3 * body.radius_m, 1e-9))
+        return motion.between_s * (_TURN_RAD / fastest if fastest > 0 else 1.0)
+
+    def _seen(self, motion: Motion, root: int, step_s: float) -> _Seen:
+        now, before, after = (self._around(poses, root) for poses in (motion.now, motion.before, motion.after))
+        share = step_s / motion.between_s
+        both = (np.stack([a, a + share * (c - b)]) for a, b, c in zip(now, before, after, strict=True))
+        return _Seen(*both)
+
+    def _around(self, poses: Poses, root: int) -> tuple[Floats, Floats, Floats, Floats]:
+        """Return world_from_group, the group's place, and the Sun's direction and the camera's place in its frame."""
+        pose = poses.bodies[root]
+        turn, place = pose.world_from_body, pose.position_m
+        return turn, place, self._towards @ turn, (poses.camera.position_m - place) @ turn
+
+    def _body_light(self, body: _Lit, seen: Sequence[_Seen], step_s: float) -> Glow:
+        own, radius = seen[body.group], self._sun.radius_rad
+        lowest = -2.0 if self._ambient > 0 else -math.sin(radius)
+        surface = (body.points, body.normals, body.lean)
+        count = choose(surface, own.suns, own.eyes_m, lowest, self._chosen, self._angles)
+        cosines = self._angles[:2]
+        if body.table is not None:
+            dim_below(body.table, body.normals, self._chosen, count, own.suns, radius, cosines, self._shares)
+        else:
+            dim_at_plane(count, radius, cosines, self._shares)
+        for g, tree in enumerate(self._trees):
+            if tree is not None and (g != body.group or body.table is None):
+                self._cast(body, tree, own, seen[g], count)
+        out = np.zeros((2, len(body.points)))
+        light = (self._sun.irradiance_w_m2, self._ambient, step_s)
+        glow(body.law, light, self._chosen, count, self._angles, self._shares, self._room, out)
+        return Glow(out[0], out[1])
+
+    def _cast(self, body: _Lit, tree: TriangleTree, own: _Seen, other: _Seen, count: int) -> None:
+        """Dim the chosen points of a body by the shadow of a group."""
+        moved = np.empty((2, 3, 5))
+        for m in range(2):
+            moved[m, :, :3] = other.world_from_group[m].T @ own.world_from_group[m]
+            moved[m, :, 3] = other.world_from_group[m].T @ (own.places_m[m] - other.places_m[m])
+            moved[m, :, 4] = other.suns[m]
+        tangent = math.tan(self._sun.radius_rad)
+        reaches = (tangent, _NEAR * tree.radius_m)
+        if own is other:
+            chosen, memory = self._chosen, body.memory
+            dim_remembering(tree.arrays, body.points, chosen, count, moved, reaches, memory, self._shares)
+        elif _may_shade(tree, body, moved[0], tangent):
+            dim(tree.arrays, body.points, self._chosen, count, moved, reaches, self._shares)
+
+
+def _both(group: RigidGroup) -> tuple[tuple[int, ...], tuple[Pose, ...]]:
+    return group.members, group.poses
+
+
+def _group_tree(group: RigidGroup, parameters: BodiesParameters, meshes: Sequence[Mesh]) -> TriangleTree | None:
+    """Return the triangles that throw the shadows of a group, in its frame."""
+    parts = [
+        shadow_triangles(meshes[k]) @ pose.world_from_body.T + pose.position_m
+        for k, pose in zip(*_both(group), strict=True)
+        if parameters.shadows and parameters.bodies[k].throws_shadow
+    ]
+    return build_tree(np.concatenate(parts)) if parts else None
+
+
+def _place(surface: Surface, law: Law, group: int, pose: Pose, tree: TriangleTree | None, sun: Sun) -> _Lit:
+    """Return a body's points in the frame of its group, with a table of horizons where that serves."""
+    turn = pose.world_from_body.T
+    points, normals = surface.points @ turn + pose.position_m, surface.normals @ turn
+    table = _table(tree, points, normals, sun) if surface.smooth and tree is not None else None
+    low, high = points.min(axis=0), points.max(axis=0)
+    middle, radius_m = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
+    memory = blank_memory(len(points))
+    return _Lit(points, normals, surface.lean, law, group, table, memory, middle, radius_m)
+
+
+def _table(tree: TriangleTree, points: Floats, normals: Floats, sun: Sun) -> Horizons | None:
+    table = horizon_table(tree, points, normals)
+    lost = lost_light(tree, points, normals, table, math.tan(sun.radius_rad))
+    if lost <= LOST_AT_MOST:
+        return table
+    _LOG.info("a table of horizons would lose light in %.1f %% of directions: shadows are traced", 100 * lost)
+    return None
+
+
+def _turned(motion: Motion, k: int) -> float:
+    turn = motion.after.bodies[k].world_from_body - motion.before.bodies[k].world_from_body
+    return float(np.linalg.norm(turn))
+
+
+def _moved_m(motion: Motion, k: int, other: int | None = None) -> float:
+    """Return how far body k goes against another one, or the camera."""
+    places = [
+        (poses.camera if other is None else poses.bodies[other]).position_m - poses.bodies[k].position_m
+        for poses in (motion.before, motion.after)
+    ]
+    return float(np.linalg.norm(places[1] - places[0]))
+
+
+def _may_shade(tree: TriangleTree, body: _Lit, moved: Floats, tangent: float) -> bool:
+    """Tell whether a ball around a body reaches into the shadow of the ball around a tree; `moved` is (3, 5)."""
+    away = tree.middle_m - (moved[:, :3] @ body.middle_m + moved[:, 3])
+    reach_m = tree.radius_m + body.radius_m
+    along = float(away @ moved[:, 4])
+    beside = math.sqrt(max(float(away @ away) - along * along, 0.0))
+    return along > -reach_m and beside < reach_m + tangent * (along + reach_m)

@@ -1,0 +1,155 @@
+"""Where the light of a surface is computed: one place and normal for each radiance that a renderer is given.
+
+On a smooth surface each vertex has one radiance. On a flat-shaded one each vertex has one for each plane that meets
+there: corners of facets that lie in one plane share theirs, so subdividing a flat side costs one radiance a vertex.
+
+Places are a little away from the vertices: on smooth surfaces above them, so that the facets around count for shadows;
+on flat ones inside their plane's facets, so that at the foot of a wall it is told on which side of it a corner is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from emulator.scene.bodies.mesh import Mesh
+
+__all__ = ["Surface", "lit_surface", "shadow_triangles", "subdivide"]
+
+_LIFT = 1e-4  # of the mean length of sides
+_INWARD = 1e-3  # of the way to the middle of the facets around
+_MOST_FACETS = 1e7
+_ONE_PLANE = 1e-6  # normals that differ by less are one
+
+Floats = npt.NDArray[np.float64]
+Faces = npt.NDArray[np.int32]
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """A surface to be lit, in its body's frame.
+
+    Attributes
+    ----------
+    vertices : (n, 3) m.
+    faces : (m, 3) int32, vertices of each facet, counter-clockwise as seen from outside.
+    shades : (m, 3) int32, for each corner the number of its radiance; `faces` where the surface is smooth.
+    points, normals : (e, 3) m and unit, of each radiance.
+    lean : (e,) sine of the largest angle between a normal and the facets that meet there: a point is seen only by eyes
+        that are not lower than this under its tangent plane.
+    smooth : whether normals are interpolated.
+    """
+
+    vertices: Floats
+    faces: Faces
+    shades: Faces
+    points: Floats
+    normals: Floats
+    lean: Floats
+    smooth: bool
+
+
+def lit_surface(mesh: Mesh, *, smooth: bool) -> Surface:
+    """Return where a mesh is to be lit."""
+    return _smooth(mesh) if smooth else _flat(mesh)
+
+
+def _smooth(mesh: Mesh) -> Surface:
+    cosines = (_facet_normals(mesh)[:, None] * mesh.normals[mesh.faces]).sum(axis=2)
+    least = np.ones(len(mesh.vertices))
+    np.minimum.at(least, mesh.faces, cosines)
+    lean = np.where(least > 0, np.sqrt(np.maximum(1 - least * least, 0)), 1.0) + 1e-9
+    points = mesh.vertices + _LIFT * _side_m(mesh) * mesh.normals
+    return Surface(mesh.vertices, mesh.faces, mesh.faces, points, mesh.normals, lean, True)
+
+
+def _flat(mesh: Mesh) -> Surface:
+    """Corners at one vertex whose normals round to the same are one; the rounding may split some, which is harmless."""
+    normals = np.repeat(_facet_normals(mesh), 3, axis=0)
+    key = np.column_stack([mesh.faces.ravel(), np.round(normals / _ONE_PLANE)])
+    _, first, shade = np.unique(key, axis=0, return_index=True, return_inverse=True)
+    shade = shade.ravel()
+    middles = np.repeat(mesh.vertices[mesh.faces].mean(axis=1), 3, axis=0)
+    sums = np.column_stack([np.bincount(shade, column) for column in middles.T])
+    inside = sums / np.bincount(shade)[:, None]
+    points = mesh.vertices[mesh.faces.ravel()[first]] * (1 - _INWARD) + _INWARD * inside
+    shades = shade.astype(np.int32).reshape(-1, 3)
+    return Surface(mesh.vertices, mesh.faces, shades, points, normals[first], np.full(len(points), 1e-9), False)
+
+
+def shadow_triangles(mesh: Mesh) -> Floats:
+    """Return the triangles that throw a mesh's shadow, (m, 3, 3) m, seen from their outside; both sides of a sheet."""
+    triangles = mesh.vertices[mesh.faces]
+    return np.concatenate([triangles, triangles[:, ::-1]]) if mesh.open_edges else triangles
+
+
+def subdivide(mesh: Mesh, size_m: float) -> Mesh:
+    """Return a mesh without a side longer than `size_m`; no vertex is put on a side of one facet alone."""
+    if not size_m > 0:
+        raise ValueError(f"a size of {size_m} m: sides can be made no longer than a length above 0")
+    if mesh.area_m2 / size_m**2 > _MOST_FACETS:
+        raise ValueError(f"a size of {size_m} m: sides as short would need more than {_MOST_FACETS:g} facets")
+    vertices, faces, normals = mesh.vertices, mesh.faces, mesh.normals
+    while (split := _long_sides(vertices, faces, size_m)).any():
+        vertices, faces, normals = _split(vertices, faces, normals, split)
+    return Mesh(vertices, faces, normals, mesh.dropped_facets, mesh.open_edges, mesh.was_inside_out)
+
+
+def _long_sides(vertices: Floats, faces: Faces, size_m: float) -> npt.NDArray[np.bool_]:
+    """Tell which sides, (m, 3), from corner k to k + 1, are too long; both facets of a side get the same answer."""
+    low, high = _ends(faces)
+    return np.asarray(((vertices[low] - vertices[high]) ** 2).sum(axis=2) > size_m * size_m)
+
+
+def _ends(faces: Faces) -> tuple[Faces, Faces]:
+    after = np.roll(faces, -1, axis=1)
+    return np.minimum(faces, after), np.maximum(faces, after)
+
+
+def _split(
+    vertices: Floats, faces: Faces, normals: Floats, split: npt.NDArray[np.bool_]
+) -> tuple[Floats, Faces, Floats]:
+    """Put a vertex in the middle of the sides of `split`, (m, 3), and cut the facets there."""
+    low, high = _ends(faces)
+    sides, number = np.unique(np.column_stack([low[split], high[split]]), axis=0, return_inverse=True)
+    middle = np.full(faces.shape, -1, np.int64)
+    middle[split] = len(vertices) + number.ravel()
+    new_normals = normals[sides].sum(axis=1)
+    length = np.linalg.norm(new_normals, axis=1, keepdims=True)
+    new_normals = np.where(length > 1e-6, new_normals / np.maximum(length, 1e-6), normals[sides[:, 0]])
+    cut = [_cut(faces, middle, split, count) for count in range(4)]
+    return (
+        np.concatenate([vertices, vertices[sides].mean(axis=1)]),
+        np.concatenate(cut).astype(np.int32),
+        np.concatenate([normals, new_normals]),
+    )
+
+
+def _cut(faces: Faces, middle: npt.NDArray[np.int64], split: npt.NDArray[np.bool_], count: int) -> Faces:
+    """Return the parts of the facets of which `count` sides are split; the first side that differs is turned first."""
+    chosen = np.flatnonzero(split.sum(axis=1) == count)
+    odd = split if count == 1 else ~split  # one side is split, or one is not
+    turn = odd[chosen].argmax(axis=1)[:, None]
+    columns = (turn + np.arange(3)) % 3
+    a, b, c = np.take_along_axis(faces[chosen], columns, axis=1).T
+    ab, bc, ca = np.take_along_axis(middle[chosen], columns, axis=1).T
+    parts = {
+        0: [(a, b, c)],
+        1: [(a, ab, c), (ab, b, c)],
+        2: [(bc, c, ca), (a, b, bc), (a, bc, ca)],
+        3: [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)],
+    }[count]
+    return np.concatenate([np.column_stack(part) for part in parts])
+
+
+def _facet_normals(mesh: Mesh) -> Floats:
+    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
+    normals = np.cross(b - a, c - a)
+    return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300))
+
+
+def _side_m(mesh: Mesh) -> float:
+    sides = mesh.vertices[mesh.faces] - mesh.vertices[np.roll(mesh.faces, 1, axis=1)]
+    return float(np.linalg.norm(sides, axis=2).mean())
