@@ -127,7 +127,9 @@ class CanWay:
                 return True
             self.receiver.push(frame, self._now_ns)
             replies = self.receiver.take_replies()
-            source.left()
+            ended = source.left()
+            if ended is not None:
+                source.delivered(ended)
             for reply in replies:
                 self._hear(reply)
             return True
