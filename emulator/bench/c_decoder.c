@@ -1,7 +1,8 @@
 /* Times the C decoder on this machine: c_decoder MODE FILE REPEATS.
  *
- * MODE 'b': FILE holds blocks, each behind a u32 with its length; 'c', 'k', 'x': telemetry in COBS, in KISS, CSP in KISS; 'd':
- * DAVIS words. Prints the events of one pass, a sum over their fields, and then the nanoseconds of processor time of each pass. */
+ * MODE 'b': FILE holds blocks, each behind a u32 with its length; 'c', 'k', 'x': telemetry in COBS, in KISS, CSP in
+ * KISS; 'd': DAVIS words. Prints the events of one pass, a sum over their fields, and then the nanoseconds of processor
+ * time of each pass. */
 #include <inttypes.h>
 #include <stdio.h>
 #include <stdlib.h>

@@ -168,7 +168,7 @@ struct evstim_isotp {
     size_t length, at;  /* of the message under way, 0 for none; bytes that have come */
     uint8_t serial;     /* of the last frame */
     uint8_t in_block;   /* consecutive frames since the last flow control */
-    uint8_t block_size; /* frames between flow controls that we ask for, 0 for all; may be set after the init function */
+    uint8_t block_size; /* frames between flow controls that we ask for, 0 for all; may be set after init */
     uint8_t separation; /* STmin that we ask for: 0 to 127 ms; likewise */
     uint8_t reply[8];   /* flow control to send at once, where has_reply is true; with flow control off leave it */
     bool has_reply;     /* set anew by each frame */

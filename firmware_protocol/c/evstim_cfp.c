@@ -1,12 +1,14 @@
 /* The CAN fragmentation protocol of CSP version 2 (CFP 2), the receiving side.
  *
- *   identifier  28..27 priority | 26..13 destination | 12..7 sender | 6..5 packet count | 4..2 frame count | 1 begin | 0 end
+ *   identifier  28..27 priority | 26..13 destination | 12..7 sender | 6..5 packet count | 4..2 frame count | 1 begin
+ *               | 0 end
  *
  * The data of the first frame begin with the last four bytes of the CSP header; its first two are bits 28 to 13 of the
  * identifier. */
 #include "evstim.h"
 
-enum { END = 1, BEGIN = 2, FRAME_COUNT_BITS = 7, SENDER_BITS = 0x3F, NODE_BITS = 0x3FFF, HEADER_LEFT = 4, MOST_BYTES = 8 };
+enum { END = 1, BEGIN = 2, FRAME_COUNT_BITS = 7, SENDER_BITS = 0x3F, NODE_BITS = 0x3FFF };
+enum { HEADER_LEFT = 4, MOST_BYTES = 8 };
 
 void evstim_cfp_init(struct evstim_cfp *cfp, uint16_t node, uint16_t peer, uint8_t *buffer, size_t capacity)
 {

@@ -24,7 +24,7 @@ enum { SCIENCE_SERVICE = 128, EVENTS = 129, EDGES = 130 };
 enum { CSP_COUNT_AT = 6, CSP_TIME_AT = 8, CSP_DATA_AT = 15, CSP_COUNT_BITS = 0xFFFF };
 enum { PORT_EVENTS = 9, PORT_EDGES, PORT_HOUSEKEEPING, PORT_VERIFICATION, PORT_TIME, PORT_PONG };
 
-/* Service and subtype of what goes to the ports from PORT_HOUSEKEEPING on; a verification's subtype is its first octet. */
+/* Service and subtype of the ports from PORT_HOUSEKEEPING on; a verification's subtype is the first octet of its data. */
 static const uint8_t csp_types[][2] = {{3, 25}, {1, 0}, {9, 2}, {17, 2}};
 
 static uint16_t u16(const uint8_t *p)
