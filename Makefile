@@ -5,15 +5,12 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
 
-# What a mesh needs to be drawn.
-APT_DEMO := libegl1 libgl1 libgl1-mesa-dri
-# What the real-USB tests need: a machine to boot Linux in, and Debian's own tools in it.
-APT_TEST := $(APT_DEMO) qemu-system-x86 busybox-static usbip cpio kmod libusb-1.0-0 can-utils iproute2 gcc libc6-dev gcc-arm-none-eabi qemu-system-arm
+# What the tests need: GL as the check of the CPU renderer, a machine to boot Linux in, and Debian's own tools in it.
+APT_TEST := libegl1 libgl1 libgl1-mesa-dri qemu-system-x86 busybox-static usbip cpio kmod libusb-1.0-0 can-utils iproute2 gcc libc6-dev gcc-arm-none-eabi qemu-system-arm
 
 .PHONY: demo test fast check docs bench clean
 
 demo: $(VENV)/.installed
-	@.ci/apt $(APT_DEMO)
 	$(BIN)/evstim demo
 
 test: $(VENV)/.installed-test

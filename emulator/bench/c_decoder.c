@@ -1,7 +1,8 @@
 /* Times the C decoder on this machine: c_decoder MODE FILE REPEATS.
  *
- * MODE 'b': FILE holds blocks, each behind a u32 with its length; 'c': telemetry in COBS; 'd': DAVIS words. Prints the
- * events of one pass, a sum over their fields, and then the nanoseconds of processor time of each pass. */
+ * MODE 'b': FILE holds blocks, each behind a u32 with its length; 'c', 'k', 'x': telemetry in COBS, in KISS, CSP in
+ * KISS; 'd': DAVIS words. Prints the events of one pass, a sum over their fields, and then the nanoseconds of processor
+ * time of each pass. */
 #include <inttypes.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -33,12 +34,27 @@ static void decode_blocks(const uint8_t *bytes, size_t n)
     }
 }
 
+static void decode_telemetry(enum evstim_framing framing, const uint8_t *bytes, size_t n)
+{
+    static uint8_t packet[1050];
+    struct evstim_telemetry telemetry;
+    evstim_telemetry_init(&telemetry, framing, packet, sizeof packet, 346, 260, &sink);
+    evstim_telemetry_push(&telemetry, bytes, n);
+}
+
 static void decode_line(const uint8_t *bytes, size_t n)
 {
-    static uint8_t packet[1046];
-    struct evstim_telemetry telemetry;
-    evstim_telemetry_init(&telemetry, EVSTIM_COBS, packet, sizeof packet, 346, 260, &sink);
-    evstim_telemetry_push(&telemetry, bytes, n);
+    decode_telemetry(EVSTIM_COBS, bytes, n);
+}
+
+static void decode_kiss(const uint8_t *bytes, size_t n)
+{
+    decode_telemetry(EVSTIM_KISS, bytes, n);
+}
+
+static void decode_csp(const uint8_t *bytes, size_t n)
+{
+    decode_telemetry(EVSTIM_CSP_KISS, bytes, n);
 }
 
 static void decode_words(const uint8_t *bytes, size_t n)
@@ -74,8 +90,11 @@ int main(int argc, char **argv)
     size_t n;
     if (argc != 4)
         return 2;
-    void (*decode)(const uint8_t *, size_t) =
-        argv[1][0] == 'b' ? decode_blocks : argv[1][0] == 'c' ? decode_line : decode_words;
+    void (*decode)(const uint8_t *, size_t) = argv[1][0] == 'b'   ? decode_blocks
+                                              : argv[1][0] == 'c' ? decode_line
+                                              : argv[1][0] == 'k' ? decode_kiss
+                                              : argv[1][0] == 'x' ? decode_csp
+                                                                  : decode_words;
     uint8_t *bytes = read_all(argv[2], &n);
     decode(bytes, n);
     printf("%" PRIu64 " %" PRIu64 "\n", events, sum);

@@ -32,14 +32,16 @@ COMPILER = shutil.which("cc")
 """The compiler, None if there is none."""
 
 _REPEATS = 9
+_MODES = {"blocks": "b", "line": "c", "kiss": "k", "csp": "x", "words": "d"}
+_PROFILES = {"line": "ccsds-cobs", "kiss": "ccsds-kiss", "csp": "csp-kiss"}
 _PROGRAM = Path(__file__).with_suffix(".c")
 
 
 @dataclass(frozen=True)
 class CDecoding:
-    """Mev/s from blocks, from a serial line (ccsds-cobs), or from DAVIS words to events."""
+    """Mev/s from blocks, from a serial line (ccsds-cobs, ccsds-kiss, csp-kiss), or from DAVIS words to events."""
 
-    form: Literal["blocks", "line", "words"]
+    form: Literal["blocks", "line", "kiss", "csp", "words"]
 
     def __call__(self) -> float:
         """Compile and measure; raises BenchFailed where there is no compiler or an event is wrong."""
@@ -51,7 +53,7 @@ class CDecoding:
             files: list[str | Path] = [_PROGRAM, *sources(), "-o", program]
             subprocess.run([COMPILER, "-std=gnu99", "-O2", f"-I{FOLDER}", *files], check=True)
             data.write_bytes(_encoded(events, self.form))
-            mode = {"blocks": "b", "line": "c", "words": "d"}[self.form]
+            mode = _MODES[self.form]
             done = subprocess.run([program, mode, data, str(_REPEATS)], check=True, capture_output=True, text=True)
         first, *times_ns = done.stdout.splitlines()
         if first != f"{len(events)} {_sum(events)}":
@@ -67,10 +69,10 @@ def _sum(events: Events) -> int:
 def _encoded(events: Events, form: str) -> bytes:
     if form == "words":
         return WordEncoder(SIZE).encode(events).words.tobytes()
-    encoder, profile, pieces = BlockEncoder(SIZE), Profile("ccsds-cobs"), []
+    encoder, profile, pieces = BlockEncoder(SIZE), Profile(_PROFILES.get(form, "ccsds-cobs")), []
     while len(events):
         block, taken = encoder.encode(events)
-        if form == "line":
+        if form in _PROFILES:
             pieces.append(profile.wrap(Message(MessageKind.EVENTS, block, int(events["t"][0]))))
         else:
             pieces.append(struct.pack("<I", len(block)) + block)

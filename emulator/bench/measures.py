@@ -34,6 +34,8 @@ SMALL, LARGE = (346, 260), (1280, 720)
 _IN_C = (
     Measure("c_decode_blocks", "Mev/s", "higher", 30, CDecoding("blocks")),
     Measure("c_decode_line", "Mev/s", "higher", 30, CDecoding("line")),
+    Measure("c_decode_kiss", "Mev/s", "higher", 30, CDecoding("kiss")),
+    Measure("c_decode_csp", "Mev/s", "higher", 30, CDecoding("csp")),
     Measure("c_decode_words", "Mev/s", "higher", None, CDecoding("words")),
 )
 

@@ -56,7 +56,7 @@ struct evstim_sink {
     void *context;
 };
 
-/* ---- CRC-16-CCITT ------------------------------------------------------------------------------------------------ */
+/* ---- Checksums --------------------------------------------------------------------------------------------------- */
 
 #define EVSTIM_CRC16_START 0xFFFFu
 
@@ -64,27 +64,35 @@ struct evstim_sink {
  * "123456789" gives 0x29B1; a message followed by its own CRC, big-endian, gives 0. */
 uint16_t evstim_crc16(uint16_t crc, const uint8_t *bytes, size_t n);
 
-/* ---- Frames out of bytes: COBS, SLIP ----------------------------------------------------------------------------- */
+/* CRC-32C of `n` bytes that follow those with the CRC `crc`, 0 for none. "123456789" gives 0xE3069283. */
+uint32_t evstim_crc32c(uint32_t crc, const uint8_t *bytes, size_t n);
+
+/* The length of the data before a CRC-32C, big-endian, of all before it; 0 where that does not fit. */
+size_t evstim_sealed_length(const uint8_t *bytes, size_t n);
+
+/* ---- Frames out of bytes: COBS, SLIP, KISS ----------------------------------------------------------------------- */
 
 struct evstim_deframer {
     uint8_t *buffer;
     size_t capacity;
     size_t length; /* bytes of the frame so far */
     uint8_t left;  /* COBS: bytes until the next code byte. SLIP: 1 after an escape byte */
-    uint8_t code;  /* COBS: the last code byte, 0 before the first */
+    uint8_t code;  /* COBS: the last code byte, 0 before the first. KISS: 1 after the command byte */
     bool broken;   /* this frame cannot become whole any more */
     uint32_t frames;    /* whole frames */
     uint32_t malformed; /* frames that broke the rules of their framing */
     uint32_t too_long;  /* frames that did not fit the buffer */
+    uint32_t wrong_crc; /* KISS frames with a wrong CRC-32C */
 };
 
-/* Make ready. A frame may be as long as the buffer, after the framing is taken off. */
+/* Make ready. A frame may be as long as the buffer, after the framing is taken off but for KISS's CRC-32C. */
 void evstim_deframer_init(struct evstim_deframer *deframer, uint8_t *buffer, size_t capacity);
 
 /* Take one byte. Returns the length of the frame that this byte completed, which lies at deframer->buffer until the
  * next call, or 0. Empty frames (runs of delimiters) are passed over. */
 size_t evstim_cobs_byte(struct evstim_deframer *deframer, uint8_t byte);
 size_t evstim_slip_byte(struct evstim_deframer *deframer, uint8_t byte);
+size_t evstim_kiss_byte(struct evstim_deframer *deframer, uint8_t byte);
 
 /* ---- Event blocks ------------------------------------------------------------------------------------------------ */
 
@@ -112,10 +120,17 @@ void evstim_blocks_init(struct evstim_blocks *blocks, uint16_t width, uint16_t h
  * has been delivered. */
 bool evstim_block(struct evstim_blocks *blocks, const uint8_t *bytes, size_t n, uint64_t near_us);
 
-/* ---- Telemetry on a serial line: profiles ccsds-cobs and ccsds-slip; packets of ISO-TP: profile ccsds ------------ */
+/* ---- Telemetry: packets on a serial line, or in the messages of ISO-TP and CFP ----------------------------------- */
 
-enum evstim_framing { EVSTIM_COBS, EVSTIM_SLIP };
-enum { EVSTIM_APID = 0x2A0, EVSTIM_SCIENCE_APID = 0x2A1 };
+/* Profiles ccsds-cobs, ccsds-slip, ccsds-kiss, csp-kiss. */
+enum evstim_framing { EVSTIM_COBS, EVSTIM_SLIP, EVSTIM_KISS, EVSTIM_CSP_KISS };
+enum { EVSTIM_APID = 0x2A0, EVSTIM_SCIENCE_APID = 0x2A1, EVSTIM_CSP_NODE = 10, EVSTIM_CSP_PEER = 1 };
+
+/* The count that the next packet with a block should have. */
+struct evstim_sequence {
+    uint16_t expected;
+    bool followed; /* there has been one */
+};
 
 /* Bytes -> frames -> packets -> blocks -> events. */
 struct evstim_telemetry {
@@ -123,8 +138,8 @@ struct evstim_telemetry {
     struct evstim_blocks blocks;
     enum evstim_framing framing;
     uint16_t apid, science_apid; /* of the camera; may be changed after the init function */
-    uint16_t expected;           /* next sequence count of events and edges */
-    bool followed;               /* there has been one */
+    uint16_t csp_node, csp_peer; /* CSP addresses of the camera and of this computer; likewise */
+    struct evstim_sequence sequences[2]; /* space packets; CSP: events, edges */
     uint32_t packets;    /* good ones with a block */
     uint32_t others;     /* good ones without: idle, and those handed to sink->report */
     uint32_t refused;    /* damaged, or not from this camera */
@@ -132,14 +147,69 @@ struct evstim_telemetry {
     uint32_t disordered; /* packets with a block whose count was behind: repeated, late, or the camera began anew */
 };
 
-/* Make ready. The buffer holds one packet: the longest block and 22 bytes; with the camera's default of 1024 bytes for
- * a block, 1046. */
+/* Make ready. The buffer holds one packet: the longest block and 22 bytes, 26 with KISS; with the camera's default of
+ * 1024 bytes for a block, 1046 or 1050. */
 void evstim_telemetry_init(struct evstim_telemetry *telemetry, enum evstim_framing framing, uint8_t *buffer,
                            size_t capacity, uint16_t width, uint16_t height, const struct evstim_sink *sink);
 void evstim_telemetry_push(struct evstim_telemetry *telemetry, const uint8_t *bytes, size_t n);
 
-/* Take one whole packet, from a carrier that keeps packets apart; the buffer is not used. Returns whether it was good. */
+/* Take one whole packet, from a carrier that keeps packets apart: profile ccsds (a space packet, as ISO-TP brings it),
+ * profile csp (a CSP packet with its CRC-32C behind it, as CFP brings it). The telemetry's buffer is not used.
+ * Returns whether it was good. */
 bool evstim_telemetry_packet(struct evstim_telemetry *telemetry, const uint8_t *packet, size_t n);
+bool evstim_telemetry_csp_packet(struct evstim_telemetry *telemetry, const uint8_t *packet, size_t n);
+
+/* ---- Messages in CAN frames: carriages isotp and cfp ------------------------------------------------------------- */
+
+/* Puts the messages of one ISO-TP sender together (ISO 15765-2, normal addressing, classic CAN and CAN FD). */
+struct evstim_isotp {
+    uint8_t *buffer;
+    size_t capacity;
+    size_t length, at;  /* of the message under way, 0 for none; bytes that have come */
+    uint8_t serial;     /* of the last frame */
+    uint8_t in_block;   /* consecutive frames since the last flow control */
+    uint8_t block_size; /* frames between flow controls that we ask for, 0 for all; may be set after init */
+    uint8_t separation; /* STmin that we ask for: 0 to 127 ms; likewise */
+    uint8_t reply[8];   /* flow control to send at once, where has_reply is true; with flow control off leave it */
+    bool has_reply;     /* set anew by each frame */
+    uint32_t messages;  /* whole ones */
+    uint32_t malformed; /* frames that ISO-TP does not have */
+    uint32_t too_long;  /* messages that the buffer cannot hold */
+    uint32_t disordered;        /* messages given up: a frame was missing or repeated */
+    uint32_t cut_short;         /* messages given up: another began */
+    uint32_t without_beginning; /* frames of no message under way */
+};
+
+/* Make ready. The buffer holds one message: as evstim_telemetry_init says. */
+void evstim_isotp_init(struct evstim_isotp *isotp, uint8_t *buffer, size_t capacity);
+
+/* Take the data of one frame of the camera's identifier `telemetry`. Returns the length of the message that it
+ * completed, which lies in the buffer until the next call, or 0. There is no clock: a message whose end never comes
+ * stays under way until the next one begins. */
+size_t evstim_isotp_frame(struct evstim_isotp *isotp, const uint8_t *data, size_t n);
+
+/* Puts the CSP packets of one node together (CFP 2, CSP version 2, classic CAN). */
+struct evstim_cfp {
+    uint8_t *buffer;
+    size_t capacity;
+    uint16_t node, peer; /* CSP addresses of the camera, of which six bits count, and of this computer */
+    size_t length;       /* of the packet under way, 0 for none */
+    uint32_t connection; /* priority and packet count of it */
+    uint8_t next;        /* frame count that should come */
+    uint32_t packets;    /* whole ones; their CRC-32C is yet to be checked */
+    uint32_t malformed;  /* frames that CFP does not have */
+    uint32_t too_long;   /* packets that the buffer cannot hold */
+    uint32_t disordered;        /* packets given up: a frame was missing or repeated */
+    uint32_t cut_short;         /* packets given up: another began */
+    uint32_t without_beginning; /* frames of no packet under way */
+};
+
+/* Make ready. The buffer holds one packet: the longest block and 19 bytes. */
+void evstim_cfp_init(struct evstim_cfp *cfp, uint16_t node, uint16_t peer, uint8_t *buffer, size_t capacity);
+
+/* Take one classic frame of an extended (29-bit) identifier; those of others are passed over. Returns the length of the
+ * packet that it completed, which lies in the buffer until the next call, or 0. */
+size_t evstim_cfp_frame(struct evstim_cfp *cfp, uint32_t identifier, const uint8_t *data, size_t n);
 
 /* ---- Raw CAN frames ---------------------------------------------------------------------------------------------- */
 

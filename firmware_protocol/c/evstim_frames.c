@@ -1,12 +1,14 @@
-/* COBS and SLIP (RFC 1055), a byte at a time.
+/* COBS, SLIP (RFC 1055) and KISS as libcsp has it, a byte at a time.
  *
  * COBS: a code byte c stands before c - 1 bytes without a zero, and for a zero after them unless c is 0xFF or the frame
- * ends there; 0x00 ends the frame. SLIP: 0xC0 ends the frame; 0xDB 0xDC stands for 0xC0, 0xDB 0xDD for 0xDB.
+ * ends there; 0x00 ends the frame. SLIP: 0xC0 ends the frame; 0xDB 0xDC stands for 0xC0, 0xDB 0xDD for 0xDB. KISS: SLIP
+ * with a byte 0x00 in front and the big-endian CRC-32C of the data behind them.
  *
  * Whatever goes wrong, the next delimiter starts afresh. */
 #include "evstim.h"
 
 enum { COBS_END = 0x00, COBS_FULL = 0xFF, SLIP_END = 0xC0, SLIP_ESC = 0xDB, SLIP_ESC_END = 0xDC, SLIP_ESC_ESC = 0xDD };
+enum { KISS_DATA = 0x00, CRC32_BYTES = 4 };
 
 void evstim_deframer_init(struct evstim_deframer *deframer, uint8_t *buffer, size_t capacity)
 {
@@ -80,4 +82,32 @@ size_t evstim_slip_byte(struct evstim_deframer *d, uint8_t byte)
         append(d, byte);
     }
     return 0;
+}
+
+size_t evstim_sealed_length(const uint8_t *bytes, size_t n)
+{
+    if (n < CRC32_BYTES)
+        return 0;
+    const uint8_t *p = bytes + n - CRC32_BYTES;
+    uint32_t sent = (uint32_t)p[0] << 24 | (uint32_t)p[1] << 16 | (uint32_t)p[2] << 8 | p[3];
+    return evstim_crc32c(0, bytes, n - CRC32_BYTES) == sent ? n - CRC32_BYTES : 0;
+}
+
+size_t evstim_kiss_byte(struct evstim_deframer *d, uint8_t byte)
+{
+    if (byte != SLIP_END && d->code == 0) {
+        d->code = 1;
+        if (byte != KISS_DATA)
+            break_frame(d);
+        return 0;
+    }
+    size_t length = evstim_slip_byte(d, byte);
+    if (length == 0)
+        return 0;
+    size_t checked = evstim_sealed_length(d->buffer, length);
+    if (checked == 0) {
+        d->frames--;
+        d->wrong_crc++;
+    }
+    return checked;
 }

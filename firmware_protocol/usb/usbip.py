@@ -3,29 +3,7 @@
 Source: Linux, Documentation/usb/usbip_protocol.rst and tools/usb/usbip/src/usbip_network.h. All integers are
 big-endian except the eight setup bytes, which pass as they are on a cable.
 
-A connection starts with one operation. After a granted IMPORT the same connection carries URBs until it closes.
-
-    operation header   u16 version = 0x0111, u16 code, u32 status
-    REQ_DEVLIST 8005   header
-    REP_DEVLIST 0005   header, u32 count, then per device a record, and per interface u8 class, subclass, protocol, 0
-    REQ_IMPORT  8003   header, busid[32]
-    REP_IMPORT  0003   header, and the record when status = 0
-
-    device record, 312 bytes
-      0 path[256]   256 busid[32]   288 u32 busnum   292 u32 devnum   296 u32 speed
-      300 u16 idVendor   302 u16 idProduct   304 u16 bcdDevice   306 u8 class, subclass, protocol
-      309 u8 configuration value   310 u8 number of configurations   311 u8 number of interfaces
-
-    URB header, 48 bytes: 20 that all share, 28 by command
-       0 u32 command   4 u32 seqnum   8 u32 devid (busnum << 16 | devnum)   12 u32 direction (1 = IN)   16 u32 endpoint
-      CMD_SUBMIT 1   20 u32 flags   24 s32 length   28 s32 start_frame   32 s32 packets   36 s32 interval   40 setup[8]
-                     then `length` bytes when OUT, then 16 bytes per isochronous packet
-      CMD_UNLINK 2   20 u32 seqnum to take back
-      RET_SUBMIT 3   20 s32 status   24 s32 actual length   28 s32 start_frame   32 s32 packets   36 s32 errors
-                     then `actual length` bytes when the URB was IN; devid, direction and endpoint may be 0
-      RET_UNLINK 4   20 s32 status: -104 when taken back, 0 when the URB had been answered before
-
-No camera here has an isochronous endpoint, so isochronous URBs are refused; a plain URB has `packets` 0 or -1.
+The layouts are drawn in docs/protocol.md.
 """
 
 from __future__ import annotations

@@ -42,6 +42,7 @@ STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 """Signals that end a run: to the session alone or to its whole process group."""
 
 _REPORT_PERIOD_NS = 100_000_000
+_LONGEST_DRAIN_TURN_NS = 5_000_000
 _TAKE_LIMIT = 1 << 17  # events a tick: bounds the memory and the time of one tick
 
 _Device = TypeVar("_Device", bound=EventDevice)
@@ -49,7 +50,10 @@ _Device = TypeVar("_Device", bound=EventDevice)
 
 @dataclass(frozen=True)
 class Stop:
-    """The session's request to end: deliver what waits, but not for longer than `drain_s`."""
+    """The session's request to end: deliver what waits, but not for longer than `drain_s` of the link's own time.
+
+    A turn counts with at most 5 ms, so that a link that the machine kept waiting, or that compiled, still has its turns.
+    """
 
     drain_s: float
 
@@ -231,22 +235,25 @@ def _take_priority(fifo_priority: int) -> None:
 async def _tick_until_stopped(link: Link, setup: LinkSetup[Any], control: Connection, clock: Clock) -> None:
     loop = asyncio.get_running_loop()
     period_ns = setup.tick_us * 1000
-    deadline_ns = report_ns = clock.now_ns()
-    stop_ns: int | None = None
+    deadline_ns = report_ns = last_ns = clock.now_ns()
+    drain_ns: int | None = None
     while True:
         link.tick()
         now_ns = clock.now_ns()
-        if stop_ns is not None and (link.idle or now_ns > stop_ns):
-            return
+        if drain_ns is not None:
+            drain_ns -= min(now_ns - last_ns, _LONGEST_DRAIN_TURN_NS)
+            if link.idle or drain_ns < 0:
+                return
+        last_ns = now_ns
         if now_ns >= report_ns:
             control.send(link.report())
             report_ns = now_ns + _REPORT_PERIOD_NS
-        if stop_ns is None and control.poll():
+        if drain_ns is None and control.poll():
             word: Stop | InjectFault = control.recv()
             if isinstance(word, InjectFault):
                 link.endpoint.inject(word.fault)
             else:
-                stop_ns = now_ns + int(word.drain_s * 1e9)
+                drain_ns = int(word.drain_s * 1e9)
         deadline_ns = max(deadline_ns + period_ns, now_ns)
         await _sleep_until(loop, deadline_ns, clock)
 

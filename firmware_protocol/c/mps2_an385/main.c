@@ -1,8 +1,8 @@
 /* A firmware that receives events on UART 0 and tells on UART 1 what it got.
  *
- * A letter on UART 1 says what the line carries and starts afresh: 'c' telemetry in COBS (as after reset), 's' telemetry
- * in SLIP, 'd' DAVIS346 words; a capital leaves out the digest, to time the decoder alone. The answer, to '?' too, is one
- * line of name=value pairs, values in hexadecimal:
+ * A letter on UART 1 says what the line carries and starts afresh: 'c' telemetry in COBS (as after reset), 's' in
+ * SLIP, 'k' in KISS, 'x' CSP in KISS, 'd' DAVIS346 words; a capital leaves out the digest, to time the decoder alone.
+ * The answer, to '?' too, is one line of name=value pairs, values in hexadecimal:
  *
  *   bytes    received on the line
  *   packets, missing: with events or edges
@@ -19,7 +19,7 @@ static struct {
     uint32_t bytes, events, edges, digest, ticks;
 } told;
 
-static char carried; /* 'c', 's' or 'd' */
+static char carried; /* 'c', 's', 'k', 'x' or 'd' */
 static bool with_digest;
 
 static uint32_t crc32_byte(uint32_t crc, uint32_t byte)
@@ -63,7 +63,12 @@ static void on_edge(void *context, const struct evstim_edge *edge)
 static const struct evstim_sink sink = {.event = on_event, .edge = on_edge};
 static struct evstim_davis davis;
 static struct evstim_telemetry telemetry;
-static uint8_t packet[1024 + 22];
+static uint8_t packet[1024 + 26];
+
+static enum evstim_framing framing(void)
+{
+    return carried == 's' ? EVSTIM_SLIP : carried == 'k' ? EVSTIM_KISS : carried == 'x' ? EVSTIM_CSP_KISS : EVSTIM_COBS;
+}
 
 static void start(char letter)
 {
@@ -71,7 +76,7 @@ static void start(char letter)
     carried = with_digest ? letter : (char)(letter + 'a' - 'A');
     told.bytes = told.events = told.edges = told.digest = told.ticks = 0;
     evstim_davis_init(&davis, 346, 260, false, &sink);
-    evstim_telemetry_init(&telemetry, carried == 's' ? EVSTIM_SLIP : EVSTIM_COBS, packet, sizeof packet, 346, 260, &sink);
+    evstim_telemetry_init(&telemetry, framing(), packet, sizeof packet, 346, 260, &sink);
 }
 
 static void take(uint8_t byte)
@@ -88,8 +93,8 @@ static void take(uint8_t byte)
 static uint32_t errors(void)
 {
     return davis.row_outside + davis.column_outside + davis.time_not_increasing + davis.unknown_special
-           + davis.unknown_misc + telemetry.frames.malformed + telemetry.frames.too_long + telemetry.refused
-           + telemetry.disordered + telemetry.blocks.refused + telemetry.blocks.other_size;
+           + davis.unknown_misc + telemetry.frames.malformed + telemetry.frames.too_long
+           + telemetry.frames.wrong_crc + telemetry.refused + telemetry.disordered + telemetry.blocks.refused + telemetry.blocks.other_size;
 }
 
 static void say(const char *name, uint32_t value)

@@ -96,7 +96,9 @@ static void deframe(const struct request *r, const uint8_t *bytes)
         abort();
     evstim_deframer_init(&d, buffer, r->width);
     for (uint32_t i = 0; i < r->n; i++) {
-        size_t length = r->mode == 'c' ? evstim_cobs_byte(&d, bytes[i]) : evstim_slip_byte(&d, bytes[i]);
+        size_t length = r->mode == 'c'   ? evstim_cobs_byte(&d, bytes[i])
+                        : r->mode == 's' ? evstim_slip_byte(&d, bytes[i])
+                                         : evstim_kiss_byte(&d, bytes[i]);
         if (length != 0) {
             put_u32(FRAMES, (uint32_t)length);
             put(FRAMES, d.buffer, length);
@@ -105,6 +107,7 @@ static void deframe(const struct request *r, const uint8_t *bytes)
     put_u32(COUNTERS, d.frames);
     put_u32(COUNTERS, d.malformed);
     put_u32(COUNTERS, d.too_long);
+    put_u32(COUNTERS, d.wrong_crc);
     free(buffer);
 }
 
@@ -145,23 +148,88 @@ static void blocks(const struct request *r, const uint8_t *bytes)
     put(COUNTERS, counters, sizeof counters);
 }
 
+static void put_telemetry(const struct evstim_telemetry *t)
+{
+    const uint32_t counters[] = {t->packets,          t->others,            t->refused,        t->missing,
+                                 t->disordered,       t->blocks.blocks,     t->blocks.refused, t->blocks.other_size,
+                                 t->blocks.events,    t->blocks.edges,      t->blocks.dropped, t->frames.frames,
+                                 t->frames.malformed, t->frames.too_long,   t->frames.wrong_crc};
+    put(COUNTERS, counters, sizeof counters);
+}
+
+enum { CAPACITY = 8192 + 26 };
+
 static void telemetry(const struct request *r, const uint8_t *bytes)
 {
-    enum { CAPACITY = 8192 + 22 };
+    const enum evstim_framing framing = r->mode == 'S'   ? EVSTIM_SLIP
+                                        : r->mode == 'K' ? EVSTIM_KISS
+                                        : r->mode == 'X' ? EVSTIM_CSP_KISS
+                                                         : EVSTIM_COBS;
     uint8_t *buffer = malloc(CAPACITY);
     struct evstim_telemetry t;
     if (buffer == NULL)
         abort();
-    evstim_telemetry_init(&t, r->mode == 'C' ? EVSTIM_COBS : EVSTIM_SLIP, buffer, CAPACITY, r->width, r->height, &sink);
+    evstim_telemetry_init(&t, framing, buffer, CAPACITY, r->width, r->height, &sink);
     if (r->mode == 'P')
         evstim_telemetry_packet(&t, bytes, r->n);
+    else if (r->mode == 'Y')
+        evstim_telemetry_csp_packet(&t, bytes, r->n);
     else
         for (uint32_t i = 0; i < r->n; i += r->piece)
             evstim_telemetry_push(&t, bytes + i, r->n - i < r->piece ? r->n - i : r->piece);
-    const uint32_t counters[] = {t.packets,          t.others,            t.refused,        t.missing,
-                                 t.disordered,       t.blocks.blocks,     t.blocks.refused, t.blocks.other_size,
-                                 t.blocks.events,    t.blocks.edges,      t.blocks.dropped, t.frames.frames,
-                                 t.frames.malformed, t.frames.too_long};
+    put_telemetry(&t);
+    free(buffer);
+}
+
+/* The bytes are records of u32 identifier, u8 length, data; `piece` is the length of the buffer, flags the block size.
+ * Flow control stands among the frames. */
+static void isotp(const struct request *r, const uint8_t *bytes)
+{
+    uint8_t *buffer = malloc(r->piece);
+    struct evstim_telemetry t;
+    struct evstim_isotp s;
+    evstim_telemetry_init(&t, EVSTIM_COBS, NULL, 0, r->width, r->height, &sink);
+    evstim_isotp_init(&s, buffer, r->piece);
+    s.block_size = r->flags;
+    for (uint32_t at = 0; at < r->n; at += 5u + bytes[at + 4]) {
+        uint8_t *copy = malloc(bytes[at + 4]);
+        memcpy(copy, bytes + at + 5, bytes[at + 4]);
+        size_t length = evstim_isotp_frame(&s, copy, bytes[at + 4]);
+        free(copy);
+        if (s.has_reply) {
+            put_u32(FRAMES, sizeof s.reply);
+            put(FRAMES, s.reply, sizeof s.reply);
+        }
+        if (length != 0)
+            evstim_telemetry_packet(&t, s.buffer, length);
+    }
+    put_telemetry(&t);
+    const uint32_t counters[] = {s.messages,  s.malformed, s.too_long, s.disordered,
+                                 s.cut_short, s.without_beginning};
+    put(COUNTERS, counters, sizeof counters);
+    free(buffer);
+}
+
+static void cfp(const struct request *r, const uint8_t *bytes)
+{
+    uint8_t *buffer = malloc(r->piece);
+    struct evstim_telemetry t;
+    struct evstim_cfp c;
+    evstim_telemetry_init(&t, EVSTIM_COBS, NULL, 0, r->width, r->height, &sink);
+    evstim_cfp_init(&c, t.csp_node, t.csp_peer, buffer, r->piece);
+    for (uint32_t at = 0; at < r->n; at += 5u + bytes[at + 4]) {
+        uint8_t *copy = malloc(bytes[at + 4]);
+        uint32_t identifier;
+        memcpy(&identifier, bytes + at, 4);
+        memcpy(copy, bytes + at + 5, bytes[at + 4]);
+        size_t length = evstim_cfp_frame(&c, identifier, copy, bytes[at + 4]);
+        free(copy);
+        if (length != 0)
+            evstim_telemetry_csp_packet(&t, c.buffer, length);
+    }
+    put_telemetry(&t);
+    const uint32_t counters[] = {c.packets,   c.malformed, c.too_long, c.disordered,
+                                 c.cut_short, c.without_beginning};
     put(COUNTERS, counters, sizeof counters);
     free(buffer);
 }
@@ -193,8 +261,12 @@ static void answer(const struct request *r, const uint8_t *bytes)
     case 'r':
         put_u32(COUNTERS, evstim_crc16(EVSTIM_CRC16_START, bytes, r->n));
         break;
+    case 'R':
+        put_u32(COUNTERS, evstim_crc32c(0, bytes, r->n));
+        break;
     case 'c':
     case 's':
+    case 'k':
         deframe(r, bytes);
         break;
     case 'd':
@@ -205,8 +277,17 @@ static void answer(const struct request *r, const uint8_t *bytes)
         break;
     case 'C':
     case 'S':
+    case 'K':
+    case 'X':
     case 'P':
+    case 'Y':
         telemetry(r, bytes);
+        break;
+    case 'I':
+        isotp(r, bytes);
+        break;
+    case 'F':
+        cfp(r, bytes);
         break;
     case 'n':
         can(r, bytes);

@@ -17,7 +17,7 @@ from firmware_protocol.telemetry import BlockEncoder, BlockSettings, decode_bloc
 from tests.firmware_protocol.c.toolchain import Driver, build_driver
 
 SIZE = (346, 260)
-PROFILES = {"C": "ccsds-cobs", "S": "ccsds-slip"}
+PROFILES = {"C": "ccsds-cobs", "S": "ccsds-slip", "K": "ccsds-kiss", "X": "csp-kiss"}
 AWKWARD = np.array([0x00, 0x01, 0x02, 0xC0, 0xDB, 0xDC, 0xDD, 0xFF], np.uint8)
 GROUP = 3
 """Frames, of which the one in the middle is damaged."""
@@ -30,16 +30,26 @@ def random_bytes(library, n, seed=0):
     while n > 0:
         size = min(n, 100_000)
         data, few = rng.bytes(size), rng.choice(AWKWARD, size).tobytes()
-        for mode in "csd":
+        for mode in "cskd":
             library(mode, data)
             library(mode, few, piece=7)
         for mode in PROFILES:
             accepted += library(mode, data).counters[0] + library(mode, few, piece=7).counters[0]
         lengths = rng.integers(0, 90, size)[: size // 90]
         accepted += library("b", cut(data, lengths, lambda n: struct.pack("<QI", 5, n))).counters[0]
+        accepted += from_frames(library, data, lengths % 10, rng)
         library("n", cut(data, lengths % 65, lambda n: struct.pack("<HBB", 0x1A2 + 0x100 * (n % 3), n > 8, n)))
         n -= size
     return accepted
+
+
+def from_frames(library, data, lengths, rng):
+    """Give random frames that look like ISO-TP's and CFP's; return how many packets were accepted."""
+    kinds = iter(rng.choice([0x07, 0x10, 0x12, *range(0x20, 0x30), 0xFF], len(lengths)).tolist())
+    isotp = cut(data, lengths, lambda n: struct.pack("<IBB", 0x4A2, n + 1, next(kinds)))
+    numbers = iter(rng.choice([2, 3, *range(0, 32, 4), 1], len(lengths)).tolist())
+    cfp = cut(data, lengths, lambda n: struct.pack("<IB", 1 << 13 | 10 << 7 | next(numbers), n))
+    return sum(library(mode, records, piece=200).counters[0] for mode, records in (("I", isotp), ("F", cfp)))
 
 
 def cut(data, lengths, head):

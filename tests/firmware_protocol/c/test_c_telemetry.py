@@ -11,12 +11,13 @@ from hypothesis import strategies as st
 
 from firmware_protocol.edges import empty_edges
 from firmware_protocol.events import empty_events
+from firmware_protocol.framing import kiss
 from firmware_protocol.packets.message import Message, MessageKind
 from firmware_protocol.packets.profile import Profile
 from firmware_protocol.telemetry import BlockEncoder, BlockError, decode_block
 
 SIZE = (346, 260)
-MODES = {"ccsds-cobs": "C", "ccsds-slip": "S"}
+MODES = {"ccsds-cobs": "C", "ccsds-slip": "S", "ccsds-kiss": "K", "csp-kiss": "X"}
 SCIENCE = (MessageKind.EVENTS, MessageKind.EDGES)
 # The second message of docs/packets.md's kind: one that a reader can check by hand.
 PAGE = bytes.fromhex("0aa1c000001620808100000000000000018000006120626c6f636bb787")
@@ -72,6 +73,50 @@ def same_as_python(library, name, data, piece=1 << 20):
     told = {"packets": c[0], "missing": c[3], "blocks": c[5:8], "dropped": c[10]}
     assert told == counters
     return reply
+
+
+CSP_PAGE = bytes.fromhex("c00100289200000000000001800000 6120626c6f636b cb252902")
+
+
+def test_the_csp_packet_of_the_page(library):
+    assert library("Y", CSP_PAGE).counters[:7] == [1, 0, 0, 0, 0, 0, 1]
+    assert library("X", b"\xc0\x00" + CSP_PAGE[:1].replace(b"\xc0", b"\xdb\xdc") + CSP_PAGE[1:] + b"\xc0").counters[0] == 1
+
+
+def csp_sealed(packet):
+    return kiss.sealed(bytes(packet))
+
+
+@pytest.mark.parametrize(
+    ("at", "value"),
+    [(1, 2), (0, 0xC1), (3, 0x2C), (4, 0x82), (4, 0xF2), (5, 0xFF)],  # destination, source and port; source port is free
+)
+def test_csp_packets_that_are_not_ours_are_refused(library, at, value):
+    packet = bytearray(CSP_PAGE[:-4])
+    packet[at] = value
+    assert library("Y", csp_sealed(packet)).counters[:3] == ([1, 0, 0] if at == 5 else [0, 0, 1])
+    assert library("Y", bytes(packet) + CSP_PAGE[-4:]).counters[:3] == [0, 0, 1]
+
+
+def test_csp_answers_are_reports(library):
+    profile = Profile("csp")
+    kinds = (MessageKind.VERIFICATION, MessageKind.HOUSEKEEPING, MessageKind.TIME, MessageKind.PONG)
+    told = [library("Y", profile.wrap(Message(kind, b"\x02data", 7))).frames for kind in kinds]
+    head = struct.pack("<Q", 7)
+    assert told == [
+        [b"\x01\x02" + head + b"data"],
+        *([bytes(type_) + head + b"\x02data"] for type_ in ((3, 25), (9, 2), (17, 2))),
+    ]
+    assert library("Y", profile.wrap(Message(MessageKind.VERIFICATION, b"", 7))).counters[:3] == [0, 0, 1]
+    short = csp_sealed(CSP_PAGE[:14])
+    assert library("Y", short).counters[:3] == library("Y", b"").counters[:3] == [0, 0, 1]
+
+
+def test_events_and_edges_by_csp_have_counts_of_their_own(library):
+    profile = Profile("csp-kiss")
+    frames = [profile.wrap(m) for seed in range(5) for m in (events_message(seed, 1000), edges_message(1000))]
+    reply = library("X", b"".join(frames[:2] + frames[4:7] + frames[9:]), size=SIZE)
+    assert reply.counters[:5] == [6, 0, 0, 1 + 1 + 1, 0]
 
 
 def test_the_packet_of_the_page(library):
@@ -138,4 +183,4 @@ def test_random_bytes_are_no_packet(library, name):
     data = np.random.default_rng(1).integers(0, 256, 200_000, np.uint8).tobytes()
     reply = library(MODES[name], data)
     assert reply.counters[0] == len(reply.events) == 0
-    assert reply.counters[2] > 0
+    assert reply.counters[2] + reply.counters[12] + reply.counters[14] > 0  # refused, malformed, wrong CRC-32C

@@ -1,6 +1,7 @@
 """A link fed from a ring: pacing, counting, recording, with a clock that the test moves."""
 
 import asyncio
+import multiprocessing
 from functools import partial
 
 import numpy as np
@@ -12,7 +13,7 @@ from firmware_protocol.usb.device import SetupPacket, Transfer
 from transports.link.digest import digest_of
 from transports.link.endpoint import LinkBroken
 from transports.link.pacing import FakeClock
-from transports.link.process import Link, LinkSetup
+from transports.link.process import Link, LinkSetup, Stop, _tick_until_stopped
 from transports.link.record import load_record
 from transports.link.ring import FREE_RUNNING, EventRing
 from transports.usb.host import StallError
@@ -169,3 +170,39 @@ def test_a_direct_host_passes_stalls_on():
     with pytest.raises(StallError):
         host.control_in(SetupPacket(0xC0, 0x77, 0, 0, 4))
     host.close()
+
+
+class Stalled:
+    """A link that needs `turns` turns for what waits; the machine keeps each waiting for `turn_s`."""
+
+    def __init__(self, clock, turns, turn_s):
+        self.clock, self.left, self.turn_ns, self.ticks = clock, turns, int(turn_s * 1e9), 0
+
+    def tick(self):
+        self.ticks += 1
+        self.left -= 1
+        self.clock.advance(self.turn_ns)
+
+    @property
+    def idle(self):
+        return self.left <= 0
+
+    def report(self):
+        return None
+
+
+@pytest.mark.parametrize(
+    ("turns", "turn_s", "left"),
+    [(20, 0.7, 0), (50, 0.0005, 0), (1000, 0.7, 1000 - 202), (5000, 0.0005, 5000 - 2002)],
+)
+def test_the_drain_counts_the_links_own_time_and_has_an_end(turns, turn_s, left):
+    clock = FakeClock(ORIGIN_NS)
+    link = Stalled(clock, turns, turn_s)
+    ours, theirs = multiprocessing.Pipe()
+    ours.send(Stop(1.0))
+
+    class Setup:
+        tick_us = 0
+
+    asyncio.run(_tick_until_stopped(link, Setup(), theirs, clock))
+    assert link.left == left

@@ -1,0 +1,155 @@
+"""Write docs/registers.md from the registers that the DAVIS346 model declares: python docs/make_register_page.py."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+from firmware_protocol.davis346.biases import BIASES
+from firmware_protocol.davis346.registers import Layout, Module, Register, SystemInfo, registers
+
+__all__ = ["PAGE", "page"]
+
+PAGE = Path(__file__).with_name("registers.md")
+
+_HEAD = """# Registers of the DAVIS346
+
+Every register that the emulated camera knows, for a sensor of 346 x 260 pixels. With the layout `turned` the sizes are those of the chip,
+260 x 346, and ORIENTATION is 4. A register is a module (wValue) and a parameter (wIndex) of
+[request 0xBF](protocol.md#vendor-requests). All are 32 bits wide and big-endian on the wire; a value that was written reads back in
+full, all 32 bits, and is not checked. Flags act where the value is not 0. A register that is not in these tables reads 0; a write to it,
+or to one that can only be read (*ro*), is ignored.
+
+**Acts** says what the model does with it: *yes*, it changes what is sent; *told*, its value describes the camera; empty, it
+is kept and read back, and nothing else.
+
+This page is made by `docs/make_register_page.py` from `firmware_protocol/davis346/registers.py`; a test compares the two.
+"""
+
+_TITLES = {
+    Module.MULTIPLEXER: "multiplexer",
+    Module.DVS: "DVS",
+    Module.APS: "APS (frames are not sent)",
+    Module.IMU: "IMU (there is none)",
+    Module.EXTERNAL_INPUT: "external input",
+    Module.BIAS: "biases and chip",
+    Module.SYSTEM: "system information",
+    Module.USB: "USB",
+}
+
+_ACTS = frozenset(
+    [(0, k) for k in range(5)] + [(1, 3), (9, 0)] + [(4, k) for k in (*range(6), *range(11, 17))]
+)  # what device.py and external_input.py read
+
+_MEANINGS = {
+    "RUN": "this part runs; in module 0 the gate of all words",
+    "TIMESTAMP_RUN": "timestamps run",
+    "TIMESTAMP_RESET": "written 1: device time is zero, and the word 0x0001 is sent",
+    "RUN_CHIP": "the chip has power",
+    "DROP_EXTINPUT_ON_STALL": "external input: edges are dropped at once when the FIFO is full, not kept in a queue of 8",
+    "DROP_DVS_ON_STALL": "events are dropped when the FIFO is full; the model always does",
+    "WAIT_ON_STALL": "wait instead of dropping",
+    "EXTERNAL_AER_CONTROL": "the chip's handshake is done outside",
+    "BACKGROUND_ACTIVITY_FILTER": "filter of isolated events on",
+    "BACKGROUND_ACTIVITY_TIME_250US": "its time, units of 250 us",
+    "REFRACTORY_FILTER": "filter of events too soon after the last of a pixel on",
+    "REFRACTORY_TIME_250US": "its time, units of 250 us",
+    "ROI_START_COLUMN": "region of interest: first column",
+    "ROI_START_ROW": "region of interest: first row",
+    "ROI_END_COLUMN": "region of interest: last column",
+    "ROI_END_ROW": "region of interest: last row",
+    "SKIP": "leave events out",
+    "SKIP_EVERY": "how many",
+    "POLARITY_FLATTEN": "all events as of one polarity",
+    "POLARITY_SUPPRESS": "leave one polarity out",
+    "POLARITY_SUPPRESS_TYPE": "which one",
+    "SIZE_COLUMNS": "columns of the chip",
+    "SIZE_ROWS": "rows of the chip",
+    "ORIENTATION": "bit 2 set: rows and columns are swapped",
+    "COLOUR_FILTER": "0: none",
+    "GLOBAL_SHUTTER": "global, else rolling shutter",
+    "EXPOSURE": "exposure of a frame",
+    "FRAME_INTERVAL": "time between two frames",
+    "TYPE": "which IMU",
+    "RUN_ACCELEROMETER": "measure acceleration",
+    "RUN_GYROSCOPE": "measure rotation",
+    "RUN_TEMPERATURE": "measure temperature",
+    "SAMPLE_RATE_DIVIDER": "divides the sample rate",
+    "ACCELEROMETER_LOW_PASS": "filter setting",
+    "ACCELEROMETER_FULL_SCALE": "range setting",
+    "GYROSCOPE_LOW_PASS": "filter setting",
+    "GYROSCOPE_FULL_SCALE": "range setting",
+    "RUN_DETECTOR": "look at the input",
+    "DETECT_RISING": "tell of rising edges (special 3)",
+    "DETECT_FALLING": "tell of falling edges (special 2)",
+    "DETECT_PULSES": "tell of pulses (special 4)",
+    "PULSE_POLARITY": "pulses are high",
+    "PULSE_LENGTH": "a pulse is at least so long",
+    "RUN_GENERATOR": "drive the output",
+    "GENERATOR_POLARITY": "its pulses are high",
+    "GENERATOR_INTERVAL": "from pulse to pulse",
+    "GENERATOR_LENGTH": "of a pulse",
+    "INJECT_ON_RISING": "tell of its rising edges (special 16)",
+    "INJECT_ON_FALLING": "tell of its falling edges (special 17)",
+    "LOGIC_VERSION": "version of the FPGA's logic",
+    "CHIP_IDENTIFIER": "5: DAVIS346B",
+    "DEVICE_IS_MASTER": "timestamps are its own, not another camera's",
+    "LOGIC_CLOCK_MHZ": "clock of the logic",
+    "ADC_CLOCK_MHZ": "clock of the ADC",
+    "USB_CLOCK_MHZ": "clock of the USB side",
+    "CLOCK_DEVIATION_THOUSANDTHS": "true clock / nominal clock, thousandths",
+    "LOGIC_PATCH": "patch level of the logic",
+    "EARLY_PACKET_DELAY": "a short USB packet is sent after so long",
+    "RESET_CALIB_NEURON": "chip test circuit",
+    "TYPE_N_CALIB_NEURON": "chip test circuit",
+    "RESET_TEST_PIXEL": "chip test circuit",
+    "AER_N_AROW": "chip setting",
+    "USE_AOUT": "analogue output on",
+    "SELECT_GRAY_COUNTER": "ADC counter, Gray code",
+    "TEST_ADC": "ADC test input",
+}
+
+_PATTERNS = {
+    r"HAS_(.*)": "the logic has this part",
+    r"HOT_PIXEL_\d_(ROW|COLUMN)": "a pixel to leave out",
+    r"(DIGITAL|ANALOG|BIAS)_MUX_\d": "what a debug pin shows",
+    r".*_(UPPER|LOWER)": "what was counted",
+}
+
+_BIASES = {bias.address: bias for bias in BIASES}
+
+
+def _meaning(register: Register) -> str:
+    if register.module is Module.BIAS and register.address in _BIASES:
+        return f"bias, 16 bits: {register.note}"
+    found = [text for pattern, text in _PATTERNS.items() if re.fullmatch(pattern, register.name)]
+    meaning = _MEANINGS.get(register.name) or found[0]
+    return f"{meaning} ({register.note})" if register.note else meaning
+
+
+def _acts(register: Register) -> str:
+    if (register.module.value, register.address) in _ACTS:
+        return "yes"
+    return "told" if register.access.value == "read" else ""
+
+
+def _lines() -> Iterator[str]:
+    yield _HEAD
+    known = sorted(registers((346, 260), Layout.UPRIGHT, SystemInfo()), key=lambda r: (r.module, r.address))
+    for module, title in _TITLES.items():
+        yield f"## Module {module.value}: {title}\n"
+        yield "| parameter | name | access | default | acts | meaning |\n|---|---|---|---|---|---|"
+        for r in (r for r in known if r.module is module):
+            access = "ro" if r.access.value == "read" else "rw"
+            yield f"| {r.address} | {r.name} | {access} | {r.default} | {_acts(r)} | {_meaning(r)} |"
+        yield ""
+
+
+def page() -> str:
+    """Return the page."""
+    return "\n".join(_lines())
+
+
+if __name__ == "__main__":
+    PAGE.write_text(page(), encoding="utf-8")

@@ -1,0 +1,54 @@
+"""The traces of docs/traces/ are what the code sends, and receivers read in them what the pages say."""
+
+import re
+import runpy
+from pathlib import Path
+
+import pytest
+
+from firmware_protocol.can_frames.frame import Frame
+from firmware_protocol.receiver.can import CanReceiver
+from firmware_protocol.receiver.serial import SerialReceiver
+
+DOCS = Path(__file__).parents[2] / "docs"
+SCRIPT = runpy.run_path(str(DOCS / "make_traces.py"))
+EVENTS, EDGES = SCRIPT["EVENTS"].tolist(), SCRIPT["EDGES"].tolist()
+
+
+def trace(name):
+    return (DOCS / "traces" / name).read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("name", ["serial.hex", "serial.md", "can.log", "can.md"])
+def test_a_trace_is_what_its_script_makes(name):
+    assert trace(name) == SCRIPT["files"]()[name]
+
+
+def test_the_serial_capture_holds_the_events():
+    receiver = SerialReceiver("ccsds-cobs")
+    for line in trace("serial.hex").splitlines():
+        _, way, octets = line.split(" ", 2)
+        if way == ">":
+            receiver.push(bytes.fromhex(octets))
+    assert receiver.take_events().tolist() == EVENTS
+    assert receiver.take_edges().tolist() == EDGES
+    assert receiver.housekeeping.events.offered == len(EVENTS)
+
+
+def test_the_can_capture_holds_the_events():
+    receiver = CanReceiver()
+    for line in trace("can.log").splitlines():
+        identifier, data = re.fullmatch(r"\(\d+\.\d{6}\) can0 ([0-9A-F]{3})#((?:[0-9A-F]{2}){0,8})", line).groups()
+        receiver.push(Frame(int(identifier, 16), bytes.fromhex(data)))
+    assert receiver.take_events().tolist() == EVENTS
+    assert receiver.take_edges().tolist() == EDGES
+    assert receiver.housekeeping.events.offered == len(EVENTS)
+
+
+@pytest.mark.parametrize(("capture", "page"), [("serial.hex", "serial.md"), ("can.log", "can.md")])
+def test_each_line_has_its_row_and_each_event_is_told_once(capture, page):
+    rows = [line.split("|") for line in trace(page).splitlines() if re.match(r"\| \d", line)]
+    times = [re.match(r"\((.*?)\)", line)[1] for line in trace(capture).splitlines()]
+    assert [row[2].strip() for row in rows] == times
+    told = [tuple(map(int, found)) for found in re.findall(r"(\d+) us x (\d+) y (\d+)", trace(page))]
+    assert told == [event[:3] for event in EVENTS]
