@@ -136,7 +136,7 @@ def renderer_name(context: moderngl.Context) -> str:
 
 
 def is_software(renderer: str) -> bool:
-    """Tell whether the renderer of that name draws with the processor."""
+    """Return whether the renderer of that name draws with the processor."""
     return any(name in renderer.lower() for name in _SOFTWARE)
 
 

@@ -311,7 +311,7 @@ class ControlledSteps:
         return max([last_ns, *takewhile(lambda step_ns: self._meets_limits(seen, step_ns), longer)])
 
     def _meets_limits(self, seen: _Seen, step_ns: float) -> bool:
-        """Tell whether steps of that length would have met the limits over the last steps."""
+        """Return whether steps of that length would have met the limits over the last steps."""
         limits, factor = self._limits, step_ns / (seen.dt_us * 1000)
         bend, events = seen.bend * factor**seen.order, seen.change * factor
         if self._refinement is not None and seen.order == _HERMITE:

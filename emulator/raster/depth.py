@@ -87,7 +87,7 @@ def mark_seen(nearest: Ints, columns: tuple[int, int], shows: Ints, band: int) -
 
 @kernel
 def shows(facets: Floats, f: int, depth: Floats, first: int, last: int) -> bool:
-    """Tell whether a sample in the facet's box, one pixel wider, is not nearer than the facet."""
+    """Return whether a sample in the facet's box, one pixel wider, is not nearer than the facet."""
     if facets[f, YHigh] <= first or facets[f, YLow] >= last:
         return False
     most = depth.shape[1] - 2

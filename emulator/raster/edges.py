@@ -39,7 +39,7 @@ def flux(share: float, l0: float, l1: float, q0: float, q1: float) -> float:
 
 @lane
 def is_still(data: Data, f: int, side: int) -> bool:
-    """Tell whether light is continuous across a side, so that no flux passes: the neighbour shares its radiance."""
+    """Return whether light is continuous across a side, so that no flux passes: the neighbour shares its radiance."""
     across, smooth, facets, kinds = data[2], data[3], data[4], data[5]
     g = across[f, side]
     same: bool = facets[g, Sign] == facets[f, Sign]

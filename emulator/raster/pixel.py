@@ -61,7 +61,7 @@ def _sort(order: Ints, keys: Floats, n: int) -> None:
 
 @lane
 def _contains(vertices: Floats, faces: Ints, facets: Floats, f: int, column: int, row: int) -> bool:
-    """Tell whether a facet contains the whole pixel."""
+    """Return whether a facet contains the whole pixel."""
     if facets[f, XLow] > column or facets[f, XHigh] < column + 1 or facets[f, YLow] > row or facets[f, YHigh] < row + 1:
         return False
     inside = True

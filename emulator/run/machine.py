@@ -93,7 +93,7 @@ def _vcan() -> Finding:
 
 
 def _module_missing(module: str, wanted: str) -> Finding:
-    """Tell a module that can be loaded from one that this kernel does not have."""
+    """Distinguish a module that can be loaded from one that this kernel does not have."""
     release = platform.release()
     built = any(Path(f"/lib/modules/{release}").rglob(f"{module}.ko*"))
     if built:

@@ -28,7 +28,7 @@ from firmware_protocol.packets.addresses import Addresses
 from firmware_protocol.packets.message import Received
 from firmware_protocol.packets.profile import CommandUnwrapper, Profile
 from transports.can_bus.parameters import CanParameters
-from transports.faults.tracker import Load, Watch
+from transports.faults.tracker import Load, Tracker
 from transports.link.deliveries import Deliveries
 
 __all__ = ["CfpMail", "FrameSource", "IsoTpMail", "RawEdges", "RawEvents", "sources"]
@@ -41,7 +41,7 @@ class FrameSource(ABC):
 
     Attributes
     ----------
-    watch
+    tracker
         Follows what arrives while faults may hit frames; set and taken away between two messages.
     """
 
@@ -52,7 +52,7 @@ class FrameSource(ABC):
         self._deliveries = deliveries
         self._outgoing: Outgoing | None = None
         self.faults: Counter[str] = Counter()
-        self.watch: Watch | None = None
+        self.tracker: Tracker | None = None
 
     @property
     def between(self) -> bool:
@@ -74,7 +74,7 @@ class FrameSource(ABC):
 
     @abstractmethod
     def left(self) -> Outgoing | None:
-        """Say that the bus has taken the frame given last; return the message that it ends, if no watch follows it."""
+        """Say that the bus has taken the frame given last; return the message that it ends, if no tracker follows it."""
 
     def delivered(self, outgoing: Outgoing) -> None:
         """Say that all frames of a message were on the bus."""
@@ -94,8 +94,8 @@ class FrameSource(ABC):
         if self._outgoing is not None:
             self._instrument.lost(self._outgoing)
             self._outgoing = None
-            if self.watch is not None:
-                self.watch.dropped()
+            if self.tracker is not None:
+                self.tracker.dropped()
 
     def hear(self, frame: Frame, now_ns: int) -> Frame | None:
         """Take a frame of another node; return what has to be answered at once."""
@@ -103,10 +103,10 @@ class FrameSource(ABC):
 
     def _finished(self) -> Outgoing | None:
         outgoing, self._outgoing = self._outgoing, None
-        if outgoing is None or self.watch is None:
+        if outgoing is None or self.tracker is None:
             return outgoing
         self._instrument.sent(outgoing)
-        self.watch.left(outgoing)
+        self.tracker.left(outgoing)
         return None
 
 
@@ -147,7 +147,7 @@ class RawEvents(FrameSource):
             return None
         packed = self._frames.popleft()
         self._given = len(packed.events)
-        if self.watch is not None:
+        if self.tracker is not None:
             self._load = Load(packed.events, empty_edges(), self._epoch_us)
         return packed.frame
 
@@ -162,7 +162,7 @@ class RawEvents(FrameSource):
     def cut(self) -> Outgoing | None:
         """See `FrameSource.cut`."""
         outgoing, taken = self._outgoing, self._taken
-        if outgoing is None or self.watch is not None:
+        if outgoing is None or self.tracker is not None:
             return None
         self._outgoing = replace(outgoing, events=outgoing.events[taken:])
         self._taken = 0

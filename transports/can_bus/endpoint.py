@@ -24,10 +24,10 @@ from transports.can_bus.node import EdgeSink, Node
 from transports.can_bus.parameters import CanParameters
 from transports.can_bus.python_can import PythonCanBus
 from transports.can_bus.served import ServedBus
-from transports.faults.bus import Parcel
+from transports.faults.bus import QueuedFrame
 from transports.faults.kinds import Fault
 from transports.faults.script import FaultPlan, FaultRecord
-from transports.faults.tracker import Watch
+from transports.faults.tracker import Tracker
 from transports.link.deliveries import Deliveries
 from transports.link.endpoint import Endpoint, EndpointFactory, LineUse
 from transports.link.pacing import Clock
@@ -87,7 +87,7 @@ class CanEndpoint(Endpoint):
         self._clock = clock
         self._share = BusShare(p.rates, p.share, _MAKE_UP_NS)
         self._urgent: deque[Frame] = deque()
-        self._kept: tuple[FrameSource, Parcel] | None = None  # the bus had no room for it
+        self._kept: tuple[FrameSource, QueuedFrame] | None = None  # the bus had no room for it
         self._use = _Use()
         self._counts: Counter[str] = Counter()
         self._active = 0
@@ -132,8 +132,8 @@ class CanEndpoint(Endpoint):
             slot.bus.put(held)
         except BusDown as error:
             self._down(slot, error)
-        for watch in self._watches():
-            watch.damaged()
+        for tracker in self._trackers():
+            tracker.damaged()
 
     def inject(self, fault: Fault) -> None:
         """See `Endpoint.inject`."""
@@ -161,8 +161,8 @@ class CanEndpoint(Endpoint):
         for slot in self._slots:
             await slot.reopening.close()
             await slot.bus.close()
-        for watch in self._watches():
-            watch.close()
+        for tracker in self._trackers():
+            tracker.close()
         self._faults.close()
 
     @property
@@ -224,18 +224,18 @@ class CanEndpoint(Endpoint):
             elif answer is not None:
                 self._counts["answers dropped, the bus had no room"] += 1
 
-    def _send(self, slot: _Slot, parcel: Parcel, now_ns: int) -> bool:
+    def _send(self, slot: _Slot, queued: QueuedFrame, now_ns: int) -> bool:
         """Hand a frame to the bus; False when it has no room. Raises BusDown."""
-        if not slot.bus.post(parcel):
+        if not slot.bus.post(queued):
             self._counts["bus had no room"] += 1
             return False
-        self._use.add(self._share.spend(parcel.frame, now_ns), now_ns)
+        self._use.add(self._share.spend(queued.frame, now_ns), now_ns)
         return True
 
     def _send_urgent(self, slot: _Slot, now_ns: int) -> None:
         waiting, self._urgent = self._urgent, deque()
         while waiting:
-            if not self._send(slot, Parcel(waiting[0], urgent=True), now_ns):
+            if not self._send(slot, QueuedFrame(waiting[0], urgent=True), now_ns):
                 self._urgent.append(waiting[0])  # the next one may have a buffer of its own
             waiting.popleft()
 
@@ -245,8 +245,8 @@ class CanEndpoint(Endpoint):
                 self._kept = self._next(now_ns)
             if self._kept is None:
                 return
-            source, parcel = self._kept
-            if not self._send(slot, parcel, now_ns):
+            source, queued = self._kept
+            if not self._send(slot, queued, now_ns):
                 return
             self._kept = None
             self._follow(slot, source, source.left())
@@ -256,18 +256,18 @@ class CanEndpoint(Endpoint):
         if outgoing is not None:
             slot.bus.follow(partial(source.delivered, outgoing), partial(source.lost, outgoing))
 
-    def _next(self, now_ns: int) -> tuple[FrameSource, Parcel] | None:
+    def _next(self, now_ns: int) -> tuple[FrameSource, QueuedFrame] | None:
         for source in self._sources:
             if source.between:
                 self._faults.look_at(source)
-            frame, watch = source.next_frame(now_ns), source.watch
+            frame, tracker = source.next_frame(now_ns), source.tracker
             if frame is not None:
-                cargo = None if watch is None else watch.cargo(source.load)
-                return source, Parcel(frame, cargo=cargo, exempt=watch is None)
+                message = None if tracker is None else tracker.message(source.load)
+                return source, QueuedFrame(frame, message=message, exempt=tracker is None)
         return None
 
-    def _watches(self) -> list[Watch]:
-        return [source.watch for source in self._sources if source.watch is not None]
+    def _trackers(self) -> list[Tracker]:
+        return [source.tracker for source in self._sources if source.tracker is not None]
 
     async def _drain(self) -> None:
         slot = self._slots[self._active]
@@ -281,8 +281,8 @@ class CanEndpoint(Endpoint):
     def _settle(self) -> None:
         for slot in self._slots:
             slot.bus.settle()
-        for watch in self._watches():
-            watch.settle()
+        for tracker in self._trackers():
+            tracker.settle()
 
     def _follow_the_master(self, now_ns: int) -> None:
         if self._node.selector is not None:

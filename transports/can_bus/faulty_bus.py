@@ -19,10 +19,10 @@ from firmware_protocol.can_frames.bus_time import BitRates
 from firmware_protocol.can_frames.frame import Frame
 from transports.can_bus.bus import BusDown, CanBus, Heard
 from transports.can_bus.carriage import FrameSource
-from transports.faults.bus import Babbler, FrameStage, Parcel, frame_stage
+from transports.faults.bus import Babbler, FrameStage, QueuedFrame, frame_stage
 from transports.faults.kinds import Fault
 from transports.faults.script import FaultPlan, FaultRecord, Faults
-from transports.faults.tracker import FrameWatch, MessageWatch, Tell
+from transports.faults.tracker import FrameTracker, MessageTracker, Callbacks
 from transports.link.deliveries import Deliveries
 
 __all__ = ["BusFaults", "FaultyBus"]
@@ -36,7 +36,7 @@ class BusFaults:
     def __init__(self, plan: FaultPlan, rates: BitRates, deliveries: Deliveries) -> None:
         self._faults: Faults[FrameStage] = Faults(plan, partial(frame_stage, rates=rates))
         self._posted = 0
-        self._tell = Tell(
+        self._tell = Callbacks(
             lambda load: deliveries.add(load.events, load.epoch_us, load.edges),
             lambda load: self._faults.lose(len(load.events), len(load.edges)),
         )
@@ -51,33 +51,33 @@ class BusFaults:
         """True while a fault may hit single frames."""
         return any(stage.bus is None for stage in self._faults.stages)
 
-    def advance(self, now_us: int) -> tuple[bool, list[Parcel]]:
+    def advance(self, now_us: int) -> tuple[bool, list[QueuedFrame]]:
         """Let stream time pass; say whether any fault is over now, and return the frames that it had held."""
         over = self._faults.advance(now_us)
-        return bool(over), [parcel for stage in over for parcel in stage.finish()]
+        return bool(over), [queued for stage in over for queued in stage.finish()]
 
     def inject(self, fault: Fault) -> None:
         """Begin a fault now; raises ValueError for one that a bus does not have."""
         self._faults.inject(fault)
 
     def look_at(self, source: FrameSource) -> None:
-        """Begin or end the watch on a source that is between two messages."""
-        if source.watch is None and self.strikes_frames:
+        """Begin or end the tracker on a source that is between two messages."""
+        if source.tracker is None and self.strikes_frames:
             read = source.reader()
-            source.watch = FrameWatch(self._tell) if read is None else MessageWatch(self._tell, read)
-        elif source.watch is not None and source.watch.in_step and not self.strikes_frames:
-            source.watch = None
+            source.tracker = FrameTracker(self._tell) if read is None else MessageTracker(self._tell, read)
+        elif source.tracker is not None and source.tracker.in_step and not self.strikes_frames:
+            source.tracker = None
 
-    def changed(self, parcel: Parcel) -> list[Parcel]:
+    def changed(self, queued: QueuedFrame) -> list[QueuedFrame]:
         """Return what goes to the bus instead of a frame."""
-        parcels = [parcel]
+        queued_frames = [queued]
         for stage in self._faults.stages:
             before = stage.hits
-            parcels = [out for each in parcels for out in stage.change(each)]
+            queued_frames = [out for each in queued_frames for out in stage.change(each)]
             if stage.hits != before:
                 self._faults.struck(stage, [self._posted])
         self._posted += 1
-        return parcels
+        return queued_frames
 
     def is_off(self, bus: int) -> bool:
         """Say whether our controller has left this bus."""
@@ -115,7 +115,7 @@ class FaultyBus(CanBus):
         self._bus = bus
         self._index = index
         self._faults = faults
-        self._rest: deque[Parcel] = deque()
+        self._rest: deque[QueuedFrame] = deque()
         self._taken = 0  # ordinary frames, by the bus
         self._followed: deque[_Followed] = deque()
         self.missed = 0
@@ -132,21 +132,21 @@ class FaultyBus(CanBus):
 
     def send(self, frame: Frame, *, urgent: bool = False) -> bool:
         """See `CanBus.send`."""
-        return self.post(Parcel(frame, urgent))
+        return self.post(QueuedFrame(frame, urgent))
 
-    def post(self, parcel: Parcel) -> bool:
+    def post(self, queued: QueuedFrame) -> bool:
         """Send a frame by way of the faults; False: there is no room now. Raises BusDown when the bus is gone."""
         self._check_off()
         if not self._flush():
             return False
-        if parcel.exempt or (parcel.cargo is None and not self._faults.strikes_frames):
-            return self._hand_over(parcel)
-        self.put(self._faults.changed(parcel))
+        if queued.exempt or (queued.message is None and not self._faults.strikes_frames):
+            return self._hand_over(queued)
+        self.put(self._faults.changed(queued))
         return True
 
-    def put(self, parcels: list[Parcel]) -> None:
+    def put(self, queued_frames: list[QueuedFrame]) -> None:
         """Send these as they are, as soon as there is room; raises BusDown when the bus is gone."""
-        self._rest += parcels
+        self._rest += queued_frames
         self._flush()
 
     def follow(self, begun: Callable[[], None], gone: Callable[[], None]) -> None:
@@ -166,9 +166,9 @@ class FaultyBus(CanBus):
         while self._followed:
             self._followed.popleft().gone()
         while self._rest:
-            cargo = self._rest.popleft().cargo
-            if cargo is not None:
-                cargo.gone()
+            message = self._rest.popleft().message
+            if message is not None:
+                message.gone()
 
     def take(self) -> list[Heard]:
         """See `CanBus.take`."""
@@ -222,11 +222,11 @@ class FaultyBus(CanBus):
             self._rest.popleft()
         return True
 
-    def _hand_over(self, parcel: Parcel) -> bool:
-        if not self._bus.send(parcel.frame, urgent=parcel.urgent):
+    def _hand_over(self, queued: QueuedFrame) -> bool:
+        if not self._bus.send(queued.frame, urgent=queued.urgent):
             return False
-        self._taken += not parcel.urgent
-        if parcel.cargo is not None:
-            self.follow(partial(parcel.cargo.arrived, parcel.frame), parcel.cargo.gone)
+        self._taken += not queued.urgent
+        if queued.message is not None:
+            self.follow(partial(queued.message.arrived, queued.frame), queued.message.gone)
             self.settle()
         return True

@@ -23,13 +23,13 @@ from transports.faults.can_kinds import (
 from transports.faults.hit_places import Places
 from transports.faults.kinds import Fault, HitFault
 
-__all__ = ["Babbler", "Cargo", "FrameStage", "Parcel", "frame_stage"]
+__all__ = ["Babbler", "QueuedMessage", "FrameStage", "QueuedFrame", "frame_stage"]
 
 _PROTOCOL_ERROR = 0x88  # CAN_ERR_PROT | CAN_ERR_BUSERROR of linux/can/error.h
 _BUSES = {"A": 0, "B": 1}
 
 
-class Cargo(Protocol):
+class QueuedMessage(Protocol):
     """What depends on a frame's arriving."""
 
     def arrived(self, frame: Frame) -> None:
@@ -38,17 +38,17 @@ class Cargo(Protocol):
     def gone(self) -> None:
         """No other node will ever have it."""
 
-    def spoilt(self) -> Cargo | None:
+    def spoilt(self) -> QueuedMessage | None:
         """Its data are wrong; return what now depends on its arriving."""
 
 
 @dataclass(frozen=True)
-class Parcel:
+class QueuedFrame:
     """A frame on its way to the bus; `exempt` from faults of frames when its message was under way as they began."""
 
     frame: Frame
     urgent: bool = False
-    cargo: Cargo | None = None
+    message: QueuedMessage | None = None
     exempt: bool = False
 
 
@@ -76,11 +76,11 @@ class FrameStage:
         self.hits = self.touched = 0
         self.over = False
 
-    def change(self, parcel: Parcel) -> list[Parcel]:
+    def change(self, queued: QueuedFrame) -> list[QueuedFrame]:
         """Return what goes to the bus instead of a frame."""
-        return [parcel]
+        return [queued]
 
-    def finish(self) -> list[Parcel]:
+    def finish(self) -> list[QueuedFrame]:
         """Return what still goes to the bus when the fault is over."""
         return []
 
@@ -93,39 +93,39 @@ class _Hitting(FrameStage):
         where, self._random = random.spawn(2)
         self._where = Places(fault, where)
 
-    def change(self, parcel: Parcel) -> list[Parcel]:
+    def change(self, queued: QueuedFrame) -> list[QueuedFrame]:
         if not self._where.within(1):
-            return [parcel]
+            return [queued]
         self.hits += 1
         self.touched += 1
         self.over = self._where.over
-        return self._hit(parcel)
+        return self._hit(queued)
 
-    def _hit(self, parcel: Parcel) -> list[Parcel]:
-        return [parcel, parcel]
+    def _hit(self, queued: QueuedFrame) -> list[QueuedFrame]:
+        return [queued, queued]
 
 
 class _Lost(_Hitting):
-    def _hit(self, parcel: Parcel) -> list[Parcel]:
-        if parcel.cargo is not None:
-            parcel.cargo.gone()
+    def _hit(self, queued: QueuedFrame) -> list[QueuedFrame]:
+        if queued.message is not None:
+            queued.message.gone()
         return []
 
 
 class _Changed(_Hitting):
-    def _hit(self, parcel: Parcel) -> list[Parcel]:
-        data = bytearray(parcel.frame.data)
+    def _hit(self, queued: QueuedFrame) -> list[QueuedFrame]:
+        data = bytearray(queued.frame.data)
         if not data:
-            return [parcel]
+            return [queued]
         bit = int(self._random.integers(8 * len(data)))
         data[bit >> 3] ^= 1 << (bit & 7)
-        cargo = None if parcel.cargo is None else parcel.cargo.spoilt()
-        return [replace(parcel, frame=replace(parcel.frame, data=bytes(data)), cargo=cargo)]
+        message = None if queued.message is None else queued.message.spoilt()
+        return [replace(queued, frame=replace(queued.frame, data=bytes(data)), message=message)]
 
 
 class _Destroyed(_Hitting):
-    def _hit(self, parcel: Parcel) -> list[Parcel]:
-        return [Parcel(Frame(_PROTOCOL_ERROR, bytes(8), error=True), parcel.urgent), parcel]
+    def _hit(self, queued: QueuedFrame) -> list[QueuedFrame]:
+        return [QueuedFrame(Frame(_PROTOCOL_ERROR, bytes(8), error=True), queued.urgent), queued]
 
 
 class _Overtaken(FrameStage):
@@ -133,25 +133,25 @@ class _Overtaken(FrameStage):
         super().__init__()
         self._where = Places(fault, random)
         self._behind = fault.behind
-        self._held: deque[tuple[Parcel, int]] = deque()  # and how many frames still overtake it
+        self._held: deque[tuple[QueuedFrame, int]] = deque()  # and how many frames still overtake it
 
-    def change(self, parcel: Parcel) -> list[Parcel]:
-        if parcel.urgent:
-            return [parcel]  # it has a way of its own
+    def change(self, queued: QueuedFrame) -> list[QueuedFrame]:
+        if queued.urgent:
+            return [queued]  # it has a way of its own
         if self._where.within(1):
             self.hits += 1
             self.touched += 1
-            self._held.append((parcel, self._behind))
+            self._held.append((queued, self._behind))
             return []
         self.touched += bool(self._held)
         self._held = deque((held, left - 1) for held, left in self._held)
-        out = [parcel]
+        out = [queued]
         while self._held and self._held[0][1] <= 0:
             out.append(self._held.popleft()[0])
         self.over = self._where.over and not self._held
         return out
 
-    def finish(self) -> list[Parcel]:
+    def finish(self) -> list[QueuedFrame]:
         return [held for held, _ in self._held]
 
 

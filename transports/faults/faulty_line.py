@@ -17,7 +17,7 @@ from firmware_protocol.instrument.outgoing import Outgoing
 from firmware_protocol.packets.profile import Profile, Unwrapper
 from transports.faults.kinds import Fault
 from transports.faults.line import ByteStage, byte_stage
-from transports.faults.reference_receiver import Witness
+from transports.faults.reference_receiver import ReferenceReceiver
 from transports.faults.script import FaultPlan, FaultRecord, Faults
 
 __all__ = ["FaultyLine"]
@@ -42,7 +42,7 @@ class FaultyLine:
         self._faults: Faults[ByteStage] = Faults(plan, partial(byte_stage, bytes_per_s=bytes_per_s))
         self._profile = profile
         self._arrived = arrived
-        self._witness: Witness | None = None
+        self._reference: ReferenceReceiver | None = None
         self._unwrapper: Unwrapper | None = None
         self._rest = b""
         self._sent = 0
@@ -67,8 +67,8 @@ class FaultyLine:
         """Let stream time pass; `begun` is what has left of the frame on the line."""
         for stage in self._faults.advance(now_us):
             self._arrive(stage.finish())
-            if self._witness is not None:
-                self._witness.damaged()
+            if self._reference is not None:
+                self._reference.damaged()
         self._watch(begun)
 
     def inject(self, fault: Fault) -> None:
@@ -97,32 +97,32 @@ class FaultyLine:
 
     def left(self, outgoing: Outgoing) -> None:
         """The last byte of this has left."""
-        if self._witness is None:
+        if self._reference is None:
             self._arrived(outgoing)
         else:
-            self._witness.left(outgoing)
+            self._reference.left(outgoing)
 
     def settle(self) -> None:
         """Find out what came of what has left."""
-        if self._witness is None:
+        if self._reference is None:
             return
-        came, lost = self._witness.settle()
+        came, lost = self._reference.settle()
         self._lose(lost)
         for outgoing in came:
             self._arrived(outgoing)
-        self.false += self._witness.false
-        self._witness.false = 0
-        if self._witness.in_step and not self._faults.stages:
-            self._witness = None
+        self.false += self._reference.false
+        self._reference.false = 0
+        if self._reference.in_step and not self._faults.stages:
+            self._reference = None
 
     def drop(self) -> None:
         """The line has gone, or its receiver: nothing more comes of what is under way."""
         self._rest = b""
-        if self._witness is not None:
+        if self._reference is not None:
             self.settle()
-        if self._witness is not None:
-            self._lose(self._witness.give_up())
-            self._witness = None
+        if self._reference is not None:
+            self._lose(self._reference.give_up())
+            self._reference = None
 
     def close(self) -> None:
         """End all faults."""
@@ -130,8 +130,8 @@ class FaultyLine:
         self._faults.close()
 
     def _watch(self, begun: bytes) -> None:
-        if self._faults.stages and self._witness is None:
-            self._witness, self._unwrapper = Witness(), Profile(self._profile).unwrapper()
+        if self._faults.stages and self._reference is None:
+            self._reference, self._unwrapper = ReferenceReceiver(), Profile(self._profile).unwrapper()
             self._see(begun)
 
     def _hold(self, data: bytes) -> list[ByteStage]:
@@ -156,8 +156,8 @@ class FaultyLine:
         self._see(data)
 
     def _see(self, data: bytes) -> None:
-        if self._witness is not None and self._unwrapper is not None:
-            self._witness.came(self._unwrapper.push(data))
+        if self._reference is not None and self._unwrapper is not None:
+            self._reference.came(self._unwrapper.push(data))
 
     def _lose(self, lost: list[Outgoing]) -> None:
         for outgoing in lost:

@@ -14,12 +14,12 @@ from collections.abc import Iterable
 from firmware_protocol.instrument.outgoing import Outgoing
 from firmware_protocol.packets.message import Message, Received
 
-__all__ = ["Witness"]
+__all__ = ["ReferenceReceiver"]
 
 _IN_STEP = 2  # messages in a row: of the first one, the beginning may have been damaged before
 
 
-class Witness:
+class ReferenceReceiver:
     """Tells which messages survived, in order.
 
     Attributes

@@ -1,6 +1,6 @@
 """What becomes of an instrument's messages on a CAN bus with faults: frame by frame, or put together from frames.
 
-A watch goes with one frame source. It begins and ends between two messages; while there is none, what a source says has
+A tracker goes with one frame source. It begins and ends between two messages; while there is none, what a source says has
 left counts as arrived.
 """
 
@@ -15,10 +15,10 @@ from firmware_protocol.edges import Edges, empty_edges
 from firmware_protocol.events import Events, empty_events
 from firmware_protocol.instrument.outgoing import Outgoing
 from firmware_protocol.packets.message import Received
-from transports.faults.bus import Cargo
-from transports.faults.reference_receiver import Witness
+from transports.faults.bus import QueuedMessage
+from transports.faults.reference_receiver import ReferenceReceiver
 
-__all__ = ["FrameWatch", "Load", "MessageWatch", "Tell", "Watch"]
+__all__ = ["FrameTracker", "Load", "MessageTracker", "Callbacks", "Tracker"]
 
 
 @dataclass(frozen=True)
@@ -41,18 +41,18 @@ class Load:
 
 
 @dataclass(frozen=True)
-class Tell:
+class Callbacks:
     """Who is told of what has arrived, and of what never will."""
 
     arrived: Callable[[Load], None]
     lost: Callable[[Load], None]
 
 
-class Watch(ABC):
+class Tracker(ABC):
     """Follows the frames of one source."""
 
     @abstractmethod
-    def cargo(self, load: Load) -> Cargo | None:
+    def message(self, load: Load) -> QueuedMessage | None:
         """Return what depends on the next frame, which carries `load` where frames stand alone."""
 
     @abstractmethod
@@ -84,9 +84,9 @@ class Watch(ABC):
 class _Single:
     """A frame that stands alone: what is told of it waits until its message has left."""
 
-    def __init__(self, load: Load, tell: Tell) -> None:
+    def __init__(self, load: Load, tell: Callbacks) -> None:
         self._load = load
-        self._tell: Tell | None = tell
+        self._tell: Callbacks | None = tell
         self._fate: Callable[[Load], None] | None = None
         self._settled = False
 
@@ -116,90 +116,90 @@ class _Single:
             fate(self._load)
 
 
-class FrameWatch(Watch):
+class FrameTracker(Tracker):
     """Of frames that stand alone."""
 
-    def __init__(self, tell: Tell) -> None:
+    def __init__(self, tell: Callbacks) -> None:
         self._tell = tell
         self._under_way: list[_Single] = []
 
-    def cargo(self, load: Load) -> Cargo | None:
-        """See `Watch.cargo`."""
+    def message(self, load: Load) -> QueuedMessage | None:
+        """See `Tracker.message`."""
         if not len(load.events) and not len(load.edges):
             return None
         self._under_way.append(_Single(load, self._tell))
         return self._under_way[-1]
 
     def left(self, outgoing: Outgoing) -> None:
-        """See `Watch.left`."""
+        """See `Tracker.left`."""
         for single in self._under_way:
             single.settle()
         self._under_way.clear()
 
     def dropped(self) -> None:
-        """See `Watch.dropped`."""
+        """See `Tracker.dropped`."""
         for single in self._under_way:
             single.cancel()
         self._under_way.clear()
 
     @property
     def in_step(self) -> bool:
-        """See `Watch.in_step`."""
+        """See `Tracker.in_step`."""
         return not self._under_way
 
 
-class MessageWatch(Watch):
+class MessageTracker(Tracker):
     """Of messages cut into frames; `read` makes messages of frames, as at the other side."""
 
-    def __init__(self, tell: Tell, read: Callable[[Frame], Iterable[Received]]) -> None:
+    def __init__(self, tell: Callbacks, read: Callable[[Frame], Iterable[Received]]) -> None:
         self._tell = tell
         self._read = read
-        self._witness = Witness()
+        self._reference = ReferenceReceiver()
 
-    def cargo(self, load: Load) -> Cargo:
-        """See `Watch.cargo`."""
+    def message(self, load: Load) -> QueuedMessage:
+        """See `Tracker.message`."""
         return self
 
     def arrived(self, frame: Frame) -> None:
-        """See `Cargo.arrived`."""
-        self._witness.came(self._read(frame))
+        """See `QueuedMessage.arrived`."""
+        self._reference.came(self._read(frame))
 
     def gone(self) -> None:
-        """See `Cargo.gone`."""
-        self._witness.damaged()
+        """See `QueuedMessage.gone`."""
+        self._reference.damaged()
 
-    def spoilt(self) -> Cargo:
-        """See `Cargo.spoilt`."""
-        self._witness.damaged()
+    def spoilt(self) -> QueuedMessage:
+        """See `QueuedMessage.spoilt`."""
+        self._reference.damaged()
         return self
 
     def left(self, outgoing: Outgoing) -> None:
-        """See `Watch.left`."""
-        self._witness.left(outgoing)
+        """See `Tracker.left`."""
+        self._reference.left(outgoing)
 
     def dropped(self) -> None:
-        """See `Watch.dropped`."""
+        """See `Tracker.dropped`."""
         return
 
     @property
     def in_step(self) -> bool:
-        """See `Watch.in_step`."""
-        return self._witness.in_step
+        """See `Tracker.in_step`."""
+        return self._reference.in_step
 
     def settle(self) -> None:
-        """See `Watch.settle`."""
-        came, lost = self._witness.settle()
+        """See `Tracker.settle`."""
+        came, lost = self._reference.settle()
         for outgoing in lost:
             self._tell.lost(Load.of(outgoing))
         for outgoing in came:
             self._tell.arrived(Load.of(outgoing))
 
     def damaged(self) -> None:
-        """See `Watch.damaged`."""
-        self._witness.damaged()
+        """See `Tracker.damaged`."""
+        self._reference.damaged()
 
     def close(self) -> None:
-        """See `Watch.close`."""
+        """See `Tracker.close`."""
         self.settle()
-        for outgoing in self._witness.give_up():
+        for outgoing in self._reference.give_up():
             self._tell.lost(Load.of(outgoing))

@@ -32,7 +32,7 @@ def build_bodies(parameters: BodiesParameters, pinhole: Pinhole) -> Scene:
 
 
 def draws_on_a_card() -> bool:
-    """Tell whether GL draws: the environment asks for a GL renderer, or there is a graphics card that works."""
+    """Return whether GL draws: the environment asks for a GL renderer, or there is a graphics card that works."""
     wanted = os.environ.get(WANTED, "").strip().lower()
     if wanted:
         return wanted != "cpu"

@@ -117,7 +117,7 @@ def _box_in_cone(
     inverse: tuple[float, float, float],
     tangent: float,
 ) -> bool:
-    """Tell whether a box may reach into the cone: widened by the cone's radius at its far side, it meets the axis."""
+    """Return whether a box may reach into the cone: widened by the cone's radius at its far side, it meets the axis."""
     cx, cy, cz = boxes[node, 0] - px, boxes[node, 1] - py, boxes[node, 2] - pz
     hx, hy, hz = boxes[node, 3], boxes[node, 4], boxes[node, 5]
     far = cx * sun[0] + cy * sun[1] + cz * sun[2] + hx * abs(sun[0]) + hy * abs(sun[1]) + hz * abs(sun[2])

@@ -264,7 +264,7 @@ def _moved_m(motion: Motion, k: int, other: int | None = None) -> float:
 
 
 def _may_shade(tree: TriangleTree, body: _Lit, moved: Floats, tangent: float) -> bool:
-    """Tell whether a ball around a body reaches into the shadow of the ball around a tree; `moved` is (3, 5)."""
+    """Return whether a ball around a body reaches into the shadow of the ball around a tree; `moved` is (3, 5)."""
     away = tree.middle_m - (moved[:, :3] @ body.middle_m + moved[:, 3])
     reach_m = tree.radius_m + body.radius_m
     along = float(away @ moved[:, 4])

@@ -98,7 +98,7 @@ def subdivide(mesh: Mesh, size_m: float) -> Mesh:
 
 
 def _long_sides(vertices: Floats, faces: Faces, size_m: float) -> npt.NDArray[np.bool_]:
-    """Tell which sides, (m, 3), from corner k to k + 1, are too long; both facets of a side get the same answer."""
+    """Return which sides, (m, 3), from corner k to k + 1, are too long; both facets of a side get the same answer."""
     low, high = _ends(faces)
     return np.asarray(((vertices[low] - vertices[high]) ** 2).sum(axis=2) > size_m * size_m)
 

@@ -192,7 +192,7 @@ def _facet_vectors(points: _Points, corners: npt.NDArray[np.integer]) -> _Points
 
 
 def _with_area(points: _Points, corners: npt.NDArray[np.int64]) -> npt.NDArray[np.bool_]:
-    """Tell which facets have an area above rounding, beside their longest side."""
+    """Return which facets have an area above rounding, beside their longest side."""
     sides = points[corners] - points[np.roll(corners, 1, axis=1)]
     longest2 = (sides**2).sum(axis=2).max(axis=1)
     return np.asarray(np.linalg.norm(_facet_vectors(points, corners), axis=1) > 1e-12 * longest2)

@@ -148,7 +148,7 @@ def _height(heights: npt.NDArray[np.float32], grid: int, x: float, y: int) -> fl
 
 @numba.njit(cache=True, nogil=True)
 def _is_on(at: float, columns: int) -> bool:
-    """Tell whether a column lies on a grid, or so near that a line there must have been walked at the next row.
+    """Return whether a column lies on a grid, or so near that a line there must have been walked at the next row.
 
     One column beyond the border is needed to interpolate between lines, and a line moves by at most two columns from
     one row of a coarser grid to the next.

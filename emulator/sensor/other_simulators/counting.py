@@ -52,7 +52,7 @@ class V2e(Rule):
     def _pass(
         self, pixel: npt.NDArray[np.int64], k: npt.NDArray[np.int64], t_ns: npt.NDArray[np.int64]
     ) -> npt.NDArray[np.bool_]:
-        """Tell which events lie outside the refractory period of the last one emitted, slot by slot."""
+        """Return which events lie outside the refractory period of the last one emitted, slot by slot."""
         if self._refractory_ns() == 0:
             return np.ones(pixel.size, np.bool_)
         emitted = np.zeros(pixel.size, np.bool_)

@@ -51,7 +51,7 @@ class Sikorski(Rule):
         return np.asarray(u0 != u1)
 
     def _meets(self, level: _Float64s, u0: _Float64s, u1: _Float64s) -> _Bools:
-        """Tell whether each line meets its level; a level behind its start, as after unreadable light, counts."""
+        """Return whether each line meets its level; a level behind its start, as after unreadable light, counts."""
         return np.where(u1 > u0, level <= u1, level >= u1)
 
     def _fire(self, frame: Frame) -> Fired:
@@ -73,7 +73,7 @@ class Sikorski(Rule):
         return Fired(fired, np.concatenate(shares), up[fired])
 
     def _pass(self, pixel: _Int64s, t_ns: _Int64s) -> _Bools:
-        """Tell which crossings lie outside the refractory period, and begin new ones."""
+        """Return which crossings lie outside the refractory period, and begin new ones."""
         passes = t_ns >= self._refractory_until_ns[pixel]
         self._refractory_until_ns[pixel[passes]] = t_ns[passes] + self._refractory_ns()
         return passes

@@ -49,7 +49,7 @@ _STEEPEST = np.float32(64)  # bounds the work where slopes and light contradict 
 
 @lane
 def is_smooth(d: Real, a0: Real, a1: Real, unseen: Real) -> Real:
-    """Tell whether the step can be solved in one piece with the cubic as it is; False with unknown slopes.
+    """Return whether the step can be solved in one piece with the cubic as it is; False with unknown slopes.
 
     `unseen` is the change that may stay unseen, ln units. The test is slightly stricter than "neither undersampled nor
     limited", and takes fewer operations.
@@ -75,14 +75,14 @@ def completed(d: Real, a0: Real, a1: Real) -> tuple[Real, Real]:
 
 @lane
 def is_undersampled(d: Real, a0: Real, a1: Real, unseen: Real) -> Real:
-    """Tell whether the light may have changed by more than `unseen`, ln units, in a way that the frames do not show."""
+    """Return whether the light may have changed by more than `unseen`, ln units, unseen by the frames."""
     turns = (a0 * a1 < _ZERO) & (_EIGHTH * abs(a0 - a1) > unseen)
     return turns | (abs(d - _HALF * (a0 + a1)) > unseen)
 
 
 @lane
 def is_jump(d: Real, a0: Real, a1: Real) -> Real:
-    """Tell whether an undersampled step is a jump."""
+    """Return whether an undersampled step is a jump."""
     return max(abs(a0), abs(a1)) < _FLAT * abs(d)
 
 

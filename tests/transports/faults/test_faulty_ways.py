@@ -13,12 +13,12 @@ from firmware_protocol.instrument.outgoing import Outgoing
 from firmware_protocol.packets.message import Message, MessageKind
 from transports.can_bus.bus import BusDown, CanBus, Heard
 from transports.can_bus.faulty_bus import BusFaults, FaultyBus
-from transports.faults.bus import Parcel
+from transports.faults.bus import QueuedFrame
 from transports.faults.can_kinds import BabblingIdiot, BusOff, DeadBus, RepeatedFrames
 from transports.faults.faulty_line import FaultyLine
 from transports.faults.kinds import LostBytes, Stall, WrongBaud
 from transports.faults.script import FaultPlan
-from transports.faults.tracker import FrameWatch, Load, Tell
+from transports.faults.tracker import FrameTracker, Load, Callbacks
 
 DATA = np.random.default_rng(3).bytes(5000)
 FRAME = Frame(0x1A2, bytes(8))
@@ -117,7 +117,7 @@ class Fates:
 
     def __init__(self):
         self.arrived, self.lost = [], []
-        self.tell = Tell(self.arrived.append, self.lost.append)
+        self.tell = Callbacks(self.arrived.append, self.lost.append)
 
 
 def bus():
@@ -130,13 +130,13 @@ def test_a_controller_that_is_off_comes_back_on_the_same_bus_and_a_bus_that_brok
     inner = b._bus
     asyncio.run(b.open())
     faults.inject(BusOff(for_s=0.1))
-    for attempt in (lambda: b.post(Parcel(FRAME)), b.take, lambda: asyncio.run(b.open())):
+    for attempt in (lambda: b.post(QueuedFrame(FRAME)), b.take, lambda: asyncio.run(b.open())):
         with pytest.raises(BusDown, match="bus-off"):
             attempt()
     faults.advance(100_000)
     asyncio.run(b.open())
     assert inner.opened == 1
-    assert b.post(Parcel(FRAME))
+    assert b.post(QueuedFrame(FRAME))
     inner.down = True
     asyncio.run(b.open())
     assert inner.opened == 2
@@ -175,11 +175,11 @@ def message():
 def test_a_frame_that_comes_twice_counts_once_however_late():
     b, faults = bus()
     fates, inner = Fates(), b._bus
-    watch = FrameWatch(fates.tell)
+    tracker = FrameTracker(fates.tell)
     faults.inject(RepeatedFrames())
     inner.room = 1
-    assert b.post(Parcel(FRAME, cargo=watch.cargo(load(3))))
-    watch.left(message())
+    assert b.post(QueuedFrame(FRAME, message=tracker.message(load(3))))
+    tracker.left(message())
     assert len(fates.arrived) == 1
     inner.room = 10
     b.take()
@@ -189,13 +189,13 @@ def test_a_frame_that_comes_twice_counts_once_however_late():
 
 def test_a_message_given_up_has_no_other_fate():
     fates = Fates()
-    watch = FrameWatch(fates.tell)
-    first, second = watch.cargo(load(1)), watch.cargo(load(2))
+    tracker = FrameTracker(fates.tell)
+    first, second = tracker.message(load(1)), tracker.message(load(2))
     first.arrived(FRAME)
-    watch.dropped()
+    tracker.dropped()
     second.gone()
-    third = watch.cargo(load(3))
-    watch.left(message())
+    third = tracker.message(load(3))
+    tracker.left(message())
     assert (fates.arrived, fates.lost) == ([], [])
     third.gone()
     assert [len(each.events) for each in fates.lost] == [3]
@@ -204,11 +204,11 @@ def test_a_message_given_up_has_no_other_fate():
 def test_a_bus_that_goes_away_takes_what_waits_for_it():
     b, faults = bus()
     fates, inner = Fates(), b._bus
-    watch = FrameWatch(fates.tell)
+    tracker = FrameTracker(fates.tell)
     faults.inject(RepeatedFrames(rate=0.001))
     inner.room = 0
-    assert b.post(Parcel(FRAME, cargo=watch.cargo(load(3))))
-    assert not b.post(Parcel(FRAME))
-    watch.left(message())
+    assert b.post(QueuedFrame(FRAME, message=tracker.message(load(3))))
+    assert not b.post(QueuedFrame(FRAME))
+    tracker.left(message())
     b.drop()
     assert [len(each.events) for each in fates.lost] == [3]

@@ -276,7 +276,10 @@ def test_a_flat_box_s_faces_are_each_of_one_light(shapes):
     box = BodyTable(shape=str(shapes / "plate.obj"), path=turned, reflectance=Lambert(0.5), smooth=False)
     slanting = Sun((0.5, -0.2, -0.8))
     sharp, soft = (drawn([dataclasses.replace(box, smooth=s)], sun=slanting, samples=1) for s in (False, True))
-    counts = [np.sort(np.unique(np.round(light[light > 0] / light.max(), 3), return_counts=True)[1]) for light in (sharp, soft)]
+    counts = [
+        np.sort(np.unique(np.round(light[light > 0] / light.max(), 3), return_counts=True)[1])
+        for light in (sharp, soft)
+    ]
     in_three = [count[-3:].sum() / count.sum() for count in counts]
     assert in_three[0] > 0.4  # the plate is seen nearly edge-on: the other pixels are on its outline
     assert in_three[0] > 3 * in_three[1]
