@@ -21,8 +21,8 @@ those of the chip, 260 x 346, and ORIENTATION is 4. A register is a module (wVal
 reads back in full, all 32 bits, and is not checked. Flags act where the value is not 0. A register that is not in these
 tables reads 0; a write to it, or to one that can only be read (*ro*), is ignored.
 
-**Acts** says what the model does with it: *yes*, it changes what is sent; *told*, its value describes the camera; empty,
-it is kept and read back, and nothing else.
+**Acts** says what the model does with it: *yes*, it changes what is sent; *told*, its value describes the camera;
+empty, it is kept and read back, and nothing else.
 
 This page is made by `docs/make_register_page.py` from `firmware_protocol/davis346/registers.py`; a test compares them.
 """
