@@ -15,16 +15,16 @@ PAGE = Path(__file__).with_name("registers.md")
 
 _HEAD = """# Registers of the DAVIS346
 
-Every register that the emulated camera knows, for a sensor of 346 x 260 pixels. With the layout `turned` the sizes are those of the chip,
-260 x 346, and ORIENTATION is 4. A register is a module (wValue) and a parameter (wIndex) of
-[request 0xBF](protocol.md#vendor-requests). All are 32 bits wide and big-endian on the wire; a value that was written reads back in
-full, all 32 bits, and is not checked. Flags act where the value is not 0. A register that is not in these tables reads 0; a write to it,
-or to one that can only be read (*ro*), is ignored.
+Every register that the emulated camera knows, for a sensor of 346 x 260 pixels. With the layout `turned` the sizes are
+those of the chip, 260 x 346, and ORIENTATION is 4. A register is a module (wValue) and a parameter (wIndex) of
+[request 0xBF](protocol.md#vendor-requests). All are 32 bits wide and big-endian on the wire; a value that was written
+reads back in full, all 32 bits, and is not checked. Flags act where the value is not 0. A register that is not in these
+tables reads 0; a write to it, or to one that can only be read (*ro*), is ignored.
 
-**Acts** says what the model does with it: *yes*, it changes what is sent; *told*, its value describes the camera; empty, it
-is kept and read back, and nothing else.
+**Acts** says what the model does with it: *yes*, it changes what is sent; *told*, its value describes the camera;
+empty, it is kept and read back, and nothing else.
 
-This page is made by `docs/make_register_page.py` from `firmware_protocol/davis346/registers.py`; a test compares the two.
+This page is made by `docs/make_register_page.py` from `firmware_protocol/davis346/registers.py`; a test compares them.
 """
 
 _TITLES = {
@@ -47,7 +47,7 @@ _MEANINGS = {
     "TIMESTAMP_RUN": "timestamps run",
     "TIMESTAMP_RESET": "written 1: device time is zero, and the word 0x0001 is sent",
     "RUN_CHIP": "the chip has power",
-    "DROP_EXTINPUT_ON_STALL": "external input: edges are dropped at once when the FIFO is full, not kept in a queue of 8",
+    "DROP_EXTINPUT_ON_STALL": "edges are dropped at once when the FIFO is full, not kept in a queue of 8",
     "DROP_DVS_ON_STALL": "events are dropped when the FIFO is full; the model always does",
     "WAIT_ON_STALL": "wait instead of dropping",
     "EXTERNAL_AER_CONTROL": "the chip's handshake is done outside",

@@ -60,8 +60,9 @@ def as_drawn(fields, length):
 
 
 def same(drawn, packer):
-    values = [n + 1 for n in range(len(packer.unpack(bytes(packer.size))))]
-    values = [bytes([v]) * 300 if isinstance(e, bytes) else v for v, e in zip(values, packer.unpack(bytes(packer.size)), strict=True)]
+    """Say whether a drawn struct packs numbers as the code's does."""
+    zeros = packer.unpack(bytes(packer.size))
+    values = [bytes([n]) * 300 if isinstance(zero, bytes) else n for n, zero in enumerate(zeros, 1)]
     return struct.pack(drawn, *values) == packer.pack(*values)
 
 
@@ -79,7 +80,7 @@ def test_usbip_is_drawn_as_it_is_sent():
 
 def test_the_digest_is_what_the_page_says():
     text = " ".join((DOCS / "serial.md").read_text(encoding="utf-8").split())
-    said = re.search(r"CRC-32 \(that of zlib\) of the events .* as records of (\d+) octets, little-endian: (.*?);", text)
+    said = re.search(r"CRC-32 \(that of zlib\) .* as records of (\d+) octets, little-endian: (.*?);", text)
     kinds, names = zip(*re.findall(r"(u\d+) (\w+)", said[2]), strict=True)
     record = struct.Struct("<" + "".join(CODES[kind] for kind in kinds))
     assert record.size == int(said[1])

@@ -52,7 +52,7 @@ _Device = TypeVar("_Device", bound=EventDevice)
 class Stop:
     """The session's request to end: deliver what waits, but not for longer than `drain_s` of the link's own time.
 
-    A turn counts with at most 5 ms, so that a link that the machine kept waiting, or that compiled, still has its turns.
+    A turn counts with at most 5 ms, so that a link that the machine kept waiting, or that compiled, has its turns.
     """
 
     drain_s: float

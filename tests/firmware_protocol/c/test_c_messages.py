@@ -126,7 +126,9 @@ ISOTP = st.builds(
 ).map(lambda data: data[: max(n for n in FD_LENGTHS if n <= len(data))])  # fmt: skip
 
 
-@given(st.lists(st.one_of(CLASSIC, FD, ISOTP), max_size=30), st.integers(0, 2), st.sampled_from([0, 1, 7, 20, CAPACITY]))
+@given(
+    st.lists(st.one_of(CLASSIC, FD, ISOTP), max_size=30), st.integers(0, 2), st.sampled_from([0, 1, 7, 20, CAPACITY])
+)
 @settings(max_examples=200)
 def test_any_isotp_frames_count_the_same(library, datas, block_size, capacity):
     frames = [Frame(TELEMETRY, data, fd=True) for data in datas]

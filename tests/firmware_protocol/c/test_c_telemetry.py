@@ -80,7 +80,7 @@ CSP_PAGE = bytes.fromhex("c00100289200000000000001800000 6120626c6f636b cb252902
 
 def test_the_csp_packet_of_the_page(library):
     assert library("Y", CSP_PAGE).counters[:7] == [1, 0, 0, 0, 0, 0, 1]
-    assert library("X", b"\xc0\x00" + CSP_PAGE[:1].replace(b"\xc0", b"\xdb\xdc") + CSP_PAGE[1:] + b"\xc0").counters[0] == 1
+    assert library("X", b"\xc0\x00\xdb\xdc" + CSP_PAGE[1:] + b"\xc0").counters[0] == 1
 
 
 def csp_sealed(packet):
@@ -89,7 +89,8 @@ def csp_sealed(packet):
 
 @pytest.mark.parametrize(
     ("at", "value"),
-    [(1, 2), (0, 0xC1), (3, 0x2C), (4, 0x82), (4, 0xF2), (5, 0xFF)],  # destination, source and port; source port is free
+    # Destination, source and port; the source port is free.
+    [(1, 2), (0, 0xC1), (3, 0x2C), (4, 0x82), (4, 0xF2), (5, 0xFF)],
 )
 def test_csp_packets_that_are_not_ours_are_refused(library, at, value):
     packet = bytearray(CSP_PAGE[:-4])

@@ -35,7 +35,9 @@ def telemetry(profile, events):
     return wrapped, np.concatenate(received)
 
 
-@pytest.mark.parametrize(("letter", "name"), [("c", "ccsds-cobs"), ("s", "ccsds-slip"), ("k", "ccsds-kiss"), ("x", "csp-kiss")])
+@pytest.mark.parametrize(
+    ("letter", "name"), [("c", "ccsds-cobs"), ("s", "ccsds-slip"), ("k", "ccsds-kiss"), ("x", "csp-kiss")]
+)
 def test_telemetry(board, letter, name):
     board.ask(letter)
     profile = Profile(name)
