@@ -19,8 +19,9 @@ from typing import BinaryIO
 import numpy as np
 import numpy.typing as npt
 
-from firmware_protocol.edges import EDGE, Edges, empty_edges
+from firmware_protocol.edges import EDGE, Edges
 from firmware_protocol.events import EVENT, Events
+from transports.link.array_file import ArrayFileError, load_arrays
 
 __all__ = ["Recorder", "load_edges", "load_record", "save_record"]
 
@@ -89,14 +90,35 @@ def save_record(path: Path, events: Events, resets: list[int]) -> None:
 
 
 def load_record(path: str | Path) -> tuple[Events, list[int]]:
-    """Read a record: events (n,) EVENT in device time, and the indices at which device time started anew."""
-    with np.load(path) as file:
-        return file["events"], [int(i) for i in file["resets"]]
+    """Read a record: events (n,) EVENT in device time, and the indices at which device time started anew.
+
+    Raises ArrayFileError with the file's name, or OSError where it cannot be opened.
+    """
+    return _load(Path(path), EVENT, "events", "resets")
 
 
 def load_edges(path: Path) -> tuple[Edges, list[int]]:
-    """Read a record's edges, (m,) EDGE in device time, and the indices at which device time started anew."""
-    with np.load(path) as file:
-        if "edges" not in file:
-            return empty_edges(), []
-        return file["edges"], [int(i) for i in file["edge_resets"]]
+    """Read a record's edges, (m,) EDGE in device time, and the indices at which device time started anew.
+
+    Raises ArrayFileError with the file's name, or OSError where it cannot be opened.
+    """
+    return _load(path, EDGE, "edges", "edge_resets")
+
+
+def _load(path: Path, dtype: np.dtype[np.void], name: str, resets: str) -> tuple[npt.NDArray[np.void], list[int]]:
+    try:
+        there = load_arrays(path, (name, resets))
+        if name not in there and dtype == EDGE:  # records of events alone have none
+            return np.zeros(0, EDGE), []
+        records, starts = (there.get(key, np.zeros(0)) for key in (name, resets))
+        if records.dtype != dtype or records.ndim != 1:
+            raise ArrayFileError(f"its {name} are {records.dtype} of shape {records.shape}, not a list of {dtype}")
+        if starts.ndim != 1 or (starts.size and (starts.dtype.kind not in "iu" or _outside(starts, len(records)))):
+            raise ArrayFileError(f"its {resets} are no list of places among {len(records)} {name}")
+        return records, [int(i) for i in starts]
+    except ArrayFileError as error:
+        raise ArrayFileError(f"{path}: cannot be read as a recording of evstim: {error}") from error
+
+
+def _outside(starts: npt.NDArray[np.generic], count: int) -> bool:
+    return int(starts.min()) < 0 or int(starts.max()) > count

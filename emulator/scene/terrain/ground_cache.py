@@ -17,6 +17,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from transports.link.array_file import ArrayFileError, load_array
+
 __all__ = ["Progress", "cache_folder", "kept"]
 
 _FORMAT = 1
@@ -56,8 +58,8 @@ def kept(name: str, made_from: object, make: Callable[[], npt.NDArray[np.float32
 
 def _read(path: Path) -> npt.NDArray[np.float32] | None:
     try:
-        array = np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError):  # not there, cut short, or not one of ours
+        array = load_array(path)
+    except (OSError, ArrayFileError):  # not there, cut short, or not one of ours
         return None
     return array if array.dtype == np.float32 and array.ndim == 3 else None
 
