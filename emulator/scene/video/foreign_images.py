@@ -18,7 +18,7 @@ __all__ = ["read_images"]
 
 
 def read_images(path: Path) -> dict[str, npt.NDArray[Any]]:
-    """Return `levels` (n, height, width) of a file, or of a folder's files in the order of their names, and no times."""
+    """Return `levels` (n, height, width) of a file, or of a folder's files in the order of their names, no times."""
     files = sorted(p for p in path.iterdir() if p.is_file()) if path.is_dir() else [path]
     return {"levels": stacked(_frames(files)), "times_s": np.zeros(0)}
 
