@@ -10,7 +10,7 @@ import socket
 import threading
 import time
 from collections import deque
-from contextlib import nullcontext, suppress
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -181,11 +181,7 @@ class PythonCanBus(CanBus):
     def _read(self, bus: can.BusABC) -> None:
         """Read until the bus is closed or gone: the reader's thread."""
         # python-can's client of socketcand does not see that its server has gone: it reads nothing, again and again.
-        end = socket.socket(fileno=os.dup(bus.fileno())) if self._parameters.interface == "socketcand" else None
-        with end or nullcontext():
-            self._read_until(bus, end)
-
-    def _read_until(self, bus: can.BusABC, end: socket.socket | None) -> None:
+        end: socket.socket | None = getattr(bus, "_SocketCanDaemonBus__socket", None)
         while not self._closing.is_set():
             try:
                 message = bus.recv(_READ_TIMEOUT_S)
