@@ -15,7 +15,8 @@ EVSTIM = [sys.executable, "-c", "from emulator.cli import main; main()"]
 RIG = """
 [scene]
 kind = "checkerboard"
-speed_px_s = 10.0
+speed_px_s = {speed}
+{sensor}
 [run]
 max_late_ms = 0
 step_us = 5000
@@ -24,6 +25,8 @@ kind = "{kind}"
 {more}
 """
 KINDS = {"usbip": "port = 0", "serial": 'port = "pty"', "can": "port = {port}"}
+SMALL = "[camera.sensor]\nwidth = 64\nheight = 48"  # fewer events than the narrow links can carry
+RATES = [{"speed": 2.0, "sensor": SMALL}, {"speed": 10.0, "sensor": ""}]
 
 
 def until(condition, timeout_s=60.0):
@@ -41,7 +44,7 @@ class Bench:
             free.bind(("127.0.0.1", 0))
             port = free.getsockname()[1]
         self.rig, self.ready, self.log = folder / "a.toml", folder / "ready", folder / "listen.err"
-        self.rig.write_text(RIG.format(kind=kind, more=KINDS[kind].format(port=port)))
+        self.rig.write_text(RIG.format(kind=kind, more=KINDS[kind].format(port=port), **RATES[kind == "usbip"]))
         options = ["--seconds", str(seconds), "--json", "--ready-file", str(self.ready)]
         self.run = self._started(["run", str(self.rig), *options], subprocess.DEVNULL)
         until(self.ready.exists)
