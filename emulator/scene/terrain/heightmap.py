@@ -138,7 +138,8 @@ def _map(found: dict[str, npt.NDArray[Any]]) -> _Map:
 def _numbers(array: npt.NDArray[np.generic]) -> Floats:
     if array.ndim != 2 or array.dtype.kind not in "fiu":
         raise SceneError(f"holds {array.dtype} of shape {array.shape}: heights are numbers in rows and columns")
-    return np.asarray(array, np.float64)
+    with np.errstate(invalid="ignore"):  # signalling NaN become holes like the others
+        return np.asarray(array, np.float64)
 
 
 def _require_range(heights: Floats) -> None:

@@ -78,7 +78,8 @@ def _array(path: Path) -> Levels:
     if levels.ndim != 3 or not levels.size:
         raise SceneError(f"{path}: has the shape {levels.shape}; (frames, height, width) is needed")
     if levels.dtype.kind == "f":
-        levels = levels.astype(np.float32)
+        with np.errstate(invalid="ignore", over="ignore"):  # what is not finite then is refused
+            levels = levels.astype(np.float32)
         bad = np.flatnonzero(~(np.isfinite(levels) & (levels >= 0)).all(axis=(1, 2)))
         if bad.size:
             raise SceneError(f"{path}: frame {bad[0]} holds light that is negative or not finite")
