@@ -103,7 +103,7 @@ def _keys(keys: tuple[str, ...]) -> dict[str, Any]:
             raise Failure(f"--set {key}: KEY=VALUE is needed", WRONG_USE)
         try:
             table[name.strip()] = tomllib.loads(f"value = {value}")["value"]
-        except tomllib.TOMLDecodeError:
+        except (ValueError, RecursionError):  # no TOML
             table[name.strip()] = value
     return table
 

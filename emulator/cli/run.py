@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import os
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +11,8 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from emulator.cli.failures import failures
-from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, console, print_json, status
+from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, WRONG_USE, Failure, console, print_json, status
+from emulator.cli.output_paths import check_output
 from emulator.cli.run_output.lateness import lateness_lines
 from emulator.cli.run_output.link_summary import link_json, link_lines
 from emulator.cli.run_output.live import LiveTable
@@ -96,7 +96,7 @@ def run(
         loaded = _with_options(load_rig(rig), seconds, seed, pace)
         _check_record(loaded, files.record)
         _check_truth(loaded, files.truth)
-        _check_folder("--ready-file", files.ready_file)
+        check_output("--ready-file", files.ready_file)
         files.begin_fault_log()
         result = run_rig(loaded, files, show=not json)
     if json:
@@ -118,9 +118,7 @@ def _check_record(rig: Rig, record: Path | None) -> None:
         return
     if not rig.links:
         raise Failure("--record: this rig has no link, so no event is delivered", WRONG_USE)
-    if record.suffix != ".npz":
-        raise Failure(f"--record: {record} must end in .npz, the one format that is written", WRONG_USE)
-    _check_folder("--record", record)
+    check_output("--record", record, ".npz")
 
 
 def _check_truth(rig: Rig, truth: Path | None) -> None:
@@ -128,19 +126,7 @@ def _check_truth(rig: Rig, truth: Path | None) -> None:
         return
     if rig.camera.clock is None or not rig.links:
         raise Failure("--truth: this rig needs a [camera.clock] table and a link that carries its times", WRONG_USE)
-    _check_folder("--truth", truth)
-
-
-def _check_folder(option: str, path: Path | None) -> None:
-    """Raise Failure where a file cannot be written at the run's end: that is said before the run."""
-    if path is None:
-        return
-    if not path.parent.is_dir():
-        raise Failure(f"{option}: the folder {path.parent} does not exist", WRONG_USE)
-    if path.is_dir():
-        raise Failure(f"{option}: {path} is a folder; name a file", WRONG_USE)
-    if not os.access(path if path.exists() else path.parent, os.W_OK):
-        raise Failure(f"{option}: {path} may not be written", WRONG_USE)
+    check_output("--truth", truth)
 
 
 def run_rig(rig: Rig, files: Files = _NO_FILES, *, show: bool = False) -> RunResult:
@@ -163,12 +149,19 @@ def run_rig(rig: Rig, files: Files = _NO_FILES, *, show: bool = False) -> RunRes
             ready = ReadySignal(files.ready_file)
 
             def report(now: RunStatus) -> None:
-                ready.tell({name: link.address for name, link in now.links.items()})
+                _tell(ready, now)
                 faults.serve(now)
                 if live:
                     live.update(now)
 
             return session.run(schedule(rig), report)
+
+
+def _tell(ready: ReadySignal, now: RunStatus) -> None:
+    try:
+        ready.tell({name: link.address for name, link in now.links.items()})
+    except OSError as error:
+        raise Failure(f"--ready-file: {error.strerror or error}", LACKING) from error
 
 
 def summary(rig: Rig, result: RunResult) -> dict[str, object]:
@@ -196,6 +189,7 @@ def summary(rig: Rig, result: RunResult) -> dict[str, object]:
                 "latency_us": r.latency,
                 "digest": r.digest,
                 "error": r.error,
+                "file_troubles": r.file_troubles,
                 **link_json(r),
                 **timing_json(r),
             }
@@ -226,6 +220,8 @@ def _print_summary(rig: Rig, result: RunResult) -> None:
             console.print(line)
         if report.error is not None:
             console.print(f"{link.name}: {report.error}")
+        for trouble in report.file_troubles:
+            console.print(f"{link.name}: {trouble}", markup=False)
         for line in timing_lines(link.name, report):
             console.print(line)
         if report.latency.p50 is not None:

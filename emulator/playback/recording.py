@@ -2,29 +2,30 @@
 
     .npz       what `--record` and the listeners write; the part after the last restart of the camera's clock
     .aedat4    recordings of iniVation's cameras; read by faery (`pip install 'evstim[files]'`)
-    .es .dat .raw .csv   likewise, as far as faery reads them
+    .es .dat .raw .csv   likewise, as far as faery reads them; in a child process, see `foreign_file`
 
 A recording is taken whole into memory, 13 bytes an event.
 """
 
 from __future__ import annotations
 
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
 
-from emulator.light import MachineLacks, SceneError
+from emulator.light import SceneError
+from emulator.scene.foreign_file import read_in_child
 from emulator.scene.kind import SceneKind
 from emulator.tables.files import NO_FILE, RigFile
-from firmware_protocol.events import EVENT, Events
+from firmware_protocol.events import Events
+from transports.link.array_file import ArrayFileError
 from transports.link.record import load_record
 
 __all__ = ["RECORDING", "RecordingParameters", "load_recording"]
 
-_MOST_EVENTS = 1 << 31
+_FAERY = "emulator.playback.foreign_recording:read_recording"
 
 
 @dataclass(frozen=True)
@@ -68,7 +69,7 @@ def load_recording(path: Path, size: tuple[int, int]) -> Events:
     SceneError
         The file cannot be read, holds no events, or events that a sensor of `size` = (width, height) cannot have.
     """
-    events = _read_npz(path) if path.suffix == ".npz" else _read_with_faery(path)
+    events = _read_npz(path) if path.suffix == ".npz" else read_in_child(_FAERY, path)["events"]
     if not len(events):
         raise SceneError(f"{path}: holds no events")
     outside = np.flatnonzero((events["x"] >= size[0]) | (events["y"] >= size[1]))
@@ -89,22 +90,8 @@ def load_recording(path: Path, size: tuple[int, int]) -> Events:
 def _read_npz(path: Path) -> Events:
     try:
         events, restarts = load_record(path)
-        if events.dtype != EVENT:
-            raise ValueError(f"its events are {events.dtype}, not {EVENT}")
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
-        raise SceneError(f"{path}: cannot be read as a recording of evstim: {error}") from error
+    except OSError as error:
+        raise SceneError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except ArrayFileError as error:
+        raise SceneError(str(error)) from error
     return events[restarts[-1] :].copy() if restarts else events
-
-
-def _read_with_faery(path: Path) -> Events:
-    try:
-        import faery
-    except ImportError as error:
-        raise MachineLacks(f"{path}: reading {path.suffix} needs faery: pip install 'evstim[files]'") from error
-    if not path.is_file():
-        raise SceneError(f"{path}: no such file")
-    try:
-        packets = [packet.astype(EVENT) for packet in faery.events_stream_from_file(path)]
-    except (OSError, RuntimeError, ValueError, AttributeError) as error:
-        raise SceneError(f"{path}: cannot be read: {error}") from error
-    return np.concatenate(packets) if packets else np.empty(0, EVENT)

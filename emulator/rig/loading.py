@@ -34,6 +34,7 @@ from emulator.scene.kind import SceneParameters
 from emulator.sensor.presets import SensorParameters
 from emulator.tables.files import beside
 from emulator.tables.registry import PluginError, Record, Registry
+from emulator.tables.text_file import TextFileError, read_text, shortened
 from emulator.tables.typed_table import Path as KeyPath
 from emulator.tables.typed_table import TableError, convert, split_kind, unknown
 from transports.faults.kinds import Fault
@@ -56,6 +57,8 @@ __all__ = [
 ]
 
 R = TypeVar("R", bound=Record)
+
+_MOST_BYTES = 1 << 22  # the longest shipped rig has 4 KiB
 
 
 class RigError(Exception):
@@ -101,9 +104,9 @@ def load_rig(rig: str) -> Rig:
     """Load a rig by path or name; raises RigError."""
     path = find_rig(rig)
     try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise RigError(f"{path}: cannot be read: {error}") from error
+        text = read_text(path, _MOST_BYTES)
+    except TextFileError as error:
+        raise RigError(f"{path}: {error}") from error
     return parse_rig(text, str(path), path.stem)
 
 
@@ -111,15 +114,17 @@ def parse_rig(text: str, file: str, name: str) -> Rig:
     """Make a rig of TOML text; `file` is for messages. Raises RigError."""
     try:
         table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise RigError(f"{file}: not valid TOML: {error}") from error
+    except ValueError as error:  # TOMLDecodeError, or a number with more digits than Python converts
+        raise RigError(f"{file}: not valid TOML: {shortened(error)}") from error
+    except RecursionError as error:
+        raise RigError(f"{file}: not valid TOML: its arrays or tables are nested too deeply") from error
     try:
         return beside(_rig(table, name), Path(file).parent)
     except TableError as error:
         line = line_of(text, error.path)
         at = f"{file}, line {line}" if line else file
-        key = _dotted(error.path)
-        raise RigError(f"{at}: {key}: {error}" if key else f"{at}: {error}") from error
+        key = _dotted(error.path)[:200]
+        raise RigError(f"{at}: {key}: {shortened(error)}" if key else f"{at}: {shortened(error)}") from error
 
 
 def _dotted(path: KeyPath) -> str:

@@ -90,9 +90,10 @@ class RunResult:
 
     @property
     def good(self) -> bool:
-        """True when every event and edge has exactly one fate, no link failed, and the run kept up with the clock."""
+        """True when every event and edge has one fate, no link failed, every file is whole, and the run kept up."""
         links = self.links.values()
         sound = self.ledger.balanced and all(link.error is None and link.edges_balanced for link in links)
+        sound = sound and not any(link.file_troubles for link in links)
         return sound and not self.too_late
 
 

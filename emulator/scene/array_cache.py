@@ -18,6 +18,8 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from transports.link.array_file import ArrayFileError, load_array
+
 __all__ = ["Progress", "cache_folder", "kept"]
 
 T = TypeVar("T", bound=np.generic)
@@ -67,8 +69,8 @@ def kept(
 
 def _read(path: Path, kind: tuple[type, int]) -> npt.NDArray[Any] | None:
     try:
-        array = np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError):  # not there, cut short, or not one of ours
+        array = load_array(path)
+    except (OSError, ArrayFileError):  # not there, cut short, or not one of ours
         return None
     return array if (array.dtype, array.ndim) == kind else None
 

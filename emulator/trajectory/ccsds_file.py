@@ -29,7 +29,7 @@ from emulator.trajectory.epochs import epoch_ns, scale_of
 from emulator.trajectory.frames import axes_of, world_is_a
 from emulator.trajectory.keyframes import Keyframes
 from emulator.trajectory.polynomial import PolynomialPath
-from emulator.trajectory.pose import STILL, Pose, Trajectory, TrajectoryError
+from emulator.trajectory.pose import FARTHEST_M, STILL, Pose, Trajectory, TrajectoryError
 from emulator.trajectory.segments import Segment, Segmented
 
 __all__ = ["CcsdsPath", "parse_aem", "parse_oem"]
@@ -163,12 +163,12 @@ def _require_same(segments: list[_Samples]) -> None:
 
 
 def _place(_: dict[str, str], cells: list[str]) -> _Floats:
-    values = np.array([float(cell) for cell in cells]) * 1000.0
+    values = np.array([float(cell) for cell in cells])
     if len(values) not in (3, 6, 9):
         raise ValueError(f"an epoch and 3, 6 or 9 numbers are expected, got {len(values)}")
-    if not np.isfinite(values).all():
-        raise ValueError(f"numbers must be finite, got {' '.join(cells)}")
-    return values
+    if not (np.abs(values) <= FARTHEST_M / 1000).all():
+        raise ValueError(f"numbers must be finite, at most {FARTHEST_M / 1000:g} km or km/s, got {' '.join(cells)}")
+    return values * 1000.0
 
 
 def _places(samples: _Samples) -> Trajectory:

@@ -25,7 +25,7 @@ import numpy.typing as npt
 
 from emulator.geometry.attitude import quaternion_of
 from emulator.trajectory.looking import looking_along
-from emulator.trajectory.pose import Pose, TrajectoryError
+from emulator.trajectory.pose import FARTHEST_M, Pose, TrajectoryError
 from emulator.trajectory.table_file import Samples
 
 __all__ = ["Flight", "parse_flight"]
@@ -104,8 +104,8 @@ def _numbers(words: list[str], count: int) -> npt.NDArray[np.float64]:
     if len(words) != count:
         raise ValueError(f"{count} numbers are expected, got {len(words)}")
     values = np.array([float(word) for word in words])
-    if not np.isfinite(values).all():
-        raise ValueError(f"numbers must be finite, got {' '.join(words)}")
+    if not (np.abs(values) <= FARTHEST_M).all():
+        raise ValueError(f"numbers must be finite, at most {FARTHEST_M:g}, got {' '.join(words)}")
     return values
 
 

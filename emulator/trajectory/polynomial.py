@@ -49,10 +49,10 @@ class PolynomialPath(Trajectory):
         degree: int,
         velocities_m_s: npt.ArrayLike | None = None,
     ) -> None:
-        self._times_ns = np.array(times_ns, np.int64)
         self._places_m = np.asarray(places_m, np.float64)
         self._velocities = None if velocities_m_s is None else np.asarray(velocities_m_s, np.float64)
         require_increasing(times_ns, len(self._places_m))
+        self._times_ns = np.array(times_ns, np.int64)
         self._used = degree + 1 if velocities_m_s is None else degree // 2 + 1
         if not 1 <= degree <= _HIGHEST_DEGREE:
             raise TrajectoryError(f"a degree of {degree}: 1 to {_HIGHEST_DEGREE} can be used")

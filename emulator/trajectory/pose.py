@@ -7,6 +7,7 @@ boresight. Other conventions (SPICE, Basilisk, ROS, OpenGL) are converted by `co
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
@@ -14,7 +15,10 @@ import numpy as np
 
 from emulator.geometry.attitude import Matrix, Quaternion, Vector, conjugate, matrix_of, multiply
 
-__all__ = ["STILL", "Fixed", "Pose", "Trajectory", "TrajectoryError"]
+__all__ = ["FARTHEST_M", "STILL", "Fixed", "Pose", "Trajectory", "TrajectoryError"]
+
+FARTHEST_M = 1e18
+"""A hundred light years; the squares and cubes of it stay finite."""
 
 _UNIT_WITHIN = 1e-3
 
@@ -43,9 +47,9 @@ class Pose:
 
     def __post_init__(self) -> None:
         position, q = np.asarray(self.position_m, np.float64), np.asarray(self.q_world_from_body, np.float64)
-        if position.shape != (3,) or not np.isfinite(position).all():
-            raise ValueError(f"a position is three finite metres, got {position}")
-        length = float(np.linalg.norm(q))
+        if position.shape != (3,) or not (np.abs(position) <= FARTHEST_M).all():  # NaN compares false
+            raise ValueError(f"a position is three finite metres, at most {FARTHEST_M:g}, got {position}")
+        length = float(np.linalg.norm(q)) if (np.abs(q) < 2).all() else math.inf
         if q.shape != (4,) or not abs(length - 1) < _UNIT_WITHIN:
             raise ValueError(f"an attitude is a unit quaternion (w, x, y, z), got {q} of length {length:.4g}")
         object.__setattr__(self, "position_m", position)

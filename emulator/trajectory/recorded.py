@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 from pathlib import Path
 
+from emulator.tables.text_file import TextFileError, read_text, shortened
 from emulator.trajectory.ccsds_file import CcsdsPath, parse_aem, parse_oem
 from emulator.trajectory.composed import Mounted, PlaceAndAttitude
 from emulator.trajectory.conventions import OPENGL_FROM_CAMERA
@@ -20,6 +21,7 @@ from emulator.trajectory.table_file import Samples, parse_table
 
 __all__ = ["read_path"]
 
+_MOST_BYTES = 1 << 28
 _LOG = logging.getLogger(__name__)
 
 _Span = tuple[int, int]
@@ -32,13 +34,13 @@ def read_path(p: FilePath) -> tuple[Trajectory, _Span]:
         orbit = parse_oem(_text(path)) if path.suffix.lower() == ".oem" else None
         places = orbit.path if orbit else _keyframes(path, p.period_s)
     except TrajectoryError as error:
-        raise TrajectoryError(f"{p.path}: {error}") from error
+        raise TrajectoryError(f"{p.path}: {shortened(error)}") from error
     start_ns, stop_ns = places.span_ns
     zero_ns = start_ns if orbit else 0
     try:
         attitudes, attitudes_zero_ns = _attitudes(p, places.span_ns, orbit) if p.attitude_path else (places, zero_ns)
     except TrajectoryError as error:
-        raise TrajectoryError(f"{p.attitude_path}: {error}") from error
+        raise TrajectoryError(f"{p.attitude_path}: {shortened(error)}") from error
     both: Trajectory = PlaceAndAttitude(places, attitudes, zero_ns, attitudes_zero_ns)
     return Mounted(both, OPENGL_FROM_CAMERA) if p.axes == "opengl" else both, (start_ns - zero_ns, stop_ns - zero_ns)
 
@@ -92,6 +94,6 @@ def _require_comparable(orbit: CcsdsPath, attitudes: CcsdsPath) -> None:
 
 def _text(path: Path) -> str:
     try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise TrajectoryError(f"cannot be read: {getattr(error, 'strerror', None) or error}") from error
+        return read_text(path, _MOST_BYTES)
+    except TextFileError as error:
+        raise TrajectoryError(str(error)) from error

@@ -14,6 +14,7 @@ __all__ = ["instants_between", "require_increasing"]
 
 _A_PIECE = 8
 _MOST = 4096
+_LATEST_NS = 1 << 62
 
 
 def require_increasing(times_ns: Sequence[int], poses: int) -> None:
@@ -22,6 +23,9 @@ def require_increasing(times_ns: Sequence[int], poses: int) -> None:
         raise TrajectoryError("an empty trajectory: at least one pose is needed")
     if len(times_ns) != poses:
         raise TrajectoryError(f"{len(times_ns)} times for {poses} poses")
+    if max(abs(times_ns[0]), abs(times_ns[-1])) > _LATEST_NS:
+        farthest_s = max(abs(times_ns[0]), abs(times_ns[-1])) // 10**9
+        raise TrajectoryError(f"times reach {farthest_s:.3g} s: at most {_LATEST_NS // 10**9} s, 140 years, are kept")
     for k, (before, after) in enumerate(itertools.pairwise(times_ns), start=1):
         if after <= before:
             problem = "again" if after == before else "goes back"

@@ -55,7 +55,10 @@ def _lines(lines: Iterable[str]) -> Iterator[tuple[int, list[str]]]:
     """Yield the number (from 1) and the cells of each line that holds any."""
     for number, line in enumerate(lines, start=1):
         if line.strip() and not line.lstrip().startswith("#"):
-            yield number, [cell.strip() for cell in next(csv.reader([line]))]
+            try:
+                yield number, [cell.strip() for cell in next(csv.reader([line]))]
+            except csv.Error as error:
+                raise TrajectoryError(f"line {number}: {error}") from error
 
 
 def _read(samples: Samples, columns: dict[str, int], cells: list[str]) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import asyncio
 from collections import Counter, deque
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -153,7 +154,9 @@ class CanEndpoint(Endpoint):
         return len(edges)
 
     async def close(self) -> None:
-        """Let frames go that the bus has taken, drop the rest, and let go of the buses."""
+        """Let frames go that the bus has taken, drop the rest, tell the others, and let go of the buses."""
+        await self._drain()
+        self._say_farewell()
         await self._drain()
         self._closed_ns = self._clock.now_ns()
         self._drop()
@@ -268,6 +271,13 @@ class CanEndpoint(Endpoint):
 
     def _trackers(self) -> list[Tracker]:
         return [source.tracker for source in self._sources if source.tracker is not None]
+
+    def _say_farewell(self) -> None:
+        slot = self._slots[self._active]
+        if slot.up and slot.bus.heard:
+            with suppress(BusDown):
+                for frame in self._node.farewell():
+                    self._send(slot, Parcel(frame, exempt=True), self._clock.now_ns())
 
     async def _drain(self) -> None:
         slot = self._slots[self._active]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
+from firmware_protocol.can_frames.canopen import NodeState
 from firmware_protocol.receiver.can import CanReceiver
 from transports.can_bus.bus import BusDown
 from transports.can_bus.parameters import CanParameters
@@ -39,6 +40,8 @@ class CanReception:
         How much later than the quickest frame each came, by the bus's stamps: the camera's own clock is not known.
     gone
         True when the bus went away.
+    ended
+        Whether the newest heartbeat said that the camera had stopped, as it does at the end of its run.
     """
 
     events: int = 0
@@ -50,6 +53,7 @@ class CanReception:
     counts: Mapping[str, int] = field(default_factory=dict)
     jitter_us: LatencySummary = field(default_factory=LatencySummary)
     gone: bool = False
+    ended: bool = False
 
 
 def peer_of(parameters: CanParameters) -> CanParameters:
@@ -63,6 +67,8 @@ class _Listening:
     def __init__(self, parameters: CanParameters, clock: Clock, recorder: Recorder | None) -> None:
         self._receiver = CanReceiver(parameters.receiver)
         self._arrivals = Arrivals(clock, recorder)
+        self._heartbeat = parameters.identifiers.heartbeat
+        self._ended = False
 
     @property
     def now(self) -> CanReception:
@@ -74,6 +80,8 @@ class _Listening:
         """Hear all that has come; raises BusDown when the bus is gone."""
         for heard in bus.take():
             self._receiver.push(heard.frame, heard.t_ns)
+            if heard.frame.identifier == self._heartbeat and not heard.frame.extended:
+                self._ended = heard.frame.data == bytes([NodeState.STOPPED])
             for reply in self._receiver.take_replies():
                 bus.send(reply)
             self._arrivals.add(self._receiver.take_events(), self._receiver.take_edges(), heard.t_ns)
@@ -81,7 +89,8 @@ class _Listening:
     def finish(self, *, gone: bool) -> CanReception:
         """Return everything."""
         receiver, jitter = self._receiver, self._arrivals.jitter()
-        return replace(self.now, faults=receiver.faults, counts=receiver.counts, jitter_us=jitter, gone=gone)
+        known = replace(self.now, faults=receiver.faults, counts=receiver.counts, jitter_us=jitter)
+        return replace(known, gone=gone, ended=self._ended)
 
 
 async def listen_can(

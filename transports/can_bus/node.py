@@ -92,6 +92,10 @@ class Node:
         frames += self._emergencies(now_ns)
         return frames
 
+    def farewell(self) -> list[Frame]:
+        """Return what tells the others that this node ends: the heartbeat of one that has stopped, where it has one."""
+        return [Frame(self._ids.heartbeat, bytes([NodeState.STOPPED]))] if self._p.heartbeat_ms else []
+
     def hear(self, bus: int, frame: Frame, t_ns: int) -> None:
         """Take a frame that was on a bus at `t_ns`. Only the master's heartbeat counts on a bus that is not in use."""
         if frame.error:

@@ -180,6 +180,8 @@ class PythonCanBus(CanBus):
 
     def _read(self, bus: can.BusABC) -> None:
         """Read until the bus is closed or gone: the reader's thread."""
+        # python-can's client of socketcand does not see that its server has gone: it reads nothing, again and again.
+        end: socket.socket | None = getattr(bus, "_SocketCanDaemonBus__socket", None)
         while not self._closing.is_set():
             try:
                 message = bus.recv(_READ_TIMEOUT_S)
@@ -191,6 +193,10 @@ class PythonCanBus(CanBus):
             if message is not None:
                 self._keep(message)
                 self._tell()
+            elif end is not None and _has_ended(end):
+                self._failure = f"CAN bus {self.address}: its server closed the connection"
+                self._tell()
+                return
 
     def _tell(self) -> None:
         """Wake who waits, at most once for all that has come."""
@@ -214,6 +220,16 @@ class PythonCanBus(CanBus):
 
     def _advice(self, error: Exception) -> str:
         return f"CAN bus {self.address}: {error}; {_cure(self._parameters, self._channel, error)}"
+
+
+def _has_ended(connection: socket.socket) -> bool:
+    """Say whether the other side of a TCP connection has closed it and all is read."""
+    try:
+        return not connection.recv(1, socket.MSG_PEEK | socket.MSG_DONTWAIT)
+    except BlockingIOError:
+        return False
+    except OSError:
+        return True
 
 
 def _is_up(channel: str) -> bool:

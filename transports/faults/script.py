@@ -20,6 +20,7 @@ from typing import Generic, Protocol, TypeVar
 import numpy as np
 
 from transports.faults.kinds import Fault
+from transports.output_file import OutputFile
 
 __all__ = ["FaultPlan", "FaultRecord", "Faults", "Stage"]
 
@@ -67,6 +68,8 @@ class FaultRecord:
         Times that it struck.
     touched
         Bytes or frames that it changed, took away, put in or held.
+    log_trouble
+        Why the fault log does not hold all of it; empty where it does, or where there is no log.
     events_lost, edges_lost
         That a sound receiver does not get because of it. Where faults overlap, the last that struck is blamed.
     """
@@ -79,6 +82,7 @@ class FaultRecord:
     touched: int = 0
     events_lost: int = 0
     edges_lost: int = 0
+    log_trouble: str = ""
 
 
 @dataclass
@@ -111,7 +115,7 @@ class Faults(Generic[S]):
         self._all: list[_Injected[S]] = []
         self._blamed: _Injected[S] | None = None
         self._now_us = 0
-        self._log = None if plan.log is None else plan.log.open("a", encoding="utf-8", buffering=1)
+        self._log = None if plan.log is None else OutputFile(plan.log, "fault log", append=True)
 
     @property
     def records(self) -> tuple[FaultRecord, ...]:
@@ -162,7 +166,6 @@ class Faults(Generic[S]):
             self._end(injected)
         if self._log is not None:
             self._log.close()
-            self._log = None
 
     def _begin(self, fault: Fault, at_us: int) -> None:
         number = len(self._all) + 1
@@ -182,11 +185,12 @@ class Faults(Generic[S]):
         self._write(injected, "ended", hits=injected.stage.hits, touched=injected.stage.touched)
 
     def _record(self, injected: _Injected[S]) -> FaultRecord:
-        return replace(injected.record, hits=injected.stage.hits, touched=injected.stage.touched)
+        trouble = "" if self._log is None else self._log.trouble
+        return replace(injected.record, hits=injected.stage.hits, touched=injected.stage.touched, log_trouble=trouble)
 
     def _write(self, injected: _Injected[S], what: str, **told: object) -> None:
         if self._log is None:
             return
         record = injected.record
         head = {"t_us": self._now_us, "link": self._plan.link, "fault": record.number, "kind": record.kind}
-        self._log.write(json.dumps({**head, "what": what, **told}) + "\n")
+        self._log.write(json.dumps({**head, "what": what, **told}).encode() + b"\n", flush=True)

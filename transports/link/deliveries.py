@@ -64,6 +64,11 @@ class Deliveries:
         stream_ns = monotonic_ns - origin_ns
         return stream_ns if self._device_clock is None else int(self._device_clock.shown_ns(stream_ns)[0])
 
+    @property
+    def trouble(self) -> str:
+        """Why the record is not whole, for people; empty where it is, or where there is none."""
+        return "" if self._recorder is None else self._recorder.trouble
+
     def close(self) -> None:
         """Close the record."""
         if self._recorder is not None:

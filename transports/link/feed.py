@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TextIO
 
 import numpy as np
 
@@ -22,6 +21,7 @@ from firmware_protocol.event_device import EventDevice
 from firmware_protocol.events import Events
 from transports.link.edges import EdgeRing, EdgeSource
 from transports.link.ring import EventRing
+from transports.output_file import OutputFile
 
 __all__ = ["ClockReport", "ClockTruth", "EdgeReport", "Feed", "Timing"]
 
@@ -108,12 +108,17 @@ class ClockTruth:
     """A file of what a device's clock really shows, for whoever scores an estimator."""
 
     def __init__(self, path: Path) -> None:
-        self._file: TextIO = path.open("w", encoding="ascii")
-        self._file.write("monotonic_ns,stream_us,device_us\n")
+        self._file = OutputFile(path, "truth")
+        self._file.write(b"monotonic_ns,stream_us,device_us\n")
+
+    @property
+    def trouble(self) -> str:
+        """Why the file is not whole, for people; empty where it is."""
+        return self._file.trouble
 
     def add(self, monotonic_ns: int, report: ClockReport) -> None:
         """Write one line."""
-        self._file.write(f"{monotonic_ns},{report.t_us},{report.device_us:.3f}\n")
+        self._file.write(f"{monotonic_ns},{report.t_us},{report.device_us:.3f}\n".encode("ascii"))
 
     def close(self) -> None:
         """Close the file."""

@@ -25,6 +25,7 @@ from typing import Any, Generic, TypeVar
 
 from firmware_protocol.event_device import EventDevice
 from transports.faults.kinds import Fault
+from transports.faults.script import FaultRecord
 from transports.link.background_log import log_in_background
 from transports.link.deliveries import Deliveries
 from transports.link.endpoint import Endpoint, EndpointFactory, LinkBroken
@@ -160,7 +161,13 @@ class Link:
             edges=self._feed.edge_report(final=final),
             clock=self._clock_report(final=final),
             faults=faults,
+            file_troubles=self._file_troubles(faults),
         )
+
+    def _file_troubles(self, faults: tuple[FaultRecord, ...]) -> tuple[str, ...]:
+        truth = "" if self._truth is None else self._truth.trouble
+        told = (self._deliveries.trouble, truth, *(fault.log_trouble for fault in faults))
+        return tuple(dict.fromkeys(trouble for trouble in told if trouble))
 
     def _clock_report(self, *, final: bool) -> ClockReport | None:
         if final:  # the host has gone, and with it the device's time

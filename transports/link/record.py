@@ -8,33 +8,42 @@ The file is a NumPy `.npz`:
     edge_resets  int64[k]   indices into `edges` at the same restarts
 
 A client's view after it reset the camera's timestamps is `events[resets[-1]:]`. While the run lasts the events lie in a
-plain file beside it (`.part`), so that memory does not grow with the run and a killed run leaves its data.
+plain file beside it (`.part`), so that memory does not grow with the run and a killed run leaves its data. A record
+that can be written no more (a full disk) stops, and its link goes on: see `Recorder.trouble`.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 import numpy.typing as npt
 
-from firmware_protocol.edges import EDGE, Edges, empty_edges
+from firmware_protocol.edges import EDGE, Edges
 from firmware_protocol.events import EVENT, Events
+from transports.link.array_file import ArrayFileError, load_arrays
+from transports.output_file import OutputFile
 
 __all__ = ["Recorder", "load_edges", "load_record", "save_record"]
 
 
 class Recorder:
-    """Appends delivered events and edges; `close` makes the `.npz`."""
+    """Appends delivered events and edges; `close` makes the `.npz`. Only the constructor raises OSError."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._events = _Part(path.with_suffix(path.suffix + ".part"))
-        self._edges = _Part(path.with_suffix(path.suffix + ".edges.part"))
+        self._events = _Part(path.with_suffix(path.suffix + ".part"), EVENT)
+        self._edges = _Part(path.with_suffix(path.suffix + ".edges.part"), EDGE)
+
+    @property
+    def trouble(self) -> str:
+        """Why the record is not whole, for people; empty where it is."""
+        return self._events.trouble or self._edges.trouble
 
     def append(self, events: Events, *, edges: Edges | None = None, restarted: bool = False) -> None:
         """Add events and edges in device time; `restarted` when that time began anew before them."""
+        if self.trouble:
+            return
         if restarted or not self._events.resets:
             self._events.restart()
             self._edges.restart()
@@ -43,43 +52,57 @@ class Recorder:
             self._edges.append(edges)
 
     def close(self) -> None:
-        """Write the `.npz` and remove the raw files."""
-        events, edges = self._events.content(EVENT), self._edges.content(EDGE)
+        """Write the `.npz` and remove the raw files, which stay where that is not possible."""
+        for part in (self._events, self._edges):
+            part.close()
+        if self.trouble:
+            return
+        try:
+            self._write()
+        except OSError as error:
+            self._events.stop(error)
+            self.path.unlink(missing_ok=True)  # half an archive is of no use, and the raw files have it all
+            return
+        for part in (self._events, self._edges):
+            part.remove()
+
+    def _write(self) -> None:
         with self.path.open("wb") as file:
             np.savez(
                 file,
-                events=events,
+                events=self._events.content(),
                 resets=np.array(self._events.resets, np.int64),
-                edges=edges,
+                edges=self._edges.content(),
                 edge_resets=np.array(self._edges.resets, np.int64),
             )
-        del events, edges
-        self._events.remove()
-        self._edges.remove()
 
 
 class _Part:
     """One kind of record in a raw file, and at which of them time began anew."""
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._file: BinaryIO = path.open("wb")
+    def __init__(self, path: Path, dtype: np.dtype[np.void]) -> None:
+        self._file = OutputFile(path, "record")
+        self._dtype = dtype
         self._count = 0
         self.resets: list[int] = []
+        self.stop, self.close = self._file.stop, self._file.close
+
+    @property
+    def trouble(self) -> str:
+        return self._file.trouble
 
     def restart(self) -> None:
         self.resets.append(self._count)
 
     def append(self, records: npt.NDArray[np.void]) -> None:
-        self._file.write(records.tobytes())
-        self._count += len(records)
+        if len(records) and self._file.write(records.tobytes()):
+            self._count += len(records)
 
-    def content(self, dtype: np.dtype[np.void]) -> npt.NDArray[np.void]:
-        self._file.close()
-        return np.memmap(self._path, dtype, "r") if self._count else np.zeros(0, dtype)
+    def content(self) -> npt.NDArray[np.void]:
+        return np.memmap(self._file.path, self._dtype, "r") if self._count else np.zeros(0, self._dtype)
 
     def remove(self) -> None:
-        self._path.unlink()
+        self._file.path.unlink()
 
 
 def save_record(path: Path, events: Events, resets: list[int]) -> None:
@@ -89,14 +112,35 @@ def save_record(path: Path, events: Events, resets: list[int]) -> None:
 
 
 def load_record(path: str | Path) -> tuple[Events, list[int]]:
-    """Read a record: events (n,) EVENT in device time, and the indices at which device time started anew."""
-    with np.load(path) as file:
-        return file["events"], [int(i) for i in file["resets"]]
+    """Read a record: events (n,) EVENT in device time, and the indices at which device time started anew.
+
+    Raises ArrayFileError with the file's name, or OSError where it cannot be opened.
+    """
+    return _load(Path(path), EVENT, "events", "resets")
 
 
 def load_edges(path: Path) -> tuple[Edges, list[int]]:
-    """Read a record's edges, (m,) EDGE in device time, and the indices at which device time started anew."""
-    with np.load(path) as file:
-        if "edges" not in file:
-            return empty_edges(), []
-        return file["edges"], [int(i) for i in file["edge_resets"]]
+    """Read a record's edges, (m,) EDGE in device time, and the indices at which device time started anew.
+
+    Raises ArrayFileError with the file's name, or OSError where it cannot be opened.
+    """
+    return _load(path, EDGE, "edges", "edge_resets")
+
+
+def _load(path: Path, dtype: np.dtype[np.void], name: str, resets: str) -> tuple[npt.NDArray[np.void], list[int]]:
+    try:
+        there = load_arrays(path, (name, resets))
+        if name not in there and dtype == EDGE:  # records of events alone have none
+            return np.zeros(0, EDGE), []
+        records, starts = (there.get(key, np.zeros(0)) for key in (name, resets))
+        if records.dtype != dtype or records.ndim != 1:
+            raise ArrayFileError(f"its {name} are {records.dtype} of shape {records.shape}, not a list of {dtype}")
+        if starts.ndim != 1 or (starts.size and (starts.dtype.kind not in "iu" or _outside(starts, len(records)))):
+            raise ArrayFileError(f"its {resets} are no list of places among {len(records)} {name}")
+        return records, [int(i) for i in starts]
+    except ArrayFileError as error:
+        raise ArrayFileError(f"{path}: cannot be read as a recording of evstim: {error}") from error
+
+
+def _outside(starts: npt.NDArray[np.generic], count: int) -> bool:
+    return int(starts.min()) < 0 or int(starts.max()) > count

@@ -35,6 +35,8 @@ class LinkReport:
     faults
         What each fault injected so far has done. What they destroyed is in `dropped`; the camera's own counters, which
         cannot know of it, have it as delivered.
+    file_troubles
+        Why a file of the link (record, truth, fault log) is not whole, a sentence each.
     """
 
     state: str
@@ -51,6 +53,7 @@ class LinkReport:
     edges: EdgeReport = field(default_factory=EdgeReport)
     clock: ClockReport | None = None
     faults: tuple[FaultRecord, ...] = ()
+    file_troubles: tuple[str, ...] = ()
 
     @property
     def dropped_in_device(self) -> int:

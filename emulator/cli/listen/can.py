@@ -10,19 +10,19 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from emulator.cli.failures import failures
-from emulator.cli.listen.limits import Limits, until
-from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, WRONG_USE, Failure, console, print_json, status
+from emulator.cli.listen.limits import Limits, told, until
+from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, console, print_json, status
 from emulator.rig.loading import Rig, load_rig
 from firmware_protocol.can_frames.dbc import dbc_text
 from transports.can_bus.bus import BusDown
 from transports.can_bus.listener import CanReception, listen_can, peer_of
 from transports.can_bus.parameters import CanParameters
 from transports.link.pacing import MonotonicClock
-from transports.link.record import Recorder
 
 __all__ = ["can", "dbc"]
 
 _NO_LIMITS = Limits()
+_GONE = "the bus went away, and the camera had not said by its heartbeat that it stopped: its run died"
 
 
 def can(
@@ -58,12 +58,14 @@ def can(
     parameters = dataclasses.replace(
         parameters, interface=interface or parameters.interface, channel=channel or parameters.channel
     )
-    reception = _listen(parameters, limits)
+    reception, trouble = _listen(parameters, limits)
+    is_early = reception.gone and not reception.ended
+    problems = [_GONE] * is_early + [trouble] * bool(trouble)
     if json:
-        print_json(dataclasses.asdict(reception))
+        print_json({**dataclasses.asdict(reception), "problems": problems})
     else:
         _print(reception)
-    return BAD_VERDICT if reception.faults else GOOD
+    return told(problems, reception.faults)
 
 
 def dbc(
@@ -104,20 +106,19 @@ def _link(rig: Rig, name: str | None) -> CanParameters:
     return links[0]
 
 
-def _listen(parameters: CanParameters, limits: Limits) -> CanReception:
-    recorder = Recorder(limits.record) if limits.record is not None else None
+def _listen(parameters: CanParameters, limits: Limits) -> tuple[CanReception, str]:
+    """Return what came, and why its record is not whole; empty where it is."""
     status.print(f"CAN bus {parameters.channel} by {parameters.interface}, {parameters.bitrate} bit/s")
     try:
-        return asyncio.run(listen_can(parameters, until(limits), MonotonicClock(), recorder))
+        with limits.recorder() as recorder:
+            reception = asyncio.run(listen_can(parameters, until(limits), MonotonicClock(), recorder))
     except BusDown as error:
         raise Failure(str(error), LACKING) from error
-    finally:
-        if recorder is not None:
-            recorder.close()
+    return reception, recorder.trouble if recorder is not None else ""
 
 
 def _print(reception: CanReception) -> None:
-    gone = ", the bus disappeared" if reception.gone else ""
+    gone = ", the bus ended" if reception.gone else ""
     console.print(
         f"{reception.events} events and {reception.edges} edges in {reception.seconds:.2f} s, "
         f"digest {reception.digest:08x}, {reception.faults} faults{gone}"

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from emulator.cli.output import WRONG_USE, Failure, status
+from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, Failure, status
+from emulator.cli.output_paths import check_output
+from transports.link.record import Recorder
 
-__all__ = ["Limits", "Progress", "until"]
+__all__ = ["Limits", "Progress", "told", "until"]
 
 _LINE_PERIOD_S = 1.0
 
@@ -46,9 +49,28 @@ class Limits:
     record: Path | None = None
 
     def check(self) -> None:
-        """Raise Failure when the record has no folder."""
-        if self.record is not None and not self.record.parent.is_dir():
-            raise Failure(f"--record: the folder {self.record.parent} does not exist", WRONG_USE)
+        """Raise Failure when the record cannot be written."""
+        check_output("--record", self.record, ".npz")
+
+    @contextmanager
+    def recorder(self) -> Iterator[Recorder | None]:
+        """Give the recorder, and close it after the reception; raises Failure when it cannot be opened."""
+        try:
+            recorder = None if self.record is None else Recorder(self.record)
+        except OSError as error:
+            raise Failure(f"--record: {error.filename}: {error.strerror}", LACKING) from error
+        try:
+            yield recorder
+        finally:
+            if recorder is not None:
+                recorder.close()
+
+
+def told(problems: list[str], faults: int) -> int:
+    """Tell the problems of a reception on stderr, a line each, and return the exit code."""
+    for problem in problems:
+        status.print(f"evstim: {problem}", markup=False)
+    return BAD_VERDICT if problems or faults else GOOD
 
 
 def until(limits: Limits) -> Callable[[Progress], bool]:

@@ -10,8 +10,8 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from emulator.cli.listen.limits import Limits, until
-from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, WRONG_USE, Failure, console, print_json, status
+from emulator.cli.listen.limits import Limits, told, until
+from emulator.cli.output import LACKING, WRONG_USE, Failure, console, print_json, status
 from firmware_protocol.packets.telecommands import (
     Ping,
     RequestHousekeeping,
@@ -24,7 +24,6 @@ from firmware_protocol.packets.telecommands import (
     Telecommand,
 )
 from transports.link.pacing import MonotonicClock
-from transports.link.record import Recorder
 from transports.serial_line.listener import SerialReception, listen_serial
 from transports.serial_line.parameters import SerialParameters
 
@@ -101,6 +100,7 @@ class Orders:
         return [make() for is_wanted, make in wanted if is_wanted]
 
 
+_GONE = "the line went away before the reception was to end: it was unplugged, or the camera's run ended or died"
 _NO_LIMITS, _LINE, _NO_ORDERS = Limits(), Line(), Orders()
 
 
@@ -136,33 +136,35 @@ def serial(
         raise Failure(str(error), WRONG_USE) from error
     if port == "pty":
         raise Failure("give the path that `evstim run` prints: a receiver does not make a pty", WRONG_USE)
-    reception = _listen(parameters, telecommands, limits)
+    reception, trouble = _listen(parameters, telecommands, limits)
+    problems = [_GONE] * reception.gone + [trouble] * bool(trouble)
     if json:
-        print_json(dataclasses.asdict(reception))
+        print_json({**dataclasses.asdict(reception), "problems": problems})
     else:
         _print(reception)
-    return BAD_VERDICT if reception.faults else GOOD
+    return told(problems, reception.faults)
 
 
-def _listen(parameters: SerialParameters, telecommands: list[Telecommand], limits: Limits) -> SerialReception:
-    recorder = Recorder(limits.record) if limits.record is not None else None
+def _listen(
+    parameters: SerialParameters, telecommands: list[Telecommand], limits: Limits
+) -> tuple[SerialReception, str]:
+    """Return what came, and why its record is not whole; empty where it is."""
     goes_on = until(limits)
-    told = 0
+    answers = 0
 
     def follow(now: SerialReception) -> bool:
-        nonlocal told
-        for answer in now.told[len(now.told) - (now.answers - told) :]:
+        nonlocal answers
+        for answer in now.told[len(now.told) - (now.answers - answers) :]:
             status.print(answer, markup=False)
-        told = now.answers
+        answers = now.answers
         return goes_on(now)
 
     try:
-        return listen_serial(parameters, follow, MonotonicClock(), recorder, telecommands)
+        with limits.recorder() as recorder:
+            reception = listen_serial(parameters, follow, MonotonicClock(), recorder, telecommands)
     except OSError as error:
         raise Failure(str(error), LACKING) from error
-    finally:
-        if recorder is not None:
-            recorder.close()
+    return reception, recorder.trouble if recorder is not None else ""
 
 
 def _print(reception: SerialReception) -> None:

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
-from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
 
-from emulator.cli.listen.limits import Limits, until
-from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, WRONG_USE, Failure, console, print_json, status
+from emulator.cli.listen.limits import Limits, told, until
+from emulator.cli.output import LACKING, WRONG_USE, Failure, console, print_json, status
 from transports.link.pacing import MonotonicClock
-from transports.link.record import Recorder
 from transports.usb.davis_host import DAVIS_PRODUCT, DAVIS_VENDOR, DavisHost
 from transports.usb.host import UsbHost, UsbHostError
 from transports.usb.pyusb_host import PyusbHost
@@ -22,6 +19,7 @@ from transports.usb.usbip.client import UsbipHost
 __all__ = ["listen"]
 
 _NO_LIMITS = Limits()
+_GONE = "the camera went away before the reception was to end: it was unplugged, or its run ended or died"
 
 
 def listen(
@@ -48,18 +46,19 @@ def listen(
     try:
         camera = DavisHost(_host(usbip, busid))
         status.print(f"DAVIS346 serial {camera.info.serial}, {camera.info.size[0]}x{camera.info.size[1]} pixels")
-        reception = _receive(camera, until(limits), limits.record)
+        reception, trouble = _receive(camera, limits)
     except UsbHostError as error:
         raise Failure(str(error), LACKING) from error
+    problems = [_GONE] * reception.gone + [trouble] * bool(trouble)
     if json:
-        print_json(dataclasses.asdict(reception))
+        print_json({**dataclasses.asdict(reception), "problems": problems})
     else:
         console.print(
             f"{reception.events} events and {reception.edges} edges in {reception.seconds:.2f} s, "
             f"digest {reception.digest:08x}, {reception.faults} malformed words"
             f"{', the camera was unplugged' if reception.gone else ''}"
         )
-    return BAD_VERDICT if reception.faults else GOOD
+    return told(problems, reception.faults)
 
 
 def _host(usbip: str | None, busid: str) -> UsbHost:
@@ -71,11 +70,11 @@ def _host(usbip: str | None, busid: str) -> UsbHost:
     return UsbipHost.attach(host, int(port), busid, timeout_s=5.0)
 
 
-def _receive(camera: DavisHost, goes_on: Callable[[Reception], bool], record: Path | None) -> Reception:
-    recorder = Recorder(record) if record is not None else None
+def _receive(camera: DavisHost, limits: Limits) -> tuple[Reception, str]:
+    """Return what came, and why its record is not whole; empty where it is."""
     try:
-        return receive(camera, goes_on, MonotonicClock(), recorder)
+        with limits.recorder() as recorder:
+            reception = receive(camera, until(limits), MonotonicClock(), recorder)
     finally:
-        if recorder is not None:
-            recorder.close()
         camera.close()
+    return reception, recorder.trouble if recorder is not None else ""

@@ -1,8 +1,8 @@
 """Closed surfaces of triangles: reading shape models, and judging them before anything is drawn.
 
 A facet's outside is the side from which its corners go round counter-clockwise. Lengths are metres. Read are the plate
-tables of the Planetary Data System (`.tab`, see `plates`) and every surface format that trimesh reads (OBJ, STL, PLY,
-...), of which textures and materials are ignored and split vertices are joined again.
+tables of the Planetary Data System (`.tab`, see `plates`), Wavefront OBJ (see `wavefront`), and every surface format
+that trimesh reads (STL, PLY, ...). Textures and materials are ignored and split vertices are joined again.
 
     bad input                                   what happens
     no file, unreadable, no facet               SceneError
@@ -24,12 +24,16 @@ import numpy.typing as npt
 
 from emulator.light import SceneError
 from emulator.scene.bodies.plates import PlateTableError, parse_plates
+from emulator.scene.bodies.wavefront import parse_wavefront
+from emulator.scene.foreign_file import read_in_child
+from emulator.tables.text_file import TextFileError, read_text
 
 __all__ = ["SHAPES", "Mesh", "build_mesh", "find_shape", "load_mesh"]
 
 SHAPES = Path(__file__).parent / "shapes"
 """The folder of the shape models that come with the program; its SOURCES.md tells where each is from."""
 
+_MOST_BYTES = 1 << 28
 _FARTHEST_M = 1e15  # squares and cubes of it stay finite; the solar system ends before
 
 _Points = npt.NDArray[np.float64]
@@ -105,13 +109,11 @@ def load_mesh(path: Path, units_m: float = 1000.0) -> Mesh:
     """
     if not (np.isfinite(units_m) and units_m > 0):
         raise SceneError(f"units of {units_m} m for {path.name}: a unit of length is a positive number of metres")
+    vertices, faces = _read(path)
     try:
-        vertices, faces = _read_plates(path) if path.suffix.lower() == ".tab" else _read_with_trimesh(path)
         return build_mesh(vertices * units_m, faces)
-    except OSError as error:
-        raise SceneError(f"shape model {path} cannot be read: {error.strerror or error}") from error
-    except (PlateTableError, SceneError) as error:
-        raise SceneError(f"shape model {path}: {error}") from error
+    except SceneError as error:
+        raise SceneError(f"{path}: {error}") from error
 
 
 def build_mesh(vertices: npt.ArrayLike, faces: npt.ArrayLike) -> Mesh:
@@ -139,21 +141,17 @@ def build_mesh(vertices: npt.ArrayLike, faces: npt.ArrayLike) -> Mesh:
     return Mesh(points, triangles, _vertex_normals(points, triangles), dropped, open_edges, inside_out)
 
 
-def _read_plates(path: Path) -> tuple[_Points, npt.NDArray[np.int64]]:
-    table = parse_plates(path.read_text("ascii", errors="replace"))
+def _read(path: Path) -> tuple[_Points, npt.NDArray[np.int64]]:
+    """Return vertices and facets: two formats by readers of our own, any other by trimesh in a child process."""
+    parse = {".tab": parse_plates, ".obj": parse_wavefront}.get(path.suffix.lower())
+    if parse is None:
+        found = read_in_child("emulator.scene.bodies.foreign_surface:read_surface", path)
+        return found["vertices"], found["faces"]
+    try:
+        table = parse(read_text(path, _MOST_BYTES))
+    except (TextFileError, PlateTableError) as error:
+        raise SceneError(f"{path}: {error}") from error
     return table.vertices, table.facets
-
-
-def _read_with_trimesh(path: Path) -> tuple[_Points, npt.NDArray[np.int64]]:
-    """Read any other format; trimesh takes half a second to import, so only when it is needed."""
-    import trimesh
-
-    with path.open("rb") as file:
-        try:
-            loaded = trimesh.load_mesh(file, file_type=path.suffix[1:].lower(), process=False, skip_materials=True)
-            return np.asarray(loaded.vertices, np.float64), np.asarray(loaded.faces, np.int64)
-        except Exception as error:  # its readers answer a broken file with whatever the parsing ran into
-            raise SceneError(f"trimesh cannot read it as a surface ({error})") from error
 
 
 def _require_sound(points: _Points, corners: npt.NDArray[np.int64]) -> None:

@@ -87,7 +87,7 @@ def _split_counted(rows: list[_Row]) -> tuple[list[_Row], list[_Row]]:
 
 def _counts(row: _Row, allowed: tuple[int, ...]) -> list[int]:
     line, words = row
-    if len(words) not in allowed or not all(word.isdecimal() for word in words):
+    if len(words) not in allowed or not all(word.isdecimal() and len(word) < 18 for word in words):
         _refuse(line, words, "a count")
     return [int(word) for word in words]
 

@@ -6,7 +6,7 @@ Of a GeoTIFF these tags are read (OGC 19-008r4; GDAL for the last one), beside t
     33922   ModelTiepoint      column, row, 0 -> x, y, z in the plane of the projection
     42113   GDAL_NODATA        a number as text: what stands where nothing was measured
 
-Read by pillow: it knows the common compressions, also LZW, for which tifffile would need the large package imagecodecs.
+A GeoTIFF is read in a child process, see `geotiff`.
 
 The plane of a polar stereographic projection is stretched: at a distance rho from the pole by 1 + (rho / 2 R)^2, which
 is 0.12 % at 86 degrees; with the map's middle known its posts are brought nearer by as much.
@@ -15,26 +15,25 @@ is 0.12 % at 86 degrees; with the map's middle known its posts are brought neare
 from __future__ import annotations
 
 import math
-import struct
-import warnings
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from emulator.light import MachineLacks, SceneError
+from emulator.light import SceneError
+from emulator.scene.foreign_file import read_in_child
 from emulator.scene.terrain.ground import Ground, nested
 from emulator.scene.terrain.table import Heightmap
+from transports.link.array_file import ArrayFileError, load_array
 
 __all__ = ["filled", "load_heightmap"]
 
 Floats = npt.NDArray[np.float64]
 
-_PIXEL_SCALE, _TIEPOINT, _NODATA = 33550, 33922, 42113
-_PILLOW_FAILS = (Warning, SyntaxError, KeyError, TypeError, IndexError, struct.error)
-"""What pillow raises over damaged files, beside OSError and ValueError."""
 _STEEPEST_DEG = 75.0
+_HIGHEST = 1e12
 _LEAST_POSTS, _MOST_POSTS = 3, 1 << 14
 
 
@@ -55,8 +54,9 @@ def load_heightmap(p: Heightmap, body_radius_m: float) -> Ground:
     SceneError
         It cannot be read, has too many holes, or its units make no ground; MachineLacks where pillow is missing.
     """
+    read = _read(Path(p.path))
     try:
-        found = _read(Path(p.path))
+        found = _map(read)
         post_m, notes = _post_m(p, found, body_radius_m)
         _require_size(found.heights)
         heights, holes = filled(found.heights * p.units_m, p.fill_share)
@@ -102,44 +102,52 @@ def _sum_around(a: Floats) -> Floats:
     return total
 
 
-def _read(path: Path) -> _Map:
-    try:
-        match path.suffix.lower():
-            case ".npy":
-                return _Map(_numbers(np.load(path, allow_pickle=False)))
-            case ".tif" | ".tiff":
-                return _read_geotiff(path)
-    except (OSError, ValueError, EOFError) as error:
-        raise SceneError(f"cannot be read: {getattr(error, 'strerror', None) or error}") from error
-    raise SceneError("which format this is cannot be told: name it .npy or .tif")
+def _read(path: Path) -> dict[str, npt.NDArray[Any]]:
+    """Return `heights`, and of a GeoTIFF `scale`, `tie` and `nodata`."""
+    match path.suffix.lower():
+        case ".npy":
+            return {"heights": _array(path)}
+        case ".tif" | ".tiff":
+            return read_in_child("emulator.scene.terrain.geotiff:read_geotiff", path)
+    raise SceneError(f"{path}: which format this is cannot be told: name it .npy or .tif")
 
 
-def _read_geotiff(path: Path) -> _Map:
+def _array(path: Path) -> npt.NDArray[Any]:
     try:
-        from PIL import Image, UnidentifiedImageError
-    except ImportError as error:
-        raise MachineLacks("reading a GeoTIFF needs pillow: pip install 'evstim[report]'") from error
-    try:
-        with warnings.catch_warnings(action="error"), Image.open(path) as image:
-            tags = dict(getattr(image, "tag_v2", {}))
-            heights = _numbers(np.array(image))
-    except UnidentifiedImageError as error:
-        raise SceneError("is not a TIFF that pillow reads") from error
-    except (Image.DecompressionBombError, *_PILLOW_FAILS) as error:
-        raise SceneError(f"is damaged, or too large: {error}") from error
-    _mark_nodata(heights, str(tags.get(_NODATA, "")))
-    scale, tie = tags.get(_PIXEL_SCALE), tags.get(_TIEPOINT)
-    if scale is None:
+        return load_array(path)
+    except (OSError, ArrayFileError) as error:
+        raise SceneError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
+
+
+def _map(found: dict[str, npt.NDArray[Any]]) -> _Map:
+    heights = _numbers(found["heights"])
+    if "nodata" in found:
+        _mark_nodata(heights, str(found["nodata"]))
+    _require_range(heights)
+    scale = found.get("scale", np.zeros(0))
+    if not scale.size:
         return _Map(heights)
     if len(scale) < 2 or not math.isclose(scale[0], scale[1], rel_tol=1e-6):
         raise SceneError(f"its posts are {scale[0]:g} by {scale[-1]:g} apart: square ones are needed")
-    return _Map(heights, float(scale[0]), _centre(heights.shape, float(scale[0]), tie))
+    post_m = float(scale[0])
+    if not 1e-6 <= post_m <= 1e9:
+        raise SceneError(f"its posts are {post_m:g} apart: 1e-6 to 1e9 are drawn")
+    return _Map(heights, post_m, _centre(heights.shape, post_m, found["tie"]))
 
 
 def _numbers(array: npt.NDArray[np.generic]) -> Floats:
     if array.ndim != 2 or array.dtype.kind not in "fiu":
         raise SceneError(f"holds {array.dtype} of shape {array.shape}: heights are numbers in rows and columns")
-    return np.asarray(array, np.float64)
+    with np.errstate(invalid="ignore"):  # signalling NaN become holes like the others
+        return np.asarray(array, np.float64)
+
+
+def _require_range(heights: Floats) -> None:
+    highest = float(np.abs(heights[np.isfinite(heights)]).max(initial=0.0))
+    if highest > _HIGHEST:
+        raise SceneError(
+            f"has heights of up to {highest:g}: what stands for no data must be NaN, or be named by GDAL_NODATA"
+        )
 
 
 def _mark_nodata(heights: Floats, text: str) -> None:
@@ -151,9 +159,9 @@ def _mark_nodata(heights: Floats, text: str) -> None:
     heights[np.isclose(heights, nothing, rtol=1e-6)] = np.nan
 
 
-def _centre(shape: tuple[int, ...], post_m: float, tie: object) -> tuple[float, float] | None:
+def _centre(shape: tuple[int, ...], post_m: float, tie: Floats) -> tuple[float, float] | None:
     """Return the place of the map's middle in the projection, from the tie of one pixel."""
-    if not isinstance(tie, tuple) or len(tie) < 6:
+    if len(tie) < 6 or not np.isfinite(tie[:5]).all():
         return None
     column, row, _, x, y = (float(v) for v in tie[:5])
     return x + (shape[1] / 2 - column) * post_m, y - (shape[0] / 2 - row) * post_m

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image, TiffImagePlugin
 
@@ -130,6 +130,7 @@ def test_what_is_no_map_is_told(tmp_path, name, write, changes, message):
         load_heightmap(Heightmap(path=write(tmp_path / name), **changes), MOON_M)
 
 
+@settings(max_examples=10, deadline=None)  # a child process for each; tests/hostile/test_files.py has many more
 @given(st.binary(max_size=300))
 def test_hostile_bytes_are_a_scene_error(tmp_path_factory, data):
     whole = tmp_path_factory.mktemp("maps") / "map.tif"

@@ -1,0 +1,33 @@
+"""Text files of unknown origin: regular files of a bounded size, as UTF-8, and messages of a bounded length."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+__all__ = ["TextFileError", "read_text", "shortened"]
+
+_MOST_TOLD = 400
+
+
+class TextFileError(Exception):
+    """The text cannot be had; the message says why, without the file's name."""
+
+
+def read_text(path: Path, most_bytes: int) -> str:
+    """Return the text of a file of at most `most_bytes`; raises TextFileError."""
+    try:
+        if path.exists() and not path.is_file():
+            raise TextFileError("cannot be read: it is no regular file")
+        if (size := path.stat().st_size) > most_bytes:
+            raise TextFileError(f"is {size} bytes long: at most {most_bytes} are read")
+        return path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise TextFileError(f"cannot be read: {error.strerror or error}") from error
+    except ValueError as error:  # no UTF-8, or a name with a NUL
+        raise TextFileError(f"cannot be read: {error}") from error
+
+
+def shortened(error: BaseException) -> str:
+    """Return an error's message for people, or its type where it has none: a damaged file may bring pages of text."""
+    text = str(error) or type(error).__name__
+    return text if len(text) <= _MOST_TOLD else f"{text[:_MOST_TOLD]} ..."

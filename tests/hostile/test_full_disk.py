@@ -1,0 +1,141 @@
+"""Files that a run or a listener writes, when the disk is full: they stop and say so, and everything else goes on."""
+
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from emulator.cli.output import Failure
+from emulator.cli.output_paths import check_output
+from firmware_protocol.events import EVENT
+from transports.faults.kinds import BitFlips
+from transports.faults.script import FaultPlan, Faults
+from transports.link.feed import ClockReport, ClockTruth
+from transports.link.record import Recorder, load_record
+
+FULL = "/dev/full"
+NO_SPACE = "No space left on device"
+EVSTIM = [sys.executable, "-c", "from emulator.cli import main; main()"]
+
+
+@pytest.fixture
+def full(tmp_path):
+    """A folder in which every file is full from the start: links to the device that always is."""
+
+    def link(name):
+        (tmp_path / name).symlink_to(FULL)
+        return tmp_path / name
+
+    return link
+
+
+@pytest.fixture
+def tiny(tmp_path):
+    """A disk of 256 KiB; only root can make one."""
+    folder = tmp_path / "tiny"
+    folder.mkdir()
+    made = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=256k", "none", folder], capture_output=True, check=False)
+    if made.returncode:
+        pytest.skip(f"this user cannot mount a tmpfs: {made.stderr.decode().strip()}")
+    yield folder
+    subprocess.run(["umount", folder], check=True)
+
+
+def events(count, start_us=0):
+    made = np.zeros(count, EVENT)
+    made["t"] = start_us + np.arange(count)
+    return made
+
+
+def test_a_record_stops_and_keeps_what_it_had(tiny):
+    recorder = Recorder(tiny / "a.npz")
+    for k in range(40):
+        recorder.append(events(1000, 1000 * k))
+    recorder.close()
+    assert recorder.trouble.startswith(f"record stopped: {NO_SPACE}")
+    assert not (tiny / "a.npz").exists()
+    kept = (tiny / "a.npz.part").read_bytes()
+    whole = np.frombuffer(kept[: len(kept) // EVENT.itemsize * EVENT.itemsize], EVENT)
+    assert np.array_equal(whole["t"], np.arange(len(whole)))
+    assert len(whole) > 5000
+
+
+def test_a_record_for_which_the_archive_has_no_room_is_kept_as_it_is(tiny):
+    recorder = Recorder(tiny / "a.npz")
+    recorder.append(events(12_000))  # 156 kB, twice
+    recorder.close()
+    assert NO_SPACE in recorder.trouble
+    assert [path.name for path in sorted(tiny.iterdir())] == ["a.npz.edges.part", "a.npz.part"]
+    assert (tiny / "a.npz.part").stat().st_size == 12_000 * EVENT.itemsize
+
+
+def test_a_record_that_fits_has_no_trouble(tiny):
+    recorder = Recorder(tiny / "a.npz")
+    recorder.append(events(5000))
+    recorder.close()
+    assert recorder.trouble == ""
+    assert len(load_record(tiny / "a.npz")[0]) == 5000
+
+
+def test_the_truth_of_a_clock_stops(full):
+    truth = ClockTruth(full("truth.csv"))
+    for k in range(2000):
+        truth.add(k, ClockReport(k, 0.5, 1.0))
+    truth.close()
+    assert truth.trouble.startswith(f"truth stopped: {NO_SPACE}")
+
+
+def test_a_fault_log_stops_and_the_fault_goes_on(full):
+    class Stage:
+        hits, touched, over = 3, 4, False
+
+    faults = Faults(FaultPlan("a", (BitFlips(link="a", at_s=0.0),), log=full("faults.log")), lambda *_: Stage())
+    faults.advance(1000)
+    faults.close()
+    (record,) = faults.records
+    assert (record.hits, record.ended_us) == (3, 1000)
+    assert record.log_trouble.startswith(f"fault log stopped: {NO_SPACE}")
+
+
+@pytest.mark.socket
+def test_a_run_whose_disk_is_full_goes_on_and_says_so(tiny, tmp_path):
+    rig = tmp_path / "a.toml"
+    rig.write_text('[scene]\nkind = "checkerboard"\n[run]\nmax_late_ms = 0\n[[links]]\nkind = "loopback"\n')
+    arguments = ["run", rig, "--seconds", "1", "--pace", "free", "--json", "--record", tiny / "a.npz"]
+    done = subprocess.run([*EVSTIM, *arguments], capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 1, done.stderr
+    assert "Traceback" not in done.stderr
+    summary = json.loads(done.stdout.splitlines()[-1])
+    (link,) = summary["links"].values()
+    assert summary["balanced"]
+    assert summary["sim_seconds"] == 1
+    assert link["error"] is None
+    assert [trouble[: len("record stopped: ") + len(NO_SPACE)] for trouble in link["file_troubles"]] == [
+        f"record stopped: {NO_SPACE}"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda folder: folder / "a.csv", "must end in .npz"),
+        (lambda folder: folder / "gone" / "a.npz", "does not exist"),
+        (lambda folder: folder, "must end in .npz"),
+        (lambda folder: (folder / "d.npz").mkdir() or folder / "d.npz", "is a folder"),
+        (lambda folder: os.mkfifo(folder / "p.npz") or folder / "p.npz", "No such device"),
+    ],
+)
+def test_a_path_that_cannot_be_written_is_told_before_the_run(tmp_path, make, message):
+    with pytest.raises(Failure, match=message):
+        check_output("--record", make(tmp_path), ".npz")
+
+
+def test_a_check_leaves_no_file_and_changes_none(tmp_path):
+    check_output("--record", tmp_path / "new.npz", ".npz")
+    assert list(tmp_path.iterdir()) == []
+    (tmp_path / "old.npz").write_bytes(b"old")
+    check_output("--record", tmp_path / "old.npz", ".npz")
+    assert (tmp_path / "old.npz").read_bytes() == b"old"
