@@ -72,7 +72,7 @@ def _read(path: Path, kind: tuple[type, int]) -> npt.NDArray[Any] | None:
         array = load_array(path)
     except (OSError, ArrayFileError):  # not there, cut short, or not one of ours
         return None
-    return array if (array.dtype, array.ndim) == kind else None
+    return array if array.dtype == np.dtype(kind[0]) and array.ndim == kind[1] else None
 
 
 def _write(path: Path, array: npt.NDArray[T]) -> None:

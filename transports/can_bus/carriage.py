@@ -74,7 +74,7 @@ class FrameSource(ABC):
 
     @abstractmethod
     def left(self) -> Outgoing | None:
-        """Say that the bus has taken the frame given last; return the message that it ends, if no tracker follows it."""
+        """Say that the bus took the frame given last; return the message that it ends, unless a tracker follows it."""
 
     def delivered(self, outgoing: Outgoing) -> None:
         """Say that all frames of a message were on the bus."""

@@ -277,7 +277,7 @@ class CanEndpoint(Endpoint):
         if slot.up and slot.bus.heard:
             with suppress(BusDown):
                 for frame in self._node.farewell():
-                    self._send(slot, Parcel(frame, exempt=True), self._clock.now_ns())
+                    self._send(slot, QueuedFrame(frame, exempt=True), self._clock.now_ns())
 
     async def _drain(self) -> None:
         slot = self._slots[self._active]

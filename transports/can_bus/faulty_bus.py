@@ -22,7 +22,7 @@ from transports.can_bus.carriage import FrameSource
 from transports.faults.bus import Babbler, FrameStage, QueuedFrame, frame_stage
 from transports.faults.kinds import Fault
 from transports.faults.script import FaultPlan, FaultRecord, Faults
-from transports.faults.tracker import FrameTracker, MessageTracker, Callbacks
+from transports.faults.tracker import Callbacks, FrameTracker, MessageTracker
 from transports.link.deliveries import Deliveries
 
 __all__ = ["BusFaults", "FaultyBus"]

@@ -23,7 +23,7 @@ from transports.faults.can_kinds import (
 from transports.faults.hit_places import Places
 from transports.faults.kinds import Fault, HitFault
 
-__all__ = ["Babbler", "QueuedMessage", "FrameStage", "QueuedFrame", "frame_stage"]
+__all__ = ["Babbler", "FrameStage", "QueuedFrame", "QueuedMessage", "frame_stage"]
 
 _PROTOCOL_ERROR = 0x88  # CAN_ERR_PROT | CAN_ERR_BUSERROR of linux/can/error.h
 _BUSES = {"A": 0, "B": 1}

@@ -1,6 +1,6 @@
-"""What becomes of an instrument's messages on a CAN bus with faults: frame by frame, or put together from frames.
+"""Trackers of an instrument's messages on a CAN bus with faults: frame by frame, or put together from frames.
 
-A tracker goes with one frame source. It begins and ends between two messages; while there is none, what a source says has
+A tracker goes with one frame source. It begins and ends between two messages; while there is none, each message that
 left counts as arrived.
 """
 
@@ -18,7 +18,7 @@ from firmware_protocol.packets.message import Received
 from transports.faults.bus import QueuedMessage
 from transports.faults.reference_receiver import ReferenceReceiver
 
-__all__ = ["FrameTracker", "Load", "MessageTracker", "Callbacks", "Tracker"]
+__all__ = ["Callbacks", "FrameTracker", "Load", "MessageTracker", "Tracker"]
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from transports.faults.can_kinds import BabblingIdiot, BusOff, DeadBus, Repeated
 from transports.faults.faulty_line import FaultyLine
 from transports.faults.kinds import LostBytes, Stall, WrongBaud
 from transports.faults.script import FaultPlan
-from transports.faults.tracker import FrameTracker, Load, Callbacks
+from transports.faults.tracker import Callbacks, FrameTracker, Load
 
 DATA = np.random.default_rng(3).bytes(5000)
 FRAME = Frame(0x1A2, bytes(8))
