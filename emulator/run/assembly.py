@@ -46,6 +46,10 @@ __all__ = [
 ]
 
 
+_DRAIN_S = 1.0
+_DRAIN_UNPACED_S = 10.0  # a run that waits for its links loses nothing, also where a link still compiles its coders
+
+
 def build_session(rig: Rig, scene: Scene, setups: Sequence[LinkSetup[Any]], clock: Clock) -> Session:
     """Return a session of the rig: with a tolerance, of what its plan keeps, in controlled steps."""
     run, parameters = rig.run, rig.camera.sensor
@@ -90,6 +94,7 @@ def schedule(rig: Rig) -> Schedule:
         lead_ns=run.lead_us * 1000,
         duration_ns=round(run.seconds * 1e9) or None,
         paced=run.pace == "realtime",
+        drain_s=_DRAIN_S if run.pace == "realtime" else _DRAIN_UNPACED_S,
         lockstep_ns=run.lockstep_us * 1000,
         max_late_us=run.max_late_ms * 1000,
     )
