@@ -13,7 +13,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from emulator.scene.bodies.reflection_kernels import reflect
+from emulator.photometry.reflection_kernels import reflect
 from emulator.scene.bodies.solar_disc import seen_above
 
 __all__ = ["choose", "dim_at_plane", "glow"]
