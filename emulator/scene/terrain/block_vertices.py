@@ -28,17 +28,23 @@ import numpy.typing as npt
 from emulator.photometry.reflection_kernels import reflect
 from emulator.scene.terrain.quadtree import BLOCK
 
-__all__ = ["CORNERS", "block_vertices"]
+__all__ = ["CORNERS", "LATER_S", "around", "block_vertices", "grazing"]
 
 SIDE = BLOCK + 1
 CORNERS = SIDE * SIDE
 _FIRST, _SPAN = 0.7, 0.29  # of a level's range: where the slide begins, and how long it is
-_LATER_S = 1e-4
+LATER_S = 1e-4
 _GRAZING = 0.02  # least cosine of emission
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 Posts = npt.NDArray[np.float32]
+
+
+@numba.njit(inline="always", error_model="numpy")
+def grazing(mu: float) -> float:
+    """Return the cosine of emission, kept from 0 as the laws of reflection are not made for it."""
+    return max(mu, _GRAZING)
 
 
 @numba.njit(inline="always", error_model="numpy")
@@ -53,12 +59,12 @@ def _angles(
     mu0 = east * sun[0] + north * sun[1] + up * sun[2]
     mu = east * ex + north * ey + up * ez
     cx, cy, cz = ex - sun[0], ey - sun[1], ez - sun[2]
-    return mu0, max(mu, _GRAZING), cx * cx + cy * cy + cz * cz, ez
+    return mu0, grazing(mu), cx * cx + cy * cy + cz * cz, ez
 
 
 @numba.njit(inline="always", error_model="numpy")
-def _around(table: Floats, height: float) -> float:
-    """Return the radiance of the ambient light."""
+def around(table: Floats, height: float) -> float:
+    """Return the radiance of the ambient light from a table by the height of the eye's direction."""
     at = min(max(height, _GRAZING), 1.0) * (len(table) - 1)
     low = min(int(at), len(table) - 2)
     return float(table[low] + (table[low + 1] - table[low]) * (at - low))
@@ -137,19 +143,19 @@ def block_vertices(
                 db = posts[nxt, 3] - posts[own, 3]
                 n = i * SIDE + j
                 for when in range(2):
-                    s = slid + when * sliding * _LATER_S
-                    t = when * _LATER_S
+                    s = slid + when * sliding * LATER_S
+                    t = when * LATER_S
                     east, north, lit = posts[own, 1] + s * de, posts[own, 2] + s * dn, posts[own, 3] + s * db
                     mu0, mu, chord2, height = _angles((rx + t * vx, ry + t * vy, rz + t * vz), east, north, towards)
                     lit = max(lit, 0.0)
                     mu0 = max(mu0, lit, 1e-6)
                     scratch[5 * when, n], scratch[5 * when + 1, n], scratch[5 * when + 2, n] = mu0, mu, chord2
                     scratch[5 * when + 3, n] = lit / mu0 * irradiance
-                    scratch[5 * when + 4, n] = _around(ambient, height)
+                    scratch[5 * when + 4, n] = around(ambient, height)
         first = k * CORNERS
         now, later = radiance[first : first + CORNERS], rates[first : first + CORNERS]
         reflect(kind, law, scratch[0], scratch[1], scratch[2], CORNERS, now)
         reflect(kind, law, scratch[5], scratch[6], scratch[7], CORNERS, later)
         for n in range(CORNERS):
             now[n] = now[n] * scratch[3, n] + scratch[4, n]
-            later[n] = (later[n] * scratch[8, n] + scratch[9, n] - now[n]) / _LATER_S
+            later[n] = (later[n] * scratch[8, n] + scratch[9, n] - now[n]) / LATER_S

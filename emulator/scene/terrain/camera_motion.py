@@ -32,6 +32,11 @@ class CameraMotion:
     turn: Floats
     turning: Floats
 
+    @property
+    def figures(self) -> tuple[Floats, Floats, Floats, Floats]:
+        """Place, velocity, turn and turning, as kernels take them."""
+        return np.asarray(self.pose.position_m, np.float64), self.velocity_m_s, self.turn, self.turning
+
 
 def camera_motion(t_ns: int, camera: Trajectory, time: Timescale) -> CameraMotion:
     """Return the motion at stream time `t_ns`; at the start, where a path may begin, from poses after it only."""

@@ -10,18 +10,19 @@ not modelled: light from slope to slope, and what lies beyond the map, where the
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import numpy.typing as npt
 
 from emulator.geometry.pinhole import Pinhole
-from emulator.light import Light, PixelLight, Region, Scene
+from emulator.light import Light, Region, Scene
 from emulator.photometry.reflection_kernels import law_of
-from emulator.raster import Box, Renderer, Screen, Topology, View, join, prepare
+from emulator.raster import Box, Owners, Renderer, Screen, Topology, View, join, prepare
 from emulator.scene.terrain.camera_motion import CameraMotion, camera_motion
 from emulator.scene.terrain.block_vertices import CORNERS, block_vertices
+from emulator.scene.terrain.pixel_shading import ROW_FIELDS, shade_rows
 from emulator.scene.terrain.pyramid import build_pyramid
 from emulator.scene.terrain.quadtree import LEAST_REACH, Quadtree, block_facets
 from emulator.scene.terrain.table import TerrainParameters
@@ -60,6 +61,8 @@ class RasterTerrain(Scene):
         self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
         self._threads = threads
         self._scratches = [np.zeros((10, CORNERS)) for _ in range(threads)]
+        self._rows = [np.zeros((ROW_FIELDS, width + 1)) for _ in range(threads)]
+        self._owners = Owners.of(width, height)
         self._spare = np.zeros((height, width), np.float32)
         self._drawn = Box()
         self._changed: Region | None = None
@@ -102,11 +105,6 @@ class RasterTerrain(Scene):
         """The part of the last picture that may differ from the one before it in the same arrays."""
         return self._changed
 
-    @property
-    def pixel_light(self) -> PixelLight:
-        """Tells the light and its rate of single pixels at any instant."""
-        return self._pixels
-
     def light(self, t_ns: int, out: Light) -> None:
         """Write the radiance at `t_ns` into `out`, (height, width) float32; raises SceneError below the ground."""
         self.light_and_rate(t_ns, out, self._spare)
@@ -115,7 +113,9 @@ class RasterTerrain(Scene):
         """Write the radiance at `t_ns` and its exact time derivative, a second, both (height, width) float32."""
         known = self._pictures == (id(light), id(rate))
         before = self._drawn if known else None
-        self._drawn = self._renderer.draw(self._view(t_ns), light, rate, before)
+        motion = camera_motion(t_ns, self._world.camera, self._world.time)
+        self._drawn = self._renderer.draw(self._view(t_ns, motion), light, rate, None, self._owners)
+        self._shade(motion, light, rate)
         self._pictures = (id(light), id(rate))
         self._changed = None if before is None else _region(self._drawn.union(before))
 
@@ -126,13 +126,29 @@ class RasterTerrain(Scene):
             self._pool.shutdown()
         self._world.close()
 
-    def _pixels(self, t_ns: int, pixels: npt.NDArray[np.int64]) -> tuple[Light, Light]:
-        return self._renderer.query(self._view(t_ns), pixels)
+    def _shade(self, motion: CameraMotion, light: Light, rate: Light) -> None:
+        """Bring the fine map's light into the picture."""
+        height, width = light.shape
+        ground = self._world.ground
+        screen = self._world.pinhole.focal_px, width / 2, height / 2
+        figures = ground.unit_m, ground.grids, (min(ground.shape) - 1) / 2
+        owners = self._owners.facets, self._owners.whole
 
-    def _view(self, t_ns: int) -> View:
+        def shade(k: int) -> None:
+            shade_rows(
+                (k, height, self._threads), owners, self._renderer.facets, screen, motion.figures, self._pyramid.posts,
+                self._pyramid.levels, figures, self._sun, self._rows[k], light, rate,
+            )
+
+        self._together(shade)
+
+    def _together(self, work: Callable[[int], None]) -> None:
+        shares = range(self._threads)
+        list(map(work, shares) if self._pool is None else self._pool.map(work, shares))
+
+    def _view(self, t_ns: int, motion: CameraMotion) -> View:
         """Return the vertices in view, and give the renderer their topology."""
         world = self._world
-        motion = camera_motion(t_ns, world.camera, world.time)
         world.height_m(world.time.scene_ns(t_ns), motion.pose)
         chosen = self._tree.by_level(motion.pose.position_m, world.planes(motion.pose))
         self._renderer.topology = self._blocks.topology(len(chosen))
@@ -143,16 +159,15 @@ class RasterTerrain(Scene):
         """Write the vertices of the chosen blocks."""
         share = -(-len(chosen) // self._threads)
         figures = self._world.ground.unit_m, self._reach * self._world.ground.unit_m, self._tree.crowd
-        camera = motion.pose.position_m, motion.velocity_m_s, motion.turn, motion.turning
 
         def fill(k: int) -> None:
             ends = k * share, min((k + 1) * share, len(chosen))
             block_vertices(
-                chosen, *ends, self._pyramid.posts, self._pyramid.levels, figures, camera, self._sun,
+                chosen, *ends, self._pyramid.posts, self._pyramid.levels, figures, motion.figures, self._sun,
                 self._scratches[k], self._blocks.arrays,
             )
 
-        list(map(fill, range(self._threads)) if self._pool is None else self._pool.map(fill, range(self._threads)))
+        self._together(fill)
 
 
 class _Blocks:
