@@ -26,6 +26,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.photometry.reflection_kernels import reflect
+from emulator.scene.terrain.compiled import entry
 from emulator.scene.terrain.quadtree import BLOCK
 
 __all__ = ["CORNERS", "LATER_S", "around", "block_vertices", "grazing"]
@@ -70,7 +71,7 @@ def around(table: Floats, height: float) -> float:
     return float(table[low] + (table[low + 1] - table[low]) * (at - low))
 
 
-@numba.njit(nogil=True, cache=True, error_model="numpy")
+@entry
 def block_vertices(
     blocks: Ints,
     begin: int,
@@ -136,8 +137,12 @@ def block_vertices(
                 for a in range(3):
                     positions[at, a] = turn[a, 0] * rx + turn[a, 1] * ry + turn[a, 2] * rz
                     velocities[at, a] = (
-                        turn[a, 0] * vx + turn[a, 1] * vy + turn[a, 2] * vz
-                        + turning[a, 0] * rx + turning[a, 1] * ry + turning[a, 2] * rz
+                        turn[a, 0] * vx
+                        + turn[a, 1] * vy
+                        + turn[a, 2] * vz
+                        + turning[a, 0] * rx
+                        + turning[a, 1] * ry
+                        + turning[a, 2] * rz
                     )
                 de, dn = posts[nxt, 1] - posts[own, 1], posts[nxt, 2] - posts[own, 2]
                 db = posts[nxt, 3] - posts[own, 3]

@@ -31,6 +31,7 @@ import numpy.typing as npt
 from emulator.photometry.reflection_kernels import reflect
 from emulator.raster.layout import G, Ints, L, Pictures, W, WHighest, WLowest
 from emulator.scene.terrain.block_vertices import LATER_S, around, grazing
+from emulator.scene.terrain.compiled import entry
 from emulator.sensor.numerics.compiled import lane
 
 __all__ = ["ROW_FIELDS", "shade_rows"]
@@ -101,7 +102,15 @@ def _sheen(
 
 @lane
 def _mean_sheen(
-    posts: Posts, levels: Table, level: int, part: float, unit: float, at: Pair, moved: Pair, sides: tuple[Pair, Pair], places: float
+    posts: Posts,
+    levels: Table,
+    level: int,
+    part: float,
+    unit: float,
+    at: Pair,
+    moved: Pair,
+    sides: tuple[Pair, Pair],
+    places: float,
 ) -> tuple[float, float, float, float, float, float]:
     """Return the mean of east, north and b over a footprint with the given sides, and their rates."""
     e = n = b = de = dn = db = 0.0
@@ -145,7 +154,7 @@ def _into_world(turn: Floats, x: float, y: float, z: float) -> Triple:
     )
 
 
-@numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
+@entry
 def shade_rows(
     rows: tuple[int, int, int],
     owners: tuple[Ints, Pictures],
@@ -235,7 +244,14 @@ def shade_rows(
 
 @lane
 def _angles(
-    east: float, north: float, lit: float, eye: Triple, sun: tuple[Floats, float, int, Floats, Floats], scratch: Floats, k: int, at: int
+    east: float,
+    north: float,
+    lit: float,
+    eye: Triple,
+    sun: tuple[Floats, float, int, Floats, Floats],
+    scratch: Floats,
+    k: int,
+    at: int,
 ) -> None:
     """Write mu0, mu, the squared chord between Sun and eye, and what the law's value is to be multiplied by."""
     towards = sun[0]

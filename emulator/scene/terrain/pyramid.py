@@ -45,7 +45,9 @@ class Pyramid:
     levels: Ints
 
 
-def build_pyramid(ground: Ground, sunlit: npt.NDArray[np.float32], sun: npt.NDArray[np.float64], levels: int) -> Pyramid:
+def build_pyramid(
+    ground: Ground, sunlit: npt.NDArray[np.float32], sun: npt.NDArray[np.float64], levels: int
+) -> Pyramid:
     """Return `levels` levels of `ground`.
 
     Parameters

@@ -20,8 +20,8 @@ from emulator.geometry.pinhole import Pinhole
 from emulator.light import Light, Region, Scene
 from emulator.photometry.reflection_kernels import law_of
 from emulator.raster import Box, Owners, Renderer, Screen, Topology, View, join, prepare
-from emulator.scene.terrain.camera_motion import CameraMotion, camera_motion
 from emulator.scene.terrain.block_vertices import CORNERS, block_vertices
+from emulator.scene.terrain.camera_motion import CameraMotion, camera_motion
 from emulator.scene.terrain.pixel_shading import ROW_FIELDS, shade_rows
 from emulator.scene.terrain.pyramid import build_pyramid
 from emulator.scene.terrain.quadtree import LEAST_REACH, Quadtree, block_facets
@@ -136,8 +136,18 @@ class RasterTerrain(Scene):
 
         def shade(k: int) -> None:
             shade_rows(
-                (k, height, self._threads), owners, self._renderer.facets, screen, motion.figures, self._pyramid.posts,
-                self._pyramid.levels, figures, self._sun, self._rows[k], light, rate,
+                (k, height, self._threads),
+                owners,
+                self._renderer.facets,
+                screen,
+                motion.figures,
+                self._pyramid.posts,
+                self._pyramid.levels,
+                figures,
+                self._sun,
+                self._rows[k],
+                light,
+                rate,
             )
 
         self._together(shade)
@@ -163,8 +173,15 @@ class RasterTerrain(Scene):
         def fill(k: int) -> None:
             ends = k * share, min((k + 1) * share, len(chosen))
             block_vertices(
-                chosen, *ends, self._pyramid.posts, self._pyramid.levels, figures, motion.figures, self._sun,
-                self._scratches[k], self._blocks.arrays,
+                chosen,
+                *ends,
+                self._pyramid.posts,
+                self._pyramid.levels,
+                figures,
+                motion.figures,
+                self._sun,
+                self._scratches[k],
+                self._blocks.arrays,
             )
 
         self._together(fill)
