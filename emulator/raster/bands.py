@@ -14,6 +14,8 @@ What makes it fast: a band's arrays stay in the second-level cache; only columns
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 
@@ -60,9 +62,12 @@ def _sum_up(
     facets: Floats,
     nearest: Ints,
     places: tuple[Ints, Ints, Ints],
+    owners: tuple[Ints, Pictures],
 ) -> int:
     """Write pixels whose area is a whole number; list the others, number them in `slots`; return how many."""
     n = 0
+    owner, whole = owners
+    told = len(owner) > 0
     light, rate = pictures
     slots, found, masks = places
     c0, c1, left, right = columns
@@ -72,6 +77,10 @@ def _sum_up(
             light[row, c] = rate[row, c] = 0.0
         for c in range(c1, right):
             light[row, c] = rate[row, c] = 0.0
+        if told:
+            owner[row, left:right], whole[row, left:right] = -1, 1.0
+            for c in range(c0, c1):
+                owner[row, c] = nearest[r + 1, c + 1]
         cell = acc[r, c0]
         area, l0, l1, g0, g1 = cell[1], cell[3], cell[4], cell[6], cell[7]
         for c in range(c0, c1):
@@ -93,6 +102,8 @@ def _sum_up(
                     masks[c] |= 1 << r
                     found[n, 0], found[n, 1] = row, c
                     n += 1
+                    if told:
+                        whole[row, c] = abs(2.0 * (here - math.floor(here)) - 1.0)
             light[row, c] = max(value, 0.0)
             rate[row, c] = changing
     return n
@@ -245,6 +256,7 @@ def draw_bands(
     scratch: Data,
     light: Pictures,
     rate: Pictures,
+    owners: tuple[Ints, Pictures],
 ) -> tuple[int, int]:
     """Draw every `step`-th band from first to last; return the band that needs more room and how much, or (-1, 0).
 
@@ -255,6 +267,7 @@ def draw_bands(
     lists : `starts` and `listed` of `projection.bucket`.
     window : first column to write, and the one after the last.
     scratch : see `renderer.Scratch`.
+    owners : of `renderer.Owners`; empty arrays if nobody asks.
     """
     starts, listed = lists
     acc, depth, nearest, held, shows, slots, found, masks, answers = scratch[:9]
@@ -268,6 +281,8 @@ def draw_bands(
         if c0 >= c1:
             light[first:last, window[0] : window[1]] = 0.0
             rate[first:last, window[0] : window[1]] = 0.0
+            if len(owners[0]) > 0:
+                owners[0][first:last, window[0] : window[1]] = -1
             continue
         acc[:, c0 : c1 + 1] = 0.0
         depth[:, c0 : c1 + 2] = 0.0
@@ -280,7 +295,7 @@ def draw_bands(
         for f in here:
             if shows[f] == band:
                 add_facet(acc, f, shows, band, data, (first, last, width))
-        n = _sum_up(acc, (first, last), (c0, c1, window[0], window[1]), (light, rate), facets, nearest, places)
+        n = _sum_up(acc, (first, last), (c0, c1, window[0], window[1]), (light, rate), facets, nearest, places, owners)
         if n == 0:
             continue
         count = _one_by_one(data, here, n, (first, last), (c0, c1), scratch)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -15,9 +16,32 @@ from emulator.raster.projection import bucket, project, set_up
 from emulator.raster.topology import Topology
 from emulator.raster.view import Box, Screen, View
 
-__all__ = ["Renderer"]
+__all__ = ["Owners", "Renderer"]
 
 _FIRST_PAIRS = 1 << 14
+
+
+@dataclass(frozen=True, eq=False)
+class Owners:
+    """Which facet is the nearest at the middle of each pixel, for light that is not linear over facets.
+
+    Attributes
+    ----------
+    facets : (height, width) int32, the row of `Renderer.facets`; -1 for none.
+    whole : (height, width) float32: 1 where one surface covers the pixel, less where an outline passes, 0 near its
+        middle.
+    """
+
+    facets: Ints
+    whole: Pictures
+
+    @classmethod
+    def of(cls, width: int, height: int) -> Owners:
+        """Return room for a picture."""
+        return cls(np.full((height, width), -1, np.int32), np.ones((height, width), np.float32))
+
+
+_NO_OWNERS = Owners.of(0, 0)
 
 
 class _Scratch:
@@ -84,11 +108,18 @@ class Renderer:
         self._scratches = [_Scratch(screen, len(topology.faces)) for _ in range(threads)]
         self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
 
-    def draw(self, view: View, light: Pictures, rate: Pictures, before: Box | None = None) -> Box:
+    @property
+    def facets(self) -> Floats:
+        """Those of the last picture, (m, 16), see `layout`."""
+        return self._facets
+
+    def draw(
+        self, view: View, light: Pictures, rate: Pictures, before: Box | None = None, owners: Owners = _NO_OWNERS
+    ) -> Box:
         """Write mean radiance and its rate, a second, (height, width) float32; return the part that surfaces touch.
 
         Only this part and `before` are written: the part that the two arrays hold already of an earlier picture, an
-        empty box for arrays of zeros, None for unknown content.
+        empty box for arrays of zeros, None for unknown content. The same part of `owners` is written.
         """
         self._prepare(view)
         row0, row1, column0, column1 = (int(k) for k in self._touched)
@@ -96,7 +127,7 @@ class Renderer:
         whole = Box(0, self.screen.height, 0, self.screen.width)
         window = touched.union(whole if before is None else before)
         if not window.empty:
-            self._draw(window, light, rate)
+            self._draw(window, light, rate, owners)
         return touched
 
     def query(self, view: View, pixels: npt.NDArray[np.int64]) -> tuple[Pictures, Pictures]:
@@ -121,14 +152,14 @@ class Renderer:
         if self._pool is not None:
             self._pool.shutdown()
 
-    def _draw(self, window: Box, light: Pictures, rate: Pictures) -> None:
+    def _draw(self, window: Box, light: Pictures, rate: Pictures, owners: Owners) -> None:
         if self._pool is None:
-            self._draw_share(0, window, light, rate)
+            self._draw_share(0, window, light, rate, owners)
             return
         shares = range(len(self._scratches))
-        list(self._pool.map(lambda share: self._draw_share(share, window, light, rate), shares))
+        list(self._pool.map(lambda share: self._draw_share(share, window, light, rate, owners), shares))
 
-    def _draw_share(self, share: int, window: Box, light: Pictures, rate: Pictures) -> None:
+    def _draw_share(self, share: int, window: Box, light: Pictures, rate: Pictures, owners: Owners) -> None:
         """Draw every n-th band, n threads."""
         scratch = self._scratches[share]
         scratch.shows.fill(-1)
@@ -138,7 +169,14 @@ class Renderer:
         while band >= 0:
             bands = band, last, len(self._scratches)
             band, pairs = draw_bands(
-                self._data, bands, (self._starts, self._listed), columns, scratch.arrays, light, rate
+                self._data,
+                bands,
+                (self._starts, self._listed),
+                columns,
+                scratch.arrays,
+                light,
+                rate,
+                (owners.facets, owners.whole),
             )
             if band >= 0:
                 scratch.grow(2 * pairs)

@@ -1,22 +1,17 @@
-"""Choice of what draws bodies: a graphics card where there is one, else the CPU.
-
-The environment variable EVSTIM_RENDERER chooses instead: `cpu`, or part of a GL renderer's name (see `gl.context`).
-"""
+"""Choice of what draws bodies: a graphics card where there is one, else the CPU (see `gl.card`)."""
 
 from __future__ import annotations
 
 import os
-from pathlib import Path
 
 from emulator.geometry.pinhole import Pinhole
-from emulator.gl.context import WANTED, probe
+from emulator.gl.card import draws_on_a_card
 from emulator.light import Scene
 from emulator.scene.bodies.raster_bodies import RasterBodies
 from emulator.scene.bodies.table import BodiesParameters
 
-__all__ = ["build_bodies", "draws_on_a_card"]
+__all__ = ["build_bodies"]
 
-_CARDS = ("/dev/dri", "/dev/nvidia0")
 _THREADS_FROM_PX = 50_000  # smaller pictures are drawn sooner than a second thread is awake
 _MOST_THREADS = 4
 
@@ -29,14 +24,3 @@ def build_bodies(parameters: BodiesParameters, pinhole: Pinhole) -> Scene:
         return GlBodies(parameters, pinhole)
     large = pinhole.width * pinhole.height >= _THREADS_FROM_PX
     return RasterBodies(parameters, pinhole, threads=min(os.cpu_count() or 1, _MOST_THREADS) if large else 1)
-
-
-def draws_on_a_card() -> bool:
-    """Return whether GL draws: the environment asks for a GL renderer, or there is a graphics card that works."""
-    wanted = os.environ.get(WANTED, "").strip().lower()
-    if wanted:
-        return wanted != "cpu"
-    if not any(Path(card).exists() for card in _CARDS):
-        return False
-    found = probe()
-    return found.available and not found.is_software

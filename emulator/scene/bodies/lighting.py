@@ -27,13 +27,13 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.geometry.attitude import Vector, unit
+from emulator.photometry.reflection_kernels import Law, law_of
 from emulator.photometry.sun import Sun
 from emulator.scene.bodies.cast_shadow import blank_memory, dim, dim_remembering
 from emulator.scene.bodies.horizon_table import Horizons, dim_below, horizon_table, lost_light
 from emulator.scene.bodies.lighting_kernels import choose, dim_at_plane, glow
 from emulator.scene.bodies.lit_surface import Surface, shadow_triangles
 from emulator.scene.bodies.mesh import Mesh
-from emulator.scene.bodies.reflection_kernels import Law, law_of
 from emulator.scene.bodies.rigid_groups import RigidGroup, rigid_groups
 from emulator.scene.bodies.table import BodiesParameters
 from emulator.scene.bodies.triangle_tree import TriangleTree, build_tree

@@ -12,8 +12,8 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from emulator.photometry.reflection_kernels import reflect
 from emulator.scene.bodies.compiled import entry
-from emulator.scene.bodies.reflection_kernels import reflect
 from emulator.scene.bodies.solar_disc import seen_above
 
 __all__ = ["choose", "dim_at_plane", "glow"]

@@ -28,7 +28,7 @@ import numpy.typing as npt
 
 from emulator.photometry.reflectance import Reflectance
 from emulator.scene.terrain.ground import Ground
-from emulator.scene.terrain.quadtree import BLOCK
+from emulator.scene.terrain.quadtree import block_facets
 
 if TYPE_CHECKING:
     import moderngl
@@ -145,7 +145,7 @@ class GroundMesh:
             texture.build_mipmaps()
             texture.filter = gl.LINEAR_MIPMAP_NEAREST, gl.LINEAR  # a fifth faster on llvmpipe
             texture.repeat_x = texture.repeat_y = False
-        corners, facets = _block()
+        corners, facets = block_facets()
         self._corners, self._facets = gl.buffer(corners), gl.buffer(facets)
         self._blocks = [gl.buffer(reserve=12 * 64) for _ in ground.heights_m]
         self._arrays = [self._array(blocks) for blocks in self._blocks]
@@ -219,13 +219,3 @@ def _cells(
     incidence = np.maximum((east * s[0] + north * s[1] + s[2]) / length, 0)
     share = (sunlit[:-1, :-1] + sunlit[:-1, 1:] + sunlit[1:, :-1] + sunlit[1:, 1:]) / 4
     return np.stack([east / length, north / length, incidence * share, incidence], axis=-1)
-
-
-def _block() -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
-    """Return a block's corners, (n, 2) column and row, and its facets, (m, 3), counter-clockwise from above."""
-    side = BLOCK + 1
-    rows, columns = np.mgrid[:side, :side]
-    corners = np.stack([columns.ravel(), rows.ravel()], axis=-1).astype(np.int32)
-    low = (rows[:-1, :-1] * side + columns[:-1, :-1]).ravel()
-    a, b, c, d = low, low + 1, low + side, low + side + 1
-    return corners, np.stack([a, b, d, a, d, c], axis=-1).reshape(-1, 3).astype(np.int32)

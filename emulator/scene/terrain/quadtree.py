@@ -1,6 +1,6 @@
 """Which blocks of a ground are drawn, and how fine: a quadtree over its nest of grids.
 
-A block of level l is a square of 16 x 16 quads, 2^l lattice units wide each. It is drawn where it lies no nearer than
+A block of level l is a square of 8 x 8 quads, 2^l lattice units wide each. It is drawn where it lies no nearer than
 the level's range, else its four quarters are looked at:
 
     range of level l       reach x 2^l units          reach: how far away, in its own width, a quad may be split
@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from emulator.scene.terrain.ground import Ground
 
-__all__ = ["BLOCK", "LEAST_REACH", "Quadtree"]
+__all__ = ["BLOCK", "LEAST_REACH", "Quadtree", "block_facets"]
 
 BLOCK = 8
 LEAST_REACH = 80.0
@@ -63,12 +63,31 @@ class Quadtree:
         planes : (n, 3) inward normals, in the world, of the planes through the camera between which all that is seen
             lies.
         """
+        found = self._found(camera_m, planes)
+        return [np.ascontiguousarray(found[found[:, 0] == k, 1:]) for k in range(self._ground.grids)]
+
+    def by_level(self, camera_m: Floats, planes: Floats) -> Ints:
+        """Return the same blocks, (n, 3): level, first column and row in posts of the level's own array; near first.
+
+        See `Pyramid.levels` for these arrays.
+        """
+        found = self._found(camera_m, planes).astype(np.int64)
+        grid, stride = found[:, 0], found[:, 3]
+        level = grid + np.round(np.log2(stride)).astype(np.int64)
+        x, y = (self._lattice(found, axis) - self._levels[level, 2 + axis] for axis in (0, 1))
+        return np.stack([level, x >> level, y >> level], axis=1)
+
+    def _lattice(self, found: Ints, axis: int) -> Ints:
+        """Return the lattice place of blocks' first posts along x (axis 0) or y (1)."""
+        middle = (self._ground.shape[1 - axis] - 1) // 2
+        return (found[:, 1 + axis] - middle) << found[:, 0]
+
+    def _found(self, camera_m: Floats, planes: Floats) -> npt.NDArray[np.int32]:
+        """Return (n, 4) grid, column, row, posts from vertex to vertex; near first."""
         ground = self._ground
         figures = (ground.unit_m, self._reach_m, self.crowd, ground.grids, *ground.shape)
         found, distance = _select(self._levels, self._low, self._high, figures, camera_m, planes)
-        order = np.argsort(distance, kind="stable")
-        found = found[order]
-        return [np.ascontiguousarray(found[found[:, 0] == k, 1:]) for k in range(ground.grids)]
+        return found[np.argsort(distance, kind="stable")]
 
     def _table(self, shapes: list[tuple[int, ...]]) -> Ints:
         """Return a row for each level: rows, columns, first x and y, offset in the bounds."""
@@ -78,6 +97,16 @@ class Quadtree:
             table[level] = rows, columns, *self._ground.first(min(level, self._ground.grids - 1)), offset
             offset += rows * columns
         return table
+
+
+def block_facets() -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
+    """Return a block's corners, (n, 2) column and row, and its facets, (m, 3), counter-clockwise from above."""
+    side = BLOCK + 1
+    rows, columns = np.mgrid[:side, :side]
+    corners = np.stack([columns.ravel(), rows.ravel()], axis=-1).astype(np.int32)
+    low = (rows[:-1, :-1] * side + columns[:-1, :-1]).ravel()
+    a, b, c, d = low, low + 1, low + side, low + side + 1
+    return corners, np.stack([a, b, d, a, d, c], axis=-1).reshape(-1, 3).astype(np.int32)
 
 
 def _bounds(ground: Ground) -> list[tuple[Floats, Floats]]:

@@ -176,4 +176,4 @@ class TerrainParameters:
             raise ValueError(f"time_scale is {self.time_scale:g}: it must be above 0 and at most 1e6")
 
 
-TERRAIN = SceneKind(TerrainParameters, "emulator.scene.terrain.terrain:Terrain", lens="applied")
+TERRAIN = SceneKind(TerrainParameters, "emulator.scene.terrain.build:build_terrain", lens="applied")

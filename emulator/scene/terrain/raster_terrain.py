@@ -1,0 +1,221 @@
+"""Ground under a low Sun drawn by the CPU: exact light of each pixel and its exact time derivative, no GL.
+
+    pose and its rate --> blocks in view (`quadtree`) --> their vertices (`block_vertices`) --> `raster` --> light, rate
+
+Light is radiance, W m-2 sr-1, 400 to 700 nm: sunlight by the ground's law of reflection, with the shadows that the
+ground throws on itself and their penumbra, and an even light from all around. The ground curves with the body. What is
+not modelled: light from slope to slope, and what lies beyond the map, where the picture is black.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import numpy.typing as npt
+
+from emulator.geometry.pinhole import Pinhole
+from emulator.light import Light, Region, Scene
+from emulator.photometry.reflection_kernels import law_of
+from emulator.raster import Box, Owners, Renderer, Screen, Topology, View, join, prepare
+from emulator.scene.terrain.block_vertices import CORNERS, block_vertices
+from emulator.scene.terrain.camera_motion import CameraMotion, camera_motion
+from emulator.scene.terrain.pixel_shading import ROW_FIELDS, shade_rows
+from emulator.scene.terrain.pyramid import build_pyramid
+from emulator.scene.terrain.quadtree import LEAST_REACH, Quadtree, block_facets
+from emulator.scene.terrain.table import TerrainParameters
+from emulator.scene.terrain.world import TerrainWorld
+
+__all__ = ["RasterTerrain"]
+
+_NEAREST_SHARE = 1e-3  # of the least height of the camera: facets are cut this near
+_FIRST_BLOCKS = 256
+_FINEST_PX = 0.25
+_HEIGHTS = 4097  # of the eye's direction, in the table of the ambient light
+
+
+class RasterTerrain(Scene):
+    """The ground of `parameters` as `pinhole` sees it, in radiance, drawn by the CPU; raises SceneError.
+
+    Parameters
+    ----------
+    threads : how many draw; the pictures are the same to the last bit.
+    """
+
+    def __init__(self, parameters: TerrainParameters, pinhole: Pinhole, threads: int = 1) -> None:
+        world = self._world = TerrainWorld(parameters, pinhole)
+        self._reach = max(pinhole.focal_px / _facet_px(parameters, pinhole), LEAST_REACH)
+        self._tree = Quadtree(world.ground, self._reach)
+        self._pyramid = build_pyramid(world.ground, world.sunlit(), world.sun, self._tree.levels + 1)
+        heights = np.linspace(0, 1, _HEIGHTS)
+        law = parameters.reflectance
+        ambient = parameters.ambient_w_m2 * law.reflect(heights, heights, 0.0)
+        self._sun = (world.sun, world.irradiance_w_m2, *law_of(law), ambient)
+        self._block = prepare(block_facets()[1])
+        self._blocks = _Blocks(self._block, _FIRST_BLOCKS)
+        width, height = pinhole.size
+        screen = Screen(width, height, pinhole.focal_px, (width / 2, height / 2), _NEAREST_SHARE * world.distance_m)
+        self._renderer = Renderer(self._blocks.topology(0), screen, threads)
+        self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
+        self._threads = threads
+        self._scratches = [np.zeros((10, CORNERS)) for _ in range(threads)]
+        self._rows = [np.zeros((ROW_FIELDS, width + 1)) for _ in range(threads)]
+        self._owners = Owners.of(width, height)
+        self._spare = np.zeros((height, width), np.float32)
+        self._drawn = Box()
+        self._changed: Region | None = None
+        self._pictures: tuple[int, int] = (0, 0)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height) in pixels."""
+        return self._world.pinhole.size
+
+    @property
+    def renderer(self) -> str:
+        """The name of what draws."""
+        return "the CPU, exact coverage"
+
+    @property
+    def motion_bound_px_s(self) -> float:
+        """From the path's speed, turning and height, looked at once a second of the first four minutes."""
+        return self._world.motion_bound_px_s
+
+    @property
+    def distance_m(self) -> float:
+        """The least height over the ground beneath, of those looked at beforehand."""
+        return self._world.distance_m
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is odd about the map, what lies beyond it, and a black picture."""
+        first = np.zeros(self.size[::-1], np.float32)
+        self.light(0, first)
+        return self._world.notes(first)
+
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """What poses from outside did."""
+        return self._world.counts
+
+    @property
+    def changed(self) -> Region | None:
+        """The part of the last picture that may differ from the one before it in the same arrays."""
+        return self._changed
+
+    def light(self, t_ns: int, out: Light) -> None:
+        """Write the radiance at `t_ns` into `out`, (height, width) float32; raises SceneError below the ground."""
+        self.light_and_rate(t_ns, out, self._spare)
+
+    def light_and_rate(self, t_ns: int, light: Light, rate: Light) -> None:
+        """Write the radiance at `t_ns` and its exact time derivative, a second, both (height, width) float32."""
+        known = self._pictures == (id(light), id(rate))
+        before = self._drawn if known else None
+        motion = camera_motion(t_ns, self._world.camera, self._world.time)
+        self._drawn = self._renderer.draw(self._view(t_ns, motion), light, rate, None, self._owners)
+        self._shade(motion, light, rate)
+        self._pictures = (id(light), id(rate))
+        self._changed = None if before is None else _region(self._drawn.union(before))
+
+    def close(self) -> None:
+        """End the threads and close the port; a second call does nothing."""
+        self._renderer.close()
+        if self._pool is not None:
+            self._pool.shutdown()
+        self._world.close()
+
+    def _shade(self, motion: CameraMotion, light: Light, rate: Light) -> None:
+        """Bring the fine map's light into the picture."""
+        height, width = light.shape
+        ground = self._world.ground
+        screen = self._world.pinhole.focal_px, width / 2, height / 2
+        figures = ground.unit_m, ground.grids, (min(ground.shape) - 1) / 2
+        owners = self._owners.facets, self._owners.whole
+
+        def shade(k: int) -> None:
+            shade_rows(
+                (k, height, self._threads),
+                owners,
+                self._renderer.facets,
+                screen,
+                motion.figures,
+                self._pyramid.posts,
+                self._pyramid.levels,
+                figures,
+                self._sun,
+                self._rows[k],
+                light,
+                rate,
+            )
+
+        self._together(shade)
+
+    def _together(self, work: Callable[[int], None]) -> None:
+        shares = range(self._threads)
+        list(map(work, shares) if self._pool is None else self._pool.map(work, shares))
+
+    def _view(self, t_ns: int, motion: CameraMotion) -> View:
+        """Return the vertices in view, and give the renderer their topology."""
+        world = self._world
+        world.height_m(world.time.scene_ns(t_ns), motion.pose)
+        chosen = self._tree.by_level(motion.pose.position_m, world.planes(motion.pose))
+        self._renderer.topology = self._blocks.topology(len(chosen))
+        self._fill(chosen, motion)
+        return self._blocks.view(len(chosen))
+
+    def _fill(self, chosen: npt.NDArray[np.int64], motion: CameraMotion) -> None:
+        """Write the vertices of the chosen blocks."""
+        share = -(-len(chosen) // self._threads)
+        figures = self._world.ground.unit_m, self._reach * self._world.ground.unit_m, self._tree.crowd
+
+        def fill(k: int) -> None:
+            ends = k * share, min((k + 1) * share, len(chosen))
+            block_vertices(
+                chosen,
+                *ends,
+                self._pyramid.posts,
+                self._pyramid.levels,
+                figures,
+                motion.figures,
+                self._sun,
+                self._scratches[k],
+                self._blocks.arrays,
+            )
+
+        self._together(fill)
+
+
+class _Blocks:
+    """Room for many blocks: their vertices, and facets numbered one block after another."""
+
+    def __init__(self, block: Topology, count: int) -> None:
+        self._block = block
+        self._grow(count)
+
+    def _grow(self, count: int) -> None:
+        n = count * CORNERS
+        self._all = join([self._block] * count)
+        self.arrays = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n), np.zeros(n)
+
+    def topology(self, count: int) -> Topology:
+        """Return the facets of `count` blocks; call it before the arrays are written."""
+        if count * CORNERS > self._all.vertices:
+            self._grow(2 * count)
+        a, m, n = self._all, count * len(self._block.faces), count * CORNERS
+        return Topology(a.faces[:m], a.shades[:m], a.across[:m], a.smooth[:m], a.two_sided[:m], n, n)
+
+    def view(self, count: int) -> View:
+        """Return the first `count` blocks."""
+        return View(*(array[: count * CORNERS] for array in self.arrays))
+
+
+def _facet_px(p: TerrainParameters, pinhole: Pinhole) -> float:
+    """Return the side of a facet; two facets are a quad."""
+    affordable = math.sqrt(2 * pinhole.width * pinhole.height / p.most_facets)
+    return max(p.detail_px, affordable) if p.detail_px else _FINEST_PX
+
+
+def _region(box: Box) -> Region:
+    return Region(box.first_row, box.last_row, box.first_column, box.last_column)
