@@ -1,26 +1,21 @@
-"""The decorator of compiled functions that Python calls: their machine code is kept on disk.
-
-numba notices a change of the function's own module only, while these call others of this folder; here the code is valid
-as long as no module of the folder changes.
-"""
+"""Compiled entry points of the light of bodies, cached on disk as long as no source that they are made of changes."""
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numba
+from numba import njit
+
+from emulator import photometry
+from firmware_protocol.numba_cache import checksum_of, valid_for
 
 __all__ = ["entry"]
 
-_SOURCES = zlib.crc32(b"".join(path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py"))))
+_SOURCES = checksum_of(Path(__file__).parent) ^ checksum_of(Path(photometry.__file__).parent)
 
 
 def entry(function: Callable[..., Any]) -> Any:
-    """Compile `function` for calls from Python; it gives the GIL back."""
-    dispatcher: Any = numba.njit(nogil=True, error_model="numpy", cache=True)(function)
-    on_disk = dispatcher._cache._cache_file
-    on_disk._source_stamp = (on_disk._source_stamp, _SOURCES)
-    return dispatcher
+    """Compile `function` for calls from Python; it releases the GIL."""
+    return valid_for(_SOURCES, njit(nogil=True, error_model="numpy", cache=True)(function))
