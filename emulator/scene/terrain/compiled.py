@@ -17,6 +17,9 @@ _SOURCES = checksum_of(Path(__file__).parent) ^ checksum_of(Path(photometry.__fi
 
 
 def entry(function: Callable[..., Any]) -> Any:
-    """Compile `function` for calls from Python; its code on disk is valid while terrain and photometry are unchanged."""
-    compiled = njit(nogil=True, error_model="numpy", cache=True, fastmath={"contract"})(function)
+    """Compile `function` for calls from Python, without allocation; see `numerics.compiled` for the options.
+
+    Its code on disk is valid while terrain and photometry are unchanged.
+    """
+    compiled = njit(nogil=True, error_model="numpy", cache=True, fastmath={"contract"}, _nrt=False)(function)
     return valid_for(_SOURCES, compiled)

@@ -9,7 +9,7 @@ n . X = 1 the facet's plane from the camera, the point seen is X = s d, s = 1 / 
     how the ground passes       V = v + s' d + s d', with v the camera's velocity and s' such that V lies in the map's
                                 slope: what the pixel sees next
 
-Normals and sunlit shares are means over _ASIDE places across the footprint's shorter side and so many along the longer
+Normals and sunlit shares are means over one or two places across the footprint's shorter side and so many along the longer
 one that their distances are alike, from the two levels of the `Pyramid` next to half that distance. Their rates come
 from V and the slopes between posts. Radiance and its rate come of them as for vertices (see `block_vertices`).
 
@@ -24,7 +24,6 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
@@ -32,13 +31,13 @@ from emulator.photometry.reflection_kernels import reflect
 from emulator.raster.layout import G, Ints, L, Pictures, W, WHighest, WLowest
 from emulator.scene.terrain.block_vertices import LATER_S, around, grazing
 from emulator.scene.terrain.compiled import entry
-from emulator.sensor.numerics.compiled import lane
+from emulator.sensor.numerics.compiled import lane, vector_kernel
 
 __all__ = ["ROW_FIELDS", "shade_rows"]
 
 ROW_FIELDS = 11
 _MOST_PLACES = 8.0  # along the footprint's longer side
-_ASIDE = 2
+_ONE_PLACE = 0.7  # of the finest posts' distance: for a footprint's shorter side below it one place across will do
 _SHARP = 0.5  # distance of the chosen levels' posts over the footprint's shorter side
 _FARTHEST = 0.2  # of the distance: the fine map moves a point no farther
 _FACING = -1e-3  # slopes that the camera sees from behind move as if they were seen this grazing
@@ -48,6 +47,7 @@ Posts = npt.NDArray[np.float32]
 Table = npt.NDArray[np.int64]
 Pair = tuple[float, float]
 Triple = tuple[float, float, float]
+Six = tuple[float, float, float, float, float, float]
 
 
 @lane
@@ -88,47 +88,49 @@ def _height(posts: Posts, levels: Table, level: int, part: float, unit: float, x
 
 @lane
 def _sheen(
-    posts: Posts, levels: Table, level: int, unit: float, at: Pair, moved: Pair
-) -> tuple[float, float, float, float, float, float]:
-    """Return east, north and b at a place, and their rates as it moves."""
-    low, high, u, v = _corner(levels, level, unit, at[0], at[1])
-    per_m = 1.0 / (unit * (1 << level))
-    x, y = moved[0] * per_m, moved[1] * per_m
-    e, e_x, e_y = _field(posts, low, high, 1, u, v)
-    n, n_x, n_y = _field(posts, low, high, 2, u, v)
-    b, b_x, b_y = _field(posts, low, high, 3, u, v)
-    return e, n, b, e_x * x + e_y * y, n_x * x + n_y * y, b_x * x + b_y * y
-
-
-@lane
-def _mean_sheen(
     posts: Posts,
     levels: Table,
     level: int,
-    part: float,
     unit: float,
+    weight: float,
     at: Pair,
     moved: Pair,
     sides: tuple[Pair, Pair],
-    places: float,
-) -> tuple[float, float, float, float, float, float]:
-    """Return the mean of east, north and b over a footprint with the given sides, and their rates."""
-    e = n = b = de = dn = db = 0.0
-    share = 1.0 / (places * _ASIDE)
-    for i in range(int(places)):
-        along = (i + 0.5) / places - 0.5
-        for j in range(_ASIDE):
-            aside = (j + 0.5) / _ASIDE - 0.5
-            x = at[0] + along * sides[0][0] + aside * sides[1][0]
-            y = at[1] + along * sides[0][1] + aside * sides[1][1]
-            p, q, r, dp, dq, dr = _sheen(posts, levels, level, unit, (x, y), moved)
-            w = share * (1.0 - part)
-            e, n, b, de, dn, db = e + w * p, n + w * q, b + w * r, de + w * dp, dn + w * dq, db + w * dr
-            if part > 0.0:
-                p, q, r, dp, dq, dr = _sheen(posts, levels, level + 1, unit, (x, y), moved)
-                w = share * part
-                e, n, b, de, dn, db = e + w * p, n + w * q, b + w * r, de + w * dp, dn + w * dq, db + w * dr
-    return e, n, b, de, dn, db
+    counts: Pair,
+) -> Six:
+    """Return the means of east, north and b over a footprint with the given sides, and their rates, times `weight`."""
+    per_m = 1.0 / (unit * (1 << level))
+    offset, columns = levels[level, 0], levels[level, 2]
+    most_x, most_y = columns - 1.0001, levels[level, 1] - 1.0001
+    per_unit = 1.0 / (1 << level)
+    x0, y0 = at[0] * per_m - levels[level, 3] * per_unit, at[1] * per_m - levels[level, 4] * per_unit
+    x_along, y_along = sides[0][0] * per_m / counts[0], sides[0][1] * per_m / counts[0]
+    x_aside, y_aside = sides[1][0] * per_m / counts[1], sides[1][1] * per_m / counts[1]
+    zero = np.float32(0.0)
+    e, n, b, e_x, n_x, b_x, e_y, n_y, b_y = zero, zero, zero, zero, zero, zero, zero, zero, zero
+    for i in range(int(counts[0])):
+        along = i + 0.5 - 0.5 * counts[0]
+        for j in range(int(counts[1])):
+            aside = j + 0.5 - 0.5 * counts[1]
+            x = min(max(x0 + along * x_along + aside * x_aside, 0.0), most_x)
+            y = min(max(y0 + along * y_along + aside * y_aside, 0.0), most_y)
+            column, row = int(x), int(y)
+            u, v = np.float32(x - column), np.float32(y - row)
+            low = offset + row * columns + column
+            high = low + columns
+            ea, na, ba = posts[low, 1], posts[low, 2], posts[low, 3]
+            eb, nb, bb = posts[low + 1, 1] - ea, posts[low + 1, 2] - na, posts[low + 1, 3] - ba
+            ec, nc, bc = posts[high, 1] - ea, posts[high, 2] - na, posts[high, 3] - ba
+            ed = posts[high + 1, 1] - ea - eb - ec
+            nd = posts[high + 1, 2] - na - nb - nc
+            bd = posts[high + 1, 3] - ba - bb - bc
+            es, ns, bs = eb + ed * v, nb + nd * v, bb + bd * v
+            e, n, b = e + (ea + ec * v + es * u), n + (na + nc * v + ns * u), b + (ba + bc * v + bs * u)
+            e_x, n_x, b_x = e_x + es, n_x + ns, b_x + bs
+            e_y, n_y, b_y = e_y + (ec + ed * u), n_y + (nc + nd * u), b_y + (bc + bd * u)
+    share = weight / (counts[0] * counts[1])
+    mx, my = moved[0] * per_m * share, moved[1] * per_m * share
+    return e * share, n * share, b * share, e_x * mx + e_y * my, n_x * mx + n_y * my, b_x * mx + b_y * my
 
 
 @lane
@@ -220,17 +222,22 @@ def shade_rows(
             size = max(_SHARP * max(shorter, longer / places), finest)
             fine = min(math.log2(size / unit), float(top_level))
             level = max(level, int(fine))
-            part = max(fine - level, 0.0)
+            part = min(max(2.0 * (fine - level) - 0.5, 0.0), 1.0)
             z, east, north = _height(posts, levels, level, part, unit, place[0] + s * dx, place[1] + s * dy)
             lifted = (z - place[2] - s * dz) * nz
             s *= 1.0 + min(max(lifted, -_FARTHEST), _FARTHEST)
             at = (place[0] + s * dx, place[1] + s * dy)
-            z, east, north = _height(posts, levels, level, part, unit, at[0], at[1])
             vx, vy, vz = moving[0] + s * tx, moving[1] + s * ty, moving[2] + s * tz
             going = (east * vx + north * vy - vz) / min(dz - east * dx - north * dy, _FACING)
             moved = (vx + going * dx, vy + going * dy)
             sides = ((ux * longer, uy * longer), (-uy * shorter, ux * shorter))
-            e, n, b, de, dn, db = _mean_sheen(posts, levels, level, part, unit, at, moved, sides, places)
+            counts = (places, 2.0 if shorter > _ONE_PLACE * finest else 1.0)
+            e, n, b, de, dn, db = _sheen(posts, levels, level, unit, 1.0 - part, at, moved, sides, counts)
+            if part > 0.0:
+                more = _sheen(posts, levels, level + 1, unit, part, at, moved, sides, counts)
+                e, n, b, de, dn, db = (
+                    e + more[0], n + more[1], b + more[2], de + more[3], dn + more[4], db + more[5]
+                )
             per_d = -1.0 / math.sqrt(1.0 + x * x + y * y)
             scratch[10, count] = column
             for when in range(2):
@@ -265,7 +272,7 @@ def _angles(
     scratch[k + 3, at] = shone / mu0 * sun[1]
 
 
-@numba.njit(nogil=True, error_model="numpy")
+@vector_kernel
 def _write_row(
     row: int,
     count: int,

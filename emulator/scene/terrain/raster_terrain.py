@@ -32,7 +32,8 @@ __all__ = ["RasterTerrain"]
 
 _NEAREST_SHARE = 1e-3  # of the least height of the camera: facets are cut this near
 _FIRST_BLOCKS = 256
-_FINEST_PX = 0.25
+_FINEST_PX = 1.0
+_COARSER = 2.0
 _HEIGHTS = 4097  # of the eye's direction, in the table of the ambient light
 
 
@@ -99,6 +100,11 @@ class RasterTerrain(Scene):
     def counts(self) -> Mapping[str, int]:
         """What poses from outside did."""
         return self._world.counts
+
+    @property
+    def facets_drawn(self) -> int:
+        """How many facets the last picture had."""
+        return len(self._renderer.topology.faces)
 
     @property
     def changed(self) -> Region | None:
@@ -212,9 +218,12 @@ class _Blocks:
 
 
 def _facet_px(p: TerrainParameters, pinhole: Pinhole) -> float:
-    """Return the side of a facet; two facets are a quad."""
+    """Return the side of a facet; light has the fine map's detail and its height (`pixel_shading`), so twice is enough.
+
+    Two facets are a quad.
+    """
     affordable = math.sqrt(2 * pinhole.width * pinhole.height / p.most_facets)
-    return max(p.detail_px, affordable) if p.detail_px else _FINEST_PX
+    return max(_COARSER * p.detail_px, affordable) if p.detail_px else _FINEST_PX
 
 
 def _region(box: Box) -> Region:
