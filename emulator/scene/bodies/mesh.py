@@ -15,8 +15,10 @@ tables of the Planetary Data System (`.tab`, see `plates`) and every surface for
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from functools import cached_property
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +33,9 @@ SHAPES = Path(__file__).parent / "shapes"
 """The folder of the shape models that come with the program; its SOURCES.md tells where each is from."""
 
 _FARTHEST_M = 1e15  # squares and cubes of it stay finite; the solar system ends before
+
+_OBJ_LOOKS = re.compile(rb"^[ \t]*(mtllib|usemtl|vt)\b.*$", re.MULTILINE)
+"""Lines of an OBJ file on materials and textures. trimesh needs Pillow for them, which is no base dependency."""
 
 _Points = npt.NDArray[np.float64]
 _Faces = npt.NDArray[np.int32]
@@ -148,12 +153,14 @@ def _read_with_trimesh(path: Path) -> tuple[_Points, npt.NDArray[np.int64]]:
     """Read any other format; trimesh takes half a second to import, so only when it is needed."""
     import trimesh
 
-    with path.open("rb") as file:
-        try:
-            loaded = trimesh.load_mesh(file, file_type=path.suffix[1:].lower(), process=False, skip_materials=True)
-            return np.asarray(loaded.vertices, np.float64), np.asarray(loaded.faces, np.int64)
-        except Exception as error:  # its readers answer a broken file with whatever the parsing ran into
-            raise SceneError(f"trimesh cannot read it as a surface ({error})") from error
+    file_type = path.suffix[1:].lower()
+    data = path.read_bytes()
+    data = _OBJ_LOOKS.sub(b"", data) if file_type == "obj" else data
+    try:
+        loaded = trimesh.load_mesh(BytesIO(data), file_type=file_type, process=False, skip_materials=True)
+        return np.asarray(loaded.vertices, np.float64), np.asarray(loaded.faces, np.int64)
+    except Exception as error:  # its readers answer a broken file with whatever the parsing ran into
+        raise SceneError(f"trimesh cannot read it as a surface ({error})") from error
 
 
 def _require_sound(points: _Points, corners: npt.NDArray[np.int64]) -> None:
