@@ -13,6 +13,7 @@ from cyclopts import Parameter
 
 from emulator.cli.failures import failures
 from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, console, print_json, status
+from emulator.cli.preparing import prepared
 from emulator.cli.run_output.lateness import lateness_lines
 from emulator.cli.run_output.link_summary import link_json, link_lines
 from emulator.cli.run_output.live import LiveTable
@@ -22,6 +23,7 @@ from emulator.rig.loading import Rig, load_rig
 from emulator.rig.options import with_options
 from emulator.run.assembly import build_session, link_setups, schedule
 from emulator.run.fault_injection import fault_injection
+from emulator.run.kernels import parts_of
 from emulator.run.ready import ReadySignal
 from emulator.run.scene_assembly import build_scene
 from emulator.run.session import RunResult, RunStatus
@@ -98,6 +100,7 @@ def run(
         _check_truth(loaded, files.truth)
         _check_folder("--ready-file", files.ready_file)
         files.begin_fault_log()
+        prepared(parts_of(loaded))
         result = run_rig(loaded, files, show=not json)
     if json:
         print_json(summary(loaded, result))

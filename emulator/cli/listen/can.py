@@ -12,7 +12,9 @@ from cyclopts import Parameter
 from emulator.cli.failures import failures
 from emulator.cli.listen.limits import Limits, until
 from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, WRONG_USE, Failure, console, print_json, status
+from emulator.cli.preparing import prepared
 from emulator.rig.loading import Rig, load_rig
+from emulator.run.kernels import DECODER
 from firmware_protocol.can_frames.dbc import dbc_text
 from transports.can_bus.bus import BusDown
 from transports.can_bus.listener import CanReception, listen_can, peer_of
@@ -105,6 +107,7 @@ def _link(rig: Rig, name: str | None) -> CanParameters:
 
 
 def _listen(parameters: CanParameters, limits: Limits) -> CanReception:
+    prepared([DECODER])
     recorder = Recorder(limits.record) if limits.record is not None else None
     status.print(f"CAN bus {parameters.channel} by {parameters.interface}, {parameters.bitrate} bit/s")
     try:

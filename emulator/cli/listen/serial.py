@@ -12,6 +12,8 @@ from cyclopts import Parameter
 
 from emulator.cli.listen.limits import Limits, until
 from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, WRONG_USE, Failure, console, print_json, status
+from emulator.cli.preparing import prepared
+from emulator.run.kernels import DECODER
 from firmware_protocol.packets.telecommands import (
     Ping,
     RequestHousekeeping,
@@ -145,6 +147,7 @@ def serial(
 
 
 def _listen(parameters: SerialParameters, telecommands: list[Telecommand], limits: Limits) -> SerialReception:
+    prepared([DECODER])
     recorder = Recorder(limits.record) if limits.record is not None else None
     goes_on = until(limits)
     told = 0

@@ -41,7 +41,7 @@ _Decorator = Callable[[_Function], _Function]
 Real = Any
 """A float of any width: inside numba, that of the caller."""
 
-NONE = np.int64(0)
+NONE: Any = np.int64(0)
 """Start of a counter; see above."""
 
 _COMMON: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
