@@ -14,6 +14,7 @@ from cyclopts import Parameter
 from emulator.cli.failures import failures
 from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, console, print_json, status
 from emulator.cli.preparing import prepared
+from emulator.cli.run_output.latency import quantile_text
 from emulator.cli.run_output.lateness import lateness_lines
 from emulator.cli.run_output.link_summary import link_json, link_lines
 from emulator.cli.run_output.live import LiveTable
@@ -21,6 +22,7 @@ from emulator.cli.run_output.timing import timing_json, timing_lines
 from emulator.cli.signals import stopped_by_signals
 from emulator.rig.loading import Rig, load_rig
 from emulator.rig.options import with_options
+from emulator.rig.remarks import remarks
 from emulator.run.assembly import build_session, link_setups, schedule
 from emulator.run.fault_injection import fault_injection
 from emulator.run.kernels import parts_of
@@ -151,8 +153,8 @@ def run_rig(rig: Rig, files: Files = _NO_FILES, *, show: bool = False) -> RunRes
     with build_scene(rig) as scene:
         if show and scene.renderer:
             console.print(f"renderer: {scene.renderer}")
-        for note in scene.notes if show else ():
-            console.print(f"note: {note}")
+        for note in [*remarks(rig), *scene.notes] if show else ():
+            console.print(f"note: {note}", markup=False)
         setups = link_setups(rig, files.record, files.truth, files.fault_log)
         session = build_session(rig, scene, setups, MonotonicClock())
         with (
@@ -233,7 +235,8 @@ def _print_summary(rig: Rig, result: RunResult) -> None:
             console.print(line)
         if report.latency.p50 is not None:
             console.print(
-                f"{link.name}: event to socket p50 {report.latency.p50:.0f} us, p99 {report.latency.p99:.0f} us, "
+                f"{link.name}: event to socket p50 {quantile_text(report.latency.p50)} us, "
+                f"p99 {quantile_text(report.latency.p99)} us, "
                 f"max {report.latency.max:.0f} us"
             )
     if result.undersampled_share is not None and result.undersampled_share > _MANY_UNDERSAMPLED:

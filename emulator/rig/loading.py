@@ -90,6 +90,8 @@ def find_rig(rig: str) -> Path:
     if path.suffix == ".toml" or path.exists():
         if path.is_file():
             return path
+        if path.is_dir():
+            raise RigError(f"{rig}: is a folder; give the path of a .toml file in it, or the name of a shipped rig")
         raise RigError(f"{rig}: no such file")
     shipped = shipped_rigs()
     if rig in shipped:
@@ -101,9 +103,17 @@ def load_rig(rig: str) -> Rig:
     """Load a rig by path or name; raises RigError."""
     path = find_rig(rig)
     try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise RigError(f"{path}: cannot be read: {error}") from error
+        data = path.read_bytes()
+    except OSError as error:
+        raise RigError(f"{path}: cannot be read: {error.strerror or error}") from error
+    try:
+        text = data.decode("utf-8")
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        raise RigError(
+            f"{path}, line {line}: byte 0x{data[error.start]:02x} is not UTF-8, in which TOML is written: save the "
+            "file as UTF-8, or leave the letter out"
+        ) from error
     return parse_rig(text, str(path), path.stem)
 
 

@@ -13,6 +13,7 @@ from emulator.cli.failures import failures
 from emulator.cli.listen.limits import Limits, until
 from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, WRONG_USE, Failure, console, print_json, status
 from emulator.cli.preparing import prepared
+from emulator.cli.run_output.latency import quantile_text
 from emulator.rig.loading import Rig, load_rig
 from emulator.run.kernels import DECODER
 from firmware_protocol.can_frames.dbc import dbc_text
@@ -127,6 +128,7 @@ def _print(reception: CanReception) -> None:
     )
     if reception.jitter_us.p50 is not None:
         j = reception.jitter_us
-        console.print(f"delay above the shortest: p50 {j.p50:.0f} us, p99 {j.p99:.0f} us, max {j.max:.0f} us")
+        p50, p99 = quantile_text(j.p50), quantile_text(j.p99)
+        console.print(f"delay above the shortest: p50 {p50} us, p99 {p99} us, max {j.max:.0f} us")
     for name, count in reception.counts.items():
         console.print(f"{name}: {count}", markup=False)
