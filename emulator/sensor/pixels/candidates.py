@@ -320,7 +320,8 @@ def _dispatch(pixels: Pixels, table: Table, n: int, c: StepConstants) -> int:
 
     This loop is a function of its own because it runs over all candidates; see `compiled` on reference counts.
     """
-    rows, marching = table.rows, NONE
+    rows = table.rows
+    marching: int = NONE
     for j in range(n):
         kind = rows[_C_KIND + j]
         if kind == _NEEDS_SUBSTEPS:

@@ -133,3 +133,38 @@ def test_quiet_leaves_the_result_and_the_errors(capfd):
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_shells_can_complete_the_verbs(shell):
     assert "characterise" in app.generate_completion(prog_name="evstim", shell=shell)
+
+
+@pytest.fixture
+def board(tmp_path):
+    path = tmp_path / "board.toml"
+    path.write_text(BOARD + "speed_px_s = 20.0\n[camera.sensor]\nwidth = 64\nheight = 48\n[run]\nstep_us = 2000\n")
+    return path
+
+
+def test_a_picture_looks_back_until_there_is_something_to_see(board, tmp_path, capsys):
+    slow = tmp_path / "slow.toml"
+    slow.write_text(board.read_text().replace("20.0", "0.1"))
+    counts = []
+    for options in (["--window-ms", "20"], []):
+        assert _main(["picture", str(slow), str(tmp_path / "a.png"), "--at-s", "1.0", *options, "--json"]) == 0
+        counts.append(json.loads(capsys.readouterr().out.splitlines()[-1])["events"])
+    assert counts[1] > counts[0]
+    assert counts[1] >= 0.005 * 64 * 48
+
+
+def test_a_movie_has_25_pictures_a_second(board, tmp_path, capsys):
+    from PIL import Image
+
+    path = tmp_path / "a.gif"
+    assert _main(["picture", str(board), str(path), "--at-s", "0.1", "--seconds", "0.4", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out.splitlines()[-1])["events"] > 0
+    with Image.open(path) as image:
+        assert image.n_frames == 11  # both ends
+        assert image.size == (128, 48 * 2 + 18)
+
+
+def test_a_picture_of_another_format_is_refused(board, tmp_path, capsys):
+    code, error = error_of(["picture", board, tmp_path / "a.jpg"], capsys)
+    assert code == 2
+    assert ".png, .gif or .mp4" in error
