@@ -8,7 +8,7 @@ BIN    := $(VENV)/bin
 # What the tests need: GL as the check of the CPU renderer, a machine to boot Linux in, and Debian's own tools in it.
 APT_TEST := libegl1 libgl1 libgl1-mesa-dri qemu-system-x86 busybox-static usbip cpio kmod libusb-1.0-0 can-utils iproute2 gcc libc6-dev gcc-arm-none-eabi qemu-system-arm
 
-.PHONY: demo test fast check docs bench clean
+.PHONY: demo test fast check docs docs/rigs.md bench clean
 
 demo: $(VENV)/.installed
 	$(BIN)/evstim demo
@@ -31,6 +31,10 @@ check: $(VENV)/.installed-test
 
 docs: $(VENV)/.installed-test
 	$(BIN)/mkdocs serve
+
+# Tables of all keys of a rig, from the types that load rigs.
+docs/rigs.md: docs/rig_reference.py $(VENV)/.installed-test
+	$(BIN)/python docs/rig_reference.py
 
 bench: $(VENV)/.installed
 	$(BIN)/evstim bench

@@ -1,11 +1,17 @@
-"""mkdocs hook: writes the rig reference from the types that load rigs, so that it cannot be wrong."""
+"""Write the tables of rigs.md from the types that load rigs: python docs/rig_reference.py (or make docs/rigs.md).
+
+The page is kept in the repository, so that it can be read where no documentation is built; a test fails when it is
+stale.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 import inspect
 import re
+import typing
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 from emulator.rig.fault_tables import known_faults
@@ -13,38 +19,40 @@ from emulator.rig.link_kinds import LINKS
 from emulator.rig.loading import Camera, Run, Trigger
 from emulator.rig.scene_kinds import SCENES
 from emulator.sensor.presets import PRESETS
+from emulator.tables.files import RigFile
 from emulator.tables.typed_table import field_types, item_type, kinds_of, table_type
 
-MARKER = "<!-- rig reference -->"
+PAGE = Path(__file__).with_name("rigs.md")
+MARKER = "<!-- from here on written by docs/rig_reference.py -->"
+
+_PLAIN: dict[Any, str] = {float: "number", int: "integer", bool: "true or false", str: "text", RigFile: "file"}
 
 
-def on_page_markdown(markdown: str, **_: object) -> str:
-    """Replace the marker by the tables."""
-    return markdown.replace(MARKER, reference()) if MARKER in markdown else markdown
+def page() -> str:
+    """Return the page with its tables as they should be."""
+    return PAGE.read_text(encoding="utf-8").partition(MARKER)[0] + MARKER + "\n\n" + reference() + "\n"
 
 
 def reference() -> str:
     """Return one section for each table of a rig file."""
-    parts = [section for name, kind in SCENES.items() for section in _sections("scene", kind.parameters, name)]
-    parts += _sections("camera", Camera)
-    parts.append(_presets())
-    parts += _sections("trigger", Trigger)
-    parts += _sections("run", Run)
-    parts += [section for name, kind in LINKS.items() for section in _sections("[links]", kind.parameters, name)]
-    parts += [section for kind, cls in known_faults().items() for section in _sections("[faults]", cls, kind)]
-    return "\n\n".join(parts)
+    tables = [table for name, kind in SCENES.items() for table in _within("scene", kind.parameters, name)]
+    tables += [*_within("camera", Camera), *_within("trigger", Trigger), *_within("run", Run)]
+    tables += [table for name, kind in LINKS.items() for table in _within("[links]", kind.parameters, name)]
+    tables += [table for kind, cls in known_faults().items() for table in _within("[faults]", cls, kind)]
+    places: dict[type, list[str]] = {}
+    for title, cls in tables:
+        if title not in places.setdefault(cls, []):
+            places[cls].append(title)
+    return "\n\n".join([*(_section(cls, titles) for cls, titles in places.items()), _presets()])
 
 
-def _sections(path: str, cls: type, kind: str = "") -> list[str]:
-    """Return the section of a table, and those of the tables in it."""
-    types = field_types(cls)
+def _within(path: str, cls: type, kind: str = "") -> Iterator[tuple[str, type]]:
+    """Yield the title and the type of a table, and of those in it."""
+    yield (f'[{path}] kind = "{kind}"' if kind else f"[{path}]"), cls
     inside = path.strip("[]")  # a table within [[links]] is [links.its_name]
-    tables = {name: list(_tables(f"{inside}.{name}", of)) for name, of in types.items()}
-    title = f'[{path}] kind = "{kind}"' if kind else f"[{path}]"
-    inner = [
-        part for found in tables.values() for at, table, its_kind in found for part in _sections(at, table, its_kind)
-    ]
-    return [_section(title, cls, leave_out=[name for name, found in tables.items() if found]), *inner]
+    for name, of in field_types(cls).items():
+        for at, table, its_kind in _tables(f"{inside}.{name}", of):
+            yield from _within(at, table, its_kind)
 
 
 def _tables(path: str, annotation: Any) -> Iterator[tuple[str, type, str]]:
@@ -57,14 +65,23 @@ def _tables(path: str, annotation: Any) -> Iterator[tuple[str, type, str]]:
         yield path, table, ""
 
 
-def _section(title: str, cls: type, leave_out: list[str]) -> str:
-    told = {name: text for base in reversed(cls.__mro__) for name, text in _attributes(base).items()}
-    lines = [f"## `{title}`", "", (inspect.getdoc(cls) or "").partition("\n\n")[0], ""]
-    rows = [f for f in dataclasses.fields(cls) if f.name not in leave_out]
-    if rows:
+def _section(cls: type, titles: list[str]) -> str:
+    """Return the section of a table type, which may stand in several places."""
+    told = meanings(cls)
+    types = {name: of for name, of in field_types(cls).items() if not list(_tables("", of))}
+    also = f"Also `{'`, `'.join(titles[1:])}`. " if titles[1:] else ""
+    lines = [f"## `{titles[0]}`", "", also + (inspect.getdoc(cls) or "").partition("\n\n")[0], ""]
+    if types:
         lines += ["| key | type | default | meaning |", "|---|---|---|---|"]
-    lines += [f"| `{f.name}` | {_type(f)} | {_default(f)} | {told.get(f.name, '')} |" for f in rows]
-    return "\n".join(lines)
+    rows = (f for f in dataclasses.fields(cls) if f.name in types)
+    lines += [f"| `{f.name}` | {_words(types[f.name])} | {_default(f)} | {told.get(f.name, '')} |" for f in rows]
+    return "\n".join(lines).rstrip()
+
+
+def meanings(cls: type) -> dict[str, str]:
+    """Return the text on each key of a table type; bars would end a column."""
+    told = {name: text for base in reversed(cls.__mro__) for name, text in _attributes(base).items()}
+    return {name: text.replace("|", "\\|") for name, text in told.items()}
 
 
 def _attributes(cls: type) -> dict[str, str]:
@@ -73,7 +90,7 @@ def _attributes(cls: type) -> dict[str, str]:
     told: dict[str, str] = {}
     names: list[str] = []
     for line in text.splitlines():
-        if re.match(r"[a-z_, ]+( : .*)?$", line) and not line.startswith(" ") and line.strip():
+        if re.match(r"[a-z0-9_]+(, [a-z0-9_]+)*( : .*)?$", line) and not line.startswith(" ") and line.strip():
             head, _, rest = line.partition(" : ")
             names = [name.strip() for name in head.split(",")]
             told.update(dict.fromkeys(names, rest))
@@ -82,13 +99,34 @@ def _attributes(cls: type) -> dict[str, str]:
     return told
 
 
-def _type(field: dataclasses.Field[Any]) -> str:
-    name = field.type if isinstance(field.type, str) else getattr(field.type, "__name__", str(field.type))
-    return name.replace("|", "or")
+def _words(annotation: Any) -> str:
+    """Return a type in words: what to write in TOML."""
+    if annotation in _PLAIN:
+        return _PLAIN[annotation]
+    origin, args = typing.get_origin(annotation), typing.get_args(annotation)
+    if origin is typing.Literal:
+        return " or ".join(f'`"{arg}"`' if isinstance(arg, str) else f"`{arg}`" for arg in args)
+    if origin is tuple and args[-1] is Ellipsis:
+        return f"list of {_words(args[0])}"
+    if origin is tuple:
+        return f"list of {len(args)}: {_words(args[0])}"
+    if origin is dict:
+        return "table"
+    return _words(next(arg for arg in args if arg is not type(None)))  # a key that may be left out
 
 
 def _default(field: dataclasses.Field[Any]) -> str:
-    return "" if field.default is dataclasses.MISSING else f"`{field.default!r}`".replace("'", '"')
+    if field.default is dataclasses.MISSING or field.default is None:
+        return "needed" if field.default_factory is field.default else ""
+    return f"`{_toml(field.default)}`"
+
+
+def _toml(value: object) -> str:
+    if isinstance(value, tuple):
+        return f"[{', '.join(map(_toml, value))}]"
+    if isinstance(value, bool):
+        return str(value).lower()
+    return repr(value).replace("'", '"')
 
 
 def _presets() -> str:
@@ -106,3 +144,7 @@ def _plain(table: dict[str, Any], prefix: str = "") -> dict[str, Any]:
     for key, value in table.items():
         flat.update(_plain(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": value})
     return flat
+
+
+if __name__ == "__main__":
+    PAGE.write_text(page(), encoding="utf-8")

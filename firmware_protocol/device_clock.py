@@ -37,7 +37,15 @@ _PPT_PER_PPB = 1000
 
 @dataclass(frozen=True)
 class ClockStep:
-    """A jump of the clock: by `by_us`, forward or back, at `at_s` of stream time."""
+    """A jump of the clock: by `by_us`, forward or back, at `at_s` of stream time.
+
+    Attributes
+    ----------
+    at_s
+        Stream time of the jump, seconds.
+    by_us
+        Its size, microseconds; above 0 the clock jumps forward.
+    """
 
     at_s: float
     by_us: float

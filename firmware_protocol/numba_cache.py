@@ -11,12 +11,17 @@ import zlib
 from pathlib import Path
 from typing import Any
 
-__all__ = ["checksum_of", "valid_for"]
+__all__ = ["cache_folder", "checksum_of", "valid_for"]
 
 
 def checksum_of(folder: Path) -> int:
     """Return the checksum of all Python sources in a folder and below it."""
     return zlib.crc32(b"".join(path.read_bytes() for path in sorted(folder.rglob("*.py"))))
+
+
+def cache_folder(dispatcher: Any) -> Path:
+    """Return the folder of a dispatcher's code on disk."""
+    return Path(dispatcher._cache.cache_path)
 
 
 def valid_for(checksum: int, dispatcher: Any) -> Any:

@@ -4,10 +4,13 @@ import json
 import os
 import subprocess
 import sys
+import venv
 import zipfile
 from pathlib import Path
 
 import pytest
+
+from emulator.rig.loading import shipped_rigs
 
 ROOT = Path(__file__).parent.parent
 
@@ -36,16 +39,30 @@ def test_what_is_in_the_wheel(wheel):
     assert rooms == {"evstim", "emulator", "transports", "firmware_protocol"}
 
 
+@pytest.fixture(scope="module")
+def installed(wheel, tmp_path_factory):
+    """The `evstim` of a fresh environment with the wheel and its base dependencies, and nothing else."""
+    folder = tmp_path_factory.mktemp("fresh")
+    venv.create(folder, with_pip=True)
+    command = [folder / "bin" / "pip", "install", "--quiet", "--disable-pip-version-check", wheel]
+    subprocess.run(command, check=True, timeout=600)
+    return folder / "bin" / "evstim"
+
+
 @pytest.mark.anew
-def test_an_installed_wheel_runs_elsewhere(wheel, tmp_path):
-    site = tmp_path / "site"
-    pip("install", wheel, "--no-deps", "--target", site)
-    code = "import evstim, sys; from evstim.__main__ import main; print(evstim.__file__, file=sys.stderr); main()"
-    environment = {**os.environ, "PYTHONPATH": str(site)}
+@pytest.mark.parametrize("rig", shipped_rigs())
+def test_a_shipped_rig_runs_from_an_installed_wheel(installed, rig, tmp_path):
+    environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
     done = subprocess.run(
-        [sys.executable, "-c", code, "run", "loopback", "--seconds", "0.05", "--pace", "free", "--json"],
-        cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=300,
+        [installed, "run", rig, "--seconds", "0.02", "--pace", "free", "--json"],
+        cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=600,
     )  # fmt: skip
-    assert str(site) in done.stderr
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout.splitlines()[-1])["balanced"] is True
+
+
+@pytest.mark.anew
+def test_a_fresh_environment_has_no_optional_package(installed):
+    code = "import importlib.util as u; print([n for n in ('PIL', 'matplotlib', 'faery', 'av') if u.find_spec(n)])"
+    done = subprocess.run([installed.parent / "python", "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

@@ -23,7 +23,8 @@ __all__ = ["app", "main"]
 app = App(
     name="evstim",
     help="Emulate an event camera: render a scene, simulate the sensor, send its events over USB, serial lines or CAN.",
-    help_epilogue="Try:  evstim run eros      evstim demo      evstim run checkerboard --seconds 10 --json",
+    help_epilogue="With --quiet a command prints its result and errors alone.  "
+    "Try:  evstim run eros      evstim demo      evstim run checkerboard --seconds 10 --json",
     version=version("evstim"),
     result_action="return_value",
 )
@@ -44,6 +45,7 @@ for verb, module, told in (
     ("bench", "bench", "Measure the speeds that the documentation quotes."),
 ):
     app.command(f"emulator.cli.{module}:{verb}", name=verb, help=told)
+app.register_install_completion_command()
 app.command(
     "emulator.cli.listen.verbs:verbs",
     name="listen",
@@ -69,6 +71,9 @@ def _main(tokens: list[str]) -> int:
     if as_json and "--version" in tokens:
         print_json({"name": "evstim", "version": version("evstim")})
         return 0
+    if "--quiet" in tokens:
+        tokens = [token for token in tokens if token != "--quiet"]
+        _be_quiet()
     try:
         return int(app(tokens, exit_on_error=False, print_error=not as_json) or 0)
     except CycloptsError as error:
@@ -79,8 +84,14 @@ def _main(tokens: list[str]) -> int:
         return _fail("interrupted", BAD_VERDICT, as_json)
 
 
+def _be_quiet() -> None:
+    """Leave out progress, notices and warnings on stderr; errors and results stay."""
+    status.quiet = True
+
+
 def _fail(message: str, exit_code: int, as_json: bool, told: bool = False) -> int:
     if not told:
+        status.quiet = False
         status.print(f"evstim: {message}", markup=False)
     if as_json:
         print_json({"error": message, "exit_code": exit_code})

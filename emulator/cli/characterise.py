@@ -14,7 +14,7 @@ from emulator.characterise.report import reading, write
 from emulator.cli.failures import failures
 from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, console, print_json, status
 from emulator.report.figures import ChartsLacking, check
-from emulator.rig.loading import load_rig
+from emulator.rig.loading import RigError, load_rig
 from emulator.sensor.presets import PRESETS, SensorParameters
 
 __all__ = ["characterise"]
@@ -64,7 +64,12 @@ def characterise(
 
 
 def _sensor(camera: str) -> SensorParameters:
-    return PRESETS[camera] if camera in PRESETS else load_rig(camera).camera.sensor
+    if camera in PRESETS:
+        return PRESETS[camera]
+    try:
+        return load_rig(camera).camera.sensor
+    except RigError as error:
+        raise RigError(f"{camera!r} is no preset ({', '.join(PRESETS)}) and no rig: {error}") from error
 
 
 def _measure(parameters: SensorParameters, quick: bool) -> list[Point]:

@@ -9,6 +9,7 @@ from cyclopts import Parameter
 from emulator.cli.failures import failures
 from emulator.cli.output import GOOD, console, print_json
 from emulator.rig.loading import Rig, load_rig
+from emulator.rig.remarks import open_files, remarks
 from emulator.run.scene_assembly import build_scene
 
 __all__ = ["check"]
@@ -17,7 +18,7 @@ Json = Annotated[bool, Parameter(negative="")]
 
 
 def check(rig: str, /, *, draw: Annotated[bool, Parameter(negative="")] = False, json: Json = False) -> int:
-    """Check a rig file without running it.
+    """Check a rig file without running it, and open every file that it names.
 
     Parameters
     ----------
@@ -30,12 +31,16 @@ def check(rig: str, /, *, draw: Annotated[bool, Parameter(negative="")] = False,
     """
     with failures():
         loaded = load_rig(rig)
+        open_files(loaded)
+        notes = remarks(loaded)
         if draw:
             build_scene(loaded).close()
     if json:
-        print_json({"rig": loaded.name, "good": True, "title": loaded.title})
+        print_json({"rig": loaded.name, "good": True, "title": loaded.title, "notes": notes})
     else:
         console.print(f"{loaded.name}: good. {_sentence(loaded)}")
+        for note in notes:
+            console.print(f"note: {note}", markup=False)
     return GOOD
 
 

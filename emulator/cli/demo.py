@@ -14,10 +14,12 @@ from cyclopts import Parameter
 
 from emulator.cli.failures import failures
 from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, console, print_json, status
+from emulator.cli.preparing import prepared
 from emulator.cli.run import summary
 from emulator.cli.signals import stopped_by_signals
 from emulator.rig.loading import Rig, UsbipLink, load_rig
 from emulator.run.assembly import build_session, link_setups, schedule
+from emulator.run.kernels import parts_of
 from emulator.run.scene_assembly import build_scene
 from emulator.run.session import RunResult, RunStatus
 from transports.link.pacing import MonotonicClock
@@ -41,6 +43,7 @@ def demo(rig: str = "eros", /, *, seconds: float = 5.0, json: Annotated[bool, Pa
     with failures(), tempfile.TemporaryDirectory() as folder:
         loaded = _on_a_free_port(load_rig(rig))
         sent, received = Path(folder, "sent.npz"), Path(folder, "received.npz")
+        prepared(parts_of(loaded))
         status.print(f"{loaded.name}: {loaded.title}")
         result = _run(loaded, sent, received, seconds)
         verdict = _compare(sent, received)

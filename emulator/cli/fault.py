@@ -60,7 +60,17 @@ def fault(
         print_json({"link": injected["link"], "fault": record})
     else:
         console.print(f"{injected['link']}: {fault_line(record)}")
+        if not record.hits:
+            console.print(_why_no_hits(_ask(path, {"ask": "faults"})["links"][injected["link"]]), markup=False)
     return GOOD
+
+
+def _why_no_hits(link: dict[str, Any]) -> str:
+    """Say why a fault found nothing to hit."""
+    state = str(link.get("state", ""))
+    if "waiting" in state:
+        return f"0 hits, because nothing was sent: the link is {state}"
+    return "0 hits: nothing was sent while it lasted, or its rate is low; a longer --for-s or a higher rate hits more"
 
 
 def _find(run: str | None) -> tuple[Path, dict[str, Any]]:

@@ -1,7 +1,9 @@
-"""`evstim picture RIG FILE`: the light and the events of a rig as PNG."""
+"""`evstim picture RIG FILE`: the light and the events of a rig as a picture or a movie."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -9,15 +11,48 @@ import numpy as np
 from cyclopts import Parameter
 
 from emulator.cli.failures import failures
-from emulator.cli.output import GOOD, console, print_json
+from emulator.cli.output import GOOD, WRONG_USE, Failure, console, print_json
+from emulator.cli.preparing import prepared
 from emulator.light import Light
-from emulator.report.preview import event_picture, save_png
+from emulator.report.movie import MOVIES, save_movie
+from emulator.report.preview import Rgb, captioned, event_picture, save_png, scaled, white_of
 from emulator.rig.loading import Rig, load_rig
 from emulator.run.assembly import build_pictures, build_sensor
+from emulator.run.kernels import parts_of
 from emulator.run.scene_assembly import build_scene
 from firmware_protocol.events import Events, empty_events
 
 __all__ = ["look", "picture"]
+
+_WINDOWS_MS = (20.0, 50.0, 100.0, 200.0, 500.0)  # tried in this order
+_ENOUGH = 0.005  # events for each pixel of the sensor
+_FPS = 25
+
+
+@dataclass(frozen=True)
+class Look:
+    """What the picture shows.
+
+    Attributes
+    ----------
+    at_s
+        Stream time of the picture, or of a movie's first one, seconds.
+    window_ms
+        Draw the events of this time before it, milliseconds. Default: 20 to 500, as long as it takes to show some; 40
+        in a movie, the time of one of its pictures.
+    seconds
+        Length of a movie, stream time, seconds.
+    brightness
+        Level of the brightest light, as a share of white.
+    """
+
+    at_s: float = 0.5
+    window_ms: float | None = None
+    seconds: float = 2.0
+    brightness: float = 0.4
+
+
+_LOOK = Look()
 
 
 def picture(
@@ -25,51 +60,102 @@ def picture(
     file: Path,
     /,
     *,
-    at_s: float = 0.5,
-    window_ms: float = 20.0,
-    brightness: float = 0.25,
+    show: Annotated[Look, Parameter(name="*")] = _LOOK,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
-    """Write a PNG of a rig: its light, dimmed, with ON events in green and OFF events in red.
+    """Write a picture (.png) or movie (.gif, .mp4) of a rig: its light, ON events in orange, OFF events in blue.
 
     Parameters
     ----------
     rig
         Path of a rig file, or the name of a shipped one.
     file
-        PNG file to write.
-    at_s
-        Stream time of the picture, seconds.
-    window_ms
-        Draw the events of this time before it, milliseconds.
-    brightness
-        Level of the brightest light, as a share of white.
+        File to write; the end of its name tells the format.
+    show
+        What it shows.
     json
         Print one JSON object as the last line on stdout.
     """
+    if file.suffix.lower() not in (".png", *MOVIES):
+        raise Failure(f"{file}: the name must end in .png, {' or '.join(MOVIES)}, got {file.suffix!r}", WRONG_USE)
     with failures():
-        light, events = look(load_rig(rig), at_s, window_ms)
-        save_png(file, event_picture(light, events, dimming=brightness))
+        loaded = load_rig(rig)
+        prepared(parts_of(loaded))
+        events, told = (_movie if file.suffix.lower() in MOVIES else _still)(loaded, file, show)
     if json:
-        print_json({"rig": rig, "file": file, "events": len(events)})
+        print_json({"rig": rig, "file": file, "events": events})
     else:
-        console.print(f"{file}: {len(events)} events of {window_ms:g} ms over the light at {at_s:g} s")
+        console.print(f"{file}: {events} events {told}")
     return GOOD
+
+
+def _still(rig: Rig, file: Path, show: Look) -> tuple[int, str]:
+    """Write one picture; return its number of events, and what it shows in words."""
+    longest_ms = show.window_ms or _WINDOWS_MS[-1]
+    light, events = look(rig, show.at_s, longest_ms)
+    window_ms = show.window_ms or _window_ms(events, show.at_s, light.size)
+    events = events[events["t"] >= _begin_us(show.at_s, window_ms)]
+    rgb = scaled(event_picture(light, events, dimming=show.brightness))
+    save_png(file, captioned(rgb, _caption(rig, show.at_s, window_ms)))
+    return len(events), f"of {window_ms:g} ms over the light at {show.at_s:g} s"
+
+
+def _movie(rig: Rig, file: Path, show: Look) -> tuple[int, str]:
+    """Write a movie; return its number of events, and what it shows in words."""
+    count, white = 0, 0.0
+    window_ms = show.window_ms or 1000 / _FPS
+
+    def drawn() -> Iterator[Rgb]:
+        nonlocal count, white
+        for number, (light, events) in enumerate(_looks(rig, show, window_ms)):
+            white = white or white_of(light)
+            count += len(events)
+            rgb = scaled(event_picture(light, events, white=white or None, dimming=show.brightness))
+            yield captioned(rgb, _caption(rig, show.at_s + number / _FPS, window_ms))
+
+    save_movie(file, drawn(), _FPS)
+    return count, f"in {show.seconds:g} s from {show.at_s:g} s, {_FPS} pictures a second"
+
+
+def _caption(rig: Rig, at_s: float, window_ms: float) -> str:
+    return f"{rig.name}  {at_s:.2f} s, events of {window_ms:g} ms"
+
+
+def _begin_us(at_s: float, window_ms: float) -> int:
+    return max(0, round(at_s * 1e6) - round(window_ms * 1000))
+
+
+def _window_ms(events: Events, at_s: float, pixels: int) -> float:
+    """Return the shortest window that shows enough events."""
+    for window_ms in _WINDOWS_MS:
+        if np.count_nonzero(events["t"] >= _begin_us(at_s, window_ms)) >= _ENOUGH * pixels:
+            return window_ms
+    return _WINDOWS_MS[-1]
 
 
 def look(rig: Rig, at_s: float, window_ms: float) -> tuple[Light, Events]:
     """Run the scene and the sensor alone up to `at_s`; returns the light then and the events of the window before."""
+    return next(_looks(rig, Look(at_s, seconds=0.0), window_ms))
+
+
+def _looks(rig: Rig, show: Look, window_ms: float) -> Iterator[tuple[Light, Events]]:
+    """Yield the light and the events of the window before it, at `at_s` and on to the end of the movie."""
     sensor = build_sensor(rig, rig.camera.sensor)
-    step_ns, end_ns = rig.run.step_us * 1000, round(at_s * 1e9)
+    step_ns, due_ns = rig.run.step_us * 1000, round(show.at_s * 1e9)
+    end_ns = due_ns + round(show.seconds * 1e9)
     # The filter has settled and the window is full after this long; what came before would change nothing visible.
-    start_ns = max(0, end_ns - round(window_ms * 1e6) - 50 * step_ns)
-    batches = [empty_events()]
+    start_ns = max(0, due_ns - round(window_ms * 1e6) - 50 * step_ns)
+    seen = empty_events()
     with build_scene(rig) as scene:
-        picture = build_pictures(rig, scene)
-        picture.draw(start_ns)
-        sensor.reset(picture.light, start_ns)
-        for t_ns in range(start_ns + step_ns, end_ns + 1, step_ns):
-            picture.draw(t_ns)
-            batches.append(sensor.expose(picture.light, t_ns, picture.rate, picture.pixel_light))
-    events = np.concatenate(batches)
-    return picture.light, events[events["t"] >= max(0, end_ns // 1000 - round(window_ms * 1000))]
+        pictures = build_pictures(rig, scene)
+        pictures.draw(start_ns)
+        sensor.reset(pictures.light, start_ns)
+        for t_ns in range(start_ns + step_ns, end_ns + step_ns + 1, step_ns):
+            if t_ns > due_ns:
+                seen = seen[seen["t"] >= _begin_us(due_ns * 1e-9, window_ms)]
+                yield pictures.light.copy(), seen
+                due_ns += 10**9 // _FPS
+            if due_ns > end_ns:
+                return
+            pictures.draw(t_ns)
+            seen = np.concatenate([seen, sensor.expose(pictures.light, t_ns, pictures.rate, pictures.pixel_light)])

@@ -15,6 +15,7 @@ from emulator.plan.plan import Plan, make_plan
 from emulator.plan.scene_probe import probe
 from emulator.rig.camera_models import CAMERA_MODELS
 from emulator.rig.loading import Rig, load_rig
+from emulator.rig.scene_kinds import SCENES
 from emulator.run.scene_assembly import build_scene
 
 __all__ = ["plan"]
@@ -36,11 +37,23 @@ def plan(rig: str, /, *, json: Annotated[bool, Parameter(negative="")] = False) 
         Print one JSON object as the last line on stdout.
     """
     with failures():
-        made = _plan(load_rig(rig))
+        loaded = load_rig(rig)
+        if SCENES[loaded.scene.kind].events:
+            return _nothing_to_plan(loaded, json)
+        made = _plan(loaded)
     if json:
         print_json(_as_json(made))
     else:
         _print(made)
+    return GOOD
+
+
+def _nothing_to_plan(rig: Rig, json: bool) -> int:
+    why = f"{rig.name}: a {rig.scene.kind} plays events that exist already: there is no light and no sensor to plan for"
+    if json:
+        print_json({"rig": rig.name, "plan": None, "why": why})
+    else:
+        console.print(why, markup=False)
     return GOOD
 
 

@@ -13,6 +13,8 @@ from cyclopts import Parameter
 from emulator.cli.failures import failures
 from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, WRONG_USE, Failure, console, print_json, status
 from emulator.cli.output_paths import check_output
+from emulator.cli.preparing import prepared
+from emulator.cli.run_output.latency import quantile_text
 from emulator.cli.run_output.lateness import lateness_lines
 from emulator.cli.run_output.link_summary import link_json, link_lines
 from emulator.cli.run_output.live import LiveTable
@@ -20,8 +22,10 @@ from emulator.cli.run_output.timing import timing_json, timing_lines
 from emulator.cli.signals import stopped_by_signals
 from emulator.rig.loading import Rig, load_rig
 from emulator.rig.options import with_options
+from emulator.rig.remarks import remarks
 from emulator.run.assembly import build_session, link_setups, schedule
 from emulator.run.fault_injection import fault_injection
+from emulator.run.kernels import parts_of
 from emulator.run.ready import ReadySignal
 from emulator.run.scene_assembly import build_scene
 from emulator.run.session import RunResult, RunStatus
@@ -98,6 +102,7 @@ def run(
         _check_truth(loaded, files.truth)
         check_output("--ready-file", files.ready_file)
         files.begin_fault_log()
+        prepared(parts_of(loaded))
         result = run_rig(loaded, files, show=not json)
     if json:
         print_json(summary(loaded, result))
@@ -134,8 +139,8 @@ def run_rig(rig: Rig, files: Files = _NO_FILES, *, show: bool = False) -> RunRes
     with build_scene(rig) as scene:
         if show and scene.renderer:
             console.print(f"renderer: {scene.renderer}")
-        for note in scene.notes if show else ():
-            console.print(f"note: {note}")
+        for note in [*remarks(rig), *scene.notes] if show else ():
+            console.print(f"note: {note}", markup=False)
         setups = link_setups(rig, files.record, files.truth, files.fault_log)
         session = build_session(rig, scene, setups, MonotonicClock())
         with (
@@ -226,7 +231,8 @@ def _print_summary(rig: Rig, result: RunResult) -> None:
             console.print(line)
         if report.latency.p50 is not None:
             console.print(
-                f"{link.name}: event to socket p50 {report.latency.p50:.0f} us, p99 {report.latency.p99:.0f} us, "
+                f"{link.name}: event to socket p50 {quantile_text(report.latency.p50)} us, "
+                f"p99 {quantile_text(report.latency.p99)} us, "
                 f"max {report.latency.max:.0f} us"
             )
     if result.undersampled_share is not None and result.undersampled_share > _MANY_UNDERSAMPLED:

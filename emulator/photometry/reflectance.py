@@ -91,9 +91,9 @@ class LommelSeeliger:
     Attributes
     ----------
     single_scattering_albedo
-        w; 0.33 for Eros at 550 nm (Li 2005).
+        w: share of light that a grain does not absorb; 0.33 for Eros at 550 nm (Li 2005).
     asymmetry
-        b; -0.25 for Eros.
+        b of the Henyey-Greenstein function: below 0 light goes back where it came from; -0.25 for Eros.
     """
 
     kind: ClassVar[str] = "lommel-seeliger"
@@ -156,9 +156,9 @@ class Hapke:
     Attributes
     ----------
     single_scattering_albedo
-        w.
+        w: share of light that a grain does not absorb.
     asymmetry
-        b.
+        b of the Henyey-Greenstein function: below 0 light goes back where it came from.
     surge
         B0: height of the opposition surge.
     surge_width

@@ -1,4 +1,8 @@
-"""Pictures for people: the light dimmed, ON events green, OFF events red, as 8-bit sRGB."""
+"""Pictures for people: the light dimmed, ON events orange, OFF events blue, as 8-bit sRGB.
+
+The two colours are of the palette of Okabe and Ito (2008): people with any kind of colour blindness can tell them
+apart, and both are brighter than the dimmed light.
+"""
 
 from __future__ import annotations
 
@@ -10,13 +14,21 @@ import numpy.typing as npt
 from emulator.light import Light, MachineLacks, SceneError
 from firmware_protocol.events import Events
 
-__all__ = ["Rgb", "event_picture", "save_png"]
+__all__ = ["OFF_RGB", "ON_RGB", "Rgb", "captioned", "event_picture", "save_png", "scaled", "white_of"]
 
 Rgb = npt.NDArray[np.uint8]
 """(height, width, 3), row 0 on top."""
 
-_ON = (0, 255, 0)
-_OFF = (255, 0, 0)
+ON_RGB, OFF_RGB = (230, 159, 0), (86, 180, 233)
+_BRIGHT_SHARE = 0.99  # of the lit pixels are darker than what is drawn white
+_SMALL_PX = 640  # a picture that is less wide is drawn twice as large
+_CAPTION_PX = 18
+
+
+def white_of(light: Light) -> float:
+    """Return the light to draw as white: that of the brightest hundredth of the lit pixels, not of single glints."""
+    lit = light[light > 0]
+    return float(np.quantile(lit, _BRIGHT_SHARE)) if lit.size else 0.0
 
 
 def event_picture(light: Light, events: Events, *, white: float | None = None, dimming: float = 0.25) -> Rgb:
@@ -27,7 +39,7 @@ def event_picture(light: Light, events: Events, *, white: float | None = None, d
     light : (height, width) float32, linear.
     events : (n,) EVENT, sorted by time; where a pixel has several the last is seen.
     white
-        The light drawn as full white; the brightest of the picture unless given.
+        The light drawn as full white; `white_of` the picture unless given.
     dimming
         Share of the screen's levels that white is drawn with; 1 shows the light alone at its best.
 
@@ -39,11 +51,33 @@ def event_picture(light: Light, events: Events, *, white: float | None = None, d
     height, width = light.shape
     if len(events) and (events["x"].max() >= width or events["y"].max() >= height):
         raise ValueError(f"there are events outside the {width} x {height} picture: it belongs to another sensor")
-    top = float(light.max()) if white is None else white
+    top = white_of(light) if white is None else white
     grey = _srgb(np.clip(light / top, 0.0, 1.0) if top > 0 else np.zeros_like(light))
     picture = np.repeat(np.rint(255 * dimming * grey).astype(np.uint8)[:, :, None], 3, axis=2)
-    picture[events["y"], events["x"]] = np.where(events["on"][:, None], _ON, _OFF)
+    picture[events["y"], events["x"]] = np.where(events["on"][:, None], ON_RGB, OFF_RGB)
     return picture
+
+
+def scaled(rgb: Rgb) -> Rgb:
+    """Return the picture of a small sensor twice as large, each pixel as a square; others as they are."""
+    return rgb if rgb.shape[1] >= _SMALL_PX else rgb.repeat(2, axis=0).repeat(2, axis=1)
+
+
+def captioned(rgb: Rgb, text: str) -> Rgb:
+    """Return the picture with a line of text and the key of the colours below it; needs pillow."""
+    try:
+        from PIL import Image, ImageDraw, ImageFont
+    except ImportError as error:
+        raise MachineLacks("drawing pictures needs pillow: pip install 'evstim[report]'") from error
+    height, width = rgb.shape[:2]
+    picture = Image.new("RGB", (width, height + _CAPTION_PX))
+    picture.paste(Image.fromarray(rgb))
+    draw, font = ImageDraw.Draw(picture), ImageFont.load_default(12)
+    x, y = 4.0, height + 2
+    for words, colour in ((f"{text}  ", (255, 255, 255)), ("ON ", ON_RGB), ("OFF", OFF_RGB)):
+        draw.text((x, y), words, colour, font)
+        x += draw.textlength(words, font)
+    return np.asarray(picture)
 
 
 def save_png(path: Path, rgb: Rgb) -> None:

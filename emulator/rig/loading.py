@@ -93,6 +93,8 @@ def find_rig(rig: str) -> Path:
     if path.suffix == ".toml" or path.exists():
         if path.is_file():
             return path
+        if path.is_dir():
+            raise RigError(f"{rig}: is a folder; give the path of a .toml file in it, or the name of a shipped rig")
         raise RigError(f"{rig}: no such file")
     shipped = shipped_rigs()
     if rig in shipped:

@@ -63,6 +63,7 @@ class FaultInjection:
             report = status.links.get(link.name)
             injected = [] if report is None else [dataclasses.asdict(record) for record in report.faults]
             links[link.name] = {"kinds": list(faults_of(link)), "injected": injected, "thrown": injected}
+            links[link.name]["state"] = "" if report is None else report.state
         return {"rig": self._rig.name, "t_s": status.sim_seconds, "links": links}
 
     def _inject(self, table: object, status: RunStatus) -> Message:

@@ -6,6 +6,7 @@ Nothing here is needed by everything: `needed_for` says what goes without.
 from __future__ import annotations
 
 import ctypes.util
+import importlib.metadata
 import os
 import platform
 import shutil
@@ -23,6 +24,13 @@ _UDEV_FIX = (
     "&& sudo udevadm control --reload && sudo udevadm trigger"
 )
 
+_PACKAGES = (
+    ("pillow", "report", "`evstim picture`, image folders and GeoTIFF terrain"),
+    ("matplotlib", "report", "the charts of `evstim accuracy` and `evstim characterise`"),
+    ("faery", "files", "recordings of other programs (AEDAT4, EVT3, ...)"),
+    ("av", "files", "videos as scenes, and .mp4 files of `evstim picture`"),
+)
+
 
 @dataclass(frozen=True)
 class Finding:
@@ -38,7 +46,15 @@ class Finding:
 def examine() -> list[Finding]:
     """Look at everything; takes about a second, most of it for opening GL."""
     looks: list[Callable[[], Finding]] = [_egl, _usbip_tool, _vhci, _udc, _vcan, _libusb, _usb_permission, _cores]
-    return [look() for look in looks]
+    return [*(look() for look in looks), *(_package(*each) for each in _PACKAGES)]
+
+
+def _package(name: str, extra: str, wanted: str) -> Finding:
+    """Look at an optional Python package, which an extra of evstim brings."""
+    try:
+        return Finding(name, True, importlib.metadata.version(name), wanted)
+    except importlib.metadata.PackageNotFoundError:
+        return Finding(name, False, "not installed", wanted, f"pip install 'evstim[{extra}]'")
 
 
 def _egl() -> Finding:

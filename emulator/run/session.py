@@ -181,14 +181,14 @@ class Session:
 
     def _open_links(self) -> None:
         self._links = [LinkProcess(setup, self._clock) for setup in self._setups]
-        with said_if_slow("opening the links: the first time their coders are compiled, some seconds, once"):
+        with said_if_slow("opening the links takes long: something is compiled, or the machine is busy"):
             for link in self._links:
                 link.wait_ready()
                 log.info("%s: %s", link.name, link.report.state)
 
     def _warm_up(self) -> None:
         """Do all slow first-time work before the clock runs: compile the kernels, draw the first picture."""
-        with said_if_slow("compiling the sensor's kernels: takes some seconds, once; they are kept on disk"):
+        with said_if_slow("compiling the kernels of the sensor: up to half a minute, once; they are kept on disk"):
             self._sensor.warm_up()
         self._pictures.draw(0)
         self._sensor.reset(self._pictures.light, 0)

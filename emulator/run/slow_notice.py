@@ -13,7 +13,7 @@ log = logging.getLogger(__name__)
 
 
 @contextmanager
-def said_if_slow(message: str, after_s: float = 1.0) -> Iterator[None]:
+def said_if_slow(message: str, after_s: float = 5.0) -> Iterator[None]:
     """Log `message` when the block has not ended after `after_s`."""
     timer = threading.Timer(after_s, log.info, [message])
     timer.daemon = True

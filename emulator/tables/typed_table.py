@@ -137,7 +137,7 @@ def _plain(value: object, annotation: Any, path: Path) -> object:
         if at := _AT.search(message):
             message = message[: at.start()]
             path = (*path, *(int(index) for index in _INDEX.findall(at.group(1))))
-        raise TableError(message, path) from error
+        raise TableError(f"{message}; here it is {value!r}", path) from error
 
 
 def _require_all(values: Mapping[str, object], target: Any, path: Path) -> None:

@@ -25,7 +25,7 @@ from firmware_protocol.telemetry.layout import (
 )
 from firmware_protocol.telemetry.ordering import Form, form_of
 
-__all__ = ["read_events"]
+__all__ = ["read_block", "read_events"]
 
 _Bytes = npt.NDArray[np.uint8]
 _Int64s = npt.NDArray[np.int64]
@@ -71,14 +71,14 @@ def read_events(data: bytes, header: Header, start_us: int) -> Events:
     payload[:size] = np.frombuffer(data, np.uint8, offset=HEADER_BYTES)
     events = empty_events(header.count)
     told = _Told(int(header.mode), header.count, int(header.polarity), start_us, 8 * size)
-    fault = _read(payload, form_of(header.size, header.tick_us), told, events.view(np.uint8))
+    fault = read_block(payload, form_of(header.size, header.tick_us), told, events.view(np.uint8))
     if fault:
         raise BlockError(_REASONS[fault])
     return events
 
 
 @entry
-def _read(data: _Bytes, form: Form, told: _Told, out: _Bytes) -> int:
+def read_block(data: _Bytes, form: Form, told: _Told, out: _Bytes) -> int:
     """Fill `out`, (13 n,) bytes of EVENT; returns what is wrong with `data`, or 0."""
     state = np.zeros(4, np.int64)
     if told.mode == _FLAT:

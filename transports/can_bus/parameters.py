@@ -73,6 +73,8 @@ class CanParameters:
         When to change buses.
     instrument
         What the camera says, and how much of it.
+    name
+        What this rig calls the link: in reports, and where faults and triggers name it.
     """
 
     kind: ClassVar[str] = "can"

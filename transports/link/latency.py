@@ -7,10 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["LatencyHistogram", "LatencySummary"]
+__all__ = ["LONGEST_US", "LatencyHistogram", "LatencySummary"]
 
 _BIN_US = 10
 _BINS = 20_000
+LONGEST_US = float(_BIN_US * _BINS)
+"""Longest latency that is measured; a quantile that says this is that long or longer."""
 
 
 @dataclass(frozen=True)

@@ -35,6 +35,8 @@ class SerialParameters:
         Length of a break sent before the first byte, where the port can; 0 for none.
     profile
         Packets and framing: "ccsds-cobs", "ccsds-slip", "ccsds-kiss", "csp-kiss" or "fprime".
+    name
+        What this rig calls the link: in reports, and where faults and triggers name it.
     """
 
     kind: ClassVar[str] = "serial"

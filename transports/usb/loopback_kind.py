@@ -13,7 +13,13 @@ __all__ = ["LOOPBACK", "LoopbackLink"]
 
 @dataclass(frozen=True)
 class LoopbackLink:
-    """A host inside the link's own process that starts the camera, decodes every byte and compares: no USB anywhere."""
+    """A host inside the link's own process that starts the camera, decodes every byte and compares: no USB anywhere.
+
+    Attributes
+    ----------
+    name
+        What this rig calls the link: in reports, and where faults and triggers name it.
+    """
 
     kind: ClassVar[str] = "loopback"
     name: str = "loopback"

@@ -12,7 +12,10 @@ from cyclopts import Parameter
 from emulator.cli.failures import failures
 from emulator.cli.listen.limits import Limits, told, until
 from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, console, print_json, status
+from emulator.cli.preparing import prepared
+from emulator.cli.run_output.latency import quantile_text
 from emulator.rig.loading import Rig, load_rig
+from emulator.run.kernels import DECODER
 from firmware_protocol.can_frames.dbc import dbc_text
 from transports.can_bus.bus import BusDown
 from transports.can_bus.listener import CanReception, listen_can, peer_of
@@ -108,6 +111,7 @@ def _link(rig: Rig, name: str | None) -> CanParameters:
 
 def _listen(parameters: CanParameters, limits: Limits) -> tuple[CanReception, str]:
     """Return what came, and why its record is not whole; empty where it is."""
+    prepared([DECODER])
     status.print(f"CAN bus {parameters.channel} by {parameters.interface}, {parameters.bitrate} bit/s")
     try:
         with limits.recorder() as recorder:
@@ -125,6 +129,7 @@ def _print(reception: CanReception) -> None:
     )
     if reception.jitter_us.p50 is not None:
         j = reception.jitter_us
-        console.print(f"delay above the shortest: p50 {j.p50:.0f} us, p99 {j.p99:.0f} us, max {j.max:.0f} us")
+        p50, p99 = quantile_text(j.p50), quantile_text(j.p99)
+        console.print(f"delay above the shortest: p50 {p50} us, p99 {p99} us, max {j.max:.0f} us")
     for name, count in reception.counts.items():
         console.print(f"{name}: {count}", markup=False)

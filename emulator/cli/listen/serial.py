@@ -12,6 +12,9 @@ from cyclopts import Parameter
 
 from emulator.cli.listen.limits import Limits, told, until
 from emulator.cli.output import LACKING, WRONG_USE, Failure, console, print_json, status
+from emulator.cli.preparing import prepared
+from emulator.cli.run_output.latency import quantile_text
+from emulator.run.kernels import DECODER
 from firmware_protocol.packets.telecommands import (
     Ping,
     RequestHousekeeping,
@@ -149,6 +152,7 @@ def _listen(
     parameters: SerialParameters, telecommands: list[Telecommand], limits: Limits
 ) -> tuple[SerialReception, str]:
     """Return what came, and why its record is not whole; empty where it is."""
+    prepared([DECODER])
     goes_on = until(limits)
     answers = 0
 
@@ -175,7 +179,8 @@ def _print(reception: SerialReception) -> None:
     console.print(", ".join(f"{count} {name}" for name, count in reception.counts.items()), markup=False)
     jitter = reception.jitter_us
     if jitter.p50 is not None:
-        console.print(f"delay of blocks above the shortest: p50 {jitter.p50:.0f} us, p99 {jitter.p99:.0f} us")
+        p50, p99 = quantile_text(jitter.p50), quantile_text(jitter.p99)
+        console.print(f"delay of blocks above the shortest: p50 {p50} us, p99 {p99} us")
     if (report := reception.housekeeping) is not None:
         e = report.events
         console.print(

@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
+from emulator.cli.run_output.latency import quantile_text
 from emulator.rig.loading import Rig
 from emulator.run.session import RunStatus
 
@@ -59,7 +60,7 @@ class LiveTable:
         for column in ("link", "state", "delivered", "dropped", "in device", "latency p50/p99 us"):
             table.add_column(column, justify="left" if column in ("link", "state") else "right")
         for name, r in status.links.items():
-            latency = f"{r.latency.p50:.0f}/{r.latency.p99:.0f}" if r.latency.p50 is not None else "-"
+            latency = f"{quantile_text(r.latency.p50)}/{quantile_text(r.latency.p99)}"
             table.add_row(name, r.state, str(r.delivered), str(r.dropped), str(r.dropped_in_device), latency)
         late = status.lateness
         table.title = (

@@ -13,6 +13,9 @@ from firmware_protocol.numba_cache import checksum_of, valid_for
 
 __all__ = ["entry"]
 
+_OPTIONS: dict[str, Any] = {
+    "nogil": True, "error_model": "numpy", "cache": True, "fastmath": {"contract"}, "_nrt": False,
+}  # fmt: skip
 _SOURCES = checksum_of(Path(__file__).parent) ^ checksum_of(Path(photometry.__file__).parent)
 
 
@@ -21,5 +24,4 @@ def entry(function: Callable[..., Any]) -> Any:
 
     Its code on disk is valid while terrain and photometry are unchanged.
     """
-    compiled = njit(nogil=True, error_model="numpy", cache=True, fastmath={"contract"}, _nrt=False)(function)
-    return valid_for(_SOURCES, compiled)
+    return valid_for(_SOURCES, njit(**_OPTIONS)(function))

@@ -1,23 +1,23 @@
 """Light of the fine map in each pixel, where facets are larger than a pixel.
 
-The renderer says which facet lies at the middle of a pixel. With d the pixel's direction, d = 1 along the boresight, and
-n . X = 1 the facet's plane from the camera, the point seen is X = s d, s = 1 / (n . d). From there:
+The renderer says which facet lies at the middle of a pixel. With d the pixel's direction, d = 1 along the boresight,
+and n . X = 1 the facet's plane from the camera, the point seen is X = s d, s = 1 / (n . d). From there:
 
     footprint of the pixel      what a pixel to the right and one down add to X within the plane
-    fine height                 the map's height z above X moves the point along d to where the plane, lifted by z - X_z,
-                                is met: s becomes s (1 + (z - X_z) n_z)
+    fine height                 the map's height z above X moves the point along d to where the plane, lifted by
+                                z - X_z, is met: s becomes s (1 + (z - X_z) n_z)
     how the ground passes       V = v + s' d + s d', with v the camera's velocity and s' such that V lies in the map's
                                 slope: what the pixel sees next
 
-Normals and sunlit shares are means over one or two places across the footprint's shorter side and so many along the longer
-one that their distances are alike, from the two levels of the `Pyramid` next to half that distance. Their rates come
-from V and the slopes between posts. Radiance and its rate come of them as for vertices (see `block_vertices`).
+Normals and sunlit shares are means over one or two places across the footprint's shorter side and so many along the
+longer one that their distances are alike, from the two levels of the `Pyramid` next to half that distance. Their rates
+come from V and the slopes between posts. Radiance and its rate come of them as for vertices (see `block_vertices`).
 
 Where an outline passes through the pixel, the exact light of the facets is kept, and the difference between fine and
 facet's light at the middle is added in proportion to how far the outline is from the middle (`Owners.whole`), so that
 light is steady in time.
 
-What makes it fast: planes instead of vertices, the four numbers of a post side by side, one loop over a row for the law.
+What makes it fast: planes instead of vertices, the four numbers of a post side by side, one loop a row for the law.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from emulator.photometry.reflection_kernels import reflect
 from emulator.raster.layout import G, Ints, L, Pictures, W, WHighest, WLowest
 from emulator.scene.terrain.block_vertices import LATER_S, around, grazing
 from emulator.scene.terrain.compiled import entry
-from emulator.sensor.numerics.compiled import lane, vector_kernel
+from emulator.sensor.numerics.compiled import Real, lane, vector_kernel
 
 __all__ = ["ROW_FIELDS", "shade_rows"]
 
@@ -97,7 +97,7 @@ def _sheen(
     moved: Pair,
     sides: tuple[Pair, Pair],
     counts: Pair,
-) -> Six:
+) -> tuple[Real, Real, Real, Real, Real, Real]:
     """Return the means of east, north and b over a footprint with the given sides, and their rates, times `weight`."""
     per_m = 1.0 / (unit * (1 << level))
     offset, columns = levels[level, 0], levels[level, 2]

@@ -26,7 +26,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.sensor.numerics.cached import cached_entry
-from emulator.sensor.numerics.compiled import kernel, log_compilation
+from emulator.sensor.numerics.compiled import NONE, kernel, log_compilation
 from emulator.sensor.numerics.elementary import lowest_bit
 from emulator.sensor.pixels.array import Crossings
 from emulator.sensor.presets import SensorParameters
@@ -172,7 +172,7 @@ def _run(
     arrivals: _Arrivals, until_ns: int, maps: _Maps, queue: _Queue, a: _Arbiter, timing: _Timing, out: Events
 ) -> tuple[int, _Queue, _Arbiter]:
     """Run the arbiter until `until_ns`; return the number of events written to `out`, the queue and the arbiter."""
-    n = k = 0
+    n = k = NONE
     while True:
         if a.phase == _SENDING:
             n, a = _send(maps, a, timing.event_ps, until_ns, out, n)
@@ -195,7 +195,7 @@ def _run(
         taken, word = _latch(maps, a.row)
         queue = _Queue(queue.waiting - taken, queue.ready_ns, queue.row, queue.lost)
         a = _Arbiter(_SENDING, a.free_ns, a.row, a.latch_ns, taken, 0, word)
-    _, queue = _admit(arrivals, k, _FOREVER_NS, maps, timing.width, queue)
+    _, queue = _admit(arrivals, k, np.int64(_FOREVER_NS), maps, timing.width, queue)
     return n, queue, a
 
 

@@ -5,6 +5,10 @@
     lane                    arithmetic on numbers, for use inside such loops; always inlined, because one call that is
                             left in a loop prevents vectors
     kernel_that_allocates   loops that may allocate arrays
+    inlined                 index arithmetic that callers take over before types are known; never compiled alone
+
+A counter that is passed to another kernel starts at NONE. numba gives a literal 0 a type of its own, and compiles
+everything that gets it twice: once for Literal[int](0), once for int64. That was half of the time for compiling.
 
 Two options decide whether a loop is fast; without them loops here were 20 to 40 times slower:
 
@@ -25,9 +29,10 @@ import logging
 from collections.abc import Callable
 from typing import Any, TypeVar
 
+import numpy as np
 from numba import njit
 
-__all__ = ["Real", "kernel", "kernel_that_allocates", "lane", "log_compilation", "vector_kernel"]
+__all__ = ["NONE", "Real", "inlined", "kernel", "kernel_that_allocates", "lane", "log_compilation", "vector_kernel"]
 
 _LOG = logging.getLogger(__name__)
 _Function = TypeVar("_Function", bound=Callable[..., Any])
@@ -36,11 +41,15 @@ _Decorator = Callable[[_Function], _Function]
 Real = Any
 """A float of any width: inside numba, that of the caller."""
 
+NONE: Any = np.int64(0)
+"""Start of a counter; see above."""
+
 _COMMON: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
 _UNCOUNTED: dict[str, Any] = {**_COMMON, "_nrt": False}
 kernel: _Decorator[Any] = njit(**_UNCOUNTED)
 vector_kernel: _Decorator[Any] = njit(**_UNCOUNTED, fastmath={"contract"})
 lane: _Decorator[Any] = njit(**_UNCOUNTED, fastmath={"contract"}, forceinline=True)
+inlined: _Decorator[Any] = njit(**_UNCOUNTED, inline="always")
 kernel_that_allocates: _Decorator[Any] = njit(**_COMMON)
 
 

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.numerics.compiled import kernel, kernel_that_allocates, lane, vector_kernel
+from emulator.sensor.numerics.compiled import NONE, inlined, kernel, kernel_that_allocates, lane, vector_kernel
 from emulator.sensor.numerics.elementary import exponential
 from emulator.sensor.pixels.cubic_roots import SETTLED, Bracket, Cubic, bisect, newton, value
 from emulator.sensor.pixels.interpolation import is_smooth
@@ -71,7 +71,7 @@ def new_table() -> Table:
     return Table(rows, np.empty(CAPACITY, np.int64), np.empty(CAPACITY, np.int64), new_march())
 
 
-@kernel
+@inlined
 def _at(row: int, k: np.uint64) -> np.uint64:
     """Return the index of entry k of a row; unsigned, which spares the test for negative indices."""
     return np.uint64(row) + k
@@ -87,7 +87,7 @@ def select(
     pixels whose light was unreadable at the last step, where the filter starts again. Returns the numbers of selected
     and of unreadable pixels.
     """
-    selected = unreadable = 0
+    selected = unreadable = NONE
     for pixel in found:
         i = np.uint64(pixel)
         u1, v0, reference = s[_at(_U, i)], before[_at(_V0, i)], s[_at(_REF, i)]
@@ -278,7 +278,7 @@ def _move_column(table: Table, j: int, k: int) -> None:
 def _fire(pixels: Pixels, table: Table, n: int, keys: Keys, n_keys: int, c: StepConstants) -> tuple[int, int]:
     """Write the events of the candidates that fire, and their references; return n_keys and how many fire again."""
     rows = table.rows
-    again = 0
+    again = NONE
     for j in range(n):
         if rows[_C_KIND + j] != _FIRES:
             continue
@@ -320,7 +320,8 @@ def _dispatch(pixels: Pixels, table: Table, n: int, c: StepConstants) -> int:
 
     This loop is a function of its own because it runs over all candidates; see `compiled` on reference counts.
     """
-    rows, marching = table.rows, 0
+    rows = table.rows
+    marching: int = NONE
     for j in range(n):
         kind = rows[_C_KIND + j]
         if kind == _NEEDS_SUBSTEPS:

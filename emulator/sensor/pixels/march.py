@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 import emulator.sensor.pixels.march_table as row
-from emulator.sensor.numerics.compiled import kernel, kernel_that_allocates, lane, vector_kernel
+from emulator.sensor.numerics.compiled import NONE, kernel, kernel_that_allocates, lane, vector_kernel
 from emulator.sensor.pixels.cubic_roots import SETTLED, Bracket, Cubic, bisect, newton, value
 from emulator.sensor.pixels.march_table import March
 from emulator.sensor.pixels.packed_crossings import MOST_EVENTS, Keys, pack, reserve
@@ -96,7 +96,7 @@ def _bisect_unsettled(march: March, n: int) -> None:
 def _fire(pixels: Pixels, march: March, n: int, keys: Keys, n_keys: int, c: StepConstants) -> tuple[int, int, int]:
     """Write the events of the columns that fire; return how many events there are now, were written and were lost."""
     rows = march.rows
-    fired = lost = 0
+    fired = lost = NONE
     for j in range(n):
         if rows[row.FIRES + j] == _ZERO:
             continue
@@ -162,7 +162,9 @@ def march_through(
     MOST_EVENTS of a pixel, and the number of undersampled pixels.
     """
     begin(march.rows, whole_vectors(n), c)
-    undersampled, lost = int(march.rows[row.UNDERSAMPLED : row.UNDERSAMPLED + n].sum()), 0
+    undersampled = lost = NONE
+    for j in range(n):
+        undersampled += march.rows[row.UNDERSAMPLED + j] != _ZERO
     while n > 0:
         begin_substep(march.rows, whole_vectors(n), c)
         fired = n

@@ -27,5 +27,6 @@ def reserve(keys: Keys, needed: int) -> Keys:
     if needed <= keys.size:
         return keys
     longer = np.empty(max(2 * keys.size, needed), np.uint64)
-    longer[: keys.size] = keys
+    for k in range(keys.size):  # a slice would take seconds to compile
+        longer[k] = keys[k]
     return longer

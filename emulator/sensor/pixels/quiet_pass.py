@@ -41,7 +41,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.sensor.numerics.cached import cached_entry
-from emulator.sensor.numerics.compiled import Real, kernel, lane, vector_kernel
+from emulator.sensor.numerics.compiled import NONE, Real, kernel, lane, vector_kernel
 from emulator.sensor.numerics.elementary import decay, exponential, lowest_bit, natural_log
 from emulator.sensor.pixels.candidates import BATCH, Table, gather, gather_rare, select, solve
 from emulator.sensor.pixels.interpolation import is_smooth
@@ -345,7 +345,7 @@ def advance(
         np.empty(BLOCK, np.int64),
     )
     light, rate = frame
-    n = n_keys = lost = undersampled = candidates = unreadable = refined = 0
+    n = n_keys = lost = undersampled = candidates = unreadable = refined = NONE
     for first in range(0, light.size, BLOCK):
         listed = _move_block(light, rate, pixels, scratch, first, c)
         if listed == 0:
@@ -356,7 +356,7 @@ def advance(
         n, candidates, unreadable = n + selected, candidates + selected, unreadable + bad
         if n > BATCH:
             keys, n_keys, more, more_undersampled = solve(pixels, table, n, keys, n_keys, c)
-            lost, undersampled, n = lost + more, undersampled + more_undersampled, 0
+            lost, undersampled, n = lost + more, undersampled + more_undersampled, NONE
     keys, n_keys, more, more_undersampled = solve(pixels, table, n, keys, n_keys, c)
     return keys, n_keys, Tally(lost + more, undersampled + more_undersampled, candidates, unreadable, refined)
 

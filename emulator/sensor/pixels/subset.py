@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.sensor.numerics.cached import cached_entry
-from emulator.sensor.numerics.compiled import kernel
+from emulator.sensor.numerics.compiled import inlined, kernel
 from emulator.sensor.pixels.interpolation import completed, is_undersampled
 from emulator.sensor.pixels.packed_crossings import Keys
 from emulator.sensor.pixels.state import BEFORE_ROWS, BLOCK, FIELDS, Field, Pixels, StepConstants, slot
@@ -39,7 +39,7 @@ def new_subset(blocks: int) -> Subset:
     return Subset(np.zeros(blocks * FIELDS * BLOCK, np.float32), np.zeros(blocks * BLOCK, np.int64))
 
 
-@kernel
+@inlined
 def _at(row: int, k: np.uint64) -> np.uint64:
     return np.uint64(row) + k
 

@@ -1,5 +1,6 @@
 """The command line as a user meets it: exit codes, JSON, and messages that say what to do."""
 
+import importlib.metadata
 import json
 import os
 import signal
@@ -70,7 +71,26 @@ def test_doctor_names_a_fix_for_everything_that_is_missing(capsys):
     assert _main(["doctor", "--json"]) == 0
     findings = last_json(capsys.readouterr().out)["findings"]
     assert {"EGL", "usbip", "vhci-hcd", "UDC", "vcan", "USB permission"} <= {f["name"] for f in findings}
+    assert {"pillow", "av", "faery", "matplotlib"} <= {f["name"] for f in findings}
     assert all(f["good"] or f["fix"] for f in findings)
+
+
+def test_doctor_names_the_extra_of_a_package_that_is_missing(monkeypatch, capsys):
+    def missing(name):
+        raise importlib.metadata.PackageNotFoundError(name)
+
+    monkeypatch.setattr("emulator.run.machine.importlib.metadata.version", missing)
+    assert _main(["doctor"]) == 0
+    assert capsys.readouterr().out.count("pip install 'evstim[report]'") == 2
+
+
+@pytest.mark.parametrize(("step_us", "code"), [(20_000, 0), (1, 1)])
+def test_doctor_tells_whether_a_rig_runs_in_real_time(step_us, code, rig, capsys):
+    rig.write_text(rig.read_text().replace("step_us = 2000", f"step_us = {step_us}"))
+    assert _main(["doctor", str(rig), "--json"]) == code
+    told = last_json(capsys.readouterr().out)
+    assert told["real_time"] is (code == 0)
+    assert (told["times_real_time"] > 1) is (code == 0)
 
 
 @pytest.mark.parametrize(

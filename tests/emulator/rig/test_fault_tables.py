@@ -139,7 +139,7 @@ def test_the_control_lists_and_injects():
     told = control.answer({"ask": "faults"}, now)
     assert "bit_flips" in told["links"]["serial"]["kinds"]
     assert told["links"]["serial"]["injected"][0]["ended_us"] == 6
-    assert told["links"]["loopback"] == {"kinds": [], "injected": [], "thrown": []}
+    assert told["links"]["loopback"] == {"kinds": [], "injected": [], "thrown": [], "state": ""}
     answer = control.answer({"ask": "throw", "fault": {"kind": "bit_flips", "rate": 0.5}}, now)
     assert answer == {"link": "serial", "after": 1}
     assert session.injected == [BitFlips(link="serial", rate=0.5)]

@@ -23,6 +23,8 @@ class UsbipLink:
         Addresses and networks that may connect; needed where `host` can be reached from other machines.
     busid
         Bus id under which the camera is exported.
+    name
+        What this rig calls the link: in reports, and where faults and triggers name it.
     """
 
     kind: ClassVar[str] = "usbip"

@@ -1,0 +1,86 @@
+"""Remarks on a rig that is valid but may not be what its author means."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterator
+from pathlib import Path
+
+from emulator.rig.loading import Rig, RigError
+from emulator.scene.bodies.mesh import find_shape
+from emulator.scene.bodies.table import BodyTable
+from emulator.tables.files import RigFile
+from emulator.tables.typed_table import field_types
+from emulator.trajectory.parameters import FilePath
+from emulator.trajectory.pose import TrajectoryError
+from emulator.trajectory.recorded import read_path
+
+__all__ = ["open_files", "remarks"]
+
+_QUESTIONABLE_THRESHOLD = 2.0
+
+
+def remarks(rig: Rig) -> list[str]:
+    """Return a sentence on each value that may be a mistake; files that cannot be read are not its matter."""
+    found = []
+    for name in ("threshold_on", "threshold_off"):
+        value = getattr(rig.camera.sensor, name)
+        if value > _QUESTIONABLE_THRESHOLD:
+            found.append(
+                f"camera.sensor.{name} is {value:g}: an event for each change of light by a factor of "
+                f"{math.exp(value):.3g}; real sensors have 0.1 to 0.5"
+            )
+    return [*found, *_short_paths(rig)]
+
+
+def _short_paths(rig: Rig) -> Iterator[str]:
+    """Yield a sentence on each trajectory that ends before the run."""
+    scale = getattr(rig.scene, "time_scale", 1.0)
+    for where, table in _tables(rig.scene, "scene"):
+        if not isinstance(table, FilePath):
+            continue
+        try:
+            end_s = read_path(table)[1][1] * 1e-9 / scale
+        except TrajectoryError:
+            continue
+        if rig.run.seconds > end_s:
+            yield (
+                f"{where}: {table.path} ends after {end_s:.6g} s and the run after {rig.run.seconds:g} s: the last "
+                "pose holds from then on"
+            )
+
+
+def open_files(rig: Rig) -> None:
+    """Open every file that the rig names, and read its trajectories; raises RigError with the key."""
+    for where, table in _tables(rig.scene, "scene"):
+        for name, annotation in field_types(type(table)).items():
+            value = getattr(table, name)
+            if annotation is RigFile and value:
+                _open(f"{rig.name}: {where}.{name}", find_shape(value) if isinstance(table, BodyTable) else Path(value))
+        if isinstance(table, FilePath):
+            try:
+                read_path(table)
+            except TrajectoryError as error:
+                raise RigError(f"{rig.name}: {where}: {error}") from error
+
+
+def _open(where: str, path: Path) -> None:
+    if path.is_dir():  # a folder of images
+        return
+    try:
+        with path.open("rb") as file:
+            file.read(1)
+    except OSError as error:
+        raise RigError(f"{where}: {path} cannot be opened: {error.strerror or error}") from error
+
+
+def _tables(value: object, where: str) -> Iterator[tuple[str, object]]:
+    """Yield a table of a rig and those in it, with their keys."""
+    if isinstance(value, tuple):
+        for number, one in enumerate(value):
+            yield from _tables(one, f"{where}[{number}]")
+    elif dataclasses.is_dataclass(value):
+        yield where, value
+        for field in dataclasses.fields(value):
+            yield from _tables(getattr(value, field.name), f"{where}.{field.name}")

@@ -1,0 +1,62 @@
+"""Measurement whether this machine computes a rig as fast as its stream time passes."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+from emulator.plan.plan import make_plan
+from emulator.plan.scene_probe import probe
+from emulator.rig.loading import Rig
+from emulator.rig.scene_kinds import SCENES
+from emulator.run.assembly import build_session, schedule
+from emulator.run.scene_assembly import build_scene
+from emulator.run.session import RunStatus
+from transports.link.pacing import MonotonicClock
+
+__all__ = ["KeepingUp", "keeping_up"]
+
+_STREAM_S, _WALL_S = 2.0, 10.0
+
+
+@dataclass(frozen=True)
+class KeepingUp:
+    """Speed of a rig on this machine.
+
+    Attributes
+    ----------
+    times_real_time
+        Stream seconds for a second of this machine, scene and sensor without links.
+    stream_s
+        Stream time that was computed for this.
+    planned_load
+        Cores that the plan expects the whole run to keep busy; None for a recording, which has no plan.
+    """
+
+    times_real_time: float
+    stream_s: float
+    planned_load: float | None
+
+    @property
+    def good(self) -> bool:
+        """Whether the rig runs in real time here."""
+        return self.times_real_time > 1 and (self.planned_load is None or self.planned_load < 1)
+
+
+def keeping_up(rig: Rig) -> KeepingUp:
+    """Compute up to two seconds of a rig's stream without pacing, for at most ten seconds."""
+    with build_scene(rig) as scene:
+        load = None
+        if not SCENES[rig.scene.kind].events:
+            step_ns = rig.run.step_us * 1000
+            load = make_plan(rig, probe(scene, rig.camera.sensor, step_ns, rig.run.seconds or 10.0)).load.total
+        session = build_session(rig, scene, [], MonotonicClock())
+
+        def follow(now: RunStatus) -> None:
+            if now.wall_seconds > _WALL_S:
+                session.stop()
+
+        stream_s = min(_STREAM_S, rig.run.seconds or _STREAM_S)
+        free = dataclasses.replace(schedule(rig), duration_ns=round(stream_s * 1e9), paced=False, lockstep_ns=0)
+        result = session.run(free, follow)
+    return KeepingUp(result.sim_seconds / result.wall_seconds, result.sim_seconds, load)

@@ -1,0 +1,97 @@
+"""Compilation ahead of a run: in processes of their own, once."""
+
+import json
+import os
+import subprocess
+import sys
+from functools import partial
+
+import pytest
+
+from emulator.rig.loading import load_rig, shipped_rigs
+from emulator.run import preparation
+from emulator.run.kernels import Part, parts_of
+from emulator.run.preparation import cold, prepare
+
+
+@pytest.fixture
+def notes(tmp_path, monkeypatch):
+    """Notes in an empty folder, here and in the processes that compile."""
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(preparation, "_folder", lambda: tmp_path)
+    return tmp_path
+
+
+def test_progress_goes_to_the_end_and_tells_each_part_once(notes):
+    states = []
+    parts = [Part(f"part {k}", 1.0, partial(os.getpid)) for k in range(3)]
+    assert prepare(parts, states.append) == []
+    assert sorted(states[-1].ended) == ["part 0", "part 1", "part 2"]
+    assert states[-1].share == pytest.approx(1.0)
+    shares = [state.share for state in states]
+    assert shares == sorted(shares)
+
+
+def test_what_fails_is_named_and_holds_nothing_up(notes):
+    parts = [Part("bad", 1.0, partial(os.stat, "/does/not/exist")), Part("good", 1.0, partial(os.getpid))]
+    assert prepare(parts) == ["bad"]
+
+
+def test_parts_whose_note_is_there_are_not_cold(notes):
+    part, other = Part("one", 1.0, os.getpid), Part("one", 1.0, os.getpid, "of another kind")
+    preparation._note(part).touch()
+    assert cold([part, other]) == [other]
+
+
+@pytest.mark.parametrize("name", shipped_rigs())
+def test_a_rig_compiles_each_part_once(name):
+    keys = [part.key for part in parts_of(load_rig(name))]
+    assert len(set(keys)) == len(keys) >= 3
+
+
+IN_A_RUN = """
+import json, sys
+from numba.core import event
+from emulator.rig.loading import load_rig
+from emulator.run.kernels import CODER, DECODER, parts_of
+from emulator.run.preparation import cold, prepare
+
+if __name__ == "__main__":
+    rig = load_rig(sys.argv[1])
+    parts = list({part.key: part for part in (*parts_of(rig), CODER, DECODER)}.values())
+    failed = prepare(parts)
+    compiled = []
+    class Listener(event.Listener):
+        def on_start(self, e):
+            compiled.append(e.data["dispatcher"].py_func.__qualname__)
+        def on_end(self, e):
+            pass
+    event.register("numba:compile", Listener())
+    from emulator.run.assembly import build_pictures, build_sensor
+    from emulator.run.scene_assembly import build_scene
+    with build_scene(rig) as scene:
+        pictures, sensor = build_pictures(rig, scene), build_sensor(rig, rig.camera.sensor)
+        sensor.warm_up()
+        pictures.draw(0)
+        sensor.reset(pictures.light, 0)
+        for k in range(1, 30):
+            pictures.draw(1_000_000 * k)
+            sensor.expose(pictures.light, 1_000_000 * k, pictures.rate, pictures.pixel_light)
+    DECODER.compile()
+    CODER.compile()
+    print(json.dumps({"failed": failed, "cold": [p.name for p in cold(parts)], "compiled": compiled}))
+"""
+
+
+@pytest.mark.anew
+@pytest.mark.gl
+@pytest.mark.parametrize("rig", ["serial-demo", "stars", "eros"])
+def test_after_the_preparation_a_run_compiles_nothing(rig, tmp_path, gl):
+    script = tmp_path / "prepared.py"
+    script.write_text(IN_A_RUN)
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    done = subprocess.run(
+        [sys.executable, script, rig], env=environment, capture_output=True, text=True, timeout=600, check=True
+    )
+    told = json.loads(done.stdout.splitlines()[-1])
+    assert told == {"failed": [], "cold": [], "compiled": []}
