@@ -16,8 +16,8 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
+from emulator.photometry.compiled import entry
 from emulator.photometry.reflectance import Glossy, Hapke, Lambert, LommelSeeliger, LunarLambert, Reflectance
-from emulator.scene.bodies.compiled import entry
 
 __all__ = ["Law", "law_of", "reflect"]
 

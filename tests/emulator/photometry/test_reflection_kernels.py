@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from emulator.scene.bodies.reflection_kernels import law_of, reflect
 
 from emulator.photometry.reflectance import Glossy, Hapke, Lambert, LommelSeeliger, LunarLambert
+from emulator.photometry.reflection_kernels import law_of, reflect
 
 LAWS = [
     Lambert(0.3),
