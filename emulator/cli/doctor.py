@@ -57,7 +57,7 @@ def _parts(rig: Rig | None) -> list[Part]:
         return parts_of(rig)
     parts = [part for path in shipped_rigs().values() for part in parts_of(load_rig(str(path)))]
     once = {part.key: part for part in (*parts, CODER, DECODER)}
-    return sorted(once.values(), key=lambda part: -part.seconds)
+    return list(once.values())
 
 
 def _as_json(rig: Rig, speed: KeepingUp) -> dict[str, object]:

@@ -24,6 +24,7 @@ from emulator.sensor.presets import PRESETS, SensorParameters
 __all__ = ["CODER", "DECODER", "Part", "parts_of"]
 
 _WIDTH, _HEIGHT = 32, 24
+_FEW = dataclasses.replace(PRESETS["davis346"], width=_WIDTH, height=_HEIGHT)
 _Float32s = npt.NDArray[np.float32]
 
 
@@ -41,12 +42,15 @@ class Part:
         Compiles it; can be pickled.
     variant
         Tells parts of one name apart.
+    after
+        Parts whose kernels it uses: they come first.
     """
 
     name: str
     seconds: float
     compile: Callable[[], None]
     variant: str = ""
+    after: tuple[Part, ...] = ()
 
     @property
     def key(self) -> str:
@@ -55,14 +59,14 @@ class Part:
 
 
 def parts_of(rig: Rig) -> list[Part]:
-    """Return what a run of the rig compiles, the longest first."""
+    """Return what a run of the rig compiles."""
     sensor = dataclasses.replace(rig.camera.sensor, width=_WIDTH, height=_HEIGHT)
     parts = [Part(f"scene {rig.scene.kind}", 3.0, partial(_draw, rig))]
     if not SCENES[rig.scene.kind].events:
-        parts += [PIXELS, _effects(sensor)]
+        parts += [*PIXELS.after, PIXELS, _effects(sensor)]
     if any(LINKS[link.kind].serves == "instrument" for link in rig.links):
         parts.append(CODER)
-    return sorted(parts, key=lambda part: -part.seconds)
+    return parts
 
 
 def _effects(sensor: SensorParameters) -> Part:
@@ -71,12 +75,19 @@ def _effects(sensor: SensorParameters) -> Part:
     return Part("read-out and effects", 4.0, partial(_read_out, sensor), variant)
 
 
+def _of_the_step(which: str) -> None:
+    """Compile a large part of the pixel step alone."""
+    from emulator.sensor.pixels.array import PixelArray
+
+    PixelArray(_FEW, 0).compile_part(which)
+
+
 def _step() -> None:
     """Move a few pixels over a step in which some fire, and some are refined."""
     from emulator.sensor.pixels.array import PixelArray
 
     dark, bright = np.zeros((_HEIGHT, _WIDTH), np.float32), np.ones((_HEIGHT, _WIDTH), np.float32)
-    pixels = PixelArray(dataclasses.replace(PRESETS["davis346"], width=_WIDTH, height=_HEIGHT), 0)
+    pixels = PixelArray(_FEW, 0)
     pixels.reset(dark, 0)
     pixels.step(bright, 1_000_000, dark, _lit)
 
@@ -139,6 +150,8 @@ def _decode() -> None:
         return
 
 
-PIXELS = Part("pixel step", 16.0, _step)
+_CANDIDATES = Part("pixel candidates", 8.0, partial(_of_the_step, "candidates"))
+_BLOCKS = Part("pixel blocks", 4.0, partial(_of_the_step, "blocks"))
+PIXELS = Part("pixel step", 4.0, _step, after=(_CANDIDATES, _BLOCKS))
 CODER = Part("telemetry coder", 4.0, _encode)
 DECODER = Part("telemetry decoder", 3.0, _decode)

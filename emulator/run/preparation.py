@@ -49,14 +49,20 @@ def cold(parts: Sequence[Part]) -> list[Part]:
 
 
 def prepare(parts: Sequence[Part], on_state: Callable[[Preparation], None] = lambda _: None) -> list[str]:
-    """Compile the parts, as many at a time as there are cores; return the names of those that failed."""
-    waiting, running = list(parts), list[_Running]()
+    """Compile the parts, as many at a time as there are cores; return the names of those that failed.
+
+    The longest come first, but none before those that it needs.
+    """
+    waiting, running = sorted(parts, key=lambda part: -part.seconds), list[_Running]()
     ended: list[str] = []
     failed: list[str] = []
     try:
         while waiting or running:
-            while waiting and len(running) < len(os.sched_getaffinity(0)):
-                running.append(_started(waiting.pop(0)))
+            busy = {part.key for part in (*waiting, *(one.part for one in running))}
+            for part in [part for part in waiting if not busy & {needed.key for needed in part.after}]:
+                if len(running) < len(os.sched_getaffinity(0)):
+                    waiting.remove(part)
+                    running.append(_started(part))
             wait([one.process.sentinel for one in running], _TICK_S)
             gone = [one for one in running if not one.process.is_alive()]
             running = [one for one in running if one not in gone]

@@ -32,7 +32,17 @@ from typing import Any, TypeVar
 import numpy as np
 from numba import njit
 
-__all__ = ["NONE", "Real", "inlined", "kernel", "kernel_that_allocates", "lane", "log_compilation", "vector_kernel"]
+__all__ = [
+    "NONE",
+    "UNCOUNTED",
+    "Real",
+    "inlined",
+    "kernel",
+    "kernel_that_allocates",
+    "lane",
+    "log_compilation",
+    "vector_kernel",
+]
 
 _LOG = logging.getLogger(__name__)
 _Function = TypeVar("_Function", bound=Callable[..., Any])
@@ -45,11 +55,11 @@ NONE: Any = np.int64(0)
 """Start of a counter; see above."""
 
 _COMMON: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
-_UNCOUNTED: dict[str, Any] = {**_COMMON, "_nrt": False}
-kernel: _Decorator[Any] = njit(**_UNCOUNTED)
-vector_kernel: _Decorator[Any] = njit(**_UNCOUNTED, fastmath={"contract"})
-lane: _Decorator[Any] = njit(**_UNCOUNTED, fastmath={"contract"}, forceinline=True)
-inlined: _Decorator[Any] = njit(**_UNCOUNTED, inline="always")
+UNCOUNTED: dict[str, Any] = {**_COMMON, "_nrt": False}
+kernel: _Decorator[Any] = njit(**UNCOUNTED)
+vector_kernel: _Decorator[Any] = njit(**UNCOUNTED, fastmath={"contract"})
+lane: _Decorator[Any] = njit(**UNCOUNTED, fastmath={"contract"}, forceinline=True)
+inlined: _Decorator[Any] = njit(**UNCOUNTED, inline="always")
 kernel_that_allocates: _Decorator[Any] = njit(**_COMMON)
 
 

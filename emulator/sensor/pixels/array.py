@@ -19,7 +19,7 @@ from emulator.sensor.numerics.keyed import Purpose, normal, uniform
 from emulator.sensor.pixels.candidates import new_table
 from emulator.sensor.pixels.faults import ArrayFaults
 from emulator.sensor.pixels.interpolation import UNSEEN_SHARE
-from emulator.sensor.pixels.quiet_pass import Tally, advance, unpack
+from emulator.sensor.pixels.quiet_pass import Tally, advance, compile_parts, unpack
 from emulator.sensor.pixels.refinement import SHORTEST_NS, Refinement
 from emulator.sensor.pixels.state import BLOCK, FIELDS, Field, Pixels, PixelState, StepConstants
 from emulator.sensor.pixels.subset import new_subset
@@ -158,6 +158,11 @@ class PixelArray:
     def faults(self) -> ArrayFaults:
         """Return the access to defects and to the leak."""
         return ArrayFaults(self, self._pixels)
+
+    def compile_part(self, which: str) -> None:
+        """Compile "blocks" or "candidates", large parts of the step that `step` then finds on disk."""
+        pixels = Pixels(self.state.fields.reshape(-1), self.state.refractory_until_ns)
+        compile_parts(which, pixels, self._table, self._buffers.keys, self._constants(0, 1_000_000))
 
     def field(self, which: Field) -> _Float32s:
         """Return a copy of one field of the state, (height, width) float32."""

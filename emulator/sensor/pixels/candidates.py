@@ -16,7 +16,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.numerics.compiled import NONE, inlined, kernel, kernel_that_allocates, lane, vector_kernel
+from emulator.sensor.numerics.cached import cached_entry
+from emulator.sensor.numerics.compiled import NONE, inlined, kernel, lane, vector_kernel
 from emulator.sensor.numerics.elementary import exponential
 from emulator.sensor.pixels.cubic_roots import SETTLED, Bracket, Cubic, bisect, newton, value
 from emulator.sensor.pixels.interpolation import is_smooth
@@ -342,7 +343,7 @@ def _fold_parasitic(pixels: Pixels, table: Table, n: int) -> None:
             pixels.fields[slot(table.pixels[j]) + _P] = _ZERO
 
 
-@kernel_that_allocates
+@cached_entry
 def solve(
     pixels: Pixels, table: Table, n: int, keys: Keys, n_keys: int, c: StepConstants
 ) -> tuple[Keys, int, int, int]:

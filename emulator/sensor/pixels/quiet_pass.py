@@ -37,11 +37,12 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numba
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.numerics.cached import cached_entry
-from emulator.sensor.numerics.compiled import NONE, Real, kernel, lane, vector_kernel
+from emulator.sensor.numerics.cached import cached_entry, cached_kernel
+from emulator.sensor.numerics.compiled import NONE, Real, kernel, kernel_that_allocates, lane, vector_kernel
 from emulator.sensor.numerics.elementary import decay, exponential, lowest_bit, natural_log
 from emulator.sensor.pixels.candidates import BATCH, Table, gather, gather_rare, select, solve
 from emulator.sensor.pixels.interpolation import is_smooth
@@ -49,7 +50,7 @@ from emulator.sensor.pixels.lowpass import Course, Filtered, rise_behind_second_
 from emulator.sensor.pixels.state import BEFORE_ROWS, BLOCK, FIELDS, Field, Pixels, StepConstants
 from emulator.sensor.pixels.subset import Subset, gather_undersampled
 
-__all__ = ["Tally", "advance", "unpack"]
+__all__ = ["Tally", "advance", "compile_parts", "unpack"]
 
 _Float32s = npt.NDArray[np.float32]
 _Int64s = npt.NDArray[np.int64]
@@ -259,6 +260,18 @@ class _Scratch(NamedTuple):
     found: _Int64s
 
 
+@kernel_that_allocates
+def _new_scratch() -> _Scratch:
+    """Return buffers with zeros where a padded block needs them."""
+    return _Scratch(
+        np.empty(len(BEFORE_ROWS) * BLOCK, np.float32),
+        np.zeros(BLOCK, np.float32),
+        np.zeros(BLOCK, np.float32),
+        np.empty(BLOCK, np.uint8),
+        np.empty(BLOCK, np.int64),
+    )
+
+
 @kernel
 def _padded(values: _Float32s, buffer: _Float32s) -> _Float32s:
     """Return `buffer` with the values in front."""
@@ -267,7 +280,7 @@ def _padded(values: _Float32s, buffer: _Float32s) -> _Float32s:
     return buffer
 
 
-@kernel
+@cached_kernel
 def _move_block(
     light: _Float32s, rate: _Float32s, pixels: Pixels, scratch: _Scratch, first: int, c: StepConstants
 ) -> int:
@@ -311,6 +324,14 @@ def _gather_undersampled_of_block(
     return left, n
 
 
+def compile_parts(which: str, pixels: Pixels, table: Table, keys: _Keys, c: StepConstants) -> None:
+    """Compile "blocks" or "candidates", the two large parts of `advance`, which finds them on disk afterwards."""
+    scratch, light, n = _new_scratch(), np.zeros(BLOCK, np.float32), 0
+    arguments = {"blocks": (light, light, pixels, scratch, n, c), "candidates": (pixels, table, n, keys, n, c)}
+    kernel_of = {"blocks": _move_block, "candidates": solve}
+    kernel_of[which].compile(tuple(map(numba.typeof, arguments[which])))
+
+
 @cached_entry
 def advance(
     frame: tuple[_Float32s, _Float32s], pixels: Pixels, table: Table, subset: Subset, keys: _Keys, c: StepConstants
@@ -337,13 +358,7 @@ def advance(
     The keys (a longer copy where they were too short), the number of events in them (packed as in `unpack`, unsorted),
     and the counts of the step.
     """
-    scratch = _Scratch(
-        np.empty(len(BEFORE_ROWS) * BLOCK, np.float32),
-        np.zeros(BLOCK, np.float32),
-        np.zeros(BLOCK, np.float32),
-        np.empty(BLOCK, np.uint8),
-        np.empty(BLOCK, np.int64),
-    )
+    scratch = _new_scratch()
     light, rate = frame
     n = n_keys = lost = undersampled = candidates = unreadable = refined = NONE
     for first in range(0, light.size, BLOCK):

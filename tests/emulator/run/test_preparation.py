@@ -49,6 +49,15 @@ def test_a_rig_compiles_each_part_once(name):
     assert len(set(keys)) == len(keys) >= 3
 
 
+def test_a_part_waits_for_those_that_it_needs(notes):
+    first = Part("first", 1.0, partial(os.mkdir, notes / "made"))
+    states = []
+    second = Part("second", 9.0, partial(os.rmdir, notes / "made"), after=(first,))
+    assert prepare([second, first], states.append) == []
+    assert states[-1].ended == ("first", "second")
+    assert prepare([second]) == ["second"]  # what it needs is done already: it does not wait
+
+
 IN_A_RUN = """
 import json, sys
 from numba.core import event
