@@ -10,8 +10,8 @@ and the slide's share of the velocity, and of the rate of light, is exact. The r
 
     L = E_sun r(mu0, mu, g) b / mu0 + ambient r(u, u, 0)
 
-with the mean normal's mu0 and mu, and the height u of the eye's direction over level ground: light from all around shows
-no slopes. Its rate at the vertex comes from its value an instant later.
+with the mean normal's mu0 and mu, and the height u of the eye's direction over level ground: light from all around
+shows no slopes. Its rate at the vertex comes from its value an instant later.
 
 What makes it fast: a block's posts lie in a few lines of memory, places come row by row, and the law of reflection runs
 over a block's vertices in one loop.

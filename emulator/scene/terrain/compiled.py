@@ -21,5 +21,12 @@ def entry(function: Callable[..., Any]) -> Any:
 
     Its code on disk is valid while terrain and photometry are unchanged.
     """
-    compiled = njit(nogil=True, error_model="numpy", cache=True, fastmath={"contract"}, _nrt=False)(function)
+    options: dict[str, Any] = {
+        "nogil": True,
+        "error_model": "numpy",
+        "cache": True,
+        "fastmath": {"contract"},
+        "_nrt": False,
+    }
+    compiled = njit(**options)(function)
     return valid_for(_SOURCES, compiled)

@@ -1,23 +1,24 @@
 """Light of the fine map in each pixel, where facets are larger than a pixel.
 
-The renderer says which facet lies at the middle of a pixel. With d the pixel's direction, d = 1 along the boresight, and
-n . X = 1 the facet's plane from the camera, the point seen is X = s d, s = 1 / (n . d). From there:
+The renderer says which facet lies at the middle of a pixel. With d the pixel's direction, d = 1 along the boresight,
+and n . X = 1 the facet's plane from the camera, the point seen is X = s d, s = 1 / (n . d). From there:
 
     footprint of the pixel      what a pixel to the right and one down add to X within the plane
-    fine height                 the map's height z above X moves the point along d to where the plane, lifted by z - X_z,
-                                is met: s becomes s (1 + (z - X_z) n_z)
+    fine height                 the map's height z above X moves the point along d to where the plane, lifted by
+                                z - X_z, is met: s becomes s (1 + (z - X_z) n_z)
     how the ground passes       V = v + s' d + s d', with v the camera's velocity and s' such that V lies in the map's
                                 slope: what the pixel sees next
 
-Normals and sunlit shares are means over one or two places across the footprint's shorter side and so many along the longer
-one that their distances are alike, from the two levels of the `Pyramid` next to half that distance. Their rates come
-from V and the slopes between posts. Radiance and its rate come of them as for vertices (see `block_vertices`).
+Normals and sunlit shares are means over one or two places across the footprint's shorter side and so many along the
+longer one that their distances are alike, from the two levels of the `Pyramid` next to half that distance. Their rates
+come from V and the slopes between posts. Radiance and its rate come of them as for vertices (see `block_vertices`).
 
 Where an outline passes through the pixel, the exact light of the facets is kept, and the difference between fine and
 facet's light at the middle is added in proportion to how far the outline is from the middle (`Owners.whole`), so that
 light is steady in time.
 
-What makes it fast: planes instead of vertices, the four numbers of a post side by side, one loop over a row for the law.
+What makes it fast: planes instead of vertices, the four numbers of a post side by side, and one loop over a row for
+the law.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ from emulator.sensor.numerics.compiled import lane, vector_kernel
 __all__ = ["ROW_FIELDS", "shade_rows"]
 
 ROW_FIELDS = 11
-_MOST_PLACES = 8.0  # along the footprint's longer side
+_MOST_PLACES = 16.0  # along the footprint's longer side
 _ONE_PLACE = 0.7  # of the finest posts' distance: for a footprint's shorter side below it one place across will do
 _SHARP = 0.5  # distance of the chosen levels' posts over the footprint's shorter side
 _FARTHEST = 0.2  # of the distance: the fine map moves a point no farther
@@ -130,7 +131,14 @@ def _sheen(
             e_y, n_y, b_y = e_y + (ec + ed * u), n_y + (nc + nd * u), b_y + (bc + bd * u)
     share = weight / (counts[0] * counts[1])
     mx, my = moved[0] * per_m * share, moved[1] * per_m * share
-    return e * share, n * share, b * share, e_x * mx + e_y * my, n_x * mx + n_y * my, b_x * mx + b_y * my
+    return (
+        float(e * share),
+        float(n * share),
+        float(b * share),
+        float(e_x * mx + e_y * my),
+        float(n_x * mx + n_y * my),
+        float(b_x * mx + b_y * my),
+    )
 
 
 @lane
@@ -218,8 +226,8 @@ def shade_rows(
             while level < grids - 1 and from_site > (half - 2.0) * (1 << level):
                 level += 1
             finest = unit * (1 << level)
-            places = min(max(math.ceil(longer / max(shorter, finest) - 0.1), 1.0), _MOST_PLACES)
-            size = max(_SHARP * max(shorter, longer / places), finest)
+            places = min(max(math.ceil(longer / max(0.5 * shorter, _ONE_PLACE * finest) - 0.1), 1.0), _MOST_PLACES)
+            size = max(_SHARP * max(shorter, 2.0 * longer / places), finest)
             fine = min(math.log2(size / unit), float(top_level))
             level = max(level, int(fine))
             part = min(max(2.0 * (fine - level) - 0.5, 0.0), 1.0)
@@ -235,9 +243,7 @@ def shade_rows(
             e, n, b, de, dn, db = _sheen(posts, levels, level, unit, 1.0 - part, at, moved, sides, counts)
             if part > 0.0:
                 more = _sheen(posts, levels, level + 1, unit, part, at, moved, sides, counts)
-                e, n, b, de, dn, db = (
-                    e + more[0], n + more[1], b + more[2], de + more[3], dn + more[4], db + more[5]
-                )
+                e, n, b, de, dn, db = (e + more[0], n + more[1], b + more[2], de + more[3], dn + more[4], db + more[5])
             per_d = -1.0 / math.sqrt(1.0 + x * x + y * y)
             scratch[10, count] = column
             for when in range(2):

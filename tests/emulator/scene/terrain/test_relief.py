@@ -7,8 +7,8 @@ import pytest
 from scipy import integrate, special
 
 from emulator.scene import array_cache
-from emulator.scene.terrain.ground import nested
 from emulator.scene.array_cache import Progress, kept
+from emulator.scene.terrain.ground import nested
 from emulator.scene.terrain.landforms import (
     DEPTH,
     REACH,

@@ -11,13 +11,13 @@ from emulator.geometry.pinhole import Pinhole
 from emulator.light import SceneError
 from emulator.photometry.reflectance import Hapke, Lambert, LommelSeeliger, LunarLambert
 from emulator.photometry.sun import SUN_W_M2
+from emulator.scene.terrain.gl_terrain import GlTerrain
 from emulator.scene.terrain.ground import nested
 from emulator.scene.terrain.ground_mesh import shading
 from emulator.scene.terrain.quadtree import BLOCK, Quadtree
+from emulator.scene.terrain.raster_terrain import RasterTerrain
 from emulator.scene.terrain.relief import make_ridge
 from emulator.scene.terrain.table import Heightmap, Ridge, TerrainParameters
-from emulator.scene.terrain.gl_terrain import GlTerrain
-from emulator.scene.terrain.raster_terrain import RasterTerrain
 from emulator.trajectory.descent import Gate
 from emulator.trajectory.parameters import DescentPath, FixedPath, Keyframe, KeyframePath
 
@@ -142,7 +142,9 @@ def test_a_slope_is_lit_by_its_own_normal_and_stands_where_it_is(terrain, tmp_pa
     e = math.radians(40.0)
     level = SUN_W_M2 / math.pi * math.sin(e)
     slope = SUN_W_M2 / math.pi * (math.sin(e) * 4 + math.cos(e)) / math.sqrt(17)
-    crease_px = math.ceil(8.0 * CAMERA.focal_px / (150.0 - 2.0))  # a post wide: there light passes from one to the other
+    crease_px = math.ceil(
+        8.0 * CAMERA.focal_px / (150.0 - 2.0)
+    )  # a post wide: there light passes from one to the other
     np.testing.assert_allclose(light[:, : 48 - crease_px], level, rtol=2e-3)
     np.testing.assert_allclose(light[:, 48 + crease_px :], slope, rtol=2e-3)
 
