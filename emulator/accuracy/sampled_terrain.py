@@ -86,7 +86,8 @@ class SampledTerrain(Scene):
     def _radiance(self, grid: int, z: _Floats, rays: _Floats, wanted: npt.NDArray[np.bool_]) -> _Floats:
         """Return the radiance of the wanted posts, (n,)."""
         world = self._world
-        down, right = (np.asarray(slope) for slope in np.gradient(z, world.ground.post_m(grid)))
+        post_m = world.ground.post_m(grid)
+        down, right = np.gradient(z, post_m, axis=0), np.gradient(z, post_m, axis=1)
         normals = np.stack([-right[wanted], -down[wanted], np.ones(int(wanted.sum()))], axis=-1)
         normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
         eye = -rays[wanted] / np.linalg.norm(rays[wanted], axis=-1, keepdims=True)

@@ -13,9 +13,6 @@ from firmware_protocol.numba_cache import checksum_of, valid_for
 
 __all__ = ["entry"]
 
-_OPTIONS: dict[str, Any] = {
-    "nogil": True, "error_model": "numpy", "cache": True, "fastmath": {"contract"}, "_nrt": False,
-}  # fmt: skip
 _SOURCES = checksum_of(Path(__file__).parent) ^ checksum_of(Path(photometry.__file__).parent)
 
 
@@ -24,4 +21,12 @@ def entry(function: Callable[..., Any]) -> Any:
 
     Its code on disk is valid while terrain and photometry are unchanged.
     """
-    return valid_for(_SOURCES, njit(**_OPTIONS)(function))
+    options: dict[str, Any] = {
+        "nogil": True,
+        "error_model": "numpy",
+        "cache": True,
+        "fastmath": {"contract"},
+        "_nrt": False,
+    }
+    compiled = njit(**options)(function)
+    return valid_for(_SOURCES, compiled)

@@ -17,7 +17,8 @@ Where an outline passes through the pixel, the exact light of the facets is kept
 facet's light at the middle is added in proportion to how far the outline is from the middle (`Owners.whole`), so that
 light is steady in time.
 
-What makes it fast: planes instead of vertices, the four numbers of a post side by side, one loop a row for the law.
+What makes it fast: planes instead of vertices, the four numbers of a post side by side, and one loop over a row for
+the law.
 """
 
 from __future__ import annotations
@@ -31,12 +32,12 @@ from emulator.photometry.reflection_kernels import reflect
 from emulator.raster.layout import G, Ints, L, Pictures, W, WHighest, WLowest
 from emulator.scene.terrain.block_vertices import LATER_S, around, grazing
 from emulator.scene.terrain.compiled import entry
-from emulator.sensor.numerics.compiled import Real, lane, vector_kernel
+from emulator.sensor.numerics.compiled import lane, vector_kernel
 
 __all__ = ["ROW_FIELDS", "shade_rows"]
 
 ROW_FIELDS = 11
-_MOST_PLACES = 8.0  # along the footprint's longer side
+_MOST_PLACES = 16.0  # along the footprint's longer side
 _ONE_PLACE = 0.7  # of the finest posts' distance: for a footprint's shorter side below it one place across will do
 _SHARP = 0.5  # distance of the chosen levels' posts over the footprint's shorter side
 _FARTHEST = 0.2  # of the distance: the fine map moves a point no farther
@@ -97,7 +98,7 @@ def _sheen(
     moved: Pair,
     sides: tuple[Pair, Pair],
     counts: Pair,
-) -> tuple[Real, Real, Real, Real, Real, Real]:
+) -> Six:
     """Return the means of east, north and b over a footprint with the given sides, and their rates, times `weight`."""
     per_m = 1.0 / (unit * (1 << level))
     offset, columns = levels[level, 0], levels[level, 2]
@@ -130,7 +131,14 @@ def _sheen(
             e_y, n_y, b_y = e_y + (ec + ed * u), n_y + (nc + nd * u), b_y + (bc + bd * u)
     share = weight / (counts[0] * counts[1])
     mx, my = moved[0] * per_m * share, moved[1] * per_m * share
-    return e * share, n * share, b * share, e_x * mx + e_y * my, n_x * mx + n_y * my, b_x * mx + b_y * my
+    return (
+        float(e * share),
+        float(n * share),
+        float(b * share),
+        float(e_x * mx + e_y * my),
+        float(n_x * mx + n_y * my),
+        float(b_x * mx + b_y * my),
+    )
 
 
 @lane
@@ -218,8 +226,8 @@ def shade_rows(
             while level < grids - 1 and from_site > (half - 2.0) * (1 << level):
                 level += 1
             finest = unit * (1 << level)
-            places = min(max(math.ceil(longer / max(shorter, finest) - 0.1), 1.0), _MOST_PLACES)
-            size = max(_SHARP * max(shorter, longer / places), finest)
+            places = min(max(math.ceil(longer / max(0.5 * shorter, _ONE_PLACE * finest) - 0.1), 1.0), _MOST_PLACES)
+            size = max(_SHARP * max(shorter, 2.0 * longer / places), finest)
             fine = min(math.log2(size / unit), float(top_level))
             level = max(level, int(fine))
             part = min(max(2.0 * (fine - level) - 0.5, 0.0), 1.0)
@@ -235,9 +243,7 @@ def shade_rows(
             e, n, b, de, dn, db = _sheen(posts, levels, level, unit, 1.0 - part, at, moved, sides, counts)
             if part > 0.0:
                 more = _sheen(posts, levels, level + 1, unit, part, at, moved, sides, counts)
-                e, n, b, de, dn, db = (
-                    e + more[0], n + more[1], b + more[2], de + more[3], dn + more[4], db + more[5]
-                )
+                e, n, b, de, dn, db = (e + more[0], n + more[1], b + more[2], de + more[3], dn + more[4], db + more[5])
             per_d = -1.0 / math.sqrt(1.0 + x * x + y * y)
             scratch[10, count] = column
             for when in range(2):

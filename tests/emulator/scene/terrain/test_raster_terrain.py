@@ -38,19 +38,23 @@ def looked_at(p, t_ns, camera=CAMERA, threads=1):
     return light, rate
 
 
-@pytest.mark.parametrize("t_s", [5, 40, 65])
+@pytest.mark.parametrize(("t_s", "median"), [(5, 4e-3), (40, 4e-3), (65, 1.2e-2)])
 @pytest.mark.parametrize("law", [Lambert(0.3), Hapke()])
-def test_light_is_that_of_every_facet_sampled(t_s, law):
-    """Coarse blocks, filtered levels and one place a pixel in depth cost this much, on ground of posts of a pixel."""
+def test_light_is_that_of_every_facet_sampled(t_s, median, law):
+    """Far away coarse blocks and filtered levels differ.
+
+    Near by, where posts are many pixels apart, it is what lies between posts: here the law of mean normals, there the
+    mean of the law's values.
+    """
     p = parameters(reflectance=law)
     light, _ = looked_at(p, t_s * 10**9)
     truth = np.zeros_like(light)
     with SampledTerrain(p, CAMERA, 8) as reference:
         reference.light(t_s * 10**9, truth)
     errors = np.abs(light - truth) / truth.mean()
-    assert np.median(errors) < 4e-3
+    assert np.median(errors) < median
     assert np.percentile(errors, 99) < 0.12
-    assert abs(light.mean() / truth.mean() - 1) < 2e-3
+    assert abs(light.mean() / truth.mean() - 1) < median
 
 
 @pytest.mark.parametrize("t_s", [5, 40, 65])
@@ -77,7 +81,8 @@ def test_light_goes_on_where_blocks_change():
             scene.light_and_rate(t_ns + step_ns, light, rate)
             beyond = np.abs(light - first - (slope + rate) * (step_ns * 0.5e-9)) / first.mean()
             assert np.percentile(beyond, 99) < 2e-3
-            assert beyond.max() < 0.1
+            assert (beyond > 0.02).sum() <= 3  # where a facet gives way to another, fine heights are found from it anew
+            assert beyond.max() < 0.2
             chosen.add(scene.facets_drawn)
     assert len(chosen) > 5  # blocks did change
 
@@ -136,7 +141,7 @@ def test_a_map_of_any_size_is_drawn_to_its_edge(tmp_path):
     p = parameters(ground=flat, camera=FixedPath((0.0, 0.0, 400.0), DOWN), body_radius_m=0.0, ambient_w_m2=10.0)
     light, _ = looked_at(p, 0)
     covered = (light > 0).sum() / (70 * 42 * (4.0 * CAMERA.focal_px / 400.0) ** 2)
-    assert covered == pytest.approx(1, abs=0.06)  # pixels that the edge passes count whole
+    assert 1 <= covered < 1.08  # pixels that the edge passes count whole
 
 
 def test_the_part_of_the_picture_that_changed_holds_the_ground():

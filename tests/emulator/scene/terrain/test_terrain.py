@@ -142,7 +142,9 @@ def test_a_slope_is_lit_by_its_own_normal_and_stands_where_it_is(terrain, tmp_pa
     e = math.radians(40.0)
     level = SUN_W_M2 / math.pi * math.sin(e)
     slope = SUN_W_M2 / math.pi * (math.sin(e) * 4 + math.cos(e)) / math.sqrt(17)
-    crease_px = math.ceil(8.0 * CAMERA.focal_px / (150.0 - 2.0))  # a post wide: light changes there
+    crease_px = math.ceil(
+        8.0 * CAMERA.focal_px / (150.0 - 2.0)
+    )  # a post wide: there light passes from one to the other
     np.testing.assert_allclose(light[:, : 48 - crease_px], level, rtol=2e-3)
     np.testing.assert_allclose(light[:, 48 + crease_px :], slope, rtol=2e-3)
 
