@@ -57,7 +57,7 @@ class Through(Scene):
         self._inner = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
         self._blurred = np.zeros(shape, np.float32)
         self._rows = np.zeros(shape, np.float32)
-        self._outs: tuple[int, ...] = ()
+        self._outs: tuple[Light, ...] = ()
         self._changed: Region | None = None
 
     @property
@@ -123,7 +123,8 @@ class Through(Scene):
     def _pass(self, outs: tuple[Light, ...]) -> None:
         """Take what the scene has drawn through the lens, where it may differ from what `outs` hold."""
         whole = Region(0, self._size[1], 0, self._size[0])
-        known, self._outs = self._outs == tuple(map(id, outs)), tuple(map(id, outs))
+        known = len(outs) == len(self._outs) and all(a is b for a, b in zip(outs, self._outs, strict=True))
+        self._outs = outs
         changed = self.scene.changed if known and self._bent is None else None
         self._changed = None if changed is None else changed.grown(self._reach_px, self._size)
         part = (self._changed or whole).bounds if self._changed is None or not self._changed.empty else None

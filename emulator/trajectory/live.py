@@ -25,7 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from emulator.geometry.attitude import Quaternion, Vector, conjugate, multiply, quaternion_of_vector
-from emulator.trajectory.pose import STILL, Pose, Trajectory
+from emulator.trajectory.pose import FARTHEST_M, STILL, Pose, Trajectory
 from firmware_protocol.pose_message import NOW, PoseMessage
 
 __all__ = ["LiveCounters", "LivePoses"]
@@ -161,6 +161,7 @@ def _between(before: _Known, after: _Known, t_ns: int) -> Pose:
     a, b = before.pose, after.pose
     x = (t_ns - before.t_ns) / (after.t_ns - before.t_ns)
     place = (1 - x) * a.position_m + x * b.position_m  # exact at both, also beside a place very far away
+    place = np.clip(place, -FARTHEST_M / 2, FARTHEST_M / 2)  # two hostile poses may point anywhere
     turn = multiply(b.q_world_from_body, conjugate(a.q_world_from_body))
     part = quaternion_of_vector((x - 1) * _vector_of(turn))
     return Pose(place, multiply(part, b.q_world_from_body))

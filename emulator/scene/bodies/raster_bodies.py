@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.geometry.pinhole import Pinhole
-from emulator.light import Light, PixelLight, Region, Scene
+from emulator.light import Light, PixelLight, Region, Scene, SceneError
 from emulator.raster import Box, Renderer, Screen, View, join, prepare
 from emulator.scene.bodies.lighting import Lighting, Motion, Poses, motion_at
 from emulator.scene.bodies.lit_surface import Surface, lit_surface, subdivide
@@ -53,7 +53,8 @@ class RasterBodies(Scene):
         self._spare = np.zeros((height, width), np.float32)
         self._drawn = Box()
         self._changed: Region | None = None
-        self._pictures: tuple[int, int] = (0, 0)
+        self._closed = False
+        self._pictures: tuple[Light | None, Light | None] = (None, None)
 
     @property
     def size(self) -> tuple[int, int]:
@@ -103,10 +104,10 @@ class RasterBodies(Scene):
 
     def light_and_rate(self, t_ns: int, light: Light, rate: Light) -> None:
         """Write the radiance at `t_ns` and its exact time derivative, a second, both (height, width) float32."""
-        known = self._pictures == (id(light), id(rate))
+        known = self._pictures[0] is light and self._pictures[1] is rate
         before = self._drawn if known else None
         self._drawn = self._renderer.draw(self._view(t_ns), light, rate, before)
-        self._pictures = (id(light), id(rate))
+        self._pictures = (light, rate)
         self._changed = None if before is None else _region(self._drawn.union(before))
 
     @property
@@ -116,6 +117,7 @@ class RasterBodies(Scene):
 
     def close(self) -> None:
         """End the threads and close the ports; a second call does nothing."""
+        self._closed = True
         self._renderer.close()
         self._world.close()
 
@@ -132,6 +134,8 @@ class RasterBodies(Scene):
         return lit_surface(mesh, smooth=smooth)
 
     def _view(self, t_ns: int) -> View:
+        if self._closed:
+            raise SceneError("the scene is closed: build it again")
         world = self._world
         motion = motion_at(t_ns, world.camera, world.arrangement.poses, world.time)
         glows = self._lighting.light(motion)

@@ -67,7 +67,7 @@ class RasterTerrain(Scene):
         self._spare = np.zeros((height, width), np.float32)
         self._drawn = Box()
         self._changed: Region | None = None
-        self._pictures: tuple[int, int] = (0, 0)
+        self._pictures: tuple[Light | None, Light | None] = (None, None)
 
     @property
     def size(self) -> tuple[int, int]:
@@ -117,12 +117,12 @@ class RasterTerrain(Scene):
 
     def light_and_rate(self, t_ns: int, light: Light, rate: Light) -> None:
         """Write the radiance at `t_ns` and its exact time derivative, a second, both (height, width) float32."""
-        known = self._pictures == (id(light), id(rate))
+        known = self._pictures[0] is light and self._pictures[1] is rate
         before = self._drawn if known else None
         motion = camera_motion(t_ns, self._world.camera, self._world.time)
         self._drawn = self._renderer.draw(self._view(t_ns, motion), light, rate, None, self._owners)
         self._shade(motion, light, rate)
-        self._pictures = (id(light), id(rate))
+        self._pictures = (light, rate)
         self._changed = None if before is None else _region(self._drawn.union(before))
 
     def close(self) -> None:

@@ -137,9 +137,12 @@ def test_each_pixel_of_a_near_ball_follows_the_closed_form(ball, phase_deg, asym
     want = 2 * thrown * mu0 / (mu0 + mu)
     off_limb = (root2 > 0) & (mu > 0.15) & (mu0 > 0.05)
     assert off_limb.sum() > 1000
+    if Bodies is RasterBodies:  # the mean over a pixel, which curves where the light falls steeply
+        off_limb &= (mu > 0.4) & (mu0 > 0.4)
     np.testing.assert_allclose(light[off_limb], want[off_limb], rtol=3e-3, atol=3e-3)
-    assert not light[(root2 > 0) & (mu0 < -0.02)].any()
-    assert not light[root2 < -0.02 * BALL_M**2].any()
+    beyond = 0.2 if Bodies is RasterBodies else 0.02  # a pixel's mean reaches over the edges by its width
+    assert not light[(root2 > 0) & (mu0 < -beyond)].any()
+    assert not light[root2 < -beyond * BALL_M**2].any()
 
 
 ATTITUDES = [
@@ -217,7 +220,9 @@ def test_supersampling_is_the_plain_mean_of_light(samples):
     aim = eros(start_deg=40.0, sun=(1.0, 0.5, -0.2))
     fine = shoot(size=(80 * samples, 60 * samples), samples=1, **aim) / full_disc()
     want = fine.reshape(60, samples, 80, samples).mean(axis=(1, 3))
-    np.testing.assert_allclose(shoot(size=(80, 60), samples=samples, **aim) / full_disc(), want, atol=1e-5)
+    drawn = shoot(size=(80, 60), samples=samples, **aim) / full_disc()
+    # Exact light is the mean of finer exact light too, but for pixels that are resolved on lines.
+    np.testing.assert_allclose(drawn, want, atol=1e-3 if Bodies is RasterBodies else 1e-5)
 
 
 def test_light_depends_on_nothing_but_time():
@@ -298,5 +303,7 @@ def test_a_closed_scene_says_so():
 
 
 def test_more_samples_than_gl_draws_are_refused():
+    if Bodies is RasterBodies:
+        pytest.skip("the CPU draws without samples")
     with pytest.raises(SceneError, match="use fewer samples"):
         scene(**eros(field_deg=10.0, samples=4, size=(40_000, 8)))

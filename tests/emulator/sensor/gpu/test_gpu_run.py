@@ -62,7 +62,8 @@ def test_noise_of_points_and_jitter_go_with_it():
     assert run_rig(loaded).good
 
 
-def test_a_run_tells_what_draws(gl, capsys):
+def test_a_run_tells_what_draws(gl, capsys, monkeypatch):
+    monkeypatch.setenv("EVSTIM_RENDERER", gl.renderer.split()[0])
     loaded = load_rig("eros")
     run = dataclasses.replace(loaded.run, pace="free", seconds=0.005)
     result = run_rig(dataclasses.replace(loaded, run=run, links=(LoopbackLink(),)), show=True)
