@@ -19,6 +19,8 @@ from multiprocessing.connection import wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 
+from numba import config
+
 from emulator.run.kernels import Part
 from firmware_protocol.numba_cache import cache_folder, checksum_of
 
@@ -44,7 +46,9 @@ class _Running:
 
 
 def cold(parts: Sequence[Part]) -> list[Part]:
-    """Return the parts that have not been compiled on this machine yet."""
+    """Return the parts that have not been compiled on this machine yet; none with NUMBA_DISABLE_JIT."""
+    if getattr(config, "DISABLE_JIT", 0):
+        return []
     return [part for part in parts if not _note(part).exists()]
 
 

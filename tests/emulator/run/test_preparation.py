@@ -10,7 +10,7 @@ import pytest
 
 from emulator.rig.loading import load_rig, shipped_rigs
 from emulator.run import preparation
-from emulator.run.kernels import Part, parts_of
+from emulator.run.kernels import DECODER, Part, parts_of
 from emulator.run.preparation import cold, prepare
 
 
@@ -104,3 +104,9 @@ def test_after_the_preparation_a_run_compiles_nothing(rig, tmp_path, gl):
     )
     told = json.loads(done.stdout.splitlines()[-1])
     assert told == {"failed": [], "cold": [], "compiled": []}
+
+
+def test_nothing_is_prepared_where_numba_is_told_not_to_compile(notes, monkeypatch):
+    assert cold([DECODER]) == [DECODER]
+    monkeypatch.setattr(preparation.config, "DISABLE_JIT", 1)
+    assert cold([DECODER]) == []
