@@ -1,16 +1,12 @@
 """The programs of examples/ run, at small sizes, outside the checkout's folder."""
 
 import json
-import os
 import runpy
 import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
-import pytest
-
-from emulator.gl.context import probe
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
@@ -35,8 +31,6 @@ def test_frames_to_events(monkeypatch, tmp_path):
     assert main("mine.npy") > 64
 
 
-@pytest.mark.gl
-@pytest.mark.skipif(not probe().available and not os.environ.get("CI"), reason="no EGL on this machine")
 def test_own_mesh(monkeypatch, tmp_path):
     main = main_of("own_mesh.py", monkeypatch, tmp_path)
     assert main(None, "0.05") > 100
