@@ -27,7 +27,7 @@ import numpy as np
 import numpy.typing as npt
 
 from firmware_protocol.edges import EdgeKind
-from transports.link.record import load_edges
+from transports.recording.record import load_edges
 
 __all__ = ["main"]
 

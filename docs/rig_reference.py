@@ -16,7 +16,7 @@ from typing import Any
 
 from emulator.rig.fault_tables import known_faults
 from emulator.rig.link_kinds import LINKS
-from emulator.rig.loading import Camera, Run, Trigger
+from emulator.rig.loading import Camera, Run, Trigger, Verdict
 from emulator.rig.scene_kinds import SCENES
 from emulator.sensor.presets import PRESETS
 from emulator.tables.files import RigFile
@@ -36,7 +36,8 @@ def page() -> str:
 def reference() -> str:
     """Return one section for each table of a rig file."""
     tables = [table for name, kind in SCENES.items() for table in _within("scene", kind.parameters, name)]
-    tables += [*_within("camera", Camera), *_within("trigger", Trigger), *_within("run", Run)]
+    alone = {"camera": Camera, "trigger": Trigger, "run": Run, "verdict": Verdict}
+    tables += [table for name, cls in alone.items() for table in _within(name, cls)]
     tables += [table for name, kind in LINKS.items() for table in _within("[links]", kind.parameters, name)]
     tables += [table for kind, cls in known_faults().items() for table in _within("[faults]", cls, kind)]
     places: dict[type, list[str]] = {}

@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Self
 
 import numpy as np
 import numpy.typing as npt
+
+from emulator.geometry.seen import Rays, SceneGeometry
 
 __all__ = ["Light", "MachineLacks", "PixelLight", "Region", "Scene", "SceneError"]
 
@@ -23,12 +25,17 @@ PixelLight = Callable[[int, npt.NDArray[np.int64]], tuple[npt.NDArray[np.float32
 
 @dataclass(frozen=True)
 class Region:
-    """Rows and columns of a part of a picture, the last ones not included."""
+    """Rows and columns of a part of a picture, the last ones not included.
+
+    `boxes`, where given, says more closely where in it: (n, 4) int64, first and last row, first and last column of
+    parts that may overlap or be empty, within the picture. They are for what lies scattered, as stars do.
+    """
 
     first_row: int
     last_row: int
     first_column: int
     last_column: int
+    boxes: npt.NDArray[np.int64] | None = field(default=None, compare=False)
 
     @property
     def empty(self) -> bool:
@@ -41,7 +48,7 @@ class Region:
         return self.first_row, self.last_row, self.first_column, self.last_column
 
     def grown(self, by_px: int, size: tuple[int, int]) -> Region:
-        """Return it with `by_px` more pixels on each side, within a picture of `size` = (width, height)."""
+        """Return it with `by_px` more pixels on each side, within a picture of `size` = (width, height); no boxes."""
         if self.empty:
             return self
         rows = max(0, self.first_row - by_px), min(size[1], self.last_row + by_px)
@@ -119,6 +126,13 @@ class Scene(ABC):
         """Tells the light of single pixels at any instant, the same as in a picture but for rounding.
 
         None, unless a scene knows better: what is drawn is drawn as a whole.
+        """
+        return None
+
+    def geometry(self, rays: Rays | None = None) -> SceneGeometry | None:
+        """Return what is known of the pictures beside their light; None where that is nothing.
+
+        `rays` are where the pixels look; None: where the scene's own do. The scene must stay open.
         """
         return None
 

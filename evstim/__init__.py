@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from firmware_protocol.receiver.davis import DavisReceiver
     from firmware_protocol.receiver.serial import SerialReceiver
     from transports.can_bus.parameters import CanParameters
-    from transports.link.record import load_record
+    from transports.recording.record import load_record
     from transports.serial_line.parameters import SerialParameters
     from transports.usb.loopback_kind import LoopbackLink
     from transports.usb.usbip.parameters import UsbipLink
@@ -143,7 +143,7 @@ _SOURCES = {
     "build_scene": "emulator.run.scene_assembly",
     "events_from_frames": "evstim.frames",
     "events_from_video": "evstim.frames",
-    "load_record": "transports.link.record",
+    "load_record": "transports.recording.record",
     "load_rig": "emulator.rig.loading",
     "parse_rig": "emulator.rig.loading",
     "reconstruct": "evstim.reconstruction",

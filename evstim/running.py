@@ -11,18 +11,25 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
-from typing import Literal, Self
+from typing import TYPE_CHECKING, Any, Literal, Self
 
+from emulator.rig.fault_tables import convert_fault
 from emulator.rig.loading import Rig, load_rig
 from emulator.rig.options import with_options
 from emulator.run.assembly import build_session, link_setups, schedule
 from emulator.run.scene_assembly import build_scene
 from emulator.run.session import RunResult, RunStatus, Session
+from emulator.run.truth.refusal import check_truth
 from firmware_protocol.events import Events
+from transports.faults.kinds import Fault
 from transports.link.pacing import MonotonicClock
+
+if TYPE_CHECKING:
+    from emulator.run.truth.output import TruthFile
 
 __all__ = ["LiveRun", "run"]
 
@@ -36,6 +43,8 @@ def run(
     seed: int | None = None,
     pace: Literal["realtime", "free"] | None = None,
     record: str | Path | None = None,
+    truth: str | Path | None = None,
+    truth_every: int = 1,
 ) -> LiveRun:
     """Return a run of a rig: a context manager that starts it, and an iterator of its events.
 
@@ -46,18 +55,26 @@ def run(
     seed : seed of everything random. By default the rig's own.
     pace : "realtime": every event leaves at its own time; "free": as fast as the machine can, losing nothing.
     record : .npz file for the events that the link delivered; see `load_record`.
+    truth : .h5 file for what is true beside the events: light, depth, flow, labels, poses, origins; see docs/truth.md.
+    truth_every : light, depth, flow and labels go into it of every n-th picture.
 
     Raises
     ------
     RigError
         The rig cannot be used.
     ValueError
-        An option is out of its range, or there is nothing to record.
+        An option is out of its range, or there is nothing to record, or no truth of such a rig.
+    ImportError
+        `truth` needs h5py.
     """
     loaded = rig if isinstance(rig, Rig) else load_rig(str(rig))
     if record is not None and not loaded.links:
         raise ValueError("record: this rig has no link, so no event is delivered")
-    return LiveRun(with_options(loaded, seconds, seed, pace), None if record is None else Path(record))
+    loaded = with_options(loaded, seconds, seed, pace)
+    if truth is not None:
+        check_truth(loaded, Path(truth), truth_every)
+    recorded, true = (None if path is None else Path(path) for path in (record, truth))
+    return LiveRun(loaded, recorded, true, truth_every)
 
 
 class LiveRun:
@@ -70,12 +87,14 @@ class LiveRun:
     ----------
     rig : what runs.
     unread : events that were not queued for the iterator, because the reader was too slow; 0 with pace "free".
+    truth_trouble : why the truth file is not whole; "" where it is, or none was asked for. Known at the end.
     """
 
-    def __init__(self, rig: Rig, record: Path | None = None) -> None:
+    def __init__(self, rig: Rig, record: Path | None = None, truth: Path | None = None, truth_every: int = 1) -> None:
         self.rig = rig
         self.unread = 0
-        self._record = record
+        self.truth_trouble = ""
+        self._record, self._truth, self._truth_every = record, truth, truth_every
         self._changed = threading.Condition()
         self._batches: deque[Events] = deque()
         self._queued = 0
@@ -84,6 +103,7 @@ class LiveRun:
         self._status: RunStatus | None = None
         self._result: RunResult | None = None
         self._error: BaseException | None = None
+        self._faults: deque[Fault] = deque()
         self._stopping = self._ended = self._discarding = False
 
     @property
@@ -97,6 +117,28 @@ class LiveRun:
     def status(self) -> RunStatus | None:
         """Counts and link states now, renewed ten times a second; None while the run starts."""
         return self._status
+
+    def wait_until_ready(self, timeout_s: float = 300.0) -> Mapping[str, str | None]:
+        """Wait until every link is open and stream time runs; return the address of each link by its name.
+
+        Raises TimeoutError after `timeout_s`, what went wrong where the run could not start, and RuntimeError where it
+        ended first.
+        """
+        with self._changed:
+            come = self._changed.wait_for(lambda: self._status is not None or self._ended, timeout_s)
+        if not come:
+            raise TimeoutError(f"the run of {self.rig.name!r} is not ready after {timeout_s:g} s")
+        if self._status is None:
+            self._join()
+            raise RuntimeError(f"the run of {self.rig.name!r} ended before it was ready")
+        return {name: link.address for name, link in self._status.links.items()}
+
+    def inject(self, fault: Mapping[str, Any]) -> None:
+        """Begin a fault within a tenth of a second: a table as [[faults]] of a rig has it, without `at_s`.
+
+        Raises TableError for a fault that no link of this rig can have.
+        """
+        self._faults.append(convert_fault(dict(fault), self.rig.links, ()))
 
     def stop(self) -> None:
         """End the run after its present step."""
@@ -167,16 +209,32 @@ class LiveRun:
             self._changed.notify_all()
 
     def _run(self) -> None:
-        with build_scene(self.rig) as scene:
-            session = build_session(self.rig, scene, link_setups(self.rig, self._record), MonotonicClock())
+        with build_scene(self.rig) as scene, self._opened_truth() as truth:
+            session = build_session(self.rig, scene, link_setups(self.rig, self._record), MonotonicClock(), truth)
             with self._changed:
                 self._session = session
                 if self._stopping:
                     session.stop()
             self._result = session.run(schedule(self.rig), self._renew, self._take)
 
+    @contextmanager
+    def _opened_truth(self) -> Iterator[TruthFile | None]:
+        if self._truth is None:
+            yield None
+            return
+        from emulator.run.truth.output import TruthFile
+
+        with TruthFile(self.rig, self._truth, self._truth_every) as truth:
+            yield truth
+        self.truth_trouble = truth.trouble
+
     def _renew(self, status: RunStatus) -> None:
-        self._status = status
+        """Take the news of the session, in its thread, and hand over what was asked for meanwhile."""
+        with self._changed:
+            self._status = status
+            self._changed.notify_all()
+        while self._session is not None and self._faults:
+            self._session.inject(self._faults.popleft())
 
     def _take(self, events: Events) -> None:
         """Queue the events of a step."""

@@ -54,7 +54,7 @@ class Sensor:
 
     Parameters
     ----------
-    model : name of a preset ("davis346", "dvxplorer_micro", "imx636"), or SensorParameters.
+    model : name of a preset ("davis346", "dvxplorer_micro", "imx636", "ideal"), or SensorParameters.
     seed : seed of everything random; the same seed and pictures give the same events.
     figures : any field of SensorParameters, such as `threshold_on=0.2`, `width=64` or `noise={"rms": 0.05}`.
 

@@ -9,10 +9,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import numpy.typing as npt
 
 from firmware_protocol.events import EVENT, Events, empty_events
 
-__all__ = ["copy_events", "join_events"]
+__all__ = ["bytes_of", "copy_events", "join_events"]
 
 _RECORD = f"V{EVENT.itemsize}"
 
@@ -28,3 +29,13 @@ def join_events(parts: Sequence[Events]) -> Events:
     if len(filled) < 2:
         return filled[0] if filled else empty_events()
     return np.concatenate([part.view(_RECORD) for part in filled]).view(EVENT)
+
+
+def bytes_of(records: npt.NDArray[np.void]) -> npt.NDArray[np.uint8]:
+    """Return the bytes of packed records, such as (n,) EVENT, for compiled code; (n * size,).
+
+    Records that are read-only or have gaps are copied: each kind of array would be compiled for anew.
+    """
+    if not (records.flags.c_contiguous and records.flags.writeable):
+        records = records.view(f"V{records.dtype.itemsize}").copy()
+    return records.view(np.uint8)

@@ -10,6 +10,7 @@ A device is sans-I/O. Events and edges go in with stream time; each gets exactly
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from firmware_protocol.edges import Edges
@@ -131,9 +132,19 @@ class EventDevice(ABC):
         return _FOREVER_US
 
     @property
+    def silent_until_us(self) -> int:
+        """Time, as it is told to the device, until which it sends nothing, because its host is not ready before."""
+        return 0
+
+    @property
     def epoch_us(self) -> int:
         """Time, as it is told to the device, at which the device's own clock was last zero."""
         return 0
+
+    @property
+    def sensor_factors(self) -> Mapping[str, float]:
+        """What its host's settings multiply figures of the sensor by, by their names; those not named stay."""
+        return {}
 
     @property
     @abstractmethod

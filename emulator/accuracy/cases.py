@@ -22,6 +22,7 @@ from emulator.accuracy.light import (
     SlowRamp,
     TexturedDisc,
 )
+from emulator.accuracy.profiles import ShadedEdge, ThinLine, TurningBody
 from emulator.sensor.presets import SensorParameters
 
 __all__ = ["CASES", "PLAIN", "QUICK", "Swept"]
@@ -73,6 +74,9 @@ CASES = (
         _SLOW,
     ),
     Swept(Case("ramp", SlowRamp(), PLAIN, 2.0), "slow ramps, 0.3 to 3 ln units a second", _SLOW),
+    Swept(Case("kinked", ShadedEdge(), PLAIN, 0.35), "kinked edge of 0.6 px, shaded, 100 px/s", _FAST),
+    Swept(Case("line", ThinLine(profile="blurred"), PLAIN, 0.35), "line of 1 px, 0.6 px blur, 100 px/s", _FAST),
+    Swept(Case("body", TurningBody(), PLAIN, 0.6), "turning body, 6 : 1, 100 px/s", _FAST),
     Swept(Case("dark", Dark(), dataclasses.replace(PLAIN, leak_hz=2.0), 2.0), "dark: leak alone, 2 Hz", _SLOW),
 )
 """All scenes of the chart."""

@@ -130,20 +130,36 @@ def draw_rendering(rows: Sequence[Drawn], stem: Path) -> list[Path]:
     """Draw false and missed events of each rig's settings against the time of a picture."""
     plt = pyplot()
     names = list(dict.fromkeys(row.rig for row in rows))
-    figure, grid = plt.subplots(1, len(names), figsize=(4.6 * len(names), 4.4), **_GRID)
-    for axes, name in zip(grid[0], names, strict=True):
-        for k, row in enumerate(row for row in rows if row.rig == name):
+    settings = list(dict.fromkeys(row.setting for row in rows))
+    columns = min(_COLUMNS, len(names))
+    bands = math.ceil(len(names) / columns)
+    figure, grid = plt.subplots(bands, columns, figsize=(4.0 * columns, 3.6 * bands + 1.0), **_GRID)
+    for axes, name in zip(grid.ravel(), names, strict=False):
+        for row in (row for row in rows if row.rig == name):
+            k = settings.index(row.setting)
             share = 100 * _above(row.false + row.missed, _FLOOR_SHARE)
-            axes.plot(row.ms, share, marker="os^Dv<>p"[k % 8], color=f"C{k}", linestyle="", label=row.setting)
-        axes.set_title(name, fontsize=10)
-        axes.set_xscale("log")
-        axes.set_yscale("log")
-        axes.set_xlabel("ms a picture, with its derivative", fontsize=9)
-        axes.set_ylabel("false + missed events, %", fontsize=9)
-        axes.grid(True, which="both", alpha=0.3)
-        axes.tick_params(labelsize=8, which="both")
-    _legend(figure, grid[0][0])
+            axes.plot(row.ms, share, marker="os^Dv<>pXP*h"[k % 12], color=f"C{k % 10}", linestyle="", label=row.setting)
+        _name_rendering(axes, name)
+    for axes in grid.ravel()[len(names) :]:
+        axes.set_visible(False)
+    shown: dict[str, Any] = {}
+    for axes in grid.ravel():
+        shown |= {label: handle for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
+    figure.legend(
+        shown.values(), shown, loc="outside upper center", ncols=min(4, len(shown)), frameon=False, fontsize=8
+    )
     return save(figure, stem)
+
+
+def _name_rendering(axes: Any, name: str) -> None:
+    axes.set_title(name, fontsize=10)
+    axes.set_xlim(left=0)
+    axes.set_yscale("log")
+    axes.set_ylim(0.1, 200)
+    axes.set_xlabel("CPU ms a picture, all threads", fontsize=9)
+    axes.set_ylabel("false + missed events, %", fontsize=9)
+    axes.grid(True, which="both", alpha=0.3)
+    axes.tick_params(labelsize=8, which="both")
 
 
 def draw_stability(cells: Sequence[Cell], sweeps: Sequence[Sweep], stem: Path) -> list[Path]:

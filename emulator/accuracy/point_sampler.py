@@ -8,7 +8,7 @@ sample in its box, and the light of a pixel is the mean of its samples. Depth an
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
@@ -36,30 +36,31 @@ class PointSampler:
         shape = size[1] * samples, size[0] * samples
         self._nearness, self._light = np.zeros(shape), np.zeros(shape)
 
-    def draw(self, corners_m: _Floats, light: _Floats) -> npt.NDArray[np.float32]:
+    def draw(self, parts: Iterable[tuple[_Floats, _Floats]]) -> npt.NDArray[np.float32]:
         """Return the mean light of each pixel, (height, width) float32.
 
         Parameters
         ----------
-        corners_m : (facets, 3, 3), camera axes: x right, y down, z along the boresight.
-        light : (facets, 3), at the corners.
+        parts : of the scene, each as corners, (facets, 3, 3) m in camera axes (x right, y down, z along the boresight),
+            and light at the corners, (facets, 3).
         """
-        near, seen = clipped(corners_m, light)
-        middle = np.array([self._size[0], self._size[1]]) * self._samples / 2
-        nearness = 1 / near[:, :, 2]
-        places = near[:, :, :2] * nearness[:, :, None] * self._focal + middle
+        middle = self._size[0] * self._samples / 2, self._size[1] * self._samples / 2
         self._nearness[:] = 0.0
         self._light[:] = 0.0
-        _fill(places, nearness, seen, self._nearness, self._light)
-        width, height = self._size
-        blocks = self._light.reshape(height, self._samples, width, self._samples)
-        return np.asarray(blocks.mean(axis=(1, 3)), np.float32)
+        for corners_m, light in parts:
+            _fill(*clipped(corners_m, light), (self._focal, *middle), self._nearness, self._light)
+        out = np.empty((self._size[1], self._size[0]), np.float32)
+        _average(self._light, self._samples, out)
+        return out
 
 
 def clipped(corners_m: _Floats, light: _Floats, nearest_m: float = 1e-3) -> tuple[_Floats, _Floats]:
     """Return the parts of facets beyond `nearest_m` along the boresight, (n, 3, 3), and the light at their corners."""
     before = corners_m[:, :, 2] > nearest_m
-    whole, cut = before.all(axis=1), before.any(axis=1) & ~before.all(axis=1)
+    whole = before[:, 0] & before[:, 1] & before[:, 2]
+    cut = (before[:, 0] | before[:, 1] | before[:, 2]) & ~whole
+    if whole.all():
+        return corners_m, light
     parts = [_cut(*facet, nearest_m) for facet in zip(corners_m[cut], light[cut], strict=True)]
     more = [part for one in parts for part in one]
     if not more:
@@ -82,18 +83,19 @@ def _cut(corners: _Floats, light: _Floats, nearest_m: float) -> list[tuple[_Floa
 
 
 @_compiled
-def _fill(places: _Floats, nearness: _Floats, light: _Floats, nearest: _Floats, out: _Floats) -> None:
+def _fill(corners: _Floats, light: _Floats, screen: tuple[float, float, float], nearest: _Floats, out: _Floats) -> None:
     rows, columns = nearest.shape
-    for f in range(places.shape[0]):
-        ax, ay = places[f, 0, 0], places[f, 0, 1]
-        bx, by = places[f, 1, 0], places[f, 1, 1]
-        cx, cy = places[f, 2, 0], places[f, 2, 1]
+    focal, middle_x, middle_y = screen
+    for f in range(corners.shape[0]):
+        wa, wb, wc = 1 / corners[f, 0, 2], 1 / corners[f, 1, 2], 1 / corners[f, 2, 2]
+        ax, ay = corners[f, 0, 0] * wa * focal + middle_x, corners[f, 0, 1] * wa * focal + middle_y
+        bx, by = corners[f, 1, 0] * wb * focal + middle_x, corners[f, 1, 1] * wb * focal + middle_y
+        cx, cy = corners[f, 2, 0] * wc * focal + middle_x, corners[f, 2, 1] * wc * focal + middle_y
         area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
         if area == 0.0 or not math.isfinite(area):
             continue
         top, bottom = max(0, math.ceil(min(ay, by, cy) - 0.5)), min(rows - 1, math.floor(max(ay, by, cy) - 0.5))
         left, right = max(0, math.ceil(min(ax, bx, cx) - 0.5)), min(columns - 1, math.floor(max(ax, bx, cx) - 0.5))
-        wa, wb, wc = nearness[f, 0], nearness[f, 1], nearness[f, 2]
         for row in range(top, bottom + 1):
             y = row + 0.5
             for column in range(left, right + 1):
@@ -108,3 +110,14 @@ def _fill(places: _Floats, nearness: _Floats, light: _Floats, nearest: _Floats, 
                     nearest[row, column] = near
                     seen = a * wa * light[f, 0] + b * wb * light[f, 1] + c * wc * light[f, 2]
                     out[row, column] = seen / near
+
+
+@_compiled
+def _average(samples: _Floats, side: int, out: npt.NDArray[np.float32]) -> None:
+    for row in range(out.shape[0]):
+        for column in range(out.shape[1]):
+            total = 0.0
+            for i in range(row * side, (row + 1) * side):
+                for j in range(column * side, (column + 1) * side):
+                    total += samples[i, j]
+            out[row, column] = total / (side * side)

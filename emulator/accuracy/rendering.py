@@ -1,10 +1,10 @@
 """How right the events of drawn scenes are: false and missed events, times, and traces of the picture rate, against ms.
 
-A rig's scene is drawn in several ways, and each time the same sensor, without leak and noise, looks at it for the same
-stretch of time. The truth is the same scene by 16 x 16 point samples a pixel at a sixteenth of the step, joined by
-straight lines, from code that shares nothing with the renderers but the facets, the paths and the laws of reflection
-(`sampled_bodies`). Rigs are looked at with half as many pixels a side and steps twice as long, so that motion in pixels
-a step is that of the rig. For each pixel the two sequences of polarities are laid side by side:
+A rig's scene is drawn in several ways, as large as the rig says, and each time the same sensor, without leak and
+noise, looks at it for the same stretch of time. The truth is the same scene by 16 x 16 point samples a pixel at a
+sixteenth of the step (terrain: 8 x 8 at an eighth), joined by straight lines, from code that shares nothing with the
+renderers but the surface (facets, normals, albedo, the map), the paths and the laws of reflection (`sampled_bodies`,
+`sampled_terrain`). For each pixel the two sequences of polarities are laid side by side:
 
     false      events that cannot be paired in order with one of the truth         both over the events of the truth
     missed     events of the truth that cannot be paired
@@ -27,6 +27,7 @@ import numpy as np
 from emulator.accuracy.comb import comb_of
 from emulator.accuracy.metrics import compare
 from emulator.accuracy.sampled_bodies import SampledBodies
+from emulator.accuracy.sampled_terrain import SampledTerrain
 from emulator.accuracy.sequences import Events as Sequences
 from emulator.accuracy.sequences import common_subsequences
 from emulator.accuracy.stream import Stream
@@ -38,15 +39,38 @@ from emulator.run.frames import Pictures
 from emulator.scene.bodies.gl_bodies import GlBodies
 from emulator.scene.bodies.raster_bodies import RasterBodies
 from emulator.scene.bodies.table import BodiesParameters
+from emulator.scene.terrain.gl_terrain import GlTerrain
+from emulator.scene.terrain.raster_terrain import RasterTerrain
+from emulator.scene.terrain.table import TerrainParameters
 from emulator.sensor.effects import NoiseParameters
 from emulator.sensor.sensor import Sensor
-from firmware_protocol.events import Events, empty_events
+from firmware_protocol.events import empty_events
 
-__all__ = ["SETTINGS", "Drawn", "Setting", "fits", "rendering_rows"]
+__all__ = ["SETTINGS", "TERRAIN_SETTINGS", "Drawn", "Setting", "Stretch", "fits", "rendering_rows", "rows_of"]
 
-_STEPS = 24
-_FINER = 16
-_HALF = 2  # of the pixels a side, and steps as many times longer
+
+@dataclass(frozen=True)
+class Stretch:
+    """A part of a rig's stream, and how finely its truth is sampled.
+
+    Attributes
+    ----------
+    start_s : of the stream.
+    steps : of the rig; a multiple of four.
+    samples : of the truth, along each side of a pixel.
+    finer : pictures of the truth in a step of the rig.
+    """
+
+    start_s: float = 0.0
+    steps: int = 12
+    samples: int = 16
+    finer: int = 16
+
+
+_STRETCHES = {
+    "eros": (Stretch(steps=48),),  # few events in a step
+    "malapert": tuple(Stretch(start_s, samples=8, finer=8) for start_s in (20.0, 40.0, 120.0, 150.0)),
+}
 
 
 @dataclass(frozen=True)
@@ -59,12 +83,14 @@ class Setting:
     samples : along each side of a pixel, by GL; 0: exact coverage, by the CPU.
     with_rate : whether the sensor gets the time derivative.
     step_share : length of the step, times the rig's.
+    parts : of a pixel of terrain, along its shorter side, by the CPU; 0: as the rig says.
     """
 
     name: str
     samples: int = 0
     with_rate: bool = True
     step_share: float = 1.0
+    parts: int = 0
 
 
 SETTINGS = (
@@ -76,6 +102,14 @@ SETTINGS = (
     Setting("GL, 2 x 2 samples, line", 2, with_rate=False),
     Setting("GL, 4 x 4 samples, line", 4, with_rate=False),
 )
+TERRAIN_SETTINGS = (
+    Setting("CPU, as shipped", with_rate=False),
+    Setting("CPU, as shipped, steps x 2", with_rate=False, step_share=2.0),
+    Setting("CPU, 1 part", with_rate=False, parts=1),
+    Setting("CPU, 4 x 4 parts", with_rate=False, parts=4),
+    Setting("GL, 2 x 2 samples, line", 2, with_rate=False),
+    Setting("GL, 4 x 4 samples, line", 4, with_rate=False),
+)
 
 
 @dataclass(frozen=True)
@@ -84,7 +118,7 @@ class Drawn:
 
     Attributes
     ----------
-    rig, setting : names.
+    rig, setting : names; with the start of the stretch where it is not 0.
     ms : CPU milliseconds a picture, least.
     false, missed : over the events of the truth.
     t50_ms, t95_ms : quantiles of time errors.
@@ -110,66 +144,90 @@ class Drawn:
 
 @dataclass(frozen=True)
 class _Look:
-    """A rig's camera at half size, over some steps."""
+    """A rig's camera over a stretch of its stream."""
 
     rig: Rig
-    size: tuple[int, int]
-    duration_ns: int
+    stretch: Stretch
+
+    @property
+    def step_ns(self) -> int:
+        """The rig's step."""
+        return self.rig.run.step_us * 1000
 
     def scene(self, build: Callable[..., Scene]) -> Scene:
         """Return the scene that `build(parameters, pinhole)` makes, through the rig's lens."""
         camera = self.rig.camera
-        return Through(camera.lens, CAMERA_MODELS[camera.model].chip, self.size, partial(build, self.rig.scene))
+        return Through(camera.lens, CAMERA_MODELS[camera.model].chip, camera.size, partial(build, self.rig.scene))
+
+    def truth(self) -> Stream:
+        """Return the events of the scene by point samples."""
+        build = SampledTerrain if _is_ground(self.rig) else SampledBodies
+        with self.scene(partial(build, samples=self.stretch.samples)) as scene:
+            return self.events(scene, self.step_ns // self.stretch.finer, with_rate=False)[0]
 
     def events(self, scene: Scene, step_ns: int, *, with_rate: bool) -> tuple[Stream, float]:
         """Return the events of the stretch in steps of `step_ns`, and the least CPU milliseconds a picture."""
         sensor = Sensor(self._quiet(), self.rig.run.seed)
-        pictures = Pictures(scene, with_rate=with_rate)
-        pictures.draw(0)
+        pictures, first_ns = Pictures(scene, with_rate=with_rate), round(self.stretch.start_s * 1e9)
+        pictures.draw(first_ns)
         sensor.reset(pictures.light, 0)
         events, spent_s = [empty_events()], []
-        for t_ns in range(step_ns, self.duration_ns + 1, step_ns):
+        for t_ns in range(step_ns, self.stretch.steps * self.step_ns + 1, step_ns):
             start_s = time.process_time()
-            pictures.draw(t_ns)
+            pictures.draw(first_ns + t_ns)
             spent_s.append(time.process_time() - start_s)
             events.append(sensor.expose(pictures.light, t_ns, pictures.rate))
         events.append(sensor.finish())
-        return Stream.from_events(_joined(events), *self.size), 1e3 * min(spent_s)
+        return Stream.from_events(np.concatenate(events), *self.rig.camera.size), 1e3 * min(spent_s)
 
     def _quiet(self) -> Any:
-        width, height = self.size
-        sensor = self.rig.camera.sensor
-        return dataclasses.replace(sensor, width=width, height=height, leak_hz=0.0, noise=NoiseParameters())
+        return dataclasses.replace(self.rig.camera.sensor, leak_hz=0.0, noise=NoiseParameters())
 
 
 def fits(rig: Rig) -> bool:
-    """Return whether a rig's scene is one of bodies."""
-    return isinstance(rig.scene, BodiesParameters)
+    """Return whether a rig's scene is one of bodies or terrain."""
+    return isinstance(rig.scene, BodiesParameters | TerrainParameters)
 
 
-def rendering_rows(rigs: Sequence[Rig], steps: int = _STEPS) -> Iterator[Drawn]:
-    """Yield one row for each rig and setting; `steps` steps of the rig, a multiple of four."""
-    for rig in rigs:
-        step_ns = _HALF * rig.run.step_us * 1000
-        size = max(8, rig.camera.size[0] // _HALF), max(8, rig.camera.size[1] // _HALF)
-        look = _Look(rig, size, steps * step_ns)
-        with look.scene(SampledBodies) as scene:
-            truth, _ = look.events(scene, step_ns // _FINER, with_rate=False)
-        for setting in SETTINGS:
-            own_ns = round(step_ns * setting.step_share)
+def rendering_rows(rigs: Sequence[Rig], stretch: Stretch | None = None) -> Iterator[Drawn]:
+    """Yield a row for each rig, stretch and setting; of each rig `stretch` alone, where it is given."""
+    for look in _looks(rigs, stretch):
+        rig, start_s = look.rig, look.stretch.start_s
+        name = f"{rig.name}, {start_s:g} s" if start_s else rig.name
+        truth = look.truth()
+        for setting in _settings_of(rig):
+            own_ns = round(look.step_ns * setting.step_share)
             with look.scene(_builder(rig, setting)) as scene:
                 stream, ms = look.events(scene, own_ns, with_rate=setting.with_rate)
-            yield _compared((rig.name, setting.name), stream, truth, ms, own_ns)
+            yield _compared((name, setting.name), stream, truth, ms, own_ns)
+
+
+def rows_of(rigs: Sequence[Rig], stretch: Stretch | None = None) -> int:
+    """Return how many rows there will be."""
+    return sum(len(_settings_of(look.rig)) for look in _looks(rigs, stretch))
+
+
+def _looks(rigs: Sequence[Rig], stretch: Stretch | None) -> Iterator[_Look]:
+    for rig in rigs:
+        for own in (stretch,) if stretch else _STRETCHES.get(rig.name, (Stretch(),)):
+            yield _Look(rig, own)
+
+
+def _settings_of(rig: Rig) -> tuple[Setting, ...]:
+    return TERRAIN_SETTINGS if _is_ground(rig) else SETTINGS
+
+
+def _is_ground(rig: Rig) -> bool:
+    return isinstance(rig.scene, TerrainParameters)
 
 
 def _builder(rig: Rig, setting: Setting) -> Callable[..., Scene]:
-    if not setting.samples:
-        return RasterBodies
-    return lambda parameters, pinhole: GlBodies(dataclasses.replace(parameters, samples=setting.samples), pinhole)
-
-
-def _joined(events: list[Events]) -> Events:
-    return np.concatenate(events)
+    by_cpu, by_gl = (RasterTerrain, GlTerrain) if _is_ground(rig) else (RasterBodies, GlBodies)
+    drawn: Callable[..., Scene] = by_gl if setting.samples else by_cpu
+    samples = setting.samples or setting.parts
+    if not samples:
+        return drawn
+    return lambda parameters, pinhole: drawn(dataclasses.replace(parameters, samples=samples), pinhole)
 
 
 def _compared(names: tuple[str, str], stream: Stream, truth: Stream, ms: float, step_ns: int) -> Drawn:

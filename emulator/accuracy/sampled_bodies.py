@@ -19,8 +19,9 @@ from emulator.geometry.attitude import unit
 from emulator.geometry.pinhole import Pinhole
 from emulator.light import Light, MachineLacks, Scene
 from emulator.scene.bodies.arrangement import Arrangement, Placed
-from emulator.scene.bodies.mesh import Mesh, find_shape, load_mesh
+from emulator.scene.bodies.mesh import Mesh
 from emulator.scene.bodies.table import BodiesParameters, BodyTable
+from emulator.scene.bodies.world import BodyWorld
 from emulator.trajectory.building import build_trajectory
 from emulator.trajectory.pose import Pose
 from emulator.trajectory.timescale import Timescale
@@ -29,17 +30,18 @@ __all__ = ["SampledBodies"]
 
 _Floats = npt.NDArray[np.float64]
 _DISC_POINTS = 16
-_LIFT = 1e-4  # of the body's radius: how far above its surface a ray to the Sun starts
+_LIFT = 2e-6  # of the body's radius: how far above it rays to the Sun start; 1e-4 is above low shadows
 _SMALLEST_SHARE = 32  # of a body's radius: flat facets are divided to this part of it
 
 
 @dataclass(frozen=True, eq=False)
 class _Body:
-    """A body's points, (n, 3) metres in its own frame, their normals, and the points of each facet, (facets, 3)."""
+    """A body's points, (n, 3) m in its own frame, their normals and albedo, and those of each facet, (facets, 3)."""
 
     table: BodyTable
     points_m: _Floats
     normals: _Floats
+    albedo: _Floats
     facets: npt.NDArray[np.int64]
     lift_m: float
     rays: Any
@@ -51,8 +53,8 @@ class SampledBodies(Scene):
     def __init__(self, parameters: BodiesParameters, pinhole: Pinhole, samples: int = 16) -> None:
         self._p, self._pinhole = parameters, pinhole
         self._time = Timescale(parameters.time_scale)
+        meshes = _meshes(parameters, pinhole)
         self._camera = build_trajectory(parameters.camera)
-        meshes = [load_mesh(find_shape(table.shape), table.units_m) for table in parameters.bodies]
         names = [table.name for table in parameters.bodies]
         placed = [
             Placed(build_trajectory(t.path), names.index(t.fixed_to) if t.fixed_to else None, mesh.radius_m)
@@ -82,9 +84,7 @@ class SampledBodies(Scene):
         """Write the radiance at `t_ns` into `out`, (height, width) float32."""
         scene_ns = self._time.scene_ns(t_ns)
         camera, poses = self._camera.pose(scene_ns), self._arrangement.poses(scene_ns)
-        seen = [self._seen(k, camera, poses) for k in range(len(poses))]
-        corners, light = (np.concatenate(values) for values in zip(*seen, strict=True))
-        out[:] = self._sampler.draw(corners, light)
+        out[:] = self._sampler.draw(self._seen(k, camera, poses) for k in range(len(poses)))
 
     def close(self) -> None:
         """Do nothing: it holds memory only."""
@@ -103,7 +103,7 @@ class SampledBodies(Scene):
         around = np.abs(mu)
         radiance = self._p.sun.irradiance_w_m2 * lit * self._sunlit(points + normals * body.lift_m, lit > 0, poses)
         radiance += self._p.ambient_w_m2 * law.reflect(around, around, 0.0)
-        return (from_eye @ camera.world_from_body)[body.facets], radiance[body.facets]
+        return (from_eye @ camera.world_from_body)[body.facets], (body.albedo * radiance)[body.facets]
 
     def _sunlit(self, starts_m: _Floats, wanted: npt.NDArray[np.bool_], poses: list[Pose]) -> _Floats:
         """Return the share of the Sun's disc that each point sees, (n,); of those that are not wanted, 1."""
@@ -121,22 +121,35 @@ class SampledBodies(Scene):
         return share
 
 
+def _meshes(parameters: BodiesParameters, pinhole: Pinhole) -> list[Mesh]:
+    """Return the shape of each body, with its detail."""
+    world = BodyWorld(parameters, pinhole)
+    world.close()
+    return world.meshes
+
+
 def _body(table: BodyTable, mesh: Mesh) -> _Body:
     lift_m, rays = _LIFT * mesh.radius_m, _rays(mesh)
     if table.smooth:
-        return _Body(table, mesh.vertices, mesh.normals, mesh.faces.astype(np.int64), lift_m, rays)
-    corners = _divided(mesh.vertices[mesh.faces], mesh.radius_m / _SMALLEST_SHARE)
+        return _Body(table, mesh.vertices, mesh.normals, mesh.vertex_albedo, mesh.faces.astype(np.int64), lift_m, rays)
+    albedo = np.ones(mesh.faces.shape) if mesh.albedo is None else mesh.albedo
+    both = np.concatenate([mesh.vertices[mesh.faces], albedo[:, :, None]], axis=2)
+    both = _divided(both, mesh.radius_m / _SMALLEST_SHARE)
+    corners, albedo = both[:, :, :3], both[:, :, 3]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     across /= np.linalg.norm(across, axis=1, keepdims=True)
     facets = np.arange(3 * len(corners)).reshape(-1, 3)
-    return _Body(table, corners.reshape(-1, 3), np.repeat(across, 3, axis=0), facets, lift_m, rays)
+    return _Body(table, corners.reshape(-1, 3), np.repeat(across, 3, axis=0), albedo.ravel(), facets, lift_m, rays)
 
 
 def _divided(corners: _Floats, size_m: float) -> _Floats:
-    """Return facets cut in halves across their longest sides until none is longer than `size_m`."""
+    """Return facets cut in halves across their longest sides until none is longer than `size_m`.
+
+    `corners` are (facets, 3, 4): places, and values that are linear between them.
+    """
     done = []
     while len(corners):
-        sides = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
+        sides = np.linalg.norm((np.roll(corners, -1, axis=1) - corners)[:, :, :3], axis=2)
         long = sides.max(axis=1) > size_m
         done.append(corners[~long])
         turned = (
@@ -164,7 +177,7 @@ def _disc(sun: _Floats, radius_rad: float) -> _Floats:
     """Return directions to points spread evenly over the Sun's disc, (points, 3): Vogel's spiral."""
     k = np.arange(_DISC_POINTS) + 0.5
     radius, turn = radius_rad * np.sqrt(k / _DISC_POINTS), k * math.pi * (3 - math.sqrt(5))
-    aside = unit(np.cross(sun, np.eye(3)[np.abs(sun).argmin()]))
-    up = np.cross(sun, aside)
-    around = np.outer(radius * np.cos(turn), aside) + np.outer(radius * np.sin(turn), up)
+    across = unit(np.cross(sun, np.eye(3)[np.abs(sun).argmin()]))
+    up = np.cross(sun, across)
+    around = np.outer(radius * np.cos(turn), across) + np.outer(radius * np.sin(turn), up)
     return np.asarray((sun + around) / np.linalg.norm(sun + around, axis=1, keepdims=True))

@@ -66,7 +66,14 @@ class PixelSteps:
     def run(self) -> tuple[float, float]:
         """Return ms a step, and the mean share of pixels that fired."""
         width, height = self.size
-        sensor = dataclasses.replace(PRESETS["davis346"], width=width, height=height, leak_hz=0.0)
+        sensor = dataclasses.replace(
+            PRESETS["davis346"],
+            width=width,
+            height=height,
+            leak_hz=0.0,
+            parasitic_hz_at_reference=0.0,
+            source_follower_hz=0.0,
+        )
         turn = 2 * np.pi / _TURN if self.fires else 0.0
         pictures = [grating(sensor, -turn * k, turn) for k in range(_TURN if self.fires else 1)]
         array = (GpuArray if self.on_card else PixelArray)(sensor, 1)

@@ -8,8 +8,9 @@ from typing import Literal
 
 from emulator.bench import link, pixel, serial_line, word
 from emulator.bench.c_decoder import COMPILER, CDecoding
+from emulator.bench.evt3 import Evt3Bytes, Evt3Decoding, Evt3Encoding
 from emulator.bench.gpu import Drawing, PixelSteps, Reading
-from emulator.bench.noise import NoiseLoad
+from emulator.bench.noise import NoiseLoad, NoiseShare
 from emulator.bench.scene import Workload
 from emulator.bench.scenes_alike import ScenesAlike
 from emulator.bench.telemetry import BlockBits, BlockDecoding, BlockEncoding
@@ -47,7 +48,7 @@ _RIGS: tuple[tuple[str, float | None, float | None], ...] = (
     ("eros-flyover", 150, 60),
     ("rendezvous", None, None),
     ("malapert", 60, 25),
-    ("stars", 1000, 300),
+    ("stars", 1000, 1500),
 )
 
 
@@ -78,19 +79,31 @@ def _of_the_card(size: tuple[int, int]) -> tuple[Measure, ...]:
 
 
 MEASURES = (
-    Measure("pixel_quiet", "Mpixel/s", "higher", 900, pixel.pixel_quiet),
-    Measure("pixel_5pct", "Mpixel/s", "higher", 400, pixel.pixel_5pct),
+    Measure("pixel_quiet", "Mpixel/s", "higher", 1000, pixel.pixel_quiet),
+    Measure("pixel_5pct", "Mpixel/s", "higher", 550, pixel.pixel_5pct),
     Measure("pixel_quiet_line", "Mpixel/s", "higher", 1000, pixel.pixel_quiet_line),
     Measure("pixel_5pct_line", "Mpixel/s", "higher", 500, pixel.pixel_5pct_line),
+    Measure("pixel_changing", "Mpixel/s", "higher", 1000, pixel.pixel_changing),
+    Measure("pixel_still", "Mpixel/s", "higher", 20_000, pixel.pixel_still),
+    Measure("pixel_still_compared", "Mpixel/s", "higher", 4000, pixel.pixel_still_compared),
+    Measure("two_threads_1pct", "times", "higher", 1.6, pixel.TwoThreads(0.01)),
+    Measure("two_threads_15pct", "times", "higher", 1.6, pixel.TwoThreads(0.15)),
     Measure("pixel_edges", "Mev/s", "higher", 10, pixel.pixel_edges),
     Measure("noise_rare", "us/step", "lower", 10, NoiseLoad(0.01)),
     Measure("noise_1hz", "us/step", "lower", 10, NoiseLoad(1.0)),
+    Measure("noise_1hz_whole", "times", "lower", 1.3, NoiseShare(1.0)),
     Measure("noise_10hz", "us/step", "lower", None, NoiseLoad(10.0)),
     Measure("noise_10hz_read_out", "us/step", "lower", None, NoiseLoad(10.0, with_readout=True)),
     Measure("scenes_alike_64", "times", "lower", 2, ScenesAlike(64)),
     Measure("scenes_alike_4096", "times", "lower", 2, ScenesAlike(4096)),
     Measure("words_encode", "Mev/s", "higher", 80, word.words_encode),
     Measure("words_decode", "Mev/s", "higher", 40, word.words_decode),
+    Measure("evt3_encode_target", "Mev/s", "higher", 60, Evt3Encoding("target")),
+    Measure("evt3_encode_rows", "Mev/s", "higher", 60, Evt3Encoding("rows")),
+    Measure("evt3_decode_target", "Mev/s", "higher", 40, Evt3Decoding("target")),
+    Measure("evt3_decode_rows", "Mev/s", "higher", 40, Evt3Decoding("rows")),
+    Measure("evt3_bytes_target", "bytes/ev", "lower", None, Evt3Bytes("target")),
+    Measure("evt3_bytes_rows", "bytes/ev", "lower", None, Evt3Bytes("rows")),
     Measure("blocks_encode_stars", "Mev/s", "higher", 10, BlockEncoding("stars")),
     Measure("blocks_encode_target", "Mev/s", "higher", 10, BlockEncoding("target")),
     Measure("blocks_decode_stars", "Mev/s", "higher", 10, BlockDecoding("stars")),

@@ -1,4 +1,4 @@
-"""Speed of the pixel step: full physics of the DAVIS346 preset, one thread, 1 ms steps, sorted event list included.
+"""Speed of the pixel step: DAVIS346 without its source follower, one thread, 1 ms steps, sorted event list included.
 
 Timed is `PixelArray.step` alone, call by call; the frame is written into one buffer before each call, as a renderer
 would. The figure is the pixels of the sensor over the median time of a step. The light comes with its time derivative,
@@ -7,6 +7,9 @@ as it does by default in a run: log light as a cubic; `line` is the same without
     quiet    still light, a different level at each pixel; nothing fires
     5 pct    a sine grating in log light, oblique, 40 pixels to a period, drifting at the speed that makes 5 % of the
              pixels fire in each step: every pixel's light changes in every step, rising, turning and falling
+    changing the same grating, moving so slowly that nothing fires in the steps that are timed
+    still    a black picture of 1280 x 720 that does not change: compared with the last one, or told to be unchanged
+    threads  1280 x 720 with a share of the pixels firing: how many times as fast two threads are as one
     edges    the board of sharp edges at which a pixel's light changes several times over within a step: edges of 10:1,
              blurred by 0.5 px, at 0.5 px a step; events a second of work
 """
@@ -21,19 +24,28 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
+from emulator.light import Region
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.presets import PRESETS, SensorParameters
 
 __all__ = [
     "FiringRun",
+    "TwoThreads",
     "firing",
     "grating",
     "pixel_5pct",
     "pixel_5pct_line",
+    "pixel_changing",
     "pixel_edges",
     "pixel_quiet",
     "pixel_quiet_line",
+    "pixel_still",
+    "pixel_still_compared",
 ]
+
+_DAVIS = dataclasses.replace(
+    PRESETS["davis346"], source_follower_hz=0.0, parasitic_hz_at_reference=0.0, leak_hz=0.1
+)  # the sensor of all figures from the first on, for comparison: without its fixed pole
 
 _STEP_NS = 1_000_000
 _WARM_UP = 50
@@ -77,7 +89,9 @@ def _edges(parameters: SensorParameters, k: int) -> _Frame:
     return light.astype(np.float32), (-slope * speed_px * 1e9 / _STEP_NS).astype(np.float32)
 
 
-def _timed(array: PixelArray, picture: Callable[[int], _Frame], steps: int, *, line: bool) -> tuple[float, float]:
+def _timed(
+    array: PixelArray, picture: Callable[[int], _Frame], steps: int, *, line: bool, changed: Region | None = None
+) -> tuple[float, float]:
     """Return the median seconds of a step and the mean number of events in one."""
     light, rate = (values.copy() for values in picture(0))
     array.reset(light, 0, None if line else rate)
@@ -85,7 +99,7 @@ def _timed(array: PixelArray, picture: Callable[[int], _Frame], steps: int, *, l
     for k in range(1, _WARM_UP + steps + 1):
         light[:], rate[:] = picture(k)
         start = time.perf_counter()
-        crossings = array.step(light, k * _STEP_NS, None if line else rate)
+        crossings = array.step(light, k * _STEP_NS, None if line else rate, changed=changed)
         if k > _WARM_UP:
             seconds.append(time.perf_counter() - start)
             events += len(crossings)
@@ -93,7 +107,12 @@ def _timed(array: PixelArray, picture: Callable[[int], _Frame], steps: int, *, l
 
 
 def firing(
-    share: float, parameters: SensorParameters = PRESETS["davis346"], steps: int = _STEPS, *, line: bool = False
+    share: float,
+    parameters: SensorParameters = _DAVIS,
+    steps: int = _STEPS,
+    *,
+    line: bool = False,
+    threads: int = 1,
 ) -> FiringRun:
     """Run the drifting grating at which about `share` of the pixels fire in each step."""
     threshold = (parameters.threshold_on + parameters.threshold_off) / 2
@@ -102,16 +121,62 @@ def firing(
     count = max(2, round(2 * np.pi / phase_step))
     step = 2 * np.pi / count
     pictures = [grating(parameters, -step * k, step) for k in range(min(count, _WARM_UP + steps + 1))]
-    median_s, events = _timed(PixelArray(parameters, 1), lambda k: pictures[k % len(pictures)], steps, line=line)
+    median_s, events = _timed(
+        PixelArray(parameters, 1, threads), lambda k: pictures[k % len(pictures)], steps, line=line
+    )
     pixels = parameters.width * parameters.height
     return FiringRun(pixels / median_s / 1e6, events / median_s / 1e6, events / pixels)
 
 
 def _quiet(*, line: bool) -> float:
-    parameters = dataclasses.replace(PRESETS["davis346"], leak_hz=0.0)
+    parameters = dataclasses.replace(_DAVIS, leak_hz=0.0)
     still = grating(parameters, 0.0, 0.0)
-    median_s, _ = _timed(PixelArray(parameters, 1), lambda k: still, _STEPS, line=line)
+    median_s, _ = _timed(PixelArray(parameters, 1, 1), lambda k: still, _STEPS, line=line)
     return still[0].size / median_s / 1e6
+
+
+def pixel_changing() -> float:
+    """Return Mpixel/s of a step in which the light of all pixels changes and nothing fires, 346 x 260."""
+    parameters = dataclasses.replace(_DAVIS, leak_hz=0.0)
+    pictures = [grating(parameters, -1e-4 * k, 1e-4) for k in range(_WARM_UP + 100)]
+    median_s, _ = _timed(PixelArray(parameters, 1, 1), lambda k: pictures[k % len(pictures)], 99, line=False)
+    return pictures[0][0].size / median_s / 1e6
+
+
+def _still(changed: Region | None) -> float:
+    parameters = dataclasses.replace(_DAVIS, leak_hz=0.0, width=1280, height=720)
+    black = np.zeros((720, 1280), np.float32)
+    array = PixelArray(parameters, 1, 1)
+    array.reset(black, 0, black)
+    seconds = []
+    for k in range(1, _WARM_UP + _STEPS):
+        start = time.perf_counter()
+        array.step(black, k * _STEP_NS, black, changed=changed)
+        seconds.append(time.perf_counter() - start)
+    return black.size / statistics.median(seconds[_WARM_UP:]) / 1e6
+
+
+def pixel_still() -> float:
+    """Return Mpixel/s of a black picture that the caller tells to be unchanged, 1280 x 720, nothing leaks."""
+    return _still(Region(0, 0, 0, 0))
+
+
+def pixel_still_compared() -> float:
+    """Return Mpixel/s of the same picture where it must be compared with the last one."""
+    return _still(None)
+
+
+@dataclasses.dataclass(frozen=True)
+class TwoThreads:
+    """How many times as fast two threads are as one, with `share` of 1280 x 720 pixels firing in a step."""
+
+    share: float
+
+    def __call__(self) -> float:
+        """Return the ratio of the median times of a step."""
+        parameters = dataclasses.replace(_DAVIS, width=1280, height=720)
+        one, two = (firing(self.share, parameters, 40, threads=threads).mpixel_s for threads in (1, 2))
+        return two / one
 
 
 def pixel_quiet() -> float:
@@ -136,7 +201,7 @@ def pixel_5pct_line() -> float:
 
 def pixel_edges() -> float:
     """Return Mev/s of steps with sharp edges moving by half a pixel, 346 x 260."""
-    parameters = PRESETS["davis346"]
+    parameters = _DAVIS
     pictures = [_edges(parameters, k) for k in range(80)]
-    median_s, events = _timed(PixelArray(parameters, 1), lambda k: pictures[k % 80], 150, line=False)
+    median_s, events = _timed(PixelArray(parameters, 1, 1), lambda k: pictures[k % 80], 150, line=False)
     return events / median_s / 1e6

@@ -53,7 +53,7 @@ def steps_per_second(rig: Rig, size: tuple[int, int], *, with_rate: bool) -> flo
             while time.perf_counter() - start_s < _REPEAT_S:
                 t_ns += step_ns
                 picture.draw(t_ns)
-                sensor.expose(picture.light, t_ns, picture.rate)
+                sensor.expose(picture.light, t_ns, picture.rate, None, picture.changed)
                 steps += 1
             if repeat:  # the first one compiles and settles
                 rates.append(steps / (time.perf_counter() - start_s))

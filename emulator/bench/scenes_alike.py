@@ -37,7 +37,9 @@ _Light = npt.NDArray[np.float32]
 _Frame = tuple[_Light, _Light]
 """Light and its time derivative, a second."""
 
-_SENSOR = dataclasses.replace(PRESETS["davis346"], refractory_us=0.0, leak_hz=0.01)
+_SENSOR = dataclasses.replace(
+    PRESETS["davis346"], refractory_us=0.0, leak_hz=0.01, parasitic_hz_at_reference=0.0, source_follower_hz=0.0
+)
 _FAST = dataclasses.replace(_SENSOR, corner_hz_at_reference=1e6, corner_min_hz=1e6, corner_max_hz=1e6)
 _THRESHOLD = (_SENSOR.threshold_on + _SENSOR.threshold_off) / 2
 _PIXELS = _SENSOR.width * _SENSOR.height

@@ -18,10 +18,11 @@ from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
 from transports.link.pacing import MonotonicClock
 from transports.link.process import LinkSetup
+from transports.link.reception import Reception
 from transports.link.report import LinkReport
 from transports.link.ring import FREE_RUNNING, EventRing
 from transports.serial_line.endpoint import SerialFactory
-from transports.serial_line.listener import SerialReception, listen_serial
+from transports.serial_line.listener import listen_serial
 from transports.serial_line.parameters import SerialParameters
 
 __all__ = ["serial_fill"]
@@ -59,7 +60,7 @@ def serial_fill() -> float:
     return 100 * (filled.use.share if filled.use else 0.0)
 
 
-def _check(report: LinkReport, heard: SerialReception) -> None:
+def _check(report: LinkReport, heard: Reception) -> None:
     if heard.faults or heard.digest != report.digest or heard.events != report.delivered:
         raise BenchFailed(f"sent {report.delivered} events with digest {report.digest:08x}, heard {heard}")
     if report.use is None or report.use.carried != heard.counts["bytes"]:
@@ -75,13 +76,13 @@ class _Computer:
         self._process = context.Process(target=_listen, args=(address, theirs), daemon=True)
         self._process.start()
 
-    def finish(self) -> SerialReception:
+    def finish(self) -> Reception:
         """Return what arrived."""
         if not self._mine.poll(_PATIENCE_S):
             raise BenchFailed("the computer does not say what it heard")
         heard: Any = self._mine.recv()
         self._process.join(10.0)
-        if not isinstance(heard, SerialReception):
+        if not isinstance(heard, Reception):
             raise BenchFailed(f"the computer heard nothing: {heard}")
         return heard
 

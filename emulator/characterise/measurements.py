@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 
@@ -13,7 +14,8 @@ from emulator.characterise.points import FIGURE, Point
 from emulator.characterise.stimuli import on_the_bench, without_readout
 from emulator.characterise.timing import burst, flicker, latency, noise_law, noise_light
 from emulator.sensor.chip.temperature import at_temperature
-from emulator.sensor.noise.law import corner_hz
+from emulator.sensor.effects import BackgroundParameters
+from emulator.sensor.noise.law import corner_hz, fixed_corner_hz
 from emulator.sensor.presets import SensorParameters
 
 __all__ = ["CONFIGURED", "Measurement", "figures", "measurements"]
@@ -55,8 +57,14 @@ _FULL = _Sweep(
 
 def measurements(p: SensorParameters, quick: bool) -> list[Measurement]:
     """Return what is to be measured of a sensor, each a call of its own."""
-    sweep, small = _QUICK if quick else _FULL, on_the_bench(p)
-    return [*_thresholds(small, sweep), *_leak(small, sweep), *_noise(small, sweep), *_timing(small, p, sweep)]
+    sweep, small, still = _QUICK if quick else _FULL, on_the_bench(p), _silent(p)
+    alone = on_the_bench(still)
+    return [*_thresholds(alone, sweep), *_leak(alone, sweep), *_noise(small, sweep), *_timing(alone, still, sweep)]
+
+
+def _silent(p: SensorParameters) -> SensorParameters:
+    """Return the sensor without noise and background, which hide what is measured of thresholds, leak and times."""
+    return dataclasses.replace(p, noise=dataclasses.replace(p.noise, rms=0.0), background=BackgroundParameters())
 
 
 def _thresholds(p: SensorParameters, sweep: _Sweep) -> Iterator[Measurement]:
@@ -80,6 +88,8 @@ def _leak(p: SensorParameters, sweep: _Sweep) -> Iterator[Measurement]:
 
 
 def _noise(p: SensorParameters, sweep: _Sweep) -> Iterator[Measurement]:
+    if math.isinf(fixed_corner_hz(p)) and math.isinf(min(p.corner_hz_at_reference, p.corner_max_hz)):
+        return  # nothing limits a noise's bandwidth
     swept = {CONFIGURED: p.noise.rms} if p.noise.rms else {f"noise {rms:g} rms": rms for rms in _RMS}
     for series, rms in swept.items():
         yield partial(_figure, "noise swept, ln rms", rms)

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from emulator.characterise.points import Point
 from emulator.characterise.stimuli import Bench, lag_s, lags_s, log_current, on_the_bench, settled, without_readout
 from emulator.sensor.chip.temperature import at_temperature
-from emulator.sensor.noise.law import bandwidth_hz, corner_hz, rate_over_bandwidth, rms
+from emulator.sensor.noise.law import bandwidth_hz, corner_hz, of_array, rms
 from emulator.sensor.presets import SensorParameters
 
 __all__ = ["burst", "flicker", "latency", "noise_law", "noise_light"]
@@ -38,7 +38,7 @@ _FLASH = 3.0  # ln: over every threshold
 def noise_light(p: SensorParameters, series: str, noise_rms: float, light: float, for_s: float) -> list[Point]:
     """Return how often a pixel fires by temporal noise alone, ON and OFF, in still light."""
     p = _with_noise(p, noise_rms)
-    model = 2 * _law(p, light) * float(_noise_bandwidth_hz(p, light))
+    model = sum(_law_hz(p, light))
     return [Point("noise_light", series, light, sum(_noise_hz(p, light, for_s)), model=model)]
 
 
@@ -46,8 +46,9 @@ def noise_law(p: SensorParameters, series: str, a: float, light: float, for_s: f
     """Return the ON rate over the noise's bandwidth where the threshold is `a` times the noise."""
     quiet = float(rms(_with_noise(p, 1.0), corner_hz(at_temperature(p), light)))
     p = _with_noise(p, (p.threshold_on + p.threshold_off) / 2 / (a * quiet))
+    bandwidth = float(bandwidth_hz(p, corner_hz(at_temperature(p), light)))
     on_hz, _ = _noise_hz(p, light, for_s)
-    return [Point("noise_law", series, a, on_hz / float(_noise_bandwidth_hz(p, light)), model=_law(p, light))]
+    return [Point("noise_law", series, a, on_hz / bandwidth, model=_law_hz(p, light)[0] / bandwidth)]
 
 
 def _with_noise(p: SensorParameters, noise_rms: float) -> SensorParameters:
@@ -56,19 +57,13 @@ def _with_noise(p: SensorParameters, noise_rms: float) -> SensorParameters:
     return dataclasses.replace(p, noise=noise, leak_hz=0.0, parasitic_hz_at_reference=0.0)
 
 
-def _noise_bandwidth_hz(p: SensorParameters, light: float) -> _Floats:
-    return bandwidth_hz(p, corner_hz(at_temperature(p), light))
-
-
-def _law(p: SensorParameters, light: float) -> float:
-    """Return the ON rate over the bandwidth, averaged over pixels whose mean thresholds spread normally."""
+def _law_hz(p: SensorParameters, light: float) -> tuple[float, float]:
+    """Return the ON and the OFF rate of the law, averaged over pixels whose mean thresholds spread normally."""
     node, weight = np.polynomial.hermite_e.hermegauss(_NODES)
-    threshold = (p.threshold_on + p.threshold_off) / 2
     deviation = p.mismatch * math.hypot(p.threshold_on, p.threshold_off) / 2
-    f_hz = corner_hz(at_temperature(p), light)
-    refractory = p.refractory_us * 1e-6 * 2 * np.pi * bandwidth_hz(p, f_hz)
-    rates = rate_over_bandwidth((threshold + deviation * node) / rms(p, f_hz), refractory)
-    return float(np.sum(weight * rates) / np.sum(weight))
+    thresholds = (p.threshold_on + p.threshold_off) / 2 + deviation * node
+    law = of_array(p, thresholds, corner_hz(at_temperature(p), light))
+    return tuple(float(np.sum(weight * rate) / np.sum(weight)) for rate in (law.on, law.off))  # type: ignore[return-value]
 
 
 def _noise_hz(p: SensorParameters, light: float, for_s: float) -> tuple[float, float]:

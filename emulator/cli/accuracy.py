@@ -3,35 +3,39 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal, TypeVar
 
 from cyclopts import Parameter
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from emulator.accuracy.against_line import BLURS_PX, QUICK_SCENES, SCENES, SPEEDS_PX, cells_against_line
+from emulator.accuracy.against_line_report import write_against_line
 from emulator.accuracy.cases import CASES, QUICK
 from emulator.accuracy.effects import EFFECTS, QUICK_EFFECTS, effect_rows
 from emulator.accuracy.harness import methods
-from emulator.accuracy.rendering import SETTINGS, fits, rendering_rows
+from emulator.accuracy.rendering import Stretch, fits, rendering_rows, rows_of
 from emulator.accuracy.report import write_rendering, write_stability, write_work_precision
 from emulator.accuracy.stability import QUICK_SWEEPS, SWEEPS, cells
 from emulator.accuracy.work_precision import settings, sweep
 from emulator.cli.failures import failures
 from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, console, print_json, status
 from emulator.report.figures import ChartsLacking, check
-from emulator.rig.loading import load_rig, shipped_rigs
+from emulator.rig.loading import Rig, load_rig, shipped_rigs
 
 __all__ = ["accuracy"]
 
 _Item = TypeVar("_Item")
 _EFFECTS_STEP_S = 1e-3
-_PICTURES, _QUICK_PICTURES = 24, 4
+_QUICK_STRETCH = Stretch(steps=4, samples=4, finer=4)
 
 
 def accuracy(
     what: Literal["chart", "stability", "rendering"] = "chart",
     *,
     out: Path,
+    rig: Annotated[tuple[str, ...], Parameter(negative="")] = (),
     quick: Annotated[bool, Parameter(negative="")] = False,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
@@ -41,10 +45,12 @@ def accuracy(
     ----------
     what
         "chart": timestamp error and wrong events against work, and what each effect costs and changes.
-        "stability": where each method fails.
+        "stability": where each method fails, and the map of hermite against line over blur and speed.
         "rendering": false and missed events of the shipped rigs' scenes against the time that a picture takes.
     out
         Folder to write into; created if missing.
+    rig
+        For "rendering": only these rigs, shipped or files; give it once for each. All shipped ones take an hour.
     quick
         Fewer scenes and steps; takes seconds.
     json
@@ -57,7 +63,12 @@ def accuracy(
         raise Failure(str(error), LACKING) from error
     except OSError as error:
         raise Failure(f"--out {out}: {error.strerror}", WRONG_USE) from error
-    files = {"chart": _chart, "stability": _stability, "rendering": _rendering}[what](out, quick)
+    ways: dict[str, Callable[[Path, bool], list[Path]]] = {
+        "chart": _chart,
+        "stability": _stability,
+        "rendering": partial(_rendering, rig),
+    }
+    files = ways[what](out, quick)
     if json:
         print_json({"files": files})
     else:
@@ -78,16 +89,28 @@ def _chart(out: Path, quick: bool) -> list[Path]:
 def _stability(out: Path, quick: bool) -> list[Path]:
     chosen, ways = QUICK_SWEEPS if quick else SWEEPS, methods()
     found = _all(cells(chosen, ways), len(ways) * sum(len(axis.values) for axis in chosen), "cells")
-    return _written(lambda: write_stability(found, chosen, out))
+    scenes = QUICK_SCENES if quick else tuple(SCENES)
+    count = len(scenes) * len(BLURS_PX) * len(SPEEDS_PX)
+    against = _all(cells_against_line(scenes, ways), count, "against line")
+    return _written(lambda: [*write_stability(found, chosen, out), *write_against_line(against, out)])
 
 
-def _rendering(out: Path, quick: bool) -> list[Path]:
+def _rendering(names: tuple[str, ...], out: Path, quick: bool) -> list[Path]:
     with failures():
-        rigs = [rig for rig in map(load_rig, shipped_rigs()) if fits(rig)]
-        rigs = rigs[:1] if quick else rigs
-        count = len(SETTINGS) * len(rigs)
-        rows = _all(rendering_rows(rigs, _QUICK_PICTURES if quick else _PICTURES), count, "settings")
+        rigs = _rigs(names)
+        stretch = _QUICK_STRETCH if quick else None
+        if quick:
+            rigs = rigs[:1]
+        rows = _all(rendering_rows(rigs, stretch), rows_of(rigs, stretch), "settings")
     return _written(lambda: write_rendering(rows, out))
+
+
+def _rigs(names: tuple[str, ...]) -> list[Rig]:
+    rigs = [load_rig(name) for name in names or shipped_rigs()]
+    unfit = [rig.name for rig in rigs if not fits(rig)]
+    if names and unfit:
+        raise Failure(f"--rig {unfit[0]}: its scene has no bodies and no terrain", WRONG_USE)
+    return [rig for rig in rigs if fits(rig)]
 
 
 def _all(items: Iterable[_Item], count: int, what: str) -> list[_Item]:

@@ -31,12 +31,18 @@ app = App(
 # By name, so that a command imports only what it needs: numba and GL would slow `evstim rigs` down.
 for verb, module, told in (
     ("run", "run", "Run a rig: render its scene, simulate its sensor, serve its links."),
+    ("vizard", "vizard", "Run a rig in step with a Basilisk simulation, which gives poses and asks for images."),
+    ("record", "record", "Record the events of a rig to a file: AEDAT4, EVT3, HDF5, a ROS bag, ..."),
+    ("convert", "convert", "Convert a recording of events to another format."),
+    ("info", "info", "Show what a recording of events is and holds."),
+    ("recover", "convert", "Save what can be read of a recording that was cut."),
     ("demo", "demo", "Run a rig, read its camera over USB/IP in a second process, and compare every event."),
     ("check", "check", "Check a rig file without running it."),
     ("plan", "plan", "Show what a run will model: step, effects and expected load."),
     ("fault", "fault", "Inject a fault into a link of a running rig."),
     ("rigs", "rigs", "List the rigs that are installed with evstim."),
     ("dbc", "listen.can", "Write the DBC file of a rig's CAN link."),
+    ("export", "export", "Write the packets' definitions for COSMOS, Yamcs, F Prime or Wireshark."),
     ("schema", "rigs", "Print the JSON Schema of rig files."),
     ("picture", "picture", "Write a PNG of a rig: its light and its events."),
     ("accuracy", "accuracy", "Measure accuracy against speed, and where each method fails."),
@@ -50,6 +56,11 @@ app.command(
     "emulator.cli.listen.verbs:verbs",
     name="listen",
     help="Read a camera, real or emulated: on USB (the default), a serial line or a CAN bus.",
+)
+app.command(
+    "emulator.cli.campaign:verbs",
+    name="campaign",
+    help="Run a rig many times over sampled parameters, and report on the table of all runs.",
 )
 
 

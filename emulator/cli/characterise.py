@@ -1,4 +1,4 @@
-"""`evstim characterise CAMERA`."""
+"""`evstim characterise CAMERA`, by itself or beside a recording."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from emulator.characterise.measurements import figures, measurements
 from emulator.characterise.points import Point
+from emulator.characterise.recorded import compare, write_comparison
 from emulator.characterise.report import reading, write
 from emulator.cli.failures import failures
 from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, console, print_json, status
@@ -25,10 +26,16 @@ def characterise(
     /,
     *,
     out: Path,
+    recording: Path | None = None,
+    still: float = 0.0,
+    light: float = 1.0,
+    fit: Annotated[bool, Parameter(negative="")] = False,
     quick: Annotated[bool, Parameter(negative="")] = False,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
     """Measure a simulated sensor, compare it with published figures of real ones; write charts, tables and a page.
+
+    With a recording, measure its background activity instead, and lay the sensor's own in still light beside it.
 
     Parameters
     ----------
@@ -36,6 +43,14 @@ def characterise(
         Name of a preset; or path or name of a rig, whose sensor is measured.
     out
         Folder to write into; created if missing.
+    recording
+        Events of a real camera (.aedat4, .raw in EVT2 or EVT3, .dat, .es, .npz).
+    still
+        With a recording: count only pixels whose neighbours fire at this rate at most, Hz; 0: all.
+    light
+        With a recording: light on the simulated sensor.
+    fit
+        With a recording: also write fit.toml, the figures of the sensor that match it best.
     quick
         Fewer points.
     json
@@ -44,12 +59,15 @@ def characterise(
     with failures():
         parameters = _sensor(camera)
     try:
-        check()
+        if recording is None:
+            check()
         out.mkdir(parents=True, exist_ok=True)
     except ChartsLacking as error:
         raise Failure(str(error), LACKING) from error
     except OSError as error:
         raise Failure(f"--out {out}: {error.strerror}", WRONG_USE) from error
+    if recording is not None:
+        return _beside(recording, (camera, parameters), out, (light, still, fit, json))
     points = _measure(parameters, quick)
     with status.status("drawing ..."):
         files = write(points, camera, out)
@@ -60,6 +78,30 @@ def characterise(
             console.print(line)
         for path in files:
             console.print(str(path))
+    return GOOD
+
+
+def _beside(
+    recording: Path, sensor: tuple[str, SensorParameters], out: Path, given: tuple[float, float, bool, bool]
+) -> int:
+    """Compare a sensor, name and parameters, with a recording; `given` are light, still, fit and json."""
+    light, still, fit, json = given
+    with failures(), status.status("measuring ..."):
+        try:
+            found = compare(recording, sensor, light, still, fitted=fit)
+        except ValueError as error:
+            raise Failure(str(error), WRONG_USE) from error
+    files = write_comparison(found, sensor[0], out)
+    if json:
+        print_json({"sensor": sensor[0], "recording": recording, "statistics": found.rows(), "files": files})
+        return GOOD
+    for line in found.reading:
+        console.print(line)
+    for row in found.rows():
+        shown = "  ".join(f"{value:>14.4g}" for value in row.values() if isinstance(value, float))
+        console.print(f"{row['statistic']!s:42}{shown}")
+    for path in files:
+        console.print(str(path))
     return GOOD
 
 

@@ -1,10 +1,13 @@
-"""`evstim demo`: a run over USB/IP without hardware or kernel module, and the comparison of every event."""
+"""`evstim demo`: a run that a second process reads as a driver does, without hardware or kernel module.
+
+Over USB/IP the reader is evstim's own; over GigE Vision it is neuromorphic_drivers, unmodified, where it is installed.
+Every event is compared. `evstim demo landing` flies a landing instead.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 import subprocess
-import sys
 import tempfile
 from pathlib import Path
 from typing import Annotated
@@ -12,6 +15,8 @@ from typing import Annotated
 import numpy as np
 from cyclopts import Parameter
 
+from emulator.cli.demo_landing import fly_landing
+from emulator.cli.demo_readers import reader_of
 from emulator.cli.failures import failures
 from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, console, print_json, status
 from emulator.cli.preparing import prepared
@@ -19,34 +24,43 @@ from emulator.cli.run import summary
 from emulator.cli.signals import stopped_by_signals
 from emulator.rig.loading import Rig, UsbipLink, load_rig
 from emulator.run.assembly import build_session, link_setups, schedule
+from emulator.run.free_ports import free_loopback_address
 from emulator.run.kernels import parts_of
 from emulator.run.scene_assembly import build_scene
 from emulator.run.session import RunResult, RunStatus
+from firmware_protocol.gige.gvcp import GVCP_PORT
+from transports.gige.parameters import GigeLink
 from transports.link.pacing import MonotonicClock
-from transports.link.record import load_record
+from transports.recording.record import load_record
 
 __all__ = ["demo"]
 
 
 def demo(rig: str = "eros", /, *, seconds: float = 5.0, json: Annotated[bool, Parameter(negative="")] = False) -> int:
-    """Run a rig, read its camera over USB/IP in a second process, as a driver does, and compare every event.
+    """Run a rig, read its camera in a second process, as a driver does, and compare every event.
+
+    The camera is on USB/IP or on GigE Vision; the latter is read by neuromorphic_drivers where that is installed.
 
     Parameters
     ----------
     rig
-        Path of a rig file, or the name of a shipped one; it needs a usbip link.
+        Path of a rig file, or the name of a shipped one; it needs a usbip or a gige link. Or `landing`: a landing from
+        60 m, guided by events, is flown instead.
     seconds
         Time for which the second process reads.
     json
         Print one JSON object as the last line on stdout.
     """
+    if rig == "landing":
+        with failures():
+            return fly_landing(as_json=json)
     with failures(), tempfile.TemporaryDirectory() as folder:
         loaded = _on_a_free_port(load_rig(rig))
         sent, received = Path(folder, "sent.npz"), Path(folder, "received.npz")
         prepared(parts_of(loaded))
         status.print(f"{loaded.name}: {loaded.title}")
         result = _run(loaded, sent, received, seconds)
-        verdict = _compare(sent, received)
+        verdict = _compare(sent, received, whole=isinstance(loaded.links[0], UsbipLink))
     good = verdict["equal"] is True and result.good
     if json:
         print_json({**summary(loaded, result), "comparison": verdict, "good": good})
@@ -56,10 +70,14 @@ def demo(rig: str = "eros", /, *, seconds: float = 5.0, json: Annotated[bool, Pa
 
 
 def _on_a_free_port(rig: Rig) -> Rig:
-    links = [link for link in rig.links if isinstance(link, UsbipLink)]
-    if not links:
-        raise Failure(f"{rig.name} has no usbip link to attach to", WRONG_USE)
-    return dataclasses.replace(rig, links=(dataclasses.replace(links[0], host="127.0.0.1", port=0),))
+    """Return the rig with its camera alone, where no other program is: drivers know one port of GigE Vision."""
+    for link in rig.links:
+        if isinstance(link, UsbipLink):
+            return dataclasses.replace(rig, links=(dataclasses.replace(link, host="127.0.0.1", port=0),))
+        if isinstance(link, GigeLink):
+            alone = dataclasses.replace(link, host=free_loopback_address(GVCP_PORT), port=GVCP_PORT, allow=())
+            return dataclasses.replace(rig, links=(alone,))
+    raise Failure(f"{rig.name} has no usbip link and no gige link to attach to", WRONG_USE)
 
 
 def _run(rig: Rig, sent: Path, received: Path, seconds: float) -> RunResult:
@@ -73,8 +91,9 @@ def _run(rig: Rig, sent: Path, received: Path, seconds: float) -> RunResult:
             nonlocal receiver
             address = now.links[link.name].address
             if receiver is None and address is not None:
-                status.print(f"the camera is on the USB/IP port {address}; a second process attaches to it")
-                receiver = _receiver(address, received, seconds)
+                reader = reader_of(link.kind)
+                status.print(f"the camera is at {address}; {reader.told} attaches to it in a second process")
+                receiver = reader.start(address, received, seconds)
             elif receiver is not None and receiver.poll() is not None:
                 session.stop()
 
@@ -88,20 +107,18 @@ def _run(rig: Rig, sent: Path, received: Path, seconds: float) -> RunResult:
                 receiver.wait(10)
 
 
-def _receiver(address: str, received: Path, seconds: float) -> subprocess.Popen[bytes]:
-    arguments = ["listen", "--usbip", address, "--seconds", str(seconds), "--record", str(received)]
-    code = "from emulator.cli import main; main()"
-    return subprocess.Popen([sys.executable, "-c", code, *arguments], stdout=subprocess.DEVNULL)
+def _compare(sent: Path, received: Path, *, whole: bool) -> dict[str, object]:
+    """Compare what was delivered since the last reset of the camera's clock with what arrived, event by event.
 
-
-def _compare(sent: Path, received: Path) -> dict[str, object]:
-    """Compare what was delivered since the last reset of the camera's clock with what arrived, event by event."""
+    Over UDP, which has no end, a reader that leaves first has seen how the stream begins.
+    """
     delivered, resets = load_record(sent)
     delivered = delivered[resets[-1] :] if resets else delivered
     if not received.exists():
         return {"sent": len(delivered), "received": 0, "equal": False, "why": "the second process wrote no record"}
     arrived, _ = load_record(received)
-    equal = len(arrived) > 0 and np.array_equal(delivered, arrived)
+    expected = delivered if whole else delivered[: len(arrived)]
+    equal = len(arrived) > 0 and np.array_equal(expected, arrived)
     return {"sent": len(delivered), "received": len(arrived), "equal": equal}
 
 

@@ -12,7 +12,7 @@ from emulator.cli.output import BAD_VERDICT, GOOD, console, print_json
 from emulator.cli.preparing import prepared
 from emulator.rig.loading import Rig, load_rig, shipped_rigs
 from emulator.run.keeping_up import KeepingUp, keeping_up
-from emulator.run.kernels import CODER, DECODER, Part, parts_of
+from emulator.run.kernels import CODER, DECODER, EVT, Part, parts_of
 from emulator.run.machine import Finding, examine
 
 __all__ = ["doctor"]
@@ -52,11 +52,11 @@ def doctor(
 
 
 def _parts(rig: Rig | None) -> list[Part]:
-    """Return what the rig compiles; without a rig what all shipped ones compile, and the receivers."""
+    """Return what the rig compiles; without a rig what all shipped ones compile, and the receivers and files."""
     if rig is not None:
         return parts_of(rig)
     parts = [part for path in shipped_rigs().values() for part in parts_of(load_rig(str(path)))]
-    once = {part.key: part for part in (*parts, CODER, DECODER)}
+    once = {part.key: part for part in (*parts, CODER, DECODER, EVT)}
     return list(once.values())
 
 

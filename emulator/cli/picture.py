@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -143,8 +144,10 @@ def _looks(rig: Rig, show: Look, window_ms: float) -> Iterator[tuple[Light, Even
     sensor = build_sensor(rig, rig.camera.sensor)
     step_ns, due_ns = rig.run.step_us * 1000, round(show.at_s * 1e9)
     end_ns = due_ns + round(show.seconds * 1e9)
-    # The filter has settled and the window is full after this long; what came before would change nothing visible.
-    start_ns = max(0, due_ns - round(window_ms * 1e6) - 50 * step_ns)
+    # The filter has settled and the window is full after so many steps; what came before would change nothing visible.
+    # Counted back from the end, because a window may be shorter than a step.
+    steps = min(50 + math.ceil(window_ms * 1e6 / step_ns), due_ns // step_ns)
+    start_ns = due_ns - steps * step_ns
     seen = empty_events()
     with build_scene(rig) as scene:
         pictures = build_pictures(rig, scene)

@@ -6,7 +6,7 @@ import dataclasses
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
@@ -14,25 +14,34 @@ from emulator.cli.failures import failures
 from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, WRONG_USE, Failure, console, print_json, status
 from emulator.cli.output_paths import check_output
 from emulator.cli.preparing import prepared
+from emulator.cli.recording_paths import check_recording
 from emulator.cli.run_output.latency import quantile_text
 from emulator.cli.run_output.lateness import lateness_lines
 from emulator.cli.run_output.link_summary import link_json, link_lines
 from emulator.cli.run_output.live import LiveTable
+from emulator.cli.run_output.reporting import Reporting, begin_report
+from emulator.cli.run_output.serving import Serving, check_serving
 from emulator.cli.run_output.timing import timing_json, timing_lines
+from emulator.cli.run_output.truth import Truth
 from emulator.cli.signals import stopped_by_signals
+from emulator.light import Scene
 from emulator.rig.loading import Rig, load_rig
 from emulator.rig.options import with_options
 from emulator.rig.remarks import remarks
 from emulator.run.assembly import build_session, link_setups, schedule
+from emulator.run.drive import Simulation
 from emulator.run.fault_injection import fault_injection
 from emulator.run.kernels import parts_of
 from emulator.run.ready import ReadySignal
 from emulator.run.scene_assembly import build_scene
-from emulator.run.session import RunResult, RunStatus
+from emulator.run.session import RunResult, RunStatus, Session
+from emulator.run.verdict import good, judge
+from firmware_protocol.events import Events
 from transports.link.latency import LatencySummary
 from transports.link.pacing import MonotonicClock
+from transports.link.process import LinkSetup
 
-__all__ = ["run", "run_rig"]
+__all__ = ["NO_FILES", "Files", "print_summary", "rig_with_options", "run", "run_rig", "run_with_files", "summary"]
 
 _MANY_UNDERSAMPLED = 0.1  # above it, shorter steps for all pixels are cheaper than refining single ones
 
@@ -44,19 +53,31 @@ class Files:
     Attributes
     ----------
     record
-        Write what the links delivered to this .npz (fields `events` and `edges`, device time).
+        Write what the links delivered to this file, in device time; its suffix tells the format, such as .aedat4, .raw
+        or .npz: see docs/recordings.md.
     truth
-        Write the true error of the camera's clock to this .csv, ten lines per second; the rig needs [camera.clock].
+        Write what is true beside the events to this .h5: light, depth, optical flow, poses, labels, the origin of each
+        event, the events of an ideal sensor; see docs/truth.md. Or the true error of the camera's clock to this .csv,
+        ten lines per second; the rig needs [camera.clock].
+    truth_every
+        Light, depth, flow and labels go into the .h5 of every n-th picture.
     fault_log
         Write a line of JSON to this file for each begin, hit, loss and end of a fault.
     ready_file
         Write a line of JSON with each link's address to this file when the run has begun.
+    report
+        Write report.html, report.json and junit.xml into this folder when the run has ended.
+    serve
+        Serve a live page at [HOST:PORT], unless given at 127.0.0.1 and a free port; elsewhere with a token.
     """
 
     record: Path | None = None
     truth: Path | None = None
+    truth_every: int = 1
     fault_log: Path | None = None
     ready_file: Path | None = None
+    report: Path | None = None
+    serve: str | bool | None = None
 
     def begin_fault_log(self) -> None:
         """Empty the fault log, to which every link appends; raises Failure where it cannot be written."""
@@ -68,7 +89,7 @@ class Files:
             raise Failure(f"--fault-log: {self.fault_log}: {error.strerror}", WRONG_USE) from error
 
 
-_NO_FILES = Files()
+NO_FILES = Files()
 
 
 def run(
@@ -78,7 +99,7 @@ def run(
     seconds: float | None = None,
     seed: int | None = None,
     pace: Literal["realtime", "free"] | None = None,
-    files: Annotated[Files, Parameter(name="*")] = _NO_FILES,
+    files: Annotated[Files, Parameter(name="*")] = NO_FILES,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
     """Run a rig: render its scene, simulate its sensor, serve its links. Ctrl-C ends the run with its summary.
@@ -97,21 +118,34 @@ def run(
         Print one JSON object as the last line on stdout.
     """
     with failures():
-        loaded = _with_options(load_rig(rig), seconds, seed, pace)
-        _check_record(loaded, files.record)
-        _check_truth(loaded, files.truth)
-        check_output("--ready-file", files.ready_file)
-        files.begin_fault_log()
-        prepared(parts_of(loaded))
-        result = run_rig(loaded, files, show=not json)
+        loaded = rig_with_options(load_rig(rig), seconds, seed, pace)
+        result, truth = run_with_files(loaded, files, show=not json)
     if json:
-        print_json(summary(loaded, result))
+        print_json({**summary(loaded, result), "truth_trouble": truth.trouble})
     else:
-        _print_summary(loaded, result)
-    return GOOD if result.good else BAD_VERDICT
+        print_summary(loaded, result)
+        truth.tell()
+    return GOOD if good(judge(loaded.verdict, result)) and not truth.trouble else BAD_VERDICT
 
 
-def _with_options(rig: Rig, seconds: float | None, seed: int | None, pace: str | None) -> Rig:
+def run_with_files(
+    rig: Rig, files: Files, simulation: Simulation | None = None, *, show: bool
+) -> tuple[RunResult, Truth]:
+    """Check that the files can be written, compile what is needed, run a rig and report; raises Failure."""
+    _check_record(rig, files.record)
+    truth = Truth(rig, files.truth, files.truth_every)
+    check_output("--ready-file", files.ready_file)
+    check_serving(files.serve)
+    files.begin_fault_log()
+    reporting = begin_report(rig, files.report)
+    prepared([*parts_of(rig), *truth.parts])
+    result = run_rig(rig, files, reporting, truth, show=show, simulation=simulation)
+    reporting.write(result, summary(rig, result))
+    return result, truth
+
+
+def rig_with_options(rig: Rig, seconds: float | None, seed: int | None, pace: str | None) -> Rig:
+    """Return the rig with the options of a command; raises Failure."""
     try:
         return with_options(rig, seconds, seed, pace)
     except ValueError as error:
@@ -123,29 +157,32 @@ def _check_record(rig: Rig, record: Path | None) -> None:
         return
     if not rig.links:
         raise Failure("--record: this rig has no link, so no event is delivered", WRONG_USE)
-    check_output("--record", record, ".npz")
+    check_recording("--record", record)
 
 
-def _check_truth(rig: Rig, truth: Path | None) -> None:
-    if truth is None:
-        return
-    if rig.camera.clock is None or not rig.links:
-        raise Failure("--truth: this rig needs a [camera.clock] table and a link that carries its times", WRONG_USE)
-    check_output("--truth", truth)
-
-
-def run_rig(rig: Rig, files: Files = _NO_FILES, *, show: bool = False) -> RunResult:
-    """Run a loaded rig, with a live table on stderr when `show`."""
-    with build_scene(rig) as scene:
+def run_rig(
+    rig: Rig,
+    files: Files = NO_FILES,
+    reporting: Reporting | None = None,
+    truth: Truth | None = None,
+    *,
+    show: bool = False,
+    simulation: Simulation | None = None,
+) -> RunResult:
+    """Run a loaded rig, with a live table on stderr when `show`, in step with a simulation where there is one."""
+    reporting, truth = reporting or Reporting(rig, None), truth or Truth(rig, files.truth, files.truth_every)
+    with build_scene(rig) as scene, truth.begin() as truth_file:
         if show and scene.renderer:
             console.print(f"renderer: {scene.renderer}")
         for note in [*remarks(rig), *scene.notes] if show else ():
             console.print(f"note: {note}", markup=False)
-        setups = link_setups(rig, files.record, files.truth, files.fault_log)
-        session = build_session(rig, scene, setups, MonotonicClock())
+        serving = Serving(rig, files.serve)
+        setups = serving.wired(link_setups(rig, files.record, truth.clock, files.fault_log))
+        session = _session(rig, scene, setups, truth_file)
         with (
             stopped_by_signals(session),
             fault_injection(rig, session) as faults,
+            serving.page(session, faults.answer) as page,
             LiveTable(rig, status) if show else nullcontext() as live,
         ):
             if show and faults.trouble:
@@ -156,10 +193,25 @@ def run_rig(rig: Rig, files: Files = _NO_FILES, *, show: bool = False) -> RunRes
             def report(now: RunStatus) -> None:
                 _tell(ready, now)
                 faults.serve(now)
+                reporting.renew(now)
+                page.renew(now)
                 if live:
                     live.update(now)
 
-            return session.run(schedule(rig), report)
+            def take(events: Events) -> None:
+                reporting.take(events)
+                page.take(events)
+                if simulation is not None:
+                    simulation.take(events)
+
+            return session.run(dataclasses.replace(schedule(rig), simulation=simulation), report, take)
+
+
+def _session(rig: Rig, scene: Scene, setups: list[LinkSetup[Any]], truth: Any) -> Session:
+    try:
+        return build_session(rig, scene, setups, MonotonicClock(), truth)
+    except OSError as error:
+        raise Failure(f"--truth: {error.filename}: {error.strerror or error}", WRONG_USE) from error
 
 
 def _tell(ready: ReadySignal, now: RunStatus) -> None:
@@ -180,6 +232,7 @@ def summary(rig: Rig, result: RunResult) -> dict[str, object]:
         "steps": result.steps,
         "events": result.ledger.as_json(),
         "balanced": result.ledger.balanced,
+        "rules": [dataclasses.asdict(one) for one in judge(rig.verdict, result)],
         "latency_us": dataclasses.asdict(_worst(latencies)),
         "lateness": {**result.lateness.as_json(), "too_late": result.too_late},
         "undersampled_share": result.undersampled_share,
@@ -209,7 +262,8 @@ def _worst(latencies: list[LatencySummary]) -> LatencySummary:
     return max(measured, key=lambda latency: latency.p99 or 0.0, default=LatencySummary())
 
 
-def _print_summary(rig: Rig, result: RunResult) -> None:
+def print_summary(rig: Rig, result: RunResult) -> None:
+    """Print what a run did, for people."""
     ledger = result.ledger
     console.print(
         f"{rig.name}: {result.sim_seconds:.3f} s of stream time in {result.wall_seconds:.3f} s, "
@@ -246,6 +300,8 @@ def _print_summary(rig: Rig, result: RunResult) -> None:
         console.print(f"pixels computed by {result.pixels_by}")
     for line in lateness_lines(rig, result):
         console.print(line)
+    for broken in (one for one in judge(rig.verdict, result) if not one.good and one.rule.startswith("verdict.")):
+        console.print(f"NOT GOOD: {broken.rule}: {broken.told}", markup=False)
     console.print("ledger: balanced" if ledger.balanced else f"ledger: OFF BY {ledger.imbalance} EVENTS")
 
 

@@ -1,1 +1,1 @@
-"""Attitudes, the pinhole camera, and the phase of periodic motion."""
+"""Attitudes, the pinhole camera, what is seen through it beside light, and the phase of periodic motion."""

@@ -17,9 +17,10 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.geometry.pinhole import Pinhole
+from emulator.geometry.seen import Rays
 from emulator.optics.lens import LensParameters
 
-__all__ = ["Distortion", "DistortionError", "straight_columns_and_rows"]
+__all__ = ["Distortion", "DistortionError", "bent_rays", "straight_columns_and_rows"]
 
 Floats = npt.NDArray[np.float64]
 
@@ -58,7 +59,7 @@ class Distortion:
         """Return the directions that are seen at `x`, `y`; raises DistortionError where there is none."""
         u, v = x.copy(), y.copy()
         for _ in range(_STEPS):
-            (at_x, at_y), (xx, xy, yy) = self.bend(u, v), self._jacobian(u, v)
+            (at_x, at_y), (xx, xy, yy) = self.bend(u, v), self.stretch(u, v)
             determinant = xx * yy - xy * xy
             off_x, off_y = at_x - x, at_y - y
             with np.errstate(divide="ignore", invalid="ignore"):
@@ -66,8 +67,8 @@ class Distortion:
         self._require_inverse(u, v, x, y)
         return u, v
 
-    def _jacobian(self, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return dx'/dx, dx'/dy = dy'/dx, dy'/dy."""
+    def stretch(self, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return how the picture is stretched at directions with tangents `x`, `y`: dx'/dx, dx'/dy = dy'/dx, dy'/dy."""
         rr = x * x + y * y
         radial = 1 + rr * (self.k1 + rr * (self.k2 + rr * self.k3))
         slope = 2 * (self.k1 + rr * (2 * self.k2 + 3 * rr * self.k3))
@@ -80,7 +81,7 @@ class Distortion:
     def _require_inverse(self, u: Floats, v: Floats, x: Floats, y: Floats) -> None:
         with np.errstate(over="ignore", invalid="ignore"):
             at_x, at_y = self.bend(u, v)
-            xx, xy, yy = self._jacobian(u, v)
+            xx, xy, yy = self.stretch(u, v)
             good = (np.hypot(at_x - x, at_y - y) < 1e-9) & (xx * yy - xy * xy > 0)
         if not good.all():
             reach = float(np.hypot(x, y)[~good].min())
@@ -102,3 +103,10 @@ def straight_columns_and_rows(distortion: Distortion, camera: Pinhole) -> tuple[
     )
     u, v = distortion.straighten(x, y)
     return u * camera.focal_px, v * camera.focal_px
+
+
+def bent_rays(distortion: Distortion, places: tuple[Floats, Floats], camera: Pinhole) -> Rays:
+    """Return where pixels look, whose middles lie at `places` (see `straight_columns_and_rows`) before `camera`."""
+    columns, rows = places
+    bend = np.stack(distortion.stretch(columns / camera.focal_px, rows / camera.focal_px), axis=-1)
+    return Rays(columns + camera.width / 2, rows + camera.height / 2, bend)

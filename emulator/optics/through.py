@@ -21,8 +21,10 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.geometry.pinhole import Pinhole
+from emulator.geometry.seen import Rays, SceneGeometry
 from emulator.light import Light, PixelLight, Region, Scene, SceneError
-from emulator.optics.distortion import Distortion, DistortionError, straight_columns_and_rows
+from emulator.optics.blur_workers import BlurWorkers
+from emulator.optics.distortion import Distortion, DistortionError, bent_rays, straight_columns_and_rows
 from emulator.optics.lens import Chip, LensParameters
 from emulator.optics.passes import Bilinear, Part, bend, blur, gaussian_taps, scale
 
@@ -49,14 +51,18 @@ class Through(Scene):
         inner = camera if places is None else camera.widened(_margin_px(*places, camera))
         self.scene = build(inner)
         self._bent = None if places is None else _within(*places, inner)
+        self._rays = None if places is None else bent_rays(Distortion.of(lens), places, inner)
         self._factor = _factor(lens, camera, places)
         sigma_px = lens.blur_sigma_px(chip, camera.focal_px, self.scene.distance_m)
         self._taps = gaussian_taps(sigma_px) if sigma_px >= _LEAST_BLUR_PX else None
         self.blur_sigma_px = sigma_px
         shape = inner.height, inner.width
         self._inner = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
-        self._blurred = np.zeros(shape, np.float32)
-        self._rows = np.zeros(shape, np.float32)
+        straight = self._bent is None and self._taps is not None
+        self._workers = BlurWorkers(self._taps, self._factor) if self._taps is not None and straight else None
+        room = shape if self._workers is None else (0, 0)
+        self._blurred = np.zeros(room, np.float32)
+        self._rows = np.zeros(room, np.float32)
         self._outs: tuple[Light, ...] = ()
         self._changed: Region | None = None
 
@@ -106,6 +112,10 @@ class Through(Scene):
         inner = self.scene.pixel_light
         return None if inner is None or self._bent is not None else partial(self._pixels, inner)
 
+    def geometry(self, rays: Rays | None = None) -> SceneGeometry | None:
+        """Return that of the scene, along the rays that the lens bends."""
+        return self.scene.geometry(rays or self._rays)
+
     def light(self, t_ns: int, out: Light) -> None:
         """Write the light on the pixels at `t_ns` into `out`."""
         self.scene.light(t_ns, self._inner[0])
@@ -117,8 +127,10 @@ class Through(Scene):
         self._pass((light, rate))
 
     def close(self) -> None:
-        """Close the scene."""
+        """Close the scene and end the threads."""
         self.scene.close()
+        if self._workers is not None:
+            self._workers.close()
 
     def _pass(self, outs: tuple[Light, ...]) -> None:
         """Take what the scene has drawn through the lens, where it may differ from what `outs` hold."""
@@ -128,9 +140,14 @@ class Through(Scene):
         changed = self.scene.changed if known and self._bent is None else None
         self._changed = None if changed is None else changed.grown(self._reach_px, self._size)
         part = (self._changed or whole).bounds if self._changed is None or not self._changed.empty else None
-        for picture, out in zip(self._inner, outs, strict=False):
-            if part is not None:
-                self._pass_one(picture, part, out)
+        if part is None:
+            return
+        pictures = self._inner[: len(outs)]
+        if self._workers is not None:
+            self._workers(pictures, part, outs)
+            return
+        for picture, out in zip(pictures, outs, strict=True):
+            self._pass_one(picture, part, out)
 
     @property
     def _reach_px(self) -> int:
@@ -138,8 +155,7 @@ class Through(Scene):
 
     def _pass_one(self, picture: Light, part: Part, out: Light) -> None:
         if self._taps is not None:
-            inside = part if self._bent is None else (0, picture.shape[0], 0, picture.shape[1])
-            blur(picture, self._taps, self._rows, self._blurred, inside)
+            blur(picture, self._taps, self._rows, self._blurred, (0, picture.shape[0], 0, picture.shape[1]))
             picture = self._blurred
         if self._bent is not None:
             bend(picture, self._bent, out)

@@ -7,6 +7,7 @@ tolerated share of wrong events, dim the share of dark current in the darkest ac
     effect              what dropping it costs                             dropped when
     low-pass            every stamp early by tau                           the longest tau < eps
     bandwidth           lags differ by those of darkest and brightest      that < eps
+    large signals       stamps early by (1 + ln range) / (2 pi f_max)      that < eps; off unless asked for
     source follower     every stamp early by 1/lambda2                     1/lambda2 < eps
     leak                R T events a pixel; stamps drift by R theta T/A    R T < delta N, and the drift < eps
     its spread, jitter  the same, of the rate's deviation                  the same

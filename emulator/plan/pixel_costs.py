@@ -18,7 +18,7 @@ import numpy as np
 
 from emulator.plan.decision import Decision, Tolerance, interval_s, least_current, over, run_events, tau_us, threshold
 from emulator.plan.scene_probe import Probe
-from emulator.sensor.noise.law import bandwidth_hz, rate_over_bandwidth, rms
+from emulator.sensor.noise.law import bandwidth_hz, beyond_the_law, fixed_corner_hz, of_array, rms
 from emulator.sensor.presets import SensorParameters
 
 __all__ = ["noise_shift", "pixel_costs"]
@@ -27,7 +27,8 @@ _RHO = (0.1, 0.3, 1.0, 3.0, 10.0)
 _EARLIER = (1.87, 1.32, 0.71, 0.31, 0.09)
 _DEVIATION = (0.58, 0.72, 0.86, 0.96, 1.0)
 _Q95 = 1.645
-_LEAST_A, _LEAST_A_SHORT_REFRACTORY, _LEAST_RHO = 3.5, 4.5, 0.3  # what the point process is good for
+_FASTEST_HZ = 1e6
+_LEAST_RHO = 0.3  # of a point process
 
 
 def pixel_costs(p: SensorParameters, scene: Probe, tolerance: Tolerance) -> list[Decision | None]:
@@ -35,6 +36,7 @@ def pixel_costs(p: SensorParameters, scene: Probe, tolerance: Tolerance) -> list
     return [
         _low_pass(p, scene),
         _bandwidth(p, scene),
+        _large_signals(p, scene),
         _source_follower(p),
         *_leaks(p, scene, tolerance),
         _mismatch(p, scene),
@@ -56,7 +58,11 @@ def _low_pass(p: SensorParameters, scene: Probe) -> Decision | None:
     if math.isinf(p.corner_hz_at_reference):
         return None
     lag_us = tau_us(p, least_current(p, scene))
-    return Decision("low-pass", "longest time constant", lag_us, None, {"corner_hz_at_reference": math.inf})
+    if p.photoreceptor == "large_signal":
+        return Decision("low-pass", "longest time constant; of the circuit, kept", lag_us, None, choice=False)
+    limits_noise = p.noise.rms and math.isinf(fixed_corner_hz(p))
+    noise: dict[str, Any] = {"noise": {"corner_hz": min(p.corner_max_hz, _FASTEST_HZ)}} if limits_noise else {}
+    return Decision("low-pass", "longest time constant", lag_us, None, {**noise, "corner_hz_at_reference": math.inf})
 
 
 def _bandwidth(p: SensorParameters, scene: Probe) -> Decision | None:
@@ -70,11 +76,24 @@ def _bandwidth(p: SensorParameters, scene: Probe) -> Decision | None:
     return Decision("bandwidth following the light", bound, longest_us - shortest_us, None, frozen)
 
 
+def _large_signals(p: SensorParameters, scene: Probe) -> Decision | None:
+    """Return the cost of a one-pole photoreceptor: its second pole, and its slew over the scene's range of light."""
+    if math.isinf(p.corner_hz_at_reference) or math.isinf(p.corner_max_hz):
+        return None
+    least = least_current(p, scene)
+    range_ln = math.log(max(_largest(scene) / least, 1.0))
+    late_us = 1e6 * (1 + range_ln) / (2 * math.pi * p.corner_max_hz)
+    here = p.photoreceptor == "large_signal"
+    changes = {"photoreceptor": "one_pole"} if here else {}
+    return Decision("large signals", "second pole, and slew over the range", late_us, None, changes, here, here)
+
+
 def _source_follower(p: SensorParameters) -> Decision | None:
     if not p.source_follower_hz:
         return None
     lag_us = 1e6 / (2 * math.pi * p.source_follower_hz)
-    return Decision("source follower", "its time constant", lag_us, None, {"source_follower_hz": 0.0})
+    noise: dict[str, Any] = {"noise": {"corner_hz": fixed_corner_hz(p)}} if p.noise.rms else {}  # which keeps its band
+    return Decision("source follower", "its time constant", lag_us, None, {**noise, "source_follower_hz": 0.0})
 
 
 def _leaks(p: SensorParameters, scene: Probe, tolerance: Tolerance) -> list[Decision | None]:
@@ -119,9 +138,8 @@ def _noise(p: SensorParameters, scene: Probe) -> Decision | None:
         return None
     darkest, brightest = _corner_hz(p, p.dark_current_relative), _corner_hz(p, _largest(scene))
     f = np.geomspace(darkest, brightest, 20) if math.isfinite(brightest) else np.full(1, math.inf)
-    bandwidth = bandwidth_hz(p, f)
-    rates = bandwidth * rate_over_bandwidth(threshold(p) / rms(p, f), p.refractory_us * 1e-6 * 2 * np.pi * bandwidth)
-    share = over(2 * float(rates.max()) * threshold(p), scene)
+    rates = of_array(p, np.asarray(threshold(p)), f)
+    share = over(float((rates.on + rates.off).max()) * threshold(p), scene)
     jitter_us = over(p.noise.rms, scene) * 1e6
     return Decision("noise", "jitter of events, and noise events", jitter_us, share, {"noise": {"rms": 0.0}})
 
@@ -136,10 +154,9 @@ def _shift(p: SensorParameters, scene: Probe) -> Decision | None:
     rho = max(scene.contrast_rate * tau_s / sigma, 1e-9)
     earlier, deviation = noise_shift(rho)
     shift_us = over(sigma, scene) * (earlier + _Q95 * deviation) * 1e6
-    least_a = _LEAST_A_SHORT_REFRACTORY if 0 < p.refractory_us * 1e-6 < tau_s else _LEAST_A
-    beyond = threshold(p) / sigma < least_a or rho < _LEAST_RHO
+    beyond = "noise decides whether" if rho < _LEAST_RHO else beyond_the_law(p, f)
     share = math.inf if beyond else None
-    bound = "beyond a point process: noise decides whether" if beyond else "events brought forward by noise"
+    bound = f"beyond a point process: {beyond}" if beyond else "events brought forward by noise"
     on_grid = p.noise.grade == "grid"
     changes = {"noise": {"grade": "points"}} if on_grid else {}
     return Decision("shift by noise", bound, shift_us, share, changes, choice=on_grid, kept=on_grid)

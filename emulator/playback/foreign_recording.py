@@ -15,6 +15,11 @@ __all__ = ["read_recording"]
 
 
 def read_recording(path: Path) -> dict[str, npt.NDArray[Any]]:
-    """Return `events`, (n,) EVENT. A damaged file may end the process: faery panics, which is no Exception."""
-    packets = [packet.astype(EVENT) for packet in faery.events_stream_from_file(path)]
-    return {"events": np.concatenate(packets) if packets else np.empty(0, EVENT)}
+    """Return `events`, (n,) EVENT, and `size`, (2,): width and height.
+
+    A damaged file may end the process: faery panics, which is no Exception.
+    """
+    stream = faery.events_stream_from_file(path)
+    packets = [packet.astype(EVENT) for packet in stream]
+    events = np.concatenate(packets) if packets else np.empty(0, EVENT)
+    return {"events": events, "size": np.array(stream.dimensions(), np.int64)}

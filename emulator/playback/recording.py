@@ -3,6 +3,7 @@
     .npz       what `--record` and the listeners write; the part after the last restart of the camera's clock
     .aedat4    recordings of iniVation's cameras; read by faery (`pip install 'evstim[files]'`)
     .es .dat .raw .csv   likewise, as far as faery reads them; in a child process, see `foreign_file`
+    others     every format that `evstim convert` reads, see docs/recordings.md
 
 A recording is taken whole into memory, 13 bytes an event.
 """
@@ -15,16 +16,20 @@ from typing import ClassVar
 
 import numpy as np
 
-from emulator.light import SceneError
+from emulator.light import MachineLacks, SceneError
 from emulator.scene.foreign_file import read_in_child
 from emulator.scene.kind import SceneKind
 from emulator.tables.files import NO_FILE, RigFile
+from firmware_protocol.event_copies import join_events
 from firmware_protocol.events import Events
-from transports.link.array_file import ArrayFileError
-from transports.link.record import load_record
+from transports.recording.array_file import ArrayFileError
+from transports.recording.guarded import LibraryMissing, OpenRecording
+from transports.recording.part import RecordingError
+from transports.recording.record import load_record
 
-__all__ = ["RECORDING", "RecordingParameters", "load_recording"]
+__all__ = ["RECORDING", "RecordingParameters", "load_recording", "read_events"]
 
+_BY_FAERY = (".aedat4", ".es", ".dat", ".raw", ".csv")
 _FAERY = "emulator.playback.foreign_recording:read_recording"
 
 
@@ -61,6 +66,21 @@ class RecordingParameters:
 RECORDING = SceneKind(RecordingParameters, "emulator.playback.replay:blank", events="emulator.playback.replay:replay")
 
 
+def read_events(path: Path, known: tuple[int, int] | None = None) -> tuple[Events, tuple[int, int] | None]:
+    """Read a recording: (n,) EVENT, sorted, and the sensor's (width, height) where the file tells it, or `known`.
+
+    Raises SceneError where the file cannot be read, holds no events, or goes back in time.
+    """
+    events, size = _read(path, known)
+    if not len(events):
+        raise SceneError(f"{path}: holds no events")
+    back = np.flatnonzero(events["t"][1:] < events["t"][:-1])
+    if back.size:
+        k = int(back[0]) + 1
+        raise SceneError(f"{path}: event {k} goes back in time, from {events['t'][k - 1]} to {events['t'][k]} us")
+    return events, size
+
+
 def load_recording(path: Path, size: tuple[int, int]) -> Events:
     """Read a recording, (n,) EVENT, sorted, its first event at time 0.
 
@@ -69,9 +89,7 @@ def load_recording(path: Path, size: tuple[int, int]) -> Events:
     SceneError
         The file cannot be read, holds no events, or events that a sensor of `size` = (width, height) cannot have.
     """
-    events = _read_npz(path) if path.suffix == ".npz" else read_in_child(_FAERY, path)["events"]
-    if not len(events):
-        raise SceneError(f"{path}: holds no events")
+    events, _ = read_events(path, size)
     outside = np.flatnonzero((events["x"] >= size[0]) | (events["y"] >= size[1]))
     if outside.size:
         k = int(outside[0])
@@ -79,12 +97,26 @@ def load_recording(path: Path, size: tuple[int, int]) -> Events:
             f"{path}: event {k} is at ({events['x'][k]}, {events['y'][k]}), outside a sensor of {size[0]} x {size[1]} "
             "pixels; give the camera the model that recorded it"
         )
-    back = np.flatnonzero(events["t"][1:] < events["t"][:-1])
-    if back.size:
-        k = int(back[0]) + 1
-        raise SceneError(f"{path}: event {k} goes back in time, from {events['t'][k - 1]} to {events['t'][k]} us")
     events["t"] -= events["t"][0]
     return events
+
+
+def _read(path: Path, known: tuple[int, int] | None) -> tuple[Events, tuple[int, int] | None]:
+    if path.suffix == ".npz":
+        return _read_npz(path), known
+    if path.suffix in _BY_FAERY:
+        found = read_in_child(_FAERY, path)
+        return found["events"], (int(found["size"][0]), int(found["size"][1]))
+    try:
+        with OpenRecording(path, known) as recording:
+            events = join_events([part.events for part in recording.parts()])
+            return events.copy(), recording.facts.size
+    except LibraryMissing as error:
+        raise MachineLacks(f"{path}: {error}") from error
+    except RecordingError as error:
+        raise SceneError(f"{path}: {error}") from error
+    except OSError as error:
+        raise SceneError(f"{path}: cannot be read: {error.strerror or error}") from error
 
 
 def _read_npz(path: Path) -> Events:

@@ -76,9 +76,14 @@ class Replay:
         self._next, self._start_ns, self.raised = 0, int(t_ns), 0
 
     def expose(
-        self, light: npt.NDArray[np.float32], t_ns: int, rate: npt.NDArray[np.float32] | None = None, at: object = None
+        self,
+        light: npt.NDArray[np.float32],
+        t_ns: int,
+        rate: npt.NDArray[np.float32] | None = None,
+        at: object = None,
+        changed: object = None,
     ) -> Events:
-        """Return the events up to `t_ns`; light, rate and pixels' own light do not matter."""
+        """Return the events up to `t_ns`; what is seen does not matter."""
         pieces = [self._round(int(t_ns))]
         while self._next == len(self._recording) and self._round_ns is not None:
             if self._start_ns + self._round_ns > t_ns:

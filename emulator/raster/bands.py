@@ -4,7 +4,7 @@
 2. A facet shows if it is the nearest at a sample, or if it covers no sample and any sample in its box, one pixel
    wider, is not nearer than its nearest point. This keeps what lies behind out of the sums; where it errs, areas do
    not add up to one.
-3. The edges of facets that show go into sums along rows (`rows`).
+3. The edges of facets that show go into sums along rows (`rows`): of a patch no area, and what its light differs by.
 4. A pixel with the area 1 has its light. One with several whole layers, of which the same facet is the nearest at all
    samples around, has the light of this facet. All others that hold anything are computed one by one from all facets
    that touch them, hidden ones too (`pixel`).
@@ -196,7 +196,7 @@ def _one_by_one(
     scratch: Data,
 ) -> int:
     """Write light and rate of the first n `found` pixels to `answers`; return 0, or the pairs that lack room."""
-    slots, found, masks, answers, ends, pairs, grouped, keys, lines = scratch[5:]
+    slots, found, masks, answers, ends, pairs, grouped, keys, sides, lines = scratch[5:]
     count: int = _pair_up(data, here, (slots, found, masks), pairs, rows, columns)
     masks[columns[0] : columns[1]] = 0
     for k in range(n):
@@ -206,10 +206,28 @@ def _one_by_one(
     _group(pairs, count, ends[:n], grouped)
     begin = 0
     for k in range(n):
-        value, changing = pixel_light(data, (found[k, 1], found[k, 0]), grouped[begin : ends[k]], keys, lines)
+        value, changing = pixel_light(data, (found[k, 1], found[k, 0]), grouped[begin : ends[k]], keys, (sides, lines))
         answers[k, 0], answers[k, 1] = max(value, 0.0), changing
         begin = ends[k]
     return 0
+
+
+@kernel
+def _mark_others(data: Data, here: Ints, marks: tuple[Ints, Ints], depth: Floats, rows: tuple[int, int, int]) -> None:
+    """Mark the facets that may show although they hold no sample; patches show where their facets do.
+
+    A patch has no area, so that nothing would tell if one was left out.
+    """
+    over, (shows, held), (first, last, band) = data[6], marks, rows
+    for f in here:
+        if over[f] >= 0 and shows[f] == band:
+            shows[over[f]] = band
+    for f in here:
+        if over[f] < 0 and shows[f] != band and held[f] != band and may_show(data[4], f, depth, first, last):
+            shows[f] = band
+    for f in here:
+        if over[f] >= 0:
+            shows[f] = shows[over[f]]
 
 
 @entry
@@ -262,7 +280,7 @@ def draw_bands(
 
     Parameters
     ----------
-    data : vertices, faces, across, smooth, facets, kinds.
+    data : vertices, faces, across, smooth, facets, kinds, over.
     bands : first, last, step.
     lists : `starts` and `listed` of `projection.bucket`.
     window : first column to write, and the one after the last.
@@ -289,9 +307,7 @@ def draw_bands(
         nearest[:, c0 : c1 + 2] = -1
         fill_depth(data, here, depth, nearest, held, (first, last, band))
         mark_seen(nearest, (c0, c1 + 2), shows, band)
-        for f in here:
-            if shows[f] != band and held[f] != band and may_show(facets, f, depth, first, last):
-                shows[f] = band
+        _mark_others(data, here, (shows, held), depth, (first, last, band))
         for f in here:
             if shows[f] == band:
                 add_facet(acc, f, shows, band, data, (first, last, width))

@@ -50,6 +50,7 @@ def clip(topology: Topology, view: View, nearest_m: float) -> tuple[Topology, Vi
         np.concatenate([topology.two_sided, topology.two_sided[added]]),
         len(places),
         len(entries.values),
+        np.concatenate([_over_whole(topology.over, added), np.full(len(added), -1, np.int32)]),
     )
     return extended, View(places[:, :3], places[:, 3:], entries.values[:, 0], entries.values[:, 1])
 
@@ -66,6 +67,11 @@ class _Corners:
         first = len(self.values)
         self.values = np.concatenate([self.values, self.values[near] * (1 - share) + self.values[far] * share])
         return np.arange(first, len(self.values), dtype=np.int32)
+
+
+def _over_whole(over: Ints, cut: Ints) -> Ints:
+    """Return the facets below patches: a patch on a facet that is cut becomes a facet of its own."""
+    return np.where(np.isin(over, cut), np.int32(-1), over)
 
 
 def _turned(corners: Ints, first: npt.NDArray[np.intp]) -> tuple[Ints, Ints, Ints]:

@@ -12,6 +12,8 @@ from emulator.raster.layout import Data, Floats, Ints, W, WHighest, WLowest, XHi
 
 __all__ = ["alone", "fill_depth", "mark_seen", "shows"]
 
+_ON_A_SIDE = 1e-9  # pixels: a middle so near a facet's side lies on it
+
 
 @vector_kernel
 def fill_depth(
@@ -24,7 +26,7 @@ def fill_depth(
 ) -> None:
     """Write the largest 1 / depth and its facet at the middles of rows first - 1 to last and columns -1 to the width.
 
-    Facets that hold a middle get the number of the band in `held`.
+    Facets that hold a middle, not on a side alone, get the number of the band in `held`.
     """
     vertices, faces, facets = data[0], data[1], data[4]
     first, last, band = rows
@@ -53,6 +55,7 @@ def fill_depth(
         upper = (bx - ax) / (by - ay) if by > ay else 0.0
         lower = (cx - bx) / (cy - by) if cy > by else 0.0
         wx, low, high = facets[f, W + 1], facets[f, WLowest], facets[f, WHighest]
+        low_y, high_y = ay + _ON_A_SIDE, cy - _ON_A_SIDE
         holds = False
         for r in range(r0, r1 + 1):
             y = r + 0.5
@@ -64,7 +67,9 @@ def fill_depth(
             c1 = math.floor(min(right, most + 1.0) - 0.5)
             if c0 > c1:
                 continue
-            holds = True
+            # A middle exactly on a side may go to the neighbour: it tells nothing about what hides the facet.
+            within = math.ceil(left - 0.5 + _ON_A_SIDE) <= math.floor(right - 0.5 - _ON_A_SIDE)
+            holds = holds or (within and low_y < y < high_y)
             at_row = facets[f, W] + facets[f, W + 2] * y
             line, owner = depth[r - first + 1], nearest[r - first + 1]
             for column in range(c0, c1 + 1):

@@ -45,7 +45,7 @@ Bytes = npt.NDArray[np.uint8]
 Pictures = npt.NDArray[np.float32]
 
 Data = tuple[Any, ...]
-"""What kernels pass on: vertices, faces, across, smooth, facets, kinds."""
+"""What kernels pass on: vertices, faces, across, smooth, facets, kinds, over."""
 
 Plane = tuple[float, float, float]
 Sides = tuple[float, float, float, float, float]

@@ -29,6 +29,7 @@ from emulator.raster.lines import resolve
 
 __all__ = ["TOLERANCE", "pixel_light"]
 
+_BEFORE = 1.0 + 1e-9
 TOLERANCE = 1e-6
 """Area, in pixels, below which gaps and overlaps count as rounding."""
 
@@ -76,15 +77,21 @@ def _contains(vertices: Floats, faces: Ints, facets: Floats, f: int, column: int
 
 @vector_kernel
 def integrals(data: Data, f: int, column: int, row: int) -> tuple[float, float, float]:
-    """Return area, light and rate of a facet within a pixel, exact."""
-    vertices, faces, facets = data[0], data[1], data[4]
+    """Return area, light and rate of a facet within a pixel, exact; of a patch no area, and what light differs by."""
+    vertices, faces, facets, over = data[0], data[1], data[4], data[6][f]
     k = facets[f, Sign]
     area = light = rate = 0.0
-    jx, jy, gx, gy = facets[f, L + 1], facets[f, L + 2], facets[f, G + 1], facets[f, G + 2]
-    j0 = facets[f, L] + jx * column + jy * row
-    g0 = facets[f, G] + gx * column + gy * row
+    j0, jx, jy = facets[f, L], facets[f, L + 1], facets[f, L + 2]
+    g0, gx, gy = facets[f, G], facets[f, G + 1], facets[f, G + 2]
+    whole = 1.0
+    if over >= 0:
+        whole = 0.0
+        j0, jx, jy = j0 - facets[over, L], jx - facets[over, L + 1], jy - facets[over, L + 2]
+        g0, gx, gy = g0 - facets[over, G], gx - facets[over, G + 1], gy - facets[over, G + 2]
+    j0 += jx * column + jy * row
+    g0 += gx * column + gy * row
     if _contains(vertices, faces, facets, f, column, row):
-        return 1.0, j0 + 0.5 * (jx + jy), g0 + 0.5 * (gx + gy)
+        return whole, j0 + 0.5 * (jx + jy), g0 + 0.5 * (gx + gy)
     for side in range(3):
         a, b = faces[f, side], faces[f, side + 1 if side < 2 else 0]
         ax, ay, bx, by = (
@@ -135,7 +142,7 @@ def integrals(data: Data, f: int, column: int, row: int) -> tuple[float, float, 
             dq = vertices[b, 2] * dy - vertices[b, 3] * dx - qa
             l0, l1 = j0 + jx * p + jy * y0, j0 + jx * q + jy * y1
             rate -= flux(s1 - s0, l0, l1, qa + dq * s0, qa + dq * s1)
-    return k * area, k * light, k * rate
+    return k * whole * area, k * light, k * rate
 
 
 @vector_kernel
@@ -171,7 +178,7 @@ def pixel_light(
     place: tuple[int, int],
     listed: Ints,
     keys: Floats,
-    lines: Floats,
+    scratch: tuple[Floats, Floats],
 ) -> tuple[float, float]:
     """Return light and rate of the pixel (column, row).
 
@@ -179,12 +186,17 @@ def pixel_light(
     ----------
     listed : (n,) facets that touch the pixel; sorted in place.
     keys : (n,) or longer, scratch.
-    lines : (n, 10) or longer, scratch.
+    scratch : of `resolve`.
     """
     column, row = place
     n = len(listed)
+    over = data[6]
     for i in range(n):
-        keys[i] = depth_range(data[4], listed[i], column, row)[1]
+        f = listed[i]
+        if over[f] >= 0:  # before its facet
+            keys[i] = depth_range(data[4], over[f], column, row)[1] * _BEFORE
+        else:
+            keys[i] = depth_range(data[4], f, column, row)[1]
     _sort(listed, keys, n)
     area = light = rate = 0.0
     farthest = 1e300
@@ -196,14 +208,16 @@ def pixel_light(
         area, light, rate = area + a, light + b, rate + c
         if area > 1.0 + TOLERANCE:
             break
-        farthest = min(farthest, depth_range(data[4], listed[i], column, row)[0])
+        if a > 0.0:
+            farthest = min(farthest, depth_range(data[4], listed[i], column, row)[0])
     if abs(area - 1.0) <= TOLERANCE:
         return light, rate
     crossings, lean = 0, 0.0
     for i in range(n):
-        more, leaning = _outline(data, listed[i], column, row)
-        crossings, lean = crossings + more, lean + leaning
+        if over[listed[i]] < 0:
+            more, leaning = _outline(data, listed[i], column, row)
+            crossings, lean = crossings + more, lean + leaning
     if area < 1.0 and crossings == 2:
         return light, rate
-    light, rate = resolve(data, place, listed[:n], lines, lean > 0.0)
+    light, rate = resolve(data, place, listed[:n], scratch, lean > 0.0)
     return light, rate

@@ -83,19 +83,29 @@ def set_up(
     faces: Ints,
     shades: Ints,
     two_sided: Bytes,
+    over: Ints,
     radiance: Floats,
     rates: Floats,
     shape: tuple[int, int],
     facets: Floats,
     kinds: Bytes,
+    spans: Ints,
     touched: Ints,
 ) -> int:
-    """Write facets (m, 16), kinds (m,) and the touched rows and columns (4,); return entries in all bands' lists."""
+    """Write facets (m, 16), kinds (m,), the bands of each (m, 2), and the touched rows and columns (4,).
+
+    Return the entries in all bands' lists.
+
+    Parameters
+    ----------
+    spans : first band and the one after the last; equal where the facet is left out.
+    """
     height, width = shape
     touched[0], touched[1], touched[2], touched[3] = height, 0, width, 0
     entries = 0
     for f in range(len(faces)):
         kinds[f] = CULLED
+        spans[f, 0] = spans[f, 1] = 0
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
         ax, ay, bx, by, cx, cy = (
             vertices[a, 0],
@@ -108,6 +118,8 @@ def set_up(
         e1x, e1y, e2x, e2y = bx - ax, by - ay, cx - ax, cy - ay
         det = e1x * e2y - e1y * e2x
         if not (det < 0.0 or (det > 0.0 and two_sided[f])):
+            continue
+        if over[f] >= 0 and kinds[over[f]] == CULLED:  # a patch comes after its facet
             continue
         if vertices[a, Valid] + vertices[b, Valid] + vertices[c, Valid] < 3.0:
             continue
@@ -143,6 +155,7 @@ def set_up(
                 facets[f, at] = 0.0
             facets[f, L], facets[f, G], facets[f, W] = (la + lb + lc) / 3, (ga + gb + gc) / 3, (wa + wb + wc) / 3
         first, last = _bands(y_low, y_high, height)
+        spans[f, 0], spans[f, 1] = first, last
         entries += last - first
         if x_high > 0.0 and x_low < width and y_high > 0.0 and y_low < height:
             touched[0] = min(touched[0], int(max(y_low, 0.0)))
@@ -161,19 +174,20 @@ def _bands(y_low: float, y_high: float, height: int) -> tuple[int, int]:
 
 
 @entry
-def bucket(kinds: Bytes, facets: Floats, height: int, starts: Ints, listed: Ints) -> None:
-    """Write the facets of each band: those of band b are listed[starts[b]:starts[b + 1]], in ascending order."""
+def bucket(spans: Ints, starts: Ints, listed: Ints) -> None:
+    """Write the facets of each band: those of band b are listed[starts[b]:starts[b + 1]], in ascending order.
+
+    Parameters
+    ----------
+    spans : of `set_up`.
+    """
     starts[:] = 0
-    for f in range(len(kinds)):
-        if kinds[f] != CULLED:
-            first, last = _bands(facets[f, YLow], facets[f, YHigh], height)
-            for b in range(first, last):
-                starts[b + 2] += 1
+    for f in range(len(spans)):
+        for b in range(spans[f, 0], spans[f, 1]):
+            starts[b + 2] += 1
     for b in range(2, len(starts)):
         starts[b] += starts[b - 1]
-    for f in range(len(kinds)):
-        if kinds[f] != CULLED:
-            first, last = _bands(facets[f, YLow], facets[f, YHigh], height)
-            for b in range(first, last):
-                listed[starts[b + 1]] = f
-                starts[b + 1] += 1
+    for f in range(len(spans)):
+        for b in range(spans[f, 0], spans[f, 1]):
+            listed[starts[b + 1]] = f
+            starts[b + 1] += 1

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,10 +10,12 @@ import numpy.typing as npt
 from emulator.raster.bands import draw_bands, query_bands
 from emulator.raster.clipping import clip
 from emulator.raster.layout import BAND, FACET_FIELDS, VERTEX_FIELDS, Bytes, Floats, Ints, Pictures
-from emulator.raster.lines import LINE_FIELDS
+from emulator.raster.lines import LINE_FIELDS, SIDE_FIELDS
+from emulator.raster.nearest import nearest_facets
 from emulator.raster.projection import bucket, project, set_up
 from emulator.raster.topology import Topology
 from emulator.raster.view import Box, Screen, View
+from emulator.threads import Crew
 
 __all__ = ["Owners", "Renderer"]
 
@@ -66,6 +67,7 @@ class _Scratch:
         self.pairs = np.zeros((pairs, 2), np.int32)
         self.grouped = np.zeros(pairs, np.int32)
         self.keys = np.zeros(pairs)
+        self.sides = np.zeros((pairs, SIDE_FIELDS))
         self.lines = np.zeros((pairs, LINE_FIELDS))
 
     @property
@@ -85,6 +87,7 @@ class _Scratch:
             self.pairs,
             self.grouped,
             self.keys,
+            self.sides,
             self.lines,
         )
 
@@ -106,7 +109,7 @@ class Renderer:
         self._drawn = topology
         self._make_room(topology)
         self._scratches = [_Scratch(screen, len(topology.faces)) for _ in range(threads)]
-        self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
+        self._crew = Crew(threads)
 
     @property
     def facets(self) -> Floats:
@@ -147,17 +150,22 @@ class Renderer:
         answers = out[place].astype(np.float32)
         return answers[:, 0], answers[:, 1]
 
+    def nearest(self, view: View, out: Ints) -> None:
+        """Write the row of `facets` that is the nearest at each pixel's middle, (height, width) int32; -1 for none."""
+        self._prepare(view)
+        scratch = self._scratches[0]
+        nearest_facets(self._data, (self._starts, self._listed), (scratch.depth, scratch.nearest, scratch.held), out)
+
+    def corners(self) -> Ints:
+        """Return a vertex of each of `facets`, (m,): its first that was not made by a cut at the nearest depth."""
+        return np.ascontiguousarray(self._drawn.faces[:, 0])
+
     def close(self) -> None:
         """End the threads; a second call does nothing."""
-        if self._pool is not None:
-            self._pool.shutdown()
+        self._crew.close()
 
     def _draw(self, window: Box, light: Pictures, rate: Pictures, owners: Owners) -> None:
-        if self._pool is None:
-            self._draw_share(0, window, light, rate, owners)
-            return
-        shares = range(len(self._scratches))
-        list(self._pool.map(lambda share: self._draw_share(share, window, light, rate, owners), shares))
+        self._crew.each(lambda share, _: self._draw_share(share, window, light, rate, owners), len(self._scratches))
 
     def _draw_share(self, share: int, window: Box, light: Pictures, rate: Pictures, owners: Owners) -> None:
         """Draw every n-th band, n threads."""
@@ -182,14 +190,15 @@ class Renderer:
                 scratch.grow(2 * pairs)
 
     @property
-    def _data(self) -> tuple[Floats, Ints, Ints, Bytes, Floats, Bytes]:
+    def _data(self) -> tuple[Floats, Ints, Ints, Bytes, Floats, Bytes, Ints]:
         t = self._drawn
-        return self._vertices, t.faces, t.across, t.smooth, self._facets, self._kinds
+        return self._vertices, t.faces, t.across, t.smooth, self._facets, self._kinds, t.over
 
     def _make_room(self, topology: Topology) -> None:
         self._vertices = np.zeros((topology.vertices, VERTEX_FIELDS))
         self._facets = np.zeros((len(topology.faces), FACET_FIELDS))
         self._kinds = np.zeros(len(topology.faces), np.uint8)
+        self._spans = np.zeros((len(topology.faces), 2), np.int32)
 
     def _take(self, topology: Topology) -> None:
         """Draw this topology, with room for its vertices and facets."""
@@ -216,16 +225,18 @@ class Renderer:
             t.faces,
             t.shades,
             t.two_sided,
+            t.over,
             view.radiance,
             view.radiance_rate,
             (screen.height, screen.width),
             self._facets,
             self._kinds,
+            self._spans,
             self._touched,
         )
         if entries > len(self._listed):
             self._listed = np.zeros(2 * entries, np.int32)
-        bucket(self._kinds[: len(t.faces)], self._facets, screen.height, self._starts, self._listed)
+        bucket(self._spans[: len(t.faces)], self._starts, self._listed)
 
     def _project(self, topology: Topology, view: View) -> bool:
         """Project the vertices; tell whether any is too near or behind."""

@@ -130,7 +130,7 @@ def add_facet(
     rows: tuple[int, int, int],
 ) -> None:
     """Add the edges of a facet that shows; an edge between two such facets is added by the first of them."""
-    vertices, faces, across, facets = data[0], data[1], data[2], data[4]
+    vertices, faces, across, facets, over = data[0], data[1], data[2], data[4], data[6][f]
     k = facets[f, Sign]
     for side in range(3):
         g = across[f, side]
@@ -142,6 +142,10 @@ def add_facet(
         s = k
         area, j0, jx, jy = s, s * facets[f, L], s * facets[f, L + 1], s * facets[f, L + 2]
         g0, gx, gy = s * facets[f, G], s * facets[f, G + 1], s * facets[f, G + 2]
+        if over >= 0:
+            area = 0.0
+            j0, jx, jy = j0 - s * facets[over, L], jx - s * facets[over, L + 1], jy - s * facets[over, L + 2]
+            g0, gx, gy = g0 - s * facets[over, G], gx - s * facets[over, G + 1], gy - s * facets[over, G + 2]
         still = False
         if shared:
             o = facets[g, Sign]

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
 
 from emulator.raster.layout import Bytes, Ints
 
-__all__ = ["Topology", "join", "prepare"]
+__all__ = ["Patches", "Topology", "join", "prepare", "with_patches"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,6 +25,8 @@ class Topology:
     smooth : (m, 3) uint8, whether both facets of that side share the entries of `shades` at both ends.
     two_sided : (m,) uint8, whether a facet is seen from behind too. A facet that is not is invisible from behind.
     vertices, entries : how many vertices and radiances a view must have.
+    over : (m,) int32, the facet on which a patch lies; -1 for a facet of a surface, as all are by default. A patch is
+        a part of its facet with other light, a very little nearer to the camera; patches on a facet do not overlap.
     """
 
     faces: Ints
@@ -34,6 +36,11 @@ class Topology:
     two_sided: Bytes
     vertices: int
     entries: int
+    over: Ints = field(default_factory=lambda: np.zeros(0, np.int32))
+
+    def __post_init__(self) -> None:
+        if len(self.over) != len(self.faces):
+            object.__setattr__(self, "over", np.full(len(self.faces), -1, np.int32))
 
 
 def prepare(faces: npt.ArrayLike, *, shades: npt.ArrayLike | None = None, two_sided: bool = False) -> Topology:
@@ -68,6 +75,60 @@ def join(topologies: Sequence[Topology]) -> Topology:
         np.concatenate([t.two_sided for t in topologies]),
         int(vertices[-1]),
         int(entries[-1]),
+        _stack([np.where(t.over < 0, -1, t.over + k) for t, k in zip(topologies, facets, strict=False)]),
+    )
+
+
+class Patches:
+    """Topologies of the same surfaces with other patches for each picture, in arrays that are used again."""
+
+    def __init__(self, surfaces: Topology) -> None:
+        self._surfaces = self._room = surfaces
+
+    def on(self, faces: Ints, over: Ints) -> Topology:
+        """Return the topology with patches at the end; it holds until the next call.
+
+        Parameters
+        ----------
+        faces : (n, 3), corners of patches, numbered from 0; their vertices and radiances follow those of the surfaces.
+        over : (n,), the facet on which each lies.
+        """
+        t, m, n = self._surfaces, len(self._surfaces.faces), len(faces)
+        if m + n > len(self._room.faces):
+            self._room = _with_room(t, 2 * n)
+        room, end = self._room, m + n
+        np.add(faces, np.int32(t.vertices), out=room.faces[m:end])
+        np.add(faces, np.int32(t.entries), out=room.shades[m:end])
+        room.over[m:end] = over
+        count = int(faces.max()) + 1 if n else 0
+        return Topology(
+            room.faces[:end],
+            room.shades[:end],
+            room.across[:end],
+            room.smooth[:end],
+            room.two_sided[:end],
+            t.vertices + count,
+            t.entries + count,
+            room.over[:end],
+        )
+
+
+def with_patches(topology: Topology, faces: Ints, over: Ints) -> Topology:
+    """Return a topology with patches at the end, in arrays of its own; see `Patches`."""
+    return Patches(topology).on(faces, over)
+
+
+def _with_room(topology: Topology, n: int) -> Topology:
+    """Return a topology with n facets more at the end, which have no neighbours and are seen from one side."""
+    return Topology(
+        np.concatenate([topology.faces, np.zeros((n, 3), np.int32)]),
+        np.concatenate([topology.shades, np.zeros((n, 3), np.int32)]),
+        np.concatenate([topology.across, np.full((n, 3), -1, np.int32)]),
+        np.concatenate([topology.smooth, np.zeros((n, 3), np.uint8)]),
+        np.concatenate([topology.two_sided, np.zeros(n, np.uint8)]),
+        topology.vertices,
+        topology.entries,
+        np.concatenate([topology.over, np.full(n, -1, np.int32)]),
     )
 
 

@@ -12,7 +12,7 @@ from emulator.sensor.presets import PRESETS, SensorParameters
 from firmware_protocol.davis346 import Davis346, Davis346Settings, Layout
 from firmware_protocol.usb.device import Speed, UsbCamera
 
-__all__ = ["CAMERA_MODELS", "CameraModel", "UsbModel", "UsbSettings", "usb_sizes"]
+__all__ = ["CAMERA_MODELS", "CameraModel", "UsbModel", "UsbSettings", "gige_models", "usb_sizes"]
 
 
 @dataclass(frozen=True)
@@ -41,11 +41,18 @@ class UsbModel:
 
 @dataclass(frozen=True)
 class CameraModel:
-    """A camera model; `usb` None: there is no USB device for it yet."""
+    """A camera model; `usb` None: there is no USB device for it yet.
+
+    Attributes
+    ----------
+    gige
+        Whether it is a GigE Vision device.
+    """
 
     sensor: SensorParameters
     chip: Chip
     usb: UsbModel | None = None
+    gige: bool = False
 
 
 def _davis346(camera: Camera, usb: UsbSettings) -> Callable[[], UsbCamera]:
@@ -65,8 +72,15 @@ CAMERA_MODELS: Mapping[str, CameraModel] = {
     "davis346": CameraModel(PRESETS["davis346"], CHIPS["davis346"], UsbModel((346, 260), _davis346)),
     "dvxplorer_micro": CameraModel(PRESETS["dvxplorer_micro"], CHIPS["dvxplorer_micro"]),
     "imx636": CameraModel(PRESETS["imx636"], CHIPS["imx636"]),
+    "triton2": CameraModel(PRESETS["imx636"], CHIPS["imx636"], gige=True),
+    "ideal": CameraModel(PRESETS["ideal"], CHIPS["davis346"], UsbModel((346, 260), _davis346)),
 }
 """Camera models by the name that rigs write."""
+
+
+def gige_models() -> tuple[str, ...]:
+    """Return the camera models that have a GigE Vision device."""
+    return tuple(name for name, model in CAMERA_MODELS.items() if model.gige)
 
 
 def usb_sizes() -> dict[str, tuple[int, int]]:

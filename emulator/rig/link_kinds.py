@@ -16,6 +16,12 @@ LINKS: Registry[LinkKind[Any]] = Registry(
         "usbip": "transports.usb.usbip.kind:USBIP",
         "loopback": "transports.usb.loopback_kind:LOOPBACK",
         "serial": "transports.serial_line.kind:SERIAL",
+        "gige": "transports.gige.kind:GIGE",
+        "file": "transports.file.kind:FILE",
+        "tcp": "transports.network_streams.kind:TCP",
+        "udp": "transports.network_streams.kind:UDP",
+        "udp_packets": "transports.udp_packets.kind:UDP_PACKETS",
+        "ros2": "transports.ros2.kind:ROS2",
         "can": "transports.can_bus.kind:CAN",
     },
 )

@@ -7,6 +7,7 @@
     [camera.clock]   how the camera's own clock goes wrong
     [trigger]        what is connected to the camera's external input
     [run]            step_us, seed, seconds, pace, lead_us
+    [verdict]        what a run must keep to be good
     [[faults]]       what goes wrong on a link, and when
     [[links]]        kind = "usbip" | "loopback" | "serial" | "can", and that link's own keys; any number of them
 
@@ -23,13 +24,14 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from emulator.rig.aliases import with_new_spellings
-from emulator.rig.camera_models import CAMERA_MODELS, usb_sizes
+from emulator.rig.camera_models import CAMERA_MODELS, gige_models, usb_sizes
 from emulator.rig.fault_tables import convert_fault
 from emulator.rig.link_kinds import LINKS
 from emulator.rig.scene_kinds import SCENES
 from emulator.rig.tables import Camera, Run
 from emulator.rig.text import line_of
 from emulator.rig.trigger_table import Trigger
+from emulator.rig.verdict_table import Verdict
 from emulator.scene.kind import SceneParameters
 from emulator.sensor.presets import SensorParameters
 from emulator.tables.files import beside
@@ -50,9 +52,12 @@ __all__ = [
     "Run",
     "Trigger",
     "UsbipLink",
+    "Verdict",
     "find_rig",
     "load_rig",
     "parse_rig",
+    "read_rig",
+    "rig_of_table",
     "shipped_rigs",
 ]
 
@@ -77,6 +82,7 @@ class Rig:
     links: tuple[LinkParameters, ...] = ()
     trigger: Trigger | None = None
     faults: tuple[Fault, ...] = ()
+    verdict: Verdict = field(default_factory=Verdict)
 
 
 def shipped_rigs() -> dict[str, Path]:
@@ -105,11 +111,20 @@ def find_rig(rig: str) -> Path:
 def load_rig(rig: str) -> Rig:
     """Load a rig by path or name; raises RigError."""
     path = find_rig(rig)
+    return parse_rig(read_rig(path), str(path), path.stem)
+
+
+def read_rig(path: Path) -> str:
+    """Return the text of a rig file; raises RigError."""
     try:
-        text = read_text(path, _MOST_BYTES)
+        return read_text(path, _MOST_BYTES)
     except TextFileError as error:
         raise RigError(f"{path}: {error}") from error
-    return parse_rig(text, str(path), path.stem)
+
+
+def rig_of_table(table: dict[str, Any], name: str, folder: Path) -> Rig:
+    """Make a rig of the tables of a rig file that lies in `folder`; raises TableError."""
+    return beside(_rig(table, name), folder)
 
 
 def parse_rig(text: str, file: str, name: str) -> Rig:
@@ -121,7 +136,7 @@ def parse_rig(text: str, file: str, name: str) -> Rig:
     except RecursionError as error:
         raise RigError(f"{file}: not valid TOML: its arrays or tables are nested too deeply") from error
     try:
-        return beside(_rig(table, name), Path(file).parent)
+        return rig_of_table(table, name, Path(file).parent)
     except TableError as error:
         line = line_of(text, error.path)
         at = f"{file}, line {line}" if line else file
@@ -135,7 +150,7 @@ def _dotted(path: KeyPath) -> str:
 
 def _rig(table: dict[str, Any], name: str) -> Rig:
     table = with_new_spellings(table)
-    known = ["title", "scene", "camera", "trigger", "run", "links", "faults"]
+    known = ["title", "scene", "camera", "trigger", "run", "links", "faults", "verdict"]
     for key in table:
         if key not in known:
             raise TableError(unknown(key, known), (key,))
@@ -154,7 +169,9 @@ def _rig(table: dict[str, Any], name: str) -> Rig:
         )
     kind, rest = _of_kind(table["scene"], SCENES, ("scene",))
     scene = convert(rest, kind.parameters, ("scene",))
-    return Rig(name, title, scene, camera, run, links, trigger, _faults(table.get("faults", []), links))
+    faults = _faults(table.get("faults", []), links)
+    verdict = convert(table.get("verdict", {}), Verdict, ("verdict",))
+    return Rig(name, title, scene, camera, run, links, trigger, faults, verdict)
 
 
 def _faults(tables: object, links: tuple[LinkParameters, ...]) -> tuple[Fault, ...]:
@@ -211,7 +228,7 @@ def _link(table: object, camera: Camera, path: KeyPath) -> LinkParameters:
     kind, rest = _of_kind(table, LINKS, path)
     link: LinkParameters = convert(kind.complete(rest), kind.parameters, path)
     try:
-        kind.check(link, CameraFacts(camera.model, camera.size, usb_sizes()))
+        kind.check(link, CameraFacts(camera.model, camera.size, usb_sizes(), gige_models()))
     except Unsuitable as error:
         raise TableError(str(error), (*path, *error.key)) from error
     return link

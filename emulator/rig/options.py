@@ -16,6 +16,6 @@ def with_options(rig: Rig, seconds: float | None = None, seed: int | None = None
     if made.run.pace == "free" and not made.run.seconds and getattr(made.scene, "loop", False):
         raise ValueError(
             'seconds must be above 0 here, got 0: with pace "free" a recording or video that loops '
-            '(scene.loop) never ends'
+            "(scene.loop) never ends"
         )
     return made

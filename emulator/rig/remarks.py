@@ -7,18 +7,23 @@ import math
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
+
 from emulator.rig.loading import Rig, RigError
 from emulator.scene.bodies.mesh import find_shape
 from emulator.scene.bodies.table import BodyTable
+from emulator.sensor.noise.law import beyond_the_law, corner_hz
+from emulator.sensor.presets import SensorParameters
 from emulator.tables.files import RigFile
 from emulator.tables.typed_table import field_types
-from emulator.trajectory.parameters import FilePath
+from emulator.trajectory.parameters import BasiliskPath, FilePath
 from emulator.trajectory.pose import TrajectoryError
 from emulator.trajectory.recorded import read_path
 
 __all__ = ["open_files", "remarks"]
 
 _QUESTIONABLE_THRESHOLD = 2.0
+_LIGHTS = 30
 
 
 def remarks(rig: Rig) -> list[str]:
@@ -31,7 +36,22 @@ def remarks(rig: Rig) -> list[str]:
                 f"camera.sensor.{name} is {value:g}: an event for each change of light by a factor of "
                 f"{math.exp(value):.3g}; real sensors have 0.1 to 0.5"
             )
-    return [*found, *_short_paths(rig)]
+    return [*found, *_noise(rig.camera.sensor), *_short_paths(rig), *_waiting_paths(rig)]
+
+
+def _noise(sensor: SensorParameters) -> Iterator[str]:
+    """Yield a sentence where the noise is outside the range of the law that draws its events."""
+    if sensor.noise.rms and sensor.noise.grade == "points":
+        beyond = beyond_the_law(sensor, corner_hz(sensor, np.geomspace(1e-6, 10, _LIGHTS)))
+        if beyond:
+            yield f'camera.sensor.noise: {beyond}; grade = "grid" follows the noise itself'
+
+
+def _waiting_paths(rig: Rig) -> Iterator[str]:
+    """Yield a sentence on each path that a simulation would fly, where none does."""
+    for where, table in _tables(rig.scene, "scene"):
+        if type(table) is BasiliskPath:  # one that is connected has a type of its own
+            yield f"{where} stays where the rig puts it: only `evstim vizard` meets a Basilisk simulation"
 
 
 def _short_paths(rig: Rig) -> Iterator[str]:

@@ -16,6 +16,7 @@ SCENES: Registry[SceneKind] = Registry(
         "terrain": "emulator.scene.terrain.table:TERRAIN",
         "stars": "emulator.scene.stars.table:STARS",
         "video": "emulator.scene.video.video:VIDEO",
+        "ros2": "emulator.scene.video.ros2_images:ROS2_IMAGES",
         "recording": "emulator.playback.recording:RECORDING",
     },
 )

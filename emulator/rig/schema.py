@@ -12,7 +12,7 @@ import msgspec
 from emulator.rig.camera_models import CAMERA_MODELS
 from emulator.rig.fault_tables import known_faults
 from emulator.rig.link_kinds import LINKS
-from emulator.rig.loading import Camera, Run, Trigger
+from emulator.rig.loading import Camera, Run, Trigger, Verdict
 from emulator.rig.scene_kinds import SCENES
 from emulator.tables.typed_table import field_types, item_type, kinds_of, table_type
 
@@ -28,7 +28,7 @@ def rig_schema() -> dict[str, Any]:
         _one_of({name: kind.parameters for name, kind in kinds.usable().items()}, definitions)
         for kinds in (SCENES, LINKS)
     )
-    camera, run, trigger = (_table(cls, definitions) for cls in (Camera, Run, Trigger))
+    camera, run, trigger, verdict = (_table(cls, definitions) for cls in (Camera, Run, Trigger, Verdict))
     definitions["SensorParameters"].pop("required", None)  # a rig gives what differs from the preset
     definitions["Camera"]["properties"]["model"]["enum"] = list(CAMERA_MODELS)
     return {
@@ -43,6 +43,7 @@ def rig_schema() -> dict[str, Any]:
             "camera": camera,
             "trigger": trigger,
             "run": run,
+            "verdict": verdict,
             "links": {"type": "array", "items": link},
             "faults": {"type": "array", "items": _one_of(known_faults(), definitions)},
         },

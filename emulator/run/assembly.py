@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from emulator.light import Scene
 from emulator.plan.plan import limits, make_plan
@@ -27,14 +27,21 @@ from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.presets import SensorParameters
 from emulator.sensor.sensor import MakePixels, Sensor
 from emulator.tables.registry import imported
+from firmware_protocol.gige import GigeSettings, Triton2
 from firmware_protocol.instrument.instrument import Instrument
+from firmware_protocol.plain_device import PlainDevice
 from firmware_protocol.usb.device import UsbCamera
 from transports.faults.script import FaultPlan
 from transports.link.feed import Timing
-from transports.link.kind import LinkKind, LinkParameters, Wiring
+from transports.link.kind import CameraFacts, LinkKind, LinkParameters, Wiring
 from transports.link.pacing import Clock
 from transports.link.process import LinkSetup
 from transports.link.ring import EventRing
+from transports.recording.format import with_addition
+from transports.recording.part import Facts
+
+if TYPE_CHECKING:
+    from emulator.run.truth.output import TruthFile
 
 __all__ = [
     "build_pictures",
@@ -50,20 +57,33 @@ _DRAIN_S = 1.0
 _DRAIN_UNPACED_S = 10.0  # a run that waits for its links loses nothing, also where a link still compiles its coders
 
 
-def build_session(rig: Rig, scene: Scene, setups: Sequence[LinkSetup[Any]], clock: Clock) -> Session:
-    """Return a session of the rig: with a tolerance, of what its plan keeps, in controlled steps."""
+def build_session(
+    rig: Rig, scene: Scene, setups: Sequence[LinkSetup[Any]], clock: Clock, truth: TruthFile | None = None
+) -> Session:
+    """Return a session of the rig: with a tolerance, of what its plan keeps, in controlled steps.
+
+    `truth` takes down what is true beside the events; raises OSError where its file cannot be written.
+    """
     run, parameters = rig.run, rig.camera.sensor
+    pictures = build_pictures(rig, scene)
     steps: StepSource = FixedSteps(run.step_us * 1000)
     if run.tolerance_us:
         parameters = make_plan(rig, probe(scene, parameters, run.step_us * 1000, run.seconds or 10.0)).sensor
         dark = at_temperature(parameters).dark_current_relative
-        refines = scene.pixel_light is not None and run.pixels == "cpu"
+        refines = pictures.pixel_light is not None and run.pixels == "cpu"
         refinement = None if not refines else RefinementModel(min(parameters.threshold_on, parameters.threshold_off))
         steps = ControlledSteps(limits(rig, scene.motion_bound_px_s), dark, run.step_us * 1000, refinement)
-    return Session(build_pictures(rig, scene), build_sensor(rig, parameters), steps, setups, clock)
+    sensor = build_sensor(rig, parameters) if truth is None else _with_truth(rig, parameters, scene, truth)
+    return Session(pictures, sensor, steps, setups, clock)
 
 
-def build_sensor(rig: Rig, parameters: SensorParameters) -> EventSource:
+def _with_truth(rig: Rig, parameters: SensorParameters, scene: Scene, truth: TruthFile) -> EventSource:
+    from emulator.sensor.origins import TracedSensor
+
+    return truth.source(build_sensor(rig, parameters, TracedSensor), scene)
+
+
+def build_sensor(rig: Rig, parameters: SensorParameters, kind: type[Sensor] = Sensor) -> EventSource:
     """Return the rig's sensor, of `parameters`, or the recording in its place.
 
     Raises RigError when the rig's method lacks an effect that is asked for, SceneError when a recording cannot be used.
@@ -72,14 +92,16 @@ def build_sensor(rig: Rig, parameters: SensorParameters) -> EventSource:
         source: EventSource = imported(events)(rig.scene, parameters)
         return source
     try:
-        return Sensor(parameters, rig.run.seed, _pixels(rig.run))
+        return kind(parameters, rig.run.seed, _pixels(rig.run))
     except ValueError as error:
         asked = f"method = {rig.run.method!r}" if rig.run.pixels == "cpu" else f"pixels = {rig.run.pixels!r}"
         raise RigError(f"{rig.name}: run.{asked}: {error}") from error
 
 
 def _pixels(run: Run) -> MakePixels:
-    return GpuArray if run.pixels == "gpu" else OTHER_SIMULATORS.get(run.method, PixelArray)
+    if run.pixels == "gpu":
+        return GpuArray
+    return OTHER_SIMULATORS.get(run.method) or partial(PixelArray, threads=run.threads)
 
 
 def build_pictures(rig: Rig, scene: Scene) -> Pictures:
@@ -104,7 +126,7 @@ def record_paths(rig: Rig, record: Path | None) -> list[Path | None]:
     """Return where each link records: the file asked for, with the link's name in it when there are several."""
     if record is None or len(rig.links) == 1:
         return [record] * len(rig.links)
-    return [record.with_name(f"{record.stem}-{link.name}{record.suffix}") for link in rig.links]
+    return [with_addition(record, link.name) for link in rig.links]
 
 
 def link_setups(
@@ -124,9 +146,18 @@ def _link_setup(
     rig: Rig, link: LinkParameters, record: Path | None, triggers: TriggerPaths, timing: Timing, fault_log: Path | None
 ) -> LinkSetup[Any]:
     ring, kind = EventRing(), LINKS[link.kind]
-    endpoint = kind.endpoint(link, Wiring(_faults(rig, link, fault_log), triggers.sink(link.name, ring)))
-    device = _instrument(rig, link) if kind.serves == "instrument" else _usb_camera(rig, kind)
-    return LinkSetup(link.name, ring, device, endpoint, record, timing=timing)
+    camera = CameraFacts(rig.camera.model, rig.camera.size)
+    endpoint = kind.endpoint(link, Wiring(_faults(rig, link, fault_log), triggers.sink(link.name, ring), camera))
+    facts = Facts(rig.camera.size, f"{rig.camera.model.upper()}_{rig.camera.serial}")
+    return LinkSetup(link.name, ring, _device(rig, link, kind), endpoint, record, timing=timing, facts=facts)
+
+
+def _device(rig: Rig, link: LinkParameters, kind: LinkKind[Any]) -> Callable[[], Any]:
+    if kind.serves == "plain":
+        return PlainDevice
+    if kind.serves == "gige":
+        return _gige_camera(rig, link)
+    return _instrument(rig, link) if kind.serves == "instrument" else _usb_camera(rig, kind)
 
 
 def _faults(rig: Rig, link: LinkParameters, log: Path | None) -> FaultPlan:
@@ -135,6 +166,17 @@ def _faults(rig: Rig, link: LinkParameters, log: Path | None) -> FaultPlan:
 
 def _instrument(rig: Rig, link: Any) -> Callable[[], Instrument]:
     return partial(Instrument, rig.camera.size, link.instrument)
+
+
+def _gige_camera(rig: Rig, link: Any) -> Callable[[], Triton2]:
+    settings = GigeSettings(
+        size=rig.camera.size,
+        address=link.host,
+        serial=rig.camera.serial,
+        start_delay_us=round(rig.camera.start_delay_ms * 1000),
+        block_us=link.block_us,
+    )
+    return partial(Triton2, settings)
 
 
 def _usb_camera(rig: Rig, kind: LinkKind[Any]) -> Callable[[], UsbCamera]:

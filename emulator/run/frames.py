@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from emulator.light import Light, PixelLight, Scene
+from emulator.light import Light, PixelLight, Region, Scene
 
 __all__ = ["Pictures"]
 
@@ -33,6 +33,11 @@ class Pictures:
         self.rate: Light | None = np.zeros((height, width), np.float32) if with_rate else None
         self.pixel_light: PixelLight | None = scene.pixel_light if with_rate and halving else None
         self.frames = 0
+
+    @property
+    def changed(self) -> Region | None:
+        """The part of the last picture that may differ from the one before it; None: anything."""
+        return self.scene.changed
 
     @property
     def size(self) -> tuple[int, int]:

@@ -21,7 +21,7 @@ from emulator.rig.loading import Rig
 from emulator.rig.scene_kinds import SCENES
 from emulator.sensor.presets import PRESETS, SensorParameters
 
-__all__ = ["CODER", "DECODER", "Part", "parts_of"]
+__all__ = ["CODER", "DECODER", "EVT", "TRUTH", "Part", "parts_of"]
 
 _WIDTH, _HEIGHT = 32, 24
 _FEW = dataclasses.replace(PRESETS["davis346"], width=_WIDTH, height=_HEIGHT)
@@ -61,16 +61,21 @@ class Part:
 def parts_of(rig: Rig) -> list[Part]:
     """Return what a run of the rig compiles."""
     sensor = dataclasses.replace(rig.camera.sensor, width=_WIDTH, height=_HEIGHT)
-    parts = [Part(f"scene {rig.scene.kind}", 3.0, partial(_draw, rig))]
-    if not SCENES[rig.scene.kind].events:
+    kind = SCENES[rig.scene.kind]
+    parts = [Part(f"scene {rig.scene.kind}", 3.0, partial(_draw, rig))] if kind.kernels else []
+    if not kind.events:
         parts += [*PIXELS.after, PIXELS, _effects(sensor)]
     if any(LINKS[link.kind].serves == "instrument" for link in rig.links):
         parts.append(CODER)
+    if any(LINKS[link.kind].has_evt(link) for link in rig.links):
+        parts.append(EVT)
     return parts
 
 
 def _effects(sensor: SensorParameters) -> Part:
-    plain = dataclasses.replace(sensor, readout=PRESETS["davis346"].readout)  # figures that no kernel depends on
+    scans = float(bool(sensor.readout.scan_us))
+    times = dataclasses.replace(PRESETS["davis346"].readout, scan_us=scans)  # figures that no kernel depends on
+    plain = dataclasses.replace(sensor, readout=times)
     variant = f"{zlib.crc32(repr(plain).encode()):08x}"
     return Part("read-out and effects", 4.0, partial(_read_out, sensor), variant)
 
@@ -83,13 +88,17 @@ def _of_the_step(which: str) -> None:
 
 
 def _step() -> None:
-    """Move a few pixels over a step in which some fire, and some are refined."""
+    """Move a few pixels over a step in which some fire, and some are refined; merge the events of two threads."""
+    from emulator.light import Region
     from emulator.sensor.pixels.array import PixelArray
+    from emulator.sensor.pixels.event_buffers import EventBuffers
 
     dark, bright = np.zeros((_HEIGHT, _WIDTH), np.float32), np.ones((_HEIGHT, _WIDTH), np.float32)
     pixels = PixelArray(_FEW, 0)
     pixels.reset(dark, 0)
-    pixels.step(bright, 1_000_000, dark, _lit)
+    everything = Region(0, _HEIGHT, 0, _WIDTH, np.array([[0, _HEIGHT, 0, _WIDTH]]))
+    pixels.step(bright, 1_000_000, dark, _lit, everything)
+    EventBuffers().add([np.zeros(1, np.uint64)] * 2, (0, 10), 0)
 
 
 def _lit(t_ns: int, pixels: npt.NDArray[np.int64]) -> tuple[_Float32s, _Float32s]:
@@ -102,22 +111,22 @@ def _read_out(sensor: SensorParameters) -> None:
     from emulator.sensor.sensor import Sensor
 
     class OneEvent(PixelArray):
-        def step(self, light: _Float32s, t_ns: int, rate: _Float32s | None = None, at: Any = None) -> Crossings:
+        def step(self, light: _Float32s, t_ns: int, *_: Any, **__: Any) -> Crossings:
             self.state.t_ns = t_ns
             pixel = np.arange(light.size, dtype=np.uint32)
             return Crossings(np.full(light.size, t_ns - 1, np.int64), pixel, pixel < pixel.size // 2)
 
     is_grid = bool(sensor.noise.rms) and sensor.noise.grade == "grid"
     one = Sensor(sensor, 0, PixelArray if is_grid else OneEvent)
-    light = np.ones((_HEIGHT, _WIDTH), np.float32)
+    light = np.full((_HEIGHT, _WIDTH), 0.02, np.float32)  # so dim that noise, where there is any, has events by the end
     one.reset(light, 0)
-    for t_ns in (1_000_000, 50_000_000):
+    for t_ns in (1_000_000, 50_000_000, 5_000_000_000):
         one.expose(light, t_ns, np.zeros_like(light))
     one.finish()
 
 
 def _draw(rig: Rig) -> None:
-    """Draw two pictures of the rig's scene, at a small size; what it cannot do the run says."""
+    """Draw three pictures of the rig's scene, at a small size; what it cannot do the run says."""
     from emulator.light import MachineLacks, SceneError
     from emulator.run.scene_assembly import build_scene
 
@@ -125,9 +134,29 @@ def _draw(rig: Rig) -> None:
     try:
         with build_scene(rig, (_WIDTH, _HEIGHT)) as scene:
             scene.light(0, light)
-            scene.light_and_rate(1_000_000, light, rate)
+            for t_ns in (1_000_000, 2_000_000):  # the second time some scenes clear what they drew before
+                scene.light_and_rate(t_ns, light, rate)
     except (MachineLacks, SceneError):
         return
+
+
+def _tell_truth() -> None:
+    """Find the nearest facet of a small surface, its depth and flow; tell the leak's events of a few pixels."""
+    from emulator.geometry.pinhole import Pinhole
+    from emulator.geometry.seen import Rays, Seen
+    from emulator.sensor.leak_share import LeakShare
+    from emulator.sensor.pixels.merging import NO_CROSSINGS
+    from emulator.truth.motion import write_depth_and_flow
+    from emulator.truth.surfaces import NearestSurface
+
+    camera, seen = Pinhole(_WIDTH, _HEIGHT, 20.0), Seen.of(_WIDTH, _HEIGHT)
+    rays, inverse_depth = Rays.straight(camera), np.zeros((_HEIGHT, _WIDTH))
+    surface = NearestSurface([(np.array([[0, 1, 2]], np.int32), 3, True)], camera, 0.1)
+    surface.look(np.array([[-1.0, -1.0, 5.0], [1.0, -1.0, 5.0], [0.0, 1.0, 5.0]]), rays, seen.labels, inverse_depth)
+    bent = Rays(rays.columns, rays.rows, np.zeros((_HEIGHT, _WIDTH, 3)))
+    write_depth_and_flow(inverse_depth, np.zeros((2, 3, 4)), camera, bent, seen)
+    share = LeakShare(np.zeros(seen.labels.size), 0, 0.0)
+    share.step(NO_CROSSINGS, np.zeros(seen.labels.size), seen.depth, 1)
 
 
 def _encode() -> None:
@@ -150,8 +179,19 @@ def _decode() -> None:
         return
 
 
+def _code_evt() -> None:
+    """Get ready to make and to read EVT3 and EVT2 words."""
+    from firmware_protocol.evt3.decoding import Evt3Decoder
+    from firmware_protocol.evt3.encoding import Evt3Encoder
+    from firmware_protocol.evt3.evt2 import Evt2Decoder, Evt2Encoder
+
+    Evt3Encoder(), Evt3Decoder(), Evt2Encoder("evt2"), Evt2Decoder("evt2")
+
+
 _CANDIDATES = Part("pixel candidates", 8.0, partial(_of_the_step, "candidates"))
 _BLOCKS = Part("pixel blocks", 4.0, partial(_of_the_step, "blocks"))
 PIXELS = Part("pixel step", 4.0, _step, after=(_CANDIDATES, _BLOCKS))
 CODER = Part("telemetry coder", 4.0, _encode)
+TRUTH = Part("truth", 4.0, _tell_truth)
 DECODER = Part("telemetry decoder", 3.0, _decode)
+EVT = Part("EVT coder", 6.0, _code_evt)

@@ -25,6 +25,7 @@ from transports.link.pacing import Clock
 from transports.link.process import InjectFault, LinkSetup, Stop, run_link
 from transports.link.report import LinkReport
 from transports.link.tally import DeliveryTally
+from transports.recording.format import with_addition
 
 __all__ = ["LinkFailed", "LinkProcess"]
 
@@ -143,7 +144,7 @@ class LinkProcess:
         record = self._setup.record
         if record is None or not self._starts:
             return record
-        return record.with_name(f"{record.stem}-restart{self._starts}{record.suffix}")
+        return with_addition(record, f"restart{self._starts}")
 
     def _take(self, report: LinkReport) -> None:
         self.report = report

@@ -28,6 +28,14 @@ _PACKAGES = (
     ("pillow", "report", "`evstim picture`, image folders and GeoTIFF terrain"),
     ("matplotlib", "report", "the charts of `evstim accuracy` and `evstim characterise`"),
     ("faery", "files", "recordings of other programs (AEDAT4, EVT3, ...)"),
+    ("h5py", "files", "recordings in HDF5, as the DSEC data set has them"),
+    ("rosbags", "files", "recordings in ROS 1 and ROS 2 bags"),
+    ("pyarrow", "campaign", "`evstim campaign`"),
+    ("SALib", "campaign", "sensitivity in the reports of `evstim campaign`"),
+    ("distributed", "campaign", "`evstim campaign --scheduler`"),
+    ("pyzmq", "basilisk", "`evstim vizard`, a camera for Basilisk"),
+    ("protobuf", "basilisk", "`evstim vizard`"),
+    ("cyclonedds", "ros2", "topics of ROS 2 (links and scenes), without ROS"),
     ("av", "files", "videos as scenes, and .mp4 files of `evstim picture`"),
 )
 

@@ -15,14 +15,17 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from typing import Any
 
+from emulator.light import Light
 from emulator.plan.step_control import StepSource
+from emulator.run.bias_following import BiasFollowing
+from emulator.run.drive import Drive, Simulation
 from emulator.run.frames import Pictures
 from emulator.run.lateness import Lateness, StepRule
 from emulator.run.ledger import Ledger, LinkLedger
 from emulator.run.link_process import LinkProcess
 from emulator.run.lockstep import Lockstep
 from emulator.run.slow_notice import said_if_slow
-from emulator.sensor.event_source import EventSource
+from emulator.sensor.event_source import AdjustableSource, EventSource
 from firmware_protocol.events import Events
 from transports.faults.kinds import Fault
 from transports.link.pacing import Clock
@@ -42,6 +45,7 @@ _HEAD_START_NS = 20_000_000  # between deciding to start and stream time zero, s
 class Schedule:
     """How a run goes through time. Above 0, each SYNC on a link's bus is worth `lockstep_ns`, and nothing else is.
 
+    A `simulation` stands in the place of such a bus, and the run is then not paced.
     A paced run whose worst step was later than `max_late_us` is not good; 0: any lateness is.
     """
 
@@ -51,6 +55,7 @@ class Schedule:
     drain_s: float = 1.0
     lockstep_ns: int = 0
     max_late_us: float = 0.0
+    simulation: Simulation | None = None
 
 
 @dataclass(frozen=True)
@@ -63,6 +68,9 @@ class RunStatus:
     read_out: int
     lateness: Lateness
     links: dict[str, LinkReport]
+    raised: int = 0
+    lost_in_pixel: int = 0
+    lost_at_readout: int = 0
 
 
 @dataclass(frozen=True)
@@ -120,6 +128,7 @@ class Session:
             raise ValueError(f"the scene is {pictures.size} pixels, the sensor {size}")
         self._pictures = pictures
         self._sensor = sensor
+        self._biases = BiasFollowing(sensor)
         self._step_source = steps
         self._setups = setups
         self._clock = clock
@@ -130,6 +139,7 @@ class Session:
         self._stopping = False
         self._on_events: Callable[[Events], None] = lambda _: None
         self._lockstep: Lockstep | None = None
+        self._drive: Drive | None = None
 
     def stop(self) -> None:
         """End the run after the present step; for `on_status`, and for a signal handler.
@@ -137,6 +147,32 @@ class Session:
         An exception inside a step, such as KeyboardInterrupt, would leave events without a fate.
         """
         self._stopping = True
+
+    @property
+    def stopping(self) -> bool:
+        """True after `stop`."""
+        return self._stopping
+
+    @property
+    def t_ns(self) -> int:
+        """Stream time of the last step's end."""
+        return self._t_ns
+
+    @property
+    def light(self) -> Light:
+        """The light that the sensor sees, (height, width) float32; the next step draws over it."""
+        return self._pictures.light
+
+    @property
+    def adjustable(self) -> dict[str, float]:
+        """Figures of the sensor that `adjust` can change, with their present values."""
+        return self._sensor.adjustable if isinstance(self._sensor, AdjustableSource) else {}
+
+    def adjust(self, name: str, value: float) -> None:
+        """Change a figure of the sensor from the next step on; for `on_status` and `on_events`; raises ValueError."""
+        if not isinstance(self._sensor, AdjustableSource):
+            raise ValueError(f"{name} cannot be changed: a recording stands in the sensor's place")
+        self._sensor.adjust(name, value)
 
     def inject(self, fault: Fault) -> None:
         """Begin a fault on the link that it names, one that this link can have; for `on_status`."""
@@ -156,6 +192,8 @@ class Session:
         with ExitStack() as stack:
             stack.callback(self._stop_links, 0.0)  # does nothing more when the links have been stopped in order
             self._open_links()
+            if schedule.simulation is not None:
+                schedule.simulation.begin(lambda: self.light, self._telling(on_status, None))
             self._warm_up()
             start_ns = self._clock.now_ns()
             self._run_steps(schedule, on_status)
@@ -197,6 +235,7 @@ class Session:
     def _run_steps(self, schedule: Schedule, on_status: Callable[[RunStatus], None]) -> None:
         start_ns = self._clock.now_ns()
         self._lockstep = self._locked(schedule)
+        self._drive = schedule.simulation or self._lockstep
         origin_ns = start_ns + _HEAD_START_NS if schedule.paced else FREE_RUNNING
         for link in self._links:
             link.start(origin_ns)
@@ -232,29 +271,33 @@ class Session:
         return Lockstep(rings[0], schedule.lockstep_ns, self._clock)
 
     def _may_go_on(self, start_ns: int, on_status: Callable[[RunStatus], None]) -> bool:
-        """Wait for a SYNC where the run needs one, telling how things stand; False when the run is to end."""
-        if self._lockstep is None:
+        """Wait for what drives the run, telling how things stand; False when the run is to end."""
+        if self._drive is None:
             return True
+        return self._drive.wait(self._t_ns, self._telling(on_status, start_ns)) > self._t_ns
+
+    def _telling(self, on_status: Callable[[RunStatus], None], start_ns: int | None) -> Callable[[], bool]:
+        """Return what says whether the run goes on, and now and then tells how things stand; None: not begun."""
         status_ns = self._clock.now_ns()
 
         def goes_on() -> bool:
             nonlocal status_ns
             if self._clock.now_ns() >= status_ns:
                 status_ns = self._clock.now_ns() + _STATUS_PERIOD_NS
-                on_status(self._status(start_ns))
+                on_status(self._status(self._clock.now_ns() if start_ns is None else start_ns))
             return self._goes_on
 
-        return self._lockstep.wait(self._t_ns, goes_on) > self._t_ns
+        return goes_on
 
     def _step(self, rule: StepRule, schedule: Schedule) -> None:
         t1_ns = self._t_ns + rule.step_ns
-        if self._lockstep is not None:
-            t1_ns = min(t1_ns, self._lockstep.limit_ns)
+        if self._drive is not None:
+            t1_ns = min(t1_ns, self._drive.limit_ns)
         if schedule.duration_ns is not None:
             t1_ns = min(t1_ns, schedule.duration_ns)
         picture = self._pictures
         picture.draw(t1_ns)
-        events = self._sensor.expose(picture.light, t1_ns, picture.rate, picture.pixel_light)
+        events = self._sensor.expose(picture.light, t1_ns, picture.rate, picture.pixel_light, picture.changed)
         self._step_source.observe(picture.light, picture.rate, t1_ns)
         self._t_ns = t1_ns
         self._steps += 1
@@ -272,13 +315,18 @@ class Session:
         self._on_events(events)
 
     def _status(self, start_ns: int) -> RunStatus:
+        reports = {link.name: link.listen() for link in self._links}
+        self._biases.follow(reports)
         return RunStatus(
             self._t_ns * 1e-9,
             (self._clock.now_ns() - start_ns) * 1e-9,
             self._pictures.frames,
             self._sensor.read_out,
             self._lateness,
-            {link.name: link.listen() for link in self._links},
+            reports,
+            self._sensor.raised,
+            self._sensor.lost_in_pixel,
+            self._sensor.lost_at_readout,
         )
 
     def _stop_links(self, drain_s: float) -> dict[str, LinkReport]:

@@ -1,4 +1,4 @@
-"""Start of a link's process: whatever the program that starts it, and whatever signals come meanwhile."""
+"""Start of a process of a run, such as a link: whatever the program that starts it, whatever signals come meanwhile."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import Any
 
 from transports.link.process import STOP_SIGNALS, LinkSetup
 
-__all__ = ["starting_a_link"]
+__all__ = ["starting_a_link", "starting_a_process"]
 
 _FOUND_BY = ("__file__", "__spec__")
 _one_at_a_time = threading.Lock()
@@ -22,7 +22,14 @@ _one_at_a_time = threading.Lock()
 @contextmanager
 def starting_a_link(setup: LinkSetup[Any]) -> Iterator[None]:
     """Start a process within this block that ignores the signals to the session, and needs no main module."""
-    with _signals_held_back(), _without_main_module(setup):
+    with starting_a_process(setup.device, setup.endpoint):
+        yield
+
+
+@contextmanager
+def starting_a_process(*parts: object) -> Iterator[None]:
+    """Do the same for any process; `parts` are the factories that it is given."""
+    with _signals_held_back(), _without_main_module(parts):
         yield
 
 
@@ -41,13 +48,13 @@ def _signals_held_back() -> Iterator[None]:
 
 
 @contextmanager
-def _without_main_module(setup: LinkSetup[Any]) -> Iterator[None]:
-    """Start a process that does not import the main module again, unless a part of `setup` is defined there.
+def _without_main_module(parts: tuple[object, ...]) -> Iterator[None]:
+    """Start a process that does not import the main module again, unless one of `parts` is defined there.
 
     Else a script that starts a run without `if __name__ == "__main__":`, or one read from standard input, would fail.
     """
     main = sys.modules["__main__"]
-    if "__main__" in (_module_of(setup.device), _module_of(setup.endpoint)):
+    if "__main__" in map(_module_of, parts):
         yield
         return
     with _one_at_a_time:

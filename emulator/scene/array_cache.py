@@ -18,13 +18,13 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from transports.link.array_file import ArrayFileError, load_array
+from transports.recording.array_file import ArrayFileError, load_array
 
 __all__ = ["Progress", "cache_folder", "kept"]
 
 T = TypeVar("T", bound=np.generic)
 
-_FORMAT = 1
+_FORMAT = 2
 """To be raised when the same parameters come to mean another map."""
 
 

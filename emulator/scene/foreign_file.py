@@ -101,7 +101,7 @@ def _run_child(reader: str, path: Path, limits: Limits, descriptor: int) -> int:
     environment = os.environ | {"MALLOC_ARENA_MAX": "2", "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     try:
         return subprocess.run(
-            [sys.executable, "-c", _START, json.dumps(sys.path), json.dumps(order)],
+            [sys.executable, "-P", "-c", _START, json.dumps(sys.path), json.dumps(order)],
             stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
             env=environment, pass_fds=[descriptor], timeout=_WALL_FACTOR * limits.cpu_s, check=False,
         ).returncode  # fmt: skip

@@ -36,12 +36,15 @@ class SceneKind:
     events
         Import path of what takes the sensor's place, called with the parameters and the sensor's; "": the sensor sees
         the scene.
+    kernels
+        Whether drawing it compiles kernels, which a run does ahead.
     """
 
     parameters: type[SceneParameters]
     build: str
     lens: Literal["none", "applied", "own"] = "none"
     events: str = ""
+    kernels: bool = True
 
     def __post_init__(self) -> None:
         if not isinstance(getattr(self.parameters, "kind", None), str):

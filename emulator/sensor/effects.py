@@ -4,6 +4,7 @@
     temperature    it is the reference temperature            temperature
     defects        shares are 0 and lists empty               defects
     noise          rms is 0                                   noise, noisy_pixels
+    background     rates are 0                                background
     jitter         latency, deviation and leak share are 0    jitter
     imager         gains are 1, spreads 0, shot noise false   imager
     radiation      flux and dose are 0                        radiation
@@ -19,6 +20,7 @@ from typing import Literal
 from emulator.sensor.checks import check, check_finite
 
 __all__ = [
+    "BackgroundParameters",
     "DefectParameters",
     "ImagerParameters",
     "JitterParameters",
@@ -94,22 +96,62 @@ class NoiseParameters:
     Attributes
     ----------
     rms : of the noise in dim light, natural-log units; 0: none. Measured: 0.04 to 0.07 (Graca 2024, fig. 2.13).
-    corner_hz : fixed pole behind the photoreceptor, Hz. Where the photoreceptor, of corner frequency f, is faster, it
-        takes the noise down to rms^2 corner / (corner + f), its bandwidth to f corner / (corner + f). 286 Hz is the
-        DAVIS346's source follower with default biases (jAER's formula I / (2 pi U_T C1)).
+    corner_hz : fixed pole behind the photoreceptor, Hz; 0: the signal's, `source_follower_hz`, so that signal and noise
+        have the same bandwidth (without a source follower noise passes the photoreceptor alone). Where the
+        photoreceptor, of corner frequency f, is faster, the pole takes the noise down to rms^2 corner / (corner + f),
+        its bandwidth to f corner / (corner + f).
     grade : "points" draws noise events by their rate, at a cost that follows their number; "grid" follows the voltage
         of each pixel on a fine grid of time, for sensors of some thousand pixels and for comparison.
     """
 
     rms: float = 0.0
-    corner_hz: float = 286.0
+    corner_hz: float = 0.0
     grade: Literal["points", "grid"] = "points"
 
     def __post_init__(self) -> None:
         check(self, "rms", 0, 1)
-        check(self, "corner_hz", 1, 1e6)
+        check(self, "corner_hz", 0, 1e6)
+        if 0 < self.corner_hz < 1:
+            raise ValueError(f"corner_hz = {self.corner_hz!r}: must be 0 (the signal's) or at least 1")
         if self.grade not in ("points", "grid"):
             raise ValueError(f"grade = {self.grade!r}: must be 'points' or 'grid'")
+
+
+@dataclass(frozen=True, slots=True)
+class BackgroundParameters:
+    """Background activity as it was counted on a recording, for sensors whose leak and noise are not known apart.
+
+    Events at a constant rate, in any light; an event may be followed by one of the other polarity. A few pixels are hot
+    and have a rate of their own. `evstim characterise --recording FILE --fit` measures these figures.
+
+    Attributes
+    ----------
+    hz : mean rate of events of a pixel that is not hot, seconds of pairs included, Hz.
+    spread : log-normal spread of that rate between pixels (standard deviation of its logarithm).
+    off_share : share of OFF events among those that begin a pair or stay alone.
+    pair_share : share of them that are followed by an event of the other polarity.
+    pair_us : mean time to that second event, us; exponential. An estimate.
+    hot_share : share of the pixels that are hot, drawn pixel by pixel.
+    hot_hz : mean rate of a hot pixel, Hz.
+    hot_pair_share : `pair_share` of hot pixels.
+    """
+
+    hz: float = 0.0
+    spread: float = 0.0
+    off_share: float = 0.5
+    pair_share: float = 0.0
+    pair_us: float = 1000.0
+    hot_share: float = 0.0
+    hot_hz: float = 0.0
+    hot_pair_share: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("hz", "hot_hz"):
+            check(self, name, 0, 10_000)
+        check(self, "spread", 0, 3)
+        for name in ("off_share", "pair_share", "hot_share", "hot_pair_share"):
+            check(self, name, 0, 1)
+        check(self, "pair_us", 1, 1_000_000)
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -10,7 +10,7 @@ import numpy.typing as npt
 from emulator.sensor.presets import SensorParameters
 from firmware_protocol.events import Events
 
-__all__ = ["EventSource"]
+__all__ = ["AdjustableSource", "EventSource"]
 
 
 class EventSource(Protocol):
@@ -55,7 +55,12 @@ class EventSource(Protocol):
         """Start at `t_ns` at rest on `light`, (height, width) float32."""
 
     def expose(
-        self, light: npt.NDArray[np.float32], t_ns: int, rate: npt.NDArray[np.float32] | None = None, at: Any = None
+        self,
+        light: npt.NDArray[np.float32],
+        t_ns: int,
+        rate: npt.NDArray[np.float32] | None = None,
+        at: Any = None,
+        changed: Any = None,
     ) -> Events:
         """Move to `t_ns` and return the events that leave before it; see `Sensor.expose`."""
         ...
@@ -63,3 +68,16 @@ class EventSource(Protocol):
     def finish(self) -> Events:
         """Return the events that have not left yet."""
         ...
+
+
+@runtime_checkable
+class AdjustableSource(Protocol):
+    """A source with figures that can change between two steps."""
+
+    @property
+    def adjustable(self) -> dict[str, float]:
+        """Fields of SensorParameters that can change, with their present values."""
+        ...
+
+    def adjust(self, name: str, value: float) -> None:
+        """Set one of them from now on; raises ValueError."""

@@ -3,8 +3,9 @@
 Light is relative to the sensor's reference level: 1.0 is the light at which `corner_hz_at_reference` holds. Thresholds
 are in natural-log units of photocurrent.
 
-Where the presets' figures come from (*estimate* marks what no source gives; such a figure is typical of the
-family and is meant to be overridden by a rig):
+Where the presets' figures come from. *estimate* marks what no source gives: such a figure is not calibrated, is typical
+of the family and is meant to be overridden by a rig. *one recording* marks figures that were measured on one public
+recording of one camera, in unknown light.
 
     figure                     davis346                     dvxplorer_micro              imx636
     size                       346 x 260 [1]                640 x 480 [2]                1280 x 720 [3]
@@ -13,11 +14,15 @@ family and is meant to be overridden by a rig):
     dark current, relative     0.001 estimate               0.001 estimate               0.001 estimate
     corner at reference        3 kHz at 1 klux [6]          3 kHz estimate as [6]        3 kHz estimate as [6]
     corner, least and most     3 Hz / 3 kHz [6] [7]         3 Hz / 3 kHz as davis346     3 Hz / 3 kHz as davis346
-    leak and its spread        0.1 Hz, 30 % [8] [9]         as davis346                  as davis346
-    parasitic leak             0: no figure found           0                            0
-    refractory                 3.4 us [4]                   100 us estimate [10]         100 us estimate [10]
-    time of an event           80 ns (12 Mev/s) [11]        2.2 ns (450 Mev/s) [12]      0.94 ns (1.06 Gev/s) [3]
-    time of a row              80 ns estimate               50 ns estimate               50 ns estimate
+    source follower            286 Hz [8]                   none: no figure found        none: no figure found
+    leak and its spread        0.001 Hz [9], 30 % [10]      as davis346, estimate        0: see background
+    parasitic leak             0.002 Hz at light 1 [9]      as davis346, estimate        0: see background
+    noise, rms                 0.086 [11]                   0: no figure found           0: see background
+    background                 none: leak and noise         none                         0.0038 Hz, 22 % ON [12]
+    refractory                 3.4 us [4]                   100 us estimate [13]         100 us estimate [13]
+    read-out                   arbiter                      scan, 197.28 us [14]         arbiter
+    time of an event           80 ns (12 Mev/s) [15]        2.2 ns (450 Mev/s) [16]      0.94 ns (1.06 Gev/s) [3]
+    time of a row              80 ns estimate               none                         50 ns estimate
 
     [1] libcaer, DAVIS346: 346 x 260.
     [2] Every published client (libcaer, dv-processing) is built for 640 x 480 on both DVXplorers. A paper on PANGU's
@@ -26,16 +31,27 @@ family and is meant to be overridden by a rig):
     [4] jAER's formulas (it cites IEEE 7962235) with the bias words that all DAVIS346 drivers write by default:
         F ln(I_on/I_diff) with F = 0.0714; C V / I_refr with 20 fF, 0.8 V, 4.75 nA.
     [5] DAVIS240, Brandli et al., IEEE JSSC 2014, from memory.
-    [6] Lichtsteiner, Posch and Delbruck, IEEE JSSC 2008: 3 kHz at 1 klux of scene light. With default biases the
-        DAVIS346's source follower holds the corner at 286 Hz (jAER: I / (2 pi U_T C1)): `source_follower_hz = 286.0`
-        asks for that pole, the presets leave it out.
+    [6] Lichtsteiner, Posch and Delbruck, IEEE JSSC 2008: 3 kHz at 1 klux of scene light.
     [7] 1-20 Hz below 1 lux, in the same literature.
-    [8] Nozaki and Delbruck 2017 ("about 0.1 Hz at room temperature", from memory); 0.2 Hz in bright light, Guo and
-        Delbruck, DND21.
-    [9] v2e's usual spread of leak rates between pixels.
-    [10] Between the chips' few microseconds and the 0.5 ms of v2e; a bias sets it.
-    [11] iniVation's white paper: about 80 ns an event, 12 Mev/s.
-    [12] iniVation's sheet of the DVXplorer Micro, from memory.
+    [8] jAER's I / (2 pi U_T C1) with the DAVIS346's default bias. Signal and noise pass through it alike.
+    [9] One recording (DAVIS346, a street, 2.36 s, shipped with the Python package aedat): still pixels fire at 0.0013,
+        0.0020 and 0.0040 Hz where the frames are at 0-40, 40-120 and 120-170 of 255. The straight line through them,
+        with level 80 taken as light 1, has about 0.001 Hz in the dark and 0.002 Hz a unit of light. Other chips and
+        warmer ones leak at 0.1 to 0.2 Hz (Nozaki and Delbruck 2017, from memory; Guo and Delbruck, DND21).
+    [10] v2e's usual spread of leak rates between pixels.
+    [11] Chosen so that noise makes 10 Hz a pixel in the dim light in which there is most of it, and nothing in bright
+        light: Guo and Delbruck, DND21, "shot noise about 10 Hz" in dim light; 2e-5 Hz of OFF events in recording [9].
+        0.043 to 0.073 were measured at another chip's comparator (Graca 2024, fig. 2.13).
+    [12] One recording (EVK4, 10.8 s), pixels of low activity: 0.0038 Hz, 22 % ON, 96.6 % of the pixels silent, 75 % of
+        a pixel's successive events of opposite polarity, 12 pixels above 50 events.
+    [13] Between the chips' few microseconds and the 0.5 ms of v2e; a bias sets it.
+    [14] One recording (320 x 240, of a DVXplorer's kind): 97.6 % of a pixel's intervals are whole multiples of that.
+        iniVation: about 5000 scans a second, fewer under load, stamps continuous during a scan.
+    [15] iniVation's white paper: about 80 ns an event, 12 Mev/s.
+    [16] iniVation's sheet of the DVXplorer Micro, from memory.
+
+`ideal` is a pixel of the textbook in an array of the DAVIS346's size: threshold 0.2, no low-pass, leak, noise, mismatch
+or refractory period, references at the first picture's level, a read-out that takes no time.
 """
 
 from __future__ import annotations
@@ -43,9 +59,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from types import MappingProxyType
+from typing import Literal
 
 from emulator.sensor.checks import check, check_finite
 from emulator.sensor.effects import (
+    BackgroundParameters,
     DefectParameters,
     ImagerParameters,
     JitterParameters,
@@ -62,20 +80,23 @@ _MOST_MISMATCH = 0.3
 
 @dataclass(frozen=True, slots=True)
 class ReadoutParameters:
-    """The arbiter's times.
+    """The read-out: an arbiter that serves requests of rows, or a scan of the columns.
 
     Attributes
     ----------
     event_ns : time on the output bus of one event, ns; above 0, fractions allowed.
-    row_ns : time to pick a row and latch its requests, ns; 0 allowed.
+    row_ns : time of the arbiter to pick a row and latch its requests, ns; 0 allowed. A scan has no such time.
+    scan_us : time of a scan of all columns without events, us; 0: an arbiter.
     """
 
     event_ns: float
     row_ns: int
+    scan_us: float = 0.0
 
     def __post_init__(self) -> None:
         check(self, "event_ns", 0.001, 1e9)
         check(self, "row_ns", 0, 1e9)
+        check(self, "scan_us", 0, 1e6)
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,9 +118,14 @@ class SensorParameters:
     parasitic_hz_at_reference : rate of leak events that light 1 adds by shining into the reset switch, Hz; proportional
         to photocurrent, the same for all pixels.
     source_follower_hz : corner frequency of a second, fixed pole behind the photoreceptor, Hz; 0: no such pole.
-    refractory_us : time after an event during which the pixel is blind, us; at its end the reference is read anew.
-    readout : the arbiter's times.
-    temperature, defects, noise, jitter, imager, radiation : see `effects`; all off or without effect by default.
+    refractory_us : refractory period after an event, us; at its end the reference is read anew.
+    random_start : whether the first references lie below the first picture's level by random shares of the ON
+        threshold, as in a sensor that has run for a while; else at that level.
+    photoreceptor : "one_pole", the small-signal model that all figures above describe; "large_signal" solves the
+        circuit with its slew, its second pole and its slow way into the dark, at many times the cost, see `circuit`.
+    readout : the read-out's times.
+    temperature, defects, noise, background, jitter, imager, radiation : see `effects`; all off, or without effect, by
+        default.
     """
 
     width: int
@@ -116,10 +142,13 @@ class SensorParameters:
     parasitic_hz_at_reference: float = 0.0
     source_follower_hz: float = 0.0
     refractory_us: float = 0.0
+    random_start: bool = True
+    photoreceptor: Literal["one_pole", "large_signal"] = "one_pole"
     readout: ReadoutParameters = field(default_factory=lambda: ReadoutParameters(event_ns=80.0, row_ns=80))
     temperature: TemperatureParameters = field(default_factory=TemperatureParameters)
     defects: DefectParameters = field(default_factory=DefectParameters)
     noise: NoiseParameters = field(default_factory=NoiseParameters)
+    background: BackgroundParameters = field(default_factory=BackgroundParameters)
     jitter: JitterParameters = field(default_factory=JitterParameters)
     imager: ImagerParameters = field(default_factory=ImagerParameters)
     radiation: RadiationParameters = field(default_factory=RadiationParameters)
@@ -142,8 +171,24 @@ class SensorParameters:
             check(self, name, 0, math.inf)
         check_finite(self, unbounded=("corner_hz_at_reference", "corner_max_hz"))
         check(self, "corner_max_hz", self.corner_min_hz, math.inf)
+        self._check_photoreceptor()
+        self._check_noise()
         for name in ("hot_pixels", "dead_pixels"):
             self._check_places(name)
+
+    def _check_photoreceptor(self) -> None:
+        if self.photoreceptor not in ("one_pole", "large_signal"):
+            raise ValueError(f"photoreceptor = {self.photoreceptor!r}: must be 'one_pole' or 'large_signal'")
+        if self.photoreceptor == "large_signal" and math.isinf(max(self.corner_hz_at_reference, self.corner_max_hz)):
+            raise ValueError('photoreceptor = "large_signal": needs a finite corner_hz_at_reference and corner_max_hz')
+
+    def _check_noise(self) -> None:
+        unlimited = math.isinf(self.corner_max_hz) or math.isinf(self.corner_hz_at_reference)
+        if self.noise.rms and unlimited and not (self.noise.corner_hz or self.source_follower_hz):
+            raise ValueError(
+                f"noise.rms = {self.noise.rms!r}: must be 0 where nothing limits the noise's bandwidth; give "
+                "source_follower_hz, noise.corner_hz, or a finite corner_hz_at_reference and corner_max_hz"
+            )
 
     def _check_places(self, name: str) -> None:
         for x, y in getattr(self.defects, name):
@@ -158,24 +203,47 @@ PRESETS: MappingProxyType[str, SensorParameters] = MappingProxyType(
             height=260,
             threshold_on=0.283,
             threshold_off=0.262,
+            leak_hz=0.001,
+            parasitic_hz_at_reference=0.002,
+            source_follower_hz=286.0,
             refractory_us=3.4,
             readout=ReadoutParameters(event_ns=80.0, row_ns=80),
+            noise=NoiseParameters(rms=0.086),
         ),
         "dvxplorer_micro": SensorParameters(
             width=640,
             height=480,
             threshold_on=0.25,
             threshold_off=0.25,
+            leak_hz=0.001,
+            parasitic_hz_at_reference=0.002,
             refractory_us=100.0,
-            readout=ReadoutParameters(event_ns=2.2, row_ns=50),
+            readout=ReadoutParameters(event_ns=2.2, row_ns=0, scan_us=197.28),
         ),
         "imx636": SensorParameters(
             width=1280,
             height=720,
             threshold_on=0.223,
             threshold_off=0.223,
+            leak_hz=0.0,
             refractory_us=100.0,
             readout=ReadoutParameters(event_ns=0.94, row_ns=50),
+            background=BackgroundParameters(
+                hz=0.0033, off_share=0.84, pair_share=0.05, hot_share=1.3e-5, hot_hz=46.0, hot_pair_share=0.6
+            ),
+        ),
+        "ideal": SensorParameters(
+            width=346,
+            height=260,
+            threshold_on=0.2,
+            threshold_off=0.2,
+            mismatch=0.0,
+            corner_hz_at_reference=math.inf,
+            corner_max_hz=math.inf,
+            leak_hz=0.0,
+            leak_spread=0.0,
+            random_start=False,
+            readout=ReadoutParameters(event_ns=0.001, row_ns=0),
         ),
     }
 )

@@ -18,21 +18,27 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from emulator.light import PixelLight
+from emulator.light import PixelLight, Region
 from emulator.sensor.chip.defects import Defects, draw_defects
 from emulator.sensor.chip.imager import Imager, part_of_the_way
-from emulator.sensor.chip.jitter import Jitter
 from emulator.sensor.chip.leak import NEVER_NS, Leaks
-from emulator.sensor.chip.radiation import Particles
-from emulator.sensor.chip.readout import ReadOut
 from emulator.sensor.chip.temperature import at_temperature
 from emulator.sensor.effects import DefectParameters
 from emulator.sensor.noise.grid import NoisyPixels
-from emulator.sensor.noise.point_process import NoiseEvents
+from emulator.sensor.parts import (
+    dead_pixels,
+    finished,
+    live_thresholds,
+    make_jitter,
+    make_noise,
+    make_readout,
+    make_sources,
+)
+from emulator.sensor.photoreceptor.array import LargeSignalPixels
+from emulator.sensor.pixels.adjustment import ADJUSTABLE, adjust
 from emulator.sensor.pixels.array import Crossings, PixelArray
 from emulator.sensor.pixels.faults import PixelFaults
-from emulator.sensor.pixels.merging import NO_CROSSINGS, joined
-from emulator.sensor.pixels.mismatch import draw
+from emulator.sensor.pixels.merging import joined
 from emulator.sensor.presets import SensorParameters
 from firmware_protocol.events import Events
 
@@ -85,16 +91,6 @@ class PixelMethod(Protocol):
         ...
 
 
-class _Source(Protocol):
-    """A source of events beside the pixels: noise, particles."""
-
-    def reset(self, t_ns: int) -> None:
-        """Start at `t_ns`."""
-
-    def add_to(self, crossings: Crossings, light: _Float32s, t_ns: int) -> Crossings:
-        """Return a step's crossings with the source's events up to `t_ns`; `light`, (pixels,), is the step's last."""
-
-
 MakePixels = Callable[[SensorParameters, int], PixelMethod]
 """Factory of a sensor's pixels, from its parameters and a seed."""
 
@@ -130,12 +126,14 @@ class Sensor:
         self._imager = Imager(here, seed)
         own = dataclasses.replace(here, dark_current_relative=self._imager.dark_current_relative)
         self.pixels = _pixels(own, seed, make_pixels)
+        self._skips = isinstance(self.pixels, PixelArray) and not self._imager.grid_ns
         defects = draw_defects(own, seed)
-        self._dead = _dead(own, defects)
+        self._dead = dead_pixels(own, defects)
         self._leaks = _leaks(self.pixels, own, seed, defects)
-        self._sources = _sources(own, seed, defects)
-        self._jitter = Jitter(own.jitter, seed, own.width * own.height) if own.jitter.latency_us else None
-        self._readout = ReadOut(own)
+        self._noise = make_noise(own, seed, defects)
+        self._sources = make_sources(own, seed, defects, self._noise)
+        self._jitter = make_jitter(own, seed)
+        self._readout = make_readout(own)
         self._dark = np.float32(here.dark_current_relative)
         self._before, self._way = (np.empty((own.height, own.width), np.float32) for _ in range(2))
         self._t_ns = 0
@@ -192,12 +190,14 @@ class Sensor:
         few = dataclasses.replace(self.parameters, width=16, height=16, defects=DefectParameters())
         flashed = Sensor(few, 0)
         flashed.reset(np.zeros((16, 16), np.float32), 0)
-        flashed.expose(np.ones((16, 16), np.float32), 1_000_000, np.zeros((16, 16), np.float32))
+        everything = Region(0, 16, 0, 16, np.array([[0, 16, 0, 16]]))
+        rate = np.zeros((16, 16), np.float32)
+        flashed.expose(np.ones((16, 16), np.float32), 1_000_000, rate, changed=everything)
         flashed.finish()
 
     def reset(self, light: _Float32s, t_ns: int) -> None:
         """Start at `t_ns`, at rest on `light`, (height, width) float32; nothing is pending, all counters are zero."""
-        self._readout = ReadOut(self.parameters)
+        self._readout = make_readout(self.parameters)
         self._t_ns = int(t_ns)
         if self._leaks is not None:
             self._leaks.follow(self._t_ns)
@@ -209,7 +209,12 @@ class Sensor:
         self._remember(light)
 
     def expose(
-        self, light: _Float32s, t_ns: int, rate: _Float32s | None = None, at: PixelLight | None = None
+        self,
+        light: _Float32s,
+        t_ns: int,
+        rate: _Float32s | None = None,
+        at: PixelLight | None = None,
+        changed: Region | None = None,
     ) -> Events:
         """Move to `t_ns` and return the events that leave before it.
 
@@ -223,6 +228,8 @@ class Sensor:
             Time derivative of the light at `t_ns`, per second; None where unknown.
         at : PixelLight, optional
             Gives the light of single pixels in between; None where there is no such source.
+        changed : Region, optional
+            The part of light and rate that may differ from those of the last call; None: all of it.
 
         Returns
         -------
@@ -237,18 +244,37 @@ class Sensor:
         t0_ns = self._t_ns
         while (cut_ns := self._next_cut_ns()) < t_ns:
             share = (cut_ns - t0_ns) / (t_ns - t0_ns)
-            parts.append(_copied(self._move(self._between(light, share), cut_ns, None)))
-        parts.append(self._move(light, t_ns, rate, at))
+            parts.append(_copied(self._move(self._between(light, share), cut_ns, None, changed=changed)))
+        parts.append(self._move(light, t_ns, rate, at, changed))
         self._remember(light)
-        return self._readout.push(joined(parts), self.pixels.settled_ns)
+        return self._send(joined(parts), self.pixels.settled_ns)
+
+    @property
+    def adjustable(self) -> dict[str, float]:
+        """Fields of `parameters` that `adjust` can change, with their present values; {} where the pixels cannot."""
+        if not isinstance(self.pixels, PixelArray):
+            return {}
+        fixed = {"leak_hz"} if self._leaks is not None else set()  # it has its own course
+        fixed |= set() if self.pixels.parameters.source_follower_hz > 0 else {"source_follower_hz"}
+        return {name: float(getattr(self.pixels.parameters, name)) for name in ADJUSTABLE if name not in fixed}
+
+    def adjust(self, name: str, value: float) -> None:
+        """Set one of `adjustable` from now on; noise of the grade "points" follows from the same time on.
+
+        Raises
+        ------
+        ValueError
+            The field cannot be changed, or the value is not allowed.
+        """
+        if name not in self.adjustable or not isinstance(self.pixels, PixelArray):
+            raise ValueError(f"{name} cannot be changed while this sensor runs")
+        adjust(self.pixels, name, value)
+        if self._noise is not None:
+            self._noise.follow(self.pixels.parameters, live_thresholds(self.pixels))
 
     def finish(self) -> Events:
         """Return the events that have not left yet; the sensor cannot be exposed afterwards."""
-        if self._jitter is None:
-            return self._readout.finish()
-        end_ns = self._jitter.last_ns() + 1
-        late = self._readout.push(self._jitter.step(NO_CROSSINGS, end_ns), end_ns)
-        return np.concatenate([late, self._readout.finish()])
+        return finished(self._jitter, self._readout)
 
     def _next_cut_ns(self) -> int:
         """Return the next time at which a step must end."""
@@ -256,20 +282,35 @@ class Sensor:
         shot_ns = (self._t_ns // grid_ns + 1) * grid_ns if grid_ns else NEVER_NS
         return min(shot_ns, self._leaks.next_ns) if self._leaks is not None else shot_ns
 
-    def _move(self, light: _Float32s, t_ns: int, rate: _Float32s | None, at: PixelLight | None = None) -> Crossings:
+    def _move(
+        self,
+        light: _Float32s,
+        t_ns: int,
+        rate: _Float32s | None,
+        at: PixelLight | None = None,
+        changed: Region | None = None,
+    ) -> Crossings:
         """Move all parts to `t_ns`; no cut lies in between."""
         if self._leaks is not None and self._leaks.next_ns <= self._t_ns:
             self._leaks.follow(self._t_ns)
         seen = self._imager.see(light, t_ns)
         rate, at = self._imager.see_rate(rate), self._imager.see_pixels(at)
-        crossings = self._of_live_pixels(self.pixels.step(seen, t_ns, rate, at))
+        told = {} if changed is None or not self._skips else {"changed": changed}
+        crossings = self._of_live_pixels(self.pixels.step(seen, t_ns, rate, at, **told))
         self._t_ns = t_ns
-        settled_ns = self.pixels.settled_ns
+        return self._with_others(crossings, seen, self.pixels.settled_ns)
+
+    def _with_others(self, crossings: Crossings, seen: _Float32s, settled_ns: int) -> Crossings:
+        """Return the pixels' crossings as they are raised, delayed, with the events of other sources."""
         if self._jitter is not None:
             crossings = self._jitter.step(crossings, settled_ns)
         for source in self._sources:
             crossings = source.add_to(crossings, seen.reshape(-1), settled_ns)
         return crossings
+
+    def _send(self, crossings: Crossings, settled_ns: int) -> Events:
+        """Return the events that leave before `settled_ns`, up to which `crossings` are all."""
+        return self._readout.push(crossings, settled_ns)
 
     def _of_live_pixels(self, crossings: Crossings) -> Crossings:
         """Return the crossings without those of dead pixels."""
@@ -301,9 +342,15 @@ def _copied(crossings: Crossings) -> Crossings:
 
 def _pixels(p: SensorParameters, seed: int, make_pixels: MakePixels) -> PixelMethod:
     """Return the pixels; with noise of the grid grade, those that contain it."""
-    if p.noise.rms == 0 or p.noise.grade != "grid":
+    on_grid = bool(p.noise.rms) and p.noise.grade == "grid"
+    own = getattr(make_pixels, "func", make_pixels) is PixelArray
+    if p.photoreceptor == "large_signal":
+        if not own or on_grid:
+            raise ValueError('photoreceptor = "large_signal" is a method of its own: leave it out, or the other method')
+        return LargeSignalPixels(p, seed)
+    if not on_grid:
         return make_pixels(p, seed)
-    if make_pixels is not PixelArray:
+    if not own:
         raise ValueError('noise.grade = "grid" is a method of its own: leave it out, or the other method')
     return NoisyPixels(p, seed)
 
@@ -317,25 +364,3 @@ def _leaks(pixels: PixelMethod, p: SensorParameters, seed: int, defects: Defects
         raise ValueError("defects, dose and jitter.leak_share need evstim's own pixels: leave them out, or the method")
     faults.kill(defects.dead)
     return Leaks(faults, seed, p.jitter.leak_share, defects)
-
-
-def _dead(p: SensorParameters, defects: Defects) -> npt.NDArray[np.bool_] | None:
-    """Return which pixels are dead, (pixels,); None if none is."""
-    if not defects.dead.size:
-        return None
-    dead = np.zeros(p.width * p.height, np.bool_)
-    dead[defects.dead] = True
-    return dead
-
-
-def _sources(p: SensorParameters, seed: int, defects: Defects) -> list[_Source]:
-    """Return the sources of events beside the pixels; dead pixels have none."""
-    sources: list[_Source] = []
-    if p.noise.rms and p.noise.grade == "points" and defects.dead.size < p.width * p.height:
-        drawn = draw(p, seed)
-        thresholds = (drawn.on + drawn.off) / 2
-        thresholds[defects.dead] = np.inf
-        sources.append(NoiseEvents(p, seed, thresholds))
-    if p.radiation.hits_per_cm2_s:
-        sources.append(Particles(p, seed, defects.dead))
-    return sources

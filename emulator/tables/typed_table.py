@@ -14,6 +14,7 @@ import re
 import types
 import typing
 from collections.abc import Collection, Mapping
+from functools import cache
 from typing import Any, TypeVar
 
 import msgspec
@@ -87,8 +88,13 @@ def unknown(key: str, known: list[str]) -> str:
     return f"{key!r} is not known here{meant}"
 
 
-def field_types(target: Any) -> dict[str, Any]:
+def field_types(target: Any) -> Mapping[str, Any]:
     """Return the annotations of a dataclass's fields, by name, resolved."""
+    return _field_types(target)
+
+
+@cache
+def _field_types(target: Any) -> Mapping[str, Any]:
     hints = typing.get_type_hints(target)
     return {f.name: hints[f.name] for f in dataclasses.fields(target)}
 

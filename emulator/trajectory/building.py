@@ -11,12 +11,14 @@ from fractions import Fraction
 import numpy as np
 
 from emulator.geometry.cycle import Cycle
+from emulator.trajectory.basilisk import flown_path
 from emulator.trajectory.descent import Descent
 from emulator.trajectory.keyframes import Keyframes
 from emulator.trajectory.live import LivePoses
 from emulator.trajectory.looking import Looking
 from emulator.trajectory.orbit import Orbit
 from emulator.trajectory.parameters import (
+    BasiliskPath,
     DescentPath,
     FilePath,
     FixedPath,
@@ -71,6 +73,8 @@ def build_trajectory(p: TrajectoryParameters) -> Trajectory:
             return _looking(recorded, p.look_at_m, p.up, _spread(*span_ns))
         case LivePath():
             return _received(p, 0, {})
+        case BasiliskPath():
+            return flown_path(p)
 
 
 def _received(p: LivePath, number: int, receivers: dict[tuple[str, int], PoseReceiver]) -> ReceivedPath:

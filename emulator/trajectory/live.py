@@ -28,7 +28,7 @@ from emulator.geometry.attitude import Quaternion, Vector, conjugate, multiply, 
 from emulator.trajectory.pose import FARTHEST_M, STILL, Pose, Trajectory
 from firmware_protocol.pose_message import NOW, PoseMessage
 
-__all__ = ["LiveCounters", "LivePoses"]
+__all__ = ["LiveCounters", "LivePoses", "between"]
 
 _KNOWN = 64
 _MOST_LOST = 1 << 16
@@ -66,6 +66,11 @@ class _Known:
     t_ns: int
     pose: Pose
     on_arrival: bool
+
+    @property
+    def at(self) -> tuple[int, Pose]:
+        """Its time and the pose."""
+        return self.t_ns, self.pose
 
 
 class LivePoses(Trajectory):
@@ -110,7 +115,7 @@ class LivePoses(Trajectory):
         if t_ns > known[-1].t_ns:
             return self._beyond(t_ns)
         after = next(k for k, one in enumerate(known) if one.t_ns >= t_ns)
-        return known[0].pose if after == 0 else _between(known[after - 1], known[after], t_ns)
+        return known[0].pose if after == 0 else between(known[after - 1].at, known[after].at, t_ns)
 
     @property
     def speed_bound_m_s(self) -> float:
@@ -153,13 +158,16 @@ class LivePoses(Trajectory):
             self.counters.late_pictures += 1
         if len(self._known) < 2:
             return newest.pose
-        return _between(self._known[-2], newest, min(t_ns, newest.t_ns + self._hold_ns))
+        return between(self._known[-2].at, newest.at, min(t_ns, newest.t_ns + self._hold_ns))
 
 
-def _between(before: _Known, after: _Known, t_ns: int) -> Pose:
-    """Return the pose on the straight line and great circle through two poses; `t_ns` may lie beyond the second."""
-    a, b = before.pose, after.pose
-    x = (t_ns - before.t_ns) / (after.t_ns - before.t_ns)
+def between(before: tuple[int, Pose], after: tuple[int, Pose], t_ns: int) -> Pose:
+    """Return the pose on the straight line and great circle through two, each with its time in ns.
+
+    `t_ns` may lie beyond the second.
+    """
+    (before_ns, a), (after_ns, b) = before, after
+    x = (t_ns - before_ns) / (after_ns - before_ns)
     place = (1 - x) * a.position_m + x * b.position_m  # exact at both, also beside a place very far away
     place = np.clip(place, -FARTHEST_M / 2, FARTHEST_M / 2)  # two hostile poses may point anywhere
     turn = multiply(b.q_world_from_body, conjugate(a.q_world_from_body))

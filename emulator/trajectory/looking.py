@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from emulator.geometry.attitude import Matrix, Vector, quaternion_of, unit
+from emulator.geometry.attitude import Matrix, Vector, cross, quaternion_of, unit
 from emulator.trajectory.measured import measured_bounds
 from emulator.trajectory.pose import Pose, Trajectory, TrajectoryError
 
@@ -58,11 +58,11 @@ class Looking(Trajectory):
 def looking_along(sight: npt.ArrayLike, up: npt.ArrayLike) -> Matrix:
     """Return world_from_camera of a camera with its boresight along `sight` and `up` up in its picture."""
     z = unit(sight)
-    x = np.cross(z, unit(up))
+    x = cross(z, unit(up))
     if np.linalg.norm(x) < _ALONG:
-        x = np.cross(z, _any_other(z))
+        x = cross(z, _any_other(z))
     x = unit(x)
-    return np.column_stack([x, np.cross(z, x), z])
+    return np.column_stack([x, cross(z, x), z])
 
 
 def _any_other(axis: Vector) -> Vector:

@@ -17,6 +17,7 @@ from emulator.trajectory.descent import LANDING, Gate
 from emulator.trajectory.orbit import Elements
 
 __all__ = [
+    "BasiliskPath",
     "DescentPath",
     "FilePath",
     "FixedPath",
@@ -303,5 +304,40 @@ class LivePath:
         _require_senders(self.host, self.allow)
 
 
-TrajectoryParameters = FixedPath | KeyframePath | OrbitPath | SpinPath | DescentPath | FilePath | LivePath
+@dataclass(frozen=True)
+class BasiliskPath:
+    """The path of something in a Basilisk simulation, for `evstim vizard`.
+
+    Attributes
+    ----------
+    camera
+        cameraID of the camera that it is.
+    spacecraft
+        Name of the spacecraft that it is.
+    body
+        Name of the celestial body that it is.
+    origin
+        Name of the celestial body at the world's origin; empty: the origin of Basilisk's inertial frame.
+    position_m, q_world_from_body
+        The pose until the simulation gives one. Detail is chosen for it, so give the nearest that the flight comes.
+    """
+
+    kind: ClassVar[str] = "basilisk"
+    camera: int | None = None
+    spacecraft: str = ""
+    body: str = ""
+    origin: str = ""
+    position_m: _Triple = (0.0, 0.0, 0.0)
+    q_world_from_body: _Quaternion = _AS_THE_WORLD
+
+    def __post_init__(self) -> None:
+        _require_finite(self)
+        _require_attitude(self, "q_world_from_body")
+        if (self.camera is not None) + bool(self.spacecraft) + bool(self.body) != 1:
+            raise ValueError("one of camera, spacecraft and body must say what it is in the simulation")
+
+
+TrajectoryParameters = (
+    FixedPath | KeyframePath | OrbitPath | SpinPath | DescentPath | FilePath | LivePath | BasiliskPath
+)
 """Any of them, as the type of a key in a scene's table."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -55,10 +56,12 @@ class Pose:
         object.__setattr__(self, "position_m", position)
         object.__setattr__(self, "q_world_from_body", q / length)
 
-    @property
+    @cached_property
     def world_from_body(self) -> Matrix:
-        """The attitude as a matrix, (3, 3)."""
-        return matrix_of(self.q_world_from_body)
+        """The attitude as a matrix, (3, 3), not to be written to."""
+        matrix = matrix_of(self.q_world_from_body)
+        matrix.flags.writeable = False
+        return matrix
 
     def after(self, child: Pose) -> Pose:
         """Return the pose in the world of `child`, which is given in the frame of this pose."""

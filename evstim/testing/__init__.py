@@ -1,1 +1,1 @@
-"""Contract suites and fakes for those who extend evstim; importing them needs pytest."""
+"""For the tests of others: a pytest plugin, rigs that run beside a test, ports in memory, and contract suites."""

@@ -15,7 +15,10 @@ from firmware_protocol.can_frames.fd_events import FD_CELLS
 from firmware_protocol.can_frames.identifiers import Identifiers
 from firmware_protocol.can_frames.raw_events import TICKS_US
 
-__all__ = ["dbc_text"]
+__all__ = ["CanMessage", "Carriage", "Signal", "can_messages", "dbc_text"]
+
+Carriage = Literal["raw", "isotp", "cfp"]
+"""What carries the instrument's messages."""
 
 CAMERA, MASTER, ANYONE = "CAMERA", "MASTER", "Vector__XXX"
 
@@ -31,7 +34,9 @@ _CFP_COMMENT = "Events, edges, answers and telecommands are CSP packets, in fram
 
 
 @dataclass(frozen=True)
-class _Signal:
+class Signal:
+    """A number in a frame, as a DBC file tells it; `start` is its lowest bit, in big-endian ones its highest."""
+
     name: str
     start: int
     bits: int
@@ -41,6 +46,7 @@ class _Signal:
     values: tuple[tuple[int, str], ...] = ()
 
     def line(self) -> str:
+        """Return its line of a DBC file."""
         order = 0 if self.big_endian else 1
         top = (1 << self.bits) - 1
         scaled = top if self.factor == "1" else float(self.factor) * top
@@ -50,23 +56,24 @@ class _Signal:
         )
 
     def choices(self) -> str:
+        """Return the names of its values for a DBC file."""
         return " ".join(f'{value} "{text}"' for value, text in self.values)
 
 
 @dataclass(frozen=True)
-class _Message:
-    """`name` is the key of the identifier table."""
+class CanMessage:
+    """A kind of frame; `name` is the key of the identifier table."""
 
     name: str
     length: int
     sender: str
     comment: str
-    signals: tuple[_Signal, ...] = ()
+    signals: tuple[Signal, ...] = ()
 
 
-def dbc_text(identifiers: Identifiers, *, fd: bool = False, carriage: Literal["raw", "isotp", "cfp"] = "raw") -> str:
+def dbc_text(identifiers: Identifiers, *, fd: bool = False, carriage: Carriage = "raw") -> str:
     """Return the DBC file of a camera with these identifiers, in classic or in FD frames, for one transport."""
-    messages = [message for message in _messages(fd) if message.name not in _ABSENT[carriage]]
+    messages = can_messages(fd=fd, carriage=carriage)
     ids = identifiers.by_name
     lines = ['VERSION ""', "", "NS_ :", "", "BS_:", "", f"BU_: {CAMERA} {MASTER}", ""]
     for m in messages:
@@ -83,56 +90,58 @@ def dbc_text(identifiers: Identifiers, *, fd: bool = False, carriage: Literal["r
     return "\n".join(lines) + "\n"
 
 
-def _messages(fd: bool) -> list[_Message]:
-    return [*_network(), *_times(), *_carried(fd), *_heartbeats()]
+def can_messages(*, fd: bool = False, carriage: Carriage = "raw") -> list[CanMessage]:
+    """Return the kinds of frames of a camera, in classic or in FD frames, for one transport."""
+    messages = [*_network(), *_times(), *_carried(fd), *_heartbeats()]
+    return [message for message in messages if message.name not in _ABSENT[carriage]]
 
 
-def _network() -> list[_Message]:
-    orders = (_Signal("command", 0, 8, values=_values(NmtCommand)), _Signal("node", 8, 8))
-    overflow = (_Signal("code", 0, 16), _Signal("register", 16, 8), _Signal("dropped", 24, 32, "events"))
+def _network() -> list[CanMessage]:
+    orders = (Signal("command", 0, 8, values=_values(NmtCommand)), Signal("node", 8, 8))
+    overflow = (Signal("code", 0, 16), Signal("register", 16, 8), Signal("dropped", 24, 32, "events"))
     return [
-        _Message("nmt", 2, MASTER, "Orders to the camera", orders),
-        _Message("sync", 1, MASTER, "Trigger and beat; may come without its counter", (_Signal("counter", 0, 8),)),
-        _Message("emcy", 8, CAMERA, "8110: events were dropped; 0000: no more", overflow),
+        CanMessage("nmt", 2, MASTER, "Orders to the camera", orders),
+        CanMessage("sync", 1, MASTER, "Trigger and beat; may come without its counter", (Signal("counter", 0, 8),)),
+        CanMessage("emcy", 8, CAMERA, "8110: events were dropped; 0000: no more", overflow),
     ]
 
 
-def _times() -> list[_Message]:
+def _times() -> list[CanMessage]:
     spacecraft = (
-        _Signal("seconds", 7, 32, "s", big_endian=True),
-        _Signal("fraction", 39, 24, "s", "5.960464477539063e-08", big_endian=True),
+        Signal("seconds", 7, 32, "s", big_endian=True),
+        Signal("fraction", 39, 24, "s", "5.960464477539063e-08", big_endian=True),
     )
-    left = (_Signal("counter", 0, 8), _Signal("sent", 8, 56, "ns"))
+    left = (Signal("counter", 0, 8), Signal("sent", 8, 56, "ns"))
     return [
-        _Message("time", 6, MASTER, "Since 1984-01-01", (_Signal("ms", 0, 28, "ms"), _Signal("days", 32, 16, "d"))),
-        _Message("scet", 7, MASTER, "Spacecraft time, CUC 4+3", spacecraft),
-        _Message("follow_up", 8, CAMERA, "When the SYNC of this counter left", left),
+        CanMessage("time", 6, MASTER, "Since 1984-01-01", (Signal("ms", 0, 28, "ms"), Signal("days", 32, 16, "d"))),
+        CanMessage("scet", 7, MASTER, "Spacecraft time, CUC 4+3", spacecraft),
+        CanMessage("follow_up", 8, CAMERA, "When the SYNC of this counter left", left),
     ]
 
 
-def _carried(fd: bool) -> list[_Message]:
+def _carried(fd: bool) -> list[CanMessage]:
     epoch = (
-        _Signal("t", 0, 30, "ticks"),
-        _Signal("tick", 30, 2, values=tuple(enumerate(f"{us} us" for us in TICKS_US))),
-        _Signal("sent", 32, 16, "events"),
-        _Signal("dropped", 48, 16, "events"),
+        Signal("t", 0, 30, "ticks"),
+        Signal("tick", 30, 2, values=tuple(enumerate(f"{us} us" for us in TICKS_US))),
+        Signal("sent", 32, 16, "events"),
+        Signal("dropped", 48, 16, "events"),
     )
     return [
         _fd_events() if fd else _events(),
-        _Message("epoch", 8, CAMERA, "Where the events' times lie, and how many events there have been", epoch),
-        _Message("clock", 8, CAMERA, "All bits of the events' time", (_Signal("t", 0, 64, "us"),)),
-        _Message("marks", 8, CAMERA, "The camera's own trigger and exposure marks", _marks()),
-        _Message("edges", 8, CAMERA, "Edges on the camera's external input", _marks()),
-        _Message("telemetry", 64 if fd else 8, CAMERA, "ISO-TP", (_Signal("pci", 0, 8),)),
-        _Message("telecommand", 64 if fd else 8, MASTER, "ISO-TP", (_Signal("pci", 0, 8),)),
+        CanMessage("epoch", 8, CAMERA, "Where the events' times lie, and how many events there have been", epoch),
+        CanMessage("clock", 8, CAMERA, "All bits of the events' time", (Signal("t", 0, 64, "us"),)),
+        CanMessage("marks", 8, CAMERA, "The camera's own trigger and exposure marks", _marks()),
+        CanMessage("edges", 8, CAMERA, "Edges on the camera's external input", _marks()),
+        CanMessage("telemetry", 64 if fd else 8, CAMERA, "ISO-TP", (Signal("pci", 0, 8),)),
+        CanMessage("telecommand", 64 if fd else 8, MASTER, "ISO-TP", (Signal("pci", 0, 8),)),
     ]
 
 
-def _heartbeats() -> list[_Message]:
-    state = (_Signal("state", 0, 7, values=_values(NodeState)),)
+def _heartbeats() -> list[CanMessage]:
+    state = (Signal("state", 0, 7, values=_values(NodeState)),)
     return [
-        _Message("heartbeat", 1, CAMERA, "State of the camera", state),
-        _Message("master_heartbeat", 1, MASTER, "Says which bus is in use", state),
+        CanMessage("heartbeat", 1, CAMERA, "State of the camera", state),
+        CanMessage("master_heartbeat", 1, MASTER, "Says which bus is in use", state),
     ]
 
 
@@ -140,34 +149,34 @@ def _values(names: Iterable[NmtCommand] | Iterable[NodeState]) -> tuple[tuple[in
     return tuple((int(one), one.name.lower().replace("_", " ")) for one in names)
 
 
-def _events() -> _Message:
+def _events() -> CanMessage:
     pixels = [
-        _Signal(f"{name}{i}", 26 + 19 * i + at, bits, unit)
+        Signal(f"{name}{i}", 26 + 19 * i + at, bits, unit)
         for i in (0, 1)
         for name, at, bits, unit in (("x", 0, 9, "px"), ("y", 9, 9, "px"), ("on", 18, 1, ""))
     ]
     head = (
-        _Signal("t", 0, 16, "ticks"),
-        _Signal("seq", 16, 3),
-        _Signal("dt", 19, 7, "ticks", values=((127, "no second event"),)),
+        Signal("t", 0, 16, "ticks"),
+        Signal("seq", 16, 3),
+        Signal("dt", 19, 7, "ticks", values=((127, "no second event"),)),
     )
-    return _Message("events", 8, CAMERA, "One or two events", (*head, *pixels))
+    return CanMessage("events", 8, CAMERA, "One or two events", (*head, *pixels))
 
 
-def _fd_events() -> _Message:
+def _fd_events() -> CanMessage:
     head = (
-        _Signal("t", 0, 32, "ticks"),
-        _Signal("seq", 32, 8),
-        _Signal("n", 40, 8, "cells"),
-        _Signal("dropped", 48, 8, "events"),
+        Signal("t", 0, 32, "ticks"),
+        Signal("seq", 32, 8),
+        Signal("n", 40, 8, "cells"),
+        Signal("dropped", 48, 8, "events"),
     )
     cells = [
-        _Signal(f"{name}{i}", 56 + 24 * i + at, bits, unit)
+        Signal(f"{name}{i}", 56 + 24 * i + at, bits, unit)
         for i in range(FD_CELLS)
         for name, at, bits, unit in (("x", 0, 9, "px"), ("y", 9, 9, "px"), ("on", 18, 1, ""), ("dt", 19, 5, "ticks"))
     ]
-    return _Message("events", 64, CAMERA, "Up to 19 events; dt = 31: no event, ticks to add", (*head, *cells))
+    return CanMessage("events", 64, CAMERA, "Up to 19 events; dt = 31: no event, ticks to add", (*head, *cells))
 
 
-def _marks() -> tuple[_Signal, ...]:
-    return (_Signal("t", 0, 32, "us"), _Signal("kind", 32, 8), _Signal("channel", 40, 8), _Signal("seq", 48, 16))
+def _marks() -> tuple[Signal, ...]:
+    return (Signal("t", 0, 32, "us"), Signal("kind", 32, 8), Signal("channel", 40, 8), Signal("seq", 48, 16))

@@ -25,10 +25,13 @@ One thread at a time may use a camera.
 from __future__ import annotations
 
 import struct
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
+from firmware_protocol.davis346.bias_effects import sensor_factors
+from firmware_protocol.davis346.biases import BIASES
 from firmware_protocol.davis346.external_input import ExternalInput, InputSettings
 from firmware_protocol.davis346.fifo import Fifo
 from firmware_protocol.davis346.marks import Marks, join_marks, no_marks
@@ -102,8 +105,33 @@ class Davis346(UsbCamera):
 
     @property
     def room_events(self) -> int:
-        """Events that certainly fit the FIFO now beside the marks expected, if they span less than a second."""
+        """Events that certainly fit the FIFO now beside the marks expected, if none is later than `horizon_us`."""
         return max(0, self._stream.room_events - self._input.expected)
+
+    @property
+    def horizon_us(self) -> int:
+        """Stream time to which the FIFO has room for single wraps; in the silence after the start, its end.
+
+        A host in the middle of its start has started the clock and not yet the words: time then goes on as far as half
+        of the wraps that are to be made up, so that those of the silence fit too.
+        """
+        if self._starting:
+            return max(self._now_us, (self._stream.epoch_us + self._stream.room_until_us) // 2)
+        if not self._gate.words:
+            return super().horizon_us
+        if self._now_us < self.silent_until_us:
+            return self.silent_until_us
+        return max(self._now_us, self._stream.room_until_us)
+
+    @property
+    def sensor_factors(self) -> Mapping[str, float]:
+        """What the bias words that the host wrote do to the pixels; empty while they are as at power-on."""
+        return self._factors
+
+    @property
+    def silent_until_us(self) -> int:
+        """End of the silence after the start; 0 while the gate is closed."""
+        return self._silent_until_us if self._gate.words else 0
 
     @property
     def epoch_us(self) -> int:
@@ -241,6 +269,8 @@ class Davis346(UsbCamera):
         self._registers.power_on()
         self._standard.power_on()
         self._gate = _Gate.of(self._registers)
+        self._starting = False
+        self._factors: Mapping[str, float] = {}
         self._silent_until_us = self._now_us
         self._drop_stalled()
         self._stream.start_time(self._now_us)
@@ -269,6 +299,8 @@ class Davis346(UsbCamera):
     def _write(self, module: int, address: int, value: int) -> None:
         before = self._gate
         self._registers.write(module, address, value)
+        if module == Module.BIAS:
+            self._factors = self._factors_of_biases()
         self._gate = _Gate.of(self._registers)
         if self._gate != before:
             self._turn(before, self._gate)
@@ -280,11 +312,17 @@ class Davis346(UsbCamera):
             self._stream.flush()
         if after.timestamps and not before.timestamps:
             self._stream.start_time(self._now_us)
+            self._starting = True
+        if after.words or not after.timestamps:
+            self._starting = False
         if (after.words and not before.words) or (after.events and not before.events):
             self._silent_until_us = self._now_us + self.settings.start_delay_us
         if after.reset and not before.reset and after.words:
             self._stream.reset_time(self._now_us)
             self._silent_until_us = self._now_us
+
+    def _factors_of_biases(self) -> Mapping[str, float]:
+        return sensor_factors({bias.address: self._registers.read(Module.BIAS, bias.address) for bias in BIASES})
 
     def _drop_stalled(self) -> None:
         self._stream.drop_marks(len(self._stalled))

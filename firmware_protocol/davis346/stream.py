@@ -8,14 +8,14 @@ import numpy as np
 
 from firmware_protocol.davis346.fifo import Batch, Fifo
 from firmware_protocol.davis346.marks import Marks, edges_of, no_marks
-from firmware_protocol.davis346.words import Encoded, WordEncoder, Words, WordState, is_row
+from firmware_protocol.davis346.words import SINGLE_WRAPS, WRAP_BITS, Encoded, WordEncoder, Words, WordState, is_row
 from firmware_protocol.events import Events, empty_events
 from firmware_protocol.usb.device import Transfer
 
 __all__ = ["EventStream", "MarkCounters", "StreamCounters"]
 
-_WRAP_MARGIN_WORDS = 32
-"""Kept free for wraps when telling how many events fit: batches may span a second."""
+_WRAP_SHARE = 8
+"""One word in eight of the free ones is for wraps when telling how much fits: events may be far apart."""
 
 _WORDS_PER_EVENT = 3
 
@@ -79,8 +79,17 @@ class EventStream:
 
     @property
     def room_events(self) -> int:
-        """Events that certainly fit now, if they span less than a second."""
-        return max(0, (self._fifo.free_words - _WRAP_MARGIN_WORDS) // _WORDS_PER_EVENT)
+        """Events that certainly fit now, if none is later than `room_until_us`."""
+        return max(0, (self._fifo.free_words - self._wraps_that_fit) // _WORDS_PER_EVENT)
+
+    @property
+    def room_until_us(self) -> int:
+        """Stream time up to which single wraps fit now, beside `room_events` events."""
+        return self._epoch_us + ((self._encoder.state.time_us >> WRAP_BITS) + self._wraps_that_fit << WRAP_BITS)
+
+    @property
+    def _wraps_that_fit(self) -> int:
+        return min(SINGLE_WRAPS, self._fifo.free_words // _WRAP_SHARE)
 
     def start_time(self, now_us: int) -> None:
         """Begin device time at zero, for a reader that knows nothing; what is queued is dropped."""

@@ -17,6 +17,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from firmware_protocol.davis346.bias_effects import sensor_factors
 from firmware_protocol.davis346.biases import BIASES
 from firmware_protocol.edges import Edges
 from firmware_protocol.event_device import CameraCounters, EventDevice
@@ -69,6 +70,7 @@ class Instrument(EventDevice):
         self._reporter = Reporter(round(settings.housekeeping_s * 1e6))
         self._started, self._connected = settings.autostart, True
         self._biases = {bias.address: int(bias.default) for bias in BIASES}
+        self._factors: Mapping[str, float] = {}
         self.frames_refused = 0
 
     @property
@@ -150,6 +152,11 @@ class Instrument(EventDevice):
         self._path.advance(self._time.now_us)
 
     @property
+    def sensor_factors(self) -> Mapping[str, float]:
+        """What the commanded biases do to the pixels, by the formulas of the DAVIS346; empty before the first."""
+        return self._factors
+
+    @property
     def biases(self) -> Mapping[int, int]:
         """Bias words by number, as commanded; the numbers are those of the DAVIS346."""
         return self._biases
@@ -206,6 +213,7 @@ class Instrument(EventDevice):
         if bias not in _KNOWN_BIASES:
             raise ValueError(f"there is no bias {bias}")
         self._biases[bias] = value
+        self._factors = sensor_factors(self._biases)
 
     def next_message(self, *, events: bool = True, edges: bool = True) -> Outgoing | None:
         """Return what is to leave next, None when there is nothing; without what the link packs itself.

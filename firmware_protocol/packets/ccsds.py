@@ -14,18 +14,25 @@ Source: CCSDS 133.0-B-2, section 4.1; checked against the spacepackets library.
 
 from __future__ import annotations
 
-import struct
 from dataclasses import dataclass
 from enum import IntEnum
 
 from firmware_protocol.packets.errors import PacketError
+from firmware_protocol.wire_layout import Field, Layout, choices_of
 
-__all__ = ["APID_IDLE", "SEQUENCE_MODULUS", "PacketType", "SequenceFlags", "SpacePacket", "idle_packet"]
+__all__ = [
+    "APID_IDLE",
+    "PRIMARY_HEADER",
+    "SEQUENCE_MODULUS",
+    "PacketType",
+    "SequenceFlags",
+    "SpacePacket",
+    "idle_packet",
+    "whole_packets",
+]
 
 APID_IDLE = 0x7FF
 SEQUENCE_MODULUS = 1 << 14
-HEADER_BYTES = 6
-_HEADER = struct.Struct(">HHH")
 _MOST_DATA = 1 << 16
 
 
@@ -43,6 +50,18 @@ class SequenceFlags(IntEnum):
     FIRST = 1
     LAST = 2
     UNSEGMENTED = 3
+
+
+PRIMARY_HEADER = Layout(
+    Field("version", 3, "version of the space packet", fixed=0),
+    Field("type", 1, "which way the packet goes", choices=choices_of(PacketType)),
+    Field("secondary_header", 1, "whether a secondary header follows"),
+    Field("apid", 11, "application process identifier"),
+    Field("sequence_flags", 2, "which part of a longer message", choices=choices_of(SequenceFlags)),
+    Field("sequence_count", 14, "number of the packet under its APID"),
+    Field("length", 16, "octets that follow this header, less one"),
+)
+HEADER_BYTES = PRIMARY_HEADER.octets
 
 
 @dataclass(frozen=True)
@@ -81,25 +100,33 @@ class SpacePacket:
         return self.sequence_flags << 14 | self.sequence_count
 
     def __bytes__(self) -> bytes:
-        return _HEADER.pack(self.packet_id, self.sequence_control, len(self.data) - 1) + self.data
+        header = PRIMARY_HEADER.pack(
+            type=self.type,
+            secondary_header=self.secondary_header,
+            apid=self.apid,
+            sequence_flags=self.sequence_flags,
+            sequence_count=self.sequence_count,
+            length=len(self.data) - 1,
+        )
+        return header + self.data
 
     @classmethod
     def parse(cls, octets: bytes) -> SpacePacket:
         """Read one whole packet. Raises PacketError ("short", "version", "length") for anything else."""
         if len(octets) <= HEADER_BYTES:
             raise PacketError("short")
-        packet_id, control, length = _HEADER.unpack_from(octets)
-        if packet_id >> 13:
+        header = PRIMARY_HEADER.unpack(octets[:HEADER_BYTES])
+        if header["version"]:
             raise PacketError("version")
-        if length + 1 != len(octets) - HEADER_BYTES:
+        if header["length"] + 1 != len(octets) - HEADER_BYTES:
             raise PacketError("length")
         return cls(
-            type=PacketType(packet_id >> 12 & 1),
-            apid=packet_id & APID_IDLE,
-            sequence_count=control % SEQUENCE_MODULUS,
+            type=PacketType(header["type"]),
+            apid=header["apid"],
+            sequence_count=header["sequence_count"],
             data=octets[HEADER_BYTES:],
-            secondary_header=bool(packet_id >> 11 & 1),
-            sequence_flags=SequenceFlags(control >> 14),
+            secondary_header=bool(header["secondary_header"]),
+            sequence_flags=SequenceFlags(header["sequence_flags"]),
         )
 
 
@@ -112,3 +139,14 @@ def idle_packet(data_octets: int, sequence_count: int = 0) -> SpacePacket:
         data=b"\x55" * data_octets,
         secondary_header=False,
     )
+
+
+def whole_packets(octets: bytes) -> list[bytes]:
+    """Cut octets into space packets, each as long as its header says; the last piece is what does not make one."""
+    packets, at = [], 0
+    while at < len(octets):
+        head = octets[at : at + HEADER_BYTES]
+        size = PRIMARY_HEADER.unpack(head)["length"] + 1 if len(head) == HEADER_BYTES else 0
+        packets.append(octets[at : at + HEADER_BYTES + size])
+        at += HEADER_BYTES + size
+    return packets

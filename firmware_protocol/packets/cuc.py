@@ -21,6 +21,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 from firmware_protocol.packets.errors import PacketError
+from firmware_protocol.wire_layout import Field, Layout
 
 __all__ = ["OWN_EPOCH_4_3", "TAI_4_3", "CucFormat", "Epoch"]
 
@@ -77,6 +78,14 @@ class CucFormat:
     def octets(self) -> int:
         """Length of an encoded time."""
         return self.p_field + self.seconds_octets + self.fraction_octets
+
+    def layout(self, name: str, meaning: str) -> Layout:
+        """Return the fields of an encoded time: `name`_seconds and `name`_fraction."""
+        p_field = Field(f"{name}_p_field", 8, "CUC: which epoch, and how many octets", fixed=self.p_field_octet)
+        seconds = Field(f"{name}_seconds", 8 * self.seconds_octets, f"{meaning}, whole seconds", "s")
+        bits = 8 * self.fraction_octets
+        fraction = Field(f"{name}_fraction", bits, f"{meaning}, fraction of a second", "s", scale=2.0**-bits)
+        return Layout(*(p_field,) * self.p_field, seconds, *(fraction,) * bool(bits))
 
     def encode_us(self, t_us: int) -> bytes:
         """Write a time in microseconds since the epoch. Raises ValueError when it does not fit."""

@@ -29,24 +29,26 @@ The layouts are this instrument's own; services 3 and 9 of ECSS-E-ST-70-41C carr
 
 from __future__ import annotations
 
-import struct
-from dataclasses import astuple, dataclass
+from dataclasses import asdict, dataclass, field, fields
 from enum import IntEnum
+from typing import Any
 
 from firmware_protocol.packets.cuc import CucFormat
 from firmware_protocol.packets.errors import PacketError
+from firmware_protocol.wire_layout import Field, Layout, WrongLength, choices_of
 
-__all__ = ["EdgeCounts", "EventCounts", "Housekeeping", "LinkCounts", "Mode", "TimeReport", "TimeStatus"]
+__all__ = [
+    "HOUSEKEEPING_LAYOUT",
+    "TIME_LAYOUT",
+    "EdgeCounts",
+    "EventCounts",
+    "Housekeeping",
+    "LinkCounts",
+    "Mode",
+    "TimeReport",
+    "TimeStatus",
+]
 
-_STRUCTURE = 1
-_HEAD = struct.Struct(">BBBxQIIhH4HI")
-_EVENTS = struct.Struct(">10Q")
-_EDGES = struct.Struct(">4Q")
-_LINK = struct.Struct(">4H")
-_SIZE = _HEAD.size + _EVENTS.size + _EDGES.size + _LINK.size
-_EVENTS_AT = _HEAD.size
-_EDGES_AT = _EVENTS_AT + _EVENTS.size
-_LINK_AT = _EDGES_AT + _EDGES.size
 _TIME = CucFormat(p_field=True)
 
 
@@ -66,40 +68,76 @@ class TimeStatus(IntEnum):
     LOST = 3
 
 
+def _count(meaning: str) -> Any:
+    """Return a field of counts that says what it counts."""
+    return field(default=0, metadata={"meaning": meaning})
+
+
 @dataclass(frozen=True)
 class EventCounts:
     """Events since power-on and their fates, in the order of the wire."""
 
-    offered: int = 0
-    sent: int = 0
-    waiting: int = 0
-    not_running: int = 0
-    not_selected: int = 0
-    over_rate: int = 0
-    too_late: int = 0
-    buffer_full: int = 0
-    flushed: int = 0
-    lost_on_link: int = 0
+    offered: int = _count("offered by the sensor: the sum of the others")
+    sent: int = _count("sent")
+    waiting: int = _count("waiting in the camera's queue")
+    not_running: int = _count("dropped: not running")
+    not_selected: int = _count("dropped: outside the region, or left out by sub-sampling")
+    over_rate: int = _count("dropped: over the rate limit")
+    too_late: int = _count("dropped: waited too long")
+    buffer_full: int = _count("dropped: buffer full")
+    flushed: int = _count("dropped: flushed at a stop")
+    lost_on_link: int = _count("dropped: lost on the link")
 
 
 @dataclass(frozen=True)
 class EdgeCounts:
     """Edges since power-on and their fates, in the order of the wire."""
 
-    offered: int = 0
-    sent: int = 0
-    ignored: int = 0
-    dropped: int = 0
+    offered: int = _count("on the external input")
+    sent: int = _count("sent")
+    ignored: int = _count("ignored: the detector was off")
+    dropped: int = _count("dropped")
 
 
 @dataclass(frozen=True)
 class LinkCounts:
     """What came in on the link, modulo 65 536 on the wire."""
 
-    commands_taken: int = 0
-    commands_refused: int = 0
-    frames_refused: int = 0
-    commands_missing: int = 0
+    commands_taken: int = _count("telecommands taken, modulo 65 536")
+    commands_refused: int = _count("telecommands refused, modulo 65 536")
+    frames_refused: int = _count("frames and packets refused, modulo 65 536")
+    commands_missing: int = _count("telecommands missing in the count, modulo 65 536")
+
+
+def _counts(kind: type[Any], bits: int, prefix: str = "", what: str = "", unit: str = "") -> Layout:
+    told = ((f"{prefix}{one.name}", f"{what}{one.metadata['meaning']}") for one in fields(kind))
+    return Layout(*(Field(name, bits, meaning, unit) for name, meaning in told))
+
+
+_STATUS = Field("time_status", 8, "what the camera's time hangs on", choices=choices_of(TimeStatus))
+_HEAD = Layout(
+    Field("structure", 8, "which housekeeping structure", fixed=1),
+    Field("mode", 8, "whether events flow", choices=choices_of(Mode)),
+    _STATUS,
+    Field("reserved", 8, "reserved", fixed=0),
+    Field("own_time", 64, "the camera's own time", "us"),
+    Field("offered_rate", 32, "events offered by the sensor since the last report", "1/s"),
+    Field("sent_rate", 32, "events sent since the last report", "1/s"),
+    Field("temperature", 16, "temperature of the sensor", "degC", scale=0.01, signed=True),
+    Field("tick", 16, "resolution of event times", "us"),
+    Field("region_x", 16, "region of interest: left column", "px"),
+    Field("region_y", 16, "region of interest: top row", "px"),
+    Field("region_width", 16, "region of interest: width", "px"),
+    Field("region_height", 16, "region of interest: height", "px"),
+    Field("rate_limit", 32, "most events per second; 0 is no limit", "1/s"),
+)
+_EVENTS = _counts(EventCounts, 64, "events_", "events since power-on: ", "events")
+_EDGES = _counts(EdgeCounts, 64, "edges_", "edges since power-on: ", "edges")
+_LINK = _counts(LinkCounts, 16)
+HOUSEKEEPING_LAYOUT = _HEAD + _EVENTS + _EDGES + _LINK
+"""The 156 octets drawn above."""
+TIME_LAYOUT = _TIME.layout("now", "the camera's own time") + Layout(_STATUS)
+"""The 9 octets drawn above."""
 
 
 @dataclass(frozen=True)
@@ -135,51 +173,51 @@ class Housekeeping:
 
     def encode(self) -> bytes:
         """Return the 156 octets drawn above. Raises ValueError for a number that does not fit."""
+        x, y, width, height = self.region
+        counts = {f"events_{name}": n for name, n in asdict(self.events).items()}
+        counts |= {f"edges_{name}": n for name, n in asdict(self.edges).items()}
+        counts |= {name: n & 0xFFFF for name, n in asdict(self.link).items()}
         try:
-            return b"".join(
-                (
-                    _HEAD.pack(
-                        _STRUCTURE,
-                        self.mode,
-                        self.time_status,
-                        self.t_us,
-                        self.offered_hz,
-                        self.sent_hz,
-                        self.temperature_centi_c,
-                        self.tick_us,
-                        *self.region,
-                        self.rate_limit_hz,
-                    ),
-                    _EVENTS.pack(*astuple(self.events)),
-                    _EDGES.pack(*astuple(self.edges)),
-                    _LINK.pack(*(count & 0xFFFF for count in astuple(self.link))),
-                )
+            return HOUSEKEEPING_LAYOUT.pack(
+                mode=self.mode,
+                time_status=self.time_status,
+                own_time=self.t_us,
+                offered_rate=self.offered_hz,
+                sent_rate=self.sent_hz,
+                temperature=self.temperature_centi_c,
+                tick=self.tick_us,
+                region_x=x,
+                region_y=y,
+                region_width=width,
+                region_height=height,
+                rate_limit=self.rate_limit_hz,
+                **counts,
             )
-        except struct.error as error:
+        except ValueError as error:
             raise ValueError(f"housekeeping: {error}") from error
 
     @classmethod
     def parse(cls, payload: bytes) -> Housekeeping:
         """Undo `encode`. Raises PacketError for another length, structure, mode or time status."""
-        if len(payload) != _SIZE:
-            raise PacketError("length")
-        structure, mode, status, t_us, offered_hz, sent_hz, temperature, tick_us, *rest = _HEAD.unpack_from(payload)
-        x, y, width, height, rate_limit_hz = rest
-        if structure != _STRUCTURE or mode not in tuple(Mode) or status not in tuple(TimeStatus) or payload[3]:
+        try:
+            told = HOUSEKEEPING_LAYOUT.unpack(payload)
+        except WrongLength as error:
+            raise PacketError("length") from error
+        if not _HEAD.holds(told):
             raise PacketError("structure")
         return cls(
-            t_us=t_us,
-            region=(x, y, width, height),
-            mode=Mode(mode),
-            time_status=TimeStatus(status),
-            offered_hz=offered_hz,
-            sent_hz=sent_hz,
-            temperature_centi_c=temperature,
-            tick_us=tick_us,
-            rate_limit_hz=rate_limit_hz,
-            events=EventCounts(*_EVENTS.unpack_from(payload, _EVENTS_AT)),
-            edges=EdgeCounts(*_EDGES.unpack_from(payload, _EDGES_AT)),
-            link=LinkCounts(*_LINK.unpack_from(payload, _LINK_AT)),
+            t_us=told["own_time"],
+            region=(told["region_x"], told["region_y"], told["region_width"], told["region_height"]),
+            mode=Mode(told["mode"]),
+            time_status=TimeStatus(told["time_status"]),
+            offered_hz=told["offered_rate"],
+            sent_hz=told["sent_rate"],
+            temperature_centi_c=told["temperature"],
+            tick_us=told["tick"],
+            rate_limit_hz=told["rate_limit"],
+            events=EventCounts(*(told[one.name] for one in _EVENTS.fields)),
+            edges=EdgeCounts(*(told[one.name] for one in _EDGES.fields)),
+            link=LinkCounts(*(told[one.name] for one in _LINK.fields)),
         )
 
 
@@ -197,6 +235,6 @@ class TimeReport:
     @classmethod
     def parse(cls, payload: bytes) -> TimeReport:
         """Undo `encode`. Raises PacketError for anything that it does not write."""
-        if len(payload) != _TIME.octets + 1 or payload[-1] not in tuple(TimeStatus):
+        if len(payload) != TIME_LAYOUT.octets or payload[-1] not in tuple(TimeStatus):
             raise PacketError("time report")
         return cls(_TIME.parse_us(payload[:-1]), TimeStatus(payload[-1]))

@@ -19,24 +19,50 @@ Source: ECSS-E-ST-70-41C, clauses 7.4.3 and 7.4.4, as the spacepackets library a
 
 from __future__ import annotations
 
-import struct
 from dataclasses import dataclass
 from enum import IntFlag
 
 from firmware_protocol.framing.crc import crc16
-from firmware_protocol.packets.ccsds import PacketType, SequenceFlags, SpacePacket
+from firmware_protocol.packets.ccsds import PRIMARY_HEADER, PacketType, SequenceFlags, SpacePacket
 from firmware_protocol.packets.cuc import OWN_EPOCH_4_3
 from firmware_protocol.packets.errors import PacketError
+from firmware_protocol.wire_layout import Field, Layout
 
-__all__ = ["TC_OVERHEAD", "TM_OVERHEAD", "Acknowledge", "TcPacket", "TmPacket"]
+__all__ = [
+    "ERROR_CONTROL",
+    "TC_HEADER",
+    "TC_OVERHEAD",
+    "TM_HEADER",
+    "TM_OVERHEAD",
+    "Acknowledge",
+    "TcPacket",
+    "TmPacket",
+]
 
 _VERSION = 2
-_TM = struct.Struct(">BBBHH7s")
-_TC = struct.Struct(">BBBH")
-_CRC_BYTES = 2
-TM_OVERHEAD = 6 + _TM.size + _CRC_BYTES
+_TYPE = (Field("service", 8, "PUS service type"), Field("subtype", 8, "PUS message subtype"))
+_TM_HEAD = Layout(
+    Field("pus_version", 4, "PUS version", fixed=_VERSION),
+    Field("time_reference", 4, "status of the time reference; 0 is not told"),
+    *_TYPE,
+    Field("type_count", 16, "number of the message under its service and subtype"),
+    Field("destination", 16, "destination of the report"),
+)
+TM_HEADER = _TM_HEAD + OWN_EPOCH_4_3.layout("time", "the camera's own time")
+"""Secondary header of telemetry."""
+TC_HEADER = Layout(
+    Field("pus_version", 4, "PUS version", fixed=_VERSION),
+    Field("acknowledge", 4, "successes to be told: 1 acceptance, 2 start, 4 progress, 8 completion"),
+    *_TYPE,
+    Field("source", 16, "source of the telecommand"),
+)
+"""Secondary header of telecommands."""
+ERROR_CONTROL = Layout(Field("error_control", 16, "CRC-16-CCITT-FALSE of all octets before it"))
+"""What ends each packet."""
+_CRC_BYTES = ERROR_CONTROL.octets
+TM_OVERHEAD = PRIMARY_HEADER.octets + TM_HEADER.octets + _CRC_BYTES
 """Octets of a telemetry packet beside its source data."""
-TC_OVERHEAD = 6 + _TC.size + _CRC_BYTES
+TC_OVERHEAD = PRIMARY_HEADER.octets + TC_HEADER.octets + _CRC_BYTES
 """Octets of a telecommand packet beside its application data."""
 
 
@@ -57,10 +83,10 @@ def _sealed(type_: PacketType, apid: int, sequence_count: int, data: bytes) -> b
     return packet + crc16(packet).to_bytes(_CRC_BYTES, "big")
 
 
-def _unsealed(octets: bytes, type_: PacketType, header: struct.Struct) -> SpacePacket:
+def _unsealed(octets: bytes, type_: PacketType, header: Layout) -> SpacePacket:
     """Check a whole packet; its data then end before the error control."""
     packet = SpacePacket.parse(octets)
-    if len(packet.data) < header.size + _CRC_BYTES:
+    if len(packet.data) < header.octets + _CRC_BYTES:
         raise PacketError("short")
     if crc16(octets):
         raise PacketError("crc")
@@ -98,31 +124,31 @@ class TmPacket:
     time_status: int = 0
 
     def __bytes__(self) -> bytes:
-        header = _TM.pack(
-            _VERSION << 4 | self.time_status,
-            self.service,
-            self.subtype,
-            self.type_count,
-            self.destination,
-            OWN_EPOCH_4_3.encode_us(self.t_us),
+        header = _TM_HEAD.pack(
+            time_reference=self.time_status,
+            service=self.service,
+            subtype=self.subtype,
+            type_count=self.type_count,
+            destination=self.destination,
         )
-        return _sealed(PacketType.TELEMETRY, self.apid, self.sequence_count, header + self.data)
+        data = header + OWN_EPOCH_4_3.encode_us(self.t_us) + self.data
+        return _sealed(PacketType.TELEMETRY, self.apid, self.sequence_count, data)
 
     @classmethod
     def parse(cls, octets: bytes) -> TmPacket:
         """Read one whole packet. Raises PacketError when it is not a sound telemetry report."""
-        packet = _unsealed(octets, PacketType.TELEMETRY, _TM)
-        first, service, subtype, type_count, destination, time = _TM.unpack_from(packet.data)
+        packet = _unsealed(octets, PacketType.TELEMETRY, TM_HEADER)
+        header = _TM_HEAD.unpack(packet.data[: _TM_HEAD.octets])
         return cls(
             apid=packet.apid,
             sequence_count=packet.sequence_count,
-            service=service,
-            subtype=subtype,
-            t_us=OWN_EPOCH_4_3.parse_us(time),
-            data=packet.data[_TM.size : -_CRC_BYTES],
-            type_count=type_count,
-            destination=destination,
-            time_status=first & 15,
+            service=header["service"],
+            subtype=header["subtype"],
+            t_us=OWN_EPOCH_4_3.parse_us(packet.data[_TM_HEAD.octets : TM_HEADER.octets]),
+            data=packet.data[TM_HEADER.octets : -_CRC_BYTES],
+            type_count=header["type_count"],
+            destination=header["destination"],
+            time_status=header["time_reference"],
         )
 
 
@@ -139,20 +165,22 @@ class TcPacket:
     source: int = 0
 
     def __bytes__(self) -> bytes:
-        header = _TC.pack(_VERSION << 4 | self.acknowledge, self.service, self.subtype, self.source)
+        header = TC_HEADER.pack(
+            acknowledge=self.acknowledge, service=self.service, subtype=self.subtype, source=self.source
+        )
         return _sealed(PacketType.TELECOMMAND, self.apid, self.sequence_count, header + self.data)
 
     @classmethod
     def parse(cls, octets: bytes) -> TcPacket:
         """Read one whole packet. Raises PacketError when it is not a sound telecommand."""
-        packet = _unsealed(octets, PacketType.TELECOMMAND, _TC)
-        first, service, subtype, source = _TC.unpack_from(packet.data)
+        packet = _unsealed(octets, PacketType.TELECOMMAND, TC_HEADER)
+        header = TC_HEADER.unpack(packet.data[: TC_HEADER.octets])
         return cls(
             apid=packet.apid,
             sequence_count=packet.sequence_count,
-            service=service,
-            subtype=subtype,
-            data=packet.data[_TC.size : -_CRC_BYTES],
-            acknowledge=Acknowledge(first & 15),
-            source=source,
+            service=header["service"],
+            subtype=header["subtype"],
+            data=packet.data[TC_HEADER.octets : -_CRC_BYTES],
+            acknowledge=Acknowledge(header["acknowledge"]),
+            source=header["source"],
         )

@@ -24,18 +24,18 @@ from firmware_protocol.packets.sequence import SequenceCounts
 from firmware_protocol.packets.telecommands import Telecommand
 from firmware_protocol.packets.verification import RequestId, Verification
 
-__all__ = ["PusCodec"]
+__all__ = ["MESSAGE_TYPES", "SCIENCE", "VERIFICATION_SERVICE", "PusCodec"]
 
-_VERIFICATION_SERVICE = 1
-_TYPES = {
+VERIFICATION_SERVICE = 1
+MESSAGE_TYPES = {
     MessageKind.EVENTS: (128, 129),
     MessageKind.EDGES: (128, 130),
     MessageKind.HOUSEKEEPING: (3, 25),
     MessageKind.TIME: (9, 2),
     MessageKind.PONG: (17, 2),
 }
-_KINDS = {type_: kind for kind, type_ in _TYPES.items()}
-_SCIENCE = (MessageKind.EVENTS, MessageKind.EDGES)
+_KINDS = {type_: kind for kind, type_ in MESSAGE_TYPES.items()}
+SCIENCE = (MessageKind.EVENTS, MessageKind.EDGES)
 _TYPE_COUNTS = 1 << 16
 
 
@@ -55,10 +55,10 @@ class PusCodec(PacketCodec):
         """Return the packet of a message."""
         data = message.payload
         if message.kind is MessageKind.VERIFICATION:
-            type_, data = (_VERIFICATION_SERVICE, Verification.parse(data).subtype), data[1:]
+            type_, data = (VERIFICATION_SERVICE, Verification.parse(data).subtype), data[1:]
         else:
-            type_ = _TYPES[message.kind]
-        apid = self._addresses.science_apid if message.kind in _SCIENCE else self._addresses.apid
+            type_ = MESSAGE_TYPES[message.kind]
+        apid = self._addresses.science_apid if message.kind in SCIENCE else self._addresses.apid
         return bytes(
             TmPacket(
                 apid=apid,
@@ -78,7 +78,7 @@ class PusCodec(PacketCodec):
         packet = TmPacket.parse(octets)
         if packet.apid not in (self._addresses.apid, self._addresses.science_apid):
             raise PacketError("apid")
-        if packet.service == _VERIFICATION_SERVICE:
+        if packet.service == VERIFICATION_SERVICE:
             kind, payload = MessageKind.VERIFICATION, bytes([packet.subtype]) + packet.data
         elif (packet.service, packet.subtype) in _KINDS:
             kind, payload = _KINDS[packet.service, packet.subtype], packet.data

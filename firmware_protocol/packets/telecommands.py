@@ -17,13 +17,13 @@ affair; for a DAVIS346 `bias` is the parameter number in module 5 and `value` th
 
 from __future__ import annotations
 
-import struct
 from abc import ABC, abstractmethod
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from typing import ClassVar, Self
 
 from firmware_protocol.packets.cuc import OWN_EPOCH_4_3
 from firmware_protocol.packets.verification import CommandRefused, FailureCode
+from firmware_protocol.wire_layout import Field, Layout, WrongLength
 
 __all__ = [
     "TELECOMMANDS",
@@ -42,13 +42,6 @@ __all__ = [
 ]
 
 TICKS_US = (1, 10, 100, 1000)
-_HOUSEKEEPING_STRUCTURE = 1
-_LARGEST_U16 = 0xFFFF
-
-
-def _check(what: str, value: int, lowest: int, highest: int) -> None:
-    if not lowest <= value <= highest:
-        raise ValueError(f"{what} {value} is not in {lowest}..{highest}")
 
 
 class Telecommand(ABC):
@@ -56,6 +49,8 @@ class Telecommand(ABC):
 
     TYPE: ClassVar[tuple[int, int]]
     """Service and subtype."""
+    LAYOUT: ClassVar[Layout] = Layout()
+    """Fields of the application data."""
 
     @abstractmethod
     def encode(self) -> bytes:
@@ -64,23 +59,25 @@ class Telecommand(ABC):
     @classmethod
     @abstractmethod
     def parse(cls, data: bytes) -> Self:
-        """Read the application data. Raises struct.error for a wrong length, ValueError for a wrong value."""
+        """Read the application data. Raises WrongLength, ValueError for a wrong value."""
 
 
 @dataclass(frozen=True)
 class _FixedLayout(Telecommand):
-    """A telecommand whose fields are numbers in a row."""
+    """A telecommand whose attributes are the fields of its layout."""
 
-    LAYOUT: ClassVar[struct.Struct] = struct.Struct(">")
+    def __post_init__(self) -> None:
+        for one in self.LAYOUT.fields:
+            one.check(getattr(self, one.name))
 
     def encode(self) -> bytes:
         """Return the application data."""
-        return self.LAYOUT.pack(*astuple(self))
+        return self.LAYOUT.pack(**{one.name: getattr(self, one.name) for one in self.LAYOUT.fields})
 
     @classmethod
     def parse(cls, data: bytes) -> Self:
         """Read the application data."""
-        return cls(*cls.LAYOUT.unpack(data))
+        return cls(**cls.LAYOUT.unpack(data))
 
 
 @dataclass(frozen=True)
@@ -109,7 +106,9 @@ class SetTick(_FixedLayout):
     """Count the time of events in ticks of 1, 10, 100 or 1000 us."""
 
     TYPE = (128, 3)
-    LAYOUT = struct.Struct(">H")
+    LAYOUT = Layout(
+        Field("tick_us", 16, "resolution of event times", "us", choices={us: f"US_{us}" for us in TICKS_US})
+    )
 
     tick_us: int
 
@@ -123,18 +122,17 @@ class SetRegion(_FixedLayout):
     """Send only events of a rectangle of pixels."""
 
     TYPE = (128, 4)
-    LAYOUT = struct.Struct(">HHHH")
+    LAYOUT = Layout(
+        Field("x", 16, "left column", "px"),
+        Field("y", 16, "top row", "px"),
+        Field("width", 16, "columns", "px", lowest=1),
+        Field("height", 16, "rows", "px", lowest=1),
+    )
 
     x: int
     y: int
     width: int
     height: int
-
-    def __post_init__(self) -> None:
-        _check("x", self.x, 0, _LARGEST_U16)
-        _check("y", self.y, 0, _LARGEST_U16)
-        _check("width", self.width, 1, _LARGEST_U16)
-        _check("height", self.height, 1, _LARGEST_U16)
 
 
 @dataclass(frozen=True)
@@ -142,12 +140,9 @@ class SetRateLimit(_FixedLayout):
     """Send at most so many events per second; 0 lifts the limit."""
 
     TYPE = (128, 5)
-    LAYOUT = struct.Struct(">I")
+    LAYOUT = Layout(Field("events_per_s", 32, "most events per second; 0 is no limit", "1/s"))
 
     events_per_s: int
-
-    def __post_init__(self) -> None:
-        _check("rate limit", self.events_per_s, 0, 0xFFFF_FFFF)
 
 
 @dataclass(frozen=True)
@@ -155,14 +150,10 @@ class SetBias(_FixedLayout):
     """Set one bias of the sensor."""
 
     TYPE = (128, 6)
-    LAYOUT = struct.Struct(">BH")
+    LAYOUT = Layout(Field("bias", 8, "number of the bias"), Field("value", 16, "word of its register"))
 
     bias: int
     value: int
-
-    def __post_init__(self) -> None:
-        _check("bias", self.bias, 0, 0xFF)
-        _check("bias value", self.value, 0, _LARGEST_U16)
 
 
 @dataclass(frozen=True)
@@ -170,16 +161,19 @@ class RequestHousekeeping(Telecommand):
     """Send one housekeeping report now."""
 
     TYPE = (3, 27)
+    LAYOUT = Layout(
+        Field("structures", 8, "how many structures", fixed=1),
+        Field("structure", 8, "which housekeeping structure", fixed=1),
+    )
 
     def encode(self) -> bytes:
         """Return the application data: one structure, number 1."""
-        return bytes([1, _HOUSEKEEPING_STRUCTURE])
+        return self.LAYOUT.pack()
 
     @classmethod
     def parse(cls, data: bytes) -> Self:
         """Read the application data."""
-        _, structure = struct.unpack(">BB", data)
-        if data[0] != 1 or structure != _HOUSEKEEPING_STRUCTURE:
+        if not cls.LAYOUT.holds(cls.LAYOUT.unpack(data)):
             raise ValueError("the only housekeeping structure is 1, once")
         return cls()
 
@@ -189,6 +183,7 @@ class SetTime(Telecommand):
     """It is now so many microseconds since the epoch of the bus."""
 
     TYPE = (9, 128)
+    LAYOUT = OWN_EPOCH_4_3.layout("now", "time now, since the epoch of the bus")
 
     t_us: int
 
@@ -202,7 +197,7 @@ class SetTime(Telecommand):
     @classmethod
     def parse(cls, data: bytes) -> Self:
         """Read the application data."""
-        struct.unpack(f">{OWN_EPOCH_4_3.octets}s", data)
+        cls.LAYOUT.unpack(data)
         return cls(OWN_EPOCH_4_3.parse_us(data))
 
 
@@ -221,7 +216,7 @@ def parse_telecommand(service: int, subtype: int, data: bytes) -> Telecommand:
         raise CommandRefused(FailureCode.ILLEGAL_SERVICE, f"no service {service}")
     try:
         return kind.parse(data)
-    except struct.error as error:
+    except WrongLength as error:
         text = f"{kind.__name__}: {len(data)} octets of data is not its length"
         raise CommandRefused(FailureCode.LENGTH, text) from error
     except ValueError as error:

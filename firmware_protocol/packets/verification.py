@@ -15,18 +15,27 @@ mission), the others ours.
 
 from __future__ import annotations
 
-import struct
 from dataclasses import dataclass
 from enum import IntEnum
 
 from firmware_protocol.packets.ccsds import SpacePacket
 from firmware_protocol.packets.errors import PacketError
+from firmware_protocol.wire_layout import Field, Layout, WrongLength, choices_of
 
-__all__ = ["CommandRefused", "Failure", "FailureCode", "RequestId", "Stage", "Verification"]
+__all__ = [
+    "FAILURE_LAYOUT",
+    "LONGEST_TEXT",
+    "REQUEST_LAYOUT",
+    "CommandRefused",
+    "Failure",
+    "FailureCode",
+    "RequestId",
+    "Stage",
+    "Verification",
+]
 
-_REQUEST = struct.Struct(">HH")
-_CODE = struct.Struct(">H")
-_LONGEST_TEXT = 80
+LONGEST_TEXT = 80
+"""Most characters of what was wrong."""
 
 
 class Stage(IntEnum):
@@ -48,6 +57,15 @@ class FailureCode(IntEnum):
     ILLEGAL_DATA = 5
     NOT_NOW = 6
     NOT_SUPPORTED = 7
+
+
+REQUEST_LAYOUT = Layout(
+    Field("request_packet_id", 16, "version, type, flag and APID of the telecommand, as they came"),
+    Field("request_sequence_control", 16, "sequence flags and count of the telecommand, as they came"),
+)
+"""Which telecommand."""
+FAILURE_LAYOUT = Layout(Field("failure_code", 16, "why the telecommand failed", choices=choices_of(FailureCode)))
+"""Why it failed; what was wrong follows as text."""
 
 
 @dataclass(frozen=True)
@@ -84,14 +102,15 @@ class RequestId:
         return cls(packet.packet_id, packet.sequence_control)
 
     def __bytes__(self) -> bytes:
-        return _REQUEST.pack(self.packet_id, self.sequence_control)
+        return REQUEST_LAYOUT.pack(request_packet_id=self.packet_id, request_sequence_control=self.sequence_control)
 
     @classmethod
     def parse(cls, octets: bytes) -> RequestId:
         """Read four octets. Raises PacketError for any other number of them."""
-        if len(octets) != _REQUEST.size:
-            raise PacketError("request id")
-        return cls(*_REQUEST.unpack(octets))
+        try:
+            return cls(*REQUEST_LAYOUT.unpack(octets).values())
+        except WrongLength as error:
+            raise PacketError("request id") from error
 
 
 @dataclass(frozen=True)
@@ -112,8 +131,8 @@ class Verification:
         octets = bytes([self.subtype]) + bytes(self.request)
         if self.failure is None:
             return octets
-        text = self.failure.text.encode("ascii", "replace")[:_LONGEST_TEXT]
-        return octets + _CODE.pack(self.failure.code) + text
+        text = self.failure.text.encode("ascii", "replace")[:LONGEST_TEXT]
+        return octets + FAILURE_LAYOUT.pack(failure_code=self.failure.code) + text
 
     @classmethod
     def parse(cls, payload: bytes) -> Verification:
@@ -133,10 +152,10 @@ _SUBTYPES = {stage + failed: (stage, bool(failed)) for stage in Stage for failed
 
 
 def _parse_failure(octets: bytes) -> Failure:
-    if not _CODE.size <= len(octets) <= _CODE.size + _LONGEST_TEXT:
+    if not FAILURE_LAYOUT.octets <= len(octets) <= FAILURE_LAYOUT.octets + LONGEST_TEXT:
         raise PacketError("length")
-    (code,) = _CODE.unpack_from(octets)
+    code = FAILURE_LAYOUT.unpack(octets[: FAILURE_LAYOUT.octets])["failure_code"]
     try:
-        return Failure(FailureCode(code), octets[_CODE.size :].decode("ascii"))
+        return Failure(FailureCode(code), octets[FAILURE_LAYOUT.octets :].decode("ascii"))
     except ValueError as error:
         raise PacketError("failure notice") from error

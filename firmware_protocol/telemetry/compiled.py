@@ -1,38 +1,9 @@
-"""How the loops over events and bits are compiled by numba.
+"""How the loops of this folder are compiled: see `firmware_protocol.compiled`."""
 
-kernel   a loop that other compiled code calls: arrays belong to the caller, so no reference is counted
-entry    a function that Python calls. Only entries are cached on disk, valid while no module of this folder changes
-"""
-
-from __future__ import annotations
-
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
 
-from numba import njit
-
-from firmware_protocol.numba_cache import checksum_of, valid_for
+from firmware_protocol.compiled import entry_of, kernel
 
 __all__ = ["entry", "kernel"]
 
-_Function = TypeVar("_Function", bound=Callable[..., Any])
-
-_COUNTED: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
-_UNCOUNTED: dict[str, Any] = {**_COUNTED, "_nrt": False}
-_SOURCES = checksum_of(Path(__file__).parent)
-
-
-def kernel(function: _Function) -> _Function:
-    """Compile `function` for compiled callers."""
-    compiled: _Function = njit(**_UNCOUNTED)(function)
-    return compiled
-
-
-def entry(function: _Function) -> _Function:
-    """Compile `function` for Python callers; with NUMBA_DISABLE_JIT leave it as it is."""
-    dispatcher: Any = njit(cache=True, **_COUNTED)(function)
-    if dispatcher is function:
-        return function
-    compiled: _Function = valid_for(_SOURCES, dispatcher)
-    return compiled
+entry = entry_of(Path(__file__).parent)

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from firmware_protocol.edges import EdgeKind, Edges
-from firmware_protocol.event_copies import copy_events
+from firmware_protocol.event_copies import bytes_of
 from firmware_protocol.events import Events
 from firmware_protocol.telemetry.layout import (
     EDGE_RECORD,
@@ -98,7 +98,7 @@ class BlockEncoder:
         if not len(events):
             return self._header(Mode.FLAT, Polarity.EACH, 0, 0, dropped), 0
         first_us = int(events["t"][0])
-        head = _own_if_special(events[: self.settings.max_events]).view(np.uint8)
+        head = bytes_of(events[: self.settings.max_events])
         taken, mode, polarity, size = write_block(head, self._form, self._limits, self._room, self._out)
         if taken < 0:
             raise ValueError(_COMPLAINTS[taken].format(size=self.size))
@@ -126,9 +126,3 @@ class BlockEncoder:
         tick_us = 1 if mode == Mode.EDGE else self.settings.tick_us
         low = start_us & 0xFFFFFFFF
         return Header(mode, tick_us, polarity, count, low, min(dropped, MAX_COUNT), self.size).pack()
-
-
-def _own_if_special(events: Events) -> Events:
-    """Return `events`, copied if they are read-only or have gaps: each kind of array would be compiled for anew."""
-    plain = events.flags.c_contiguous and events.flags.writeable
-    return events if plain else copy_events(events)

@@ -18,16 +18,18 @@ Most significant bit and byte first. The whole format, payloads included, is dra
 
 from __future__ import annotations
 
-import struct
 from dataclasses import dataclass
 from enum import IntEnum
 
-import numpy as np
+from firmware_protocol.edges import EdgeKind
+from firmware_protocol.wire_layout import Field, Layout, choices_of
 
 __all__ = [
+    "EDGE_LAYOUT",
     "EDGE_RECORD",
     "ESCAPE_ONES",
     "HEADER_BYTES",
+    "HEADER_LAYOUT",
     "LONGEST_US",
     "MAX_COUNT",
     "MAX_K",
@@ -50,10 +52,14 @@ MAX_K = 27  # Rice parameter; steps stay below 2**31
 ESCAPE_ONES = 16  # so many ones, and a Rice code has no value but is followed by an escape
 TICKS_US = (1, 10, 100, 1000)
 
-EDGE_RECORD = np.dtype([("t", ">u4"), ("kind", "u1"), ("channel", "u1"), ("seq", ">u2")])
+EDGE_LAYOUT = Layout(
+    Field("t", 32, "time after t_base", "us"),
+    Field("kind", 8, "what happened on the input", choices=choices_of(EdgeKind)),
+    Field("channel", 8, "which input"),
+    Field("seq", 16, "number of the edge at its source"),
+)
 """The record of an edge in a block: us since t_base, and as in the EDGE record."""
-
-_HEADER = struct.Struct(">BBHIHI")  # the last four bytes are W - 1, H - 1 and the CRC
+EDGE_RECORD = EDGE_LAYOUT.dtype
 
 
 class BlockError(ValueError):
@@ -75,6 +81,22 @@ class Polarity(IntEnum):
     EACH = 0
     ALL_OFF = 2
     ALL_ON = 3
+
+
+HEADER_LAYOUT = Layout(
+    Field("block_version", 4, "version of the block", fixed=VERSION),
+    Field("mode", 4, "coding of the payload", choices=choices_of(Mode)),
+    Field("tick_code", 2, "unit of time of the payload", choices={n: f"US_{us}" for n, us in enumerate(TICKS_US)}),
+    Field("polarity", 2, "where the polarity of the events is written", choices=choices_of(Polarity)),
+    Field("block_reserved", 4, "reserved", fixed=0),
+    Field("count", 16, "events or edges in the block"),
+    Field("t_base", 32, "low 32 bits of the time of the first one", "us"),
+    Field("dropped", 16, "dropped before these since the last block; 65535 is that many or more"),
+    Field("width_less_1", 12, "width of the sensor less one", "px"),
+    Field("height_less_1", 12, "height of the sensor less one", "px"),
+    Field("crc8", 8, "CRC-8 of the octets of the block before it"),
+)
+"""The 14 bytes drawn above."""
 
 
 def _crc8_of(byte: int) -> int:
@@ -108,9 +130,17 @@ class Header:
 
     def pack(self) -> bytes:
         """Return the 14 bytes."""
-        codes = TICKS_US.index(self.tick_us) << 6 | self.polarity << 4
-        size = (self.size[0] - 1) << 20 | (self.size[1] - 1) << 8
-        data = _HEADER.pack(VERSION << 4 | self.mode, codes, self.count, self.t_base, self.dropped, size)[:-1]
+        data = HEADER_LAYOUT.pack(
+            mode=self.mode,
+            tick_code=TICKS_US.index(self.tick_us),
+            polarity=self.polarity,
+            count=self.count,
+            t_base=self.t_base,
+            dropped=self.dropped,
+            width_less_1=self.size[0] - 1,
+            height_less_1=self.size[1] - 1,
+            crc8=0,
+        )[:-1]
         return data + bytes((crc8(data),))
 
     @classmethod
@@ -118,17 +148,22 @@ class Header:
         """Read the header of the block `data`; raises BlockError if it is damaged or is not one of this version."""
         if len(data) < HEADER_BYTES:
             raise BlockError(f"a block has at least {HEADER_BYTES} bytes, this has {len(data)}")
-        kind, codes, count, t_base, dropped, size = _HEADER.unpack_from(data)
-        if crc8(data[: HEADER_BYTES - 1]) != size & 0xFF:
+        told = HEADER_LAYOUT.unpack(data[:HEADER_BYTES])
+        if crc8(data[: HEADER_BYTES - 1]) != told["crc8"]:
             raise BlockError("the CRC-8 of the header is wrong")
-        if kind >> 4 != VERSION or kind & 15 > Mode.EDGE:
-            raise BlockError(
-                f"version {kind >> 4}, mode {kind & 15}: this decoder knows version {VERSION}, modes 0 to 3"
-            )
-        mode, polarity = Mode(kind & 15), codes >> 4 & 3
-        if codes & 15 or polarity == 1 or (polarity and mode in (Mode.FLAT, Mode.EDGE)):
-            raise BlockError(f"reserved bits or polarity are set: 0x{codes:02x} in mode {mode.name}")
-        if (not count and mode != Mode.FLAT) or (codes >> 6 and mode == Mode.EDGE):
-            raise BlockError(f"a block of mode {mode.name} has no count {count} with tick code {codes >> 6}")
-        where = ((size >> 20) + 1, (size >> 8 & 0xFFF) + 1)
-        return cls(mode, TICKS_US[codes >> 6], Polarity(polarity), count, t_base, dropped, where)
+        version, mode, polarity, count = (told[name] for name in ("block_version", "mode", "polarity", "count"))
+        if version != VERSION or mode > Mode.EDGE:
+            raise BlockError(f"version {version}, mode {mode}: this decoder knows version {VERSION}, modes 0 to 3")
+        if told["block_reserved"] or polarity == 1 or (polarity and mode in (Mode.FLAT, Mode.EDGE)):
+            raise BlockError(f"reserved bits or polarity are set: 0x{data[1]:02x} in mode {Mode(mode).name}")
+        if (not count and mode != Mode.FLAT) or (told["tick_code"] and mode == Mode.EDGE):
+            raise BlockError(f"a block of mode {Mode(mode).name} has no count {count} with tick code {data[1] >> 6}")
+        return cls(
+            mode=Mode(mode),
+            tick_us=TICKS_US[told["tick_code"]],
+            polarity=Polarity(polarity),
+            count=count,
+            t_base=told["t_base"],
+            dropped=told["dropped"],
+            size=(told["width_less_1"] + 1, told["height_less_1"] + 1),
+        )

@@ -6,8 +6,7 @@ import pytest
 import evstim
 
 PLAIN = {
-    "mismatch": 0.0, "leak_hz": 0.0, "refractory_us": 0.0, "threshold_on": 0.25, "threshold_off": 0.25,
-    "corner_hz_at_reference": float("inf"), "corner_max_hz": float("inf"), "dark_current_relative": 1e-6,
+    "sensor": "ideal", "threshold_on": 0.25, "threshold_off": 0.25, "random_start": True, "dark_current_relative": 1e-6,
 }  # fmt: skip
 
 
@@ -61,7 +60,7 @@ def test_one_frame_has_no_events():
 def test_black_frames_are_allowed():
     frames = np.zeros((3, 4, 6))
     frames[1] = 1.0
-    events = evstim.events_from_frames(frames, [0, 1000, 2000])
+    events = evstim.events_from_frames(frames, [0, 1000, 2000], sensor="ideal")
     assert events["on"].any()
     assert (~events["on"]).any()
 

@@ -137,6 +137,7 @@ class TestLoopback(LinkContract):
         return NoReader()
 
 
+@pytest.mark.system
 class TestSerial(LinkContract):
     parameters = SerialParameters(baud=12_000_000, instrument=PATIENT)
 
@@ -144,6 +145,7 @@ class TestSerial(LinkContract):
         return SerialReader(link)
 
 
+@pytest.mark.system
 class TestCan(LinkContract):
     parameters = CanParameters(port=0, instrument=PATIENT, share=1.0)
     many, some = 4000, 2000  # a bus at 1 Mbit/s carries some 15 000 events a second
@@ -158,4 +160,6 @@ class TestCanIsoTp(TestCan):
 
 def test_every_built_in_kind_is_under_contract():
     under = {case.parameters.kind for case in (TestUsbip, TestLoopback, TestSerial, TestCan)}
+    # in tests/transports/file, gige, ros2, network_streams and udp_packets
+    under |= {"file", "gige", "ros2", "tcp", "udp", "udp_packets"}
     assert under == {name for name in LINKS if name in LINKS._built_in}

@@ -1,5 +1,6 @@
 """A run that is read while it goes on: every event once, and an end that is clean however it comes."""
 
+import dataclasses
 import os
 import signal
 import subprocess
@@ -11,6 +12,12 @@ import pytest
 
 import evstim
 from evstim import running
+
+
+def unhurried():
+    """The rig `loopback`, of which a run in real time is good however late it is."""
+    rig = evstim.load_rig("loopback")
+    return dataclasses.replace(rig, run=dataclasses.replace(rig.run, max_late_ms=0.0))
 
 
 def test_every_event_once_and_a_good_result(tmp_path):
@@ -42,7 +49,7 @@ def test_an_error_in_the_body_stops_the_run_and_stays_itself():
 
 
 def test_a_body_that_reads_nothing():
-    with evstim.run("loopback", seconds=0.0, pace="realtime") as run:
+    with evstim.run(unhurried(), seconds=0.0, pace="realtime") as run:
         pass
     assert run.result.good
 
@@ -66,7 +73,7 @@ def test_a_reader_that_is_slow_holds_a_free_run_back_and_loses_nothing(monkeypat
 
 def test_a_reader_that_is_slow_does_not_hold_back_real_time(monkeypatch):
     monkeypatch.setattr(running, "_MOST_QUEUED", 500)
-    with evstim.run("loopback", seconds=0.1, pace="realtime") as run:
+    with evstim.run(unhurried(), seconds=0.1, pace="realtime") as run:
         run._thread.join()
         read = sum(map(len, run))
     assert run.unread > 0
@@ -115,8 +122,13 @@ def test_what_fails_in_the_run_is_raised_in_the_reader(tmp_path):
 
 
 SCRIPT = """
+import dataclasses
+import signal
 import evstim
-with evstim.run("loopback", seconds=0.0, pace="realtime") as run:
+signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored by what a shell starts in the background
+rig = evstim.load_rig("loopback")
+rig = dataclasses.replace(rig, run=dataclasses.replace(rig.run, max_late_ms=0.0))
+with evstim.run(rig, seconds=0.0, pace="realtime") as run:
     try:
         for events in run:
             print("reading", flush=True)
@@ -126,6 +138,7 @@ print(run.result.good, flush=True)
 """
 
 
+@pytest.mark.system
 def test_ctrl_c_in_a_script_without_a_main_guard(tmp_path):
     script = tmp_path / "script.py"
     script.write_text(SCRIPT)

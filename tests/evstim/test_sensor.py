@@ -7,7 +7,8 @@ import pytest
 
 import evstim
 
-SMALL = {"width": 8, "height": 6, "mismatch": 0.0, "leak_hz": 0.0, "corner_hz_at_reference": float("inf")}
+SMALL = {"width": 8, "height": 6, "mismatch": 0.0, "leak_hz": 0.0, "corner_hz_at_reference": float("inf"),
+         "source_follower_hz": 0.0, "parasitic_hz_at_reference": 0.0, "noise": {"rms": 0.0}}  # fmt: skip
 SMALL["corner_max_hz"] = float("inf")
 DARK = np.full((6, 8), 0.1)
 

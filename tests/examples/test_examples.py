@@ -2,11 +2,16 @@
 
 import json
 import runpy
+import shutil
 import subprocess
 import sys
+from importlib.metadata import entry_points
 from pathlib import Path
 
 import numpy as np
+import pytest
+
+pytestmark = pytest.mark.system
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
@@ -41,6 +46,12 @@ def test_read_recording(monkeypatch, tmp_path):
     assert main_of("read_recording.py", monkeypatch, tmp_path)() > 1e4
 
 
+@pytest.mark.parametrize("rig", ["rendezvous", "itokawa"])
+def test_plot_truth(rig, monkeypatch, tmp_path):
+    assert main_of("truth/plot_truth.py", monkeypatch, tmp_path)(rig, "0.2", "plot.png") > 1000
+    assert (tmp_path / "plot.png").stat().st_size > 30_000
+
+
 def test_a_flight_software_test():
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", EXAMPLES / "test_flight_software.py"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=300)
@@ -56,3 +67,59 @@ def test_the_cells_of_pixel_response():
     names = {}
     for cell in cells:
         exec(compile(cell, "pixel_response.ipynb", "exec"), names)
+
+
+def test_the_flight_software_project(tmp_path):
+    """As its README says, in a copy of its folder."""
+    shutil.copytree(EXAMPLES / "flight_software", tmp_path / "project")
+    points = entry_points(group="pytest11")
+    plugin = [] if any(point.value == "evstim.testing.plugin" for point in points) else ["-p", "evstim.testing.plugin"]
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *plugin]
+    done = subprocess.run(command, cwd=tmp_path / "project", capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stdout
+    assert "4 passed" in done.stdout
+    assert not (tmp_path / "project" / "evstim-artefacts").exists()
+
+
+def test_the_campaign(tmp_path):
+    """As its README says, in a copy of its folder, with fewer runs."""
+    folder = tmp_path / "campaign"
+    shutil.copytree(EXAMPLES / "campaign", folder)
+    file = folder / "speed.toml"
+    file.write_text(file.read_text().replace("count = 64", "count = 20"))
+    evstim = [sys.executable, "-c", "from emulator.cli import main; main()", "campaign"]
+    done = subprocess.run([*evstim, "speed.toml", "--json"], cwd=folder, capture_output=True, text=True, timeout=500)
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout.splitlines()[-1])
+    assert told["outcomes"] == {"ok": 20}
+    assert 8 <= told["success"]["successes"] < 20, "the estimate is good without noise, and bad with much of it"
+    assert (folder / "speed" / "report.html").stat().st_size > 50_000
+    again = [*evstim, "again", "speed.toml", "7", "--record", "seven.npz"]
+    done = subprocess.run(again, cwd=folder, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    assert "equal to the row of the campaign" in done.stdout
+    assert len(np.load(folder / "seven.npz")["events"]) > 100
+
+
+def test_the_parts_of_the_landing(tmp_path):
+    """As its README says, in a copy of its folder."""
+    shutil.copytree(EXAMPLES / "landing", tmp_path / "landing")
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "test_parts.py"]
+    done = subprocess.run(command, cwd=tmp_path / "landing", capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stdout
+    assert "16 passed" in done.stdout
+
+
+@pytest.mark.socket
+def test_a_short_landing(tmp_path):
+    """The last metres, over the real serial line, bus and poses."""
+    command = [sys.executable, EXAMPLES / "landing" / "fly.py", "--height", "8", "--out", tmp_path]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=500)
+    assert done.returncode == 0, done.stdout + done.stderr
+    verdict = json.loads((tmp_path / "verdict.json").read_text())
+    assert 0.2 < verdict["vertical_m_s"] < 1
+    summary = json.loads((tmp_path / "summary.json").read_text().splitlines()[-1])
+    assert summary["balanced"]
+    assert summary["events"]["links"]["events"]["delivered"] > 100_000
+    assert verdict["error_median"] < 0.05
+    assert verdict["lost_share"] < 0.5

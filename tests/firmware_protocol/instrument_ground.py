@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from firmware_protocol.edges import EDGE, EdgeKind
 from firmware_protocol.events import EVENT
 from firmware_protocol.packets.message import MessageKind
 from firmware_protocol.packets.profile import Profile
@@ -63,3 +64,9 @@ class Ground:
     def of_kind(self, kind):
         """Return the payloads of all messages of a kind."""
         return [message.payload for message in self.heard if message.kind is kind]
+
+
+def edges(*times):
+    made = np.zeros(len(times), EDGE)
+    made["t"], made["kind"], made["seq"] = times, EdgeKind.RISING, np.arange(len(times))
+    return made

@@ -16,7 +16,7 @@ BUS_PROGRAM = str(Path(__file__).parent / "clients" / "bus.py")
 DAVIS_FX3 = ("152a", "841a")
 
 
-def usb_bus(guest: Guest, cameras: int, timeout_s: float = 20.0) -> dict[str, Any]:
+def usb_bus(guest: Guest, cameras: int, timeout_s: float = 120.0) -> dict[str, Any]:
     """Wait until the guest's bus shows this many cameras and return what it shows; raises RuntimeError in vain."""
     argv = [sys.executable, BUS_PROGRAM, *DAVIS_FX3, str(cameras), str(timeout_s)]
     seen: dict[str, Any] = json.loads(guest.check(argv, timeout_s + 10))

@@ -25,7 +25,7 @@ __all__ = ["CACHE", "HOST_ADDRESS", "Finished", "Guest", "Job"]
 CACHE = Path(__file__).parents[2] / ".cache" / "guest"
 HOST_ADDRESS = "10.0.2.2"
 RESULTS_IN_GUEST = Path("/evstim-results")
-BOOT_TIMEOUT_S = 90.0
+BOOT_TIMEOUT_S = 300.0
 LOOK_PERIOD_S = 0.5  # how often to see whether QEMU is still there
 CONSOLE_TAIL_LINES = 40
 
@@ -116,11 +116,11 @@ class Guest:
         self._jobs.append(job)
         return job
 
-    def run(self, argv: Sequence[str], timeout_s: float = 30.0) -> Finished:
+    def run(self, argv: Sequence[str], timeout_s: float = 120.0) -> Finished:
         """Run a program in the guest as root and wait for its end."""
         return self.start(argv, timeout_s).wait()
 
-    def check(self, argv: Sequence[str], timeout_s: float = 30.0) -> str:
+    def check(self, argv: Sequence[str], timeout_s: float = 120.0) -> str:
         """Run a program that must succeed and return its output; raises RuntimeError with all that it said."""
         finished = self.run(argv, timeout_s)
         if not finished.ok:

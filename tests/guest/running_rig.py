@@ -15,13 +15,13 @@ from typing import Any
 
 from firmware_protocol.edges import Edges
 from firmware_protocol.events import Events
-from transports.link.record import load_edges, load_record
+from transports.recording.record import load_edges, load_record
 
 __all__ = ["Delivered", "RunningRig"]
 
-START_TIMEOUT_S = 60.0
-STOP_TIMEOUT_S = 30.0
-RUN_LIMIT = ("--seconds", "300")  # should the tests be killed, the run ends by itself
+START_TIMEOUT_S = 240.0
+STOP_TIMEOUT_S = 120.0
+RUN_LIMIT = ("--seconds", "1200")  # should the tests be killed, the run ends by itself
 CHECKERBOARD = """
 title = "A moving checkerboard, served over USB/IP to a guest"
 

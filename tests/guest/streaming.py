@@ -16,8 +16,8 @@ from tests.guest.machine import Finished, Guest, Job
 
 __all__ = ["STREAM_TIMEOUT_S", "Seen", "Streaming"]
 
-STREAM_TIMEOUT_S = 60.0
-OPEN_TIMEOUT_S = 60.0
+STREAM_TIMEOUT_S = 240.0
+OPEN_TIMEOUT_S = 240.0
 
 
 @dataclass(frozen=True)
@@ -30,18 +30,26 @@ class Seen:
 
 
 class Streaming:
-    """One run of a client: it opens the camera, takes `count` events or what comes in a minute, and closes it."""
+    """One run of a client: it opens the camera, takes `count` events or what comes in time, and closes it."""
 
-    def __init__(self, guest: Guest, driver: Driver, python: Path, count: int, *options: str) -> None:
+    def __init__(
+        self,
+        guest: Guest,
+        driver: Driver,
+        python: Path,
+        count: int,
+        *options: str,
+        timeout_s: float = STREAM_TIMEOUT_S,
+    ) -> None:
         self._guest = guest
         self._driver = driver
         self._output = guest.results / f"{driver.name}.npz"
         self._started = self._output.with_suffix(".started")
         self._started.unlink(missing_ok=True)
-        limits = ["--count", str(count), "--timeout", str(STREAM_TIMEOUT_S)]
+        limits = ["--count", str(count), "--timeout", str(timeout_s)]
         output = ["--output", guest.path_in_guest(self._output.name)]
         self._job: Job = guest.start(
-            [str(python), str(driver.program), *limits, *output, *options], STREAM_TIMEOUT_S * 2
+            [str(python), str(driver.program), *limits, *output, *options], timeout_s + STREAM_TIMEOUT_S
         )
 
     def wait_until_started(self) -> None:

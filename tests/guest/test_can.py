@@ -30,7 +30,7 @@ from firmware_protocol.telemetry import as_received, decode_block
 from tests.guest.machine import Guest
 from transports.link.digest import digest_of
 
-pytestmark = [pytest.mark.guest, pytest.mark.socket, pytest.mark.timeout(600), pytest.mark.xdist_group("guest")]
+pytestmark = [pytest.mark.guest, pytest.mark.socket, pytest.mark.timeout(1200), pytest.mark.xdist_group("guest")]
 
 IDS = Identifiers()
 CLIENT = str(Path(__file__).with_name("clients") / "can_link.py")
@@ -118,7 +118,7 @@ def test_candump_logs_what_the_link_says_it_sent(seen: Seen) -> None:
 
 def test_cansend_is_obeyed(seen: Seen) -> None:
     assert seen.told["syncs"] == [7, 8]
-    assert 150_000 < seen.told["sync_us"][1] - seen.told["sync_us"][0] < 3_000_000
+    assert 150_000 < seen.told["sync_us"][1] - seen.told["sync_us"][0] < 14_000_000
     assert seen.told["counts"]["NMT orders"] == 1
     assert seen.told["state"].endswith("stopped")
     assert seen.told["not_running"] == LATE

@@ -10,7 +10,7 @@ from tests.guest import image
 from tests.guest.image import GuestUnavailable
 from tests.guest.machine import Guest
 
-pytestmark = [pytest.mark.guest, pytest.mark.socket, pytest.mark.timeout(400), pytest.mark.xdist_group("guest")]
+pytestmark = [pytest.mark.guest, pytest.mark.socket, pytest.mark.timeout(1200), pytest.mark.xdist_group("guest")]
 
 
 def test_runs_debians_kernel(guest: Guest) -> None:
@@ -30,7 +30,7 @@ def test_ends_a_program_that_takes_too_long(guest: Guest) -> None:
 
 
 def test_runs_programs_side_by_side(guest: Guest) -> None:
-    waiting = guest.start(["sh", "-c", "until [ -e /tmp/go ]; do sleep 0.05; done; echo gone"], timeout_s=30)
+    waiting = guest.start(["sh", "-c", "until [ -e /tmp/go ]; do sleep 0.05; done; echo gone"], timeout_s=120)
     guest.check(["touch", "/tmp/go"])
     assert waiting.wait().stdout == "gone\n"
 
@@ -50,7 +50,7 @@ def test_a_guest_left_alone_powers_itself_off(tmp_path: Path) -> None:
     """If the tests are killed, QEMU must not stay."""
     with Guest(tmp_path) as abandoned:
         abandoned._listener.close()
-        assert abandoned._qemu.wait(60) == 0
+        assert abandoned._qemu.wait(240) == 0
         with pytest.raises(RuntimeError, match="the guest left with code 0"):
             abandoned.start(["true"], timeout_s=1)
 

@@ -14,7 +14,7 @@ from tests.guest.machine import Guest
 from tests.guest.running_rig import RunningRig
 from tests.guest.streaming import Streaming
 
-pytestmark = [pytest.mark.guest, pytest.mark.socket, pytest.mark.timeout(400), pytest.mark.xdist_group("guest")]
+pytestmark = [pytest.mark.guest, pytest.mark.socket, pytest.mark.timeout(1200), pytest.mark.xdist_group("guest")]
 
 EVENTS = 500_000
 TRIGGER = """

@@ -44,7 +44,7 @@ def kill_once(draw, folder):
     rig, ready = folder / "three.toml", folder / "ready"
     rig.write_text(RIG)
     ready.unlink(missing_ok=True)
-    arguments = [str(rig), "--json", "--seconds", "3", "--ready-file", str(ready)]
+    arguments = [str(rig), "--json", "--seconds", "6", "--ready-file", str(ready)]
     with subprocess.Popen([*RUN, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as run:
         while not ready.exists():
             assert run.poll() is None, run.stderr.read()
@@ -53,14 +53,14 @@ def kill_once(draw, folder):
         victim = draw.choice([run.pid, *links])
         time.sleep(draw.uniform(0.0, 2.5))
         os.kill(victim, signal.SIGKILL)
-        out, err = run.communicate(timeout=120)
+        out, err = run.communicate(timeout=600)  # a machine with much else to do may need minutes
     assert "Traceback" not in err, err
     if victim != run.pid:
         summary = json.loads(out.splitlines()[-1])
         assert run.returncode == 1
         assert summary["balanced"], summary["events"]
         assert sum(link["error"] is not None for link in summary["links"].values()) == 1
-    until_s = time.monotonic() + 30
+    until_s = time.monotonic() + 120
     while any(os.path.exists(f"/proc/{link}") for link in links):
         assert time.monotonic() < until_s, "a link outlived its session"
         time.sleep(0.05)
@@ -71,8 +71,10 @@ def main(count, seed=1):
     """Kill `count` times and print how often what was killed."""
     draw, killed = random.Random(seed), {"session": 0, "link": 0}
     with tempfile.TemporaryDirectory() as folder:
-        for _ in range(count):
+        for number in range(1, count + 1):
             killed[kill_once(draw, Path(folder))] += 1
+            if number % 10 == 0:
+                print(f"{number} kills: {killed}", flush=True)
     print(f"{count} kills: {killed['link']} links, {killed['session']} sessions; every promise kept")
 
 

@@ -14,7 +14,7 @@ from firmware_protocol.events import EVENT
 from transports.faults.kinds import BitFlips
 from transports.faults.script import FaultPlan, Faults
 from transports.link.feed import ClockReport, ClockTruth
-from transports.link.record import Recorder, load_record
+from transports.recording.record import Recorder, load_record
 
 FULL = "/dev/full"
 NO_SPACE = "No space left on device"
@@ -100,6 +100,7 @@ def test_a_fault_log_stops_and_the_fault_goes_on(full):
     assert record.log_trouble.startswith(f"fault log stopped: {NO_SPACE}")
 
 
+@pytest.mark.system
 @pytest.mark.socket
 def test_a_run_whose_disk_is_full_goes_on_and_says_so(tiny, tmp_path):
     rig = tmp_path / "a.toml"

@@ -6,6 +6,8 @@ import pytest
 
 from tests.hostile.kills import kill_once
 
+pytestmark = pytest.mark.system
+
 
 @pytest.mark.socket
 def test_a_killed_process_breaks_no_promise(tmp_path):

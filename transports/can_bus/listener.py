@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 from firmware_protocol.can_frames.canopen import NodeState
@@ -13,7 +14,7 @@ from transports.can_bus.python_can import PythonCanBus
 from transports.link.arrivals import Arrivals
 from transports.link.latency import LatencySummary
 from transports.link.pacing import Clock
-from transports.link.record import Recorder
+from transports.recording.record import Recorder
 
 __all__ = ["CanReception", "listen_can", "peer_of"]
 
@@ -83,7 +84,8 @@ class _Listening:
             if heard.frame.identifier == self._heartbeat and not heard.frame.extended:
                 self._ended = heard.frame.data == bytes([NodeState.STOPPED])
             for reply in self._receiver.take_replies():
-                bus.send(reply)
+                with suppress(BusDown):  # the next look says so, after all that was heard before
+                    bus.send(reply)
             self._arrivals.add(self._receiver.take_events(), self._receiver.take_edges(), heard.t_ns)
 
     def finish(self, *, gone: bool) -> CanReception:

@@ -175,8 +175,10 @@ class PythonCanBus(CanBus):
         return self._bus
 
     def _lost(self, error: Exception) -> BusDown:
-        self._failure = self._advice(error)
-        return BusDown(self._failure)
+        failure = self._advice(error)
+        if self._parameters.interface != "socketcand":  # its reader sees the end itself, after all that was sent before
+            self._failure = failure
+        return BusDown(failure)
 
     def _read(self, bus: can.BusABC) -> None:
         """Read until the bus is closed or gone: the reader's thread."""

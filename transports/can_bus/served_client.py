@@ -55,12 +55,12 @@ class BusClient(asyncio.BufferedProtocol):
         self._room = bytearray(_READ_BYTES)
         self._told: deque[int] = deque()  # where each line that is not sent ends, in all bytes written
         self._written = 0
-        self._paused = False
+        self._paused = self._leaving = False
 
     @property
     def wants_frames(self) -> bool:
         """See the class."""
-        return self._session.raw and not self._transport.is_closing()
+        return self._session.raw and not self._leaving and not self._transport.is_closing()
 
     @property
     def unsent_lines(self) -> int:
@@ -88,8 +88,19 @@ class BusClient(asyncio.BufferedProtocol):
             self._transport.resume_reading()
 
     def close(self) -> None:
-        """Send it off when it has read everything."""
-        self._transport.close()
+        """Send it off when it has read everything: it sees the end, and closes.
+
+        Until then what it sends is read and dropped. Closing a socket with something unread would reset the connection,
+        and frames that it was told of would never arrive.
+        """
+        self._leaving = True
+        if self._transport.is_closing():
+            return
+        self._transport.resume_reading()
+        try:
+            self._transport.write_eof()
+        except OSError:  # the client was faster, and asyncio has not noticed yet
+            self._transport.abort()
 
     def abort(self) -> None:
         """Send it off at once."""
@@ -109,6 +120,8 @@ class BusClient(asyncio.BufferedProtocol):
 
     def buffer_updated(self, nbytes: int) -> None:
         """Take bytes from the client."""
+        if self._leaving:
+            return
         answer, frames = self._session.push(bytes(memoryview(self._room)[:nbytes]))
         if self._session.raw or frames:
             self._host.joined(self)

@@ -9,7 +9,7 @@ from firmware_protocol.events import Events
 from transports.link.digest import digest_of
 from transports.link.latency import LatencySummary
 from transports.link.pacing import Clock
-from transports.link.record import Recorder
+from transports.recording.record import Recorder
 
 __all__ = ["Arrivals"]
 

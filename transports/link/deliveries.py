@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 
 from firmware_protocol.device_clock import DeviceClock
@@ -11,8 +13,8 @@ from firmware_protocol.events import Events
 from transports.link.digest import digest_of
 from transports.link.latency import LatencyHistogram
 from transports.link.pacing import Clock
-from transports.link.record import Recorder
 from transports.link.ring import FREE_RUNNING, EventRing
+from transports.recording.opening import AnyRecorder
 
 __all__ = ["Deliveries"]
 
@@ -32,13 +34,18 @@ class Deliveries:
     """
 
     def __init__(
-        self, ring: EventRing, clock: Clock, recorder: Recorder | None = None, device_clock: DeviceClock | None = None
+        self,
+        ring: EventRing,
+        clock: Clock,
+        recorder: AnyRecorder | None = None,
+        device_clock: DeviceClock | None = None,
     ) -> None:
         self._ring = ring
         self.clock = clock
         self._recorder = recorder
         self._device_clock = device_clock
         self._epoch_us: int | None = None
+        self._unix_us: int | None = None
         self.latency = LatencyHistogram()
         self.digest = 0
 
@@ -53,6 +60,11 @@ class Deliveries:
         if len(events) or len(edges):
             self._keep(events, edges, epoch_us)
 
+    @property
+    def paced(self) -> bool:
+        """Whether events leave at their own time; else as fast as possible."""
+        return self._ring.origin_ns != FREE_RUNNING
+
     def device_ns(self, monotonic_ns: int) -> int | None:
         """Return what the camera's clock shows at a time of CLOCK_MONOTONIC, less no epoch; None outside a paced run.
 
@@ -63,6 +75,13 @@ class Deliveries:
             return None
         stream_ns = monotonic_ns - origin_ns
         return stream_ns if self._device_clock is None else int(self._device_clock.shown_ns(stream_ns)[0])
+
+    def unix_us(self, epoch_us: int) -> int | None:
+        """Return the Unix time at which a device's clock was zero that had its epoch then; None when not paced."""
+        origin_ns = self._ring.origin_ns
+        if origin_ns is None or origin_ns == FREE_RUNNING:
+            return None
+        return (time.time_ns() - self.clock.now_ns() + origin_ns) // 1000 + epoch_us
 
     @property
     def trouble(self) -> str:
@@ -92,4 +111,6 @@ class Deliveries:
         self._epoch_us = epoch_us
         self.digest = digest_of(events, 0 if restarted else self.digest)
         if self._recorder is not None:
-            self._recorder.append(events, edges=edges, restarted=restarted)
+            unix_us = self.unix_us(epoch_us) if restarted else self._unix_us
+            self._unix_us = unix_us
+            self._recorder.append(events, edges=edges, restarted=restarted, unix_us=unix_us)

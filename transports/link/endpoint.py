@@ -91,6 +91,11 @@ class Endpoint(ABC):
         return None
 
     @property
+    def trouble(self) -> str:
+        """Why a file that it writes is not whole, for people; empty where it is, or where there is none."""
+        return ""
+
+    @property
     def counts(self) -> Mapping[str, int]:
         """What else happened, by name, for the summary."""
         return {}

@@ -63,11 +63,17 @@ class CameraFacts:
         (width, height) of the rig's sensor, pixels.
     usb_models
         Size of each camera model that has a USB device.
+    gige_models
+        Camera models that have a GigE Vision device.
     """
 
     model: str
     size: tuple[int, int]
     usb_models: Mapping[str, tuple[int, int]] = field(default_factory=dict)
+    gige_models: tuple[str, ...] = ()
+
+
+_NO_CAMERA = CameraFacts("", (0, 0))
 
 
 class Unsuitable(ValueError):
@@ -94,10 +100,13 @@ class Wiring:
         The rig's faults of this link.
     sink
         Takes the time of each SYNC on the link's bus; None where these trigger nothing.
+    camera
+        The rig's camera.
     """
 
     faults: FaultPlan = field(default_factory=FaultPlan)
     sink: EdgeSink | None = None
+    camera: CameraFacts = _NO_CAMERA
 
 
 @dataclass(frozen=True)
@@ -121,6 +130,10 @@ def _nowhere(parameters: LinkParameters) -> tuple[str, int] | None:
     return None
 
 
+def _never(parameters: LinkParameters) -> bool:
+    return False
+
+
 @dataclass(frozen=True)
 class LinkKind(Generic[P]):
     """One kind of link.
@@ -130,7 +143,8 @@ class LinkKind(Generic[P]):
     parameters
         Type of its [[links]] table; its `kind` is the kind's name.
     serves
-        The device behind it: "usb", the USB device of the camera's model, or "instrument", the camera without USB.
+        The device behind it: "usb", the USB device of the camera's model; "gige", a GigE Vision device; "instrument",
+        the camera without USB; "plain", no electronics: events go out as the sensor sends them.
     endpoint
         Makes the endpoint's factory, which is passed to the link's process by pickling. Import what is slow to import
         inside this function.
@@ -152,10 +166,12 @@ class LinkKind(Generic[P]):
         With "usb": the camera model that it carries whatever the rig's is; None: the rig's.
     start_delay
         With "usb": whether the camera waits after its host's start command, as `camera.start_delay_ms` says.
+    has_evt
+        Whether a link of these parameters sends EVT3 or EVT2 words: a run compiles their kernels before it begins.
     """
 
     parameters: type[P]
-    serves: Literal["usb", "instrument"]
+    serves: Literal["usb", "gige", "instrument", "plain"]
     endpoint: Callable[[P, Wiring], EndpointFactory[Any]]
     has_sync: bool = False
     faults: Mapping[str, type[Fault]] = field(default_factory=dict)
@@ -166,6 +182,7 @@ class LinkKind(Generic[P]):
     listens_on: Callable[[P], tuple[str, int] | None] = _nowhere
     usb_model: str | None = None
     start_delay: bool = True
+    has_evt: Callable[[P], bool] = _never
 
     def __post_init__(self) -> None:
         needed = {"name"} | ({"instrument"} if self.serves == "instrument" else set())

@@ -15,6 +15,7 @@ from __future__ import annotations
 import asyncio
 import gc
 import os
+import select
 import signal
 from collections.abc import Callable
 from contextlib import suppress
@@ -31,11 +32,12 @@ from transports.link.deliveries import Deliveries
 from transports.link.endpoint import Endpoint, EndpointFactory, LinkBroken
 from transports.link.feed import ClockReport, ClockTruth, Feed, Timing
 from transports.link.pacing import Clock, MonotonicClock
-from transports.link.record import Recorder
 from transports.link.report import LinkReport
 from transports.link.ring import FREE_RUNNING, EventRing
 from transports.link.selector import FineSelector
 from transports.link.tally import DeliveryTally
+from transports.recording.opening import open_recorder
+from transports.recording.part import Facts
 
 __all__ = ["STOP_SIGNALS", "InjectFault", "Link", "LinkSetup", "Stop", "run_link"]
 
@@ -45,6 +47,8 @@ STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _REPORT_PERIOD_NS = 100_000_000
 _LONGEST_DRAIN_TURN_NS = 5_000_000
 _TAKE_LIMIT = 1 << 17  # events a tick: bounds the memory and the time of one tick
+
+_NO_FACTS = Facts()
 
 _Device = TypeVar("_Device", bound=EventDevice)
 
@@ -76,6 +80,8 @@ class LinkSetup(Generic[_Device]):
         Makes the device, inside the link's process: `partial(Davis346, settings)` and the like, which can be pickled.
     timing
         Triggers, and the device's own clock.
+    record, facts
+        File for what was delivered, and what it tells of the camera.
     fifo_priority
         Above 0, the process runs under SCHED_FIFO, so that the rest of the machine cannot keep it waiting.
     restart
@@ -89,6 +95,7 @@ class LinkSetup(Generic[_Device]):
     device: Callable[[], _Device]
     endpoint: EndpointFactory[_Device]
     record: Path | None = None
+    facts: Facts = _NO_FACTS
     tick_us: int = 500
     timing: Timing = field(default_factory=Timing)
     fifo_priority: int = 0
@@ -104,11 +111,12 @@ class Link:
         self._tally = setup.tally
         self._clock = clock
         self._device: EventDevice = setup.device()
-        recorder = None if setup.record is None else Recorder(setup.record)
+        recorder = None if setup.record is None else open_recorder(setup.record, setup.facts)
         self._feed = Feed(self._device, setup.ring, setup.timing)
         self._holdback_us = setup.timing.holdback_us
         self._truth = None if setup.timing.truth is None else ClockTruth(setup.timing.truth)
         self._last_clock: ClockReport | None = None
+        self._silence = -1, 0, 0  # when the newest one ends, and the stream time and the time at which it began
         self._deliveries = Deliveries(setup.ring, clock, recorder, self._feed.clock)
         self.endpoint: Endpoint = setup.endpoint.build(self._device, self._deliveries)
 
@@ -117,7 +125,7 @@ class Link:
         origin_ns = self._ring.origin_ns
         if origin_ns == FREE_RUNNING:
             room = self._device.room_events if self._device.streaming else _TAKE_LIMIT
-            self._feed.feed(min(self._ring.now_us, self._feed.horizon_us), min(room, _TAKE_LIMIT))
+            self._feed.feed(self._free_until_us(), min(room, _TAKE_LIMIT))
         elif origin_ns is not None:
             due_us = max(0, (self._clock.now_ns() - origin_ns) // 1000 - self._holdback_us)
             self._feed.feed(min(due_us, self._ring.now_us), _TAKE_LIMIT)
@@ -127,6 +135,17 @@ class Link:
             self._feed.marks_sent += self.endpoint.mark(marks)
         self.endpoint.pump()
         self._tally.delivered = self._delivered
+
+    def _free_until_us(self) -> int:
+        """Return how far a run that is not paced may go now; a silence that the host needs lasts in its time too."""
+        until_us = min(self._ring.now_us, self._feed.horizon_us)
+        silent_until_us = self._device.silent_until_us
+        if silent_until_us <= self._device.now_us:
+            return until_us
+        if self._silence[0] != silent_until_us:
+            self._silence = silent_until_us, self._feed.reached_us, self._clock.now_ns()
+        _, begun_us, begun_ns = self._silence
+        return min(until_us, begun_us + (self._clock.now_ns() - begun_ns) // 1000)
 
     @property
     def _delivered(self) -> int:
@@ -162,11 +181,12 @@ class Link:
             clock=self._clock_report(final=final),
             faults=faults,
             file_troubles=self._file_troubles(faults),
+            sensor_factors=self._device.sensor_factors,
         )
 
     def _file_troubles(self, faults: tuple[FaultRecord, ...]) -> tuple[str, ...]:
         truth = "" if self._truth is None else self._truth.trouble
-        told = (self._deliveries.trouble, truth, *(fault.log_trouble for fault in faults))
+        told = (self._deliveries.trouble, truth, self.endpoint.trouble, *(fault.log_trouble for fault in faults))
         return tuple(dict.fromkeys(trouble for trouble in told if trouble))
 
     def _clock_report(self, *, final: bool) -> ClockReport | None:
@@ -253,7 +273,8 @@ async def _tick_until_stopped(link: Link, setup: LinkSetup[Any], control: Connec
                 return
         last_ns = now_ns
         if now_ns >= report_ns:
-            control.send(link.report())
+            if _is_read(control):
+                control.send(link.report())
             report_ns = now_ns + _REPORT_PERIOD_NS
         if drain_ns is None and control.poll():
             word: Stop | InjectFault = control.recv()
@@ -263,6 +284,13 @@ async def _tick_until_stopped(link: Link, setup: LinkSetup[Any], control: Connec
                 drain_ns = int(word.drain_s * 1e9)
         deadline_ns = max(deadline_ns + period_ns, now_ns)
         await _sleep_until(loop, deadline_ns, clock)
+
+
+def _is_read(control: Connection) -> bool:
+    """Say whether reports are read: a session that is busy elsewhere must not stop its links."""
+    room = select.poll()
+    room.register(control, select.POLLOUT)
+    return bool(room.poll(0))
 
 
 async def _sleep_until(loop: asyncio.AbstractEventLoop, deadline_ns: int, clock: Clock) -> None:

@@ -37,6 +37,8 @@ class LinkReport:
         cannot know of it, have it as delivered.
     file_troubles
         Why a file of the link (record, truth, fault log) is not whole, a sentence each.
+    sensor_factors
+        What the host's biases multiply figures of the sensor by; see `EventDevice.sensor_factors`.
     """
 
     state: str
@@ -54,6 +56,7 @@ class LinkReport:
     clock: ClockReport | None = None
     faults: tuple[FaultRecord, ...] = ()
     file_troubles: tuple[str, ...] = ()
+    sensor_factors: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def dropped_in_device(self) -> int:

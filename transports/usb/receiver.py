@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from firmware_protocol.events import Events, empty_events
 from transports.link.digest import digest_of
 from transports.link.pacing import Clock
-from transports.link.record import Recorder
+from transports.recording.record import Recorder
 from transports.usb.davis_host import DavisHost, StreamSettings
 from transports.usb.host import PeerGone
 

@@ -11,7 +11,7 @@ from typing import Protocol
 
 from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, Failure, status
 from emulator.cli.output_paths import check_output
-from transports.link.record import Recorder
+from transports.recording.record import Recorder
 
 __all__ = ["Limits", "Progress", "told", "until"]
 

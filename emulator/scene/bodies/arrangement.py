@@ -6,7 +6,7 @@ beforehand, about once a second of the first minute.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,18 +44,39 @@ class Arrangement:
         times = [time.scene_ns(round(k * _LOOK_S / _LOOKS * 1e9)) for k in range(_LOOKS)]
         own = [[body.path.pose(t) for body in bodies] for t in times]
         self._looks = [self._in_world(poses) for poses in own]
-        eyes = np.array([camera.pose(t).position_m for t in times])
-        self.ranges_m = _norms(_places(self._looks) - eyes[:, None]).min(axis=0)
+        self._eyes = np.array([camera.pose(t).position_m for t in times])
+        self.ranges_m = _norms(_places(self._looks) - self._eyes[:, None]).min(axis=0)
         self._offsets_m = _norms(_places(own)).max(axis=0)
 
     def poses(self, scene_ns: int) -> list[Pose]:
         """Return each body's pose in the world."""
         return self._in_world([body.path.pose(scene_ns) for body in self._bodies])
 
+    def poses_of(self, which: Collection[int]) -> Callable[[int], Mapping[int, Pose]]:
+        """Return what gives the poses in the world of some bodies, by number, at a scene time in ns."""
+        asked = sorted({j for k in which for j in self._ancestry(k)})
+
+        def poses(scene_ns: int) -> Mapping[int, Pose]:
+            found: dict[int, Pose] = {}
+            for k in asked:
+                body = self._bodies[k]
+                own = body.path.pose(scene_ns)
+                found[k] = own if body.parent is None else found[body.parent].after(own)
+            return found
+
+        return poses
+
     @property
     def distance_m(self) -> float:
         """The closest range of any body, less its radius."""
         return max(float(np.min(self.ranges_m - [body.radius_m for body in self._bodies])), 1e-3)
+
+    def nearest_m(self, k: int, low: Vector, high: Vector) -> float:
+        """Return how near the camera comes to a box in the frame of body k, between two of its corners, m."""
+        poses = [look[k] for look in self._looks]
+        own = [(eye - p.position_m) @ p.world_from_body for eye, p in zip(self._eyes, poses, strict=True)]
+        beside = np.maximum(np.maximum(low - own, own - high), 0.0)
+        return float(_norms(beside).min())
 
     @property
     def turn_bound_rad_s(self) -> float:

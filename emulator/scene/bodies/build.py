@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import os
-
 from emulator.geometry.pinhole import Pinhole
 from emulator.gl.card import draws_on_a_card
 from emulator.light import Scene
 from emulator.scene.bodies.raster_bodies import RasterBodies
 from emulator.scene.bodies.table import BodiesParameters
+from emulator.threads import available_threads
 
 __all__ = ["build_bodies"]
 
 _THREADS_FROM_PX = 50_000  # smaller pictures are drawn sooner than a second thread is awake
-_MOST_THREADS = 4
 
 
 def build_bodies(parameters: BodiesParameters, pinhole: Pinhole) -> Scene:
@@ -23,4 +21,4 @@ def build_bodies(parameters: BodiesParameters, pinhole: Pinhole) -> Scene:
 
         return GlBodies(parameters, pinhole)
     large = pinhole.width * pinhole.height >= _THREADS_FROM_PX
-    return RasterBodies(parameters, pinhole, threads=min(os.cpu_count() or 1, _MOST_THREADS) if large else 1)
+    return RasterBodies(parameters, pinhole, threads=available_threads() if large else 1)

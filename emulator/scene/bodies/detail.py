@@ -33,6 +33,7 @@ def coarser(mesh: Mesh, cell_m: float) -> Mesh:
     corners = cell[mesh.faces]
     a, b, c = corners.T
     kept = _distinct(corners[(a != b) & (b != c) & (c != a)])
+    albedo = None if mesh.albedo is None else _mean(mesh.vertex_albedo[:, None], cell, count)[kept, 0]
     if len(kept) > 0.9 * len(mesh.faces) or not len(kept):
         return mesh
     vertices = _mean(mesh.vertices, cell, count)
@@ -40,7 +41,8 @@ def coarser(mesh: Mesh, cell_m: float) -> Mesh:
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     cancelled = length < 1e-6  # both sides of a thin sheet in one cell: any of its normals will do
     normals = np.where(cancelled, mesh.normals[first], normals) / np.where(cancelled, 1.0, np.maximum(length, 1e-6))
-    return Mesh(vertices, kept.astype(np.int32), normals, mesh.dropped_facets, mesh.open_edges, mesh.was_inside_out)
+    facets = kept.astype(np.int32)
+    return Mesh(vertices, facets, normals, mesh.dropped_facets, mesh.open_edges, mesh.was_inside_out, albedo)
 
 
 def flat(mesh: Mesh) -> Mesh:
@@ -50,9 +52,8 @@ def flat(mesh: Mesh) -> Mesh:
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     faces = np.arange(3 * len(corners), dtype=np.int32).reshape(-1, 3)
     vertices = corners.reshape(-1, 3)
-    return Mesh(
-        vertices, faces, np.repeat(normals, 3, axis=0), mesh.dropped_facets, mesh.open_edges, mesh.was_inside_out
-    )
+    normals = np.repeat(normals, 3, axis=0)
+    return Mesh(vertices, faces, normals, mesh.dropped_facets, mesh.open_edges, mesh.was_inside_out, mesh.albedo)
 
 
 def _mean(

@@ -39,6 +39,8 @@ uniform vec2 zoom;           // see Pinhole
 uniform vec2 depth;          // terms for depths from the body's origin, so that a long range cancels nothing
 uniform mat4 shadow_from_body;
 in vec3 position, normal;
+in float albedo;             // relative to the law of reflection
+out float tint;
 out vec4 angles;             // cosines of incidence and emission, terms of the phase angle
 out vec3 in_shadow_map;      // or the share of the Sun, in x
 %(reflectance)s
@@ -52,6 +54,7 @@ void main() {
     angles = vec4(dot(outward, sun), dot(outward, eye), phase_terms(phase));
     in_shadow_map = (shadow_from_body * vec4(position + normal * %(lift)s, 1.0)).xyz;
     %(answer)s
+    tint = albedo;
     gl_Position = vec4(zoom * ray.xy, depth.x * from_origin.z + depth.y, ray.z);
 }
 """
@@ -61,6 +64,7 @@ _FRAGMENT = """
 uniform float irradiance, ambient;
 in vec4 angles;
 in vec3 in_shadow_map;
+in float tint;
 out float radiance;
 %(reflectance)s
 %(sunlit)s
@@ -72,6 +76,7 @@ void main() {
         float around = abs(angles.y);
         radiance += ambient * reflect_sun(around, around, 0.0);
     }
+    radiance *= tint;
 }
 """
 
@@ -133,11 +138,11 @@ class Facets:
         )
         if shadows:
             self._program["range_m"] = shadows.range_m
-        points = np.hstack([mesh.vertices, mesh.normals]).astype(np.float32)
+        points = np.hstack([mesh.vertices, mesh.normals, mesh.vertex_albedo[:, None]]).astype(np.float32)
         self._cells = Cells(mesh)
         self._array = context.vertex_array(
             self._program,
-            [(context.buffer(points), "3f 3f", "position", "normal")],
+            [(context.buffer(points), "3f 3f 1f", "position", "normal", "albedo")],
             index_buffer=context.buffer(self._cells.faces),
             skip_errors=True,  # a black body's shader has no use for normals
         )

@@ -21,6 +21,7 @@ import numpy.typing as npt
 
 from emulator.geometry.attitude import unit
 from emulator.geometry.pinhole import Pinhole
+from emulator.geometry.seen import Rays
 from emulator.gl.render_target import Stage, depth_terms
 from emulator.light import Light, Scene
 from emulator.scene.bodies.arrangement import middle
@@ -30,6 +31,7 @@ from emulator.scene.bodies.mesh import Mesh
 from emulator.scene.bodies.shadows import ShadowMap, Thrower
 from emulator.scene.bodies.table import BodiesParameters
 from emulator.scene.bodies.touched_region import box_corners, reach
+from emulator.scene.bodies.truth import BodiesGeometry
 from emulator.scene.bodies.world import BodyWorld
 from emulator.trajectory.pose import Pose
 
@@ -39,6 +41,7 @@ if TYPE_CHECKING:
 __all__ = ["GlBodies"]
 
 _FINE = 2.0  # pixels or texels: facets as small as this answer for shadows at their corners
+_APART = 100.0  # bodies that begin so many times as far as all nearer ones end have depths of their own
 _NEAREST_SHARE = 1e-4  # of the farthest depth: no nearer plane, or float32 depth would resolve nothing
 _ROOM = 1.01  # of a body's radius: what rounding may add to it
 
@@ -115,6 +118,10 @@ class GlBodies(Scene):
         """Counts of the poses that came from outside."""
         return self._world.counts
 
+    def geometry(self, rays: Rays | None = None) -> BodiesGeometry:
+        """Return depth, flow and labels of the bodies, from shapes and poses alone."""
+        return BodiesGeometry(self._world, rays)
+
     def light(self, t_ns: int, out: Light) -> None:
         """Write the radiance at `t_ns` into `out`, (height, width) float32."""
         self.lights((t_ns,), (out,))
@@ -139,9 +146,19 @@ class GlBodies(Scene):
             seen = world.as_seen(k)
             fine = body.smooth and facet_size_m(seen) <= self._fine_m(world.metres_a_pixel(k))
             drawn = seen if body.smooth else flat(seen)
-            part.facets = Facets(gl, drawn, body.reflectance, self._shadows, at_vertices=fine)
+            shadows = self._shadows if self._may_be_shaded(k) else None
+            part.facets = Facets(gl, drawn, body.reflectance, shadows, at_vertices=fine)
             if self._shadows and body.throws_shadow:
                 part.thrower = self._shadows.thrower(coarser(part.mesh, self._shadows.coarse_m))
+
+    def _may_be_shaded(self, k: int) -> bool:
+        """Return whether body k is, at the start, where the shadow map reaches: a planet behind the scene is not."""
+        if self._shadows is None:
+            return False
+        poses, parts = self._world.arrangement.poses(self._world.time.scene_ns(0)), self._parts
+        centre = middle([(poses[j], parts[j].mesh.radius_m) for j in self._throwing])
+        away_m = float(np.linalg.norm(poses[k].position_m - centre))
+        return away_m - parts[k].mesh.radius_m < self._shadows.range_m
 
     def _fine_m(self, metres_a_pixel: float) -> float:
         """Return the size of facets at whose corners the shadow map may be asked: two pixels, or two texels."""
@@ -166,12 +183,12 @@ class GlBodies(Scene):
             _Seen(camera_from_world @ pose.world_from_body, camera_from_world @ (pose.position_m - camera.position_m))
             for pose in poses
         ]
-        frame = self._frame(camera_from_world @ self._sun, seen)
+        frames = self._frames(camera_from_world @ self._sun, seen)
         shadow_from_bodies = self._shadow_from_bodies(poses)
         boxes = (part.corners @ s.camera_from_body.T + s.place_m for part, s in zip(self._parts, seen, strict=True))
         return partial(
             self._stage.begin,
-            partial(self._render, frame, seen, shadow_from_bodies),
+            partial(self._render, frames, seen, shadow_from_bodies),
             partial(self._cast, shadow_from_bodies),
             reach(boxes, self._pinhole),
         )
@@ -182,20 +199,44 @@ class GlBodies(Scene):
             both = zip(self._parts, shadow_from_bodies, strict=True)
             self._shadows.render([(part.thrower, matrix) for part, matrix in both if part.thrower is not None])
 
-    def _render(self, frame: Frame, seen: list[_Seen], shadow_from_bodies: list[Matrix], _: moderngl.Context) -> None:
-        for part, how, shadow_from_body in zip(self._parts, seen, shadow_from_bodies, strict=True):
-            if part.facets is not None:
-                part.facets.render(frame, how.camera_from_body, how.place_m, shadow_from_body)
+    def _render(
+        self,
+        frames: list[tuple[Frame, list[int]]],
+        seen: list[_Seen],
+        shadow_from_bodies: list[Matrix],
+        gl: moderngl.Context,
+    ) -> None:
+        for number, (frame, members) in enumerate(frames):
+            if number:
+                _forget_depth(gl)
+            for k in members:
+                facets, how = self._parts[k].facets, seen[k]
+                if facets is not None:
+                    facets.render(frame, how.camera_from_body, how.place_m, shadow_from_bodies[k])
 
-    def _frame(self, sun: Matrix, seen: list[_Seen]) -> Frame:
-        """Return what is the same for all bodies; depths reach around all that is before the camera."""
-        ahead = [
-            (how.place_m[2], part.mesh.radius_m * _ROOM)
+    def _frames(self, sun: Matrix, seen: list[_Seen]) -> list[tuple[Frame, list[int]]]:
+        """Return which bodies are drawn together, and what is the same for them, the farthest ones first.
+
+        Bodies that lie much farther than all others have depths of their own.
+        """
+        ends = [
+            (float(how.place_m[2]) - part.mesh.radius_m * _ROOM, float(how.place_m[2]) + part.mesh.radius_m * _ROOM)
             for how, part in zip(seen, self._parts, strict=True)
-            if how.place_m[2] + part.mesh.radius_m > 0
         ]
-        far = max((z + r for z, r in ahead), default=1.0)
-        near = min((z - r for z, r in ahead), default=0.5)
+        frames: list[tuple[Frame, list[int]]] = []
+        for k in sorted(range(len(ends)), key=lambda k: ends[k][0]):
+            if not frames or ends[k][0] > _APART * max(ends[j][1] for j in frames[-1][1]) > 0:
+                frames.append((self._frame(sun, [ends[k]]), [k]))
+            else:
+                members = [*frames[-1][1], k]
+                frames[-1] = self._frame(sun, [ends[j] for j in members]), members
+        return frames[::-1]
+
+    def _frame(self, sun: Matrix, ends: list[tuple[float, float]]) -> Frame:
+        """Return what is the same for bodies between these depths; what lies behind the camera does not count."""
+        ahead = [(near, far) for near, far in ends if far > 0]
+        far = max((far for _, far in ahead), default=1.0)
+        near = min((near for near, _ in ahead), default=0.5)
         return Frame(
             sun,
             self._pinhole.zoom,
@@ -203,6 +244,15 @@ class GlBodies(Scene):
             self._p.sun.irradiance_w_m2,
             self._p.ambient_w_m2,
         )
+
+
+def _forget_depth(gl: moderngl.Context) -> None:
+    """Clear the depth of the target and keep its light: what is drawn next lies before all that is there."""
+    target = gl.fbo
+    target.color_mask = False, False, False, False
+    target.clear()
+    target.color_mask = True, True, True, True
+    target.use()  # the mask takes effect
 
 
 def _matrix(pose: Pose) -> Matrix:

@@ -6,8 +6,9 @@ with a law of reflection r and the share of the Sun's disc that is seen. Near th
 over the part of the disc that is seen, so all is smooth in time. Shadows:
 
     smooth bodies        a table of horizons over all that is rigidly fixed to the body (`horizon_table`)
-    flat-shaded ones     covered areas of the disc, traced (`cast_shadow`); smooth ones too where a table would lose
-                         light under overhangs in more than LOST_AT_MOST of all directions
+    flat-shaded ones     polygons over their facets where penumbras are narrow enough (`sharp_shadows`), else covered
+                         areas of the disc, traced (`cast_shadow`); smooth ones are traced too where a table would
+                         lose light under overhangs in more than LOST_AT_MOST of all directions
     bodies on others     traced, in the frame of what throws the shadow
 
 The rate is that of the material point, a second of stream time: directions of the Sun and places of the camera and of
@@ -20,8 +21,8 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -35,8 +36,10 @@ from emulator.scene.bodies.lighting_kernels import choose, dim_at_plane, glow
 from emulator.scene.bodies.lit_surface import Surface, shadow_triangles
 from emulator.scene.bodies.mesh import Mesh
 from emulator.scene.bodies.rigid_groups import RigidGroup, rigid_groups
+from emulator.scene.bodies.sharp_shadows import Polygons, SharpShadows, receivers_of
 from emulator.scene.bodies.table import BodiesParameters
 from emulator.scene.bodies.triangle_tree import TriangleTree, build_tree
+from emulator.threads import Crew
 from emulator.trajectory.pose import Pose, Trajectory
 from emulator.trajectory.timescale import Timescale
 
@@ -54,10 +57,10 @@ Floats = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Poses:
-    """Where the camera and each body are in the world."""
+    """Where the camera and bodies are in the world; the first body of each rigid group at least, by its number."""
 
     camera: Pose
-    bodies: Sequence[Pose]
+    bodies: Sequence[Pose] | Mapping[int, Pose]
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,10 +85,13 @@ class Glow:
     Attributes
     ----------
     radiance, rate : (e,) float64, W m-2 sr-1 and that a second; 0 at points that no facet shows to the camera.
+    dark, dark_rate : the same without the Sun; of no use where shadows are not polygons.
     """
 
     radiance: Floats
     rate: Floats
+    dark: Floats
+    dark_rate: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,11 +102,13 @@ class _Lit:
     normals: Floats
     lean: Floats
     law: Law
+    albedo: Floats | None
     group: int
     table: Horizons | None
     memory: Floats
     middle_m: Vector
     radius_m: float
+    sharp: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,8 +121,10 @@ class _Seen:
     eyes_m: Floats
 
 
-def motion_at(t_ns: int, camera: Trajectory, bodies: Callable[[int], Sequence[Pose]], time: Timescale) -> Motion:
-    """Return the motion at stream time `t_ns`; `bodies` gives the poses of all at a scene time, ns.
+def motion_at(
+    t_ns: int, camera: Trajectory, bodies: Callable[[int], Sequence[Pose] | Mapping[int, Pose]], time: Timescale
+) -> Motion:
+    """Return the motion at stream time `t_ns`; `bodies` gives their poses at a scene time, ns.
 
     Poses for rates are a millisecond of scene time away; at the start, where paths may begin, only after it.
     """
@@ -131,30 +141,65 @@ class Lighting:
     ----------
     meshes : of each body, as it throws shadows.
     surfaces : of each body, where it is lit.
+    sharp : flat-shaded bodies on which the shadows of their own group are polygons, to be drawn over them.
+    threads : how many find polygons; the light is the same to the last bit.
     """
 
-    def __init__(self, parameters: BodiesParameters, meshes: Sequence[Mesh], surfaces: Sequence[Surface]) -> None:
+    def __init__(
+        self,
+        parameters: BodiesParameters,
+        meshes: Sequence[Mesh],
+        surfaces: Sequence[Surface],
+        sharp: Collection[int] = (),
+        threads: int = 1,
+    ) -> None:
         self._sun, self._ambient = parameters.sun, parameters.ambient_w_m2
         self._towards = unit(parameters.sun.direction)
         self._groups = rigid_groups(parameters.bodies)
         self._trees = [_group_tree(group, parameters, meshes) for group in self._groups]
-        self._bodies = self._lit(parameters, surfaces)
+        self._bodies = self._lit(parameters, surfaces, sharp)
+        self._crew = Crew(threads if sharp else 1)
+        self._sharp = list(self._sharp_shadows(surfaces))
         most = max(len(body.points) for body in self._bodies)
         self._chosen, self._angles = np.empty(most, np.int32), np.empty((6, most))
         self._shares, self._room = np.empty((2, most)), np.empty((3, most))
 
+    def close(self) -> None:
+        """End the threads; a second call does nothing."""
+        self._crew.close()
+
     def light(self, motion: Motion) -> list[Glow]:
         """Return the light of each body."""
+        return self.light_and_polygons(motion)[0]
+
+    def light_and_polygons(self, motion: Motion) -> tuple[list[Glow], list[Polygons]]:
+        """Return the light of each body, and the shadows that are to be drawn over them."""
         step_s = self._step_s(motion)
         seen = [self._seen(motion, group.members[0], step_s) for group in self._groups]
-        return [self._body_light(body, seen, step_s) for body in self._bodies]
+        glows = [self._body_light(body, seen, step_s) for body in self._bodies]
+        return glows, [self._polygons(g, shadows, seen[g], glows, step_s) for g, shadows in self._sharp]
 
-    def _lit(self, parameters: BodiesParameters, surfaces: Sequence[Surface]) -> list[_Lit]:
+    def _polygons(self, g: int, shadows: SharpShadows, seen: _Seen, glows: Sequence[Glow], step_s: float) -> Polygons:
+        around = seen.suns[0], (seen.suns[1] - seen.suns[0]) / step_s, seen.eyes_m[0]
+        members = self._groups[g].members
+        return shadows.cast([(glows[k].dark, glows[k].dark_rate) for k in members if self._bodies[k].sharp], around)
+
+    def _lit(self, parameters: BodiesParameters, surfaces: Sequence[Surface], sharp: Collection[int]) -> list[_Lit]:
         where = {k: (g, pose) for g, group in enumerate(self._groups) for k, pose in zip(*_both(group), strict=True)}
-        return [
+        lit = [
             _place(surface, law_of(body.reflectance), *where[k], self._trees[where[k][0]], parameters.sun)
             for k, (body, surface) in enumerate(zip(parameters.bodies, surfaces, strict=True))
         ]
+        return [replace(body, sharp=k in sharp) for k, body in enumerate(lit)]
+
+    def _sharp_shadows(self, surfaces: Sequence[Surface]) -> Iterator[tuple[int, SharpShadows]]:
+        """Yield the groups that have such shadows, and these."""
+        firsts = np.cumsum([0, *(len(surface.faces) for surface in surfaces)])
+        for g, (group, tree) in enumerate(zip(self._groups, self._trees, strict=True)):
+            members = [(k, pose) for k, pose in zip(*_both(group), strict=True) if self._bodies[k].sharp]
+            if tree is not None and members:
+                parts = [receivers_of(surfaces[k], pose, firsts[k]) for k, pose in members]
+                yield g, SharpShadows(group.members[0], tree, parts, _NEAR * tree.radius_m, self._crew)
 
     def _step_s(self, motion: Motion) -> float:
         """Return the time in which nothing turns, is seen to turn, or goes by its own size, by more than some 1e-7."""
@@ -192,12 +237,17 @@ class Lighting:
         else:
             dim_at_plane(count, radius, cosines, self._shares)
         for g, tree in enumerate(self._trees):
-            if tree is not None and (g != body.group or body.table is None):
+            if tree is not None and (g != body.group or (body.table is None and not body.sharp)):
                 self._cast(body, tree, own, seen[g], count)
-        out = np.zeros((2, len(body.points)))
+        out, dark = np.zeros((2, 2, len(body.points)))
         light = (self._sun.irradiance_w_m2, self._ambient, step_s)
         glow(body.law, light, self._chosen, count, self._angles, self._shares, self._room, out)
-        return Glow(out[0], out[1])
+        if body.sharp and self._ambient > 0:
+            glow(body.law, (0.0, *light[1:]), self._chosen, count, self._angles, self._shares, self._room, dark)
+        if body.albedo is not None:
+            out *= body.albedo
+            dark *= body.albedo
+        return Glow(*out, *dark)
 
     def _cast(self, body: _Lit, tree: TriangleTree, own: _Seen, other: _Seen, count: int) -> None:
         """Dim the chosen points of a body by the shadow of a group."""
@@ -237,7 +287,7 @@ def _place(surface: Surface, law: Law, group: int, pose: Pose, tree: TriangleTre
     low, high = points.min(axis=0), points.max(axis=0)
     middle, radius_m = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
     memory = blank_memory(len(points))
-    return _Lit(points, normals, surface.lean, law, group, table, memory, middle, radius_m)
+    return _Lit(points, normals, surface.lean, law, surface.albedo, group, table, memory, middle, radius_m)
 
 
 def _table(tree: TriangleTree, points: Floats, normals: Floats, sun: Sun) -> Horizons | None:

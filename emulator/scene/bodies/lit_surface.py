@@ -10,13 +10,14 @@ on flat ones inside their plane's facets, so that at the foot of a wall it is to
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from emulator.scene.bodies.mesh import Mesh
 
-__all__ = ["Surface", "lit_surface", "shadow_triangles", "subdivide"]
+__all__ = ["Surface", "lit_surface", "shadow_triangles", "split_sides", "subdivide"]
 
 _LIFT = 1e-4  # of the mean length of sides
 _INWARD = 1e-3  # of the way to the middle of the facets around
@@ -40,6 +41,7 @@ class Surface:
     lean : (e,) sine of the largest angle between a normal and the facets that meet there: a point is seen only by eyes
         that are not lower than this under its tangent plane.
     smooth : whether normals are interpolated.
+    albedo : (e,) of each radiance, relative to the body's law of reflection; None: 1 everywhere.
     """
 
     vertices: Floats
@@ -49,6 +51,7 @@ class Surface:
     normals: Floats
     lean: Floats
     smooth: bool
+    albedo: Floats | None = None
 
 
 def lit_surface(mesh: Mesh, *, smooth: bool) -> Surface:
@@ -62,13 +65,16 @@ def _smooth(mesh: Mesh) -> Surface:
     np.minimum.at(least, mesh.faces, cosines)
     lean = np.where(least > 0, np.sqrt(np.maximum(1 - least * least, 0)), 1.0) + 1e-9
     points = mesh.vertices + _LIFT * _side_m(mesh) * mesh.normals
-    return Surface(mesh.vertices, mesh.faces, mesh.faces, points, mesh.normals, lean, True)
+    albedo = None if mesh.albedo is None else mesh.vertex_albedo
+    return Surface(mesh.vertices, mesh.faces, mesh.faces, points, mesh.normals, lean, True, albedo)
 
 
 def _flat(mesh: Mesh) -> Surface:
     """Corners at one vertex whose normals round to the same are one; the rounding may split some, which is harmless."""
     normals = np.repeat(_facet_normals(mesh), 3, axis=0)
     key = np.column_stack([mesh.faces.ravel(), np.round(normals / _ONE_PLANE)])
+    if mesh.albedo is not None:
+        key = np.column_stack([key, mesh.albedo.ravel()])
     _, first, shade = np.unique(key, axis=0, return_index=True, return_inverse=True)
     shade = shade.ravel()
     middles = np.repeat(mesh.vertices[mesh.faces].mean(axis=1), 3, axis=0)
@@ -76,7 +82,9 @@ def _flat(mesh: Mesh) -> Surface:
     inside = sums / np.bincount(shade)[:, None]
     points = mesh.vertices[mesh.faces.ravel()[first]] * (1 - _INWARD) + _INWARD * inside
     shades = shade.astype(np.int32).reshape(-1, 3)
-    return Surface(mesh.vertices, mesh.faces, shades, points, normals[first], np.full(len(points), 1e-9), False)
+    albedo = None if mesh.albedo is None else mesh.albedo.ravel()[first]
+    lean = np.full(len(points), 1e-9)
+    return Surface(mesh.vertices, mesh.faces, shades, points, normals[first], lean, False, albedo)
 
 
 def shadow_triangles(mesh: Mesh) -> Floats:
@@ -91,10 +99,9 @@ def subdivide(mesh: Mesh, size_m: float) -> Mesh:
         raise ValueError(f"a size of {size_m} m: sides can be made no longer than a length above 0")
     if mesh.area_m2 / size_m**2 > _MOST_FACETS:
         raise ValueError(f"a size of {size_m} m: sides as short would need more than {_MOST_FACETS:g} facets")
-    vertices, faces, normals = mesh.vertices, mesh.faces, mesh.normals
-    while (split := _long_sides(vertices, faces, size_m)).any():
-        vertices, faces, normals = _split(vertices, faces, normals, split)
-    return Mesh(vertices, faces, normals, mesh.dropped_facets, mesh.open_edges, mesh.was_inside_out)
+    while (split := _long_sides(mesh.vertices, mesh.faces, size_m)).any():
+        mesh = split_sides(mesh, split)
+    return mesh
 
 
 def _long_sides(vertices: Floats, faces: Faces, size_m: float) -> npt.NDArray[np.bool_]:
@@ -108,10 +115,12 @@ def _ends(faces: Faces) -> tuple[Faces, Faces]:
     return np.minimum(faces, after), np.maximum(faces, after)
 
 
-def _split(
-    vertices: Floats, faces: Faces, normals: Floats, split: npt.NDArray[np.bool_]
-) -> tuple[Floats, Faces, Floats]:
-    """Put a vertex in the middle of the sides of `split`, (m, 3), and cut the facets there."""
+def split_sides(mesh: Mesh, split: npt.NDArray[np.bool_]) -> Mesh:
+    """Return a mesh with a vertex in the middle of the sides of `split`, (m, 3), and the facets cut there.
+
+    Both facets of a side must have the same answer. Normals and albedo of new vertices are means of the side's ends.
+    """
+    vertices, faces, normals = mesh.vertices, mesh.faces, mesh.normals
     low, high = _ends(faces)
     sides, number = np.unique(np.column_stack([low[split], high[split]]), axis=0, return_inverse=True)
     middle = np.full(faces.shape, -1, np.int64)
@@ -120,15 +129,28 @@ def _split(
     length = np.linalg.norm(new_normals, axis=1, keepdims=True)
     new_normals = np.where(length > 1e-6, new_normals / np.maximum(length, 1e-6), normals[sides[:, 0]])
     cut = [_cut(faces, middle, split, count) for count in range(4)]
-    return (
+    albedo = mesh.albedo
+    if albedo is not None:
+        between = (albedo + np.roll(albedo, -1, axis=1)) / 2
+        albedo = np.concatenate([_cut(albedo, between, split, count) for count in range(4)])
+    return Mesh(
         np.concatenate([vertices, vertices[sides].mean(axis=1)]),
         np.concatenate(cut).astype(np.int32),
         np.concatenate([normals, new_normals]),
+        mesh.dropped_facets,
+        mesh.open_edges,
+        mesh.was_inside_out,
+        albedo,
     )
 
 
-def _cut(faces: Faces, middle: npt.NDArray[np.int64], split: npt.NDArray[np.bool_], count: int) -> Faces:
-    """Return the parts of the facets of which `count` sides are split; the first side that differs is turned first."""
+def _cut(
+    faces: npt.NDArray[Any], middle: npt.NDArray[Any], split: npt.NDArray[np.bool_], count: int
+) -> npt.NDArray[Any]:
+    """Return the parts of the facets of which `count` sides are split; the first side that differs is turned first.
+
+    `faces` and `middle` are what stands at corners and in the middle of sides: numbers of vertices, or values there.
+    """
     chosen = np.flatnonzero(split.sum(axis=1) == count)
     odd = split if count == 1 else ~split  # one side is split, or one is not
     turn = odd[chosen].argmax(axis=1)[:, None]

@@ -2,7 +2,8 @@
 
 A facet's outside is the side from which its corners go round counter-clockwise. Lengths are metres. Read are the plate
 tables of the Planetary Data System (`.tab`, see `plates`), Wavefront OBJ (see `wavefront`), and every surface format
-that trimesh reads (STL, PLY, ...). Textures and materials are ignored and split vertices are joined again.
+that trimesh reads (STL, PLY, ...). Textures and materials are ignored, but for `usemtl albedo_A` of OBJ files; split
+vertices are joined again.
 
     bad input                                   what happens
     no file, unreadable, no facet               SceneError
@@ -28,7 +29,7 @@ from emulator.scene.bodies.wavefront import parse_wavefront
 from emulator.scene.foreign_file import read_in_child
 from emulator.tables.text_file import TextFileError, read_text
 
-__all__ = ["SHAPES", "Mesh", "build_mesh", "find_shape", "load_mesh"]
+__all__ = ["SHAPES", "Mesh", "build_mesh", "facet_vectors", "find_shape", "load_mesh", "vertex_normals"]
 
 SHAPES = Path(__file__).parent / "shapes"
 """The folder of the shape models that come with the program; its SOURCES.md tells where each is from."""
@@ -52,6 +53,8 @@ class Mesh:
     dropped_facets : facets without area that the source had.
     open_edges : edges with a facet on one side only; 0 for a closed surface.
     was_inside_out : whether the source had all facets the wrong way round.
+    albedo : (m, 3) float64, brightness at the corners of each facet relative to what the law of reflection says; None:
+        1 everywhere. On a smooth surface the corners at a vertex agree.
     """
 
     vertices: _Points
@@ -60,6 +63,7 @@ class Mesh:
     dropped_facets: int = 0
     open_edges: int = 0
     was_inside_out: bool = False
+    albedo: _Points | None = None
 
     @cached_property
     def radius_m(self) -> float:
@@ -74,7 +78,15 @@ class Mesh:
     @property
     def area_m2(self) -> float:
         """The surface area."""
-        return float(np.linalg.norm(_facet_vectors(self.vertices, self.faces), axis=1).sum())
+        return float(np.linalg.norm(facet_vectors(self.vertices, self.faces), axis=1).sum())
+
+    @property
+    def vertex_albedo(self) -> _Points:
+        """Relative albedo of each vertex, (n,): the mean of the corners there."""
+        if self.albedo is None:
+            return np.ones(len(self.vertices))
+        sums = np.bincount(self.faces.ravel(), self.albedo.ravel(), len(self.vertices))
+        return np.asarray(sums / np.bincount(self.faces.ravel(), minlength=len(self.vertices)))
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -109,20 +121,21 @@ def load_mesh(path: Path, units_m: float = 1000.0) -> Mesh:
     """
     if not (np.isfinite(units_m) and units_m > 0):
         raise SceneError(f"units of {units_m} m for {path.name}: a unit of length is a positive number of metres")
-    vertices, faces = _read(path)
+    vertices, faces, albedo = _read(path)
     try:
-        return build_mesh(vertices * units_m, faces)
+        return build_mesh(vertices * units_m, faces, albedo)
     except SceneError as error:
         raise SceneError(f"{path}: {error}") from error
 
 
-def build_mesh(vertices: npt.ArrayLike, faces: npt.ArrayLike) -> Mesh:
+def build_mesh(vertices: npt.ArrayLike, faces: npt.ArrayLike, albedo: _Points | None = None) -> Mesh:
     """Judge, clean and complete a surface.
 
     Parameters
     ----------
     vertices : (n, 3) metres.
     faces : (m, 3) vertex numbers from 0.
+    albedo : (m,) relative albedo of each facet.
     """
     points = np.asarray(vertices, np.float64).reshape(-1, 3)
     corners = np.asarray(faces, np.int64).reshape(-1, 3)
@@ -138,20 +151,21 @@ def build_mesh(vertices: npt.ArrayLike, faces: npt.ArrayLike) -> Mesh:
         corners = corners[:, ::-1]
     used, corners = np.unique(corners, return_inverse=True)
     points, triangles = points[used], corners.reshape(-1, 3).astype(np.int32)
-    return Mesh(points, triangles, _vertex_normals(points, triangles), dropped, open_edges, inside_out)
+    tinted = None if albedo is None else np.repeat(albedo[kept], 3).reshape(-1, 3)
+    return Mesh(points, triangles, vertex_normals(points, triangles), dropped, open_edges, inside_out, tinted)
 
 
-def _read(path: Path) -> tuple[_Points, npt.NDArray[np.int64]]:
-    """Return vertices and facets: two formats by readers of our own, any other by trimesh in a child process."""
+def _read(path: Path) -> tuple[_Points, npt.NDArray[np.int64], _Points | None]:
+    """Return vertices, facets and their albedo: two formats by own readers, any other by trimesh in a child process."""
     parse = {".tab": parse_plates, ".obj": parse_wavefront}.get(path.suffix.lower())
     if parse is None:
         found = read_in_child("emulator.scene.bodies.foreign_surface:read_surface", path)
-        return found["vertices"], found["faces"]
+        return found["vertices"], found["faces"], None
     try:
         table = parse(read_text(path, _MOST_BYTES))
     except (TextFileError, PlateTableError) as error:
         raise SceneError(f"{path}: {error}") from error
-    return table.vertices, table.facets
+    return table.vertices, table.facets, table.albedo
 
 
 def _require_sound(points: _Points, corners: npt.NDArray[np.int64]) -> None:
@@ -183,7 +197,7 @@ def _join_equal_vertices(points: _Points, corners: npt.NDArray[np.int64]) -> tup
     return points, number[corners]
 
 
-def _facet_vectors(points: _Points, corners: npt.NDArray[np.integer]) -> _Points:
+def facet_vectors(points: _Points, corners: npt.NDArray[np.integer]) -> _Points:
     """Outward normals as long as the facets' areas, (m, 3)."""
     a, b, c = (points[corners[:, i]] for i in range(3))
     return np.asarray(np.cross(b - a, c - a) / 2)
@@ -193,13 +207,13 @@ def _with_area(points: _Points, corners: npt.NDArray[np.int64]) -> npt.NDArray[n
     """Return which facets have an area above rounding, beside their longest side."""
     sides = points[corners] - points[np.roll(corners, 1, axis=1)]
     longest2 = (sides**2).sum(axis=2).max(axis=1)
-    return np.asarray(np.linalg.norm(_facet_vectors(points, corners), axis=1) > 1e-12 * longest2)
+    return np.asarray(np.linalg.norm(facet_vectors(points, corners), axis=1) > 1e-12 * longest2)
 
 
 def _signed_volume(points: _Points, corners: npt.NDArray[np.integer]) -> float:
     """Return the sum of the tetrahedra between each facet and the middle of the mesh: negative when inside out."""
     middle = points[corners].mean(axis=(0, 1))
-    return float(np.einsum("ij,ij->", _facet_vectors(points, corners), points[corners[:, 0]] - middle) / 3)
+    return float(np.einsum("ij,ij->", facet_vectors(points, corners), points[corners[:, 0]] - middle) / 3)
 
 
 def _count_open_edges(corners: npt.NDArray[np.int64]) -> int:
@@ -217,8 +231,9 @@ def _count_open_edges(corners: npt.NDArray[np.int64]) -> int:
     return int((balance == 1).sum())
 
 
-def _vertex_normals(points: _Points, corners: _Faces) -> _Points:
-    facets = _facet_vectors(points, corners)
+def vertex_normals(points: _Points, corners: _Faces) -> _Points:
+    """Return the mean of the normals of the facets around each vertex, weighted with their area, (n, 3) unit."""
+    facets = facet_vectors(points, corners)
     sums = np.zeros_like(points)
     for axis in range(3):
         for corner in corners.T:

@@ -35,10 +35,12 @@ class PlateTable:
     ----------
     vertices : (n, 3) float64, the table's unit.
     facets : (m, 3) int64, counting from 0; may be out of range, which is for the reader of the shape to judge.
+    albedo : (m,) float64, brightness of each facet relative to its body's law of reflection; None: 1 everywhere.
     """
 
     vertices: npt.NDArray[np.float64]
     facets: npt.NDArray[np.int64]
+    albedo: npt.NDArray[np.float64] | None = None
 
 
 _Row = tuple[int, list[str]]

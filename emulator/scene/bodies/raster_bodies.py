@@ -3,31 +3,47 @@
     poses just before, at and after t --> light at the points of surfaces (`lighting`) --+
                                       --> vertices and their velocities -----------------+--> `raster` --> light, rate
 
-Light is linear over a facet. Facets longer than LONGEST_PX pixels are divided, so that highlights and the edges of
-shadows on them are drawn; facets too small to be seen are gathered (see `BodyWorld.as_seen`).
+Light is linear over a facet. Large facets are divided:
+
+    flat ones whose shadows are polygons    where a highlight would be wrong by LINEAR_WITHIN of its height
+    others                                  to LONGEST_PX pixels, for the edges of shadows too
+
+A lobe cos^m of half the angle between view and mirror has the second derivative m / 4 of its height, and the straight
+line over a length h is wrong by m h^2 / 32: h is an angle seen from the camera, so larger pictures need no more facets.
+Facets too small to be seen are gathered (see `BodyWorld.as_seen`).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
 
 from emulator.geometry.pinhole import Pinhole
+from emulator.geometry.seen import Rays
 from emulator.light import Light, PixelLight, Region, Scene, SceneError
-from emulator.raster import Box, Renderer, Screen, View, join, prepare
+from emulator.photometry.reflectance import Glossy, Lambert
+from emulator.raster import Box, Patches, Renderer, Screen, View, join, prepare
 from emulator.scene.bodies.lighting import Lighting, Motion, Poses, motion_at
 from emulator.scene.bodies.lit_surface import Surface, lit_surface, subdivide
+from emulator.scene.bodies.moving_points import move
+from emulator.scene.bodies.rigid_groups import rigid_groups
+from emulator.scene.bodies.sharp_shadows import with_narrow_penumbras
 from emulator.scene.bodies.table import BodiesParameters
+from emulator.scene.bodies.truth import BodiesGeometry
 from emulator.scene.bodies.world import BodyWorld
 
-__all__ = ["LONGEST_PX", "RasterBodies"]
+__all__ = ["LINEAR_WITHIN", "LONGEST_PX", "RasterBodies"]
 
 LONGEST_PX = 12.0
+LINEAR_WITHIN = 0.01
 _MOST_DIVIDED = 8000  # facets of one body: a large side near the camera is divided no further
+_LIFT = 1e-6  # of its distance: how much nearer to the camera than its facet a shadow is drawn
 _NEAREST_SHARE = 1e-6  # of the range to the nearest body: facets are cut this near the camera
+
+_Floats = npt.NDArray[np.float64]
 
 
 class RasterBodies(Scene):
@@ -40,8 +56,13 @@ class RasterBodies(Scene):
 
     def __init__(self, parameters: BodiesParameters, pinhole: Pinhole, threads: int = 1) -> None:
         self._world = world = BodyWorld(parameters, pinhole)
-        self._surfaces = [self._surface(k) for k in range(len(world.meshes))]
-        self._lighting = Lighting(parameters, world.meshes, self._surfaces)
+        bodies = range(len(world.meshes))
+        pixel_m = min(map(self._nearest_m, bodies)) / pinhole.focal_px
+        self._sharp = with_narrow_penumbras(parameters, world.meshes, LONGEST_PX * pixel_m)
+        self._surfaces = [self._surface(k) for k in bodies]
+        self._lighting = Lighting(parameters, world.meshes, self._surfaces, self._sharp, threads)
+        self._placed = _in_groups(parameters, self._surfaces)
+        self._poses = world.arrangement.poses_of({root for root, _ in self._placed})
         parts = [
             prepare(surface.faces, shades=surface.shades, two_sided=mesh.open_edges > 0)
             for surface, mesh in zip(self._surfaces, world.meshes, strict=True)
@@ -49,7 +70,9 @@ class RasterBodies(Scene):
         width, height = pinhole.size
         middle = width / 2, height / 2
         screen = Screen(width, height, pinhole.focal_px, middle, _NEAREST_SHARE * self.distance_m)
-        self._renderer = Renderer(join(parts), screen, threads)
+        topology = join(parts)
+        self._patches = Patches(topology)
+        self._renderer = Renderer(topology, screen, threads)
         self._spare = np.zeros((height, width), np.float32)
         self._drawn = Box()
         self._changed: Region | None = None
@@ -93,6 +116,10 @@ class RasterBodies(Scene):
         """The part of the last picture that may differ from the one before it in the same arrays."""
         return self._changed
 
+    def geometry(self, rays: Rays | None = None) -> BodiesGeometry:
+        """Return depth, flow and labels of the bodies, from shapes and poses alone."""
+        return BodiesGeometry(self._world, rays)
+
     def light(self, t_ns: int, out: Light) -> None:
         """Write the radiance at `t_ns` into `out`, (height, width) float32."""
         self.light_and_rate(t_ns, out, self._spare)
@@ -119,6 +146,7 @@ class RasterBodies(Scene):
         """End the threads and close the ports; a second call does nothing."""
         self._closed = True
         self._renderer.close()
+        self._lighting.close()
         self._world.close()
 
     def _pixels(self, t_ns: int, pixels: npt.NDArray[np.int64]) -> tuple[Light, Light]:
@@ -129,32 +157,85 @@ class RasterBodies(Scene):
         world = self._world
         mesh, smooth = world.as_seen(k), world.parameters.bodies[k].smooth
         if len(mesh.faces) < _MOST_DIVIDED:
-            longest_m = max(LONGEST_PX * world.metres_a_pixel(k), math.sqrt(2 * mesh.area_m2 / _MOST_DIVIDED))
-            mesh = subdivide(mesh, longest_m)
+            mesh = subdivide(mesh, max(self._longest_m(k), math.sqrt(2 * mesh.area_m2 / _MOST_DIVIDED)))
         return lit_surface(mesh, smooth=smooth)
+
+    def _longest_m(self, k: int) -> float:
+        """Return how long the sides of body k's facets may be."""
+        world = self._world
+        body = world.parameters.bodies[k]
+        fine_m = LONGEST_PX * world.metres_a_pixel(k)
+        shaded = _is_shaded_by_others(world.parameters, k)
+        if k not in self._sharp or shaded or not isinstance(body.reflectance, Glossy | Lambert):
+            return fine_m
+        lobe = body.reflectance.sharpness if isinstance(body.reflectance, Glossy) else 1.0
+        return math.sqrt(32 * LINEAR_WITHIN / lobe) * self._nearest_m(k)
+
+    def _nearest_m(self, k: int) -> float:
+        vertices = self._world.meshes[k].vertices
+        return self._world.arrangement.nearest_m(k, vertices.min(axis=0), vertices.max(axis=0))
 
     def _view(self, t_ns: int) -> View:
         if self._closed:
             raise SceneError("the scene is closed: build it again")
         world = self._world
-        motion = motion_at(t_ns, world.camera, world.arrangement.poses, world.time)
-        glows = self._lighting.light(motion)
-        places = [self._places(k, motion) for k in range(len(self._surfaces))]
+        motion = motion_at(t_ns, world.camera, self._poses, world.time)
+        glows, shadows = self._lighting.light_and_polygons(motion)
+        bodies = [(root, vertices, 1.0) for root, vertices in self._placed]
+        over = [(polygons.body, polygons.corners, 1.0 - _LIFT) for polygons in shadows]
+        places, velocities = _in_camera_axes([*bodies, *over], motion)
+        if shadows:
+            firsts = np.cumsum([0, *(len(shadow.corners) for shadow in shadows)], dtype=np.int32)
+            faces = [shadow.faces + first for shadow, first in zip(shadows, firsts, strict=False)]
+            below = np.concatenate([shadow.over for shadow in shadows])
+            self._renderer.topology = self._patches.on(np.concatenate(faces), below)
         return View(
-            np.concatenate([place for place, _ in places]),
-            np.concatenate([velocity for _, velocity in places]),
-            np.concatenate([glow.radiance for glow in glows]),
-            np.concatenate([glow.rate for glow in glows]),
+            places,
+            velocities,
+            np.concatenate([*(glow.radiance for glow in glows), *(shadow.radiance for shadow in shadows)]),
+            np.concatenate([*(glow.rate for glow in glows), *(shadow.rate for shadow in shadows)]),
         )
 
-    def _places(self, k: int, motion: Motion) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """Return the vertices of body k in camera axes and their velocities, m and m a second of stream time."""
-        vertices = self._surfaces[k].vertices
-        turn, place = _camera_from_body(motion.now, k)
-        turn0, place0 = _camera_from_body(motion.before, k)
-        turn1, place1 = _camera_from_body(motion.after, k)
-        turning, moving = (turn1 - turn0) / motion.between_s, (place1 - place0) / motion.between_s
-        return vertices @ turn.T + place, vertices @ turning.T + moving
+
+def _is_shaded_by_others(parameters: BodiesParameters, k: int) -> bool:
+    """Return whether a body of another rigid group may throw a shadow on body k."""
+    others = [group.members for group in rigid_groups(parameters.bodies) if k not in group.members]
+    return parameters.shadows and any(parameters.bodies[m].throws_shadow for members in others for m in members)
+
+
+def _in_groups(parameters: BodiesParameters, surfaces: Sequence[Surface]) -> list[tuple[int, _Floats]]:
+    """Return for each body the first body of its rigid group, and the body's vertices in the frame of that one."""
+    placed = {}
+    for group in rigid_groups(parameters.bodies):
+        for k, pose in zip(group.members, group.poses, strict=True):
+            vertices = surfaces[k].vertices
+            if k != group.members[0]:
+                vertices = vertices @ pose.world_from_body.T + pose.position_m
+            placed[k] = (group.members[0], vertices)
+    return [placed[k] for k in range(len(surfaces))]
+
+
+def _in_camera_axes(parts: Sequence[tuple[int, _Floats, float]], motion: Motion) -> tuple[_Floats, _Floats]:
+    """Return points in camera axes and their velocities, (n, 3) m and m a second of stream time.
+
+    Parameters
+    ----------
+    parts : a body's number, points in its frame as `move` takes them, and how far from the camera they are drawn, as a
+        share of their distance.
+    """
+    out = np.empty((2, sum(len(points) for _, points, _ in parts), 3))
+    motions = {k: _seen_motion(motion, k) for k in {k for k, _, _ in parts}}
+    row = 0
+    for k, points, share in parts:
+        row = move(points, *motions[k], share, row, (out[0], out[1]))
+    return out[0], out[1]
+
+
+def _seen_motion(motion: Motion, k: int) -> tuple[_Floats, _Floats]:
+    """Return turns and shifts of body k against the camera, with their rates, as `move` takes them."""
+    now, before, after = (_camera_from_body(poses, k) for poses in (motion.now, motion.before, motion.after))
+    turns, shifts = (np.stack([a, (c - b) / motion.between_s]) for a, b, c in zip(now, before, after, strict=True))
+    return turns, shifts
 
 
 def _camera_from_body(poses: Poses, k: int) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:

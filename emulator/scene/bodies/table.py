@@ -7,6 +7,7 @@ from typing import ClassVar
 
 from emulator.photometry.reflectance import LommelSeeliger, Reflectance
 from emulator.photometry.sun import Sun
+from emulator.scene.bodies.detail_table import Bare, Detail
 from emulator.scene.kind import SceneKind
 from emulator.tables.files import NO_FILE, RigFile
 from emulator.trajectory.parameters import FixedPath, TrajectoryParameters
@@ -24,7 +25,8 @@ class BodyTable:
         What others call it who are fixed to it.
     shape
         A file, or the name of a shipped model: 'eros007790', 'eros022540', 'itokawa_49152', or a part of the
-        rendezvous target: 'target_bus', 'target_panel', 'target_ring', 'target_plate', 'target_marks'.
+        rendezvous target: 'target_bus', 'target_panel', 'target_ring', 'target_plate', 'target_marks';
+        or 'globe', a ball of radius 1.
     units_m
         The shape's unit of length in metres; 1000 for kilometres.
     path
@@ -33,6 +35,8 @@ class BodyTable:
         Name of the body that it stands on; empty: the world.
     reflectance
         How it throws light back.
+    detail
+        What is made up on it beyond the shape model.
     smooth
         Whether normals are interpolated over facets, as for ground; false shows each facet flat, as for foil and boxes.
     throws_shadow
@@ -45,6 +49,7 @@ class BodyTable:
     path: TrajectoryParameters = field(default_factory=FixedPath)
     fixed_to: str = ""
     reflectance: Reflectance = field(default_factory=LommelSeeliger)
+    detail: Detail = field(default_factory=Bare)
     smooth: bool = True
     throws_shadow: bool = True
 

@@ -3,6 +3,8 @@ r"""Surfaces in Wavefront OBJ files, text <-> vertices and facets, as far as a s
     v x y z [more]          a vertex; weights and colours behind it are ignored
     f a b c [d ...]         a facet of three corners or more, which is cut into triangles around its first corner
                             a corner is  v, v/vt, v//vn or v/vt/vn;  v counts from 1, or backwards from -1
+    usemtl albedo_0.5       the facets that follow are half as bright as the body's law of reflection says
+    usemtl NAME             the facets that follow are as bright as the law says
     \ at a line's end       the line goes on
 
 Every other statement (textures, normals, groups, curves) and everything behind # is ignored.
@@ -13,6 +15,7 @@ Source: Wavefront Advanced Visualizer, appendix B1, "Object Files (.obj)".
 from __future__ import annotations
 
 import itertools
+import math
 from typing import NoReturn
 
 import numpy as np
@@ -22,12 +25,15 @@ from emulator.scene.bodies.plates import PlateTable, PlateTableError
 __all__ = ["parse_wavefront"]
 
 _MOST_CORNERS = 1000
+_TINT, _BRIGHTEST = "albedo_", 100.0
 
 
 def parse_wavefront(text: str) -> PlateTable:
     """Read an OBJ file; raises `PlateTableError` with the line."""
     points: list[float] = []
     corners: list[int] = []
+    albedo: list[float] = []
+    now = 1.0
     for number, line in enumerate(text.replace("\\\n", " ").splitlines(), 1):
         words = line.partition("#")[0].split()
         match words[:1]:
@@ -35,7 +41,26 @@ def parse_wavefront(text: str) -> PlateTable:
                 points += _point(number, words)
             case ["f"]:
                 corners += _triangles(_corners(number, words, len(points) // 3))
-    return PlateTable(np.array(points, np.float64).reshape(-1, 3), np.array(corners, np.int64).reshape(-1, 3))
+                albedo += [now] * (len(corners) // 3 - len(albedo))
+            case ["usemtl"]:
+                now = _albedo(number, words)
+    facets = np.array(corners, np.int64).reshape(-1, 3)
+    tinted = np.array(albedo) if any(a != 1 for a in albedo) else None
+    return PlateTable(np.array(points, np.float64).reshape(-1, 3), facets, tinted)
+
+
+def _albedo(number: int, words: list[str]) -> float:
+    """Return the relative albedo that a material's name says, 1 for other names."""
+    name = words[1] if len(words) == 2 else ""
+    if not name.startswith(_TINT):
+        return 1.0
+    try:
+        value = float(name.removeprefix(_TINT))
+    except ValueError:
+        value = math.nan
+    if not 0 <= value <= _BRIGHTEST:
+        _refuse(number, words, f"'usemtl albedo_A' with a number of 0 to {_BRIGHTEST:g}")
+    return value
 
 
 def _point(number: int, words: list[str]) -> list[float]:

@@ -12,6 +12,7 @@ from emulator.geometry.pinhole import Pinhole
 from emulator.light import SceneError
 from emulator.scene.bodies.arrangement import Arrangement, Placed
 from emulator.scene.bodies.detail import coarser, facet_size_m
+from emulator.scene.bodies.detailed import detailed
 from emulator.scene.bodies.mesh import Mesh, find_shape, load_mesh
 from emulator.scene.bodies.table import BodiesParameters, BodyTable
 from emulator.trajectory.building import build_trajectories
@@ -30,7 +31,7 @@ class BodyWorld:
     parameters, pinhole : as given.
     time : stream time to scene time.
     camera : the camera's path.
-    meshes : the shape of each body.
+    meshes : the shape of each body, with its detail.
     placed : the path of each body.
     arrangement : poses and ranges.
     ranges_m : (bodies,), the closest range of each body's origin.
@@ -57,6 +58,11 @@ class BodyWorld:
         ]
         self.arrangement = Arrangement(self.camera, self.placed, self.time)
         self.ranges_m = self.arrangement.ranges_m
+        self.meshes = [
+            detailed(mesh, body.detail, self.metres_a_pixel(k))
+            for k, (mesh, body) in enumerate(zip(self.meshes, parameters.bodies, strict=True))
+        ]
+        self._as_seen: dict[int, Mesh] = {}
         self._require_outside()
         self._require_seen()
 
@@ -78,6 +84,11 @@ class BodyWorld:
 
     def as_seen(self, k: int) -> Mesh:
         """Return the shape of body k with as much detail as can be seen at its closest range."""
+        if k not in self._as_seen:
+            self._as_seen[k] = self._gathered(k)
+        return self._as_seen[k]
+
+    def _gathered(self, k: int) -> Mesh:
         mesh, name = self.meshes[k], str(self.parameters.bodies[k].shape)
         cell_m = self.parameters.detail_px * self.metres_a_pixel(k)
         if facet_size_m(mesh) > cell_m:

@@ -19,7 +19,7 @@ from numba import njit
 
 from emulator.light import Light
 
-__all__ = ["REACH_SIGMAS", "splat"]
+__all__ = ["REACH_SIGMAS", "boxes_of", "clear", "splat"]
 
 REACH_SIGMAS = 4.0
 """Where the Gaussian is cut off; what is beyond is 6e-5 of the light on each side."""
@@ -27,6 +27,8 @@ REACH_SIGMAS = 4.0
 _MOST = 256
 
 Floats = npt.NDArray[np.float64]
+Boxes = npt.NDArray[np.int64]
+"""(n, 4) int64: first and last row, first and last column, the last ones not included."""
 
 
 @njit(cache=True, nogil=True)
@@ -44,6 +46,33 @@ def _shares(x: float, first: int, n: int, sigma: float, share: Floats, slope: Fl
 
 
 @njit(cache=True, nogil=True)
+def _reach(sigma: float) -> tuple[int, int]:
+    """Return how many pixels a point reaches before its own, and how many in all."""
+    reach = math.ceil(REACH_SIGMAS * sigma) + 1
+    return reach, min(2 * reach + 1, _MOST)
+
+
+@njit(cache=True, nogil=True)
+def boxes_of(points: Floats, sigma: float, size: tuple[int, int], boxes: Boxes) -> None:
+    """Write where `splat` draws points in a picture of `size` = (width, height), a box each; empty if outside."""
+    reach, n = _reach(sigma)
+    for k in range(points.shape[0]):
+        left, top = math.floor(points[k, 0]) - reach, math.floor(points[k, 1]) - reach
+        boxes[k, 0], boxes[k, 1] = min(max(top, 0), size[1]), min(max(top + n, 0), size[1])
+        boxes[k, 2], boxes[k, 3] = min(max(left, 0), size[0]), min(max(left + n, 0), size[0])
+
+
+@njit(cache=True, nogil=True)
+def clear(boxes: Boxes, sky: np.float32, light: Light, rate: Light) -> None:
+    """Write an empty sky into the boxes of a picture and of its time derivative, which may have no pixels."""
+    for k in range(boxes.shape[0]):
+        for row in range(boxes[k, 0], boxes[k, 1]):
+            light[row, boxes[k, 2] : boxes[k, 3]] = sky
+            if rate.size:
+                rate[row, boxes[k, 2] : boxes[k, 3]] = np.float32(0)
+
+
+@njit(cache=True, nogil=True)
 def splat(points: Floats, sigma: float, light: Light, rate: Light) -> None:
     """Add points to a picture and to its time derivative.
 
@@ -54,12 +83,11 @@ def splat(points: Floats, sigma: float, light: Light, rate: Light) -> None:
     light, rate : (height, width) float32, added to; `rate` may have no pixels.
     """
     height, width = light.shape
-    reach = math.ceil(REACH_SIGMAS * sigma) + 1
+    reach, n = _reach(sigma)
     across, across_slope, down, down_slope = np.empty(_MOST), np.empty(_MOST), np.empty(_MOST), np.empty(_MOST)
     for k in range(points.shape[0]):
         x, y, flux = points[k, 0], points[k, 1], points[k, 2]
         left, top = math.floor(x) - reach, math.floor(y) - reach
-        n = min(2 * reach + 1, _MOST)
         if left >= width or top >= height or left + n <= 0 or top + n <= 0:
             continue
         _shares(x, left, n, sigma, across, across_slope)

@@ -20,14 +20,16 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.geometry.attitude import unit
-from emulator.light import Light, Scene, SceneError
-from emulator.optics.distortion import Distortion
+from emulator.geometry.seen import Rays
+from emulator.light import Light, Region, Scene, SceneError
+from emulator.optics.distortion import Distortion, bent_rays, straight_columns_and_rows
 from emulator.optics.lens import Chip, LensParameters
 from emulator.scene.stars.catalogue import irradiance_w_m2, load_stars
-from emulator.scene.stars.splats import splat
+from emulator.scene.stars.splats import Boxes, boxes_of, clear, splat
 from emulator.scene.stars.table import StarsParameters
+from emulator.scene.stars.truth import Sky, StarsGeometry
 from emulator.trajectory.building import build_trajectories
-from emulator.trajectory.parameters import LivePath
+from emulator.trajectory.parameters import BasiliskPath, LivePath
 from emulator.trajectory.pose import Pose, Trajectory, TrajectoryError
 from emulator.trajectory.pose_receiver import close_receivers, live_counts
 from emulator.trajectory.timescale import Timescale
@@ -66,6 +68,9 @@ class StarField(Scene):
         self._directions = stars.directions
         self._irradiance = irradiance_w_m2(stars.v_mag)
         self._sun = unit(parameters.sun.direction)
+        self._outs: tuple[Light, Light] | None = None
+        self._boxes: Boxes = np.empty((0, 4), np.int64)
+        self._changed: Region | None = None
         self._cone_cosine = max(0.05, math.cos(min(math.pi, 1.2 * self._pinhole.widest_rad + 0.02)))
 
     @property
@@ -76,7 +81,7 @@ class StarField(Scene):
     @property
     def motion_bound_px_s(self) -> float:
         """From the camera's turning; not known where points or poses from outside move."""
-        if self._paths or isinstance(self._p.camera, LivePath):
+        if self._paths or isinstance(self._p.camera, LivePath | BasiliskPath):
             return math.inf
         stretch = 1 + math.tan(self._pinhole.widest_rad) ** 2
         return self._camera.turn_bound_rad_s * self._time.factor * self._pinhole.focal_px * stretch
@@ -86,10 +91,16 @@ class StarField(Scene):
         """What poses from outside did."""
         return live_counts(self._camera, *self._paths)
 
+    def geometry(self, rays: Rays | None = None) -> StarsGeometry:
+        """Return the flow of the sky, and where the moving points are."""
+        if rays is None:
+            places = straight_columns_and_rows(self._bend, self._pinhole)
+            rays = bent_rays(self._bend, places, self._pinhole)
+        return StarsGeometry(Sky(self._camera, self._paths, self._time), self._pinhole, self._sigma_px, rays)
+
     def light(self, t_ns: int, out: Light) -> None:
         """Write the light at `t_ns`."""
-        out.fill(self._p.sky_w_m2_sr * self._lens.light_per_radiance)
-        splat(self._points(t_ns), self._sigma_px, out, _NO_RATE)
+        self._draw(t_ns, out, _NO_RATE)
 
     @property
     def has_rate(self) -> bool:
@@ -98,13 +109,35 @@ class StarField(Scene):
 
     def light_and_rate(self, t_ns: int, light: Light, rate: Light) -> None:
         """Write the light and its time derivative, both in closed form."""
-        light.fill(self._p.sky_w_m2_sr * self._lens.light_per_radiance)
-        rate.fill(0)
-        splat(self._points(t_ns), self._sigma_px, light, rate)
+        self._draw(t_ns, light, rate)
+
+    @property
+    def changed(self) -> Region | None:
+        """The boxes of the points as they are and as they were in the picture before."""
+        return self._changed
 
     def close(self) -> None:
         """Let go of the sockets that paths listen on."""
         close_receivers(self._camera, *self._paths)
+
+    def _draw(self, t_ns: int, light: Light, rate: Light) -> None:
+        """Write light and rate, where they are the arrays of the last call only in the boxes of points."""
+        points = self._points(t_ns)
+        sky = np.float32(self._p.sky_w_m2_sr * self._lens.light_per_radiance)
+        known = self._outs is not None and self._outs[0] is light and self._outs[1] is rate
+        if known:
+            clear(self._boxes, sky, light, rate)
+        else:
+            light.fill(sky)
+            rate.fill(0)
+        splat(points, self._sigma_px, light, rate)
+        before, self._boxes, self._outs = self._boxes, np.empty((len(points), 4), np.int64), (light, rate)
+        boxes_of(points, self._sigma_px, self._size, self._boxes)
+        self._changed = self._whole(np.concatenate([before, self._boxes])) if known else None
+
+    def _whole(self, boxes: Boxes) -> Region:
+        """Return the whole picture as a region of which only the boxes may have changed."""
+        return Region(0, self._size[1], 0, self._size[0], boxes)
 
     def _points(self, t_ns: int) -> Floats:
         """Return column, row, light, px/s and px/s of every point near the picture, (n, 5).

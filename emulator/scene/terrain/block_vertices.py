@@ -29,13 +29,14 @@ from emulator.photometry.reflection_kernels import reflect
 from emulator.scene.terrain.compiled import entry
 from emulator.scene.terrain.quadtree import BLOCK
 
-__all__ = ["CORNERS", "LATER_S", "around", "block_vertices", "grazing"]
+__all__ = ["CORNERS", "GRAZING", "LATER_S", "around", "block_vertices", "grazing"]
 
 SIDE = BLOCK + 1
 CORNERS = SIDE * SIDE
 _FIRST, _SPAN = 0.7, 0.29  # of a level's range: where the slide begins, and how long it is
 LATER_S = 1e-4
-_GRAZING = 0.02  # least cosine of emission
+GRAZING = 0.02
+"""Least cosine of emission: the laws of reflection are not made for smaller ones."""
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
@@ -45,7 +46,7 @@ Posts = npt.NDArray[np.float32]
 @numba.njit(inline="always", error_model="numpy")
 def grazing(mu: float) -> float:
     """Return the cosine of emission, kept from 0 as the laws of reflection are not made for it."""
-    return max(mu, _GRAZING)
+    return max(mu, GRAZING)
 
 
 @numba.njit(inline="always", error_model="numpy")
@@ -66,7 +67,7 @@ def _angles(
 @numba.njit(inline="always", error_model="numpy")
 def around(table: Floats, height: float) -> float:
     """Return the radiance of the ambient light from a table by the height of the eye's direction."""
-    at = min(max(height, _GRAZING), 1.0) * (len(table) - 1)
+    at = min(max(height, GRAZING), 1.0) * (len(table) - 1)
     low = min(int(at), len(table) - 2)
     return float(table[low] + (table[low + 1] - table[low]) * (at - low))
 
@@ -151,6 +152,10 @@ def block_vertices(
                     s = slid + when * sliding * LATER_S
                     t = when * LATER_S
                     east, north, lit = posts[own, 1] + s * de, posts[own, 2] + s * dn, posts[own, 3] + s * db
+                    per_b = 1.0 / max(lit, 1e-9)
+                    p, q = min(max(east * per_b, -10.0), 10.0), min(max(north * per_b, -10.0), 10.0)
+                    up = 1.0 / math.sqrt(1.0 + p * p + q * q)
+                    east, north = -p * up, -q * up
                     mu0, mu, chord2, height = _angles((rx + t * vx, ry + t * vy, rz + t * vz), east, north, towards)
                     lit = max(lit, 0.0)
                     mu0 = max(mu0, lit, 1e-6)

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import os
-
 from emulator.geometry.pinhole import Pinhole
 from emulator.gl.card import draws_on_a_card
 from emulator.light import Scene
 from emulator.scene.terrain.raster_terrain import RasterTerrain
 from emulator.scene.terrain.table import TerrainParameters
+from emulator.threads import available_threads
 
 __all__ = ["build_terrain"]
-
-_MOST_THREADS = 4
 
 
 def build_terrain(parameters: TerrainParameters, pinhole: Pinhole) -> Scene:
@@ -21,4 +18,4 @@ def build_terrain(parameters: TerrainParameters, pinhole: Pinhole) -> Scene:
         from emulator.scene.terrain.gl_terrain import GlTerrain
 
         return GlTerrain(parameters, pinhole)
-    return RasterTerrain(parameters, pinhole, threads=min(os.cpu_count() or 1, _MOST_THREADS))
+    return RasterTerrain(parameters, pinhole, threads=available_threads())

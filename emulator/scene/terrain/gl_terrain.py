@@ -16,12 +16,16 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.geometry.pinhole import Pinhole
+from emulator.geometry.seen import Rays
 from emulator.gl.render_target import Stage, depth_terms
 from emulator.light import Light, Scene
 from emulator.scene.terrain.ground_mesh import GroundMesh, GroundView, shading
 from emulator.scene.terrain.quadtree import LEAST_REACH, Quadtree
+from emulator.scene.terrain.raster_terrain import RasterTerrain
 from emulator.scene.terrain.table import TerrainParameters
+from emulator.scene.terrain.truth import TerrainGeometry
 from emulator.scene.terrain.world import TerrainWorld
+from emulator.trajectory.parameters import BasiliskPath, LivePath
 from emulator.trajectory.pose import Pose
 
 if TYPE_CHECKING:
@@ -44,6 +48,7 @@ class GlTerrain(Scene):
 
     def __init__(self, parameters: TerrainParameters, pinhole: Pinhole) -> None:
         world = self._world = TerrainWorld(parameters, pinhole)
+        self._own_facets: RasterTerrain | None = None
         reach = max(pinhole.focal_px / _facet_px(parameters, pinhole), LEAST_REACH)
         self._tree = Quadtree(world.ground, reach)
         sunlit = world.sunlit()
@@ -84,6 +89,13 @@ class GlTerrain(Scene):
         """What poses from outside did."""
         return self._world.counts
 
+    def geometry(self, rays: Rays | None = None) -> TerrainGeometry | None:
+        """Return depth, flow and labels of the ground, from facets drawn by the CPU; None where poses are live."""
+        if isinstance(self._world.parameters.camera, LivePath | BasiliskPath):
+            return None  # the facets need a path of their own, and its port is taken
+        self._own_facets = RasterTerrain(self._world.parameters, self._world.pinhole)
+        return self._own_facets.geometry(rays)
+
     def light(self, t_ns: int, out: Light) -> None:
         """Write the radiance at `t_ns` into `out`, (height, width) float32; raises SceneError below the ground."""
         self.lights((t_ns,), (out,))
@@ -94,6 +106,8 @@ class GlTerrain(Scene):
 
     def close(self) -> None:
         """Give back the GL context and the port; a second call does nothing."""
+        if self._own_facets is not None:
+            self._own_facets.close()
         self._stage.close()
         self._world.close()
 

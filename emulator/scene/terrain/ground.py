@@ -32,11 +32,13 @@ class Ground:
     unit_m : distance of the finest grid's posts.
     heights_m : (grids, rows, columns) float32; rows - 1 and columns - 1 are multiples of 4 if there are several grids.
     notes : what a user should know of it, a sentence each.
+    albedo : as `heights_m`, of each post relative to the ground's law of reflection; None: 1 everywhere.
     """
 
     unit_m: float
     heights_m: Heights
     notes: tuple[str, ...] = ()
+    albedo: Heights | None = None
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -89,11 +91,17 @@ def _between(heights: Heights, row: float, column: float) -> float:
     return float(low * (1 - down) + high * down)
 
 
-def nested(unit_m: float, grids: list[npt.NDArray[np.float64]], notes: tuple[str, ...] = ()) -> Ground:
-    """Return a ground of `grids`, (rows, columns) each, finest first: coarser ones take the finer ones' heights."""
+def nested(
+    unit_m: float, grids: list[npt.NDArray[np.float64]], notes: tuple[str, ...] = (), *, level: bool = True
+) -> Ground:
+    """Return a ground of `grids`, (rows, columns) each, finest first: coarser ones take the finer ones' heights.
+
+    `level` brings the site's height to 0.
+    """
     heights = np.stack(grids).astype(np.float32)
     rows, columns = heights.shape[1:]
-    heights -= heights[0, (rows - 1) // 2, (columns - 1) // 2]
+    if level:
+        heights -= heights[0, (rows - 1) // 2, (columns - 1) // 2]
     for finer, coarser in itertools.pairwise(heights):
         inner = finer[::2, ::2]
         top, left = (rows - 1) // 4, (columns - 1) // 4

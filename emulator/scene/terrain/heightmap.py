@@ -26,13 +26,14 @@ from emulator.light import SceneError
 from emulator.scene.foreign_file import read_in_child
 from emulator.scene.terrain.ground import Ground, nested
 from emulator.scene.terrain.table import Heightmap
-from transports.link.array_file import ArrayFileError, load_array
+from transports.recording.array_file import ArrayFileError, load_array
 
 __all__ = ["filled", "load_heightmap"]
 
 Floats = npt.NDArray[np.float64]
 
 _STEEPEST_DEG = 75.0
+_FARTHEST = 100.0  # tangent of half the angle from the projection's pole: 1 is the equator
 _HIGHEST = 1e12
 _LEAST_POSTS, _MOST_POSTS = 3, 1 << 14
 
@@ -176,6 +177,8 @@ def _post_m(p: Heightmap, found: _Map, body_radius_m: float) -> tuple[float, lis
     if centre_m is None or not body_radius_m:
         return post_m, []
     tangent = math.hypot(*centre_m) / (2 * body_radius_m)
+    if tangent > _FARTHEST:
+        raise SceneError(f"its middle is {math.hypot(*centre_m):.3g} m from its projection's pole: beyond the body")
     latitude = 90 - math.degrees(2 * math.atan(tangent))
     return post_m / (1 + tangent**2), [f"its middle is {latitude:.2f} degrees from the equator"]
 

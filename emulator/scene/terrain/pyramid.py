@@ -2,8 +2,9 @@
 
 Level l has the posts whose lattice places are whole multiples of 2^l, l as in `Quadtree`. A post has
 
-    height                          of the ground, the same on all levels
-    east, north                     components of the normal        b = cosine of incidence x share of the Sun seen
+    height      of the ground, the same on all levels
+    b           cosine of incidence x share of the Sun seen
+    b p, b q    slopes east and north, weighted by b: the dark send no light
 
 On the finest level that has a post these are the ground's own: slopes are differences over two posts. On coarser levels
 they are filtered by (-1, 2, 6, 2, -1) / 8 along both axes at each halving, the low pass of the 5/3 wavelet (Le Gall and
@@ -36,7 +37,7 @@ class Pyramid:
 
     Attributes
     ----------
-    posts : (n, 4) float32: height in metres, east, north, b; level by level, row by row.
+    posts : (n, 4) float32: height in metres, b p, b q, b; level by level, row by row.
     levels : (levels, 9): offset in `posts`, rows, columns; lattice place x, y of the first post, and of the last one
         less that; rows and columns by which half a post's numbers differ from its numbers on the next level.
     """
@@ -99,9 +100,9 @@ def _own(
             north = (heights[above, j] - heights[below, j]) / (post_m * max(below - above, 1))
             length = math.sqrt(1.0 + east * east + north * north)
             incidence = (east * sun[0] + north * sun[1] + sun[2]) / length
+            lit = max(incidence, 0.0) * sunlit[i, j]
             out[i, j, 0] = heights[i, j]
-            out[i, j, 1], out[i, j, 2] = east / length, north / length
-            out[i, j, 3] = max(incidence, 0.0) * sunlit[i, j]
+            out[i, j, 1], out[i, j, 2], out[i, j, 3] = -east * lit, -north * lit, lit
     return out
 
 

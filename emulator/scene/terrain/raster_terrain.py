@@ -1,10 +1,14 @@
-"""Ground under a low Sun drawn by the CPU: exact light of each pixel and its exact time derivative, no GL.
+"""Ground under a low Sun drawn by the CPU: light of each pixel by exact coverage and the fine map, no GL.
 
-    pose and its rate --> blocks in view (`quadtree`) --> their vertices (`block_vertices`) --> `raster` --> light, rate
+    pose --> blocks in view (`quadtree`) --> their vertices (`block_vertices`) --> `raster` --> light of facets
+                                             fine map --> `pixel_shading` --> light of pixels
 
 Light is radiance, W m-2 sr-1, 400 to 700 nm: sunlight by the ground's law of reflection, with the shadows that the
 ground throws on itself and their penumbra, and an even light from all around. The ground curves with the body. What is
-not modelled: light from slope to slope, and what lies beyond the map, where the picture is black.
+not modelled: light from slope to slope, and what lies beyond the map, where the picture is black. There is no time
+derivative: that of the shading was measured, and made more wrong events than a straight line. Nor is there light of
+single pixels between pictures: undersampled pixels are found by the derivative, and pictures at an eighth of the step
+made as many wrong events (docs/accuracy.md).
 """
 
 from __future__ import annotations
@@ -17,15 +21,18 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.geometry.pinhole import Pinhole
+from emulator.geometry.seen import Rays
 from emulator.light import Light, Region, Scene
 from emulator.photometry.reflection_kernels import law_of
 from emulator.raster import Box, Owners, Renderer, Screen, Topology, View, join, prepare
 from emulator.scene.terrain.block_vertices import CORNERS, block_vertices
 from emulator.scene.terrain.camera_motion import CameraMotion, camera_motion
+from emulator.scene.terrain.footprint import padded
 from emulator.scene.terrain.pixel_shading import ROW_FIELDS, shade_rows
 from emulator.scene.terrain.pyramid import build_pyramid
 from emulator.scene.terrain.quadtree import LEAST_REACH, Quadtree, block_facets
 from emulator.scene.terrain.table import TerrainParameters
+from emulator.scene.terrain.truth import TerrainGeometry
 from emulator.scene.terrain.world import TerrainWorld
 
 __all__ = ["RasterTerrain"]
@@ -63,11 +70,13 @@ class RasterTerrain(Scene):
         self._threads = threads
         self._scratches = [np.zeros((10, CORNERS)) for _ in range(threads)]
         self._rows = [np.zeros((ROW_FIELDS, width + 1)) for _ in range(threads)]
+        self._posts = padded(self._pyramid)
         self._owners = Owners.of(width, height)
         self._spare = np.zeros((height, width), np.float32)
         self._drawn = Box()
         self._changed: Region | None = None
-        self._pictures: tuple[Light | None, Light | None] = (None, None)
+        self._picture: Light | None = None
+        self._picture_ns: int | None = None
 
     @property
     def size(self) -> tuple[int, int]:
@@ -111,18 +120,23 @@ class RasterTerrain(Scene):
         """The part of the last picture that may differ from the one before it in the same arrays."""
         return self._changed
 
+    def geometry(self, rays: Rays | None = None) -> TerrainGeometry:
+        """Return depth, flow and labels of the ground, from the facets that were drawn."""
+        return TerrainGeometry(self._world, self._facets_at, rays)
+
+    def _facets_at(self, t_ns: int) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.float64]]:
+        """Return the facet at each pixel, -1 for none, and the facets of the picture of `t_ns`, drawn if it is not."""
+        if self._picture_ns != t_ns:
+            self.light(t_ns, np.zeros_like(self._spare))
+        return self._owners.facets, self._renderer.facets
+
     def light(self, t_ns: int, out: Light) -> None:
         """Write the radiance at `t_ns` into `out`, (height, width) float32; raises SceneError below the ground."""
-        self.light_and_rate(t_ns, out, self._spare)
-
-    def light_and_rate(self, t_ns: int, light: Light, rate: Light) -> None:
-        """Write the radiance at `t_ns` and its exact time derivative, a second, both (height, width) float32."""
-        known = self._pictures[0] is light and self._pictures[1] is rate
-        before = self._drawn if known else None
+        before = self._drawn if self._picture is out else None
         motion = camera_motion(t_ns, self._world.camera, self._world.time)
-        self._drawn = self._renderer.draw(self._view(t_ns, motion), light, rate, None, self._owners)
-        self._shade(motion, light, rate)
-        self._pictures = (light, rate)
+        self._drawn = self._renderer.draw(self._view(t_ns, motion), out, self._spare, None, self._owners)
+        self._shade(motion, out)
+        self._picture, self._picture_ns = out, t_ns
         self._changed = None if before is None else _region(self._drawn.union(before))
 
     def close(self) -> None:
@@ -132,7 +146,7 @@ class RasterTerrain(Scene):
             self._pool.shutdown()
         self._world.close()
 
-    def _shade(self, motion: CameraMotion, light: Light, rate: Light) -> None:
+    def _shade(self, motion: CameraMotion, light: Light) -> None:
         """Bring the fine map's light into the picture."""
         height, width = light.shape
         ground = self._world.ground
@@ -146,14 +160,14 @@ class RasterTerrain(Scene):
                 owners,
                 self._renderer.facets,
                 screen,
-                motion.figures,
-                self._pyramid.posts,
+                (motion.figures[0], motion.turn),
+                self._posts,
                 self._pyramid.levels,
                 figures,
+                float(self._world.parameters.samples),
                 self._sun,
                 self._rows[k],
                 light,
-                rate,
             )
 
         self._together(shade)

@@ -25,10 +25,18 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.scene.terrain.ground import Ground, nested
-from emulator.scene.terrain.landforms import boulder_sizes, crater_sizes, raise_boulders, sink_craters
+from emulator.scene.terrain.landforms import (
+    boulder_sizes,
+    brighten,
+    crater_places,
+    crater_shapes,
+    crater_sizes,
+    raise_boulders,
+    sink_craters,
+)
 from emulator.scene.terrain.table import Ridge
 
-__all__ = ["HURST", "fractal", "make_ridge"]
+__all__ = ["HURST", "fractal", "make_albedo", "make_ridge"]
 
 Floats = npt.NDArray[np.float64]
 
@@ -36,26 +44,60 @@ HURST = 0.95
 _LEAST_POSTS = 6.0  # across a crater or a boulder: smaller ones are no shape any more
 _OCTAVE = 2.0
 _LARGEST_SHARE = 1 / 12  # of the map, a crater
-_RELIEF, _CRATERS, _BOULDERS = range(3)
+_RELIEF, _CRATERS, _BOULDERS, _ALBEDO = range(4)
+_DARKEST, _BRIGHTEST = 0.4, 1.8  # of the mean
 _SLOPE_OVER_M = 10.0
 _FADED_SHARE = 0.25  # of a finer grid's half side, at its border
 
 
 def make_ridge(p: Ridge, told: Callable[[int, int], None] = lambda done, of: None) -> Ground:
     """Return the map of `p`; `told` hears how many grids are done, of how many."""
-    count = 1 + max(0, math.ceil(math.log2(p.size_m / p.posts / p.finest_m)))
-    post_m = p.size_m / p.posts
+    count = _count(p)
     grids: list[Floats] = []
     for k in range(count):
         told(k, count)
-        band = (0.0 if k == 0 else 0.25 / post_m, 0.5 / post_m)
-        octave_m = _OCTAVE * _LEAST_POSTS * post_m
-        widest_m = max(octave_m, p.size_m * _LARGEST_SHARE) if k == 0 else octave_m
-        detail = _detail(p, k, post_m, band, widest_m)
+        post_m = _post_m(p, k)
+        detail = _detail(p, k, post_m)
         grids.append(detail + _ridge(p, post_m) if k == 0 else _twice_as_dense(grids[-1]) + detail * _fading(p.posts))
-        post_m /= 2
     told(count, count)
-    return nested(2 * post_m, grids[::-1])
+    return nested(post_m, grids[::-1])
+
+
+def make_albedo(p: Ridge) -> npt.NDArray[np.float32]:
+    """Return the albedo of the posts of `make_ridge`, (grids, rows, columns), finest first; the map's mean is 1.
+
+    Each octave of wavelengths adds as much as any other; young craters and what they threw out are brighter.
+    """
+    grids: list[Floats] = []
+    for k in range(_count(p)):
+        post_m = _post_m(p, k)
+        noise = fractal(np.random.default_rng([p.seed, k, _ALBEDO]), p.posts, post_m, _band(k, post_m), 1.0)
+        octaves = math.log2(p.posts / 2) if k == 0 else 1.0
+        share = p.albedo_rms * math.sqrt(octaves / (_count(p) + math.log2(p.posts / 2)))
+        detail = 1 + share * np.pad(noise / max(float(noise.std()), 1e-30), (0, 1), mode="wrap")
+        places, diameters, shapes = _craters(p, k, post_m)
+        if p.albedo_rms > 0:
+            brighten(detail, places, diameters, shapes[:, 0])
+        grids.append(detail if k == 0 else _twice_as_dense(grids[-1]) * (1 + (detail - 1) * _fading(p.posts)))
+    clipped = [np.clip(grid / grids[0].mean(), _DARKEST, _BRIGHTEST) for grid in grids]
+    return nested(1.0, clipped[::-1], level=False).heights_m
+
+
+def _count(p: Ridge) -> int:
+    return 1 + max(0, math.ceil(math.log2(p.size_m / p.posts / p.finest_m)))
+
+
+def _post_m(p: Ridge, grid: int) -> float:
+    return p.size_m / p.posts / (1 << grid)
+
+
+def _band(grid: int, post_m: float) -> tuple[float, float]:
+    return (0.0 if grid == 0 else 0.25 / post_m, 0.5 / post_m)
+
+
+def _widest_m(p: Ridge, grid: int, post_m: float) -> float:
+    octave_m = _OCTAVE * _LEAST_POSTS * post_m
+    return max(octave_m, p.size_m * _LARGEST_SHARE) if grid == 0 else octave_m
 
 
 def fractal(rng: np.random.Generator, posts: int, post_m: float, band: tuple[float, float], rough: float) -> Floats:
@@ -79,18 +121,25 @@ def _strength(rough: float) -> float:
     return float(rough**2 / (4 * math.pi * (2 * math.pi) ** (2 * h) * integral))
 
 
-def _detail(p: Ridge, grid: int, post_m: float, band: tuple[float, float], widest_m: float) -> Floats:
+def _craters(p: Ridge, grid: int, post_m: float) -> tuple[Floats, Floats, Floats]:
+    """Return a grid's craters: places and diameters in posts, and shapes."""
+    rng = np.random.default_rng([p.seed, grid, _CRATERS])
+    limits_m = _LEAST_POSTS * post_m, _widest_m(p, grid, post_m)
+    diameters = crater_sizes(rng, p.crater_density, limits_m, (p.posts * post_m) ** 2) / post_m
+    return crater_places(rng, diameters, p.posts), diameters, crater_shapes(rng, len(diameters))
+
+
+def _detail(p: Ridge, grid: int, post_m: float) -> Floats:
     """Return what a grid adds, (posts + 1, posts + 1) m."""
     rough = math.tan(math.radians(p.slope_deg)) * _SLOPE_OVER_M ** (1 - HURST)
-    relief = fractal(np.random.default_rng([p.seed, grid, _RELIEF]), p.posts, post_m, band, rough)
+    relief = fractal(np.random.default_rng([p.seed, grid, _RELIEF]), p.posts, post_m, _band(grid, post_m), rough)
     heights = np.pad(relief, (0, 1), mode="wrap") / post_m
-    area_m2, limits_m = (p.posts * post_m) ** 2, (_LEAST_POSTS * post_m, widest_m)
-    rng = np.random.default_rng([p.seed, grid, _CRATERS])
-    craters = crater_sizes(rng, p.crater_density, limits_m, area_m2) / post_m
-    sink_craters(heights, rng.random((len(craters), 2)) * p.posts, craters, rng.uniform(0.25, 1, len(craters)))
+    area_m2, limits_m = (p.posts * post_m) ** 2, (_LEAST_POSTS * post_m, _widest_m(p, grid, post_m))
+    sink_craters(heights, *_craters(p, grid, post_m))
     rng = np.random.default_rng([p.seed, grid, _BOULDERS])
     boulders = boulder_sizes(rng, p.boulder_cover, limits_m, area_m2) / post_m
-    raise_boulders(heights, rng.random((len(boulders), 2)) * p.posts, boulders)
+    places, lots = rng.random((len(boulders), 2)) * p.posts, rng.random((len(boulders), 4))
+    raise_boulders(heights, places, boulders, lots)
     return heights * post_m
 
 

@@ -43,6 +43,9 @@ class Ridge:
         N(> D) D^2, craters larger than D per m2 times D^2: 0.046 where they are 3 % of geometric saturation.
     boulder_cover
         Share of the ground under boulders: k of Golombek and Rapp, 0.01 to 0.05; 0 for none.
+    albedo_rms
+        Root mean square variation of albedo, relative; its mean over the map is that of the reflectance. Above 0 young
+        craters are brighter, by up to 0.3.
     seed
         Of the whole map.
     """
@@ -55,10 +58,11 @@ class Ridge:
     slope_deg: float = 4.0
     crater_density: float = 0.046
     boulder_cover: float = 0.02
+    albedo_rms: float = 0.08
     seed: int = 1
 
     def __post_init__(self) -> None:
-        _require(self, "size_m", 1, 200_000)
+        _require(self, "size_m", 1, 600_000)
         _require(self, "finest_m", 0.001, 1000)
         if self.posts not in [1 << k for k in range(6, 13)]:
             raise ValueError(f"posts is {self.posts}: it must be a power of two, 64 to 4096")
@@ -66,6 +70,7 @@ class Ridge:
         _require(self, "slope_deg", 0, 30)
         _require(self, "crater_density", 0, 0.3)
         _require(self, "boulder_cover", 0, 0.1)
+        _require(self, "albedo_rms", 0, 0.5)
         if not 0 <= self.seed < 1 << 63:
             raise ValueError(f"seed is {self.seed}: it must be 0 to 2^63 - 1")
         if self.ridge_m > self.size_m / 3:

@@ -16,7 +16,7 @@ from emulator.scene.array_cache import Progress, kept
 from emulator.scene.terrain.ground import Ground
 from emulator.scene.terrain.heightmap import load_heightmap
 from emulator.scene.terrain.horizon import horizon_slopes, sunlit_share
-from emulator.scene.terrain.relief import make_ridge
+from emulator.scene.terrain.relief import make_albedo, make_ridge
 from emulator.scene.terrain.table import Ridge, TerrainParameters
 from emulator.trajectory.building import build_trajectory
 from emulator.trajectory.measured import measured_bounds
@@ -60,7 +60,10 @@ class TerrainWorld:
         self.distance_m = max(min(self._heights_on_the_way()), 1e-3)
         self.motion_bound_px_s = max(self._moving_px_s(k * _LOOK_NS) for k in range(_LOOKS))
         self._sun = Sun(distance_au=p.sun_distance_au)
-        self.sun, self.irradiance_w_m2 = _towards(p.sun_azimuth_deg, p.sun_elevation_deg), self._sun.irradiance_w_m2
+        self.sun = _towards(p.sun_azimuth_deg, p.sun_elevation_deg)
+        albedo = self.ground.albedo
+        self._brightest = 1.0 if albedo is None else float(albedo.max())
+        self.irradiance_w_m2 = self._sun.irradiance_w_m2 * self._brightest
 
     @property
     def counts(self) -> Mapping[str, int]:
@@ -94,8 +97,9 @@ class TerrainWorld:
         return z - ground_m
 
     def sunlit(self) -> npt.NDArray[np.float32]:
-        """Return the share of the Sun that each post sees, (grids, rows, columns).
+        """Return the share of `irradiance_w_m2` that shines on each post, times its albedo, (grids, rows, columns).
 
+        The irradiance is that of the Sun on the brightest ground, so the share is at most 1.
         Beyond the map the body goes on at the height of the map's lowest ground: its own horizon is the least there is.
         """
         p, ground = self.parameters, self.ground
@@ -105,7 +109,8 @@ class TerrainWorld:
         relief_m = float(np.ptp(ground.heights_m))
         dip = math.sqrt(2 * relief_m / p.body_radius_m) if p.body_radius_m else 0.0
         slopes = np.maximum(slopes, np.float32(-dip))
-        return sunlit_share(slopes, math.radians(p.sun_elevation_deg), self._sun.radius_rad)
+        share = sunlit_share(slopes, math.radians(p.sun_elevation_deg), self._sun.radius_rad)
+        return share if ground.albedo is None else share * (ground.albedo / np.float32(self._brightest))
 
     def planes(self, pose: Pose) -> Floats:
         """Return the inward normals of the four planes through the picture's edges and of the one behind, (5, 3)."""
@@ -138,7 +143,8 @@ def build_ground(p: TerrainParameters) -> Ground:
     if isinstance(p.ground, Ridge):
         ridge = p.ground
         heights = kept("ridge", ridge, lambda: make_ridge(ridge, Progress("making the map")).heights_m)
-        ground = Ground(ridge.size_m / ridge.posts / (1 << (len(heights) - 1)), heights)
+        albedo = kept("albedo", ridge, lambda: make_albedo(ridge)) if ridge.albedo_rms > 0 else None
+        ground = Ground(ridge.size_m / ridge.posts / (1 << (len(heights) - 1)), heights, albedo=albedo)
     else:
         ground = load_heightmap(p.ground, p.body_radius_m)
     return ground.curved(p.body_radius_m) if p.body_radius_m else ground

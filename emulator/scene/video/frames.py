@@ -22,7 +22,7 @@ import numpy.typing as npt
 from emulator.light import SceneError
 from emulator.scene.foreign_file import Limits, read_in_child
 from emulator.scene.video.stacking import MOST_BYTES
-from transports.link.array_file import ArrayFileError, load_array
+from transports.recording.array_file import ArrayFileError, load_array
 
 __all__ = ["Frames", "linear_light", "read_frames"]
 

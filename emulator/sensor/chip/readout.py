@@ -1,4 +1,4 @@
-"""The read-out: one arbiter that turns requests of pixels into events on the output bus.
+"""The arbiter as read-out: it turns requests of pixels into events on the output bus.
 
 A pixel that fires raises a request until the arbiter serves it. A crossing of a pixel whose request still waits is
 lost, and counted. Whenever the arbiter is free and a request waits, it takes three steps:
@@ -32,7 +32,7 @@ from emulator.sensor.pixels.array import Crossings
 from emulator.sensor.presets import SensorParameters
 from firmware_protocol.events import EVENT, Events
 
-__all__ = ["ReadOut"]
+__all__ = ["ReadOut", "check_order"]
 
 _FOREVER_NS = (1 << 63) - 1
 
@@ -214,6 +214,15 @@ def _serve(
     return n, queue, a
 
 
+def check_order(crossings: Crossings, last_ns: int, until_ns: int) -> None:
+    """Raise ValueError unless time goes on, and the crossings lie between the last time and `until_ns`."""
+    t_ns = crossings.t_ns
+    if until_ns < last_ns:
+        raise ValueError(f"until_ns = {until_ns}: before the last one, {last_ns}; time does not go back")
+    if t_ns.size and (t_ns[0] < last_ns or t_ns[-1] > until_ns):
+        raise ValueError(f"crossings from {t_ns[0]} to {t_ns[-1]} ns: must lie from {last_ns} to {until_ns} ns")
+
+
 class ReadOut:
     """The arbiter of one sensor.
 
@@ -282,12 +291,7 @@ class ReadOut:
             Time goes back.
         """
         t_ns = crossings.t_ns
-        if until_ns < self._until_ns:
-            raise ValueError(f"until_ns = {until_ns}: before the last one, {self._until_ns}; time does not go back")
-        if t_ns.size and (t_ns[0] < self._until_ns or t_ns[-1] > until_ns):
-            raise ValueError(
-                f"crossings from {t_ns[0]} to {t_ns[-1]} ns: must lie from {self._until_ns} to {until_ns} ns"
-            )
+        check_order(crossings, self._until_ns, until_ns)
         self.raised += t_ns.size
         self._until_ns = until_ns
         room = self.pending + t_ns.size

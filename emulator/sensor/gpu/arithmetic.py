@@ -99,5 +99,24 @@ Transient transient(float behind, Course u) {{
     bool faint = u.s > 100.0 && abs(b) < 1e-5;
     return Transient(faint ? 0.0 : b, lag0, lag1, faint);
 }}
+
+float passed_by_second_pole(float s, float r0, float second) {{
+    float lead = s - second, r = r0 + (s - r0) * (2.0 + max(-lead, 0.0)) / (3.0 + abs(lead));
+    float gap = max(abs(second - r), 1e-6);
+    return second * exponential(-min(r, second)) * (decay(gap) / gap);
+}}
+
+struct Filtered {{  // the filter over an interval: its lags at both ends, its rise, and rates times the length
+    float behind0, behind1, rise, r0, r1;
+}};
+
+float rise_behind_second_pole(float behind, float second, Course u, Filtered v) {{  // behind = v0 - w0
+    Transient t = transient(v.behind0, u);
+    bool slow = u.s < 1.0;
+    float b = slow ? 0.0 : t.b, rise = slow ? v.rise : u.d - (t.lag1 - t.lag0);
+    float m0 = v.r0 * (slow ? v.behind0 : t.lag0), m1 = v.r1 * (slow ? v.behind1 : t.lag1);
+    float followed = rise_of_filter(decay(second), behind - b, Course(second, rise, m0, m1));
+    return followed + b * passed_by_second_pole(u.s, v.r0, second);
+}}
 """
 """Needs the uniforms `rate_min` and `rate_max`."""

@@ -10,11 +10,12 @@ left of a refractory period. So steps and refractory periods are at most 2^31 ns
 it is made longer and the step is repeated from the state before it, so the result does not depend on the order of the
 pixels.
 
-Not supported, and refused: a second pole, parasitic leak. Undersampled steps are not refined.
+Undersampled steps are not refined.
 """
 
 from __future__ import annotations
 
+import math
 import weakref
 from typing import TYPE_CHECKING
 
@@ -106,6 +107,7 @@ class GpuArray:
         dark, at_reference, least, most = light_constants(self.parameters)
         self._set(size=self._size, light=0, light_rate=1, refractory_ns=self._refractory_ns)
         self._set(dark=dark, rate_at_reference=at_reference, rate_min=least, rate_max=most)
+        self._set(parasitic=self.parameters.parasitic_hz_at_reference)
 
     def _set(self, **uniforms: object) -> None:
         """Set uniforms in the passes that have them: a compiler removes the uniforms that its shader does not use."""
@@ -139,6 +141,9 @@ class GpuArray:
             state["slope"] = np.where(np.isfinite(slope), known, NOT_KNOWN)
         since_epoch = (self._t_ns - self._epoch_ns) * 1e-9
         state["reference"] = state["v"] + self._drawn.leak * since_epoch - self._drawn.on * self._drawn.phase
+        state["w"] = state["v"]
+        parasitic = self.parameters.parasitic_hz_at_reference * self._drawn.on
+        state["leaked"] = -parasitic * np.where(readable, current, 0) * since_epoch
         state["refractory_left"] = ~readable
         with self._gl:
             self._states[0].write(state)
@@ -221,6 +226,7 @@ class GpuArray:
             since_epoch_0=since_ns * 1e-9,
             since_epoch_1=(since_ns + h_ns) * 1e-9,
             epoch_moved=(epoch_ns - self._epoch_ns) * 1e-9,
+            second=2 * math.pi * self.parameters.source_follower_hz * h_ns * 1e-9,
             refractory=self._refractory_ns / h_ns,
             chord=not with_rate,
             slopes_known=self._slopes_known,
@@ -287,11 +293,6 @@ def _in_order(found: npt.NDArray[np.uint32], t0_ns: int, h_ns: int, lost: int) -
 
 
 def _require_supported(p: SensorParameters) -> None:
-    for name, what in (("source_follower_hz", "a second pole"), ("parasitic_hz_at_reference", "parasitic leak")):
-        if getattr(p, name) > 0:
-            raise ValueError(
-                f"{name} = {getattr(p, name):g}: the graphics card's pixels do without {what}; set it to 0"
-            )
     if p.refractory_us * 1000 > _LONGEST_NS:
         raise ValueError(
             f"refractory_us = {p.refractory_us:g}: at most {_LONGEST_NS // 1000} with the graphics card's pixels"

@@ -7,7 +7,7 @@ march; a faster way for smooth steps is not needed, because a graphics card has 
 from __future__ import annotations
 
 from emulator.sensor.gpu.arithmetic import constant
-from emulator.sensor.pixels.interpolation import LARGEST_CHANGE, UNSEEN_SHARE
+from emulator.sensor.pixels.interpolation import LARGEST_CHANGE, UNSEEN_SHARE, WORTH_BENDING
 from emulator.sensor.pixels.packed_crossings import MOST_EVENTS
 
 __all__ = ["INTERPOLATION", "MARCH"]
@@ -15,12 +15,14 @@ __all__ = ["INTERPOLATION", "MARCH"]
 INTERPOLATION = f"""
 {constant("LARGEST_CHANGE", LARGEST_CHANGE)}   // of log light in a substep
 {constant("UNSEEN_SHARE", UNSEEN_SHARE)}            // of a threshold; more makes a step undersampled
+{constant("WORTH_BENDING", WORTH_BENDING)}           // of a threshold; below, the cubic is kept
 
-bool is_smooth(float d, float a0, float a1, float unseen) {{
-    float steepest = max(abs(a0), abs(a1));
+bool is_smooth(float d, float a0, float a1, float threshold) {{
+    float steepest = max(abs(a0), abs(a1)), gap = abs(a0 - a1), missed = abs(2.0 * d - (a0 + a1));
     bool one_piece = max(2.0 * abs(d), steepest) <= 2.0 * LARGEST_CHANGE;
-    bool seen = max(abs(2.0 * d - (a0 + a1)), 0.25 * abs(a0 - a1)) <= 2.0 * unseen;
-    bool fits = steepest <= 2.1213 * abs(d) + 0.014142 || a0 * a1 < 0.0;
+    bool seen = max(missed, 0.25 * gap) <= 2.0 * UNSEEN_SHARE * threshold;
+    bool unbent = missed <= max(2.0 * WORTH_BENDING * threshold, (1.0 / 3.0) * gap);
+    bool fits = a0 * a1 < 0.0 ? unbent : steepest <= 2.1213 * abs(d) + 0.014142;
     return one_piece && seen && fits;
 }}
 """
@@ -33,14 +35,20 @@ const float NEARLY = 1.001, SETTLED = 3e-5;
 const uint MOST_EVENTS = {MOST_EVENTS}u;
 const int MOST_CUTS = 64;                      // substeps that are shortened for the exponential
 
-struct Light {{  // the log light of a step: a cubic, or a jump of d at mid-step
-    float u, d, a0, a1;
-    bool jump;
+const int CUBIC = 0, JUMP = 1, LATE = 2, EARLY = 3;
+
+struct Light {{  // the log light of a step: a cubic, a jump of d at the knot, or a bend behind or before the knot
+    float u, d, a0, a1, knot;
+    int form;
 }};
 
-struct Substep {{  // rates per step and log light at both ends, and its course
-    float u0, u1, r0, r1;
+struct Substep {{  // log light, rates per step and slopes per substep at both ends, and its course
+    float u0, u1, r0, r1, a0, a1;
     Course course;
+}};
+
+struct Curve {{  // a value at both ends of a substep, and its slopes per substep
+    float g0, g1, m0, m1;
 }};
 
 bool is_undersampled(float d, float a0, float a1, float unseen) {{
@@ -56,37 +64,84 @@ float limit(float d, float a0, float a1) {{
     return min(3.0 * abs(d) / together, not_too_steep);
 }}
 
-Light interpolated(float u0, float d, float a0, float a1, float unseen) {{  // the slopes may be unknown
+float bend_width(float d, float a0, float a1, float threshold) {{  // 1 where there is none
+    float away = abs(d - 0.5 * (a0 + a1)), gap = abs(a1 - a0);
+    bool opposed = a0 * a1 < 0.0;
+    bool swings = min(a0 * d, a1 * d) < 0.0 || opposed || a0 * a0 + a1 * a1 > 9.0 * d * d;
+    bool no_peak = min(abs(a0), abs(a1)) <= 0.1 * max(abs(a0), abs(a1)) || !opposed;
+    bool possible = 6.0 * away > gap && 2.0 * away < gap;
+    bool bends = away > WORTH_BENDING * threshold && possible && swings && no_peak;
+    return bends ? max(3.0 * (0.5 - away / gap), 1e-4) : 1.0;
+}}
+
+Light interpolated(float u0, float d, float a0, float a1, float threshold) {{  // the slopes may be unknown
     bool known0 = abs(a0) <= ABSURD, known1 = abs(a1) <= ABSURD;
     float first = known0 ? a0 : known1 ? 2.0 * d - a1 : d;
     float last = known1 ? a1 : known0 ? 2.0 * d - a0 : d;
-    bool unseen_change = is_undersampled(d, first, last, unseen);
+    bool unseen_change = is_undersampled(d, first, last, UNSEEN_SHARE * threshold);
     if (unseen_change) atomicAdd(undersampled, 1u);
     bool jump = unseen_change && max(abs(first), abs(last)) < 0.3 * abs(d);
-    float factor = jump ? 0.0 : limit(d, first, last);
-    return Light(u0, d, factor * first, factor * last, jump);
+    if (jump) return Light(u0, d, 0.0, 0.0, 0.5, JUMP);
+    float cap = 64.0 / max(max(abs(first), abs(last)), 64.0);
+    float width = bend_width(d, cap * first, cap * last, threshold);
+    float factor = width < 1.0 ? cap : limit(d, first, last);
+    first *= factor;
+    last *= factor;
+    if (width == 1.0) return Light(u0, d, first, last, 1.0, CUBIC);
+    bool late = abs(d - first) < abs(d - last);
+    return Light(u0, d, first, last, late ? 1.0 - width : width, late ? LATE : EARLY);
+}}
+
+vec2 bent(Light light, float z) {{  // change up to z and slope per step, on a line with a bend at its end or start
+    bool late = light.form == LATE;
+    float width = late ? 1.0 - light.knot : light.knot;
+    float t = max(late ? z - light.knot : light.knot - z, 0.0) / width;
+    float line = late ? light.a0 * z : light.d - light.a1 * (1.0 - z);
+    float turned = (light.a1 - light.a0) * t * t;
+    return vec2(line + (1.0 / 3.0) * width * t * turned, late ? light.a0 + turned : light.a1 - turned);
 }}
 
 vec2 light_at(Light light, float z, bool jumped) {{  // value, and slope per step
-    if (light.jump) return vec2(light.u + (jumped ? light.d : 0.0), 0.0);
+    if (light.form == JUMP) return vec2(light.u + (jumped ? light.d : 0.0), 0.0);
+    if (light.form != CUBIC) return vec2(light.u, 0.0) + bent(light, z);
     float c3 = light.a0 + light.a1 - 2.0 * light.d, c2 = 3.0 * light.d - 2.0 * light.a0 - light.a1;
     return vec2(light.u + ((c3 * z + c2) * z + light.a0) * z, (3.0 * c3 * z + 2.0 * c2) * z + light.a0);
 }}
 
 Substep substep_of(Light light, float z, float width) {{
-    bool jumped = z >= 0.5;
+    bool jumped = z >= light.knot;
     vec2 p0 = light_at(light, z, jumped), p1 = light_at(light, z + width, jumped);
     float l0 = clamp(rate_at_reference * exponential(p0.x), rate_min, rate_max);
     float l1 = clamp(rate_at_reference * exponential(p1.x), rate_min, rate_max);
     float s = warped_time(h * width, l0, l1, width * p0.y, width * p1.y);
     Course course = Course(s, p1.x - p0.x, s * p0.y / (h * l0), s * p1.y / (h * l1));
-    return Substep(p0.x, p1.x, h * l0, h * l1, course);
+    return Substep(p0.x, p1.x, h * l0, h * l1, width * p0.y, width * p1.y, course);
 }}
 
 float share_within(float b, float s, float most) {{  // of an interval in which a cubic misses less than that of b e^-s
     float allowed = most / max(abs(b), 1e-20);
     float longest = max(sqrt(sqrt(384.0 * allowed)), (allowed - 0.2) * (1.0 / 0.16));
     return min(longest / s, 1.0);
+}}
+
+Curve filtered(Substep q, float v, float span) {{
+    float behind = q.u0 - v, v1 = v + rise_of_filter(decay(q.course.s), behind, q.course);
+    Transient t = transient(behind, q.course);
+    float m0 = span * q.r0 * (t.faint ? t.lag0 : behind), m1 = span * q.r1 * (t.faint ? t.lag1 : q.u1 - v1);
+    return Curve(v, v1, m0, m1);
+}}
+
+Curve behind_second_pole(Curve v, float w, float s) {{
+    Course course = Course(s, v.g1 - v.g0, v.m0, v.m1);
+    float behind = v.g0 - w, w1 = w + rise_of_filter(decay(s), behind, course);
+    Transient t = transient(behind, course);
+    return Curve(w, w1, s * (t.faint ? t.lag0 : behind), s * (t.faint ? t.lag1 : v.g1 - w1));
+}}
+
+Curve leaking(Substep q, float leaked, float leaks) {{  // parasitic leak, the integral of i; leaks: of light 1
+    float m0 = leaks * exponential(q.u0), m1 = leaks * exponential(q.u1);
+    float rise = 0.5 * (m0 + m1) + (1.0 / 12.0) * (m0 * q.a0 - m1 * q.a1);
+    return Curve(leaked, leaked + rise, m0, m1);
 }}
 
 float value(vec4 g, float x) {{
@@ -136,16 +191,18 @@ void raise(uint pixel, bool on, float z, inout uint count) {{
 }}
 
 void march(uint pixel, Thresholds p, Light light, inout Pixel s) {{
-    float steepness = max(abs(light.d), 0.5 * max(abs(light.a0), abs(light.a1)));
-    float wide = light.jump ? 0.5 : 1.0 / max(ceil(steepness / LARGEST_CHANGE), 1.0);
+    float steepest = max(abs(light.a0), abs(light.a1));
+    float steepness = max(abs(light.d), light.form > JUMP ? steepest : 0.5 * steepest);
+    float wide = light.form == JUMP ? 0.5 : 1.0 / max(ceil(steepness / LARGEST_CHANGE), 1.0);
     float most = max(SHARE * min(p.on, p.off), LEAST_MISS);
     bool is_refractory = s.refractory_left > 0u;
     uint re_armed_ns = is_refractory ? s.refractory_left - 1u : 0u;
     float re_armed = float(re_armed_ns) / float(h_ns), v = s.v, level = 0.0, z = 0.0;
-    float base = is_refractory ? v + p.leak * since_epoch_0 : s.reference;
+    float w = second > 0.0 ? s.w : v, leaked = parasitic > 0.0 ? s.leaked : 0.0;
+    float base = is_refractory ? w + (p.leak * since_epoch_0 + leaked) : s.reference;
     uint count = 0u;
     for (int k = 0; z < 1.0; ++k) {{
-        float stop = light.jump && z < 0.5 ? 0.5 : 1.0;
+        float stop = z < light.knot ? light.knot : 1.0;
         bool last = stop - z < NEARLY * wide;
         float whole = last ? stop - z : wide;
         Substep q = substep_of(light, z, whole);
@@ -153,13 +210,24 @@ void march(uint pixel, Thresholds p, Light light, inout Pixel s) {{
         share = k < MOST_CUTS ? share : 1.0;
         float span = share * whole, z1 = last && share == 1.0 ? stop : z + span;
         if (share < 1.0) q = substep_of(light, z, span);
-
-        float behind = q.u0 - v, v1 = v + rise_of_filter(decay(q.course.s), behind, q.course);
-        Transient t = transient(behind, q.course);
-        float leaked = p.leak * (h * span), rise = v1 - v + leaked;
-        float m0 = span * q.r0 * (t.faint ? t.lag0 : behind) + leaked;
-        float m1 = span * q.r1 * (t.faint ? t.lag1 : q.u1 - v1) + leaked;
-        float d0 = (v - base) + p.leak * (since_epoch_0 + h * z);
+        Curve by_light = filtered(q, v, span), seen = by_light;
+        if (second > 0.0) {{
+            float s2 = second * span;
+            Course course = Course(s2, by_light.g1 - v, by_light.m0, by_light.m1);
+            float share2 = share_within(transient(v - w, course).b, s2, most);
+            if (share2 < 1.0 && k < MOST_CUTS) {{
+                span *= share2;
+                z1 = z + span;
+                q = substep_of(light, z, span);
+                by_light = filtered(q, v, span);
+            }}
+            seen = behind_second_pole(by_light, w, second * span);
+        }}
+        Curve lost = Curve(0.0, 0.0, 0.0, 0.0);
+        if (parasitic > 0.0) lost = leaking(q, leaked, parasitic * p.on * (h * span));
+        float falls = p.leak * (h * span), rise = (seen.g1 - seen.g0 + falls) + (lost.g1 - lost.g0);
+        float m0 = (seen.m0 + falls) + lost.m0, m1 = (seen.m1 + falls) + lost.m1;
+        float d0 = (seen.g0 - base) + (p.leak * (since_epoch_0 + h * z) + leaked);
         vec4 g = vec4(d0, m0, 3.0 * rise - 2.0 * m0 - m1, m0 + m1 - 2.0 * rise);
         vec2 turns = turns_of(g);
         float x = 0.0;
@@ -189,11 +257,15 @@ void march(uint pixel, Thresholds p, Light light, inout Pixel s) {{
                 re_armed_ns = min(uint(when * float(h_ns)), h_ns) + refractory_ns;
             }}
         }}
-        v = v1;
+        v = by_light.g1;
+        w = seen.g1;
+        leaked = lost.g1;
         z = z1;
     }}
     s.v = v;
-    s.reference = is_refractory ? s.reference : base + level;
+    s.w = w;
+    s.reference = is_refractory ? s.reference : level == 0.0 ? base : base + (level - leaked);
+    s.leaked = is_refractory || level != 0.0 ? 0.0 : leaked;
     s.refractory_left = is_refractory ? 1u + (max(re_armed_ns, h_ns) - h_ns) : 0u;
 }}
 """

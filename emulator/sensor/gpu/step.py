@@ -30,9 +30,11 @@ CROSSING_GROUP = 128
 NOT_KNOWN = 3e38
 """Value that stands for an unknown log light or slope."""
 
-PIXEL = np.dtype([(name, "<f4") for name in ("u", "v", "rate", "slope", "reference")] + [("refractory_left", "<u4")])
+_FLOATS = "u", "v", "rate", "slope", "reference", "w", "leaked"
+PIXEL = np.dtype([(name, "<f4") for name in _FLOATS] + [("refractory_left", "<u4")])
 """A pixel's state: log light, filter, its rate (rad/s), slope of u by warped time, the reference with leak times the
-time since the epoch added, and 0 for an armed pixel or 1 + the rest of its refractory period, ns."""
+time since the epoch added, output of the second pole, parasitic leak since the pixel's last event less what the present
+light leaks since the epoch, and 0 for an armed pixel or 1 + the rest of its refractory period, ns."""
 
 THRESHOLDS = np.dtype([(name, "<f4") for name in ("on", "off", "leak")])
 """ON and OFF threshold, ln units, and leak, ln units a second."""
@@ -49,8 +51,10 @@ uniform bool chord;          // no derivative: light is a straight line in its l
 uniform bool slopes_known;   // of the last frame
 uniform float dark, rate_at_reference, rate_min, rate_max;
 uniform float h, since_epoch_0, since_epoch_1, epoch_moved, refractory;
+uniform float second;        // length of the step in time constants of the second pole; 0: no such pole
+uniform float parasitic;     // thresholds a second that light 1 leaks; 0: none
 uniform uint h_ns, refractory_ns, capacity;
-struct Pixel {{ float u, v, rate, slope, reference; uint refractory_left; }};
+struct Pixel {{ float {", ".join(_FLOATS)}; uint refractory_left; }};
 struct Thresholds {{ float on, off, leak; }};
 layout(std430, binding = 0) readonly buffer Before {{ Pixel before[]; }};
 layout(std430, binding = 1) writeonly buffer After {{ Pixel after[]; }};
@@ -82,6 +86,25 @@ Change change_of(ivec2 at, Pixel s) {
     return Change(u, rate, slope, d, a0, chord ? d : per_step(rate, slope), readable);
 }
 
+float photocurrent(float u) {
+    return u == NOT_KNOWN ? 0.0 : exponential(u);
+}
+
+float leaked_before(Pixel s, Thresholds p) {  // by parasitic leak, since the last event
+    return s.leaked + parasitic * p.on * photocurrent(s.u) * since_epoch_0;
+}
+
+float leaked_to_store(float leaked, Thresholds p, Change c) {
+    return leaked - parasitic * p.on * photocurrent(c.readable ? c.u : NOT_KNOWN) * since_epoch_1;
+}
+
+Pixel loaded(uint pixel, Thresholds p) {
+    Pixel s = before[pixel];
+    s.reference -= p.leak * epoch_moved;
+    s.leaked += parasitic * p.on * photocurrent(s.u) * epoch_moved;
+    return s;
+}
+
 Pixel stored(Pixel s, Change c) {
     s.u = c.readable ? c.u : NOT_KNOWN;
     s.rate = c.rate;
@@ -91,23 +114,45 @@ Pixel stored(Pixel s, Change c) {
 """
 
 _QUIET_MAIN = """
-bool stays_quiet(Change c, float behind, float q, Pixel s, Thresholds p) {
+bool stays_quiet(Change c, float behind, float q, float leaks, Pixel s, Thresholds p) {
     float first = c.a0 * (1.0 / 3.0), last = c.d - c.a1 * (1.0 / 3.0), end = max(c.d, 0.0);
     float top = max(end, max(first, last)), bottom = min(min(c.d, 0.0), min(first, last));
     float share = min(q * (1.08 + 1.2 * (top - end)), 1.0);
-    float above = s.v - s.reference;
-    float high = above + (share * max(behind + top, 0.0) + p.leak * since_epoch_1);
-    float low = above + (share * min(behind + bottom, 0.0) + p.leak * since_epoch_0);
+    float rise = share * max(behind + top, 0.0), fall = share * min(behind + bottom, 0.0);
+    float above = (second > 0.0 ? s.w : s.v) - s.reference;
+    if (second > 0.0) {
+        float passed = decay(second);
+        rise = passed * max(s.v - s.w + rise, 0.0);
+        fall = passed * min(s.v - s.w + fall, 0.0);
+    }
+    if (parasitic > 0.0) above += leaked_before(s, p);
+    float high = above + (rise + 1.5 * leaks + p.leak * since_epoch_1);
+    float low = above + (fall + p.leak * since_epoch_0);
     return high < p.on - 5e-6 && low > 5e-6 - p.off;
 }
 
+float mean_photocurrent(Change c, float i0, float i1) {
+    return max(0.5 * (i0 + i1) + (1.0 / 12.0) * (i0 * c.a0 - i1 * c.a1), min(i0, i1));
+}
+
 bool moves_quietly(Change c, Thresholds p, inout Pixel s) {  // if so, s is moved
-    if (!is_smooth(c.d, c.a0, c.a1, UNSEEN_SHARE * min(p.on, p.off))) return false;
+    if (!is_smooth(c.d, c.a0, c.a1, min(p.on, p.off))) return false;
     float warped = warped_time(h, s.rate, c.rate, c.a0, c.a1), q = decay(warped), behind = s.u - s.v;
     bool stays_refractory = s.refractory_left > h_ns + 1u;
-    if (!stays_refractory && (s.refractory_left > 0u || !stays_quiet(c, behind, q, s, p))) return false;
-    float w0 = warped * (c.a0 / (h * s.rate)), w1 = warped * (c.a1 / (h * c.rate));
-    s.v += rise_of_filter(q, behind, Course(warped, c.d, w0, w1));
+    float leaks = parasitic * p.on, i0 = 0.0, i1 = 0.0, mean = 0.0;
+    if (parasitic > 0.0) {
+        i0 = exponential(s.u);
+        i1 = exponential(c.u);
+        mean = mean_photocurrent(c, i0, i1);
+    }
+    bool fires = s.refractory_left > 0u || !stays_quiet(c, behind, q, leaks * h * mean, s, p);
+    if (!stays_refractory && fires) return false;
+    Course u = Course(warped, c.d, warped * (c.a0 / (h * s.rate)), warped * (c.a1 / (h * c.rate)));
+    float rise = rise_of_filter(q, behind, u), behind1 = c.u - (s.v + rise);
+    Filtered v = Filtered(behind, behind1, rise, h * s.rate, h * c.rate);
+    s.w = second > 0.0 ? s.w + rise_behind_second_pole(s.v - s.w, second, u, v) : s.v + rise;
+    s.leaked += leaks * (h * (mean - i1) - since_epoch_0 * (i1 - i0));
+    s.v += rise;
     s.refractory_left = stays_refractory ? s.refractory_left - h_ns : 0u;
     return true;
 }
@@ -117,12 +162,12 @@ void main() {
     if (at.x >= size.x || at.y >= size.y) return;
     uint pixel = uint(at.y) * uint(size.x) + uint(at.x);
     Thresholds p = drawn[pixel];
-    Pixel s = before[pixel];
-    s.reference -= p.leak * epoch_moved;
+    Pixel s = loaded(pixel, p);
     Change c = change_of(at, s);
     if (!c.readable) atomicAdd(unreadable, 1u);
     if (!c.readable || s.u == NOT_KNOWN) {  // silent; the filter starts again from the next readable light
-        s.v = c.u;
+        s.v = s.w = c.u;
+        s.leaked = leaked_to_store(leaked_before(s, p), p, c);
         s.refractory_left = s.refractory_left > 0u ? 1u + (max(s.refractory_left - 1u, h_ns) - h_ns) : 0u;
     } else if (!moves_quietly(c, p, s)) {
         uint k = atomicAdd(candidates, 1u);
@@ -139,10 +184,11 @@ void main() {
     if (gl_GlobalInvocationID.x >= candidates) return;
     uint pixel = listed[gl_GlobalInvocationID.x];
     Thresholds p = drawn[pixel];
-    Pixel s = before[pixel];
-    s.reference -= p.leak * epoch_moved;
+    Pixel s = loaded(pixel, p);
     Change c = change_of(ivec2(pixel % uint(size.x), pixel / uint(size.x)), s);
-    march(pixel, p, interpolated(s.u, c.d, c.a0, c.a1, UNSEEN_SHARE * min(p.on, p.off)), s);
+    s.leaked = leaked_before(s, p);
+    march(pixel, p, interpolated(s.u, c.d, c.a0, c.a1, min(p.on, p.off)), s);
+    s.leaked = leaked_to_store(s.leaked, p, c);
     after[pixel] = stored(s, c);
 }
 """

@@ -1,45 +1,44 @@
 """Compiled loops of `point_process`: draw a window of candidates, thin them by the light, merge them with crossings.
 
 The candidates of a window of some slots are drawn once, whatever the steps that cross it, and lie sorted by time. A
-step then uses the candidates of its own time alone, and the second events that are due: those due within the window lie
-in `soon`, later ones in `later`, so that no step searches all of them.
+step then uses the candidates of its own time alone, and the next events of bursts that are due, which lie in lists by
+slot and by window (see `pending`), so that no step searches all of them.
 
 Numbers of one kind share an array, because each array argument costs 0.05 us a call, and each named tuple twice that
 (named tuples and arrays made for the result, as elsewhere in this folder, cost 4 us):
 
-    candidates   (3, room) int64: WHEN, KEY (pixel << 1 | on), PAIR (random bits for the second of its pair)
+    candidates   (3, room) int64: WHEN, KEY (pixel << 1 | on), BURST (random bits for the events that follow)
     chances      (2, room) float32: ROW of the table of rates, by the pixel's thresholds, and LOG: the candidate fires
                  if this is less than ln of the rate in the light of its step
-    table        (thresholds + 2, nodes) float32: ln of the primaries' rate in Hz over (threshold, ln f); below, what a
-                 second needs over ln f: its share and tau in ns
+    table        (thresholds + 2, nodes) float32: ln of the primaries' rate in Hz over (threshold, ln f); below, over
+                 ln f, the probability that another event follows, and the mean wait for it in ns
     lights       (6,) float32: dark current, corner frequency at the reference, least, most, nodes a fold, last place
-    soon, later  (2, room) int64: WHEN, KEY
-    state        (9,) int64, see `State`
+    soon         (WINDOW_SLOTS, 3, room) int64: WHEN, KEY, BURST
+    ring, far    (RING, 3, room) and (3, room) int64, the same for later windows, see `pending`
+    state        (STATE_SIZE,) int64, see `State`
 """
 
 from __future__ import annotations
-
-from enum import IntEnum
 
 import numpy as np
 import numpy.typing as npt
 
 from emulator.sensor.chip.slots import SLOT_NS
+from emulator.sensor.noise.pending import BURST, KEY, STATE_SIZE, WHEN, State, put, put_ahead, slot_of
 from emulator.sensor.numerics.cached import cached_entry
-from emulator.sensor.numerics.compiled import kernel, vector_kernel
+from emulator.sensor.numerics.compiled import NONE, kernel, vector_kernel
 from emulator.sensor.numerics.elementary import natural_log
 from emulator.sensor.numerics.keyed_kernels import high, low, stream, unit, word
 
-__all__ = ["State", "draw_window", "fire", "insert", "sort_in"]
+__all__ = ["STATE_SIZE", "State", "draw_window", "fire", "insert"]
 
 _BATCH = 256
-_SECONDS = 1 << 40  # first index of the numbers that seconds are drawn from
+_SECONDS = 1 << 40  # first index of the numbers that bursts are drawn from
 _ONE, _S32 = np.uint64(1), np.uint64(32)
 _LARGEST = np.finfo(np.float32).max
 _ZERO, _UNITY, _HALF, _NAN = (np.float32(x) for x in (0, 1, 0.5, np.nan))
-_WHEN, _KEY, _PAIR = range(3)
 _ROW, _LOG = range(2)
-_SHARE, _TAU = -2, -1  # rows of the table
+_AGAIN, _WAIT = -2, -1  # rows of the table
 
 _Float32s = npt.NDArray[np.float32]
 _Floats = npt.NDArray[np.float64]
@@ -48,21 +47,8 @@ _Words = npt.NDArray[np.uint64]
 _Events = tuple[_Int64s, npt.NDArray[np.uint32], npt.NDArray[np.bool_]]
 
 
-class State(IntEnum):
-    """Entries of `state`: ends of step and window, candidates used and drawn, second events; and two constants."""
-
-    T0_NS = 0
-    T1_NS = 1
-    WINDOW_NS = 2
-    FIRST = 3
-    COUNT = 4
-    SOON = 5
-    LATER = 6
-    REFRACTORY_NS = 7
-    PIXEL_BITS = 8
-
-
-_T0, _T1, _WINDOW, _FIRST, _COUNT, _SOON, _LATER, _REFRACTORY, _PIXEL_BITS = (int(place) for place in State)
+_T0, _T1, _WINDOW, _FIRST, _COUNT, _REFRACTORY, _PIXEL_BITS, _FULL = (int(place) for place in list(State)[:8])
+_SOON = int(State.SOON)
 
 
 @vector_kernel
@@ -101,7 +87,7 @@ def _choose_pixels(bits: _Words, n: int, alias: _Words, out: _Words) -> None:
 
 @cached_entry
 def draw_window(
-    slots: tuple[int, int, np.uint64, float],
+    slots: tuple[int, int, np.uint64, float, float],
     alias: _Words,
     row: _Float32s,
     log_highest: _Float32s,
@@ -110,14 +96,14 @@ def draw_window(
 ) -> int:
     """Draw the candidates of some slots; return how many, or -1 if the buffer is too short for them.
 
-    `slots` are the first, their number, the root of their streams and the mean gap between candidates as a share of a
-    slot; `alias` and `row` are (pixels,), `log_highest` ln W by row of the table.
+    `slots` are the first, their number, the root of their streams, the mean gap between candidates as a share of a slot
+    and the share of ON events; `alias` and `row` are (pixels,), `log_highest` ln W by row of the table.
     """
-    begin, number, root, mean_gap = slots
+    begin, number, root, mean_gap, on_share = slots
     n, chunk = 0, min(_BATCH, max(8, int(1.2 / mean_gap)))
     log_gap, t = np.empty(chunk, np.float32), np.empty(chunk)
     drawn = np.empty((4, chunk), np.uint64)
-    sign, bits, pixel, pair = drawn[0], drawn[1], drawn[2], drawn[3]
+    sign, bits, pixel, burst = drawn[0], drawn[1], drawn[2], drawn[3]
     for slot in range(begin, begin + number):
         base, first, last = stream(root, slot), 0, 0.0
         while last < 1:
@@ -127,13 +113,13 @@ def draw_window(
             some, last = _times(log_gap, chunk, last, mean_gap, t)
             _words(base, 3 * first, some, sign)
             _words(base, 3 * first + 1, some, bits)
-            _words(base, 3 * first + _SECONDS, some, pair)
+            _words(base, 3 * first + _SECONDS, some, burst)
             _choose_pixels(bits, some, alias, pixel)
             _logs(base, 3 * first + 2, some, log_gap)
             for k in range(some):
-                candidates[_WHEN, n + k] = slot * SLOT_NS + np.int64(t[k] * SLOT_NS)
-                candidates[_KEY, n + k] = np.int64(pixel[k] << _ONE | (sign[k] & _ONE))
-                candidates[_PAIR, n + k] = np.int64(pair[k])
+                candidates[WHEN, n + k] = slot * SLOT_NS + np.int64(t[k] * SLOT_NS)
+                candidates[KEY, n + k] = np.int64(pixel[k] << _ONE | np.uint64(unit(low(sign[k])) < on_share))
+                candidates[BURST, n + k] = np.int64(burst[k])
                 place = row[pixel[k]]
                 i = np.uint64(np.int64(place))
                 y = place - np.float32(i)
@@ -179,14 +165,12 @@ def _choose(log_chance: _Float32s, log_rate: _Float32s, n: int, chosen: _Int64s)
 
 
 @kernel
-def _wait_ns(pair: np.uint64, node: np.float32, table: _Float32s, refractory_ns: int) -> int:
-    """Return the time from the first to the second event of a pair, ns; -1 if there is no second."""
+def _wait_ns(burst: np.uint64, node: np.float32, table: _Float32s, refractory_ns: int) -> int:
+    """Return the time to the next event of a burst, ns; -1 if there is none."""
     nearest = np.int64(node + _HALF)
-    if unit(low(pair)) >= table[_SHARE, nearest]:
+    if unit(low(burst)) >= table[_AGAIN, nearest]:
         return -1
-    wait = 0.8 - 1.4 * np.float64(natural_log(np.float32(unit(high(pair)))))
-    wait_ns = int(wait * table[_TAU, nearest])
-    return wait_ns if wait_ns > refractory_ns else refractory_ns
+    return refractory_ns - int(np.float64(natural_log(np.float32(unit(high(burst))))) * table[_WAIT, nearest])
 
 
 @kernel
@@ -198,34 +182,67 @@ def _pack(t_ns: int, key: int, ends: tuple[int, int, int], keys: _Words, n: int)
 
 
 @kernel
-def _put(ahead: _Int64s, n: int, t_ns: int, key: int) -> int:
-    ahead[_WHEN, n], ahead[_KEY, n] = t_ns, key
-    return n + 1
+def _follow(
+    event: tuple[int, int, int], node: np.float32, table: _Float32s, keys: _Words, state: _Int64s, n: int
+) -> tuple[tuple[int, int, int], int]:
+    """Pack an event of the step and those of its burst that follow in it; return the next one, at -1 if none, and n.
+
+    Where `keys` is full, the event that finds no room is the next one.
+    """
+    t_ns, key, burst = event
+    ends = state[_T0], state[_T1], state[_PIXEL_BITS]
+    while t_ns < ends[1]:
+        if n + 1 >= keys.size:
+            state[_FULL] = 1
+            break
+        n = _pack(t_ns, key, ends, keys, n)
+        wait_ns = _wait_ns(np.uint64(burst), node, table, state[_REFRACTORY])
+        if wait_ns < 0:
+            return (NONE - 1, key, burst), n
+        t_ns, key, burst = t_ns + wait_ns, key ^ 1, NONE + np.int64(word(np.uint64(burst), NONE))
+    return (t_ns, key, burst), n
 
 
 @kernel
-def _due(soon: _Int64s, n: int, ends: tuple[int, int, int], keys: _Words) -> tuple[int, int]:
-    """Pack the second events that the step reaches and compact the rest; return both numbers."""
-    found = remaining = 0
+def _due(
+    light: _Float32s,
+    node: _Float32s,
+    rates: tuple[_Float32s, _Float32s],
+    ahead: tuple[_Int64s, _Int64s, _Int64s],
+    keys: _Words,
+    state: _Int64s,
+) -> int:
+    """Pack the next events of bursts that the step reaches, and compact the rest; return how many were packed.
+
+    Only the lists of the step's slots are looked at. `node` is a buffer for the places of _BATCH lights.
+    """
+    (table, lights), found = rates, NONE
+    for slot in range(slot_of(state[_T0], state), slot_of(state[_T1] - 1, state) + 1):
+        events, n, remaining = ahead[0][slot], state[_SOON + slot], NONE
+        for k in range(n):
+            if k % _BATCH == 0:
+                some = min(_BATCH, n - k)
+                _look(light, events, k, some, node)
+                _find_nodes(node, some, lights)
+            event = events[WHEN, k], events[KEY, k], events[BURST, k]
+            if event[0] < state[_T1]:
+                place = node[k % _BATCH]
+                event, found = _follow(event, place if place == place else _ZERO, table, keys, state, found)
+            if event[0] < 0:
+                continue
+            if event[0] < state[_WINDOW] and slot_of(event[0], state) == slot:
+                remaining = put(events, remaining, event)
+            else:
+                put_ahead(ahead, event, state)
+        state[_SOON + slot] = remaining
+    return int(found)
+
+
+@kernel
+def _look(light: _Float32s, events: _Int64s, first: int, n: int, out: _Float32s) -> None:
+    """Write the light of n events of a list, from `first` on."""
     for k in range(n):
-        t_ns, key = soon[_WHEN, k], soon[_KEY, k]
-        soon[_WHEN, remaining], soon[_KEY, remaining] = t_ns, key
-        remaining += t_ns >= ends[1]
-        found = _pack(t_ns, key, ends, keys, found)
-    return found, remaining
-
-
-@cached_entry
-def sort_in(soon: _Int64s, later: _Int64s, state: _Int64s) -> None:
-    """Move the events that are due before the end of a new window from `later` to `soon`."""
-    near, far, window_ns = state[_SOON], 0, state[_WINDOW]
-    for k in range(state[_LATER]):
-        t_ns, key = later[_WHEN, k], later[_KEY, k]
-        _put(soon, near, t_ns, key)
-        _put(later, far, t_ns, key)
-        near += t_ns < window_ns
-        far += t_ns >= window_ns
-    state[_SOON], state[_LATER] = near, far
+        out[k] = light[np.uint64(events[KEY, first + k]) >> _ONE]
 
 
 @kernel
@@ -233,8 +250,8 @@ def _take(light: _Float32s, candidates: _Int64s, span: tuple[int, int, int], out
     """Write the light of a step's next candidates, `span` being the first, the end and t1; return how many."""
     first, end, t1_ns = span
     n = 0
-    while n < _BATCH and first + n < end and candidates[_WHEN, first + n] < t1_ns:
-        out[n] = light[np.uint64(candidates[_KEY, first + n]) >> _ONE]
+    while n < _BATCH and first + n < end and candidates[WHEN, first + n] < t1_ns:
+        out[n] = light[np.uint64(candidates[KEY, first + n]) >> _ONE]
         n += 1
     return n
 
@@ -244,20 +261,20 @@ def fire(
     light: _Float32s,
     drawn: tuple[_Int64s, _Float32s],
     rates: tuple[_Float32s, _Float32s],
-    seconds: tuple[_Int64s, _Int64s],
+    ahead: tuple[_Int64s, _Int64s, _Int64s],
     keys: _Words,
     state: _Int64s,
 ) -> int:
     """Pack the events of a step, unsorted, into `keys`; return how many, and update `state`.
 
-    `drawn` are candidates and chances, `rates` table and lights, `seconds` soon and later.
+    With FULL set in `state`, `keys` had no room for all: call again for the same step and further room. `drawn` are
+    candidates and chances, `rates` table and lights, `ahead` soon, ring and far.
     """
-    (candidates, chances), (table, lights), (soon, later) = drawn, rates, seconds
-    t1_ns, window_ns, first = state[_T1], state[_WINDOW], state[_FIRST]
-    ends = state[_T0], t1_ns, state[_PIXEL_BITS]
-    found, near = _due(soon, state[_SOON], ends, keys)
-    far = state[_LATER]
+    (candidates, chances), (table, lights) = drawn, rates
+    t1_ns, first = state[_T1], state[_FIRST]
+    state[_FULL] = 0
     node, rate = np.empty(_BATCH, np.float32), np.empty(_BATCH, np.float32)
+    found = _due(light, node, rates, ahead, keys, state)
     chosen = np.empty(_BATCH + 1, np.int64)
     n = _take(light, candidates, (first, state[_COUNT], t1_ns), node)
     while n > 0:
@@ -265,21 +282,13 @@ def fire(
         _find_rates(chances[_ROW, first:], node, n, table, rate)
         for one in range(_choose(chances[_LOG, first:], rate, n, chosen)):
             k = first + chosen[one]
-            t_ns, key = candidates[_WHEN, k], candidates[_KEY, k]
-            found = _pack(t_ns, key, ends, keys, found)
-            wait_ns = _wait_ns(np.uint64(candidates[_PAIR, k]), node[chosen[one]], table, state[_REFRACTORY])
-            if wait_ns < 0:
-                continue
-            t_ns, key = t_ns + wait_ns, key ^ 1
-            if t_ns < t1_ns:
-                found = _pack(t_ns, key, ends, keys, found)
-            elif t_ns < window_ns:
-                near = _put(soon, near, t_ns, key)
-            else:
-                far = _put(later, far, t_ns, key)
+            event = candidates[WHEN, k], candidates[KEY, k], candidates[BURST, k]
+            event, found = _follow(event, node[chosen[one]], table, keys, state, found)
+            if event[0] >= 0:
+                put_ahead(ahead, event, state)
         first += n
         n = _take(light, candidates, (first, state[_COUNT], t1_ns), node)
-    state[_FIRST], state[_SOON], state[_LATER] = first, near, far
+    state[_FIRST] = first
     return int(found)
 
 

@@ -28,7 +28,7 @@ import numpy.typing as npt
 
 from emulator.light import PixelLight
 from emulator.sensor.chip.slots import Pending, new_pending, reserve
-from emulator.sensor.noise.law import bandwidth_hz
+from emulator.sensor.noise.law import bandwidth_hz, fixed_corner_hz
 from emulator.sensor.numerics.cached import cached_entry
 from emulator.sensor.numerics.compiled import kernel, kernel_that_allocates
 from emulator.sensor.numerics.keyed import Purpose, normal, root_of
@@ -45,6 +45,7 @@ _MOST_EVENTS = 16  # of a pixel in a grid step
 _DRAWS = 4 * _MOST_EVENTS + 4  # numbers set apart for a grid step
 _HOPELESS = 40.0
 _FASTEST_HZ = 1e9
+_NO_POLE_HZ = 1e300
 
 _Floats = npt.NDArray[np.float64]
 
@@ -267,6 +268,7 @@ class NoisyPixels:
 
     def __init__(self, parameters: SensorParameters, seed: int) -> None:
         p, drawn = parameters, draw(parameters, seed)
+        noise_corner_hz = min(fixed_corner_hz(p), _NO_POLE_HZ)
         self.parameters, self._seed = parameters, seed
         self.lost_in_pixel = self.quiet_nan = self.settled_ns = 0
         self._phase = drawn.phase
@@ -281,8 +283,8 @@ class NoisyPixels:
             hz_min=_FASTEST_HZ if no_low_pass else p.corner_min_hz,
             hz_max=_FASTEST_HZ if no_low_pass else min(p.corner_max_hz, _FASTEST_HZ),
             second=2 * math.pi * p.source_follower_hz * grid_ns(p) * 1e-9,
-            noise_rms=p.noise.rms * (math.sqrt(1 + _FASTEST_HZ / p.noise.corner_hz) if no_low_pass else 1.0),
-            noise_corner_hz=p.noise.corner_hz,
+            noise_rms=p.noise.rms * (math.sqrt(1 + _FASTEST_HZ / noise_corner_hz) if no_low_pass else 1.0),
+            noise_corner_hz=noise_corner_hz,
         )  # fmt: skip
         self._u = np.zeros(drawn.on.size)
         self._t_ns = 0

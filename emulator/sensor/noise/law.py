@@ -1,85 +1,185 @@
 """Rate of the events that temporal noise alone raises in still light.
 
-The noise is a voltage n of rms sigma with one pole at f_n (an Ornstein-Uhlenbeck process). After an event the pixel's
-level moves by a threshold, so an event needs a passage over a whole threshold theta; the rate of such first passages,
-over f_n, depends on a = theta / sigma and on the refractory period in units of tau = 1 / (2 pi f_n), at whose end the
-level is set again, usually on a peak of the noise. ON rate over f_n:
+The noise is a voltage n of rms sigma with one pole at f_n (an Ornstein-Uhlenbeck process). An event needs a first
+passage from the level that the last event left to a threshold away from it. The rate of these passages, over f_n,
+depends on the thresholds over sigma and on the refractory period over tau = 1 / (2 pi f_n), at whose end the level is
+set again, usually on a peak of the noise. `first_passage` solves the chain of levels exactly; here its table is
+interpolated, over
 
-    a      refractory period over tau
-           0       0.19     1.9      9.4
-    2      1.13    1.02     .61      .25
-    2.5    .574    .53      .33      .18
-    3      .268    .26      .14      .10
-    3.5    .0955   .11      .045     .037
-    4      .0244   .035     .0097    .0086
-    4.5    .0072   .0080    .0016    .0013
+    a            mean of the two thresholds over sigma: log(rate / (a e^(-a^2 / 2))) runs straight in a^2, also beyond
+    difference   (ON - OFF) over the mean
+    refractory   refractory period over tau, in its square root, because that is how far a diffusion gets
 
-Simulated with steps of tau / 50 and hidden crossings by the Brownian bridge. The first column is for a pixel whose two
-thresholds differ by some percent, as all do: with equal thresholds and no leak, the levels would stay on one lattice
-for ever, and the rate would depend on its position (a = 3: .14 f_n with a level at the noise's mean, .54 with the mean
-midway between two; a = 4: .006 and .26). From 0 to 0.19 tau the refractory period changes the rate by 10 % or so.
+The difference matters: with equal thresholds and a short refractory period the levels come to lie midway between two
+passages, and stay there, firing ON and OFF in turns; with thresholds that differ by some percent each pair of events
+moves them on. ON rate over f_n:
 
-Leak moves the levels too, which the law leaves out: at a = 4 and f_n = 150 Hz, 0.1 Hz of leak raises the rate by two
-thirds without a refractory period, by a tenth with one of tau (pixels of `grid`).
+    a      refractory period .03 tau, difference     1 tau
+           0       .02     .05     .1                0
+    3      .293    .284    .267    .252              .167
+    4      .0452   .0344   .0262   .0233             .0140
+    5      .0027   .0010   .0006   .0006             .0004
 
-Between the columns the law runs in the square root of the refractory period, because that is how far a diffusion gets.
-Between the rows and beyond them, log(rate / (a e^(-a^2/2))) runs straight in a^2. For thresholds that differ, a is
-that of their mean (within 5 % for a difference of 10 %).
+In the long run the levels stay near the noise's mean, so ON and OFF events come in the inverse ratio of the thresholds
+where the refractory period is short. Leak moves the levels too, which the law leaves out: at a = 4 and f_n = 150 Hz,
+0.1 Hz of leak raises the rate by two thirds without a refractory period, by a tenth with one of tau (pixels of `grid`).
 
 How sigma and f_n follow the light: a photoreceptor whose corner frequency f is proportional to its current has shot
-noise of constant rms. A fixed pole `corner` behind it takes the fast part away:
+noise of constant rms. A fixed pole `corner` behind it, the signal's source follower, takes the fast part away:
 
     sigma^2 = rms^2 corner / (corner + f),    f_n = f corner / (corner + f)
 
 so noise events are rare in bright light, and in the dark, where f is low. A sensor without a low-pass (infinite f) has
-the fixed pole alone: sigma = rms, f_n = corner.
+the fixed pole alone: sigma = rms, f_n = corner. One without a fixed pole has sigma = rms, f_n = f.
 """
 
 from __future__ import annotations
 
+import functools
 import math
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from emulator.sensor.noise.first_passage import DIFFERENCE, REFRACTORY, TABLE, A
 from emulator.sensor.presets import SensorParameters
 
-__all__ = ["LEAST_A", "bandwidth_hz", "corner_hz", "rate_over_bandwidth", "rms"]
+__all__ = [
+    "LEAST_A",
+    "MOST_UNDER_WAY",
+    "NoiseStatistics",
+    "bandwidth_hz",
+    "beyond_the_law",
+    "corner_hz",
+    "fixed_corner_hz",
+    "noise_events",
+    "of_array",
+    "rate_over_bandwidth",
+    "rms",
+]
 
 _Floats = npt.NDArray[np.float64]
+_At = tuple[npt.NDArray[np.int64], _Floats]
+"""Intervals of some nodes, and the shares in them."""
 
-LEAST_A = 1.5
+LEAST_A = float(A[0])
 """Smallest threshold of the law, in sigma; lower ones count as this, because the pixel then fires all the time."""
 
-_A = np.array([2.0, 2.5, 3.0, 3.5, 4.0, 4.5])
-_REFRACTORY = np.array([0.0, 0.19, 1.9, 9.4])
-_RATES = np.array(
-    [
-        [1.13, 1.02, 0.61, 0.25],
-        [0.574, 0.53, 0.33, 0.18],
-        [0.268, 0.26, 0.14, 0.10],
-        [0.0955, 0.11, 0.045, 0.037],
-        [0.0244, 0.035, 0.0097, 0.0086],
-        [0.0072, 0.0080, 0.0016, 0.0013],
-    ]
-)
-_SHAPE = np.log(_RATES / (_A * np.exp(-(_A**2) / 2))[:, None])
+MOST_UNDER_WAY = 0.5
+"""Bursts of a pixel that may be under way at a time, in the mean, for intervals and successors to be those of the law.
+
+A point process lets them overlap, which a pixel cannot; the rates hold all the same.
+"""
+
+_LEAST_RATE = 1e-300
+_NODES = 7  # of the differences between the two thresholds of the pixels
 
 
-def _place(x: _Floats, nodes: _Floats) -> tuple[npt.NDArray[np.int64], _Floats]:
+class NoiseStatistics(NamedTuple):
+    """Arrays of what `first_passage.Statistics` has for one pixel."""
+
+    on: _Floats
+    off: _Floats
+    opposite: _Floats
+    gap: _Floats
+
+
+@functools.cache
+def _table() -> tuple[_Floats, _Floats]:
+    """Return over (a, difference, refractory, 2): ln(rate / (a e^(-a^2 / 2))), and `opposite` with ln(1 + gap)."""
+    values = np.load(TABLE).astype(np.float64)
+    tail = (A * np.exp(-(A**2) / 2))[:, None, None, None]
+    return np.log(values[..., :2] / tail), np.stack([values[..., 2], np.log1p(values[..., 3])], axis=-1)
+
+
+def _place(x: _Floats, nodes: _Floats) -> _At:
     """Return the interval of `nodes` that contains x, and the share in it; outside, the outermost interval extended."""
     k = np.clip(np.searchsorted(nodes, x, side="right") - 1, 0, nodes.size - 2)
     return k, (x - nodes[k]) / (nodes[k + 1] - nodes[k])
 
 
-def rate_over_bandwidth(a: npt.ArrayLike, refractory_over_tau: npt.ArrayLike) -> _Floats:
-    """Return the ON rate over f_n for thresholds of `a` sigma; arguments broadcast."""
-    a = np.maximum(np.asarray(a, np.float64), LEAST_A)
-    refractory = np.clip(np.asarray(refractory_over_tau, np.float64), 0, _REFRACTORY[-1])
-    row, down = _place(a**2, _A**2)
-    column, along = _place(np.sqrt(refractory), np.sqrt(_REFRACTORY))
-    upper, lower = (_SHAPE[r, column] * (1 - along) + _SHAPE[r, column + 1] * along for r in (row, row + 1))
-    return np.asarray(a * np.exp(upper * (1 - down) + lower * down - a**2 / 2))
+def _interpolated(
+    table: _Floats, places: list[_At], depth: int = 0, at: tuple[npt.NDArray[np.int64], ...] = ()
+) -> _Floats:
+    """Return the table between its nodes, linear in each of the three directions."""
+    if depth == len(places):
+        return np.asarray(table[at])
+    k, share = places[depth]
+    low, high = (_interpolated(table, places, depth + 1, (*at, k + more)) for more in (0, 1))
+    return low + (high - low) * share[..., None]
+
+
+def noise_events(a: npt.ArrayLike, difference: npt.ArrayLike, refractory_over_tau: npt.ArrayLike) -> NoiseStatistics:
+    """Return the statistics of noise events, arrays; the arguments broadcast.
+
+    Parameters
+    ----------
+    a : mean of the two thresholds, sigma.
+    difference : ON less OFF threshold, over their mean.
+    refractory_over_tau : refractory period, tau.
+    """
+    given = (np.asarray(one, np.float64) for one in (a, difference, refractory_over_tau))
+    mean, apart, refractory = np.broadcast_arrays(*given)
+    mean, higher_on = np.maximum(mean, LEAST_A), apart >= 0
+    apart = np.minimum(abs(apart), DIFFERENCE[-1])
+    refractory = np.clip(refractory, REFRACTORY[0], REFRACTORY[-1])
+    along = _place(apart, DIFFERENCE), _place(np.sqrt(refractory), np.sqrt(REFRACTORY))
+    shapes, chains = _table()
+    shape = _interpolated(shapes, [_place(mean**2, A**2), *along])
+    rates = np.exp(np.minimum(shape + (np.log(mean) - mean**2 / 2)[..., None], 5.0))
+    within = _place(np.minimum(mean, A[-1]), A)
+    chain = _interpolated(chains, [within, *along])
+    on, off = (np.where(higher_on, rates[..., k], rates[..., 1 - k]) for k in (0, 1))
+    return NoiseStatistics(on, off, np.clip(chain[..., 0], 0, 1), np.maximum(np.expm1(chain[..., 1]), 0))
+
+
+def rate_over_bandwidth(
+    a: npt.ArrayLike, refractory_over_tau: npt.ArrayLike, difference: npt.ArrayLike = 0.0
+) -> _Floats:
+    """Return the mean of the ON and the OFF rate over f_n for thresholds of `a` sigma; arguments broadcast."""
+    found = noise_events(a, difference, refractory_over_tau)
+    return np.asarray((found.on + found.off) / 2)
+
+
+def of_array(p: SensorParameters, thresholds: npt.ArrayLike, f_hz: npt.ArrayLike) -> NoiseStatistics:
+    """Return the statistics of a sensor's pixels, averaged over the differences between their two thresholds.
+
+    Parameters
+    ----------
+    thresholds : mean of a pixel's two thresholds, ln units.
+    f_hz : corner frequency of the photoreceptor, Hz; broadcasts with `thresholds`.
+
+    Returns
+    -------
+    on, off in Hz; opposite; gap in s.
+    """
+    bandwidth, mean = bandwidth_hz(p, f_hz), (p.threshold_on + p.threshold_off) / 2
+    node, weight = np.polynomial.hermite_e.hermegauss(_NODES)
+    spread = p.mismatch * math.hypot(p.threshold_on, p.threshold_off)
+    differences = (p.threshold_on - p.threshold_off + spread * node) / mean
+    a, tau_s = np.asarray(thresholds) / rms(p, f_hz), 1 / (2 * np.pi * bandwidth)
+    each = noise_events(a[..., None], differences, (p.refractory_us * 1e-6 / tau_s)[..., None])
+    weight = weight / weight.sum()
+    on, off = (each.on * weight).sum(-1), (each.off * weight).sum(-1)
+    events = (each.on + each.off) * weight / np.maximum(on + off, _LEAST_RATE)[..., None]
+    return NoiseStatistics(
+        on * bandwidth, off * bandwidth, (each.opposite * events).sum(-1), (each.gap * events).sum(-1) * tau_s
+    )
+
+
+def beyond_the_law(p: SensorParameters, f_hz: npt.ArrayLike) -> str:
+    """Return what of a point process does not hold for a sensor's noise at some corner frequencies; empty: all does."""
+    f = np.atleast_1d(np.asarray(f_hz, np.float64))
+    mean = (p.threshold_on + p.threshold_off) / 2
+    least_a = mean / float(rms(p, f).max())
+    if least_a < LEAST_A:
+        return f"thresholds of {least_a:.2g} rms of the noise, and the law of noise events begins at {LEAST_A:g}"
+    found = of_array(p, np.asarray(mean), f)
+    under_way = (found.on + found.off) * np.maximum(2 * found.opposite - 1, 0) * found.gap
+    if under_way.max() > MOST_UNDER_WAY:
+        return "bursts of noise events overlap: rates hold, intervals and the order of polarities do not"
+    return ""
 
 
 def corner_hz(p: SensorParameters, light: npt.ArrayLike) -> _Floats:
@@ -90,9 +190,15 @@ def corner_hz(p: SensorParameters, light: npt.ArrayLike) -> _Floats:
     return np.clip(p.corner_hz_at_reference * current, p.corner_min_hz, p.corner_max_hz)
 
 
+def fixed_corner_hz(p: SensorParameters) -> float:
+    """Return the fixed pole of the noise, Hz: its own, or the signal's source follower; infinite: none."""
+    return p.noise.corner_hz or p.source_follower_hz or math.inf
+
+
 def _passed(p: SensorParameters, f_hz: _Floats) -> _Floats:
-    """Return corner / (corner + f), 1 for infinite f."""
-    return np.where(np.isinf(f_hz), 1.0, p.noise.corner_hz / (p.noise.corner_hz + f_hz))
+    """Return corner / (corner + f), 1 for infinite f or corner."""
+    corner = fixed_corner_hz(p)
+    return np.where(np.isinf(f_hz) | math.isinf(corner), 1.0, 1 / (1 + np.minimum(f_hz, 1e300) / corner))
 
 
 def rms(p: SensorParameters, f_hz: npt.ArrayLike) -> _Floats:
@@ -103,4 +209,4 @@ def rms(p: SensorParameters, f_hz: npt.ArrayLike) -> _Floats:
 def bandwidth_hz(p: SensorParameters, f_hz: npt.ArrayLike) -> _Floats:
     """Return f_n, Hz, where the photoreceptor's corner frequency is `f_hz`."""
     f = np.asarray(f_hz, np.float64)
-    return np.where(np.isinf(f), p.noise.corner_hz, f * p.noise.corner_hz / (p.noise.corner_hz + np.minimum(f, 1e300)))
+    return np.where(np.isinf(f), fixed_corner_hz(p), np.minimum(f, 1e300) * _passed(p, f))

@@ -1,10 +1,11 @@
 """Noise events as a point process: drawn by their rate, at a cost proportional to their number.
 
-An excursion of the noise over a threshold and its return are a pair of events of opposite polarity. So there are
-primaries, ON or OFF by equal chance, and each has a second event with probability s, after 0.8 tau and an exponential
-time of mean 1.4 tau (but no sooner than the refractory period lets it). The primaries' rate is 2 R / (1 + s), R the ON
-rate of `law`, so that ON and OFF have the rate R each. Where the refractory period is longer than tau the level is
-set again during the return, and pairs dissolve: s = e^(-1.6 t_ref / tau), which is within 0.1 of a simulated pixel.
+Noise fires a pixel in bursts of events of alternating polarity: an excursion over a threshold and its return, or a
+level midway between two passages. So there are primaries, ON or OFF, and each event is followed by one of the other
+polarity with probability q, after the refractory period and an exponential time. The law of first passages (`law`)
+gives, in each light, the ON and the OFF rate, the share of events whose successor has the other polarity, 2 q - 1, and
+the mean time within a burst. The primaries' rate is (1 - q) of all, their ON share that which makes the ON share of
+all, in the light where there is most noise.
 
 All random numbers are keyed by a slot of 1024 us of stream time, never by the step. The primaries of a slot:
 
@@ -15,22 +16,26 @@ All random numbers are keyed by a slot of 1024 us of stream time, never by the s
 The numbers that do not depend on the light are drawn for sixteen slots at a time, a window; a step thins the candidates
 in it.
 
-An array of still light thus gives the same noise, bit for bit, whatever the steps. Left out: the pixel's level stays, a
-noise event starts no refractory period, and the events of a moving scene are not shifted (noise makes them earlier by
-up to two rms over the contrast rate). This is enough while pairs do not overlap, a >= 3.5 (4.5 with short refractory
-periods), and the light changes by more than 0.3 rms in a time constant; else use the grid grade.
+The next event of a burst is drawn when the one before leaves, from bits that belong to the burst, in the light of that
+step. An array of still light thus gives the same noise, bit for bit, whatever the steps. Left out: the pixel's level
+stays, a noise event starts no refractory period, and the events of a moving scene are not shifted (noise makes them
+earlier by up to two rms over the contrast rate). Rates, polarities and intervals are those of the law; see `law` for
+what the law leaves out. The light must change by more than 0.3 rms in a time constant; else use the grid grade.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from emulator.sensor.chip.slots import SLOT_NS
-from emulator.sensor.noise.draws import State, draw_window, fire, insert, sort_in
-from emulator.sensor.noise.law import bandwidth_hz, rate_over_bandwidth, rms
+from emulator.sensor.noise.bursts import under_way
+from emulator.sensor.noise.draws import draw_window, fire, insert
+from emulator.sensor.noise.law import bandwidth_hz, of_array
+from emulator.sensor.noise.pending import RING, STATE_SIZE, WHEN, WINDOW_SLOTS, State, spread, take_window
 from emulator.sensor.numerics.cached import cached_entry
 from emulator.sensor.numerics.keyed import Purpose, root_of
 from emulator.sensor.pixels.array import Crossings
@@ -43,7 +48,8 @@ _FASTEST_HZ = 1e9
 _LOG_STEP = 0.1  # between nodes of the table, ln f
 _THRESHOLDS = 33
 _NEVER = -80.0  # ln of a rate of nothing
-_WINDOW_SLOTS = 16  # fewer: more calls; more: more seconds that every step looks through
+_LEAST_AGAIN, _MOST_AGAIN = 0.01, 0.98  # of q: bursts are finite
+_LEAST_WAIT = 1.4  # tau, mean of an excursion's return
 
 _Float32s = npt.NDArray[np.float32]
 _Floats = npt.NDArray[np.float64]
@@ -71,21 +77,40 @@ def _aliases(weight: _Floats) -> tuple[_Floats, npt.NDArray[np.uint32]]:
     return own, alias
 
 
-def _tables(p: SensorParameters, thresholds: _Floats) -> tuple[_Floats, _Floats, _Floats]:
-    """Return the primaries' log rate over (thresholds, ln f), the share of seconds and tau in ns over ln f."""
+def _nodes_hz(p: SensorParameters) -> _Floats:
+    """Return the corner frequencies of the table, Hz."""
     if math.isinf(p.corner_hz_at_reference):
-        f_hz = np.full(2, np.inf)
-    else:
-        lowest, highest = math.log(p.corner_min_hz), math.log(min(p.corner_max_hz, _FASTEST_HZ))
-        f_hz = np.exp(lowest + _LOG_STEP * np.arange(max(2, math.ceil((highest - lowest) / _LOG_STEP) + 2)))
-    bandwidth = bandwidth_hz(p, f_hz)
-    tau_s = 1 / (2 * np.pi * bandwidth)
-    refractory = p.refractory_us * 1e-6 / tau_s
-    second_share = np.exp(-1.6 * refractory)
-    on_hz = bandwidth * rate_over_bandwidth(thresholds[:, None] / rms(p, f_hz), refractory)
+        return np.full(2, np.inf)
+    lowest, highest = math.log(p.corner_min_hz), math.log(min(p.corner_max_hz, _FASTEST_HZ))
+    nodes = np.arange(max(2, math.ceil((highest - lowest) / _LOG_STEP) + 2))
+    return np.asarray(np.exp(lowest + _LOG_STEP * nodes))
+
+
+class _Tables(NamedTuple):
+    """The primaries' log rate over (thresholds, ln f), q and the mean wait in ns over ln f, the primaries' ON share."""
+
+    log_rate: _Floats
+    again: _Floats
+    wait_ns: _Floats
+    on_share: float
+
+
+def _tables(p: SensorParameters, thresholds: _Floats) -> _Tables:
+    f_hz = _nodes_hz(p)
+    law = of_array(p, thresholds[:, None], f_hz)
+    middle = thresholds.size // 2
+    again = np.minimum(2 * law.opposite[middle] - 1, _MOST_AGAIN)
+    again[again < _LEAST_AGAIN] = 0
+    dead_s = p.refractory_us * 1e-6
+    least_s = _LEAST_WAIT / (2 * np.pi * bandwidth_hz(p, f_hz))
+    wait_s = np.maximum(law.gap[middle] - dead_s, least_s)
+    total_hz = law.on + law.off
     with np.errstate(divide="ignore"):
-        log_rate = np.maximum(np.log(2 * on_hz / (1 + second_share)), _NEVER)
-    return log_rate, second_share, tau_s * 1e9
+        log_rate = np.maximum(np.log(total_hz * (1 - again)), _NEVER)
+    most = int(total_hz[middle].argmax())
+    on_share = law.on[middle, most] / total_hz[middle, most] if total_hz[middle, most] else 0.5
+    first_on = (on_share * (1 + again[most]) - again[most]) / (1 - again[most])
+    return _Tables(log_rate, again, wait_s * 1e9, float(np.clip(first_on, 0, 1)))
 
 
 def _lights(p: SensorParameters, nodes: int) -> _Float32s:
@@ -101,7 +126,7 @@ class _Model:
     def __init__(self, p: SensorParameters, seed: int, thresholds: _Floats) -> None:
         live = np.isfinite(thresholds)
         lowest, highest = thresholds[live].min(), thresholds[live].max() * (1 + 1e-6)
-        log_rate, second_share, tau_ns = _tables(p, np.linspace(lowest, highest, _THRESHOLDS))
+        log_rate, again, wait_ns, on_share = _tables(p, np.linspace(lowest, highest, _THRESHOLDS))
         row = np.where(live, (thresholds - lowest) / (highest - lowest) * (_THRESHOLDS - 1), 0)
         row = np.minimum(row, _THRESHOLDS - 1.001)
         log_highest = log_rate.max(axis=1)
@@ -109,9 +134,11 @@ class _Model:
         own, other = _aliases(weight)
         share = np.minimum(own * 2.0**32, 2.0**32 - 1).astype(np.uint64)
         self.alias = share << np.uint64(32) | other
+        self.seed, self.row_if_live = seed, np.where(live, row, np.nan).astype(np.float32)
         self.row, self.log_highest = row.astype(np.float32), log_highest.astype(np.float32)
-        self.table = np.vstack([log_rate, second_share, tau_ns]).astype(np.float32)
-        self.lights = _lights(p, tau_ns.size)
+        self.table = np.vstack([log_rate, again, wait_ns]).astype(np.float32)
+        self.lights = _lights(p, wait_ns.size)
+        self.on_share = on_share
         self.root = root_of(seed, Purpose.NOISE_EVENTS)
         self.mean_gap = float(1 / (weight.sum() * SLOT_NS * 1e-9))
 
@@ -132,20 +159,24 @@ class NoiseEvents:
     def __init__(self, parameters: SensorParameters, seed: int, thresholds: _Floats) -> None:
         self._pixel_bits = max(1, (thresholds.size - 1).bit_length())
         self._model = _Model(parameters, seed, thresholds)
-        expected = _WINDOW_SLOTS / self._model.mean_gap
+        expected = WINDOW_SLOTS / self._model.mean_gap
         self._reserve_candidates(int(expected + 8 * math.sqrt(expected)) + 600)
-        self._soon, self._later = np.empty((2, 0), np.int64), np.empty((2, 0), np.int64)
+        self._soon, self._far = np.empty((WINDOW_SLOTS, 3, 0), np.int64), np.empty((3, 0), np.int64)
+        self._ring = np.empty((RING, 3, 0), np.int64)
         self._keys = np.empty(0, np.uint64)
-        self._state = np.zeros(len(State), np.int64)
+        self._state = np.zeros(STATE_SIZE, np.int64)
         self._state[State.REFRACTORY_NS] = round(parameters.refractory_us * 1000)
         self._state[State.PIXEL_BITS] = self._pixel_bits
         self.reset(0)
 
     def reset(self, t_ns: int) -> None:
-        """Start at `t_ns`; events that began before its slot are left out."""
+        """Start at `t_ns`, with the bursts that are under way in the light of the first step."""
+        self._started = False
         self._t_ns, self._slot = t_ns, t_ns // SLOT_NS
         self._window_ns = self._slot * SLOT_NS
-        self._state[[State.FIRST, State.COUNT, State.SOON, State.LATER]] = 0
+        self._state[[State.FIRST, State.COUNT, State.TURN]] = 0
+        self._state[State.FAR :] = 0
+        self._state[State.WINDOW_NS] = self._window_ns
 
     def step(self, light: _Float32s, t_ns: int) -> Crossings:
         """Return the events from the last time up to, and without, `t_ns`, under `light`, (pixels,) float32."""
@@ -155,6 +186,8 @@ class NoiseEvents:
         """Return a step's `crossings` with the noise events up to, and without, `t_ns` among them."""
         if t_ns <= self._t_ns:
             return crossings
+        if not self._started:
+            self._start(light)
         if t_ns <= self._window_ns:
             return self._advance(crossings, light, t_ns)
         parts, k = [], 0
@@ -169,32 +202,70 @@ class NoiseEvents:
         whole = joined(parts)
         return Crossings(whole.t_ns, whole.pixel, whole.on, crossings.lost_in_pixel)
 
+    def _start(self, light: _Float32s) -> None:
+        m, self._started = self._model, True
+        far = under_way(light, m.row_if_live, (m.table, m.lights), m.seed, (self._slot, self._slot * SLOT_NS))
+        self._far, self._state[State.FAR] = far, far.shape[1]
+
     def _reserve_candidates(self, candidates: int) -> None:
         self._candidates, self._chances = np.empty((3, candidates), np.int64), np.empty((2, candidates), np.float32)
 
-    def _open_window(self) -> None:
-        """Draw the candidates of the next window, and reserve space for all events that may follow from them."""
-        m, state = self._model, self._state
-        slots = self._slot, _WINDOW_SLOTS, m.root, m.mean_gap
+    def follow(self, parameters: SensorParameters, thresholds: _Floats) -> None:
+        """Take over changed figures from the present time on; `thresholds` as in the constructor.
+
+        The present window's candidates are drawn again, and those before the present time left out. Bursts that were
+        under way end; those of the new figures are under way from the window's end on, at most 16 ms later.
+        """
+        self._model, self._started, state = _Model(parameters, self._model.seed, thresholds), False, self._state
+        state[State.REFRACTORY_NS] = round(parameters.refractory_us * 1000)
+        state[State.TURN] = 0
+        state[State.FAR :] = 0
+        if self._t_ns < self._window_ns:
+            n = self._draw(self._slot - WINDOW_SLOTS)
+            self._reserve_lists(n + 1)
+            state[State.FIRST], state[State.COUNT] = np.searchsorted(self._candidates[WHEN, :n], self._t_ns), n
+
+    def _draw(self, slot: int) -> int:
+        """Draw the candidates of the window that begins with a slot; return how many."""
+        m = self._model
+        slots = slot, WINDOW_SLOTS, m.root, m.mean_gap, m.on_share
         while (n := draw_window(slots, m.alias, m.row, m.log_highest, self._candidates, self._chances)) < 0:
             self._reserve_candidates(2 * self._candidates.shape[1])
-        self._slot += _WINDOW_SLOTS
+        return int(n)
+
+    def _reserve_ring(self, needed: int) -> None:
+        self._ring = _grown(self._ring, self._state[State.RING :], needed)
+
+    def _reserve_lists(self, due: int) -> None:
+        """Make room for `due` more events, wherever they may go."""
+        state = self._state
+        self._soon = _grown(self._soon, state[State.SOON : State.RING], due)
+        self._far = _reserve(self._far, int(state[State.FAR]) + due)
+        self._reserve_ring(int(state[State.RING :].max()) + due)
+        if self._keys.size < 2 * due:
+            self._keys = np.empty(4 * due, np.uint64)
+
+    def _open_window(self) -> None:
+        """Draw the candidates of the next window, and reserve space for all events that may follow from them."""
+        state, n = self._state, self._draw(self._slot)
+        while state[State.TURN] == 0 and not spread(self._ring, self._far, state):
+            self._reserve_ring(2 * self._ring.shape[2] + n + 1)  # also where there is none, and no candidate
+        self._reserve_lists(int(state[State.RING + state[State.TURN]]) + n + 1)
+        state[State.FIRST], state[State.COUNT] = 0, n
+        take_window(self._soon, self._ring, state)
+        self._slot += WINDOW_SLOTS
         self._window_ns = self._slot * SLOT_NS
-        needed = int(state[State.SOON] + state[State.LATER]) + n + 1
-        self._soon = _reserve(self._soon, needed)
-        self._later = _reserve(self._later, needed)
-        if self._keys.size < 2 * needed:
-            self._keys = np.empty(4 * needed, np.uint64)
-        state[State.FIRST], state[State.COUNT], state[State.WINDOW_NS] = 0, n, self._window_ns
-        sort_in(self._soon, self._later, state)
 
     def _advance(self, crossings: Crossings, light: _Float32s, t_ns: int) -> Crossings:
         """Move on within the window, and merge its events with the crossings."""
         t0_ns, self._t_ns = self._t_ns, t_ns
         m, state, bits = self._model, self._state, self._pixel_bits
         state[State.T0_NS], state[State.T1_NS] = t0_ns, t_ns
-        drawn, seconds = (self._candidates, self._chances), (self._soon, self._later)
+        drawn, seconds = (self._candidates, self._chances), (self._soon, self._ring, self._far)
         found = fire(light, drawn, (m.table, m.lights), seconds, self._keys, state)
+        while state[State.FULL]:
+            self._keys = np.concatenate([self._keys, np.empty_like(self._keys)])
+            found += fire(light, drawn, (m.table, m.lights), seconds, self._keys[found:], state)
         if not found:
             return crossings
         keys = self._keys[:found]
@@ -205,7 +276,17 @@ class NoiseEvents:
         return Crossings(*out, crossings.lost_in_pixel)
 
 
+def _grown(lists: npt.NDArray[np.int64], counts: npt.NDArray[np.int64], needed: int) -> npt.NDArray[np.int64]:
+    """Return lists, (k, 3, room), that have room for `needed` events each; `counts` are those in them."""
+    if needed <= lists.shape[2]:
+        return lists
+    more = np.empty((lists.shape[0], 3, needed + needed // 4), np.int64)
+    for place, n in enumerate(counts):
+        more[place, :, :n] = lists[place, :, :n]
+    return more
+
+
 def _reserve(pending: npt.NDArray[np.int64], needed: int) -> npt.NDArray[np.int64]:
-    """Return `pending`, (2, n), with at least `needed` columns."""
+    """Return `pending`, (3, n), with at least `needed` columns."""
     n = pending.shape[1]
-    return pending if needed <= n else np.concatenate([pending, np.empty((2, 2 * needed - n), np.int64)], axis=1)
+    return pending if needed <= n else np.concatenate([pending, np.empty((3, 2 * needed - n), np.int64)], axis=1)

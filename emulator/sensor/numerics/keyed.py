@@ -43,6 +43,10 @@ class Purpose(IntEnum):
     PARTICLES = 16
     TRACKS = 17
     DOSE = 18
+    BACKGROUND = 19
+    BACKGROUND_RATE = 20
+    BACKGROUND_HOT = 21
+    NOISE_BURST = 22
     SLOT = 32
     THRESHOLD_REDRAWN = 33
 

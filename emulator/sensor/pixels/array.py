@@ -8,34 +8,35 @@ days into a stream equals the same step at its start.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from emulator.light import PixelLight
+from emulator.light import PixelLight, Region
 from emulator.sensor.numerics.compiled import log_compilation
 from emulator.sensor.numerics.keyed import Purpose, normal, uniform
-from emulator.sensor.pixels.candidates import new_table
+from emulator.sensor.numerics.vectors import aligned_zeros
+from emulator.sensor.pixels.event_buffers import EventBuffers
 from emulator.sensor.pixels.faults import ArrayFaults
 from emulator.sensor.pixels.interpolation import UNSEEN_SHARE
-from emulator.sensor.pixels.quiet_pass import Tally, advance, compile_parts, unpack
 from emulator.sensor.pixels.refinement import SHORTEST_NS, Refinement
-from emulator.sensor.pixels.state import BLOCK, FIELDS, Field, Pixels, PixelState, StepConstants
-from emulator.sensor.pixels.subset import new_subset
+from emulator.sensor.pixels.state import BLOCK, EPOCH_BITS, FIELDS, PARTS, Field, Pixels, PixelState, StepConstants
+from emulator.sensor.pixels.step import Share, Tally, advance, compile_parts
+from emulator.sensor.pixels.touched import Touched, touch
+from emulator.sensor.pixels.workers import Workers
 from emulator.sensor.presets import SensorParameters
 
 __all__ = ["Crossings", "PixelArray", "PixelState", "light_constants"]
 
-_EPOCH_BITS = 33
-_EPOCH_NS = 1 << _EPOCH_BITS
+_EPOCH_NS = 1 << EPOCH_BITS
 _NO_LOW_PASS_RATE = 1e12  # rad/s: a lag of a picosecond
 _HIGHEST_HZ = _NO_LOW_PASS_RATE / (2 * math.pi)
 _LEAST_THRESHOLD = 0.1  # of the nominal one, however far the mismatch would go
 
 _Float32s = npt.NDArray[np.float32]
 _NO_RATE = np.empty(0, np.float32)
-_NO_SUBSET = new_subset(0)
+_NO_UNITS = np.empty(0, np.uint8)
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,24 +64,6 @@ class Crossings:
         return self.t_ns.size
 
 
-@dataclass(slots=True)
-class _EventBuffers:
-    """Buffers of events that grow on demand and are used again."""
-
-    keys: npt.NDArray[np.uint64] = field(default_factory=lambda: np.empty(4096, np.uint64))
-    t_ns: npt.NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
-    pixel: npt.NDArray[np.uint32] = field(default_factory=lambda: np.empty(0, np.uint32))
-    on: npt.NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, np.bool_))
-
-    def reserve(self, n: int) -> None:
-        """Provide space for n events; the present ones stay."""
-        if n > self.t_ns.size:
-            more = max(n, 2 * self.t_ns.size) - self.t_ns.size
-            self.t_ns = np.concatenate([self.t_ns, np.empty(more, np.int64)])
-            self.pixel = np.concatenate([self.pixel, np.empty(more, np.uint32)])
-            self.on = np.concatenate([self.on, np.empty(more, np.bool_)])
-
-
 class PixelArray:
     """An array of event pixels.
 
@@ -90,6 +73,8 @@ class PixelArray:
         The sensor.
     seed : int
         Keys the mismatch, the phases and the spread of the leak. Two arrays with one seed are equal.
+    threads : int
+        Threads of a step; 0: as many as its work is worth. The events do not depend on it.
 
     Attributes
     ----------
@@ -110,24 +95,27 @@ class PixelArray:
 
     renderer: str | None = None
 
-    def __init__(self, parameters: SensorParameters, seed: int) -> None:
+    def __init__(self, parameters: SensorParameters, seed: int, threads: int = 0) -> None:
         self.parameters = parameters
         self.seed = seed
         self._clear_counters()
         self._size = (parameters.height, parameters.width)
+        self._whole = Region(0, parameters.height, 0, parameters.width)
         self._pixels = parameters.width * parameters.height
         self._pixel_bits = max(1, (self._pixels - 1).bit_length())
         self._refractory_ns = round(parameters.refractory_us * 1000)
         self._light_constants = light_constants(parameters)
-        self._buffers = _EventBuffers()
-        self._table = new_table()
+        self._buffers = EventBuffers()
         self.state = self._dark_state()
+        self._workers = Workers(self.state.fields.shape[0], threads)
+        self._touched_units = np.zeros(self.state.fields.shape[0] * (1 + PARTS), np.uint8)
+        self._known = self.state.fields
         self._refinement: Refinement | None = None
 
     def _dark_state(self) -> PixelState:
         """Return the state before the first light, with the fixed figures of each pixel drawn."""
         blocks = -(-self._pixels // BLOCK)
-        fields = np.zeros((blocks, FIELDS, BLOCK), np.float32)
+        fields = aligned_zeros((blocks, FIELDS, BLOCK))
         fields[:, Field.ON] = fields[:, Field.OFF] = np.inf
         p, pixel = self.parameters, np.arange(self._pixels)
         for which, purpose, nominal in (
@@ -159,10 +147,22 @@ class PixelArray:
         """Return the access to defects and to the leak."""
         return ArrayFaults(self, self._pixels)
 
+    def follow_parameters(self, constants: tuple[np.float32, np.float32, np.float32, np.float32]) -> None:
+        """Take over what the steps use of changed `parameters`; see `adjustment`."""
+        self._refractory_ns = round(self.parameters.refractory_us * 1000)
+        self._light_constants = constants
+        self._refinement = None
+
     def compile_part(self, which: str) -> None:
         """Compile "blocks" or "candidates", large parts of the step that `step` then finds on disk."""
         pixels = Pixels(self.state.fields.reshape(-1), self.state.refractory_until_ns)
-        compile_parts(which, pixels, self._table, self._buffers.keys, self._constants(0, 1_000_000))
+        touched = self._touched(None)
+        share = Share(0, 1, self._workers.idle, touched)
+        compile_parts(which, pixels, self._workers.buffers(), share, self._constants(0, 1_000_000))
+
+    def wake(self) -> None:
+        """Look at all blocks again in the next step; for who changes the state of pixels from outside."""
+        self._workers.idle.until_ns[:] = -1
 
     def field(self, which: Field) -> _Float32s:
         """Return a copy of one field of the state, (height, width) float32."""
@@ -173,17 +173,18 @@ class PixelArray:
         log_compilation(advance, "the pixel step")
         state, p = self.state, self.parameters
         flat, slope = self._flat(light), _NO_RATE if rate is None else self._flat(rate)
-        state.t_ns, state.epoch_ns = int(t_ns), (int(t_ns) >> _EPOCH_BITS) << _EPOCH_BITS
+        state.t_ns, state.epoch_ns = int(t_ns), (int(t_ns) >> EPOCH_BITS) << EPOCH_BITS
         state.refractory_until_ns[:] = t_ns
         current = np.maximum(flat, 0) + np.float32(p.dark_current_relative)
         current[~np.isfinite(flat)] = np.nan
         log_light = np.log(current)
         _, at_reference, least, most = self._light_constants
         filter_rate = np.clip(at_reference * current, least, most)
-        phase = uniform(self.seed, Purpose.LEAK_PHASE, np.arange(self._pixels))
+        phase = uniform(self.seed, Purpose.LEAK_PHASE, np.arange(self._pixels)) if p.random_start else np.float64(0)
         on, leak = (_take(state.fields, which, self._pixels) for which in (Field.ON, Field.LEAK))
         since_epoch = (state.t_ns - state.epoch_ns) * 1e-9
         state.fields[:, Field.LEAKED] = 0
+        self._move_parasitic(-since_epoch, log_light)
         state.slopes_known = rate is not None
         for which in (Field.LOG_LIGHT, Field.FILTERED, Field.SECOND):
             _put(state.fields, which, log_light)
@@ -195,9 +196,15 @@ class PixelArray:
         )
         _put(state.fields, Field.REFERENCE, log_light + leak * since_epoch - on * phase)
         self._clear_counters()
+        self.wake()
 
     def step(
-        self, light: _Float32s, t_ns: int, rate: _Float32s | None = None, at: PixelLight | None = None
+        self,
+        light: _Float32s,
+        t_ns: int,
+        rate: _Float32s | None = None,
+        at: PixelLight | None = None,
+        changed: Region | None = None,
     ) -> Crossings:
         """Move from the last time to `t_ns`.
 
@@ -214,6 +221,8 @@ class PixelArray:
             Time derivative of the light at `t_ns`, per second; not finite where unknown.
         at : PixelLight, optional
             Gives the light of single pixels in between. With it and `rate`, undersampled steps are refined.
+        changed : Region, optional
+            The part of light and rate that may differ from those of the last step or reset; None: all of it.
 
         Raises
         ------
@@ -229,7 +238,7 @@ class PixelArray:
         if t_ns - state.t_ns > _EPOCH_NS:
             n, slope = self._whole_epochs(flat, t_ns), _NO_RATE
         if t_ns > state.t_ns:
-            n = self._advance((flat, slope), t_ns, n, at)
+            n = self._advance((flat, slope), t_ns, n, at, changed)
         found = self._buffers
         return Crossings(found.t_ns[:n], found.pixel[:n], found.on[:n], self.lost_in_pixel - lost_before)
 
@@ -248,41 +257,67 @@ class PixelArray:
         log_after = np.log(np.maximum(light, 0) + dark)
         return np.asarray(np.exp(log_before + np.float32(share) * (log_after - log_before)) - dark, np.float32)
 
-    def _advance(self, frame: tuple[_Float32s, _Float32s], t_ns: int, n: int, at: PixelLight | None = None) -> int:
+    def _advance(
+        self,
+        frame: tuple[_Float32s, _Float32s],
+        t_ns: int,
+        n: int,
+        at: PixelLight | None = None,
+        changed: Region | None = None,
+    ) -> int:
         """Advance by at most an epoch, add the crossings after the first n, and return the new number."""
         state, buffers, slope = self.state, self._buffers, frame[1]
         self._move_epoch()
+        if state.fields is not self._known:
+            self._known = state.fields
+            self.wake()
         if slope.size and not state.slopes_known:
             state.fields[:, Field.SLOPE] = np.nan
+            self.wake()
         state.slopes_known = bool(slope.size)
         t0_ns, with_slopes = state.t_ns, bool(slope.size)
         refines = with_slopes and at is not None and t_ns - t0_ns >= SHORTEST_NS
-        refinement = self._made_refinement() if refines else None
         pixels, c = (
             Pixels(state.fields.reshape(-1), state.refractory_until_ns),
             self._constants(t0_ns, t_ns, not with_slopes),
         )
-        if refinement is None or at is None:
-            buffers.keys, found, tally = advance(frame, pixels, self._table, _NO_SUBSET, buffers.keys, c)
+        touched = self._touched(changed)
+        if not refines or at is None:
+            lists, tally = self._workers.step(frame, pixels, touched, c)
         else:
-            buffers.keys, found, tally = refinement.step(frame, pixels, buffers.keys, c, at)
+            share = Share(0, 1, self._workers.idle, touched)
+            buffers.keys, found, tally = self._made_refinement().step(frame, pixels, share, buffers.keys, c, at)
+            lists = [buffers.keys[:found]]
+            lists[0].sort()
         self._count(tally)
-        if found:
-            keys = buffers.keys[:found]
-            keys.sort()
-            buffers.reserve(n + found)
-            unpack(keys, t0_ns, self._pixel_bits, buffers.t_ns[n : n + found], buffers.pixel[n:], buffers.on[n:])
         state.t_ns = t_ns
-        return n + int(found)
+        return buffers.add(lists, (t0_ns, self._pixel_bits), n)
+
+    def _touched(self, changed: Region | None) -> Touched:
+        region = self._whole if changed is None else changed
+        units = _NO_UNITS
+        if region.boxes is not None:
+            units = self._touched_units
+            touch(region.boxes, self.parameters.width, units)
+        return Touched(*region.bounds, self.parameters.width, units)
 
     def _move_epoch(self) -> None:
         """Count leak from the last whole epoch: the only place where a reference moves without an event."""
         state = self.state
-        epoch_ns = (state.t_ns >> _EPOCH_BITS) << _EPOCH_BITS
+        epoch_ns = (state.t_ns >> EPOCH_BITS) << EPOCH_BITS
         if epoch_ns != state.epoch_ns:
             moved_s = np.float32((epoch_ns - state.epoch_ns) * 1e-9)
             state.fields[:, Field.REFERENCE] -= state.fields[:, Field.LEAK] * moved_s
+            self._move_parasitic(moved_s, _take(state.fields, Field.LOG_LIGHT, self._pixels))
             state.epoch_ns = epoch_ns
+
+    def _move_parasitic(self, by_s: float | np.float32, log_light: _Float32s) -> None:
+        """Count the parasitic leak of the present light from an epoch that is `by_s` later."""
+        hz = self.parameters.parasitic_hz_at_reference
+        if hz:
+            fields, lit = self.state.fields, np.where(np.isfinite(log_light), np.exp(log_light), 0)
+            leaked = _take(fields, Field.LEAKED, self._pixels) + hz * _take(fields, Field.ON, self._pixels) * lit * by_s
+            _put(fields, Field.LEAKED, leaked)
 
     def _made_refinement(self) -> Refinement:
         """Return the refinement, which is made when first needed."""
@@ -292,7 +327,8 @@ class PixelArray:
             resting[[Field.LOG_LIGHT, Field.FILTERED, Field.REFERENCE, Field.SECOND]] = np.log(dark)
             resting[Field.RATE] = np.clip(at_reference * dark, least, most)
             resting[[Field.ON, Field.OFF]] = np.inf
-            self._refinement = Refinement(self.state.fields.shape[0], resting, self._table, self._constants)
+            table = self._workers.buffers().table
+            self._refinement = Refinement(self.state.fields.shape[0], resting, table, self._constants)
         return self._refinement
 
     def _count(self, tally: Tally) -> None:

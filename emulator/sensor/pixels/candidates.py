@@ -19,12 +19,14 @@ import numpy.typing as npt
 from emulator.sensor.numerics.cached import cached_entry
 from emulator.sensor.numerics.compiled import NONE, inlined, kernel, lane, vector_kernel
 from emulator.sensor.numerics.elementary import exponential
+from emulator.sensor.numerics.vectors import aligned_zeros, use_widest_vectors
 from emulator.sensor.pixels.cubic_roots import SETTLED, Bracket, Cubic, bisect, newton, value
 from emulator.sensor.pixels.interpolation import is_smooth
-from emulator.sensor.pixels.lowpass import Course, missed_by_cubic, transient
+from emulator.sensor.pixels.lowpass import Course, missed_by_cubic, photocurrent, transient
 from emulator.sensor.pixels.march import march_through
 from emulator.sensor.pixels.march_table import CAPACITY, March, Start, enter, new_march
 from emulator.sensor.pixels.packed_crossings import MOST_EVENTS, Keys, pack, reserve
+from emulator.sensor.pixels.packs import pixel_at
 from emulator.sensor.pixels.state import BEFORE_ROWS, BLOCK, Field, Pixels, StepConstants, slot, whole_vectors
 
 __all__ = ["BATCH", "Table", "gather", "new_table", "select", "solve"]
@@ -68,7 +70,7 @@ class Table(NamedTuple):
 
 def new_table() -> Table:
     """Return an empty table."""
-    rows = np.zeros(_C_ROWS * CAPACITY, np.float32)
+    rows = aligned_zeros(_C_ROWS * CAPACITY)
     return Table(rows, np.empty(CAPACITY, np.int64), np.empty(CAPACITY, np.int64), new_march())
 
 
@@ -80,15 +82,16 @@ def _at(row: int, k: np.uint64) -> np.uint64:
 
 @kernel
 def select(
-    found: _Int64s, s: _Float32s, before: _Float32s, refractory_until_ns: _Int64s, c: StepConstants
+    found: _Int64s, s: _Float32s, before: _Float32s, at: tuple[_Int64s, _Int64s], c: StepConstants
 ) -> tuple[int, int]:
-    """Select the candidates of a block that are to be solved, in place.
+    """Select the candidates of a block that are to be solved, in place; `at`: its parts, ends of refractory periods.
 
     Three kinds are left out: smooth ones whose refractory period covers the step, pixels whose light is unreadable, and
     pixels whose light was unreadable at the last step, where the filter starts again. Returns the numbers of selected
     and of unreadable pixels.
     """
     selected = unreadable = NONE
+    firsts, refractory_until_ns = at
     for pixel in found:
         i = np.uint64(pixel)
         u1, v0, reference = s[_at(_U, i)], before[_at(_V0, i)], s[_at(_REF, i)]
@@ -96,21 +99,21 @@ def select(
             s[_at(_V, i)] = s[_at(_W, i)] = u1
         unreadable += u1 != u1
         found[selected] = pixel
-        if reference != reference and refractory_until_ns[i] - c.t0_ns > c.h_ns:
-            unseen = c.unseen_share * min(s[_at(_ON, i)], s[_at(_OFF, i)])
-            if is_smooth(u1 - before[_at(_U0, i)], before[_at(_A0, i)], before[_at(_A1, i)], unseen):
+        if reference != reference and refractory_until_ns[pixel_at(firsts, pixel)] - c.t0_ns > c.h_ns:
+            d, a0, a1 = u1 - before[_at(_U0, i)], before[_at(_A0, i)], before[_at(_A1, i)]
+            if is_smooth(d, a0, a1, min(s[_at(_ON, i)], s[_at(_OFF, i)]), c.unseen_share):
                 continue
         selected += (u1 == u1) & (v0 == v0)
     return selected, unreadable
 
 
 @kernel
-def gather(selected: _Int64s, s: _Float32s, before: _Float32s, first: int, table: Table, n: int) -> None:
-    """Add candidates of the block that begins at pixel `first` to the table, from column n on."""
+def gather(selected: _Int64s, s: _Float32s, before: _Float32s, firsts: _Int64s, table: Table, n: int) -> None:
+    """Add candidates of the block of parts that begin at `firsts` to the table, from column n on."""
     rows = table.rows
     for j in range(selected.size):
         i, k = np.uint64(selected[j]), np.uint64(n + j)
-        table.pixels[k] = first + selected[j]
+        table.pixels[k] = pixel_at(firsts, selected[j])
         rows[_at(_C_U0, k)], rows[_at(_C_U1, k)] = before[_at(_U0, i)], s[_at(_U, i)]
         rows[_at(_C_V0, k)], rows[_at(_C_V1, k)] = before[_at(_V0, i)], s[_at(_V, i)]
         rows[_at(_C_L0, k)], rows[_at(_C_L1, k)] = before[_at(_L0, i)], s[_at(_L, i)]
@@ -129,7 +132,10 @@ def gather_rare(selected: _Int64s, s: _Float32s, before: _Float32s, n: int, tabl
         if c.second > _ZERO:
             rows[_at(_C_W0, k)], rows[_at(_C_W1, k)] = before[_at(_W0, i)], s[_at(_W, i)]
         if c.parasitic > _ZERO:
-            rows[_at(_C_P0, k)], rows[_at(_C_P1, k)] = before[_at(_P0, i)], s[_at(_P, i)]
+            leaks = c.parasitic * s[_at(_ON, i)]
+            since0, since1 = leaks * photocurrent(before[_at(_U0, i)]), leaks * photocurrent(s[_at(_U, i)])
+            rows[_at(_C_P0, k)] = before[_at(_P0, i)] + since0 * c.since_epoch_0
+            rows[_at(_C_P1, k)] = s[_at(_P, i)] + since1 * c.since_epoch_1
 
 
 @kernel
@@ -147,11 +153,12 @@ def _find_starts(pixels: Pixels, table: Table, n: int, c: StepConstants) -> None
 @vector_kernel
 def _make_curves(table: _Float32s, n: int, c: StepConstants) -> None:
     """Write each candidate's cubic, without leak, and whether the pixel needs substeps instead."""
+    use_widest_vectors()
     for j in range(n):
         u0, v0, u1, v1 = table[_C_U0 + j], table[_C_V0 + j], table[_C_U1 + j], table[_C_V1 + j]
         r0, r1, a0, a1 = c.h * table[_C_L0 + j], c.h * table[_C_L1 + j], table[_C_A0 + j], table[_C_A1 + j]
         s, threshold = table[_C_S + j], min(table[_C_ON + j], table[_C_OFF + j])
-        smooth = is_smooth(u1 - u0, a0, a1, c.unseen_share * threshold)
+        smooth = is_smooth(u1 - u0, a0, a1, threshold, c.unseen_share)
         t = transient(u0 - v0, Course(s, u1 - u0, s * a0 / r0, s * a1 / r1))
         m0, m1 = r0 * (t.lag0 if t.faint else u0 - v0), r1 * (t.lag1 if t.faint else u1 - v1)
         fits = (_ZERO if t.faint else missed_by_cubic(t.b, s)) <= _SHARE * threshold
@@ -162,6 +169,7 @@ def _make_curves(table: _Float32s, n: int, c: StepConstants) -> None:
 @vector_kernel
 def _make_curves_of_second_pole(table: _Float32s, n: int, c: StepConstants) -> None:
     """Replace each candidate's cubic by that of the second pole's output."""
+    use_widest_vectors()
     for j in range(n):
         v0, v1, w0, w1 = table[_C_V0 + j], table[_C_V1 + j], table[_C_W0 + j], table[_C_W1 + j]
         t = transient(v0 - w0, Course(c.second, v1 - v0, table[_C_C1 + j], table[_C_C2 + j]))
@@ -176,6 +184,7 @@ def _make_curves_of_second_pole(table: _Float32s, n: int, c: StepConstants) -> N
 @vector_kernel
 def _add_parasitic(table: _Float32s, n: int, c: StepConstants) -> None:
     """Add the parasitic leak to each candidate's curve."""
+    use_widest_vectors()
     for j in range(n):
         leaks = c.h * c.parasitic * table[_C_ON + j]
         table[_C_D0 + j] += table[_C_P0 + j]
@@ -187,6 +196,7 @@ def _add_parasitic(table: _Float32s, n: int, c: StepConstants) -> None:
 @vector_kernel
 def _sort_by_kind(table: _Float32s, n: int, c: StepConstants) -> None:
     """Finish each candidate's curve, relative to `base` and with leak, and write its kind: what happens to it."""
+    use_widest_vectors()
     for j in range(n):
         leak, on, off, start = table[_C_LEAK + j], table[_C_ON + j], table[_C_OFF + j], table[_C_START + j]
         reference, w0 = table[_C_REF + j], table[_C_D0 + j]
@@ -228,6 +238,7 @@ def _bracket(rows: _Float32s, j: int) -> Bracket:
 @vector_kernel
 def _cross(table: _Float32s, n: int) -> None:
     """Find where each candidate's monotone cubic meets its next level, and write z and the last Newton correction."""
+    use_widest_vectors()
     for j in range(n):
         g, at = _cubic(table, j), _bracket(table, j)
         at_start = value(g, at.low)
@@ -253,6 +264,7 @@ def _bisect_unsettled(table: Table, n: int) -> None:
 @vector_kernel
 def _follow(table: _Float32s, n: int, c: StepConstants) -> None:
     """Write for each candidate that fires at z its next reference, when it is re-armed, and whether it fires again."""
+    use_widest_vectors()
     for j in range(n):
         a, d1, on, off = table[_C_A + j], table[_C_D1 + j], table[_C_ON + j], table[_C_OFF + j]
         re_armed = table[_C_Z + j] + c.refractory
@@ -334,13 +346,14 @@ def _dispatch(pixels: Pixels, table: Table, n: int, c: StepConstants) -> int:
 
 
 @kernel
-def _fold_parasitic(pixels: Pixels, table: Table, n: int) -> None:
+def _fold_parasitic(pixels: Pixels, table: Table, n: int, c: StepConstants) -> None:
     """Move the parasitic leak of candidates that fire or are re-armed into their references; its sum starts at zero."""
     for j in range(n):
         kind = table.rows[_C_KIND + j]
         if (kind == _FIRES) | (kind == _RE_ARMS):
             table.rows[_C_BASE + j] -= table.rows[_C_P1 + j]
-            pixels.fields[slot(table.pixels[j]) + _P] = _ZERO
+            leaks = c.parasitic * table.rows[_C_ON + j] * photocurrent(table.rows[_C_U1 + j])
+            pixels.fields[slot(table.pixels[j]) + _P] = -leaks * c.since_epoch_1
 
 
 @cached_entry
@@ -362,7 +375,7 @@ def solve(
         _add_parasitic(table.rows, whole_vectors(n), c)
     _sort_by_kind(table.rows, whole_vectors(n), c)
     if c.parasitic > _ZERO:
-        _fold_parasitic(pixels, table, n)
+        _fold_parasitic(pixels, table, n, c)
     marching = _dispatch(pixels, table, n, c)
     keys, n_keys, lost, undersampled = march_through(pixels, table.march, marching, keys, n_keys, c)
     event = 0

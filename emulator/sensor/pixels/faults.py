@@ -40,6 +40,9 @@ class _HasState(Protocol):
 
     state: PixelState
 
+    def wake(self) -> None:
+        """Look at all pixels again in the next step."""
+
 
 class ArrayFaults:
     """The faults of a `PixelArray` of some number of pixels; see `PixelFaults`."""
@@ -57,6 +60,7 @@ class ArrayFaults:
         flat = self._array.state.fields.reshape(-1)
         flat[_at(pixel, Field.ON)] = flat[_at(pixel, Field.OFF)] = DEAD_THRESHOLD
         flat[_at(pixel, Field.LEAK)] = 0
+        self._array.wake()
 
     def leak_hz(self) -> _Floats:
         """Return the leak rate of all pixels, (pixels,), without the parasitic leak."""
@@ -71,6 +75,7 @@ class ArrayFaults:
         since_epoch_s = np.float32((state.t_ns - state.epoch_ns) * 1e-9)
         flat[_at(pixel, Field.REFERENCE)] += (leak - flat[_at(pixel, Field.LEAK)]) * since_epoch_s
         flat[_at(pixel, Field.LEAK)] = leak
+        self._array.wake()
 
 
 def _at(pixel: _Int64s, which: Field) -> _Int64s:

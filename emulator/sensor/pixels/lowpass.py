@@ -29,6 +29,7 @@ __all__ = [
     "Transient",
     "missed_by_cubic",
     "passed_by_second_pole",
+    "photocurrent",
     "rise_behind_second_pole",
     "rise_of_filter",
     "transient",
@@ -73,6 +74,12 @@ class Filtered(NamedTuple):
     rise: Real
     r0: Real
     r1: Real
+
+
+@lane
+def photocurrent(u: Real) -> Real:
+    """Return the photocurrent of a log light; 0 where it is not known."""
+    return exponential(u) if u == u else _ZERO
 
 
 @lane

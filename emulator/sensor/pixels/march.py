@@ -14,6 +14,7 @@ import numpy.typing as npt
 import emulator.sensor.pixels.march_table as row
 from emulator.sensor.numerics.compiled import NONE, kernel, kernel_that_allocates, lane, vector_kernel
 from emulator.sensor.pixels.cubic_roots import SETTLED, Bracket, Cubic, bisect, newton, value
+from emulator.sensor.pixels.lowpass import photocurrent
 from emulator.sensor.pixels.march_table import March
 from emulator.sensor.pixels.packed_crossings import MOST_EVENTS, Keys, pack, reserve
 from emulator.sensor.pixels.state import BLOCK, Field, Pixels, StepConstants, slot, whole_vectors
@@ -23,7 +24,7 @@ __all__ = ["march_through"]
 
 _Float32s = npt.NDArray[np.float32]
 
-_V, _REF, _W, _P = (int(f) * BLOCK for f in (Field.FILTERED, Field.REFERENCE, Field.SECOND, Field.LEAKED))
+_U, _V, _, _, _REF, _, _, _, _W, _P = (int(f) * BLOCK for f in Field)
 
 _NAN = np.float32(np.nan)
 _ZERO, _ONE = np.float32(0), np.float32(1)
@@ -127,7 +128,8 @@ def _store(pixels: Pixels, march: March, j: int, c: StepConstants) -> None:
         pixels.fields[here + _W] = rows[row.W1 + j]
     if c.parasitic > _ZERO:
         leaked = rows[row.P1 + j]
-        pixels.fields[here + _P] = leaked if level == _ZERO else _ZERO
+        leaks = c.parasitic * rows[row.ON + j] * photocurrent(pixels.fields[here + _U])
+        pixels.fields[here + _P] = (leaked if level == _ZERO else _ZERO) - leaks * c.since_epoch_1
     moved = level - leaked if level != _ZERO else _ZERO
     pixels.fields[here + _REF] = rows[row.BASE + j] + moved
 

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.sensor.numerics.compiled import Real, kernel
+from emulator.sensor.numerics.vectors import aligned_zeros
 from emulator.sensor.pixels.state import BLOCK
 
 __all__ = ["CAPACITY", "STEP_ROWS", "March", "Start", "enter", "new_march"]
@@ -22,11 +23,12 @@ _Int64s = npt.NDArray[np.int64]
 CAPACITY = 2 * BLOCK + 16
 """Columns; a little more than a power of two, so that a column's entries do not all fall into one set of the cache."""
 
-STEP_ROWS = 17
-# Light: value at the start, change, both slopes, whether it jumps, width of a substep. State: filter, second pole,
-# parasitic leak. Position z; base and level of the comparator, when it is re-armed; thresholds, leak, number of events.
+STEP_ROWS = 18
+# Light: value at the start, change, both slopes, its form and where that changes, width of a substep. State: filter,
+# second pole, parasitic leak. Position z; base and level of the comparator, when it is re-armed; thresholds, leak,
+# number of events.
 (
-    U, D, A0, A1, JUMP, WIDTH, V, W, P, Z, BASE, LEVEL, RE_ARMED, ON, OFF, LEAK, COUNT,
+    U, D, A0, A1, FORM, KNOT, WIDTH, V, W, P, Z, BASE, LEVEL, RE_ARMED, ON, OFF, LEAK, COUNT,
 ) = (k * CAPACITY for k in range(STEP_ROWS))  # fmt: skip
 # The curve of a substep g = d0 + c1 x + c2 x^2 + c3 x^3 with x in [0, 1], its turns, its width and end; the position x,
 # whether it fires and where, bounds and level of that crossing, the last Newton correction; light at both ends.
@@ -64,7 +66,7 @@ class Start(NamedTuple):
 
 def new_march() -> March:
     """Return an empty table."""
-    rows = np.zeros(_ROWS * CAPACITY, np.float32)
+    rows = aligned_zeros(_ROWS * CAPACITY)
     return March(rows, np.empty(CAPACITY, np.int64), np.empty(CAPACITY, np.int64))
 
 

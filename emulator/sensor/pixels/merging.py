@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from emulator.sensor.numerics.cached import cached_entry
 from emulator.sensor.pixels.array import Crossings
-from emulator.sensor.pixels.quiet_pass import unpack
+from emulator.sensor.pixels.step import unpack
 
 __all__ = ["NO_CROSSINGS", "joined", "merged", "unpacked"]
 
@@ -25,7 +25,7 @@ def unpacked(keys: npt.NDArray[np.uint64], t0_ns: int, pixel_bits: int) -> Cross
         return NO_CROSSINGS
     keys.sort()
     arrays = np.empty(keys.size, np.int64), np.empty(keys.size, np.uint32), np.empty(keys.size, np.bool_)
-    unpack(keys, t0_ns, pixel_bits, *arrays)
+    unpack(keys, t0_ns, pixel_bits, arrays)
     return Crossings(*arrays)
 
 

@@ -31,7 +31,7 @@ class Drawn:
     leak : (pixels,) float64
         Leak, ln units per second.
     phase : (pixels,) float64
-        Share of the ON threshold by which the first reference lies below the first light.
+        Share of the ON threshold by which the first reference lies below the first light; 0 without `random_start`.
     """
 
     on: _Float64s
@@ -52,4 +52,5 @@ def draw(parameters: SensorParameters, seed: int) -> Drawn:
     )
     sigma = parameters.leak_spread
     rate_hz = parameters.leak_hz * np.exp(sigma * normal(seed, Purpose.LEAK_RATE, pixel) - sigma**2 / 2)
-    return Drawn(on, off, rate_hz * on, uniform(seed, Purpose.LEAK_PHASE, pixel))
+    phase = uniform(seed, Purpose.LEAK_PHASE, pixel) if parameters.random_start else np.zeros(pixel.size)
+    return Drawn(on, off, rate_hz * on, phase)

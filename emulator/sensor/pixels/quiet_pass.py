@@ -19,7 +19,7 @@ to `candidates`.
 
 What makes it fast, all measured:
 
-- State is kept in blocks of 1024 pixels, field after field within a block (see `Field`), in one flat array. A block
+- State is kept in blocks of 512 pixels, field after field within a block (see `Field`), in one flat array. A block
   stays in the nearest caches with its scratch, and all its fields lie at distances known when compiled: LLVM gives up
   on a loop with many separate arrays, because it would have to check each pair for overlap.
 - Loops run from 0 over BLOCK, a constant: no test for negative indices, no remainder, and a pixel's arithmetic does not
@@ -35,40 +35,31 @@ What makes it fast, all measured:
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
-import numba
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.numerics.cached import cached_entry, cached_kernel
-from emulator.sensor.numerics.compiled import NONE, Real, kernel, kernel_that_allocates, lane, vector_kernel
-from emulator.sensor.numerics.elementary import decay, exponential, lowest_bit, natural_log
-from emulator.sensor.pixels.candidates import BATCH, Table, gather, gather_rare, select, solve
+from emulator.sensor.numerics.compiled import Real, kernel, lane, vector_kernel
+from emulator.sensor.numerics.elementary import decay, lowest_bit, natural_log
+from emulator.sensor.numerics.vectors import use_widest_vectors
 from emulator.sensor.pixels.interpolation import is_smooth
-from emulator.sensor.pixels.lowpass import Course, Filtered, rise_behind_second_pole, rise_of_filter, warped_time
-from emulator.sensor.pixels.state import BEFORE_ROWS, BLOCK, FIELDS, Field, Pixels, StepConstants
-from emulator.sensor.pixels.subset import Subset, gather_undersampled
+from emulator.sensor.pixels.lowpass import (
+    Course,
+    Filtered,
+    photocurrent,
+    rise_behind_second_pole,
+    rise_of_filter,
+    warped_time,
+)
+from emulator.sensor.pixels.state import BEFORE_ROWS, BLOCK, Field, StepConstants
 
-__all__ = ["Tally", "advance", "compile_parts", "unpack"]
+__all__ = ["list_flags", "move_quietly"]
 
 _Float32s = npt.NDArray[np.float32]
 _Int64s = npt.NDArray[np.int64]
 _Bytes = npt.NDArray[np.uint8]
-_Keys = npt.NDArray[np.uint64]
 
 _U, _V, _L, _G, _REF, _ON, _OFF, _LEAK, _W, _P = (int(f) * BLOCK for f in Field)
 _U0, _V0, _L0, _G0, _A0, _A1, _S, _Q, _W0, _P0, _HIGH, _LOW = BEFORE_ROWS
-
-
-class Tally(NamedTuple):
-    """Counts of a step beside its events: crossings in the first field, pixel-steps in the others."""
-
-    lost: int  # crossings beyond MOST_EVENTS of a pixel
-    undersampled: int  # light that changed between the frames in a way that they do not show
-    candidates: int  # solved for crossings
-    unreadable: int  # light not finite
-    refined: int  # undersampled, and gathered for refinement instead of being solved
 
 
 _COLLECT = np.uint64(0x0102040810204080)
@@ -88,6 +79,7 @@ def _take_light(light: _Float32s, rate: _Float32s, s: _Float32s, before: _Float3
 
     The old ones go to the scratch rows.
     """
+    use_widest_vectors()
     for i in range(BLOCK):
         e, r = light[i], rate[i]
         lit = e > _ZERO
@@ -102,6 +94,7 @@ def _take_light(light: _Float32s, rate: _Float32s, s: _Float32s, before: _Float3
 @vector_kernel
 def _take_light_alone(light: _Float32s, s: _Float32s, before: _Float32s, c: StepConstants) -> None:
     """Write a block's new log light as `_take_light` does, without a rate: the slopes are those of a straight line."""
+    use_widest_vectors()
     for i in range(BLOCK):
         e, u0, l0 = light[i], s[_U + i], s[_L + i]
         current = (e if e > _ZERO else _ZERO) + c.dark
@@ -115,6 +108,7 @@ def _take_light_alone(light: _Float32s, s: _Float32s, before: _Float32s, c: Step
 @vector_kernel
 def _warp(s: _Float32s, before: _Float32s, c: StepConstants) -> None:
     """Write a block's S, q = 1 - e^-S, and the slopes of u per step."""
+    use_widest_vectors()
     for i in range(BLOCK):
         l0, l1 = before[_L0 + i], s[_L + i]
         a0, a1 = c.h * l0 * before[_G0 + i], c.h * l1 * s[_G + i]
@@ -126,6 +120,7 @@ def _warp(s: _Float32s, before: _Float32s, c: StepConstants) -> None:
 @vector_kernel
 def _filter(s: _Float32s, before: _Float32s) -> None:
     """Write a block's new filtered values to the state, the old ones to the scratch rows."""
+    use_widest_vectors()
     for i in range(BLOCK):
         u0, u1, v0 = before[_U0 + i], s[_U + i], s[_V + i]
         warped, g0, g1 = before[_S + i], before[_G0 + i], s[_G + i]
@@ -150,6 +145,7 @@ def _filter_and_test(s: _Float32s, before: _Float32s, may_fire: _Bytes, c: StepC
     This is the usual case in one loop. NaN in any input gives 1, so pixels in their refractory period, whose reference
     is NaN, and pixels with unreadable light become candidates and are handled there.
     """
+    use_widest_vectors()
     for i in range(BLOCK):
         u0, u1, v0, q = before[_U0 + i], s[_U + i], s[_V + i], before[_Q + i]
         warped, g0, g1 = before[_S + i], before[_G0 + i], s[_G + i]
@@ -160,12 +156,13 @@ def _filter_and_test(s: _Float32s, before: _Float32s, may_fire: _Bytes, c: StepC
         rise, fall = _filter_bounds(q, behind, d, a0, a1)
         high, low = above + (rise + leak * c.since_epoch_1), above + (fall + leak * c.since_epoch_0)
         quiet = (high < on - _MARGIN) & (low > _MARGIN - off)
-        may_fire[i] = 0 if quiet & is_smooth(d, a0, a1, c.unseen_share * min(on, off)) else 1
+        may_fire[i] = 0 if quiet & is_smooth(d, a0, a1, min(on, off), c.unseen_share) else 1
 
 
 @vector_kernel
 def _bound(s: _Float32s, before: _Float32s) -> None:
     """Write bounds of a block's filtered values during the step, for the stages behind the filter."""
+    use_widest_vectors()
     for i in range(BLOCK):
         u0, v0, a0, a1 = before[_U0 + i], before[_V0 + i], before[_A0 + i], before[_A1 + i]
         rise, fall = _filter_bounds(before[_Q + i], u0 - v0, s[_U + i] - u0, a0, a1)
@@ -175,6 +172,7 @@ def _bound(s: _Float32s, before: _Float32s) -> None:
 @vector_kernel
 def _add_second_pole(s: _Float32s, before: _Float32s, c: StepConstants) -> None:
     """Write a block's output of the second pole to the state; its bounds replace those of the filter."""
+    use_widest_vectors()
     q = decay(c.second)
     for i in range(BLOCK):
         u0, u1, v0, w0, warped = before[_U0 + i], s[_U + i], before[_V0 + i], s[_W + i], before[_S + i]
@@ -188,30 +186,39 @@ def _add_second_pole(s: _Float32s, before: _Float32s, c: StepConstants) -> None:
 
 @vector_kernel
 def _add_parasitic(s: _Float32s, before: _Float32s, c: StepConstants) -> None:
-    """Add a block's parasitic leak, the integral of i, to its pixels' sums and to the bounds."""
+    """Add a block's parasitic leak, the integral of i, to its pixels' sums and to the bounds.
+
+    The sums are kept without what the present light leaks since the epoch: they do not change while the light is still.
+    """
+    use_widest_vectors()
     for i in range(BLOCK):
-        i0, i1, p0 = exponential(before[_U0 + i]), exponential(s[_U + i]), s[_P + i]
-        a0, a1 = before[_A0 + i], before[_A1 + i]
+        u0, u1 = before[_U0 + i], s[_U + i]
+        i0, i1 = photocurrent(u0), photocurrent(u1)
+        a0, a1, stored = before[_A0 + i], before[_A1 + i], s[_P + i]
         share = max(_HALF * (i0 + i1) + _TWELFTH * (i0 * a0 - i1 * a1), min(i0, i1))
-        p1 = p0 + c.h * c.parasitic * s[_ON + i] * share
-        before[_P0 + i], s[_P + i] = p0, p1
-        before[_HIGH + i], before[_LOW + i] = before[_HIGH + i] + _MORE * (p1 - p0) + p0, before[_LOW + i] + p0
+        leaks = c.parasitic * s[_ON + i]
+        p0, p1 = stored + leaks * i0 * c.since_epoch_0, leaks * c.h * share
+        moved = stored + leaks * (c.h * (share - i1) - c.since_epoch_0 * (i1 - i0))
+        before[_P0 + i], s[_P + i] = stored, moved if (u0 == u0) & (u1 == u1) else p0 - leaks * i1 * c.since_epoch_1
+        before[_HIGH + i], before[_LOW + i] = before[_HIGH + i] + _MORE * p1 + p0, before[_LOW + i] + p0
 
 
 @vector_kernel
 def _test(s: _Float32s, before: _Float32s, may_fire: _Bytes, c: StepConstants) -> None:
     """Write 1 to `may_fire` where a pixel's bounds meet a threshold or its step is not smooth, else 0."""
+    use_widest_vectors()
     for i in range(BLOCK):
         on, off, leak, reference = s[_ON + i], s[_OFF + i], s[_LEAK + i], s[_REF + i]
         high = (before[_HIGH + i] - reference) + leak * c.since_epoch_1
         low = (before[_LOW + i] - reference) + leak * c.since_epoch_0
         quiet = (high < on - _MARGIN) & (low > _MARGIN - off)
-        smooth = is_smooth(s[_U + i] - before[_U0 + i], before[_A0 + i], before[_A1 + i], c.unseen_share * min(on, off))
+        d, a0, a1 = s[_U + i] - before[_U0 + i], before[_A0 + i], before[_A1 + i]
+        smooth = is_smooth(d, a0, a1, min(on, off), c.unseen_share)
         may_fire[i] = 0 if quiet & smooth else 1
 
 
 @kernel
-def _list(eights: npt.NDArray[np.uint64], found: _Int64s) -> int:
+def list_flags(eights: npt.NDArray[np.uint64], found: _Int64s) -> int:
     """Write the indices of a block's pixels that may fire into `found`; return how many.
 
     `eights` is `may_fire` seen as words, eight flags in each.
@@ -229,7 +236,7 @@ def _list(eights: npt.NDArray[np.uint64], found: _Int64s) -> int:
 
 
 @kernel
-def _quiet_pass(
+def move_quietly(
     light: _Float32s, rate: _Float32s, s: _Float32s, before: _Float32s, may_fire: _Bytes, c: StepConstants
 ) -> None:
     """Move a block over the step as if no pixel fired, and flag the pixels that may fire."""
@@ -248,142 +255,3 @@ def _quiet_pass(
     if c.parasitic > _ZERO:
         _add_parasitic(s, before, c)
     _test(s, before, may_fire, c)
-
-
-class _Scratch(NamedTuple):
-    """Buffers for one block: BEFORE_ROWS, padded light and rate of the last block, flags and their indices."""
-
-    before: _Float32s
-    light: _Float32s
-    rate: _Float32s
-    may_fire: _Bytes
-    found: _Int64s
-
-
-@kernel_that_allocates
-def _new_scratch() -> _Scratch:
-    """Return buffers with zeros where a padded block needs them."""
-    return _Scratch(
-        np.empty(len(BEFORE_ROWS) * BLOCK, np.float32),
-        np.zeros(BLOCK, np.float32),
-        np.zeros(BLOCK, np.float32),
-        np.empty(BLOCK, np.uint8),
-        np.empty(BLOCK, np.int64),
-    )
-
-
-@kernel
-def _padded(values: _Float32s, buffer: _Float32s) -> _Float32s:
-    """Return `buffer` with the values in front."""
-    for i in range(values.size):
-        buffer[i] = values[i]
-    return buffer
-
-
-@cached_kernel
-def _move_block(
-    light: _Float32s, rate: _Float32s, pixels: Pixels, scratch: _Scratch, first: int, c: StepConstants
-) -> int:
-    """Move the block that begins at pixel `first`, list those that may fire, and return how many.
-
-    This is a function of its own because its slices then cost no reference counts.
-    """
-    s = pixels.fields[first * FIELDS : (first + BLOCK) * FIELDS]
-    here, rate_here = light[first : first + BLOCK], rate[first : first + BLOCK]
-    if here.size < BLOCK:
-        here = _padded(here, scratch.light)
-    if rate_here.size < BLOCK and not c.chord:
-        rate_here = _padded(rate_here, scratch.rate)
-    _quiet_pass(here, rate_here, s, scratch.before, scratch.may_fire, c)
-    return int(_list(scratch.may_fire.view(np.uint64), scratch.found))
-
-
-@kernel
-def _gather_block(
-    pixels: Pixels, table: Table, scratch: _Scratch, first: int, listed_and_n: tuple[int, int], c: StepConstants
-) -> tuple[int, int]:
-    """Add the block's listed pixels to the table from column n on; return how many, and how many are unreadable."""
-    listed, n = listed_and_n
-    s = pixels.fields[first * FIELDS : (first + BLOCK) * FIELDS]
-    refractory_until_ns = pixels.refractory_until_ns[first : first + BLOCK]
-    selected, unreadable = select(scratch.found[:listed], s, scratch.before, refractory_until_ns, c)
-    gather(scratch.found[:selected], s, scratch.before, first, table, n)
-    if (c.second > _ZERO) | (c.parasitic > _ZERO):
-        gather_rare(scratch.found[:selected], s, scratch.before, n, table, c)
-    return selected, unreadable
-
-
-@kernel
-def _gather_undersampled_of_block(
-    pixels: Pixels, subset: Subset, scratch: _Scratch, first: int, listed_and_n: tuple[int, int], c: StepConstants
-) -> tuple[int, int]:
-    """Gather the undersampled of the block's listed pixels; return how many remain and are gathered now."""
-    listed, n = listed_and_n
-    s = pixels.fields[first * FIELDS : (first + BLOCK) * FIELDS]
-    left, n = gather_undersampled(scratch.found[:listed], s, scratch.before, subset, (first, n), c)
-    return left, n
-
-
-def compile_parts(which: str, pixels: Pixels, table: Table, keys: _Keys, c: StepConstants) -> None:
-    """Compile "blocks" or "candidates", the two large parts of `advance`, which finds them on disk afterwards."""
-    scratch, light, n = _new_scratch(), np.zeros(BLOCK, np.float32), 0
-    arguments = {"blocks": (light, light, pixels, scratch, n, c), "candidates": (pixels, table, n, keys, n, c)}
-    kernel_of = {"blocks": _move_block, "candidates": solve}
-    kernel_of[which].compile(tuple(map(numba.typeof, arguments[which])))
-
-
-@cached_entry
-def advance(
-    frame: tuple[_Float32s, _Float32s], pixels: Pixels, table: Table, subset: Subset, keys: _Keys, c: StepConstants
-) -> tuple[_Keys, int, Tally]:
-    """Move all pixels over one step. Of pixels gathered for refinement only the light moves.
-
-    Parameters
-    ----------
-    frame : tuple
-        Light at the end of the step, (pixels,) float32, and its time derivative, per second; empty if `c.chord`.
-    pixels : Pixels
-        The state, changed in place.
-    table : Table
-        Buffer for the candidates.
-    subset : Subset
-        Buffer for the undersampled pixels, used if `c.refine`.
-    keys : (any,) uint64
-        Buffer for the events.
-    c : StepConstants
-        The step.
-
-    Returns
-    -------
-    The keys (a longer copy where they were too short), the number of events in them (packed as in `unpack`, unsorted),
-    and the counts of the step.
-    """
-    scratch = _new_scratch()
-    light, rate = frame
-    n = n_keys = lost = undersampled = candidates = unreadable = refined = NONE
-    for first in range(0, light.size, BLOCK):
-        listed = _move_block(light, rate, pixels, scratch, first, c)
-        if listed == 0:
-            continue
-        if c.refine:
-            listed, refined = _gather_undersampled_of_block(pixels, subset, scratch, first, (listed, refined), c)
-        selected, bad = _gather_block(pixels, table, scratch, first, (listed, n), c)
-        n, candidates, unreadable = n + selected, candidates + selected, unreadable + bad
-        if n > BATCH:
-            keys, n_keys, more, more_undersampled = solve(pixels, table, n, keys, n_keys, c)
-            lost, undersampled, n = lost + more, undersampled + more_undersampled, NONE
-    keys, n_keys, more, more_undersampled = solve(pixels, table, n, keys, n_keys, c)
-    return keys, n_keys, Tally(lost + more, undersampled + more_undersampled, candidates, unreadable, refined)
-
-
-@cached_entry
-def unpack(
-    keys: _Keys, t0_ns: int, pixel_bits: int, t_ns: _Int64s, pixel: npt.NDArray[np.uint32], on: npt.NDArray[np.bool_]
-) -> None:
-    """Split sorted keys [dt_ns | pixel | on] into arrays of one field each, all of the same length."""
-    mask = np.uint64((1 << pixel_bits) - 1)
-    for k in range(keys.size):
-        key = keys[k]
-        t_ns[k] = t0_ns + np.int64(key >> np.uint64(pixel_bits + 1))
-        pixel[k] = np.uint32((key >> np.uint64(1)) & mask)
-        on[k] = (key & np.uint64(1)) != 0

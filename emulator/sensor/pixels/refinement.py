@@ -18,10 +18,12 @@ import numpy.typing as npt
 
 from emulator.light import PixelLight
 from emulator.sensor.pixels.candidates import Table
+from emulator.sensor.pixels.idle import new_idle
 from emulator.sensor.pixels.interpolation import REFINED_UNSEEN_SHARE
-from emulator.sensor.pixels.quiet_pass import Tally, advance
 from emulator.sensor.pixels.state import BLOCK, FIELDS, Pixels, StepConstants
+from emulator.sensor.pixels.step import Buffers, Share, Tally, advance, new_scratch
 from emulator.sensor.pixels.subset import Subset, new_subset, renumbered, scatter
+from emulator.sensor.pixels.touched import Touched
 
 __all__ = ["LEVELS", "SHORTEST_NS", "Refinement"]
 
@@ -34,6 +36,9 @@ SHORTEST_NS = 2_000
 _Keys = npt.NDArray[np.uint64]
 _Indices = npt.NDArray[np.int64]
 _Frame = tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]
+
+
+_EVERYWHERE = Touched(0, 1, 0, 1, 1 << 40, np.empty(0, np.uint8))
 
 
 class _Interval(NamedTuple):
@@ -69,18 +74,22 @@ class Refinement:
     ) -> None:
         self._subsets = [*(new_subset(blocks) for _ in range(LEVELS)), new_subset(0)]
         self._resting = resting[:, None]
-        self._table = table
+        self._buffers = [Buffers(table, subset, new_scratch()) for subset in self._subsets]
+        self._share = Share(0, 1, new_idle(blocks), _EVERYWHERE)
         self._constants = constants
         self._keys = np.empty(4096, np.uint64)
         self._found: list[_Keys] = []
         self._tallies: list[Tally] = []
 
     def step(
-        self, frame: _Frame, pixels: Pixels, keys: _Keys, c: StepConstants, at: PixelLight
+        self, frame: _Frame, pixels: Pixels, share: Share, keys: _Keys, c: StepConstants, at: PixelLight
     ) -> tuple[_Keys, int, Tally]:
-        """Move the array as `advance` does, and refine; `at` gives the light of single pixels in between."""
+        """Move the array as `advance` does, and refine; `at` gives the light of single pixels in between.
+
+        `share` is the whole.
+        """
         c = c._replace(refine=True, unseen_share=REFINED_UNSEEN_SHARE)
-        keys, found, tally = advance(frame, pixels, self._table, self._subsets[0], keys, c)
+        keys, found, tally = advance(frame, pixels, self._buffers[0], keys, share, c)
         if not tally.refined:
             return keys, found, tally
         self._found, self._tallies = [keys[:found]], [tally]
@@ -103,7 +112,9 @@ class Refinement:
         """Move an array over a half; pixels that are still undersampled are refined again."""
         again = level + 1 < LEVELS and half.t1_ns - half.t0_ns >= SHORTEST_NS
         c = self._constants(half.t0_ns, half.t1_ns)._replace(refine=again, unseen_share=REFINED_UNSEEN_SHARE)
-        self._keys, found, tally = advance(half.end, here, self._table, self._subsets[level + 1], self._keys, c)
+        self._share.idle.until_ns[:] = -1  # these are other pixels each time
+        buffers = self._buffers[level + 1]
+        self._keys, found, tally = advance(half.end, here, buffers, self._keys, self._share, c)
         whole = self._whole
         self._found.append(renumbered(self._keys[:found], half.origin, half.t0_ns - whole.t0_ns, whole.pixel_bits))
         self._tallies.append(tally)

@@ -14,7 +14,10 @@ from emulator.sensor.numerics.compiled import kernel
 __all__ = [
     "BEFORE_ROWS",
     "BLOCK",
+    "EPOCH_BITS",
     "FIELDS",
+    "PART",
+    "PARTS",
     "Field",
     "PixelState",
     "Pixels",
@@ -23,8 +26,17 @@ __all__ = [
     "whole_vectors",
 ]
 
-BLOCK = 1024
+BLOCK = 512
 """Pixels of a block. The speed depends on it, the arithmetic of a pixel does not."""
+
+PART = 64
+"""Pixels of a part of a block, the least that is moved or skipped: whole vectors, and one word of flags."""
+
+PARTS = BLOCK // PART
+"""Parts of a block."""
+
+EPOCH_BITS = 33
+"""Leak is counted from the last multiple of 2^33 ns, 8.6 s."""
 
 
 class Field(IntEnum):
@@ -39,7 +51,9 @@ class Field(IntEnum):
     OFF = 6
     LEAK = 7  # ln units a second
     SECOND = 8  # w, behind the second pole; unused without one
-    LEAKED = 9  # parasitic leak since the pixel's last event, ln units; unused without parasitic leak
+    LEAKED = (
+        9  # parasitic leak since the pixel's last event, less what the present light leaks since the epoch, ln units
+    )
 
 
 FIELDS = len(Field)

@@ -15,6 +15,7 @@ from emulator.sensor.numerics.cached import cached_entry
 from emulator.sensor.numerics.compiled import inlined, kernel
 from emulator.sensor.pixels.interpolation import completed, is_undersampled
 from emulator.sensor.pixels.packed_crossings import Keys
+from emulator.sensor.pixels.packs import pixel_at
 from emulator.sensor.pixels.state import BEFORE_ROWS, BLOCK, FIELDS, Field, Pixels, StepConstants, slot
 
 __all__ = ["Subset", "gather_undersampled", "new_subset", "renumbered", "scatter"]
@@ -46,7 +47,7 @@ def _at(row: int, k: np.uint64) -> np.uint64:
 
 @kernel
 def gather_undersampled(
-    found: _Int64s, s: _Float32s, before: _Float32s, subset: Subset, at: tuple[int, int], c: StepConstants
+    found: _Int64s, s: _Float32s, before: _Float32s, subset: Subset, at: tuple[_Int64s, int], c: StepConstants
 ) -> tuple[int, int]:
     """Move the undersampled pixels of a block's candidates to the subset.
 
@@ -55,13 +56,13 @@ def gather_undersampled(
     found : (n,) int64
         Indices of the candidates in the block; those that remain move to the front.
     at : tuple
-        First pixel of the block, and the number of pixels in the subset.
+        First pixels of the block's parts, and the number of pixels in the subset.
 
     Returns
     -------
     The number of candidates that remain, and of pixels in the subset. Pixels with unreadable light always remain.
     """
-    first, n = at
+    firsts, n = at
     remaining = 0
     for pixel in found:
         i = np.uint64(pixel)
@@ -72,7 +73,7 @@ def gather_undersampled(
         if not (is_undersampled(d, a0, a1, unseen) & (v0 == v0)):
             remaining += 1
             continue
-        subset.pixels[n] = first + pixel
+        subset.pixels[n] = pixel_at(firsts, pixel)
         to = slot(n)
         n += 1
         subset.fields[to + _U], subset.fields[to + _V] = u0, v0

@@ -21,7 +21,15 @@ import numpy.typing as npt
 import emulator.sensor.pixels.march_table as row
 from emulator.sensor.numerics.compiled import Real, kernel, lane, vector_kernel
 from emulator.sensor.numerics.elementary import decay, exponential
-from emulator.sensor.pixels.interpolation import LARGEST_CHANGE, completed, is_jump, is_undersampled, limit
+from emulator.sensor.pixels.interpolation import (
+    LARGEST_CHANGE,
+    bend_width,
+    capped,
+    completed,
+    is_jump,
+    is_undersampled,
+    limit,
+)
 from emulator.sensor.pixels.lowpass import Course, rise_of_filter, transient, warped_time
 from emulator.sensor.pixels.state import StepConstants
 
@@ -30,13 +38,14 @@ __all__ = ["begin", "begin_substep"]
 _Float32s = npt.NDArray[np.float32]
 
 _NAN = np.float32(np.nan)
-_TWELFTH = np.float32(1 / 12)
+_THIRD, _TWELFTH = np.float32(1 / 3), np.float32(1 / 12)
 _ZERO, _ONE, _TWO, _THREE, _HALF = (np.float32(x) for x in (0, 1, 2, 3, 0.5))
 _SHARE = np.float32(0.004)  # of a threshold: what a cubic may miss
 _LEAST_MISS = np.float32(2e-5)  # ln units: float32 has nothing to offer below
 _LEAST_WEIGHT = np.float32(1e-20)
 _E4, _E1, _E0 = np.float32(384), np.float32(1 / 0.16), np.float32(0.2)
 _NEARLY = np.float32(1.001)
+_CUBIC, _JUMP, _LATE, _EARLY = (np.float32(form) for form in range(4))
 
 
 @vector_kernel
@@ -46,15 +55,21 @@ def begin(rows: _Float32s, n: int, c: StepConstants) -> None:
     Levels are relative to `base`: the stored reference or, in a refractory period, the comparator's value at the start.
     """
     for j in range(n):
-        d, on, off = rows[row.D + j], rows[row.ON + j], rows[row.OFF + j]
+        d, threshold = rows[row.D + j], min(rows[row.ON + j], rows[row.OFF + j])
         a0, a1 = completed(d, rows[row.A0 + j], rows[row.A1 + j])
-        undersampled = is_undersampled(d, a0, a1, c.unseen_share * min(on, off))
+        undersampled = is_undersampled(d, a0, a1, c.unseen_share * threshold)
         jump = undersampled & is_jump(d, a0, a1)
-        factor = _ZERO if jump else limit(d, a0, a1)
+        cap = capped(a0, a1)
+        width = bend_width(d, cap * a0, cap * a1, threshold)
+        bent = width < _ONE
+        factor = _ZERO if jump else (cap if bent else limit(d, a0, a1))
         a0, a1 = factor * a0, factor * a1
-        steepness = max(abs(d), _HALF * max(abs(a0), abs(a1)))
+        late = abs(d - a0) < abs(d - a1)
+        steepest = max(abs(a0), abs(a1))
+        steepness = max(abs(d), steepest if bent else _HALF * steepest)
         rows[row.UNDERSAMPLED + j] = _ONE if undersampled else _ZERO
-        rows[row.JUMP + j] = _ONE if jump else _ZERO
+        rows[row.FORM + j] = _JUMP if jump else ((_LATE if late else _EARLY) if bent else _CUBIC)
+        rows[row.KNOT + j] = _HALF if jump else (_ONE - width if bent & late else width)
         rows[row.A0 + j], rows[row.A1 + j] = a0, a1
         rows[row.WIDTH + j] = _HALF if jump else _ONE / max(np.ceil(steepness / LARGEST_CHANGE), _ONE)
         reference, w = rows[row.BASE + j], rows[row.W + j]
@@ -65,13 +80,14 @@ def begin(rows: _Float32s, n: int, c: StepConstants) -> None:
 
 
 class _Light(NamedTuple):
-    """The log light of a step: a cubic, or a jump of d at mid-step."""
+    """The log light of a step: a cubic, a jump of d at the knot, or a bend behind or before the knot."""
 
     u: Real
     d: Real
     a0: Real
     a1: Real
-    jump: Real
+    form: Real
+    knot: Real  # 1 where there is none
 
 
 class _Substep(NamedTuple):
@@ -87,21 +103,33 @@ class _Substep(NamedTuple):
 
 
 @lane
+def _bent(light: _Light, z: Real) -> tuple[Real, Real]:
+    """Return the change of log light up to z, and its slope per step, on a line with a bend at its end or start."""
+    late, steeper = light.form == _LATE, light.a1 - light.a0
+    width = _ONE - light.knot if late else light.knot
+    t = max(z - light.knot if late else light.knot - z, _ZERO) / width
+    line, straight = (light.a0 * z if late else light.d - light.a1 * (_ONE - z)), (light.a0 if late else light.a1)
+    turned = steeper * t * t
+    return line + _THIRD * width * t * turned, straight + (turned if late else -turned)
+
+
+@lane
 def _light_at(light: _Light, z: Real, jumped: Real) -> tuple[Real, Real]:
     """Return the log light and its slope per step at z."""
     c3 = light.a0 + light.a1 - _TWO * light.d
     c2 = _THREE * light.d - _TWO * light.a0 - light.a1
     smooth = ((c3 * z + c2) * z + light.a0) * z
-    stepped = light.d if jumped else _ZERO
     slope = (_THREE * c3 * z + _TWO * c2) * z + light.a0
-    jump = light.jump != _ZERO
-    return light.u + (stepped if jump else smooth), (_ZERO if jump else slope)
+    bent, bent_slope = _bent(light, z)
+    curved, jump = light.form >= _LATE, light.form == _JUMP
+    rise = bent if curved else ((light.d if jumped else _ZERO) if jump else smooth)
+    return light.u + rise, (bent_slope if curved else (_ZERO if jump else slope))
 
 
 @lane
 def _substep(light: _Light, z: Real, width: Real, c: StepConstants) -> _Substep:
     """Return the substep from z to z + width."""
-    jumped = z >= _HALF
+    jumped = z >= light.knot
     u0, slope0 = _light_at(light, z, jumped)
     u1, slope1 = _light_at(light, z + width, jumped)
     l0 = min(max(c.rate_at_reference * exponential(u0), c.rate_min), c.rate_max)
@@ -131,7 +159,8 @@ def _most(rows: _Float32s, j: int) -> Real:
 
 @lane
 def _light_of(rows: _Float32s, j: int) -> _Light:
-    return _Light(rows[row.U + j], rows[row.D + j], rows[row.A0 + j], rows[row.A1 + j], rows[row.JUMP + j])
+    form, knot = rows[row.FORM + j], rows[row.KNOT + j]
+    return _Light(rows[row.U + j], rows[row.D + j], rows[row.A0 + j], rows[row.A1 + j], form, knot)
 
 
 @vector_kernel
@@ -139,7 +168,8 @@ def _choose_width(rows: _Float32s, n: int, c: StepConstants) -> None:
     """Choose the width of each column's next substep: limited by the light, then by the exponential."""
     for j in range(n):
         z, wide = rows[row.Z + j], rows[row.WIDTH + j]
-        stop = _HALF if (rows[row.JUMP + j] != _ZERO) & (z < _HALF) else _ONE
+        knot = rows[row.KNOT + j]
+        stop = knot if z < knot else _ONE
         last = stop - z < _NEARLY * wide
         whole = stop - z if last else wide
         q = _substep(_light_of(rows, j), z, whole, c)

@@ -16,8 +16,12 @@ from emulator.accuracy.light import (
     SlowRamp,
     TexturedDisc,
 )
+from emulator.accuracy.profiles import ShadedEdge, ThinLine, TurningBody
 
 SMOOTH = [
+    ShadedEdge(profile="blurred"),
+    ThinLine(profile="blurred"),
+    TurningBody(profile="blurred"),
     SineGrating(),
     Flicker(),
     MovingEdge(),

@@ -5,7 +5,7 @@ import dataclasses
 import pytest
 
 from emulator.accuracy import rendering
-from emulator.accuracy.rendering import SETTINGS, Drawn, Setting, fits, rendering_rows
+from emulator.accuracy.rendering import SETTINGS, Drawn, Setting, Stretch, fits, rendering_rows, rows_of
 from emulator.accuracy.report import reading_of_rendering, write_rendering
 from emulator.rig.loading import load_rig
 
@@ -19,9 +19,10 @@ def small(name):
 def rows(monkeypatch, *settings):
     pytest.importorskip("embreex", reason="the ray caster of the reference")
     monkeypatch.setattr(rendering, "SETTINGS", settings)
-    return {row.setting: row for row in rendering_rows([small("eros-flyover")], steps=4)}
+    return {row.setting: row for row in rendering_rows([small("eros-flyover")], Stretch(steps=4))}
 
 
+@pytest.mark.system
 def test_exact_light_makes_few_wrong_events(monkeypatch):
     by_setting = rows(monkeypatch, SETTINGS[0], SETTINGS[3])
     for row in by_setting.values():
@@ -32,6 +33,7 @@ def test_exact_light_makes_few_wrong_events(monkeypatch):
     assert exact.t50_ms < line.t50_ms
 
 
+@pytest.mark.system
 @pytest.mark.gl
 def test_few_samples_make_many_wrong_events(monkeypatch, gl):
     by_setting = rows(monkeypatch, Setting("1", 1, with_rate=False), Setting("4 x 4", 4, with_rate=False), SETTINGS[0])
@@ -42,6 +44,12 @@ def test_few_samples_make_many_wrong_events(monkeypatch, gl):
 def test_scenes_without_bodies_have_no_place_on_it():
     assert not fits(load_rig("stars"))
     assert fits(load_rig("eros"))
+
+
+def test_rows_are_counted_before_they_are_made():
+    """Malapert is looked at in four stretches, or in the one that is asked for."""
+    malapert = load_rig("malapert")
+    assert rows_of([malapert]) == 4 * rows_of([malapert], Stretch(20.0)) == 4 * len(rendering.TERRAIN_SETTINGS)
 
 
 def test_it_is_written_for_people_and_programs(tmp_path):

@@ -10,11 +10,20 @@ from scipy import stats
 from emulator.characterise.curves import leak_light, leak_spread, leak_temperature, s_curve, spread
 from emulator.characterise.stimuli import Bench, lags_s, log_current, on_the_bench, settled, without_readout
 from emulator.characterise.timing import burst, flicker, latency, noise_law, noise_light
-from emulator.sensor.noise.law import rate_over_bandwidth
+from emulator.sensor.effects import NoiseParameters
+from emulator.sensor.noise.first_passage import statistics
+from emulator.sensor.noise.law import noise_events
 from emulator.sensor.presets import PRESETS
 
 ALPHA = 1e-4
-DAVIS = on_the_bench(PRESETS["davis346"])
+PLAIN = dataclasses.replace(
+    PRESETS["davis346"],
+    leak_hz=0.1,
+    parasitic_hz_at_reference=0.0,
+    source_follower_hz=0.0,
+    noise=NoiseParameters(corner_hz=286.0),
+)
+DAVIS = on_the_bench(PLAIN)
 PIXELS = DAVIS.width * DAVIS.height
 PLAIN = dataclasses.replace(DAVIS, leak_hz=0.0, mismatch=0.0)
 
@@ -176,8 +185,10 @@ def test_a_dead_time_longer_than_the_period_is_counted_over_many():
 def test_noise_events_follow_their_law(a):
     p = with_(mismatch=0.0, refractory_us=0.0)
     (point,) = noise_law(p, "x", a, 0.1, 20.0)
-    assert point.y == pytest.approx({2.5: 0.574, 3.0: 0.268, 3.5: 0.0955}[a], rel=0.03)
-    assert point.model == pytest.approx(float(rate_over_bandwidth(a, 0.0)), rel=1e-6)
+    apart = (p.threshold_on - p.threshold_off) / (p.threshold_on + p.threshold_off)
+    assert point.model == pytest.approx(float(noise_events(a, 2 * apart, 0.0).on), rel=1e-6)
+    assert point.model == pytest.approx(statistics(a * (1 + apart), a * (1 - apart), 0.003).on, rel=0.03)
+    assert point.y == pytest.approx(point.model, rel=0.05)
 
 
 def test_noise_counts_both_polarities_and_fades_in_bright_light():

@@ -10,12 +10,24 @@ import sys
 
 import numpy as np
 import pytest
+import trimesh
 
 from emulator.cli.app import _main
+from emulator.scene.bodies.mesh import load_mesh
 from firmware_protocol.events import EVENT
 from transports.link.digest import digest_of
 
 EVSTIM = [sys.executable, "-c", "from emulator.cli import main; main()"]
+DEMO = """
+[scene]
+kind = "checkerboard"
+speed_px_s = 10.0
+[run]
+step_us = 5000
+max_late_ms = 0
+[[links]]
+kind = "usbip"
+"""
 
 
 def run(*arguments, **options):
@@ -33,13 +45,13 @@ def rig(tmp_path):
     path.write_text(
         '[scene]\nkind = "checkerboard"\nspeed_px_s = 20.0\n'
         "[camera.sensor]\nwidth = 64\nheight = 48\n"
-        '[run]\nstep_us = 2000\nseconds = 0.2\n[[links]]\nkind = "loopback"\n'
+        '[run]\nstep_us = 2000\nseconds = 0.2\nmax_late_ms = 0\n[[links]]\nkind = "loopback"\n'
     )
     return path
 
 
 def test_every_verb_tells_what_it_does(capsys):
-    verbs = "run demo listen check plan rigs schema picture accuracy characterise doctor bench"
+    verbs = "run demo listen check plan rigs schema picture accuracy characterise doctor bench export"
     for verb in verbs.split():
         assert _main([verb, "--help"]) == 0
         assert verb in capsys.readouterr().out
@@ -152,6 +164,7 @@ def test_a_picture_shows_what_the_rig_models(rig, tmp_path, capsys):
     assert counts[1] > 2 * counts[0]
 
 
+@pytest.mark.system
 def test_without_gl_everything_runs_and_who_asks_for_gl_is_told_the_packages(rig):
     without_gl = {**os.environ, "GLCONTEXT_LINUX_LIBEGL": "libEGL_absent.so.1"}
     assert run("check", "eros", "--draw", "--json", env=without_gl).returncode == 0
@@ -166,6 +179,7 @@ def test_a_camera_that_is_not_there_is_exit_code_3(capsys):
     assert last_json(capsys.readouterr().out)["exit_code"] == 3
 
 
+@pytest.mark.system
 def test_a_run_tells_where_every_event_went(rig, tmp_path):
     record = tmp_path / "delivered.npz"
     done = run("run", rig, "--json", "--record", record, "--pace", "free")
@@ -199,6 +213,7 @@ def test_the_same_run_again_gives_the_same_events(rig, tmp_path):
     assert digests["a"] == digests["b"] != digests["c"]
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGTERM])
 def test_a_stop_ends_with_the_summary(rig, stop):
     command = [*EVSTIM, "run", str(rig), "--seconds", "0"]
@@ -224,15 +239,25 @@ def test_a_port_that_is_taken_is_told_with_the_cure(rig, tmp_path, capsys):
     assert "another port" in last_json(capsys.readouterr().out)["error"]
 
 
+@pytest.mark.system
 @pytest.mark.socket
 def test_the_demo_compares_every_event(tmp_path, capsys):
     path = tmp_path / "demo.toml"
-    path.write_text(
-        '[scene]\nkind = "checkerboard"\nspeed_px_s = 10.0\n[run]\nstep_us = 5000\n[[links]]\nkind = "usbip"\n'
-    )
+    path.write_text(DEMO)
     code = _main(["demo", str(path), "--seconds", "1.5", "--json"])
     told = last_json(capsys.readouterr().out)
     assert code == 0, told
     assert told["good"] is True
     assert told["comparison"]["equal"] is True
     assert told["comparison"]["received"] > 1000
+
+
+@pytest.mark.system
+def test_modules_in_the_users_folder_are_not_taken_for_libraries(tmp_path, monkeypatch, capsys):
+    for name in ("json", "attr", "numpy"):
+        (tmp_path / f"{name}.py").write_text("raise RuntimeError('not the library')")
+    trimesh.creation.icosphere(1).export(tmp_path / "ball.stl")
+    (tmp_path / "demo.toml").write_text(DEMO)
+    monkeypatch.chdir(tmp_path)
+    assert _main(["demo", "demo.toml", "--seconds", "0.5", "--json"]) == 0, capsys.readouterr().out
+    assert len(load_mesh(tmp_path / "ball.stl").faces) == 80

@@ -15,8 +15,8 @@ from firmware_protocol.instrument.settings import InstrumentSettings
 from transports.link.digest import digest_of
 from transports.link.pacing import MonotonicClock
 from transports.link.process import Link, LinkSetup
-from transports.link.record import load_record
 from transports.link.ring import FREE_RUNNING, EventRing
+from transports.recording.record import load_record
 from transports.serial_line.endpoint import SerialFactory
 from transports.serial_line.parameters import SerialParameters
 

@@ -1,5 +1,6 @@
 """Messages of the command line: the value at fault, its place, and what to do."""
 
+import dataclasses
 import json
 
 import numpy as np
@@ -8,13 +9,15 @@ import pytest
 from emulator.cli import fault as fault_verb
 from emulator.cli.app import _main, app
 from emulator.cli.output import status
+from emulator.cli.picture import look
 from emulator.cli.run_output.latency import quantile_text
-from emulator.rig.loading import parse_rig
+from emulator.rig.loading import load_rig, parse_rig
 from emulator.rig.remarks import remarks
 from firmware_protocol.events import EVENT
 from transports.link.latency import LONGEST_US, LatencyHistogram
 
 BOARD = '[scene]\nkind = "checkerboard"\n'
+NO_NOISE = '[camera]\nmodel = "ideal"\n'
 
 
 def error_of(arguments, capsys):
@@ -144,7 +147,7 @@ def board(tmp_path):
 
 def test_a_picture_looks_back_until_there_is_something_to_see(board, tmp_path, capsys):
     slow = tmp_path / "slow.toml"
-    slow.write_text(board.read_text().replace("20.0", "0.1"))
+    slow.write_text(board.read_text().replace("20.0", "0.1").replace("[camera.sensor]", NO_NOISE + "[camera.sensor]"))
     counts = []
     for options in (["--window-ms", "20"], []):
         assert _main(["picture", str(slow), str(tmp_path / "a.png"), "--at-s", "1.0", *options, "--json"]) == 0
@@ -168,3 +171,12 @@ def test_a_picture_of_another_format_is_refused(board, tmp_path, capsys):
     code, error = error_of(["picture", board, tmp_path / "a.jpg"], capsys)
     assert code == 2
     assert ".png, .gif or .mp4" in error
+
+
+def test_a_window_shorter_than_a_step_has_its_events():
+    """Steps are counted back from the picture: the last one ends with it."""
+    rig = load_rig("loopback")
+    rig = dataclasses.replace(rig, run=dataclasses.replace(rig.run, step_us=40_000))
+    _, events = look(rig, 0.25, 10.0)
+    assert len(events) > 100
+    assert 240_000 <= events["t"].min() <= events["t"].max() <= 250_000

@@ -10,9 +10,10 @@ from scipy.ndimage import gaussian_filter1d
 
 from emulator.geometry.pinhole import Pinhole
 from emulator.light import Scene, SceneError
+from emulator.optics.blur_workers import BlurWorkers
 from emulator.optics.distortion import Distortion, DistortionError
 from emulator.optics.lens import CHIPS, LensParameters
-from emulator.optics.passes import Bilinear, bend, blur, gaussian_taps
+from emulator.optics.passes import Bilinear, bend, blur, gaussian_taps, scale
 from emulator.optics.through import Through
 from emulator.photometry.sun import LUMENS_A_WATT, SUN_W_M2
 
@@ -197,6 +198,26 @@ def test_closing_closes_the_scene():
     through.close()
     assert made[0].closed
     assert isinstance(made[0].camera, Pinhole)
+
+
+@pytest.mark.parametrize("threads", [1, 2, 3])
+@pytest.mark.parametrize(
+    ("size", "part"), [((700, 350), (0, 350, 0, 700)), ((700, 350), (11, 343, 2, 697)), ((5, 4), (1, 4, 0, 3))]
+)
+@pytest.mark.parametrize("sigma_px", [0.3, 0.6, 2.0])
+def test_threads_blur_and_scale_to_the_same_bits(threads, size, part, sigma_px):
+    random, (width, height) = np.random.default_rng(1), size
+    pictures = [random.random((height, width), np.float32) for _ in range(2)]
+    factor, taps = random.random((height, width), np.float32), gaussian_taps(sigma_px)
+    expected, outs = (np.full((2, height, width), 7, np.float32) for _ in range(2))
+    for picture, out in zip(pictures, expected, strict=True):
+        blurred = np.zeros_like(picture)
+        blur(picture, taps, np.zeros_like(picture), blurred, part)
+        scale(blurred, factor, part, out)
+    workers = BlurWorkers(taps, factor, threads)
+    workers(pictures, part, list(outs))
+    workers.close()
+    assert (outs == expected).all()
 
 
 @pytest.mark.parametrize("bad", [{"f_number": 0.0}, {"transmission": 1.1}, {"k1": math.nan}, {"blur_px": -1.0}])

@@ -34,6 +34,7 @@ SCENE = Probe(
 )
 SENSOR = dataclasses.replace(
     PRESETS["davis346"],
+    leak_hz=0.1,
     source_follower_hz=286.0,
     parasitic_hz_at_reference=0.05,
     temperature=TemperatureParameters(celsius=30.0),
@@ -77,6 +78,7 @@ ALL = {
     "dose",
 }
 ALWAYS = {"dark current"}
+NOT_ASKED = {"large signals"}
 
 
 def decisions(eps_us, wrong_share=0.01, sensor=SENSOR, scene=SCENE, duration_s=10.0):
@@ -84,18 +86,18 @@ def decisions(eps_us, wrong_share=0.01, sensor=SENSOR, scene=SCENE, duration_s=1
 
 
 def test_every_effect_that_is_on_has_a_decision():
-    assert set(decisions(10.0)) == ALL | ALWAYS
+    assert set(decisions(10.0)) == ALL | ALWAYS | NOT_ASKED
 
 
 def test_effects_that_are_off_have_none():
     bare = dataclasses.replace(
-        PRESETS["davis346"], corner_hz_at_reference=math.inf, leak_hz=0.0, mismatch=0.0, refractory_us=0.0
+        PRESETS["ideal"], threshold_on=0.2725, threshold_off=0.2725, corner_hz_at_reference=math.inf
     )
     assert set(decisions(10.0, sensor=bare)) == ALWAYS
 
 
 def test_nothing_is_dropped_without_tolerance_and_everything_with_much():
-    assert all(d.kept for d in decisions(0.0, 0.0).values())
+    assert {name for name, d in decisions(0.0, 0.0).items() if not d.kept} == NOT_ASKED
     assert {name for name, d in decisions(1e12, 1.0).items() if d.kept} == ALWAYS
 
 
@@ -143,14 +145,24 @@ def test_a_point_process_leaves_the_shift_out_and_says_so():
 
 @pytest.mark.parametrize(
     ("rms", "refractory_us", "contrast_rate", "beyond"),
-    [(0.05, 0.0, 20.0, False), (0.12, 0.0, 50.0, True), (0.09, 0.0, 50.0, False), (0.09, 100.0, 50.0, True),
+    [(0.05, 0.0, 20.0, False), (0.12, 0.0, 50.0, False), (0.3, 0.0, 150.0, True), (0.09, 100.0, 50.0, False),
      (0.09, 5000.0, 50.0, False), (0.05, 0.0, 5.0, True), (0.05, 0.0, 0.0, True)],
 )  # fmt: skip
 def test_where_a_point_process_ends_the_grid_is_kept(rms, refractory_us, contrast_rate, beyond):
-    """Thresholds are 0.2725; a is 7.8, 3.3 and 4.3; 3.5 is wanted, 4.5 with refractory periods shorter than 1.09 ms."""
+    """Thresholds are 0.2725; a is 7.8, 3.3, 1.3 and 4.3, and the law begins at 1.5; rho below 0.3 is beyond as well."""
     sensor = dataclasses.replace(SENSOR, noise=NoiseParameters(rms=rms, grade="grid"), refractory_us=refractory_us)
     scene = dataclasses.replace(SCENE, contrast_rate=contrast_rate)
     assert decisions(1e9, 1.0, sensor=sensor, scene=scene)["shift by noise"].kept is beyond
+
+
+def test_a_photoreceptor_of_large_signals_is_dropped_where_it_hardly_matters():
+    sensor = dataclasses.replace(SENSOR, photoreceptor="large_signal")
+    # the second pole at 3 kHz, and its slew over light of 10:1
+    bound_us = 1e6 * (1 + math.log(10)) / (2 * math.pi * 3000)
+    assert decisions(0.99 * bound_us, sensor=sensor)["large signals"].kept
+    dropped = decisions(1.01 * bound_us, sensor=sensor)["large signals"]
+    assert without(sensor, [dropped]).photoreceptor == "one_pole"
+    assert not decisions(0.0)["large signals"].kept
 
 
 def test_kept_effects_stay_as_they_are():

@@ -12,6 +12,16 @@ def _rays(screen, side):
     return np.stack([x, y, np.ones_like(x)], axis=-1)
 
 
+def _box(screen, corners, side):
+    """Rows and columns of rays that can meet a facet: all of them where it reaches behind the camera."""
+    if corners[:, 2].min() <= 0:
+        return np.s_[:, :]
+    x, y = (corners[:, k] / corners[:, 2] * screen.focal_px + screen.centre_px[k] for k in (0, 1))
+    first = [max(int(np.floor(v.min())) - 1, 0) * side for v in (y, x)]
+    end = [max(int(np.ceil(v.max())) + 1, 0) * side for v in (y, x)]
+    return np.s_[first[0] : end[0], first[1] : end[1]]
+
+
 def _means(samples, side):
     rows, columns = samples.shape
     return samples.reshape(rows // side, side, columns // side, side).mean(axis=(1, 3))
@@ -22,9 +32,11 @@ def sample():
     """(screen, points, faces, radiance of facets, side) -> mean of side x side rays a pixel; Moeller and Trumbore."""
 
     def draw(screen, points, faces, radiance, side, two_sided=False):
-        rays = _rays(screen, side)
-        depth, light = np.full(rays.shape[:2], np.inf), np.zeros(rays.shape[:2])
+        all_rays = _rays(screen, side)
+        nearest, picture = np.full(all_rays.shape[:2], np.inf), np.zeros(all_rays.shape[:2])
         for corners, value in zip(points[faces], radiance, strict=True):
+            box = _box(screen, corners, side)
+            rays, depth, light = all_rays[box], nearest[box], picture[box]
             e1, e2 = corners[1] - corners[0], corners[2] - corners[0]
             p = np.cross(rays, e2)
             det = p @ e1
@@ -35,7 +47,7 @@ def sample():
                 hit = (u >= 0) & (v >= 0) & (u + v <= 1) & (t > screen.nearest_m) & (t < depth)
                 hit &= (det > 0) | (two_sided & (det < 0))
             depth[hit], light[hit] = t[hit], value
-        return _means(light, side)
+        return _means(picture, side)
 
     return draw
 
@@ -59,8 +71,9 @@ def trace():
         mesh = trimesh.Trimesh(points, faces, process=False, validate=False)
         hit = RayMeshIntersector(mesh).intersects_first(np.zeros_like(flat), flat)
         light, on = np.zeros(len(flat)), hit >= 0
-        a, b, c = (points[faces[hit[on], k]] for k in range(3))
-        shares = np.linalg.solve(np.stack([a, b, c], axis=-1), flat[on][..., None])[..., 0]
+        a, b, c = (points[faces[:, k]] for k in range(3))
+        opposite = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=1)  # Cramer's rule, once a facet
+        shares = np.einsum("nij,nj->ni", opposite[hit[on]], flat[on])
         shares /= shares.sum(axis=1, keepdims=True)
         light[on] = (shares * radiance[faces[hit[on]]]).sum(axis=1)
         return light.reshape(screen.height, screen.width, side * side).mean(axis=-1)

@@ -9,7 +9,7 @@ import pytest
 
 from emulator.cli.app import _main
 from firmware_protocol.edges import EdgeKind
-from transports.link.record import load_edges
+from transports.recording.record import load_edges
 
 RIG = """
 [scene]
@@ -68,6 +68,7 @@ def send_syncs(port):
             return
 
 
+@pytest.mark.system
 @pytest.mark.socket
 def test_syncs_drive_the_run_and_are_edges_on_every_link(tmp_path, capsys):
     port = free_port()

@@ -141,6 +141,7 @@ class Running:
         return self._process.returncode, json.loads(out.splitlines()[-1])
 
 
+@pytest.mark.system
 def test_the_other_link_goes_on_and_the_summary_is_written(tmp_path):
     with Running(tmp_path, arguments=["--seconds", "4"]) as running:
         running.wait_started()
@@ -153,6 +154,7 @@ def test_the_other_link_goes_on_and_the_summary_is_written(tmp_path):
     assert states == [False, True]
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
 def test_a_signal_to_the_group_ends_the_run_cleanly(tmp_path, number):
     record = tmp_path / "record.npz"
@@ -167,6 +169,7 @@ def test_a_signal_to_the_group_ends_the_run_cleanly(tmp_path, number):
             assert len(file["events"]) == link["delivered"] > 0
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("after_s", [0.1, 0.3, 0.6, 1.0, 1.5])
 def test_a_signal_at_any_time_shows_no_traceback(tmp_path, after_s):
     with Running(tmp_path) as running:
@@ -176,6 +179,7 @@ def test_a_signal_at_any_time_shows_no_traceback(tmp_path, after_s):
     assert "Traceback" not in err, err
 
 
+@pytest.mark.system
 def test_links_of_a_killed_session_end_without_a_word(tmp_path):
     with Running(tmp_path) as running:
         running.wait_started()
@@ -186,6 +190,7 @@ def test_links_of_a_killed_session_end_without_a_word(tmp_path):
     assert "Traceback" not in err, err
 
 
+@pytest.mark.system
 def test_an_unread_stderr_does_not_stop_the_run(tmp_path):
     rig = tmp_path / "two.toml"
     rig.write_text(RIG.format(more=""))

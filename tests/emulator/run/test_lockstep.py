@@ -13,6 +13,7 @@ from emulator.run.frames import Pictures
 from emulator.run.lockstep import Lockstep
 from emulator.run.session import Schedule, Session
 from emulator.run.triggers import TriggerPaths
+from emulator.sensor.effects import NoiseParameters
 from emulator.sensor.presets import PRESETS
 from emulator.sensor.sensor import Sensor
 from firmware_protocol.davis346 import Davis346, Davis346Settings
@@ -20,12 +21,15 @@ from firmware_protocol.edges import EdgeKind
 from transports.link.edges import EdgeRing, EdgeSink, EdgeTiming
 from transports.link.pacing import FakeClock, MonotonicClock
 from transports.link.process import LinkSetup
-from transports.link.record import load_edges
 from transports.link.ring import FREE_RUNNING, EventRing
+from transports.recording.record import load_edges
 from transports.usb.loopback import LoopbackFactory
 
 PERIOD_NS = 10_000_000
-SENSOR = dataclasses.replace(PRESETS["davis346"], width=24, height=16, leak_hz=0.0)
+SENSOR = dataclasses.replace(
+    PRESETS["davis346"], width=24, height=16, leak_hz=0.0, parasitic_hz_at_reference=0.0, source_follower_hz=0.0,
+    noise=NoiseParameters(),
+)  # fmt: skip
 
 
 class Flashing(Scene):

@@ -62,12 +62,12 @@ IN_A_RUN = """
 import json, sys
 from numba.core import event
 from emulator.rig.loading import load_rig
-from emulator.run.kernels import CODER, DECODER, parts_of
+from emulator.run.kernels import CODER, DECODER, EVT, parts_of
 from emulator.run.preparation import cold, prepare
 
 if __name__ == "__main__":
     rig = load_rig(sys.argv[1])
-    parts = list({part.key: part for part in (*parts_of(rig), CODER, DECODER)}.values())
+    parts = list({part.key: part for part in (*parts_of(rig), CODER, DECODER, EVT)}.values())
     failed = prepare(parts)
     compiled = []
     class Listener(event.Listener):
@@ -88,6 +88,7 @@ if __name__ == "__main__":
             sensor.expose(pictures.light, 1_000_000 * k, pictures.rate, pictures.pixel_light)
     DECODER.compile()
     CODER.compile()
+    EVT.compile()
     print(json.dumps({"failed": failed, "cold": [p.name for p in cold(parts)], "compiled": compiled}))
 """
 

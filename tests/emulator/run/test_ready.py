@@ -3,6 +3,7 @@
 import json
 import os
 import socket
+from pathlib import Path
 
 from emulator.run.ready import ReadySignal
 
@@ -16,6 +17,20 @@ def test_the_file_names_the_links_and_is_written_once(tmp_path, monkeypatch):
     path.unlink()
     ready.tell({})
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_file_appears_whole_or_not_at_all(tmp_path, monkeypatch):
+    path, seen, write = tmp_path / "ready.json", [], Path.write_text
+
+    def write_in_two(self, text, **options):
+        write(self, text[:10], **options)
+        seen.append(path.exists())
+        return write(self, text, **options)
+
+    monkeypatch.setattr(Path, "write_text", write_in_two)
+    ReadySignal(path).tell({"usbip": "127.0.0.1:3240"})
+    assert seen == [False]
+    assert list(tmp_path.iterdir()) == [path]
 
 
 def test_a_service_manager_is_told(tmp_path, monkeypatch):

@@ -13,12 +13,16 @@ from emulator.run.frames import Pictures
 from emulator.run.session import Schedule, Session
 from emulator.scene.checkerboard.checkerboard import Checkerboard
 from emulator.scene.checkerboard.table import CheckerboardParameters
+from emulator.sensor.effects import NoiseParameters
 from emulator.sensor.presets import PRESETS
 from emulator.sensor.sensor import Sensor
 from transports.link.pacing import FakeClock
 from transports.link.report import LinkReport
 
-SENSOR = dataclasses.replace(PRESETS["davis346"], width=24, height=16, leak_hz=0.0)
+SENSOR = dataclasses.replace(
+    PRESETS["davis346"], width=24, height=16, leak_hz=0.0, parasitic_hz_at_reference=0.0, source_follower_hz=0.0,
+    noise=NoiseParameters(),
+)  # fmt: skip
 STEP_NS = 1_000_000
 
 

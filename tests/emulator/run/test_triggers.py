@@ -12,8 +12,8 @@ from emulator.run.triggers import TriggerPaths
 from firmware_protocol.device_clock import ClockSettings, ClockStep
 from firmware_protocol.edges import EdgeKind
 from transports.link.edges import EdgeRing, PeriodicEdges
-from transports.link.record import load_edges, load_record
 from transports.link.ring import EventRing
+from transports.recording.record import load_edges, load_record
 
 SCENE = '[scene]\nkind = "checkerboard"\nspeed_px_s = 20.0\n'
 SMALL = "[camera.sensor]\nwidth = 64\nheight = 48\n"
@@ -92,7 +92,7 @@ def test_a_run_delivers_its_edges_in_the_cameras_own_time(tmp_path, capsys, pace
     path, record, truth = (tmp_path / name for name in ("t.toml", "r.npz", "t.csv"))
     path.write_text(
         f'{SCENE}{SMALL}[camera.clock]\ndrift_ppm = 1000\n[trigger]\nperiod_ms = 10\nkind = "rising"\n'
-        f'[run]\nstep_us = 2000\nseconds = 0.2\npace = "{pace}"\n{LINK}'
+        f'[run]\nstep_us = 2000\nseconds = 0.2\nmax_late_ms = 0\npace = "{pace}"\n{LINK}'
     )
     assert _main(["run", str(path), "--json", "--record", str(record), "--truth", str(truth)]) == 0
     link = json.loads(capsys.readouterr().out.strip().splitlines()[-1])["links"]["loopback"]

@@ -8,6 +8,8 @@ import pytest
 
 from emulator.rig.loading import shipped_rigs
 
+pytestmark = pytest.mark.system
+
 # The optional packages look as if they were not installed.
 BLOCKED = """
 import sys

@@ -38,7 +38,7 @@ dead_share = 0.01
         (DefectParameters, "hot_share", 1.1), (DefectParameters, "dead_share", -0.1),
         (DefectParameters, "hot_hz", -1.0),
         (DefectParameters, "hot_spread", 4.0), (NoiseParameters, "rms", -0.1), (NoiseParameters, "rms", math.nan),
-        (NoiseParameters, "corner_hz", 0.0), (NoiseParameters, "grade", "fine"),
+        (NoiseParameters, "corner_hz", 0.5), (NoiseParameters, "grade", "fine"),
         (JitterParameters, "latency_us", -1.0), (JitterParameters, "deviation_us", 1.0),
         (JitterParameters, "leak_share", 2.0), (ImagerParameters, "system_efficiency", 0.0),
         (ImagerParameters, "quantum_efficiency", -1.0), (ImagerParameters, "prnu", 0.5),
@@ -63,10 +63,11 @@ def test_a_defect_must_lie_on_the_chip(name, place):
 
 
 @pytest.mark.parametrize("preset", PRESETS)
-def test_presets_leave_every_effect_at_its_default(preset):
+def test_presets_switch_on_what_recordings_show_and_nothing_else(preset):
     p, plain = PRESETS[preset], SensorParameters(width=1, height=1, threshold_on=0.2, threshold_off=0.2)
-    assert all(getattr(p, name) == getattr(plain, name) for name in EFFECTS)
-    assert p.parasitic_hz_at_reference == p.source_follower_hz == 0
+    on = {name for name in EFFECTS if getattr(p, name) != getattr(plain, name)}
+    on |= {"background"} if p.background != plain.background else set()
+    assert on == {"davis346": {"noise"}, "imx636": {"background"}}.get(preset, set())
 
 
 def test_a_rig_gives_effects_as_tables():

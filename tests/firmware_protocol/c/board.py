@@ -63,6 +63,6 @@ class Board:
     def close(self) -> None:
         """Switch it off."""
         self._process.kill()
-        self._process.wait(10)
+        self._process.wait(60)
         self._process.stdin.close()
         self._process.stdout.close()

@@ -94,7 +94,7 @@ class Driver:
     def _read(self, n: int) -> bytes:
         data = self._process.stdout.read(n)
         if len(data) < n:
-            self._process.wait(10)
+            self._process.wait(60)
             pytest.fail("the driver died; what the sanitizer found is on stderr")
         return data
 
@@ -103,7 +103,7 @@ class Driver:
         with contextlib.suppress(BrokenPipeError):
             self._process.stdin.close()
         self._process.stdout.close()
-        return self._process.wait(10)
+        return self._process.wait(60)
 
 
 def _frames(data: bytes):

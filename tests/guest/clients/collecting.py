@@ -1,12 +1,15 @@
 """What the three clients share: their arguments, and the events they collect.
 
-    client.py --count N --timeout S --output FILE.npz [--triggers]
+    client.py --count N --timeout S --output FILE.npz [--triggers] [--packet-ms MS]
 
 Each client prints what it saw as one JSON object on its last line, and saves the events as the arrays t (int64,
 microseconds), x, y (uint16) and on (bool). At its first events it makes the empty file FILE.started.
 
 With --triggers it asks the external input for rising and falling edges and pulses, and saves what the driver tells of
 them as trigger_t (int64, microseconds) and trigger_kind (uint8: 2 rising, 3 falling, 4 pulse).
+
+With --packet-ms the drivers of iniVation hand events over after so much device time, instead of 10 ms: where a camera
+runs a thousand times faster than real time, their queues of packets would overflow.
 """
 
 from __future__ import annotations
@@ -25,6 +28,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--timeout", type=float, required=True, help="stop after this many seconds")
     parser.add_argument("--output", type=Path, required=True)
     parser.add_argument("--triggers", action="store_true", help="listen to the external input")
+    parser.add_argument("--packet-ms", type=int, default=0, help="device time between packets; 0: the driver's own")
     return parser.parse_args()
 
 

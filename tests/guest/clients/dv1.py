@@ -7,6 +7,7 @@ import time
 import dv_processing as dv
 from collecting import Collector, arguments
 
+HOST_PACKETS, MAX_INTERVAL_US = -3, 1  # libcaer's CAER_HOST_CONFIG_PACKETS
 EXTERNAL_INPUT = 4
 DETECT = (1, 2, 3, 0)  # rising, falling, pulses, run
 KINDS = {
@@ -29,6 +30,8 @@ def main() -> None:
     camera = dv.io.CameraCapture()
     for parameter in DETECT if options.triggers else ():
         camera.deviceConfigSet(EXTERNAL_INPUT, parameter, 1)
+    if options.packet_ms:
+        camera.deviceConfigSet(HOST_PACKETS, MAX_INTERVAL_US, options.packet_ms * 1000)
     resolution = camera.getEventResolution()
     while not collector.done and camera.isRunning():
         collect_triggers(camera, collector)

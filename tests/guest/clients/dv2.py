@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from datetime import timedelta
 
 import dv_processing as dv
 from collecting import Collector, arguments
@@ -29,6 +30,8 @@ def main() -> None:
         camera.setDetectorRisingEdges(True)
         camera.setDetectorFallingEdges(True)
         camera.setDetectorRunning(True)
+    if options.packet_ms:
+        camera.setTimeInterval(timedelta(milliseconds=options.packet_ms))
     resolution = camera.getEventResolution()
     while not collector.done and camera.isRunning():
         collect_triggers(camera, collector)

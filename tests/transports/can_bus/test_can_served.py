@@ -24,8 +24,8 @@ from transports.can_bus.python_can import PythonCanBus, from_message, to_message
 from transports.can_bus.served import ServedBus
 from transports.link.pacing import FakeClock, MonotonicClock
 from transports.link.process import Link, LinkSetup
-from transports.link.record import Recorder, load_record
 from transports.link.ring import EventRing
+from transports.recording.record import Recorder, load_record
 
 
 def test_the_handshake_and_a_frame_each_way():

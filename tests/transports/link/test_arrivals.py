@@ -8,7 +8,7 @@ from transports.link.arrivals import Arrivals
 from transports.link.digest import digest_of
 from transports.link.latency import LatencySummary
 from transports.link.pacing import FakeClock
-from transports.link.record import Recorder, load_record
+from transports.recording.record import Recorder, load_record
 
 
 def events_at(*times):

@@ -14,8 +14,8 @@ from transports.link.edges import EdgeRing, EdgeSink, EdgeTiming, PeriodicEdges
 from transports.link.feed import EdgeReport, Feed, Timing
 from transports.link.pacing import FakeClock
 from transports.link.process import Link, LinkSetup
-from transports.link.record import load_edges, load_record
 from transports.link.ring import FREE_RUNNING, EventRing
+from transports.recording.record import load_edges, load_record
 from transports.usb.loopback import LoopbackFactory
 
 ORIGIN_NS = 1_000_000_000

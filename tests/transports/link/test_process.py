@@ -13,9 +13,9 @@ from firmware_protocol.usb.device import SetupPacket, Transfer
 from transports.link.digest import digest_of
 from transports.link.endpoint import LinkBroken
 from transports.link.pacing import FakeClock
-from transports.link.process import Link, LinkSetup, Stop, _tick_until_stopped
-from transports.link.record import load_record
+from transports.link.process import Link, LinkSetup, Stop, _is_read, _tick_until_stopped
 from transports.link.ring import FREE_RUNNING, EventRing
+from transports.recording.record import load_record
 from transports.usb.host import StallError
 from transports.usb.loopback import DirectHost, LoopbackEndpoint, LoopbackFactory
 
@@ -32,10 +32,10 @@ def stream(count, every_us=10, start_us=0, seed=1):
     return events
 
 
-def loopback_link(tmp_path=None, ring=None, clock=None):
+def loopback_link(tmp_path=None, ring=None, clock=None, start_delay_us=0):
     ring = ring or EventRing(10_000)
     record = tmp_path / "link.npz" if tmp_path else None
-    camera = partial(Davis346, Davis346Settings(start_delay_us=0))
+    camera = partial(Davis346, Davis346Settings(start_delay_us=start_delay_us))
     setup = LinkSetup("loopback", ring, camera, LoopbackFactory(), record)
     link = Link(setup, clock or FakeClock(ORIGIN_NS))
     asyncio.run(link.endpoint.start())
@@ -107,6 +107,24 @@ def test_a_free_link_takes_no_more_than_the_camera_has_room_for():
     report = link.report(final=True)
     assert (report.delivered, report.dropped, report.dropped_in_device) == (150_000, 0, 0)
     assert report.digest == digest_of(events)
+
+
+def test_a_free_link_is_silent_after_the_start_as_long_as_its_host_needs():
+    clock, ring = FakeClock(ORIGIN_NS), EventRing(10_000)
+    link, _ = loopback_link(ring=ring, clock=clock, start_delay_us=300_000)
+    for running in (0, 1):  # the host's reset of the timestamps has ended the first silence
+        link.endpoint._camera.write_register(1, 3, running)
+    ring.start(FREE_RUNNING)
+    ring.push(stream(5000, every_us=1000))
+    ring.publish(5_000_000)
+    for _ in range(299):
+        link.tick()
+        clock.advance(1_000_000)
+    assert link.report().delivered == 0
+    clock.advance(2_000_000)
+    while not link.idle:
+        link.tick()
+    assert link.report().delivered == 4700
 
 
 def test_a_record_is_what_was_delivered(tmp_path):
@@ -206,3 +224,17 @@ def test_the_drain_counts_the_links_own_time_and_has_an_end(turns, turn_s, left)
 
     asyncio.run(_tick_until_stopped(link, Setup(), theirs, clock))
     assert link.left == left
+
+
+def test_a_session_that_does_not_read_reports_is_noticed_before_the_pipe_blocks():
+    ours, theirs = multiprocessing.Pipe()
+    sent = 0
+    while _is_read(ours):
+        ours.send(bytes(1000))
+        sent += 1
+    assert sent > 5
+    for _ in range(sent):
+        theirs.recv()
+    assert _is_read(ours)
+    ours.close()
+    theirs.close()

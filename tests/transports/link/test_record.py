@@ -3,7 +3,7 @@
 import numpy as np
 
 from firmware_protocol.events import EVENT, empty_events
-from transports.link.record import Recorder, load_record
+from transports.recording.record import Recorder, load_record
 
 
 def test_a_record_holds_device_time_and_where_it_starts_anew(tmp_path):

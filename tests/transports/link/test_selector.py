@@ -38,7 +38,7 @@ def test_a_descriptor_above_1023_is_heard(high):
         loop.remove_reader(read)
 
     with asyncio.Runner(loop_factory=lambda: asyncio.SelectorEventLoop(FineSelector())) as runner:
-        runner.run(asyncio.wait_for(listen(), 10))
+        runner.run(asyncio.wait_for(listen(), 60))
     assert heard == [b"x"]
 
 
@@ -50,4 +50,4 @@ def test_a_wait_is_not_rounded_up_to_a_millisecond():
             selector.select(0.0002)
             return time.perf_counter() - start
 
-        assert 0.0002 <= min(waited_s() for _ in range(200)) < 0.0006
+        assert 0.0002 <= min(waited_s() for _ in range(200)) < 0.001

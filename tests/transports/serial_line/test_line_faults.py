@@ -24,7 +24,7 @@ from transports.faults.kinds import (
 )
 from transports.faults.script import FaultPlan
 from transports.link.digest import digest_of
-from transports.link.record import load_record
+from transports.recording.record import load_record
 
 PROFILES = ["ccsds-cobs", "ccsds-slip", "ccsds-kiss", "csp-kiss", "fprime"]
 COUNT = 8_000

@@ -12,8 +12,8 @@ from line_bench import ORIGIN_NS, PATIENCE_S, TICK_NS, Bench, stream
 from firmware_protocol.instrument.settings import InstrumentSettings
 from firmware_protocol.packets.telecommands import Ping, SetTick, Start, Stop
 from transports.link.digest import digest_of
-from transports.link.record import load_record
 from transports.link.ring import FREE_RUNNING
+from transports.recording.record import load_record
 
 PROFILES = ["ccsds-cobs", "ccsds-slip", "ccsds-kiss", "csp-kiss", "fprime"]
 

@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
-import array
 import asyncio
-import errno
 import socket
 import threading
 from collections import deque
-from types import SimpleNamespace
 
 import pytest
-import usb.backend
-import usb.core
-import usb.util
 
-from firmware_protocol.usb.descriptors import DescriptorSet
+from evstim.testing.fake_usb import FakeUsbBus
 from firmware_protocol.usb.device import Identity, SetupPacket, Speed, Stall, Transfer, UsbDevice
 from transports.usb.usbip.connection import ConnectionSettings
 from transports.usb.usbip.server import UsbipServer
@@ -175,117 +169,6 @@ def served(bench, device):
     return bench
 
 
-class Bus(usb.backend.IBackend):
-    """A libusb that has one device, or one fault, on its bus."""
-
-    def __init__(self, device: UsbDevice, descriptors: DescriptorSet) -> None:
-        self.device = device
-        self.changed = threading.Condition(threading.RLock())
-        self.fault: int | None = None
-        self._descriptors = descriptors
-
-    def call(self, function, *args):
-        """Do something to the device, as the process that owns it would."""
-        with self.changed:
-            result = function(*args)
-            self.changed.notify_all()
-            return result
-
-    def break_with(self, number: int | None) -> None:
-        """Every request fails with this errno from now on."""
-        self.call(setattr, self, "fault", number)
-
-    def check(self) -> None:
-        if self.fault is not None:
-            raise usb.core.USBError("fault", None, self.fault)
-
-    def enumerate_devices(self):
-        return ["handle"]
-
-    def get_device_descriptor(self, dev):
-        d = self._descriptors.device
-        return SimpleNamespace(
-            bLength=18, bDescriptorType=1, bcdUSB=0x300, bDeviceClass=0, bDeviceSubClass=0, bDeviceProtocol=0,
-            bMaxPacketSize0=9, idVendor=d.vendor_id, idProduct=d.product_id, bcdDevice=d.bcd_device,
-            iManufacturer=1, iProduct=2, iSerialNumber=3, bNumConfigurations=1,
-            address=2, bus=1, port_number=1, port_numbers=(1,), speed=4,
-        )  # fmt: skip
-
-    def get_configuration_descriptor(self, dev, config):
-        return SimpleNamespace(
-            bLength=9, bDescriptorType=2, wTotalLength=44, bNumInterfaces=1, bConfigurationValue=1,
-            iConfiguration=0, bmAttributes=0x80, bMaxPower=50, extra_descriptors=[],
-        )  # fmt: skip
-
-    def get_interface_descriptor(self, dev, intf, alt, config):
-        if intf or alt:
-            raise IndexError
-        return SimpleNamespace(
-            bLength=9, bDescriptorType=4, bInterfaceNumber=0, bAlternateSetting=0, bNumEndpoints=1,
-            bInterfaceClass=255, bInterfaceSubClass=0, bInterfaceProtocol=0, iInterface=0, extra_descriptors=[],
-        )  # fmt: skip
-
-    def get_endpoint_descriptor(self, dev, ep, intf, alt, config):
-        return SimpleNamespace(
-            bLength=7, bDescriptorType=5, bEndpointAddress=0x82, bmAttributes=2, wMaxPacketSize=1024, bInterval=0,
-            bRefresh=0, bSynchAddress=0, extra_descriptors=[],
-        )  # fmt: skip
-
-    def open_device(self, dev):
-        self.check()
-        self.device.attached()
-        return "open"
-
-    def close_device(self, handle):
-        self.device.detached()
-
-    def get_configuration(self, handle):
-        return 0
-
-    def set_configuration(self, handle, value):
-        self.ctrl_transfer(handle, 0x00, 9, value, 0, usb.util.create_buffer(0), 0)
-
-    def claim_interface(self, handle, intf):
-        self.check()
-
-    def release_interface(self, handle, intf):
-        pass
-
-    def clear_halt(self, handle, ep):
-        self.ctrl_transfer(handle, 0x02, 1, 0, ep, usb.util.create_buffer(0), 0)
-
-    def ctrl_transfer(self, handle, request_type, request, value, index, data, timeout):
-        with self.changed:
-            self.check()
-            setup = SetupPacket(request_type, request, value, index, len(data))
-            try:
-                reply = self.device.control(setup, b"" if setup.is_in else data.tobytes())
-            except Stall as stall:
-                raise usb.core.USBError("stall", None, errno.EPIPE) from stall
-            self.changed.notify_all()
-        if setup.is_in:
-            data[: len(reply)] = array.array("B", reply)
-            return len(reply)
-        return len(data)
-
-    def bulk_read(self, handle, ep, intf, buff, timeout):
-        transfers = []
-
-        def ready() -> bool:
-            if self.fault is None and (transfer := self.device.read(ep & 15, len(buff))):
-                transfers.append(transfer)
-            return bool(transfers) or self.fault is not None
-
-        with self.changed:
-            if not self.changed.wait_for(ready, timeout / 1000):
-                raise usb.core.USBTimeoutError("timeout", None, errno.ETIMEDOUT)
-            self.check()
-            data = transfers[0].data
-            buff[: len(data)] = array.array("B", data)
-            self.device.sent(transfers[0])
-        return len(data)
-
-
 @pytest.fixture
 def usb_bus():
-    return Bus
+    return FakeUsbBus

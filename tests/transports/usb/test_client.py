@@ -24,7 +24,7 @@ RECORD = DeviceRecord("1-1", 1, 2, Identity(0x152A, 0x841A, 0x0206, Speed.SUPER)
 IMPORTED = bytes(ImportReply(OpStatus.OK, RECORD))
 GET = SetupPacket(0x80, 6, 0x0100, 0, 18)
 OP, URB = 40, 48
-TIMEOUT_S = 0.5  # what is waited for in vain; what comes must come sooner, on a busy machine too
+TIMEOUT_S = 1.0  # what is waited for in vain; what comes must come sooner, on a busy machine too
 
 
 @pytest.fixture

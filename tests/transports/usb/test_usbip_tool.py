@@ -17,7 +17,7 @@ pytestmark = [
 
 
 def usbip(port: int, *words: str) -> str:
-    done = subprocess.run([TOOL, "--tcp-port", str(port), *words], capture_output=True, text=True, timeout=20)
+    done = subprocess.run([TOOL, "--tcp-port", str(port), *words], capture_output=True, text=True, timeout=120)
     return done.stdout + done.stderr
 
 

@@ -177,3 +177,45 @@ def test_a_board_at_rest_has_no_rate():
     light, rate = np.zeros((24, 32), np.float32), np.ones((24, 32), np.float32)
     board.light_and_rate(5, light, rate)
     assert not rate.any()
+
+
+@pytest.mark.parametrize("rotation_deg", [0.0, 7.0])
+def test_a_board_at_rest_is_drawn_once_and_nothing_changes_from_then_on(rotation_deg):
+    size, parameters = (40, 30), CheckerboardParameters(speed_px_s=0.0, rotation_deg=rotation_deg)
+    light, rate = (np.full(size[::-1], np.nan, np.float32) for _ in range(2))
+    with Checkerboard(parameters, size) as board:
+        board.light_and_rate(0, light, rate)
+        assert board.changed is None
+        np.testing.assert_array_equal(light, draw(size, **vars(parameters)))
+        assert not rate.any()
+        before = light.copy()
+        board.light_and_rate(NS, light, rate)
+        assert board.changed is not None
+        assert board.changed.empty
+        np.testing.assert_array_equal(light, before)
+
+
+def test_other_arrays_of_a_board_at_rest_are_drawn_and_may_have_changed():
+    size, parameters = (40, 30), CheckerboardParameters(speed_px_s=0.0)
+    first, other, rate = (np.full(size[::-1], np.nan, np.float32) for _ in range(3))
+    with Checkerboard(parameters, size) as board:
+        board.light(0, first)
+        for light, slope in ((other, None), (other, rate), (first, rate)):
+            if slope is None:
+                board.light(NS, light)
+            else:
+                light[:] = np.nan
+                board.light_and_rate(NS, light, slope)
+            assert board.changed is None
+            np.testing.assert_array_equal(light, draw(size, **vars(parameters)))
+        assert not rate.any()
+
+
+def test_a_moving_board_may_have_changed_everywhere():
+    size = (40, 30)
+    light = np.empty(size[::-1], np.float32)
+    with Checkerboard(CheckerboardParameters(speed_px_s=50.0), size) as board:
+        for t_ns in (0, NS // 100, NS // 50):
+            board.light(t_ns, light)
+            assert board.changed is None
+            np.testing.assert_array_equal(light, draw(size, t_ns, speed_px_s=50.0))

@@ -60,6 +60,14 @@ def test_at_86_degrees_the_projection_stretches_by_an_eighth_of_a_percent(tmp_pa
     assert "86.00 degrees" in ground.notes[0]
 
 
+@pytest.mark.parametrize("x_m", [1e9, 1e200])
+def test_a_place_beyond_the_body_is_refused(tmp_path, x_m):
+    """A damaged tag of a GeoTIFF gave 1e200 m, whose square no float holds."""
+    path = saved(tmp_path / "map.npy", np.zeros((9, 9)))
+    with pytest.raises(SceneError, match="beyond the body"):
+        load_heightmap(Heightmap(path=path, post_m=20.0, centre_m=(x_m, 0.0)), MOON_M)
+
+
 def test_integers_kilometres_and_a_value_for_nothing(tmp_path):
     heights = np.full((20, 20), 3, np.int16)
     heights[4, 5] = -32768

@@ -1,11 +1,14 @@
 """The made ridge: spectrum, size laws, shapes, the nest of grids, and the cache."""
 
+import dataclasses
+import itertools
 import math
 
 import numpy as np
 import pytest
 from scipy import integrate, special
 
+from emulator.geometry.pinhole import Pinhole
 from emulator.scene import array_cache
 from emulator.scene.array_cache import Progress, kept
 from emulator.scene.terrain.ground import nested
@@ -14,14 +17,19 @@ from emulator.scene.terrain.landforms import (
     REACH,
     RIM,
     boulder_sizes,
+    crater_places,
+    crater_shapes,
     crater_sizes,
+    height_of_boulder,
     height_of_crater,
     raise_boulders,
     sink_craters,
 )
-from emulator.scene.terrain.relief import HURST, fractal, make_ridge
-from emulator.scene.terrain.table import Ridge
+from emulator.scene.terrain.relief import HURST, fractal, make_albedo, make_ridge
+from emulator.scene.terrain.table import Ridge, TerrainParameters
+from emulator.scene.terrain.world import TerrainWorld
 
+FRESH = np.array([[1.0, 0.0, 0.0, 0.0, 0.0, 0.0]])
 SMALL = Ridge(size_m=2048.0, finest_m=4.0, posts=128, ridge_m=300.0)
 
 
@@ -78,10 +86,12 @@ def test_boulders_cover_the_share_of_the_ground_that_the_law_says():
 def test_a_crater_has_its_depth_its_rim_and_its_volume():
     posts, d = 301, 80.0
     heights = np.zeros((posts, posts))
-    sink_craters(heights, np.array([[150.0, 150.0]]), np.array([d]), np.array([1.0]))
+    sink_craters(heights, np.array([[150.0, 150.0]]), np.array([d]), FRESH)
     assert heights.min() == pytest.approx(-(DEPTH - RIM) * d)
     assert heights.max() == pytest.approx(RIM * d, rel=0.05)
-    profile = integrate.quad(lambda r: 2 * math.pi * r * height_of_crater(r, d) * (d / 2) ** 2, 0, REACH, points=[1.0])
+    profile = integrate.quad(
+        lambda r: 2 * math.pi * r * height_of_crater(r, d, 1.0, 0.0) * (d / 2) ** 2, 0, REACH, points=[1.0]
+    )
     bowl = math.pi * (d / 2) ** 2 * d * (RIM - DEPTH / 2)  # integral of 0.2 (r^2 - 1) + 0.04
     edge = RIM / REACH**3
     blanket = RIM * (1 - 1 / REACH) - edge / (REACH - 1) * ((REACH**3 - 1) / 3 - (REACH**2 - 1) / 2)
@@ -90,11 +100,80 @@ def test_a_crater_has_its_depth_its_rim_and_its_volume():
     assert heights[0, 0] == 0
 
 
-def test_a_boulder_is_half_as_high_as_wide():
-    heights = np.zeros((41, 41))
-    raise_boulders(heights, np.array([[20.0, 20.0]]), np.array([20.0]))
-    assert heights.max() == pytest.approx(10.0)
-    assert heights.sum() == pytest.approx(2 / 3 * math.pi * 1000, rel=0.02)
+def test_an_old_crater_is_shallower_its_rim_is_gone_first_and_its_floor_is_flat():
+    heights = np.zeros((301, 301))
+    worn = np.array([[0.5, 0.3, 0.0, 0.0, 0.0, 0.0]])
+    sink_craters(heights, np.array([[150.0, 150.0]]), np.array([80.0]), worn)
+    assert heights.max() == pytest.approx(0.25 * RIM * 80, rel=0.05)
+    assert heights.min() == pytest.approx((-0.5 * DEPTH * 0.7 + 0.25 * RIM) * 80)
+    assert (heights == heights.min()).sum() == pytest.approx(0.3 * math.pi * 40**2, rel=0.02)
+
+
+def test_an_outline_s_harmonics_keep_the_crater_s_size():
+    shape = np.array([[1.0, 0.0, 0.08, 1.0, 0.06, 2.0]])
+    heights = np.zeros((401, 401))
+    sink_craters(heights, np.array([[200.0, 200.0]]), np.array([100.0]), shape)
+    # where the profile passes 0, at r0 radii, it encloses r0^2 pi R^2 (1 + (a^2 + b^2) / 2)
+    r0 = math.sqrt((DEPTH - RIM) / DEPTH)
+    assert (heights < 0).sum() == pytest.approx(math.pi * (50 * r0) ** 2 * (1 + (0.08**2 + 0.06**2) / 2), rel=0.01)
+    rows, columns = np.nonzero(heights < 0)
+    low, high = np.linalg.eigvalsh(np.cov(rows, columns))
+    assert 1.2 < high / low < 1.6  # the second harmonic makes it longer one way
+
+
+def test_most_craters_are_old_and_some_stand_in_chains():
+    rng = np.random.default_rng(4)
+    ages = crater_shapes(rng, 20_000)[:, 0]
+    assert 0.12 <= ages.min() <= ages.max() <= 1
+    assert ages.mean() == pytest.approx(0.12 + 0.88 / 2.5, abs=0.01)  # mean of u^1.5
+    diameters = np.sort(rng.uniform(1, 2, 5000))[::-1]
+    places = crater_places(rng, diameters, 1000.0)
+    steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    near = steps < 2.5 * diameters[:-1]
+    lonely = np.linalg.norm(np.diff(rng.random((5000, 2)) * 1000, axis=0), axis=1) < 2.5 * diameters[:-1]
+    assert near.sum() == pytest.approx(5000 / 30 * 7 / 8, rel=0.25)
+    assert lonely.sum() < 5
+
+
+def test_boulders_have_flat_sides_a_circle_s_area_and_half_their_width_at_most():
+    lots = np.random.default_rng(8).random((200, 4))
+    x, y = np.meshgrid(np.linspace(-1.7, 1.7, 120), np.linspace(-1.7, 1.7, 120))
+    grids = np.array(
+        [[height_of_boulder(a, b, lot) for a, b in zip(x.ravel(), y.ravel(), strict=True)] for lot in lots]
+    )
+    areas = (grids > 0).mean(axis=1) * 3.4**2
+    assert areas.mean() == pytest.approx(math.pi, rel=0.02)
+    assert grids.max() < 1.25
+    one = np.maximum(grids[0].reshape(x.shape), 0)
+    inside = one > 0.05
+    bend = np.abs(one[1:-1, 2:] - 2 * one[1:-1, 1:-1] + one[1:-1, :-2])[inside[1:-1, 1:-1]]
+    assert (bend < 1e-9).mean() > 0.7  # flat, but for its edges
+    heights = np.zeros((61, 61))
+    raise_boulders(heights, np.array([[30.0, 30.0]]), np.array([20.0]), lots[:1])
+    assert heights.max() == pytest.approx(10 * grids[0].max(), rel=0.1)
+
+
+def test_albedo_has_the_stated_mean_and_agrees_between_grids():
+    many = Ridge(size_m=2048.0, finest_m=4.0, posts=128, ridge_m=0.0, albedo_rms=0.1)
+    albedo = make_albedo(many)
+    assert albedo.shape == make_ridge(many).heights_m.shape
+    assert albedo[-1].mean() == pytest.approx(1, abs=0.01)
+    for finer, coarser in itertools.pairwise(albedo):
+        np.testing.assert_array_equal(finer[::2, ::2], coarser[32:97, 32:97])
+    bare = make_albedo(dataclasses.replace(many, crater_density=0.0))
+    assert bare[0].std() == pytest.approx(0.1, rel=0.4)
+    assert (albedo > bare - 0.1).mean() > 0.99  # young craters brighten
+
+
+def test_albedo_dims_and_brightens_the_light_of_the_sun():
+    lit, plain = (
+        TerrainWorld(TerrainParameters(ground=dataclasses.replace(SMALL, albedo_rms=rms)), Pinhole(64, 48, 60.0))
+        for rms in (0.1, 0.0)
+    )
+    shares = lit.sunlit()
+    assert shares.max() <= 1
+    expected = plain.irradiance_w_m2 * plain.sunlit() * make_albedo(dataclasses.replace(SMALL, albedo_rms=0.1))
+    np.testing.assert_allclose(lit.irradiance_w_m2 * shares, expected, rtol=1e-5, atol=1e-4)
 
 
 def test_grids_agree_where_they_overlap_and_the_site_is_at_zero():

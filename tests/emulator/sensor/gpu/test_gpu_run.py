@@ -17,6 +17,9 @@ kind = "checkerboard"
 [camera.sensor]
 width = 64
 height = 48
+leak_hz = 0.1
+[camera.sensor.noise]
+rms = 0.0
 [run]
 pixels = "gpu"
 pace = "free"
@@ -26,6 +29,11 @@ seconds = 0.05
 
 def rig(more=""):
     return parse_rig(RIG + more, "file.toml", "file")
+
+
+def quiet(more):
+    """The rig with tables after its own, which say nothing of noise then."""
+    return parse_rig(RIG.replace("[camera.sensor.noise]\nrms = 0.0\n", "") + more, "file.toml", "file")
 
 
 @pytest.mark.parametrize("more", ["", "tolerance_us = 20\n", 'method = "line"\n'])
@@ -50,14 +58,14 @@ def test_methods_and_effects_that_are_not_done_there_are_refused():
         ("[camera.sensor.defects]\nhot_share = 0.5\n", "own pixels"),
         ('[camera.sensor.noise]\nrms = 0.05\ngrade = "grid"\n', "leave it out"),
     ):
-        loaded = rig(table)
+        loaded = quiet(table)
         with pytest.raises(RigError, match=f"run.pixels = 'gpu'.*{meaning}"):
             build_sensor(loaded, loaded.camera.sensor)
 
 
 @pytest.mark.usefixtures("gl")
 def test_noise_of_points_and_jitter_go_with_it():
-    loaded = rig("[camera.sensor.noise]\nrms = 0.08\n[camera.sensor.jitter]\nlatency_us = 50\n")
+    loaded = quiet("[camera.sensor.noise]\nrms = 0.08\n[camera.sensor.jitter]\nlatency_us = 50\n")
     assert isinstance(build_sensor(loaded, loaded.camera.sensor).pixels, GpuArray)
     assert run_rig(loaded).good
 

@@ -17,7 +17,7 @@ from emulator.sensor.effects import (
     TemperatureParameters,
 )
 from emulator.sensor.noise.grid import NoisyPixels, grid_ns
-from emulator.sensor.noise.law import bandwidth_hz, corner_hz, rate_over_bandwidth, rms
+from emulator.sensor.noise.law import bandwidth_hz, corner_hz, noise_events, rms
 from emulator.sensor.other_simulators.pangu import Pangu
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.pixels.merging import joined
@@ -67,8 +67,9 @@ def test_events_come_at_the_rate_of_the_law(a, refractory_us):
     found_hz = np.count_nonzero(found.t_ns > S // 2) / 2 / 40 / 2
     f, drawn = corner_hz(p, 1.0), draw(p, 1)
     f_n = bandwidth_hz(p, f)
-    law = rate_over_bandwidth((drawn.on + drawn.off) / 2 / rms(p, f), refractory_us * 1e-6 * 2 * np.pi * f_n)
-    assert found_hz == pytest.approx((f_n * law).mean(), rel=0.1)
+    mean = (drawn.on + drawn.off) / 2
+    law = noise_events(mean / rms(p, f), (drawn.on - drawn.off) / mean, refractory_us * 1e-6 * 2 * np.pi * f_n)
+    assert found_hz == pytest.approx((f_n * (law.on + law.off)).mean() / 2, rel=0.1)
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ The file is a NumPy `.npz`:
     resets   int64[k]   indices into `events` at which that clock started anew (a timestamp reset, or a new start)
     edges        EDGE[m]    what the external input told of, in device time
     edge_resets  int64[k]   indices into `edges` at the same restarts
+    size         int64[2]   width and height of the sensor, where they are known
 
 A client's view after it reset the camera's timestamps is `events[resets[-1]:]`. While the run lasts the events lie in a
 plain file beside it (`.part`), so that memory does not grow with the run and a killed run leaves its data. A record
@@ -21,8 +22,8 @@ import numpy.typing as npt
 
 from firmware_protocol.edges import EDGE, Edges
 from firmware_protocol.events import EVENT, Events
-from transports.link.array_file import ArrayFileError, load_arrays
 from transports.output_file import OutputFile
+from transports.recording.array_file import ArrayFileError, load_arrays
 
 __all__ = ["Recorder", "load_edges", "load_record", "save_record"]
 
@@ -30,8 +31,9 @@ __all__ = ["Recorder", "load_edges", "load_record", "save_record"]
 class Recorder:
     """Appends delivered events and edges; `close` makes the `.npz`. Only the constructor raises OSError."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, size: tuple[int, int] | None = None) -> None:
         self.path = path
+        self._size = size
         self._events = _Part(path.with_suffix(path.suffix + ".part"), EVENT)
         self._edges = _Part(path.with_suffix(path.suffix + ".edges.part"), EDGE)
 
@@ -40,8 +42,13 @@ class Recorder:
         """Why the record is not whole, for people; empty where it is."""
         return self._events.trouble or self._edges.trouble
 
-    def append(self, events: Events, *, edges: Edges | None = None, restarted: bool = False) -> None:
-        """Add events and edges in device time; `restarted` when that time began anew before them."""
+    def append(
+        self, events: Events, *, edges: Edges | None = None, restarted: bool = False, unix_us: int | None = None
+    ) -> None:
+        """Add events and edges in device time; `restarted` when that time began anew before them.
+
+        This format has no place for `unix_us`, the Unix time at which it began.
+        """
         if self.trouble:
             return
         if restarted or not self._events.resets:
@@ -74,6 +81,7 @@ class Recorder:
                 resets=np.array(self._events.resets, np.int64),
                 edges=self._edges.content(),
                 edge_resets=np.array(self._edges.resets, np.int64),
+                size=np.array(self._size or (), np.int64),
             )
 
 

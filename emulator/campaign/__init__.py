@@ -1,0 +1,1 @@
+"""Campaigns: many runs of a rig over sampled parameters, their table and their report."""

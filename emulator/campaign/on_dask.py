@@ -1,0 +1,149 @@
+"""Runs of a campaign on a dask.distributed cluster: each of its workers keeps warm processes of ours beside it.
+
+A task may not start processes of its own nor handle signals inside a dask worker, so a run is done by a process that
+the task talks to; it ends with the dask worker.
+"""
+
+from __future__ import annotations
+
+import atexit
+import importlib
+import threading
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
+from dataclasses import asdict
+from importlib.metadata import version
+from pathlib import Path
+from queue import SimpleQueue
+from typing import Any
+
+from emulator.campaign.campaign import Campaign
+from emulator.campaign.columns import Row
+from emulator.campaign.loading import Source
+from emulator.campaign.one_run import CampaignStopped
+from emulator.campaign.warm_worker import WarmWorker, lost_row
+
+__all__ = ["DaskWorkers"]
+
+_CONNECT_S = 15
+_FIRST_WORKER_S = 120
+_AHEAD = 2  # tasks for each thread of the cluster: no worker waits for its next run
+
+
+class DaskWorkers:
+    """Does runs on a cluster, and gives their rows as they come; raises CampaignStopped where none answers.
+
+    Parameters
+    ----------
+    address : of the scheduler, such as tcp://10.0.0.1:8786.
+    """
+
+    def __init__(self, campaign: Campaign, folder: Path, address: str) -> None:
+        self._campaign = campaign
+        self._folder = folder
+        self._address = address
+        self._news: SimpleQueue[Any] = SimpleQueue()
+        self._futures: dict[str, Any] = {}
+        self._client = _connected(address)
+
+    def rows(self, indices: Iterable[int]) -> Iterator[Row]:
+        """Do the runs; raises CampaignStopped. It ends before the last run after `stop`."""
+        waiting, free = iter(indices), list(range(self._threads() * _AHEAD))
+        working: dict[Any, tuple[int, int]] = {}
+        try:
+            self._submit(waiting, free, working)
+            while working and (future := self._news.get()) is not None:
+                index, number = working.pop(future.key)
+                free.append(number)
+                row = self._row(future, index)
+                self._submit(waiting, free, working)
+                yield row
+        finally:
+            self._close()
+
+    def stop(self) -> None:
+        """Take no further row; for a signal handler."""
+        self._news.put(None)
+
+    def _threads(self) -> int:
+        try:
+            self._client.wait_for_workers(1, timeout=_FIRST_WORKER_S)
+        except TimeoutError as error:
+            told = f"--scheduler: {self._address} has had no worker for {_FIRST_WORKER_S} s"
+            raise CampaignStopped(told) from error
+        return sum(self._client.nthreads().values()) or 1
+
+    def _submit(self, waiting: Iterator[int], free: list[int], working: dict[Any, tuple[int, int]]) -> None:
+        """Hand out runs while there are free numbers; {worker} of a rig is such a number, so no two runs share one."""
+        while free and (index := next(waiting, None)) is not None:
+            number = free.pop()
+            arguments = (asdict(self._campaign.source), str(self._folder), index, number, version("evstim"))
+            key = f"evstim-{self._campaign.id}-{index}"
+            future = self._client.submit(_task, *arguments, key=key, pure=False, retries=0)
+            working[key] = (index, number)
+            future.add_done_callback(self._news.put)
+            self._futures[key] = future
+
+    def _row(self, future: Any, index: int) -> Row:
+        del self._futures[future.key]
+        if future.status == "finished":
+            row: Row = future.result()
+            return row
+        error = future.exception() if future.status == "error" else None
+        if error is None:
+            raise CampaignStopped(f"--scheduler: {self._address} is gone, or has cancelled the runs")
+        if type(error).__name__ == "KilledWorker":
+            return lost_row(self._campaign, index, "crashed", f"the workers died that had this run: {error}")
+        if isinstance(error, CampaignStopped):
+            raise error
+        raise CampaignStopped(f"--scheduler: a worker cannot do run {index}: {type(error).__name__}: {error}")
+
+    def _close(self) -> None:
+        """Leave the cluster as it was; what still runs there ends with its run."""
+        with suppress(Exception):
+            self._client.cancel(list(self._futures.values()))
+            self._client.run(_end_processes)
+        with suppress(Exception):
+            self._client.close(timeout=5)
+
+
+def _connected(address: str) -> Any:
+    try:
+        distributed = importlib.import_module("distributed")
+    except ImportError as error:
+        raise CampaignStopped("--scheduler needs dask.distributed:  pip install 'evstim[campaign]'") from error
+    try:
+        return distributed.Client(address, timeout=_CONNECT_S, set_as_default=False)
+    except (OSError, TimeoutError, ValueError) as error:
+        raise CampaignStopped(f"--scheduler: no scheduler answers at {address}: {str(error)[:200]}") from error
+
+
+_idle: dict[str, list[WarmWorker]] = {}
+_lock = threading.Lock()
+
+
+def _task(source: dict[str, str], folder: str, index: int, number: int, wanted: str) -> Row:
+    """Do a run, in a dask worker."""
+    here = version("evstim")
+    if here != wanted:
+        raise CampaignStopped(f"a worker has evstim {here}, the campaign is of {wanted}: install the same everywhere")
+    campaign = Campaign(Source(**source))
+    with _lock:
+        idle = _idle.setdefault(campaign.id, [])
+        worker = idle.pop() if idle else WarmWorker(campaign, Path(folder), threads=1)
+    row = worker.run(index, number)
+    with _lock:
+        _idle.setdefault(campaign.id, []).append(worker)
+    return row
+
+
+def _end_processes() -> None:
+    """End the processes that have no run at hand, in a dask worker."""
+    with _lock:
+        workers = [worker for idle in _idle.values() for worker in idle]
+        _idle.clear()
+    for worker in workers:
+        worker.close()
+
+
+atexit.register(_end_processes)

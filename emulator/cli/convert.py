@@ -1,0 +1,195 @@
+"""`evstim convert IN OUT` and `evstim recover IN OUT`."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, console, print_json, status
+from emulator.cli.recording_paths import check_recording, parsed_size, reading, writing
+from transports.recording.format import Format
+from transports.recording.guarded import OpenRecording
+from transports.recording.part import Facts, Part, Reader, RecordingError
+from transports.recording.recovery import RawEvents, recover_aedat4
+from transports.recording.writing import RecordingFile
+
+__all__ = ["convert", "recover"]
+
+_PROGRESS_S = 2.0
+
+
+@dataclass
+class _Tally:
+    """What was read: for what is left out."""
+
+    events: int = 0
+    edges: int = 0
+    imu: int = 0
+    frames: int = 0
+
+    def add(self, part: Part) -> None:
+        self.events += len(part.events)
+        self.edges += len(part.edges)
+        self.imu += len(part.imu)
+        self.frames += len(part.frames)
+
+
+def convert(
+    source: Path,
+    target: Path,
+    /,
+    *,
+    to: str = "",
+    size: str | None = None,
+    json: Annotated[bool, Parameter(negative="")] = False,
+) -> int:
+    """Convert a recording of events to another format, piece by piece: memory does not grow with the file.
+
+    Parameters
+    ----------
+    source
+        A recording in any format that is read: see docs/recordings.md. Its first bytes tell which.
+    target
+        The file to write; its suffix tells the format.
+    to
+        Name of the format, where the suffix does not tell it: aedat31, evt2, ros1-dvs, ...
+    size
+        WIDTHxHEIGHT of the sensor, such as 346x260, for files that do not tell it.
+    json
+        Print one JSON object as the last line on stdout.
+    """
+    _check_apart(source, target)
+    sensor = parsed_size(size)
+    with reading(source), OpenRecording(source, sensor) as recording:
+        form = check_recording("OUT", target, to)
+        return _told(source, target, form, _convert(recording, recording.facts, target, form), json)
+
+
+@dataclass(frozen=True)
+class _Done:
+    """What a conversion did, and why its input was not read to its end."""
+
+    read: _Tally
+    file: RecordingFile
+    trouble: str
+    seconds: float
+
+
+def _convert(source: OpenRecording | Reader, facts: Facts, target: Path, form: Format) -> _Done:
+    start_s, tally, trouble = time.monotonic(), _Tally(), ""
+    facts = dataclasses.replace(facts, streams=facts.streams & set(form.holds))
+    with writing(target):
+        file = RecordingFile(target, form, facts, hold="edges" in facts.streams)
+    with _closed(file, target):
+        parts = source.parts()
+        next_s = start_s + _PROGRESS_S
+        while True:
+            try:
+                part = next(parts, None)
+            except RecordingError as error:
+                trouble = str(error)
+                break
+            if part is None:
+                break
+            tally.add(part)
+            with writing(target):
+                file.write(part)
+            if time.monotonic() > next_s:
+                next_s += _PROGRESS_S
+                status.print(f"{tally.events:>14} events")
+    return _Done(tally, file, trouble, time.monotonic() - start_s)
+
+
+@contextmanager
+def _closed(file: RecordingFile, target: Path) -> Iterator[None]:
+    """Finish the file in any case."""
+    try:
+        yield
+    except BaseException:
+        with writing(target):
+            file.close()
+        raise
+    with writing(target):
+        file.close()
+
+
+def _told(source: Path, target: Path, form: Format, done: _Done, json: bool) -> int:
+    file, read = done.file, done.read
+    left = {"edges": read.edges - file.edges}
+    left |= {name: getattr(read, name) for name in ("imu", "frames") if name not in form.holds}
+    left = {name: count for name, count in left.items() if count}
+    if json:
+        told = {"input": source, "output": file.paths, "format": form.name, "events": file.events, "edges": file.edges}
+        print_json({**told, "left_out": left, "trouble": done.trouble, "seconds": done.seconds})
+    else:
+        rate = file.events / max(done.seconds, 1e-9) * 1e-6
+        told_rate = f"{file.events} events, {file.edges} edges, {rate:.1f} Mev/s"
+        console.print(f"{target}: {form.title}, {told_rate}", markup=False)
+        for name, count in left.items():
+            console.print(f"left out, as evstim does not write them to {form.title}: {count} {name}")
+        console.print(f"opens in: {form.readers}")
+        if done.trouble:
+            console.print(f"{source}: {done.trouble}; what came before is in {target}", markup=False)
+    return BAD_VERDICT if done.trouble else GOOD
+
+
+def _check_apart(source: Path, target: Path) -> None:
+    if source.exists() and target.exists() and source.samefile(target):
+        raise Failure(f"{target}: is the input itself", WRONG_USE)
+
+
+def recover(
+    source: Path,
+    target: Path,
+    /,
+    *,
+    size: str | None = None,
+    json: Annotated[bool, Parameter(negative="")] = False,
+) -> int:
+    """Save what can be read of a recording that was cut or never finished.
+
+    Parameters
+    ----------
+    source
+        An AEDAT 4.0 file, or the .part file of an .npz record. Other formats need no recovery: `evstim convert` keeps
+        all that comes before the damage.
+    target
+        The file to write: .aedat4 for AEDAT 4.0, any format for a .part file.
+    size
+        WIDTHxHEIGHT of the sensor, such as 346x260, for a .part file.
+    json
+        Print one JSON object as the last line on stdout.
+    """
+    _check_apart(source, target)
+    if source.suffix == ".part":
+        if source.name.endswith(".edges.part"):
+            raise Failure(f"{source}: holds edges; name the file of the events beside it", WRONG_USE)
+        form = check_recording("OUT", target)
+        with reading(source):
+            source.stat()
+            facts = Facts(parsed_size(size) or (1 << 16, 1 << 16), "record", streams=frozenset())
+            return _told(source, target, form, _convert(RawEvents(source, facts.size), facts, target, form), json)
+    return _recover_aedat4(source, target, json)
+
+
+def _recover_aedat4(source: Path, target: Path, json: bool) -> int:
+    if check_recording("OUT", target).name != "aedat4":
+        advice = "what is recovered of AEDAT 4.0 must end in .aedat4; `evstim convert` goes on from there"
+        raise Failure(f"{target}: {advice}", WRONG_USE)
+    with reading(source):
+        if source.is_dir():
+            raise RecordingError("is a folder")
+        saved = recover_aedat4(source, target)
+    if json:
+        print_json({"input": source, "output": target, **dataclasses.asdict(saved)})
+    else:
+        left = f"{saved.left_bytes} bytes at the end are left out"
+        console.print(f"{target}: {saved.packets} packets, {saved.kept_bytes} bytes; {left}", markup=False)
+    return GOOD if saved.packets else BAD_VERDICT

@@ -1,0 +1,51 @@
+"""Reads a GigE Vision camera with neuromorphic_drivers, unmodified, in a process of its own; started by `evstim demo`.
+
+The driver holds the interpreter's lock while it waits for the camera, so it never shares a process with one.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from firmware_protocol.events import EVENT
+from transports.recording.record import Recorder
+
+__all__ = ["DRIVER", "driver_works", "main"]
+
+DRIVER = "neuromorphic_drivers"
+_PACKET_OCTETS = 1400
+_RING_LENGTH = 1 << 16
+
+
+def driver_works() -> bool:
+    """Say whether the driver is installed and can start here: it needs libusb to find a USB, also for Ethernet."""
+    if importlib.util.find_spec(DRIVER) is None:
+        return False
+    asked = f"import {DRIVER} as driver; driver.list_devices()"
+    return subprocess.run([sys.executable, "-P", "-c", asked], capture_output=True, check=False).returncode == 0
+
+
+def main(address: str, record: str, seconds: str) -> int:
+    """Read the camera at `address` for so many seconds into a record; returns 1 where the driver cannot open it."""
+    import neuromorphic_drivers as nd
+    from neuromorphic_drivers.generated.devices import lucid_triton
+
+    ring = lucid_triton.RingConfiguration(buffer_length=_PACKET_OCTETS, ring_length=_RING_LENGTH)
+    try:
+        camera = nd.open(lucid_triton.Configuration(), address=address, iterator_timeout=0.1, ring_configuration=ring)
+    except RuntimeError as error:
+        sys.stderr.write(f"{DRIVER}: {error}\n")
+        return 1
+    recorder, end_s = Recorder(Path(record)), time.monotonic() + float(seconds)
+    with camera:
+        for _, packet in camera:
+            if packet is not None and packet.polarity_events is not None:
+                recorder.append(packet.polarity_events.astype(EVENT))
+            if time.monotonic() > end_s:
+                break
+    recorder.close()
+    return 0

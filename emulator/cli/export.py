@@ -1,0 +1,111 @@
+"""`evstim export KIND [RIG]`: definitions of the instrument's packets for ground systems."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Annotated, Literal
+
+from cyclopts import Parameter
+
+from emulator.cli.failures import failures
+from emulator.cli.output import GOOD, WRONG_USE, Failure, console, print_json
+from emulator.rig.loading import load_rig
+from firmware_protocol.can_frames.dbc import CanMessage, can_messages
+from firmware_protocol.ground.cosmos import CosmosPorts, cosmos_files
+from firmware_protocol.ground.description import Packet, instrument_packets
+from firmware_protocol.ground.fprime import fprime_text
+from firmware_protocol.ground.wireshark import wireshark_text
+from firmware_protocol.ground.xtce import xtce_text
+from transports.can_bus.parameters import CanParameters
+from transports.link.kind import LinkParameters
+from transports.udp_packets.parameters import UdpPackets
+
+__all__ = ["export"]
+
+
+@dataclass(frozen=True)
+class _Wanted:
+    """What the definitions are about: the packets, the UDP ports that carry them, the frames of a CAN bus."""
+
+    packets: tuple[Packet, ...]
+    udp: UdpPackets
+    frames: tuple[tuple[int, CanMessage], ...]
+
+
+_MAKERS: Mapping[str, Callable[[_Wanted], Mapping[str, str]]] = {
+    "xtce": lambda one: {"evstim.xml": xtce_text(one.packets)},
+    "cosmos": lambda one: {
+        f"openc3-cosmos-evstim/{name}": text for name, text in cosmos_files(one.packets, _cosmos_ports(one.udp)).items()
+    },
+    "fprime": lambda one: {
+        "EvstimTopologyDictionary.json": fprime_text(one.packets, version=version("evstim")),
+    },
+    "wireshark": lambda one: {
+        "evstim.lua": wireshark_text(one.packets, (one.udp.port, one.udp.command_port), one.frames),
+    },
+}
+
+
+def export(
+    kind: Literal["xtce", "cosmos", "fprime", "wireshark"],
+    rig: str | None = None,
+    /,
+    *,
+    out: Path = Path(),
+    json: Annotated[bool, Parameter(negative="")] = False,
+) -> int:
+    """Write the definitions of the camera's packets for a ground system: see docs/ground.md.
+
+    Parameters
+    ----------
+    kind
+        xtce: XTCE 1.2, for Yamcs and others. cosmos: a plugin of OpenC3 COSMOS. fprime: a dictionary of F Prime's GDS.
+        wireshark: a dissector in Lua.
+    rig
+        Path of a rig file, or the name of a shipped one: its UDP ports and CAN identifiers are taken. Default: those
+        that a link has when nothing is said.
+    out
+        Folder for the files. Default: the current one.
+    json
+        Print one JSON object as the last line on stdout.
+    """
+    files = _MAKERS[kind](_wanted(rig))
+    paths = [out / name for name in files]
+    for path, text in zip(paths, files.values(), strict=True):
+        _write(path, text)
+    if json:
+        print_json({"kind": kind, "files": paths})
+    else:
+        for path in paths:
+            console.print(str(path), markup=False)
+    return GOOD
+
+
+def _wanted(rig: str | None) -> _Wanted:
+    links: tuple[LinkParameters, ...] = ()
+    if rig is not None:
+        with failures():
+            links = tuple(load_rig(rig).links)
+    udp = next((one for one in links if isinstance(one, UdpPackets)), UdpPackets())
+    can = next((one for one in links if isinstance(one, CanParameters)), None)
+    return _Wanted(instrument_packets(), udp, () if can is None else _frames(can))
+
+
+def _frames(can: CanParameters) -> tuple[tuple[int, CanMessage], ...]:
+    ids = can.identifiers.by_name
+    return tuple((ids[one.name], one) for one in can_messages(fd=can.fd, carriage=can.carriage))
+
+
+def _cosmos_ports(udp: UdpPackets) -> CosmosPorts:
+    return CosmosPorts(udp.command_host, udp.command_port, udp.port)
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise Failure(f"{path}: {error.strerror}", WRONG_USE) from error

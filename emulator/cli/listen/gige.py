@@ -1,0 +1,81 @@
+"""`evstim listen gige`: the receiving side of a GigE Vision event camera."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from emulator.cli.listen.limits import Limits, told, until
+from emulator.cli.output import LACKING, WRONG_USE, Failure, console, print_json, status
+from firmware_protocol.gige.gvsp import LEAST_PACKET, MOST_PACKET
+from transports.gige.host import GigeHost, GigeHostError
+from transports.gige.receiver import GigeReception, receive
+from transports.link.pacing import MonotonicClock
+
+__all__ = ["gige"]
+
+_NO_LIMITS = Limits()
+_GONE = "the camera went away before the reception was to end: its run ended or died, or another host took control"
+
+
+def gige(
+    at: str = "127.0.0.1:3956",
+    /,
+    *,
+    packet_size: int = 1400,
+    limits: Annotated[Limits, Parameter(name="*")] = _NO_LIMITS,
+    json: Annotated[bool, Parameter(negative="")] = False,
+) -> int:
+    """Read a GigE Vision event camera, and count what is missing. Ctrl-C ends it.
+
+    Parameters
+    ----------
+    at
+        ADDRESS or ADDRESS:PORT of the camera.
+    packet_size
+        Octets of a packet with the headers of IP and UDP: 576 to 9000, even; no more than the network's MTU.
+    limits
+        When to stop, and the file for the received events.
+    json
+        Print one JSON object as the last line on stdout.
+    """
+    limits.check()
+    if not LEAST_PACKET <= packet_size <= MOST_PACKET or packet_size % 2:
+        raise Failure(f"--packet-size must be even, {LEAST_PACKET} to {MOST_PACKET}, got {packet_size}", WRONG_USE)
+    try:
+        reception, trouble = _receive(*_address(at), packet_size, limits)
+    except GigeHostError as error:
+        raise Failure(str(error), LACKING) from error
+    problems = [_GONE] * reception.gone + [trouble] * bool(trouble)
+    if json:
+        print_json({**dataclasses.asdict(reception), "problems": problems})
+    else:
+        console.print(
+            f"{reception.events} events and {reception.edges} edges in {reception.seconds:.2f} s, "
+            f"digest {reception.digest:08x}, {reception.blocks_lost} blocks lost, "
+            f"{reception.packets_asked} packets asked for again"
+        )
+    return told(problems, reception.blocks_lost)
+
+
+def _receive(host: str, port: int, packet_size: int, limits: Limits) -> tuple[GigeReception, str]:
+    """Return what came, and why its record is not whole; empty where it is."""
+    clock = MonotonicClock()
+    camera = GigeHost(host, port, now_ns=clock.now_ns)
+    try:
+        about = camera.identity
+        status.print(f"{about.manufacturer} {about.model} serial {about.serial}")
+        with limits.recorder() as recorder:
+            reception = receive(camera, packet_size, until(limits), clock, recorder)
+    finally:
+        camera.close()
+    return reception, recorder.trouble if recorder is not None else ""
+
+
+def _address(text: str) -> tuple[str, int]:
+    host, _, port = text.partition(":")
+    if not host or (port and (not port.isdecimal() or not 1 <= int(port) <= 65535)):
+        raise Failure(f"{text!r} is not ADDRESS or ADDRESS:PORT, such as 127.0.0.1:3956", WRONG_USE)
+    return host, int(port or 3956)

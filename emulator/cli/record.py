@@ -1,0 +1,90 @@
+"""`evstim record RIG FILE`."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from cyclopts import Parameter
+
+from emulator.cli.failures import failures
+from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, console, print_json
+from emulator.cli.preparing import prepared
+from emulator.cli.recording_paths import check_recording
+from emulator.cli.run import print_summary, run_rig, summary
+from emulator.rig.loading import Rig, load_rig
+from emulator.rig.options import with_options
+from emulator.run.kernels import parts_of
+from emulator.run.verdict import good, judge
+from transports.file.kind import FileLink
+
+__all__ = ["record"]
+
+
+@dataclass(frozen=True)
+class Course:
+    """How the run goes.
+
+    Attributes
+    ----------
+    seconds
+        Stream time to record; 0: until Ctrl-C. Default: the rig's.
+    seed
+        Seed of everything random. Default: the rig's.
+    pace
+        free: as fast as possible, without loss; realtime: as the camera would send it, with the date in the file.
+    """
+
+    seconds: float | None = None
+    seed: int | None = None
+    pace: Literal["realtime", "free"] = "free"
+
+
+_COURSE = Course()
+
+
+def record(
+    rig: str,
+    file: Path,
+    /,
+    *,
+    to: str = "",
+    course: Annotated[Course, Parameter(name="*")] = _COURSE,
+    json: Annotated[bool, Parameter(negative="")] = False,
+) -> int:
+    """Record the events of a rig's sensor, without its links: no host is needed. Ctrl-C ends it with a sound file.
+
+    Parameters
+    ----------
+    rig
+        Path of a rig file, or the name of a shipped one (see `evstim rigs`).
+    file
+        The recording; its suffix tells the format, see docs/recordings.md.
+    to
+        Name of the format, where the suffix does not tell it: aedat31, evt2, ros1-dvs, ...
+    json
+        Print one JSON object as the last line on stdout.
+    """
+    with failures():
+        loaded = _recording_rig(load_rig(rig), file, check_recording("FILE", file, to).name)
+        try:
+            loaded = with_options(loaded, course.seconds, course.seed, course.pace)
+        except ValueError as error:
+            raise Failure(f"--{error}", WRONG_USE) from error
+        prepared(parts_of(loaded))
+        result = run_rig(loaded, show=not json)
+    if json:
+        print_json(summary(loaded, result))
+    else:
+        print_summary(loaded, result)
+        console.print(f"written to {file}; `evstim info {file}` shows what it holds", markup=False)
+    return GOOD if good(judge(loaded.verdict, result)) else BAD_VERDICT
+
+
+def _recording_rig(rig: Rig, file: Path, form: str) -> Rig:
+    """Return the rig with the file as its only link, and nothing that another link would have brought."""
+    link = FileLink(str(file), form, f"{rig.camera.model.upper()}_{rig.camera.serial}")
+    trigger = None if rig.trigger is None or rig.trigger.source else rig.trigger
+    return dataclasses.replace(rig, links=(link,), faults=(), trigger=trigger)

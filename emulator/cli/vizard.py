@@ -1,0 +1,209 @@
+"""`evstim vizard RIG`: a camera for an unmodified Basilisk simulation."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from typing import Annotated, Any
+
+from cyclopts import Parameter
+
+from emulator.cli.failures import failures
+from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, WRONG_USE, Failure, console, print_json, status
+from emulator.cli.run import NO_FILES, Files, print_summary, rig_with_options, run_with_files, summary
+from emulator.cli.run_output.latency import quantile_text
+from emulator.report.frame_png import check_png, grey_png
+from emulator.rig.loading import Rig, load_rig
+from emulator.run.basilisk import BasiliskRun, Server
+from emulator.run.connected import camera_differs, connected
+from emulator.run.session import RunResult
+from emulator.run.verdict import good, judge
+from emulator.trajectory.basilisk import ConnectedPath
+from firmware_protocol.vizard.update import Update
+from transports.link.pacing import MonotonicClock
+from transports.network.allow import check_allow
+from transports.vizard.forwarding import ForwardingServer, Other
+from transports.vizard.server import VizardServer
+
+__all__ = ["vizard"]
+
+
+@dataclass(frozen=True)
+class Meeting:
+    """Where the simulation connects to, and what it is shown.
+
+    Attributes
+    ----------
+    at
+        HOST:PORT to listen on; in Basilisk these are reqComAddress and reqPortNumber.
+    allow
+        Addresses and networks that may connect; needed where HOST can be reached from other machines.
+    forward
+        HOST:PORT of a second visualiser that gets every request too: another evstim with its own camera, or Vizard.
+    white
+        Light that is white in the images, relative to the sensor's reference.
+    """
+
+    at: str = "127.0.0.1:5556"
+    allow: Annotated[tuple[str, ...], Parameter(negative="")] = ()
+    forward: str | None = None
+    white: float = 1.0
+
+
+_MEETING = Meeting()
+
+
+def vizard(
+    rig: str,
+    /,
+    *,
+    seconds: float | None = None,
+    seed: int | None = None,
+    meeting: Annotated[Meeting, Parameter(name="*")] = _MEETING,
+    files: Annotated[Files, Parameter(name="*")] = NO_FILES,
+    json: Annotated[bool, Parameter(negative="")] = False,
+) -> int:
+    """Run a rig in step with a Basilisk simulation: it gives poses and time, and gets images; the links get events.
+
+    The run ends when the simulation does. See docs/basilisk.md.
+
+    Parameters
+    ----------
+    rig
+        Path of a rig file with paths of kind "basilisk", or the name of a shipped one.
+    seconds
+        Simulated time to run for; the simulation then ends with an error. Default: until it ends by itself.
+    seed
+        Seed of everything random. Default: the rig's.
+    json
+        Print one JSON object as the last line on stdout.
+    """
+    with failures():
+        _check_installed()
+        check_png()
+        loaded, paths = connected(load_rig(rig))
+        loaded = rig_with_options(loaded, seconds or 0.0, seed, None)
+        with _server(meeting) as server, _forwarding(server, meeting) as asked:
+            status.print(f"Basilisk may connect to {server.address}", markup=False)
+            simulation = _simulation(loaded, paths, asked, meeting)
+            try:
+                result, truth = run_with_files(loaded, files, simulation, show=not json)
+            finally:
+                simulation.end("evstim has ended its run")
+            told = _told(simulation, server)
+    problems = _problems(simulation, result, seconds)
+    if isinstance(asked, ForwardingServer) and asked.lost:
+        problems.append(asked.lost)
+    if json:
+        body = {**summary(loaded, result), "truth_trouble": truth.trouble, "basilisk": told, "problems": problems}
+        print_json(body)
+    else:
+        print_summary(loaded, result)
+        truth.tell()
+        _print(told, problems)
+    return GOOD if good(judge(loaded.verdict, result)) and not (truth.trouble or problems) else BAD_VERDICT
+
+
+def _check_installed() -> None:
+    for module in ("zmq", "google.protobuf"):
+        try:
+            importlib.import_module(module)
+        except ImportError as error:
+            raise Failure("evstim vizard needs pyzmq and protobuf: pip install 'evstim[basilisk]'", LACKING) from error
+
+
+@contextmanager
+def _server(meeting: Meeting) -> Iterator[VizardServer]:
+    host, port = _address("--at", meeting.at)
+    if not meeting.white > 0:
+        raise Failure(f"--white is {meeting.white:g}: it must be above 0", WRONG_USE)
+    try:
+        check_allow(host, meeting.allow, "--at")
+    except ValueError as error:
+        raise Failure(str(error), WRONG_USE) from error
+    try:
+        server = VizardServer(host, port, meeting.allow)
+    except OSError as error:
+        raise Failure(f"--at: {error.strerror or error}; give another port, or end what holds it", LACKING) from error
+    try:
+        yield server
+    finally:
+        server.close()
+
+
+@contextmanager
+def _forwarding(server: VizardServer, meeting: Meeting) -> Iterator[Server]:
+    """Yield what asks the run: the server itself, or one that asks a second visualiser too."""
+    if meeting.forward is None:
+        yield server
+        return
+    try:
+        other = Other(*_address("--forward", meeting.forward))
+    except OSError as error:
+        reason = f"--forward: nobody listens on {meeting.forward}: {error.strerror or error}; start it first"
+        raise Failure(reason, LACKING) from error
+    try:
+        yield ForwardingServer(server, other)
+    finally:
+        other.close()
+
+
+def _address(option: str, text: str) -> tuple[str, int]:
+    host, _, port = text.rpartition(":")
+    host = host.strip("[]")
+    if not host or not port.isdecimal() or int(port) > 65535:
+        raise Failure(f"{option}: {text!r} is not HOST:PORT, such as 127.0.0.1:5556", WRONG_USE)
+    return "127.0.0.1" if host == "localhost" else host, int(port)
+
+
+def _simulation(rig: Rig, paths: Sequence[ConnectedPath], server: Server, meeting: Meeting) -> BasiliskRun:
+    numbers = [path.camera for path in paths if path.camera is not None]
+
+    def greet(update: Update) -> None:
+        status.print(f"Basilisk is here, at {update.time_ns * 1e-9:g} s of its time", markup=False)
+        for difference in [camera_differs(rig, update.camera(number)) for number in numbers]:
+            if difference:
+                status.print(f"note: {difference}", markup=False)
+
+    return BasiliskRun(server, paths, partial(grey_png, white=meeting.white), MonotonicClock(), greet)
+
+
+def _told(simulation: BasiliskRun, server: VizardServer) -> dict[str, Any]:
+    counters = simulation.counters
+    times = {"first_ns": simulation.first_ns, "last_ns": simulation.last_ns}
+    latencies = {"answer_us": counters.answer.summary(), "first_event_us": counters.first_event.summary()}
+    counts = {name: value for name, value in vars(counters).items() if name not in ("answer", "first_event")}
+    other = {"other_peers_refused": server.refused, "left": server.peer_gone}
+    return {**times, **counts, **other, **{name: dataclasses.asdict(one) for name, one in latencies.items()}}
+
+
+def _problems(simulation: BasiliskRun, result: RunResult, seconds: float | None) -> list[str]:
+    counters = simulation.counters
+    if simulation.first_ns is None:
+        return ["no update came from Basilisk" + (f": {counters.last_refusal}" if counters.refused else "")]
+    problems = []
+    if counters.refused:
+        problems.append(f"{counters.refused} requests refused, the last one because: {counters.last_refusal}")
+    if seconds and result.sim_seconds < seconds:
+        problems.append(f"the simulation ended after {result.sim_seconds:g} of {seconds:g} s")
+    return problems
+
+
+def _print(told: dict[str, Any], problems: Sequence[str]) -> None:
+    console.print(
+        f"basilisk: {told['updates']} updates, {told['images']} images, {told['no_images']} requests for other "
+        f"cameras' images, {told['other_peers_refused']} messages of others refused"
+    )
+    for what, name in (("first event handed to a link", "first_event_us"), ("reply", "answer_us")):
+        latency = told[name]
+        if latency["p50"] is not None:
+            console.print(
+                f"basilisk: update to {what} p50 {quantile_text(latency['p50'])} us, p99 "
+                f"{quantile_text(latency['p99'])} us, max {latency['max']:.0f} us"
+            )
+    for problem in problems:
+        console.print(f"NOT GOOD: {problem}", markup=False)

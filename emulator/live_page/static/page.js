@@ -1,0 +1,296 @@
+"use strict";
+// One WebSocket brings pictures (binary) and tables (JSON); see messages.py. Nothing else is loaded.
+
+const $ = (id) => document.getElementById(id);
+const ON = [0xd5, 0x5e, 0x00], OFF = [0x00, 0x72, 0xb2];
+const PARTS = {
+  read_out: ["read out", "#009e73"], pending: ["pending", "#f0e442"], lost_at_readout: ["lost at the read-out", "#e69f00"],
+  lost_in_pixel: ["lost in the pixel", "#56b4e9"], delivered: ["delivered", "#009e73"], on_the_way: ["on the way", "#f0e442"],
+  dropped_in_device: ["dropped in the camera", "#cc79a7"], dropped: ["dropped by the link", "#d55e00"],
+};
+const SLIDERS = {
+  threshold_on: ["ON threshold", "ln", 0.03, 1.5], threshold_off: ["OFF threshold", "ln", 0.03, 1.5],
+  leak_hz: ["leak", "Hz", 0.01, 50], refractory_us: ["refractory period", "us", 1, 50000],
+  corner_max_hz: ["bandwidth", "Hz", 3, 30000],
+};
+const MOST_SUMMED = 50;
+
+let socket, received = 0, about = null, status = null, first = null, retry_ms = 500, over = false;
+
+// ---- connection ----
+
+function connect() {
+  const token = new URLSearchParams(location.hash.slice(1)).get("token") || "";
+  socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/live`);
+  socket.binaryType = "arraybuffer";
+  received = 0;
+  socket.onopen = () => socket.send(JSON.stringify({do: "hello", token}));
+  socket.onmessage = (event) => {
+    received += 1;
+    try {
+      if (typeof event.data === "string") hear(JSON.parse(event.data));
+      else if (event.data.byteLength) take(event.data);
+    } finally { send({do: "seen", number: received}); }
+  };
+  socket.onclose = (event) => {
+    if (over) return;
+    state(event.code === 4401 ? "wrong token" : event.reason || "not connected", "over");
+    if (event.code !== 4401) setTimeout(connect, retry_ms = Math.min(retry_ms * 1.5, 5000));
+  };
+}
+
+function send(message) { if (socket.readyState === 1) socket.send(JSON.stringify(message)); }
+
+function hear(message) {
+  if (message.kind === "about") begin(message);
+  else if (message.kind === "answer") $("answer").textContent = message.did || message.error;
+  else if (message.kind === "ended") { over = true; state("the run has ended", "over"); }
+  else { status = {...status, ...message}; if (message.kind === "status") figures(); controls(); }
+}
+
+function state(text, kind) { $("state").textContent = text; $("state").className = kind; }
+
+function begin(message) {
+  about = message; first = null; retry_ms = 500;
+  $("name").textContent = document.title = about.name;
+  $("title").textContent = about.title;
+  state("live", "live");
+  $("faults").replaceChildren(...Object.entries(about.links).flatMap(([link, {faults}]) => faults.map((kind) =>
+    button(`${link}: ${kind.replaceAll("_", " ")}`, () => send({do: "inject", fault: {kind, link}}), `fault-${link}-${kind}`))));
+}
+
+function button(text, act, id) {
+  const made = document.createElement("button");
+  made.textContent = text; made.onclick = act; made.id = id;
+  return made;
+}
+
+// ---- the picture ----
+
+const canvas = $("picture"), pen = canvas.getContext("2d", {alpha: false});
+let size = [0, 0], image, light, lastUs, polarity, past = [], sumOn, sumOff, pictures = 0;
+
+function fit(width, height) {
+  if (size[0] === width && size[1] === height) return;
+  size = [canvas.width, canvas.height] = [width, height];
+  const n = width * height;
+  image = pen.createImageData(width, height);
+  image.data.fill(255);
+  lastUs = new Float64Array(n).fill(-1e18); polarity = new Int8Array(n);
+  sumOn = new Int32Array(n); sumOff = new Int32Array(n); past = [];
+}
+
+function take(buffer) {
+  const head = new DataView(buffer), width = head.getUint16(8, true), height = head.getUint16(10, true), n = width * height;
+  const from = Number(head.getBigUint64(12, true)), until = Number(head.getBigUint64(20, true));
+  fit(width, height);
+  light = new Uint8Array(buffer, 36, n);
+  const last = new Int8Array(buffer, 36 + n, n), count = new Uint8Array(buffer, 36 + 2 * n, n);
+  for (let i = 0; i < n; i++) if (last[i]) {
+    lastUs[i] = from + (until - from) * Math.abs(last[i]) / 127;
+    polarity[i] = last[i] > 0 ? 1 : -1;
+  }
+  add(count, 1);
+  past.push({count, from});
+  while (past.length > MOST_SUMMED || (past.length > 1 && past[0].from < until - windowUs())) add(past.shift().count, -1);
+  const every = head.getUint16(32, true);
+  $("drawn").textContent = every > 1 ? `(one event of ${every} is drawn)` : "";
+  window.lastPictureUs = until;
+  draw(until);
+  pictures += 1;
+}
+
+function add(count, sign) {
+  for (let i = 0; i < count.length; i++) if (count[i]) {
+    sumOn[i] += sign * (count[i] & 15);
+    sumOff[i] += sign * (count[i] >> 4);
+  }
+}
+
+function windowUs() { return 1e4 * 200 ** Number($("window").value); }  // 10 ms to 2 s
+function mode() { return document.querySelector("input[name=mode]:checked").value; }
+
+function draw(untilUs) {
+  const data = image.data, dim = Number($("light").value), tau = windowUs(), surface = mode() === "surface";
+  for (let i = 0, at = 0; i < light.length; i++, at += 4) {
+    const ground = light[i] * dim;
+    let weight = 0, colour = ON;
+    if (surface) {
+      const age = (untilUs - lastUs[i]) / tau;
+      if (age < 5) { weight = Math.exp(-age); colour = polarity[i] > 0 ? ON : OFF; }
+    } else {
+      const net = sumOn[i] - sumOff[i], all = sumOn[i] + sumOff[i];
+      if (all) { weight = Math.min(1, 0.3 + 0.175 * Math.abs(net || 1)); colour = net >= 0 ? ON : OFF; }
+    }
+    data[at] = ground + weight * (colour[0] - ground);
+    data[at + 1] = ground + weight * (colour[1] - ground);
+    data[at + 2] = ground + weight * (colour[2] - ground);
+  }
+  pen.putImageData(image, 0, 0);
+  $("window-text").textContent = tau < 1e6 ? `${Math.round(tau / 1e3)} ms` : `${(tau / 1e6).toFixed(1)} s`;
+}
+
+// ---- figures ----
+
+const course = [];
+let cpu = null;
+
+function figures() {
+  const late = status.lateness, p = Object.values(status.links).map((link) => link.latency_us).filter((us) => us[1] !== null)
+    .sort((a, b) => b[1] - a[1])[0] || [null, null];
+  const now = performance.now() / 1000;
+  const load = cpu && now > cpu.now ? (status.page_cpu_s - cpu.used) / (now - cpu.now) : 0;
+  if (!cpu || now - cpu.now > 5) cpu = {now, used: status.page_cpu_s, load: cpu ? load : null};
+  numbers({
+    "stream time": `${status.t_s.toFixed(2)} s`, "real-time factor": status.real_time_factor.toFixed(2),
+    "steps late": late.frames_late, "worst lateness": `${(late.worst_gap_us / 1000).toFixed(1)} ms`,
+    "longer steps": late.steps_stretched, "pictures drawn": status.frames,
+    viewers: status.viewers, "page's processor": cpu.load === null ? "..." : `${(100 * cpu.load).toFixed(1)} % of a core`,
+  });
+  course.push({rate: status.events_per_s, p50: p[0], p99: p[1]});
+  if (course.length > 600) course.shift();
+  $("rate-now").textContent = si(status.events_per_s);
+  $("latency-now").textContent = p[1] === null ? "" : `${Math.round(p[0])} / ${Math.round(p[1])}`;
+  chart($("rate"), [["rate", "#56b4e9", []]]);
+  chart($("latency"), [["p50", "#56b4e9", []], ["p99", "#e69f00", [4, 3]]]);
+  ledger(); links();
+}
+
+function numbers(table) {
+  const list = $("numbers");
+  if (!list.children.length) for (const name of Object.keys(table)) {
+    const box = document.createElement("div"), dt = document.createElement("dt"), dd = document.createElement("dd");
+    dt.textContent = name; dd.dataset.name = name; box.append(dt, dd); list.append(box);
+  }
+  for (const dd of list.querySelectorAll("dd")) dd.textContent = table[dd.dataset.name];
+}
+
+function si(value) {
+  for (const [unit, size] of [["M", 1e6], ["k", 1e3]]) if (value >= size) return `${(value / size).toPrecision(3)} ${unit}`;
+  return value.toFixed(0);
+}
+
+function chart(target, lines) {
+  const ctx = target.getContext("2d"), {width, height} = target;
+  const most = Math.max(1e-9, ...course.flatMap((row) => lines.map(([name]) => row[name] || 0)));
+  ctx.clearRect(0, 0, width, height);
+  ctx.lineWidth = 1.5;
+  for (const [name, colour, dashes] of lines) {
+    ctx.strokeStyle = colour; ctx.setLineDash(dashes); ctx.beginPath();
+    course.forEach((row, k) => { if (row[name] !== null) ctx.lineTo(width - (course.length - k) * width / 600, height - 3 - (height - 6) * row[name] / most); });
+    ctx.stroke();
+  }
+}
+
+function ledger() {
+  const tables = [["raised", status.ledger], ...Object.entries(status.ledger.links)];
+  const box = $("ledger");
+  if (box.children.length !== tables.length) box.replaceChildren(...tables.map(() => {
+    const made = document.createElement("div");
+    made.innerHTML = "<div class=\"head\"></div><div class=\"bar\"></div><div class=\"parts\"></div>";
+    return made;
+  }));
+  tables.forEach(([name, {whole, parts}], k) => {
+    const [head, bar, text] = box.children[k].children, entries = Object.entries(parts);
+    const sum = entries.reduce((all, [, n]) => all + n, 0), sound = sum === whole && entries.every(([, n]) => n >= 0);
+    head.textContent = `${name}: ${whole.toLocaleString()} ${sound ? "= the sum of its parts" : `BUT THE PARTS ARE ${sum}`}`;
+    head.dataset.sound = sound;
+    if (bar.children.length !== entries.length) {
+      bar.replaceChildren(...entries.map(([part]) => { const d = document.createElement("div"); d.style.background = PARTS[part][1]; return d; }));
+      text.replaceChildren(...entries.map(([part]) => {
+        const s = document.createElement("span"), i = document.createElement("i");
+        s.className = "part"; i.style.background = PARTS[part][1]; s.append(i, " ", document.createElement("span")); return s;
+      }));
+    }
+    entries.forEach(([part, n], j) => {
+      bar.children[j].style.width = `${100 * Math.max(n, 0) / Math.max(whole, 1)}%`;
+      bar.children[j].style.flexBasis = bar.children[j].style.width;
+      text.children[j].lastChild.textContent = `${PARTS[part][0]} ${n.toLocaleString()}`;
+    });
+  });
+}
+
+function links() {
+  const rows = Object.entries(status.links).map(([name, link]) => {
+    const row = document.createElement("div"), more = document.createElement("span");
+    row.className = "link";
+    more.textContent = ` ${link.state}${link.address ? ` at ${link.address}` : ""}, ${link.faults} faults, ${link.edges} triggers`;
+    row.append(name, more);
+    if (link.error) { const bad = document.createElement("div"); bad.className = "bad"; bad.textContent = link.error; row.append(bad); }
+    return row;
+  });
+  $("links").replaceChildren(...rows.length ? rows : ["This rig has no link."]);
+}
+
+// ---- controls ----
+
+function controls() {
+  $("pause").hidden = $("step").hidden = !status.can_pause;
+  $("pause").textContent = status.paused ? "resume" : "pause";
+  $("trigger").hidden = !status.can_trigger;
+  if (!over) state(status.paused ? "paused" : "live", "live");
+  const names = Object.keys(status.adjustable || {});
+  $("sensor").hidden = !names.length;
+  if (!first) { first = {...status.adjustable}; $("sliders").replaceChildren(...names.filter((name) => SLIDERS[name]).map(slider)); }
+  for (const name of names) renew(name);
+}
+
+function slider(name) {
+  const [text, , low, high] = SLIDERS[name], label = document.createElement("label"), input = document.createElement("input");
+  label.className = "slider"; label.id = `row-${name}`;
+  Object.assign(input, {type: "range", min: 0, max: 1, step: 0.002, id: `slider-${name}`});
+  const ask = later((place) => send({do: "adjust", name, value: Number((low * (high / low) ** place).toPrecision(3))}));
+  input.oninput = () => ask(input.value);  // now: `renew` may move the slider back before `later` sends
+  label.append(text, input, document.createElement("output"));
+  return label;
+}
+
+function renew(name) {
+  const row = $(`row-${name}`);
+  if (!row) return;
+  const [, unit, low, high] = SLIDERS[name], value = status.adjustable[name], input = row.querySelector("input");
+  if (document.activeElement !== input) input.value = Math.log(Math.max(value, low) / low) / Math.log(high / low);
+  row.querySelector("output").textContent = `${value > 1e8 ? "no limit" : Number(value.toPrecision(3))} ${unit}`;
+}
+
+function later(act) {  // at most ten times a second, with the last value
+  let waits = false, last;
+  return (value) => { last = value; if (!waits) { waits = true; setTimeout(() => { waits = false; act(last); }, 100); } };
+}
+
+let recorder = null;
+
+function video() {
+  if (recorder) return recorder.stop();
+  const parts = [];
+  recorder = new MediaRecorder(canvas.captureStream(25), {videoBitsPerSecond: 8e6});
+  recorder.ondataavailable = (event) => parts.push(event.data);
+  recorder.onstop = () => { recorder = null; $("video").textContent = "record video"; save(new Blob(parts, {type: "video/webm"}), "webm"); };
+  recorder.start();
+  $("video").textContent = "stop recording";
+}
+
+function save(blob, kind) {
+  const link = document.createElement("a");
+  link.href = URL.createObjectURL(blob);
+  link.download = `${about ? about.name : "evstim"}-${status ? status.t_s.toFixed(2) : 0}s.${kind}`;
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 10000);
+}
+
+const ACTS = {
+  pause: () => send({do: status && status.paused ? "resume" : "pause"}), step: () => send({do: "step"}),
+  trigger: () => send({do: "trigger"}), "picture-file": () => canvas.toBlob((blob) => save(blob, "png")), video,
+  full: () => document.fullscreenElement ? document.exitFullscreen() : $("show").requestFullscreen(),
+  reset: () => { for (const [name, value] of Object.entries(first || {})) send({do: "adjust", name, value}); document.activeElement.blur(); },
+};
+for (const [id, act] of Object.entries(ACTS)) $(id).onclick = act;
+
+const KEYS = {" ": "pause", ".": "step", t: "trigger", s: "picture-file", r: "video", f: "full"};
+document.addEventListener("keydown", (event) => {
+  if (event.ctrlKey || event.altKey || event.metaKey || ["BUTTON", "INPUT"].includes(event.target.tagName) && event.key === " ") return;
+  if (event.key === "1" || event.key === "2") document.querySelectorAll("input[name=mode]")[event.key - 1].click();
+  else if (KEYS[event.key] && !$(KEYS[event.key]).hidden) { event.preventDefault(); ACTS[KEYS[event.key]](); }
+});
+
+connect();

@@ -1,0 +1,222 @@
+"""A run in step with a Basilisk simulation, which stands still while the run catches up with it.
+
+    Basilisk                      evstim
+    PING ------------------------> PONG
+    SIM_UPDATE of time T --------> poses taken in; the run goes to T, its events are handed to the links; OK
+    REQUEST_IMAGE of a camera ---> the picture of T
+    ...
+    closes the connection -------> the run ends
+
+Stream time is simulated time less that of the first update, so the two clocks cannot drift apart. Every request gets a
+reply, because Basilisk waits for it without a limit: what cannot be used is refused with the reason, at which Basilisk
+raises an error. When the run ends before the simulation, the update that waits is refused too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from emulator.light import Light
+from emulator.trajectory.basilisk import ConnectedPath, pose_of
+from emulator.trajectory.pose import TrajectoryError
+from firmware_protocol.events import Events
+from firmware_protocol.vizard.requests import (
+    INPUT_REPLY,
+    NO_IMAGE,
+    OK,
+    PONG,
+    ImageRequest,
+    InputRequest,
+    Ping,
+    Request,
+    RequestError,
+    SimUpdate,
+    image_reply,
+    parse_request,
+    refusal,
+)
+from firmware_protocol.vizard.update import Update, UpdateError
+from transports.link.latency import LatencyHistogram
+from transports.link.pacing import Clock
+
+__all__ = ["BasiliskCounters", "BasiliskRun", "Server"]
+
+_LOOK_MS = 50
+_LAST_LOOKS = 20
+
+
+class Server(Protocol):
+    """A socket that one simulation talks to; see `transports.vizard.server`."""
+
+    @property
+    def peer_gone(self) -> bool:
+        """Whether the simulation has closed its connection."""
+
+    def receive(self, timeout_ms: int) -> list[bytes] | None:
+        """Return the parts of the next request; None when none came in time."""
+
+    def send(self, parts: Sequence[bytes]) -> None:
+        """Answer it."""
+
+    def forget_peer(self) -> None:
+        """Serve whoever comes next."""
+
+
+@dataclass
+class BasiliskCounters:
+    """What a simulation asked for.
+
+    Attributes
+    ----------
+    updates : states of the simulation that were used.
+    images : pictures sent.
+    no_images : requests for pictures of cameras that are not the rig's, answered with none.
+    refused : requests that could not be used.
+    last_refusal : why the last of them could not.
+    answer : from an update's arrival to its reply, us.
+    first_event : from an update's arrival until the first events after it have been handed to the links, us.
+    """
+
+    updates: int = 0
+    images: int = 0
+    no_images: int = 0
+    refused: int = 0
+    last_refusal: str = ""
+    answer: LatencyHistogram = field(default_factory=LatencyHistogram)
+    first_event: LatencyHistogram = field(default_factory=LatencyHistogram)
+
+
+class BasiliskRun:
+    """Drives a run by the requests of a simulation.
+
+    Parameters
+    ----------
+    server : where they come in.
+    paths : what the simulation flies.
+    images : encodes a picture as an image file.
+    cameras : cameraIDs whose pictures are the run's.
+    on_first : called with the first update that can be used.
+
+    Attributes
+    ----------
+    counters : what was asked for.
+    first_ns, last_ns : simulated times of the first and the last update; None before the first.
+    """
+
+    def __init__(
+        self,
+        server: Server,
+        paths: Sequence[ConnectedPath],
+        images: Callable[[Light], bytes],
+        clock: Clock,
+        on_first: Callable[[Update], None] = lambda _: None,
+    ) -> None:
+        self._server, self._paths, self._images, self._clock = server, paths, images, clock
+        self._on_first = on_first
+        self._cameras = {path.camera for path in paths if path.camera is not None}
+        self._light: Callable[[], Light] | None = None
+        self._waiting_since_ns: int | None = None  # an update that has no reply yet
+        self._without_event = False  # and none of its events has gone out
+        self.counters = BasiliskCounters()
+        self.first_ns: int | None = None
+        self.last_ns: int | None = None
+
+    @property
+    def limit_ns(self) -> int:
+        """Stream time of the last update."""
+        return 0 if self.first_ns is None or self.last_ns is None else self.last_ns - self.first_ns
+
+    def begin(self, light: Callable[[], Light], goes_on: Callable[[], bool]) -> None:
+        """Return when the first update has come; a simulation that leaves before may come again."""
+        while self.first_ns is None and goes_on():
+            self._serve_one()
+            if self._server.peer_gone:
+                self._server.forget_peer()
+        self._light = light
+
+    def wait(self, t_ns: int, goes_on: Callable[[], bool]) -> int:
+        """Answer the update that the run has caught up with, and all requests until the next one has come."""
+        while self.limit_ns <= t_ns and goes_on():
+            self._answer_update()
+            self._serve_one()
+            if self._server.peer_gone:
+                break
+        return self.limit_ns
+
+    def take(self, events: Events) -> None:
+        """Take note of events that have been handed to the links."""
+        if len(events) and self._without_event and self._waiting_since_ns is not None:
+            self._without_event = False
+            self.counters.first_event.add(self._since_us(self._waiting_since_ns))
+
+    def end(self, reason: str) -> None:
+        """Refuse the update that waits, or comes within a second: the simulation would wait for its reply for ever."""
+        for _ in range(_LAST_LOOKS):
+            if self._waiting_since_ns is not None or self.first_ns is None or self._server.peer_gone:
+                break
+            self._serve_one()
+        if self._waiting_since_ns is not None:
+            self._waiting_since_ns = None
+            self._server.send(refusal(reason))
+
+    def _serve_one(self) -> None:
+        parts = self._server.receive(_LOOK_MS)
+        if parts is None:
+            return
+        try:
+            self._serve(parse_request(parts))
+        except (RequestError, UpdateError, TrajectoryError) as error:
+            self.counters.refused += 1
+            self.counters.last_refusal = str(error)
+            self._server.send(refusal(str(error)))
+
+    def _serve(self, request: Request) -> None:
+        match request:
+            case Ping():
+                self._server.send(PONG)
+            case InputRequest():
+                self._server.send(INPUT_REPLY)
+            case ImageRequest(camera):
+                self._send_image(camera)
+            case SimUpdate(data):
+                self._take(Update(data))
+
+    def _take(self, update: Update) -> None:
+        if self.last_ns is not None and update.time_ns <= self.last_ns:
+            raise TrajectoryError(
+                f"simulated time went from {self.last_ns * 1e-9:g} s to {update.time_ns * 1e-9:g} s: start evstim anew "
+                "for a simulation that begins again"
+            )
+        poses = [pose_of(path, update) for path in self._paths]
+        if self.first_ns is None:
+            self.first_ns = update.time_ns
+            self._on_first(update)
+        self.last_ns = update.time_ns
+        for path, pose in zip(self._paths, poses, strict=True):
+            assert path.flown is not None
+            path.flown.add(self.limit_ns, pose)
+        self.counters.updates += 1
+        self._waiting_since_ns, self._without_event = self._clock.now_ns(), True
+
+    def _answer_update(self) -> None:
+        if self._waiting_since_ns is None:
+            return
+        self.counters.answer.add(self._since_us(self._waiting_since_ns))
+        self._waiting_since_ns = None
+        self._server.send(OK)
+
+    def _since_us(self, begun_ns: int) -> npt.NDArray[np.float64]:
+        return np.array([(self._clock.now_ns() - begun_ns) / 1000])
+
+    def _send_image(self, camera: int) -> None:
+        if camera not in self._cameras or self._light is None:
+            self.counters.no_images += 1
+            self._server.send(NO_IMAGE)
+            return
+        self._server.send(image_reply(self._images(self._light())))
+        self.counters.images += 1

@@ -1,0 +1,222 @@
+"""A run's sensor with the truth beside it: it gives the events of the sensor, and writes down what was true of them.
+
+    light --+--> traced sensor ----> events, origins --+
+            +--> ideal sensor -----> clean events -----+--> recorder
+    scene ----> poses, depth, flow, labels ------------+
+
+The run sees a source of events like any other: without truth nothing of this exists.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from emulator.geometry.seen import SceneGeometry, Seen
+from emulator.light import PixelLight, Region
+from emulator.run.truth.recorder import TruthRecorder
+from emulator.sensor.chip.temperature import at_temperature
+from emulator.sensor.origins import TracedSensor
+from emulator.sensor.presets import PRESETS, SensorParameters
+from emulator.sensor.sensor import Sensor
+from firmware_protocol.event_copies import join_events
+from firmware_protocol.events import Events
+
+__all__ = ["TruthSource", "ideal_of"]
+
+_Float32s = npt.NDArray[np.float32]
+_CLEAN = ("threshold_on", "threshold_off")  # what may change while the clean sensor runs
+
+
+def ideal_of(parameters: SensorParameters) -> SensorParameters:
+    """Return the ideal sensor of the same size, thresholds and dark current: no mismatch, noise, leak or delay."""
+    here = at_temperature(parameters)
+    return dataclasses.replace(
+        PRESETS["ideal"],
+        width=here.width,
+        height=here.height,
+        threshold_on=here.threshold_on,
+        threshold_off=here.threshold_off,
+        dark_current_relative=here.dark_current_relative,
+    )
+
+
+class TruthSource:
+    """The events of `sensor`, an `EventSource`; what was true of them goes to `recorder`.
+
+    Parameters
+    ----------
+    clean : the ideal sensor.
+    geometry : of the scene; None where it has none.
+    every : depth, flow, labels and light are written of every n-th picture.
+    """
+
+    def __init__(
+        self,
+        sensor: TracedSensor,
+        clean: Sensor,
+        geometry: SceneGeometry | None,
+        recorder: TruthRecorder,
+        every: int = 1,
+    ) -> None:
+        self._sensor, self._clean, self._geometry = sensor, clean, geometry
+        self._recorder, self._every = recorder, every
+        self.parameters = sensor.parameters
+        self._seen = Seen.of(self.parameters.width, self.parameters.height)
+        self._labels = np.zeros_like(self._seen.labels)
+        self._gives = frozenset() if geometry is None else geometry.gives
+        self._count, self._labelled_us = 0, -math.inf
+        self._events = _Queue("events")
+        self._clean_events = _Queue("clean_events")
+
+    @property
+    def raised(self) -> int:
+        """Of the sensor."""
+        return self._sensor.raised
+
+    @property
+    def lost_in_pixel(self) -> int:
+        """Of the sensor."""
+        return self._sensor.lost_in_pixel
+
+    @property
+    def lost_at_readout(self) -> int:
+        """Of the sensor."""
+        return self._sensor.lost_at_readout
+
+    @property
+    def read_out(self) -> int:
+        """Of the sensor."""
+        return self._sensor.read_out
+
+    @property
+    def undersampled_share(self) -> float | None:
+        """Of the sensor."""
+        return self._sensor.undersampled_share
+
+    @property
+    def renderer(self) -> str | None:
+        """Of the sensor."""
+        return self._sensor.renderer
+
+    @property
+    def adjustable(self) -> dict[str, float]:
+        """Of the sensor."""
+        return self._sensor.adjustable
+
+    def adjust(self, name: str, value: float) -> None:
+        """Set a figure of the sensor, and a threshold of the clean one too."""
+        self._sensor.adjust(name, value)
+        if name in _CLEAN:
+            self._clean.adjust(name, value)
+
+    def warm_up(self) -> None:
+        """Compile the kernels."""
+        self._sensor.warm_up()
+
+    def reset(self, light: _Float32s, t_ns: int) -> None:
+        """Start at `t_ns`."""
+        self._sensor.reset(light, t_ns)
+        self._clean.reset(light, t_ns)
+        self._count = 0
+        self._picture(light, t_ns)
+
+    def expose(
+        self,
+        light: _Float32s,
+        t_ns: int,
+        rate: _Float32s | None = None,
+        at: PixelLight | None = None,
+        changed: Region | None = None,
+    ) -> Events:
+        """Move to `t_ns` and return the sensor's events; see `Sensor.expose`."""
+        events = self._sensor.expose(light, t_ns, rate, at, changed)
+        self._events.add(events, self._sensor.origins)
+        self._clean_events.add(self._clean.expose(light, t_ns, rate, at, changed))
+        self._picture(light, t_ns)
+        return events
+
+    def finish(self) -> Events:
+        """Return the events that have not left yet; what waits for a later picture has the labels of the last one."""
+        events = self._sensor.finish()
+        self._events.add(events, self._sensor.origins)
+        self._clean_events.add(self._clean.finish())
+        self._recorder.put(self._event_rows(math.inf, self._labels))
+        return events
+
+    def _picture(self, light: _Float32s, t_ns: int) -> None:
+        """Write the poses of a picture, and of every n-th the rest with the events up to it."""
+        rows = self._pose_rows(t_ns)
+        if self._count % self._every == 0:
+            rows |= self._picture_rows(light, t_ns)
+        self._count += 1
+        if rows:
+            self._recorder.put(rows)
+
+    def _pose_rows(self, t_ns: int) -> dict[str, Any]:
+        placed = self._geometry.places(t_ns) if self._geometry is not None else None
+        if placed is None:
+            return {}
+        rows = {
+            "poses/t": np.array([t_ns / 1000]),
+            "poses/camera_position_m": placed.camera_m[None],
+            "poses/camera_q_world_from_camera": placed.q_world_from_camera[None],
+        }
+        if len(placed.bodies_m):
+            rows["poses/bodies_position_m"] = placed.bodies_m[None]
+            rows["poses/bodies_q_world_from_body"] = placed.q_world_from_bodies[None]
+        return rows
+
+    def _picture_rows(self, light: _Float32s, t_ns: int) -> dict[str, Any]:
+        rows: dict[str, Any] = {"pictures/t": np.array([t_ns / 1000]), "pictures/light": light[None]}
+        if self._geometry is not None:
+            self._geometry.look(t_ns, self._seen)
+        for name in sorted(self._gives - {"poses"}):
+            rows[f"pictures/{name}"] = getattr(self._seen, name)[None]
+        return rows | self._event_rows(t_ns / 1000, self._seen.labels)
+
+    def _event_rows(self, t_us: float, labels: npt.NDArray[np.uint16]) -> dict[str, Any]:
+        """Return the events before `t_us`, each with its label in the nearer picture, and take over the new labels."""
+        middle_us = (self._labelled_us + t_us) / 2 if math.isfinite(t_us) else math.inf
+        pictures = (self._labels, labels, middle_us) if "labels" in self._gives else None
+        rows = self._events.rows(pictures) | self._clean_events.rows(pictures)
+        self._labels[:], self._labelled_us = labels, t_us
+        return rows
+
+
+_Pictures = tuple[npt.NDArray[np.uint16], npt.NDArray[np.uint16], float]
+
+
+class _Queue:
+    """Events that wait for the labels of the picture behind them."""
+
+    def __init__(self, group: str) -> None:
+        self._group = group
+        self._events: list[Events] = []
+        self._origins: list[npt.NDArray[np.uint8]] = []
+
+    def add(self, events: Events, origins: npt.NDArray[np.uint8] | None = None) -> None:
+        """Add events, and their origins where they have any."""
+        if len(events):
+            self._events.append(events)
+            self._origins += [] if origins is None else [origins]
+
+    def rows(self, pictures: _Pictures | None) -> dict[str, Any]:
+        """Return and forget them; `pictures`: labels before and after, and the time from which on those after hold."""
+        if not self._events:
+            return {}
+        events, group = join_events(self._events), self._group
+        rows = {f"{group}/{name}": events[name] for name in ("t", "x", "y")}
+        rows[f"{group}/p"] = events["on"].astype(np.uint8)
+        if self._origins:
+            rows[f"{group}/origin"] = np.concatenate(self._origins)
+        if pictures is not None:
+            before, after, middle_us = pictures
+            place = events["y"], events["x"]
+            rows[f"{group}/label"] = np.where(events["t"] < middle_us, before[place], after[place])
+        self._events, self._origins = [], []
+        return rows

@@ -1,0 +1,123 @@
+"""Arithmetic on the compiler's vectors: the few operations that `box_sums` is made of.
+
+Each takes the builder of the code, and values in it. Vectors of any length are right on any processor: the compiler
+takes them apart where the processor's are shorter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from llvmlite import ir
+from numba.core import cgutils
+
+__all__ = [
+    "FUSED",
+    "INT",
+    "at_least",
+    "constant",
+    "integers",
+    "lane",
+    "load",
+    "magnitude",
+    "numbers",
+    "picked",
+    "product_sum",
+    "root",
+    "spread",
+    "within",
+]
+
+FUSED = ("contract",)
+"""Flag of a product and a sum that may have one rounding, where the processor has such an operation."""
+
+_code: Any = cgutils  # its functions have no types that mypy could read
+
+_INT, _INT32, _FLOAT = ir.IntType(64), ir.IntType(32), ir.FloatType()
+
+
+class _Int:
+    """Makes whole numbers of 64 bits."""
+
+    type = _INT
+
+    def __call__(self, number: int) -> ir.Constant:
+        return ir.Constant(_INT, number)
+
+
+INT = _Int()
+
+
+def constant(lanes: Sequence[float]) -> ir.Constant:
+    """Return a vector of these numbers."""
+    return ir.Constant(ir.VectorType(_FLOAT, len(lanes)), list(lanes))
+
+
+def spread(builder: ir.IRBuilder, number: Any, lanes: int) -> Any:
+    """Return a vector whose lanes all hold `number`."""
+    none = ir.Constant(ir.VectorType(number.type, lanes), ir.Undefined)
+    one = builder.insert_element(none, number, ir.Constant(_INT32, 0))
+    return builder.shuffle_vector(one, none, ir.Constant(ir.VectorType(_INT32, lanes), [0] * lanes))
+
+
+def lane(builder: ir.IRBuilder, vector: Any, k: int) -> Any:
+    """Return one number of a vector."""
+    return builder.extract_element(vector, ir.Constant(_INT32, k))
+
+
+def load(builder: ir.IRBuilder, data: Any, place: Any, lanes: int) -> Any:
+    """Return the numbers from a place of an array on."""
+    kind = ir.VectorType(_FLOAT, lanes).as_pointer()
+    return builder.load(builder.bitcast(builder.gep(data, [place]), kind), align=4)
+
+
+def picked(builder: ir.IRBuilder, data: Any, places: Sequence[Any]) -> Any:
+    """Return the numbers at several places of an array."""
+    vector = ir.Constant(ir.VectorType(_FLOAT, len(places)), ir.Undefined)
+    for k, place in enumerate(places):
+        vector = builder.insert_element(vector, builder.load(builder.gep(data, [place])), ir.Constant(_INT32, k))
+    return vector
+
+
+def product_sum(builder: ir.IRBuilder, a: Any, b: Any, c: Any) -> Any:
+    """Return a b + c."""
+    return builder.fadd(builder.fmul(a, b, flags=FUSED), c, flags=FUSED)
+
+
+def within(builder: ir.IRBuilder, vector: Any, low: Any, high: Any) -> Any:
+    """Return the numbers, none beyond the bounds; `low` where bounds cross or a number is none."""
+    less = builder.select(builder.fcmp_ordered("<", vector, high), vector, high)
+    return builder.select(builder.fcmp_ordered(">", less, low), less, low)
+
+
+def integers(builder: ir.IRBuilder, vector: Any) -> Any:
+    """Return the whole numbers nearest to zero, of 32 bits."""
+    return builder.fptosi(vector, ir.VectorType(_INT32, vector.type.count))
+
+
+def numbers(builder: ir.IRBuilder, whole: Any) -> Any:
+    """Return whole numbers as floats."""
+    return builder.sitofp(whole, ir.VectorType(_FLOAT, whole.type.count))
+
+
+def at_least(builder: ir.IRBuilder, vector: Any, low: Any) -> Any:
+    """Return the numbers, none below `low`; `low` where a number is none."""
+    return builder.select(builder.fcmp_ordered(">", vector, low), vector, low)
+
+
+def magnitude(builder: ir.IRBuilder, vector: Any) -> Any:
+    """Return the numbers without their signs."""
+    return _of_each(builder, "fabs", vector)
+
+
+def root(builder: ir.IRBuilder, vector: Any) -> Any:
+    """Return the square roots."""
+    return _of_each(builder, "sqrt", vector)
+
+
+def _of_each(builder: ir.IRBuilder, name: str, vector: Any) -> Any:
+    kind = ir.FunctionType(vector.type, [vector.type])
+    return builder.call(
+        _code.get_or_insert_function(builder.module, kind, f"llvm.{name}.v{vector.type.count}f32"), [vector]
+    )

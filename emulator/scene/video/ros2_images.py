@@ -1,0 +1,264 @@
+"""A topic of images of ROS 2 before the camera, without ROS: `sensor_msgs/msg/Image` by CycloneDDS.
+
+What has come is taken when a picture is to be drawn, at most 16 messages a picture. An image of another size than the
+sensor's is resampled by area in linear light. One that is not what its message says is refused and counted, and the run
+goes on with those that are known; so it does when the writer has gone.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, Literal, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from emulator.light import Light, MachineLacks, Scene, SceneError
+from emulator.scene.kind import SceneKind
+from emulator.scene.video.frames import linear_light
+from emulator.scene.video.live_images import LiveImages
+from emulator.scene.video.video import resampled
+from emulator.trajectory.pose_receiver import SceneClock
+from firmware_protocol.ros2.cdr import CdrError
+from firmware_protocol.ros2.messages import IMAGE, parse_image
+from firmware_protocol.ros2.pixels import ImageError, levels_of
+from transports.ros2.network import DdsNetwork, check_topic
+
+if TYPE_CHECKING:
+    from transports.ros2.dds import Message
+
+__all__ = ["ROS2_IMAGES", "ImageSource", "Ros2ImageParameters", "Ros2Images", "open_ros2_images"]
+
+_DEPTH = 16
+_GREY = 0.5
+_LOOK_S = 0.01
+
+
+@dataclass(frozen=True)
+class Ros2ImageParameters:
+    """A topic of images of ROS 2, without ROS (`pip install 'evstim[ros2]'`).
+
+    Attributes
+    ----------
+    topic
+        Topic of `sensor_msgs/msg/Image`: mono8, mono16, 32FC1, rgb8, bgr8, rgba8, bgra8.
+    levels
+        "srgb": decoded by the sRGB curve; "linear": proportional to light, as floats always are.
+    light_at_white
+        Light of white relative to the sensor's reference level.
+    floor
+        Light of black, as a share of white.
+    stamps
+        When an image was: "arrival", or by "header": distances in time are those of the headers' stamps.
+    delay_ms
+        How much later an image is shown. Between two images light goes along a straight line in log, so this should be
+        more than the time from one to the next; with less, light jumps at each.
+    wait_s
+        How long the start waits for the first image; 0: not at all, and the scene is grey until it comes.
+    reliable
+        Whether lost images are asked for again. Then a writer that is not reliable (sensor data) is not heard.
+    domain
+        ROS_DOMAIN_ID.
+    interfaces
+        Names or addresses of network interfaces to use; empty: only programs on this machine. There is no
+        authentication: whoever is in reach can write to the topic.
+    peers
+        Machines that are asked by unicast.
+    multicast
+        Whether machines on `interfaces` find each other by multicast, as ROS 2 does by default.
+    """
+
+    kind: ClassVar[str] = "ros2"
+    topic: str = "/image_raw"
+    levels: Literal["srgb", "linear"] = "srgb"
+    light_at_white: float = 1.0
+    floor: float = 1e-3
+    stamps: Literal["arrival", "header"] = "arrival"
+    delay_ms: float = 50.0
+    wait_s: float = 10.0
+    reliable: bool = False
+    domain: int = 0
+    interfaces: tuple[str, ...] = ()
+    peers: tuple[str, ...] = ()
+    multicast: bool = False
+
+    def __post_init__(self) -> None:
+        check_topic("topic", self.topic)
+        bounds = {
+            "light_at_white": (1e-9, 1e9),
+            "floor": (1e-6, 1.0),
+            "delay_ms": (0.0, 10_000.0),
+            "wait_s": (0.0, 3600.0),
+        }
+        for name, (low, high) in bounds.items():
+            if not low <= getattr(self, name) <= high:
+                raise ValueError(f"{name} is {getattr(self, name)}: it must be {low:g} to {high:g}")
+        _ = self.network
+
+    @property
+    def network(self) -> DdsNetwork:
+        """Where the topic is exchanged."""
+        return DdsNetwork(self.domain, self.interfaces, self.peers, self.multicast)
+
+
+ROS2_IMAGES = SceneKind(Ros2ImageParameters, "emulator.scene.video.ros2_images:open_ros2_images", kernels=False)
+
+
+class ImageSource(Protocol):
+    """Where messages come from."""
+
+    def take(self) -> list[Message]:
+        """Return what has come, without waiting."""
+        ...
+
+    def close(self) -> None:
+        """Leave."""
+        ...
+
+
+class Ros2Images(Scene):
+    """The images of `source` on a sensor of `size` = (width, height); `clock` is the wall's, ns."""
+
+    def __init__(
+        self, parameters: Ros2ImageParameters, size: tuple[int, int], source: ImageSource,
+        clock: Callable[[], int] = time.time_ns,
+    ) -> None:  # fmt: skip
+        self._p, self._size, self._source, self._clock = parameters, size, source, clock
+        self._scene_clock = SceneClock()
+        grey = np.full(size[::-1], self._log_light(np.float32(_GREY)), np.float32)
+        self._images = LiveImages(grey, round(parameters.delay_ms * 1e6), by_stamp=parameters.stamps == "header")
+        self._refused: Counter[str] = Counter()
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height) in pixels."""
+        return self._size
+
+    @property
+    def motion_bound_px_s(self) -> float:
+        """Nobody knows what will come."""
+        return math.inf
+
+    @property
+    def has_rate(self) -> bool:
+        """True: the light between two images is in closed form."""
+        return True
+
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """Images that were used and refused, and pictures that lacked one."""
+        counters = self._images.counters
+        told = {
+            "images": counters.taken,
+            "images at the time of the one before": counters.repeated,
+            "jumps of the images' clock": counters.clock_jumps,
+            "pictures without a new image": counters.late_pictures,
+        }
+        refused = {f"images refused: {reason}": count for reason, count in self._refused.items()}
+        return {name: count for name, count in (told | refused).items() if count}
+
+    def light(self, t_ns: int, out: Light) -> None:
+        """Take in what has come, and write the light at `t_ns`."""
+        self._receive(t_ns)
+        around = self._images.around(t_ns)
+        np.exp((1 - around.share) * around.before + around.share * around.after, out=out)
+
+    def light_and_rate(self, t_ns: int, light: Light, rate: Light) -> None:
+        """Write the light and its time derivative, both exact for a straight line in log."""
+        self._receive(t_ns)
+        around = self._images.around(t_ns)
+        np.exp((1 - around.share) * around.before + around.share * around.after, out=light)
+        if around.apart_s:
+            np.multiply(light, (around.after - around.before) / np.float32(around.apart_s), out=rate)
+        else:
+            rate.fill(0)
+
+    def wait(self, seconds: float) -> bool:
+        """Wait for the first image; False where none has come."""
+        until = time.monotonic() + seconds
+        self._receive(0)
+        while not self._images.counters.taken and time.monotonic() < until:
+            time.sleep(_LOOK_S)
+            self._receive(0)
+        return self._images.counters.taken > 0
+
+    def close(self) -> None:
+        """Leave the topic."""
+        self._source.close()
+
+    def _receive(self, t_ns: int) -> None:
+        if self._scene_clock.draw(t_ns, self._clock()):
+            self._images.restart(t_ns)
+        for message in self._source.take():
+            self._use(message)
+
+    def _use(self, message: Message) -> None:
+        try:
+            image = parse_image(message.data)
+            levels = levels_of(image)
+        except (CdrError, ImageError) as error:
+            self._refused[str(error)] += 1
+            return
+        is_float = levels.dtype.kind == "f"
+        scale = 1.0 if is_float else float(np.iinfo(levels.dtype).max)
+        light = linear_light(levels, scale, is_linear=is_float or self._p.levels == "linear")
+        arrival_ns = self._scene_clock.scene_ns(message.written_ns)  # never after now
+        self._images.add(self._log_light(resampled(light, self._size)), image.header.stamp_ns, arrival_ns)
+
+    def _log_light(self, light: npt.NDArray[np.float32] | np.float32) -> npt.NDArray[np.float32]:
+        return np.asarray(np.log((light + np.float32(self._p.floor)) * np.float32(self._p.light_at_white)), np.float32)
+
+
+class _Topic:
+    """A topic of the one participant of this process."""
+
+    def __init__(self, p: Ros2ImageParameters) -> None:
+        from transports.ros2.dds import DdsParticipant, TopicQos
+
+        self._participant = DdsParticipant(p.network)
+        self._reader = self._participant.reader(p.topic, IMAGE, TopicQos(p.reliable, _DEPTH))
+
+    @property
+    def writers(self) -> int:
+        return self._reader.writers
+
+    def take(self) -> list[Message]:
+        return self._reader.take()
+
+    def close(self) -> None:
+        self._reader.close()
+        self._participant.close()
+
+
+def open_ros2_images(parameters: Ros2ImageParameters, size: tuple[int, int]) -> Ros2Images:
+    """Return the scene, with its first image if one comes in time; raises SceneError."""
+    try:
+        topic = _Topic(parameters)
+    except ImportError as error:
+        raise MachineLacks(f"a topic of ROS 2 needs cyclonedds ({error}): pip install 'evstim[ros2]'") from error
+    except OSError as error:
+        raise SceneError(str(error)) from error
+    scene = Ros2Images(parameters, size, topic)
+    if parameters.wait_s and not scene.wait(parameters.wait_s):
+        refused, writers = dict(scene.counts), topic.writers
+        scene.close()
+        raise SceneError(_nothing_came(parameters, writers, refused))
+    return scene
+
+
+def _nothing_came(p: Ros2ImageParameters, writers: int, refused: dict[str, int]) -> str:
+    """Return what is wrong where no image has come."""
+    told = f"no image came on {p.topic} in domain {p.domain} within {p.wait_s:g} s"
+    if refused:
+        return f"{told}: {', '.join(f'{count} {name}' for name, count in refused.items())}"
+    if writers:
+        return f"{told}, though something writes to it"
+    reach = "" if p.interfaces else "; only programs on this machine are heard (interfaces)"
+    return (
+        f"{told}: nothing writes sensor_msgs/msg/Image to it that can be heard{reach}; "
+        "see docs/streams.md for ROS's own settings"
+    )

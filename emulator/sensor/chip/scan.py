@@ -1,0 +1,181 @@
+"""The read-out of a scanned sensor: it looks at one column after another, over and over.
+
+A pixel that fires keeps a request until its column is looked at, which sends it; a crossing of a pixel whose request
+still waits is lost, and counted. So a pixel sends at most one event a scan, at the time at which its column is looked
+at, and the time within a scan sweeps over the columns.
+
+A column takes 1 / width of the scan, or the time of its events on the bus where these are longer: scans become slower
+under load. Scans follow each other without a pause from stream time 0 on. A look at time T finds the requests raised up
+to and including T only, so the result does not depend on how crossings are divided over calls of `push`.
+
+Not modelled: a real comparator is read only at the look, and an excursion that is over by then is not seen. Here it is.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from emulator.sensor.chip.readout import check_order
+from emulator.sensor.numerics.cached import cached_entry
+from emulator.sensor.numerics.compiled import NONE, kernel, log_compilation
+from emulator.sensor.pixels.array import Crossings
+from emulator.sensor.pixels.merging import NO_CROSSINGS
+from emulator.sensor.presets import SensorParameters
+from firmware_protocol.events import EVENT, Events
+
+__all__ = ["ScanReadOut"]
+
+_FOREVER_NS = (1 << 63) - 1
+_FREE, _OFF, _ON = range(3)
+
+_Requests = npt.NDArray[np.uint8]
+_Int64s = npt.NDArray[np.int64]
+_Maps = tuple[_Requests, _Int64s]
+"""Requests, (width, height), and their number in each column."""
+
+_Times = tuple[_Int64s, npt.NDArray[np.uint32], npt.NDArray[np.bool_]]
+
+
+class _Timing(NamedTuple):
+    width: int
+    height: int
+    column_ps: int
+    event_ps: int
+
+
+class _Scan(NamedTuple):
+    """The next look: its column, its time since the start in ns and ps beyond it; requests that wait, and lost ones."""
+
+    column: int
+    t_ns: int
+    ps: int
+    waiting: int
+    lost: int
+
+
+@kernel
+def _idle(scan: _Scan, until_ns: int, timing: _Timing) -> _Scan:
+    """Return the scan after whole idle scans, as many as end safely before `until_ns`."""
+    scan_ps = timing.column_ps * timing.width
+    whole = (until_ns - scan.t_ns) // (scan_ps // 1000 + 1) - 1
+    if whole <= 0:
+        return scan
+    ps = scan.ps + whole * (scan_ps % 1000)
+    t_ns = scan.t_ns + whole * (scan_ps // 1000) + ps // 1000
+    return _Scan(scan.column, t_ns, ps % 1000, scan.waiting, scan.lost)
+
+
+@kernel
+def _look(scan: _Scan, maps: _Maps, timing: _Timing, out: Events, n: int) -> tuple[int, int]:
+    """Send the requests of a column, into `out` from n on; return the new n and how long it takes, ps."""
+    requests, counts = maps
+    column, t_ns = scan.column, scan.t_ns
+    sent = counts[column]
+    if sent:
+        counts[column] = 0
+        for row in range(timing.height):
+            if requests[column, row] != _FREE:
+                event = out[n]
+                event.t, event.x, event.y = t_ns // 1000, column, row
+                event.on = requests[column, row] == _ON
+                requests[column, row] = _FREE
+                n += 1
+    return n, max(timing.column_ps, sent * timing.event_ps)
+
+
+@kernel
+def _admit(crossings: _Times, k: int, until_ns: int, maps: _Maps, scan: _Scan) -> tuple[int, _Scan]:
+    """Turn crossings from k on, up to and including `until_ns`, into requests; return the next k and the scan."""
+    requests, counts = maps
+    times, pixels, ons = crossings
+    width, waiting, lost = np.uint32(counts.size), scan.waiting, scan.lost
+    while k < times.size and times[k] <= until_ns:
+        x, y = pixels[k] % width, pixels[k] // width
+        if requests[x, y] == _FREE:
+            requests[x, y] = _ON if ons[k] else _OFF
+            counts[x] += 1
+            waiting += 1
+        else:
+            lost += 1
+        k += 1
+    return k, _Scan(scan.column, scan.t_ns, scan.ps, waiting, lost)
+
+
+@cached_entry
+def _run(crossings: _Times, until_ns: int, maps: _Maps, scan: _Scan, timing: _Timing, out: Events) -> tuple[int, _Scan]:
+    """Scan until `until_ns`; with no end, until nothing waits. Return the number of events sent, and the scan."""
+    n = k = NONE
+    size = crossings[0].size
+    while scan.t_ns < until_ns:
+        if scan.waiting == 0:
+            if k == size and until_ns == _FOREVER_NS:
+                break
+            scan = _idle(scan, crossings[0][k] if k < size else until_ns, timing)
+        k, scan = _admit(crossings, k, scan.t_ns, maps, scan)
+        before = n
+        n, taken_ps = _look(scan, maps, timing, out, n)
+        column = scan.column + 1 if scan.column + 1 < timing.width else NONE
+        ps = scan.ps + taken_ps
+        scan = _Scan(column, scan.t_ns + ps // 1000, ps % 1000, scan.waiting - (n - before), scan.lost)
+    _, scan = _admit(crossings, k, np.int64(_FOREVER_NS), maps, scan)
+    return n, scan
+
+
+class ScanReadOut:
+    """The scan of one sensor.
+
+    Parameters
+    ----------
+    parameters : SensorParameters
+        The sensor: its size and its `readout` times.
+
+    Attributes
+    ----------
+    raised : int
+        Crossings pushed; always lost_at_readout + read_out + pending.
+    read_out : int
+        Events returned.
+    """
+
+    def __init__(self, parameters: SensorParameters) -> None:
+        log_compilation(_run, "the scan")
+        times, width, height = parameters.readout, parameters.width, parameters.height
+        column_ps = max(1, round(times.scan_us * 1e6 / width))
+        self._timing = _Timing(width, height, column_ps, max(1, round(times.event_ns * 1000)))
+        self._maps = np.zeros((width, height), np.uint8), np.zeros(width, np.int64)
+        self._scan = _Scan(0, 0, 0, 0, 0)
+        self._until_ns = -_FOREVER_NS
+        self._out = np.empty(0, EVENT)
+        self.raised = 0
+        self.read_out = 0
+
+    @property
+    def lost_at_readout(self) -> int:
+        """Crossings of pixels whose request still waited."""
+        return self._scan.lost
+
+    @property
+    def pending(self) -> int:
+        """Waiting requests."""
+        return self._scan.waiting
+
+    def push(self, crossings: Crossings, until_ns: int) -> Events:
+        """Add crossings, and return the events that leave before `until_ns`; see `ReadOut.push`."""
+        check_order(crossings, self._until_ns, until_ns)
+        self.raised += len(crossings)
+        self._until_ns = until_ns
+        room = self.pending + len(crossings)
+        if room > self._out.size:
+            self._out = np.empty(max(room, 2 * self._out.size), EVENT)
+        arrivals = crossings.t_ns, crossings.pixel, crossings.on
+        n, scan = _run(arrivals, until_ns, self._maps, self._scan, self._timing, self._out)
+        self._scan = _Scan(*scan)
+        self.read_out += n
+        return self._out[:n].copy()
+
+    def finish(self) -> Events:
+        """Return the events that have not left yet; afterwards `push` must not be called again."""
+        return self.push(NO_CROSSINGS, _FOREVER_NS)

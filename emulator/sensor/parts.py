@@ -1,0 +1,105 @@
+"""The parts of a sensor beside its pixels: what delays, what reads out, and other sources of events."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from emulator.sensor.chip.background import BackgroundEvents
+from emulator.sensor.chip.defects import Defects
+from emulator.sensor.chip.jitter import Jitter
+from emulator.sensor.chip.radiation import Particles
+from emulator.sensor.chip.readout import ReadOut
+from emulator.sensor.chip.scan import ScanReadOut
+from emulator.sensor.noise.point_process import NoiseEvents
+from emulator.sensor.pixels.array import Crossings, PixelArray
+from emulator.sensor.pixels.faults import DEAD_THRESHOLD
+from emulator.sensor.pixels.merging import NO_CROSSINGS
+from emulator.sensor.pixels.mismatch import draw
+from emulator.sensor.pixels.state import Field
+from emulator.sensor.presets import SensorParameters
+from firmware_protocol.events import Events
+
+__all__ = [
+    "Source",
+    "dead_pixels",
+    "finished",
+    "live_thresholds",
+    "make_jitter",
+    "make_noise",
+    "make_readout",
+    "make_sources",
+]
+
+_Float32s = npt.NDArray[np.float32]
+
+
+class Source(Protocol):
+    """A source of events beside the pixels: noise, particles."""
+
+    def reset(self, t_ns: int) -> None:
+        """Start at `t_ns`."""
+
+    def add_to(self, crossings: Crossings, light: _Float32s, t_ns: int) -> Crossings:
+        """Return a step's crossings with the source's events up to `t_ns`; `light`, (pixels,), is the step's last."""
+        ...
+
+    def step(self, light: _Float32s, t_ns: int) -> Crossings:
+        """Return the source's events up to `t_ns` alone."""
+        ...
+
+
+def make_jitter(p: SensorParameters, seed: int) -> Jitter | None:
+    """Return the delays of a sensor's events; None where there are none."""
+    return Jitter(p.jitter, seed, p.width * p.height) if p.jitter.latency_us else None
+
+
+def make_readout(p: SensorParameters) -> ReadOut | ScanReadOut:
+    """Return the sensor's read-out, at rest."""
+    return ScanReadOut(p) if p.readout.scan_us else ReadOut(p)
+
+
+def finished(jitter: Jitter | None, readout: ReadOut | ScanReadOut) -> Events:
+    """Return the events that a read-out, and a delay before it, have not sent yet."""
+    if jitter is None:
+        return readout.finish()
+    end_ns = jitter.last_ns() + 1
+    late = readout.push(jitter.step(NO_CROSSINGS, end_ns), end_ns)
+    return np.concatenate([late, readout.finish()])
+
+
+def dead_pixels(p: SensorParameters, defects: Defects) -> npt.NDArray[np.bool_] | None:
+    """Return which pixels are dead, (pixels,); None if none is."""
+    if not defects.dead.size:
+        return None
+    dead = np.zeros(p.width * p.height, np.bool_)
+    dead[defects.dead] = True
+    return dead
+
+
+def make_noise(p: SensorParameters, seed: int, defects: Defects) -> NoiseEvents | None:
+    """Return the noise of the grade "points"; None where there is none. Dead pixels have none."""
+    if not p.noise.rms or p.noise.grade != "points" or defects.dead.size == p.width * p.height:
+        return None
+    drawn = draw(p, seed)
+    thresholds = (drawn.on + drawn.off) / 2
+    thresholds[defects.dead] = np.inf
+    return NoiseEvents(p, seed, thresholds)
+
+
+def live_thresholds(pixels: PixelArray) -> npt.NDArray[np.float64]:
+    """Return the mean of each pixel's two thresholds, (pixels,), as they are now; infinite for dead pixels."""
+    on, off = (pixels.field(which).reshape(-1).astype(np.float64) for which in (Field.ON, Field.OFF))
+    return np.where(on < DEAD_THRESHOLD, (on + off) / 2, np.inf)
+
+
+def make_sources(p: SensorParameters, seed: int, defects: Defects, noise: NoiseEvents | None) -> list[Source]:
+    """Return the sources of events beside the pixels, `noise` among them; dead pixels have none."""
+    sources: list[Source] = [] if noise is None else [noise]
+    if p.background.hz or p.background.hot_share * p.background.hot_hz:
+        sources.append(BackgroundEvents(p, seed, defects.dead))
+    if p.radiation.hits_per_cm2_s:
+        sources.append(Particles(p, seed, defects.dead))
+    return sources

@@ -1,0 +1,1 @@
+"""The photoreceptor as a circuit, for large and dim signals."""

@@ -1,0 +1,256 @@
+"""Blocks of pixels, and parts of blocks, to which nothing happens, and for how long: the pixel step skips them.
+
+A part is idle from a step on in which nothing moved: light, its slopes and the filter are bit for bit what they were,
+and no pixel was a candidate. Repeating such a step changes nothing, until the light changes or the leak of one of its
+pixels comes near a threshold. Three figures tell when the part must be looked at again:
+
+    until_ns    a step that ends later may bring an event of leak; at most the end of the epoch, where references move
+    longest     a longer step may move a filter that rests because its way to the light is lost in rounding
+    shortest    the same for shorter steps, where there is a second pole: then only steps of one length are skipped
+
+A block is idle if all its parts are, and has the strictest of their figures.
+
+What the light was is known by one number where all pixels have the same light, as in a black sky: such a picture is
+compared with it at the speed of the memory. Otherwise by a copy.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from emulator.sensor.numerics.compiled import kernel, vector_kernel
+from emulator.sensor.numerics.elementary import exponential
+from emulator.sensor.pixels.state import BEFORE_ROWS, BLOCK, EPOCH_BITS, PART, PARTS, Field, StepConstants
+
+__all__ = ["NO_PART", "Idle", "is_same", "mark", "may_rest", "new_idle", "part_at", "part_is_same"]
+
+_Float32s = npt.NDArray[np.float32]
+_Words = npt.NDArray[np.uint64]
+_Int64s = npt.NDArray[np.int64]
+
+_U, _V, _L, _G, _REF, _ON, _OFF, _LEAK, _W, _P = (int(f) * BLOCK for f in Field)
+_U0, _V0, _L0, _G0, _, _, _, _Q, _W0, _P0, _WAIT, _ = BEFORE_ROWS  # the bounds are not needed any more
+_WORDS, _PART_WORDS = np.int64(BLOCK // 2), PART // 2
+_SIGNLESS, _SIGNLESS_HALF = np.uint64(0x7FFFFFFF7FFFFFFF), np.uint32(0x7FFFFFFF)
+_NONE = np.uint64(0)
+_ZERO, _LARGE, _NAN = (np.float32(x) for x in (0, 1e9, np.nan))
+_MORE = np.float32(1.1)  # a rise of that much more must still be lost in rounding, so that shorter steps' rises are
+_MARGIN = np.float32(2e-5)  # ln units: that of the quiet test, and rounding
+_EARLY_NS = 1000
+
+NO_PART = -2
+"""`until_ns` of a block that was moved whole, and none of whose parts is idle."""
+
+
+class Idle(NamedTuple):
+    """The idle blocks and parts of an array: the figures above, `until_ns` -1 for those that are not idle.
+
+    All but `seen` have blocks * (1 + PARTS) entries, those of the blocks first; one array for both, because each costs
+    time in every call. `until_ns` is NO_PART for a block without an idle part. `level` is the light of all pixels, NaN
+    where they differ; `seen`, (blocks * BLOCK,), has the light of idle parts.
+    """
+
+    until_ns: _Int64s
+    longest: _Float32s
+    shortest: _Float32s
+    level: _Float32s
+    seen: _Float32s
+
+
+def new_idle(blocks: int) -> Idle:
+    """Return the table of an array of which no block is idle."""
+    units = blocks * (1 + PARTS)
+    longest, shortest, level = (np.zeros(units, np.float32) for _ in range(3))
+    return Idle(np.full(units, -1, np.int64), longest, shortest, level, np.empty(blocks * BLOCK, np.float32))
+
+
+@kernel
+def part_at(idle: Idle, first: int) -> int:
+    """Return the entry of the part that begins at pixel `first`."""
+    return idle.until_ns.size // (1 + PARTS) + first // PART
+
+
+@kernel
+def _is_zero(words: _Words) -> bool:
+    """Return whether a block's values are all 0 or -0."""
+    found = _NONE
+    for k in range(_WORDS):
+        found |= words[k]
+    return bool((found & _SIGNLESS) == _NONE)
+
+
+@kernel
+def _is_level(words: _Words, level: np.uint64) -> bool:
+    found = _NONE
+    for k in range(_WORDS):
+        found |= words[k] ^ level
+    return bool(found == _NONE)
+
+
+@kernel
+def _is_equal(words: _Words, others: _Words) -> bool:
+    found = _NONE
+    for k in range(_WORDS):
+        found |= words[k] ^ others[k]
+    return bool(found == _NONE)
+
+
+@kernel
+def may_rest(idle: Idle, unit: int, c: StepConstants) -> bool:
+    """Return whether the block or part of an entry can be skipped if its light has not changed."""
+    lasts = idle.until_ns[unit] >= c.t0_ns + c.h_ns
+    return bool(lasts & (c.h <= idle.longest[unit]) & (c.h >= idle.shortest[unit]))
+
+
+@kernel
+def is_same(light: _Float32s, rate: _Float32s, idle: Idle, first: int, c: StepConstants) -> bool:
+    """Return whether the light of an idle block has not changed; `light` and `rate` are its own."""
+    block = first // BLOCK
+    if not c.chord and not _is_zero(rate.view(np.uint64)):
+        return False
+    level = idle.level[block : block + 1]
+    if level[0] == level[0]:
+        word = np.uint64(level.view(np.uint32)[0])
+        return bool(_is_level(light.view(np.uint64), word | (word << np.uint64(32))))
+    return bool(_is_equal(light.view(np.uint64), idle.seen[first : first + BLOCK].view(np.uint64)))
+
+
+@kernel
+def part_is_same(frame: tuple[_Float32s, _Float32s], idle: Idle, first: int, c: StepConstants) -> bool:
+    """Return whether the light of an idle part, which begins at pixel `first` of the frame, has not changed."""
+    end = min(first + PART, frame[0].size)
+    light, seen = frame[0][first:end].view(np.uint32), idle.seen[first:end].view(np.uint32)
+    found = np.uint32(0)
+    for i in range(light.size):
+        found |= light[i] ^ seen[i]
+    if not c.chord:
+        rate = frame[1][first:end].view(np.uint32)
+        for i in range(rate.size):
+            found |= rate[i] & _SIGNLESS_HALF
+    return bool(found == np.uint32(0))
+
+
+@kernel
+def _moved(s: _Words, before: _Words, begin: int, end: int, behind: tuple[bool, bool]) -> bool:
+    """Return whether light, slopes or filters of a block moved, in the words from `begin` to `end`.
+
+    `behind`: whether there are a second pole and parasitic leak.
+    """
+    found = _NONE
+    for k in range(begin, end):
+        light = (s[_U // 2 + k] ^ before[_U0 // 2 + k]) | (s[_L // 2 + k] ^ before[_L0 // 2 + k])
+        slopes = (s[_G // 2 + k] | before[_G0 // 2 + k]) & _SIGNLESS
+        found |= light | slopes | (s[_V // 2 + k] ^ before[_V0 // 2 + k])
+    if behind[0]:
+        for k in range(begin, end):
+            found |= s[_W // 2 + k] ^ before[_W0 // 2 + k]
+    if behind[1]:
+        for k in range(begin, end):
+            found |= s[_P // 2 + k] ^ before[_P0 // 2 + k]
+    return bool(found != _NONE)
+
+
+@vector_kernel
+def _find_rest(s: _Float32s, before: _Float32s, c: StepConstants) -> None:
+    """Write to a scratch row when each pixel's leak may fire, s since the epoch; below 0 where its filter may move."""
+    for i in range(BLOCK):
+        u, v, on = s[_U + i], s[_V + i], s[_ON + i]
+        by_light = c.parasitic * on * exponential(u) if c.parasitic > _ZERO else _ZERO
+        leak = s[_LEAK + i] + by_light
+        compared = (s[_W + i] if c.second > _ZERO else v) + (s[_P + i] if c.parasitic > _ZERO else _ZERO)
+        rests = v + _MORE * (before[_Q + i] * (u - v)) == v
+        room = (on - _MARGIN - by_light * c.h) - (compared - s[_REF + i])  # the quiet test allows 1.5 times that leak
+        wait = room / leak if leak > _ZERO else (_LARGE if leak == _ZERO else -_LARGE)
+        before[_WAIT + i] = wait if rests else -_LARGE
+
+
+@vector_kernel
+def _least(wait: _Float32s) -> np.float32:
+    """Return the least of a part's times, and overwrite them; halved first, because one chain of minima is slow."""
+    for width in (PART // 2, PART // 4, PART // 8):
+        for i in range(width):
+            wait[i] = min(wait[i], wait[width + i])
+    least: np.float32 = _LARGE
+    for i in range(PART // 8):
+        least = min(least, wait[i])
+    return least
+
+
+@kernel
+def _all_same(light: _Float32s) -> bool:
+    """Return whether a part has one light, bit for bit."""
+    words, found = light.view(np.uint64), _NONE
+    for k in range(_PART_WORDS):
+        found |= words[k] ^ words[0]
+    return bool((found == _NONE) & ((words[0] >> np.uint64(32)) == (words[0] & np.uint64(0xFFFFFFFF))))
+
+
+@kernel
+def _stands_still(s: _Float32s, before: _Float32s, flags: _Words, j: int, behind: tuple[bool, bool]) -> bool:
+    """Return whether nothing moved in part j of a block, and none of its pixels is a candidate."""
+    candidates = _NONE
+    for k in range(PART // 8):
+        candidates |= flags[j * (PART // 8) + k]
+    words, old, first = s.view(np.uint64), before.view(np.uint64), j * _PART_WORDS
+    return bool((candidates == _NONE) and not _moved(words, old, first, first + _PART_WORDS, behind))
+
+
+@kernel
+def _mark_part(light: _Float32s, wait: _Float32s, idle: Idle, first: int, c: StepConstants) -> None:
+    """Note until when a part that stands still, from pixel `first` on, is idle; `light` and `wait` are its own."""
+    part, least = part_at(idle, first), _least(wait)
+    epoch_ns, longest_ns = (c.t0_ns >> EPOCH_BITS) << EPOCH_BITS, 1 << EPOCH_BITS
+    wait_ns = longest_ns if least * 1e9 >= longest_ns else int(least * 1e9) - _EARLY_NS
+    idle.until_ns[part] = epoch_ns + wait_ns if wait_ns > 0 else -1
+    idle.longest[part] = c.h
+    idle.shortest[part] = c.h if c.second > _ZERO else _ZERO
+    idle.level[part] = light[0] if _all_same(light) else _NAN
+    for i in range(PART):
+        idle.seen[first + i] = light[i]
+
+
+@kernel
+def _sum_up(idle: Idle, first: int) -> None:
+    """Write the figures of the block that begins at pixel `first` from those of its parts."""
+    block, begin = first // BLOCK, part_at(idle, first)
+    until_ns, level = idle.until_ns[begin], idle.level[begin]
+    longest, shortest = idle.longest[begin], idle.shortest[begin]
+    for part in range(begin + 1, begin + PARTS):
+        until_ns = min(until_ns, idle.until_ns[part])
+        longest, shortest = min(longest, idle.longest[part]), max(shortest, idle.shortest[part])
+        level = level if idle.level[part] == level else _NAN
+    idle.until_ns[block], idle.level[block] = until_ns, level
+    idle.longest[block], idle.shortest[block] = longest, shortest
+
+
+@kernel
+def mark(
+    light: _Float32s, moved: tuple[_Float32s, _Float32s, _Words], firsts: _Int64s, idle: Idle, c: StepConstants
+) -> None:
+    """Note which parts of a block or pack, moved over a step just now, are idle from now on.
+
+    `moved` are its state, the scratch rows, and the flags of candidates, eight in a word; `firsts` the first pixels of
+    its parts.
+    """
+    (s, before, flags), n = moved, firsts.size
+    behind, known = (c.second > _ZERO, c.parasitic > _ZERO), False
+    blocks = idle.until_ns.size // (1 + PARTS)
+    for j in range(n):
+        first, begin, end = firsts[j], j * PART, (j + 1) * PART - 1
+        idle.until_ns[blocks + first // PART] = idle.until_ns[first // BLOCK] = -1
+        if (s[_U + begin] != before[_U0 + begin]) | (s[_U + end] != before[_U0 + end]):
+            continue  # the usual case where light changes, without a look at the other pixels
+        if _stands_still(s, before, flags, j, behind):
+            if not known:
+                _find_rest(s, before, c)
+            known = True
+            wait = before[_WAIT + begin : _WAIT + begin + PART]
+            _mark_part(light[begin : begin + PART], wait, idle, first, c)
+    if known:
+        for j in range(n):
+            _sum_up(idle, firsts[j] // BLOCK * BLOCK)
+    elif n == PARTS and firsts[n - 1] - firsts[0] == BLOCK - PART:
+        idle.until_ns[firsts[0] // BLOCK] = NO_PART

@@ -1,0 +1,343 @@
+"""A step of all pixels, or of a thread's share of them: block by block, then the candidates in batches.
+
+A block that is idle costs a comparison of its light, or none where the caller tells that it did not change (`idle`). Of
+a block of which little is active only the active parts are moved, together with those of others (`packs`).
+The arithmetic of a pixel does not depend on which blocks are moved with it, in what order, and by which thread, so the
+events are the same to the last bit.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from emulator.sensor.numerics.cached import cached_entry, cached_kernel
+from emulator.sensor.numerics.compiled import NONE, inlined, kernel
+from emulator.sensor.numerics.vectors import aligned_zeros
+from emulator.sensor.pixels.candidates import BATCH, Table, gather, gather_rare, select, solve
+from emulator.sensor.pixels.idle import Idle, is_same, mark, may_rest
+from emulator.sensor.pixels.packs import MOST_PACKED, gather_parts, list_active, list_all, scatter_parts
+from emulator.sensor.pixels.quiet_pass import list_flags, move_quietly
+from emulator.sensor.pixels.state import BEFORE_ROWS, BLOCK, FIELDS, PART, PARTS, Pixels, StepConstants
+from emulator.sensor.pixels.subset import Subset, gather_undersampled
+from emulator.sensor.pixels.touched import Touched, block_is_touched
+
+__all__ = [
+    "RUN",
+    "Buffers",
+    "Scratch",
+    "Share",
+    "Tally",
+    "advance",
+    "compile_parts",
+    "new_scratch",
+    "unpack",
+    "unpack_both",
+]
+
+_Float32s = npt.NDArray[np.float32]
+_Int64s = npt.NDArray[np.int64]
+_Bytes = npt.NDArray[np.uint8]
+_Keys = npt.NDArray[np.uint64]
+_Uint32s = npt.NDArray[np.uint32]
+_Bools = npt.NDArray[np.bool_]
+_Frame = tuple[_Float32s, _Float32s]
+
+Fields = tuple[_Int64s, _Uint32s, _Bools]
+"""Times, ns, pixels and polarities of events."""
+
+_ZERO, _NO_FLAGS = np.float32(0), np.uint64(0)
+
+RUN = 8 * BLOCK
+"""Pixels that a thread moves before it leaves the next ones to another."""
+
+_RUN_BLOCKS = RUN // BLOCK
+_END = -1
+_PACK = len(BEFORE_ROWS) * BLOCK  # the places in `before` and `found` of what lies behind
+_FIRSTS, _PACKED = BLOCK, BLOCK + PARTS
+
+
+class Tally(NamedTuple):
+    """Counts of a step beside its events: crossings in the first field, pixel-steps in the others."""
+
+    lost: int  # crossings beyond MOST_EVENTS of a pixel
+    undersampled: int  # light that changed between the frames in a way that they do not show
+    candidates: int  # solved for crossings
+    unreadable: int  # light not finite
+    refined: int  # undersampled, and gathered for refinement instead of being solved
+    moved: int  # in blocks and parts that were not skipped
+
+
+class _Progress(NamedTuple):
+    """How far a share is: its next block, parts in the pack, columns in the table; and the counts of `Tally` so far.
+
+    `moved` is in parts.
+    """
+
+    block: int
+    packed: int
+    n: int
+    candidates: int
+    unreadable: int
+    refined: int
+    moved: int
+
+
+class Scratch(NamedTuple):
+    """Buffers for one block: BEFORE_ROWS, light and rate of the last block or of a pack, flags and their indices.
+
+    They are few arrays, because each costs time in every call. `before` has the state of a pack behind those rows,
+    `found` the first pixels of the parts of a block and then those of the parts of a pack behind the indices.
+    """
+
+    before: _Float32s
+    light: _Float32s
+    rate: _Float32s
+    may_fire: _Bytes
+    found: _Int64s
+
+
+class Buffers(NamedTuple):
+    """What one thread needs: a table for the candidates, a subset for the undersampled pixels, and scratch."""
+
+    table: Table
+    subset: Subset
+    scratch: Scratch
+
+
+def new_scratch() -> Scratch:
+    """Return buffers with zeros where a padded block needs them."""
+    before = aligned_zeros(_PACK + FIELDS * BLOCK)
+    light, rate = aligned_zeros(BLOCK), aligned_zeros(BLOCK)
+    return Scratch(before, light, rate, aligned_zeros(BLOCK, np.uint8), np.zeros(_PACKED + PARTS, np.int64))
+
+
+class Share(NamedTuple):
+    """What one of `of` threads moves: every `of`-th run of blocks; and what of it may be skipped."""
+
+    number: int
+    of: int
+    idle: Idle
+    touched: Touched
+
+
+@kernel
+def _padded(values: _Float32s, buffer: _Float32s) -> _Float32s:
+    """Return `buffer` with the values in front, and zeros behind."""
+    for i in range(values.size):
+        buffer[i] = values[i]
+    for i in range(values.size, buffer.size):
+        buffer[i] = _ZERO
+    return buffer
+
+
+@kernel
+def _of_block(frame: _Frame, first: int, scratch: Scratch, c: StepConstants) -> _Frame:
+    """Return light and rate of the block that begins at pixel `first`."""
+    here, rate_here = frame[0][first : first + BLOCK], frame[1][first : first + BLOCK]
+    if here.size < BLOCK:
+        here = _padded(here, scratch.light)
+    if rate_here.size < BLOCK and not c.chord:
+        rate_here = _padded(rate_here, scratch.rate)
+    return here, rate_here
+
+
+@kernel
+def _move(
+    here: tuple[_Float32s, _Float32s, _Float32s],
+    buffers: Buffers,
+    firsts: _Int64s,
+    tables: tuple[Idle, _Int64s],
+    at: _Progress,
+    c: StepConstants,
+) -> _Progress:
+    """Move a block, or a pack of parts that begin at `firsts`, and add those that may fire to the table.
+
+    `here` are its state, light and rate, `tables` those of the array: idle blocks, ends of refractory periods.
+    """
+    (s, light, rate), (idle, refractory_until_ns) = here, tables
+    scratch, refined, n = buffers.scratch, at.refined, firsts.size
+    move_quietly(light, rate, s, scratch.before, scratch.may_fire, c)
+    flags = scratch.may_fire.view(np.uint64)
+    for k in range(n * (PART // 8), PARTS * (PART // 8)):
+        flags[k] = _NO_FLAGS
+    listed = list_flags(flags, scratch.found)
+    mark(light, (s, scratch.before, flags), firsts, idle, c)
+    selected = unreadable = NONE
+    if listed > 0 and c.refine:
+        listed, refined = gather_undersampled(
+            scratch.found[:listed], s, scratch.before, buffers.subset, (firsts, refined), c
+        )
+    if listed > 0:
+        selected, unreadable = select(scratch.found[:listed], s, scratch.before, (firsts, refractory_until_ns), c)
+        chosen = scratch.found[:selected]
+        gather(chosen, s, scratch.before, firsts, buffers.table, at.n)
+        if (c.second > _ZERO) | (c.parasitic > _ZERO):
+            gather_rare(chosen, s, scratch.before, at.n, buffers.table, c)
+    candidates, bad = at.candidates + selected, at.unreadable + unreadable
+    return _Progress(at.block, at.packed, at.n + selected, candidates, bad, refined, at.moved + n)
+
+
+@kernel
+def _move_pack(
+    frame: _Frame, pixels: Pixels, buffers: Buffers, idle: Idle, at: _Progress, c: StepConstants
+) -> _Progress:
+    """Move the parts that are in the pack, and empty it."""
+    scratch = buffers.scratch
+    s, light, rate = scratch.before[_PACK:], scratch.light, scratch.rate
+    firsts = scratch.found[_PACKED : _PACKED + at.packed]
+    gather_parts(frame, pixels.fields, firsts, (s, (light, rate)), c.chord)
+    at = _move((s, light, rate), buffers, firsts, (idle, pixels.refractory_until_ns), at, c)
+    scatter_parts(s, pixels.fields, firsts, c.parasitic > _ZERO)
+    return _Progress(at.block, NONE, at.n, at.candidates, at.unreadable, at.refined, at.moved)
+
+
+@kernel
+def _move_block(
+    frame: _Frame, pixels: Pixels, buffers: Buffers, idle: Idle, at: tuple[int, _Progress], c: StepConstants
+) -> _Progress:
+    """Move the block that begins at pixel `at[0]` where it is."""
+    first, scratch = at[0], buffers.scratch
+    firsts = scratch.found[_FIRSTS:_PACKED]
+    list_all(first, firsts)
+    s = pixels.fields[first * FIELDS : (first + BLOCK) * FIELDS]
+    light, rate = _of_block(frame, first, scratch, c)
+    moved: _Progress = _move((s, light, rate), buffers, firsts, (idle, pixels.refractory_until_ns), at[1], c)
+    return moved
+
+
+@kernel
+def _is_skipped(frame: _Frame, scratch: Scratch, share: Share, first: int, c: StepConstants) -> bool:
+    """Return whether a whole block is idle and its light has not changed."""
+    if not may_rest(share.idle, first // BLOCK, c):
+        return False
+    if not block_is_touched(first, share.touched):
+        return True
+    light, rate = _of_block(frame, first, scratch, c)
+    return bool(is_same(light, rate, share.idle, first, c))
+
+
+@kernel
+def _first_of(block: int, share: Share) -> int:
+    """Return the first pixel of a share's block."""
+    return (share.number + block // _RUN_BLOCKS * share.of) * RUN + block % _RUN_BLOCKS * BLOCK
+
+
+@kernel
+def _past_resting(block: int, size: int, share: Share, c: StepConstants) -> int:
+    """Return the next of a share's blocks, from `block` on, that is not both idle and outside the touched part.
+
+    A loop of its own, so that a still picture has few values in registers.
+    """
+    while True:
+        first = _first_of(block, share)
+        if first >= size or block_is_touched(first, share.touched) or not may_rest(share.idle, first // BLOCK, c):
+            return block
+        block += 1
+
+
+@cached_kernel
+def _fill(frame: _Frame, pixels: Pixels, buffers: Buffers, share: Share, at: _Progress, c: StepConstants) -> _Progress:
+    """Move blocks from where the last call ended until the table is full, or all are moved.
+
+    This loop is a function of its own because calls from a function that counts references cost 0.5 us each.
+    """
+    scratch, idle, block, packed = buffers.scratch, share.idle, at.block, at.packed
+    while at.n <= BATCH:
+        block = _past_resting(block, frame[0].size, share, c)
+        first = _first_of(block, share)
+        if first >= frame[0].size:
+            at = _Progress(_END, packed, at.n, at.candidates, at.unreadable, at.refined, at.moved)
+            return _move_pack(frame, pixels, buffers, idle, at, c) if packed > 0 else at
+        if _is_skipped(frame, scratch, share, first, c):
+            block += 1
+            continue
+        active = list_active(frame, first, idle, share.touched, scratch.found[_FIRSTS:_PACKED], c)
+        if active > MOST_PACKED:
+            at = _move_block(frame, pixels, buffers, idle, (first, at), c)
+        elif packed + active > PARTS:
+            at = _Progress(block, packed, at.n, at.candidates, at.unreadable, at.refined, at.moved)
+            at, packed = _move_pack(frame, pixels, buffers, idle, at, c), NONE
+            continue  # now there is room for this block's parts
+        else:
+            for j in range(active):
+                scratch.found[_PACKED + packed + j] = scratch.found[_FIRSTS + j]
+            packed += active
+        block += 1
+    return _Progress(block, packed, at.n, at.candidates, at.unreadable, at.refined, at.moved)
+
+
+def compile_parts(which: str, pixels: Pixels, buffers: Buffers, share: Share, c: StepConstants) -> None:
+    """Compile "blocks" or "candidates", the two large parts of `advance`, which finds them on disk afterwards."""
+    light, keys, n = np.zeros(BLOCK, np.float32), np.empty(1, np.uint64), 0
+    arguments = {
+        "blocks": ((light, light), pixels, buffers, share, _Progress(n, n, n, n, n, n, n), c),
+        "candidates": (pixels, buffers.table, n, keys, n, c),
+    }
+    kernel_of = {"blocks": _fill, "candidates": solve}
+    kernel_of[which].compile(tuple(map(numba.typeof, arguments[which])))
+
+
+@cached_entry
+def advance(
+    frame: _Frame, pixels: Pixels, buffers: Buffers, keys: _Keys, share: Share, c: StepConstants
+) -> tuple[_Keys, int, Tally]:
+    """Move a share of the pixels over one step. Of pixels gathered for refinement only the light moves.
+
+    Parameters
+    ----------
+    frame : tuple
+        Light at the end of the step, (pixels,) float32, and its time derivative, per second; empty if `c.chord`.
+    pixels : Pixels
+        The state, changed in place.
+    buffers : Buffers
+        For the candidates, and for the undersampled pixels if `c.refine`.
+    keys : (any,) uint64
+        Buffer for the events.
+    share : Share
+        Which pixels; its table of idle blocks is changed in place.
+    c : StepConstants
+        The step.
+
+    Returns
+    -------
+    The keys (a longer copy where they were too short), the number of events in them (packed as in `unpack`, unsorted),
+    and the counts of the step.
+    """
+    n_keys = lost = undersampled = NONE
+    at = _Progress(NONE, NONE, NONE, NONE, NONE, NONE, NONE)
+    while at.block != _END:
+        at = _fill(frame, pixels, buffers, share, at, c)
+        keys, n_keys, more, more_undersampled = solve(pixels, buffers.table, at.n, keys, n_keys, c)
+        lost, undersampled = lost + more, undersampled + more_undersampled
+        at = _Progress(at.block, at.packed, NONE, at.candidates, at.unreadable, at.refined, at.moved)
+    return keys, n_keys, Tally(lost, undersampled, at.candidates, at.unreadable, at.refined, at.moved * PART)
+
+
+@inlined
+def _split(key: np.uint64, t0_ns: int, pixel_bits: int, out: Fields, k: int) -> None:
+    out[0][k] = t0_ns + np.int64(key >> np.uint64(pixel_bits + 1))
+    out[1][k] = np.uint32((key >> np.uint64(1)) & np.uint64((1 << pixel_bits) - 1))
+    out[2][k] = (key & np.uint64(1)) != 0
+
+
+@cached_entry
+def unpack(keys: _Keys, t0_ns: int, pixel_bits: int, out: Fields) -> None:
+    """Split sorted keys [dt_ns | pixel | on] into arrays of one field each, at least as long."""
+    for k in range(keys.size):
+        _split(keys[k], t0_ns, pixel_bits, out, k)
+
+
+@cached_entry
+def unpack_both(keys: tuple[_Keys, _Keys], t0_ns: int, pixel_bits: int, out: Fields) -> None:
+    """Split two lists of sorted keys as `unpack` does, into arrays of one sorted list."""
+    a, b = keys
+    i = j = NONE
+    for k in range(a.size + b.size):
+        first = j == b.size or (i < a.size and a[i] <= b[j])
+        _split(a[i] if first else b[j], t0_ns, pixel_bits, out, k)
+        i += first
+        j += not first

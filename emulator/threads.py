@@ -1,0 +1,54 @@
+"""How many threads a part of a run may use: one rule for what draws and for the pixels, which take turns."""
+
+from __future__ import annotations
+
+import itertools
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+__all__ = ["MOST_THREADS", "Crew", "available_threads"]
+
+MOST_THREADS = 4
+"""More do not pay: memory, not arithmetic, is then the limit."""
+
+
+def available_threads() -> int:
+    """Return how many threads to use where the work is large: the cores of this process, at most MOST_THREADS."""
+    return min(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1, MOST_THREADS)
+
+
+class Crew:
+    """Threads that share work; the one that asks is one of them. Not for several callers at a time.
+
+    Parameters
+    ----------
+    threads : how many, that of the caller included.
+    """
+
+    def __init__(self, threads: int) -> None:
+        self.threads = max(threads, 1)
+        self._pool = ThreadPoolExecutor(self.threads - 1) if self.threads > 1 else None
+
+    def each(self, work: Callable[[int, int], object], count: int) -> None:
+        """Call work(item, thread) for items 0 to count - 1, each once, in any order; raises what one of them raises."""
+        left = itertools.count()  # its next() is one step for the interpreter, so no item is taken twice
+
+        def take(thread: int) -> None:
+            while (item := next(left)) < count:
+                work(item, thread)
+
+        helpers = range(1, min(self.threads, count))
+        others = [self._pool.submit(take, thread) for thread in helpers] if self._pool else []
+        try:
+            take(0)
+        finally:
+            errors = [other.exception() for other in others if not other.cancel()]  # no wait for one that has not begun
+        for error in errors:
+            if error is not None:
+                raise error
+
+    def close(self) -> None:
+        """End the threads; a second call does nothing."""
+        if self._pool is not None:
+            self._pool.shutdown()

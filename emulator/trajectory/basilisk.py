@@ -1,0 +1,92 @@
+"""Poses in a rig's world, from what Basilisk says of its cameras, spacecraft and celestial bodies.
+
+    q_world_from_camera = q(sigma_BN) q(sigma_CB)
+    camera              = r_BN_N + R(q(sigma_BN)) r_CB_B
+    world               = N, moved to the celestial body `origin`
+
+The matrix [BN] turns coordinates of N into those of B, so the quaternion q(sigma_BN), of Hamilton's product, turns
+those of B into those of N. The camera's frame C is ours: z out along the boresight, x right, y down. On the wire a
+camera's attitude has a third of a turn into Unity's axes added to sigma_CB, which is undone here.
+
+Sources: CameraConfigMsg, the pages on vizInterface and `vizInterface.cpp` of AVSLab/basilisk; Schaub and Junkins,
+Analytical Mechanics of Space Systems, section 3.5.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from emulator.geometry.attitude import Matrix, Quaternion, Vector, multiply
+from emulator.trajectory.conventions import from_basilisk
+from emulator.trajectory.parameters import BasiliskPath
+from emulator.trajectory.pose import Pose, TrajectoryError
+from emulator.trajectory.simulated import SimulatedPath
+from firmware_protocol.vizard.update import Update, UpdateError
+
+__all__ = ["ConnectedPath", "flown_path", "pose_of"]
+
+_CAMERA_FROM_UNITY: Quaternion = np.array([0.5, -0.5, -0.5, 0.5])
+_ROTATION_WITHIN = 1e-3
+_LARGEST_MRP = 1e6  # of one part; within a millionth of a whole turn
+
+
+@dataclass(frozen=True)
+class ConnectedPath(BasiliskPath):
+    """A Basilisk path of a rig that a simulation flies."""
+
+    flown: SimulatedPath | None = None
+
+
+def flown_path(path: BasiliskPath) -> SimulatedPath:
+    """Return what a simulation flies; without one, what stays at the pose that the rig gives."""
+    if isinstance(path, ConnectedPath) and path.flown is not None:
+        return path.flown
+    return SimulatedPath(Pose(np.array(path.position_m), np.array(path.q_world_from_body)))
+
+
+def pose_of(path: BasiliskPath, update: Update) -> Pose:
+    """Return the pose of what `path` names; raises TrajectoryError, which says what of the update is wrong."""
+    try:
+        pose = _pose_in_n(path, update)
+        origin_m = np.array(update.body(path.origin).position_m) if path.origin else np.zeros(3)
+        return Pose(pose.position_m - origin_m, pose.q_world_from_body)
+    except (UpdateError, ValueError) as error:
+        raise TrajectoryError(f"simulated time {update.time_ns * 1e-9:g} s: {error}") from error
+
+
+def _pose_in_n(path: BasiliskPath, update: Update) -> Pose:
+    if path.camera is not None:
+        camera = update.camera(path.camera)
+        q_parent_from_camera = multiply(_from_mrp(camera.direction), _CAMERA_FROM_UNITY)
+        mounted = Pose(np.array(camera.position_m), q_parent_from_camera)
+        return _spacecraft(update, camera.parent).after(mounted)
+    if path.spacecraft:
+        return _spacecraft(update, path.spacecraft)
+    body = update.body(path.body)
+    return Pose(_vector(body.position_m), _from_matrix(np.reshape(body.rotation, (3, 3)), path.body))
+
+
+def _spacecraft(update: Update, name: str) -> Pose:
+    state = update.spacecraft(name)
+    return Pose(_vector(state.position_m), _from_mrp(state.rotation))
+
+
+def _from_mrp(sigma: tuple[float, ...]) -> Quaternion:
+    if max(map(abs, sigma)) > _LARGEST_MRP:
+        raise ValueError(f"the Modified Rodrigues Parameters {sigma} are too large for an attitude")
+    return from_basilisk(sigma)
+
+
+def _from_matrix(body_from_n: Matrix, name: str) -> Quaternion:
+    small = bool((np.abs(body_from_n) < 1 + _ROTATION_WITHIN).all())  # so that nothing below overflows
+    off = np.abs(body_from_n @ body_from_n.T - np.eye(3)).max() if small else np.inf
+    if off > _ROTATION_WITHIN or np.linalg.det(body_from_n) < 0:
+        raise ValueError(f"the matrix of celestial body {name!r} is no rotation")
+    return np.asarray(Rotation.from_matrix(body_from_n.T).as_quat(scalar_first=True))
+
+
+def _vector(numbers: tuple[float, ...]) -> Vector:
+    return np.array(numbers)

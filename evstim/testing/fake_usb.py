@@ -1,0 +1,223 @@
+"""A USB bus in memory behind pyusb: the real camera model, the real pyusb classes, no cable, no server and no root.
+
+    with FakeCamera() as camera:
+        device = camera.device                     # a usb.core.Device; or usb.core.find(backend=camera.bus)
+        driver_under_test(device)
+        camera.show(events)                        # EVENT array, stream time
+        device.read(0x82, 65536)
+
+`FakeUsbBus` is a backend of pyusb that has one device on its bus. Requests that fail, fail as on a real bus:
+`break_with(errno.ENODEV)` is a cable that was pulled.
+
+What it does not model: time on a wire, packets, other devices. A bulk read returns what the camera has within its
+timeout, one transfer at a time.
+"""
+
+from __future__ import annotations
+
+import array
+import errno
+import threading
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any, ParamSpec, Self, TypeVar
+
+import usb.backend
+import usb.core
+import usb.util
+
+from firmware_protocol.davis346 import Davis346, Davis346Settings
+from firmware_protocol.events import Events
+from firmware_protocol.usb.descriptors import DescriptorSet
+from firmware_protocol.usb.device import SetupPacket, Stall, Transfer, UsbDevice
+
+__all__ = ["FakeCamera", "FakeUsbBus"]
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+class FakeUsbBus(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has no types
+    """A libusb that has one device, or one fault, on its bus; any thread may use it."""
+
+    def __init__(self, device: UsbDevice, descriptors: DescriptorSet) -> None:
+        self.device = device
+        self.changed = threading.Condition(threading.RLock())
+        self.fault: int | None = None
+        self._descriptors = descriptors
+
+    def call(self, function: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> R:
+        """Do something to the device, as the process that owns it would."""
+        with self.changed:
+            result = function(*args, **kwargs)
+            self.changed.notify_all()
+            return result
+
+    def break_with(self, number: int | None) -> None:
+        """Let every request fail with this errno from now on; None: mend the bus."""
+        with self.changed:
+            self.fault = number
+            self.changed.notify_all()
+
+    # --- what pyusb asks of a backend, by its names (usb/backend/__init__.py)
+
+    def enumerate_devices(self) -> list[str]:
+        """See `usb.backend.IBackend`."""
+        return ["handle"]
+
+    def get_device_descriptor(self, dev: object) -> SimpleNamespace:
+        """See `usb.backend.IBackend`."""
+        d = self._descriptors.device
+        return SimpleNamespace(
+            bLength=18, bDescriptorType=1, bcdUSB=0x300, bDeviceClass=0, bDeviceSubClass=0, bDeviceProtocol=0,
+            bMaxPacketSize0=9, idVendor=d.vendor_id, idProduct=d.product_id, bcdDevice=d.bcd_device,
+            iManufacturer=1, iProduct=2, iSerialNumber=3, bNumConfigurations=1,
+            address=2, bus=1, port_number=1, port_numbers=(1,), speed=4,
+        )  # fmt: skip
+
+    def get_configuration_descriptor(self, dev: object, config: int) -> SimpleNamespace:
+        """See `usb.backend.IBackend`."""
+        return SimpleNamespace(
+            bLength=9, bDescriptorType=2, wTotalLength=44, bNumInterfaces=1, bConfigurationValue=1,
+            iConfiguration=0, bmAttributes=0x80, bMaxPower=50, extra_descriptors=[],
+        )  # fmt: skip
+
+    def get_interface_descriptor(self, dev: object, intf: int, alt: int, config: int) -> SimpleNamespace:
+        """See `usb.backend.IBackend`."""
+        if intf or alt:
+            raise IndexError
+        return SimpleNamespace(
+            bLength=9, bDescriptorType=4, bInterfaceNumber=0, bAlternateSetting=0, bNumEndpoints=1,
+            bInterfaceClass=255, bInterfaceSubClass=0, bInterfaceProtocol=0, iInterface=0, extra_descriptors=[],
+        )  # fmt: skip
+
+    def get_endpoint_descriptor(self, dev: object, ep: int, intf: int, alt: int, config: int) -> SimpleNamespace:
+        """See `usb.backend.IBackend`."""
+        return SimpleNamespace(
+            bLength=7, bDescriptorType=5, bEndpointAddress=0x82, bmAttributes=2, wMaxPacketSize=1024, bInterval=0,
+            bRefresh=0, bSynchAddress=0, extra_descriptors=[],
+        )  # fmt: skip
+
+    def open_device(self, dev: object) -> str:
+        """See `usb.backend.IBackend`."""
+        self._check()
+        self.call(self.device.attached)
+        return "open"
+
+    def close_device(self, dev_handle: object) -> None:
+        """See `usb.backend.IBackend`."""
+        self.call(self.device.detached)
+
+    def get_configuration(self, dev_handle: object) -> int:
+        """See `usb.backend.IBackend`."""
+        return 0
+
+    def set_configuration(self, dev_handle: object, config_value: int) -> None:
+        """See `usb.backend.IBackend`."""
+        self._request(SetupPacket(0x00, 9, config_value, 0, 0))
+
+    def claim_interface(self, dev_handle: object, intf: int) -> None:
+        """See `usb.backend.IBackend`."""
+        self._check()
+
+    def release_interface(self, dev_handle: object, intf: int) -> None:
+        """See `usb.backend.IBackend`."""
+
+    def clear_halt(self, dev_handle: object, ep: int) -> None:
+        """See `usb.backend.IBackend`."""
+        self._request(SetupPacket(0x02, 1, 0, ep, 0))
+
+    def ctrl_transfer(
+        self, dev_handle: object, bmRequestType: int, bRequest: int, wValue: int, wIndex: int, *data_and_timeout: Any
+    ) -> int:
+        """See `usb.backend.IBackend`; the last two are an array.array of bytes and a timeout, ms."""
+        data = data_and_timeout[0]
+        setup = SetupPacket(bmRequestType, bRequest, wValue, wIndex, len(data))
+        reply = self._request(setup, b"" if setup.is_in else data.tobytes())
+        if not setup.is_in:
+            return len(data)
+        data[: len(reply)] = array.array("B", reply)
+        return len(reply)
+
+    def bulk_read(self, dev_handle: object, ep: int, intf: int, buff: Any, timeout: float) -> int:
+        """See `usb.backend.IBackend`; `timeout` in ms."""
+        with self.changed:
+            transfer = self._wait_for_data(ep & 15, len(buff), timeout * 1e-3)
+            buff[: len(transfer.data)] = array.array("B", transfer.data)
+            self.device.sent(transfer)
+        return len(transfer.data)
+
+    def _wait_for_data(self, endpoint: int, most_bytes: int, timeout_s: float) -> Transfer:
+        found: list[Transfer] = []
+
+        def ready() -> bool:
+            if self.fault is None and (transfer := self._read(endpoint, most_bytes)):
+                found.append(transfer)
+            return bool(found) or self.fault is not None
+
+        if not self.changed.wait_for(ready, timeout_s):
+            raise usb.core.USBTimeoutError("timeout", None, errno.ETIMEDOUT)
+        self._check()
+        return found[0]
+
+    def _read(self, endpoint: int, most_bytes: int) -> Transfer | None:
+        try:
+            return self.device.read(endpoint, most_bytes)
+        except Stall as stall:
+            raise usb.core.USBError("stall", None, errno.EPIPE) from stall
+
+    def _request(self, setup: SetupPacket, data: bytes = b"") -> bytes:
+        with self.changed:
+            self._check()
+            try:
+                reply = self.device.control(setup, data)
+            except Stall as stall:
+                raise usb.core.USBError("stall", None, errno.EPIPE) from stall
+            self.changed.notify_all()
+        return reply
+
+    def _check(self) -> None:
+        if self.fault is not None:
+            raise usb.core.USBError("fault", None, self.fault)
+
+
+class FakeCamera:
+    """A DAVIS346 on a bus in memory; a context manager that detaches it at the end.
+
+    Parameters
+    ----------
+    settings : of the camera; by default it starts at once, without the silence that real drivers need.
+
+    Attributes
+    ----------
+    bus : the backend, for `usb.core.find(backend=...)`.
+    model : the camera behind it, with `counters`.
+    device : the camera as pyusb's Device.
+    """
+
+    def __init__(self, settings: Davis346Settings | None = None) -> None:
+        self.model = Davis346(settings or Davis346Settings(start_delay_us=0))
+        self.bus = FakeUsbBus(self.model, self.model.settings.descriptors())
+        self.device: usb.core.Device = usb.core.find(backend=self.bus)
+        self._t_us = 0
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.bus.break_with(None)
+        usb.util.dispose_resources(self.device)
+
+    def show(self, events: Events, until_us: int | None = None) -> None:
+        """Give the camera events (n,) EVENT of stream time, sorted, and let time go on to `until_us` (their last).
+
+        As in a real camera, events that come while no driver has it running, or that find its buffer full, are lost
+        and counted in `model.counters`.
+        """
+        last_us = int(events["t"][-1]) if len(events) else self._t_us
+        self._t_us = max(self._t_us, last_us if until_us is None else until_us)
+        self.bus.call(self._show, events)
+
+    def _show(self, events: Events) -> None:
+        self.model.offer(events)
+        self.model.advance(self._t_us)

@@ -1,0 +1,155 @@
+"""A rig that runs beside a test: on free ports, ready when the test gets it, its last events kept for a failure.
+
+    RunningRig   starts a run, waits until its links are open, stops it, and says what is wrong with its end
+
+The pytest fixture `evstim_rig` and the keywords for Robot Framework are both made of it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import threading
+from collections import deque
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal, Self
+
+import numpy as np
+
+from emulator.rig.loading import Rig, load_rig
+from emulator.run.free_ports import on_free_ports
+from emulator.run.report.observation import Observation
+from emulator.run.session import RunResult, RunStatus
+from evstim.running import LiveRun, run
+from firmware_protocol.events import EVENT, Events
+
+__all__ = ["RigOptions", "RunningRig", "faults_of_a_run", "on_free_ports"]
+
+_MOST_KEPT = 2_000_000  # events, 26 MB
+
+
+@dataclasses.dataclass(frozen=True)
+class RigOptions:
+    """How a test wants its rig to run.
+
+    Attributes
+    ----------
+    seconds : stream time to run for; 0 means until the test ends; None means the rig's own.
+    seed : seed of everything random; None means the rig's own.
+    pace : "realtime" or "free"; None means the rig's own.
+    keep_s : stream time of which the last events are kept, for `recent_events`.
+    ready_s : how long the links may take to open: the first run on a machine compiles.
+    """
+
+    seconds: float | None = 0.0
+    seed: int | None = None
+    pace: Literal["realtime", "free"] | None = None
+    keep_s: float = 2.0
+    ready_s: float = 300.0
+
+
+class RunningRig:
+    """A run in this process; use it in a `with` block. Entering it returns when every link is open.
+
+    Parameters
+    ----------
+    rig : path of a rig file, name of a shipped rig, or a Rig.
+    folder : takes the symbolic links of serial lines.
+
+    Attributes
+    ----------
+    rig : what runs, with the ports that it was given.
+    addresses : where the other side of each link is, by the link's name.
+    seen : what a report shows of its events; complete when the run has ended.
+    """
+
+    def __init__(self, rig: str | Path | Rig, folder: Path, options: RigOptions | None = None) -> None:
+        self._options = options or RigOptions()
+        loaded = rig if isinstance(rig, Rig) else load_rig(str(rig))
+        self.rig = on_free_ports(loaded, folder)
+        self.addresses: Mapping[str, str | None] = {}
+        o = self._options
+        self._live: LiveRun = run(self.rig, seconds=o.seconds, seed=o.seed, pace=o.pace)
+        self.seen = Observation(self.rig.camera.size)
+        self._recent: deque[Events] = deque()
+        self._recent_count = 0
+        self._error: BaseException | None = None
+        self._reader = threading.Thread(target=self._read, name=f"events of {self.rig.name}")
+
+    def __enter__(self) -> Self:
+        self._live.__enter__()
+        self._reader.start()
+        try:
+            self.addresses = self._live.wait_until_ready(self._options.ready_s)
+        except BaseException:
+            self._end()
+            raise
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    @property
+    def address(self) -> str:
+        """The address of the rig's only link; raises ValueError where there are more, or none."""
+        if len(self.addresses) != 1:
+            raise ValueError(f"rig {self.rig.name!r} has {len(self.addresses)} links: use `addresses`")
+        return next(iter(self.addresses.values())) or ""
+
+    @property
+    def status(self) -> RunStatus:
+        """Counts and link states now, renewed ten times a second."""
+        status = self._live.status
+        assert status is not None, "a rig that was entered has a status"
+        return status
+
+    @property
+    def result(self) -> RunResult:
+        """Counts, ledger and link reports; raises RuntimeError before `stop`."""
+        return self._live.result
+
+    def inject(self, kind: str, **figures: Any) -> None:
+        """Begin a fault within a tenth of a second; `figures` are the keys of a rig's [[faults]] table."""
+        self._live.inject({"kind": kind, **figures})
+
+    def recent_events(self) -> Events:
+        """Return the last events of the sensor, (n,) EVENT; a failed test wants to see them."""
+        batches = list(self._recent)
+        return np.concatenate(batches) if batches else np.zeros(0, EVENT)
+
+    def stop(self) -> RunResult:
+        """End the run, and return its result; raises what the run failed with."""
+        self._end()
+        if self._error is not None:
+            raise self._error
+        return self._live.result
+
+    def _end(self) -> None:
+        self._live.stop()
+        if self._reader.ident is not None:
+            self._reader.join()
+
+    def _read(self) -> None:
+        try:
+            for events in self._live:
+                self._keep(events)
+        except BaseException as error:  # noqa: BLE001 - `stop` raises it in the test's thread
+            self._error = error
+
+    def _keep(self, events: Events) -> None:
+        self.seen.take(events)
+        self._recent.append(events)
+        self._recent_count += len(events)
+        oldest_us = int(events["t"][-1]) - round(self._options.keep_s * 1e6)
+        while self._recent and (self._recent[0]["t"][-1] < oldest_us or self._recent_count > _MOST_KEPT):
+            self._recent_count -= len(self._recent.popleft())
+
+
+def faults_of_a_run(result: RunResult) -> list[str]:
+    """Return what is wrong with the end of a run, a line each; lateness of a busy machine is not counted."""
+    wrong = [] if result.ledger.balanced else [f"the ledger is off by {result.ledger.imbalance} events"]
+    for name, link in result.links.items():
+        wrong += [f"{name}: {link.error}"] if link.error is not None else []
+        wrong += [] if link.edges_balanced else [f"{name}: edges without a fate"]
+        wrong += [f"{name}: {trouble}" for trouble in link.file_troubles]
+    return wrong

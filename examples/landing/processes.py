@@ -1,0 +1,86 @@
+"""The processes beside the spacecraft: evstim as the camera, the flight computer; and where they all meet."""
+
+from __future__ import annotations
+
+import logging
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import can
+
+__all__ = ["Ends", "bus_of", "camera", "computer"]
+
+_HERE = Path(__file__).parent
+_READY_S = 600.0
+_JOINED_S = 0.5  # the served bus lends no frames to a newcomer for a quarter of a second
+
+
+@dataclass(frozen=True)
+class Ends:
+    """Where the parts meet: the bus's TCP port, the UDP port of poses, the serial line."""
+
+    can_port: int
+    pose_port: int
+    serial: str
+
+    @classmethod
+    def free(cls, out: Path) -> Ends:
+        """Return ports that nobody uses, and a serial line in a folder."""
+        with socket.create_server(("127.0.0.1", 0)) as bus, socket.socket(type=socket.SOCK_DGRAM) as poses:
+            poses.bind(("127.0.0.1", 0))
+            return cls(bus.getsockname()[1], poses.getsockname()[1], str(out / "serial"))
+
+    def rig(self, text: str) -> str:
+        """Return the text of a rig like landing.toml with these in it."""
+        text = text.replace("29536", str(self.can_port)).replace("10364", str(self.pose_port))
+        return text.replace("/tmp/evstim-landing", self.serial)
+
+
+@contextmanager
+def camera(rig: Path, seed: int, out: Path, record: Path | None = None) -> Iterator[None]:
+    """Run evstim until the block ends; `record` takes the events."""
+    ready = out / "ready"
+    ready.unlink(missing_ok=True)
+    command = [sys.executable, "-m", "evstim", "run", str(rig), "--json", "--seconds", "0"]
+    command += ["--seed", str(seed), "--ready-file", str(ready)]
+    command += ["--record", str(record)] if record else []
+    with (out / "summary.json").open("w") as summary, subprocess.Popen(command, stdout=summary) as run:
+        try:
+            end_s = time.monotonic() + _READY_S
+            while not ready.exists():
+                if run.poll() is not None or time.monotonic() > end_s:
+                    raise SystemExit("evstim has not started")
+                time.sleep(0.05)
+            yield
+        finally:
+            run.terminate()
+
+
+@contextmanager
+def bus_of(ends: Ends) -> Iterator[can.BusABC]:
+    """Give the bus."""
+    logging.getLogger("can.interfaces.socketcand").setLevel(logging.ERROR)  # it warns of frames that TCP cut in two
+    with can.Bus(interface="socketcand", channel="can0", host="127.0.0.1", port=ends.can_port) as bus:
+        time.sleep(_JOINED_S)
+        yield bus
+
+
+@contextmanager
+def computer(ends: Ends, known: tuple[float, ...], seed: int, out: Path) -> Iterator[None]:
+    """Run the flight computer until the block ends; `known` is height and velocity, as navigation has them."""
+    command = [sys.executable, str(_HERE / "flight_computer.py"), "--seed", str(seed)]
+    command += ["--serial", ends.serial, "--can-port", str(ends.can_port), "--log", str(out / "computer.jsonl")]
+    command += ["--height", str(known[0]), "--velocity", *map(str, known[1:])]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            if process.stdout is None or process.stdout.readline().strip() != "ready":
+                raise SystemExit("the flight computer has not started")
+            yield
+        finally:
+            process.terminate()

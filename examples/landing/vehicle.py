@@ -1,0 +1,143 @@
+"""A lunar lander as a rigid body: thrust with limits and lag, mass flow, an attitude loop; flat ground, z up.
+
+    r' = v        v' = T b_z / m - (0, 0, g)        m' = -T / (Isp g0)        T' = (T_wanted - T) / lag
+    q' = q (0, w) / 2                               J w' = torque - w x J w
+
+    torque = -J (wn^2 e + 2 zeta wn w), clipped; e = 2 sign(e_w) e_vec of conj(q_wanted) q
+
+The body's z axis is the direction of the thrust; the camera looks along -z. The command, an acceleration without
+gravity's, is constant between two calls, and the equations are integrated by RK4 in steps of 10 ms.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["GRAVITY_M_S2", "Lander", "State", "advance", "matrix", "product"]
+
+Vector = npt.NDArray[np.float64]
+
+GRAVITY_M_S2 = 1.62
+_G0_M_S2 = 9.80665
+_STEP_S = 0.01
+_LEAST_UP = 0.3  # beside the horizontal part of the wanted acceleration: a tilt of 73 degrees at most
+
+
+@dataclass(frozen=True)
+class Lander:
+    """Figures of the vehicle; the defaults hover at 40 % of their thrust on the Moon.
+
+    Attributes
+    ----------
+    thrust_n : least and most thrust while the engine runs.
+    isp_s : specific impulse.
+    lag_s : time constant of the engine.
+    inertia_kg_m2 : about the three axes of the body.
+    bandwidth_rad_s, damping, torque_nm : of the attitude loop.
+    thrust_scale : thrust given for thrust wanted; its error is unknown to the guidance.
+    """
+
+    thrust_n: tuple[float, float] = (400.0, 4000.0)
+    isp_s: float = 310.0
+    lag_s: float = 0.1
+    inertia_kg_m2: tuple[float, float, float] = (800.0, 800.0, 800.0)
+    bandwidth_rad_s: float = 1.5
+    damping: float = 0.8
+    torque_nm: float = 200.0
+    thrust_scale: float = 1.0
+
+
+@dataclass(frozen=True)
+class State:
+    """Where the vehicle is and how it moves: m, m/s, unit quaternion world from body, rad/s in the body, N, kg."""
+
+    position_m: Vector
+    velocity_m_s: Vector
+    attitude: Vector = field(default_factory=lambda: np.array([1.0, 0.0, 0.0, 0.0]))
+    turning_rad_s: Vector = field(default_factory=lambda: np.zeros(3))
+    thrust_n: float = 0.0
+    mass_kg: float = 1000.0
+
+    def packed(self) -> Vector:
+        """Return all as one array, (15,)."""
+        rest = (self.thrust_n, self.mass_kg)
+        return np.concatenate([self.position_m, self.velocity_m_s, self.attitude, self.turning_rad_s, rest])
+
+    @classmethod
+    def unpacked(cls, y: Vector) -> State:
+        """Return the state of an array; the attitude is brought back to unit length."""
+        q = y[6:10] / np.linalg.norm(y[6:10])
+        return cls(y[0:3].copy(), y[3:6].copy(), q, y[10:13].copy(), float(y[13]), float(y[14]))
+
+
+def matrix(q: Vector) -> Vector:
+    """Return the matrix of a unit quaternion, (3, 3): world from body."""
+    w, x, y, z = q
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def advance(lander: Lander, state: State, command_m_s2: Vector, seconds: float) -> State:
+    """Return the state `seconds` later under a constant command, (3,) in the world, gravity's not included."""
+    steps = max(1, round(seconds / _STEP_S))
+    h = seconds / steps
+    y, wanted = state.packed(), _wanted(lander, state, command_m_s2)
+    for _ in range(steps):
+        a = _derivative(lander, y, *wanted)
+        b = _derivative(lander, y + h / 2 * a, *wanted)
+        c = _derivative(lander, y + h / 2 * b, *wanted)
+        d = _derivative(lander, y + h * c, *wanted)
+        y = y + h / 6 * (a + 2 * b + 2 * c + d)
+        y[6:10] /= np.linalg.norm(y[6:10])
+    return State.unpacked(y)
+
+
+def _wanted(lander: Lander, state: State, command_m_s2: Vector) -> tuple[float, Vector]:
+    """Return thrust, N, and attitude that give an acceleration."""
+    up = max(float(command_m_s2[2]), _LEAST_UP * float(np.hypot(*command_m_s2[:2])), 1e-3)
+    wanted = np.array([command_m_s2[0], command_m_s2[1], up])
+    size = float(np.linalg.norm(wanted))
+    thrust_n = float(np.clip(state.mass_kg * size, *lander.thrust_n)) * lander.thrust_scale
+    x, y, z = wanted / size
+    q = np.array([1 + z, -y, x, 0.0])  # the shortest turn of z to that direction
+    return thrust_n, q / np.linalg.norm(q)
+
+
+def _derivative(lander: Lander, y: Vector, thrust_wanted_n: float, attitude_wanted: Vector) -> Vector:
+    velocity, q, w, (thrust_n, mass_kg) = y[3:6], y[6:10], y[10:13], y[13:15]
+    inertia = np.array(lander.inertia_kg_m2)
+    error = 2 * _difference(attitude_wanted, q)
+    torque = -inertia * (lander.bandwidth_rad_s**2 * error + 2 * lander.damping * lander.bandwidth_rad_s * w)
+    torque = np.clip(torque, -lander.torque_nm, lander.torque_nm)
+    acceleration = matrix(q)[:, 2] * thrust_n / mass_kg - (0.0, 0.0, GRAVITY_M_S2)
+    turning = (torque - np.cross(w, inertia * w)) / inertia
+    rest = ((thrust_wanted_n - thrust_n) / lander.lag_s, -thrust_n / (lander.isp_s * _G0_M_S2))
+    return np.concatenate([velocity, acceleration, product(q, np.array([0.0, *w])) / 2, turning, rest])
+
+
+def _difference(wanted: Vector, q: Vector) -> Vector:
+    """Return the vector part of conj(wanted) q, of the shorter way round."""
+    e = product(wanted * (1, -1, -1, -1), q)
+    return e[1:] * (1.0 if e[0] >= 0 else -1.0)
+
+
+def product(a: Vector, b: Vector) -> Vector:
+    """Return the product of two quaternions: the turn b, then the turn a."""
+    aw, ax, ay, az = a
+    bw, bx, by, bz = b
+    return np.array(
+        [
+            aw * bw - ax * bx - ay * by - az * bz,
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+        ]
+    )

@@ -1,0 +1,155 @@
+"""From events that wait to numbered blocks of EVT3 words; blocks are kept for a while, to be sent once more.
+
+Each block begins with its time and row, so that a block that is lost takes nothing with it. In a silence, blocks
+without events tell the time: decoders lose it after 8.4 s.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from firmware_protocol.edges import Edges, empty_edges
+from firmware_protocol.event_copies import copy_events, join_events
+from firmware_protocol.events import Events, empty_events
+from firmware_protocol.evt3.encoding import Evt3Encoder
+from firmware_protocol.gige.gvsp import BLOCK_OCTETS, Block
+
+__all__ = ["Extra", "Outflow", "Outgoing"]
+
+_KEPT = 256
+_OCTETS_PER_EVENT = 8  # time in two words, row, column
+_MOST_EVENTS = BLOCK_OCTETS // _OCTETS_PER_EVENT - 64
+_LONGEST_US = 1_000_000  # of device time in one block: no time words are needed in between
+_SILENCE_US = 1_000_000
+_LONGEST_SILENCE_US = 3_600_000_000  # told in one block
+
+
+@dataclass(frozen=True)
+class Outgoing:
+    """A block with what it carries, (n,) EVENT and (m,) EDGE, in the time told to the device."""
+
+    block: Block
+    events: Events
+    edges: Edges
+
+
+@dataclass(frozen=True)
+class Extra:
+    """A datagram of the stream that a host asked for, and which packet of which block it is; block 0: of none."""
+
+    data: bytes
+    block: int = 0
+    number: int = 0
+
+
+class Outflow:
+    """Events and edges of one acquisition on their way out.
+
+    Attributes
+    ----------
+    number
+        Of the last block.
+    queued, edges_queued
+        Events and edges that wait.
+    """
+
+    def __init__(self, epoch_us: int, block_us: int, width: int, number: int = 0) -> None:
+        self._epoch_us = self._told_us = epoch_us
+        self._block_us = block_us
+        self._encoder = Evt3Encoder(standalone=True, width=width)
+        self._waiting: deque[Events] = deque()
+        self._edges = empty_edges()
+        self._kept: deque[Block] = deque(maxlen=_KEPT)
+        self.number = number
+        self.queued = 0
+
+    @property
+    def edges_queued(self) -> int:
+        """Edges that wait."""
+        return len(self._edges)
+
+    def put(self, events: Events) -> None:
+        """Take events (n,) EVENT, sorted; they are copied."""
+        if len(events):
+            self._waiting.append(copy_events(events))
+            self.queued += len(events)
+
+    def put_edges(self, edges: Edges) -> None:
+        """Take edges (n,) EDGE, sorted; one that is older than what was told gets the time of that."""
+        self._edges = np.concatenate([self._edges, edges])
+
+    def next(self, now_us: int, packet_size: int, *, at_once: bool = False) -> Outgoing | None:
+        """Return the next block; None while it may still grow, unless `at_once`, and while it is empty."""
+        begin_us = self._first_us()
+        if begin_us is None or begin_us > now_us:
+            return self._silence(now_us, packet_size)
+        if begin_us - self._told_us > _SILENCE_US:
+            return self._silence(begin_us, packet_size)
+        if not at_once and self.queued < _MOST_EVENTS and now_us - begin_us < self._block_us:
+            return None
+        return self._block(begin_us, now_us, packet_size)
+
+    def clear(self) -> None:
+        """Forget what waits."""
+        self._waiting.clear()
+        self._edges, self.queued = empty_edges(), 0
+
+    def kept(self, number: int) -> Block | None:
+        """Return a block that was sent; None where it is kept no more, or never was."""
+        return next((block for block in self._kept if block.number == number), None)
+
+    def _first_us(self) -> int | None:
+        firsts = [int(self._waiting[0]["t"][0])] if self._waiting else []
+        if len(self._edges):
+            firsts.append(max(int(self._edges["t"][0]), self._told_us))
+        return min(firsts, default=None)
+
+    def _block(self, begin_us: int, now_us: int, packet_size: int) -> Outgoing:
+        events = self._taken(begin_us + _LONGEST_US)
+        until_us = int(events["t"][-1]) if len(events) == _MOST_EVENTS else min(now_us, begin_us + _LONGEST_US)
+        due = self._edges["t"].astype(np.int64) <= until_us
+        edges, self._edges = self._edges[due], self._edges[~due]
+        words = self._encoder.encode(self._own(events), self._own(self._late(edges)))
+        last_us = max([int(each["t"][-1]) for each in (events, edges) if len(each)])
+        self._told_us = max(self._told_us, last_us)
+        return Outgoing(self._numbered(words, begin_us, packet_size), events, edges)
+
+    def _taken(self, until_us: int) -> Events:
+        """Return the events that go into one block: not too many, and not over too long a time."""
+        taken, room = [], _MOST_EVENTS
+        while self._waiting and room and int(self._waiting[0]["t"][0]) < until_us:
+            first = self._waiting.popleft()
+            count = min(room, int(np.searchsorted(first["t"], until_us)))
+            if count < len(first):
+                self._waiting.appendleft(first[count:])
+            taken.append(first[:count])
+            room -= count
+        self.queued -= _MOST_EVENTS - room
+        return join_events(taken) if taken else empty_events()
+
+    def _late(self, edges: Edges) -> Edges:
+        late = edges.copy()
+        late["t"] = np.maximum(late["t"], np.uint64(self._told_us))
+        return late
+
+    def _own(self, records: Events | Edges) -> Events | Edges:
+        own = copy_events(records) if records.dtype == empty_events().dtype else records.copy()
+        own["t"] -= np.uint64(self._epoch_us)
+        return own
+
+    def _silence(self, until_us: int, packet_size: int) -> Outgoing | None:
+        """Return a block that tells the time alone; None where the last block is not old."""
+        if until_us - self._told_us < _SILENCE_US:
+            return None
+        self._told_us = min(until_us, self._told_us + _LONGEST_SILENCE_US)
+        words = self._encoder.advance(self._told_us - self._epoch_us)
+        return Outgoing(self._numbered(words, self._told_us, packet_size), empty_events(), empty_edges())
+
+    def _numbered(self, words: bytes, time_us: int, packet_size: int) -> Block:
+        self.number += 1
+        block = Block(self.number, 1000 * (time_us - self._epoch_us), words, packet_size)
+        self._kept.append(block)
+        return block

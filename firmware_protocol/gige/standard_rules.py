@@ -1,0 +1,44 @@
+"""What a host may write to the registers that every GigE Vision device has."""
+
+from __future__ import annotations
+
+from firmware_protocol.gige.bootstrap import Register
+from firmware_protocol.gige.control import ACTION_GROUPS
+from firmware_protocol.gige.gvcp import Refused, Status
+from firmware_protocol.gige.gvsp import LEAST_PACKET, MOST_PACKET
+from firmware_protocol.gige.memory import Rule, between, kept
+
+__all__ = ["DO_NOT_FRAGMENT", "TEST_PACKET", "action_areas", "packet_size", "standard_rules"]
+
+TEST_PACKET = 1 << 31
+DO_NOT_FRAGMENT = 1 << 30
+_PERSISTENT_ADDRESSES = (0x064C, 0x065C, 0x066C)
+_REMEMBERED = (
+    Register.HEARTBEAT_MS, Register.GVCP_CONFIGURATION, Register.PENDING_MS, Register.GVSP_CONFIGURATION,
+    Register.PACKET_DELAY, Register.STREAM_ADDRESS, Register.ACTION_DEVICE_KEY, *_PERSISTENT_ADDRESSES,
+)  # fmt: skip
+
+
+def standard_rules() -> dict[int, Rule]:
+    """Return the rules, by address."""
+    rules: dict[int, Rule] = dict.fromkeys(_REMEMBERED, kept)
+    rules |= {Register.USER_NAME + 4 * k: kept for k in range(4)}
+    rules |= {Register.ACTION_GROUP + 16 * k + place: kept for k in range(ACTION_GROUPS) for place in (0, 4)}
+    rules[Register.STREAM_PORT] = between(0, 0xFFFF)
+    return rules
+
+
+def action_areas() -> dict[int, bytes]:
+    """Return the area of the keys and masks of action groups."""
+    return {Register.ACTION_GROUP: bytes(16 * ACTION_GROUPS)}
+
+
+def packet_size(value: int) -> int:
+    """Return what register PACKET_SIZE keeps; raises Refused for a size that no packet has.
+
+    Sizes must be even: neuromorphic_drivers loses the last octet of an odd payload, and with it all that follows.
+    """
+    size = value & 0xFFFF
+    if not LEAST_PACKET <= size <= MOST_PACKET or size % 2:
+        raise Refused(Status.INVALID_PARAMETER)
+    return value & ~TEST_PACKET

@@ -1,0 +1,281 @@
+"""A LUCID Triton2 EVS (TRT009S-E, IMX636) without its cable: requests and events in, answers and blocks out.
+
+    host --GVCP--> receive --> Control --> Memory --rules--> acquisition, masks, rate control, biases
+    array -------> offer ----> selection -> Outflow --> next_block --> GVSP packets
+
+The device's time is zero at AcquisitionStart: neuromorphic_drivers begins at zero and ignores a first time that is
+8.4 s or more ahead.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Sequence
+
+import numpy as np
+
+from firmware_protocol.edges import EdgeKind, Edges, empty_edges
+from firmware_protocol.event_device import CameraCounters, EdgeCounters, EventDevice
+from firmware_protocol.events import Events
+from firmware_protocol.gige.bootstrap import Register, bootstrap
+from firmware_protocol.gige.control import Control, Datagram
+from firmware_protocol.gige.description import Description
+from firmware_protocol.gige.evs_registers import (
+    ACQUISITION_START,
+    ACQUISITION_STOP,
+    BIASES,
+    evs_areas,
+    evs_rules,
+)
+from firmware_protocol.gige.gvcp import Action, Resend, Status
+from firmware_protocol.gige.gvsp import BLOCK_OCTETS, removed, test_packet
+from firmware_protocol.gige.memory import Memory, Rule
+from firmware_protocol.gige.outflow import Extra, Outflow, Outgoing
+from firmware_protocol.gige.selection import Selection
+from firmware_protocol.gige.settings import GigeSettings
+from firmware_protocol.gige.standard_rules import (
+    DO_NOT_FRAGMENT,
+    TEST_PACKET,
+    action_areas,
+    packet_size,
+    standard_rules,
+)
+
+__all__ = ["Triton2"]
+
+_LATCH = 1 << 1
+_MOST_EXTRA = 4096  # datagrams that hosts asked for and that wait
+
+
+class Triton2(EventDevice):
+    """The camera. Events and the passing of stream time go in by `offer` and `advance`, datagrams by `receive`.
+
+    Attributes
+    ----------
+    control
+        Who has control of it.
+    """
+
+    def __init__(self, settings: GigeSettings | None = None) -> None:
+        self.settings = settings = settings or GigeSettings()
+        description = Description(settings.size)
+        self._selection = Selection(settings.size)
+        areas = {0: bootstrap(settings, description.location), description.address: description.octets}
+        areas |= evs_areas(settings.size, BLOCK_OCTETS) | action_areas()
+        rules = {**standard_rules(), **evs_rules(settings.size), **self._selection.rules(), **self._own_rules()}
+        self._memory = Memory(areas, rules)
+        self.control = Control(self._memory, self)
+        self._now_us = 0
+        self._outflow = Outflow(0, settings.block_us, settings.size[0])
+        self._acquiring = False
+        self._silent_until_us = self._epoch_us = 0
+        self._fates: Counter[str] = Counter()
+        self._edge_fates: Counter[str] = Counter()
+        self._carried = self._edges_carried = 0
+        self._extra: deque[Extra] = deque(maxlen=_MOST_EXTRA)
+
+    def stream_from(self, port: int) -> None:
+        """Say from which port the stream is sent."""
+        self._memory.set(Register.STREAM_SOURCE_PORT, port)
+
+    def receive(self, datagrams: Sequence[Datagram], now_ns: int) -> list[Datagram]:
+        """Take what came to the control port and return the answers; `now_ns` counts the heartbeat."""
+        answers = self.control.take(datagrams, now_ns)
+        self.control.expire(now_ns)
+        return answers
+
+    @property
+    def now_us(self) -> int:
+        """Stream time that the camera has reached."""
+        return self._now_us
+
+    @property
+    def streaming(self) -> bool:
+        """True while events offered now would go to a host."""
+        return self._acquiring and self.destination is not None
+
+    @property
+    def destination(self) -> tuple[int, int] | None:
+        """(address as a number, port) that the host gave for the stream; None while the channel is closed."""
+        port = self._memory.get(Register.STREAM_PORT) & 0xFFFF
+        return (self._memory.get(Register.STREAM_ADDRESS), port) if port else None
+
+    @property
+    def packet_delay_ns(self) -> int:
+        """Pause that the host wants between packets."""
+        return self._memory.get(Register.PACKET_DELAY)
+
+    @property
+    def may_fragment(self) -> bool:
+        """Whether packets may be cut on the way."""
+        return not self._memory.get(Register.PACKET_SIZE) & DO_NOT_FRAGMENT
+
+    @property
+    def biases(self) -> dict[str, int]:
+        """Offsets of the biases from the factory's values, by Prophesee's names."""
+        values = {name: self._memory.get(bias.address) for name, bias in BIASES.items()}
+        return {name: value - (value >> 31 << 32) for name, value in values.items()}
+
+    @property
+    def room_events(self) -> int:
+        """Events that fit now."""
+        return self.settings.capacity - self._outflow.queued
+
+    @property
+    def silent_until_us(self) -> int:
+        """End of the silence after the start; 0 while it does not run."""
+        return self._silent_until_us if self.streaming else 0
+
+    @property
+    def epoch_us(self) -> int:
+        """Stream time of AcquisitionStart."""
+        return self._epoch_us
+
+    @property
+    def counters(self) -> CameraCounters:
+        """Fates of all events and edges offered so far."""
+        edges = EdgeCounters(**self._edge_fates, queued=self._outflow.edges_queued + self._edges_carried)
+        return CameraCounters(**self._fates, queued=self._outflow.queued + self._carried, edges=edges)
+
+    def offer(self, events: Events) -> None:
+        """Take events (n,) EVENT; raises ValueError when they go back in time or lie outside the array."""
+        if not len(events):
+            return
+        self._check(events)
+        self._fates["offered"] += len(events)
+        self._now_us = int(events["t"][-1])
+        if self.streaming:
+            self._put(events)
+        else:
+            self._fates["not_running"] += len(events)
+
+    def offer_edges(self, edges: Edges) -> None:
+        """Take edges (n,) EDGE for the trigger input."""
+        self._edge_fates["offered"] += len(edges)
+        if self.streaming and self._now_us >= self._silent_until_us:
+            self._outflow.put_edges(edges)
+        else:
+            self._edge_fates["ignored"] += len(edges)
+
+    def advance(self, now_us: int) -> None:
+        """Say that stream time has reached `now_us`."""
+        self._now_us = max(self._now_us, now_us)
+
+    def next_block(self, *, at_once: bool = False) -> Outgoing | None:
+        """Return the next block for the stream, `at_once` also a young one; say `sent` or `lost` of it later."""
+        if not self.streaming or self._now_us < self._silent_until_us:
+            return None
+        outgoing = self._outflow.next(self._now_us, self._memory.get(Register.PACKET_SIZE) & 0xFFFF, at_once=at_once)
+        if outgoing is not None:
+            self._carried += len(outgoing.events)
+            self._edges_carried += len(outgoing.edges)
+        return outgoing
+
+    def next_extra(self) -> Extra | None:
+        """Return the next datagram that a host asked for beside the blocks: a test packet, or one sent again."""
+        return self._extra.popleft() if self._extra and self.destination is not None else None
+
+    def sent(self, outgoing: Outgoing) -> None:
+        """Count a block as delivered."""
+        self._settle(outgoing, "delivered")
+
+    def lost(self, outgoing: Outgoing) -> None:
+        """Count a block as lost on the link."""
+        self._settle(outgoing, "lost_on_link")
+
+    def disconnected(self) -> None:
+        """Say that the link is closed: nobody has control any more."""
+        self.control.release()
+        self._stop()
+
+    def resend(self, asked: Resend) -> None:
+        """See `Controlled.resend`."""
+        block = self._outflow.kept(asked.block)
+        if block is None:
+            self._extra.append(Extra(removed(asked.block, asked.first)))
+            return
+        for number in range(asked.first, min(asked.last + 1, block.packets)):
+            data = block.packet(number, Status.PACKET_RESENT)
+            self._extra.append(Extra(data, asked.block, number))
+
+    def act(self, action: Action) -> Status:
+        """See `Controlled.act`: an action is a pulse on the trigger input."""
+        if action.time_ns is not None:
+            return Status.NOT_IMPLEMENTED
+        if self.streaming:
+            pulse = empty_edges(1)
+            pulse["t"], pulse["kind"] = self._now_us, EdgeKind.PULSE
+            self._edge_fates["added"] += 1
+            self._outflow.put_edges(pulse)
+        return Status.SUCCESS
+
+    def released(self) -> None:
+        """See `Controlled.released`."""
+        self._stop()
+
+    def _settle(self, outgoing: Outgoing, fate: str) -> None:
+        self._carried -= len(outgoing.events)
+        self._edges_carried -= len(outgoing.edges)
+        self._fates[fate] += len(outgoing.events)
+        self._edge_fates[fate] += len(outgoing.edges)
+
+    def _check(self, events: Events) -> None:
+        if int(events["t"][0]) < self._now_us or bool((events["t"][1:] < events["t"][:-1]).any()):
+            raise ValueError("events go back in time")
+        width, height = self.settings.size
+        if int(events["x"].max()) >= width or int(events["y"].max()) >= height:
+            raise ValueError(f"events outside the {width} x {height} array")
+
+    def _put(self, events: Events) -> None:
+        """Queue events of a running camera, but for those that nobody wants or that find no room."""
+        begun = events[int(np.searchsorted(events["t"], self._silent_until_us)) :]
+        selected = self._selection.apply(begun, self._epoch_us)
+        fitting = selected.events[: self.room_events]
+        self._outflow.put(fitting)
+        self._fates["not_running"] += len(events) - len(begun)
+        self._fates["not_selected"] += selected.outside
+        self._fates["dropped_rate"] += selected.beyond_rate
+        self._fates["dropped_fifo"] += len(selected.events) - len(fitting)
+
+    def _own_rules(self) -> dict[int, Rule]:
+        """Return the rules of registers that do something beside remembering."""
+        return {
+            ACQUISITION_START: self._on_start,
+            ACQUISITION_STOP: self._on_stop,
+            Register.PACKET_SIZE: self._on_packet_size,
+            Register.TIME_CONTROL: self._on_time_control,
+        }
+
+    def _on_start(self, value: int) -> int:
+        if value and not self._acquiring:
+            self._acquiring = True
+            self._epoch_us = self._now_us
+            self._silent_until_us = self._now_us + self.settings.start_delay_us
+            self._outflow = Outflow(self._epoch_us, self.settings.block_us, self.settings.size[0], self._outflow.number)
+        return 0
+
+    def _on_stop(self, value: int) -> int:
+        if value:
+            self._stop()
+        return 0
+
+    def _stop(self) -> None:
+        """End the acquisition; what waits is dropped. Blocks that were sent are kept for hosts that ask for them."""
+        self._acquiring = False
+        self._fates["flushed"] += self._outflow.queued
+        self._edge_fates["dropped"] += self._outflow.edges_queued
+        self._outflow.clear()
+
+    def _on_packet_size(self, value: int) -> int:
+        remembered = packet_size(value)
+        if value & TEST_PACKET:
+            self._extra.append(Extra(test_packet(value & 0xFFFF)))
+        return remembered
+
+    def _on_time_control(self, value: int) -> int:
+        """Latch the time; the clock is set to zero by AcquisitionStart alone."""
+        if value & _LATCH:
+            time_ns = 1000 * (self._now_us - self._epoch_us)
+            self._memory.set(Register.TIME_HIGH, time_ns >> 32)
+            self._memory.set(Register.TIME_LOW, time_ns & 0xFFFFFFFF)
+        return 0

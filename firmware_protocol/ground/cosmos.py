@@ -1,0 +1,136 @@
+"""The packets as a plugin of OpenC3 COSMOS: its target's tlm.txt and cmd.txt, and the interface over UDP.
+
+Commands have their length as a default; the interface's CRC protocol writes the error control and checks that of
+telemetry. The part of varying length ends where the error control begins, which COSMOS writes as a size of -16 bits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+from firmware_protocol.ground.description import Packet, Placed, Rest
+from firmware_protocol.packets.ccsds import PRIMARY_HEADER
+from firmware_protocol.packets.pus import ERROR_CONTROL
+from firmware_protocol.wire_layout import Field
+
+__all__ = ["CosmosPorts", "cosmos_files"]
+
+_UNITS = {"us": "microseconds", "s": "seconds", "px": "pixels", "1/s": "per_second", "degC": "Celsius"}
+_HEX = frozenset({"apid", "error_control", "request_packet_id", "request_sequence_control"})
+
+
+@dataclass(frozen=True)
+class CosmosPorts:
+    """Where the camera takes telecommands, and where COSMOS takes its packets, as COSMOS sees them."""
+
+    camera_host: str = "127.0.0.1"
+    camera_port: int = 10_025
+    port: int = 10_015
+
+
+def cosmos_files(packets: Sequence[Packet], ports: CosmosPorts, target: str = "EVSTIM") -> Mapping[str, str]:
+    """Return the text of each file of the plugin, by its path."""
+    commands = [one for one in packets if one.is_command]
+    telemetry = [one for one in packets if not one.is_command]
+    folder = f"targets/{target}"
+    return {
+        "plugin.txt": _plugin(ports, target),
+        f"openc3-cosmos-{target.lower()}.gemspec": _gemspec(target),
+        f"{folder}/target.txt": "LANGUAGE python\nIGNORE_PARAMETER ERROR_CONTROL\n",
+        f"{folder}/cmd_tlm/tlm.txt": "\n".join(line for one in telemetry for line in _telemetry(one, target)) + "\n",
+        f"{folder}/cmd_tlm/cmd.txt": "\n".join(line for one in commands for line in _command(one, target)) + "\n",
+    }
+
+
+def _plugin(ports: CosmosPorts, target: str) -> str:
+    crc = "ERROR_CONTROL FALSE ERROR -16 16 BIG_ENDIAN 0x1021 0xFFFF FALSE FALSE"
+    return f"""VARIABLE target_name {target}
+VARIABLE camera_host {ports.camera_host}
+VARIABLE camera_port {ports.camera_port}
+VARIABLE packet_port {ports.port}
+
+TARGET {target} <%= target_name %>
+
+INTERFACE <%= target_name %>_INT openc3/interfaces/udp_interface.py <%= camera_host %> <%= camera_port %> \
+<%= packet_port %> nil nil 128 10.0 nil
+  MAP_TARGET <%= target_name %>
+  PROTOCOL READ_WRITE openc3/interfaces/protocols/crc_protocol.py {crc}
+"""
+
+
+def _gemspec(target: str) -> str:
+    return f"""Gem::Specification.new do |spec|
+  spec.name = 'openc3-cosmos-{target.lower()}'
+  spec.version = '0.1.0'
+  spec.summary = 'Packets of an evstim instrument'
+  spec.authors = ['evstim']
+  spec.license = 'Apache-2.0'
+  spec.files = Dir['targets/**/*', 'plugin.txt']
+end
+"""
+
+
+def _telemetry(packet: Packet, target: str) -> Iterable[str]:
+    yield f"TELEMETRY {target} {packet.name} BIG_ENDIAN {_quoted(packet.meaning)}"
+    for placed in packet.fields:
+        one, identifies = placed.field, _identifies(placed)
+        head = "APPEND_ID_ITEM" if identifies else "APPEND_ITEM"
+        value = f" {placed.identifies}" if identifies else ""
+        yield f"  {head} {one.name.upper()} {one.bits} {_type(one)}{value} {_quoted(one.meaning)}"
+        yield from _details(one, "READ")
+    if packet.rest is not None:
+        yield _rest(packet.rest, 8 * packet.before_rest)
+    for one in ERROR_CONTROL.fields:
+        name = one.name.upper()
+        head = f"ITEM {name} -{one.bits}" if packet.rest else f"APPEND_ITEM {name}"
+        yield f"  {head} {one.bits} UINT {_quoted(one.meaning)}"
+        yield from _details(one, "READ")
+    yield ""
+
+
+def _rest(rest: Rest, at: int) -> str:
+    kind = "STRING" if rest.kind == "text" else "BLOCK"
+    return f"  ITEM {rest.name.upper()} {at} -{ERROR_CONTROL.bits} {kind} {_quoted(rest.meaning)}"
+
+
+def _command(packet: Packet, target: str) -> Iterable[str]:
+    yield f"COMMAND {target} {packet.name.upper()} BIG_ENDIAN {_quoted(packet.meaning)}"
+    for placed in packet.fields:
+        one = placed.field
+        low, high = (value * one.scale if one.scale != 1 else value for value in one.range)
+        preset = packet.lengths[0] - PRIMARY_HEADER.octets - 1 if one.name == "length" else placed.preset
+        if placed.identifies is not None:
+            low = high = preset
+        preset = max(preset, min(one.choices)) if one.choices and placed.identifies is None else preset
+        head = "APPEND_ID_PARAMETER" if _identifies(placed) else "APPEND_PARAMETER"
+        bounds = f"{low} {high} {max(preset, low)}"
+        yield f"  {head} {one.name.upper()} {one.bits} {_type(one)} {bounds} {_quoted(one.meaning)}"
+        yield from _details(one, "WRITE")
+    for one in ERROR_CONTROL.fields:
+        yield f"  APPEND_PARAMETER {one.name.upper()} {one.bits} UINT MIN MAX 0 {_quoted(one.meaning)}"
+    yield ""
+
+
+def _identifies(placed: Placed) -> bool:
+    return placed.field.name in ("type", "apid", "service", "subtype")
+
+
+def _details(one: Field, way: str) -> Iterable[str]:
+    """Yield states, unit and conversion."""
+    for value, name in one.choices.items():
+        yield f"    STATE {name} {value}"
+    if one.unit:
+        yield f"    UNITS {_UNITS.get(one.unit, one.unit)} {one.unit}"
+    if one.scale != 1:
+        yield f"    POLY_{way}_CONVERSION 0 {one.scale if way == 'READ' else 1 / one.scale!r}"
+    if one.name in _HEX:
+        yield "    FORMAT_STRING 0x%04X"
+
+
+def _type(one: Field) -> str:
+    return "INT" if one.signed else "UINT"
+
+
+def _quoted(text: str) -> str:
+    return '"' + text.replace('"', "'") + '"'

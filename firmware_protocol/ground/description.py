@@ -1,0 +1,183 @@
+"""What every packet of the instrument holds, for the writers of definitions: the code's own layouts, put together.
+
+A packet is its primary header, its secondary header, its body (fields of fixed width), its rest (the part of varying
+length), and the error control.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import accumulate
+from typing import Literal
+
+from firmware_protocol.framing.deframer import DEFAULT_MAX_PAYLOAD
+from firmware_protocol.packets.addresses import DEFAULT_ADDRESSES, Addresses
+from firmware_protocol.packets.ccsds import PRIMARY_HEADER, PacketType
+from firmware_protocol.packets.housekeeping import HOUSEKEEPING_LAYOUT, TIME_LAYOUT
+from firmware_protocol.packets.message import MessageKind
+from firmware_protocol.packets.pus import ERROR_CONTROL, TC_HEADER, TM_HEADER, Acknowledge
+from firmware_protocol.packets.pus_messages import MESSAGE_TYPES, SCIENCE, VERIFICATION_SERVICE
+from firmware_protocol.packets.telecommands import TELECOMMANDS
+from firmware_protocol.packets.verification import FAILURE_LAYOUT, LONGEST_TEXT, REQUEST_LAYOUT, Stage
+from firmware_protocol.telemetry.layout import EDGE_LAYOUT, HEADER_LAYOUT
+from firmware_protocol.wire_layout import Field, Layout
+
+__all__ = ["Packet", "Placed", "Rest", "instrument_packets"]
+
+_NOTHING = Layout()
+
+
+@dataclass(frozen=True)
+class Rest:
+    """The part of a packet whose length varies: all that stands before the error control.
+
+    Attributes
+    ----------
+    longest, shortest
+        Its greatest and least length, octets.
+    records
+        Layout of each of the records that it is made of; None where it is octets or text.
+    """
+
+    name: str
+    meaning: str
+    longest: int
+    shortest: int = 0
+    kind: Literal["octets", "text", "records"] = "octets"
+    records: Layout | None = None
+
+
+_NO_REST = Rest("", "", 0)
+
+
+@dataclass(frozen=True)
+class Placed:
+    """A field in its packet.
+
+    Attributes
+    ----------
+    at
+        Bits from the beginning of the packet to its first one.
+    identifies
+        The one value that it has in this kind of packet; None where it varies.
+    """
+
+    field: Field
+    at: int
+    identifies: int | None = None
+
+    @property
+    def preset(self) -> int:
+        """What a sender puts there who has nothing else to say: all acknowledgements are wanted."""
+        return self.identifies or (int(Acknowledge.ALL) if self.field.name == "acknowledge" else 0)
+
+
+@dataclass(frozen=True)
+class Packet:
+    """One kind of packet."""
+
+    name: str
+    meaning: str
+    type: PacketType
+    apid: int
+    service: int
+    subtype: int
+    body: Layout = _NOTHING
+    rest: Rest | None = None
+
+    @property
+    def is_command(self) -> bool:
+        """Whether it is a telecommand."""
+        return self.type is PacketType.TELECOMMAND
+
+    @property
+    def header(self) -> Layout:
+        """Both headers."""
+        return PRIMARY_HEADER + (TC_HEADER if self.is_command else TM_HEADER)
+
+    @property
+    def before_rest(self) -> int:
+        """Octets before the part of varying length, or before the error control."""
+        return self.header.octets + self.body.octets
+
+    @property
+    def lengths(self) -> tuple[int, int]:
+        """Least and greatest number of octets."""
+        fixed, rest = self.before_rest + ERROR_CONTROL.octets, self.rest or _NO_REST
+        return fixed + rest.shortest, fixed + rest.longest
+
+    @property
+    def fields(self) -> tuple[Placed, ...]:
+        """The fields of headers and body."""
+        fields = (self.header + self.body).fields
+        places = accumulate((one.bits for one in fields), initial=0)
+        return tuple(Placed(one, at, self._identifying(one)) for one, at in zip(fields, places, strict=False))
+
+    @property
+    def arguments(self) -> tuple[Placed, ...]:
+        """The fields of the body."""
+        return tuple(one for one in self.fields if one.at >= self.header.bits)
+
+    def _identifying(self, one: Field) -> int | None:
+        told = {"type": self.type, "apid": self.apid, "service": self.service, "subtype": self.subtype}
+        told |= {"secondary_header": 1, "sequence_flags": 3}
+        value = told.get(one.name, one.fixed)
+        return None if value is None else int(value)
+
+
+def instrument_packets(
+    addresses: Addresses = DEFAULT_ADDRESSES, max_payload: int = DEFAULT_MAX_PAYLOAD
+) -> tuple[Packet, ...]:
+    """Return all that an instrument says, then all that it can be told."""
+    return (*_messages(addresses, max_payload), *_verifications(addresses), *_commands(addresses))
+
+
+def _messages(addresses: Addresses, max_payload: int) -> Iterator[Packet]:
+    block = max_payload - HEADER_LAYOUT.octets
+    parts: dict[MessageKind, tuple[str, Layout, Rest | None]] = {
+        MessageKind.EVENTS: (
+            "One block of events; the packet's time is that of the first one",
+            HEADER_LAYOUT,
+            Rest("payload", "coded events: docs/telemetry.md", block),
+        ),
+        MessageKind.EDGES: (
+            "One block of edges of the external input; the packet's time is that of the first one",
+            HEADER_LAYOUT,
+            Rest("edges", "records of edges", block, EDGE_LAYOUT.octets, "records", EDGE_LAYOUT),
+        ),
+        MessageKind.HOUSEKEEPING: ("State of the instrument", HOUSEKEEPING_LAYOUT, None),
+        MessageKind.TIME: ("What time it is for the instrument", TIME_LAYOUT, None),
+        MessageKind.PONG: ("Answer to a ping", _NOTHING, None),
+    }
+    for kind, (meaning, body, rest) in parts.items():
+        apid = addresses.science_apid if kind in SCIENCE else addresses.apid
+        yield Packet(kind.name, meaning, PacketType.TELEMETRY, apid, *MESSAGE_TYPES[kind], body, rest)
+
+
+def _verifications(addresses: Addresses) -> Iterator[Packet]:
+    text = Rest("failure_text", "what was wrong", LONGEST_TEXT, kind="text")
+    told: Sequence[tuple[str, str, int, Layout, Rest | None]] = (
+        ("ACCEPTED", "A telecommand was accepted", Stage.ACCEPTANCE, REQUEST_LAYOUT, None),
+        ("NOT_ACCEPTED", "A telecommand was not accepted", Stage.ACCEPTANCE + 1, REQUEST_LAYOUT + FAILURE_LAYOUT, text),
+        ("COMPLETED", "A telecommand was completed", Stage.COMPLETION, REQUEST_LAYOUT, None),
+        ("NOT_COMPLETED", "A telecommand failed", Stage.COMPLETION + 1, REQUEST_LAYOUT + FAILURE_LAYOUT, text),
+    )
+    for name, meaning, subtype, body, rest in told:
+        yield Packet(
+            f"VERIFICATION_{name}",
+            meaning,
+            PacketType.TELEMETRY,
+            addresses.apid,
+            VERIFICATION_SERVICE,
+            int(subtype),
+            body,
+            rest,
+        )
+
+
+def _commands(addresses: Addresses) -> Iterator[Packet]:
+    for (service, subtype), kind in TELECOMMANDS.items():
+        meaning = (inspect.getdoc(kind) or "").rstrip(".")
+        yield Packet(kind.__name__, meaning, PacketType.TELECOMMAND, addresses.apid, service, subtype, kind.LAYOUT)

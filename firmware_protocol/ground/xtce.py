@@ -1,0 +1,196 @@
+"""The packets as XTCE 1.2 (CCSDS 660.0-B-2, OMG 20180204), which Yamcs and many archives read.
+
+    CCSDSPacket (abstract)       the primary header
+      Telemetry (abstract)       the secondary header of telemetry
+        HOUSEKEEPING, ...        chosen by APID, service and subtype
+    MetaCommands                 one for each telecommand; count, length and checksum are filled in by the ground system
+
+Parameters of a packet bear its name in front. A part of varying length takes its size from the packet's length.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from xml.etree import ElementTree as Xml
+
+from firmware_protocol.ground.description import Packet, Placed, Rest
+from firmware_protocol.packets.ccsds import PRIMARY_HEADER
+from firmware_protocol.packets.pus import ERROR_CONTROL, TM_HEADER
+from firmware_protocol.wire_layout import Field, Layout
+
+__all__ = ["NAMESPACE", "xtce_text"]
+
+NAMESPACE = "http://www.omg.org/spec/XTCE/20180204"
+_SCHEMA = "https://www.omg.org/spec/XTCE/20180204/SpaceSystem.xsd"
+_XSI = "http://www.w3.org/2001/XMLSchema-instance"
+_USUAL_NAMES = {
+    "version": "VERSION",
+    "type": "TYPE",
+    "secondary_header": "SEC_HDR_FLG",
+    "apid": "PKT_APID",
+    "sequence_flags": "SEQ_FLGS",
+    "sequence_count": "SRC_SEQ_CTR",
+    "length": "PKT_LEN",
+}
+"""Names that readers of XTCE expect in the primary header."""
+
+
+@dataclass(frozen=True)
+class _Sets:
+    """Where the definitions of parameters or arguments go; `word` is how XTCE calls them."""
+
+    word: str
+    types: Xml.Element
+    names: Xml.Element
+
+    def number(self, name: str, one: Field) -> None:
+        """Define a number."""
+        self._define(name, one.meaning, _number_type(self.types, f"{name}_type", one, self.word))
+
+    def rest(self, name: str, rest: Rest, before: int) -> None:
+        """Define the part of varying length that begins at octet `before`."""
+        self._define(name, rest.meaning, _rest_type(self.types, f"{name}_type", rest, before))
+
+    def _define(self, name: str, meaning: str, type_name: str) -> None:
+        ref = {f"{self.word.lower()}TypeRef": type_name}
+        Xml.SubElement(self.names, self.word, name=name, shortDescription=meaning, attrib=ref)
+
+
+def xtce_text(packets: Sequence[Packet], name: str = "evstim") -> str:
+    """Return the XML document."""
+    attributes = {"xmlns": NAMESPACE, "xmlns:xsi": _XSI, "xsi:schemaLocation": f"{NAMESPACE} {_SCHEMA}"}
+    root = Xml.Element("SpaceSystem", name=name, attrib=attributes)
+    _telemetry(Xml.SubElement(root, "TelemetryMetaData"), [one for one in packets if not one.is_command])
+    _commands(Xml.SubElement(root, "CommandMetaData"), [one for one in packets if one.is_command])
+    Xml.indent(root)
+    return '<?xml version="1.0" encoding="UTF-8"?>\n' + Xml.tostring(root, encoding="unicode") + "\n"
+
+
+def _telemetry(parent: Xml.Element, packets: Iterable[Packet]) -> None:
+    types, names = Xml.SubElement(parent, "ParameterTypeSet"), Xml.SubElement(parent, "ParameterSet")
+    sets, containers = _Sets("Parameter", types, names), Xml.SubElement(parent, "ContainerSet")
+    _container(containers, sets, "CCSDSPacket", PRIMARY_HEADER)
+    entries = _container(containers, sets, "Telemetry", TM_HEADER)
+    _extend(entries, "CCSDSPacket", {"TYPE": "TELEMETRY", "SEC_HDR_FLG": "1"})
+    for one in ERROR_CONTROL.fields:
+        sets.number(one.name, one)
+    for packet in packets:
+        _packet(containers, sets, packet)
+
+
+def _container(parent: Xml.Element, sets: _Sets, name: str, layout: Layout) -> Xml.Element:
+    """Define an abstract container of header fields; return it."""
+    container = Xml.SubElement(parent, "SequenceContainer", name=name, abstract="true")
+    entries = Xml.SubElement(container, "EntryList")
+    for one in layout.fields:
+        called = _USUAL_NAMES.get(one.name, one.name)
+        sets.number(called, one)
+        Xml.SubElement(entries, "ParameterRefEntry", parameterRef=called)
+    return container
+
+
+def _packet(parent: Xml.Element, sets: _Sets, packet: Packet) -> None:
+    container = Xml.SubElement(parent, "SequenceContainer", name=packet.name, shortDescription=packet.meaning)
+    names = [f"{packet.name}_{one.name}" for one in packet.body.fields]
+    for name, one in zip(names, packet.body.fields, strict=True):
+        sets.number(name, one)
+    if packet.rest is not None:
+        names.append(f"{packet.name}_{packet.rest.name}")
+        sets.rest(names[-1], packet.rest, packet.before_rest)
+    entries = Xml.SubElement(container, "EntryList")
+    for name in (*names, *(one.name for one in ERROR_CONTROL.fields)):
+        Xml.SubElement(entries, "ParameterRefEntry", parameterRef=name)
+    told = {"PKT_APID": packet.apid, "service": packet.service, "subtype": packet.subtype}
+    _extend(container, "Telemetry", {name: str(value) for name, value in told.items()})
+
+
+def _extend(container: Xml.Element, base: str, told: dict[str, str]) -> None:
+    criteria = Xml.SubElement(Xml.SubElement(container, "BaseContainer", containerRef=base), "RestrictionCriteria")
+    comparisons = Xml.SubElement(criteria, "ComparisonList")
+    for name, value in told.items():
+        Xml.SubElement(comparisons, "Comparison", parameterRef=name, value=value)
+
+
+def _number_type(parent: Xml.Element, name: str, one: Field, word: str) -> str:
+    """Define the type of a number; return its name."""
+    kind = "Enumerated" if one.choices else "Integer" if one.scale == 1 else "Float"
+    type_ = Xml.SubElement(parent, f"{kind}{word}Type", name=name)
+    if kind == "Integer":
+        type_.set("signed", str(one.signed).lower())
+    units = Xml.SubElement(type_, "UnitSet")
+    if one.unit:
+        Xml.SubElement(units, "Unit").text = one.unit
+    encoding = Xml.SubElement(type_, "IntegerDataEncoding", sizeInBits=str(one.bits))
+    encoding.set("encoding", "twosComplement" if one.signed else "unsigned")
+    if kind == "Float":
+        type_.set("sizeInBits", "64")
+        calibrator = Xml.SubElement(Xml.SubElement(encoding, "DefaultCalibrator"), "PolynomialCalibrator")
+        Xml.SubElement(calibrator, "Term", coefficient="0", exponent="0")
+        Xml.SubElement(calibrator, "Term", coefficient=repr(one.scale), exponent="1")
+    for value, label in one.choices.items():
+        choices = type_.find("EnumerationList")
+        choices = Xml.SubElement(type_, "EnumerationList") if choices is None else choices
+        Xml.SubElement(choices, "Enumeration", value=str(value), label=label)
+    if kind == "Integer" and word == "Argument":
+        low, high = one.range
+        valid = Xml.SubElement(type_, "ValidRangeSet")
+        Xml.SubElement(valid, "ValidRange", minInclusive=str(low), maxInclusive=str(high))
+    return name
+
+
+def _rest_type(parent: Xml.Element, name: str, rest: Rest, before: int) -> str:
+    """Define the type of what lies between octet `before` and the error control; return its name."""
+    if rest.kind == "text":
+        type_ = Xml.SubElement(parent, "StringParameterType", name=name)
+        Xml.SubElement(type_, "UnitSet")
+        encoding = Xml.SubElement(type_, "StringDataEncoding", encoding="US-ASCII")
+        size = Xml.SubElement(encoding, "Variable", maxSizeInBits=str(8 * rest.longest))
+    else:
+        type_ = Xml.SubElement(parent, "BinaryParameterType", name=name)
+        Xml.SubElement(type_, "UnitSet")
+        size = Xml.SubElement(Xml.SubElement(type_, "BinaryDataEncoding"), "SizeInBits")
+    dynamic = Xml.SubElement(size, "DynamicValue")
+    Xml.SubElement(dynamic, "ParameterInstanceRef", parameterRef="PKT_LEN")
+    others = before - PRIMARY_HEADER.octets + ERROR_CONTROL.octets
+    Xml.SubElement(dynamic, "LinearAdjustment", slope="8", intercept=str(8 * (1 - others)))
+    return name
+
+
+def _commands(parent: Xml.Element, packets: Iterable[Packet]) -> None:
+    types = Xml.SubElement(parent, "ArgumentTypeSet")
+    commands = Xml.SubElement(parent, "MetaCommandSet")
+    for packet in packets:
+        command = Xml.SubElement(commands, "MetaCommand", name=packet.name, shortDescription=packet.meaning)
+        free = [one for one in packet.arguments if one.identifies is None]
+        if free:
+            sets = _Sets("Argument", types, Xml.SubElement(command, "ArgumentList"))
+            for placed in free:
+                sets.number(placed.field.name, placed.field)
+                _apart(sets, packet.name)
+        container = Xml.SubElement(command, "CommandContainer", name=f"{packet.name}_packet")
+        entries = Xml.SubElement(container, "EntryList")
+        for placed in packet.fields:
+            _command_entry(entries, placed, free)
+        for one in ERROR_CONTROL.fields:
+            _fixed(entries, one, 0)
+
+
+def _apart(sets: _Sets, packet: str) -> None:
+    """Give the type of the argument that was defined last the name of its packet: all types lie in one set."""
+    name = f"{packet}_{sets.types[-1].get('name')}"
+    sets.types[-1].set("name", name)
+    sets.names[-1].set("argumentTypeRef", name)
+
+
+def _command_entry(entries: Xml.Element, placed: Placed, free: Sequence[Placed]) -> None:
+    if placed in free:
+        Xml.SubElement(entries, "ArgumentRefEntry", argumentRef=placed.field.name)
+    else:
+        _fixed(entries, placed.field, placed.preset)
+
+
+def _fixed(entries: Xml.Element, one: Field, value: int) -> None:
+    digits = (one.bits + 7) // 8 * 2
+    attributes = {"binaryValue": f"{value:0{digits}x}", "sizeInBits": str(one.bits)}
+    Xml.SubElement(entries, "FixedValueEntry", name=one.name, attrib=attributes)

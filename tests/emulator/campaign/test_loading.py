@@ -1,0 +1,90 @@
+"""Mistakes in a campaign file are told with line, key and what would be right."""
+
+import pytest
+
+from emulator.campaign.campaign import Campaign
+from emulator.campaign.loading import CampaignError, load_source
+from emulator.rig.loading import RigError
+
+PROGRAM = '[program]\nargv = ["true"]\n'
+
+
+@pytest.mark.parametrize(
+    ("top", "more", "message"),
+    [
+        ("sucess = []", "", "line 4: sucess: 'sucess' is not known here; did you mean 'success'"),
+        ('sampling = "sobel"', "", "line 4: sampling: Invalid enum value"),
+        ("repeats = 0", "", "line 4: repeats: repeats must be 1"),
+        ("timeout_s = 0", "", "timeout_s must be above 0"),
+        ('record = "npz"', "", "record must be a suffix"),
+        ('record = ".npz"', "", "record: this rig has no link"),
+        ('success = ["verdit"]', "", 'line 4: success: expected "verdict"'),
+        ('success = ["events.readout > 3"]', "", "'events.readout' is not known here; did you mean 'events.read_out'"),
+        ('success = ["program"]', "", "'program' needs a .program."),
+        ("", '[report]\ncolumns = ["events.raise"]', "did you mean 'events.raised'"),
+        ("", '[report]\nworst_is = "low"', "worst_is: Invalid enum value"),
+        ("", '[[parameters]]\nkey = "scene.bright"\nkind = "unifrom"', "did you mean 'uniform'"),
+        ("", '[[parameters]]\nkey = "scene.bright"\nkind = "uniform"\nlow = 1', "line 24: parameters.2..low"),
+        ("", '[[parameters]]\nkind = "uniform"\nlow = 1\nhigh = 2', "'key' is missing"),
+        ("", '[[parameters]]\nkey = "scene.speed_px_s"\nkind = "list"\nvalues = [1]', "given by an earlier parameter"),
+        ("", '[[parameters]]\nkey = "scene..x"\nkind = "list"\nvalues = [1]', "key must be like"),
+        ("", '[[parameters]]\nkey = "faults[0].rate"\nkind = "list"\nvalues = [1]', "not in the rig, which has 0"),
+        ("", '[[parameters]]\nkey = "scene.brigth"\nkind = "list"\nvalues = [1]', "did you mean 'bright'"),
+        ("", '[[parameters]]\nkey = "program.gain"\nkind = "list"\nvalues = [1]', "there is no .program."),
+        ("", '[[parameters]]\nkey = "run.step_us"\nkind = "uniform"\nlow = 1\nhigh = 9', "Expected `int`, got `float`"),
+        ("", "[program]\nargv = []", "argv must name a program"),
+        ("", '[program]\nargv = ["a"]\nstart = "after"\nends_run = true', "cannot end it"),
+        ("", '[program]\nargv = ["no-such-program"]', "no-such-program"),
+        ("", '[program]\nargv = ["true", "{adress}"]', "placeholder 'adress' is not known here"),
+        ("", '[program]\nargv = ["true", "{record}"]', "needs record ="),
+    ],
+)
+def test_a_mistake_is_told(campaign_file, top, more, message):
+    with pytest.raises(CampaignError, match=message):
+        Campaign(load_source(campaign_file(top=top, more=more)))
+
+
+def test_a_value_out_of_a_rigs_bounds_is_found_before_the_first_run(campaign_file):
+    more = '[[parameters]]\nkey = "run.step_us"\nkind = "list"\nvalues = [1000, 0]\n'
+    made = Campaign(load_source(campaign_file(count=16, more=more)))
+    with pytest.raises(CampaignError, match=r"line 21: .*run\.step_us = 0 in run \d+: step_us must be 1 to"):
+        made.check_all(range(16))
+
+
+def test_a_mistake_in_set_is_told_there(campaign_file):
+    file = campaign_file()
+    file.write_text(file.read_text().replace("width = 16", "widht = 16"))
+    with pytest.raises(CampaignError, match=r"line 9: .*'widht' is not known here; did you mean 'width'"):
+        Campaign(load_source(file))
+
+
+def test_a_run_that_would_never_end_is_refused(campaign_file):
+    file = campaign_file()
+    file.write_text(file.read_text().replace("seconds = 0.02, ", ""))
+    with pytest.raises(CampaignError, match="would never end"):
+        Campaign(load_source(file))
+    file.write_text(file.read_text() + PROGRAM + "ends_run = true\n")
+    Campaign(load_source(file))
+
+
+def test_files_that_cannot_be_read(tmp_path, campaign_file):
+    with pytest.raises(CampaignError, match="No such file"):
+        load_source(tmp_path / "gone.toml")
+    bad = tmp_path / "bad.toml"
+    bad.write_text("rig = [")
+    with pytest.raises(CampaignError, match="not valid TOML"):
+        load_source(bad)
+    bad.write_text("count = 3")
+    with pytest.raises(CampaignError, match="'rig' is missing"):
+        load_source(bad)
+    bad.write_text('rig = "chekerboard"')
+    with pytest.raises(RigError, match="did you mean 'checkerboard'"):
+        load_source(bad)
+
+
+def test_a_rig_beside_the_campaign_is_found(tmp_path, campaign_file, monkeypatch):
+    (tmp_path / "own.toml").write_text('[scene]\nkind = "checkerboard"\nsquare_px = 5.0\n')
+    file = campaign_file()
+    file.write_text(file.read_text().replace('"checkerboard"', '"own.toml"'))
+    monkeypatch.chdir("/")
+    assert Campaign(load_source(file)).rig(0).scene.square_px == 5.0

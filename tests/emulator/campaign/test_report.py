@@ -1,0 +1,146 @@
+"""The report: intervals and indices against closed forms, the worst runs, one page without a network."""
+
+import math
+import re
+
+import numpy as np
+import pytest
+
+from emulator.campaign.laws import OneOf, Uniform
+from emulator.campaign.proportion import proportion
+from emulator.campaign.report import sensitivity as module
+from emulator.campaign.report.page import worst_runs, write_report
+from emulator.campaign.report.sensitivity import sensitivity
+from emulator.campaign.sampling import unit_points
+from emulator.report.figures import ChartsLacking
+
+
+def wilson(successes, runs, z=1.959963984540054):
+    """The formula of Wilson (1927)."""
+    p, n = successes / runs, runs
+    middle, half = p + z * z / (2 * n), z * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n))
+    return (middle - half) / (1 + z * z / n), (middle + half) / (1 + z * z / n)
+
+
+@pytest.mark.parametrize(("successes", "runs"), [(0, 59), (297, 300), (5, 10), (10, 10)])
+def test_intervals_are_those_of_wilson(successes, runs):
+    known = proportion(successes, runs)
+    assert (known.low, known.high) == pytest.approx(wilson(successes, runs), abs=1e-12)
+
+
+def test_no_run_tells_nothing():
+    assert (proportion(0, 0).low, proportion(0, 0).high, proportion(0, 0).share) == (0, 1, 0)
+
+
+LAWS = [Uniform(name, low=-math.pi, high=math.pi) for name in ("a", "b", "c")]
+
+
+def ishigami(points):
+    """Rows of the function of Ishigami and Homma (1990), whose Sobol indices are known."""
+    x = np.array([[law.at(u) for law, u in zip(LAWS, point, strict=True)] for point in points])
+    y = np.sin(x[:, 0]) + 7 * np.sin(x[:, 1]) ** 2 + 0.1 * x[:, 2] ** 4 * np.sin(x[:, 0])
+    return [{"a": a, "b": b, "c": c, "y": v} for (a, b, c), v in zip(x.tolist(), y.tolist(), strict=True)]
+
+
+def test_sobol_indices_of_a_known_function():
+    found = sensitivity(ishigami(unit_points("saltelli", 2048, 3, seed=1)), LAWS, "y", 2048)
+    assert "Sobol indices (Saltelli's design, 2048 base points)" in found.method
+    first, total = [[row[k] for row in found.rows] for k in ("alone (S1)", "with all others (ST)")]
+    assert first == pytest.approx([0.3139, 0.4424, 0.0], abs=0.04)
+    assert total == pytest.approx([0.5576, 0.4424, 0.2437], abs=0.04)
+
+
+def test_a_design_with_a_hole_gives_no_sobol_indices():
+    rows = ishigami(unit_points("saltelli", 16, 3, seed=1))
+    found = sensitivity([*rows[:-1], {**rows[-1], "y": None}], LAWS, "y", 16)
+    assert "no Sobol indices" in found.method
+    assert "PAWN" in found.rows[0]
+
+
+def test_a_sample_gives_pawn_and_ranks():
+    points = np.random.default_rng(1).random((400, 2))
+    rows = [{"a": a, "b": b, "y": math.exp(3 * a)} for a, b in points.tolist()]
+    found = sensitivity(rows, LAWS[:2], "y", 0)
+    a, b = found.rows
+    assert found.method == "PAWN index and rank correlation of 400 runs as sampled"
+    assert a["rank correlation"] == pytest.approx(1.0)
+    assert abs(b["rank correlation"]) < 0.15
+    # Ten slices of what alone matters: the distance of slice k is max(k, 9 - k) / 10, and their median 0.7.
+    assert a["PAWN"] == pytest.approx(0.7, abs=0.005)
+    assert b["PAWN"] < 2 * b["PAWN by chance"] < 0.5
+
+
+@pytest.mark.parametrize("count", [20, 37, 64, 99, 130])
+def test_any_number_of_runs_gives_pawn(count):
+    rows = [{"a": float(k % 7), "y": float(k)} for k in range(count)]
+    assert 0 <= sensitivity(rows, LAWS[:1], "y", 0).rows[0]["PAWN"] <= 1
+
+
+def test_without_salib_ranks_are_left(monkeypatch):
+    monkeypatch.setattr(module, "_salib", lambda: False)
+    rows = [{"a": float(k), "kind": "xy"[k % 2], "y": -float(k)} for k in range(40)]
+    found = sensitivity(rows, [LAWS[0], OneOf("kind", values=("x", "y"))], "y", 0)
+    assert "SALib" in found.method
+    assert found.rows[0]["rank correlation"] == pytest.approx(-1.0)
+    assert list(found.rows[1]) == ["parameter", "rank correlation", "p"]
+
+
+@pytest.mark.parametrize(
+    ("rows", "why"),
+    [
+        ([{"a": 1.0, "y": float(k)} for k in range(19)], "fewer than 20 runs"),
+        ([{"a": float(k), "y": 1.0} for k in range(30)], "the same value"),
+    ],
+)
+def test_where_nothing_can_be_told_it_says_so(rows, why):
+    assert why in sensitivity(rows, LAWS[:1], "y", 0).method
+
+
+@pytest.fixture
+def rows():
+    draw = np.random.default_rng(2)
+    made = []
+    for k in range(48):
+        speed = float(draw.uniform(30, 600))
+        made.append(
+            {"index": k, "outcome": "ok", "error": "", "success": speed > 90, "margin": speed / 90 - 1}
+            | {"camera.sensor.threshold_on": float(draw.uniform(0.1, 0.5)), "scene.speed_px_s": speed}
+            | {"verdict": True, "events.read_out": int(speed), "events.rate_hz": speed, "machine.wall_s": 0.1}
+        )
+    made[7] |= {"outcome": "crashed", "error": "<b>SIGKILL</b>", "success": False, "margin": None}
+    return made
+
+
+def test_the_worst_runs_come_first(campaign, rows):
+    worst = worst_runs(campaign(count=48), rows)
+    assert worst[0]["index"] == 7
+    assert len(worst) == 10
+    assert [row["margin"] for row in worst[1:]] == sorted(row["margin"] for row in rows if row["index"] != 7)[:9]
+    made = campaign(count=48, more='[report]\nworst = "events.rate_hz"\nworst_is = "highest"', top="success = []")
+    good = [row for row in worst_runs(made, [row for row in rows if row["success"]])]
+    assert good[0]["events.rate_hz"] == max(row["events.rate_hz"] for row in rows if row["success"])
+
+
+def test_the_page_needs_nothing_else(campaign, rows, tmp_path):
+    made = campaign(count=48, top='title = "a <title>"\nsuccess = ["verdict", "events.read_out > 90"]')
+    page = write_report(made, rows, tmp_path / "new").read_text()
+    known = proportion(sum(row["success"] for row in rows), 48)
+    assert f"Success: {known}" in page
+    assert "a &lt;title&gt;" in page
+    assert "&lt;b&gt;SIGKILL" in page
+    assert page.count("<svg") == 2
+    assert page.count("data:image/png;base64") == 2
+    assert "PAWN index" in page
+    assert "again small.toml INDEX --record" in page
+    assert not re.search(r'(src|href)="(?!data:|#)', page)
+    assert "NaN" not in page
+
+
+def test_a_page_without_matplotlib_has_its_tables(campaign, rows, tmp_path, monkeypatch):
+    def lacking():
+        raise ChartsLacking("charts need matplotlib")
+
+    monkeypatch.setattr("emulator.campaign.report.charts.pyplot", lacking)
+    page = write_report(campaign(count=48), rows, tmp_path).read_text()
+    assert "No charts: charts need matplotlib" in page
+    assert "Worst runs" in page

@@ -1,0 +1,121 @@
+"""`evstim campaign` as a user has it: resume, signals, job arrays, one run again."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from emulator.campaign.table import done_rows
+
+pytestmark = pytest.mark.system
+
+COMMAND = [sys.executable, "-c", "from emulator.cli import main; main()", "campaign"]
+CAMPAIGN = """
+title = "speeds"
+rig = "loopback"
+count = {count}
+success = ["verdict", "events.read_out > 10"]
+min_success = {least}
+[set]
+links = {links}
+run = {{seconds = 0.02, pace = "free"}}
+camera.sensor = {{width = 16, height = 16}}
+[[parameters]]
+key = "scene.speed_px_s"
+kind = "uniform"
+low = 50
+high = 100
+"""
+
+
+@pytest.fixture
+def file(tmp_path):
+    def write(count=4, least=0.5, links="[]"):
+        path = tmp_path / "speeds.toml"
+        path.write_text(CAMPAIGN.format(count=count, least=least, links=links))
+        return path
+
+    return write
+
+
+def evstim(*arguments, code=0):
+    done = subprocess.run([*COMMAND, *map(str, arguments)], capture_output=True, text=True, timeout=500, check=False)
+    assert done.returncode == code, done.stderr
+    assert "Traceback" not in done.stderr
+    return done
+
+
+def summary(done):
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def test_a_campaign_its_parts_and_its_completion(file):
+    path = file(count=5)
+    folder = path.with_suffix("")
+    assert summary(evstim(path, "--part", "2/2", "--workers", "1", "--json"))["came"] == 2
+    assert done_rows(folder / "rows") == {1, 3}
+    assert summary(evstim(path, "--only", "4", "--json"))["came"] == 1
+    assert not (folder / "report.html").exists()
+    told = summary(evstim(path, "--json", "--workers", "1"))
+    assert (told["came"], told["done"], told["outcomes"]) == (2, 5, {"ok": 5})
+    assert told["success"]["successes"] == 5
+    assert (folder / "report.html").exists()
+    assert (folder / "rows.parquet").exists()
+    assert summary(evstim(path, "--json"))["came"] == 0
+    path.write_text(path.read_text().replace("100", "101"))
+    done = evstim(path, "--json", code=2)
+    assert "campaign.parameters[0].high was 100, is 101" in summary(done)["error"]
+
+
+def test_too_few_successes_end_with_1(file, tmp_path):
+    path = file(count=1, least=1.0)
+    path.write_text(path.read_text().replace("read_out > 10", "read_out > 1000000"))
+    assert "success: 0 of 1" in evstim(path, "--folder", tmp_path / "here", code=1).stdout
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_it_with_a_summary_and_it_goes_on(file, number):
+    path = file(count=3000)
+    rows = path.with_suffix("") / "rows"
+    command = [*COMMAND, str(path), "--workers", "1"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as run:
+        until_s = time.monotonic() + 300
+        while len(done_rows(rows)) < 3:
+            assert run.poll() is None, run.stderr.read()
+            assert time.monotonic() < until_s
+            time.sleep(0.05)
+        run.send_signal(number)
+        out, err = run.communicate(timeout=120)
+    assert run.returncode == 1, err
+    assert "Traceback" not in err
+    assert f"{len(done_rows(rows))} of 3000 runs are done" in out
+    assert "interrupted: the same command goes on" in out
+
+
+def test_a_run_again_is_equal_bit_for_bit(file, tmp_path):
+    path = file(count=2, links='[{kind = "loopback"}]')
+    evstim(path, "--workers", "1")
+    record = tmp_path / "again.npz"
+    told = summary(evstim("again", path, "1", "--record", record, "--json"))
+    assert told["different"] == []
+    assert told["row"]["link.loopback.delivered"] == told["row"]["events.read_out"] > 0
+    assert record.stat().st_size > 1000
+    assert "there is no run 2" in evstim("again", path, "2", code=2).stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--only", "4"], "there is no run 4"),
+        (["--part", "0/3"], "--part: expected I/N"),
+        (["--part", "1/3", "--only", "1"], "give one of them"),
+        (["--workers", "0"], "--workers must be 1 to 1024"),
+        (["--workers", "1", "--scheduler", "tcp://127.0.0.1:9"], "give one of them"),
+        (["--folder", "/dev/null/x"], "--folder: "),
+    ],
+)
+def test_wrong_use(file, arguments, message):
+    assert message in " ".join(evstim(file(), *arguments, code=2).stderr.split())

@@ -1,0 +1,190 @@
+"""`evstim record`, `convert`, `info` and `recover`, and `run --record` in the formats of others."""
+
+import json
+import subprocess
+import sys
+
+import dv_processing
+import numpy as np
+import pytest
+
+from emulator.cli.app import _main
+from firmware_protocol.events import EVENT
+from tests.transports.recording.samples import SIZE, sample_edges, sample_events, write
+from tests.transports.recording.test_files import read_all, read_until_damage
+from transports.recording.record import load_record
+
+EVENTS = sample_events()
+EDGES = sample_edges(EVENTS)
+BOARD = '[scene]\nkind = "checkerboard"\n[run]\nmax_late_ms = 0\n'
+
+
+def told(capsys, *arguments):
+    code = _main([*map(str, arguments), "--json"])
+    return code, json.loads(capsys.readouterr().out.splitlines()[-1])
+
+
+@pytest.mark.parametrize("name", ["a.raw", "a.aedat2", "a.aedat31", "a.h5", "a.bag", "a.ros2", "a.npz"])
+def test_a_conversion_there_and_back_keeps_every_event(name, tmp_path, capsys):
+    write(tmp_path / "in.aedat4", "aedat4", EVENTS, EDGES)
+    code, first = told(capsys, "convert", tmp_path / "in.aedat4", tmp_path / name)
+    assert (code, first["events"], first["trouble"]) == (0, len(EVENTS), "")
+    assert first["left_out"] == ({"edges": len(EDGES)} if name == "a.h5" else {})
+    code, _ = told(capsys, "convert", tmp_path / name, tmp_path / "back.aedat4", "--size", "346x260")
+    assert code == 0
+    np.testing.assert_array_equal(read_all(tmp_path / "back.aedat4")[1], EVENTS)
+
+
+@pytest.mark.parametrize("name", ["out.aedat4", "out.raw"])
+def test_frames_of_a_camera_are_left_out_and_told(name, tmp_path, capsys):
+    parts = dv_processing.io.MonoCameraWriter.Config("DAVIS346_00000346")
+    parts.addEventStream(SIZE)
+    parts.addFrameStream(SIZE)
+    writer, store = dv_processing.io.MonoCameraWriter(str(tmp_path / "in.aedat4"), parts), dv_processing.EventStore()
+    for k in range(10):
+        store.push_back(1000 * k, k, k, True)
+    writer.writeEvents(store)
+    writer.writeFrame(dv_processing.Frame(5000, np.zeros(SIZE[::-1], np.uint8)))
+    del writer
+    code, done = told(capsys, "convert", tmp_path / "in.aedat4", tmp_path / name)
+    assert (code, done["events"], done["trouble"], done["left_out"]) == (0, 10, "", {"frames": 1})
+
+
+def test_info_tells_what_a_file_holds(tmp_path, capsys):
+    write(tmp_path / "a.aedat4", "aedat4", EVENTS, EDGES)
+    code, info = told(capsys, "info", tmp_path / "a.aedat4")
+    assert (code, info["format"], info["size"], info["camera"]) == (0, "aedat4", [346, 260], "DAVIS346_00000346")
+    assert (info["events"], info["on"], info["edges"]) == (len(EVENTS), int(EVENTS["on"].sum()), len(EDGES))
+    assert (info["first_us"], info["last_us"]) == (int(EVENTS["t"][0]), int(EVENTS["t"][-1]))
+    busiest = np.bincount((EVENTS["t"] // 100_000).astype(int)).max() * 10
+    assert info["busiest_hz"] == busiest
+    assert (info["extent"], info["steps_back"]) == ([346, 260], 0)
+    assert _main(["info", str(tmp_path / "a.aedat4")]) == 0
+    printed = capsys.readouterr().out
+    assert "dv-processing" in printed
+    assert "2023-11-14 22:13:20 UTC" in printed
+
+
+def test_a_cut_file_is_recovered_to_its_last_whole_packet(tmp_path, capsys):
+    write(tmp_path / "a.aedat4", "aedat4", EVENTS)
+    whole = (tmp_path / "a.aedat4").read_bytes()
+    (tmp_path / "cut.aedat4").write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(RuntimeError, match="FileDataTable set but not present"):
+        dv_processing.io.MonoCameraRecording(str(tmp_path / "cut.aedat4"))
+    code, info = told(capsys, "info", tmp_path / "cut.aedat4")
+    assert code == 1
+    assert "evstim recover" in info["trouble"]
+    code, saved = told(capsys, "recover", tmp_path / "cut.aedat4", tmp_path / "saved.aedat4")
+    assert code == 0
+    assert saved["left_bytes"] < 200_000
+    events, trouble = read_until_damage(tmp_path / "saved.aedat4")
+    assert trouble == ""
+    assert len(EVENTS) * 0.35 < len(events) < len(EVENTS) * 0.55
+    np.testing.assert_array_equal(events, EVENTS[: len(events)])
+    reader, count = dv_processing.io.MonoCameraRecording(str(tmp_path / "saved.aedat4")), 0
+    while (batch := reader.getNextEventBatch()) is not None:
+        count += batch.size()
+    assert count == len(events) == info["events"]
+
+
+def test_the_raw_part_of_a_killed_record_is_recovered(tmp_path, capsys):
+    (tmp_path / "a.npz.part").write_bytes(EVENTS.tobytes()[:-5])
+    code, done = told(capsys, "recover", tmp_path / "a.npz.part", tmp_path / "a.raw", "--size", "346x260")
+    assert (code, done["events"]) == (0, len(EVENTS) - 1)
+    np.testing.assert_array_equal(read_all(tmp_path / "a.raw")[1], EVENTS[:-1])
+
+
+def test_a_torn_file_is_converted_up_to_there_with_a_verdict(tmp_path, capsys):
+    text = b"t,x@346,y@260,on\n1,2,3,1\n2,3,4,0\n" + b"5,6,7,1\n" * 100_000 + b"nonsense\n"
+    (tmp_path / "a.csv").write_bytes(text)
+    code, done = told(capsys, "convert", tmp_path / "a.csv", tmp_path / "b.aedat4")
+    assert code == 1
+    assert "nonsense" in done["trouble"]
+    assert read_all(tmp_path / "b.aedat4")[1]["t"].tolist()[:3] == [1, 2, 5]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (["convert", "in.aedat4", "out.mp4"], 2, "none of the suffixes"),
+        (["convert", "in.aedat4", "in.aedat4"], 2, "is the input itself"),
+        (["convert", "in.aedat4", "gone/out.raw"], 2, "does not exist"),
+        (["convert", "in.aedat4", "folder.raw"], 2, "is a folder"),
+        (["convert", "nothing.raw", "out.raw"], 2, "No such file"),
+        (["convert", "in.aedat4", "out.raw", "--to", "evt9"], 2, "no format 'evt9'"),
+        (["convert", "in.aedat4", "folder.raw", "--to", "ros2"], 2, "exists"),
+        (["info", "in.aedat4", "--size", "big"], 2, "WIDTHxHEIGHT"),
+        (["info", "folder.raw"], 2, "no ROS 2 bag"),
+        (["recover", "text.aedat4", "out.aedat4"], 2, "no AEDAT 4.0 file"),
+        (["recover", "in.aedat4", "out.raw"], 2, "must end in .aedat4"),
+        (["record", "checkerboard", "out.foo"], 2, "none of the suffixes"),
+        (["run", "checkerboard", "--record", "out.foo"], 2, "none of the suffixes"),
+    ],
+)
+def test_wrong_use_is_told(arguments, code, words, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write(tmp_path / "in.aedat4", "aedat4", EVENTS[:100])
+    (tmp_path / "folder.raw").mkdir()
+    (tmp_path / "text.aedat4").write_text("hello")
+    got, answer = told(capsys, *arguments)
+    assert (got, words in answer["error"]) == (code, True), answer
+
+
+def test_a_full_disk_ends_a_conversion_in_words(tmp_path, capsys):
+    write(tmp_path / "in.aedat4", "aedat4", EVENTS)
+    (tmp_path / "full.raw").symlink_to("/dev/full")
+    code, answer = told(capsys, "convert", tmp_path / "in.aedat4", tmp_path / "full.raw")
+    assert code == 3
+    assert "No space left on device" in answer["error"]
+
+
+@pytest.fixture
+def board(tmp_path):
+    (tmp_path / "board.toml").write_text(BOARD + '[[links]]\nkind = "loopback"\n')
+    return tmp_path / "board.toml"
+
+
+def test_a_rig_is_recorded_without_its_links(board, tmp_path, capsys):
+    code, run = told(capsys, "record", board, tmp_path / "a.aedat4", "--seconds", "0.05")
+    assert code == 0
+    (link,) = run["links"].values()
+    events = read_all(tmp_path / "a.aedat4")[1]
+    assert (run["balanced"], link["file_troubles"]) == (True, [])
+    assert len(events) == run["events"]["read_out"] > 1000
+
+
+def test_what_a_link_delivers_is_recorded_in_the_formats_of_others(board, tmp_path, capsys):
+    for name in ("a.npz", "a.raw"):
+        code, run = told(capsys, "run", board, "--seconds", "0.05", "--pace", "free", "--record", tmp_path / name)
+        assert code == 0
+        assert all(not link["file_troubles"] for link in run["links"].values())
+    events, resets = load_record(tmp_path / "a.npz")
+    np.testing.assert_array_equal(read_all(tmp_path / "a.raw")[1], events[resets[-1] :])
+    assert len(events) > 1000
+
+
+CONVERT = """
+import resource, sys
+from pathlib import Path
+from emulator.cli.app import _main
+code = _main(sys.argv[1:])
+own = next(line.split()[1] for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmHWM"))
+print(code, own, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)
+"""
+
+
+@pytest.mark.system
+def test_memory_does_not_grow_with_the_file(tmp_path):
+    """A file ten times as long takes as much memory, in the process that writes and in the one that reads."""
+    peaks = {}
+    for count in (1_000_000, 10_000_000):
+        events = np.zeros(count, EVENT)
+        events["t"] = np.arange(count)
+        np.savez(tmp_path / "in.npz", events=events)
+        arguments = ["convert", tmp_path / "in.npz", tmp_path / "out.raw", "--size", "{}x{}".format(*SIZE)]
+        command = [sys.executable, "-c", CONVERT, *map(str, arguments)]
+        done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=300)
+        code, *peaks[count] = (int(word) for word in done.stdout.splitlines()[-1].split())
+        assert code == 0
+    for small, large in zip(peaks[1_000_000], peaks[10_000_000], strict=True):
+        assert large - small < 40_000  # KiB; the file is 130 MB

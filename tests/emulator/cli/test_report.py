@@ -1,0 +1,85 @@
+"""`evstim run --report`: a page that stands alone, JSON and JUnit that agree with the run, and an exit code."""
+
+import json
+import re
+import subprocess
+import sys
+from xml.etree import ElementTree
+
+import pytest
+
+pytestmark = pytest.mark.system
+
+EVSTIM = [sys.executable, "-m", "evstim"]
+
+RIG = """
+[scene]
+kind = "checkerboard"
+square_px = 20.0
+speed_px_s = 60.0
+[camera]
+model = "davis346"
+[run]
+pace = "free"
+seconds = 0.3
+seed = 1
+[[links]]
+kind = "loopback"
+[verdict]
+{rules}
+"""
+
+
+@pytest.fixture
+def run(tmp_path):
+    pytest.importorskip("matplotlib", reason="charts (extra report)")
+
+    def run_rig(rules=""):
+        rig = tmp_path / "small.toml"
+        rig.write_text(RIG.format(rules=rules))
+        command = [*EVSTIM, "run", rig, "--json", "--report", tmp_path / "out"]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=300)
+        return done.returncode, json.loads(done.stdout.splitlines()[-1]), tmp_path / "out"
+
+    return run_rig
+
+
+def test_a_good_run_has_a_whole_report(run):
+    code, said, folder = run("max_drop = 0.0\nmin_rate_hz = 1000")
+    assert code == 0
+    page = (folder / "report.html").read_text()
+    assert not re.search(r'(src|href)="(?!data:|#)', page)
+    assert page.count("<svg") == 2
+    assert "verdict.max_drop loopback" in page
+    numbers = json.loads((folder / "report.json").read_text())
+    assert numbers["verdict"] == "good"
+    assert numbers["events"] == said["events"]
+    cases = ElementTree.parse(folder / "junit.xml").findall(".//testcase")
+    assert [case.get("name") for case in cases] == [one["rule"] for one in said["rules"]]
+    assert not ElementTree.parse(folder / "junit.xml").findall(".//failure")
+    assert (folder / "report.html").stat().st_size < 1_000_000
+
+
+def test_a_broken_rule_is_told_everywhere_and_ends_with_one(run):
+    code, said, folder = run("max_rate_hz = 10")
+    assert code == 1
+    assert [one["rule"] for one in said["rules"] if not one["good"]] == ["verdict.max_rate_hz"]
+    assert json.loads((folder / "report.json").read_text())["verdict"] == "bad"
+    (failure,) = ElementTree.parse(folder / "junit.xml").findall(".//failure")
+    assert "at most 10" in failure.get("message")
+
+
+def test_a_folder_that_exists_is_used_again(run):
+    run()
+    (_, _, folder) = run()
+    assert {path.name for path in folder.iterdir()} == {"report.html", "report.json", "junit.xml"}
+
+
+def test_a_file_in_the_place_of_the_folder_is_wrong_use(tmp_path):
+    pytest.importorskip("matplotlib", reason="charts (extra report)")
+    (tmp_path / "out").write_text("not a folder")
+    command = [*EVSTIM, "run", "loopback", "--report", tmp_path / "out"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 2
+    assert "--report" in done.stderr
+    assert (tmp_path / "out").read_text() == "not a folder"

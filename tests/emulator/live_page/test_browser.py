@@ -1,0 +1,141 @@
+"""The page in a real browser, with a run behind it: a click injects a fault, a slider changes the event rate."""
+
+import json
+import re
+import subprocess
+import sys
+import tempfile
+import time
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from tests.emulator.live_page.browser import CHROMIUM, Browser
+
+pytestmark = [
+    pytest.mark.system,
+    pytest.mark.chromium,
+    pytest.mark.socket,
+    pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed"),
+]
+
+_RIG = """
+title = "A board told over a serial line"
+[scene]
+kind = "checkerboard"
+square_px = 40.0
+speed_px_s = 12.0
+direction_deg = 30.0
+bright = 1.0
+dark = 0.25
+[camera]
+model = "davis346"
+[run]
+step_us = 2000
+seed = 1
+pace = "{pace}"
+[[links]]
+kind = "serial"
+port = "pty"
+baud = 3000000
+profile = "ccsds-cobs"
+[links.instrument]
+when_full = "drop_oldest"
+queue_ms = 100.0
+"""
+
+
+@contextmanager
+def _run(folder, pace="realtime"):
+    """Start a run with a page; yield the page's address, and a place for the run's summary."""
+    rig, summary = folder / "board.toml", {}
+    rig.write_text(_RIG.format(pace=pace))
+    command = [sys.executable, "-m", "evstim", "run", str(rig), "--serve", "--json", "--seconds", "0"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            said = ""
+            while "live page: " not in said:
+                said = process.stderr.readline()
+                assert said, "the run has ended"
+            yield re.search(r"http://\S+", said).group(), summary
+        finally:
+            process.terminate()
+            out, _ = process.communicate(timeout=60)
+        summary.update(json.loads(out.splitlines()[-1]))
+
+
+@pytest.fixture(scope="module")
+def folder():
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as name:
+        yield Path(name)
+
+
+def _rate(browser):
+    """Return events per second of stream, of two seconds that begin now."""
+    counts = """(() => {
+        const digits = document.querySelector('#ledger .head').textContent.replaceAll(/[^\\d]/g, '');
+        return [Number(digits), parseFloat(document.querySelector('dd[data-name="stream time"]').textContent)];
+    })()"""
+    n0, t0 = browser.value(counts)
+    browser.until(f"({counts})[1] > {t0 + 2}")
+    n1, t1 = browser.value(counts)
+    return (n1 - n0) / (t1 - t0)
+
+
+def test_a_click_injects_a_fault_and_a_slider_changes_the_rate(folder, tmp_path):
+    with _run(folder) as (url, summary), Browser(folder / "profile") as browser:
+        browser.open(url)
+        browser.until("document.querySelector('#state')?.textContent === 'live'")
+        browser.until("document.querySelectorAll('#ledger .head').length === 2")
+        assert browser.value("document.querySelector('#ledger .head').dataset.sound") == "true"
+
+        browser.click("#fault-serial-bit_flips")
+        browser.until("document.querySelector('#answer').textContent === 'bit_flips on serial'")
+        browser.until("document.querySelector('#links').textContent.includes('1 faults')")
+        browser.click("#trigger")
+        browser.until("document.querySelector('#links').textContent.includes('1 triggers')")
+
+        before = _rate(browser)
+        for name in ("threshold_on", "threshold_off"):
+            browser.click(f"#slider-{name}", 0.3)
+        for name in ("threshold_on", "threshold_off"):
+            browser.until(f"parseFloat(document.querySelector('#row-{name} output').textContent) < 0.12")
+        after = _rate(browser)
+        assert after > 2.5 * before  # an edge, ln 4 = 1.39, is about 5 events with 0.28 and 13 with 0.1
+
+        colours = browser.value(
+            "(c => {const d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data; let on = 0, off = 0;"
+            "for (let i = 0; i < d.length; i += 4) {on += d[i] > 180 && d[i+2] < 60; off += d[i+2] > 140 && d[i] < 60;}"
+            "return [on, off, c.width, c.height];})(document.querySelector('#picture'))"
+        )
+        assert colours[2:] == [346, 260]
+        assert min(colours[:2]) > 50
+        browser.screenshot(tmp_path / "page.png")
+        assert (tmp_path / "page.png").stat().st_size > 20_000
+        browser.resize(390, 844, phone=True)
+        assert browser.value("document.documentElement.scrollWidth") <= 390
+        assert browser.errors == []
+    assert summary["balanced"]
+    assert summary["links"]["serial"]["faults"]
+    assert summary["links"]["serial"]["edges"]["taken"] == 1
+
+
+def test_a_run_that_is_not_paced_can_be_paused_and_stepped_from_the_keyboard(folder):
+    with _run(folder, "free") as (url, summary), Browser(folder / "other") as browser:
+        browser.open(url)
+        browser.until("document.querySelector('#pause') && !document.querySelector('#pause').hidden")
+        browser.press(" ", "Space", 32)
+        browser.until("document.querySelector('#state').textContent === 'paused'")
+        clock = "document.querySelector('#drawn').ownerDocument.defaultView.lastPictureUs"
+        time.sleep(0.5)
+        held = browser.value(clock)
+        time.sleep(0.5)
+        assert browser.value(clock) == held
+        browser.press(".", "Period", 190)
+        browser.until(f"{clock} === {held} + 2000")
+        browser.press(" ", "Space", 32)
+        browser.until("document.querySelector('#state').textContent === 'live'")
+        browser.until(f"{clock} > {held} + 100000")
+        assert browser.errors == []
+    assert summary["balanced"]

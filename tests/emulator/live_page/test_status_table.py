@@ -1,0 +1,48 @@
+"""The ledger that the page shows adds up at any moment."""
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from emulator.live_page.status_table import Rates, ledger_table, status_table
+from emulator.run.lateness import Lateness
+from emulator.run.session import RunStatus
+from transports.link.report import LinkReport
+
+_count = st.integers(0, 10**12)
+
+
+def _status(sim_s=1.0, wall_s=1.0, read_out=0, **more):
+    return RunStatus(sim_s, wall_s, 5, read_out, Lateness(), **{"links": {}, **more})
+
+
+@given(_count, _count, _count, _count, st.lists(st.tuples(_count, _count), max_size=3))
+def test_parts_add_up(pending, pixel, readout, read_out, links):
+    reports = {f"l{k}": LinkReport("open", delivered=d, dropped=x) for k, (d, x) in enumerate(links)}
+    status = _status(
+        read_out=read_out,
+        links=reports,
+        raised=pending + pixel + readout + read_out,
+        lost_in_pixel=pixel,
+        lost_at_readout=readout,
+    )
+    table = ledger_table(status)
+    assert table["parts"]["pending"] == pending
+    for whole in (table, *table["links"].values()):
+        assert sum(whole["parts"].values()) == whole["whole"]
+
+
+def test_an_event_with_two_fates_shows_as_a_negative_part():
+    table = ledger_table(_status(read_out=5, raised=5, links={"a": LinkReport("open", delivered=6)}))
+    assert table["links"]["a"]["parts"]["on_the_way"] == -1
+
+
+def test_rates_are_those_of_the_last_second():
+    rates = Rates()
+    assert rates.renew(_status(0.0, 0.0))["events_per_s"] == 0
+    assert rates.renew(_status(0.5, 1.0, 1000)) == {"events_per_s": 2000.0, "real_time_factor": 0.5}
+
+
+def test_the_table_names_each_link():
+    table = status_table(_status(links={"a": LinkReport("open", address="x:1")}), {"events_per_s": 1.0})
+    assert table["links"]["a"]["address"] == "x:1"
+    assert table["t_s"] == 1.0

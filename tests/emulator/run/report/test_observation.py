@@ -1,0 +1,63 @@
+"""What is observed of a run: counts of every event, in any batches, in memory that does not grow."""
+
+import numpy as np
+import pytest
+
+from emulator.run.report.observation import INTERVAL_EDGES_US, Observation, RateSeries
+from firmware_protocol.events import EVENT
+
+SIZE = (20, 10)
+
+
+def stream(count, until_us=5_000_000, seed=3):
+    rng = np.random.default_rng(seed)
+    events = np.zeros(count, EVENT)
+    events["t"] = np.sort(rng.integers(0, until_us, count))
+    events["x"], events["y"] = rng.integers(0, SIZE[0], count), rng.integers(0, SIZE[1], count)
+    events["on"] = rng.integers(0, 2, count)
+    return events
+
+
+def observed(events, pieces):
+    seen = Observation(SIZE)
+    for part in np.array_split(events, pieces):
+        seen.take(part)
+    return seen
+
+
+@pytest.mark.parametrize("pieces", [1, 7, 997])
+def test_every_event_is_counted_once_whatever_the_batches(pieces):
+    events = stream(2000)
+    seen = observed(events, pieces)
+    for counts, on in ((seen.on, True), (seen.off, False)):
+        truth = np.zeros((SIZE[1], SIZE[0]), int)
+        np.add.at(truth, (events["y"][events["on"] == on], events["x"][events["on"] == on]), 1)
+        assert np.array_equal(counts, truth)
+    assert np.array_equal(seen.rates.events, np.histogram(events["t"], np.arange(51) * 100_000)[0])
+    assert seen.rates.on.sum() == events["on"].sum()
+
+
+@pytest.mark.parametrize("pieces", [1, 7, 997])
+def test_intervals_are_those_of_the_sampled_pixels(pieces):
+    events = stream(2000)
+    sampled = events[(events["x"] + events["y"]) % 8 == 0]
+    gaps = [
+        np.diff(sampled["t"][(sampled["x"] == x) & (sampled["y"] == y)].astype(int))
+        for x in range(SIZE[0])
+        for y in range(SIZE[1])
+    ]
+    truth = np.histogram(np.maximum(np.concatenate(gaps), 1), INTERVAL_EDGES_US)[0]
+    assert np.array_equal(observed(events, pieces).intervals, truth)
+
+
+def test_a_long_run_has_longer_bins_and_no_more_of_them():
+    series = RateSeries()
+    for second in range(0, 7200, 10):
+        events = np.zeros(3, EVENT)
+        events["t"] = second * 1_000_000 + np.array([0, 1, 2])
+        events["on"] = [True, False, False]
+        series.add(events)
+    assert len(series.events) <= 2000
+    assert series.bin_us == 6_400_000
+    assert series.events.sum() == 3 * 720
+    assert series.on.sum() == 720

@@ -1,0 +1,88 @@
+"""A sensor follows the biases that hosts write: thresholds measured from events, several links, refusals."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from emulator.run.bias_following import BiasFollowing
+from emulator.sensor.presets import PRESETS
+from emulator.sensor.sensor import Sensor
+from firmware_protocol.davis346.bias_effects import sensor_factors
+from firmware_protocol.davis346.biases import BIASES, CoarseFine
+from transports.link.report import LinkReport
+
+ADDRESSES = {bias.name: bias.address for bias in BIASES}
+DEFAULTS = {bias.address: int(bias.default) for bias in BIASES}
+LN_RAMP = 20.0
+START = {1: 10.0, -1: 10.0 * math.exp(LN_RAMP)}  # far above the dark current
+IDEAL = dataclasses.replace(PRESETS["ideal"], width=8, height=4, threshold_on=0.283, threshold_off=0.262)
+
+
+class Adjusted:
+    """A sensor that remembers what was adjusted."""
+
+    def __init__(self, refuses=()):
+        self.adjustable = {"threshold_on": 0.2, "corner_max_hz": 3000.0}
+        self.refuses = refuses
+
+    def adjust(self, name, value):
+        if name in self.refuses:
+            raise ValueError(f"{name} is what it is")
+        self.adjustable = {**self.adjustable, name: value}
+
+
+def report(**factors):
+    return LinkReport("streaming", sensor_factors=factors)
+
+
+def events_of_ramp(sensor, towards):
+    """Events of one polarity that each pixel fires while the light goes by e^20 in a second, all of it bright."""
+    t0_ns = sensor.pixels.settled_ns
+    count = 0
+    for k in range(1, 201):
+        level = np.full((4, 8), START[towards] * math.exp(towards * LN_RAMP * k / 200), np.float32)
+        events = sensor.expose(level, t0_ns + k * 5_000_000)
+        count += np.count_nonzero(events["on"] == (towards > 0))
+    return count / 32
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("OnBn", CoarseFine(5, 60)), ("OnBn", CoarseFine(6, 200)), ("DiffBn", CoarseFine(4, 80))]
+)
+@pytest.mark.parametrize("towards", [1, -1])
+def test_thresholds_measured_from_events_follow_the_formula(name, value, towards):
+    sensor = Sensor(IDEAL, 1)
+    sensor.reset(np.full((4, 8), START[towards], np.float32), 0)
+    factors = sensor_factors({**DEFAULTS, ADDRESSES[name]: int(value)})
+    BiasFollowing(sensor).follow({"usbip": report(**factors)})
+    expected = (0.283 * factors["threshold_on"]) if towards > 0 else (0.262 * factors["threshold_off"])
+    assert LN_RAMP / events_of_ramp(sensor, towards) == pytest.approx(expected, rel=0.03)
+
+
+def test_a_change_multiplies_what_is_there_and_goes_back():
+    sensor = Adjusted()
+    following = BiasFollowing(sensor)
+    following.follow({"usbip": report(threshold_on=2.0)})
+    sensor.adjust("threshold_on", 0.8)  # a slider
+    following.follow({"usbip": report(threshold_on=1.0)})
+    assert sensor.adjustable["threshold_on"] == pytest.approx(0.4)
+
+
+def test_the_same_report_is_followed_once():
+    sensor = Adjusted()
+    following = BiasFollowing(sensor)
+    for _ in range(3):
+        following.follow({"usbip": report(corner_max_hz=0.5), "serial": report()})
+    assert sensor.adjustable["corner_max_hz"] == pytest.approx(1500.0)
+
+
+def test_figures_that_the_sensor_lacks_or_refuses_are_left():
+    sensor = Adjusted(refuses=("threshold_on",))
+    BiasFollowing(sensor).follow({"usbip": report(threshold_on=2.0, refractory_us=3.0, corner_max_hz=2.0)})
+    assert sensor.adjustable == {"threshold_on": 0.2, "corner_max_hz": 6000.0}
+
+
+def test_a_sensor_that_cannot_be_adjusted_is_left_alone():
+    BiasFollowing(object()).follow({"usbip": report(threshold_on=2.0)})

@@ -1,0 +1,62 @@
+"""The rules of a verdict: each is kept on one side of its limit and broken on the other."""
+
+import dataclasses
+
+import pytest
+
+from emulator.rig.loading import RigError, parse_rig
+from emulator.rig.verdict_table import Verdict
+from emulator.run.lateness import Lateness
+from emulator.run.ledger import Ledger, LinkLedger
+from emulator.run.session import RunResult
+from emulator.run.verdict import good, judge
+from firmware_protocol.event_device import CameraCounters
+from transports.link.latency import LatencySummary
+from transports.link.report import LinkReport
+
+CAMERA = CameraCounters(offered=1000, not_running=100, dropped_fifo=30, delivered=870)
+LINK = LinkReport("", delivered=860, dropped=10, camera=CAMERA, latency=LatencySummary(100.0, 900.0, 950.0))
+LEDGER = Ledger(1000, 0, 0, 1000, (LinkLedger("usb", 860, 10, 130),))
+RESULT = RunResult(2.0, 2.0, 10, 10, LEDGER, Lateness(), {"usb": LINK}, undersampled_share=0.2)
+
+
+def broken(rules, result=RESULT):
+    return [one.rule for one in judge(rules, result) if not one.good]
+
+
+def test_a_sound_run_is_good():
+    assert broken(Verdict()) == []
+    assert good(judge(Verdict(), RESULT))
+
+
+@pytest.mark.parametrize(
+    ("kept", "not_kept", "rule"),
+    [
+        ({"max_drop": 0.05}, {"max_drop": 0.04}, "verdict.max_drop usb"),  # 40 of 900
+        ({"min_rate_hz": 500}, {"min_rate_hz": 501}, "verdict.min_rate_hz"),
+        ({"max_rate_hz": 500}, {"max_rate_hz": 499}, "verdict.max_rate_hz"),
+        ({"max_latency_us": 900}, {"max_latency_us": 899}, "verdict.max_latency_us usb"),
+        ({"max_undersampled": 0.2}, {"max_undersampled": 0.19}, "verdict.max_undersampled"),
+    ],
+)
+def test_a_rule_has_two_sides(kept, not_kept, rule):
+    assert broken(Verdict(**kept)) == []
+    assert broken(Verdict(**not_kept)) == [rule]
+
+
+def test_what_no_rule_forgives():
+    off = dataclasses.replace(RESULT, ledger=dataclasses.replace(LEDGER, raised=1001))
+    assert broken(Verdict(), off) == ["ledger"]
+    dead = dataclasses.replace(RESULT, links={"usb": dataclasses.replace(LINK, error="its process died")})
+    assert broken(Verdict(), dead) == ["link usb"]
+    late = dataclasses.replace(RESULT, lateness=Lateness(), max_late_us=1000.0)
+    late.lateness.add(2_000_000, 1)
+    assert broken(Verdict(), late) == ["in real time"]
+    assert not late.good
+
+
+@pytest.mark.parametrize("table", ["max_drop = 1.5", "min_rate_hz = -1", "min_rate_hz = 5\nmax_rate_hz = 4", "x = 1"])
+def test_a_wrong_table_is_refused_by_its_key(table):
+    text = f'[scene]\nkind = "checkerboard"\n[verdict]\n{table}\n'
+    with pytest.raises(RigError, match="verdict"):
+        parse_rig(text, "a.toml", "a")

@@ -1,0 +1,137 @@
+"""What is made up on bodies: size laws, seeds, places, fading with distance, and albedo."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+import trimesh
+
+from emulator.scene.bodies.clouds import clouded
+from emulator.scene.bodies.detail_table import Clouds, Regolith
+from emulator.scene.bodies.features import Law, faded, features
+from emulator.scene.bodies.mesh import build_mesh, facet_vectors
+from emulator.scene.bodies.regolith import smallest_feature_m, weathered
+from emulator.scene.bodies.surface_noise import fractal_noise
+
+PLAIN = Regolith(seed=5, craters=0.02, boulders_km2=2000.0, slope_deg=0.0, albedo_rms=0.1)
+
+
+def ball(radius_m, subdivisions=4):
+    solid = trimesh.creation.icosphere(subdivisions, radius_m)
+    return build_mesh(solid.vertices, solid.faces)
+
+
+def mean_over_area(mesh):
+    areas = np.linalg.norm(facet_vectors(mesh.vertices, mesh.faces), axis=1)
+    return float((areas[:, None] * mesh.albedo).sum() / (3 * areas.sum()))
+
+
+@pytest.mark.parametrize("law", [Law(0, 949e-6 * 5**3.1, 3.1), Law(1, 0.046, 2.0)], ids=["boulders", "craters"])
+def test_features_are_as_many_of_each_size_as_their_law_says(law):
+    mesh = ball(1500.0)
+    found = features(mesh, law, 3, 7.0, 200.0)
+    for d in (7.0, 9.0, 16.0, 30.0):
+        expected = law.number * (d**-law.power - 200.0**-law.power) * mesh.area_m2
+        assert abs((found.diameters_m > d).sum() - expected) < 4 * math.sqrt(expected)
+
+
+def test_features_are_spread_evenly_by_area():
+    mesh = ball(1000.0)
+    z = features(mesh, Law(1, 0.05, 2.0), 3, 5.0, 50.0).places[:, 2]
+    # by Archimedes the height of places on a sphere is even between its poles
+    counts, _ = np.histogram(z, 10, (-1000, 1000))
+    assert ((counts - counts.mean()) ** 2 / counts.mean()).sum() < 28  # chi square, 9 degrees, 0.1 %
+
+
+def test_a_feature_is_the_same_whatever_smaller_ones_are_made():
+    mesh, law = ball(500.0), Law(0, 0.3, 3.1)
+    fine, coarse = features(mesh, law, 3, 3.0, 40.0), features(mesh, law, 3, 9.0, 40.0)
+    large = fine.diameters_m > 9.0
+    np.testing.assert_array_equal(fine.places[large], coarse.places)
+    np.testing.assert_array_equal(fine.lots[large], coarse.lots)
+
+
+def test_features_fade_in_without_a_jump():
+    sizes = np.linspace(1.0, 20.0, 4001)
+    for smallest_m in np.linspace(4.0, 6.0, 21):
+        near, far = faded(sizes, smallest_m), faded(sizes, 1.01 * smallest_m)
+        assert (near >= far).all()
+        assert (near - far).max() < 0.05
+        assert faded(np.array([smallest_m]), smallest_m) == 0
+
+
+def test_the_body_changes_little_when_the_camera_comes_a_little_nearer():
+    mesh = ball(300.0)
+    bare = mesh.volume_m3
+    risen = [weathered(mesh, PLAIN, pixel_m).volume_m3 - bare for pixel_m in (0.7, 0.707, 1.4)]
+    assert abs(risen[1] / risen[0] - 1) < 0.05
+    assert abs(risen[2] / risen[0] - 1) > 0.05
+
+
+def test_two_cameras_see_a_boulder_at_the_same_place_and_as_high():
+    mesh = ball(300.0)
+    only = dataclasses.replace(PLAIN, craters=0.0)
+    heights = []
+    for pixel_m in (0.5, 0.8):
+        body = weathered(mesh, only, pixel_m)
+        law = Law(0, only.boulders_km2 * 1e-6 * 5**3.1, 3.1)
+        largest = features(mesh, law, only.seed, 5.0, 3.5 * math.sqrt(mesh.area_m2 / len(mesh.faces)))
+        near = np.linalg.norm(body.vertices - largest.places[0], axis=1) < largest.diameters_m[0] / 2
+        heights.append((np.linalg.norm(body.vertices[near], axis=1) - 300.0).max() / largest.diameters_m[0])
+    assert heights[0] == pytest.approx(heights[1], rel=0.15)
+    assert 0.1 < heights[0] < 0.6
+
+
+def test_the_same_seed_makes_the_same_body_and_another_one_another():
+    mesh = ball(300.0)
+    one, same, other = (weathered(mesh, dataclasses.replace(PLAIN, seed=s), 0.8) for s in (5, 5, 6))
+    np.testing.assert_array_equal(one.vertices, same.vertices)
+    np.testing.assert_array_equal(one.albedo, same.albedo)
+    assert one.vertices.shape != other.vertices.shape or not np.allclose(one.vertices, other.vertices)
+
+
+def test_the_surface_stays_closed_and_its_normals_are_those_of_its_facets():
+    body = weathered(ball(300.0), PLAIN, 0.6)
+    again = build_mesh(body.vertices, body.faces)
+    assert (again.open_edges, again.dropped_facets, again.was_inside_out) == (0, 0, False)
+    np.testing.assert_allclose(again.normals, body.normals, atol=1e-9)
+
+
+def test_albedo_has_the_stated_mean_and_spread():
+    body = weathered(ball(300.0, 5), dataclasses.replace(PLAIN, boulders_km2=0.0, craters=0.0), 1.0)
+    assert mean_over_area(body) == pytest.approx(1, abs=1e-12)
+    assert body.vertex_albedo.std() == pytest.approx(0.1, rel=0.25)
+
+
+def test_roughness_has_the_stated_slope():
+    mesh = ball(300.0, 5)
+    body = weathered(mesh, dataclasses.replace(PLAIN, boulders_km2=0.0, craters=0.0, slope_deg=5.0), 10.0)
+    before, after = (facet_vectors(v, mesh.faces) for v in (mesh.vertices, body.vertices))
+    cosine = (before * after).sum(axis=1) / np.linalg.norm(before, axis=1) / np.linalg.norm(after, axis=1)
+    slopes = np.tan(np.arccos(np.clip(cosine, -1, 1)))
+    assert math.degrees(math.atan(math.sqrt((slopes**2).mean()))) == pytest.approx(5.0, rel=0.1)
+
+
+def test_no_more_facets_are_made_than_allowed_and_none_where_nothing_is_seen():
+    mesh = ball(300.0)
+    many = dataclasses.replace(PLAIN, most_facets=20_000, smallest_m=0.1)
+    assert len(weathered(mesh, many, 0.01).faces) < 1.5 * 20_000
+    assert smallest_feature_m(mesh, many, 0.01) > smallest_feature_m(mesh, PLAIN, 0.01)
+    assert len(weathered(mesh, PLAIN, 100.0).faces) == len(mesh.faces)
+
+
+def test_noise_belongs_to_the_place():
+    places = np.random.default_rng(2).uniform(-50, 50, (2000, 3))
+    values = fractal_noise(places, 10.0, 1.0, 0.5, 7)
+    np.testing.assert_array_equal(values[::-1], fractal_noise(places[::-1].copy(), 10.0, 1.0, 0.5, 7))
+    assert values.std() == pytest.approx(1, rel=0.15)
+    assert np.abs(fractal_noise(places + 1e-4, 10.0, 1.0, 0.5, 7) - values).max() < 1e-3
+
+
+def test_a_clouded_planet_is_round_and_as_bright_as_its_reflectance_says():
+    planet = clouded(ball(6.4e6, 3), Clouds(seed=2), 3e5)
+    np.testing.assert_allclose(np.linalg.norm(planet.vertices, axis=1), 6.4e6, rtol=1e-9)
+    assert mean_over_area(planet) == pytest.approx(1, abs=1e-12)
+    ratio = planet.albedo.max() / planet.albedo.min()
+    assert 8 < ratio < 15  # thick cloud over open ocean, 0.7 / 0.05

@@ -1,0 +1,156 @@
+"""The pytest plugin, used as a flight-software project uses it: pytest in a process of its own, on files of its own."""
+
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+pytestmark = pytest.mark.system
+
+RIG = """
+title = "small"
+[scene]
+kind = "checkerboard"
+square_px = 8.0
+speed_px_s = 60.0
+[camera]
+model = "davis346"
+[run]
+step_us = 1000
+max_late_ms = 0
+seed = 1
+[[links]]
+kind = "{kind}"
+{more}
+"""
+
+
+@pytest.fixture
+def project(tmp_path):
+    """(test source, rig kind, more keys, options) -> the finished pytest."""
+
+    def run(source, *options, kind="loopback", more=""):
+        (tmp_path / "small.toml").write_text(RIG.format(kind=kind, more=more))
+        (tmp_path / "test_it.py").write_text("import pytest\n" + source)
+        plugin = () if _is_installed() else ("-p", "evstim.testing.plugin")
+        command = [sys.executable, "-m", "pytest", "-q", "-rs", "-p", "no:cacheprovider", *plugin, *options]
+        environment = os.environ | {"PYTEST_ADDOPTS": "", "PYTHONPATH": os.pathsep.join(sys.path)}
+        return subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=300, env=environment)
+
+    return run
+
+
+def _is_installed():
+    from importlib.metadata import entry_points
+
+    return any(point.value == "evstim.testing.plugin" for point in entry_points(group="pytest11"))
+
+
+def test_a_rig_runs_while_the_test_does_and_its_ledger_is_asserted(project):
+    done = project("""
+@pytest.mark.rig("small.toml", pace="free", seconds=0.2)
+def test_it(evstim_rig):
+    assert list(evstim_rig.addresses) == ["loopback"]
+    result = evstim_rig.stop()
+    assert result.ledger.read_out > 1000
+    assert len(evstim_rig.recent_events()) == result.ledger.read_out
+""")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "1 passed" in done.stdout
+
+
+def test_two_rigs_of_one_port_run_at_once(project):
+    source = """
+from evstim.testing.running_rig import RunningRig
+@pytest.mark.rig("small.toml")
+def test_it(evstim_rig, tmp_path):
+    with RunningRig("small.toml", tmp_path) as other:
+        assert other.address != evstim_rig.address
+        assert not other.address.endswith(":3240")
+"""
+    done = project(source, kind="usbip", more="port = 3240")
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_of_a_failed_test_the_events_and_counts_are_kept(project, tmp_path):
+    faery = pytest.importorskip("faery", reason="AEDAT 4.0 (extra files)")
+    done = project("""
+@pytest.mark.rig("small.toml", pace="free", seconds=0.2, keep_s=0.05)
+def test_it(evstim_rig):
+    while evstim_rig.status.sim_seconds < 0.15:
+        pass
+    assert False, "the flight software is wrong"
+""")
+    assert done.returncode == 1
+    (folder,) = (tmp_path / "evstim-artefacts").iterdir()
+    assert str(folder / "events.aedat4") in done.stdout
+    assert (folder / "report.html").exists()
+    counts = json.loads((folder / "summary.json").read_text())
+    assert counts["balanced"] is True
+    events = np.concatenate([packet for packet in faery.events_stream_from_file(folder / "events.aedat4")])
+    assert 0 < len(events) < counts["events"]["read_out"]
+    assert events["t"][-1] - events["t"][0] <= 60_000
+
+
+def test_of_a_good_test_nothing_is_kept(project, tmp_path):
+    project("""
+@pytest.mark.rig("small.toml", pace="free", seconds=0.02)
+def test_it(evstim_rig):
+    pass
+""")
+    assert not (tmp_path / "evstim-artefacts").exists()
+
+
+LACKING = """
+@pytest.mark.rig("small.toml")
+def test_it(evstim_rig):
+    pass
+"""
+
+
+def test_what_the_machine_lacks_is_a_skip_with_its_reason(project):
+    done = project(LACKING, kind="serial", more='port = "/dev/there-is-none"')
+    assert done.returncode == 0, done.stdout
+    assert "1 skipped" in done.stdout
+    assert "/dev/there-is-none" in done.stdout
+
+
+def test_or_a_failure_where_that_is_asked_for(project):
+    done = project(LACKING, "--evstim-require", kind="serial", more='port = "/dev/there-is-none"')
+    assert done.returncode == 1
+    assert "1 error" in done.stdout
+
+
+def test_a_link_that_dies_fails_the_test_at_its_end(project):
+    done = project("""
+import os, signal
+@pytest.mark.rig("small.toml")
+def test_it(evstim_rig):
+    import multiprocessing
+    (link,) = multiprocessing.active_children()
+    os.kill(link.pid, signal.SIGKILL)
+""")
+    assert done.returncode == 1
+    assert "1 passed, 1 error" in done.stdout, done.stdout
+
+
+@pytest.mark.parametrize(
+    ("mark", "says"),
+    [
+        ("", "needs a mark with a rig"),
+        ('@pytest.mark.rig("small.toml", second=1)', "seconds, seed, pace"),
+    ],
+)
+def test_wrong_use_says_what_is_right(project, mark, says):
+    done = project(f"{mark}\ndef test_it(evstim_rig):\n    pass\n")
+    assert done.returncode == 1
+    assert says in done.stdout
+
+
+def test_importing_the_plugin_loads_nothing_heavy():
+    code = "import sys, evstim.testing.plugin; print(sorted({'numpy', 'numba', 'emulator'} & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
+    assert done.stdout.strip() == "[]"

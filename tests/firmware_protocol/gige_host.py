@@ -1,0 +1,83 @@
+"""A host for tests: requests into a camera without sockets, answers out, and the stream put together."""
+
+from __future__ import annotations
+
+import struct
+
+import numpy as np
+
+from firmware_protocol.events import EVENT
+from firmware_protocol.evt3.decoding import Evt3Decoder
+from firmware_protocol.gige import GigeSettings, Triton2
+from firmware_protocol.gige.assembly import BlockAssembly
+from firmware_protocol.gige.bootstrap import Register
+from firmware_protocol.gige.evs_registers import ACQUISITION_START
+from firmware_protocol.gige.gvcp import Command, request
+
+PEER = ("127.0.0.1", 40_000)
+STRANGER = ("127.0.0.1", 40_001)
+
+
+def steady(n, start_us=0, step_us=1, seed=0, size=(1280, 720)):
+    """`n` events, one each `step_us`, at random pixels."""
+    draw = np.random.default_rng(seed)
+    events = np.zeros(n, EVENT)
+    events["t"] = start_us + np.arange(n) * step_us
+    events["x"], events["y"] = draw.integers(0, size[0], n), draw.integers(0, size[1], n)
+    events["on"] = draw.integers(0, 2, n)
+    return events
+
+
+class Host:
+    """Talks to a camera as drivers do."""
+
+    def __init__(self, **settings) -> None:
+        self.camera = Triton2(GigeSettings(**{"start_delay_us": 0, **settings}))
+        self.number = 0
+        self.now_ns = 0
+        self.assembly = BlockAssembly()
+        self.decoder = Evt3Decoder()
+
+    def send(self, command, payload=b"", peer=PEER, flags=1):
+        """Send a request; returns (status, payload) of the answer, or None."""
+        self.number = self.number % 0xFFFF + 1
+        answers = self.camera.receive([(request(command, self.number, payload, flags), peer)], self.now_ns)
+        if not answers:
+            return None
+        (data, to) = answers[0]
+        status, command_back, length, number = struct.unpack_from(">HHHH", data)
+        assert (to, number, length) == (peer, self.number, len(data) - 8)
+        assert command_back == command + 1
+        return status, data[8:]
+
+    def write(self, address, value, peer=PEER):
+        """Write a register; returns the status."""
+        return self.send(Command.WRITEREG, struct.pack(">II", address, value & 0xFFFFFFFF), peer)[0]
+
+    def read(self, address, peer=PEER):
+        """Read a register."""
+        status, data = self.send(Command.READREG, struct.pack(">I", address), peer)
+        assert status == 0, hex(status)
+        return int.from_bytes(data, "big")
+
+    def start(self, packet_size=1400):
+        """Take control and start the stream."""
+        for address, value in (
+            (Register.PRIVILEGE, 2), (Register.PACKET_SIZE, packet_size), (Register.STREAM_ADDRESS, 0x7F000001),
+            (Register.STREAM_PORT, 50_000), (ACQUISITION_START, 1),
+        ):  # fmt: skip
+            assert self.write(address, value) == 0, hex(address)
+
+    def blocks(self):
+        """Take what the camera has ready; all of it counts as sent."""
+        while (outgoing := self.camera.next_block()) is not None:
+            self.camera.sent(outgoing)
+            yield outgoing
+
+    def collect(self):
+        """Take what the camera has ready and decode it."""
+        data = []
+        for outgoing in self.blocks():
+            for number in range(outgoing.block.packets):
+                data += self.assembly.push(outgoing.block.packet(number), 0)
+        return self.decoder.decode(b"".join(data))

@@ -1,0 +1,64 @@
+"""neuromorphic_drivers reads a GigE Vision camera: events to a file, and what it noticed, as JSON.
+
+python nd_gige.py ADDRESS EVENTS PACKET_OCTETS OUT.npz [OPENINGS]
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+
+import neuromorphic_drivers as nd
+import numpy as np
+from neuromorphic_drivers.generated.devices import lucid_triton
+
+PATIENCE_S = 120.0
+MOST_ATTEMPTS = 10
+FIELDS = ("t", "x", "y", "on")
+
+
+def opened(address: str, ring: lucid_triton.RingConfiguration):
+    """Open the camera; the driver gives up when an answer takes 25 ms, as on a busy machine, and so is asked again."""
+    for attempt in range(MOST_ATTEMPTS):
+        try:
+            return nd.open(lucid_triton.Configuration(), address=address, iterator_timeout=0.1, ring_configuration=ring)
+        except RuntimeError as error:
+            if attempt + 1 == MOST_ATTEMPTS:
+                raise
+            print(f"opening {attempt + 1}: {error}", file=sys.stderr)
+            time.sleep(7.0)  # the camera forgets a host that has not closed after 6 s
+    raise AssertionError
+
+
+def one_opening(address: str, count: int, octets: int) -> dict[str, object]:
+    """Open, read at least `count` events, close."""
+    ring = lucid_triton.RingConfiguration(buffer_length=octets, ring_length=1 << 17)
+    parts, seen, dropped = [], 0, 0
+    with opened(address, ring) as camera:
+        bounds = {str(name): str(value) for name, value in vars(camera.biases_bounds()).items()}
+        end_s = time.monotonic() + PATIENCE_S
+        for status, packet in camera:
+            if packet is not None and packet.polarity_events is not None:
+                parts.append(packet.polarity_events)
+                seen += len(parts[-1])
+            dropped = getattr(status, "dropped_packets", 0) or dropped
+            if seen >= count or time.monotonic() > end_s:
+                break
+        celsius = camera.temperature_celsius()
+    return {"parts": parts, "seen": seen, "dropped": dropped, "celsius": celsius, "bounds": bounds}
+
+
+def main() -> None:
+    address, count, octets, out = sys.argv[1], int(sys.argv[2]), int(sys.argv[3]), sys.argv[4]
+    openings = int(sys.argv[5]) if len(sys.argv) > 5 else 1
+    for number in range(openings):
+        told = one_opening(address, count, octets)
+        parts = told.pop("parts")
+        if number == openings - 1:
+            events = np.concatenate(parts)
+            np.savez(out, **{name: events[name] for name in FIELDS})
+    print(json.dumps({**told, "openings": openings}))
+
+
+main()

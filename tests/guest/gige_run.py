@@ -1,0 +1,80 @@
+"""`evstim run` of recorded events at their own pace, on GigE Vision, and the record of what it delivered."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from firmware_protocol.events import Events
+from tests.hostile.looped import Looped
+from transports.recording.record import load_record
+
+__all__ = ["GigeRun", "looped_1280x720"]
+
+RIG = """
+title = "recorded events at their own pace, on GigE Vision"
+[scene]
+kind = "recording"
+path = "looped.npz"
+[camera]
+model = "triton2"
+[run]
+step_us = 1000
+max_late_ms = 0
+[[links]]
+kind = "gige"
+"""
+
+
+def looped_1280x720(count: int) -> Looped:
+    """Return `count` looped events at random pixels of 1280 x 720, 1 us apart on average until told otherwise."""
+    looped, draw = Looped(count, 1), np.random.default_rng(2)
+    looped.events["x"], looped.events["y"] = draw.integers(0, 1280, count), draw.integers(0, 720, count)
+    return looped
+
+
+class GigeRun:
+    """A run that plays `looped` until it is stopped.
+
+    Parameters
+    ----------
+    folder
+        Existing folder for the rig and what the run writes.
+    keys
+        Further lines of the link's table.
+    inside
+        Gives the command that runs a command elsewhere, in a network of its own for example.
+    """
+
+    def __init__(
+        self, folder: Path, looped: Looped, keys: str, inside: Callable[..., list[str]] = lambda *command: [*command]
+    ) -> None:
+        looped.save(folder / "looped.npz")
+        rig, ready, self._record = folder / "gige.toml", folder / "ready", folder / "delivered.npz"
+        rig.write_text(RIG + keys)
+        command = [sys.executable, "-c", "from emulator.cli import main; main()", "run", str(rig), "--json"]
+        command += ["--seconds", "600", "--record", str(self._record), "--ready-file", str(ready)]
+        self._process = subprocess.Popen(inside(*command), stdout=subprocess.PIPE, text=True)
+        while not ready.exists():
+            assert self._process.poll() is None, "the run ended at once"
+            time.sleep(0.05)
+
+    def stop(self) -> tuple[dict[str, Any], Events]:
+        """End it; returns its summary and what it delivered since the camera was last started."""
+        self._process.send_signal(signal.SIGINT)
+        out, _ = self._process.communicate(timeout=120)
+        delivered, resets = load_record(self._record)
+        return json.loads(out.splitlines()[-1]), delivered[resets[-1] :]
+
+    def kill(self) -> None:
+        """End it in any case."""
+        self._process.kill()
+        self._process.communicate()

@@ -1,0 +1,82 @@
+"""neuromorphic_drivers, unmodified, reads a GigE Vision camera on this machine: no guest, no kernel module, no root.
+
+The driver starts only where libusb finds a USB. On a machine without one it gets an empty one, in a mount namespace of
+its own. More events, larger packets and more openings than in CI:
+
+    EVSTIM_GIGE_EVENTS=1e7 EVSTIM_GIGE_OPENINGS=100 python -m pytest tests/guest/test_gige.py
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from emulator.run.free_ports import free_loopback_address
+from firmware_protocol.gige.gvcp import GVCP_PORT
+from tests.guest.comparison import assert_same, load_seen
+from tests.guest.gige_run import GigeRun, looped_1280x720
+
+EVENTS = int(float(os.environ.get("EVSTIM_GIGE_EVENTS", "1e6")))
+OPENINGS = int(os.environ.get("EVSTIM_GIGE_OPENINGS", "5"))
+GAP_US = float(os.environ.get("EVSTIM_GIGE_GAP_US", "2"))
+CLIENT = Path(__file__).with_name("clients") / "nd_gige.py"
+EMPTY_USB = (
+    "mount -t tmpfs none /sys && mount -t tmpfs none /run && mkdir -p /run/usb /dev/bus/usb && touch /run/usb/none && "
+    'mount --bind /run/usb /dev/bus/usb && exec "$@"'
+)
+
+pytestmark = [pytest.mark.guest, pytest.mark.socket]
+
+
+def _where_libusb_starts() -> list[str]:
+    if Path("/sys/bus/usb/devices").is_dir() and Path("/dev/bus/usb").is_dir():
+        return []
+    prefix = ["unshare", "--mount", "sh", "-c", EMPTY_USB, "sh"]
+    tried = subprocess.run([*prefix, "true"], capture_output=True, text=True)
+    if tried.returncode != 0:
+        pytest.skip(f"libusb finds no USB here, and an empty one cannot be mounted: {tried.stderr.strip()}")
+    return prefix
+
+
+@pytest.fixture
+def address():
+    return free_loopback_address(GVCP_PORT)
+
+
+@pytest.fixture
+def run(tmp_path, address):
+    looped = looped_1280x720(1_000_000)
+    looped.events["t"] = np.sort(np.random.default_rng(3).integers(0, round(1e6 * GAP_US), 1_000_000))
+    run = GigeRun(tmp_path, looped, f'host = "{address}"\nmbit_s = 20000\n')
+    yield run
+    run.kill()
+
+
+def _read(python, address, count, octets, out, openings=1):
+    arguments = [str(python), str(CLIENT), address, str(count), str(octets), str(out), str(openings)]
+    done = subprocess.run([*_where_libusb_starts(), *arguments], capture_output=True, text=True, timeout=800)
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+@pytest.mark.parametrize("octets", [1400, 9000])
+def test_every_event_is_exact(tmp_path, run, address, driver_pythons, octets):
+    told = _read(driver_pythons["nd"], address, EVENTS, octets, tmp_path / "seen.npz")
+    summary, delivered = run.stop()
+    assert told["seen"] >= EVENTS, told
+    assert_same(load_seen(tmp_path / "seen.npz"), delivered, offset_us=0)
+    assert (told["dropped"], told["celsius"]) == (0, 35.0)
+    assert summary["balanced"], summary
+
+
+def test_the_camera_can_be_opened_again_and_again(tmp_path, run, address, driver_pythons):
+    told = _read(driver_pythons["nd"], address, 20_000, 1400, tmp_path / "seen.npz", OPENINGS)
+    summary, delivered = run.stop()
+    assert told["openings"] == OPENINGS
+    assert_same(load_seen(tmp_path / "seen.npz"), delivered, offset_us=0)
+    assert summary["balanced"], summary

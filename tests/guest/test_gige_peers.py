@@ -1,0 +1,82 @@
+"""Aravis and viva-genicam, unmodified, find the GigE Vision camera by broadcast, read its features and its stream.
+
+Both run with the camera in a network of their own, so that no search leaves it.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from firmware_protocol.evt3.decoding import Evt3Decoder
+from tests.guest.comparison import assert_same
+from tests.guest.conftest import cannot
+from tests.guest.environments import Driver
+from tests.guest.gige_run import GigeRun, looped_1280x720
+from tests.guest.image import GuestUnavailable
+from tests.guest.machine import CACHE
+from tests.guest.own_network import OwnNetwork
+
+CLIENTS = Path(__file__).with_name("clients")
+OCTETS = 1_000_000
+GAP_US = 10
+VIVA = Driver("viva", ("viva-genicam==0.10.0", "numpy"), adds_host_time=False)
+KEYS = "block_us = 10000\n"  # viva-genicam's queue loses small blocks that come fast
+
+pytestmark = [pytest.mark.guest, pytest.mark.socket]
+
+
+@pytest.fixture
+def network():
+    with OwnNetwork() as network:
+        yield network
+
+
+@pytest.fixture
+def camera(tmp_path, network):
+    looped = looped_1280x720(500_000)
+    looped.events["t"] *= GAP_US
+    camera = GigeRun(tmp_path, looped, KEYS, network.inside)
+    yield camera
+    camera.kill()
+
+
+def _run(network, *command):
+    done = subprocess.run(network.inside(*map(str, command)), capture_output=True, text=True, timeout=600)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def _decoded(path):
+    events, _ = Evt3Decoder().decode(path.read_bytes())
+    return events
+
+
+def test_aravis_finds_reads_and_writes(network, camera, tmp_path):
+    assert "Lucid Vision Labs-TRT009S-E-00000346 (127.0.0.1)" in _run(network, "arv-tool-0.8")
+    seen = tmp_path / "seen"
+    told = json.loads(_run(network, "/usr/bin/python3", CLIENTS / "aravis_gige.py", "127.0.0.1", OCTETS, seen))
+    assert (told["model"], told["bias"], told["celsius"], told["format"]) == ("TRT009S-E", 30, 35.0, "EVT3_0")
+    assert told["time_ns"] > 0
+    assert (told["bad"], told["octets"] >= OCTETS) == (0, True), told
+    summary, delivered = camera.stop()
+    assert_same(_decoded(seen), delivered, offset_us=0)
+    assert summary["balanced"], summary
+
+
+def test_viva_genicam_finds_reads_and_writes(network, camera, tmp_path):
+    try:
+        python = VIVA.python(CACHE)
+    except GuestUnavailable as reason:
+        cannot(reason)
+        raise
+    seen = tmp_path / "seen"
+    told = json.loads(_run(network, python, CLIENTS / "viva_gige.py", OCTETS, seen))
+    assert (told["found"], int(told["bias"]), told["format"]) == (["127.0.0.1"], 12, "EVT3_0")
+    assert (told["incomplete"], told["lost"], told["octets"] >= OCTETS) == (0, 0, True), told
+    summary, delivered = camera.stop()
+    assert_same(_decoded(seen), delivered, offset_us=0)
+    assert summary["balanced"], summary

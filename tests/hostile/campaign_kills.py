@@ -1,0 +1,100 @@
+"""Kill workers and the campaign itself at random moments: `python -m tests.hostile.campaign_kills RUNS KILLS [SEED]`.
+
+A killed worker costs its own run, which is done again; a killed campaign goes on with the same command. In the end
+every run has one row, the same as without kills.
+"""
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import duckdb
+
+from emulator.campaign.campaign import Campaign
+from emulator.campaign.loading import load_source
+from emulator.campaign.one_run import Place, run_row
+
+CAMPAIGN = """
+rig = "checkerboard"
+count = {runs}
+[set]
+links = []
+run = {{seconds = 0.1, pace = "free"}}
+camera.sensor = {{width = 32, height = 32}}
+[[parameters]]
+key = "scene.speed_px_s"
+kind = "log-uniform"
+low = 30
+high = 600
+"""
+COMMAND = [sys.executable, "-c", "from emulator.cli import main; main()", "campaign"]
+
+
+def workers(pid):
+    """Return the worker processes of a campaign."""
+    found = subprocess.run(["pgrep", "-P", str(pid), "-f", "emulator.campaign.worker"], capture_output=True, text=True)
+    return [int(one) for one in found.stdout.split()]
+
+
+def kill_now_and_then(file, kills, draw):
+    """Run a campaign to its end over up to so many kills; return how many hit a worker, and the campaign."""
+    killed = {"worker": 0, "campaign": 0}
+    while True:
+        with subprocess.Popen([*COMMAND, str(file), "--workers", "2"], stderr=subprocess.PIPE, text=True) as run:
+            while run.poll() is None and sum(killed.values()) < kills:
+                time.sleep(draw.uniform(0.05, 1.5))
+                victims = workers(run.pid)
+                if not victims or run.poll() is not None:
+                    continue
+                victim = run.pid if draw.random() < 0.2 else draw.choice(victims)
+                os.kill(victim, signal.SIGKILL)
+                killed["campaign" if victim == run.pid else "worker"] += 1
+                if victim == run.pid:
+                    break
+            _, err = run.communicate(timeout=3600)
+        assert "Traceback" not in err, err
+        if run.returncode != -signal.SIGKILL:
+            assert run.returncode == 0, err
+            return killed
+
+
+def check(file, sample):
+    """Raise AssertionError unless every run has one row, those of `sample` as if nothing had been killed."""
+    campaign, folder = Campaign(load_source(file)), file.with_suffix("")
+    rows = f"'{folder}/rows.parquet'"
+    counts = duckdb.sql(f"select count(*), count(distinct index), min(index), max(index) from {rows}").fetchall()
+    assert counts == [(campaign.runs, campaign.runs, 0, campaign.runs - 1)], counts
+    assert duckdb.sql(f"select distinct outcome from {rows}").fetchall() == [("ok",)]
+    names = 'index, seed, "events.read_out", "events.digest", "scene.speed_px_s"'
+    for index in sample:
+        wanted = run_row(campaign, index, Place(folder), lambda _: None)
+        (found,) = duckdb.sql(f"select {names} from {rows} where index = {index}").fetchall()
+        assert found == tuple(wanted[name.strip('"')] for name in names.split(", ")), index
+
+
+def kill_campaign(folder, runs, kills, seed):
+    """Run, kill and check."""
+    file, draw = folder / "kills.toml", random.Random(seed)
+    file.write_text(CAMPAIGN.format(runs=runs))
+    killed = kill_now_and_then(file, kills, draw)
+    assert killed["campaign"] + killed["worker"] <= kills
+    check(file, draw.sample(range(runs), min(runs, 20)))
+    return killed
+
+
+def main(runs=1000, kills=200, seed=1):
+    """Kill so often and print what came of it."""
+    begun_s = time.monotonic()
+    with tempfile.TemporaryDirectory() as folder:
+        killed = kill_campaign(Path(folder), runs, kills, seed)
+    told = f"{killed['worker']} workers and {killed['campaign']} campaigns killed in {time.monotonic() - begun_s:.0f} s"
+    print(f"{runs} runs: {told}; every run has one row")
+
+
+if __name__ == "__main__":
+    main(*map(int, sys.argv[1:]))

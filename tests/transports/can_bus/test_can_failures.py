@@ -1,0 +1,125 @@
+"""A bus whose driver is full, fails or goes off, or that cannot be had: what the link does, and what it says."""
+
+import asyncio
+import errno
+import itertools
+
+import can
+import pytest
+
+from firmware_protocol.can_frames.frame import Frame
+from transports.can_bus.bus import BusDown
+from transports.can_bus.parameters import CanParameters
+from transports.can_bus.python_can import PythonCanBus, from_message, to_message
+
+CHANNELS = itertools.count()
+
+
+def parameters(**more):
+    return CanParameters(**{"interface": "virtual", "channel": f"test-{next(CHANNELS)}", "share": 1.0} | more)
+
+
+@pytest.mark.parametrize(
+    ("more", "cure"),
+    [
+        ({"interface": "socketcan", "channel": "can0"}, r"modprobe|ip link set can0 up"),
+        ({"interface": "slcan", "channel": "/dev/ttyNOPE"}, "plugged in"),
+        ({"interface": "gs_usb", "options": {"index": 0}}, r"python-can\[gs-usb\]"),
+        ({"interface": "nonsense"}, "socketcan, .*served"),
+    ],
+)
+def test_a_bus_that_cannot_be_had_names_the_cure(more, cure):
+    p = CanParameters(**more)
+    with pytest.raises(BusDown, match=cure):
+        asyncio.run(PythonCanBus(p, p.channel).open())
+
+
+def test_messages_of_python_can_come_back():
+    for frame in (Frame(0x123, b"ab"), Frame(0x12345678, extended=True), Frame(1, bytes(12), fd=True, brs=True)):
+        assert from_message(to_message(frame)) == frame
+    assert from_message(can.Message(is_remote_frame=True)) is None
+
+
+@pytest.mark.parametrize(
+    ("wrong", "why"),
+    [
+        ({"channel_b": "can1"}, "one bus"),
+        ({"fd": True}, "classic frames only"),
+        ({"interface": "socketcan", "fd": True, "carriage": "cfp"}, "classic frames only"),
+        ({"share": 0}, "share"),
+        ({"node": 0}, "node"),
+        ({"bitrate": 2_000_000}, "bitrate"),
+        ({"channel": ""}, "channel"),
+        ({"heartbeat_ms": -1}, "heartbeat_ms"),
+        ({"csp_peer": 0x3FFF}, "csp_peer"),
+    ],
+)
+def test_parameters_say_what_is_wrong(wrong, why):
+    with pytest.raises(ValueError, match=why):
+        CanParameters(**wrong)
+
+
+def with_virtual_bus(work, **more):
+    """Open a bus and a peer's, let `work(bus, peer)` run, and close both."""
+    p = parameters(**more)
+
+    async def opened():
+        bus, peer = PythonCanBus(p, p.channel), can.Bus(interface="virtual", channel=p.channel)
+        try:
+            await bus.open()
+            return await work(bus, peer)
+        finally:
+            await bus.close()
+            peer.shutdown()
+
+    return asyncio.run(opened())
+
+
+@pytest.mark.parametrize("full", [("No buffer space available", errno.ENOBUFS), ("Transmit buffer full", None)])
+def test_a_full_driver_is_no_fault(monkeypatch, full):
+    async def work(bus, _):
+        def send(message):
+            raise can.CanOperationError(*full)
+
+        monkeypatch.setattr(bus._bus, "send", send)
+        return bus.send(Frame(1))
+
+    assert with_virtual_bus(work) is False
+
+
+@pytest.mark.parametrize(
+    ("error", "cure"),
+    [
+        (
+            can.CanOperationError("Failed to transmit", errno.ENETDOWN),
+            r"it is down: sudo ip link set test-\d+ up type can",
+        ),
+        (can.CanOperationError("Failed to transmit", errno.ENXIO), "tried again every second"),
+        (OSError(errno.EIO, "Input/output error"), "documentation of python-can"),
+    ],
+)
+def test_a_bus_that_fails_names_the_cure(monkeypatch, error, cure):
+    async def work(bus, _):
+        def send(message):
+            raise error
+
+        monkeypatch.setattr(bus._bus, "send", send)
+        with pytest.raises(BusDown, match=cure):
+            bus.send(Frame(1))
+        with pytest.raises(BusDown, match=cure):
+            bus.take()
+
+    with_virtual_bus(work)
+
+
+def test_bus_off_is_told_with_what_brings_it_back():
+    async def work(bus, peer):
+        peer.send(to_message(Frame(0x04, bytes(8), error=True)))
+        peer.send(to_message(Frame(0x40, bytes(8), error=True)))
+        seen = []
+        while True:
+            seen += bus.take()
+            await asyncio.sleep(0.001)
+
+    with pytest.raises(BusDown, match=r"bus-off.*restart-ms 100"):
+        with_virtual_bus(work)

@@ -1,0 +1,259 @@
+"""A GigE Vision camera on its sockets, and its host: who may come, faults and packets sent again, what ends it."""
+
+import asyncio
+import socket
+import struct
+from functools import partial
+
+import numpy as np
+import pytest
+
+from emulator.rig.loading import RigError, parse_rig
+from firmware_protocol.events import EVENT
+from firmware_protocol.gige import GigeSettings, Triton2
+from firmware_protocol.gige.bootstrap import Register
+from firmware_protocol.gige.gvcp import Command, request
+from transports.faults.datagram_kinds import LateDatagrams, LostDatagrams, RepeatedDatagrams
+from transports.faults.script import FaultPlan
+from transports.gige.endpoint import GigeFactory
+from transports.gige.host import CameraGone, GigeHost, GigeHostError
+from transports.gige.parameters import GigeLink
+from transports.link.digest import digest_of
+from transports.link.pacing import FakeClock
+from transports.link.process import Link, LinkSetup
+from transports.link.ring import FREE_RUNNING, EventRing
+
+pytestmark = pytest.mark.socket
+
+TICK_NS = 500_000
+GAP_US = 10
+
+
+class Bench:
+    """A link on a clock that the test moves, and a host that shares the test's thread with it."""
+
+    def __init__(self, faults=(), **more):
+        self.clock = FakeClock(1_000_000_000)
+        self.ring = EventRing(200_000)
+        factory = GigeFactory(GigeLink(**{"port": 0, **more}), FaultPlan("gige", scripted=tuple(faults), seed=1))
+        camera = partial(Triton2, GigeSettings(start_delay_us=0))
+        self.link = Link(LinkSetup("gige", self.ring, camera, factory), self.clock)
+        self.loop = asyncio.new_event_loop()
+        self.loop.run_until_complete(self.link.endpoint.start())
+        self.host, port = self.link.endpoint.address.split(":")
+        self.port = int(port)
+        self.events = []
+
+    def connect(self):
+        """Take the camera and start it; the camera answers whenever the host asks."""
+        host = _AttendedHost.__new__(_AttendedHost)
+        host.bench = self
+        host.__init__(self.host, self.port, now_ns=self.clock.now_ns)
+        return host
+
+    def run(self, events, host=None, turns=400):
+        """Play events, and let the host read as they come."""
+        self.ring.start(FREE_RUNNING)
+        for part in np.array_split(events, 50):
+            self.ring.push(part)
+            self.ring.publish(int(part["t"][-1]))
+            self.turn(host)
+        self.ring.publish(int(events["t"][-1]) + 5000)
+        for _ in range(turns):
+            self.turn(host)
+
+    def turn(self, host=None):
+        self.clock.advance(TICK_NS)
+        self.link.tick()
+        if host is not None:
+            self.events.append(host.read(0.001))
+
+    def close(self):
+        self.loop.run_until_complete(self.link.close())
+        self.loop.close()
+        return self.link.report(final=True)
+
+
+class _AttendedHost(GigeHost):
+    """A host whose camera looks at its sockets before each answer."""
+
+    def _answer_to(self, number):
+        self.bench.link.endpoint.pump()
+        return super()._answer_to(number)
+
+
+@pytest.fixture
+def bench():
+    made = []
+
+    def make(*faults, **more):
+        made.append(Bench(faults, **more))
+        return made[-1]
+
+    yield make
+    for one in made:
+        if not one.loop.is_closed():
+            one.close()
+
+
+def stream(count):
+    draw = np.random.default_rng(5)
+    events = np.zeros(count, EVENT)
+    events["t"] = 1 + np.arange(count) * GAP_US
+    events["x"], events["y"] = draw.integers(0, 1280, count), draw.integers(0, 720, count)
+    return events
+
+
+def test_a_host_reads_every_event(bench):
+    here = bench()
+    host = here.connect()
+    assert host.identity.model == "TRT009S-E"
+    host.start(packet_size=576)
+    events = stream(20_000)
+    here.run(events, host)
+    assert np.concatenate(here.events).tobytes() == events.tobytes()
+    host.close()
+    report = here.close()
+    assert (report.delivered, report.dropped, report.digest) == (20_000, 0, digest_of(events))
+
+
+@pytest.mark.parametrize("fault", [LostDatagrams, RepeatedDatagrams, LateDatagrams])
+def test_faults_of_the_stream_are_healed_for_a_host_that_asks_again(bench, fault):
+    here = bench(fault(rate=0.02, count=0, for_s=1000.0))
+    host = here.connect()
+    host.start(packet_size=576)
+    events = stream(20_000)
+    here.run(events, host)
+    assert here.link.endpoint.faults[0].hits > 3
+    assert np.concatenate(here.events).tobytes() == events.tobytes()
+    assert (host.assembly.asked > 0) == (fault is LostDatagrams)
+    host.close()
+    report = here.close()
+    assert (report.delivered, report.faults[0].events_lost, report.digest) == (20_000, 0, digest_of(events))
+
+
+def test_blocks_whose_packets_never_come_are_blamed_on_the_fault(bench):
+    here = bench(LostDatagrams(rate=0.004, count=0, for_s=1000.0))
+    host = here.connect()
+    host.start(packet_size=576)
+    host.assembly.missing = lambda now_ns: []
+    here.run(stream(20_000))
+    lost = here.close().faults[0].events_lost
+    host.close()
+    assert 0 < lost < 20_000
+    assert here.link.report(final=True).delivered == 20_000 - lost
+
+
+def test_strangers_get_nothing(bench):
+    here = bench(allow=("127.0.0.9",))
+    stranger = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    stranger.settimeout(0.2)
+    stranger.sendto(request(Command.DISCOVERY, 1), (here.host, here.port))
+    here.turn()
+    with pytest.raises(TimeoutError):
+        stranger.recv(1000)
+    assert here.link.endpoint.counts["requests of senders not allowed"] == 1
+    stranger.close()
+
+
+def test_the_stream_goes_to_nobody_who_is_not_allowed(bench):
+    here = bench()
+    host = here.connect()
+    host.start()
+    host.write(Register.STREAM_ADDRESS, 0x0A000001)
+    here.run(stream(2000), turns=20)
+    report = here.link.report()
+    assert (report.delivered, report.dropped) == (0, 2000)
+    assert here.link.endpoint.counts["packets that could not be sent"] > 0
+    host.close()
+
+
+def test_a_second_host_is_refused_with_a_reason(bench):
+    here = bench()
+    first = here.connect()
+    with pytest.raises(GigeHostError, match="access denied; another host has control"):
+        here.connect()
+    first.close()
+    here.connect().close()
+
+
+def test_a_host_notices_that_control_was_taken_away(bench):
+    here = bench()
+    host = here.connect()
+    host.start()
+    here.link.endpoint._camera.control.release()
+    here.clock.advance(2_000_000_000)
+    with pytest.raises(CameraGone, match="control was taken away"):
+        host.read(0.001)
+    host.close()
+
+
+def test_a_host_that_finds_no_camera_says_what_to_look_at():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as silent:
+        silent.bind(("127.0.0.1", 0))
+        silent.settimeout(0.0)
+        with pytest.raises(CameraGone, match="is its run started"):
+            GigeHost("127.0.0.1", silent.getsockname()[1], now_ns=FakeClock(0).now_ns)
+
+
+def test_a_port_that_is_taken_names_the_cure():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", 0))
+        made = GigeFactory(GigeLink(port=taken.getsockname()[1]))
+        clock = FakeClock(0)
+        link = Link(LinkSetup("gige", EventRing(10), Triton2, made), clock)
+        with pytest.raises(OSError, match=r"an address of its own, such as 127\.0\.0\.2"):
+            asyncio.run(link.endpoint.start())
+
+
+def test_floods_of_requests_do_not_stop_the_stream(bench):
+    here = bench()
+    host = here.connect()
+    host.start()
+    draw = np.random.default_rng(1)
+    flood = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    events = stream(20_000)
+    self_ring = here.ring
+    self_ring.start(FREE_RUNNING)
+    for part in np.array_split(events, 50):
+        for _ in range(40):
+            flood.sendto(draw.bytes(int(draw.integers(0, 600))), (here.host, here.port))
+            flood.sendto(request(Command.READREG, 7, struct.pack(">I", 0)), (here.host, here.port))
+        self_ring.push(part)
+        self_ring.publish(int(part["t"][-1]))
+        here.turn(host)
+    self_ring.publish(int(events["t"][-1]) + 5000)
+    for _ in range(200):
+        here.turn(host)
+    assert np.concatenate(here.events).tobytes() == events.tobytes()
+    flood.close()
+    host.close()
+
+
+RIG = """
+title = "t"
+[scene]
+kind = "checkerboard"
+[camera]
+model = "{model}"
+[[links]]
+kind = "gige"
+{more}
+"""
+
+
+@pytest.mark.parametrize(
+    ("model", "more", "told"),
+    [
+        ("davis346", "", 'a davis346 has no Ethernet plug; use model = "triton2"'),
+        ("triton2", 'host = "0.0.0.0"', "give one address of this machine"),
+        ("triton2", 'host = "camera"', "must be an IPv4 address"),
+        ("triton2", 'host = "10.0.0.1"', "say who may connect"),
+        ("triton2", "mbit_s = 0", "mbit_s must be 1 to 100000"),
+        ("triton2", "block_us = 0", "block_us must be 1 to 1000000"),
+        ("triton2", "port = 70000", "port must be 0"),
+    ],
+)
+def test_rigs_that_cannot_be_are_refused_with_a_reason(model, more, told):
+    with pytest.raises(RigError, match=told):
+        parse_rig(RIG.format(model=model, more=more), "t.toml", "t")

@@ -1,0 +1,40 @@
+"""`.raw` files of each version and text that Prophesee's programs write, by our reader."""
+
+import numpy as np
+import pytest
+
+from firmware_protocol.evt3.encoding import Evt3Encoder
+from firmware_protocol.evt3.evt2 import Evt2Encoder
+from firmware_protocol.evt3.evt2_words import evt2_header
+from firmware_protocol.evt3.words import evt3_header
+from tests.transports.recording.samples import SIZE, sample_edges, sample_events
+from transports.recording.evt_file import EvtReader
+
+EVENTS = sample_events()
+EDGES = sample_edges(EVENTS)
+TEXTS = [
+    ("evt3", evt3_header(SIZE)),
+    ("evt3", b"% evt 3.0\n% geometry 346x260\n"),
+    ("evt3", b"% format EVT3;height=260;width=346\n% end\n"),
+    ("evt3", b"% geometry 346x260\n% end\n"),
+    ("evt2", evt2_header(SIZE, "evt2")),
+    ("evt2", b"% evt 2.0\n% geometry 346x260\n"),
+    ("evt21", evt2_header(SIZE, "evt21")),
+    ("evt21", b"% evt 2.1\n% geometry 346x260\n% end\n"),
+    ("evt21-legacy", evt2_header(SIZE, "evt21-legacy")),
+    ("evt21-legacy", b"% evt 2.1\n% endianness legacy\n% geometry 346x260\n% end\n"),
+    ("evt21-legacy", b"% format EVT21;height=260;width=346;endianness=legacy\n% end\n"),
+]
+
+
+@pytest.mark.parametrize(("form", "text"), TEXTS)
+def test_the_text_tells_words_and_size(form, text, tmp_path):
+    encoder = Evt3Encoder() if form == "evt3" else Evt2Encoder(form)
+    path = tmp_path / "a.raw"
+    path.write_bytes(text + encoder.encode(EVENTS, EDGES))
+    reader = EvtReader(path, None)
+    parts = list(reader.parts())
+    assert reader.facts.size == SIZE
+    assert reader.facts.camera == form
+    np.testing.assert_array_equal(np.concatenate([part.events for part in parts]), EVENTS)
+    np.testing.assert_array_equal(np.concatenate([part.edges for part in parts]), EDGES)

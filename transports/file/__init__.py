@@ -1,0 +1,1 @@
+"""Links that write a recording."""

@@ -1,0 +1,1 @@
+"""GigE Vision over UDP: the camera's side, and a receiver."""

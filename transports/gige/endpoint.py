@@ -1,0 +1,222 @@
+"""A GigE Vision camera on a pair of sockets.
+
+    hosts --GVCP--> ControlSockets --> Triton2.receive --> answers
+    Triton2.next_block --packets--> faults --> StreamSocket --> the host that has control
+
+Control is looked at whenever something came and between the packets of a block: neuromorphic_drivers gives an answer
+25 ms. UDP has no back-pressure: a block counts as delivered when the kernel has taken all its packets.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import ipaddress
+from collections import Counter, deque
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+
+from firmware_protocol.gige.outflow import Outgoing
+from firmware_protocol.gige.triton2 import Triton2
+from transports.faults.kinds import Fault
+from transports.faults.script import FaultPlan, FaultRecord
+from transports.gige.fates import BlockFates
+from transports.gige.packet_faults import FaultyPackets, Packet
+from transports.gige.parameters import GigeLink
+from transports.gige.sockets import ControlSockets, StreamSocket
+from transports.link.deliveries import Deliveries
+from transports.link.endpoint import Endpoint, EndpointFactory
+from transports.network.datagrams import ByteBudget
+
+__all__ = ["GigeEndpoint", "GigeFactory"]
+
+_IP_UDP_OCTETS = 28
+
+
+@dataclass(frozen=True)
+class GigeFactory(EndpointFactory[Triton2]):
+    """Puts a camera behind a control port."""
+
+    link: GigeLink
+    faults: FaultPlan = field(default_factory=FaultPlan)
+
+    def build(self, device: Triton2, deliveries: Deliveries) -> GigeEndpoint:
+        """Return the endpoint, its sockets not yet open."""
+        return GigeEndpoint(self, device, deliveries)
+
+
+class GigeEndpoint(Endpoint):
+    """One camera, the hosts that look at it, and the one that receives."""
+
+    def __init__(self, factory: GigeFactory, camera: Triton2, deliveries: Deliveries) -> None:
+        link = factory.link
+        self._camera = camera
+        self._deliveries = deliveries
+        self._clock = deliveries.clock
+        self._control = ControlSockets(link.host, link.port, link.allow)
+        self._stream = StreamSocket(link.host)
+        self._budget = ByteBudget(link.mbit_s, self._clock.now_ns())
+        self._faulty = FaultyPackets(factory.faults)
+        self._fates = BlockFates(self._arrived, self._destroyed)
+        self._going: tuple[Outgoing, Iterator[Packet]] | None = None
+        self._ready: deque[Packet] = deque()
+        self._whole = True
+        self._next_ns = 0
+        self._patience_ns = link.block_us * 1000
+        self._moved = 0, self._clock.now_ns()
+        self._time_stands = False
+        self.sent: Counter[str] = Counter()
+
+    async def start(self) -> None:
+        """Open the sockets; raises OSError, with what to do, when an address cannot be used."""
+        self._control.open()
+        try:
+            self._camera.stream_from(self._stream.open())
+        except OSError:
+            self._control.close()
+            raise
+        loop = asyncio.get_running_loop()
+        for descriptor in self._control.descriptors:
+            loop.add_reader(descriptor, self._answer)
+
+    def pump(self) -> None:
+        """Answer what came, and send what waits as far as the rate allows."""
+        self._answer()
+        self._budget.renew(self._clock.now_ns())
+        self._look_at_time()
+        while self._budget.left > 0 and self._prepare() and self._send():
+            pass
+        self._fates.settle(self._clock.now_ns())
+
+    def advance_faults(self, stream_us: int) -> None:
+        """See `Endpoint.advance_faults`."""
+        self._ready += self._faulty.advance(stream_us)
+
+    def inject(self, fault: Fault) -> None:
+        """See `Endpoint.inject`."""
+        self._faulty.inject(fault)
+
+    @property
+    def faults(self) -> tuple[FaultRecord, ...]:
+        """See `Endpoint.faults`."""
+        return self._faulty.records
+
+    async def close(self) -> None:
+        """Close the sockets; what has not left is lost."""
+        if self._going is not None:
+            self._camera.lost(self._going[0])
+            self._going = None
+        self._fates.settle(self._clock.now_ns(), final=True)
+        self._faulty.close()
+        self._camera.disconnected()
+        loop = asyncio.get_running_loop()
+        for descriptor in self._control.descriptors:
+            loop.remove_reader(descriptor)
+        self._control.close()
+        self._stream.close()
+
+    @property
+    def state(self) -> str:
+        """Who has control, and whether the stream runs."""
+        owner = self._camera.control.owner
+        if owner is None:
+            return f"waiting on {self.address}"
+        does = "streaming to" if self._camera.streaming else "controlled by"
+        return f"{does} {owner[0]}:{owner[1]}"
+
+    @property
+    def address(self) -> str:
+        """Where hosts find the camera."""
+        return self._control.address
+
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """Packets, requests, and what was wrong with either."""
+        more = {"requests of senders not allowed": self._control.refused}
+        return +(self.sent + self._camera.control.counts + Counter(more))
+
+    def _answer(self) -> None:
+        datagrams = self._control.take()
+        for answer, peer in self._camera.receive(datagrams, self._clock.now_ns()):
+            self._control.send(answer, peer)
+
+    def _look_at_time(self) -> None:
+        """Find out whether stream time stands, as at the end of a run: what waits then leaves without growing."""
+        now_ns = self._clock.now_ns()
+        if self._camera.now_us != self._moved[0]:
+            self._moved = self._camera.now_us, now_ns
+        self._time_stands = now_ns - self._moved[1] >= self._patience_ns
+
+    def _prepare(self) -> bool:
+        """Have a packet ready; False when there is nothing to send, or nothing may go yet."""
+        while not self._ready:
+            if self._camera.packet_delay_ns and self._clock.now_ns() < self._next_ns:
+                return False
+            packet = self._next_packet()
+            if packet is None:
+                return False
+            self._ready += self._faulty.change(packet)
+            for gone in self._faulty.gone():
+                self._fates.missed(gone.block, gone.number)
+        return True
+
+    def _next_packet(self) -> Packet | None:
+        """Return the next packet of the camera: what a host asked for goes first, then the block that has begun."""
+        asked = self._camera.next_extra()
+        if asked is not None:
+            return Packet(asked.data, asked.block, asked.number)
+        while True:
+            if self._going is None:
+                outgoing = self._camera.next_block(at_once=self._time_stands)
+                if outgoing is None:
+                    return None
+                self._going, self._whole = (outgoing, _packets(outgoing)), True
+            packet = next(self._going[1], None)
+            if packet is not None:
+                return packet
+            self._end_block()
+
+    def _send(self) -> bool:
+        """Send the packet that is ready; False when the kernel has no room now."""
+        packet = self._ready[0]
+        destination = self._camera.destination
+        if destination is None or not self._control.permits(str(ipaddress.IPv4Address(destination[0]))):
+            left = False
+        else:
+            try:
+                left = self._stream.send(packet.data, *destination, may_fragment=self._camera.may_fragment)
+            except BlockingIOError:
+                return False
+        self._ready.popleft()
+        self._note(packet, left)
+        return True
+
+    def _note(self, packet: Packet, left: bool) -> None:
+        """Count a packet and what it takes from the rate."""
+        self.sent["packets" if left else "packets that could not be sent"] += 1
+        self._whole &= left
+        if left and packet.block:
+            self._fates.came(packet.block, packet.number)
+        if left:
+            self._budget.left -= len(packet.data) + _IP_UDP_OCTETS
+            self._next_ns = self._clock.now_ns() + self._camera.packet_delay_ns
+
+    def _end_block(self) -> None:
+        """Settle the block whose last packet has been made."""
+        assert self._going is not None
+        outgoing, self._going = self._going[0], None
+        if self._whole:
+            self._camera.sent(outgoing)
+            self._fates.left(outgoing, self._clock.now_ns())
+        else:
+            self._camera.lost(outgoing)
+
+    def _arrived(self, outgoing: Outgoing) -> None:
+        self._deliveries.add(outgoing.events, self._camera.epoch_us, outgoing.edges)
+
+    def _destroyed(self, outgoing: Outgoing) -> None:
+        self._faulty.blame(len(outgoing.events), len(outgoing.edges))
+
+
+def _packets(outgoing: Outgoing) -> Iterator[Packet]:
+    block = outgoing.block
+    return (Packet(block.packet(number), block.number, number) for number in range(block.packets))

@@ -1,0 +1,143 @@
+"""The camera's sockets: one for control, one that hears searches by broadcast, one for the stream."""
+
+from __future__ import annotations
+
+import ipaddress
+import socket
+from collections.abc import Iterable
+
+from firmware_protocol.gige.control import Datagram, Peer
+from transports.network.allow import AllowList
+
+__all__ = ["ControlSockets", "StreamSocket"]
+
+_LONGEST = 2048
+_AT_A_TIME = 64
+_SEND_BUFFER = 1 << 21
+_BROADCAST = "255.255.255.255"
+_IP_MTU_DISCOVER, _PMTUDISC_DONT, _PMTUDISC_DO = 10, 0, 2  # Linux: linux/in.h
+
+
+class ControlSockets:
+    """Takes requests from allowed senders and sends the answers.
+
+    A socket bound to one address does not hear broadcasts on Linux, so there is another one, bound to the address of
+    all machines; hosts search by broadcast on a loopback interface too.
+
+    Attributes
+    ----------
+    refused
+        Datagrams of senders that are not allowed.
+    """
+
+    def __init__(self, host: str, port: int, allow: Iterable[str]) -> None:
+        self._host, self._port = host, port
+        self._allow = AllowList(allow)
+        self._sockets: list[socket.socket] = []
+        self.refused = 0
+
+    def open(self) -> None:
+        """Open them; raises OSError, with what to do, where another program has the port."""
+        try:
+            self._sockets.append(_bound(self._host, self._port, shared=False))
+            self._port = self._sockets[0].getsockname()[1]
+            self._sockets.append(_bound(_BROADCAST, self._port, shared=True))
+        except OSError as error:
+            self.close()
+            told = f"cannot listen on {self._host} port {self._port} (UDP): {error.strerror}"
+            cure = "another camera may be there: give this one an address of its own, such as 127.0.0.2"
+            raise OSError(error.errno, f"{told}; {cure}") from error
+
+    @property
+    def address(self) -> str:
+        """Where hosts find the camera."""
+        return f"{self._host}:{self._port}"
+
+    @property
+    def descriptors(self) -> list[int]:
+        """File descriptors, for an event loop."""
+        return [one.fileno() for one in self._sockets]
+
+    def permits(self, address: str) -> bool:
+        """Say whether an address may get anything from the camera."""
+        return self._allow.permits(address)
+
+    def take(self) -> list[Datagram]:
+        """Return what has come, at most so much that a flood does not keep the link from its own work."""
+        taken: list[Datagram] = []
+        for one in self._sockets:
+            for _ in range(_AT_A_TIME):
+                try:
+                    data, peer = one.recvfrom(_LONGEST)
+                except OSError:  # no more, or the complaint of another socket
+                    break
+                if self._allow.permits(peer[0]):
+                    taken.append((data, peer))
+                else:
+                    self.refused += 1
+        return taken
+
+    def send(self, data: bytes, peer: Peer) -> None:
+        """Send an answer; one that cannot go is lost, as on a cable."""
+        try:
+            self._sockets[0].sendto(data, peer)
+        except OSError:
+            return
+
+    def close(self) -> None:
+        """Close them."""
+        for one in self._sockets:
+            one.close()
+        self._sockets.clear()
+
+
+class StreamSocket:
+    """Sends the packets of the stream."""
+
+    def __init__(self, host: str) -> None:
+        self._host = host
+        self._socket: socket.socket | None = None
+        self._whole = True
+
+    def open(self) -> int:
+        """Open it and return its port; raises OSError."""
+        self._socket = _bound(self._host, 0, shared=False)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
+        self._refuse_cuts(True)
+        return int(self._socket.getsockname()[1])
+
+    def send(self, data: bytes, address: int, port: int, *, may_fragment: bool) -> bool:
+        """Give the kernel a packet; False when it cannot go at all. Raises BlockingIOError when there is no room."""
+        assert self._socket is not None
+        if may_fragment == self._whole:
+            self._refuse_cuts(not may_fragment)
+        try:
+            self._socket.sendto(data, (str(ipaddress.IPv4Address(address)), port))
+        except BlockingIOError:
+            raise
+        except OSError:  # longer than the network carries, no route
+            return False
+        return True
+
+    def close(self) -> None:
+        """Close it."""
+        if self._socket is not None:
+            self._socket.close()
+
+    def _refuse_cuts(self, whole: bool) -> None:
+        assert self._socket is not None
+        self._whole = whole
+        self._socket.setsockopt(socket.IPPROTO_IP, _IP_MTU_DISCOVER, _PMTUDISC_DO if whole else _PMTUDISC_DONT)
+
+
+def _bound(host: str, port: int, *, shared: bool) -> socket.socket:
+    made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    try:
+        made.setblocking(False)
+        if shared:
+            made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        made.bind((host, port))
+    except OSError:
+        made.close()
+        raise
+    return made

@@ -1,0 +1,1 @@
+"""Links that send events to programs on a network: a TCP server, and datagrams."""

@@ -1,0 +1,158 @@
+"""AEDAT 4.0 files by faery: events, triggers and IMU samples are written and read, frames are read.
+
+No frame is written: faery 0.7.1 writes only frames that it has read itself, and our parts come from another process.
+
+Times in a file are Unix microseconds, and `tsOffset` tells the one of t = 0. Readers go by the names `events`,
+`frames`, `imu` and `triggers`. While it is written, the header says that there is no table of packets, and so a file
+that was never closed is read up to its last whole packet.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from faery.extension import aedat
+
+from firmware_protocol.edges import EDGE, EdgeKind, Edges
+from firmware_protocol.events import EVENT
+from transports.recording.part import IMU, Facts, Frame, Part, RecordingError
+
+__all__ = ["Aedat4Reader", "Aedat4Writer"]
+
+_TRIGGER = np.dtype([("t", "<u8"), ("source", "u1")])
+_SOURCES = {EdgeKind.RISING: 1, EdgeKind.FALLING: 2, EdgeKind.PULSE: 3}
+_NUMBERS = {"events": 0, "imu": 2, "edges": 3}  # as cameras have them, whose frames are 1
+_STREAMS = (
+    ("events", "events", "EVTS", "Array of events (polarity ON/OFF)."),
+    ("imu", "imu", "IMUS", "Inertial Measurement Unit data samples."),
+    ("edges", "triggers", "TRIG", "External triggers and special signals."),
+)
+_LZ4 = ("lz4", 1)
+
+
+class Aedat4Writer:
+    """Writes the streams that `facts` names, and events."""
+
+    def __init__(self, path: Path, facts: Facts) -> None:
+        self._streams = {"events", *facts.streams}
+        self._start_us = np.uint64(facts.unix_us)
+        self._encoder = aedat.Encoder(path, [_description(facts, self._streams)], _LZ4)
+        self._encoder.__enter__()
+
+    def write(self, part: Part) -> None:
+        """Append one packet of each stream that has something."""
+        self._put("events", self._shifted(part.events))
+        self._put("edges", self._shifted(_triggers(part.edges)))
+        self._put("imu", self._shifted(part.imu))
+
+    def _put(self, stream: str, packet: Any) -> None:
+        if len(packet) and stream in self._streams:
+            self._encoder.write(_NUMBERS[stream], packet)
+
+    def _shifted(self, records: Any) -> Any:
+        if not self._start_us or not len(records):
+            return records
+        shifted = records.view(f"V{records.dtype.itemsize}").copy().view(records.dtype)
+        shifted["t"] += self._start_us
+        return shifted
+
+    def close(self) -> None:
+        """Write the table of packets and its place in the header."""
+        self._encoder.__exit__(None, None, None)
+
+
+def _description(facts: Facts, streams: set[str]) -> Any:
+    top = "/mainloop/Recorder/outInfo/"
+    nodes = [_node(facts, f"{top}{_NUMBERS[one]}/", row) for one, *row in _STREAMS if one in streams]
+    return aedat.DescriptionNode("outInfo", top, {}, nodes)
+
+
+def _node(facts: Facts, path: str, row: list[str]) -> Any:
+    name, kind, told = row
+    about = {
+        "compression": "LZ4", "originalModuleName": "capture", "originalOutputName": name, "typeDescription": told,
+        "typeIdentifier": kind,
+    }  # fmt: skip
+    info = {"source": _text(facts.camera), "tsOffset": aedat.DescriptionAttribute("long", facts.unix_us)}
+    if facts.size is not None and kind == "EVTS":
+        info |= {f"size{axis}": aedat.DescriptionAttribute("int", n) for axis, n in zip("XY", facts.size, strict=True)}
+    own = {key: _text(value) for key, value in about.items()}
+    inner = [aedat.DescriptionNode("info", f"{path}info/", info, [])]
+    return aedat.DescriptionNode(path.split("/")[-2], path, own, inner)
+
+
+def _text(value: str) -> Any:
+    return aedat.DescriptionAttribute("string", value)
+
+
+def _triggers(edges: Edges) -> Any:
+    triggers = np.zeros(len(edges), _TRIGGER)
+    triggers["t"] = edges["t"]
+    for kind, source in _SOURCES.items():
+        triggers["source"][edges["kind"] == kind] = source
+    return triggers
+
+
+class Aedat4Reader:
+    """Reads the first event stream and its companions; for a child process, see `guarded_reading`."""
+
+    def __init__(self, path: Path, size: tuple[int, int] | None) -> None:
+        self._decoder = aedat.Decoder(path)
+        tracks = {track.id: track for track in self._decoder.tracks()}
+        events = next((track for track in tracks.values() if track.data_type == "events"), None)
+        if events is None:
+            raise RecordingError("it holds no stream of events")
+        self._events = events.id
+        kinds = {"imus": "imu", "triggers": "edges", "frame": "frames"}
+        streams = frozenset(kinds[track.data_type] for track in tracks.values() if track.data_type in kinds)
+        info = _info(self._decoder.description(), events.id)
+        self.facts = Facts(events.dimensions or size, str(info.get("source", "aedat4")), _start(info), streams)
+        self.other_streams = len(tracks) - 1 - len(streams)
+
+    def parts(self) -> Iterator[Part]:
+        """Yield packets; raises at the first that is damaged, after all before it."""
+        start_us = np.uint64(self.facts.unix_us)
+        with self._decoder as packets:
+            for track, packet in packets:
+                if track.data_type == "frame":
+                    yield Part(frames=(_frame(packet, int(start_us)),))
+                    continue
+                packet = packet.copy()
+                packet["t"] -= start_us
+                if track.id == self._events:
+                    yield Part(packet.view(EVENT))
+                elif track.data_type == "triggers":
+                    yield Part(edges=_edges(packet))
+                elif track.data_type == "imus":
+                    yield Part(imu=packet.view(IMU))
+
+
+def _info(description: Any, stream: int) -> Mapping[str, Any]:
+    for top in description:
+        for node in top.nodes:
+            if node.name == str(stream):
+                return {key: one.value for inner in node.nodes for key, one in inner.attributes.items()}
+    return {}
+
+
+def _start(info: Mapping[str, Any]) -> int:
+    offset = info.get("tsOffset", 0)
+    return offset if isinstance(offset, int) and 0 <= offset < 1 << 62 else 0
+
+
+def _frame(frame: Any, start_us: int) -> Frame:
+    return Frame(frame.t - start_us, frame.exposure_start_t - start_us, frame.exposure_end_t - start_us, frame.pixels)
+
+
+def _edges(triggers: Any) -> Edges:
+    """Return the external triggers; resets, generators and marks of frames are left out."""
+    kinds = {source: kind for kind, source in _SOURCES.items()}
+    known = triggers[np.isin(triggers["source"], list(kinds))]
+    edges = np.zeros(len(known), EDGE)
+    edges["t"] = known["t"]
+    for source, kind in kinds.items():
+        edges["kind"][known["source"] == source] = kind
+    return edges

@@ -1,0 +1,97 @@
+"""HDF5 files as the DSEC data set has them: /events/{x, y, t, p}, /t_offset and /ms_to_idx.
+
+Element k of `ms_to_idx` is the index of the first event at or after k milliseconds. `t_offset` is the Unix time of
+t = 0, us, or 0. The size of the sensor stands in the attributes `width` and `height` of /events, which DSEC has not.
+
+Source: github.com/uzh-rpg/DSEC, "Data format".
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from firmware_protocol.events import EVENT, Events
+from transports.recording.part import Facts, Part, RecordingError
+
+__all__ = ["DsecReader", "DsecWriter"]
+
+_CHUNK = 1 << 16
+_MS = 1000
+_FIELDS = {"x": "<u2", "y": "<u2", "t": "<u4", "p": "u1"}
+
+
+class DsecWriter:
+    """Appends events to data sets that grow."""
+
+    def __init__(self, path: Path, facts: Facts) -> None:
+        self._file = h5py.File(path, "w")
+        width, height = facts.size or (0, 0)
+        group = self._file.create_group("events")
+        group.attrs.update(width=width, height=height, camera=facts.camera)
+        self._sets = {name: self._growing(f"events/{name}", dtype) for name, dtype in _FIELDS.items()}
+        self._starts = self._growing("ms_to_idx", "<u8")
+        self._file["t_offset"] = np.int64(facts.unix_us)
+        self._count = 0
+
+    def _growing(self, name: str, dtype: str) -> h5py.Dataset:
+        options = {"chunks": (_CHUNK,), "compression": "gzip", "compression_opts": 1, "shuffle": True}
+        return self._file.create_dataset(name, (0,), dtype, maxshape=(None,), **options)
+
+    def write(self, part: Part) -> None:
+        """Append the events."""
+        events = part.events
+        if not len(events):
+            return
+        _append(self._starts, self._new_starts(events))
+        for name, data in self._sets.items():
+            _append(data, events["on" if name == "p" else name])
+        self._count += len(events)
+        self._file.flush()
+
+    def _new_starts(self, events: Events) -> np.ndarray:
+        first = self._starts.shape[0]
+        marks = np.arange(first, int(events["t"][-1]) // _MS + 1, dtype=np.uint64) * np.uint64(_MS)
+        return np.searchsorted(events["t"], marks) + self._count
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+
+def _append(data: h5py.Dataset, values: np.ndarray) -> None:
+    before = data.shape[0]
+    data.resize(before + len(values), axis=0)
+    data[before:] = values
+
+
+class DsecReader:
+    """Reads /events in pieces."""
+
+    def __init__(self, path: Path, size: tuple[int, int] | None) -> None:
+        with contextlib.suppress(ImportError):
+            __import__("hdf5plugin")  # the files of the data set itself are compressed by Blosc
+        self._file = h5py.File(path, "r")
+        group = self._file.get("events")
+        if not isinstance(group, h5py.Group) or not all(name in group for name in _FIELDS):
+            raise RecordingError("it has no /events with x, y, t and p: HDF5 is read as the DSEC data set has it")
+        self._sets = [group[name] for name in _FIELDS]
+        if len({one.shape for one in self._sets}) != 1 or self._sets[0].ndim != 1:
+            raise RecordingError("its x, y, t and p are no lists of the same length")
+        told = (int(group.attrs.get("width", 0)), int(group.attrs.get("height", 0)))
+        offset = int(self._file["t_offset"][()]) if "t_offset" in self._file else 0
+        camera = str(group.attrs.get("camera", "dsec"))
+        self.facts = Facts(told if all(told) else size, camera, max(0, offset), frozenset())
+
+    def parts(self) -> Iterator[Part]:
+        """Yield events."""
+        with self._file:
+            for start in range(0, self._sets[0].shape[0], _CHUNK):
+                x, y, t, p = (one[start : start + _CHUNK] for one in self._sets)
+                events = np.zeros(len(t), EVENT)
+                events["x"], events["y"], events["t"], events["on"] = x, y, t, p > 0
+                yield Part(events)

@@ -1,0 +1,173 @@
+"""The record of one format of recordings, and all of them by name.
+
+A record names its modules by path, so that nothing is imported before a file of its kind is opened.
+"""
+
+from __future__ import annotations
+
+import errno
+import importlib
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from transports.recording.part import Facts, Reader, RecordingError, Writer
+
+__all__ = ["FORMATS", "Format", "format_to_write", "with_addition"]
+
+
+@dataclass(frozen=True)
+class Format:
+    """A format of recordings.
+
+    Attributes
+    ----------
+    name, title
+        What commands and people call it.
+    suffixes
+        Ends of the names of its files; the first one that has a format decides when it is written.
+    writer, reader
+        "module:Class" of what writes (path, facts) and reads (path) it.
+    holds
+        What is written with it: "events", "edges", "imu". Frames are read alone: see `aedat4`.
+    readers
+        Programs that open it, for people.
+    needs
+        The optional package that it needs, of the extra `evstim[files]`; "" for none.
+    size_px
+        Largest (width, height) that it can number.
+    until_us
+        Time beyond which it cannot go.
+    is_folder
+        Whether it is a folder of files.
+    piece_us
+        Time that is written at once, where events are few.
+    live
+        Whether a file that was not closed can be read up to its last whole piece.
+    """
+
+    name: str
+    title: str
+    suffixes: tuple[str, ...]
+    writer: str
+    reader: str
+    holds: tuple[str, ...] = ("events",)
+    readers: str = ""
+    needs: str = ""
+    size_px: tuple[int, int] = (1 << 16, 1 << 16)
+    until_us: int = 1 << 62
+    is_folder: bool = False
+    piece_us: int = 10_000  # as cameras make their packets
+    live: bool = True
+
+    def open_writer(self, path: Path, facts: Facts) -> Writer:
+        """Return a writer of `path`, which is made anew; raises OSError or RecordingError."""
+        if facts.size is None:
+            raise RecordingError(f"{self.title} needs the size of the sensor, which is not known here")
+        if facts.size[0] > self.size_px[0] or facts.size[1] > self.size_px[1]:
+            raise RecordingError(f"{self.title} numbers {self.size_px[0]} x {self.size_px[1]} pixels, not {facts.size}")
+        if not path.parent.is_dir():
+            raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(path.parent))
+        writer: Writer = self.imported(self.writer)(path, facts)
+        return writer
+
+    def open_reader(self, path: Path, size: tuple[int, int] | None = None) -> Reader:
+        """Return a reader of `path`; `size` is for files that do not tell the sensor's. Raises as its parts do."""
+        reader: Reader = self.imported(self.reader)(path, size)
+        return reader
+
+    def imported(self, where: str) -> Any:
+        """Return what `writer` or `reader` names; raises RecordingError where its library is missing."""
+        module, _, name = where.partition(":")
+        try:
+            return getattr(importlib.import_module(module), name)
+        except ImportError as error:
+            raise RecordingError(f"{self.title} needs {self.needs}: pip install 'evstim[files]'") from error
+
+
+_HERE = "transports.recording"
+_ROS = ("events", "edges")
+_FORMATS = (
+    Format(
+        "aedat4", "AEDAT 4.0", (".aedat4",), f"{_HERE}.aedat4:Aedat4Writer", f"{_HERE}.aedat4:Aedat4Reader",
+        ("events", "edges", "imu"), "DV, dv-processing, aedat, faery, jAER", "faery", (1 << 15, 1 << 15),
+    ),
+    Format(
+        "aedat2", "AEDAT 2.0", (".aedat2", ".aedat"), f"{_HERE}.legacy_aedat:Aedat2Writer",
+        f"{_HERE}.legacy_aedat:Aedat2Reader", ("events", "edges"), "jAER, tonic, dv", "", (1 << 10, 1 << 9),
+    ),
+    Format(
+        "aedat31", "AEDAT 3.1", (".aedat31", ".aedat3"), f"{_HERE}.legacy_aedat:Aedat31Writer",
+        f"{_HERE}.legacy_aedat:Aedat31Reader", ("events", "edges"), "cAER, dv", "", (1 << 15, 1 << 15),
+    ),
+    Format(
+        "evt3", "EVT3", (".raw",), f"{_HERE}.evt_file:Evt3Writer", f"{_HERE}.evt_file:EvtReader",
+        ("events", "edges"), "Metavision, OpenEB, faery, evlib, evt3", "", (1 << 11, 1 << 11),
+    ),
+    Format(
+        "evt2", "EVT2", (".evt2",), f"{_HERE}.evt_file:Evt2Writer", f"{_HERE}.evt_file:EvtReader",
+        ("events", "edges"), "Metavision, OpenEB, faery, evlib, expelliarmus", "", (1 << 11, 1 << 11), 1 << 34,
+    ),
+    Format(
+        "dat", "DAT", (".dat",), f"{_HERE}.faery_files:DatWriter", f"{_HERE}.faery_files:DatReader",
+        ("events",), "Metavision, OpenEB, faery, expelliarmus", "faery", (1 << 14, 1 << 14), 1 << 32,
+    ),
+    Format(
+        "es", "Event Stream", (".es",), f"{_HERE}.faery_files:EsWriter", f"{_HERE}.faery_files:EsReader",
+        ("events",), "faery, event_stream, Sepia", "faery", until_us=1 << 37,
+    ),
+    Format(
+        "csv", "CSV", (".csv",), f"{_HERE}.faery_files:CsvWriter", f"{_HERE}.faery_files:CsvReader",
+        ("events",), "faery, pandas, any table", "faery",
+    ),
+    Format(
+        "dsec", "HDF5 as DSEC has it", (".h5", ".hdf5"), f"{_HERE}.dsec:DsecWriter", f"{_HERE}.dsec:DsecReader",
+        ("events",), "h5py, evlib, the DSEC tools", "h5py", until_us=1 << 32, piece_us=1_000_000,
+    ),
+    Format(
+        "ros1", "ROS 1 bag", (".bag",), f"{_HERE}.rosbag:Ros1Writer", f"{_HERE}.rosbag:BagReader", _ROS,
+        "event_camera_msgs (evt3)", "rosbags", (1 << 11, 1 << 11), live=False,
+    ),
+    Format(
+        "ros1-dvs", "ROS 1 bag of dvs_msgs", (".dvs.bag",), f"{_HERE}.rosbag:Ros1DvsWriter",
+        f"{_HERE}.rosbag:BagReader", ("events",), "dvs_msgs: rpg_dvs_ros, rpg_esim", "rosbags", live=False,
+    ),
+    Format(
+        "ros2", "ROS 2 bag", (".ros2",), f"{_HERE}.rosbag:Ros2Writer", f"{_HERE}.rosbag:BagReader", _ROS,
+        "event_camera_msgs (evt3)", "rosbags", (1 << 11, 1 << 11), is_folder=True, live=False,
+    ),
+    Format(
+        "ros2-dvs", "ROS 2 bag of dvs_msgs", (".dvs.ros2",), f"{_HERE}.rosbag:Ros2DvsWriter",
+        f"{_HERE}.rosbag:BagReader", ("events",), "dvs_msgs", "rosbags", is_folder=True, live=False,
+    ),
+    Format(
+        "npz", "NumPy", (".npz",), f"{_HERE}.npz:NpzWriter", f"{_HERE}.npz:NpzReader", ("events", "edges"),
+        "numpy, evstim", "", live=False,
+    ),
+)  # fmt: skip
+FORMATS: Mapping[str, Format] = {one.name: one for one in _FORMATS}
+"""All formats by name."""
+
+
+def with_addition(path: Path, text: str) -> Path:
+    """Return the path with `text` before its suffix, so that its format stays: a.dvs.bag -> a-TEXT.dvs.bag."""
+    known = sorted((s for one in _FORMATS for s in one.suffixes), key=len, reverse=True)
+    suffix = next((s for s in known if path.name.endswith(s)), path.suffix)
+    stem = path.name[: len(path.name) - len(suffix)] if suffix else path.name
+    return path.with_name(f"{stem}-{text}{suffix}")
+
+
+def format_to_write(path: Path, name: str = "") -> Format:
+    """Return the format of that name, or the one of the file's suffix; raises RecordingError."""
+    if name:
+        if name not in FORMATS:
+            raise RecordingError(f"there is no format {name!r}; there are {', '.join(FORMATS)}")
+        return FORMATS[name]
+    by_length = sorted(((s, one) for one in _FORMATS for s in one.suffixes), key=lambda pair: -len(pair[0]))
+    for suffix, one in by_length:
+        if path.name.endswith(suffix) and path.name != suffix:
+            return one
+    ends = ", ".join(suffix for one in _FORMATS for suffix in one.suffixes)
+    raise RecordingError(f"{path.name!r} has none of the suffixes that are written: {ends}; or give the format")

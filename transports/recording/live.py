@@ -1,0 +1,182 @@
+"""A live recording: parts go through a pipe to a process that writes them, so that no disk delays a camera.
+
+    link --append--> queue --thread--> pipe --> writer process --> file
+
+The queue is bounded. In a run that is not paced `append` waits for room; in one that is, events that find none are left
+out of the file and counted.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import threading
+from collections import deque
+from contextlib import suppress
+from fcntl import F_SETPIPE_SZ, fcntl
+from pathlib import Path
+from typing import Any
+
+from firmware_protocol.edges import Edges, empty_edges
+from firmware_protocol.events import EVENT, Events
+from transports.recording.format import Format
+from transports.recording.part import Facts, Part
+from transports.recording.parts_pipe import encoded_part, encoded_restart
+
+__all__ = ["LiveRecorder"]
+
+_CAPACITY_BYTES = 1 << 27
+_PIPE_BYTES = 1 << 20
+_CLOSE_S = 8.0  # a session waits 10 s for a link's last report
+_START = (
+    "import json, sys; sys.path[:] = json.loads(sys.argv.pop()); "
+    "from transports.recording.writer_process import main; main()"
+)
+
+
+class LiveRecorder:
+    """Writes events and edges in device time to `path`. Only the constructor raises OSError.
+
+    Attributes
+    ----------
+    missing : events that found the queue full, or came when nothing could be written any more.
+    report : what the writer said at its end: "events", "edges", "trouble", "paths".
+    """
+
+    def __init__(self, path: Path, form: Format, facts: Facts, what: str = "record") -> None:
+        self.path = path
+        self._what = what
+        self._process = _started(path, form, facts)
+        self._opened()
+        self._waiting: deque[bytes] = deque()
+        self._waiting_bytes = 0
+        self._changed = threading.Condition()
+        self._ending = self._broken = False
+        self._is_first = True
+        self.missing = 0
+        self.report: dict[str, Any] = {}
+        self._thread = threading.Thread(target=self._send_all, name="recording", daemon=True)
+        self._thread.start()
+
+    def _opened(self) -> None:
+        """Wait until the file is open; raises OSError."""
+        told = self._hear()
+        if "opened" in told:
+            return
+        self._let_go()
+        raise OSError(0, told.get("error", f"its writer ended (exit code {self._process.returncode})"), str(self.path))
+
+    @property
+    def broken(self) -> bool:
+        """Whether the writer has ended, so that nothing more is written."""
+        return self._broken or self._process.poll() is not None
+
+    @property
+    def room(self) -> int:
+        """Events that `append` takes now."""
+        return 0 if self._broken else max(0, _CAPACITY_BYTES - self._waiting_bytes) // EVENT.itemsize
+
+    @property
+    def trouble(self) -> str:
+        """Why the file is not whole, for people; empty where it is."""
+        if why := self.report.get("trouble"):
+            return f"{self._what} stopped: {why} ({self.path})"
+        if self.missing:
+            return f"{self._what} lacks {self.missing} events: they came faster than it could be written ({self.path})"
+        if late := self.report.get("late_edges"):
+            return f"{self._what} lacks {late} edges: they came after later events ({self.path})"
+        return ""
+
+    def append(
+        self, events: Events, *, edges: Edges | None = None, restarted: bool = False, unix_us: int | None = None
+    ) -> None:
+        """Add events and edges in device time; `restarted` when that time began anew before them.
+
+        `unix_us` is the Unix time at which it began; None in a run that is not paced, where this call may wait.
+        """
+        messages = encoded_restart(unix_us or 0) if restarted or self._is_first else []
+        self._is_first = False
+        messages += encoded_part(Part(events, empty_edges() if edges is None else edges))
+        size = sum(len(message) for message in messages)
+        with self._changed:
+            if unix_us is None:
+                self._changed.wait_for(lambda: self._broken or self._waiting_bytes + size <= _CAPACITY_BYTES)
+            if self._broken or self._waiting_bytes + size > _CAPACITY_BYTES:
+                self.missing += len(events)
+                return
+            self._waiting.extend(messages)
+            self._waiting_bytes += size
+            self._changed.notify_all()
+
+    def close(self) -> None:
+        """Let the writer finish the file, and hear its report; it goes on by itself where that takes long."""
+        with self._changed:
+            self._ending = True
+            self._changed.notify_all()
+        self._thread.join(_CLOSE_S)
+        if self._thread.is_alive():
+            self.report = {"trouble": f"still being written by process {self._process.pid}"}
+
+    def _send_all(self) -> None:
+        """Send what waits until the end, and then hear the report; in the thread."""
+        try:
+            while data := self._next():
+                _write(self._process.stdin.fileno(), data)  # type: ignore[union-attr]
+                with self._changed:
+                    self._waiting_bytes -= len(data)
+                    self._changed.notify_all()
+        except OSError:  # the writer has ended
+            with self._changed:
+                self._broken = True
+                self._changed.notify_all()
+        with suppress(OSError):
+            self._process.stdin.close()  # type: ignore[union-attr]
+        self.report = self._hear() or {"trouble": "its writer was killed"}
+        with self._changed:
+            self._broken = True
+            self._changed.notify_all()
+        self._let_go()
+
+    def _let_go(self) -> None:
+        """Wait for the process to end, and close the pipes."""
+        with suppress(OSError):
+            self._process.stdin.close()  # type: ignore[union-attr]
+        self._process.stdout.close()  # type: ignore[union-attr]
+        self._process.wait()
+
+    def _next(self) -> bytes:
+        with self._changed:
+            self._changed.wait_for(lambda: self._waiting or self._ending)
+            data = b"".join(self._waiting)
+            self._waiting.clear()
+            return data
+
+    def _hear(self) -> dict[str, Any]:
+        """Return the writer's next line, {} where it ended without one."""
+        line = self._process.stdout.readline() if self._process.stdout else b""
+        try:
+            told: dict[str, Any] = json.loads(line)
+        except ValueError:
+            return {}
+        return told
+
+
+def _started(path: Path, form: Format, facts: Facts) -> subprocess.Popen[bytes]:
+    known = {"size": facts.size, "camera": facts.camera, "unix_us": facts.unix_us, "streams": sorted(facts.streams)}
+    order = json.dumps({"path": str(path), "format": form.name, "facts": known})
+    # A session of its own: a signal to the group of the run must not end it before its input does.
+    process = subprocess.Popen(
+        [sys.executable, "-P", "-c", _START, order, json.dumps(sys.path)],
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, start_new_session=True,
+    )  # fmt: skip
+    with suppress(OSError):  # a smaller pipe serves too
+        fcntl(process.stdin, F_SETPIPE_SZ, _PIPE_BYTES)  # type: ignore[arg-type]
+    return process
+
+
+def _write(descriptor: int, data: bytes) -> None:
+    view = memoryview(data)
+    while view:
+        view = view[os.write(descriptor, view) :]

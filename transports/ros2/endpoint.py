@@ -1,0 +1,201 @@
+"""Topics of ROS 2 as a link's endpoint.
+
+    device.carry -> Gathering -> PacketCoder  -> a message a millisecond -> topic of events
+                              -> PictureCoder -> a message a picture     -> topic of pictures
+
+A writer never waits: DDS keeps the last `depth` messages for readers that have to be sent some again. In a run that is
+not paced, no more than half of that many are under way, so that a run that nobody hurries loses nothing; a reader that
+has acknowledged nothing for two seconds is not waited for.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from firmware_protocol.plain_device import PlainDevice, Taken, own_time
+from firmware_protocol.ros2.messages import EVENT_PACKET, IMAGE
+from transports.link.deliveries import Deliveries
+from transports.link.endpoint import Endpoint, EndpointFactory
+from transports.ros2.coding import PacketCoder, PictureCoder
+from transports.ros2.gathering import Gathering
+from transports.ros2.parameters import Ros2Topics
+from transports.ros2.window import Window
+
+if TYPE_CHECKING:
+    from transports.ros2.dds import DdsParticipant, TopicWriter
+
+__all__ = ["Ros2Endpoint", "Ros2Factory"]
+
+_MOST_EVENTS = 1 << 14  # of a message
+_LINGER_NS = 1_000_000_000
+_STEP_S = 0.001
+
+
+@dataclass(frozen=True)
+class Ros2Factory(EndpointFactory[PlainDevice]):
+    """Publishes the events of a sensor of `size` = (width, height), as `link` says."""
+
+    link: Ros2Topics
+    size: tuple[int, int]
+
+    def build(self, device: PlainDevice, deliveries: Deliveries) -> Ros2Endpoint:
+        """Return the endpoint, not yet in its domain."""
+        return Ros2Endpoint(self, device, deliveries)
+
+
+class Ros2Endpoint(Endpoint):
+    """One camera's topics."""
+
+    def __init__(self, factory: Ros2Factory, device: PlainDevice, deliveries: Deliveries) -> None:
+        self._link, self._device, self._deliveries = factory.link, device, deliveries
+        self._packets = PacketCoder(factory.link, factory.size)
+        self._pictures = PictureCoder(factory.link, factory.size) if factory.link.image_topic else None
+        self._gathering = Gathering(_MOST_EVENTS, round(factory.link.message_ms * 1e6))
+        self._participant: DdsParticipant | None = None
+        self._events_to: TopicWriter | None = None
+        self._pictures_to: TopicWriter | None = None
+        self._window = Window(factory.link.depth // 2)
+        self._readers = self._epoch_us = 0
+        self._zero_us: int | None = None
+        self._counts: Counter[str] = Counter()
+        device.takes_edges = self._packets.has_edges
+
+    async def start(self) -> None:
+        """Join the domain; raises OSError, with what to do, where that cannot be done."""
+        try:
+            from transports.ros2.dds import DdsParticipant, TopicQos
+        except ImportError as error:
+            raise OSError(f"topics of ROS 2 need cyclonedds ({error}): pip install 'evstim[ros2]'") from error
+        link = self._link
+        self._device.run(False)
+        self._participant = DdsParticipant(link.network)
+        qos = TopicQos(link.reliable, link.depth)
+        self._events_to = self._participant.writer(link.topic, EVENT_PACKET, qos)
+        if link.image_topic:
+            self._pictures_to = self._participant.writer(link.image_topic, IMAGE, qos)
+
+    def pump(self) -> None:
+        """Publish what is due."""
+        self._look_for_readers()
+        now_ns = self._deliveries.clock.now_ns()
+        while self._may_write(now_ns):
+            self._gather(now_ns)
+            if not self._gathering.due(now_ns):
+                break
+            self._publish()
+        if self._pictures is not None and self._readers and not self._device.waiting and not self._gathering.holds:
+            t_us = self._device.now_us - self._epoch_us
+            self._show(self._pictures.advance(t_us, self._unix_us))
+
+    async def close(self) -> None:
+        """Publish what has been gathered, wait a second for readers that are behind, and leave."""
+        if self._events_to is not None and self._participant is not None:
+            self._publish()
+            clock = self._deliveries.clock
+            until_ns = clock.now_ns() + _LINGER_NS
+            while not self._acknowledged and clock.now_ns() < until_ns:
+                await asyncio.sleep(_STEP_S)
+            for writer in self._writers:
+                writer.close()
+            self._participant.close()
+        self._events_to = self._pictures_to = None
+        self._device.run(False)
+
+    @property
+    def state(self) -> str:
+        """How many readers there are, or that they are waited for."""
+        if not self._readers:
+            return f"waiting for a reader of {self.address}"
+        return f"{self._readers} reader{'s' if self._readers > 1 else ''} of {self.address}"
+
+    @property
+    def address(self) -> str:
+        """The topics and their domain."""
+        topics = [self._link.topic, *([self._link.image_topic] if self._link.image_topic else [])]
+        return f"{' and '.join(topics)} in domain {self._link.domain}"
+
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """Messages that were published."""
+        return +self._counts
+
+    @property
+    def _writers(self) -> list[TopicWriter]:
+        return [writer for writer in (self._events_to, self._pictures_to) if writer is not None]
+
+    @property
+    def _acknowledged(self) -> bool:
+        return all(writer.acknowledged for writer in self._writers)
+
+    @property
+    def _unix_us(self) -> int:
+        """When the camera's clock was zero, by one look at the wall's clock; 0 where there is no date (yet)."""
+        if self._zero_us is None:
+            self._zero_us = self._deliveries.unix_us(self._epoch_us)
+        return self._zero_us or 0
+
+    def _look_for_readers(self) -> None:
+        before, self._readers = self._readers, sum(writer.readers for writer in self._writers)
+        if bool(before) == bool(self._readers):
+            return
+        if not self._readers:
+            self._give_up()
+        self._device.run(bool(self._readers))
+
+    def _give_up(self) -> None:
+        """What was gathered was for readers that have gone."""
+        gone = self._gathering.taken()
+        if gone is not None:
+            self._device.failed(len(gone.events), len(gone.edges))
+        if self._pictures is not None:
+            self._pictures.restart()
+
+    def _may_write(self, now_ns: int) -> bool:
+        if not self._readers:
+            return False
+        if self._deliveries.paced:
+            return True
+        return self._window.open(now_ns, lambda: self._acknowledged)
+
+    def _gather(self, now_ns: int) -> None:
+        while self._gathering.room > 0 and (taken := self._device.carry(self._gathering.room)) is not None:
+            if not self._gathering.fits(taken.epoch_us):
+                self._publish()
+            self._gathering.add(taken, now_ns)
+
+    def _publish(self) -> None:
+        taken = self._gathering.taken()
+        if taken is None or self._events_to is None:
+            return
+        if taken.epoch_us != self._epoch_us:
+            self._restart(taken.epoch_us)
+        events, edges = own_time(taken.events, taken.epoch_us), own_time(taken.edges, taken.epoch_us)
+        if self._packets.has_edges or len(events):
+            self._tell(taken, self._events_to.write(self._packets.packet(events, edges, self._unix_us)))
+        if self._pictures is not None:
+            self._show(self._pictures.add(events, self._unix_us))
+
+    def _restart(self, epoch_us: int) -> None:
+        self._epoch_us, self._zero_us = epoch_us, None
+        self._packets.restart()
+        if self._pictures is not None:
+            self._pictures.restart()
+
+    def _tell(self, taken: Taken, written: bool) -> None:
+        """Tell of events whose message DDS has taken, or not."""
+        self._window.written()
+        self._counts["messages of events" if written else "messages that DDS refused"] += 1
+        if written:
+            self._device.arrived(len(taken.events), len(taken.edges))
+            self._deliveries.add(taken.events, taken.epoch_us, taken.edges)
+        else:
+            self._device.failed(len(taken.events), len(taken.edges))
+
+    def _show(self, messages: Iterator[bytes]) -> None:
+        for message in messages:
+            if self._pictures_to is not None and self._pictures_to.write(message):
+                self._counts["pictures"] += 1

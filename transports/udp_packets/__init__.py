@@ -1,0 +1,1 @@
+"""The instrument's packets in UDP datagrams, for ground systems and flight software that take them so."""

@@ -1,0 +1,152 @@
+"""An instrument that sends its packets in datagrams, and takes telecommands from datagrams.
+
+    instrument.next_message -> profile.wrap -> faults -> outlet
+    instrument.command <- unwrapper <- whole packets <- inlet
+
+UDP has no back-pressure and no receiver that can be seen: a message counts as delivered when the kernel has taken its
+datagram. The packets' sequence counts tell the receiver what is missing.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from firmware_protocol.instrument.instrument import Instrument
+from firmware_protocol.instrument.outgoing import Outgoing
+from firmware_protocol.packets.ccsds import whole_packets
+from firmware_protocol.packets.profile import Profile
+from transports.faults.datagrams import FaultyDatagrams
+from transports.faults.kinds import Fault
+from transports.faults.script import FaultPlan, FaultRecord
+from transports.link.deliveries import Deliveries
+from transports.link.endpoint import Endpoint, EndpointFactory
+from transports.network.datagrams import ByteBudget, DatagramInlet, DatagramOutlet
+from transports.udp_packets.parameters import UdpPackets
+
+__all__ = ["UdpPacketEndpoint", "UdpPacketFactory"]
+
+_AT_A_TIME = 64
+
+
+@dataclass(frozen=True)
+class UdpPacketFactory(EndpointFactory[Instrument]):
+    """Puts an instrument behind a pair of UDP ports."""
+
+    link: UdpPackets
+    faults: FaultPlan = field(default_factory=FaultPlan)
+
+    def build(self, device: Instrument, deliveries: Deliveries) -> UdpPacketEndpoint:
+        """Return the endpoint, its sockets not yet open."""
+        return UdpPacketEndpoint(self, device, deliveries)
+
+
+class UdpPacketEndpoint(Endpoint):
+    """One instrument and one receiver."""
+
+    def __init__(self, factory: UdpPacketFactory, instrument: Instrument, deliveries: Deliveries) -> None:
+        link = factory.link
+        self._instrument = instrument
+        self._deliveries = deliveries
+        self._clock = deliveries.clock
+        self._profile = Profile("ccsds")
+        self._commands = self._profile.command_unwrapper()
+        self._outlet = DatagramOutlet(link.host, link.port)
+        self._inlet = DatagramInlet(link.command_host, link.command_port, link.allow)
+        self._budget = ByteBudget(link.mbit_s, self._clock.now_ns())
+        self._faulty = FaultyDatagrams(factory.faults, self._arrived)
+        self._next: tuple[bytes, Outgoing] | None = None
+
+    async def start(self) -> None:
+        """Open the sockets; raises OSError, with what to do, when an address cannot be used."""
+        self._inlet.open()
+        try:
+            self._outlet.open()
+        except OSError:
+            self._inlet.close()
+            raise
+
+    def pump(self) -> None:
+        """Take what came, and send what waits as far as the rate allows."""
+        self._receive()
+        self._budget.renew(self._clock.now_ns())
+        while self._budget.left > 0 and self._prepare() and self._send():
+            pass
+        self._faulty.flush(self._outlet.send)
+
+    def advance_faults(self, stream_us: int) -> None:
+        """See `Endpoint.advance_faults`."""
+        self._faulty.advance(stream_us)
+
+    def inject(self, fault: Fault) -> None:
+        """See `Endpoint.inject`."""
+        self._faulty.inject(fault)
+
+    @property
+    def faults(self) -> tuple[FaultRecord, ...]:
+        """See `Endpoint.faults`."""
+        return self._faulty.records
+
+    async def close(self) -> None:
+        """Close the sockets; what has not left is lost."""
+        if self._next is not None:
+            self._instrument.lost(self._next[1])
+            self._next = None
+        self._faulty.close(self._outlet.send)
+        self._instrument.disconnected()
+        self._inlet.close()
+        self._outlet.close()
+
+    @property
+    def state(self) -> str:
+        """Where it sends, and where it listens."""
+        sent = self._outlet.counts["datagrams"]
+        return f"{sent} datagrams to {self._outlet.address}, telecommands at {self._inlet.address}"
+
+    @property
+    def address(self) -> str:
+        """Where telecommands are taken."""
+        return self._inlet.address
+
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """Telecommands, datagrams, and what was wrong with either."""
+        more = {
+            "telecommands": self._commands.counters.packets,
+            "damaged_frames": self._instrument.frames_refused,
+            "telecommands of senders not allowed": self._inlet.refused,
+            "false_messages": self._faulty.false,
+        }
+        return +(self._outlet.counts + Counter(more))
+
+    def _receive(self) -> None:
+        """Take datagrams of the other side: the one way in."""
+        for datagram in self._inlet.take(_AT_A_TIME):
+            for packet in whole_packets(datagram):
+                for received in self._commands.push(packet):
+                    self._instrument.command(received)
+        counters = self._commands.counters
+        self._instrument.frames_refused = sum(counters.frames.refused.values()) + sum(counters.refused.values())
+
+    def _prepare(self) -> bool:
+        """Have a datagram ready; False when there is nothing to send."""
+        if self._next is None:
+            outgoing = self._instrument.next_message()
+            self._next = None if outgoing is None else (self._profile.wrap(outgoing.message), outgoing)
+        return self._next is not None
+
+    def _send(self) -> bool:
+        """Send the datagram that is ready, by way of the faults; False when the kernel takes none now."""
+        assert self._next is not None
+        data, outgoing = self._next
+        left = self._faulty.send(data, outgoing, self._outlet.send)
+        if left is None:
+            return False
+        self._next = None
+        self._budget.left -= len(data)
+        (self._instrument.sent if left else self._instrument.lost)(outgoing)
+        return True
+
+    def _arrived(self, outgoing: Outgoing) -> None:
+        self._deliveries.add(outgoing.events, outgoing.epoch_us, outgoing.edges)

@@ -1,0 +1,1 @@
+"""The socket to which a Basilisk simulation connects."""

@@ -1,0 +1,121 @@
+"""A ZeroMQ socket for one simulation: its REQ socket connects here, asks, and stands still until it has the reply.
+
+The socket is a ROUTER, which tells peers apart (a REP would mix their requests). The first peer is served until it
+leaves; requests of others stay unanswered and are counted. Whether the peer has left is known from the file descriptor
+of its connection: ZeroMQ itself would wait for it to come back. For peers on other machines TCP's keep-alive says so.
+
+Nothing authenticates a peer. A part of a message is at most `MOST_BYTES` long; ZeroMQ does not limit the number of
+parts of one message, so only programs that are trusted should be able to connect.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from typing import Any
+
+from transports.network.allow import AllowList
+
+__all__ = ["MOST_BYTES", "VizardServer"]
+
+MOST_BYTES = 1 << 24
+_MOST_PARTS = 16
+_KEEP_ALIVE = {"TCP_KEEPALIVE": 1, "TCP_KEEPALIVE_IDLE": 10, "TCP_KEEPALIVE_INTVL": 5, "TCP_KEEPALIVE_CNT": 3}
+_LINGER_MS = 500  # for the last reply to leave
+
+
+class VizardServer:
+    """Listens on `host` and `port` (0: any free one) for the peers of `allow`, empty: this machine's.
+
+    Attributes
+    ----------
+    peer_gone : whether the peer that was served has closed its connection.
+    refused : requests of second peers, of addresses not allowed, and messages that no REQ socket sends.
+
+    Raises
+    ------
+    ImportError
+        pyzmq is not installed.
+    OSError
+        The port cannot be had.
+    """
+
+    def __init__(self, host: str, port: int, allow: Sequence[str] = ()) -> None:
+        import zmq
+        from zmq.utils.monitor import recv_monitor_message
+
+        self._zmq, self._monitor_message = zmq, recv_monitor_message
+        self._allow = AllowList(allow)
+        self._context: Any = zmq.Context()
+        self._socket = self._context.socket(zmq.ROUTER)
+        self._monitor = self._socket.get_monitor_socket(zmq.EVENT_DISCONNECTED)
+        for name, value in {"MAXMSGSIZE": MOST_BYTES, "LINGER": _LINGER_MS, **_KEEP_ALIVE}.items():
+            self._socket.setsockopt(getattr(zmq, name), value)
+        self._poller = zmq.Poller()
+        for socket in (self._socket, self._monitor):
+            self._poller.register(socket, zmq.POLLIN)
+        self._peer: bytes | None = None
+        self._peer_fd = -1
+        self.peer_gone = False
+        self.refused = 0
+        self._bind(host, port)
+
+    @property
+    def address(self) -> str:
+        """Where a simulation connects to, as ZeroMQ writes it."""
+        return str(self._socket.getsockopt_string(self._zmq.LAST_ENDPOINT))
+
+    def receive(self, timeout_ms: int) -> list[bytes] | None:
+        """Return the parts of the peer's next request; None when none came in time, or something else happened."""
+        if not self._poller.poll(timeout_ms):
+            return None
+        try:
+            frames = self._socket.recv_multipart(self._zmq.NOBLOCK, copy=False)
+        except self._zmq.Again:  # so it is the monitor that has something, and nothing of the peer is left to read
+            self._look_for_leaving()
+            return None
+        return self._admitted(frames)
+
+    def send(self, parts: Sequence[bytes]) -> None:
+        """Answer the peer's request; what it does not take any more is dropped."""
+        assert self._peer is not None
+        self._socket.send_multipart([self._peer, b"", *parts])
+
+    def forget_peer(self) -> None:
+        """Serve whoever comes next."""
+        self._peer, self.peer_gone = None, False
+
+    def close(self) -> None:
+        """Send what waits, for half a second at most, and close; a second call does nothing."""
+        self._socket.disable_monitor()
+        self._monitor.close(0)
+        self._socket.close()
+        self._context.term()
+
+    def _bind(self, host: str, port: int) -> None:
+        at = f"[{host}]" if ":" in host else host
+        self._socket.setsockopt(self._zmq.IPV6, int(":" in host))
+        try:
+            self._socket.bind(f"tcp://{at}:{port or '*'}")
+        except self._zmq.ZMQError as error:
+            self.close()
+            number = error.errno or 0
+            raise OSError(number, f"cannot listen on {host} port {port}: {os.strerror(number)}") from error
+
+    def _admitted(self, frames: Sequence[Any]) -> list[bytes] | None:
+        """Return the parts behind the sender and the empty one of a REQ socket, where the sender may ask."""
+        if not 3 <= len(frames) <= _MOST_PARTS or frames[1].bytes:
+            self.refused += 1
+            return None
+        sender, last = frames[0].bytes, frames[-1]
+        if self._peer is None and self._allow.permits(last.get("Peer-Address")):
+            self._peer, self._peer_fd = sender, last.get(self._zmq.SRCFD)
+        if sender != self._peer:
+            self.refused += 1
+            return None
+        return [frame.bytes for frame in frames[2:]]
+
+    def _look_for_leaving(self) -> None:
+        while self._monitor.poll(0):
+            left = self._monitor_message(self._monitor)["value"]
+            self.peer_gone = self.peer_gone or (self._peer is not None and left == self._peer_fd)
