@@ -10,6 +10,7 @@ import atexit
 import importlib
 import threading
 from collections.abc import Iterable, Iterator
+from concurrent.futures import CancelledError
 from contextlib import suppress
 from dataclasses import asdict
 from importlib.metadata import version
@@ -87,16 +88,26 @@ class DaskWorkers:
     def _row(self, future: Any, index: int) -> Row:
         del self._futures[future.key]
         if future.status == "finished":
-            row: Row = future.result()
-            return row
+            return self._result(future)
         error = future.exception() if future.status == "error" else None
         if error is None:
-            raise CampaignStopped(f"--scheduler: {self._address} is gone, or has cancelled the runs")
+            raise self._gone()
         if type(error).__name__ == "KilledWorker":
             return lost_row(self._campaign, index, "crashed", f"the workers died that had this run: {error}")
         if isinstance(error, CampaignStopped):
             raise error
         raise CampaignStopped(f"--scheduler: a worker cannot do run {index}: {type(error).__name__}: {error}")
+
+    def _result(self, future: Any) -> Row:
+        """Return the row of a finished run, which is fetched from the cluster only now."""
+        try:
+            row: Row = future.result()
+        except (OSError, CancelledError) as error:
+            raise self._gone() from error
+        return row
+
+    def _gone(self) -> CampaignStopped:
+        return CampaignStopped(f"--scheduler: {self._address} is gone, or has cancelled the runs")
 
     def _close(self) -> None:
         """Leave the cluster as it was; what still runs there ends with its run."""

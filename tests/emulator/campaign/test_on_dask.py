@@ -3,6 +3,8 @@
 import subprocess
 import sys
 import time
+from concurrent.futures import CancelledError
+from types import SimpleNamespace
 
 import pytest
 
@@ -81,3 +83,16 @@ def test_no_scheduler(campaign, tmp_path, monkeypatch):
     monkeypatch.setattr("emulator.campaign.on_dask._CONNECT_S", 1)
     with pytest.raises(CampaignStopped, match=r"--scheduler: no scheduler answers at tcp://127\.0\.0\.1:9"):
         DaskWorkers(campaign(), tmp_path, "tcp://127.0.0.1:9")
+
+
+@pytest.mark.parametrize("error", [ConnectionResetError("reset by peer"), CancelledError()])
+def test_a_scheduler_that_vanishes_while_a_row_is_fetched_is_told(error, campaign, tmp_path, monkeypatch):
+    def result():
+        raise error
+
+    monkeypatch.setattr("emulator.campaign.on_dask._connected", lambda _: None)
+    workers = DaskWorkers(campaign(), tmp_path, "tcp://127.0.0.1:9")
+    future = SimpleNamespace(key="k", status="finished", result=result)
+    workers._futures["k"] = future
+    with pytest.raises(CampaignStopped, match="is gone, or has cancelled the runs"):
+        workers._row(future, 0)
