@@ -36,8 +36,8 @@ FIRST_ERROR_DEG = np.array([4.0, -3.0])  # to the right and down, of the asteroi
 class Watchdog(sysModel.SysModel):
     """Ends this process when the visualiser has not answered for a while: vizInterface itself waits for ever.
 
-    The wait is in compiled code that holds Python's lock, so a thread could not run: SIGALRM with its default action ends
-    the process from outside. It is given before the first update, and again at each step.
+    SIGALRM with its default action ends the process whatever compiled code does meanwhile. The time begins before the
+    first update, and again at each step.
     """
 
     def __init__(self, limit_s: float) -> None:
