@@ -15,6 +15,7 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -88,9 +89,14 @@ def run_row(campaign: Campaign, index: int, place: Place, on_session: Callable[[
         row |= {"outcome": "failed", "error": str(error)}
     except Exception as error:  # noqa: BLE001 - one run that meets a mistake of ours must not end the campaign
         row |= {"outcome": "failed", "error": f"{type(error).__name__}: {error}"}
-    row |= {"machine.host": platform.node(), "machine.begun": begun, "machine.version": version("evstim")}
+    row |= {"machine.host": platform.node(), "machine.begun": begun, "machine.version": _version()}
     row |= {"machine.wall_s": time.monotonic() - begun_s, "machine.cpu_s": time.process_time() - begun_cpu_s}
     return judged(campaign.settings, row)
+
+
+@cache
+def _version() -> str:
+    return version("evstim")  # reads a file each time
 
 
 class _Run:

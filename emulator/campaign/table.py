@@ -7,11 +7,11 @@ only once. DuckDB, pandas and polars read both forms.
 from __future__ import annotations
 
 import importlib
-import io
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from emulator.campaign.columns import Row
@@ -28,6 +28,7 @@ __all__ = [
 ]
 
 _SUFFIX = ".parquet"
+_PLAIN = {"compression": "none", "use_dictionary": False, "write_statistics": False, "store_schema": False}
 
 
 class TablesLacking(Exception):
@@ -62,12 +63,11 @@ def write_table(path: Path, rows: Sequence[Row]) -> None:
 
 
 def _write(path: Path, rows: Sequence[Row]) -> None:
-    pyarrow, memory = importlib.import_module("pyarrow"), io.BytesIO()
-    _parquet().write_table(pyarrow.table(_columns(rows, pyarrow)), memory)
+    whole = _file_of(rows)
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         with part.open("wb") as file:
-            file.write(memory.getvalue())
+            file.write(whole)
             file.flush()
             os.fsync(file.fileno())
         part.replace(path)
@@ -75,6 +75,16 @@ def _write(path: Path, rows: Sequence[Row]) -> None:
         with suppress(OSError):
             part.unlink(missing_ok=True)
         raise
+
+
+def _file_of(rows: Sequence[Row]) -> Any:
+    """Return rows as the bytes of a Parquet file."""
+    pyarrow = importlib.import_module("pyarrow")
+    columns = _columns(rows, pyarrow)
+    table = pyarrow.Table.from_arrays(list(columns.values()), list(columns))  # `pyarrow.table` would import pandas
+    memory = pyarrow.BufferOutputStream()
+    _parquet().write_table(table, memory, **(_PLAIN if len(rows) == 1 else {}))
+    return memory.getvalue()
 
 
 def _columns(rows: Sequence[Row], pyarrow: Any) -> dict[str, Any]:
@@ -102,9 +112,12 @@ def done_rows(folder: Path) -> set[int]:
     return {int(name.removesuffix(_SUFFIX)) for name in names if name.removesuffix(_SUFFIX).isdigit()}
 
 
-def read_rows(folder: Path) -> list[Row]:
-    """Return the rows of a folder in the order of their indices; raises RowUnreadable."""
-    return [read_row(folder, index) for index in sorted(done_rows(folder))]
+def read_rows(folder: Path, known: Mapping[int, Row] = MappingProxyType({})) -> list[Row]:
+    """Return the rows of a folder in the order of their indices; those of `known` are not read again.
+
+    Raises RowUnreadable.
+    """
+    return [known.get(index) or read_row(folder, index) for index in sorted(done_rows(folder))]
 
 
 def read_row(folder: Path, index: int) -> Row:

@@ -11,6 +11,7 @@ It ends when the socket is closed. SIGTERM abandons the run at hand; it comes al
 from __future__ import annotations
 
 import ctypes
+import gc
 import json
 import os
 import signal
@@ -46,6 +47,7 @@ class _Worker:
         except (CampaignError, RigError) as error:
             self._answer({"stopped": str(error)})
             return
+        gc.freeze()  # what is loaded stays: no collection need look at it again
         self._answer({"ready": True})
         while not self._abandoned:
             order = json.loads(self._socket.recv_bytes())

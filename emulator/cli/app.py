@@ -32,6 +32,7 @@ app = App(
 for verb, module, told in (
     ("run", "run", "Run a rig: render its scene, simulate its sensor, serve its links."),
     ("vizard", "vizard", "Run a rig in step with a Basilisk simulation, which gives poses and asks for images."),
+    ("dynamics", "dynamics", "Fly an FMU: its poses go to a running rig, its inputs come from a file or a CAN bus."),
     ("record", "record", "Record the events of a rig to a file: AEDAT4, EVT3, HDF5, a ROS bag, ..."),
     ("convert", "convert", "Convert a recording of events to another format."),
     ("info", "info", "Show what a recording of events is and holds."),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -132,6 +133,7 @@ def _run(made: Campaign, folder: Path, todo: list[int], where: Where, progress: 
     if where.scheduler is None:
         prepared(parts_of(made.rig(todo[0])))
     workers = _workers(made, folder.absolute(), len(todo), where)
+    gc.freeze()  # what is loaded stays: no collection need look at it again
     with stopped_by_signals(_Stopping(workers, progress)), progress.shown():
         try:
             run_campaign(made, folder, todo, workers, progress.add)

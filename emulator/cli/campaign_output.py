@@ -34,13 +34,13 @@ class Progress:
     ----------
     interrupted : whether a signal ended the campaign.
     trouble : why it could not go on, or "".
-    came : rows that came since this command began.
+    rows : the rows that came since this command began, by the index of their run.
     """
 
     def __init__(self, campaign: Campaign, wanted: int, done_before: int) -> None:
         self.interrupted = False
         self.trouble = ""
-        self.came = 0
+        self.rows: dict[int, Row] = {}
         self.run_s = 0.0
         self._wanted = wanted
         self._before = done_before
@@ -48,6 +48,11 @@ class Progress:
         self._successes = 0
         self._begun_s = self._told_s = time.monotonic()
         self._bar: Bar | None = None
+
+    @property
+    def came(self) -> int:
+        """Rows that came since this command began."""
+        return len(self.rows)
 
     @property
     def remaining(self) -> int:
@@ -61,7 +66,7 @@ class Progress:
 
     def add(self, row: Row) -> None:
         """Take note of a row that was written."""
-        self.came += 1
+        self.rows[row["index"]] = row
         self._successes += bool(row["success"])
         self.run_s += float(row.get("machine.wall_s") or 0.0)
         if self._bar is not None:
@@ -79,11 +84,13 @@ class Progress:
         """Show a bar while the block lasts, where there is a terminal."""
         if self._before:
             status.print(f"{self._name}: {self._before} of {self._wanted} runs are done", markup=False)
+        if not status.is_terminal or status.quiet:
+            yield
+            return
         columns = TextColumn(self._name), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
         with Bar(*columns, TextColumn("{task.fields[told]}"), console=status, transient=True) as bar:
-            if status.is_terminal and not status.quiet:
-                bar.add_task(self._name, total=self._wanted, completed=self._before, told="")
-                self._bar = bar
+            bar.add_task(self._name, total=self._wanted, completed=self._before, told="")
+            self._bar = bar
             yield
         self._bar = None
 
@@ -92,7 +99,7 @@ def finish(
     campaign: Campaign, folder: Path, progress: Progress, report: Path | None, *, in_part: bool, as_json: bool
 ) -> int:
     """Write table and report where the campaign is complete, print the summary and return the exit code."""
-    rows = read_rows(rows_folder(folder))
+    rows = read_rows(rows_folder(folder), progress.rows)
     successes = sum(bool(row["success"]) for row in rows)
     known = proportion(successes, len(rows))
     outcomes = Counter(str(row["outcome"]) for row in rows)

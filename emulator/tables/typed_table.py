@@ -99,6 +99,7 @@ def _field_types(target: Any) -> Mapping[str, Any]:
     return {f.name: hints[f.name] for f in dataclasses.fields(target)}
 
 
+@cache
 def kinds_of(annotation: Any) -> dict[str, Any]:
     """Return the dataclasses of a union by their `kind`; empty where there are not several to choose from."""
     members = typing.get_args(annotation) if _is_union(annotation) else ()
@@ -106,6 +107,7 @@ def kinds_of(annotation: Any) -> dict[str, Any]:
     return {vars(member)["kind"]: member for member in tables} if len(tables) > 1 else {}
 
 
+@cache
 def item_type(annotation: Any) -> Any:
     """Return what a tuple[..., ...] of tables holds; None for anything else."""
     if typing.get_origin(annotation) is not tuple:
@@ -114,6 +116,7 @@ def item_type(annotation: Any) -> Any:
     return item if dataclasses.is_dataclass(item) or kinds_of(item) else None
 
 
+@cache
 def table_type(annotation: Any) -> Any:
     """Return the dataclass of `Table` or `Table | None`; None for what is no table."""
     members = typing.get_args(annotation) if _is_union(annotation) else (annotation,)

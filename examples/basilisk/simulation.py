@@ -1,7 +1,7 @@
 """A spacecraft of Basilisk that finds an asteroid in its camera's images and turns to it. Knows nothing of evstim.
 
 Needs `pip install bsk`, in an environment of its own. Basilisk's vizInterface asks a visualiser on `--port` for images;
-it waits for one without a limit.
+it waits for one without a limit, but for `--patience`: then this process ends by SIGALRM.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import io
 import json
 import math
 import os
+import signal
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,22 @@ CAMERA = 1
 SIGMA_CB = np.array([-0.35, 0.25, 0.1])  # how the camera is mounted: anyhow
 RANGE_M = 200e3
 FIRST_ERROR_DEG = np.array([4.0, -3.0])  # to the right and down, of the asteroid in the first image
+
+
+class Watchdog(sysModel.SysModel):
+    """Ends this process when the visualiser has not answered for a while: vizInterface itself waits for ever.
+
+    SIGALRM with its default action ends the process whatever compiled code does meanwhile. The time begins before the
+    first update, and again at each step.
+    """
+
+    def __init__(self, limit_s: float) -> None:
+        super().__init__()
+        self._limit_s = limit_s
+
+    def UpdateState(self, now_ns: int) -> None:
+        """Begin to wait anew."""
+        signal.setitimer(signal.ITIMER_REAL, self._limit_s)
 
 
 class LightSeeker(sysModel.SysModel):
@@ -171,11 +188,15 @@ def main() -> None:
     parser.add_argument("--period", type=float, default=0.04)
     parser.add_argument("--image-every", type=int, default=1, help="steps from one image to the next")
     parser.add_argument("--cameras", type=int, default=1)
+    parser.add_argument("--patience", type=float, default=60.0, help="seconds to wait for an answer of the visualiser")
     parser.add_argument("--out", type=Path, default=Path("simulation.json"))
     asked = parser.parse_args()
     sim, craft, eros, seeker, kept = build(asked.port, asked.period, asked.image_every, asked.cameras)
     states = craft.scStateOutMsg.recorder()
     sim.AddModelToTask("task", states, -40)
+    watchdog = Watchdog(asked.patience)
+    sim.AddModelToTask("task", watchdog, -50)
+    watchdog.UpdateState(0)
     sim.InitializeSimulation()
     sim.TotalSim.SingleStepProcesses()
     first = boresight_error_px(craft, eros)
@@ -191,7 +212,8 @@ def main() -> None:
     asked.out.write_text(json.dumps(known, indent=1) + "\n")
     (x0, y0), (x1, y1) = known["true_px"].values()
     print(f"{known['images']} images; Eros from ({x0:.1f}, {y0:.1f}) to ({x1:.1f}, {y1:.1f}) pixels off the middle")
-    del kept
+    signal.setitimer(signal.ITIMER_REAL, 0)
+    del kept, watchdog
     os._exit(0)  # without waiting for the visualiser's socket
 
 

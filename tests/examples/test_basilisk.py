@@ -25,13 +25,14 @@ def basilisk(tmp_path_factory):
 
 
 @contextmanager
-def both(python, folder, seconds, *options):
+def both(python, folder, seconds, *options, patience_s=600):
     """Start evstim and the simulation; yield both."""
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "cwd": folder}
     run = [sys.executable, "-c", START, "vizard", EXAMPLE / "eros.toml", "--at", "127.0.0.1:0", "--json", *options]
     with subprocess.Popen(run, **pipes) as evstim:
         port = evstim.stderr.readline().strip().rpartition(":")[2]
         program = [python, EXAMPLE / "simulation.py", "--port", port, "--seconds", str(seconds)]
+        program += ["--patience", str(patience_s)]
         with subprocess.Popen(program, **pipes) as simulation:
             try:
                 yield evstim, simulation
@@ -95,6 +96,14 @@ def test_basilisk_ends_when_evstim_is_stopped(basilisk, tmp_path):
         assert "Error processing SIM_UPDATE" in err
         code, told = told_by(evstim)
     assert (code, told["problems"]) == (0, [])
+
+
+def test_basilisk_ends_when_evstim_is_killed(basilisk, tmp_path):
+    with both(basilisk, tmp_path, 1000.0, patience_s=30) as (evstim, simulation):
+        met(evstim)
+        evstim.kill()
+        simulation.communicate(timeout=600)
+        assert simulation.returncode == -signal.SIGALRM
 
 
 def test_the_same_simulation_gives_the_same_events(basilisk, tmp_path):

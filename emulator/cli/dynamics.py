@@ -1,0 +1,105 @@
+"""`evstim dynamics FMU`: an FMU flies, and its poses go to a running rig."""
+
+from __future__ import annotations
+
+import dataclasses
+import socket
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from emulator.cli.failures import failures
+from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, console, print_json
+from emulator.cli.signals import stopped_by_signals
+from emulator.dynamics.failures import DynamicsError, FlightEnded
+from emulator.dynamics.flight import Flown, Pace, fly, wall_clock
+from emulator.dynamics.fmu import Fmu
+from emulator.dynamics.inputs import opened_inputs
+from emulator.dynamics.mapping import load_mapping
+
+__all__ = ["dynamics"]
+
+
+class _Stop:
+    """Whether a signal has ended the flight."""
+
+    def __init__(self) -> None:
+        self.asked = False
+
+    def stop(self) -> None:
+        self.asked = True
+
+
+def dynamics(
+    fmu: Path,
+    /,
+    *,
+    map: Path,
+    seconds: float,
+    to: str = "127.0.0.1:10364",
+    stamped: Annotated[bool, Parameter(negative="")] = False,
+    json: Annotated[bool, Parameter(negative="")] = False,
+) -> int:
+    """Fly an FMU in real time, and send its poses to a rig with a path of kind "live". See docs/dynamics.md.
+
+    Parameters
+    ----------
+    fmu
+        A co-simulation FMU, 2.0 or 3.0.
+    map
+        TOML file that says which of its variables are the pose and where its inputs come from.
+    seconds
+        How long it flies.
+    to
+        HOST:PORT where the rig takes poses.
+    stamped
+        Give poses the FMU's time as stream time. Default: each holds from its arrival.
+    json
+        Print one JSON object as the last line on stdout.
+    """
+    with failures(), _dynamics_failures():
+        if not 0 < seconds < 1e7:
+            raise Failure(f"--seconds is {seconds:g}: give more than 0 and less than 1e7", WRONG_USE)
+        flown, complete = _flown(fmu, map, Pace(seconds, stamped, lambda _: True), _address(to))
+    told = {"steps": flown.steps, "seconds": flown.t_s, "position_m": flown.last.position_m}
+    told["q_world_from_body"] = flown.last.q_world_from_body
+    if json:
+        print_json(told)
+    else:
+        x, y, z = flown.last.position_m
+        ending = f"{flown.steps} steps, {flown.t_s:g} s, at the end ({x:g}, {y:g}, {z:g}) m"
+        console.print(f"{fmu.name}: {ending}", markup=False)
+    return GOOD if complete else BAD_VERDICT
+
+
+def _flown(file: Path, map_file: Path, pace: Pace, to: tuple[str, int]) -> tuple[Flown, bool]:
+    mapping, ending = load_mapping(map_file), _Stop()
+    with opened_inputs(mapping, map_file.parent) as inputs, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
+        names = tuple(name for one in inputs for name in one.names)
+        with Fmu(file, mapping, names) as unit, stopped_by_signals(ending):
+            pace = dataclasses.replace(pace, waiting=wall_clock(lambda: ending.asked))
+            flown = fly(unit, mapping, inputs, pace, lambda data: out.sendto(data, to))
+    return flown, not ending.asked
+
+
+def _address(text: str) -> tuple[str, int]:
+    host, _, port = text.rpartition(":")
+    if not host or not port.isdigit() or not 0 < int(port) < 1 << 16:
+        raise Failure(f"--to is {text!r}: give HOST:PORT, such as 127.0.0.1:10364", WRONG_USE)
+    return host, int(port)
+
+
+@contextmanager
+def _dynamics_failures() -> Iterator[None]:
+    """Turn errors into Failure with its exit code."""
+    try:
+        yield
+    except DynamicsError as error:
+        raise Failure(str(error), WRONG_USE) from error
+    except FlightEnded as error:
+        raise Failure(str(error), BAD_VERDICT) from error
+    except OSError as error:
+        raise Failure(f"--to: {error.strerror or error}", WRONG_USE) from error

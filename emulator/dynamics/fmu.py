@@ -1,0 +1,101 @@
+"""An FMU in a process of its own, step by step."""
+
+from __future__ import annotations
+
+import importlib.util
+import multiprocessing
+import signal
+from pathlib import Path
+from typing import Any, Self
+
+from emulator.dynamics.failures import DynamicsError, FlightEnded
+from emulator.dynamics.fmu_process import serve
+from emulator.dynamics.mapping import Mapping
+from emulator.light import MachineLacks
+from emulator.run.spawning import starting_a_process
+
+__all__ = ["Fmu"]
+
+_START_S = 120.0
+_STEP_S = 30.0
+
+
+class Fmu:
+    """A co-simulation FMU that was initialised; use it in a `with` block.
+
+    Parameters
+    ----------
+    inputs : variables that `step` sets.
+
+    Attributes
+    ----------
+    outputs : values of the mapping's outputs, by variable, now.
+
+    Raises
+    ------
+    MachineLacks
+        fmpy is not installed.
+    DynamicsError
+        The file is no FMU that can be used, or lacks a variable.
+    FlightEnded
+        It fails or crashes when it starts.
+    """
+
+    def __init__(self, file: Path, mapping: Mapping, inputs: tuple[str, ...] = ()) -> None:
+        if importlib.util.find_spec("fmpy") is None:
+            raise MachineLacks("FMUs need fmpy:  pip install 'evstim[fmu]'")
+        if not file.is_file():
+            raise DynamicsError(f"{file}: no such file")
+        self._file, self._names = file, list(dict.fromkeys(mapping.outputs))
+        context = multiprocessing.get_context("spawn")
+        self._near, far = context.Pipe()
+        self._process = context.Process(target=serve, args=(far,), name=f"FMU {file.name}", daemon=True)
+        with starting_a_process(serve):
+            self._process.start()
+        far.close()
+        told = {"file": str(file), "start": mapping.start, "outputs": self._names, "inputs": list(inputs)}
+        try:
+            self.outputs = self._asked(told, _START_S, "when it starts")
+        except BaseException:
+            self.close()
+            raise
+
+    def step(self, t_s: float, step_s: float, inputs: dict[str, float]) -> None:
+        """Set inputs and go on from `t_s`; raises FlightEnded."""
+        self.outputs = self._asked((t_s, step_s, inputs), _STEP_S, f"in its step from {t_s:g} s")
+
+    def _asked(self, message: object, limit_s: float, when: str) -> dict[str, float]:
+        try:
+            self._near.send(message)
+            if not self._near.poll(limit_s):
+                raise FlightEnded(f"{self._file}: the FMU does not answer within {limit_s:g} s {when}")
+            kind, told = self._near.recv()
+        except (EOFError, OSError) as error:
+            raise FlightEnded(f"{self._file}: the FMU crashed {when} ({self._end()})") from error
+        return self._values(kind, told, when)
+
+    def _values(self, kind: str, told: Any, when: str) -> dict[str, float]:
+        if kind == "wrong":
+            raise DynamicsError(f"{self._file} {told}")
+        if kind == "failed":
+            raise FlightEnded(f"{self._file}: the FMU failed {when}: {told}")
+        return dict(zip(self._names, told, strict=True))
+
+    def _end(self) -> str:
+        self._process.join(10)
+        code = self._process.exitcode
+        return signal.Signals(-code).name if code is not None and code < 0 else f"exit code {code}"
+
+    def close(self) -> None:
+        """End the process."""
+        self._near.close()
+        self._process.join(2)
+        if self._process.is_alive():
+            self._process.kill()
+            self._process.join()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()

@@ -1,0 +1,126 @@
+"""The process of an FMU: its machine code runs here, so that its crash is an answer that does not come.
+
+first message    {"file", "start": {variable: value}, "outputs", "inputs"}
+each later one   (t_s, step_s, {variable: value}): set inputs, do one step
+answers          ("ok", values of the outputs) | ("wrong", the FMU cannot be used so) | ("failed", a call failed)
+
+It ends when the other side closes.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import shutil
+import signal
+import tempfile
+import zipfile
+from collections.abc import Iterable
+from contextlib import suppress
+from multiprocessing.connection import Connection
+from typing import Any
+
+__all__ = ["serve"]
+
+_KINDS = {"2.0": ("Real",), "3.0": ("Float64",)}
+
+
+class _Wrong(Exception):
+    """The FMU cannot be used as the mapping says."""
+
+
+def serve(near: Connection) -> None:
+    """Answer until the other side is gone."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    os.dup2(2, 1)  # what an FMU prints must not mix with the command's result
+    folder = tempfile.mkdtemp(prefix="evstim-fmu-")
+    with suppress(EOFError, BrokenPipeError, ConnectionResetError):
+        try:
+            _serve(near, near.recv(), folder)
+        except _Wrong as error:
+            near.send(("wrong", str(error)))
+        except EOFError:
+            pass
+        except Exception as error:  # noqa: BLE001 - fmpy raises plain Exception for all that an FMU answers
+            near.send(("failed", str(error)))
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+def _serve(near: Connection, told: dict[str, Any], folder: str) -> None:
+    unit = _Unit(told["file"], folder, {*told["outputs"], *told["inputs"], *told["start"]})
+    unit.begin(told["start"])
+    near.send(("ok", unit.get(told["outputs"])))
+    while True:
+        t_s, step_s, inputs = near.recv()
+        unit.put(inputs)
+        unit.step(t_s, step_s)
+        near.send(("ok", unit.get(told["outputs"])))
+
+
+class _Unit:
+    """An FMU that was unpacked and loaded, with the references of the variables that are used."""
+
+    def __init__(self, file: str, folder: str, used: Iterable[str]) -> None:
+        fmpy = importlib.import_module("fmpy")
+        description = _description(fmpy, file)
+        self._references = _references(description, used)
+        fmpy.extract(file, unzipdir=folder)
+        self._is_3 = description.fmiVersion.startswith("3")
+        self._unit = fmpy.instantiate_fmu(folder, description, fmi_type="CoSimulation")
+
+    def begin(self, start: dict[str, float]) -> None:
+        """Set the start values and initialise."""
+        self.put(start)
+        if not self._is_3:
+            self._unit.setupExperiment(startTime=0.0)
+        self._unit.enterInitializationMode()
+        self._unit.exitInitializationMode()
+
+    def put(self, values: dict[str, float]) -> None:
+        """Set variables."""
+        if values:
+            put = self._unit.setFloat64 if self._is_3 else self._unit.setReal
+            put([self._references[name] for name in values], list(values.values()))
+
+    def get(self, names: list[str]) -> list[float]:
+        """Return variables."""
+        get = self._unit.getFloat64 if self._is_3 else self._unit.getReal
+        return list(get([self._references[name] for name in names])) if names else []
+
+    def step(self, t_s: float, step_s: float) -> None:
+        """Go on by one step."""
+        self._unit.doStep(currentCommunicationPoint=t_s, communicationStepSize=step_s)
+
+
+def _description(fmpy: Any, file: str) -> Any:
+    """Return the model description; raises _Wrong for what is no co-simulation FMU for this machine."""
+    if not zipfile.is_zipfile(file):
+        raise _Wrong("is not an FMU: it is no ZIP archive")
+    try:
+        description = fmpy.read_model_description(file)
+    except Exception as error:
+        raise _Wrong(f"is not a valid FMU: {str(error)[:300]}") from error
+    if description.fmiVersion not in _KINDS:
+        raise _Wrong(f"is of FMI {description.fmiVersion}: evstim takes {' and '.join(_KINDS)}")
+    if description.coSimulation is None:
+        raise _Wrong("has no co-simulation, only model exchange: export it with its solver")
+    here, there = _platforms(fmpy, description), fmpy.supported_platforms(file)
+    if not here & set(there):
+        raise _Wrong(f"has no machine code for {' or '.join(sorted(here))}, only for {', '.join(there) or 'none'}")
+    return description
+
+
+def _platforms(fmpy: Any, description: Any) -> set[str]:
+    return {fmpy.platform_tuple if description.fmiVersion.startswith("3") else fmpy.platform, fmpy.platform}
+
+
+def _references(description: Any, used: Iterable[str]) -> dict[str, int]:
+    known = {variable.name: variable for variable in description.modelVariables}
+    for name in used:
+        if name not in known:
+            raise _Wrong(f"has no variable {name!r}; it has {', '.join(list(known)[:20])}")
+        if known[name].type not in _KINDS[description.fmiVersion]:
+            kind = _KINDS[description.fmiVersion][0]
+            raise _Wrong(f"has {name!r} as {known[name].type}: variables of a pose and inputs must be {kind}")
+    return {name: known[name].valueReference for name in used}

@@ -1,0 +1,18 @@
+"""FMUs that gcc builds of `falling.c`, once for all tests."""
+
+import shutil
+
+import pytest
+
+from tests.emulator.dynamics.building import built
+
+
+@pytest.fixture(scope="session")
+def falling(tmp_path_factory):
+    """Return the FMU of a version of FMI, 2 or 3."""
+    pytest.importorskip("fmpy", reason="needs the extra fmu")
+    if shutil.which("gcc") is None:
+        pytest.skip("needs gcc")
+    folder = tmp_path_factory.mktemp("fmu")
+    made = {version: built(folder, version) for version in (2, 3)}
+    return made.__getitem__
