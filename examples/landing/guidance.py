@@ -18,6 +18,7 @@ the motion and looks like a speed (3 degrees of rocking at 1500 m: errors of 0.0
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass
 
@@ -88,6 +89,11 @@ class Guidance:
         self._sink_m_s = -up
         self._up_m_s2 = GRAVITY_M_S2
         self._drift_m_s2 = 0.0  # by which the vehicle sinks faster than commanded
+
+    def begin(self, now_s: float) -> None:
+        """Begin the descent now, not at time 0: until a motion is seen, that of navigation holds from here."""
+        self.motion = dataclasses.replace(self.motion, at_s=now_s)
+        self._believed_s = now_s
 
     @property
     def window_s(self) -> float:

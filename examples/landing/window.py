@@ -58,6 +58,13 @@ class Window:
         self._attitudes.append((t_s, matrix(q_world_from_body)))
         del self._attitudes[:-200]
 
+    def counts(self, bin_us: int) -> tuple[int, npt.NDArray[np.int64]]:
+        """Return the time of the oldest event, us, and how many events each stretch of `bin_us` since then has, (n,)."""
+        if not self._events:
+            return 0, np.zeros(0, np.int64)
+        t_us = np.concatenate(self._events)["t"].astype(np.int64)
+        return int(t_us[0]), np.bincount((t_us - t_us[0]) // bin_us)
+
     def rays(self, since_s: float, until_s: float) -> Rays:
         """Return the events from one time to another."""
         events = self._between(since_s, until_s)
