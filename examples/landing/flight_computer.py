@@ -30,6 +30,7 @@ import numpy as np
 from divergence import Motion, MotionEstimator, Rays
 from guidance import Guidance, Law
 from links import Links
+from prediction import PredictingGuidance
 from window import Lens, Window
 
 __all__ = ["FlightComputer", "fly_lockstep", "fly_real_time"]
@@ -39,6 +40,7 @@ _TURN_S = 0.2
 _PICTURE_S = 0.04
 _LEAST_EVENTS = 500
 _BIN_US = 1000
+_SILENT_S = 1.0
 _EDGE_S = 2.0  # wall time that an edge may come after its SYNC
 _JOINED_S = 0.5  # the served bus lends no frames to a newcomer for a quarter of a second
 
@@ -65,6 +67,11 @@ class FlightComputer:
         from_us, counts = self._window.counts(_BIN_US)
         told = {"from_us": from_us, "bin_us": _BIN_US, "counts": counts.tolist()}
         Path(self._log.name).with_name("standing.json").write_text(json.dumps(told))
+
+    def took(self, seconds: float) -> None:
+        """Say how long the last command took from its turn until it was sent, where the law wants to know."""
+        if isinstance(self._guidance, PredictingGuidance):
+            self._guidance.took(seconds)
 
     def turn(self, now_s: float, period_s: float = _TURN_S, more: dict[str, object] | None = None) -> np.ndarray:
         """Return the acceleration wanted from `now_s` on, for `period_s`, by the events that have come."""
@@ -113,7 +120,7 @@ def fly_lockstep(links: Links, window: Window, computer: FlightComputer, fails: 
 def fly_real_time(links: Links, window: Window, computer: FlightComputer, fails: Callable[[float], None]) -> None:
     """Answer the newest SYNC for ever; those that came meanwhile are left out.
 
-    When no edge has come for two turns the line is dead, and dead reckoning answers.
+    When no edge has come for a second the line is dead, and dead reckoning answers.
     """
     last_s, last_wall_s = math.nan, math.inf
     while True:
@@ -121,8 +128,9 @@ def fly_real_time(links: Links, window: Window, computer: FlightComputer, fails:
         for edge in links.edges:
             links.tell(edge)
         silent_s = time.monotonic() - last_wall_s
-        if not links.edges and silent_s < 2 * _TURN_S:
+        if not links.edges and silent_s < _SILENT_S:
             continue
+        heard_s = time.monotonic()
         now_s = links.edges[-1].t_us * 1e-6 if links.edges else last_s + silent_s
         counter = links.edges[-1].counter if links.edges else 0
         more = {"counter": counter, "arrivals": links.arrivals, "events_lost": links.lost}
@@ -133,8 +141,10 @@ def fly_real_time(links: Links, window: Window, computer: FlightComputer, fails:
         if math.isnan(last_s):
             computer.begin(now_s)
             last_s = now_s - _TURN_S
-        links.send(computer.turn(now_s, now_s - last_s, more), counter)
-        last_s, last_wall_s = now_s, time.monotonic()
+        if now_s > last_s:  # not an edge that dead reckoning has overtaken
+            links.send(computer.turn(now_s, now_s - last_s, more), counter)
+            computer.took(time.monotonic() - heard_s)
+            last_s, last_wall_s = now_s, heard_s
 
 
 def _failing(crash_s: float, hang_s: float) -> Callable[[float], None]:
@@ -154,7 +164,8 @@ def main() -> None:
     arguments = _arguments()
     logging.getLogger("can.interfaces.socketcand").setLevel(logging.ERROR)  # it warns of frames that TCP cut in two
     lens = Lens()
-    guidance = Guidance(Law(), arguments.height, np.array(arguments.velocity), lens.size[0] / 2)
+    law = PredictingGuidance if arguments.real_time else Guidance
+    guidance = law(Law(), arguments.height, np.array(arguments.velocity), lens.size[0] / 2)
     window, port = Window(lens, arguments.seed), arguments.can_port
     with (
         arguments.log.open("w") as log,
