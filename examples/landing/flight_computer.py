@@ -4,12 +4,13 @@
 
 Each SYNC of the bus comes back on the serial line as an edge.
 
-In lockstep, edges overtake events, so the computer then asks for housekeeping until the camera says that no event waits,
-and as many have come as it has sent: what the estimator sees does not depend on how fast the line was. Where the line is
-damaged or unplugged the SYNC itself begins the turn, and dead reckoning bridges what was lost.
+In lockstep, edges overtake events, so the computer then asks for housekeeping until the camera says that no event
+waits, and as many have come as it has sent: what the estimator sees does not depend on how fast the line was. Where the
+line is damaged or unplugged the SYNC itself begins the turn, and dead reckoning bridges what was lost.
 
 In real time (`--real-time`) it answers the newest SYNC with the events that have come, as soon as it is ready; the time
-of each edge goes onto the bus, so that the spacecraft knows the camera's time. The descent begins with the first attitude.
+of each edge goes onto the bus, so that the spacecraft knows the camera's time. The descent begins with the first
+attitude.
 Needs evstim for its receiver alone.
 """
 
@@ -41,7 +42,7 @@ _PICTURE_S = 0.04
 _LEAST_EVENTS = 500
 _BIN_US = 1000
 _SILENT_S = 1.0
-_EDGE_S = 2.0  # wall time that an edge may come after its SYNC
+_EDGE_S = 2.0  # wall time that an edge may come after its SYNC; the camera's turn, where its line is unplugged
 _JOINED_S = 0.5  # the served bus lends no frames to a newcomer for a quarter of a second
 
 
@@ -106,7 +107,7 @@ def fly_lockstep(links: Links, window: Window, computer: FlightComputer, fails: 
             continue
         heard_s = min(heard_s, time.monotonic())
         due = bool(edges) and round(edges[0].t_us * 1e-6 / _TURN_S) == turn
-        if not due and links.plugged and time.monotonic() < heard_s + _EDGE_S:
+        if not due and time.monotonic() < heard_s + _EDGE_S:
             continue
         now_us = edges[0].t_us if due else round(turn * _TURN_S * 1e6)
         if links.syncs <= turn and window.attitude_s < now_us * 1e-6 - 1e-6:

@@ -2,8 +2,8 @@
 
     python fly.py [--height 300] [--seed 1] [--terrain 8] [--rig landing.toml] [--out DIR] [--real-time]
 
-The seed draws the start (speeds, place), the errors of navigation and engine, the camera's noise. In DIR: truth.csv (the
-vehicle), computer.jsonl (what the computer saw), summary.json (the camera's run), verdict.json; in real time
+The seed draws the start (speeds, place), the errors of navigation and engine, the camera's noise. In DIR: truth.csv
+(the vehicle), computer.jsonl (what the computer saw), summary.json (the camera's run), verdict.json; in real time
 latency.json too. With --attach CAN_PORT POSE_PORT SERIAL the camera runs already: so `evstim campaign` uses it.
 `--fault crash@12` and others: see faults.py; `--table faults.toml` adds tables to the rig, such as [[faults]].
 
@@ -73,7 +73,7 @@ class Start:
 
 @dataclass(frozen=True)
 class Flight:
-    """What a flight is beside its start: where the parts meet, its seed, files, faults, and how it goes through time."""
+    """What a flight is beside its start: where the parts meet, seed, files, faults, and how it goes through time."""
 
     ends: Ends
     seed: int

@@ -131,7 +131,7 @@ class Guidance:
         self._up_m_s2 = steady + gain * (down - wanted) + GRAVITY_M_S2
         return np.array([*self._sideways_m_s2(now_s), self._up_m_s2])
 
-    def _gain_1_s(self, now_s: float) -> float:  # noqa: ARG002
+    def _gain_1_s(self, now_s: float) -> float:
         return self._law.gain_1_s
 
     def _seen(self, now_s: float) -> float:

@@ -21,7 +21,7 @@ _POSES = {
 
 
 def verdict(end: TouchDown, out: Path) -> dict[str, object]:
-    """Return how a landing ended, what went wrong on the way, and how good its divergence was; call after the camera's end.
+    """Return how a landing ended, and how good its divergence was; call after the camera's end.
 
     `soft` is the verdict: on the ground, below 1 m/s. `why` has a sentence for each thing that went wrong, also where
     the landing was good all the same.

@@ -1,21 +1,27 @@
 """Guidance for a loop whose delay is long and changes, as in real time on a busy machine: it predicts.
 
-The divergence is that of the middle of the window; the next command acts when it has been decided, sent, and followed by
-the engine. In between the vehicle does what the commands sent before ask for:
+The divergence is that of the middle of the window; the next command acts when it has been decided, sent, and followed
+by the engine. In between the vehicle does what the commands sent before ask for:
 
     h' = -s,   s' = g - a_up + drift        from the middle of the window until the next command acts
 
-so the speed s and the height h of then are known, and no delay is left but that of what the model does not know (a Smith
-predictor). The gain is lowered with what was predicted over, so that it stays stable without the model too (k t < pi/2).
+so the speed s and the height h of then are known, and no delay is left but that of what the model does not know (a
+Smith predictor). The gain is lowered with the time predicted over, so that it stays stable without the model too
+(k t < pi/2).
+
+A motion is compared with the one that was predicted for its time, and taken by half: pictures that come late and events
+that are lost make motions that are wrong by half and look sound.
 """
 
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from divergence import Motion
 from guidance import Guidance
 from vehicle import GRAVITY_M_S2
 
@@ -27,6 +33,9 @@ _GAIN_DELAY = 0.8  # gain times delay, of pi / 2
 _ENGINE_S = 0.1
 _LEARNING = 0.2
 _LEAST_M = 0.5
+_WEIGHT = 0.5  # of a motion beside what was predicted
+# Of a motion beside what was predicted; the second grows with the time since one was believed.
+_MOST_JUMP, _MOST_JUMP_1_S = 0.15, 0.004
 
 
 class _Sent(NamedTuple):
@@ -51,6 +60,15 @@ class PredictingGuidance(Guidance):
         """Say how long the last command took from its turn until it was sent."""
         self._delay_s += _LEARNING * (seconds - self._delay_s)
 
+    def take(self, motion: Motion, now_s: float) -> None:
+        """Take what the newest window showed, as far as it agrees with what was predicted."""
+        expected = self._expected(motion.at_s)
+        reach = _MOST_JUMP * abs(expected) + _MOST_JUMP_1_S * (1 + now_s - self._believed_s)
+        aside = max(abs(motion.east - self.motion.east), abs(motion.south - self.motion.south))
+        if motion.reliable and abs(motion.down - expected) <= reach and aside <= reach + self._law.most_jump_1_s:
+            down = expected + _WEIGHT * (motion.down - expected)
+            self.motion, self._believed_s = replace(motion, down=down), now_s
+
     @property
     def window_s(self) -> float:
         """Length of the next window of events; of the motion that is predicted, not of the last one seen."""
@@ -73,7 +91,11 @@ class PredictingGuidance(Guidance):
 
     def _seen(self, now_s: float) -> float:
         """Return the divergence of the time at which the next command acts."""
-        t_s, end_s = self.motion.at_s, now_s + self._delay_s + _ENGINE_S
+        return self._expected(now_s + self._delay_s + _ENGINE_S)
+
+    def _expected(self, end_s: float) -> float:
+        """Return the divergence that is predicted for a time from the last motion on."""
+        t_s = self.motion.at_s
         height_m = self._height_m(t_s)
         sink_m_s = self.motion.down * height_m
         while t_s < end_s:

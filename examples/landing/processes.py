@@ -56,7 +56,10 @@ class NotStarted(RuntimeError):
 
 @contextmanager
 def camera(rig: Path, seed: int, out: Path, record: Path | None = None) -> Iterator[Ended]:
-    """Run evstim until the block ends; `record` takes the events. Gives what tells that it has ended; raises NotStarted."""
+    """Run evstim until the block ends; `record` takes the events.
+
+    Gives what tells that it has ended; raises NotStarted.
+    """
     ready = out / "ready"
     ready.unlink(missing_ok=True)
     command = [sys.executable, "-m", "evstim", "run", str(rig), "--json", "--seconds", "0"]

@@ -3,12 +3,12 @@
 1. Meeting: SYNCs go out, and the flight computer tells the time of each one's edge among the events. The least delay of
    them gives the wall's time at which the camera's stream began.
 2. Standing: poses at the start; nods of one pixel, from which latency.py finds how long a pose takes to become light.
-3. Flying: every 10 ms the equations go on by 10 ms; pose and attitude leave with their own time, and every 0.2 s a SYNC.
+3. Flying: every 10 ms the equations go on by 10 ms; pose and attitude leave with their own time, each 0.2 s a SYNC.
    A command holds from the next step after it came until the next one comes, whenever that is.
 
 Poses are not stamped ahead: evstim draws a picture up to a lead and a step before its time, and carries the motion of
-the two newest poses on until then (straight line, great circle). With an acceleration a that is wrong by a t^2 / 2, which
-is 6 mm for 1.2 m/s2 and 100 ms. A machine that comes late integrates what it missed, and sends the newest pose alone.
+the two newest poses on until then (straight line, great circle). With an acceleration a that is wrong by a t^2 / 2: by
+6 mm for 1.2 m/s2 and 100 ms. A machine that comes late integrates what it missed, and sends the newest pose alone.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from dataclasses import asdict, dataclass, field, replace
 import numpy as np
 from connection import Connection
 from frames import COMMAND, EDGE, unpack_command, unpack_edge
-from spacecraft import FOOT_M, LONGEST_S, TouchDown, flies
+from spacecraft import FOOT_M, LEFT_ALONE_S, LONGEST_S, TouchDown, flies
 from vehicle import GRAVITY_M_S2, Lander, State, advance
 
 __all__ = ["STEP_S", "CommandTimes", "RealTimeSpacecraft", "Times"]
@@ -80,6 +80,7 @@ class RealTimeSpacecraft:
         self._heard: list[tuple[int, int]] = []  # counter and time of commands that no pose has shown yet
         self._heard_ns = 0
         self._why: list[str] = []
+        self._end_s = 0.0
         self.times = Times()
 
     @property
@@ -94,6 +95,7 @@ class RealTimeSpacecraft:
             return self._end(touched=False)
         self._stand()
         self.times.start_s, self._heard_ns = self.t_s, self._now_ns()
+        self._end_s = self.t_s + LONGEST_S
         for due in self._steps():
             state = advance(self._lander, self.state, self._command, STEP_S)
             if not flies(state):
@@ -108,8 +110,8 @@ class RealTimeSpacecraft:
                 self._sync()
                 told(self.t_s, state)
                 self._watch()
-            if self.t_s - self.times.start_s > LONGEST_S:
-                self._why.append(f"still flying after {LONGEST_S:g} s")
+            if self.t_s > self._end_s:
+                self._why.append(f"still flying after {self.t_s - self.times.start_s:.0f} s")
                 break
         return self._end(touched=False)
 
@@ -197,3 +199,4 @@ class RealTimeSpacecraft:
         if not self._why and (trouble or silent_s > _SILENT_S):
             cause = trouble or f"the flight computer has said nothing for {silent_s:.1f} s"
             self._why.append(f"{cause}, at {self.t_s - self.times.start_s:.1f} s and {self.state.position_m[2]:.1f} m")
+            self._end_s = min(self.t_s + LEFT_ALONE_S, self._end_s)

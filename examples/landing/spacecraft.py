@@ -15,13 +15,14 @@ import numpy as np
 from connection import Connection
 from vehicle import GRAVITY_M_S2, Lander, State, advance
 
-__all__ = ["ANSWER_S", "FOOT_M", "LONGEST_S", "Spacecraft", "TouchDown", "flies"]
+__all__ = ["ANSWER_S", "FOOT_M", "LEFT_ALONE_S", "LONGEST_S", "Spacecraft", "TouchDown", "flies"]
 
 _PICTURE_S = 0.04
 _PICTURES = 5
 ANSWER_S = 120.0
 FOOT_M = 2.0  # height of the camera when the feet stand
 LONGEST_S = 600.0
+LEFT_ALONE_S = 60.0  # a flight without commands goes on so long
 
 
 @dataclass(frozen=True)
@@ -65,12 +66,13 @@ class Spacecraft:
         self._full_kg = state.mass_kg
         self._number = self._turn = 0
         self._why: list[str] = []
+        self._end_s = LONGEST_S
         self._tell()
 
     def land(self, ground_m: Callable[[float, float], float], told: Callable[[float, State], None]) -> TouchDown:
         """Fly to the ground, whose height is told by place, telling time and state of each turn."""
         command = np.array([0.0, 0.0, GRAVITY_M_S2])
-        while self.t_s < LONGEST_S:
+        while self.t_s < self._end_s:
             for _ in range(_PICTURES):
                 state = advance(self._lander, self.state, command, _PICTURE_S)
                 if not flies(state):
@@ -86,7 +88,7 @@ class Spacecraft:
             self._connection.sync()
             told(self.t_s, self.state)
             command = self._answer(command)
-        self._why.append(f"still flying after {LONGEST_S:g} s")
+        self._why.append(f"still flying after {self.t_s:.0f} s")
         return self._end(touched=False)
 
     def _end(self, *, touched: bool) -> TouchDown:
@@ -114,4 +116,5 @@ class Spacecraft:
         except TimeoutError:
             silent = self._connection.trouble() or f"the flight computer did not answer within {self._answer_s:g} s"
             self._why.append(f"{silent}, at {self.t_s:.1f} s and {self.state.position_m[2]:.1f} m: no command since")
+            self._end_s = min(self.t_s + LEFT_ALONE_S, LONGEST_S)
         return last

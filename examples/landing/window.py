@@ -59,7 +59,7 @@ class Window:
         del self._attitudes[:-200]
 
     def counts(self, bin_us: int) -> tuple[int, npt.NDArray[np.int64]]:
-        """Return the time of the oldest event, us, and how many events each stretch of `bin_us` since then has, (n,)."""
+        """Return the time of the oldest event, us, and how many each stretch of `bin_us` since then has, (n,)."""
         if not self._events:
             return 0, np.zeros(0, np.int64)
         t_us = np.concatenate(self._events)["t"].astype(np.int64)
