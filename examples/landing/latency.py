@@ -4,7 +4,7 @@
 
 Of each command, on CLOCK_MONOTONIC, t the time of the edge whose SYNC it answers (the end of its window of events):
 
-    turn begins        from t until the estimate begins: SYNC, edge and events on the links, the end of the last estimate
+    turn begins        from t until the estimate begins: SYNC, edge and events on the links, end of the last estimate
     estimate           until the command is decided
     command on bus     until the spacecraft has it
     shown by a pose    until a pose that it changed is sent: the rest of a step of the dynamics
@@ -97,7 +97,7 @@ def _parts(times: dict[str, object], rows: list[dict[str, float]]) -> dict[str, 
 
 
 def _event_delays_s(rows: list[dict[str, list[list[int]]]], origin_ns: int) -> Floats:
-    """Return how long after its own time each event came, s: oldest and newest of a read, for half of its events each."""
+    """Return how long after its own time each event came, s: oldest and newest of a read, for half of it each."""
     arrivals = np.array([one for row in rows for one in row["arrivals"]], np.int64).reshape(-1, 4)
     at_ns, oldest_us, newest_us, events = arrivals.T
     late = [(at_ns - origin_ns - us * 1000) * 1e-9 for us in (oldest_us, newest_us)]

@@ -63,7 +63,8 @@ def _of_camera(out: Path) -> Iterator[str]:
             yield f"{count} {words}"
     for link, report in told["links"].items():
         for fault in report.get("faults", []):
-            yield f"fault {fault['kind']} on {link}: {fault.get('events_lost', 0)} events lost"
+            began_s, lost = fault.get("began_us", 0) * 1e-6, fault.get("events_lost", 0)
+            yield f"fault {fault['kind']} on {link} from {began_s:.1f} s on: {lost} events lost"
     for rule in told["rules"]:
         if not rule["good"]:
             yield f"the camera's run was not good: {rule['rule']}: {rule['told']}"

@@ -100,7 +100,7 @@ def test_the_verdict_says_what_went_wrong(tmp_path: Path) -> None:
     (tmp_path / "computer.jsonl").write_text(json.dumps(row))
     (tmp_path / "truth.csv").write_text("t_s,z_m,ground_m,vz_m_s\n0,9,0,-1\n2,8,0,-1\n")
     rule = {"rule": "in real time", "good": False, "told": "worst step 2000 ms late"}
-    fault = {"kind": "unplugged", "events_lost": 9}
+    fault = {"kind": "unplugged", "events_lost": 9, "began_us": 4_000_000}
     summary = {"scene": {"poses refused": 3}, "links": {"events": {"faults": [fault]}}, "rules": [rule]}
     (tmp_path / "summary.json").write_text(json.dumps(summary))
     told = verdict(dataclasses.replace(LANDED, why=("a word",)), tmp_path)
@@ -110,7 +110,7 @@ def test_the_verdict_says_what_went_wrong(tmp_path: Path) -> None:
         "70 events were lost on the serial line",
         "dead reckoning: no motion was seen in 1 of 1 turns",
         "3 poses were refused: no numbers, or damaged",
-        "fault unplugged on events: 9 events lost",
+        "fault unplugged on events from 4.0 s on: 9 events lost",
         "the camera's run was not good: in real time: worst step 2000 ms late",
     ]
 
