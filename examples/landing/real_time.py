@@ -146,15 +146,13 @@ class RealTimeSpacecraft:
         there = self.state
         shift_m = np.array([there.position_m[2] / _FOCAL_PX, 0.0, 0.0])
         for k, _ in enumerate(self._steps()):
-            nods = k // _NOD_STEPS  # the first stretch is still
-            if nods > _NODS:
-                if k >= (_NODS + 1) * _NOD_STEPS + _STILL_STEPS:
-                    break
-                nods = _NODS
-            elif k and k % _NOD_STEPS == 0:
+            nods = min(k // _NOD_STEPS, _NODS)  # the first stretch is still
+            if 0 < k <= _NODS * _NOD_STEPS and k % _NOD_STEPS == 0:
                 self.times.nods_s.append(self.t_s)
             self.state = replace(there, position_m=there.position_m + shift_m * (nods % 2))
             self._connection.pose(self.t_s, self.state)
+            if k == (_NODS + 1) * _NOD_STEPS + _STILL_STEPS:
+                break
         self.state = there
 
     def _steps(self) -> Iterator[bool]:
