@@ -103,7 +103,7 @@ class Ends:
         self.frames.append((self.wall.ns + 2 * late_ns, EDGE, pack_edge(counter[0], edge_us)))
         if self.answers:
             command = np.array([0.0, 0.0, GRAVITY_M_S2])
-            self.frames.append((self.wall.ns + 30_000_000, COMMAND, pack_command(command, counter[0])))
+            self.frames.append((self.wall.ns + 33_000_000, COMMAND, pack_command(command, counter[0])))
 
     def hear(self, timeout_s: float) -> can.Message | None:
         """Return the next frame that is there in time; else let the time pass."""
