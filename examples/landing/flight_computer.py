@@ -42,6 +42,7 @@ _PICTURE_S = 0.04
 _LEAST_EVENTS = 500
 _BIN_US = 1000
 _SILENT_S = 1.0
+_LATE_S = 0.5  # a camera whose events are older does not keep up, and no descent begins
 _EDGE_S = 2.0  # wall time that an edge may come after its SYNC; the camera's turn, where its line is unplugged
 _JOINED_S = 0.5  # the served bus lends no frames to a newcomer for a quarter of a second
 
@@ -79,7 +80,8 @@ class FlightComputer:
         began_ns = time.monotonic_ns()
         guidance = self._guidance
         window_s = guidance.window_s
-        rays = self._window.rays(max(now_s - window_s, self.began_s), now_s)
+        until_s = now_s if self.began_s == -math.inf else min(now_s, self._window.newest_s)  # in real time events lag
+        rays = self._window.rays(max(until_s - window_s, self.began_s), until_s)
         if len(rays) >= _LEAST_EVENTS:
             spread = 0.01 + 0.5 * abs(guidance.motion.down)
             guidance.take(self._estimator.estimate(rays, guidance.motion, spread), now_s)
@@ -127,7 +129,8 @@ def fly_real_time(links: Links, window: Window, computer: FlightComputer, fails:
     while True:
         links.hear(window, 0.002)
         for edge in links.edges:
-            links.tell(edge)
+            if window.newest_s > edge.t_us * 1e-6 - _LATE_S:
+                links.tell(edge)
         silent_s = time.monotonic() - last_wall_s
         if not links.edges and silent_s < _SILENT_S:
             continue

@@ -32,6 +32,7 @@ _NODS, _NOD_STEPS, _STILL_STEPS = 16, 23, 40
 _FOCAL_PX = 299.6
 _SILENT_S = 2.0
 _MOST_COUNTER = 240
+_NO_CAMERA = "the descent did not begin: the camera is silent, or its events are more than half a second late"
 
 Height = Callable[[float, float], float]
 Told = Callable[[float, State], None]
@@ -91,7 +92,7 @@ class RealTimeSpacecraft:
     def land(self, ground_m: Height, told: Told) -> TouchDown:
         """Fly to the ground, whose height is told by place, telling stream time and state of each turn."""
         if not self._meet():
-            self._why.append(self._connection.trouble() or "no edge of a SYNC came: the camera or its line is silent")
+            self._why.append(self._connection.trouble() or _NO_CAMERA)
             return self._end(touched=False)
         self._stand()
         self.times.start_s, self._heard_ns = self.t_s, self._now_ns()

@@ -46,6 +46,11 @@ class Window:
         """Time of the newest attitude."""
         return self._attitudes[-1][0]
 
+    @property
+    def newest_s(self) -> float:
+        """Time of the newest event; below 0 before the first."""
+        return float(self._events[-1]["t"][-1]) * 1e-6 if self._events else -1.0
+
     def add_events(self, events: npt.NDArray[np.void]) -> None:
         """Take the next events."""
         if len(events):
