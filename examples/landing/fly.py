@@ -30,7 +30,7 @@ from latency import latencies
 from outcome import verdict
 from processes import Ended, Ends, NotStarted, bus_of, camera, computer
 from real_time import STEP_S, RealTimeSpacecraft
-from spacecraft import ANSWER_S, Spacecraft, TouchDown
+from spacecraft import USUAL, Limits, Spacecraft, TouchDown
 from vehicle import GRAVITY_M_S2, Lander, State
 
 from emulator.rig.loading import load_rig
@@ -80,7 +80,7 @@ class Flight:
     out: Path
     faults: Faults
     real_time: bool = False
-    answer_s: float = ANSWER_S
+    limits: Limits = USUAL
 
     @property
     def of_computer(self) -> list[str]:
@@ -110,8 +110,8 @@ def fly(start: Start, flight: Flight, camera_ended: Ended = lambda: "") -> Touch
 
         connection = Connection(bus, ("127.0.0.1", ends.pose_port), trouble, flight.faults)
         if not flight.real_time:
-            return Spacecraft(start.lander, start.state, connection, flight.answer_s).land(ground, told)
-        spacecraft = RealTimeSpacecraft(start.lander, start.state, connection)
+            return Spacecraft(start.lander, start.state, connection, flight.limits).land(ground, told)
+        spacecraft = RealTimeSpacecraft(start.lander, start.state, connection, flight.limits)
         end = spacecraft.land(ground, told)
         (out / "spacecraft.json").write_text(json.dumps(spacecraft.times.as_json()))
         return end
@@ -137,7 +137,8 @@ def main() -> int:
     rig = out / "landing.toml"
     rig.write_text(_rig_text(arguments, ends))
     faults = Faults(arguments.fault, arguments.seed)
-    flight = Flight(ends, arguments.seed, out, faults, arguments.real_time, arguments.answer_s)
+    limits = Limits(arguments.answer_s, arguments.longest_s)
+    flight = Flight(ends, arguments.seed, out, faults, arguments.real_time, limits)
     try:
         with ExitStack() as stack:
             camera_ended: Ended = lambda: ""  # noqa: E731
@@ -198,9 +199,8 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--record", type=Path, default=None, help="keep the events in this .npz")
     parser.add_argument("--result", type=Path, default=None, help="a copy of verdict.json")
     parser.add_argument("--fault", type=Fault.parse, action="append", default=[], help="see faults.py; repeat")
-    parser.add_argument(
-        "--answer-s", type=float, default=ANSWER_S, help="patience with the flight computer, in lockstep"
-    )
+    parser.add_argument("--answer-s", type=float, default=120.0, help="patience with the flight computer, in lockstep")
+    parser.add_argument("--longest-s", type=float, default=600.0, help="longest flight")
     return parser.parse_args()
 
 

@@ -20,7 +20,7 @@ from dataclasses import asdict, dataclass, field, replace
 import numpy as np
 from connection import Connection
 from frames import COMMAND, EDGE, unpack_command, unpack_edge
-from spacecraft import FOOT_M, LEFT_ALONE_S, LONGEST_S, TouchDown, flies
+from spacecraft import FOOT_M, LEFT_ALONE_S, USUAL, Limits, TouchDown, flies
 from vehicle import GRAVITY_M_S2, Lander, State, advance
 
 __all__ = ["STEP_S", "CommandTimes", "RealTimeSpacecraft", "Times"]
@@ -68,12 +68,19 @@ class RealTimeSpacecraft:
     ----------
     lander, state : figures and start.
     connection : to camera and flight computer.
+    limits : the longest flight.
     now_ns : the clock, CLOCK_MONOTONIC.
     """
 
     def __init__(
-        self, lander: Lander, state: State, connection: Connection, now_ns: Callable[[], int] = time.monotonic_ns
+        self,
+        lander: Lander,
+        state: State,
+        connection: Connection,
+        limits: Limits = USUAL,
+        now_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
+        self._limits = limits
         self._lander, self.state, self._connection, self._now_ns = lander, state, connection, now_ns
         self._full_kg = state.mass_kg
         self._number = self._syncs = 0
@@ -96,7 +103,7 @@ class RealTimeSpacecraft:
             return self._end(touched=False)
         self._stand()
         self.times.start_s, self._heard_ns = self.t_s, self._now_ns()
-        self._end_s = self.t_s + LONGEST_S
+        self._end_s = self.t_s + self._limits.longest_s
         for due in self._steps():
             state = advance(self._lander, self.state, self._command, STEP_S)
             if not flies(state):

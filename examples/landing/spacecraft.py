@@ -15,14 +15,23 @@ import numpy as np
 from connection import Connection
 from vehicle import GRAVITY_M_S2, Lander, State, advance
 
-__all__ = ["ANSWER_S", "FOOT_M", "LEFT_ALONE_S", "LONGEST_S", "Spacecraft", "TouchDown", "flies"]
+__all__ = ["FOOT_M", "LEFT_ALONE_S", "USUAL", "Limits", "Spacecraft", "TouchDown", "flies"]
 
 _PICTURE_S = 0.04
 _PICTURES = 5
-ANSWER_S = 120.0
 FOOT_M = 2.0  # height of the camera when the feet stand
-LONGEST_S = 600.0
 LEFT_ALONE_S = 60.0  # a flight without commands goes on so long
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Wall time within which the flight computer answers, in lockstep; longest flight; s."""
+
+    answer_s: float = 120.0
+    longest_s: float = 600.0
+
+
+USUAL = Limits()
 
 
 @dataclass(frozen=True)
@@ -58,15 +67,15 @@ class Spacecraft:
     ----------
     lander, state : figures and start.
     connection : to camera and flight computer.
-    answer_s : wall time within which the flight computer answers.
+    limits : after which nobody waits longer.
     """
 
-    def __init__(self, lander: Lander, state: State, connection: Connection, answer_s: float = ANSWER_S) -> None:
-        self._lander, self.state, self._connection, self._answer_s = lander, state, connection, answer_s
+    def __init__(self, lander: Lander, state: State, connection: Connection, limits: Limits = USUAL) -> None:
+        self._lander, self.state, self._connection, self._limits = lander, state, connection, limits
         self._full_kg = state.mass_kg
         self._number = self._turn = 0
         self._why: list[str] = []
-        self._end_s = LONGEST_S
+        self._end_s = limits.longest_s
         self._tell()
 
     def land(self, ground_m: Callable[[float, float], float], told: Callable[[float, State], None]) -> TouchDown:
@@ -109,12 +118,14 @@ class Spacecraft:
         if self._why:
             return last
         try:
-            while (answer := self._connection.command(self.t_s, self._answer_s)) is not None:
+            while (answer := self._connection.command(self.t_s, self._limits.answer_s)) is not None:
                 command, turn = answer
                 if turn == self._turn % (1 << 16):
                     return command
         except TimeoutError:
-            silent = self._connection.trouble() or f"the flight computer did not answer within {self._answer_s:g} s"
+            silent = (
+                self._connection.trouble() or f"the flight computer did not answer within {self._limits.answer_s:g} s"
+            )
             self._why.append(f"{silent}, at {self.t_s:.1f} s and {self.state.position_m[2]:.1f} m: no command since")
-            self._end_s = min(self.t_s + LEFT_ALONE_S, LONGEST_S)
+            self._end_s = min(self.t_s + LEFT_ALONE_S, self._end_s)
         return last

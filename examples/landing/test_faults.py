@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from faults import Fault, Faults, datagram_with_nan
 from outcome import verdict
-from spacecraft import Spacecraft, TouchDown
+from spacecraft import Limits, Spacecraft, TouchDown
 from vehicle import Lander, State
 
 from firmware_protocol.pose_message import PoseMessage, PoseMessageError
@@ -79,7 +79,7 @@ def test_without_commands_the_last_one_holds_to_the_ground(answer: object, asked
     """A computer that is silent is waited for once; one whose frames are lost, in each turn."""
     state = State(np.array([0.0, 0.0, 12.0]), np.array([0.0, 0.0, -0.8]), thrust_n=1620.0)
     connection = Silent(answer)
-    end = Spacecraft(Lander(), state, connection, 3.0).land(lambda x, y: 0.0, lambda t_s, state: None)
+    end = Spacecraft(Lander(), state, connection, Limits(3.0)).land(lambda x, y: 0.0, lambda t_s, state: None)
     assert end.touched
     assert end.vertical_m_s == pytest.approx(0.8, abs=0.02)
     assert len(end.why) == sentences

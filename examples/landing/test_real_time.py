@@ -121,7 +121,7 @@ def falling(down_m_s: float, wall: Wall, ends: Ends) -> RealTimeSpacecraft:
     """Return a spacecraft that falls evenly from 12 m."""
     thrust_n = 1000 * GRAVITY_M_S2
     state = State(np.array([0.0, 0.0, 12.0]), np.array([0.0, 0.0, -down_m_s]), thrust_n=thrust_n)
-    return RealTimeSpacecraft(Lander(), state, ends, wall.now_ns)
+    return RealTimeSpacecraft(Lander(), state, ends, now_ns=wall.now_ns)
 
 
 def test_dynamics_follow_the_wall_and_poses_bear_the_streams_time() -> None:
