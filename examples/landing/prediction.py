@@ -62,7 +62,7 @@ class PredictingGuidance(Guidance):
 
     def take(self, motion: Motion, now_s: float) -> None:
         """Take what the newest window showed, as far as it agrees with what was predicted."""
-        expected = self._expected(motion.at_s)
+        expected = self.expected(motion.at_s)
         reach = _MOST_JUMP * abs(expected) + _MOST_JUMP_1_S * (1 + now_s - self._believed_s)
         aside = max(abs(motion.east - self.motion.east), abs(motion.south - self.motion.south))
         if motion.reliable and abs(motion.down - expected) <= reach and aside <= reach + self._law.most_jump_1_s:
@@ -91,9 +91,9 @@ class PredictingGuidance(Guidance):
 
     def _seen(self, now_s: float) -> float:
         """Return the divergence of the time at which the next command acts."""
-        return self._expected(now_s + self._delay_s + _ENGINE_S)
+        return self.expected(now_s + self._delay_s + _ENGINE_S)
 
-    def _expected(self, end_s: float) -> float:
+    def expected(self, end_s: float) -> float:
         """Return the divergence that is predicted for a time from the last motion on."""
         t_s = self.motion.at_s
         height_m = self._height_m(t_s)

@@ -53,6 +53,16 @@ def test_prediction_lands_with_a_delay_that_makes_the_plain_law_swing() -> None:
     assert touchdown_m_s(Guidance, 1.6) > 2.0
 
 
+def test_what_is_predicted_is_what_the_commands_sent_do() -> None:
+    """Two seconds of free motion in closed form; the command of time 0 acts after delay and engine, 0.2 s."""
+    guidance = PredictingGuidance(Law(), 100.0, np.array([0.0, 0.0, -5.0]), 173.0)
+    guidance.begin(0.0)
+    slowing_m_s2 = guidance.command_m_s2(0.0, 0.0)[2] - GRAVITY_M_S2
+    assert abs(slowing_m_s2) > 0.3
+    speed_m_s, height_m = 5.0 - slowing_m_s2 * 1.8, 100.0 - 5.0 * 2.0 + slowing_m_s2 * 1.8**2 / 2
+    assert guidance.expected(2.0) == pytest.approx(speed_m_s / height_m, rel=0.01)
+
+
 class Wall:
     """A clock that goes on only when somebody waits, and the stream that began at 5 s of it."""
 
