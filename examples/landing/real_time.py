@@ -32,7 +32,8 @@ _NODS, _NOD_STEPS, _STILL_STEPS = 16, 23, 40
 _FOCAL_PX = 299.6
 _SILENT_S = 2.0
 _MOST_COUNTER = 240
-_NO_CAMERA = "the descent did not begin: the camera is silent, or its events are more than half a second late"
+_LATE_NS = 1_000_000_000  # for an edge: a camera that is later does not keep up
+_NO_CAMERA = "the descent did not begin: the camera is silent, or more than half a second late"
 
 Height = Callable[[float, float], float]
 Told = Callable[[float, State], None]
@@ -141,7 +142,7 @@ class RealTimeSpacecraft:
                 message = self._connection.hear(left_ns * 1e-9)
                 if message is not None and message.arbitration_id == EDGE:
                     known, t_us = unpack_edge(bytes(message.data))
-                    if known in sent:
+                    if known in sent and self._now_ns() - sent[known] < _LATE_NS:
                         origins.append(sent[known] - t_us * 1000)
         if len(origins) < _MEETINGS:
             return False

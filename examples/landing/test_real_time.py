@@ -89,6 +89,7 @@ class Ends:
         self.frames: deque[tuple[int, int, bytes]] = deque()
         self.poses: list[tuple[float, float, State]] = []
         self.stall_s = 0.0
+        self.told_late_ns = 0
 
     def trouble(self) -> str:
         """What has ended."""
@@ -110,7 +111,7 @@ class Ends:
         """Answer a SYNC with its edge and a command, a little later."""
         late_ns = 1_000_000 * (1 + counter[0] % 4)
         edge_us = (self.wall.ns + late_ns - self.wall.ORIGIN_NS) // 1000
-        self.frames.append((self.wall.ns + 2 * late_ns, EDGE, pack_edge(counter[0], edge_us)))
+        self.frames.append((self.wall.ns + 2 * late_ns + self.told_late_ns, EDGE, pack_edge(counter[0], edge_us)))
         if self.answers:
             command = np.array([0.0, 0.0, GRAVITY_M_S2])
             self.frames.append((self.wall.ns + 33_000_000, COMMAND, pack_command(command, counter[0])))
@@ -173,6 +174,17 @@ def test_a_silent_computer_is_told_and_the_flight_goes_on() -> None:
     assert end.touched
     assert len(end.why) == 1
     assert "has said nothing for 2." in end.why[0]
+
+
+def test_no_descent_begins_while_the_camera_is_late() -> None:
+    """Edges come, but two seconds late: the vehicle stays where it is."""
+    wall = Wall()
+    ends = Ends(wall)
+    ends.told_late_ns = 2_000_000_000
+    end = falling(0.8, wall, ends).land(lambda x, y: 0.0, lambda t_s, state: None)
+    assert not end.touched
+    assert end.state.position_m[2] == 12.0
+    assert "the descent did not begin" in end.why[0]
 
 
 def test_dynamics_that_give_no_numbers_end_the_flight() -> None:

@@ -107,7 +107,7 @@ def test_the_parts_of_the_landing(tmp_path):
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "."]
     done = subprocess.run(command, cwd=tmp_path / "landing", capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stdout
-    assert "34 passed" in done.stdout
+    assert "35 passed" in done.stdout
 
 
 def landing(out, *more):
@@ -129,16 +129,17 @@ def test_a_short_landing(tmp_path):
 
 @pytest.mark.socket
 def test_a_short_landing_in_real_time(tmp_path):
-    """How well it lands depends on the machine; that the verdict, the exit code and the latencies agree does not."""
-    code, verdict, text = landing(tmp_path, "--real-time")
+    """How well it lands, or whether it begins, depends on the machine; that verdict, exit code and files agree does not."""
+    code, verdict, text = landing(tmp_path, "--real-time", "--longest-s", "40")
     assert code in (0, 1), text
     assert verdict["soft"] == (code == 0)
-    assert verdict["touched"], text
-    told = json.loads((tmp_path / "latency.json").read_text())
-    parts = told["parts_ms"]
-    assert parts["loop"]["n"] > 5
-    assert all(part["median"] >= 0 for part in parts.values() if part["median"] is not None)
-    assert told["lead_us"]["needed"]["p50"] > 0
+    told = json.loads((tmp_path / "summary.json").read_text().splitlines()[-1])
+    assert told["lateness"]["lead_needed_us"]["p50"] > 0
+    began = not any("did not begin" in sentence for sentence in verdict["why"])
+    assert began == (tmp_path / "latency.json").exists(), text
+    if began:
+        parts = json.loads((tmp_path / "latency.json").read_text())["parts_ms"]
+        assert all(part["median"] >= 0 for part in parts.values() if part["median"] is not None)
 
 
 @pytest.mark.socket
