@@ -129,7 +129,7 @@ def test_a_short_landing(tmp_path):
 
 @pytest.mark.socket
 def test_a_short_landing_in_real_time(tmp_path):
-    """How well it lands, or whether it begins, depends on the machine; that verdict, exit code and files agree does not."""
+    """How well it lands, or whether it begins, depends on the machine; that its files agree does not."""
     code, verdict, text = landing(tmp_path, "--real-time", "--longest-s", "40")
     assert code in (0, 1), text
     assert verdict["soft"] == (code == 0)
