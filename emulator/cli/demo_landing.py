@@ -7,8 +7,9 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
+from typing import Any
 
-from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, console, print_json, status
+from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, WRONG_USE, Failure, console, print_json, status
 
 __all__ = ["fly_landing"]
 
@@ -24,7 +25,8 @@ def fly_landing(*, as_json: bool) -> int:
     code = subprocess.run(command, stdout=sys.stderr, check=False).returncode
     file = out / "verdict.json"
     if not file.exists():
-        raise Failure(f"the landing did not reach the ground: fly.py ended with {code}, see above", BAD_VERDICT)
+        own = code if code in (WRONG_USE, LACKING) else BAD_VERDICT
+        raise Failure(f"the landing did not begin: fly.py ended with {code}, see above", own)
     told = json.loads(file.read_text())
     if as_json:
         print_json({**told, "good": told["soft"], "folder": str(out)})
@@ -41,7 +43,11 @@ def _program() -> Path:
     raise Failure("examples/landing is not here: it comes with evstim and lies in its repository", WRONG_USE)
 
 
-def _print(told: dict[str, float]) -> None:
-    console.print(f"touchdown after {told['t_s']:.1f} s at {told['vertical_m_s']:.2f} m/s down")
-    console.print(f"divergence from events: {100 * told['error_median']:.1f} % off in the median")
+def _print(told: dict[str, Any]) -> None:
+    if told["touched"]:
+        console.print(f"touchdown after {told['t_s']:.1f} s at {told['vertical_m_s']:.2f} m/s down")
+    if "error_median" in told:
+        console.print(f"divergence from events: {100 * told['error_median']:.1f} % off in the median")
+    for sentence in told["why"]:
+        console.print(sentence, markup=False)
     console.print("good" if told["soft"] else "NOT GOOD: below 1 m/s is a landing")

@@ -4,13 +4,19 @@ A paced run computes each step one lead ahead of the moment its first event is d
 moment it is late, and counted. A run that is behind takes longer steps (twice as long each time, up to eight times):
 the light is then sampled more coarsely, which costs accuracy in event times but keeps the run with the clock; when it
 has caught up the steps shrink again. What was done is in the summary: the run never just falls behind.
+
+The lead that a step needed is the time from when its computing was to begin until it was ready. A lead above all of
+them makes no step late; more than that only makes a closed loop slower, since light is drawn that far ahead.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
+
+import numpy as np
 
 from emulator.plan.step_control import StepSource
+from transports.link.latency import LatencyHistogram, LatencySummary
 
 __all__ = ["Lateness", "StepRule"]
 
@@ -25,20 +31,31 @@ class Lateness:
     frames_late: int = 0
     worst_gap_us: float = 0.0
     steps_stretched: int = 0
+    _leads: LatencyHistogram = field(default_factory=LatencyHistogram, repr=False, compare=False)
 
-    def add(self, gap_ns: int, stretch: int) -> None:
-        """Count one step that was ready `gap_ns` after its first event was due (negative: in time)."""
+    def add(self, gap_ns: int, stretch: int, lead_ns: int = 0) -> None:
+        """Count one step that was ready `gap_ns` after its first event was due (negative: in time).
+
+        Its computing was to begin `lead_ns` before that.
+        """
+        self._leads.add(np.array([(gap_ns + lead_ns) / 1000]))
         self.steps_stretched += stretch > 1
         if gap_ns > 0:
             self.frames_late += 1
             self.worst_gap_us = max(self.worst_gap_us, gap_ns / 1000)
 
-    def as_json(self) -> dict[str, float]:
+    @property
+    def lead_needed_us(self) -> LatencySummary:
+        """Lead that the steps needed, us."""
+        return self._leads.summary()
+
+    def as_json(self) -> dict[str, object]:
         """The `lateness` object of `evstim run --json`."""
         return {
             "frames_late": self.frames_late,
             "worst_gap_us": round(self.worst_gap_us, 1),
             "steps_stretched": self.steps_stretched,
+            "lead_needed_us": asdict(self.lead_needed_us),
         }
 
 

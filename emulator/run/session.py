@@ -242,15 +242,16 @@ class Session:
         rule = StepRule(self._step_source)
         status_ns = start_ns
         while self._goes_on and (schedule.duration_ns is None or self._t_ns < schedule.duration_ns):
+            lead_ns = max(schedule.lead_ns, rule.step_ns)
             if schedule.paced:
-                self._clock.sleep_until(origin_ns + self._t_ns - max(schedule.lead_ns, rule.step_ns))
+                self._clock.sleep_until(origin_ns + self._t_ns - lead_ns)
             elif not self._may_go_on(start_ns, on_status):
                 break
             due_ns, begun_ns = origin_ns + self._t_ns, self._clock.now_ns()
             self._step(rule, schedule)
             if schedule.paced:
                 ready_ns = self._clock.now_ns()
-                self._lateness.add(ready_ns - due_ns, rule.stretch)
+                self._lateness.add(ready_ns - due_ns, rule.stretch, lead_ns)
                 rule.follow(ready_ns - due_ns, ready_ns - begun_ns)
             if self._clock.now_ns() >= status_ns:
                 status_ns = self._clock.now_ns() + _STATUS_PERIOD_NS

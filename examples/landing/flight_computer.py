@@ -1,10 +1,17 @@
 """The flight computer: events from a serial line, attitudes from the CAN bus; accelerations onto the bus.
 
-    python flight_computer.py --serial /tmp/evstim-landing --height 1650 --velocity 0 0 -42
+    python flight_computer.py --serial /tmp/evstim-landing --height 1650 --velocity 0 0 -42 --log computer.jsonl
 
-Each SYNC of the bus comes back on the serial line as an edge. Edges overtake events, so the computer then asks for
-housekeeping until the camera says that no event waits, and as many have come as it has sent: what the estimator sees
-does not depend on how fast the line was. Needs evstim for its receiver alone.
+Each SYNC of the bus comes back on the serial line as an edge.
+
+In lockstep, edges overtake events, so the computer then asks for housekeeping until the camera says that no event
+waits, and as many have come as it has sent: what the estimator sees does not depend on how fast the line was. Where the
+line is damaged or unplugged the SYNC itself begins the turn, and dead reckoning bridges what was lost.
+
+In real time (`--real-time`) it answers the newest SYNC with the events that have come, as soon as it is ready; the time
+of each edge goes onto the bus, so that the spacecraft knows the camera's time. The descent begins with the first
+attitude.
+Needs evstim for its receiver alone.
 """
 
 from __future__ import annotations
@@ -13,31 +20,30 @@ import argparse
 import json
 import logging
 import math
-import os
-import select
 import sys
-import termios
 import time
-import tty
+from collections.abc import Callable
 from pathlib import Path
 from typing import TextIO
 
 import can
 import numpy as np
 from divergence import Motion, MotionEstimator, Rays
-from frames import ATTITUDE, COMMAND, pack_command, unpack_attitude
 from guidance import Guidance, Law
+from links import Links
+from prediction import PredictingGuidance
 from window import Lens, Window
 
-from evstim import SerialReceiver
-from firmware_protocol.packets.telecommands import RequestHousekeeping
+__all__ = ["FlightComputer", "fly_lockstep", "fly_real_time"]
 
-_PICTURE_S = 0.04
 _MARGIN_PX = 60.0  # for a tilt of 10 degrees
 _TURN_S = 0.2
+_PICTURE_S = 0.04
 _LEAST_EVENTS = 500
-_ATTITUDE_S = 10.0  # wall time that an attitude may come after its edge
-_ASK_S = 0.5
+_BIN_US = 1000
+_SILENT_S = 1.0
+_LATE_S = 0.5  # a camera whose events are older does not keep up, and no descent begins
+_EDGE_S = 2.0  # wall time that an edge may come after its SYNC; the camera's turn, where its line is unplugged
 _JOINED_S = 0.5  # the served bus lends no frames to a newcomer for a quarter of a second
 
 
@@ -54,122 +60,139 @@ class FlightComputer:
 
     def __init__(self, guidance: Guidance, window: Window, estimator: MotionEstimator, log: TextIO) -> None:
         self._guidance, self._window, self._estimator, self._log = guidance, window, estimator, log
+        self.began_s = -math.inf
 
-    def turn(self, now_s: float) -> np.ndarray:
-        """Return the acceleration wanted from `now_s` on; all events before have come."""
-        began = time.perf_counter()
+    def begin(self, now_s: float) -> None:
+        """Begin the descent now: what was seen before does not count, and is written down for latency.py."""
+        self.began_s = now_s
+        self._guidance.begin(now_s)
+        from_us, counts = self._window.counts(_BIN_US)
+        told = {"from_us": from_us, "bin_us": _BIN_US, "counts": counts.tolist()}
+        Path(self._log.name).with_name("standing.json").write_text(json.dumps(told))
+
+    def took(self, seconds: float) -> None:
+        """Say how long the last command took from its turn until it was sent, where the law wants to know."""
+        if isinstance(self._guidance, PredictingGuidance):
+            self._guidance.took(seconds)
+
+    def turn(self, now_s: float, period_s: float = _TURN_S, more: dict[str, object] | None = None) -> np.ndarray:
+        """Return the acceleration wanted from `now_s` on, for `period_s`, by the events that have come."""
+        began_ns = time.monotonic_ns()
         guidance = self._guidance
-        rays = self._window.rays(now_s - guidance.window_s, now_s)
+        window_s = guidance.window_s
+        until_s = now_s if self.began_s == -math.inf else min(now_s, self._window.newest_s)  # in real time events lag
+        rays = self._window.rays(max(until_s - window_s, self.began_s), until_s)
         if len(rays) >= _LEAST_EVENTS:
             spread = 0.01 + 0.5 * abs(guidance.motion.down)
             guidance.take(self._estimator.estimate(rays, guidance.motion, spread), now_s)
-        command = guidance.command_m_s2(now_s, _TURN_S)
-        self._note(now_s, len(rays), began)
+        command = guidance.command_m_s2(now_s, period_s)
+        self._note(now_s, len(rays), began_ns, {"window_s": window_s} | (more or {}))
         return command
 
-    def _note(self, now_s: float, events: int, began: float) -> None:
+    def _note(self, now_s: float, events: int, began_ns: int, more: dict[str, object]) -> None:
         guidance, seen = self._guidance, self._guidance.motion
         row = {"t_s": now_s, "at_s": seen.at_s, "down_1_s": seen.down, "east_1_s": seen.east, "south_1_s": seen.south}
         row |= {"gain": seen.gain, "events": events, "height_m": guidance.height_m, "lost": guidance.lost(now_s)}
-        print(json.dumps(row | {"compute_ms": (time.perf_counter() - began) * 1e3}), file=self._log, flush=True)
+        ended_ns = time.monotonic_ns()
+        row |= {"compute_ms": (ended_ns - began_ns) * 1e-6, "began_ns": began_ns, "ended_ns": ended_ns}
+        print(json.dumps(row | more), file=self._log, flush=True)
 
 
-class Links:
-    """The two links, read in one thread without waiting for either."""
-
-    def __init__(self, port: str, bus: can.BusABC) -> None:
-        self._bus = bus
-        self._port = os.open(port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-        tty.setraw(self._port, termios.TCSANOW)
-        self._receiver = SerialReceiver("ccsds-cobs")
-        self._received = 0
-        self.edges_us: list[int] = []
-
-    def complete(self, window: Window) -> None:
-        """Hear until every event that the camera had when this was called has come; raises EOFError."""
-        before, asked_s = self._receiver.housekeeping, 0.0
-        while (report := self._receiver.housekeeping) is before or report.events.waiting:
-            if time.monotonic() > asked_s + _ASK_S or report is not before:
-                os.write(self._port, self._receiver.wrap(RequestHousekeeping()))
-                before, asked_s = report, time.monotonic()
-            self.hear(window, 0.01)
-        while self._received < report.events.sent:
-            self.hear(window, 0.01)
-
-    def hear(self, window: Window, timeout_s: float) -> None:
-        """Take what has come into the window; raises EOFError when the camera has gone."""
-        select.select([self._port], [], [], timeout_s)
-        self._hear_serial(window)
-        while (message := self._bus.recv(0)) is not None:
-            if message.arbitration_id == ATTITUDE:
-                q, number = unpack_attitude(bytes(message.data))
-                window.add_attitude(number * _PICTURE_S, q)
-
-    def send(self, command: np.ndarray, turn: int) -> None:
-        """Send a command."""
-        data = pack_command(command, turn)
-        self._bus.send(can.Message(arbitration_id=COMMAND, data=data, is_extended_id=False))
-
-    def _hear_serial(self, window: Window) -> None:
-        try:
-            while data := os.read(self._port, 1 << 16):
-                self._receiver.push(data)
-        except BlockingIOError:
-            pass
-        except OSError as error:
-            raise EOFError("the camera has gone") from error
-        events = self._receiver.take_events()
-        self._received += len(events)
-        window.add_events(events)
-        self.edges_us += self._receiver.take_edges()["t"].tolist()
-
-
-def fly(links: Links, window: Window, computer: FlightComputer) -> None:
-    """Answer SYNC after SYNC until the camera goes away."""
-    turn, patience_s = 0, math.inf
+def fly_lockstep(links: Links, window: Window, computer: FlightComputer, fails: Callable[[float], None]) -> None:
+    """Answer SYNC after SYNC for ever."""
+    turn, heard_s = 0, math.inf
     while True:
-        links.hear(window, 0.001 if links.edges_us else 0.1)
-        if not links.edges_us:
+        links.hear(window, 0.001 if links.edges or links.syncs > turn else 0.1)
+        edges = [edge for edge in links.edges if round(edge.t_us * 1e-6 / _TURN_S) >= turn]
+        links.edges = edges
+        if not edges and links.syncs <= turn:
             continue
-        now_s = links.edges_us[0] * 1e-6
-        patience_s = min(patience_s, time.monotonic() + _ATTITUDE_S)
-        late = time.monotonic() > patience_s
-        if late or window.attitude_s >= now_s - 1e-6:
-            if late:
-                print(f"flight computer: no attitude for {now_s:.2f} s, the last one holds", file=sys.stderr)
-            links.complete(window)
-            turn += 1
-            del links.edges_us[0]
-            patience_s = math.inf
-            links.send(computer.turn(now_s), turn)
+        heard_s = min(heard_s, time.monotonic())
+        due = bool(edges) and round(edges[0].t_us * 1e-6 / _TURN_S) == turn
+        if not due and time.monotonic() < heard_s + _EDGE_S:
+            continue
+        now_us = edges[0].t_us if due else round(turn * _TURN_S * 1e6)
+        if links.syncs <= turn and window.attitude_s < now_us * 1e-6 - 1e-6:
+            continue
+        links.complete(window, 0 if due else now_us)
+        turn, heard_s = turn + 1, math.inf
+        fails(now_us * 1e-6)
+        links.send(computer.turn(now_us * 1e-6, more={"events_lost": links.lost, "edge": due}), turn)
+
+
+def fly_real_time(links: Links, window: Window, computer: FlightComputer, fails: Callable[[float], None]) -> None:
+    """Answer the newest SYNC for ever; those that came meanwhile are left out.
+
+    When no edge has come for a second the line is dead, and dead reckoning answers.
+    """
+    last_s, last_wall_s = math.nan, math.inf
+    while True:
+        links.hear(window, 0.002)
+        for edge in links.edges:
+            if window.newest_s > edge.t_us * 1e-6 - _LATE_S:
+                links.tell(edge)
+        silent_s = time.monotonic() - last_wall_s
+        if not links.edges and silent_s < _SILENT_S:
+            continue
+        heard_s = time.monotonic()
+        now_s = links.edges[-1].t_us * 1e-6 if links.edges else last_s + silent_s
+        counter = links.edges[-1].counter if links.edges else 0
+        more = {"counter": counter, "arrivals": links.arrivals, "events_lost": links.lost}
+        links.edges, links.arrivals = [], []
+        fails(now_s)
+        if window.attitude_s < 0:
+            continue  # the vehicle still stands
+        if math.isnan(last_s):
+            computer.begin(now_s)
+            last_s = now_s - _TURN_S
+        if now_s > last_s:  # not an edge that dead reckoning has overtaken
+            links.send(computer.turn(now_s, now_s - last_s, more), counter)
+            computer.took(time.monotonic() - heard_s)
+            last_s, last_wall_s = now_s, heard_s
+
+
+def _failing(crash_s: float, hang_s: float) -> Callable[[float], None]:
+    """Return what ends or stops this program at a stream time, on purpose."""
+
+    def fails(now_s: float) -> None:
+        if now_s >= crash_s:
+            raise RuntimeError(f"the flight computer was told to crash at {crash_s:g} s")
+        while now_s >= hang_s:
+            time.sleep(1.0)
+
+    return fails
 
 
 def main() -> None:
-    """Fly until the camera goes away, and write the log."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--serial", required=True)
-    parser.add_argument("--can-port", type=int, default=29536)
-    parser.add_argument("--height", type=float, required=True)
-    parser.add_argument("--velocity", type=float, nargs=3, required=True)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--log", type=Path, required=True)
-    arguments = parser.parse_args()
+    """Fly until somebody ends the program; the log is complete at each turn."""
+    arguments = _arguments()
     logging.getLogger("can.interfaces.socketcand").setLevel(logging.ERROR)  # it warns of frames that TCP cut in two
     lens = Lens()
-    guidance = Guidance(Law(), arguments.height, np.array(arguments.velocity), lens.size[0] / 2)
+    law = PredictingGuidance if arguments.real_time else Guidance
+    guidance = law(Law(), arguments.height, np.array(arguments.velocity), lens.size[0] / 2)
     window, port = Window(lens, arguments.seed), arguments.can_port
     with (
         arguments.log.open("w") as log,
         can.Bus(interface="socketcand", channel="can0", host="127.0.0.1", port=port) as bus,
     ):
         computer = FlightComputer(guidance, window, _estimator(lens), log)
-        links = Links(arguments.serial, bus)
+        links = Links(arguments.serial, bus, _attitude_time(arguments.attitude_s, window))
         time.sleep(_JOINED_S)
         print("ready", flush=True)
+        flying = fly_real_time if arguments.real_time else fly_lockstep
         try:
-            fly(links, window, computer)
-        except (EOFError, KeyboardInterrupt, can.CanError) as end:
+            flying(links, window, computer, _failing(arguments.crash_at, arguments.hang_at))
+        except (KeyboardInterrupt, can.CanError) as end:
             print(f"flight computer: {end}", file=sys.stderr)
+
+
+def _attitude_time(step_s: float, window: Window) -> Callable[[int], float]:
+    """Return the time of an attitude from its number, which is known modulo 65 536: the nearest to the last one."""
+
+    def time_of(number: int) -> float:
+        return (number + 65536 * round((max(window.attitude_s, 0.0) / step_s - number) / 65536)) * step_s
+
+    return time_of
 
 
 def _estimator(lens: Lens) -> MotionEstimator:
@@ -179,6 +202,21 @@ def _estimator(lens: Lens) -> MotionEstimator:
     rays = Rays(t, 0 * t, 0 * t, 0 * t + 1, (-1.0, 1.0, -1.0, 1.0))
     estimator.estimate(rays, Motion(0.0, 0.0, 0.1, 1.0, 0.0, 0), 0.1)
     return estimator
+
+
+def _arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--serial", required=True)
+    parser.add_argument("--can-port", type=int, default=29536)
+    parser.add_argument("--height", type=float, required=True)
+    parser.add_argument("--velocity", type=float, nargs=3, required=True)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--log", type=Path, required=True)
+    parser.add_argument("--real-time", action="store_true")
+    parser.add_argument("--attitude-s", type=float, default=_PICTURE_S, help="between two numbers of attitudes")
+    parser.add_argument("--crash-at", type=float, default=math.inf, help="stream time, s: for tests")
+    parser.add_argument("--hang-at", type=float, default=math.inf, help="stream time, s: for tests")
+    return parser.parse_args()
 
 
 if __name__ == "__main__":

@@ -1,10 +1,13 @@
 """One landing: starts the camera, the flight computer and the spacecraft; says how it ended.
 
-    python fly.py [--height 300] [--seed 1] [--terrain 8] [--rig landing.toml] [--out DIR]
+    python fly.py [--height 300] [--seed 1] [--terrain 8] [--rig landing.toml] [--out DIR] [--real-time]
 
-The seed draws the start (speeds, place), the errors of navigation and engine, the camera's noise. Exit code 0: landed
-below 1 m/s. In DIR: truth.csv (the vehicle), computer.jsonl (what the computer saw), summary.json (the camera's run),
-verdict.json. With --attach CAN_PORT POSE_PORT SERIAL the camera runs already: so `evstim campaign` uses it.
+The seed draws the start (speeds, place), the errors of navigation and engine, the camera's noise. In DIR: truth.csv
+(the vehicle), computer.jsonl (what the computer saw), summary.json (the camera's run), verdict.json; in real time
+latency.json too. With --attach CAN_PORT POSE_PORT SERIAL the camera runs already: so `evstim campaign` uses it.
+`--fault crash@12` and others: see faults.py; `--table faults.toml` adds tables to the rig, such as [[faults]].
+
+Exit codes: 0 landed below 1 m/s; 1 not; 2 wrong use or wrong rig; 3 something did not start.
 """
 
 from __future__ import annotations
@@ -20,10 +23,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from errors import divergence_errors
+from connection import Connection
+from faults import Fault, Faults
 from guidance import Law
-from processes import Ends, bus_of, camera, computer
-from spacecraft import NoAnswer, Spacecraft, TouchDown
+from latency import latencies
+from outcome import verdict
+from processes import Ended, Ends, NotStarted, bus_of, camera, computer
+from real_time import STEP_S, RealTimeSpacecraft
+from spacecraft import USUAL, Limits, Spacecraft, TouchDown
 from vehicle import GRAVITY_M_S2, Lander, State
 
 from emulator.rig.loading import load_rig
@@ -31,7 +38,6 @@ from emulator.scene.terrain.table import TerrainParameters
 from emulator.scene.terrain.world import build_ground
 
 _HERE = Path(__file__).parent
-_SOFT_M_S = 1.0
 _COLUMNS = "t_s,x_m,y_m,z_m,ground_m,vx_m_s,vy_m_s,vz_m_s,thrust_n,mass_kg"
 
 Height = Callable[[float, float], float]
@@ -65,12 +71,31 @@ class Start:
         return self.known_height_m, *self.known_velocity_m_s
 
 
-def fly(start: Start, ends: Ends, seed: int, out: Path) -> TouchDown:
-    """Return how a landing ended, whose camera runs; its files are in `out`."""
+@dataclass(frozen=True)
+class Flight:
+    """What a flight is beside its start: where the parts meet, seed, files, faults, and how it goes through time."""
+
+    ends: Ends
+    seed: int
+    out: Path
+    faults: Faults
+    real_time: bool = False
+    limits: Limits = USUAL
+
+    @property
+    def of_computer(self) -> list[str]:
+        """Arguments of the flight computer."""
+        real_time = ["--real-time", "--attitude-s", str(STEP_S)] if self.real_time else []
+        return [*self.faults.of_computer, *real_time]
+
+
+def fly(start: Start, flight: Flight, camera_ended: Ended = lambda: "") -> TouchDown:
+    """Return how a landing ended, whose camera runs; its files are in `flight.out`."""
+    out, ends = flight.out, flight.ends
     ground = ground_of(out / "landing.toml")
     with ExitStack() as stack:
         bus = stack.enter_context(bus_of(ends))
-        stack.enter_context(computer(ends, start.known, seed, out))
+        ended = stack.enter_context(computer(ends, start.known, flight.seed, out, flight.of_computer))
         truth = stack.enter_context((out / "truth.csv").open("w"))
         truth.write(_COLUMNS + "\n")
 
@@ -80,8 +105,16 @@ def fly(start: Start, ends: Ends, seed: int, out: Path) -> TouchDown:
             print(",".join(f"{one:.6g}" for one in figures), file=truth, flush=True)
             print(f"\r{t_s:6.1f} s  {z:8.1f} m  {state.velocity_m_s[2]:7.2f} m/s", end="")
 
-        spacecraft = Spacecraft(start.lander, start.state, bus, ("127.0.0.1", ends.pose_port))
-        return spacecraft.land(ground, told)
+        def trouble() -> str:
+            return camera_ended() or ended()
+
+        connection = Connection(bus, ("127.0.0.1", ends.pose_port), trouble, flight.faults)
+        if not flight.real_time:
+            return Spacecraft(start.lander, start.state, connection, flight.limits).land(ground, told)
+        spacecraft = RealTimeSpacecraft(start.lander, start.state, connection, flight.limits)
+        end = spacecraft.land(ground, told)
+        (out / "spacecraft.json").write_text(json.dumps(spacecraft.times.as_json()))
+        return end
 
 
 def ground_of(rig: Path) -> Height:
@@ -90,13 +123,6 @@ def ground_of(rig: Path) -> Height:
     assert isinstance(scene, TerrainParameters), "landing.toml is a terrain"
     ground = build_ground(scene)
     return lambda x_m, y_m: ground.height_m(x_m, y_m) or 0.0
-
-
-def verdict(end: TouchDown, out: Path) -> dict[str, float | bool]:
-    """Return how a landing ended, and how good its divergence was."""
-    told = {"soft": end.touched and end.vertical_m_s < _SOFT_M_S, "touched": end.touched, "t_s": end.t_s}
-    told |= {"vertical_m_s": end.vertical_m_s, "horizontal_m_s": end.horizontal_m_s}
-    return told | {"fuel_kg": end.fuel_kg} | divergence_errors(out)
 
 
 def main() -> int:
@@ -109,22 +135,54 @@ def main() -> int:
         can_port, pose_port, serial = arguments.attach
         ends = Ends(int(can_port), int(pose_port), serial)
     rig = out / "landing.toml"
-    text = re.sub(r"(?m)^seed = 8$", f"seed = {arguments.terrain}", arguments.rig.read_text())
-    rig.write_text(ends.rig(text))
+    rig.write_text(_rig_text(arguments, ends))
+    faults = Faults(arguments.fault, arguments.seed)
+    limits = Limits(arguments.answer_s, arguments.longest_s)
+    flight = Flight(ends, arguments.seed, out, faults, arguments.real_time, limits)
     try:
         with ExitStack() as stack:
+            camera_ended: Ended = lambda: ""  # noqa: E731
             if not arguments.attach:
-                stack.enter_context(camera(rig, arguments.seed, out, arguments.record))
-            end = fly(Start.drawn(arguments.height, arguments.seed), ends, arguments.seed, out)
-    except NoAnswer as error:
+                camera_ended = stack.enter_context(camera(rig, arguments.seed, out, arguments.record))
+            end = fly(Start.drawn(arguments.height, arguments.seed), flight, camera_ended)
+    except NotStarted as error:
         print(f"\n{error}", file=sys.stderr)
-        return 3
-    told = verdict(end, out)
-    print(f"\n{'landed' if told['soft'] else 'CRASHED'} after {end.t_s:.1f} s at {end.vertical_m_s:.2f} m/s down, "
-          f"{end.horizontal_m_s:.2f} m/s along the ground; files in {out}")  # fmt: skip
-    for file in (out / "verdict.json", *([arguments.result] if arguments.result else [])):
+        return error.code
+    return _report(end, flight, arguments.result)
+
+
+def _rig_text(arguments: argparse.Namespace, ends: Ends) -> str:
+    """Return the rig of a flight."""
+    file = arguments.rig or _HERE / ("landing-realtime.toml" if arguments.real_time else "landing.toml")
+    text = re.sub(r"(?m)^seed = 8$", f"seed = {arguments.terrain}", file.read_text())
+    if arguments.lead_us:
+        text = re.sub(r"(?m)^lead_us = \d+", f"lead_us = {arguments.lead_us}", text)
+    return ends.rig("\n".join([text, *(table.read_text() for table in arguments.table)]))
+
+
+def _report(end: TouchDown, flight: Flight, result: Path | None) -> int:
+    """Write and print how a flight ended; return the exit code."""
+    out, told = flight.out, verdict(end, flight.out)
+    print(f"\n{_headline(end, soft=bool(told['soft']))}; files in {out}")
+    for sentence in (
+        *told["why"],
+        *([f"{lost} frames lost on the bus"] if (lost := flight.faults.frames_lost) else ()),
+    ):
+        print(f"  {sentence}")
+    for file in (out / "verdict.json", *([result] if result else [])):
         file.write_text(json.dumps(told))
+    if flight.real_time and (out / "standing.json").exists():
+        (out / "latency.json").write_text(json.dumps(latencies(out), indent=1))
     return 0 if told["soft"] else 1
+
+
+def _headline(end: TouchDown, *, soft: bool) -> str:
+    if not end.touched:
+        return f"NOT LANDED: the flight ended after {end.t_s:.1f} s, {end.state.position_m[2]:.1f} m up"
+    return (
+        f"{'landed' if soft else 'CRASHED'} after {end.t_s:.1f} s at {end.vertical_m_s:.2f} m/s down, "
+        f"{end.horizontal_m_s:.2f} m/s along the ground"
+    )
 
 
 def _arguments() -> argparse.Namespace:
@@ -132,11 +190,17 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--height", type=float, default=300.0, help="m")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--terrain", type=int, default=8, help="seed of the ground")
-    parser.add_argument("--rig", type=Path, default=_HERE / "landing.toml")
+    parser.add_argument("--rig", type=Path, default=None, help="landing.toml, or landing-realtime.toml in real time")
+    parser.add_argument("--table", type=Path, action="append", default=[], help="more tables for the rig; repeat")
     parser.add_argument("--out", type=Path, default=None)
+    parser.add_argument("--real-time", action="store_true")
+    parser.add_argument("--lead-us", type=int, default=0, help="in the place of the rig's")
     parser.add_argument("--attach", nargs=3, metavar=("CAN_PORT", "POSE_PORT", "SERIAL"), default=None)
     parser.add_argument("--record", type=Path, default=None, help="keep the events in this .npz")
     parser.add_argument("--result", type=Path, default=None, help="a copy of verdict.json")
+    parser.add_argument("--fault", type=Fault.parse, action="append", default=[], help="see faults.py; repeat")
+    parser.add_argument("--answer-s", type=float, default=120.0, help="patience with the flight computer, in lockstep")
+    parser.add_argument("--longest-s", type=float, default=600.0, help="longest flight")
     return parser.parse_args()
 
 

@@ -1,9 +1,11 @@
 """Frames between spacecraft and flight computer on the CAN bus, 8 bytes each, little-endian, 11-bit identifiers.
 
     0x210  command    i16 east, i16 north, i16 up: acceleration without gravity's, mm/s2 | u16 turn that it answers
-    0x211  attitude   i16 x, y, z: vector part of q_world_from_body in 1/32767, its w >= 0 | u16 number of the picture
+    0x211  attitude   i16 x, y, z: vector part of q_world_from_body in 1/32767, its w >= 0 | u16 number of its time
+    0x212  edge       u16 counter of the SYNC | u48 time of its edge among the events, us (in real time alone)
 
-The SYNC of the bus (0x080) begins a turn; the camera tells the same instant as an edge among its events.
+The SYNC of the bus (0x080) begins a turn; the camera tells the same instant as an edge among its events. Attitudes are
+numbered by pictures in lockstep, by steps of the dynamics in real time.
 """
 
 from __future__ import annotations
@@ -14,9 +16,20 @@ import struct
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["ATTITUDE", "COMMAND", "SYNC", "pack_attitude", "pack_command", "unpack_attitude", "unpack_command"]
+__all__ = [
+    "ATTITUDE",
+    "COMMAND",
+    "EDGE",
+    "SYNC",
+    "pack_attitude",
+    "pack_command",
+    "pack_edge",
+    "unpack_attitude",
+    "unpack_command",
+    "unpack_edge",
+]
 
-SYNC, COMMAND, ATTITUDE = 0x080, 0x210, 0x211
+SYNC, COMMAND, ATTITUDE, EDGE = 0x080, 0x210, 0x211, 0x212
 
 _LAYOUT = struct.Struct("<hhhH")
 _MM, _UNIT = 1000.0, 32767.0
@@ -46,6 +59,18 @@ def unpack_attitude(data: bytes) -> tuple[npt.NDArray[np.float64], int]:
     *words, number = _unpack(data)
     vector = np.array(words) / _UNIT
     return np.array([math.sqrt(max(0.0, 1 - float(vector @ vector))), *vector]), number
+
+
+def pack_edge(counter: int, t_us: int) -> bytes:
+    """Return the data that tell the time of a SYNC's edge."""
+    return counter.to_bytes(2, "little") + t_us.to_bytes(6, "little")
+
+
+def unpack_edge(data: bytes) -> tuple[int, int]:
+    """Return counter and time, us; raises ValueError for other data."""
+    if len(data) != _LAYOUT.size:
+        raise ValueError(f"{len(data)} bytes: a frame of this bus has {_LAYOUT.size}")
+    return int.from_bytes(data[:2], "little"), int.from_bytes(data[2:], "little")
 
 
 def _unpack(data: bytes) -> tuple[int, int, int, int]:

@@ -18,6 +18,7 @@ the motion and looks like a speed (3 degrees of rocking at 1500 m: errors of 0.0
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass
 
@@ -89,6 +90,11 @@ class Guidance:
         self._up_m_s2 = GRAVITY_M_S2
         self._drift_m_s2 = 0.0  # by which the vehicle sinks faster than commanded
 
+    def begin(self, now_s: float) -> None:
+        """Begin the descent now, not at time 0: until a motion is seen, that of navigation holds from here."""
+        self.motion = dataclasses.replace(self.motion, at_s=now_s)
+        self._believed_s = now_s
+
     @property
     def window_s(self) -> float:
         """Length of the next window of events."""
@@ -120,10 +126,13 @@ class Guidance:
         self._sink_m_s = down * self.height_m
         self._drift_m_s2 += _LEARNING_1_S * (self._sink_m_s - reckoned_m_s) * (period_s > 0)
         self.height_m = max(self.height_m * math.exp(-down * period_s), _LEAST_M)
-        wanted, gain = law.wanted_1_s(self.height_m), law.gain_1_s * self.height_m
+        wanted, gain = law.wanted_1_s(self.height_m), self._gain_1_s(now_s) * self.height_m
         steady = wanted**2 * self.height_m * (self.height_m > law.final_m)
         self._up_m_s2 = steady + gain * (down - wanted) + GRAVITY_M_S2
         return np.array([*self._sideways_m_s2(now_s), self._up_m_s2])
+
+    def _gain_1_s(self, now_s: float) -> float:
+        return self._law.gain_1_s
 
     def _seen(self, now_s: float) -> float:
         """Return the divergence of now: the speed is that in the middle of the window, the ground is nearer."""

@@ -33,7 +33,7 @@ class Flight:
 
     def seen(self) -> tuple[np.ndarray, np.ndarray]:
         """Return times and divergences that were believed."""
-        pairs = {row["at_s"]: row["down_1_s"] for row in self.rows if row["at_s"] > 0}
+        pairs = {row["at_s"]: row["down_1_s"] for row in self.rows if np.isfinite(row["gain"])}
         return np.array(list(pairs)), np.array(list(pairs.values()))
 
     def picture(self, t_s: float) -> np.ndarray:

@@ -7,15 +7,19 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 import can
 
-__all__ = ["Ends", "bus_of", "camera", "computer"]
+__all__ = ["Ended", "Ends", "NotStarted", "bus_of", "camera", "computer"]
 
+Ended = Callable[[], str]
+"""Says in words that a process has ended; "" while it runs."""
+
+_LACKING = 3  # exit code: the machine lacks something
 _HERE = Path(__file__).parent
 _READY_S = 600.0
 _JOINED_S = 0.5  # the served bus lends no frames to a newcomer for a quarter of a second
@@ -42,9 +46,20 @@ class Ends:
         return text.replace("/tmp/evstim-landing", self.serial)
 
 
+class NotStarted(RuntimeError):
+    """A process did not start; `code` is the exit code that says whose fault it is."""
+
+    def __init__(self, text: str, code: int) -> None:
+        super().__init__(text)
+        self.code = code
+
+
 @contextmanager
-def camera(rig: Path, seed: int, out: Path, record: Path | None = None) -> Iterator[None]:
-    """Run evstim until the block ends; `record` takes the events."""
+def camera(rig: Path, seed: int, out: Path, record: Path | None = None) -> Iterator[Ended]:
+    """Run evstim until the block ends; `record` takes the events.
+
+    Gives what tells that it has ended; raises NotStarted.
+    """
     ready = out / "ready"
     ready.unlink(missing_ok=True)
     command = [sys.executable, "-m", "evstim", "run", str(rig), "--json", "--seconds", "0"]
@@ -55,9 +70,9 @@ def camera(rig: Path, seed: int, out: Path, record: Path | None = None) -> Itera
             end_s = time.monotonic() + _READY_S
             while not ready.exists():
                 if run.poll() is not None or time.monotonic() > end_s:
-                    raise SystemExit("evstim has not started")
+                    raise NotStarted("evstim has not started, see above", run.poll() or _LACKING)
                 time.sleep(0.05)
-            yield
+            yield _ended(run, "evstim")
         finally:
             run.terminate()
 
@@ -72,15 +87,28 @@ def bus_of(ends: Ends) -> Iterator[can.BusABC]:
 
 
 @contextmanager
-def computer(ends: Ends, known: tuple[float, ...], seed: int, out: Path) -> Iterator[None]:
-    """Run the flight computer until the block ends; `known` is height and velocity, as navigation has them."""
-    command = [sys.executable, str(_HERE / "flight_computer.py"), "--seed", str(seed)]
+def computer(ends: Ends, known: tuple[float, ...], seed: int, out: Path, more: Sequence[str] = ()) -> Iterator[Ended]:
+    """Run the flight computer until the block ends; `known` is height and velocity, as navigation has them.
+
+    Gives what tells that it has ended; raises NotStarted.
+    """
+    command = [sys.executable, str(_HERE / "flight_computer.py"), "--seed", str(seed), *more]
     command += ["--serial", ends.serial, "--can-port", str(ends.can_port), "--log", str(out / "computer.jsonl")]
     command += ["--height", str(known[0]), "--velocity", *map(str, known[1:])]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         try:
             if process.stdout is None or process.stdout.readline().strip() != "ready":
-                raise SystemExit("the flight computer has not started")
-            yield
+                raise NotStarted("the flight computer has not started, see above", _LACKING)
+            yield _ended(process, "the flight computer")
         finally:
             process.terminate()
+
+
+def _ended(process: subprocess.Popen[str] | subprocess.Popen[bytes], name: str) -> Ended:
+    """Return what tells in words that a process has ended."""
+
+    def ended() -> str:
+        code = process.poll()
+        return "" if code is None else f"{name} has ended with {f'code {code}' if code >= 0 else f'signal {-code}'}"
+
+    return ended

@@ -1,42 +1,48 @@
-"""The spacecraft: dynamics that take commands from the CAN bus, tell attitudes there, and send poses to the camera.
+"""The spacecraft in lockstep: dynamics that take commands from the CAN bus, tell attitudes there, and send poses.
 
 Each turn of 0.2 s: the equations are integrated, a pose and an attitude are sent for each picture of the turn, then the
 SYNC lets the camera's time go on. The command that answers it holds for the next turn: computing takes one turn of
-simulated time, however long it takes here.
+simulated time, however long it takes here. A command that the bus lost leaves the last one in force; so does a flight
+computer that has died, and the flight goes on to the ground.
 """
 
 from __future__ import annotations
 
-import socket
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import can
 import numpy as np
-from frames import ATTITUDE, COMMAND, SYNC, pack_attitude, unpack_command
-from vehicle import GRAVITY_M_S2, Lander, State, advance, product
+from connection import Connection
+from vehicle import GRAVITY_M_S2, Lander, State, advance
 
-from firmware_protocol.pose_message import PoseMessage
-
-__all__ = ["NoAnswer", "Spacecraft", "TouchDown"]
+__all__ = ["FOOT_M", "LEFT_ALONE_S", "USUAL", "Limits", "Spacecraft", "TouchDown", "flies"]
 
 _PICTURE_S = 0.04
 _PICTURES = 5
-_ANSWER_S = 120.0
-_FOOT_M = 2.0  # height of the camera when the feet stand
-_LONGEST_S = 600.0
-_LOOKING_DOWN = np.array([0.0, 1.0, 0.0, 0.0])  # body from camera
+FOOT_M = 2.0  # height of the camera when the feet stand
+LEFT_ALONE_S = 60.0  # a flight without commands goes on so long
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Wall time within which the flight computer answers, in lockstep; longest flight; s."""
+
+    answer_s: float = 120.0
+    longest_s: float = 600.0
+
+
+USUAL = Limits()
 
 
 @dataclass(frozen=True)
 class TouchDown:
-    """How a flight ended."""
+    """How a flight ended; `why` says in words what went wrong on the way, if anything."""
 
     t_s: float
     state: State
     touched: bool
     fuel_kg: float
+    why: tuple[str, ...] = ()
 
     @property
     def vertical_m_s(self) -> float:
@@ -49,8 +55,9 @@ class TouchDown:
         return float(np.hypot(*self.state.velocity_m_s[:2]))
 
 
-class NoAnswer(RuntimeError):
-    """The flight computer has not answered a SYNC."""
+def flies(state: State) -> bool:
+    """Return whether every figure of a state is a number."""
+    return bool(np.isfinite(state.packed()).all())
 
 
 class Spacecraft:
@@ -59,37 +66,42 @@ class Spacecraft:
     Parameters
     ----------
     lander, state : figures and start.
-    bus : the CAN bus.
-    poses : where the camera takes poses, (host, port).
+    connection : to camera and flight computer.
+    limits : after which nobody waits longer.
     """
 
-    def __init__(self, lander: Lander, state: State, bus: can.BusABC, poses: tuple[str, int]) -> None:
-        self._lander, self.state = lander, state
+    def __init__(self, lander: Lander, state: State, connection: Connection, limits: Limits = USUAL) -> None:
+        self._lander, self.state, self._connection, self._limits = lander, state, connection, limits
         self._full_kg = state.mass_kg
-        self._bus, self._poses = bus, poses
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._number = self._turn = 0
+        self._why: list[str] = []
+        self._end_s = limits.longest_s
         self._tell()
 
     def land(self, ground_m: Callable[[float, float], float], told: Callable[[float, State], None]) -> TouchDown:
-        """Fly to the ground, whose height is told by place, telling time and state of each turn; raises NoAnswer."""
+        """Fly to the ground, whose height is told by place, telling time and state of each turn."""
         command = np.array([0.0, 0.0, GRAVITY_M_S2])
-        while self.t_s < _LONGEST_S:
+        while self.t_s < self._end_s:
             for _ in range(_PICTURES):
-                self.state = advance(self._lander, self.state, command, _PICTURE_S)
+                state = advance(self._lander, self.state, command, _PICTURE_S)
+                if not flies(state):
+                    self._why.append(f"the dynamics gave no numbers at {self.t_s:.2f} s")
+                    return self._end(touched=False)
+                self.state = state
                 self._number += 1
-                x, y, z = self.state.position_m.tolist()
-                if z - ground_m(x, y) <= _FOOT_M:
+                x, y, z = state.position_m.tolist()
+                if z - ground_m(x, y) <= FOOT_M:
                     return self._end(touched=True)
                 self._tell()
             self._turn += 1
-            self._send(SYNC, b"")
+            self._connection.sync()
             told(self.t_s, self.state)
-            command = self._answer()
+            command = self._answer(command)
+        self._why.append(f"still flying after {self.t_s:.0f} s")
         return self._end(touched=False)
 
     def _end(self, *, touched: bool) -> TouchDown:
-        return TouchDown(self.t_s, self.state, touched, self._full_kg - self.state.mass_kg)
+        return TouchDown(self.t_s, self.state, touched, self._full_kg - self.state.mass_kg, tuple(self._why))
 
     @property
     def t_s(self) -> float:
@@ -98,22 +110,22 @@ class Spacecraft:
 
     def _tell(self) -> None:
         """Send pose and attitude of now."""
-        q = product(self.state.attitude, _LOOKING_DOWN)
-        t_ns = round(self.t_s * 1e9)
-        pose = PoseMessage(t_ns, tuple(self.state.position_m), tuple(q), counter=self._number)
-        self._socket.sendto(bytes(pose), self._poses)
-        self._send(ATTITUDE, pack_attitude(self.state.attitude, self._number))
+        self._connection.pose(self.t_s, self.state)
+        self._connection.attitude(self.t_s, self.state, self._number)
 
-    def _send(self, identifier: int, data: bytes) -> None:
-        self._bus.send(can.Message(arbitration_id=identifier, data=data, is_extended_id=False))
-
-    def _answer(self) -> np.ndarray:
-        """Return the command that answers this turn's SYNC."""
-        end_s = time.monotonic() + _ANSWER_S
-        while (left_s := end_s - time.monotonic()) > 0:
-            message = self._bus.recv(left_s)
-            if message is not None and message.arbitration_id == COMMAND:
-                command, turn = unpack_command(bytes(message.data))
+    def _answer(self, last: np.ndarray) -> np.ndarray:
+        """Return the command that answers this turn's SYNC; the last one where it was lost, or nobody answers."""
+        if self._why:
+            return last
+        try:
+            while (answer := self._connection.command(self.t_s, self._limits.answer_s)) is not None:
+                command, turn = answer
                 if turn == self._turn % (1 << 16):
                     return command
-        raise NoAnswer(f"the flight computer has not answered SYNC {self._turn} within {_ANSWER_S:g} s")
+        except TimeoutError:
+            silent = (
+                self._connection.trouble() or f"the flight computer did not answer within {self._limits.answer_s:g} s"
+            )
+            self._why.append(f"{silent}, at {self.t_s:.1f} s and {self.state.position_m[2]:.1f} m: no command since")
+            self._end_s = min(self.t_s + LEFT_ALONE_S, self._end_s)
+        return last

@@ -46,6 +46,11 @@ class Window:
         """Time of the newest attitude."""
         return self._attitudes[-1][0]
 
+    @property
+    def newest_s(self) -> float:
+        """Time of the newest event; below 0 before the first."""
+        return float(self._events[-1]["t"][-1]) * 1e-6 if self._events else -1.0
+
     def add_events(self, events: npt.NDArray[np.void]) -> None:
         """Take the next events."""
         if len(events):
@@ -57,6 +62,13 @@ class Window:
         """Take the next attitude."""
         self._attitudes.append((t_s, matrix(q_world_from_body)))
         del self._attitudes[:-200]
+
+    def counts(self, bin_us: int) -> tuple[int, npt.NDArray[np.int64]]:
+        """Return the time of the oldest event, us, and how many each stretch of `bin_us` since then has, (n,)."""
+        if not self._events:
+            return 0, np.zeros(0, np.int64)
+        t_us = np.concatenate(self._events)["t"].astype(np.int64)
+        return int(t_us[0]), np.bincount((t_us - t_us[0]) // bin_us)
 
     def rays(self, since_s: float, until_s: float) -> Rays:
         """Return the events from one time to another."""

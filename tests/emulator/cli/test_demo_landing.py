@@ -8,7 +8,7 @@ import pytest
 from emulator.cli import demo_landing
 from emulator.cli.output import Failure
 
-SOFT = {"soft": True, "t_s": 31.2, "vertical_m_s": 0.55, "error_median": 0.008}
+SOFT = {"soft": True, "touched": True, "t_s": 31.2, "vertical_m_s": 0.55, "error_median": 0.008, "why": []}
 
 
 @pytest.fixture
@@ -34,10 +34,20 @@ def test_the_verdict_of_the_flight_is_the_exit_code(program, capfd, verdict, cod
     assert Path(told["folder"]).is_dir()
 
 
-def test_a_flight_without_end_is_a_failure(program):
-    program(None, 3)
-    with pytest.raises(Failure, match="ended with 3"):
+@pytest.mark.parametrize(("code", "told"), [(3, 3), (2, 2), (-9, 1)])
+def test_a_flight_that_did_not_begin_is_a_failure(program, code, told):
+    program(None, f"{code}" if code > 0 else "__import__('os').kill(__import__('os').getpid(), 9)")
+    with pytest.raises(Failure, match=f"ended with {code}") as failure:
         demo_landing.fly_landing(as_json=False)
+    assert failure.value.exit_code == told
+
+
+def test_people_are_told_what_went_wrong(program, capfd):
+    program({"soft": False, "touched": False, "t_s": 9.0, "vertical_m_s": 2.0, "why": ["evstim has ended"]}, 1)
+    assert demo_landing.fly_landing(as_json=False) == 1
+    out = capfd.readouterr().out
+    assert "evstim has ended" in out
+    assert "touchdown" not in out
 
 
 def test_the_program_is_where_the_package_says():

@@ -37,7 +37,18 @@ def test_lateness_counts_late_frames_and_keeps_the_worst():
     lateness = Lateness()
     for gap_ns, stretch in ((-5000, 1), (9000, 2), (2000, 1)):
         lateness.add(gap_ns, stretch)
-    assert lateness.as_json() == {"frames_late": 2, "worst_gap_us": 9.0, "steps_stretched": 1}
+    told = lateness.as_json()
+    assert told.pop("lead_needed_us")["max"] == 9.0
+    assert told == {"frames_late": 2, "worst_gap_us": 9.0, "steps_stretched": 1}
+
+
+def test_the_lead_needed_is_from_when_computing_was_to_begin_until_ready():
+    lateness = Lateness()
+    for gap_ns, lead_ns in ((-3_000_000, 5_000_000), (-1_000_000, 5_000_000), (7_000_000, 10_000_000)):
+        lateness.add(gap_ns, 1, lead_ns)
+    needed = lateness.lead_needed_us
+    assert (needed.p50, needed.max) == (pytest.approx(4000.0, abs=20.0), 17_000.0)
+    assert Lateness().lead_needed_us.p50 is None
 
 
 def test_a_step_must_last():

@@ -1,0 +1,70 @@
+"""How a landing ended, in figures and in words: verdict.json."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+from errors import divergence_errors
+from spacecraft import TouchDown
+
+__all__ = ["verdict"]
+
+_SOFT_M_S = 1.0
+_POSES = {
+    "poses refused": "poses were refused: no numbers, or damaged",
+    "poses stale": "poses were refused: their times went back",
+    "poses too far ahead": "poses were refused: stamped too far ahead",
+    "pictures with a late pose": "pictures were drawn with a pose that stood still for want of a newer one",
+}
+
+
+def verdict(end: TouchDown, out: Path) -> dict[str, object]:
+    """Return how a landing ended, and how good its divergence was; call after the camera's end.
+
+    `soft` is the verdict: on the ground, below 1 m/s. `why` has a sentence for each thing that went wrong, also where
+    the landing was good all the same.
+    """
+    soft = end.touched and end.vertical_m_s < _SOFT_M_S
+    told: dict[str, object] = {"soft": soft, "touched": end.touched, "t_s": end.t_s}
+    told |= {"vertical_m_s": end.vertical_m_s, "horizontal_m_s": end.horizontal_m_s, "fuel_kg": end.fuel_kg}
+    why = [*end.why, *_of_computer(out), *_of_camera(out)]
+    return told | {"why": why} | _errors(out)
+
+
+def _errors(out: Path) -> dict[str, float]:
+    log = out / "computer.jsonl"
+    return divergence_errors(out) if log.exists() and log.read_text().strip() else {}
+
+
+def _of_computer(out: Path) -> Iterator[str]:
+    log = out / "computer.jsonl"
+    rows = [json.loads(line) for line in log.read_text().splitlines()] if log.exists() else []
+    if not rows:
+        yield "the flight computer answered no SYNC"
+        return
+    if lost := rows[-1].get("events_lost", 0):
+        yield f"{lost} events were lost on the serial line"
+    without = sum(row["lost"] for row in rows)
+    if without:
+        yield f"dead reckoning: no motion was seen in {without} of {len(rows)} turns"
+
+
+def _of_camera(out: Path) -> Iterator[str]:
+    """What the camera's summary says, where this flight started the camera."""
+    file = out / "summary.json"
+    text = file.read_text().strip() if file.exists() else ""
+    if not text:
+        return
+    told = json.loads(text.splitlines()[-1])
+    for name, words in _POSES.items():
+        if count := told["scene"].get(name, 0):
+            yield f"{count} {words}"
+    for link, report in told["links"].items():
+        for fault in report.get("faults", []):
+            began_s, lost = fault.get("began_us", 0) * 1e-6, fault.get("events_lost", 0)
+            yield f"fault {fault['kind']} on {link} from {began_s:.1f} s on: {lost} events lost"
+    for rule in told["rules"]:
+        if not rule["good"]:
+            yield f"the camera's run was not good: {rule['rule']}: {rule['told']}"

@@ -1,0 +1,240 @@
+"""The landing in real time, with clocks and links of its own: nothing here waits, nothing depends on the machine."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import deque
+from pathlib import Path
+
+import can
+import numpy as np
+import pytest
+from divergence import Motion
+from frames import ATTITUDE, COMMAND, EDGE, pack_command, pack_edge, unpack_edge
+from guidance import Guidance, Law
+from latency import latencies, light_delays_s
+from prediction import PredictingGuidance
+from real_time import STEP_S, RealTimeSpacecraft
+from vehicle import GRAVITY_M_S2, Lander, State, advance
+
+
+def touchdown_m_s(kind: type[Guidance], delay_s: float) -> float:
+    """Return the speed at the ground from 60 m, if commands act so late and motions are those of mid-window."""
+    law, step_s, t_s, draw = Law(), 0.04, 0.0, np.random.default_rng(1)
+    down_m_s = law.wanted_1_s(60.0) * 60.0
+    state = State(np.array([0.0, 0.0, 60.0]), np.array([0.0, 0.0, -down_m_s]), thrust_n=1620.0)
+    guidance = kind(law, 57.0, np.array([0.0, 0.0, -down_m_s]), 173.0)
+    guidance.begin(0.0)
+    seen: list[float] = []
+    commands = deque([(0.0, np.array([0.0, 0.0, GRAVITY_M_S2]))])
+    while state.position_m[2] > 2.0 and t_s < 200.0:
+        seen.append(-state.velocity_m_s[2] / state.position_m[2])
+        if len(seen) % 5 == 1:
+            middle_s = t_s - guidance.window_s / 2
+            if middle_s > 0:
+                down = seen[int(middle_s / step_s)] * (1 + 0.01 * draw.normal())
+                guidance.take(Motion(0.0, 0.0, down, 2.0, middle_s, 9), t_s)
+            commands.append((t_s + delay_s, guidance.command_m_s2(t_s, 5 * step_s)))
+            if isinstance(guidance, PredictingGuidance):
+                guidance.took(delay_s)
+        while len(commands) > 1 and commands[1][0] <= t_s:
+            commands.popleft()
+        state = advance(Lander(thrust_scale=1.02), state, commands[0][1], step_s)
+        t_s += step_s
+    return -float(state.velocity_m_s[2])
+
+
+def test_prediction_lands_with_a_delay_that_makes_the_plain_law_swing() -> None:
+    """1.6 s from the end of the window until the command acts, on a busy machine; and no worse without delay."""
+    assert touchdown_m_s(PredictingGuidance, 0.1) < 1.0
+    assert touchdown_m_s(PredictingGuidance, 1.6) < 1.0
+    assert touchdown_m_s(Guidance, 0.1) < 1.0
+    assert touchdown_m_s(Guidance, 1.6) > 2.0
+
+
+def test_what_is_predicted_is_what_the_commands_sent_do() -> None:
+    """Two seconds of free motion in closed form; the command of time 0 acts after delay and engine, 0.2 s."""
+    guidance = PredictingGuidance(Law(), 100.0, np.array([0.0, 0.0, -5.0]), 173.0)
+    guidance.begin(0.0)
+    slowing_m_s2 = guidance.command_m_s2(0.0, 0.0)[2] - GRAVITY_M_S2
+    assert abs(slowing_m_s2) > 0.3
+    speed_m_s, height_m = 5.0 - slowing_m_s2 * 1.8, 100.0 - 5.0 * 2.0 + slowing_m_s2 * 1.8**2 / 2
+    assert guidance.expected(2.0) == pytest.approx(speed_m_s / height_m, rel=0.01)
+
+
+class Wall:
+    """A clock that goes on only when somebody waits, and the stream that began at 5 s of it."""
+
+    ORIGIN_NS = 5_000_000_000
+
+    def __init__(self) -> None:
+        self.ns = 20_000_000_000
+
+    def now_ns(self) -> int:
+        """The time, ns."""
+        return self.ns
+
+    @property
+    def stream_s(self) -> float:
+        """The stream's time."""
+        return (self.ns - self.ORIGIN_NS) * 1e-9
+
+
+class Ends:
+    """A connection in the place of the real one: edges come 1 to 4 ms after their SYNC, commands hold the speed."""
+
+    def __init__(self, wall: Wall, answers: bool = True) -> None:
+        self.wall, self.answers, self.ended = wall, answers, ""
+        self.frames: deque[tuple[int, int, bytes]] = deque()
+        self.poses: list[tuple[float, float, State]] = []
+        self.stall_s = 0.0
+        self.told_late_ns = 0
+
+    def trouble(self) -> str:
+        """What has ended."""
+        return self.ended
+
+    def loses(self, t_s: float) -> bool:
+        """Nothing is lost here."""
+        return False
+
+    def pose(self, t_s: float, state: State) -> None:
+        """Keep a pose with the stream's time at which it was sent."""
+        self.poses.append((t_s, self.wall.stream_s, state))
+
+    def attitude(self, t_s: float, state: State, number: int) -> None:
+        """Check that the number tells the time."""
+        assert number * STEP_S == pytest.approx(t_s)
+
+    def sync(self, counter: bytes) -> None:
+        """Answer a SYNC with its edge and a command, a little later."""
+        late_ns = 1_000_000 * (1 + counter[0] % 4)
+        edge_us = (self.wall.ns + late_ns - self.wall.ORIGIN_NS) // 1000
+        self.frames.append((self.wall.ns + 2 * late_ns + self.told_late_ns, EDGE, pack_edge(counter[0], edge_us)))
+        if self.answers:
+            command = np.array([0.0, 0.0, GRAVITY_M_S2])
+            self.frames.append((self.wall.ns + 33_000_000, COMMAND, pack_command(command, counter[0])))
+
+    def hear(self, timeout_s: float) -> can.Message | None:
+        """Return the next frame that is there in time; else let the time pass."""
+        end_ns = self.wall.ns + round(timeout_s * 1e9)
+        if self.frames and self.frames[0][0] <= end_ns:
+            at_ns, identifier, data = self.frames.popleft()
+            self.wall.ns = max(self.wall.ns, at_ns)
+            return can.Message(arbitration_id=identifier, data=data)
+        self.wall.ns = end_ns + round(self.stall_s * 1e9) * (self.stall_s > 0 and len(self.poses) == 600)
+        self.stall_s = 0.0 if len(self.poses) == 600 else self.stall_s
+        return None
+
+
+def falling(down_m_s: float, wall: Wall, ends: Ends) -> RealTimeSpacecraft:
+    """Return a spacecraft that falls evenly from 12 m."""
+    thrust_n = 1000 * GRAVITY_M_S2
+    state = State(np.array([0.0, 0.0, 12.0]), np.array([0.0, 0.0, -down_m_s]), thrust_n=thrust_n)
+    return RealTimeSpacecraft(Lander(), state, ends, now_ns=wall.now_ns)
+
+
+def test_dynamics_follow_the_wall_and_poses_bear_the_streams_time() -> None:
+    """The stream's beginning is found to the least delay; ten metres at 0.8 m/s take 12.5 s of the wall."""
+    wall, ends = Wall(), Ends(Wall())
+    ends.wall = wall
+    spacecraft = falling(0.8, wall, ends)
+    end = spacecraft.land(lambda x, y: 0.0, lambda t_s, state: None)
+    assert end.touched
+    assert end.why == ()
+    assert end.vertical_m_s == pytest.approx(0.8, abs=0.02)
+    assert end.t_s == pytest.approx(12.5, abs=0.2)
+    assert spacecraft.times.origin_ns - wall.ORIGIN_NS == pytest.approx(-1_000_000, abs=2000)
+    late_s = np.array([sent_s - t_s for t_s, sent_s, _ in ends.poses])
+    assert np.abs(late_s).max() < 0.002  # sent at its own time
+    assert np.diff([t_s for t_s, _, _ in ends.poses]) == pytest.approx(STEP_S, rel=1e-6)
+    assert len(spacecraft.times.nods_s) == 16
+    assert all(0 < one.shown_ns - one.heard_ns <= 10_000_000 for one in spacecraft.times.commands)
+
+
+def test_a_machine_that_stands_still_loses_poses_not_time() -> None:
+    """Half a second passes unseen: the dynamics make up for it, with the newest pose alone."""
+    wall, ends = Wall(), Ends(Wall())
+    ends.wall, ends.stall_s = wall, 0.5
+    spacecraft = falling(0.8, wall, ends)
+    end = spacecraft.land(lambda x, y: 0.0, lambda t_s, state: None)
+    assert ends.stall_s == 0.0
+    assert end.t_s == pytest.approx(12.5, abs=0.2)
+    gaps_s = np.diff([t_s for t_s, _, _ in ends.poses])
+    assert 0.15 < gaps_s.max() < 0.55  # only those that go with a SYNC were sent
+    heights = [(t_s, state.position_m[2]) for t_s, _, state in ends.poses][-300:]
+    assert np.diff([h for _, h in heights]) / np.diff([t for t, _ in heights]) == pytest.approx(-0.8, abs=0.02)
+
+
+def test_a_silent_computer_is_told_and_the_flight_goes_on() -> None:
+    """Its last command holds; so does a word of trouble."""
+    wall = Wall()
+    end = falling(0.8, wall, Ends(wall, answers=False)).land(lambda x, y: 0.0, lambda t_s, state: None)
+    assert end.touched
+    assert len(end.why) == 1
+    assert "has said nothing for 2." in end.why[0]
+
+
+def test_no_descent_begins_while_the_camera_is_late() -> None:
+    """Edges come, but two seconds late: the vehicle stays where it is."""
+    wall = Wall()
+    ends = Ends(wall)
+    ends.told_late_ns = 2_000_000_000
+    end = falling(0.8, wall, ends).land(lambda x, y: 0.0, lambda t_s, state: None)
+    assert not end.touched
+    assert end.state.position_m[2] == 12.0
+    assert "the descent did not begin" in end.why[0]
+
+
+def test_dynamics_that_give_no_numbers_end_the_flight() -> None:
+    """And the words say when."""
+    wall = Wall()
+    spacecraft = falling(math.nan, wall, Ends(wall))
+    end = spacecraft.land(lambda x, y: 0.0, lambda t_s, state: None)
+    assert not end.touched
+    assert "no numbers" in end.why[0]
+
+
+def test_the_time_of_an_edge_is_carried() -> None:
+    """All 48 bits."""
+    assert unpack_edge(pack_edge(240, (1 << 48) - 1)) == (240, (1 << 48) - 1)
+    with pytest.raises(ValueError, match="3 bytes"):
+        unpack_edge(b"abc")
+    assert EDGE not in (ATTITUDE, COMMAND)
+
+
+def test_light_comes_when_many_events_do() -> None:
+    """Nods of known delays in quiet noise; one that made no light is not counted."""
+    counts = np.random.default_rng(1).poisson(4, 3000).astype(float)
+    for nod_ms, delay_ms in ((500, 40), (1000, 70), (1500, 90)):
+        counts[nod_ms + delay_ms : nod_ms + delay_ms + 8] += 300
+    standing = {"from_us": 2_000_000, "bin_us": 1000, "counts": counts.tolist()}
+    delays_s = light_delays_s(standing, [2.5, 3.0, 3.5, 4.0])
+    assert delays_s == pytest.approx([0.040, 0.070, 0.090], abs=0.0021)
+
+
+def test_the_parts_of_the_loop_add_up(tmp_path: Path) -> None:
+    """A flight whose times are known, with counters that begin anew."""
+    origin_ns, rows, commands = 10**12, [], []
+    for k in range(300):
+        edge_ns = origin_ns + 200_000_000 * k
+        times = np.cumsum([edge_ns, 7_000_000, 21_000_000, 300_000, 5_000_000]).tolist()
+        row = {"t_s": 0.2 * k, "counter": k % 240 + 1, "window_s": 0.5, "began_ns": times[1], "ended_ns": times[2]}
+        rows.append(row | {"arrivals": [[edge_ns, 200_000 * k - 3000, 200_000 * k - 1000, 10]]})
+        commands.append({"counter": k % 240 + 1, "heard_ns": times[3], "shown_ns": times[4]})
+    counts = [3.0] * 60 + [500.0] + [3.0] * 300
+    (tmp_path / "computer.jsonl").write_text("\n".join(map(json.dumps, rows)))
+    (tmp_path / "standing.json").write_text(json.dumps({"from_us": 0, "bin_us": 1000, "counts": counts}))
+    (tmp_path / "spacecraft.json").write_text(
+        json.dumps({"origin_ns": origin_ns, "start_s": 0, "nods_s": [0.0201], "commands": commands})
+    )
+    (tmp_path / "landing.toml").write_text("[run]\nstep_us = 40000\nlead_us = 60000\n")
+    told = latencies(tmp_path)
+    medians = {name: part["median"] for name, part in told["parts_ms"].items()}
+    assert medians == {
+        "turn begins": 7.0, "estimate": 21.0, "command on bus": 0.3, "shown by a pose": 5.0,
+        "light": pytest.approx(39.9), "event on the link": 2.0, "loop": pytest.approx(75.2),
+    }  # fmt: skip
+    assert told["parts_ms"]["loop"]["n"] == 300
+    assert told["lead_us"] == {"set": 60000, "step": 40000}
