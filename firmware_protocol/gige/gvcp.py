@@ -74,6 +74,8 @@ class Status(IntEnum):
     PACKET_UNAVAILABLE = 0x800C
     INVALID_HEADER = 0x800E
     PACKET_REMOVED = 0x8012
+    OVERFLOW = 0x8015
+    ACTION_LATE = 0x8016
 
 
 class Refused(Exception):

@@ -79,7 +79,8 @@ class Outflow:
 
     def put_edges(self, edges: Edges) -> None:
         """Take edges (n,) EDGE, sorted; one that is older than what was told gets the time of that."""
-        self._edges = np.concatenate([self._edges, edges])
+        together = np.concatenate([self._edges, edges])
+        self._edges = together[np.argsort(together["t"], kind="stable")]
 
     def next(self, now_us: int, packet_size: int, *, at_once: bool = False) -> Outgoing | None:
         """Return the next block; None while it may still grow, unless `at_once`, and while it is empty."""

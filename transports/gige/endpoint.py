@@ -1,15 +1,13 @@
-"""A GigE Vision camera on a pair of sockets.
+"""A GigE Vision camera: a process that answers hosts, and the stream.
 
-    hosts --GVCP--> ControlSockets --> Triton2.receive --> answers
+    hosts --GVCP--> ControlProcess --orders--> Triton2.obey
     Triton2.next_block --packets--> faults --> StreamSocket --> the host that has control
 
-Control is looked at whenever something came and between the packets of a block: neuromorphic_drivers gives an answer
-25 ms. UDP has no back-pressure: a block counts as delivered when the kernel has taken all its packets.
+UDP has no back-pressure: a block counts as delivered when the kernel has taken all its packets.
 """
 
 from __future__ import annotations
 
-import asyncio
 import ipaddress
 from collections import Counter, deque
 from collections.abc import Iterator, Mapping
@@ -19,12 +17,15 @@ from firmware_protocol.gige.outflow import Outgoing
 from firmware_protocol.gige.triton2 import Triton2
 from transports.faults.kinds import Fault
 from transports.faults.script import FaultPlan, FaultRecord
+from transports.gige.answering import ControlSetup
+from transports.gige.control_process import ControlProcess
 from transports.gige.fates import BlockFates
 from transports.gige.packet_faults import FaultyPackets, Packet
 from transports.gige.parameters import GigeLink
-from transports.gige.sockets import ControlSockets, StreamSocket
+from transports.gige.sockets import StreamSocket
 from transports.link.deliveries import Deliveries
 from transports.link.endpoint import Endpoint, EndpointFactory
+from transports.network.allow import AllowList
 from transports.network.datagrams import ByteBudget
 
 __all__ = ["GigeEndpoint", "GigeFactory"]
@@ -48,11 +49,12 @@ class GigeEndpoint(Endpoint):
     """One camera, the hosts that look at it, and the one that receives."""
 
     def __init__(self, factory: GigeFactory, camera: Triton2, deliveries: Deliveries) -> None:
-        link = factory.link
+        self._link = link = factory.link
         self._camera = camera
         self._deliveries = deliveries
         self._clock = deliveries.clock
-        self._control = ControlSockets(link.host, link.port, link.allow)
+        self._control: ControlProcess | None = None
+        self._allow = AllowList(link.allow)
         self._stream = StreamSocket(link.host)
         self._budget = ByteBudget(link.mbit_s, self._clock.now_ns())
         self._faulty = FaultyPackets(factory.faults)
@@ -68,19 +70,24 @@ class GigeEndpoint(Endpoint):
 
     async def start(self) -> None:
         """Open the sockets; raises OSError, with what to do, when an address cannot be used."""
-        self._control.open()
+        link = self._link
+        port = self._stream.open()
         try:
-            self._camera.stream_from(self._stream.open())
+            self._control = ControlProcess(ControlSetup(link.host, link.port, link.allow, self._camera.settings, port))
         except OSError:
-            self._control.close()
+            self._stream.close()
             raise
-        loop = asyncio.get_running_loop()
-        for descriptor in self._control.descriptors:
-            loop.add_reader(descriptor, self._answer)
+
+    def listen(self) -> None:
+        """See `Endpoint.listen`; raises LinkBroken when nobody answers hosts any more."""
+        assert self._control is not None
+        for order in self._control.take():
+            self._camera.obey(order)
 
     def pump(self) -> None:
-        """Answer what came, and send what waits as far as the rate allows."""
-        self._answer()
+        """Send what waits as far as the rate allows."""
+        assert self._control is not None
+        self._control.tell(self._camera.time)
         self._budget.renew(self._clock.now_ns())
         self._look_at_time()
         while self._budget.left > 0 and self._prepare() and self._send():
@@ -108,16 +115,14 @@ class GigeEndpoint(Endpoint):
         self._fates.settle(self._clock.now_ns(), final=True)
         self._faulty.close()
         self._camera.disconnected()
-        loop = asyncio.get_running_loop()
-        for descriptor in self._control.descriptors:
-            loop.remove_reader(descriptor)
-        self._control.close()
+        if self._control is not None:
+            self._control.close()
         self._stream.close()
 
     @property
     def state(self) -> str:
         """Who has control, and whether the stream runs."""
-        owner = self._camera.control.owner
+        owner = self._camera.owner
         if owner is None:
             return f"waiting on {self.address}"
         does = "streaming to" if self._camera.streaming else "controlled by"
@@ -126,18 +131,12 @@ class GigeEndpoint(Endpoint):
     @property
     def address(self) -> str:
         """Where hosts find the camera."""
-        return self._control.address
+        return f"{self._link.host}:{self._link.port if self._control is None else self._control.port}"
 
     @property
     def counts(self) -> Mapping[str, int]:
         """Packets, requests, and what was wrong with either."""
-        more = {"requests of senders not allowed": self._control.refused}
-        return +(self.sent + self._camera.control.counts + Counter(more))
-
-    def _answer(self) -> None:
-        datagrams = self._control.take()
-        for answer, peer in self._camera.receive(datagrams, self._clock.now_ns()):
-            self._control.send(answer, peer)
+        return self.sent if self._control is None else self.sent + self._control.counts
 
     def _look_at_time(self) -> None:
         """Find out whether stream time stands, as at the end of a run: what waits then leaves without growing."""
@@ -179,7 +178,7 @@ class GigeEndpoint(Endpoint):
         """Send the packet that is ready; False when the kernel has no room now."""
         packet = self._ready[0]
         destination = self._camera.destination
-        if destination is None or not self._control.permits(str(ipaddress.IPv4Address(destination[0]))):
+        if destination is None or not self._allow.permits(str(ipaddress.IPv4Address(destination[0]))):
             left = False
         else:
             try:

@@ -182,12 +182,12 @@ def test_packets_come_again_while_their_block_is_kept():
     host.camera.offer(steady(5000))
     host.camera.advance(9000)
     block = next(host.blocks()).block
-    host.camera.resend(Resend(block.number, 0, 3))
+    host.camera.obey(Resend(block.number, 0, 3))
     again = [host.camera.next_extra() for _ in range(5)]
     assert [one.data[2:] for one in again[:4]] == [block.packet(k)[2:] for k in range(4)]
     assert {one.data[:2] for one in again[:4]} == {b"\x01\x00"}
     assert again[4] is None
-    host.camera.resend(Resend(10_000, 0, 3))
+    host.camera.obey(Resend(10_000, 0, 3))
     assert host.camera.next_extra().data[:2] == b"\x80\x12"
 
 
