@@ -2,10 +2,9 @@
 
     python benchmarks/gige_answers.py [REQUESTS] [BUSY_LOOPS] [FIFO_PRIORITY]
 
-A rig plays 3 million events a second to a host that has control and asks for a register every 2 ms; BUSY_LOOPS processes
-do nothing but compute. The time of an answer is the kernel's own stamp of its arrival at the host's socket, so a host
-that waits for a processor is no part of it. The time of a request is read before it is sent: where the host is put aside
-in between, the answer looks later than it was.
+A rig plays 3 million events a second to a host that has control and asks for a register every 2 ms. BUSY_LOOPS
+processes do nothing but compute. The time of an answer is the kernel's own stamp of its arrival at the host's socket,
+and the host runs before everything else where that is allowed: its waiting for a processor is no part of the time.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
@@ -35,7 +34,8 @@ _SO_TIMESTAMPNS = 35  # Linux: asm-generic/socket.h
 _EVENTS = 1_000_000
 _EVENTS_PER_US = 3.0
 _PERIOD_S = 0.002
-_PATIENCE_S = 5.0
+_PATIENCE_S = 20.0
+_LONGEST_S = 120.0
 _DRIVERS_PATIENCE_MS = 25.0  # neuromorphic_drivers
 
 
@@ -83,9 +83,12 @@ def busy(loops: int) -> Iterator[None]:
 
 
 def measured_ns(host: Host, count: int) -> list[int]:
-    """Return the times of `count` answers, to the register that the driver writes each second and to reads."""
-    times = []
+    """Return the times of `count` answers, fewer where that takes too long, to writes and reads of the driver."""
+    times: list[int] = []
+    end_s = time.monotonic() + _LONGEST_S
     for k in range(count):
+        if time.monotonic() > end_s:
+            break
         due_s = time.monotonic() + _PERIOD_S
         if k % 2:
             times.append(host.answered_ns(Command.WRITEREG, struct.pack(">II", Register.HEARTBEAT_MS, 6000)))
@@ -109,12 +112,15 @@ def main() -> None:
         try:
             host = Host(address, 3956)
             host.start()
+            with suppress(PermissionError):
+                os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(60))
             times_ms = np.array(measured_ns(host, count)) * 1e-6
         finally:
             run.kill()
     told = {f"ms_{share}": round(float(np.percentile(times_ms, share)), 3) for share in (50, 99, 99.9, 100)}
     late = int((times_ms > _DRIVERS_PATIENCE_MS).sum())
-    print(json.dumps({"requests": count, "busy_loops": loops, **told, "late": late, "load": os.getloadavg()}))
+    told |= {"requests": len(times_ms), "busy_loops": loops, "late": late, "load": os.getloadavg()}
+    sys.stdout.write(json.dumps(told) + "\n")
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@
 
 neuromorphic_drivers gives an answer 25 ms. So this process imports little, never collects garbage (it makes no cycles),
 and runs before its link where that has real-time priority. An order is on its way to the link before its request is
-answered. The process ends with the link, however that ends: its end of the connection closes then.
+answered. The process ends with the link, however that ends: its ends of the pipes close then.
 """
 
 from __future__ import annotations
@@ -75,29 +75,29 @@ def read_time(cells: memoryview) -> DeviceTime:
 
 
 class _Answering:
-    def __init__(self, setup: ControlSetup, connection: Connection, cells: memoryview) -> None:
-        self._connection = connection
+    def __init__(self, setup: ControlSetup, hears: Connection, says: Connection, cells: memoryview) -> None:
+        self._hears, self._says = hears, says
         self._sockets = ControlSockets(setup.host, setup.port, setup.allow)
         self._sockets.open()
         self._control = Triton2Control(setup.settings, lambda: read_time(cells), setup.stream_port)
         self._room = select.poll()
-        self._room.register(connection, select.POLLOUT)
+        self._room.register(says, select.POLLOUT)
         self._news = select.poll()
-        for descriptor in (connection.fileno(), *self._sockets.descriptors):
+        for descriptor in (hears.fileno(), *self._sockets.descriptors):
             self._news.register(descriptor, select.POLLIN)
         self._told: Counter[str] = Counter()
         self._told_ns = 0
-        connection.send(Listening(self._sockets.port))
+        says.send(Listening(self._sockets.port))
 
     def run(self) -> None:
         """Answer until the link stops."""
         while True:
             ready = self._news.poll(_TURN_MS)
-            if any(descriptor == self._connection.fileno() for descriptor, _ in ready):
+            if any(descriptor == self._hears.fileno() for descriptor, _ in ready):
                 break
             self._turn()
-        self._connection.recv()  # raises EOFError where the link has not said Stop
-        self._connection.send(self._counts())
+        self._hears.recv()  # raises EOFError where the link has not said Stop
+        self._says.send(self._counts())
 
     def _turn(self) -> None:
         now_ns = time.monotonic_ns()
@@ -106,14 +106,14 @@ class _Answering:
         for answer, peer in answers:
             self._sockets.send(answer, peer)
         if now_ns - self._told_ns > _COUNTS_PERIOD_NS and (counts := self._counts()) != self._told and self._has_room():
-            self._connection.send(counts)
+            self._says.send(counts)
             self._told, self._told_ns = counts, now_ns
 
     def _hand_on(self) -> None:
         """Send orders as far as the link takes them: one that is busy must not keep hosts waiting."""
         orders = self._control.orders
         while orders and self._has_room():
-            self._connection.send(orders.popleft())
+            self._says.send(orders.popleft())
 
     def _has_room(self) -> bool:
         return bool(self._room.poll(0))
@@ -131,20 +131,18 @@ def _run_before_the_link() -> None:
 
 
 def main() -> None:
-    """Run the process; its arguments are the descriptors of the connection and of the shared memory."""
+    """Run the process; its arguments are the descriptors of two pipes, in and out, and of the shared memory."""
     _run_before_the_link()
-    connection, memory = Connection(int(sys.argv[1])), int(sys.argv[2])
+    heard, said, memory = map(int, sys.argv[1:])
+    hears, says = Connection(heard, writable=False), Connection(said, readable=False)
+    cells = memoryview(mmap.mmap(memory, 8 * TIME_CELLS)).cast("q")
     with suppress(EOFError, ConnectionError):
-        setup: ControlSetup = connection.recv()
-        with mmap.mmap(memory, 8 * TIME_CELLS) as shared:
-            try:
-                answering = _Answering(setup, connection, memoryview(shared).cast("q"))
-            except OSError as error:
-                connection.send(Failed(error.errno, error.strerror or str(error)))
-                os._exit(0)
-            gc.collect()
-            gc.freeze()
-            gc.disable()
-            with suppress(EOFError, ConnectionError):
-                answering.run()
-            os._exit(0)  # the mapping is still looked at
+        try:
+            answering = _Answering(hears.recv(), hears, says, cells)
+        except OSError as error:
+            says.send(Failed(error.errno, error.strerror or str(error)))
+            return
+        gc.collect()
+        gc.freeze()
+        gc.disable()
+        answering.run()

@@ -7,15 +7,17 @@ the link -- ControlSetup, Stop --> transports.gige.answering
 
 from __future__ import annotations
 
+import fcntl
 import mmap
 import os
-import socket
 import struct
 import subprocess
 import sys
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import suppress
 from multiprocessing.connection import Connection
+
 from firmware_protocol.gige.orders import DeviceTime, Order
 from transports.gige.answering import TIME_CELLS, ControlSetup, Failed, Listening, Stop
 from transports.link.endpoint import LinkBroken
@@ -25,6 +27,7 @@ __all__ = ["ControlProcess"]
 _START_S = 120.0  # on a machine that is very busy
 _END_S = 10.0
 _AT_A_TIME = 1024
+_PIPE_OCTETS = 1 << 20  # orders of a link that stands still for a while
 _MAIN = "from transports.gige.answering import main; main()"
 _TIME = struct.Struct("=q")
 
@@ -46,22 +49,30 @@ class ControlProcess:
         memory = os.memfd_create("evstim-gige-time")
         os.ftruncate(memory, 8 * TIME_CELLS)
         self._time = mmap.mmap(memory, 8 * TIME_CELLS)
-        ours, theirs = socket.socketpair()
-        self._connection = Connection(ours.detach())
-        self._process = _started(theirs.fileno(), memory)
-        theirs.close()
-        os.close(memory)
+        heard, says = os.pipe()
+        hears, said = os.pipe()
+        with suppress(OSError):  # more pipes than this user may have: a shorter one will do
+            fcntl.fcntl(hears, fcntl.F_SETPIPE_SZ, _PIPE_OCTETS)
+        self._says, self._hears = Connection(says, readable=False), Connection(hears, writable=False)
+        self._process = _started(heard, said, memory)
+        for descriptor in (heard, said, memory):
+            os.close(descriptor)
         self.counts: Counter[str] = Counter()
-        self._connection.send(setup)
+        self._says.send(setup)
         self.port = self._listening()
+
+    @property
+    def pid(self) -> int:
+        """Number of the process."""
+        return self._process.pid
 
     def take(self) -> Iterator[Order]:
         """Give what has been ordered; raises LinkBroken when the process has died."""
         for _ in range(_AT_A_TIME):
             try:
-                if not self._connection.poll():
+                if not self._hears.poll():
                     return
-                told = self._connection.recv()
+                told = self._hears.recv()
             except (EOFError, ConnectionError) as error:
                 how = f"exit code {self._process.wait(_END_S)}"
                 raise LinkBroken(f"the process that answers GigE Vision hosts has died ({how})") from error
@@ -78,37 +89,39 @@ class ControlProcess:
     def close(self) -> None:
         """End it; its last counts are taken, orders that wait are not."""
         try:
-            self._connection.send(Stop())
+            self._says.send(Stop())
             while True:
-                told = self._connection.recv()
+                told = self._hears.recv()
                 self.counts = told if isinstance(told, Counter) else self.counts
         except (EOFError, ConnectionError):
-            self._connection.close()
-        self._process.kill()
-        self._process.wait()
-        self._time.close()
+            self._end()
 
     def _listening(self) -> int:
         """Return the port; raises OSError when there is none."""
         try:
-            told = self._connection.recv() if self._connection.poll(_START_S) else None
+            told = self._hears.recv() if self._hears.poll(_START_S) else None
         except EOFError:
             told = None
         if isinstance(told, Listening):
             return told.port
-        self._process.kill()
-        self._process.wait()
-        self._connection.close()
+        self._end()
         if isinstance(told, Failed):
             raise OSError(told.errno, told.told)
         raise OSError("the process that answers GigE Vision hosts does not start; what it says is above")
 
+    def _end(self) -> None:
+        self._process.kill()
+        self._process.wait()
+        self._says.close()
+        self._hears.close()
+        self._time.close()
 
-def _started(connection: int, memory: int) -> subprocess.Popen[bytes]:
+
+def _started(*descriptors: int) -> subprocess.Popen[bytes]:
     return subprocess.Popen(
-        [sys.executable, "-c", _MAIN, str(connection), str(memory)],
+        [sys.executable, "-c", _MAIN, *map(str, descriptors)],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
-        pass_fds=(connection, memory),
+        pass_fds=descriptors,
         env={**os.environ, "PYTHONPATH": os.pathsep.join(path or os.getcwd() for path in sys.path)},
     )

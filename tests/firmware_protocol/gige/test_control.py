@@ -2,6 +2,7 @@
 
 import struct
 import zipfile
+from collections import Counter
 from io import BytesIO
 from xml.etree import ElementTree
 
@@ -10,7 +11,7 @@ import pytest
 from gige_host import PEER, STRANGER, Host
 
 from firmware_protocol.gige.bootstrap import Register
-from firmware_protocol.gige.evs_registers import ACQUISITION_START, BIASES, TEMPERATURE
+from firmware_protocol.gige.evs_registers import ACQUISITION_START, ACQUISITION_STOP, BIASES, TEMPERATURE
 from firmware_protocol.gige.gvcp import Command, Status, request
 
 SECOND_NS = 1_000_000_000
@@ -210,6 +211,80 @@ def test_actions_are_for_the_device_that_is_meant():
         assert host.send(Command.ACTION, struct.pack(">III", *keys), STRANGER) is None
     assert host.send(Command.ACTION, struct.pack(">III", 11, 22, 2), STRANGER) == (0, b"")
     assert host.camera.counters.edges.added == 1
+
+
+def _with_keys(host):
+    for address, value in (
+        (Register.ACTION_DEVICE_KEY, 11),
+        (Register.ACTION_GROUP, 22),
+        (Register.ACTION_GROUP + 4, 2),
+    ):
+        host.write(address, value)
+
+
+def _scheduled(host, time_ns):
+    return host.send(Command.ACTION, struct.pack(">IIIQ", 11, 22, 2, time_ns), STRANGER, flags=0x81)[0]
+
+
+def test_a_scheduled_action_is_a_pulse_at_its_time():
+    host = Host()
+    host.start()
+    _with_keys(host)
+    host.camera.advance(1000)
+    for time_ns in (9_000_000, 4_000_000):
+        assert _scheduled(host, time_ns) == Status.SUCCESS
+    host.camera.advance(3000)
+    assert host.camera.counters.edges.added == 0
+    host.camera.advance(20_000)
+    assert [edge["t"] for edge in host.collect()[1]] == [4000, 9000]
+
+
+def test_an_action_that_comes_too_late_is_done_at_once_and_says_so():
+    host = Host()
+    host.start()
+    _with_keys(host)
+    host.camera.advance(5000)
+    assert _scheduled(host, 4_000_000) == Status.ACTION_LATE
+    host.camera.advance(9000)
+    assert [edge["t"] for edge in host.collect()[1]] == [5000]
+
+
+def test_scheduled_actions_end_with_the_acquisition_and_have_a_bound():
+    host = Host()
+    host.start()
+    _with_keys(host)
+    for k in range(300):
+        assert _scheduled(host, 1_000_000 + k) == Status.SUCCESS
+    edges = host.camera.counters.edges
+    assert (edges.added, edges.dropped) == (44, 44)
+    host.write(ACQUISITION_STOP, 1)
+    host.write(ACQUISITION_START, 1)
+    host.camera.advance(9000)
+    assert host.camera.counters.edges.added == 44
+
+
+def test_orders_that_nobody_takes_have_a_bound_and_control_can_still_be_given_back():
+    host = Host()
+    host.start()
+    control = host.control
+    statuses = Counter()
+    for k in range(5000):
+        data = request(Command.WRITEREG, 1 + k % 3, struct.pack(">II", Register.HEARTBEAT_MS, 6000))
+        statuses[int.from_bytes(control.receive([(data, PEER)], 0)[0][0][:2], "big")] += 1
+    assert statuses == {Status.SUCCESS: 4096, Status.BUSY: 904}
+    control.receive([(request(Command.WRITEREG, 9, struct.pack(">II", Register.PRIVILEGE, 0)), PEER)], 0)
+    assert (control.owner, len(control.orders)) == (None, 4097)
+
+
+def test_hosts_without_control_get_so_many_answers_a_second():
+    host = Host()
+    host.write(Register.PRIVILEGE, 2)
+    host.now_ns = 10 * SECOND_NS
+    flood = [(request(Command.DISCOVERY, 1 + k % 2), STRANGER) for k in range(10_001)]
+    assert len(host.receive(flood)) == 2000
+    assert host.read(Register.PRIVILEGE) == 2
+    host.now_ns += SECOND_NS // 2
+    assert len(host.receive(flood)) == 1000
 
 
 def test_hostile_datagrams_leave_the_camera_at_work():

@@ -10,10 +10,10 @@ import pytest
 
 from emulator.rig.loading import RigError, parse_rig
 from firmware_protocol.events import EVENT
-from firmware_protocol.gige.settings import GigeSettings
-from firmware_protocol.gige.triton2 import Triton2
 from firmware_protocol.gige.bootstrap import Register
 from firmware_protocol.gige.gvcp import Command, request
+from firmware_protocol.gige.settings import GigeSettings
+from firmware_protocol.gige.triton2 import Triton2
 from transports.faults.datagram_kinds import LateDatagrams, LostDatagrams, RepeatedDatagrams
 from transports.faults.script import FaultPlan
 from transports.gige.endpoint import GigeFactory
