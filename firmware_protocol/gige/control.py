@@ -20,7 +20,7 @@ from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from firmware_protocol.gige.bootstrap import DISCOVERY_OCTETS, Privilege, Register
-from firmware_protocol.gige.gvcp import Action, Command, Refused, Request, Resend, Status, answer
+from firmware_protocol.gige.gvcp import Action, Command, ForcedAddress, Refused, Request, Resend, Status, answer
 from firmware_protocol.gige.memory import LONGEST_READ, Memory
 from firmware_protocol.gige.orders import Peer
 
@@ -86,6 +86,7 @@ class Control:
             Command.WRITEMEM: self._write_memory,
             Command.PACKETRESEND: self._resend,
             Command.ACTION: self._act,
+            Command.FORCEIP: self._force_address,
         }
 
     def take(self, datagrams: Sequence[Datagram], now_ns: int) -> list[Datagram]:
@@ -220,6 +221,17 @@ class Control:
             raise Refused(Status.ACCESS_DENIED)
         self._controlled.check_room()
         self._controlled.resend(Resend.of(asked))
+        return answer(asked)
+
+    def _force_address(self, asked: Request, peer: Peer) -> bytes | None:
+        """Refuse another address than ours: it is the machine's; a device that is not meant says nothing."""
+        forced = ForcedAddress.of(asked)
+        if forced.mac != self._memory.get(Register.MAC_HIGH) << 32 | self._memory.get(Register.MAC_LOW):
+            return None
+        if self.owner is not None:
+            raise Refused(Status.ACCESS_DENIED)
+        if forced.address != self._memory.get(Register.ADDRESS):
+            raise Refused(Status.NOT_IMPLEMENTED)
         return answer(asked)
 
     def _act(self, asked: Request, peer: Peer) -> bytes | None:

@@ -12,8 +12,6 @@ from __future__ import annotations
 from collections import Counter, deque
 from heapq import heappop, heappush
 
-import numpy as np
-
 from firmware_protocol.edges import EdgeKind, Edges, empty_edges
 from firmware_protocol.event_device import CameraCounters, EdgeCounters, EventDevice
 from firmware_protocol.events import Events
@@ -23,7 +21,7 @@ from firmware_protocol.gige.gvcp import Resend, Status
 from firmware_protocol.gige.gvsp import removed, test_packet
 from firmware_protocol.gige.memory import Memory, Rule
 from firmware_protocol.gige.orders import DeviceTime, Order, Owner, Peer, Pulse, Write
-from firmware_protocol.gige.outflow import Extra, Outflow, Outgoing
+from firmware_protocol.gige.outflow import Extra, Outflow, Outgoing, before
 from firmware_protocol.gige.selection import Selection
 from firmware_protocol.gige.settings import GigeSettings
 from firmware_protocol.gige.standard_rules import DO_NOT_FRAGMENT, TEST_PACKET, packet_size
@@ -231,7 +229,7 @@ class Triton2(EventDevice):
 
     def _put(self, events: Events) -> None:
         """Queue events of a running camera, but for those that nobody wants or that find no room."""
-        begun = events[int(np.searchsorted(events["t"], self._silent_until_us)) :]
+        begun = events[before(events, self._silent_until_us) :]
         selected = self._selection.apply(begun, self._epoch_us)
         fitting = selected.events[: self.room_events]
         self._outflow.put(fitting)

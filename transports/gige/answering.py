@@ -5,7 +5,7 @@
                                              +--orders--> the link's process
 
 neuromorphic_drivers gives an answer 25 ms. So this process imports little, never collects garbage (it makes no cycles),
-and runs before its link where that has real-time priority. An order is on its way to the link before its request is
+and runs before its link and others where that is allowed. An order is on its way to the link before its request is
 answered. The process ends with the link, however that ends: its ends of the pipes close then.
 """
 
@@ -35,6 +35,7 @@ TIME_CELLS = 2
 _TURN_MS = 50
 _COUNTS_PERIOD_NS = 100_000_000
 _MOST_PRIORITY = 99
+_LEAST_NICE = -20
 
 
 @dataclass(frozen=True)
@@ -122,17 +123,19 @@ class _Answering:
         return self._control.counts + Counter({"requests of senders not allowed": self._sockets.refused})
 
 
-def _run_before_the_link() -> None:
-    """Take the next higher priority where the link, whose scheduling was inherited, has a real-time one."""
-    if os.sched_getscheduler(0) == os.SCHED_FIFO:
-        priority = min(_MOST_PRIORITY, os.sched_getparam(0).sched_priority + 1)
-        with suppress(PermissionError):
+def _run_before_others() -> None:
+    """Take the best priority that is allowed: one above the link's real-time one, which was inherited, or nice -20."""
+    with suppress(PermissionError):
+        if os.sched_getscheduler(0) == os.SCHED_FIFO:
+            priority = min(_MOST_PRIORITY, os.sched_getparam(0).sched_priority + 1)
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+        else:
+            os.setpriority(os.PRIO_PROCESS, 0, _LEAST_NICE)
 
 
 def main() -> None:
     """Run the process; its arguments are the descriptors of two pipes, in and out, and of the shared memory."""
-    _run_before_the_link()
+    _run_before_others()
     heard, said, memory = map(int, sys.argv[1:])
     hears, says = Connection(heard, writable=False), Connection(said, readable=False)
     cells = memoryview(mmap.mmap(memory, 8 * TIME_CELLS)).cast("q")

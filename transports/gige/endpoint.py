@@ -45,6 +45,15 @@ class GigeFactory(EndpointFactory[Triton2]):
         return GigeEndpoint(self, device, deliveries)
 
 
+@dataclass(frozen=True)
+class _Way:
+    """How packets go: to whom, None for nobody who may get them; whether they may be cut; with which pause."""
+
+    to: tuple[str, int] | None = None
+    may_fragment: bool = False
+    pause_ns: int = 0
+
+
 class GigeEndpoint(Endpoint):
     """One camera, the hosts that look at it, and the one that receives."""
 
@@ -62,6 +71,7 @@ class GigeEndpoint(Endpoint):
         self._going: tuple[Outgoing, Iterator[Packet]] | None = None
         self._ready: deque[Packet] = deque()
         self._whole = True
+        self._way = _Way()
         self._next_ns = 0
         self._patience_ns = link.block_us * 1000
         self._moved = 0, self._clock.now_ns()
@@ -81,8 +91,11 @@ class GigeEndpoint(Endpoint):
     def listen(self) -> None:
         """See `Endpoint.listen`; raises LinkBroken when nobody answers hosts any more."""
         assert self._control is not None
-        for order in self._control.take():
+        orders = list(self._control.take())
+        for order in orders:
             self._camera.obey(order)
+        if orders:
+            self._way = self._chosen_way()
 
     def pump(self) -> None:
         """Send what waits as far as the rate allows."""
@@ -148,7 +161,7 @@ class GigeEndpoint(Endpoint):
     def _prepare(self) -> bool:
         """Have a packet ready; False when there is nothing to send, or nothing may go yet."""
         while not self._ready:
-            if self._camera.packet_delay_ns and self._clock.now_ns() < self._next_ns:
+            if self._way.pause_ns and self._clock.now_ns() < self._next_ns:
                 return False
             packet = self._next_packet()
             if packet is None:
@@ -176,15 +189,11 @@ class GigeEndpoint(Endpoint):
 
     def _send(self) -> bool:
         """Send the packet that is ready; False when the kernel has no room now."""
-        packet = self._ready[0]
-        destination = self._camera.destination
-        if destination is None or not self._allow.permits(str(ipaddress.IPv4Address(destination[0]))):
-            left = False
-        else:
-            try:
-                left = self._stream.send(packet.data, *destination, may_fragment=self._camera.may_fragment)
-            except BlockingIOError:
-                return False
+        packet, way = self._ready[0], self._way
+        try:
+            left = way.to is not None and self._stream.send(packet.data, way.to, may_fragment=way.may_fragment)
+        except BlockingIOError:
+            return False
         self._ready.popleft()
         self._note(packet, left)
         return True
@@ -197,7 +206,15 @@ class GigeEndpoint(Endpoint):
             self._fates.came(packet.block, packet.number)
         if left:
             self._budget.left -= len(packet.data) + _IP_UDP_OCTETS
-            self._next_ns = self._clock.now_ns() + self._camera.packet_delay_ns
+            self._next_ns = self._clock.now_ns() + self._way.pause_ns if self._way.pause_ns else 0
+
+    def _chosen_way(self) -> _Way:
+        """Return how the camera's host wants its packets."""
+        to = None
+        if self._camera.destination is not None:
+            address = str(ipaddress.IPv4Address(self._camera.destination[0]))
+            to = (address, self._camera.destination[1]) if self._allow.permits(address) else None
+        return _Way(to, self._camera.may_fragment, self._camera.packet_delay_ns)
 
     def _end_block(self) -> None:
         """Settle the block whose last packet has been made."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ipaddress
 import socket
 from collections.abc import Iterable
 
@@ -103,13 +102,13 @@ class StreamSocket:
         self._refuse_cuts(True)
         return int(self._socket.getsockname()[1])
 
-    def send(self, data: bytes, address: int, port: int, *, may_fragment: bool) -> bool:
+    def send(self, data: bytes, to: tuple[str, int], *, may_fragment: bool) -> bool:
         """Give the kernel a packet; False when it cannot go at all. Raises BlockingIOError when there is no room."""
         assert self._socket is not None
         if may_fragment == self._whole:
             self._refuse_cuts(not may_fragment)
         try:
-            self._socket.sendto(data, (str(ipaddress.IPv4Address(address)), port))
+            self._socket.sendto(data, to)
         except BlockingIOError:
             raise
         except OSError:  # longer than the network carries, no route

@@ -107,7 +107,7 @@ def test_a_write_that_comes_again_is_not_done_again():
         (Command.READMEM, struct.pack(">I", 0), Status.INVALID_PARAMETER),
         (Command.WRITEMEM, b"1234567", Status.INVALID_PARAMETER),
         (Command.PACKETRESEND, b"", Status.INVALID_PARAMETER),
-        (Command.FORCEIP, bytes(56), Status.NOT_IMPLEMENTED),
+        (Command.FORCEIP, bytes(55), Status.INVALID_PARAMETER),
         (0x7FFE, b"", Status.NOT_IMPLEMENTED),
     ],
 )
@@ -213,6 +213,21 @@ def test_actions_are_for_the_device_that_is_meant():
     assert host.camera.counters.edges.added == 1
 
 
+def _forced(host, mac, address):
+    told = host.send(Command.FORCEIP, struct.pack(">2x6s12xI12xI12xI", mac, address, 0xFF000000, 0), STRANGER)
+    return None if told is None else told[0]
+
+
+def test_another_address_is_refused_by_the_device_that_is_meant_alone():
+    host = Host()
+    mac = host.send(Command.DISCOVERY)[1][10:16]
+    assert _forced(host, b"\1\2\3\4\5\6", 0x0A000001) is None
+    assert _forced(host, mac, 0x0A000001) == Status.NOT_IMPLEMENTED
+    assert _forced(host, mac, 0x7F000001) == Status.SUCCESS
+    host.write(Register.PRIVILEGE, 2)
+    assert _forced(host, mac, 0x7F000001) == Status.ACCESS_DENIED
+
+
 def _with_keys(host):
     for address, value in (
         (Register.ACTION_DEVICE_KEY, 11),
@@ -236,7 +251,7 @@ def test_a_scheduled_action_is_a_pulse_at_its_time():
     host.camera.advance(3000)
     assert host.camera.counters.edges.added == 0
     host.camera.advance(20_000)
-    assert [edge["t"] for edge in host.collect()[1]] == [4000, 9000]
+    assert host.collect()[1]["t"].tolist() == [4000, 4000, 9000, 9000]  # a pulse rises and falls
 
 
 def test_an_action_that_comes_too_late_is_done_at_once_and_says_so():
@@ -246,7 +261,7 @@ def test_an_action_that_comes_too_late_is_done_at_once_and_says_so():
     host.camera.advance(5000)
     assert _scheduled(host, 4_000_000) == Status.ACTION_LATE
     host.camera.advance(9000)
-    assert [edge["t"] for edge in host.collect()[1]] == [5000]
+    assert host.collect()[1]["t"].tolist() == [5000, 5000]
 
 
 def test_scheduled_actions_end_with_the_acquisition_and_have_a_bound():
