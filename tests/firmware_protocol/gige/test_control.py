@@ -293,9 +293,10 @@ def test_orders_that_nobody_takes_have_a_bound_and_control_can_still_be_given_ba
 
 def test_hosts_without_control_get_so_many_answers_a_second():
     host = Host()
-    host.write(Register.PRIVILEGE, 2)
     host.now_ns = 10 * SECOND_NS
-    flood = [(request(Command.DISCOVERY, 1 + k % 2), STRANGER) for k in range(10_001)]
+    host.write(Register.PRIVILEGE, 2)
+    host.now_ns += SECOND_NS
+    flood = [(request(Command.DISCOVERY, 1), ("127.0.0.1", 40_001 + k % 2)) for k in range(10_001)]
     assert len(host.receive(flood)) == 2000
     assert host.read(Register.PRIVILEGE) == 2
     host.now_ns += SECOND_NS // 2
