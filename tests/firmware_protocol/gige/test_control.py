@@ -63,6 +63,19 @@ def test_control_ends_with_the_heartbeat(silence_s, kept):
     assert host.camera.streaming == kept
 
 
+def test_any_request_of_the_owner_renews_the_heartbeat_and_no_other_does():
+    host = Host()
+    host.start()
+    for seconds in (2, 4, 6):
+        host.now_ns = seconds * SECOND_NS
+        host.read(Register.PRIVILEGE)
+    assert host.camera.streaming
+    for seconds in (8, 10):
+        host.now_ns = seconds * SECOND_NS
+        host.read(Register.PRIVILEGE, STRANGER)
+    assert not host.camera.streaming
+
+
 def test_control_without_heartbeat_lasts():
     host = Host()
     host.start()
