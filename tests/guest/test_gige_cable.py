@@ -79,7 +79,9 @@ def test_what_a_bad_cable_loses_is_sent_again(ends, start):
     summary, delivered = camera.stop()
     assert summary["balanced"]
     assert told["packets_asked"] > 10
-    assert (told["blocks_lost"], told["events"]) == (0, len(delivered))
+    late = summary["links"]["gige"]["faults"][0]["events_lost"]  # healed, but after the camera had given them up
+    assert told["blocks_lost"] == 0
+    assert len(delivered) <= told["events"] <= len(delivered) + late
 
 
 def test_packets_that_the_cable_does_not_carry_are_counted(ends, start):
@@ -89,6 +91,6 @@ def test_packets_that_the_cable_does_not_carry_are_counted(ends, start):
     subprocess.run(command, capture_output=True, text=True, timeout=500)
     summary, delivered = camera.stop()
     assert summary["balanced"]
-    (link,) = summary["links"]
+    link = summary["links"]["gige"]
     assert (len(delivered), link["delivered"]) == (0, 0)
     assert link["counts"]["packets that could not be sent"] > 0

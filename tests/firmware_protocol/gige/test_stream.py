@@ -81,6 +81,14 @@ def test_a_silence_is_told_by_blocks_of_time():
     assert host.assembly.lost == 0
 
 
+def test_a_silence_is_told_each_second_since_decoders_lose_the_time_after_eight():
+    host = Host()
+    host.start()
+    for second in range(1, 10):
+        host.camera.advance(second * 1_000_000)
+        assert len(list(host.blocks())) == 1
+
+
 @settings(max_examples=60, deadline=None)
 @given(
     gaps=st.lists(st.integers(0, 30_000_000), min_size=1, max_size=40),
@@ -236,6 +244,21 @@ def test_a_block_whose_packets_do_not_come_again_is_given_up():
         assembly.missing(turn * 20_000_000)
         data += assembly.done(turn * 20_000_000)
     assert (len(data), assembly.lost, assembly.asked) == (2, 1, 5)
+
+
+def test_the_end_of_the_last_block_is_asked_for_when_the_stream_is_over():
+    block = Block(1, 0, bytes(2000), 576)
+    assembly, data, now_ns = BlockAssembly(), [], 0
+    for k in range(2):
+        assembly.push(block.packet(k), 0)
+    assert assembly.missing(20_000_000) == []
+    for turn in range(2, block.packets):
+        assert assembly.waiting == 1
+        now_ns = turn * 20_000_000
+        (asked,) = assembly.missing(now_ns, over=True)
+        assert asked == Resend(1, turn, turn)
+        data += assembly.push(block.packet(turn), now_ns)
+    assert (data, assembly.waiting) == ([block.data], 0)
 
 
 def test_hostile_packets_do_not_hurt_the_assembly():
