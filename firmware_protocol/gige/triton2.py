@@ -55,7 +55,7 @@ class Triton2(EventDevice):
         self._fates: Counter[str] = Counter()
         self._edge_fates: Counter[str] = Counter()
         self._carried = self._edges_carried = 0
-        self._extra: deque[Extra] = deque(maxlen=_MOST_EXTRA)
+        self._extra: deque[Extra] = deque()
         self._scheduled_us: list[int] = []
         self._starts = 0
 
@@ -185,11 +185,10 @@ class Triton2(EventDevice):
 
     def _resend(self, asked: Resend) -> None:
         """Send packets of a block once more; what hosts ask for beyond what can wait is left out."""
-        block = self._outflow.kept(asked.block)
+        block, room = self._outflow.kept(asked.block), _MOST_EXTRA - len(self._extra)
         if block is None:
-            self._extra.append(Extra(removed(asked.block, asked.first)))
+            self._extra.extend([Extra(removed(asked.block, asked.first))] * min(1, room))
             return
-        room = _MOST_EXTRA - len(self._extra)
         for number in range(asked.first, min(asked.last + 1, block.packets, asked.first + room)):
             data = block.packet(number, Status.PACKET_RESENT)
             self._extra.append(Extra(data, asked.block, number))
@@ -270,6 +269,6 @@ class Triton2(EventDevice):
 
     def _on_packet_size(self, value: int) -> int:
         remembered = packet_size(value)
-        if value & TEST_PACKET:
+        if value & TEST_PACKET and len(self._extra) < _MOST_EXTRA:
             self._extra.append(Extra(test_packet(value & 0xFFFF)))
         return remembered

@@ -91,6 +91,5 @@ def test_packets_that_the_cable_does_not_carry_are_counted(ends, start):
     subprocess.run(command, capture_output=True, text=True, timeout=500)
     summary, delivered = camera.stop()
     assert summary["balanced"]
-    link = summary["links"]["gige"]
-    assert (len(delivered), link["delivered"]) == (0, 0)
-    assert link["counts"]["packets that could not be sent"] > 0
+    assert len(delivered) == 0
+    assert summary["links"]["gige"]["counts"]["packets that could not be sent"] > 0

@@ -118,10 +118,12 @@ class ControlProcess:
 
 
 def _started(*descriptors: int) -> subprocess.Popen[bytes]:
+    """Start the process in a session of its own: Linux shares processors out by session (autogroup)."""
     return subprocess.Popen(
         [sys.executable, "-c", _MAIN, *map(str, descriptors)],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         pass_fds=descriptors,
+        start_new_session=True,
         env={**os.environ, "PYTHONPATH": os.pathsep.join(path or os.getcwd() for path in sys.path)},
     )
