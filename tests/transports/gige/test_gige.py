@@ -155,10 +155,10 @@ def test_strangers_get_nothing(bench):
 
 
 def test_the_stream_goes_to_nobody_who_is_not_allowed(bench):
-    here = bench()
+    here = bench(allow=("127.0.0.1",))
     host = here.connect()
     host.start()
-    host.write(Register.STREAM_ADDRESS, 0x0A000001)
+    host.write(Register.STREAM_ADDRESS, 0x7F000009)
     here.run(stream(2000), turns=20)
     report = here.link.report()
     assert (report.delivered, report.dropped) == (0, 2000)
