@@ -80,7 +80,7 @@ class GigeRun:
         self._process.send_signal(signal.SIGINT)
         out, _ = self._process.communicate(timeout=120)
         delivered, resets = load_record(self._record)
-        return json.loads(out.splitlines()[-1]), delivered[resets[-1] :]
+        return json.loads(out.splitlines()[-1]), delivered[resets[-1] if len(resets) else 0 :]
 
     def kill(self) -> None:
         """End it in any case."""
