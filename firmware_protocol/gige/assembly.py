@@ -158,6 +158,9 @@ class BlockAssembly:
         if not expected <= packet.block < expected + _FARTHEST or packet.number >= _MOST_PACKETS:
             self.strange += 1
             return
+        if packet.status not in _GOOD and packet.block not in self._open:
+            self.strange += 1  # the answer to a request of somebody else
+            return
         block = self._open.setdefault(packet.block, _Open(now_ns + _FIRST_ASK_NS))
         if packet.status not in _GOOD:
             block.asks, block.ask_ns = _MOST_ASKS, now_ns

@@ -89,7 +89,7 @@ def test_packets_that_the_cable_does_not_carry_are_counted(ends, start):
     camera = start()
     command = ends[1].inside(*LISTEN, "--packet-size", "9000", "--seconds", "3")
     subprocess.run(command, capture_output=True, text=True, timeout=500)
-    summary, delivered = camera.stop()
+    summary, _ = camera.stop()
     assert summary["balanced"]
-    assert len(delivered) == 0
+    assert summary["events"]["links"]["gige"]["dropped"] > 0
     assert summary["links"]["gige"]["counts"]["packets that could not be sent"] > 0
