@@ -18,6 +18,7 @@ from emulator.run.assembly import link_setups
 from emulator.run.link_process import LinkProcess
 from firmware_protocol.events import EVENT
 from firmware_protocol.gige.bootstrap import Register
+from firmware_protocol.gige.evs_registers import ACQUISITION_START
 from firmware_protocol.gige.gvcp import Command, request
 from firmware_protocol.gige.orders import DeviceTime
 from firmware_protocol.gige.settings import GigeSettings
@@ -186,7 +187,8 @@ def test_valid_orders_in_any_order_leave_a_balanced_camera():
     for k in range(COUNT):
         asked = [(valid_request(draw), OWNER)]
         if k % 50 == 0:
-            asked.append((request(Command.WRITEREG, 9, struct.pack(">II", Register.PRIVILEGE, 2)), OWNER))
+            begin = (Register.PRIVILEGE, 2, Register.STREAM_PORT, 5000, ACQUISITION_START, 1)
+            asked.append((request(Command.WRITEREG, 9, struct.pack(">6I", *begin)), OWNER))
         for answer, _ in control.receive(asked, k * 100_000):
             assert len(answer) <= 548
         while control.orders:
