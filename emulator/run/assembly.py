@@ -27,7 +27,8 @@ from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.presets import SensorParameters
 from emulator.sensor.sensor import MakePixels, Sensor
 from emulator.tables.registry import imported
-from firmware_protocol.gige import GigeSettings, Triton2
+from firmware_protocol.gige.settings import GigeSettings
+from firmware_protocol.gige.triton2 import Triton2
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.plain_device import PlainDevice
 from firmware_protocol.usb.device import UsbCamera

@@ -10,14 +10,18 @@ import importlib.metadata
 import os
 import platform
 import shutil
+import socket
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 from emulator.gl.context import PACKAGES, WANTED, probe, renderers
+from firmware_protocol.gige.gvcp import GVCP_PORT
 
 __all__ = ["Finding", "examine"]
 
+_RMEM_MAX = Path("/proc/sys/net/core/rmem_max")
+_UDP_BUFFER = 1 << 24
 _SBIN = "/usr/sbin:/sbin"
 _UDEV_FIX = (
     """echo 'SUBSYSTEM=="usb", ATTR{idVendor}=="152a", MODE="0666"' | sudo tee /etc/udev/rules.d/65-inivation.rules """
@@ -53,7 +57,18 @@ class Finding:
 
 def examine() -> list[Finding]:
     """Look at everything; takes about a second, most of it for opening GL."""
-    looks: list[Callable[[], Finding]] = [_egl, _usbip_tool, _vhci, _udc, _vcan, _libusb, _usb_permission, _cores]
+    looks: list[Callable[[], Finding]] = [
+        _egl,
+        _usbip_tool,
+        _vhci,
+        _udc,
+        _vcan,
+        _libusb,
+        _usb_permission,
+        _gvcp,
+        _udp_buffer,
+        _cores,
+    ]
     return [*(look() for look in looks), *(_package(*each) for each in _PACKAGES)]
 
 
@@ -114,6 +129,31 @@ def _vcan() -> Finding:
     if Path("/sys/module/vcan").exists():
         return Finding("vcan", True, "loaded", wanted)
     return _module_missing("vcan", wanted)
+
+
+def _gvcp() -> Finding:
+    """Look whether a GigE Vision camera can listen where drivers look for one."""
+    wanted = "GigE Vision cameras on 127.0.0.1"
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as tried:
+        try:
+            tried.bind(("127.0.0.1", GVCP_PORT))
+        except OSError as error:
+            told = f"UDP port {GVCP_PORT} cannot be used: {error.strerror}"
+            fix = (
+                f"ss -lunp 'sport = :{GVCP_PORT}'  # who has it; or give the link another address: host = \"127.0.0.2\""
+            )
+            return Finding("GVCP", False, told, wanted, fix)
+    return Finding("GVCP", True, f"UDP port {GVCP_PORT} is free", wanted)
+
+
+def _udp_buffer() -> Finding:
+    """Look how much of a stream the kernel holds for a receiver that is not read for a moment."""
+    wanted = "receivers of GigE Vision streams, at most 16 MiB each"
+    most = int(_RMEM_MAX.read_text()) if _RMEM_MAX.exists() else 0
+    detail = f"net.core.rmem_max = {most}"
+    if most >= _UDP_BUFFER:
+        return Finding("UDP buffer", True, detail, wanted)
+    return Finding("UDP buffer", False, detail, wanted, f"sysctl -w net.core.rmem_max={_UDP_BUFFER}")
 
 
 def _module_missing(module: str, wanted: str) -> Finding:

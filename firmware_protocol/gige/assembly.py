@@ -124,13 +124,18 @@ class BlockAssembly:
             self._next = first + 1
         return data
 
-    def missing(self, now_ns: int) -> list[Resend]:
-        """Return what to ask for again now."""
+    @property
+    def waiting(self) -> int:
+        """Blocks that have begun and are neither complete nor given up."""
+        return len(self._open)
+
+    def missing(self, now_ns: int, *, over: bool = False) -> list[Resend]:
+        """Return what to ask for again now; `over`: nothing new comes, so the end of the last block is missing too."""
         wanted = []
         newest = max(self._open, default=0)
         for number, block in self._open.items():
             if not block.complete and now_ns >= block.ask_ns and block.asks < _MOST_ASKS:
-                holes = block.holes(over=number < newest)
+                holes = block.holes(over=over or number < newest)
                 if holes:
                     block.ask_ns = now_ns + _ASK_AGAIN_NS
                     block.asks += 1
@@ -152,6 +157,9 @@ class BlockAssembly:
         expected = packet.block if self._next is None else self._next
         if not expected <= packet.block < expected + _FARTHEST or packet.number >= _MOST_PACKETS:
             self.strange += 1
+            return
+        if packet.status not in _GOOD and packet.block not in self._open:
+            self.strange += 1  # the answer to a request of somebody else
             return
         block = self._open.setdefault(packet.block, _Open(now_ns + _FIRST_ASK_NS))
         if packet.status not in _GOOD:

@@ -93,6 +93,7 @@ class Capability(IntFlag):
     SERIAL = 1 << 30
     HEARTBEAT_OFF = 1 << 29
     LINK_SPEED = 1 << 28
+    SCHEDULED_ACTION = 1 << 17
     ACTION = 1 << 6
     RESEND = 1 << 2
     WRITEMEM = 1 << 1

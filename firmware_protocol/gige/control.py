@@ -6,6 +6,9 @@ others may read (unless control is exclusive) and search; their writes are refus
 neuromorphic_drivers gives a request 25 ms, then sends the same with a new id and fails on a late answer to the first.
 So of requests that waited together, those that are followed by the same of the same host are not answered. A request
 that comes again to the bit is answered as before, without being done again.
+
+An answer may be longer than its request, and the sender of a datagram can be forged: hosts without control get so many
+answers a second in all, and no more, so that a flood gives back less than it brings.
 """
 
 from __future__ import annotations
@@ -17,24 +20,34 @@ from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from firmware_protocol.gige.bootstrap import DISCOVERY_OCTETS, Privilege, Register
-from firmware_protocol.gige.gvcp import Action, Command, Refused, Request, Resend, Status, answer
+from firmware_protocol.gige.gvcp import Action, Command, ForcedAddress, Refused, Request, Resend, Status, answer
 from firmware_protocol.gige.memory import LONGEST_READ, Memory
+from firmware_protocol.gige.orders import Peer
 
-__all__ = ["ACTION_GROUPS", "Control", "Controlled", "Datagram", "Peer"]
+__all__ = ["ACTION_GROUPS", "Control", "Controlled", "Datagram"]
 
 ACTION_GROUPS = 1
-Peer = tuple[str, int]
 Datagram = tuple[bytes, Peer]
 
 _NS_PER_MS = 1_000_000
 _LEAST_HEARTBEAT_MS = 500
 _HEARTBEAT_OFF = 1
 _READ = struct.Struct(">IHH")
+_STRANGERS_ANSWERS_S = 2000
 _WRITES = (Command.WRITEREG, Command.WRITEMEM)
 
 
 class Controlled(Protocol):
     """What the control channel moves beside registers."""
+
+    def check_room(self) -> None:
+        """Raise Refused where nothing more can be taken now."""
+
+    def wrote(self, address: int, value: int) -> None:
+        """Do what a register written does beside remembering."""
+
+    def taken(self, peer: Peer) -> None:
+        """A host has control from now on."""
 
     def resend(self, asked: Resend) -> None:
         """Send packets of a block once more."""
@@ -62,6 +75,7 @@ class Control:
         self._controlled = controlled
         self._heard_ns = 0
         self._last: tuple[Peer, bytes, bytes | None] | None = None
+        self._for_strangers = _Allowance(_STRANGERS_ANSWERS_S)
         self.owner: Peer | None = None
         self.counts: Counter[str] = Counter()
         self._doing: dict[int, Callable[[Request, Peer], bytes | None]] = {
@@ -72,6 +86,7 @@ class Control:
             Command.WRITEMEM: self._write_memory,
             Command.PACKETRESEND: self._resend,
             Command.ACTION: self._act,
+            Command.FORCEIP: self._force_address,
         }
 
     def take(self, datagrams: Sequence[Datagram], now_ns: int) -> list[Datagram]:
@@ -110,6 +125,9 @@ class Control:
             return None
         if peer == self.owner:
             self._heard_ns = now_ns
+        elif asked.command != Command.PACKETRESEND and not self._for_strangers.take(now_ns):
+            self.counts["requests of hosts without control that were too many"] += 1
+            return None
         if asked.command in _WRITES and self._last is not None and self._last[:2] == (peer, data):
             return self._last[2]
         told = self._done(asked, peer, now_ns)
@@ -174,7 +192,9 @@ class Control:
         elif peer != self.owner:
             raise Refused(Status.ACCESS_DENIED)
         else:
+            self._controlled.check_room()
             self._memory.write(address, value)
+            self._controlled.wrote(address, value)
 
     def _change_privilege(self, value: int, peer: Peer) -> None:
         if self.owner not in (None, peer):
@@ -182,6 +202,9 @@ class Control:
         if not value & (Privilege.CONTROL | Privilege.EXCLUSIVE):
             self.release()
             return
+        self._controlled.check_room()
+        if self.owner is None:
+            self._controlled.taken(peer)
         self.owner = peer
         self._memory.set(Register.PRIVILEGE, value & (Privilege.CONTROL | Privilege.EXCLUSIVE))
         self._memory.set(Register.PRIMARY_PORT, peer[1])
@@ -196,7 +219,19 @@ class Control:
         """Hand on a request for packets, from the machine that has control alone: the packets go there."""
         if self.owner is None or peer[0] != self.owner[0]:
             raise Refused(Status.ACCESS_DENIED)
+        self._controlled.check_room()
         self._controlled.resend(Resend.of(asked))
+        return answer(asked)
+
+    def _force_address(self, asked: Request, peer: Peer) -> bytes | None:
+        """Refuse another address than ours: it is the machine's; a device that is not meant says nothing."""
+        forced = ForcedAddress.of(asked)
+        if forced.mac != self._memory.get(Register.MAC_HIGH) << 32 | self._memory.get(Register.MAC_LOW):
+            return None
+        if self.owner is not None:
+            raise Refused(Status.ACCESS_DENIED)
+        if forced.address != self._memory.get(Register.ADDRESS):
+            raise Refused(Status.NOT_IMPLEMENTED)
         return answer(asked)
 
     def _act(self, asked: Request, peer: Peer) -> bytes | None:
@@ -208,7 +243,25 @@ class Control:
         ours = [(self._memory.get(group), self._memory.get(group + 4)) for group in groups]
         if not any(key == action.group_key and mask & action.group_mask for key, mask in ours):
             return None
+        self._controlled.check_room()
         return answer(asked, status=self._controlled.act(action))
+
+
+class _Allowance:
+    """So many of something each second; a second's worth may come at once."""
+
+    def __init__(self, per_s: int) -> None:
+        self._per_s = self._left = float(per_s)
+        self._renewed_ns = 0
+
+    def take(self, now_ns: int) -> bool:
+        """Take one; False when none is left."""
+        gained = (now_ns - self._renewed_ns) * 1e-9 * self._per_s
+        self._left, self._renewed_ns = min(self._per_s, self._left + gained), now_ns
+        if self._left < 1:
+            return False
+        self._left -= 1
+        return True
 
 
 def _again(data: bytes, peer: Peer, next_data: bytes, next_peer: Peer) -> bool:

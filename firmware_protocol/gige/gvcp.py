@@ -5,6 +5,7 @@
 
     command        request's payload                  answer's payload
     DISCOVERY      -                                  the first 248 octets of the registers
+    FORCEIP        u16 0 | u48 MAC | u96 0 | u32 address | u96 0 | u32 mask | u96 0 | u32 gateway
     PACKETRESEND   u16 channel | u16 block | u32 first | u32 last                           (none: packets come)
                    flag 0x10: u32 channel | u32 first | u32 last | u64 block
     READREG        n x u32 address                    n x u32
@@ -23,8 +24,8 @@ from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 
 __all__ = [
-    "ACTION_SCHEDULED", "EXTENDED_ID", "GVCP_PORT", "Action", "Command", "Flag", "Refused", "Request", "Resend",
-    "Status", "answer", "request",
+    "ACTION_SCHEDULED", "EXTENDED_ID", "GVCP_PORT", "Action", "Command", "Flag", "ForcedAddress", "Refused", "Request",
+    "Resend", "Status", "answer", "request",
 ]  # fmt: skip
 
 GVCP_PORT = 3956
@@ -36,6 +37,7 @@ _ANSWER = struct.Struct(">HHHH")
 _RESEND = struct.Struct(">HHII")
 _RESEND_EXTENDED = struct.Struct(">IIIQ")
 _ACTION = struct.Struct(">III")
+_FORCE_IP = struct.Struct(">HHI12xI12xI12xI")
 
 
 class Command(IntEnum):
@@ -74,6 +76,8 @@ class Status(IntEnum):
     PACKET_UNAVAILABLE = 0x800C
     INVALID_HEADER = 0x800E
     PACKET_REMOVED = 0x8012
+    OVERFLOW = 0x8015
+    ACTION_LATE = 0x8016
 
 
 class Refused(Exception):
@@ -165,6 +169,22 @@ class Action:
         device_key, group_key, group_mask = _ACTION.unpack_from(asked.payload)
         time_ns = int.from_bytes(asked.payload[_ACTION.size :], "big") if scheduled else None
         return cls(device_key, group_key, group_mask, time_ns)
+
+
+@dataclass(frozen=True)
+class ForcedAddress:
+    """An address that a host gives to the device with this MAC, all as numbers; 0: configure yourself anew."""
+
+    mac: int
+    address: int
+
+    @classmethod
+    def of(cls, asked: Request) -> ForcedAddress:
+        """Return what a FORCEIP asks for; raises Refused for another length."""
+        if len(asked.payload) != _FORCE_IP.size:
+            raise Refused(Status.INVALID_PARAMETER)
+        _, high, low, address, _, _ = _FORCE_IP.unpack(asked.payload)
+        return cls(high << 32 | low, address)
 
 
 def request(command: int, number: int, payload: bytes = b"", flags: int = Flag.ACKNOWLEDGE) -> bytes:

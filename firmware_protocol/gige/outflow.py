@@ -6,6 +6,7 @@ without events tell the time: decoders lose it after 8.4 s.
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections import deque
 from dataclasses import dataclass
 
@@ -17,7 +18,7 @@ from firmware_protocol.events import Events, empty_events
 from firmware_protocol.evt3.encoding import Evt3Encoder
 from firmware_protocol.gige.gvsp import BLOCK_OCTETS, Block
 
-__all__ = ["Extra", "Outflow", "Outgoing"]
+__all__ = ["Extra", "Outflow", "Outgoing", "before"]
 
 _KEPT = 256
 _OCTETS_PER_EVENT = 8  # time in two words, row, column
@@ -25,6 +26,12 @@ _MOST_EVENTS = BLOCK_OCTETS // _OCTETS_PER_EVENT - 64
 _LONGEST_US = 1_000_000  # of device time in one block: no time words are needed in between
 _SILENCE_US = 1_000_000
 _LONGEST_SILENCE_US = 3_600_000_000  # told in one block
+
+
+def before(events: Events, until_us: int) -> int:
+    """Return how many of events (n,) EVENT, sorted, are older; numpy's own search copies all times first."""
+    times = events["t"]
+    return bisect_left(range(len(times)), until_us, key=lambda place: int(times[place]))
 
 
 @dataclass(frozen=True)
@@ -79,7 +86,8 @@ class Outflow:
 
     def put_edges(self, edges: Edges) -> None:
         """Take edges (n,) EDGE, sorted; one that is older than what was told gets the time of that."""
-        self._edges = np.concatenate([self._edges, edges])
+        together = np.concatenate([self._edges, edges])
+        self._edges = together[np.argsort(together["t"], kind="stable")]
 
     def next(self, now_us: int, packet_size: int, *, at_once: bool = False) -> Outgoing | None:
         """Return the next block; None while it may still grow, unless `at_once`, and while it is empty."""
@@ -122,7 +130,7 @@ class Outflow:
         taken, room = [], _MOST_EVENTS
         while self._waiting and room and int(self._waiting[0]["t"][0]) < until_us:
             first = self._waiting.popleft()
-            count = min(room, int(np.searchsorted(first["t"], until_us)))
+            count = min(room, before(first, until_us))
             if count < len(first):
                 self._waiting.appendleft(first[count:])
             taken.append(first[:count])

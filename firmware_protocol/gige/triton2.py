@@ -1,7 +1,7 @@
-"""A LUCID Triton2 EVS (TRT009S-E, IMX636) without its cable: requests and events in, answers and blocks out.
+"""The stream of a LUCID Triton2 EVS (TRT009S-E, IMX636) without its cable: orders and events in, blocks out.
 
-    host --GVCP--> receive --> Control --> Memory --rules--> acquisition, masks, rate control, biases
-    array -------> offer ----> selection -> Outflow --> next_block --> GVSP packets
+    Triton2Control --orders--> obey --> Memory --rules--> acquisition, masks, rate control, biases
+    array -------------------> offer -> selection --> Outflow --> next_block --> GVSP packets
 
 The device's time is zero at AcquisitionStart: neuromorphic_drivers begins at zero and ignores a first time that is
 8.4 s or more ahead.
@@ -10,61 +10,44 @@ The device's time is zero at AcquisitionStart: neuromorphic_drivers begins at ze
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Sequence
-
-import numpy as np
+from heapq import heappop, heappush
 
 from firmware_protocol.edges import EdgeKind, Edges, empty_edges
 from firmware_protocol.event_device import CameraCounters, EdgeCounters, EventDevice
 from firmware_protocol.events import Events
-from firmware_protocol.gige.bootstrap import Register, bootstrap
-from firmware_protocol.gige.control import Control, Datagram
-from firmware_protocol.gige.description import Description
-from firmware_protocol.gige.evs_registers import (
-    ACQUISITION_START,
-    ACQUISITION_STOP,
-    BIASES,
-    evs_areas,
-    evs_rules,
-)
-from firmware_protocol.gige.gvcp import Action, Resend, Status
-from firmware_protocol.gige.gvsp import BLOCK_OCTETS, removed, test_packet
+from firmware_protocol.gige.bootstrap import Register
+from firmware_protocol.gige.evs_registers import ACQUISITION_START, ACQUISITION_STOP, BIASES
+from firmware_protocol.gige.gvcp import Resend, Status
+from firmware_protocol.gige.gvsp import removed, test_packet
 from firmware_protocol.gige.memory import Memory, Rule
-from firmware_protocol.gige.outflow import Extra, Outflow, Outgoing
+from firmware_protocol.gige.orders import DeviceTime, Order, Owner, Peer, Pulse, Write
+from firmware_protocol.gige.outflow import Extra, Outflow, Outgoing, before
 from firmware_protocol.gige.selection import Selection
 from firmware_protocol.gige.settings import GigeSettings
-from firmware_protocol.gige.standard_rules import (
-    DO_NOT_FRAGMENT,
-    TEST_PACKET,
-    action_areas,
-    packet_size,
-    standard_rules,
-)
+from firmware_protocol.gige.standard_rules import DO_NOT_FRAGMENT, TEST_PACKET, packet_size
+from firmware_protocol.gige.triton2_registers import triton2_areas, triton2_rules
 
 __all__ = ["Triton2"]
 
-_LATCH = 1 << 1
 _MOST_EXTRA = 4096  # datagrams that hosts asked for and that wait
+_MOST_SCHEDULED = 256
 
 
 class Triton2(EventDevice):
-    """The camera. Events and the passing of stream time go in by `offer` and `advance`, datagrams by `receive`.
+    """The camera. Events and the passing of stream time go in by `offer` and `advance`, orders by `obey`.
 
     Attributes
     ----------
-    control
-        Who has control of it.
+    owner
+        The host that has control of it, or None.
     """
 
     def __init__(self, settings: GigeSettings | None = None) -> None:
         self.settings = settings = settings or GigeSettings()
-        description = Description(settings.size)
         self._selection = Selection(settings.size)
-        areas = {0: bootstrap(settings, description.location), description.address: description.octets}
-        areas |= evs_areas(settings.size, BLOCK_OCTETS) | action_areas()
-        rules = {**standard_rules(), **evs_rules(settings.size), **self._selection.rules(), **self._own_rules()}
-        self._memory = Memory(areas, rules)
-        self.control = Control(self._memory, self)
+        rules = triton2_rules(settings.size) | self._selection.rules() | self._own_rules()
+        self._memory = Memory(triton2_areas(settings), rules)
+        self.owner: Peer | None = None
         self._now_us = 0
         self._outflow = Outflow(0, settings.block_us, settings.size[0])
         self._acquiring = False
@@ -72,17 +55,29 @@ class Triton2(EventDevice):
         self._fates: Counter[str] = Counter()
         self._edge_fates: Counter[str] = Counter()
         self._carried = self._edges_carried = 0
-        self._extra: deque[Extra] = deque(maxlen=_MOST_EXTRA)
+        self._extra: deque[Extra] = deque()
+        self._scheduled_us: list[int] = []
+        self._starts = 0
 
-    def stream_from(self, port: int) -> None:
-        """Say from which port the stream is sent."""
-        self._memory.set(Register.STREAM_SOURCE_PORT, port)
+    def obey(self, order: Order) -> None:
+        """Carry out what the control channel has accepted."""
+        match order:
+            case Write(address, value):
+                self._memory.write(address, value)
+            case Resend():
+                self._resend(order)
+            case Pulse(time_ns):
+                self._schedule(time_ns)
+            case Owner(peer):
+                self.owner = peer
+                if peer is None:
+                    self._memory.set(Register.STREAM_PORT, 0)
+                    self._stop()
 
-    def receive(self, datagrams: Sequence[Datagram], now_ns: int) -> list[Datagram]:
-        """Take what came to the control port and return the answers; `now_ns` counts the heartbeat."""
-        answers = self.control.take(datagrams, now_ns)
-        self.control.expire(now_ns)
-        return answers
+    @property
+    def time(self) -> DeviceTime:
+        """The device's clock."""
+        return DeviceTime(self._starts, 1000 * (self._now_us - self._epoch_us))
 
     @property
     def now_us(self) -> int:
@@ -160,6 +155,7 @@ class Triton2(EventDevice):
     def advance(self, now_us: int) -> None:
         """Say that stream time has reached `now_us`."""
         self._now_us = max(self._now_us, now_us)
+        self._pulse()
 
     def next_block(self, *, at_once: bool = False) -> Outgoing | None:
         """Return the next block for the stream, `at_once` also a young one; say `sent` or `lost` of it later."""
@@ -185,33 +181,37 @@ class Triton2(EventDevice):
 
     def disconnected(self) -> None:
         """Say that the link is closed: nobody has control any more."""
-        self.control.release()
-        self._stop()
+        self.obey(Owner(None))
 
-    def resend(self, asked: Resend) -> None:
-        """See `Controlled.resend`."""
-        block = self._outflow.kept(asked.block)
+    def _resend(self, asked: Resend) -> None:
+        """Send packets of a block once more; what hosts ask for beyond what can wait is left out."""
+        block, room = self._outflow.kept(asked.block), _MOST_EXTRA - len(self._extra)
         if block is None:
-            self._extra.append(Extra(removed(asked.block, asked.first)))
+            self._extra.extend([Extra(removed(asked.block, asked.first))] * min(1, room))
             return
-        for number in range(asked.first, min(asked.last + 1, block.packets)):
+        for number in range(asked.first, min(asked.last + 1, block.packets, asked.first + room)):
             data = block.packet(number, Status.PACKET_RESENT)
             self._extra.append(Extra(data, asked.block, number))
 
-    def act(self, action: Action) -> Status:
-        """See `Controlled.act`: an action is a pulse on the trigger input."""
-        if action.time_ns is not None:
-            return Status.NOT_IMPLEMENTED
-        if self.streaming:
+    def _schedule(self, time_ns: int | None) -> None:
+        """Have a pulse on the trigger input, now or later; one of a camera that does not stream is none."""
+        if not self.streaming:
+            return
+        if len(self._scheduled_us) == _MOST_SCHEDULED:
+            self._edge_fates["added"] += 1
+            self._edge_fates["dropped"] += 1
+            return
+        due_us = self._now_us if time_ns is None else self._epoch_us + time_ns // 1000
+        heappush(self._scheduled_us, max(self._now_us, due_us))
+        self._pulse()
+
+    def _pulse(self) -> None:
+        """Give the pulses that are due."""
+        while self._scheduled_us and self._scheduled_us[0] <= self._now_us:
             pulse = empty_edges(1)
-            pulse["t"], pulse["kind"] = self._now_us, EdgeKind.PULSE
+            pulse["t"], pulse["kind"] = heappop(self._scheduled_us), EdgeKind.PULSE
             self._edge_fates["added"] += 1
             self._outflow.put_edges(pulse)
-        return Status.SUCCESS
-
-    def released(self) -> None:
-        """See `Controlled.released`."""
-        self._stop()
 
     def _settle(self, outgoing: Outgoing, fate: str) -> None:
         self._carried -= len(outgoing.events)
@@ -228,7 +228,7 @@ class Triton2(EventDevice):
 
     def _put(self, events: Events) -> None:
         """Queue events of a running camera, but for those that nobody wants or that find no room."""
-        begun = events[int(np.searchsorted(events["t"], self._silent_until_us)) :]
+        begun = events[before(events, self._silent_until_us) :]
         selected = self._selection.apply(begun, self._epoch_us)
         fitting = selected.events[: self.room_events]
         self._outflow.put(fitting)
@@ -243,12 +243,12 @@ class Triton2(EventDevice):
             ACQUISITION_START: self._on_start,
             ACQUISITION_STOP: self._on_stop,
             Register.PACKET_SIZE: self._on_packet_size,
-            Register.TIME_CONTROL: self._on_time_control,
         }
 
     def _on_start(self, value: int) -> int:
         if value and not self._acquiring:
             self._acquiring = True
+            self._starts += 1
             self._epoch_us = self._now_us
             self._silent_until_us = self._now_us + self.settings.start_delay_us
             self._outflow = Outflow(self._epoch_us, self.settings.block_us, self.settings.size[0], self._outflow.number)
@@ -262,20 +262,13 @@ class Triton2(EventDevice):
     def _stop(self) -> None:
         """End the acquisition; what waits is dropped. Blocks that were sent are kept for hosts that ask for them."""
         self._acquiring = False
+        self._scheduled_us.clear()
         self._fates["flushed"] += self._outflow.queued
         self._edge_fates["dropped"] += self._outflow.edges_queued
         self._outflow.clear()
 
     def _on_packet_size(self, value: int) -> int:
         remembered = packet_size(value)
-        if value & TEST_PACKET:
+        if value & TEST_PACKET and len(self._extra) < _MOST_EXTRA:
             self._extra.append(Extra(test_packet(value & 0xFFFF)))
         return remembered
-
-    def _on_time_control(self, value: int) -> int:
-        """Latch the time; the clock is set to zero by AcquisitionStart alone."""
-        if value & _LATCH:
-            time_ns = 1000 * (self._now_us - self._epoch_us)
-            self._memory.set(Register.TIME_HIGH, time_ns >> 32)
-            self._memory.set(Register.TIME_LOW, time_ns & 0xFFFFFFFF)
-        return 0

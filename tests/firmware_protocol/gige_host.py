@@ -8,11 +8,13 @@ import numpy as np
 
 from firmware_protocol.events import EVENT
 from firmware_protocol.evt3.decoding import Evt3Decoder
-from firmware_protocol.gige import GigeSettings, Triton2
 from firmware_protocol.gige.assembly import BlockAssembly
 from firmware_protocol.gige.bootstrap import Register
 from firmware_protocol.gige.evs_registers import ACQUISITION_START
 from firmware_protocol.gige.gvcp import Command, request
+from firmware_protocol.gige.settings import GigeSettings
+from firmware_protocol.gige.triton2 import Triton2
+from firmware_protocol.gige.triton2_control import Triton2Control
 
 PEER = ("127.0.0.1", 40_000)
 STRANGER = ("127.0.0.1", 40_001)
@@ -32,16 +34,25 @@ class Host:
     """Talks to a camera as drivers do."""
 
     def __init__(self, **settings) -> None:
-        self.camera = Triton2(GigeSettings(**{"start_delay_us": 0, **settings}))
+        chosen = GigeSettings(**{"start_delay_us": 0, **settings})
+        self.camera = Triton2(chosen)
+        self.control = Triton2Control(chosen, lambda: self.camera.time)
         self.number = 0
         self.now_ns = 0
         self.assembly = BlockAssembly()
         self.decoder = Evt3Decoder()
 
+    def receive(self, datagrams):
+        """Bring datagrams to the camera; returns the answers."""
+        answers = self.control.receive(datagrams, self.now_ns)
+        while self.control.orders:
+            self.camera.obey(self.control.orders.popleft())
+        return answers
+
     def send(self, command, payload=b"", peer=PEER, flags=1):
         """Send a request; returns (status, payload) of the answer, or None."""
         self.number = self.number % 0xFFFF + 1
-        answers = self.camera.receive([(request(command, self.number, payload, flags), peer)], self.now_ns)
+        answers = self.receive([(request(command, self.number, payload, flags), peer)])
         if not answers:
             return None
         (data, to) = answers[0]

@@ -29,6 +29,7 @@ model = "triton2"
 [run]
 step_us = 1000
 max_late_ms = 0
+{run}
 [[links]]
 kind = "gige"
 """
@@ -50,16 +51,23 @@ class GigeRun:
         Existing folder for the rig and what the run writes.
     keys
         Further lines of the link's table.
+    run
+        Further lines of the run's table.
     inside
         Gives the command that runs a command elsewhere, in a network of its own for example.
     """
 
     def __init__(
-        self, folder: Path, looped: Looped, keys: str, inside: Callable[..., list[str]] = lambda *command: [*command]
+        self,
+        folder: Path,
+        looped: Looped,
+        keys: str,
+        inside: Callable[..., list[str]] = lambda *command: [*command],
+        run: str = "",
     ) -> None:
         looped.save(folder / "looped.npz")
         rig, ready, self._record = folder / "gige.toml", folder / "ready", folder / "delivered.npz"
-        rig.write_text(RIG + keys)
+        rig.write_text(RIG.format(run=run) + keys)
         command = [sys.executable, "-c", "from emulator.cli import main; main()", "run", str(rig), "--json"]
         command += ["--seconds", "600", "--record", str(self._record), "--ready-file", str(ready)]
         self._process = subprocess.Popen(inside(*command), stdout=subprocess.PIPE, text=True)
@@ -72,7 +80,7 @@ class GigeRun:
         self._process.send_signal(signal.SIGINT)
         out, _ = self._process.communicate(timeout=120)
         delivered, resets = load_record(self._record)
-        return json.loads(out.splitlines()[-1]), delivered[resets[-1] :]
+        return json.loads(out.splitlines()[-1]), delivered[resets[-1] if len(resets) else 0 :]
 
     def kill(self) -> None:
         """End it in any case."""

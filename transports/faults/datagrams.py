@@ -8,7 +8,6 @@ sound copy of it left, and is lost when no copy is left that could.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,9 +16,8 @@ import numpy as np
 
 from firmware_protocol.instrument.outgoing import Outgoing
 from firmware_protocol.packets.profile import Profile
-from transports.faults.datagram_kinds import LateDatagrams, LostDatagrams, RepeatedDatagrams
-from transports.faults.hit_places import Places
-from transports.faults.kinds import BitFlips, Fault, HitFault
+from transports.faults.datagram_stages import DatagramStage, Loss, Repetition, datagram_stage
+from transports.faults.kinds import BitFlips, Fault
 from transports.faults.line import byte_stage
 from transports.faults.script import FaultPlan, FaultRecord, Faults
 
@@ -44,75 +42,7 @@ class _Copy:
     of: _Sent
 
 
-class _Stage(ABC):
-    """One fault at work on datagrams; see `ByteStage` for the attributes."""
-
-    def __init__(self) -> None:
-        self.hits = self.touched = 0
-        self.over = False
-
-    @abstractmethod
-    def change(self, copy: _Copy) -> list[_Copy]:
-        """Return what goes on now."""
-
-    def finish(self) -> list[_Copy]:
-        """Return what goes on when the fault is over."""
-        return []
-
-
-class _Hits(_Stage):
-    """Strikes single datagrams."""
-
-    def __init__(self, fault: HitFault, random: np.random.Generator) -> None:
-        super().__init__()
-        self._where = Places(fault, random)
-
-    def _struck(self) -> bool:
-        struck = bool(self._where.within(1))
-        self.hits += struck
-        self.touched += struck
-        self.over = self._where.over
-        return struck
-
-
-class _Loss(_Hits):
-    def change(self, copy: _Copy) -> list[_Copy]:
-        return [] if self._struck() else [copy]
-
-
-class _Repetition(_Hits):
-    def change(self, copy: _Copy) -> list[_Copy]:
-        if not self._struck():
-            return [copy]
-        copy.of.copies += 1
-        return [copy, copy]
-
-
-class _Delay(_Hits):
-    def __init__(self, fault: LateDatagrams, random: np.random.Generator) -> None:
-        super().__init__(fault, random)
-        self._overtaken_by = fault.overtaken_by
-        self._held: deque[tuple[int, _Copy]] = deque()
-        self._passed = 0
-
-    def change(self, copy: _Copy) -> list[_Copy]:
-        if self._struck():
-            self._held.append((self._passed + self._overtaken_by, copy))
-            self.over = False
-            return []
-        self._passed += 1
-        going = [copy]
-        while self._held and self._held[0][0] <= self._passed:
-            going.append(self._held.popleft()[1])
-        self.over = self._where.over and not self._held
-        return going
-
-    def finish(self) -> list[_Copy]:
-        held, self._held = [copy for _, copy in self._held], deque()
-        return held
-
-
-class _Flips(_Stage):
+class _Flips(DatagramStage[_Copy]):
     def __init__(self, fault: BitFlips, random: np.random.Generator) -> None:
         super().__init__()
         self._bits = byte_stage(fault, random, 1.0)
@@ -123,17 +53,8 @@ class _Flips(_Stage):
         return [_Copy(data, copy.of)]
 
 
-def _stage(fault: Fault, random: np.random.Generator) -> _Stage:
-    match fault:
-        case LostDatagrams():
-            return _Loss(fault, random)
-        case RepeatedDatagrams():
-            return _Repetition(fault, random)
-        case LateDatagrams():
-            return _Delay(fault, random)
-        case BitFlips():
-            return _Flips(fault, random)
-    raise ValueError(f"{fault.kind!r} is no fault of packets in datagrams")
+def _stage(fault: Fault, random: np.random.Generator) -> DatagramStage[_Copy]:
+    return _Flips(fault, random) if isinstance(fault, BitFlips) else datagram_stage(fault, random)
 
 
 class FaultyDatagrams:
@@ -146,7 +67,7 @@ class FaultyDatagrams:
     """
 
     def __init__(self, plan: FaultPlan, arrived: Callable[[Outgoing], None]) -> None:
-        self._faults: Faults[_Stage] = Faults(plan, _stage)
+        self._faults: Faults[DatagramStage[_Copy]] = Faults(plan, _stage)
         self._arrived = arrived
         self._waiting: deque[_Copy] = deque()
         self._number = 0
@@ -210,8 +131,9 @@ class FaultyDatagrams:
             before, gone, going = stage.hits, list[_Copy](), list[_Copy]()
             for each in copies:
                 passed = stage.change(each)
+                each.of.copies += isinstance(stage, Repetition) and len(passed) - 1
                 going += passed
-                gone += [each] if not passed and isinstance(stage, _Loss) else []
+                gone += [each] if not passed and isinstance(stage, Loss) else []
             if stage.hits != before:
                 self._faults.struck(stage, [self._number])
             for each in gone:

@@ -1,15 +1,13 @@
-"""A GigE Vision camera on a pair of sockets.
+"""A GigE Vision camera: a process that answers hosts, and the stream.
 
-    hosts --GVCP--> ControlSockets --> Triton2.receive --> answers
+    hosts --GVCP--> ControlProcess --orders--> Triton2.obey
     Triton2.next_block --packets--> faults --> StreamSocket --> the host that has control
 
-Control is looked at whenever something came and between the packets of a block: neuromorphic_drivers gives an answer
-25 ms. UDP has no back-pressure: a block counts as delivered when the kernel has taken all its packets.
+UDP has no back-pressure: a block counts as delivered when the kernel has taken all its packets.
 """
 
 from __future__ import annotations
 
-import asyncio
 import ipaddress
 from collections import Counter, deque
 from collections.abc import Iterator, Mapping
@@ -19,12 +17,15 @@ from firmware_protocol.gige.outflow import Outgoing
 from firmware_protocol.gige.triton2 import Triton2
 from transports.faults.kinds import Fault
 from transports.faults.script import FaultPlan, FaultRecord
+from transports.gige.answering import ControlSetup
+from transports.gige.control_process import ControlProcess
 from transports.gige.fates import BlockFates
 from transports.gige.packet_faults import FaultyPackets, Packet
 from transports.gige.parameters import GigeLink
-from transports.gige.sockets import ControlSockets, StreamSocket
+from transports.gige.sockets import StreamSocket
 from transports.link.deliveries import Deliveries
 from transports.link.endpoint import Endpoint, EndpointFactory
+from transports.network.allow import AllowList
 from transports.network.datagrams import ByteBudget
 
 __all__ = ["GigeEndpoint", "GigeFactory"]
@@ -44,15 +45,25 @@ class GigeFactory(EndpointFactory[Triton2]):
         return GigeEndpoint(self, device, deliveries)
 
 
+@dataclass(frozen=True)
+class _Way:
+    """How packets go: to whom, None for nobody who may get them; whether they may be cut; with which pause."""
+
+    to: tuple[str, int] | None = None
+    may_fragment: bool = False
+    pause_ns: int = 0
+
+
 class GigeEndpoint(Endpoint):
     """One camera, the hosts that look at it, and the one that receives."""
 
     def __init__(self, factory: GigeFactory, camera: Triton2, deliveries: Deliveries) -> None:
-        link = factory.link
+        self._link = link = factory.link
         self._camera = camera
         self._deliveries = deliveries
         self._clock = deliveries.clock
-        self._control = ControlSockets(link.host, link.port, link.allow)
+        self._control: ControlProcess | None = None
+        self._allow = AllowList(link.allow)
         self._stream = StreamSocket(link.host)
         self._budget = ByteBudget(link.mbit_s, self._clock.now_ns())
         self._faulty = FaultyPackets(factory.faults)
@@ -60,6 +71,7 @@ class GigeEndpoint(Endpoint):
         self._going: tuple[Outgoing, Iterator[Packet]] | None = None
         self._ready: deque[Packet] = deque()
         self._whole = True
+        self._way = _Way()
         self._next_ns = 0
         self._patience_ns = link.block_us * 1000
         self._moved = 0, self._clock.now_ns()
@@ -68,19 +80,27 @@ class GigeEndpoint(Endpoint):
 
     async def start(self) -> None:
         """Open the sockets; raises OSError, with what to do, when an address cannot be used."""
-        self._control.open()
+        link = self._link
+        port = self._stream.open()
         try:
-            self._camera.stream_from(self._stream.open())
+            self._control = ControlProcess(ControlSetup(link.host, link.port, link.allow, self._camera.settings, port))
         except OSError:
-            self._control.close()
+            self._stream.close()
             raise
-        loop = asyncio.get_running_loop()
-        for descriptor in self._control.descriptors:
-            loop.add_reader(descriptor, self._answer)
+
+    def listen(self) -> None:
+        """See `Endpoint.listen`; raises LinkBroken when nobody answers hosts any more."""
+        assert self._control is not None
+        orders = list(self._control.take())
+        for order in orders:
+            self._camera.obey(order)
+        if orders:
+            self._way = self._chosen_way()
 
     def pump(self) -> None:
-        """Answer what came, and send what waits as far as the rate allows."""
-        self._answer()
+        """Send what waits as far as the rate allows."""
+        assert self._control is not None
+        self._control.tell(self._camera.time)
         self._budget.renew(self._clock.now_ns())
         self._look_at_time()
         while self._budget.left > 0 and self._prepare() and self._send():
@@ -108,16 +128,14 @@ class GigeEndpoint(Endpoint):
         self._fates.settle(self._clock.now_ns(), final=True)
         self._faulty.close()
         self._camera.disconnected()
-        loop = asyncio.get_running_loop()
-        for descriptor in self._control.descriptors:
-            loop.remove_reader(descriptor)
-        self._control.close()
+        if self._control is not None:
+            self._control.close()
         self._stream.close()
 
     @property
     def state(self) -> str:
         """Who has control, and whether the stream runs."""
-        owner = self._camera.control.owner
+        owner = self._camera.owner
         if owner is None:
             return f"waiting on {self.address}"
         does = "streaming to" if self._camera.streaming else "controlled by"
@@ -126,18 +144,12 @@ class GigeEndpoint(Endpoint):
     @property
     def address(self) -> str:
         """Where hosts find the camera."""
-        return self._control.address
+        return f"{self._link.host}:{self._link.port if self._control is None else self._control.port}"
 
     @property
     def counts(self) -> Mapping[str, int]:
         """Packets, requests, and what was wrong with either."""
-        more = {"requests of senders not allowed": self._control.refused}
-        return +(self.sent + self._camera.control.counts + Counter(more))
-
-    def _answer(self) -> None:
-        datagrams = self._control.take()
-        for answer, peer in self._camera.receive(datagrams, self._clock.now_ns()):
-            self._control.send(answer, peer)
+        return self.sent if self._control is None else self.sent + self._control.counts
 
     def _look_at_time(self) -> None:
         """Find out whether stream time stands, as at the end of a run: what waits then leaves without growing."""
@@ -149,7 +161,7 @@ class GigeEndpoint(Endpoint):
     def _prepare(self) -> bool:
         """Have a packet ready; False when there is nothing to send, or nothing may go yet."""
         while not self._ready:
-            if self._camera.packet_delay_ns and self._clock.now_ns() < self._next_ns:
+            if self._way.pause_ns and self._clock.now_ns() < self._next_ns:
                 return False
             packet = self._next_packet()
             if packet is None:
@@ -177,15 +189,11 @@ class GigeEndpoint(Endpoint):
 
     def _send(self) -> bool:
         """Send the packet that is ready; False when the kernel has no room now."""
-        packet = self._ready[0]
-        destination = self._camera.destination
-        if destination is None or not self._control.permits(str(ipaddress.IPv4Address(destination[0]))):
-            left = False
-        else:
-            try:
-                left = self._stream.send(packet.data, *destination, may_fragment=self._camera.may_fragment)
-            except BlockingIOError:
-                return False
+        packet, way = self._ready[0], self._way
+        try:
+            left = way.to is not None and self._stream.send(packet.data, way.to, may_fragment=way.may_fragment)
+        except BlockingIOError:
+            return False
         self._ready.popleft()
         self._note(packet, left)
         return True
@@ -198,7 +206,15 @@ class GigeEndpoint(Endpoint):
             self._fates.came(packet.block, packet.number)
         if left:
             self._budget.left -= len(packet.data) + _IP_UDP_OCTETS
-            self._next_ns = self._clock.now_ns() + self._camera.packet_delay_ns
+            self._next_ns = self._clock.now_ns() + self._way.pause_ns if self._way.pause_ns else 0
+
+    def _chosen_way(self) -> _Way:
+        """Return how the camera's host wants its packets."""
+        to = None
+        if self._camera.destination is not None:
+            address = str(ipaddress.IPv4Address(self._camera.destination[0]))
+            to = (address, self._camera.destination[1]) if self._allow.permits(address) else None
+        return _Way(to, self._camera.may_fragment, self._camera.packet_delay_ns)
 
     def _end_block(self) -> None:
         """Settle the block whose last packet has been made."""

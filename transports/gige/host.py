@@ -93,6 +93,7 @@ class GigeHost:
         self._decoder = Evt3Decoder()
         self._edges: list[Edges] = []
         self._alive_ns = 0
+        self._stopped = False
         self.assembly = BlockAssembly()
         try:
             self._control.settimeout(_TIMEOUT_S)
@@ -125,6 +126,7 @@ class GigeHost:
         self.write(Register.STREAM_ADDRESS, int(ipaddress.IPv4Address(address)))
         self.write(Register.STREAM_PORT, self._stream.getsockname()[1])
         self.write(ACQUISITION_START, 1)
+        self._stopped = False
         self._alive_ns = self._now_ns()
 
     def read(self, timeout_s: float) -> Events:
@@ -149,6 +151,7 @@ class GigeHost:
     def stop(self) -> None:
         """Stop the acquisition; what has left the camera can still be read."""
         self.write(ACQUISITION_STOP, 1)
+        self._stopped = True
 
     def close(self) -> None:
         """Give control back and close the sockets; a camera that is gone is left alone."""
@@ -166,7 +169,7 @@ class GigeHost:
 
     def _care(self) -> None:
         """Ask for packets that are missing, and keep control."""
-        for wanted in self.assembly.missing(self._now_ns()):
+        for wanted in self.assembly.missing(self._now_ns(), over=self._stopped):
             self._control.send(_resend(self._next_number(), wanted))
         if self._now_ns() - self._alive_ns > _KEEP_ALIVE_NS:
             if not self.read_register(Register.PRIVILEGE) & Privilege.CONTROL:

@@ -77,23 +77,27 @@ def receive(
     start_ns = clock.now_ns()
     try:
         while goes_on(reception):
-            events = camera.read(_READ_TIMEOUT_S)
-            edges = camera.take_edges()
-            if recorder is not None and (len(events) or len(edges)):
-                recorder.append(events, edges=edges)
-            reception = dataclasses.replace(
-                reception.with_events(events),
-                seconds=(clock.now_ns() - start_ns) * 1e-9,
-                edges=reception.edges + len(edges),
-                blocks_lost=camera.assembly.lost,
-                packets_asked=camera.assembly.asked,
-                packets_repeated=camera.assembly.repeated,
-            )
+            reception = _turn(camera, reception, recorder)
+            reception = dataclasses.replace(reception, seconds=(clock.now_ns() - start_ns) * 1e-9)
         camera.stop()
-        while len(events := camera.read(_READ_TIMEOUT_S)):
-            reception = reception.with_events(events)
-            if recorder is not None:
-                recorder.append(events)
+        before = -1
+        while reception.events > before or camera.assembly.waiting:
+            before, reception = reception.events, _turn(camera, reception, recorder)
     except CameraGone:
         return dataclasses.replace(reception, gone=True)
     return reception
+
+
+def _turn(camera: GigeHost, reception: GigeReception, recorder: Recorder | None) -> GigeReception:
+    """Return the reception with what has come since the last turn."""
+    events = camera.read(_READ_TIMEOUT_S)
+    edges = camera.take_edges()
+    if recorder is not None and (len(events) or len(edges)):
+        recorder.append(events, edges=edges)
+    return dataclasses.replace(
+        reception.with_events(events),
+        edges=reception.edges + len(edges),
+        blocks_lost=camera.assembly.lost,
+        packets_asked=camera.assembly.asked,
+        packets_repeated=camera.assembly.repeated,
+    )

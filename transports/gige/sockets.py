@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import ipaddress
 import socket
 from collections.abc import Iterable
 
-from firmware_protocol.gige.control import Datagram, Peer
+from firmware_protocol.gige.control import Datagram
+from firmware_protocol.gige.orders import Peer
 from transports.network.allow import AllowList
 
 __all__ = ["ControlSockets", "StreamSocket"]
@@ -49,21 +49,17 @@ class ControlSockets:
             raise OSError(error.errno, f"{told}; {cure}") from error
 
     @property
-    def address(self) -> str:
+    def port(self) -> int:
         """Where hosts find the camera."""
-        return f"{self._host}:{self._port}"
+        return self._port
 
     @property
     def descriptors(self) -> list[int]:
         """File descriptors, for an event loop."""
         return [one.fileno() for one in self._sockets]
 
-    def permits(self, address: str) -> bool:
-        """Say whether an address may get anything from the camera."""
-        return self._allow.permits(address)
-
     def take(self) -> list[Datagram]:
-        """Return what has come, at most so much that a flood does not keep the link from its own work."""
+        """Return what has come, at most so much that a flood does not keep the answers waiting for long."""
         taken: list[Datagram] = []
         for one in self._sockets:
             for _ in range(_AT_A_TIME):
@@ -106,13 +102,13 @@ class StreamSocket:
         self._refuse_cuts(True)
         return int(self._socket.getsockname()[1])
 
-    def send(self, data: bytes, address: int, port: int, *, may_fragment: bool) -> bool:
+    def send(self, data: bytes, to: tuple[str, int], *, may_fragment: bool) -> bool:
         """Give the kernel a packet; False when it cannot go at all. Raises BlockingIOError when there is no room."""
         assert self._socket is not None
         if may_fragment == self._whole:
             self._refuse_cuts(not may_fragment)
         try:
-            self._socket.sendto(data, (str(ipaddress.IPv4Address(address)), port))
+            self._socket.sendto(data, to)
         except BlockingIOError:
             raise
         except OSError:  # longer than the network carries, no route

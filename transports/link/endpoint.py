@@ -47,6 +47,10 @@ class Endpoint(ABC):
     async def start(self) -> None:
         """Open; raises OSError when the machine refuses."""
 
+    def listen(self) -> None:
+        """Take the orders of hosts that came by another process; the camera is fed next."""
+        return
+
     @abstractmethod
     def pump(self) -> None:
         """The camera may have new data: hand over what is asked for."""

@@ -123,12 +123,14 @@ class Link:
     def tick(self) -> None:
         """Feed the camera what is due and let the endpoint take what it asked for."""
         origin_ns = self._ring.origin_ns
+        now_us = self._ring.now_us  # read first: what came into the ring after an order is not fed before it
+        self.endpoint.listen()
         if origin_ns == FREE_RUNNING:
             room = self._device.room_events if self._device.streaming else _TAKE_LIMIT
-            self._feed.feed(self._free_until_us(), min(room, _TAKE_LIMIT))
+            self._feed.feed(self._free_until_us(now_us), min(room, _TAKE_LIMIT))
         elif origin_ns is not None:
             due_us = max(0, (self._clock.now_ns() - origin_ns) // 1000 - self._holdback_us)
-            self._feed.feed(min(due_us, self._ring.now_us), _TAKE_LIMIT)
+            self._feed.feed(min(due_us, now_us), _TAKE_LIMIT)
         self.endpoint.advance_faults(self._feed.reached_us)
         marks = self._feed.own_marks()
         if len(marks):
@@ -136,9 +138,9 @@ class Link:
         self.endpoint.pump()
         self._tally.delivered = self._delivered
 
-    def _free_until_us(self) -> int:
+    def _free_until_us(self, now_us: int) -> int:
         """Return how far a run that is not paced may go now; a silence that the host needs lasts in its time too."""
-        until_us = min(self._ring.now_us, self._feed.horizon_us)
+        until_us = min(now_us, self._feed.horizon_us)
         silent_until_us = self._device.silent_until_us
         if silent_until_us <= self._device.now_us:
             return until_us

@@ -2,6 +2,7 @@
 
 import struct
 import zipfile
+from collections import Counter
 from io import BytesIO
 from xml.etree import ElementTree
 
@@ -10,7 +11,7 @@ import pytest
 from gige_host import PEER, STRANGER, Host
 
 from firmware_protocol.gige.bootstrap import Register
-from firmware_protocol.gige.evs_registers import ACQUISITION_START, BIASES, TEMPERATURE
+from firmware_protocol.gige.evs_registers import ACQUISITION_START, ACQUISITION_STOP, BIASES, TEMPERATURE
 from firmware_protocol.gige.gvcp import Command, Status, request
 
 SECOND_NS = 1_000_000_000
@@ -28,7 +29,7 @@ def test_discovery_is_the_first_248_octets():
 def test_golden_octets_of_a_register_write():
     host = Host()
     asked = bytes.fromhex("42 01 0082 0008 0007 00000a00 00000002".replace(" ", ""))
-    ((answer, peer),) = host.camera.receive([(asked, PEER)], 0)
+    ((answer, peer),) = host.receive([(asked, PEER)])
     assert (answer.hex(" ", 2), peer) == ("0000 0083 0004 0007 0000 0001", PEER)
 
 
@@ -56,16 +57,31 @@ def test_control_ends_with_the_heartbeat(silence_s, kept):
     host = Host()
     host.start()
     host.write(Register.HEARTBEAT_MS, 6000)
-    host.camera.receive([], round(silence_s * SECOND_NS))
-    assert (host.camera.control.owner is not None) == kept
+    host.now_ns = round(silence_s * SECOND_NS)
+    host.receive([])
+    assert (host.camera.owner is not None) == kept
     assert host.camera.streaming == kept
+
+
+def test_any_request_of_the_owner_renews_the_heartbeat_and_no_other_does():
+    host = Host()
+    host.start()
+    for seconds in (2, 4, 6):
+        host.now_ns = seconds * SECOND_NS
+        host.read(Register.PRIVILEGE)
+    assert host.camera.streaming
+    for seconds in (8, 10):
+        host.now_ns = seconds * SECOND_NS
+        host.read(Register.PRIVILEGE, STRANGER)
+    assert not host.camera.streaming
 
 
 def test_control_without_heartbeat_lasts():
     host = Host()
     host.start()
     host.write(Register.GVCP_CONFIGURATION, 1)
-    host.camera.receive([], 10**6 * SECOND_NS)
+    host.now_ns = 10**6 * SECOND_NS
+    host.receive([])
     assert host.camera.streaming
 
 
@@ -73,7 +89,7 @@ def test_a_retry_with_a_new_id_is_answered_once_and_last():
     host = Host()
     first, second = (request(Command.READREG, number, struct.pack(">I", TEMPERATURE)) for number in (7, 8))
     other = request(Command.DISCOVERY, 9)
-    answers = host.camera.receive([(first, PEER), (second, PEER), (other, STRANGER)], 0)
+    answers = host.receive([(first, PEER), (second, PEER), (other, STRANGER)])
     assert [int.from_bytes(data[6:8], "big") for data, _ in answers] == [8, 9]
     assert [peer for _, peer in answers] == [PEER, STRANGER]
 
@@ -82,7 +98,7 @@ def test_a_write_that_comes_again_is_not_done_again():
     host = Host()
     host.start()
     again = request(Command.WRITEREG, 500, struct.pack(">II", Register.PACKET_SIZE, 1 << 31 | 1400))
-    answers = host.camera.receive([(again, PEER)], 0) + host.camera.receive([(again, PEER)], 0)
+    answers = host.receive([(again, PEER)]) + host.receive([(again, PEER)])
     assert answers[0] == answers[1]
     assert host.camera.next_extra() is not None
     assert host.camera.next_extra() is None
@@ -104,7 +120,7 @@ def test_a_write_that_comes_again_is_not_done_again():
         (Command.READMEM, struct.pack(">I", 0), Status.INVALID_PARAMETER),
         (Command.WRITEMEM, b"1234567", Status.INVALID_PARAMETER),
         (Command.PACKETRESEND, b"", Status.INVALID_PARAMETER),
-        (Command.FORCEIP, bytes(56), Status.NOT_IMPLEMENTED),
+        (Command.FORCEIP, bytes(55), Status.INVALID_PARAMETER),
         (0x7FFE, b"", Status.NOT_IMPLEMENTED),
     ],
 )
@@ -116,14 +132,14 @@ def test_malformed_requests_get_the_standards_status(command, payload, status):
 
 def test_a_header_that_lies_about_its_length():
     host = Host()
-    ((answer, _),) = host.camera.receive([(bytes.fromhex("4201008000080001"), PEER)], 0)
+    ((answer, _),) = host.receive([(bytes.fromhex("4201008000080001"), PEER)])
     assert int.from_bytes(answer[:2], "big") == Status.INVALID_HEADER
 
 
 @pytest.mark.parametrize("datagram", ["", "42", "4101000200000001", "4201000200000000"])
 def test_what_is_no_request_gets_no_answer(datagram):
     host = Host()
-    assert host.camera.receive([(bytes.fromhex(datagram), PEER)], 0) == []
+    assert host.receive([(bytes.fromhex(datagram), PEER)]) == []
 
 
 def test_a_write_of_several_registers_stops_at_the_first_refusal():
@@ -210,16 +226,108 @@ def test_actions_are_for_the_device_that_is_meant():
     assert host.camera.counters.edges.added == 1
 
 
+def _forced(host, mac, address):
+    told = host.send(Command.FORCEIP, struct.pack(">2x6s12xI12xI12xI", mac, address, 0xFF000000, 0), STRANGER)
+    return None if told is None else told[0]
+
+
+def test_another_address_is_refused_by_the_device_that_is_meant_alone():
+    host = Host()
+    mac = host.send(Command.DISCOVERY)[1][10:16]
+    assert _forced(host, b"\1\2\3\4\5\6", 0x0A000001) is None
+    assert _forced(host, mac, 0x0A000001) == Status.NOT_IMPLEMENTED
+    assert _forced(host, mac, 0x7F000001) == Status.SUCCESS
+    host.write(Register.PRIVILEGE, 2)
+    assert _forced(host, mac, 0x7F000001) == Status.ACCESS_DENIED
+
+
+def _with_keys(host):
+    for address, value in (
+        (Register.ACTION_DEVICE_KEY, 11),
+        (Register.ACTION_GROUP, 22),
+        (Register.ACTION_GROUP + 4, 2),
+    ):
+        host.write(address, value)
+
+
+def _scheduled(host, time_ns):
+    return host.send(Command.ACTION, struct.pack(">IIIQ", 11, 22, 2, time_ns), STRANGER, flags=0x81)[0]
+
+
+def test_a_scheduled_action_is_a_pulse_at_its_time():
+    host = Host()
+    host.start()
+    _with_keys(host)
+    host.camera.advance(1000)
+    for time_ns in (9_000_000, 4_000_000):
+        assert _scheduled(host, time_ns) == Status.SUCCESS
+    host.camera.advance(3000)
+    assert host.camera.counters.edges.added == 0
+    host.camera.advance(20_000)
+    assert host.collect()[1]["t"].tolist() == [4000, 4000, 9000, 9000]  # a pulse rises and falls
+
+
+def test_an_action_that_comes_too_late_is_done_at_once_and_says_so():
+    host = Host()
+    host.start()
+    _with_keys(host)
+    host.camera.advance(5000)
+    assert _scheduled(host, 4_000_000) == Status.ACTION_LATE
+    host.camera.advance(9000)
+    assert host.collect()[1]["t"].tolist() == [5000, 5000]
+
+
+def test_scheduled_actions_end_with_the_acquisition_and_have_a_bound():
+    host = Host()
+    host.start()
+    _with_keys(host)
+    for k in range(300):
+        assert _scheduled(host, 1_000_000 + k) == Status.SUCCESS
+    edges = host.camera.counters.edges
+    assert (edges.added, edges.dropped) == (44, 44)
+    host.write(ACQUISITION_STOP, 1)
+    host.write(ACQUISITION_START, 1)
+    host.camera.advance(9000)
+    assert host.camera.counters.edges.added == 44
+
+
+def test_orders_that_nobody_takes_have_a_bound_and_control_can_still_be_given_back():
+    host = Host()
+    host.start()
+    control = host.control
+    statuses = Counter()
+    for k in range(5000):
+        data = request(Command.WRITEREG, 1 + k % 3, struct.pack(">II", Register.HEARTBEAT_MS, 6000))
+        statuses[int.from_bytes(control.receive([(data, PEER)], 0)[0][0][:2], "big")] += 1
+    assert statuses == {Status.SUCCESS: 4096, Status.BUSY: 904}
+    control.receive([(request(Command.WRITEREG, 9, struct.pack(">II", Register.PRIVILEGE, 0)), PEER)], 0)
+    assert (control.owner, len(control.orders)) == (None, 4097)
+
+
+def test_hosts_without_control_get_so_many_answers_a_second():
+    host = Host()
+    host.now_ns = 10 * SECOND_NS
+    host.write(Register.PRIVILEGE, 2)
+    host.now_ns += SECOND_NS
+    flood = [(request(Command.DISCOVERY, 1), ("127.0.0.1", 40_001 + k % 2)) for k in range(10_001)]
+    assert len(host.receive(flood)) == 2000
+    assert host.read(Register.PRIVILEGE) == 2
+    host.now_ns += SECOND_NS // 2
+    assert len(host.receive(flood)) == 1000
+
+
 def test_hostile_datagrams_leave_the_camera_at_work():
     draw = np.random.default_rng(7)
     host = Host()
     host.write(Register.PRIVILEGE, 2)
     commands = [*Command, 0, 0xFFFF, 0xC0]
     for k in range(20_000):
+        host.now_ns += 1_000_000
+        host.write(Register.HEARTBEAT_MS, 1000)
         data = draw.bytes(int(draw.integers(0, 60)))
         if k % 2:
             data = request(int(draw.choice(commands)), int(draw.integers(1, 9)), data, int(draw.integers(0, 256)))
-        for answer, _ in host.camera.receive([(data, STRANGER if k % 3 else ("10.0.0.1", k % 7))], 0):
+        for answer, _ in host.receive([(data, STRANGER if k % 3 else ("10.0.0.1", k % 7))]):
             assert len(answer) <= 8 + 540
-    assert host.camera.control.owner == PEER
+    assert host.camera.owner == PEER
     assert host.read(Register.PRIVILEGE) == 2

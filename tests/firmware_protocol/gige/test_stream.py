@@ -10,7 +10,7 @@ from firmware_protocol.edges import EdgeKind, empty_edges
 from firmware_protocol.gige.assembly import BlockAssembly
 from firmware_protocol.gige.evs_registers import ACQUISITION_STOP, COLUMNS, INVERTED, ROWS, Erc
 from firmware_protocol.gige.gvcp import Command, Resend
-from firmware_protocol.gige.gvsp import BLOCK_OCTETS, Block
+from firmware_protocol.gige.gvsp import BLOCK_OCTETS, Block, removed
 
 
 def test_golden_octets_of_a_block():
@@ -79,6 +79,14 @@ def test_a_silence_is_told_by_blocks_of_time():
     host.camera.advance(39_600_000)
     assert host.collect()[0]["t"].tolist() == [39_500_000]
     assert host.assembly.lost == 0
+
+
+def test_a_silence_is_told_each_second_since_decoders_lose_the_time_after_eight():
+    host = Host()
+    host.start()
+    for second in range(1, 10):
+        host.camera.advance(second * 1_000_000)
+        assert len(list(host.blocks())) == 1
 
 
 @settings(max_examples=60, deadline=None)
@@ -182,13 +190,60 @@ def test_packets_come_again_while_their_block_is_kept():
     host.camera.offer(steady(5000))
     host.camera.advance(9000)
     block = next(host.blocks()).block
-    host.camera.resend(Resend(block.number, 0, 3))
+    host.camera.obey(Resend(block.number, 0, 3))
     again = [host.camera.next_extra() for _ in range(5)]
     assert [one.data[2:] for one in again[:4]] == [block.packet(k)[2:] for k in range(4)]
     assert {one.data[:2] for one in again[:4]} == {b"\x01\x00"}
     assert again[4] is None
-    host.camera.resend(Resend(10_000, 0, 3))
+    host.camera.obey(Resend(10_000, 0, 3))
     assert host.camera.next_extra().data[:2] == b"\x80\x12"
+
+
+@pytest.mark.parametrize("flood", [Resend(1, 1, 1), Resend(9999, 1, 1)])
+def test_a_flood_of_requests_to_send_again_has_a_bound_and_the_first_are_served(flood):
+    host = Host()
+    host.start()
+    host.camera.offer(steady(5000))
+    host.camera.advance(9000)
+    block = next(host.blocks()).block
+    host.camera.obey(Resend(block.number, 0, 3))
+    for _ in range(6000):
+        host.camera.obey(flood)
+    again = []
+    while (extra := host.camera.next_extra()) is not None:
+        again.append(extra.data)
+    assert [one[2:] for one in again[:4]] == [block.packet(k)[2:] for k in range(4)]
+    assert len(again) == 4096
+
+
+def test_a_block_that_the_camera_keeps_no_more_is_given_up_at_once():
+    gone, whole = Block(1, 0, bytes(2000), 576), Block(2, 0, bytes(20), 576)
+    assembly = BlockAssembly()
+    assembly.push(gone.packet(0), 0)
+    for k in range(whole.packets):
+        assert assembly.push(whole.packet(k), 0) == []
+    assert assembly.push(removed(1, 1), 1) == [whole.data]
+    assert assembly.lost == 1
+
+
+def _whole(assembly, number, now_ns=0):
+    block = Block(number, 0, b"\1\2" * number, 576)
+    return [data for k in range(block.packets) for data in assembly.push(block.packet(k), now_ns)]
+
+
+def test_a_block_of_which_nothing_came_is_asked_for():
+    assembly = BlockAssembly()
+    assert len(_whole(assembly, 1)) == 1
+    assert _whole(assembly, 3) == []
+    assert assembly.missing(20_000_000) == [Resend(2, 0, 1)]
+    assert len(_whole(assembly, 2)) == 2
+
+
+def test_blocks_that_wait_behind_a_gap_have_a_bound():
+    assembly = BlockAssembly()
+    assembly.push(Block(1, 0, bytes(2000), 576).packet(0), 0)
+    seen = sum(len(_whole(assembly, number)) for number in range(2, 400))
+    assert (seen, assembly.lost, assembly.waiting) == (398, 1, 0)
 
 
 def test_a_request_to_send_again_is_for_the_machine_in_control():
@@ -236,6 +291,21 @@ def test_a_block_whose_packets_do_not_come_again_is_given_up():
         assembly.missing(turn * 20_000_000)
         data += assembly.done(turn * 20_000_000)
     assert (len(data), assembly.lost, assembly.asked) == (2, 1, 5)
+
+
+def test_the_end_of_the_last_block_is_asked_for_when_the_stream_is_over():
+    block = Block(1, 0, bytes(2000), 576)
+    assembly, data, now_ns = BlockAssembly(), [], 0
+    for k in range(2):
+        assembly.push(block.packet(k), 0)
+    assert assembly.missing(20_000_000) == []
+    for turn in range(2, block.packets):
+        assert assembly.waiting == 1
+        now_ns = turn * 20_000_000
+        (asked,) = assembly.missing(now_ns, over=True)
+        assert asked == Resend(1, turn, turn)
+        data += assembly.push(block.packet(turn), now_ns)
+    assert (data, assembly.waiting) == ([block.data], 0)
 
 
 def test_hostile_packets_do_not_hurt_the_assembly():

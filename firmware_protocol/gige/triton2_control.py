@@ -1,0 +1,116 @@
+"""The control channel of a Triton2 EVS: requests in, answers out, and orders for what makes its stream.
+
+    host --GVCP--> Control --> Memory --> answer
+                      |
+                      +--> orders --> Triton2.obey
+
+It needs neither numpy nor the events, so that a small process can answer at once whatever else the machine does.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Sequence
+
+from firmware_protocol.gige.bootstrap import Register
+from firmware_protocol.gige.control import Control, Datagram
+from firmware_protocol.gige.evs_registers import ACQUISITION_START, ACQUISITION_STOP
+from firmware_protocol.gige.gvcp import Action, Refused, Resend, Status
+from firmware_protocol.gige.memory import Memory
+from firmware_protocol.gige.orders import DeviceTime, Order, Owner, Peer, Pulse, TimeSource, Write
+from firmware_protocol.gige.settings import GigeSettings
+from firmware_protocol.gige.triton2_registers import triton2_areas, triton2_rules
+
+__all__ = ["Triton2Control"]
+
+_LATCH = 1 << 1
+_MOST_ORDERS = 4096
+
+
+class Triton2Control:
+    """Answers hosts of one camera.
+
+    Parameters
+    ----------
+    time
+        Gives the device's clock as the stream has it.
+    stream_port
+        Port that the stream is sent from.
+
+    Attributes
+    ----------
+    orders
+        What the stream is to carry out next; the caller takes them from the left. When too many wait, further
+        requests that would give one are refused as busy.
+    """
+
+    def __init__(self, settings: GigeSettings, time: TimeSource, stream_port: int = 0) -> None:
+        self._memory = Memory(triton2_areas(settings), triton2_rules(settings.size))
+        self._memory.set(Register.STREAM_SOURCE_PORT, stream_port)
+        self._control = Control(self._memory, self)
+        self._time = time
+        self._starts = 0
+        self._acquiring = False
+        self.orders: deque[Order] = deque()
+
+    def receive(self, datagrams: Sequence[Datagram], now_ns: int) -> list[Datagram]:
+        """Take what came to the control port and return the answers; `now_ns` counts the heartbeat."""
+        answers = self._control.take(datagrams, now_ns)
+        self._control.expire(now_ns)
+        return answers
+
+    @property
+    def owner(self) -> Peer | None:
+        """The host that has control."""
+        return self._control.owner
+
+    @property
+    def counts(self) -> Counter[str]:
+        """Requests by what became of them."""
+        return self._control.counts
+
+    def check_room(self) -> None:
+        """See `Controlled.check_room`."""
+        if len(self.orders) >= _MOST_ORDERS:
+            raise Refused(Status.BUSY)
+
+    def wrote(self, address: int, value: int) -> None:
+        """See `Controlled.wrote`."""
+        if address == ACQUISITION_START and value and not self._acquiring:
+            self._acquiring = True
+            self._starts += 1
+        elif address == ACQUISITION_STOP and value:
+            self._acquiring = False
+        elif address == Register.TIME_CONTROL and value & _LATCH:
+            self._latch()
+        self.orders.append(Write(address, value))
+
+    def taken(self, peer: Peer) -> None:
+        """See `Controlled.taken`."""
+        self.orders.append(Owner(peer))
+
+    def released(self) -> None:
+        """See `Controlled.released`."""
+        self._acquiring = False
+        self.orders.append(Owner(None))
+
+    def resend(self, asked: Resend) -> None:
+        """See `Controlled.resend`."""
+        self.orders.append(asked)
+
+    def act(self, action: Action) -> Status:
+        """See `Controlled.act`: an action is a pulse on the trigger input; one that comes too late is done at once."""
+        late = action.time_ns is not None and action.time_ns <= self._now_ns()
+        self.orders.append(Pulse(None if late else action.time_ns))
+        return Status.ACTION_LATE if late else Status.SUCCESS
+
+    def _now_ns(self) -> int:
+        """Return the device's clock: zero until the stream has begun after the last start."""
+        time: DeviceTime = self._time()
+        return time.ns if time.starts == self._starts else 0
+
+    def _latch(self) -> None:
+        """Latch the time; the clock is set to zero by AcquisitionStart alone."""
+        time_ns = self._now_ns()
+        self._memory.set(Register.TIME_HIGH, time_ns >> 32)
+        self._memory.set(Register.TIME_LOW, time_ns & 0xFFFFFFFF)

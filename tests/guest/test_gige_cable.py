@@ -1,0 +1,95 @@
+"""A GigE Vision camera and its hosts on two ends of a cable: two networks of the test's own, joined by a veth pair."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+from tests.guest.gige_run import GigeRun, looped_1280x720
+from tests.guest.own_network import OwnNetwork
+
+EVENTS = 300_000
+CAMERA, HOST = "10.77.0.1", "10.77.0.2"
+LINK = f'host = "{CAMERA}"\nallow = ["{HOST}"]\n'
+LOSS = """
+[[faults]]
+link = "gige"
+kind = "lost_datagrams"
+rate = 0.01
+count = 0
+at_s = 0.0
+for_s = 1000.0
+"""
+LISTEN = [sys.executable, "-c", "from emulator.cli import main; main()", "listen", "gige", CAMERA, "--json"]
+
+pytestmark = [pytest.mark.guest, pytest.mark.socket]
+
+
+@pytest.fixture
+def ends():
+    with OwnNetwork() as camera, OwnNetwork() as host:
+        camera.join(host, CAMERA, HOST)
+        yield camera, host
+
+
+@pytest.fixture
+def start(tmp_path, ends):
+    made = []
+
+    def run(more=""):
+        looped = looped_1280x720(500_000)
+        looped.events["t"] *= 4
+        made.append(GigeRun(tmp_path, looped, LINK + more, ends[0].inside))
+        return made[-1]
+
+    yield run
+    for one in made:
+        one.kill()
+
+
+def _listen(host, packet_size):
+    command = host.inside(*LISTEN, "--packet-size", str(packet_size), "--events", str(EVENTS))
+    done = subprocess.run(command, capture_output=True, text=True, timeout=500)
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def test_a_host_finds_the_camera_by_broadcast(ends, start):
+    start()
+    found = subprocess.run(ends[1].inside("arv-tool-0.8"), capture_output=True, text=True, timeout=60)
+    assert f"Lucid Vision Labs-TRT009S-E-00000346 ({CAMERA})" in found.stdout
+
+
+@pytest.mark.parametrize("packet_size", [1400, 8996])
+def test_every_event_crosses_the_cable(ends, start, packet_size):
+    camera = start()
+    told = _listen(ends[1], packet_size)
+    summary, delivered = camera.stop()
+    assert summary["balanced"]
+    assert told["events"] >= EVENTS
+    assert (told["blocks_lost"], told["events"], told["last_t_us"]) == (0, len(delivered), int(delivered["t"][-1]))
+
+
+def test_what_a_bad_cable_loses_is_sent_again(ends, start):
+    camera = start(LOSS)
+    told = _listen(ends[1], 1400)
+    summary, delivered = camera.stop()
+    assert summary["balanced"]
+    assert told["packets_asked"] > 10
+    late = summary["links"]["gige"]["faults"][0]["events_lost"]  # healed, but after the camera had given them up
+    assert told["blocks_lost"] == 0
+    assert len(delivered) <= told["events"] <= len(delivered) + late
+
+
+def test_packets_that_the_cable_does_not_carry_are_counted(ends, start):
+    ends[0].run("ip", "link", "set", "cable", "mtu", "1500")
+    camera = start()
+    command = ends[1].inside(*LISTEN, "--packet-size", "9000", "--seconds", "3")
+    subprocess.run(command, capture_output=True, text=True, timeout=500)
+    summary, _ = camera.stop()
+    assert summary["balanced"]
+    assert summary["events"]["links"]["gige"]["dropped"] > 0
+    assert summary["links"]["gige"]["counts"]["packets that could not be sent"] > 0
