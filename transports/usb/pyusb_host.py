@@ -108,6 +108,20 @@ class PyusbHost:
         """Send `data` with a control request; gives the number of bytes the device took."""
         return int(self._control(setup, data))
 
+    def bulk_out(self, endpoint: int, data: bytes) -> None:
+        """Send `data` to an OUT endpoint."""
+        try:
+            self._device.write(endpoint, data, self._timeout_ms)
+        except usb.core.USBError as error:
+            _raise(error, f"endpoint {endpoint}")
+
+    def bulk_in(self, endpoint: int, length: int) -> bytes:
+        """Take one transfer of at most `length` bytes from an IN endpoint."""
+        try:
+            return bytes(self._device.read(0x80 | endpoint, length, self._timeout_ms))
+        except usb.core.USBError as error:
+            _raise(error, f"endpoint {endpoint}")
+
     def stream(self, endpoint: int, transfer_bytes: int = 131_072, transfers: int = 32) -> PyusbReader:
         """Start reading an IN endpoint; `transfers` are held for a caller that is slow."""
         reader = PyusbReader(self._device, endpoint, transfer_bytes, transfers)

@@ -1,0 +1,94 @@
+"""An unmodified driver opens an EVK4 that is not there, on a real Linux kernel's USB, and sees every event.
+
+Short by default; at length:
+
+    EVSTIM_EVK4_EVENTS=5e6 python -m pytest tests/guest/test_evk4.py
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from firmware_protocol.events import Events
+from tests.guest.attachment import EVK4, Attachment
+from tests.guest.comparison import assert_same
+from tests.guest.environments import Driver
+from tests.guest.gige_run import looped_1280x720
+from tests.guest.machine import Guest
+from tests.guest.running_rig import RunningRig
+from tests.guest.streaming import Seen, Streaming
+
+EVENTS = round(float(os.environ.get("EVSTIM_EVK4_EVENTS", "3e5")))
+GAP_US = 4  # 0.25 million events a second, which a processor that QEMU translates can take
+TIMEOUT_S = 240.0 + 3.0 * EVENTS * GAP_US * 1e-6
+FEWER_EVENTS = 100_000
+
+pytestmark = [
+    pytest.mark.guest,
+    pytest.mark.socket,
+    pytest.mark.timeout(2 * TIMEOUT_S + 1200),
+    pytest.mark.xdist_group("guest"),
+]
+
+RIG = """
+title = "recorded events at their own pace, for a driver of the EVK4"
+[scene]
+kind = "recording"
+path = "looped.npz"
+[camera]
+model = "evk4"
+serial = "0badcafe"
+speed = "{speed}"
+start_delay_ms = 1000.0   # neuromorphic_drivers must have started all its transfers; a guest on a busy machine is slow
+[camera.sensor.temperature]
+celsius = 20.0
+[run]
+step_us = 1000
+max_late_ms = 0
+[[links]]
+kind = "usbip"
+port = {port}
+"""
+ND = Driver("nd_evk4", (), adds_host_time=False, abort_after_unplugging="callback called for a transfer marked as")
+
+
+def looped(folder: Path, count: int = 1_000_000) -> None:
+    """Save the recording that the rig plays in a loop."""
+    looped = looped_1280x720(count)
+    looped.events["t"] *= GAP_US
+    looped.save(folder / "looped.npz")
+
+
+def top_down(events: Events) -> Events:
+    """Return events (n,) EVENT with rows counted from the top: neuromorphic_drivers counts them from the bottom."""
+    told = events.copy()
+    told["y"] = 719 - told["y"]
+    return told
+
+
+def streamed(guest: Guest, python: Path, rig: RunningRig, count: int, *options: str) -> Seen:
+    with Attachment(guest, rig.port, model=EVK4) as camera:
+        assert camera.device["manufacturer"] == "Prophesee"
+        return Streaming(guest, ND, python, count, *options, timeout_s=TIMEOUT_S).wait()
+
+
+@pytest.mark.parametrize("speed", ["super", "high"])
+def test_every_event_delivered_is_seen(
+    guest: Guest, driver_pythons: dict[str, Path], tmp_path: Path, speed: str
+) -> None:
+    count = EVENTS if speed == "super" else FEWER_EVENTS
+    looped(tmp_path)
+    with RunningRig(tmp_path, speed=speed, text=RIG) as rig:
+        seen = streamed(guest, driver_pythons["nd"], rig, count)
+    assert seen.about["serial"] == "0BADCAFE"
+    assert seen.about["discovered"] == ["0BADCAFE"]
+    assert seen.about["overflows"] == 0
+    assert abs(seen.about["celsius"] - 20.0) < 0.19
+    assert len(seen.events) >= count
+    delivered = rig.delivered
+    assert_same(top_down(seen.events), delivered.events[delivered.resets[-1] :], offset_us=0)
+    assert rig.summary["balanced"], rig.summary
