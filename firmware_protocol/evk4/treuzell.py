@@ -176,7 +176,7 @@ def _device(payload: bytes) -> bytes:
 
 
 def _words(payload: bytes, least: int) -> tuple[int, ...]:
-    """Return the first `least` numbers of a request for registers; raises Failed where there are fewer, or no device."""
+    """Return the first `least` numbers of a request for registers; raises Failed for fewer, or another device."""
     if len(payload) < 4 * least:
         raise Failed(struct.pack("<III", 0, 0, EINVAL))
     words = struct.unpack_from(f"<{least}I", payload)

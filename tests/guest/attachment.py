@@ -17,9 +17,7 @@ DAVIS_FX3 = ("152a", "841a")
 EVK4 = ("04b4", "00f5")
 
 
-def usb_bus(
-    guest: Guest, cameras: int, timeout_s: float = 120.0, model: tuple[str, str] = DAVIS_FX3
-) -> dict[str, Any]:
+def usb_bus(guest: Guest, cameras: int, timeout_s: float = 120.0, model: tuple[str, str] = DAVIS_FX3) -> dict[str, Any]:
     """Wait until the guest's bus shows this many cameras of a model and return it; raises RuntimeError in vain."""
     argv = [sys.executable, BUS_PROGRAM, *model, str(cameras), str(timeout_s)]
     seen: dict[str, Any] = json.loads(guest.check(argv, timeout_s + 10))
@@ -34,9 +32,7 @@ def remote_cameras(guest: Guest, tcp_port: int) -> str:
 class Attachment:
     """A camera of the host on the guest's USB bus, from the moment that the kernel knows it until it is unplugged."""
 
-    def __init__(
-        self, guest: Guest, tcp_port: int, busid: str = "1-1", model: tuple[str, str] = DAVIS_FX3
-    ) -> None:
+    def __init__(self, guest: Guest, tcp_port: int, busid: str = "1-1", model: tuple[str, str] = DAVIS_FX3) -> None:
         self._guest = guest
         self._model = model
         self._tool = ["usbip", "--tcp-port", str(tcp_port)]

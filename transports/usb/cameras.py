@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from typing import Protocol
 
 from firmware_protocol.davis346.decoder import WordFaults
@@ -12,9 +13,6 @@ from transports.usb.evk4_host import EVK4_PRODUCT, EVK4_VENDOR, Evk4Host, Evk4In
 from transports.usb.host import UnsuitableDevice, UsbHost
 
 __all__ = ["CAMERAS", "CameraHost", "driver_of"]
-
-CAMERAS = {(DAVIS_VENDOR, DAVIS_PRODUCT): DavisHost, (EVK4_VENDOR, EVK4_PRODUCT): Evk4Host}
-"""Drivers by (vendor, product)."""
 
 
 class CameraHost(Protocol):
@@ -48,6 +46,13 @@ class CameraHost(Protocol):
         """Stop the camera and let go of it."""
 
 
+CAMERAS: Mapping[tuple[int, int], Callable[[UsbHost], CameraHost]] = {
+    (DAVIS_VENDOR, DAVIS_PRODUCT): DavisHost,
+    (EVK4_VENDOR, EVK4_PRODUCT): Evk4Host,
+}
+"""Drivers by (vendor, product)."""
+
+
 def driver_of(host: UsbHost) -> CameraHost:
     """Return the driver of a device; raises UnsuitableDevice, having closed it, where there is none."""
     identity = host.identity
@@ -55,5 +60,5 @@ def driver_of(host: UsbHost) -> CameraHost:
     if driver is None:
         host.close()
         known = " or ".join(f"{vendor:04x}:{product:04x}" for vendor, product in CAMERAS)
-        raise UnsuitableDevice(f"{identity.vendor_id:04x}:{identity.product_id:04x} is no camera that is known ({known})")
+        raise UnsuitableDevice(f"{identity.vendor_id:04x}:{identity.product_id:04x} is not a known camera ({known})")
     return driver(host)

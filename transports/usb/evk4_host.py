@@ -150,7 +150,7 @@ class Evk4Host:
             raise UnsuitableDevice(f"{identity.vendor_id:04x}:{identity.product_id:04x} is not an EVK4 (04b4:00f5)")
         release = int.from_bytes(self.ask(Property.RELEASE), "little")
         if release < _OLDEST_RELEASE:
-            raise UnsuitableDevice(f"the camera has release {release:06x}; at least 030800 is needed: update the camera")
+            raise UnsuitableDevice(f"the camera has release {release:06x}; at least 030800 is needed: update it")
         chip = self.read_register(Address.CHIP)
         if chip != _CHIP:
             raise UnsuitableDevice(f"the camera has chip {chip:08x}, not an IMX636 ({_CHIP:08x})")

@@ -1,4 +1,4 @@
-"""A reader of a camera on USB that counts, digests and records what arrives, until told to stop or the camera is gone."""
+"""A reader of a camera on USB that counts, digests and records what arrives, until it is told to stop or unplugged."""
 
 from __future__ import annotations
 

@@ -24,10 +24,10 @@ class Life(stateful.RuleBasedStateMachine):
         self.open = []
         self.t_us = 0
 
-    @stateful.rule()
     def start(self):
         self.host.write((0x7004, 1 << 10), *START)
-        self.decoder, self.said, self.heard = Evt3Decoder(), [], []
+        self.decoder = Evt3Decoder()
+        self.said, self.heard = ([], []), ([], [])
 
     @stateful.rule(entry=st.sampled_from([*STOP, (0x40_0004, 1), (0x9008, 0x645), (0x9028, 0), (0x0004, 0xF000_5442)]))
     def interrupt(self, entry):
@@ -64,17 +64,26 @@ class Life(stateful.RuleBasedStateMachine):
                 return
             assert 0 < len(transfer.data) <= max_bytes
             (self.camera.sent if good else self.camera.lost)(transfer)
-            events, edges = self.decoder.decode(transfer.data)
-            for said, heard in ((transfer.events, events), (transfer.edges, edges)):
-                own = said.copy()
-                own["t"] -= np.uint64(transfer.epoch_us)
-                self.said += own.tolist()
-                self.heard += heard.tolist()
-            self._compare()
+            self.hear(transfer)
+            for k in range(2):
+                assert self.heard[k][: len(self.said[k])] == self.said[k]
 
-    def _compare(self):
-        """What transfers say that they complete is what was heard; a transfer that was cut says so with its end."""
-        assert sorted(self.said) == sorted(self.heard)[: len(self.said)] or len(self.said) < len(self.heard)
+    def hear(self, transfer):
+        """Take note of what a transfer says, and of what its words say."""
+        heard = self.decoder.decode(transfer.data)
+        for k, said in enumerate((transfer.events, transfer.edges)):
+            own = said.copy()
+            own["t"] -= np.uint64(transfer.epoch_us)
+            self.said[k].extend(own.tolist())
+            self.heard[k].extend(heard[k].tolist())
+
+    @stateful.rule()
+    def read_all(self):
+        """When nothing is left, what transfers say that they complete is what was heard."""
+        while (transfer := self.camera.read(DATA, 4096)) is not None:
+            self.camera.sent(transfer)
+            self.hear(transfer)
+        assert self.said == self.heard
 
     @stateful.rule()
     def unplug(self):

@@ -26,7 +26,7 @@ def host():
         ("7a000000 00000000", "7a000000 08000000 00f15365 00000000"),
         ("00000100 00000000", "00000100 04000000 01000000"),
         ("01000100 04000000 00000000", "01000100 24000000 00000000" + b"CCam5 Imx636 Event-Based Camera\0".hex()),
-        ("03000100 04000000 00000000", "03000100 28000000 00000000" + b"psee,ccam5_imx636\0psee,ccam5_gen42\0".hex()),
+        ("03000100 04000000 00000000", "03000100 27000000 00000000" + b"psee,ccam5_imx636\0psee,ccam5_gen42\0".hex()),
         ("02010100 0c000000 00000000 10100000 01000000", "02010100 0c000000 00000000 10100000 6600a111"),
         ("02010140 0c000000 00000000 04000000 425400f0", "02010140 08000000 00000000 04000000"),
         ("02010100 0c000000 00000000 14000000 01000000", "02010100 0c000000 00000000 14000000 061840a0"),
@@ -91,7 +91,11 @@ def test_a_host_that_does_not_read_is_stalled(host):
 def test_the_kind_of_board_is_told_on_endpoint_0(host):
     assert host.camera.control(SetupPacket(0xC0, 0x72, 0, 0, 2), b"") == b"\x31\x00"
     assert host.camera.control(SetupPacket(0xC0, 0x72, 0, 0, 1), b"") == b"\x31"
-    for refused in (SetupPacket(0xC0, 0x73, 0, 0, 2), SetupPacket(0x40, 0x72, 0, 0, 0), SetupPacket(0xC1, 0x72, 0, 0, 2)):
+    for refused in (
+        SetupPacket(0xC0, 0x73, 0, 0, 2),
+        SetupPacket(0x40, 0x72, 0, 0, 0),
+        SetupPacket(0xC1, 0x72, 0, 0, 2),
+    ):
         with pytest.raises(Stall):
             host.camera.control(refused, b"")
 
@@ -119,9 +123,9 @@ _WORDS = st.one_of(
     st.integers(0, 2**32 - 1),
 )
 _FRAMES = st.builds(
-    lambda name, words, tail, lie: struct.pack("<II", name, 4 * len(words) + len(tail) + lie)
-    + struct.pack(f"<{len(words)}I", *words)
-    + tail,
+    lambda name, words, tail, lie: (
+        struct.pack("<II", name, 4 * len(words) + len(tail) + lie) + struct.pack(f"<{len(words)}I", *words) + tail
+    ),
     _NAMES,
     st.lists(_WORDS, max_size=8),
     st.binary(max_size=3),

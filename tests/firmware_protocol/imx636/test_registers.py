@@ -65,7 +65,10 @@ def test_where_no_register_lies_there_is_an_error(address):
         registers.write(address, 1)
 
 
-@given(st.integers(0, 0x3FFF).filter(lambda k: 4 * k not in {0x10, 0x14, 0x20, 0x34, 0x50, 0x7000}), st.integers(0, 2**32 - 1))
+@given(
+    st.integers(0, 0x3FFF).filter(lambda k: 4 * k not in {0x10, 0x14, 0x20, 0x34, 0x50, 0x7000}),
+    st.integers(0, 2**32 - 1),
+)
 def test_all_others_remember(place, value):
     registers = Registers()
     registers.write(4 * place, value)

@@ -79,7 +79,9 @@ def test_masks_hold_when_they_are_taken_over_and_on(sensor):
 
 
 def test_single_pixels_are_masked_at_once(sensor):
-    sensor.write((0x9100, 1 << 31 | 300 << 16 | 640), (0x9100 + 4 * 63, 1 << 31 | 719 << 16 | 1279), (0x9104, 7 << 16 | 7))
+    sensor.write(
+        (0x9100, 1 << 31 | 300 << 16 | 640), (0x9100 + 4 * 63, 1 << 31 | 719 << 16 | 1279), (0x9104, 7 << 16 | 7)
+    )
     assert np.argwhere(~sensor.passing()).tolist() == [[300, 640], [719, 1279]]
     sensor.write((0x9100, 0))
     assert np.argwhere(~sensor.passing()).tolist() == [[719, 1279]]
