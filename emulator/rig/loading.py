@@ -206,7 +206,7 @@ def _camera(table: object) -> Camera:
         try:
             usb.device(camera, UsbSettings(camera.start_delay_ms))
         except ValueError as error:
-            raise TableError(str(error), path) from error
+            raise TableError(str(error), (*path, "serial")) from error
     return camera
 
 

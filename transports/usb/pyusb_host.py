@@ -29,8 +29,8 @@ from transports.usb.host import (
 
 __all__ = ["UDEV_RULE", "PyusbHost", "PyusbReader"]
 
-UDEV_RULE = 'SUBSYSTEM=="usb", ATTR{idVendor}=="152a", MODE="0666"'
-"""Lets every user open the cameras of this vendor."""
+UDEV_RULE = 'SUBSYSTEM=="usb", ATTR{idVendor}=="152a|04b4", MODE="0666"'
+"""Lets every user open the devices of these vendors: the DAVIS346's, and that of the EVK4's USB chip."""
 
 _LIBUSB_MISSING = "libusb 1.0 is missing: apt-get install libusb-1.0-0"
 _DENIED = (
