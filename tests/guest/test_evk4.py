@@ -15,7 +15,7 @@ import pytest
 
 from tests.guest.attachment import EVK4, Attachment
 from tests.guest.comparison import assert_same
-from tests.guest.environments import Driver
+from tests.guest.environments import EVENTCV, Driver
 from tests.guest.gige_run import looped_1280x720
 from tests.guest.machine import Guest
 from tests.guest.running_rig import RunningRig
@@ -103,4 +103,20 @@ def test_masks_and_the_rate_control_hide_what_the_driver_names(
     x, row = MASKED_PIXEL
     assert not np.any((seen.events["x"] == x) & (seen.events["y"] == 719 - row))
     assert np.bincount(seen.events["t"].astype(np.int64) // 200).max() == LIMIT
+    assert rig.summary["balanced"], rig.summary
+
+
+@pytest.mark.parametrize("roi", [(), ("--roi",)], ids=["whole", "region"])
+def test_a_library_with_an_older_driver_inside_sees_every_event(
+    guest: Guest, eventcv_python: Path, tmp_path: Path, roi: tuple[str, ...]
+) -> None:
+    looped(tmp_path)
+    with RunningRig(tmp_path, text=RIG) as rig, Attachment(guest, rig.port, model=EVK4):
+        seen = Streaming(guest, EVENTCV, eventcv_python, FEWER_EVENTS, *roi, timeout_s=TIMEOUT_S).wait()
+    assert seen.about["discovered"] == [["prophesee_evk4", "0BADCAFE"]]
+    delivered = rig.delivered
+    assert_same(seen.events, delivered.events[delivered.resets[-1] :], offset_us=0)
+    x, y = seen.events["x"], seen.events["y"]
+    bounds = (x.min(), x.max(), y.min(), y.max())
+    assert bounds == ((200, 999, 100, 599) if roi else (0, 1279, 0, 719))
     assert rig.summary["balanced"], rig.summary
