@@ -27,8 +27,8 @@ class Camera:
     speed
         USB speed: "super" or "high".
     layout
-        How the chip of a DAVIS346 lies: "upright", or "turned" as in the hardware, where the words called rows carry x. Drivers turn
-        it back by themselves.
+        How the chip of a DAVIS346 lies: "upright", or "turned" as in the hardware, where the words called rows carry x.
+        Drivers turn it back by themselves.
     fifo_bytes
         Size of the camera's output buffer; what finds no room in it is dropped and counted. 256 KiB, as in an FX3.
     start_delay_ms

@@ -114,7 +114,7 @@ class UsbDevice(ABC):
     """One USB device without its cable.
 
     Order of calls: `attached` when a host takes the device, then any number of `control`, `read` and `write`, then
-    `detached`. After `read` gave a Transfer, exactly one of `sent` and `lost` follows for it, in the order of the reads.
+    `detached`. For each Transfer that `read` gave follows exactly one of `sent` and `lost`, in the order of the reads.
     """
 
     @property

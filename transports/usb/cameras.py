@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Mapping
 from typing import Protocol
 
@@ -10,9 +11,10 @@ from firmware_protocol.edges import Edges
 from firmware_protocol.events import Events
 from transports.usb.davis_host import DAVIS_PRODUCT, DAVIS_VENDOR, DavisHost, DavisInfo, StreamSettings
 from transports.usb.evk4_host import EVK4_PRODUCT, EVK4_VENDOR, Evk4Host, Evk4Info
-from transports.usb.host import UnsuitableDevice, UsbHost
+from transports.usb.host import DeviceAbsent, UnsuitableDevice, UsbHost
+from transports.usb.pyusb_host import PyusbHost
 
-__all__ = ["CAMERAS", "CameraHost", "driver_of"]
+__all__ = ["CAMERAS", "CameraHost", "driver_of", "first_on_the_bus"]
 
 
 class CameraHost(Protocol):
@@ -62,3 +64,12 @@ def driver_of(host: UsbHost) -> CameraHost:
         known = " or ".join(f"{vendor:04x}:{product:04x}" for vendor, product in CAMERAS)
         raise UnsuitableDevice(f"{identity.vendor_id:04x}:{identity.product_id:04x} is not a known camera ({known})")
     return driver(host)
+
+
+def first_on_the_bus() -> UsbHost:
+    """Return this machine's first known camera; raises what `PyusbHost.find` raises."""
+    *others, last = CAMERAS
+    for vendor, product in others:
+        with contextlib.suppress(DeviceAbsent):
+            return PyusbHost.find(vendor, product)
+    return PyusbHost.find(*last)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 from typing import Annotated
 
@@ -11,9 +10,8 @@ from cyclopts import Parameter
 from emulator.cli.listen.limits import Limits, told, until
 from emulator.cli.output import LACKING, WRONG_USE, Failure, console, print_json, status
 from transports.link.pacing import MonotonicClock
-from transports.usb.cameras import CAMERAS, CameraHost, driver_of
-from transports.usb.host import DeviceAbsent, UsbHost, UsbHostError
-from transports.usb.pyusb_host import PyusbHost
+from transports.usb.cameras import CameraHost, driver_of, first_on_the_bus
+from transports.usb.host import UsbHost, UsbHostError
 from transports.usb.receiver import Reception, receive
 from transports.usb.usbip.client import UsbipHost
 
@@ -64,20 +62,11 @@ def listen(
 
 def _host(usbip: str | None, busid: str) -> UsbHost:
     if usbip is None:
-        return _first_on_the_bus()
+        return first_on_the_bus()
     host, _, port = usbip.rpartition(":")
     if not host or not port.isdigit():
         raise Failure(f"--usbip must be HOST:PORT such as 127.0.0.1:3240, got {usbip!r}", WRONG_USE)
     return UsbipHost.attach(host, int(port), busid, timeout_s=5.0)
-
-
-def _first_on_the_bus() -> UsbHost:
-    """Return this machine's first camera that is known; raises DeviceAbsent."""
-    *others, last = CAMERAS
-    for vendor, product in others:
-        with contextlib.suppress(DeviceAbsent):
-            return PyusbHost.find(vendor, product)
-    return PyusbHost.find(*last)
 
 
 def _receive(camera: CameraHost, limits: Limits) -> tuple[Reception, str]:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import sys
+from importlib import import_module
 from importlib.metadata import version
 
-import eventcv
 from collecting import Collector, arguments, parser
 
 ROI = (200, 100, 800, 500)  # first column, first row, width, height
@@ -17,7 +16,7 @@ def main() -> None:
     asked.add_argument("--roi", action="store_true", help="keep a rectangle alone")
     options = arguments(asked)
     collector = Collector(options)
-    loading = sys.modules["eventcv.load"]
+    loading = import_module("eventcv.load")  # `eventcv.load` is a function
     discovered = [(camera["kind"], camera["serial"]) for camera in loading.list_cameras()]
     with loading.stream(max_events=WINDOW_EVENTS, roi=ROI if options.roi else None) as camera:
         seen = {"serial": camera.serial, "name": camera.name, "overflows": camera.n_overflows, "roi": str(camera.roi)}

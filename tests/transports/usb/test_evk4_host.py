@@ -10,11 +10,15 @@ from firmware_protocol.events import EVENT
 from firmware_protocol.evk4 import Evk4, Evk4Settings
 from firmware_protocol.evk4.treuzell import Frame, Property
 from firmware_protocol.usb.device import Identity, Speed
-from transports.usb.cameras import driver_of
+from transports.faults.script import FaultPlan
+from transports.faults.usb import FaultyDevice
+from transports.faults.usb_kinds import UsbSilence
+from transports.usb.cameras import driver_of, first_on_the_bus
 from transports.usb.davis_host import StreamSettings
 from transports.usb.evk4_host import Evk4Host
-from transports.usb.host import PeerBroken, StallError, TransferTimeout, UnsuitableDevice
+from transports.usb.host import DeviceAbsent, PeerBroken, StallError, TransferTimeout, UnsuitableDevice
 from transports.usb.loopback import DirectHost
+from transports.usb.pyusb_host import PyusbHost
 from transports.usb.usbip.client import UsbipHost
 
 SETTINGS = Evk4Settings(serial="c0ffee", start_delay_us=0)
@@ -84,6 +88,45 @@ def test_every_event_arrives_over_usbip(camera, served_camera):
     host.close()
     assert np.array_equal(np.concatenate(parts), events)
     assert camera.counters.delivered == len(events)
+
+
+@pytest.mark.socket
+def test_every_event_arrives_through_faults_and_pyusb(camera, usb_bus):
+    device = FaultyDevice(camera, FaultPlan("usb"))
+    bus = usb_bus(device, SETTINGS.descriptors())
+    host = driver_of(PyusbHost.find(0x04B4, 0x00F5, backend=bus))
+    device.inject(UsbSilence(for_s=0.5, endpoint=1))
+    host.start()
+    events = random_events(5000)
+    bus.call(camera.offer, events)
+    assert host.read(0.0) is None
+    bus.call(device.advance, 500_000)
+    parts, count = [], 0
+    while count < len(events):
+        parts.append(host.read(30.0))
+        count += len(parts[-1])
+    host.close()
+    assert np.array_equal(np.concatenate(parts), events)
+
+
+def test_an_endpoint_that_is_none_stalls_on_the_bus(camera, usb_bus):
+    host = PyusbHost.find(0x04B4, 0x00F5, backend=usb_bus(camera, SETTINGS.descriptors()))
+    host.configure()
+    for _ in range(64):
+        host.bulk_out(2, bytes(8))
+    with pytest.raises(StallError):
+        host.bulk_out(2, bytes(8))
+    host.close()
+
+
+def test_the_bus_is_searched_for_each_camera(monkeypatch):
+    def find(vendor, product):
+        if vendor == 0x152A:
+            raise DeviceAbsent("none here")
+        return vendor, product
+
+    monkeypatch.setattr(PyusbHost, "find", find)
+    assert first_on_the_bus() == (0x04B4, 0x00F5)
 
 
 @pytest.mark.socket
