@@ -18,7 +18,8 @@
     00400000        bit 0 of 400004: reset
 
 Others only remember. Addresses from 0 to FFFC and from 400000 to 400FFC exist. Format 1 (EVT2.1) is not there: the bit
-reads back as 0. Rows count from the top, as in EVT3; neuromorphic_drivers counts them from the bottom.
+reads back as 0. Rows count from the top, as in EVT3 and OpenEB; neuromorphic_drivers counts those of masks from the
+bottom.
 
 Sources: register map and drivers of OpenEB 5.1.1; what neuromorphic_drivers writes and reads. Factory values of the
 biases are those that neuromorphic_drivers names. What values other registers have at power-on is not public: 0 here.

@@ -7,12 +7,14 @@ Short by default; at length:
 
 from __future__ import annotations
 
+import json
 import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from firmware_protocol.events import EVENT
 from tests.guest.attachment import EVK4, Attachment
 from tests.guest.comparison import assert_same
 from tests.guest.environments import EVENTCV, Driver
@@ -25,6 +27,7 @@ EVENTS = round(float(os.environ.get("EVSTIM_EVK4_EVENTS", "3e5")))
 GAP_US = 4  # 0.25 million events a second, which a processor that QEMU translates can take
 TIMEOUT_S = 240.0 + 3.0 * EVENTS * GAP_US * 1e-6
 FEWER_EVENTS = 100_000
+OPENEB = os.environ.get("EVSTIM_OPENEB_CLIENT", "")
 LIMIT = 40  # events in 200 us, of 50 on average
 MASKED_COLUMNS, MASKED_ROWS, MASKED_PIXEL = (100, 200), (40, 60), (640, 300)  # as clients/nd_evk4.py has them
 
@@ -119,4 +122,24 @@ def test_a_library_with_an_older_driver_inside_sees_every_event(
     x, y = seen.events["x"], seen.events["y"]
     bounds = (x.min(), x.max(), y.min(), y.max())
     assert bounds == ((200, 999, 100, 599) if roi else (0, 1279, 0, 719))
+    assert rig.summary["balanced"], rig.summary
+
+
+@pytest.mark.skipif(not OPENEB, reason="EVSTIM_OPENEB_CLIENT names no program; tests/guest/openeb/Makefile builds it")
+def test_openeb_sees_every_event_of_its_window(guest: Guest, tmp_path: Path) -> None:
+    """Its own discovery, device, biases, window, monitoring, stream and decoder, as its Prophesee plugin has them."""
+    looped(tmp_path)
+    out = "openeb.bin"
+    with RunningRig(tmp_path, text=RIG) as rig, Attachment(guest, rig.port, model=EVK4):
+        command = [OPENEB, str(FEWER_EVENTS), str(TIMEOUT_S), guest.path_in_guest(out)]
+        about = json.loads(guest.check(command, 2 * TIMEOUT_S).splitlines()[-1])
+    assert about["serial"] == "0badcafe"
+    assert about["bias_diff_on"] == 25
+    assert abs(about["celsius"] - 20) <= 1
+    assert (about["lux"], about["dead_time_us"]) == (100, 100)
+    seen = np.fromfile(guest.results / out, EVENT)
+    assert len(seen) >= FEWER_EVENTS
+    delivered = rig.delivered.events[rig.delivered.resets[-1] :]
+    assert_same(seen, delivered, offset_us=int(seen["t"][0]) - int(delivered["t"][0]))
+    assert (seen["x"].min(), seen["x"].max(), seen["y"].min(), seen["y"].max()) == (200, 999, 100, 599)
     assert rig.summary["balanced"], rig.summary
