@@ -131,15 +131,16 @@ def test_openeb_sees_every_event_of_its_window(guest: Guest, tmp_path: Path) -> 
     looped(tmp_path)
     out = "openeb.bin"
     with RunningRig(tmp_path, text=RIG) as rig, Attachment(guest, rig.port, model=EVK4):
-        command = [OPENEB, str(FEWER_EVENTS), str(TIMEOUT_S), guest.path_in_guest(out)]
+        command = [OPENEB, str(EVENTS), str(TIMEOUT_S), guest.path_in_guest(out)]
         about = json.loads(guest.check(command, 2 * TIMEOUT_S).splitlines()[-1])
     assert about["serial"] == "0badcafe"
     assert about["bias_diff_on"] == 25
     assert abs(about["celsius"] - 20) <= 1
-    assert (about["lux"], about["dead_time_us"]) == (100, 100)
+    assert abs(about["lux"] - 100) <= 1  # the driver cuts fractions off
+    assert about["dead_time_us"] == 100
     seen = np.fromfile(guest.results / out, EVENT)
-    assert len(seen) >= FEWER_EVENTS
-    delivered = rig.delivered.events[rig.delivered.resets[-1] :]
-    assert_same(seen, delivered, offset_us=int(seen["t"][0]) - int(delivered["t"][0]))
+    assert len(seen) >= EVENTS
+    delivered = rig.delivered
+    assert_same(seen, delivered.events[delivered.resets[-1] :], offset_us=0)
     assert (seen["x"].min(), seen["x"].max(), seen["y"].min(), seen["y"].max()) == (200, 999, 100, 599)
     assert rig.summary["balanced"], rig.summary
