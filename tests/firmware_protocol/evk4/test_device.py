@@ -144,6 +144,17 @@ def test_an_edge_that_comes_late_gets_the_time_told_last():
     assert host.words() == [0xA001]
 
 
+def test_an_edge_that_overtakes_another_gets_its_time():
+    camera, host = running()
+    host.write((0x7004, 1 << 10))
+    for t_us in (100, 90):
+        edges = np.zeros(1, EDGE)
+        edges["t"], edges["kind"] = t_us, EdgeKind.RISING
+        camera.offer_edges(edges)
+    camera.advance(200)
+    assert host.words() == [0x8000, 0x6064, 0xA001, 0xA001]
+
+
 def test_a_transfer_that_is_lost_is_counted():
     camera, _ = running()
     camera.offer(events_of((10, 1, 1, True)))
