@@ -144,6 +144,30 @@ def test_an_edge_that_comes_late_gets_the_time_told_last():
     assert host.words() == [0xA001]
 
 
+def test_an_edge_amid_many_events_comes_at_its_time_in_small_transfers():
+    told = []
+    for max_bytes in (64, 131_072):
+        camera, host = running()
+        host.write((0x7004, 1 << 10))
+        edges = np.zeros(1, EDGE)
+        edges["t"], edges["kind"] = 95, EdgeKind.RISING
+        camera.offer_edges(edges)
+        camera.offer(events_of(*((t_us, t_us, 1, True) for t_us in range(100))))
+        told.append(host.words(max_bytes))
+    assert told[0] == told[1]
+    assert told[0][-11:-9] == [0x605F, 0xA001]
+
+
+def test_an_event_after_two_days_of_nothing_has_its_time():
+    camera, host = running()
+    t_us = 2 * 86_400_000_000 + 5
+    camera.offer(events_of((t_us, 1, 1, True)))
+    words = host.words()
+    assert words[-3:] == [0x6000 | t_us & 0xFFF, 0x0001, 0x2801]
+    highs = np.array([word & 0xFFF for word in words if word >> 12 == 8])
+    assert int((np.diff(highs) % 4096).sum()) == t_us >> 12
+
+
 def test_an_edge_that_overtakes_another_gets_its_time():
     camera, host = running()
     host.write((0x7004, 1 << 10))
