@@ -10,6 +10,8 @@ from emulator.optics.lens import CHIPS, Chip
 from emulator.rig.tables import Camera
 from emulator.sensor.presets import PRESETS, SensorParameters
 from firmware_protocol.davis346 import Davis346, Davis346Settings, Layout
+from firmware_protocol.evk4 import Evk4, Evk4Settings
+from firmware_protocol.imx636.registers import Surroundings
 from firmware_protocol.usb.device import Speed, UsbCamera
 
 __all__ = ["CAMERA_MODELS", "CameraModel", "UsbModel", "UsbSettings", "gige_models", "usb_sizes"]
@@ -32,11 +34,15 @@ class UsbModel:
     size
         (width, height) of the real camera, pixels.
     device
-        Returns what makes the device inside a link's process, which can be pickled.
+        Returns what makes the device inside a link's process, which can be pickled; raises ValueError for a camera
+        that it cannot be.
+    has_evt
+        Whether it sends EVT3 words: a run compiles their kernels before it begins.
     """
 
     size: tuple[int, int]
     device: Callable[[Camera, UsbSettings], Callable[[], UsbCamera]]
+    has_evt: bool = False
 
 
 @dataclass(frozen=True)
@@ -68,10 +74,23 @@ def _davis346(camera: Camera, usb: UsbSettings) -> Callable[[], UsbCamera]:
     return partial(Davis346, settings)
 
 
+def _evk4(camera: Camera, usb: UsbSettings) -> Callable[[], UsbCamera]:
+    sensor = camera.sensor
+    settings = Evk4Settings(
+        serial=camera.serial,
+        speed=Speed[camera.speed.upper()],
+        fifo_bytes=camera.fifo_bytes,
+        start_delay_us=round(usb.start_delay_ms * 1000),
+        surroundings=Surroundings(celsius=sensor.temperature.celsius, dead_time_us=sensor.refractory_us),
+    )
+    return partial(Evk4, settings)
+
+
 CAMERA_MODELS: Mapping[str, CameraModel] = {
     "davis346": CameraModel(PRESETS["davis346"], CHIPS["davis346"], UsbModel((346, 260), _davis346)),
     "dvxplorer_micro": CameraModel(PRESETS["dvxplorer_micro"], CHIPS["dvxplorer_micro"]),
     "imx636": CameraModel(PRESETS["imx636"], CHIPS["imx636"]),
+    "evk4": CameraModel(PRESETS["imx636"], CHIPS["imx636"], UsbModel((1280, 720), _evk4, has_evt=True)),
     "triton2": CameraModel(PRESETS["imx636"], CHIPS["imx636"], gige=True),
     "ideal": CameraModel(PRESETS["ideal"], CHIPS["davis346"], UsbModel((346, 260), _davis346)),
 }

@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from emulator.rig.aliases import with_new_spellings
-from emulator.rig.camera_models import CAMERA_MODELS, gige_models, usb_sizes
+from emulator.rig.camera_models import CAMERA_MODELS, UsbSettings, gige_models, usb_sizes
 from emulator.rig.fault_tables import convert_fault
 from emulator.rig.link_kinds import LINKS
 from emulator.rig.scene_kinds import SCENES
@@ -200,7 +200,14 @@ def _camera(table: object) -> Camera:
         raise TableError(unknown(str(model), list(CAMERA_MODELS)), (*path, "model"))
     own = {k: v for k, v in table.items() if k != "sensor"}
     camera = convert(own, Camera, path)
-    return dataclasses.replace(camera, sensor=_sensor(table.get("sensor", {}), CAMERA_MODELS[model].sensor))
+    camera = dataclasses.replace(camera, sensor=_sensor(table.get("sensor", {}), CAMERA_MODELS[model].sensor))
+    usb = CAMERA_MODELS[model].usb
+    if usb is not None:
+        try:
+            usb.device(camera, UsbSettings(camera.start_delay_ms))
+        except ValueError as error:
+            raise TableError(str(error), (*path, "serial")) from error
+    return camera
 
 
 def _sensor(table: object, preset: SensorParameters) -> SensorParameters:

@@ -21,14 +21,14 @@ class Camera:
     Attributes
     ----------
     model
-        Name of a preset: the sensor's size, its pixels and its read-out.
+        Name of a camera: the sensor's size, its pixels and its read-out; and its plug.
     serial
-        Serial number that the host reads, up to 8 characters.
+        Serial number that the host reads, up to 8 characters; of an "evk4", hexadecimal digits.
     speed
         USB speed: "super" or "high".
     layout
-        How the chip lies: "upright", or "turned" as in the hardware, where the words called rows carry x. Drivers turn
-        it back by themselves.
+        How the chip of a DAVIS346 lies: "upright", or "turned" as in the hardware, where the words called rows carry x.
+        Drivers turn it back by themselves.
     fifo_bytes
         Size of the camera's output buffer; what finds no room in it is dropped and counted. 256 KiB, as in an FX3.
     start_delay_ms

@@ -16,10 +16,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from emulator.rig.camera_models import CAMERA_MODELS
 from emulator.rig.link_kinds import LINKS
 from emulator.rig.loading import Rig
 from emulator.rig.scene_kinds import SCENES
 from emulator.sensor.presets import PRESETS, SensorParameters
+from transports.link.kind import LinkParameters
 
 __all__ = ["CODER", "DECODER", "EVT", "TRUTH", "Part", "parts_of"]
 
@@ -67,9 +69,16 @@ def parts_of(rig: Rig) -> list[Part]:
         parts += [*PIXELS.after, PIXELS, _effects(sensor)]
     if any(LINKS[link.kind].serves == "instrument" for link in rig.links):
         parts.append(CODER)
-    if any(LINKS[link.kind].has_evt(link) for link in rig.links):
+    if any(_has_evt(rig, link) for link in rig.links):
         parts.append(EVT)
     return parts
+
+
+def _has_evt(rig: Rig, link: LinkParameters) -> bool:
+    """Whether a link, or the USB device behind it, sends EVT3 or EVT2 words."""
+    kind = LINKS[link.kind]
+    usb = CAMERA_MODELS[kind.usb_model or rig.camera.model].usb if kind.serves == "usb" else None
+    return kind.has_evt(link) or (usb is not None and usb.has_evt)
 
 
 def _effects(sensor: SensorParameters) -> Part:

@@ -24,7 +24,8 @@ _RMEM_MAX = Path("/proc/sys/net/core/rmem_max")
 _UDP_BUFFER = 1 << 24
 _SBIN = "/usr/sbin:/sbin"
 _UDEV_FIX = (
-    """echo 'SUBSYSTEM=="usb", ATTR{idVendor}=="152a", MODE="0666"' | sudo tee /etc/udev/rules.d/65-inivation.rules """
+    """echo 'SUBSYSTEM=="usb", ATTR{idVendor}=="152a|04b4", MODE="0666"' """
+    "| sudo tee /etc/udev/rules.d/65-event-camera.rules "
     "&& sudo udevadm control --reload && sudo udevadm trigger"
 )
 

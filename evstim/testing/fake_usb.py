@@ -77,25 +77,31 @@ class FakeUsbBus(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has no ty
 
     def get_configuration_descriptor(self, dev: object, config: int) -> SimpleNamespace:
         """See `usb.backend.IBackend`."""
+        c = self._descriptors.configuration
         return SimpleNamespace(
-            bLength=9, bDescriptorType=2, wTotalLength=44, bNumInterfaces=1, bConfigurationValue=1,
-            iConfiguration=0, bmAttributes=0x80, bMaxPower=50, extra_descriptors=[],
+            bLength=9, bDescriptorType=2, wTotalLength=len(bytes(c)), bNumInterfaces=len(c.interfaces),
+            bConfigurationValue=c.value, iConfiguration=c.string, bmAttributes=c.attributes, bMaxPower=50,
+            extra_descriptors=[],
         )  # fmt: skip
 
     def get_interface_descriptor(self, dev: object, intf: int, alt: int, config: int) -> SimpleNamespace:
         """See `usb.backend.IBackend`."""
-        if intf or alt:
+        if alt:
             raise IndexError
+        i = self._descriptors.configuration.interfaces[intf]
+        kind, subclass, protocol = i.interface_class
         return SimpleNamespace(
-            bLength=9, bDescriptorType=4, bInterfaceNumber=0, bAlternateSetting=0, bNumEndpoints=1,
-            bInterfaceClass=255, bInterfaceSubClass=0, bInterfaceProtocol=0, iInterface=0, extra_descriptors=[],
+            bLength=9, bDescriptorType=4, bInterfaceNumber=i.number, bAlternateSetting=0,
+            bNumEndpoints=len(i.endpoints), bInterfaceClass=kind, bInterfaceSubClass=subclass,
+            bInterfaceProtocol=protocol, iInterface=i.string, extra_descriptors=[],
         )  # fmt: skip
 
     def get_endpoint_descriptor(self, dev: object, ep: int, intf: int, alt: int, config: int) -> SimpleNamespace:
         """See `usb.backend.IBackend`."""
+        e = self._descriptors.configuration.interfaces[intf].endpoints[ep]
         return SimpleNamespace(
-            bLength=7, bDescriptorType=5, bEndpointAddress=0x82, bmAttributes=2, wMaxPacketSize=1024, bInterval=0,
-            bRefresh=0, bSynchAddress=0, extra_descriptors=[],
+            bLength=7, bDescriptorType=5, bEndpointAddress=e.address, bmAttributes=int(e.transfer_type),
+            wMaxPacketSize=e.max_packet, bInterval=e.interval, bRefresh=0, bSynchAddress=0, extra_descriptors=[],
         )  # fmt: skip
 
     def open_device(self, dev: object) -> str:
@@ -146,6 +152,17 @@ class FakeUsbBus(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has no ty
             buff[: len(transfer.data)] = array.array("B", transfer.data)
             self.device.sent(transfer)
         return len(transfer.data)
+
+    def bulk_write(self, dev_handle: object, ep: int, intf: int, data: Any, timeout: float) -> int:
+        """See `usb.backend.IBackend`."""
+        with self.changed:
+            self._check()
+            try:
+                self.device.write(ep, data.tobytes())
+            except Stall as stall:
+                raise usb.core.USBError("stall", None, errno.EPIPE) from stall
+            self.changed.notify_all()
+        return len(data)
 
     def _wait_for_data(self, endpoint: int, most_bytes: int, timeout_s: float) -> Transfer:
         found: list[Transfer] = []

@@ -113,8 +113,8 @@ class Transfer:
 class UsbDevice(ABC):
     """One USB device without its cable.
 
-    Order of calls: `attached` when a host takes the device, then any number of `control` and `read`, then `detached`.
-    After `read` gave a Transfer, exactly one of `sent` and `lost` follows for it, in the order of the reads.
+    Order of calls: `attached` when a host takes the device, then any number of `control`, `read` and `write`, then
+    `detached`. For each Transfer that `read` gave follows exactly one of `sent` and `lost`, in the order of the reads.
     """
 
     @property
@@ -157,6 +157,13 @@ class UsbDevice(ABC):
 
         Returns None while there is nothing to send. Raises Stall for an endpoint that does not exist or is halted.
         """
+
+    def write(self, endpoint: int, data: bytes) -> None:
+        """Take `data` that the host sends to an OUT endpoint (number 1..15).
+
+        Raises Stall for an endpoint that does not exist or is halted: most cameras have none.
+        """
+        raise Stall(f"there is no OUT endpoint {endpoint}")
 
     @abstractmethod
     def sent(self, transfer: Transfer) -> None:

@@ -10,15 +10,16 @@ from typing import Any
 
 from tests.guest.machine import HOST_ADDRESS, Guest
 
-__all__ = ["Attachment", "remote_cameras", "usb_bus"]
+__all__ = ["EVK4", "Attachment", "remote_cameras", "usb_bus"]
 
 BUS_PROGRAM = str(Path(__file__).parent / "clients" / "bus.py")
 DAVIS_FX3 = ("152a", "841a")
+EVK4 = ("04b4", "00f5")
 
 
-def usb_bus(guest: Guest, cameras: int, timeout_s: float = 120.0) -> dict[str, Any]:
-    """Wait until the guest's bus shows this many cameras and return what it shows; raises RuntimeError in vain."""
-    argv = [sys.executable, BUS_PROGRAM, *DAVIS_FX3, str(cameras), str(timeout_s)]
+def usb_bus(guest: Guest, cameras: int, timeout_s: float = 120.0, model: tuple[str, str] = DAVIS_FX3) -> dict[str, Any]:
+    """Wait until the guest's bus shows this many cameras of a model and return it; raises RuntimeError in vain."""
+    argv = [sys.executable, BUS_PROGRAM, *model, str(cameras), str(timeout_s)]
     seen: dict[str, Any] = json.loads(guest.check(argv, timeout_s + 10))
     return seen
 
@@ -31,14 +32,15 @@ def remote_cameras(guest: Guest, tcp_port: int) -> str:
 class Attachment:
     """A camera of the host on the guest's USB bus, from the moment that the kernel knows it until it is unplugged."""
 
-    def __init__(self, guest: Guest, tcp_port: int, busid: str = "1-1") -> None:
+    def __init__(self, guest: Guest, tcp_port: int, busid: str = "1-1", model: tuple[str, str] = DAVIS_FX3) -> None:
         self._guest = guest
+        self._model = model
         self._tool = ["usbip", "--tcp-port", str(tcp_port)]
         self._busid = busid
 
     def __enter__(self) -> Attachment:
         self._guest.check([*self._tool, "attach", "-r", HOST_ADDRESS, "-b", self._busid])
-        seen = usb_bus(self._guest, cameras=1)
+        seen = usb_bus(self._guest, cameras=1, model=self._model)
         self.device: dict[str, str] = seen["devices"][0]
         self._port: int = seen["ports"][0]
         return self
@@ -46,4 +48,4 @@ class Attachment:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         # After an unplugging there is nothing left to detach: the outcome shows on the bus.
         self._guest.run(["usbip", "detach", "-p", str(self._port)])
-        usb_bus(self._guest, cameras=0)
+        usb_bus(self._guest, cameras=0, model=self._model)

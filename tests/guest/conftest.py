@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.guest.environments import DRIVERS
+from tests.guest.environments import DRIVERS, EVENTCV
 from tests.guest.image import GuestUnavailable
 from tests.guest.machine import CACHE, Guest
 
@@ -38,6 +38,16 @@ def driver_pythons() -> dict[str, Path]:
     """The interpreter of each driver's own environment, the same path in the guest as on the host."""
     try:
         return {driver.name: driver.python(CACHE) for driver in DRIVERS}
+    except GuestUnavailable as reason:
+        cannot(reason)
+        raise
+
+
+@pytest.fixture(scope="session")
+def eventcv_python() -> Path:
+    """The interpreter of EventCV's own environment."""
+    try:
+        return EVENTCV.python(CACHE)
     except GuestUnavailable as reason:
         cannot(reason)
         raise

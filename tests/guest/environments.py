@@ -17,7 +17,7 @@ from pathlib import Path
 
 from tests.guest.image import GuestUnavailable
 
-__all__ = ["DRIVERS", "Driver"]
+__all__ = ["DRIVERS", "EVENTCV", "Driver"]
 
 CLIENTS = Path(__file__).with_name("clients")
 
@@ -97,3 +97,6 @@ DRIVERS = (
         abort_after_unplugging="callback called for a transfer marked as complete",
     ),
 )
+
+EVENTCV = Driver("ecv", ("eventcv==1.0.8", "numpy"), adds_host_time=False)
+"""A library of computer vision with neuromorphic_drivers 0.17 inside; it reads the EVK4 alone of our cameras."""

@@ -63,11 +63,15 @@ class RunningRig:
         How its chip lies, "upright" or "turned".
     more
         Further tables of the rig.
+    text
+        The rig, with {port}, {speed} and {layout} in it.
     """
 
-    def __init__(self, folder: Path, speed: str = "super", layout: str = "upright", more: str = "") -> None:
+    def __init__(
+        self, folder: Path, speed: str = "super", layout: str = "upright", more: str = "", text: str = CHECKERBOARD
+    ) -> None:
         self._camera = {"speed": speed, "layout": layout}
-        self._more = more
+        self._text = text + more
         self._record = folder / "delivered.npz"
         self._said = folder / "evstim.log"
         self._rig = folder / "guest.toml"
@@ -75,7 +79,7 @@ class RunningRig:
         self.summary: dict[str, Any] = {}
 
     def __enter__(self) -> RunningRig:
-        self._rig.write_text(CHECKERBOARD.format(port=self.port, **self._camera) + self._more)
+        self._rig.write_text(self._text.format(port=self.port, **self._camera))
         program = Path(sys.executable).with_name("evstim")
         command = [str(program), "run", str(self._rig), "--record", str(self._record), "--json", *RUN_LIMIT]
         with self._said.open("w") as said:

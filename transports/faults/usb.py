@@ -98,6 +98,10 @@ class FaultyDevice(UsbDevice):
             raise Stall(f"endpoint {endpoint} is halted, by a fault")
         return self._device.read(endpoint, max_bytes)
 
+    def write(self, endpoint: int, data: bytes) -> None:
+        """Pass on."""
+        self._device.write(endpoint, data)
+
     def sent(self, transfer: Transfer) -> None:
         """Pass on."""
         self._device.sent(transfer)

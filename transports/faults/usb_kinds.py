@@ -24,7 +24,7 @@ class UsbSilence(LastingFault):
     Attributes
     ----------
     endpoint
-        Number of the IN endpoint; 2 bears a DAVIS346's data.
+        Number of the IN endpoint; 2 bears a DAVIS346's data, 1 an EVK4's.
     """
 
     kind: ClassVar[str] = "usb_silence"

@@ -125,6 +125,8 @@ class DavisHost:
         Whatever the host raises.
     """
 
+    model = "DAVIS346"
+
     def __init__(self, host: UsbHost) -> None:
         self._host = host
         self._reader: BulkReader | None = None

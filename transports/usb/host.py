@@ -102,6 +102,12 @@ class UsbHost(Protocol):
     def control_out(self, setup: SetupPacket, data: bytes = b"") -> int:
         """Send `data`; gives the number of bytes the device took. Raises StallError, TransferTimeout, PeerGone."""
 
+    def bulk_out(self, endpoint: int, data: bytes) -> None:
+        """Send `data` to an OUT endpoint. Raises StallError, TransferTimeout, PeerGone."""
+
+    def bulk_in(self, endpoint: int, length: int) -> bytes:
+        """Take one transfer of at most `length` bytes from an IN endpoint that no `stream` reads. Raises the same."""
+
     def stream(self, endpoint: int, transfer_bytes: int = 131_072, transfers: int = 32) -> BulkReader:
         """Read an IN endpoint (number without the direction bit) with several transfers in flight."""
 

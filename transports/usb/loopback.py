@@ -19,7 +19,7 @@ from firmware_protocol.usb.device import Identity, SetupPacket, Stall, Transfer,
 from transports.link.deliveries import Deliveries
 from transports.link.endpoint import Endpoint, EndpointFactory, LinkBroken
 from transports.usb.davis_host import DavisHost, StreamSettings
-from transports.usb.host import StallError
+from transports.usb.host import StallError, TransferTimeout
 from transports.usb.observed import Observed
 
 __all__ = ["DirectHost", "DirectReader", "LoopbackEndpoint", "LoopbackFactory"]
@@ -83,6 +83,24 @@ class DirectHost:
             return self._device.control(setup, data)
         except Stall as stall:
             raise StallError(f"the device refused {setup}") from stall
+
+    def bulk_out(self, endpoint: int, data: bytes) -> None:
+        """Send data to the device; raises StallError."""
+        try:
+            self._device.write(endpoint, data)
+        except Stall as stall:
+            raise StallError(f"endpoint {endpoint}: the device refused {len(data)} bytes") from stall
+
+    def bulk_in(self, endpoint: int, length: int) -> bytes:
+        """Take what the device has now; raises StallError, and TransferTimeout where it has nothing."""
+        try:
+            transfer = self._device.read(endpoint, length)
+        except Stall as stall:
+            raise StallError(f"endpoint {endpoint}: the device refused to be read") from stall
+        if transfer is None:
+            raise TransferTimeout(f"endpoint {endpoint}: the device has nothing to say")
+        self._device.sent(transfer)
+        return transfer.data
 
     def stream(self, endpoint: int, transfer_bytes: int = 131_072, transfers: int = 32) -> DirectReader:
         """Read an IN endpoint; there is nothing to queue."""

@@ -36,6 +36,10 @@ class Observed(UsbDevice):
         """Pass on."""
         return self._device.read(endpoint, max_bytes)
 
+    def write(self, endpoint: int, data: bytes) -> None:
+        """Pass on."""
+        self._device.write(endpoint, data)
+
     def sent(self, transfer: Transfer) -> None:
         """Note what left, and pass on."""
         self._deliveries.add(transfer.events, transfer.epoch_us, transfer.edges)

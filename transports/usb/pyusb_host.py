@@ -29,8 +29,8 @@ from transports.usb.host import (
 
 __all__ = ["UDEV_RULE", "PyusbHost", "PyusbReader"]
 
-UDEV_RULE = 'SUBSYSTEM=="usb", ATTR{idVendor}=="152a", MODE="0666"'
-"""Lets every user open the cameras of this vendor."""
+UDEV_RULE = 'SUBSYSTEM=="usb", ATTR{idVendor}=="152a|04b4", MODE="0666"'
+"""Lets every user open the devices of these vendors: the DAVIS346's, and that of the EVK4's USB chip."""
 
 _LIBUSB_MISSING = "libusb 1.0 is missing: apt-get install libusb-1.0-0"
 _DENIED = (
@@ -107,6 +107,20 @@ class PyusbHost:
     def control_out(self, setup: SetupPacket, data: bytes = b"") -> int:
         """Send `data` with a control request; gives the number of bytes the device took."""
         return int(self._control(setup, data))
+
+    def bulk_out(self, endpoint: int, data: bytes) -> None:
+        """Send `data` to an OUT endpoint."""
+        try:
+            self._device.write(endpoint, data, self._timeout_ms)
+        except usb.core.USBError as error:
+            _raise(error, f"endpoint {endpoint}")
+
+    def bulk_in(self, endpoint: int, length: int) -> bytes:
+        """Take one transfer of at most `length` bytes from an IN endpoint."""
+        try:
+            return bytes(self._device.read(0x80 | endpoint, length, self._timeout_ms))
+        except usb.core.USBError as error:
+            _raise(error, f"endpoint {endpoint}")
 
     def stream(self, endpoint: int, transfer_bytes: int = 131_072, transfers: int = 32) -> PyusbReader:
         """Start reading an IN endpoint; `transfers` are held for a caller that is slow."""

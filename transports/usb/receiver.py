@@ -1,4 +1,4 @@
-"""A reader of a DAVIS346 that counts, digests and records what arrives, until told to stop or the camera is gone."""
+"""A reader of a camera on USB that counts, digests and records what arrives, until it is told to stop or unplugged."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from firmware_protocol.events import Events, empty_events
 from transports.link.digest import digest_of
 from transports.link.pacing import Clock
 from transports.recording.record import Recorder
-from transports.usb.davis_host import DavisHost, StreamSettings
+from transports.usb.cameras import CameraHost
+from transports.usb.davis_host import StreamSettings
 from transports.usb.host import PeerGone
 
 __all__ = ["Reception", "receive"]
@@ -64,7 +65,7 @@ class Reception:
 
 
 def receive(
-    camera: DavisHost, goes_on: Callable[[Reception], bool], clock: Clock, recorder: Recorder | None = None
+    camera: CameraHost, goes_on: Callable[[Reception], bool], clock: Clock, recorder: Recorder | None = None
 ) -> Reception:
     """Start the camera and read it while `goes_on` says so, which is asked after each transfer; then stop it.
 

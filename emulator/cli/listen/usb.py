@@ -1,4 +1,4 @@
-"""`evstim listen`: read a DAVIS346, real or emulated."""
+"""`evstim listen`: read a DAVIS346 or an EVK4, real or emulated."""
 
 from __future__ import annotations
 
@@ -10,9 +10,8 @@ from cyclopts import Parameter
 from emulator.cli.listen.limits import Limits, told, until
 from emulator.cli.output import LACKING, WRONG_USE, Failure, console, print_json, status
 from transports.link.pacing import MonotonicClock
-from transports.usb.davis_host import DAVIS_PRODUCT, DAVIS_VENDOR, DavisHost
+from transports.usb.cameras import CameraHost, driver_of, first_on_the_bus
 from transports.usb.host import UsbHost, UsbHostError
-from transports.usb.pyusb_host import PyusbHost
 from transports.usb.receiver import Reception, receive
 from transports.usb.usbip.client import UsbipHost
 
@@ -29,12 +28,12 @@ def listen(
     limits: Annotated[Limits, Parameter(name="*")] = _NO_LIMITS,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
-    """Read a DAVIS346, real or emulated, and count what arrives. Ctrl-C ends it.
+    """Read a DAVIS346 or an EVK4, real or emulated, and count what arrives. Ctrl-C ends it.
 
     Parameters
     ----------
     usbip
-        HOST:PORT of a USB/IP server, read without a kernel module. Default: this machine's first DAVIS346.
+        HOST:PORT of a USB/IP server, read without a kernel module. Default: this machine's first camera.
     busid
         Bus id of the camera on that server.
     limits
@@ -44,8 +43,8 @@ def listen(
     """
     limits.check()
     try:
-        camera = DavisHost(_host(usbip, busid))
-        status.print(f"DAVIS346 serial {camera.info.serial}, {camera.info.size[0]}x{camera.info.size[1]} pixels")
+        camera = driver_of(_host(usbip, busid))
+        status.print(f"{camera.model} serial {camera.info.serial}, {camera.info.size[0]}x{camera.info.size[1]} pixels")
         reception, trouble = _receive(camera, limits)
     except UsbHostError as error:
         raise Failure(str(error), LACKING) from error
@@ -63,14 +62,14 @@ def listen(
 
 def _host(usbip: str | None, busid: str) -> UsbHost:
     if usbip is None:
-        return PyusbHost.find(DAVIS_VENDOR, DAVIS_PRODUCT)
+        return first_on_the_bus()
     host, _, port = usbip.rpartition(":")
     if not host or not port.isdigit():
         raise Failure(f"--usbip must be HOST:PORT such as 127.0.0.1:3240, got {usbip!r}", WRONG_USE)
     return UsbipHost.attach(host, int(port), busid, timeout_s=5.0)
 
 
-def _receive(camera: DavisHost, limits: Limits) -> tuple[Reception, str]:
+def _receive(camera: CameraHost, limits: Limits) -> tuple[Reception, str]:
     """Return what came, and why its record is not whole; empty where it is."""
     try:
         with limits.recorder() as recorder:

@@ -46,7 +46,7 @@ def message(text):
     return str(told.value)
 
 
-@pytest.mark.parametrize("name", ["checkerboard", "eros", "loopback"])
+@pytest.mark.parametrize("name", ["checkerboard", "eros", "loopback", "stars-evk4"])
 def test_the_shipped_rigs_load(name):
     rig = load_rig(name)
     assert rig.name == name
@@ -199,6 +199,13 @@ def test_the_identifiers_of_a_can_link_follow_its_node():
 def test_mistakes_in_a_can_link_are_told_by_line(more, told):
     with pytest.raises(RigError, match=told):
         parse_rig(CAN + more, "r.toml", "r")
+
+
+def test_an_evk4_takes_hexadecimal_serials_alone():
+    rig = '[scene]\nkind = "checkerboard"\n[camera]\nmodel = "evk4"\nserial = "{}"\n[[links]]\nkind = "usbip"\n'
+    assert parse_rig(rig.format("c0ffee"), "r.toml", "r").camera.size == (1280, 720)
+    with pytest.raises(RigError, match=r"line 5.*camera\.serial.*hexadecimal"):
+        parse_rig(rig.format("coffee"), "r.toml", "r")
 
 
 def test_raw_frames_refuse_a_sensor_that_is_too_large():

@@ -10,7 +10,7 @@ import pytest
 
 from emulator.rig.loading import load_rig, shipped_rigs
 from emulator.run import preparation
-from emulator.run.kernels import DECODER, Part, parts_of
+from emulator.run.kernels import DECODER, EVT, Part, parts_of
 from emulator.run.preparation import cold, prepare
 
 
@@ -47,6 +47,11 @@ def test_parts_whose_note_is_there_are_not_cold(notes):
 def test_a_rig_compiles_each_part_once(name):
     keys = [part.key for part in parts_of(load_rig(name))]
     assert len(set(keys)) == len(keys) >= 3
+
+
+def test_a_camera_on_usb_that_sends_evt3_needs_its_coder():
+    assert EVT in parts_of(load_rig("stars-evk4"))
+    assert EVT not in parts_of(load_rig("stars"))
 
 
 def test_a_part_waits_for_those_that_it_needs(notes):

@@ -22,14 +22,19 @@ from pathlib import Path
 import numpy as np
 
 
-def arguments() -> argparse.Namespace:
+def parser() -> argparse.ArgumentParser:
+    """The arguments that all clients have."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--count", type=int, required=True, help="stop after this many events")
     parser.add_argument("--timeout", type=float, required=True, help="stop after this many seconds")
     parser.add_argument("--output", type=Path, required=True)
     parser.add_argument("--triggers", action="store_true", help="listen to the external input")
     parser.add_argument("--packet-ms", type=int, default=0, help="device time between packets; 0: the driver's own")
-    return parser.parse_args()
+    return parser
+
+
+def arguments(asked: argparse.ArgumentParser | None = None) -> argparse.Namespace:
+    return (asked or parser()).parse_args()
 
 
 class Collector:

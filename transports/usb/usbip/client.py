@@ -118,12 +118,21 @@ class UsbipHost:
     def control_in(self, setup: SetupPacket) -> bytes:
         """Ask the device for at most `setup.length` bytes."""
         urb = self._urb(0, is_in=True, length=setup.length, setup=bytes(setup))
-        return self._control(setup, urb).data
+        return self._done(str(setup), urb).data
 
     def control_out(self, setup: SetupPacket, data: bytes = b"") -> int:
         """Send `data` with a control request; gives the number of bytes the device took."""
         urb = self._urb(0, is_in=False, length=len(data), setup=bytes(setup))
-        return self._control(setup, urb._replace(data=data)).actual_length
+        return self._done(str(setup), urb._replace(data=data)).actual_length
+
+    def bulk_out(self, endpoint: int, data: bytes) -> None:
+        """Send `data` to an OUT endpoint."""
+        urb = self._urb(endpoint, is_in=False, length=len(data))
+        self._done(f"endpoint {endpoint}", urb._replace(data=data))
+
+    def bulk_in(self, endpoint: int, length: int) -> bytes:
+        """Take one transfer of at most `length` bytes from an IN endpoint."""
+        return self._done(f"endpoint {endpoint}", self._urb(endpoint, is_in=True, length=length)).data
 
     def stream(self, endpoint: int, transfer_bytes: int = 131_072, transfers: int = 32) -> UrbStream:
         """Start reading an IN endpoint with `transfers` URBs in flight."""
@@ -206,15 +215,16 @@ class UsbipHost:
         self._wire.parser.expect(urb)
         self._wire.send(bytes(urb))
 
-    def _control(self, setup: SetupPacket, urb: Submit) -> Submitted:
+    def _done(self, what: str, urb: Submit) -> Submitted:
+        """Submit a URB and wait for its answer."""
         replies: deque[Submitted] = deque()
         deadline = _deadline(self._timeout_s)
         self._submit(urb, replies)
         while not replies:
             if not self.receive(deadline):
                 self.unlink([urb.seqnum])
-                raise TransferTimeout(f"{setup}: no answer within {self._timeout_s:g} s")
-        return _checked(replies[0], str(setup))
+                raise TransferTimeout(f"{what}: no answer within {self._timeout_s:g} s")
+        return _checked(replies[0], what)
 
 
 class UrbStream:

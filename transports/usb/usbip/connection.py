@@ -227,8 +227,7 @@ class Connection(asyncio.Protocol):
         elif urb.is_in:
             self._queue(urb)
         else:
-            # A UsbDevice has no OUT endpoint but 0.
-            self._reply(Submitted(urb.seqnum, UrbStatus.STALL, 0))
+            self._take(urb)
 
     def _queue(self, urb: Submit) -> None:
         if any(urb.seqnum in urbs for urbs in self._pending.values()):
@@ -236,6 +235,16 @@ class Connection(asyncio.Protocol):
         if sum(map(len, self._pending.values())) >= self._settings.pending_urbs:
             raise UsbipError(f"more than {self._settings.pending_urbs} URBs pending")
         self._pending.setdefault(urb.endpoint, OrderedDict())[urb.seqnum] = urb
+
+    def _take(self, urb: Submit) -> None:
+        """Give the device what the host sends to an OUT endpoint."""
+        assert self._device
+        try:
+            self._device.write(urb.endpoint, urb.data)
+        except Stall:
+            self._reply(Submitted(urb.seqnum, UrbStatus.STALL, 0))
+        else:
+            self._reply(Submitted(urb.seqnum, UrbStatus.OK, len(urb.data)))
 
     def _unlink(self, unlink: Unlink) -> None:
         taken = any(urbs.pop(unlink.victim, None) is not None for urbs in self._pending.values())

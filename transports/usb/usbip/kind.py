@@ -35,7 +35,7 @@ USBIP = LinkKind(
     serves="usb",
     endpoint=_endpoint,
     faults=USB_FAULTS,
-    listener=Listener("usb", "Read a DAVIS346 on USB.", "emulator.cli.listen.usb:listen"),
+    listener=Listener("usb", "Read a DAVIS346 or an EVK4 on USB.", "emulator.cli.listen.usb:listen"),
     check=_check,
     listens_on=lambda link: (link.host, link.port) if link.port else None,
 )

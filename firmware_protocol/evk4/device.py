@@ -1,0 +1,242 @@
+"""A Prophesee EVK4 HD (IMX636) as its host sees it: requests on one bulk endpoint, answers and events on two others.
+
+    host --bulk 02--> write ----> Board --> Registers --> masks, rate control, run gate, biases
+         <-bulk 82--- read 2 <--- answers
+    array ----------> offer ----> Selection -> Outflow --bulk 81--> read 1: EVT3
+
+Run gate: events leave while the array runs (register 0004 bit 10), the output is not disabled (9028 bit 1) and time
+runs (9008 bit 0). Opening it begins a stream; closing it drops what waits. Device time is zero when time starts to run.
+
+Biases are kept and read back. They do not act: no public formula gives a threshold or a bandwidth for them.
+
+Vendor request on endpoint 0, without which neuromorphic_drivers does not list the camera:
+
+    C0  bRequest 72, wValue 0, wIndex 0     2 bytes, the first 31: the kind of board, an EVK4
+
+One thread at a time may use a camera.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+
+import numpy as np
+
+from firmware_protocol.edges import Edges
+from firmware_protocol.event_device import CameraCounters, EdgeCounters
+from firmware_protocol.events import Events
+from firmware_protocol.evk4.outflow import Outflow
+from firmware_protocol.evk4.settings import ANSWER_ENDPOINT, DATA_ENDPOINT, REQUEST_ENDPOINT, Evk4Settings
+from firmware_protocol.evk4.treuzell import Board, BoardFacts
+from firmware_protocol.imx636.registers import BIASES, Registers
+from firmware_protocol.imx636.selection import Selection
+from firmware_protocol.usb.control import Recipient, StandardControl
+from firmware_protocol.usb.device import Identity, RequestKind, SetupPacket, Stall, Transfer, UsbCamera
+
+__all__ = ["Evk4"]
+
+_BOARD_KIND = 0x72
+_KIND = b"\x31\x00"
+_IN = 0x80
+_MOST_ANSWERS = 64
+_FIFO_BYTES_PER_EVENT = 6
+
+
+class Evk4(UsbCamera):
+    """The camera. Events and the passing of stream time go in by `offer` and `advance`, USB by the rest."""
+
+    def __init__(self, settings: Evk4Settings | None = None) -> None:
+        self.settings = settings = settings or Evk4Settings()
+        self._standard = StandardControl(settings.descriptors())
+        self._registers = Registers(settings.surroundings)
+        self._selection = Selection(self._registers)
+        facts = BoardFacts(int(settings.serial, 16), settings.release, settings.build_unix_s)
+        self._board = Board(facts, self)
+        self._answers: deque[bytes] = deque()
+        self._fates: Counter[str] = Counter()
+        self._edge_fates: Counter[str] = Counter()
+        self._carried = self._edges_carried = 0
+        self._now_us = self._epoch_us = self._silent_until_us = 0
+        self._outflow = self._new_outflow()
+        self._was_running = False
+
+    @property
+    def identity(self) -> Identity:
+        """Vendor, product, speed and interfaces."""
+        return self.settings.identity
+
+    @property
+    def now_us(self) -> int:
+        """Stream time that the camera has reached."""
+        return self._now_us
+
+    @property
+    def streaming(self) -> bool:
+        """True while events offered now would go to the host."""
+        return self._registers.running and self._now_us >= self._silent_until_us
+
+    @property
+    def room_events(self) -> int:
+        """Events that fit the buffer now."""
+        return self._outflow.room
+
+    @property
+    def silent_until_us(self) -> int:
+        """End of the silence after the start; 0 while the sensor does not run."""
+        return self._silent_until_us if self._registers.running else 0
+
+    @property
+    def horizon_us(self) -> int:
+        """In the silence after the start its end; otherwise without limit."""
+        silent = self._now_us < self.silent_until_us
+        return self._silent_until_us if silent else super().horizon_us
+
+    @property
+    def epoch_us(self) -> int:
+        """Stream time at which device time is zero."""
+        return self._epoch_us
+
+    @property
+    def biases(self) -> dict[str, int]:
+        """Currents of the biases, 0 to 255, by Prophesee's names, as the host set them."""
+        return {name: self._registers[address] & 0xFF for name, (address, _) in BIASES.items()}
+
+    @property
+    def counters(self) -> CameraCounters:
+        """Fates of all events and edges offered so far."""
+        edges = EdgeCounters(**self._edge_fates, queued=self._outflow.edges_queued + self._edges_carried)
+        return CameraCounters(**self._fates, queued=self._outflow.queued + self._carried, edges=edges)
+
+    def offer(self, events: Events) -> None:
+        """Take events (n,) EVENT; raises ValueError when they go back in time or lie outside the array."""
+        if not len(events):
+            return
+        self._check(events)
+        self._fates["offered"] += len(events)
+        begun = events[:0]
+        if self._registers.running:
+            begun = events[int(np.searchsorted(events["t"], self._silent_until_us)) :]
+        self._now_us = int(events["t"][-1])
+        selected = self._selection.apply(begun, self._epoch_us)
+        fitting = self._outflow.put(selected.events)
+        self._fates["not_running"] += len(events) - len(begun)
+        self._fates["not_selected"] += selected.outside
+        self._fates["dropped_rate"] += selected.beyond_rate
+        self._fates["dropped_fifo"] += len(selected.events) - fitting
+
+    def offer_edges(self, edges: Edges) -> None:
+        """Take edges (n,) EDGE for the trigger input."""
+        self._edge_fates["offered"] += len(edges)
+        if not (self.streaming and self._registers.has_trigger):
+            self._edge_fates["ignored"] += len(edges)
+            return
+        self._edge_fates["dropped"] += len(edges) - self._outflow.put_edges(edges)
+
+    def advance(self, now_us: int) -> None:
+        """Say that stream time has reached `now_us`; the clock never goes back."""
+        self._now_us = max(self._now_us, now_us)
+
+    def attached(self) -> None:
+        """A host has taken the camera: power-on state."""
+        self._power_on()
+
+    def detached(self) -> None:
+        """The host is gone: what waits is dropped and counted, the camera stops."""
+        self._power_on()
+
+    def control(self, setup: SetupPacket, data: bytes) -> bytes:
+        """Do one control transfer; see `UsbDevice.control` and the module's first lines."""
+        if setup.kind is RequestKind.STANDARD:
+            return self._standard.control(setup, data)
+        wanted = (RequestKind.VENDOR, Recipient.DEVICE, True, _BOARD_KIND)
+        if (setup.kind, setup.recipient, setup.is_in, setup.request) != wanted:
+            raise Stall
+        return _KIND[: setup.length]
+
+    def write(self, endpoint: int, data: bytes) -> None:
+        """Take a request; it stalls while 64 answers wait for a host that does not read them."""
+        self._standard.require(endpoint)
+        if endpoint != REQUEST_ENDPOINT or len(self._answers) >= _MOST_ANSWERS:
+            raise Stall
+        self._answers.append(self._board.answer(data))
+
+    def read(self, endpoint: int, max_bytes: int) -> Transfer | None:
+        """Take an answer from endpoint 2, or words from endpoint 1."""
+        self._standard.require(endpoint | _IN)
+        if endpoint | _IN == ANSWER_ENDPOINT:
+            return self._answer(max_bytes)
+        assert endpoint | _IN == DATA_ENDPOINT
+        if not self.streaming:
+            return None
+        transfer = self._outflow.take(self._now_us, max_bytes)
+        if transfer is not None:
+            self._carried += len(transfer.events)
+            self._edges_carried += len(transfer.edges)
+        return transfer
+
+    def sent(self, transfer: Transfer) -> None:
+        """Count the transfer's events as delivered."""
+        self._settle(transfer, "delivered")
+
+    def lost(self, transfer: Transfer) -> None:
+        """Count the transfer's events as lost on the link."""
+        self._settle(transfer, "lost_on_link")
+
+    def read_register(self, address: int) -> int:
+        """Return what a host reads from the sensor; raises LookupError where there is no register."""
+        return self._registers.read(address)
+
+    def write_register(self, address: int, value: int) -> None:
+        """Do what a host writes to the sensor; raises LookupError where there is no register."""
+        had_time = self._registers.time_runs
+        self._registers.write(address, value)
+        self._selection.written(address)
+        if self._registers.time_runs and not had_time:
+            self._epoch_us = self._now_us
+        if self._registers.running != self._was_running:
+            self._turn()
+
+    def _turn(self) -> None:
+        """Begin a stream, or end it."""
+        self._drop_waiting()
+        self._was_running = self._registers.running
+        if self._was_running:
+            self._silent_until_us = self._now_us + self.settings.start_delay_us
+
+    def _power_on(self) -> None:
+        self._standard.power_on()
+        self._registers.power_on()
+        self._selection.reset()
+        self._answers.clear()
+        self._was_running = False
+        self._drop_waiting()
+
+    def _drop_waiting(self) -> None:
+        self._fates["flushed"] += self._outflow.queued
+        self._edge_fates["dropped"] += self._outflow.edges_queued
+        self._outflow = self._new_outflow()
+
+    def _new_outflow(self) -> Outflow:
+        return Outflow(self._epoch_us, self.settings.fifo_bytes // _FIFO_BYTES_PER_EVENT)
+
+    def _answer(self, max_bytes: int) -> Transfer | None:
+        """Return the oldest answer; of one that is too long, the beginning, and the rest next time."""
+        if not self._answers or max_bytes < 1:
+            return None
+        answer = self._answers.popleft()
+        if len(answer) > max_bytes:
+            self._answers.appendleft(answer[max_bytes:])
+        return Transfer(answer[:max_bytes], epoch_us=self._epoch_us)
+
+    def _settle(self, transfer: Transfer, fate: str) -> None:
+        self._carried -= len(transfer.events)
+        self._edges_carried -= len(transfer.edges)
+        self._fates[fate] += len(transfer.events)
+        self._edge_fates[fate] += len(transfer.edges)
+
+    def _check(self, events: Events) -> None:
+        if int(events["t"][0]) < self._now_us or bool((events["t"][1:] < events["t"][:-1]).any()):
+            raise ValueError("events go back in time")
+        width, height = self.settings.size
+        if int(events["x"].max()) >= width or int(events["y"].max()) >= height:
+            raise ValueError(f"events outside the {width} x {height} array")

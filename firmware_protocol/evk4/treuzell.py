@@ -1,0 +1,189 @@
+"""Treuzell, the control protocol of Prophesee's boards: requests on a bulk OUT endpoint, answers on a bulk IN one.
+
+A frame, little-endian; an answer is at most 1024 bytes:
+
+    0  u32  property    bit 30 a write, bit 31 (answers) it failed, 0x80000000 alone: no such property
+    4  u32  size of the payload
+    8       payload
+
+    property                 request's payload          answer's payload
+    72     serial            -                          u64
+    79     release           -                          u32, 0x00MMmmpp
+    7A     build date        -                          u64, Unix time, s
+    10000  devices           -                          u32, 1
+    10001  name              u32 device                 u32 device, text, NUL
+    10003  compatible with   u32 device                 u32 device, texts, a NUL after each
+    10102  read registers    u32 device, address, n     u32 device, address, n x u32
+    40010102  write them     u32 device, address, n x u32    u32 device, address
+
+Registers that failed: u32 device, address, errno. One request brings one answer, also a broken one: a frame without a
+header is answered as an unknown property. There is one device, 0, the sensor.
+
+Sources: OpenEB 5.1.1 (tz_control_frame, tz_libusb_board_command); neuromorphic_drivers, which reads one register at a
+time.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Protocol
+
+__all__ = ["Board", "BoardFacts", "Failed", "Frame", "Property", "RegisterBus"]
+
+MOST_ANSWER_BYTES = 1024
+UNKNOWN = 0x8000_0000
+FAILED = 0x8000_0000
+WRITE = 0x4000_0000
+EINVAL, ENODEV = 22, 19
+
+_HEADER = struct.Struct("<II")
+_MOST_WORDS = (MOST_ANSWER_BYTES - _HEADER.size) // 4 - 2
+
+
+class Property(IntEnum):
+    """Properties that are answered."""
+
+    SERIAL = 0x72
+    RELEASE = 0x79
+    BUILD_DATE = 0x7A
+    DEVICES = 0x1_0000
+    NAME = 0x1_0001
+    COMPATIBLE = 0x1_0003
+    READ_REGISTERS = 0x1_0102
+    WRITE_REGISTERS = WRITE | 0x1_0102
+
+
+class Failed(Exception):
+    """A request that the board understands and cannot do; `payload` is the answer's."""
+
+    def __init__(self, payload: bytes) -> None:
+        super().__init__("the request cannot be done")
+        self.payload = payload
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A request or an answer."""
+
+    property: int
+    payload: bytes = b""
+
+    @classmethod
+    def parse(cls, data: bytes) -> Frame:
+        """Read a frame; raises ValueError where its size is not that of the transfer."""
+        if len(data) < _HEADER.size:
+            raise ValueError(f"a frame has at least {_HEADER.size} bytes, got {len(data)}")
+        name, size = _HEADER.unpack_from(data)
+        if size != len(data) - _HEADER.size:
+            raise ValueError(f"the frame tells of {size} bytes of payload and has {len(data) - _HEADER.size}")
+        return cls(name, data[_HEADER.size :])
+
+    def __bytes__(self) -> bytes:
+        return _HEADER.pack(self.property, len(self.payload)) + self.payload
+
+
+class RegisterBus(Protocol):
+    """The registers of the board's only device."""
+
+    def read_register(self, address: int) -> int:
+        """Return a register's value; raises LookupError where there is none."""
+
+    def write_register(self, address: int, value: int) -> None:
+        """Write a register; raises LookupError where there is none."""
+
+
+@dataclass(frozen=True)
+class BoardFacts:
+    """What the board tells of itself."""
+
+    serial: int
+    release: int
+    build_unix_s: int
+    name: str = "CCam5 Imx636 Event-Based Camera"
+    compatible: tuple[str, ...] = ("psee,ccam5_imx636", "psee,ccam5_gen42")
+
+
+class Board:
+    """Answers requests; it remembers nothing between two of them."""
+
+    def __init__(self, facts: BoardFacts, bus: RegisterBus) -> None:
+        self._bus = bus
+        texts = ("".join(f"{text}\0" for text in each).encode("ascii") for each in ((facts.name,), facts.compatible))
+        name, compatible = texts
+        self._doing: dict[int, Callable[[bytes], bytes]] = {
+            Property.SERIAL: lambda payload: _nothing(payload, struct.pack("<Q", facts.serial)),
+            Property.RELEASE: lambda payload: _nothing(payload, struct.pack("<I", facts.release)),
+            Property.BUILD_DATE: lambda payload: _nothing(payload, struct.pack("<Q", facts.build_unix_s)),
+            Property.DEVICES: lambda payload: _nothing(payload, struct.pack("<I", 1)),
+            Property.NAME: lambda payload: _device(payload) + name,
+            Property.COMPATIBLE: lambda payload: _device(payload) + compatible,
+            Property.READ_REGISTERS: self._read,
+            Property.WRITE_REGISTERS: self._write,
+        }
+
+    def answer(self, data: bytes) -> bytes:
+        """Do the request in a transfer's bytes and return the answer's."""
+        try:
+            request = Frame.parse(data)
+        except ValueError:
+            return bytes(Frame(UNKNOWN))
+        do = self._doing.get(request.property)
+        if do is None:
+            return bytes(Frame(UNKNOWN))
+        try:
+            return bytes(Frame(request.property, do(request.payload)))
+        except Failed as failed:
+            return bytes(Frame(request.property | FAILED, failed.payload))
+
+    def _read(self, payload: bytes) -> bytes:
+        words = _words(payload, 3)
+        _, address, count = words
+        if len(payload) != 12 or not 1 <= count <= _MOST_WORDS:
+            raise _failed(words, EINVAL)
+        try:
+            values = [self._bus.read_register(address + 4 * k) for k in range(count)]
+        except LookupError:
+            raise _failed(words, EINVAL) from None
+        return payload[:8] + struct.pack(f"<{count}I", *values)
+
+    def _write(self, payload: bytes) -> bytes:
+        words = _words(payload, 3)
+        if len(payload) % 4:
+            raise _failed(words, EINVAL)
+        for k, (value,) in enumerate(struct.iter_unpack("<I", payload[8:])):
+            try:
+                self._bus.write_register(words[1] + 4 * k, value)
+            except LookupError:
+                raise _failed(words, EINVAL) from None
+        return payload[:8]
+
+
+def _nothing(payload: bytes, answer: bytes) -> bytes:
+    """Return `answer` to a request that needs no payload."""
+    if payload:
+        raise Failed(b"")
+    return answer
+
+
+def _device(payload: bytes) -> bytes:
+    """Return the device that a request names, if it is the only one there is."""
+    if payload != bytes(4):
+        raise Failed(payload[:4])
+    return payload
+
+
+def _words(payload: bytes, least: int) -> tuple[int, ...]:
+    """Return the first `least` numbers of a request for registers; raises Failed for fewer, or another device."""
+    if len(payload) < 4 * least:
+        raise Failed(struct.pack("<III", 0, 0, EINVAL))
+    words = struct.unpack_from(f"<{least}I", payload)
+    if words[0] != 0:
+        raise _failed(words, ENODEV)
+    return words
+
+
+def _failed(words: tuple[int, ...], errno: int) -> Failed:
+    return Failed(struct.pack("<III", words[0], words[1], errno))

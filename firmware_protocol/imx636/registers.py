@@ -1,0 +1,216 @@
+"""The registers of the IMX636 that hosts use; 32 bits each, at byte addresses in steps of 4.
+
+    0004            array control: bit 1 masks on, 5 masks are taken over, 6 keep inside (0: mask where both masks
+                    cross), 10 pixels run
+    000C, 0010      light meter: control (bit 0 on); status: bits 26..0 count (100 per us), 29 valid
+    0014            chip, A0401806
+    0020            dead time: bit 31 and 30 start; bit 28 valid, 27..0 count (200 per us)
+    0034, 0038, 003C  window: bit 0 write the masks from it, 1 done; first column 10..0, row 25..16; end likewise
+    004C, 0050      thermometer: bit 2 start; status: bits 9..0 value (0.19 degrees C each, from -56), 11 done
+    1000 - 1050     biases: current in bits 7..0
+    2000 + 4 i      40 words of column masks, 4000 + 4 i  23 words of row masks: bit k of word i is pixel 32 i + k
+    6000            rate control: bits 1..0 = 1 ready; 6008 period, us, 600C events a period, 6028 bit 0 on,
+                    6050 bit 0 drops
+    7000            bit 1 output format, 0: EVT3;  7004 bit 10 trigger input on
+    9008            bit 0 time runs
+    9028            bit 1 no output
+    9100 + 4 i      64 words of masked pixels: column 10..0, row 25..16, bit 31 on
+    00400000        bit 0 of 400004: reset
+
+Others only remember. Addresses from 0 to FFFC and from 400000 to 400FFC exist. Format 1 (EVT2.1) is not there: the bit
+reads back as 0. Rows count from the top, as in EVT3 and OpenEB; neuromorphic_drivers counts those of masks from the
+bottom.
+
+Sources: register map and drivers of OpenEB 5.1.1; what neuromorphic_drivers writes and reads. Factory values of the
+biases are those that neuromorphic_drivers names. What values other registers have at power-on is not public: 0 here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["BIASES", "PIXEL_MASKS", "SIZE", "Address", "NoRegister", "Registers", "Surroundings", "is_register"]
+
+SIZE = (1280, 720)
+PIXEL_MASKS = 64
+BIAS_FLAGS = 0x11A1_0000
+
+_LOW_END, _SYSTEM, _SYSTEM_END = 0x1_0000, 0x40_0000, 0x40_1000
+_READY, _VALID_LIGHT, _VALID_DEAD_TIME, _MEASURE_DEAD_TIME = 1 << 11, 1 << 29, 1 << 28, 3 << 30
+
+
+class Address(IntEnum):
+    """Registers that do something, or that the camera looks at."""
+
+    ARRAY = 0x0004
+    LIGHT_CONTROL = 0x000C
+    LIGHT_STATUS = 0x0010
+    CHIP = 0x0014
+    DEAD_TIME = 0x0020
+    WINDOW = 0x0034
+    WINDOW_START = 0x0038
+    WINDOW_END = 0x003C
+    ADC_CONTROL = 0x004C
+    ADC_STATUS = 0x0050
+    COLUMNS = 0x2000
+    ROWS = 0x4000
+    RATE_STATE = 0x6000
+    RATE_PERIOD = 0x6008
+    RATE_EVENTS = 0x600C
+    RATE_ON = 0x6028
+    RATE_DROPS = 0x6050
+    FORMAT = 0x7000
+    TRIGGER = 0x7004
+    TIME = 0x9008
+    OUTPUT = 0x9028
+    PIXELS = 0x9100
+    RESET = 0x40_0004
+
+
+BIASES: Mapping[str, tuple[int, int]] = {
+    "pr": (0x1000, 0x7C),
+    "fo": (0x1004, 0x53),
+    "hpf": (0x100C, 0x00),
+    "diff_on": (0x1010, 0x66),
+    "diff": (0x1014, 0x4D),
+    "diff_off": (0x1018, 0x49),
+    "inv": (0x101C, 0x5B),
+    "refr": (0x1020, 0x14),
+    "reqpuy": (0x1040, 0x8C),
+    "reqpux": (0x1044, 0x7C),
+    "sendreqpdy": (0x1048, 0x94),
+    "unknown_1": (0x104C, 0x74),
+    "unknown_2": (0x1050, 0x51),
+}
+"""Register and factory's current of each bias, by Prophesee's names."""
+
+
+class NoRegister(LookupError):
+    """There is no register at an address."""
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """What the sensor's own instruments show.
+
+    Attributes
+    ----------
+    celsius
+        Temperature of the chip, -56 to 138.
+    lux
+        Light on the chip; the scene's is not known here.
+    dead_time_us
+        Refractory period.
+    """
+
+    celsius: float = 35.0
+    lux: float = 100.0
+    dead_time_us: float = 100.0
+
+    @property
+    def adc(self) -> int:
+        """Value of the thermometer, 0 to 1023."""
+        return min(max(round((self.celsius + 56.0) / 0.19), 0), 1023)
+
+    @property
+    def light_count(self) -> int:
+        """Hundredths of a microsecond that the light meter counts: lux = 10^3.5 / (0.37 us)."""
+        return min(round(100.0 * 10**3.5 / (0.37 * self.lux)), (1 << 27) - 1)
+
+    @property
+    def dead_time_count(self) -> int:
+        """Two hundredths of a microsecond of the refractory period."""
+        return min(round(200.0 * self.dead_time_us), (1 << 28) - 1)
+
+
+def is_register(address: int) -> bool:
+    """Say whether a register lies at `address`."""
+    return not address & 3 and (0 <= address < _LOW_END or _SYSTEM <= address < _SYSTEM_END)
+
+
+class Registers:
+    """The register file, from power-on."""
+
+    def __init__(self, surroundings: Surroundings = Surroundings()) -> None:
+        self._around = surroundings
+        self._words = np.zeros((_LOW_END + _SYSTEM_END - _SYSTEM) // 4, np.uint32)
+        self.power_on()
+
+    def power_on(self) -> None:
+        """Set every register to what it is after power-on."""
+        self._words[:] = 0
+        for address, current in BIASES.values():
+            self._set(address, BIAS_FLAGS | current)
+        self._set(Address.CHIP, 0xA040_1806)
+        self._set(Address.RATE_PERIOD, 0x80)
+        self._set(Address.RATE_EVENTS, 0x80)
+        self._set(Address.WINDOW_END, SIZE[1] << 16 | SIZE[0])
+
+    def read(self, address: int) -> int:
+        """Return a register's value; raises NoRegister."""
+        if address == Address.LIGHT_STATUS and self[Address.LIGHT_CONTROL] & 1:
+            return _VALID_LIGHT | self._around.light_count
+        return self[address]
+
+    def write(self, address: int, value: int) -> None:
+        """Write a register, and do what it asks for within the sensor; raises NoRegister."""
+        if address in (Address.CHIP, Address.ADC_STATUS):
+            return
+        self._set(address, value & ~2 if address == Address.FORMAT else value)
+        if address == Address.RESET and value & 1:
+            self.power_on()
+            self._set(address, value)
+        elif address == Address.ADC_CONTROL and value & 4:
+            self._set(Address.ADC_STATUS, _READY | self._around.adc)
+        elif address == Address.DEAD_TIME and value & _MEASURE_DEAD_TIME == _MEASURE_DEAD_TIME:
+            self._set(address, _MEASURE_DEAD_TIME | _VALID_DEAD_TIME | self._around.dead_time_count)
+        elif address == Address.WINDOW and value & 1:
+            self._write_window()
+            self._set(address, value | 2)
+
+    def __getitem__(self, address: int) -> int:
+        """Return what was written last; raises NoRegister."""
+        return int(self._words[self._place(address)])
+
+    def words(self, address: int, count: int) -> npt.NDArray[np.uint32]:
+        """Return (count,) registers from `address` on."""
+        place = self._place(address)
+        return self._words[place : place + count]
+
+    @property
+    def time_runs(self) -> bool:
+        """Whether the sensor's clock runs."""
+        return bool(self[Address.TIME] & 1)
+
+    @property
+    def running(self) -> bool:
+        """Whether events leave the sensor."""
+        return self.time_runs and bool(self[Address.ARRAY] & 1 << 10) and not self[Address.OUTPUT] & 2
+
+    @property
+    def has_trigger(self) -> bool:
+        """Whether the trigger input is on."""
+        return bool(self[Address.TRIGGER] & 1 << 10)
+
+    def _write_window(self) -> None:
+        """Mask what lies outside the window, as far as the masks are concerned."""
+        start, end = self[Address.WINDOW_START], self[Address.WINDOW_END]
+        for address, pixels, shift in ((Address.COLUMNS, SIZE[0], 0), (Address.ROWS, SIZE[1], 16)):
+            masked = np.ones(-(-pixels // 32) * 32, np.uint8)
+            masked[start >> shift & 0x7FF : end >> shift & 0x7FF] = 0
+            words = np.packbits(masked, bitorder="little").view("<u4")
+            self.words(address, len(words))[:] = words
+
+    def _set(self, address: int, value: int) -> None:
+        self._words[self._place(address)] = value & 0xFFFF_FFFF
+
+    @staticmethod
+    def _place(address: int) -> int:
+        if not is_register(address):
+            raise NoRegister(f"no register at 0x{address:08X}")
+        return address // 4 if address < _LOW_END else (address - _SYSTEM + _LOW_END) // 4

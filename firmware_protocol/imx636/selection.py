@@ -1,0 +1,85 @@
+"""Which events leave the sensor: those that no mask hides, and no more than the rate control lets by.
+
+Row and column masks are taken over together when bit 5 of the array control is written; masked pixels hold at once.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from firmware_protocol.events import Events
+from firmware_protocol.gige.selection import RateControl, Selected
+from firmware_protocol.imx636.registers import PIXEL_MASKS, SIZE, Address, Registers
+
+__all__ = ["Selection"]
+
+_MASKS_ON, _TAKE_OVER, _KEEP_INSIDE = 1 << 1, 1 << 5, 1 << 6
+_RATE = (Address.RATE_STATE, Address.RATE_PERIOD, Address.RATE_EVENTS, Address.RATE_ON, Address.RATE_DROPS)
+
+_Mask = npt.NDArray[np.bool_]
+
+
+class Selection:
+    """The masks and the rate control of a register file at work."""
+
+    def __init__(self, registers: Registers) -> None:
+        self._registers = registers
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin anew, as at power-on."""
+        self._columns, self._rows = (np.zeros(pixels, np.bool_) for pixels in SIZE)
+        self._pixels = np.zeros(0, np.int64)
+        self._rate = RateControl()
+        self._hides = False
+
+    def written(self, address: int) -> None:
+        """Do what a register that was just written asks for."""
+        if address == Address.RESET:
+            self.reset()
+        elif address == Address.ARRAY:
+            self._take_over()
+        elif Address.PIXELS <= address < Address.PIXELS + 4 * PIXEL_MASKS:
+            words = self._registers.words(Address.PIXELS, PIXEL_MASKS)
+            words = words[words >> 31 == 1].astype(np.int64)
+            self._pixels = _numbers(words & 0x7FF, words >> 16 & 0x3FF)
+        elif address in _RATE:
+            self._set_rate()
+
+    def apply(self, events: Events, epoch_us: int) -> Selected:
+        """Return what passes of events (n,) EVENT, sorted, of a sensor whose clock was zero at `epoch_us`."""
+        wanted = events[~self._hidden(events)] if self._hides or len(self._pixels) else events
+        let_by = wanted[self._rate.passing(wanted, epoch_us)] if self._rate.on else wanted
+        return Selected(let_by, len(events) - len(wanted), len(wanted) - len(let_by))
+
+    def _hidden(self, events: Events) -> _Mask:
+        hidden = np.zeros(len(events), np.bool_)
+        if self._hides:
+            rows, columns = self._rows[events["y"]], self._columns[events["x"]]
+            inside = self._registers[Address.ARRAY] & _KEEP_INSIDE
+            hidden = rows | columns if inside else rows & columns
+        if len(self._pixels):
+            hidden |= np.isin(_numbers(events["x"].astype(np.int64), events["y"].astype(np.int64)), self._pixels)
+        return hidden
+
+    def _take_over(self) -> None:
+        control = self._registers[Address.ARRAY]
+        if control & _TAKE_OVER:
+            self._columns = self._mask(Address.COLUMNS, SIZE[0])
+            self._rows = self._mask(Address.ROWS, SIZE[1])
+        self._hides = bool(control & _MASKS_ON) and bool(self._columns.any() or self._rows.any())
+
+    def _mask(self, address: int, pixels: int) -> _Mask:
+        words = self._registers.words(address, -(-pixels // 32)).astype("<u4")
+        return np.unpackbits(words.view(np.uint8), count=pixels, bitorder="little").astype(np.bool_)
+
+    def _set_rate(self) -> None:
+        state, period_us, events, on, drops = (self._registers[address] for address in _RATE)
+        self._rate.set_period_us(max(1, period_us & 0x3FF))
+        self._rate.set_most(events & 0x3F_FFFF)
+        self._rate.turn(state & 3 == 1 and on & 1 and drops & 1)
+
+
+def _numbers(x: npt.NDArray[np.int64], y: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    return y * SIZE[0] + x

@@ -1,0 +1,65 @@
+"""neuromorphic_drivers reads a Prophesee EVK4; with --masks some rows, columns and pixels are masked."""
+
+from __future__ import annotations
+
+from importlib.metadata import version
+
+import neuromorphic_drivers as nd
+from collecting import Collector, arguments, parser
+from neuromorphic_drivers.generated.devices import prophesee_evk4 as evk4
+
+RISING, FALLING = 2, 3
+MASKED_COLUMNS, MASKED_ROWS, MASKED_PIXEL = (100, 200), (40, 60), (640, 300)
+
+
+def configuration(*, masks: bool, limit: int) -> evk4.Configuration:
+    told = evk4.Configuration(biases=evk4.Biases(diff_on=20, refr=-10))
+    if masks:
+        lines = evk4.RowColumnMask(set=False)
+        lines.set_x_range(*MASKED_COLUMNS, 1)
+        lines.set_y_range(*MASKED_ROWS, 1)
+        pixels = nd.PropheseeEvk4PixelMask()
+        pixels.set(5, *MASKED_PIXEL)
+        told.x_mask, told.y_mask, told.pixel_mask = lines.x_mask(), lines.y_mask(), pixels.pixel_mask()
+    if limit:
+        told.rate_limiter = evk4.RateLimiter(reference_period_us=200, maximum_events_per_period=limit)
+    return told
+
+
+def main() -> None:
+    asked = parser()
+    asked.add_argument("--masks", action="store_true", help="mask rows, columns and a pixel")
+    asked.add_argument("--limit", type=int, default=0, help="events per 200 us that the rate control lets by")
+    options = arguments(asked)
+    collector = Collector(options)
+    discovered = [device.serial for device in nd.list_devices()]
+    running, overflows = True, 0
+    told = configuration(masks=options.masks, limit=options.limit)
+    with nd.open(told, iterator_timeout=0.1) as camera:
+        seen = {"serial": camera.serial(), "name": camera.name().value, "connection": camera.connection().value}
+        while running and not collector.done:
+            try:
+                _status, packet = next(camera)
+            except RuntimeError:  # the camera was unplugged
+                running = False
+                continue
+            if packet is None:
+                continue
+            if packet.trigger_events is not None:
+                for trigger in packet.trigger_events:
+                    collector.add_trigger(int(trigger["t"]), RISING if trigger["polarity"] else FALLING)
+            if packet.polarity_events is not None:
+                events = packet.polarity_events
+                overflows += len(packet.polarity_events_overflow_indices or ())
+                collector.add(events["t"], events["x"], events["y"], events["on"])
+        if running:
+            told.biases.diff_on = 0x70
+            camera.update_configuration(told)
+            seen |= {"celsius": camera.temperature_celsius(), "light": camera.illuminance()}
+        # Before the camera is closed: after an unplugging, closing may end the process (see environments.py).
+        seen |= {"version": version("neuromorphic_drivers"), "discovered": discovered, "overflows": overflows}
+        collector.report(running=running, **seen)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,117 @@
+// Reads a Prophesee EVK4 by OpenEB's own classes: discovery, device, facilities, stream, decoder.
+//
+//     client COUNT TIMEOUT_S OUT.bin
+//
+// Writes each event as t (int64, us), x, y (uint16), polarity (uint8), 13 bytes, and prints what it saw as JSON.
+
+#include <chrono>
+#include <cstdint>
+#include <cstdio>
+#include <cstdlib>
+#include <exception>
+#include <iostream>
+#include <memory>
+#include <vector>
+
+#include "boards/treuzell/tz_camera_discovery.h"
+#include "metavision/hal/device/device.h"
+#include "metavision/hal/facilities/i_camera_synchronization.h"
+#include "metavision/hal/facilities/i_event_decoder.h"
+#include "metavision/hal/facilities/i_events_stream.h"
+#include "metavision/hal/facilities/i_events_stream_decoder.h"
+#include "metavision/hal/facilities/i_hal_software_info.h"
+#include "metavision/hal/facilities/i_ll_biases.h"
+#include "metavision/hal/facilities/i_monitoring.h"
+#include "metavision/hal/facilities/i_plugin_software_info.h"
+#include "metavision/hal/facilities/i_roi.h"
+#include "metavision/hal/utils/device_builder.h"
+#include "metavision/hal/utils/device_config.h"
+#include "metavision/hal/utils/hal_software_info.h"
+#include "metavision/sdk/base/events/event_cd.h"
+
+using namespace Metavision;
+
+namespace {
+
+constexpr int window_x = 200, window_y = 100, window_width = 800, window_height = 500;
+
+void append(std::FILE *out, const EventCD &event) {
+    const std::int64_t t       = event.t;
+    const std::uint16_t xy[2]  = {event.x, event.y};
+    const std::uint8_t is_on   = event.p != 0;
+    std::fwrite(&t, sizeof t, 1, out);
+    std::fwrite(xy, sizeof xy, 1, out);
+    std::fwrite(&is_on, 1, 1, out);
+}
+
+std::unique_ptr<Device> open_camera(const std::string &serial, TzCameraDiscovery &discovery) {
+    SoftwareInfo none(0, 0, 0, "", "", "", "");
+    DeviceBuilder builder(std::make_unique<I_HALSoftwareInfo>(get_hal_software_info()),
+                          std::make_unique<I_PluginSoftwareInfo>("test", "test", none));
+    DeviceConfig config;
+    if (!discovery.discover(builder, serial, config)) {
+        return nullptr;
+    }
+    return builder();
+}
+
+std::int64_t read_events(Device &device, std::int64_t count, double timeout_s, std::FILE *out) {
+    auto *stream  = device.get_facility<I_EventsStream>();
+    auto *decoder = device.get_facility<I_EventsStreamDecoder>();
+    auto *events  = device.get_facility<I_EventDecoder<EventCD>>();
+    std::int64_t seen = 0;
+    events->add_event_buffer_callback([&](const EventCD *begin, const EventCD *end) {
+        for (; begin != end; ++begin, ++seen) {
+            append(out, *begin);
+        }
+    });
+    const auto end = std::chrono::steady_clock::now() + std::chrono::duration<double>(timeout_s);
+    stream->start();
+    while (seen < count && std::chrono::steady_clock::now() < end && stream->wait_next_buffer() >= 0) {
+        auto data = stream->get_latest_raw_data();
+        if (data) {
+            decoder->decode(data.data(), data.data() + data.size());
+        }
+    }
+    stream->stop();
+    return seen;
+}
+
+} // namespace
+
+int main(int argc, char **argv) {
+    if (argc != 4) {
+        return 2;
+    }
+    try {
+        TzCameraDiscovery discovery;
+        discovery.add_usb_id(0x04b4, 0x00f5, 0x19);
+        const auto serials = discovery.list();
+        if (serials.size() != 1) {
+            std::cerr << serials.size() << " cameras found\n";
+            return 1;
+        }
+        auto device = open_camera(serials.front(), discovery);
+        if (!device) {
+            std::cerr << "the camera cannot be built\n";
+            return 1;
+        }
+        auto *biases = device->get_facility<I_LL_Biases>();
+        biases->set("bias_diff_on", 25);
+        auto *roi = device->get_facility<I_ROI>();
+        roi->set_window(I_ROI::Window(window_x, window_y, window_width, window_height));
+        roi->enable(true);
+        auto *monitoring = device->get_facility<I_Monitoring>();
+        std::FILE *out   = std::fopen(argv[3], "wb");
+        const auto seen  = read_events(*device, std::atoll(argv[1]), std::atof(argv[2]), out);
+        std::fclose(out);
+        std::cout << "{\"serial\": \"" << serials.front() << "\", \"events\": " << seen
+                  << ", \"bias_diff_on\": " << biases->get("bias_diff_on")
+                  << ", \"celsius\": " << monitoring->get_temperature() << ", \"lux\": " << monitoring->get_illumination()
+                  << ", \"dead_time_us\": " << monitoring->get_pixel_dead_time() << "}" << std::endl;
+    } catch (const std::exception &error) {
+        std::cerr << error.what() << std::endl;
+        return 1;
+    }
+    return 0;
+}

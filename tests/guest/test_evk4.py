@@ -1,0 +1,146 @@
+"""An unmodified driver opens an EVK4 that is not there, on a real Linux kernel's USB, and sees every event.
+
+Short by default; at length:
+
+    EVSTIM_EVK4_EVENTS=5e6 python -m pytest tests/guest/test_evk4.py
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from firmware_protocol.events import EVENT
+from tests.guest.attachment import EVK4, Attachment
+from tests.guest.comparison import assert_same
+from tests.guest.environments import EVENTCV, Driver
+from tests.guest.gige_run import looped_1280x720
+from tests.guest.machine import Guest
+from tests.guest.running_rig import RunningRig
+from tests.guest.streaming import Seen, Streaming
+
+EVENTS = round(float(os.environ.get("EVSTIM_EVK4_EVENTS", "3e5")))
+GAP_US = 4  # 0.25 million events a second, which a processor that QEMU translates can take
+TIMEOUT_S = 240.0 + 3.0 * EVENTS * GAP_US * 1e-6
+FEWER_EVENTS = 100_000
+OPENEB = os.environ.get("EVSTIM_OPENEB_CLIENT", "")
+LIMIT = 40  # events in 200 us, of 50 on average
+MASKED_COLUMNS, MASKED_ROWS, MASKED_PIXEL = (100, 200), (40, 60), (640, 300)  # as clients/nd_evk4.py has them
+
+pytestmark = [
+    pytest.mark.guest,
+    pytest.mark.socket,
+    pytest.mark.timeout(2 * TIMEOUT_S + 1200),
+    pytest.mark.xdist_group("guest"),
+]
+
+RIG = """
+title = "recorded events at their own pace, for a driver of the EVK4"
+[scene]
+kind = "recording"
+path = "looped.npz"
+[camera]
+model = "evk4"
+serial = "0badcafe"
+speed = "{speed}"
+start_delay_ms = 3000.0   # neuromorphic_drivers must have started all its transfers; a guest on a busy machine is slow
+[camera.sensor.temperature]
+celsius = 20.0
+[run]
+step_us = 1000
+max_late_ms = 0
+[[links]]
+kind = "usbip"
+port = {port}
+"""
+ND = Driver("nd_evk4", (), adds_host_time=False, abort_after_unplugging="callback called for a transfer marked as")
+
+
+def looped(folder: Path, count: int = 1_000_000) -> None:
+    """Save the recording that the rig plays in a loop."""
+    looped = looped_1280x720(count)
+    looped.events["t"] *= GAP_US
+    looped.save(folder / "looped.npz")
+
+
+def streamed(guest: Guest, python: Path, rig: RunningRig, count: int, *options: str) -> Seen:
+    with Attachment(guest, rig.port, model=EVK4) as camera:
+        assert camera.device["manufacturer"] == "Prophesee"
+        return Streaming(guest, ND, python, count, *options, timeout_s=TIMEOUT_S).wait()
+
+
+@pytest.mark.parametrize("speed", ["super", "high"])
+def test_every_event_delivered_is_seen(
+    guest: Guest, driver_pythons: dict[str, Path], tmp_path: Path, speed: str
+) -> None:
+    count = EVENTS if speed == "super" else FEWER_EVENTS
+    looped(tmp_path)
+    with RunningRig(tmp_path, speed=speed, text=RIG) as rig:
+        seen = streamed(guest, driver_pythons["nd"], rig, count)
+    assert seen.about["serial"] == "0BADCAFE"
+    assert seen.about["discovered"] == ["0BADCAFE"]
+    assert seen.about["overflows"] == 0
+    assert abs(seen.about["celsius"] - 20.0) < 0.19
+    assert len(seen.events) >= count
+    delivered = rig.delivered
+    assert_same(seen.events, delivered.events[delivered.resets[-1] :], offset_us=0)
+    assert rig.summary["balanced"], rig.summary
+
+
+def test_masks_and_the_rate_control_hide_what_the_driver_names(
+    guest: Guest, driver_pythons: dict[str, Path], tmp_path: Path
+) -> None:
+    """The driver counts the rows of its masks from the bottom, and those of its events from the top."""
+    looped(tmp_path)
+    with RunningRig(tmp_path, text=RIG) as rig:
+        seen = streamed(guest, driver_pythons["nd"], rig, FEWER_EVENTS, "--masks", "--limit", str(LIMIT))
+    delivered = rig.delivered
+    assert_same(seen.events, delivered.events[delivered.resets[-1] :], offset_us=0)
+    columns, rows = (np.bincount(seen.events[axis], minlength=size) for axis, size in (("x", 1280), ("y", 720)))
+    assert np.flatnonzero(columns == 0).tolist() == list(range(*MASKED_COLUMNS))
+    assert np.flatnonzero(rows == 0).tolist() == [719 - row for row in reversed(range(*MASKED_ROWS))]
+    x, row = MASKED_PIXEL
+    assert not np.any((seen.events["x"] == x) & (seen.events["y"] == 719 - row))
+    assert np.bincount(seen.events["t"].astype(np.int64) // 200).max() == LIMIT
+    assert rig.summary["balanced"], rig.summary
+
+
+@pytest.mark.parametrize("roi", [(), ("--roi",)], ids=["whole", "region"])
+def test_a_library_with_an_older_driver_inside_sees_every_event(
+    guest: Guest, eventcv_python: Path, tmp_path: Path, roi: tuple[str, ...]
+) -> None:
+    looped(tmp_path)
+    with RunningRig(tmp_path, text=RIG) as rig, Attachment(guest, rig.port, model=EVK4):
+        seen = Streaming(guest, EVENTCV, eventcv_python, FEWER_EVENTS, *roi, timeout_s=TIMEOUT_S).wait()
+    assert seen.about["discovered"] == [["prophesee_evk4", "0BADCAFE"]]
+    delivered = rig.delivered
+    assert_same(seen.events, delivered.events[delivered.resets[-1] :], offset_us=0)
+    x, y = seen.events["x"], seen.events["y"]
+    bounds = (x.min(), x.max(), y.min(), y.max())
+    assert bounds == ((200, 999, 100, 599) if roi else (0, 1279, 0, 719))
+    assert rig.summary["balanced"], rig.summary
+
+
+@pytest.mark.skipif(not OPENEB, reason="EVSTIM_OPENEB_CLIENT names no program; tests/guest/openeb/Makefile builds it")
+def test_openeb_sees_every_event_of_its_window(guest: Guest, tmp_path: Path) -> None:
+    """Its own discovery, device, biases, window, monitoring, stream and decoder, as its Prophesee plugin has them."""
+    looped(tmp_path)
+    out = "openeb.bin"
+    with RunningRig(tmp_path, text=RIG) as rig, Attachment(guest, rig.port, model=EVK4):
+        command = [OPENEB, str(EVENTS), str(TIMEOUT_S), guest.path_in_guest(out)]
+        about = json.loads(guest.check(command, 2 * TIMEOUT_S).splitlines()[-1])
+    assert about["serial"] == "0badcafe"
+    assert about["bias_diff_on"] == 25
+    assert abs(about["celsius"] - 20) <= 1
+    assert abs(about["lux"] - 100) <= 1  # the driver cuts fractions off
+    assert about["dead_time_us"] == 100
+    seen = np.fromfile(guest.results / out, EVENT)
+    assert len(seen) >= EVENTS
+    delivered = rig.delivered
+    assert_same(seen, delivered.events[delivered.resets[-1] :], offset_us=0)
+    assert (seen["x"].min(), seen["x"].max(), seen["y"].min(), seen["y"].max()) == (200, 999, 100, 599)
+    assert rig.summary["balanced"], rig.summary
