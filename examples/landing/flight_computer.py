@@ -29,7 +29,7 @@ from typing import TextIO
 import can
 import numpy as np
 from divergence import Motion, MotionEstimator, Rays
-from guidance import Guidance, Law
+from guidance import Law
 from links import Links
 from prediction import PredictingGuidance
 from window import Lens, Window
@@ -37,7 +37,8 @@ from window import Lens, Window
 __all__ = ["FlightComputer", "fly_lockstep", "fly_real_time"]
 
 _MARGIN_PX = 60.0  # for a tilt of 10 degrees
-_TURN_S = 0.2
+_TURN_S = 0.2  # in lockstep a command acts a turn after its SYNC
+_FIRST_DELAY_S = 0.1  # in real time, until it is known
 _PICTURE_S = 0.04
 _LEAST_EVENTS = 500
 _BIN_US = 1000
@@ -58,7 +59,7 @@ class FlightComputer:
     log : takes a line of JSON for each turn.
     """
 
-    def __init__(self, guidance: Guidance, window: Window, estimator: MotionEstimator, log: TextIO) -> None:
+    def __init__(self, guidance: PredictingGuidance, window: Window, estimator: MotionEstimator, log: TextIO) -> None:
         self._guidance, self._window, self._estimator, self._log = guidance, window, estimator, log
         self.began_s = -math.inf
 
@@ -71,9 +72,8 @@ class FlightComputer:
         Path(self._log.name).with_name("standing.json").write_text(json.dumps(told))
 
     def took(self, seconds: float) -> None:
-        """Say how long the last command took from its turn until it was sent, where the law wants to know."""
-        if isinstance(self._guidance, PredictingGuidance):
-            self._guidance.took(seconds)
+        """Say how long the last command took from its turn until it was sent."""
+        self._guidance.took(seconds)
 
     def turn(self, now_s: float, period_s: float = _TURN_S, more: dict[str, object] | None = None) -> np.ndarray:
         """Return the acceleration wanted from `now_s` on, for `period_s`, by the events that have come."""
@@ -168,8 +168,8 @@ def main() -> None:
     arguments = _arguments()
     logging.getLogger("can.interfaces.socketcand").setLevel(logging.ERROR)  # it warns of frames that TCP cut in two
     lens = Lens()
-    law = PredictingGuidance if arguments.real_time else Guidance
-    guidance = law(Law(), arguments.height, np.array(arguments.velocity), lens.size[0] / 2)
+    known = Law(), arguments.height, np.array(arguments.velocity), lens.size[0] / 2
+    guidance = PredictingGuidance(*known, delay_s=_FIRST_DELAY_S if arguments.real_time else _TURN_S)
     window, port = Window(lens, arguments.seed), arguments.can_port
     with (
         arguments.log.open("w") as log,
