@@ -118,6 +118,13 @@ class LivePoses(Trajectory):
         after = next(k for k, one in enumerate(known) if one.t_ns >= t_ns)
         return known[0].pose if after == 0 else between(known[after - 1].at, known[after].at, t_ns)
 
+    def pose_and_motion(self, t_ns: int) -> tuple[Pose, Motion]:
+        """Return both by what is known now; no picture is counted as late."""
+        late = self.counters.late_pictures
+        pose = self.pose(t_ns)
+        self.counters.late_pictures = late
+        return pose, self.motion(t_ns)
+
     def motion(self, t_ns: int) -> Motion:
         """Return how it moves at `t_ns` by what is known now, see `known_motion`; at rest where it stands still."""
         known = [one.at for one in self._known]
@@ -181,7 +188,6 @@ def between(before: tuple[int, Pose], after: tuple[int, Pose], t_ns: int) -> Pos
     turn = multiply(b.q_world_from_body, conjugate(a.q_world_from_body))
     part = quaternion_of_vector((x - 1) * rotation_vector(turn))
     return Pose(place, multiply(part, b.q_world_from_body))
-
 
 
 def known_motion(known: Sequence[tuple[int, Pose]], t_ns: int) -> Motion:

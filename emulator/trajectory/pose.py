@@ -89,6 +89,10 @@ class Trajectory(ABC):
         """Return how it moves at `t_ns`; from differences of poses where no closed form is known, see `motion`."""
         return differences(self.pose, t_ns)
 
+    def pose_and_motion(self, t_ns: int) -> tuple[Pose, Motion]:
+        """Return both at `t_ns`, for one who looks beside the pictures: it takes in and counts nothing from outside."""
+        return self.pose(t_ns), self.motion(t_ns)
+
     @property
     @abstractmethod
     def speed_bound_m_s(self) -> float:

@@ -185,6 +185,10 @@ class ReceivedPath(Trajectory):
         """Return how it moves at `t_ns` by the poses that have come, see `LivePoses.motion`."""
         return self._poses.motion(t_ns)
 
+    def pose_and_motion(self, t_ns: int) -> tuple[Pose, Motion]:
+        """Return both by the poses that have come."""
+        return self._poses.pose_and_motion(t_ns)
+
     @property
     def speed_bound_m_s(self) -> float:
         """Infinite: poses to come are not known."""

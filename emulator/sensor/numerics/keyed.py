@@ -49,6 +49,9 @@ class Purpose(IntEnum):
     NOISE_BURST = 22
     SLOT = 32
     THRESHOLD_REDRAWN = 33
+    IMU_NOISE = 48
+    IMU_WALK = 49
+    IMU_BIAS = 50
 
 
 def root_of(seed: int, purpose: Purpose) -> np.uint64:
