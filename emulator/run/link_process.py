@@ -20,6 +20,7 @@ from typing import Any
 
 from emulator.run.spawning import starting_a_link
 from firmware_protocol.events import Events
+from firmware_protocol.readings import ReadingKind, Readings
 from transports.faults.kinds import Fault
 from transports.link.pacing import Clock
 from transports.link.process import InjectFault, LinkSetup, Stop, run_link
@@ -111,6 +112,19 @@ class LinkProcess:
             self._push(piece, int(piece["t"][-1]))
             events = events[len(piece) :]
         self._push(events, now_us)
+
+    def push_readings(self, kind: ReadingKind, readings: Readings, goes_on: Callable[[], bool] | None = None) -> None:
+        """Hand over readings of a kind, before the events of the same time; what finds no room is refused and counted.
+
+        In a run that is not paced, `goes_on` is given: it then waits for room, until the ring is empty.
+        """
+        ring = next((ring for ring in self._setup.readings if ring.kind == kind), None)
+        if ring is None or self.gone or not len(readings):
+            return
+        while goes_on is not None and len(readings) > ring.room and ring.waiting and not self.gone and goes_on():
+            self._clock.sleep_until(self._clock.now_ns() + _ROOM_WAIT_NS)
+            self.listen()
+        ring.push(readings)
 
     def stop(self, drain_s: float) -> LinkReport:
         """Close the ring, let the link deliver what waits, and return its final report."""

@@ -1,6 +1,7 @@
 """One run of one rig: scene, sensor and links wired together, paced, counted and stopped cleanly.
 
-    for each step [t, t1]:   picture(t1) -> sensor -> events -> a ring for each link
+    for each step [t, t1]:   picture(t1) -+-> sensor -> events -> a ring for each link
+                                          +-> frames, samples --> further rings, where a link has them
 
 Paced in real time, a step is computed `lead` ahead of the moment its first event is due, and each link lets every event
 go at its own time. Not paced, steps follow each other as fast as they can be computed and links hold the run back when
@@ -24,6 +25,7 @@ from emulator.run.lateness import Lateness, StepRule
 from emulator.run.ledger import Ledger, LinkLedger
 from emulator.run.link_process import LinkProcess
 from emulator.run.lockstep import Lockstep
+from emulator.run.readings import ReadingSources
 from emulator.run.slow_notice import said_if_slow
 from emulator.sensor.event_source import AdjustableSource, EventSource
 from firmware_protocol.events import Events
@@ -98,9 +100,11 @@ class RunResult:
 
     @property
     def good(self) -> bool:
-        """True when every event and edge has one fate, no link failed, every file is whole, and the run kept up."""
+        """True when all events, edges and readings have one fate, no link failed, files are whole, the run kept up."""
         links = self.links.values()
-        sound = self.ledger.balanced and all(link.error is None and link.edges_balanced for link in links)
+        sound = self.ledger.balanced and all(
+            link.error is None and link.edges_balanced and link.readings_balanced for link in links
+        )
         sound = sound and not any(link.file_troubles for link in links)
         return sound and not self.too_late
 
@@ -118,10 +122,18 @@ class Session:
         How long each step is.
     setups
         One for each link.
+    readings
+        What the camera reads beside events.
     """
 
     def __init__(
-        self, pictures: Pictures, sensor: EventSource, steps: StepSource, setups: Sequence[LinkSetup[Any]], clock: Clock
+        self,
+        pictures: Pictures,
+        sensor: EventSource,
+        steps: StepSource,
+        setups: Sequence[LinkSetup[Any]],
+        clock: Clock,
+        readings: ReadingSources | None = None,
     ) -> None:
         size = (sensor.parameters.width, sensor.parameters.height)
         if pictures.size != size:
@@ -131,6 +143,7 @@ class Session:
         self._biases = BiasFollowing(sensor)
         self._step_source = steps
         self._setups = setups
+        self._readings = readings or ReadingSources((), setups)
         self._clock = clock
         self._links: list[LinkProcess] = []
         self._steps = 0
@@ -230,6 +243,7 @@ class Session:
             self._sensor.warm_up()
         self._pictures.draw(0)
         self._sensor.reset(self._pictures.light, 0)
+        self._readings.reset(self._pictures.light, 0)
         self._step_source.observe(self._pictures.light, self._pictures.rate, 0)
 
     def _run_steps(self, schedule: Schedule, on_status: Callable[[RunStatus], None]) -> None:
@@ -297,6 +311,9 @@ class Session:
             t1_ns = min(t1_ns, schedule.duration_ns)
         picture = self._pictures
         picture.draw(t1_ns)
+        for kind, records in self._readings.read(picture.light, t1_ns):
+            for link in self._links:
+                link.push_readings(kind, records, None if schedule.paced else lambda: self._goes_on)
         events = self._sensor.expose(picture.light, t1_ns, picture.rate, picture.pixel_light, picture.changed)
         self._step_source.observe(picture.light, picture.rate, t1_ns)
         self._t_ns = t1_ns

@@ -1,14 +1,16 @@
-"""What goes into a device in a link's process: events and edges in time order, in the device's own time.
+"""What goes into a device in a link's process: events, edges and readings in time order, in the device's own time.
 
-    EventRing  --+--> [device clock] --> device.offer_edges, device.offer, device.advance
-    EdgeSource --+
+    EventRing   --+
+    EdgeSource  --+--> [device clock] --> device.offer_edges, offer_readings, offer, advance
+    ReadingRing --+
 
-Edges of a stretch of time go in before its events. An edge that comes when the device's time has passed it is late: a
-device that stamps by itself stamps it now. How late is counted, for any device.
+Edges and readings of a stretch of time go in before its events. An edge that comes when the device's time has passed it
+is late: a device that stamps by itself stamps it now. How late is counted, for any device.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,6 +22,8 @@ from firmware_protocol.event_copies import copy_events
 from firmware_protocol.event_device import EventDevice
 from firmware_protocol.events import Events
 from transports.link.edges import EdgeRing, EdgeSource
+from transports.link.reading_feed import ReadingFeed
+from transports.link.reading_ring import ReadingRing
 from transports.link.ring import EventRing
 from transports.output_file import OutputFile
 
@@ -126,13 +130,22 @@ class ClockTruth:
 
 
 class Feed:
-    """Feeds a device. Stream time outside, device time inside."""
+    """Feeds a device. Stream time outside, device time inside.
 
-    def __init__(self, device: EventDevice, ring: EventRing, timing: Timing) -> None:
+    Attributes
+    ----------
+    readings
+        What is fed beside events and edges.
+    """
+
+    def __init__(
+        self, device: EventDevice, ring: EventRing, timing: Timing, readings: Sequence[ReadingRing] = ()
+    ) -> None:
         self._device = device
         self._ring = ring
         self._edges = timing.edges
         self.clock = None if timing.clock is None else DeviceClock(timing.clock, timing.seed)
+        self.readings = ReadingFeed(device, readings, self.clock)
         self._restarts_us = [] if self.clock is None else self.clock.restarts_us
         self._period_us = timing.send_period_us
         self._last_mark = 0
@@ -159,6 +172,7 @@ class Feed:
         reached_us = until_us if complete else max(int(events["t"][-1]) if len(events) else 0, self.reached_us)
         if self._edges is not None:
             self._offer_edges(self._edges.take(reached_us))
+        self.readings.offer(reached_us)
         if len(events):
             self._device.offer(self._own_time(events))
         if complete:

@@ -3,6 +3,8 @@
     session process                      link process
     ---------------                      ------------------------------------------------
     EventRing  ---- events, now_us --->  feed: device.offer, device.advance
+    ReadingRing --- frames, samples -->        device.offer_readings
+               <--- what hosts ask ----        device.reading_settings
     Connection ---- Stop, InjectFault ->  endpoint: USB/IP server, serial line ...
                <--- LinkReport --------  (ten a second, and a last one)
 
@@ -32,6 +34,7 @@ from transports.link.deliveries import Deliveries
 from transports.link.endpoint import Endpoint, EndpointFactory, LinkBroken
 from transports.link.feed import ClockReport, ClockTruth, Feed, Timing
 from transports.link.pacing import Clock, MonotonicClock
+from transports.link.reading_ring import ReadingRing
 from transports.link.report import LinkReport
 from transports.link.ring import FREE_RUNNING, EventRing
 from transports.link.selector import FineSelector
@@ -88,6 +91,8 @@ class LinkSetup(Generic[_Device]):
         Whether the process is started again when it dies.
     tally
         Count of delivered events that outlives the process.
+    readings
+        Rings of what the device reads beside events, one for each kind.
     """
 
     name: str
@@ -101,6 +106,7 @@ class LinkSetup(Generic[_Device]):
     fifo_priority: int = 0
     restart: bool = False
     tally: DeliveryTally = field(default_factory=DeliveryTally)
+    readings: tuple[ReadingRing, ...] = ()
 
 
 class Link:
@@ -112,7 +118,7 @@ class Link:
         self._clock = clock
         self._device: EventDevice = setup.device()
         recorder = None if setup.record is None else open_recorder(setup.record, setup.facts)
-        self._feed = Feed(self._device, setup.ring, setup.timing)
+        self._feed = Feed(self._device, setup.ring, setup.timing, setup.readings)
         self._holdback_us = setup.timing.holdback_us
         self._truth = None if setup.timing.truth is None else ClockTruth(setup.timing.truth)
         self._last_clock: ClockReport | None = None
@@ -138,7 +144,7 @@ class Link:
 
     def _free_until_us(self) -> int:
         """Return how far a run that is not paced may go now; a silence that the host needs lasts in its time too."""
-        until_us = min(self._ring.now_us, self._feed.horizon_us)
+        until_us = self._feed.readings.until_us(min(self._ring.now_us, self._feed.horizon_us))
         silent_until_us = self._device.silent_until_us
         if silent_until_us <= self._device.now_us:
             return until_us
@@ -157,7 +163,8 @@ class Link:
         """True when nothing waits, neither in the ring nor in the camera."""
         counters = self._device.counters
         reached = self._ring.origin_ns is None or self._feed.reached_us >= self._ring.now_us
-        return reached and self._ring.waiting == 0 and counters.queued == 0 and counters.edges.queued == 0
+        queued = counters.queued + counters.edges.queued + sum(one.queued for one in counters.readings.values())
+        return reached and self._ring.waiting == 0 and self._feed.readings.waiting == 0 and queued == 0
 
     def report(self, *, final: bool = False, error: str | None = None) -> LinkReport:
         """Say what the link has done; the final report counts what was left in the ring as dropped."""
@@ -182,6 +189,7 @@ class Link:
             faults=faults,
             file_troubles=self._file_troubles(faults),
             sensor_factors=self._device.sensor_factors,
+            readings=self._feed.readings.reports(final=final),
         )
 
     def _file_troubles(self, faults: tuple[FaultRecord, ...]) -> tuple[str, ...]:
