@@ -12,7 +12,7 @@ from emulator.sensor.presets import PRESETS, SensorParameters
 from firmware_protocol.davis346 import Davis346, Davis346Settings, Layout
 from firmware_protocol.usb.device import Speed, UsbCamera
 
-__all__ = ["CAMERA_MODELS", "CameraModel", "UsbModel", "UsbSettings", "gige_models", "usb_sizes"]
+__all__ = ["CAMERA_MODELS", "IMU_UNITS", "CameraModel", "UsbModel", "UsbSettings", "gige_models", "usb_sizes"]
 
 
 @dataclass(frozen=True)
@@ -55,6 +55,10 @@ class CameraModel:
     gige: bool = False
 
 
+IMU_UNITS = {"mpu_6050": 1, "mpu_9250": 2}
+"""Register TYPE of an inertial unit."""
+
+
 def _davis346(camera: Camera, usb: UsbSettings) -> Callable[[], UsbCamera]:
     settings = Davis346Settings(
         serial=camera.serial,
@@ -63,6 +67,7 @@ def _davis346(camera: Camera, usb: UsbSettings) -> Callable[[], UsbCamera]:
         layout=Layout[camera.layout.upper()],
         fifo_bytes=camera.fifo_bytes,
         start_delay_us=round(usb.start_delay_ms * 1000),
+        imu_unit=0 if camera.imu is None else IMU_UNITS[camera.imu.unit],
         pulse_us=Davis346Settings.pulse_us if usb.pulse_us is None else usb.pulse_us,
     )
     return partial(Davis346, settings)

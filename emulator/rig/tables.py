@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from emulator.optics.lens import LensParameters
+from emulator.sensor.imu.parameters import ImuParameters
 from emulator.sensor.presets import PRESETS, SensorParameters
 from firmware_protocol.device_clock import ClockSettings
 
@@ -37,6 +38,8 @@ class Camera:
         Figures of the preset changed for this rig.
     clock
         The camera's own clock; without it the camera shows stream time.
+    imu
+        Its inertial unit, a DAVIS346's; without the table it has none.
     lens
         For scenes in units of radiance; the others bring their own light.
     """
@@ -49,6 +52,7 @@ class Camera:
     start_delay_ms: float = 300.0
     sensor: SensorParameters = field(default_factory=lambda: PRESETS["davis346"])
     clock: ClockSettings | None = None
+    imu: ImuParameters | None = None
     lens: LensParameters = field(default_factory=LensParameters)
 
     def __post_init__(self) -> None:

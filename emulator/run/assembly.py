@@ -12,11 +12,13 @@ from emulator.light import Scene
 from emulator.plan.plan import limits, make_plan
 from emulator.plan.scene_probe import probe
 from emulator.plan.step_control import ControlledSteps, FixedSteps, RefinementModel, StepSource
-from emulator.rig.camera_models import CAMERA_MODELS, UsbSettings
+from emulator.rig.camera_models import CAMERA_MODELS, IMU_UNITS, UsbSettings
 from emulator.rig.link_kinds import LINKS
 from emulator.rig.loading import Rig, RigError, Run
 from emulator.rig.scene_kinds import SCENES
 from emulator.run.frames import Pictures
+from emulator.run.inertial import imu_source
+from emulator.run.readings import ReadingSource, ReadingSources
 from emulator.run.session import Schedule, Session
 from emulator.run.triggers import TriggerPaths
 from emulator.sensor.chip.temperature import at_temperature
@@ -28,14 +30,17 @@ from emulator.sensor.presets import SensorParameters
 from emulator.sensor.sensor import MakePixels, Sensor
 from emulator.tables.registry import imported
 from firmware_protocol.gige import GigeSettings, Triton2
+from firmware_protocol.imu_samples import IMU_SAMPLE
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.plain_device import PlainDevice
+from firmware_protocol.readings import ReadingKind
 from firmware_protocol.usb.device import UsbCamera
 from transports.faults.script import FaultPlan
 from transports.link.feed import Timing
 from transports.link.kind import CameraFacts, LinkKind, LinkParameters, Wiring
 from transports.link.pacing import Clock
 from transports.link.process import LinkSetup
+from transports.link.reading_ring import ReadingRing
 from transports.link.ring import EventRing
 from transports.recording.format import with_addition
 from transports.recording.part import Facts
@@ -53,6 +58,7 @@ __all__ = [
 ]
 
 
+_IMU_RING = 16384  # samples, 16 s of them
 _DRAIN_S = 1.0
 _DRAIN_UNPACED_S = 10.0  # a run that waits for its links loses nothing, also where a link still compiles its coders
 
@@ -74,7 +80,20 @@ def build_session(
         refinement = None if not refines else RefinementModel(min(parameters.threshold_on, parameters.threshold_off))
         steps = ControlledSteps(limits(rig, scene.motion_bound_px_s), dark, run.step_us * 1000, refinement)
     sensor = build_sensor(rig, parameters) if truth is None else _with_truth(rig, parameters, scene, truth)
-    return Session(pictures, sensor, steps, setups, clock)
+    return Session(pictures, sensor, steps, setups, clock, ReadingSources(reading_sources(rig, scene), setups))
+
+
+def reading_sources(rig: Rig, scene: Scene) -> list[ReadingSource]:
+    """Return what the rig's camera reads beside events."""
+    imu = imu_source(rig, scene)
+    return [] if imu is None else [imu]
+
+
+def _reading_rings(rig: Rig, kind: LinkKind[Any]) -> tuple[ReadingRing, ...]:
+    """Return new rings for a link whose device has a use for readings."""
+    if kind.serves != "usb" or rig.camera.imu is None:
+        return ()
+    return (ReadingRing(ReadingKind.IMU, IMU_SAMPLE, _IMU_RING),)
 
 
 def _with_truth(rig: Rig, parameters: SensorParameters, scene: Scene, truth: TruthFile) -> EventSource:
@@ -148,8 +167,17 @@ def _link_setup(
     ring, kind = EventRing(), LINKS[link.kind]
     camera = CameraFacts(rig.camera.model, rig.camera.size)
     endpoint = kind.endpoint(link, Wiring(_faults(rig, link, fault_log), triggers.sink(link.name, ring), camera))
+    facts = _facts(rig, kind)
+    setup = LinkSetup(link.name, ring, _device(rig, link, kind), endpoint, record, timing=timing, facts=facts)
+    return dataclasses.replace(setup, readings=_reading_rings(rig, kind))
+
+
+def _facts(rig: Rig, kind: LinkKind[Any]) -> Facts:
+    """Return what the link's recording says of the camera."""
     facts = Facts(rig.camera.size, f"{rig.camera.model.upper()}_{rig.camera.serial}")
-    return LinkSetup(link.name, ring, _device(rig, link, kind), endpoint, record, timing=timing, facts=facts)
+    if kind.serves != "usb" or rig.camera.imu is None:
+        return facts
+    return dataclasses.replace(facts, streams=facts.streams | {"imu"}, imu_unit=IMU_UNITS[rig.camera.imu.unit])
 
 
 def _device(rig: Rig, link: LinkParameters, kind: LinkKind[Any]) -> Callable[[], Any]:

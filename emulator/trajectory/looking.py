@@ -48,7 +48,7 @@ class Looking(Trajectory):
     def motion(self, t_ns: int) -> Motion:
         """Return the path's motion with the turning that keeps the boresight on the target."""
         place, axes = self._place.motion(t_ns), self.pose(t_ns).world_from_body
-        x, y, z = axes.T
+        x, _, z = axes.T
         across = cross(z, self._up)
         if np.linalg.norm(across) < _ALONG:
             return Motion(place.velocity_m_s, place.acceleration_m_s2, super().motion(t_ns).turn_rad_s)

@@ -3,6 +3,7 @@
     frame start      special 8 or 9, exposure in three misc10 words, region of interest in eight misc8 words
     line             special 11 (reset) or 12 (signal), samples, special 13
     exposure, end    special 14, 15; special 10
+    IMU sample       special 5, scale, counts, special 7: see `imu_words`
     misc8  0x5000 | code << 8 | data     misc10  0x6000 | code << 10 | data     sample  0x4000 | value
 
 The exposure register's 30 bits go as bits 9..0, 19..10, 29..20 (misc10 code 0). The region's four values go as start
@@ -20,6 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from firmware_protocol.davis346.imu_words import imu_words
 from firmware_protocol.davis346.marks import Marks, join_marks, no_marks
 from firmware_protocol.frame_lines import LineKind
 from firmware_protocol.readings import Reading, ReadingKind, Readings
@@ -67,7 +69,10 @@ def _start_words(global_shutter: bool, exposure: int, roi: list[int]) -> Words:
     return np.array([_START_GLOBAL if global_shutter else _START_ROLLING, *bits, *halves], "<u2")
 
 
-_WORDS_OF: Mapping[ReadingKind, Callable[[Readings], Words]] = {ReadingKind.FRAMES: frame_words}
+_WORDS_OF: Mapping[ReadingKind, Callable[[Readings], Words]] = {
+    ReadingKind.FRAMES: frame_words,
+    ReadingKind.IMU: imu_words,
+}
 
 
 def block_of(kind: ReadingKind, record: Readings) -> Block:

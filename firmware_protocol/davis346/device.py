@@ -85,7 +85,7 @@ class Davis346(UsbCamera):
     def __init__(self, settings: Davis346Settings | None = None) -> None:
         self.settings = settings = settings or Davis346Settings()
         self._standard = StandardControl(settings.descriptors())
-        self._registers = RegisterFile(registers(settings.size, settings.layout, settings.system))
+        self._registers = RegisterFile(registers(settings.size, settings.layout, settings.system, settings.imu_unit))
         self._stream = EventStream(WordEncoder(settings.size, settings.layout.turned), Fifo(settings.fifo_bytes))
         self._input = ExternalInput(settings.pulse_us)
         self._stalled = no_marks()

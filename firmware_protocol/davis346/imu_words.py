@@ -17,70 +17,29 @@ as its scale says is dropped by libcaer, and by this reader, which counts it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["IMU_SAMPLE", "PHYSICAL", "THERMOMETERS", "ImuReader", "ImuSamples", "ImuScale", "imu_words", "is_imu", "no_samples", "physical"]
+from firmware_protocol.imu_samples import IMU_SAMPLE, ImuSamples
 
-IMU_SAMPLE = np.dtype([("t", "<u8"), ("scale", "u1"), ("counts", "<i2", 7)])
-"""Device time of the end word in us, scale byte, counts as above; 0 for what is not there."""
+__all__ = ["IMU_READ", "ImuReader", "imu_words", "is_imu"]
 
-ImuSamples = npt.NDArray[np.void]
-"""An array of IMU_SAMPLE records, shape (n,)."""
-
-PHYSICAL = np.dtype([("t", "<u8"), ("acceleration_g", "<f8", 3), ("temperature_c", "<f8"), ("rate_deg_s", "<f8", 3)])
+IMU_READ = np.dtype([("sample", IMU_SAMPLE), ("resets", "<u4")])
+"""A sample in device time, and how many timestamp resets came before it."""
 
 Words = npt.NDArray[np.uint16]
 
 _WORD = np.dtype("<u2")
-_START, _END = 5, 7
+_RESET, _START, _END = 1, 5, 7
 _SCALE, _DATA = 0x5300, 0x5000
 _HIGH_BYTE = 0xFF00
-THERMOMETERS = {1: (340.0, 35.0), 2: (333.87, 21.0)}
 _GROUPS = ((7, slice(0, 3)), (5, slice(3, 4)), (6, slice(4, 7)))
 
 
-@dataclass(frozen=True)
-class ImuScale:
-    """The scale byte: which groups are there, and the ranges, 0 to 3."""
-
-    accelerometer: bool = True
-    gyroscope: bool = True
-    temperature: bool = True
-    accelerometer_range: int = 1
-    gyroscope_range: int = 1
-
-    def __int__(self) -> int:
-        there = self.accelerometer << 7 | self.gyroscope << 6 | self.temperature << 5
-        return there | (self.accelerometer_range & 3) << 2 | self.gyroscope_range & 3
-
-    @classmethod
-    def parse(cls, byte: int) -> ImuScale:
-        """Read the byte; bit 4 is not used."""
-        return cls(bool(byte & 0x80), bool(byte & 0x40), bool(byte & 0x20), byte >> 2 & 3, byte & 3)
-
-    @property
-    def acceleration_g(self) -> float:
-        """One count of the accelerometer, g."""
-        return (4 << self.accelerometer_range) / 65536
-
-    @property
-    def rate_deg_s(self) -> float:
-        """One count of the gyroscope, deg/s."""
-        return (500 << self.gyroscope_range) / 65536
-
-
-def no_samples(n: int = 0) -> ImuSamples:
-    """Return an array of `n` zeroed samples."""
-    return np.zeros(n, IMU_SAMPLE)
-
-
-def imu_words(sample: np.void) -> Words:
-    """Return the words of one IMU_SAMPLE, without its time."""
-    scale = int(sample["scale"])
-    there = np.concatenate([sample["counts"][group] for _, group in _present(scale)] or [np.empty(0, np.int16)])
+def imu_words(sample: ImuSamples) -> Words:
+    """Return the words of one sample, (1,) IMU_SAMPLE, without its time."""
+    scale, counts = int(sample["scale"][0]), sample["counts"][0]
+    there = np.concatenate([counts[group] for _, group in _present(scale)] or [np.empty(0, np.int16)])
     data = there.astype(">i2").view(np.uint8)
     return np.concatenate(
         [[np.uint16(_START), np.uint16(_SCALE | scale)], data.astype(_WORD) | _WORD.type(_DATA), [np.uint16(_END)]]
@@ -98,24 +57,12 @@ def is_imu(words: Words) -> npt.NDArray[np.bool_]:
     return found
 
 
-def physical(samples: ImuSamples, unit: int = 2) -> npt.NDArray[np.void]:
-    """Return samples in g, degrees Celsius and deg/s, (n,) PHYSICAL, as a driver converts them; `unit` is its TYPE."""
-    out = np.zeros(len(samples), PHYSICAL)
-    scale = samples["scale"].astype(np.int64)
-    counts = samples["counts"].astype(np.float64)
-    steepness, offset = THERMOMETERS[unit]
-    out["t"] = samples["t"]
-    out["acceleration_g"] = counts[:, :3] * (4.0 * 2.0 ** (scale >> 2 & 3) / 65536)[:, None]
-    out["temperature_c"] = counts[:, 3] / steepness + offset
-    out["rate_deg_s"] = counts[:, 4:] * (500.0 * 2.0 ** (scale & 3) / 65536)[:, None]
-    return out
-
-
 class ImuReader:
     """Reads the words of IMU samples, keeping what it has between pieces.
 
     Attributes
     ----------
+    resets : timestamp resets seen so far.
     broken : samples that ended too early or too late, or that another one began in.
     """
 
@@ -123,27 +70,27 @@ class ImuReader:
         self._scale: int | None = None
         self._data = bytearray()
         self._open = False
-        self.broken = 0
+        self.broken = self.resets = 0
 
-    def reset(self) -> None:
-        """Forget an unfinished sample, as libcaer does at a timestamp reset."""
-        self.broken += self._open
-        self._begin(False)
+    def feed(self, words: Words, times_us: npt.NDArray[np.int64]) -> npt.NDArray[np.void]:
+        """Return the samples that end in `words` (n,), at device times (n,); (m,) IMU_READ. Other words are skipped.
 
-    def feed(self, words: Words, times_us: npt.NDArray[np.int64]) -> ImuSamples:
-        """Return the samples that end in `words` (n,), which are all of them `is_imu`, at device times (n,)."""
-        found: list[tuple[int, int, list[int]]] = []
-        for word, time_us in zip(words.tolist(), times_us.tolist(), strict=True):
-            if word == _START:
-                self.reset()
-                self._begin(True)
+        A timestamp reset ends a sample, as in libcaer.
+        """
+        found: list[tuple[tuple[int, int, list[int]], int]] = []
+        wanted = is_imu(words) | (words == _RESET)
+        for word, time_us in zip(words[wanted].tolist(), times_us[wanted].tolist(), strict=True):
+            if word in (_START, _RESET):
+                self.broken += self._open
+                self._begin(word == _START)
+                self.resets += word == _RESET
             elif word == _END:
-                found.extend(self._ended(time_us))
+                found.extend((sample, self.resets) for sample in self._ended(time_us))
             elif word & _HIGH_BYTE == _SCALE:
                 self._scale = word & 0xFF
             else:
                 self._data.append(word & 0xFF)
-        return np.array(found, IMU_SAMPLE)
+        return np.array(found, IMU_READ)
 
     def _begin(self, is_open: bool) -> None:
         self._open, self._scale = is_open, None

@@ -16,14 +16,17 @@ from dataclasses import astuple, dataclass, field, replace
 
 from firmware_protocol.davis346.aps_registers import aps_waits_on_stall, frame_settings
 from firmware_protocol.davis346.blocks import Block, blocks_of
+from firmware_protocol.davis346.imu_registers import imu_settings
 from firmware_protocol.davis346.registers import RegisterFile
 from firmware_protocol.davis346.settings import Davis346Settings
 from firmware_protocol.frame_lines import FrameSettings, LineKind
+from firmware_protocol.imu_samples import ImuSettings
 from firmware_protocol.readings import ReadingCounters, ReadingKind, Readings
 
 __all__ = ["BlockFates", "ReadingInput"]
 
 _MOST_HELD = {ReadingKind.FRAMES: 1536, ReadingKind.IMU: 16}  # two frames of 346 columns; samples of an inertial unit
+_IMU_WORDS = 1 + 17  # a timestamp, and a sample of all three groups
 
 
 @dataclass
@@ -43,8 +46,9 @@ class ReadingInput:
     def __init__(self, settings: Davis346Settings, registers: RegisterFile) -> None:
         self._settings = settings
         self._registers = registers
-        self._longest = {ReadingKind.FRAMES: max(settings.size) + 2}
+        self._longest = {ReadingKind.FRAMES: max(settings.size) + 2, ReadingKind.IMU: _IMU_WORDS}
         self._frames = FrameSettings()
+        self._imu = ImuSettings()
         self._waiting: list[Block] = []
         self._in_frame = False
         self._offered: Counter[ReadingKind] = Counter()
@@ -54,18 +58,20 @@ class ReadingInput:
     def follow(self, *, words: bool) -> None:
         """Read the registers again; `words`: whether the data path runs."""
         self._frames = frame_settings(self._registers, self._settings.size, self._settings.layout, words=words)
+        self._imu = imu_settings(self._registers, words=words)
 
     def settings_of(self, kind: ReadingKind) -> tuple[int, ...]:
         """Return what the registers ask of a kind; see `EventDevice.reading_settings`."""
-        return tuple(int(n) for n in astuple(self._frames)) if kind is ReadingKind.FRAMES else ()
+        asked = self._frames if kind is ReadingKind.FRAMES else self._imu
+        return tuple(int(n) for n in astuple(asked)) if self.takes(kind) else ()
 
     def takes(self, kind: ReadingKind) -> bool:
         """Say whether the camera has this kind."""
-        return kind is ReadingKind.FRAMES
+        return kind is ReadingKind.FRAMES or self._settings.imu_unit != 0
 
     def runs(self, kind: ReadingKind) -> bool:
         """Say whether readings of a kind would go to the host now."""
-        return kind is ReadingKind.FRAMES and self._frames.run
+        return self._frames.run if kind is ReadingKind.FRAMES else self._imu.run
 
     def reserved(self, free_words: int) -> int:
         """Return how many free words are kept for readings in a run that is not paced: half, if any kind runs."""

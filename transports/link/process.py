@@ -123,7 +123,7 @@ class Link:
         self._truth = None if setup.timing.truth is None else ClockTruth(setup.timing.truth)
         self._last_clock: ClockReport | None = None
         self._silence = -1, 0, 0  # when the newest one ends, and the stream time and the time at which it began
-        self._deliveries = Deliveries(setup.ring, clock, recorder, self._feed.clock)
+        self._deliveries = Deliveries(setup.ring, clock, recorder, self._feed.clock, setup.facts.imu_unit)
         self.endpoint: Endpoint = setup.endpoint.build(self._device, self._deliveries)
 
     def tick(self) -> None:

@@ -15,6 +15,8 @@ import numpy as np
 
 from firmware_protocol.edges import Edges
 from firmware_protocol.events import Events
+from firmware_protocol.imu_samples import ImuSamples, no_samples
+from firmware_protocol.readings import ReadingKind
 from firmware_protocol.usb.device import Identity, SetupPacket, Stall, Transfer, UsbCamera, UsbDevice
 from transports.link.deliveries import Deliveries
 from transports.link.endpoint import Endpoint, EndpointFactory, LinkBroken
@@ -112,13 +114,13 @@ class LoopbackEndpoint(Endpoint):
         self._device = device
         self._host: DirectHost | None = None
         self._camera: DavisHost | None = None
-        self._received = self._edges = 0
+        self._received = self._edges = self._samples = 0
 
     async def start(self) -> None:
         """Take the camera, identify it, start it and reset its clock."""
         self._host = DirectHost(self._device)
         self._camera = DavisHost(self._host)
-        self._camera.start(StreamSettings(edges=True))
+        self._camera.start(StreamSettings(edges=True, imu=True))
 
     def pump(self) -> None:
         """Read all that the camera has; raises LinkBroken when an event is not what was sent."""
@@ -128,8 +130,10 @@ class LoopbackEndpoint(Endpoint):
                 return
             edges = self._camera.take_edges()
             self._received += len(received)
+            imu = self._camera.take_imu()
             self._edges += len(edges)
-            _compare(received, edges, self._host.reader.last if self._host.reader else None)
+            self._samples += len(imu)
+            _compare(received, edges, imu, self._host.reader.last if self._host.reader else None)
 
     async def close(self) -> None:
         """Stop the camera and let go of it."""
@@ -140,12 +144,16 @@ class LoopbackEndpoint(Endpoint):
     def state(self) -> str:
         """How much has been checked."""
         edges = f", {self._edges} edges" if self._edges else ""
-        return f"{self._received} events{edges} checked"
+        samples = f", {self._samples} IMU samples" if self._samples else ""
+        return f"{self._received} events{edges}{samples} checked"
 
 
-def _compare(received: Events, edges: Edges, transfer: Transfer | None) -> None:
+def _compare(received: Events, edges: Edges, imu: ImuSamples, transfer: Transfer | None) -> None:
     transfer = transfer or Transfer(b"")
-    for what, got, said in (("events", received, transfer.events), ("edges", edges, transfer.edges)):
+    told = (one.record for one in transfer.readings if one.kind is ReadingKind.IMU)
+    said_imu = np.concatenate([no_samples(), *told])
+    pairs = (("events", received, transfer.events), ("edges", edges, transfer.edges), ("samples", imu, said_imu))
+    for what, got, said in pairs:
         sent = said.copy()
         sent["t"] -= np.uint64(transfer.epoch_us)
         if not np.array_equal(got, sent):

@@ -72,7 +72,7 @@ class ElementErrors:
         return walks
 
     def _summed(self, total: Floats, first: int, last: int) -> Floats:
-        """Return the sums after `first` to `last` steps, the first being `total`; one by one, so batches do not show."""
+        """Return the sums after `first` to `last` steps, the first being `total`; one by one: no batch shows."""
         return np.cumsum(np.concatenate([total[None], self._steps(first, last)]), axis=0)
 
     def _steps(self, first: int, last: int) -> Floats:

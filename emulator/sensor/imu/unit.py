@@ -17,10 +17,10 @@ import numpy as np
 from emulator.geometry.attitude import matrix_of
 from emulator.sensor.imu.errors import ElementErrors, Errors
 from emulator.sensor.imu.gravity import STANDARD_GRAVITY_M_S2, Gravity
+from emulator.sensor.imu.motion import ImuMotion, no_motion
 from emulator.sensor.imu.parameters import ImuParameters
 from emulator.trajectory.pose import Trajectory
 from emulator.trajectory.timescale import Timescale
-from firmware_protocol.imu_motion import ImuMotion, no_motion
 
 __all__ = ["Carried", "ImuUnit", "errors_of"]
 

@@ -153,4 +153,5 @@ def test_a_simulated_path_is_at_rest_until_it_is_known_to_move():
 
 def test_a_live_path_rests_where_nothing_has_come():
     path = LivePoses()
-    assert not path.motion(0).acceleration_m_s2.any() and not path.motion(0).turn_rad_s.any()
+    assert not path.motion(0).acceleration_m_s2.any()
+    assert not path.motion(0).turn_rad_s.any()

@@ -1,5 +1,6 @@
 """What an IMU feels on known paths, against closed forms."""
 
+import itertools
 import math
 from dataclasses import replace
 from fractions import Fraction
@@ -110,7 +111,7 @@ def test_samples_do_not_depend_on_steps_or_restarts(cuts):
     whole = unit(Fixed(), parameters=noisy).between(0, SECOND)
     edges = [0, *(round(c * SECOND) for c in cuts), SECOND]
     one = unit(Fixed(), parameters=noisy)
-    parts = [one.between(a, b) for a, b in zip(edges, edges[1:], strict=False)]
+    parts = [one.between(a, b) for a, b in itertools.pairwise(edges)]
     again = unit(Fixed(), parameters=noisy).between(SECOND // 2, SECOND)
     assert np.concatenate(parts).tobytes() == whole.tobytes()
     assert again.tobytes() == whole[-len(again) :].tobytes()
