@@ -63,6 +63,7 @@ def _davis346(camera: Camera, usb: UsbSettings) -> Callable[[], UsbCamera]:
         layout=Layout[camera.layout.upper()],
         fifo_bytes=camera.fifo_bytes,
         start_delay_us=round(usb.start_delay_ms * 1000),
+        frames=camera.frames is not None,
         pulse_us=Davis346Settings.pulse_us if usb.pulse_us is None else usb.pulse_us,
     )
     return partial(Davis346, settings)

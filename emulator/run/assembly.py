@@ -17,8 +17,10 @@ from emulator.rig.link_kinds import LINKS
 from emulator.rig.loading import Rig, RigError, Run
 from emulator.rig.scene_kinds import SCENES
 from emulator.run.frames import Pictures
+from emulator.run.readings import ReadingSource, ReadingSources
 from emulator.run.session import Schedule, Session
 from emulator.run.triggers import TriggerPaths
+from emulator.sensor.aps.source import FrameSource
 from emulator.sensor.chip.temperature import at_temperature
 from emulator.sensor.event_source import EventSource
 from emulator.sensor.gpu.array import GpuArray
@@ -48,6 +50,7 @@ __all__ = [
     "build_sensor",
     "build_session",
     "link_setups",
+    "reading_sources",
     "record_paths",
     "schedule",
 ]
@@ -74,7 +77,13 @@ def build_session(
         refinement = None if not refines else RefinementModel(min(parameters.threshold_on, parameters.threshold_off))
         steps = ControlledSteps(limits(rig, scene.motion_bound_px_s), dark, run.step_us * 1000, refinement)
     sensor = build_sensor(rig, parameters) if truth is None else _with_truth(rig, parameters, scene, truth)
-    return Session(pictures, sensor, steps, setups, clock)
+    return Session(pictures, sensor, steps, setups, clock, ReadingSources(reading_sources(rig), setups))
+
+
+def reading_sources(rig: Rig) -> list[ReadingSource]:
+    """Return what the rig's camera reads beside events."""
+    camera = rig.camera
+    return [] if camera.frames is None else [FrameSource(camera.frames, rig.run.seed, camera.size)]
 
 
 def _with_truth(rig: Rig, parameters: SensorParameters, scene: Scene, truth: TruthFile) -> EventSource:
@@ -149,7 +158,9 @@ def _link_setup(
     camera = CameraFacts(rig.camera.model, rig.camera.size)
     endpoint = kind.endpoint(link, Wiring(_faults(rig, link, fault_log), triggers.sink(link.name, ring), camera))
     facts = Facts(rig.camera.size, f"{rig.camera.model.upper()}_{rig.camera.serial}")
-    return LinkSetup(link.name, ring, _device(rig, link, kind), endpoint, record, timing=timing, facts=facts)
+    readings = ReadingSources.new_rings(reading_sources(rig)) if kind.serves == "usb" else ()
+    device = _device(rig, link, kind)
+    return LinkSetup(link.name, ring, device, endpoint, record, timing=timing, facts=facts, readings=readings)
 
 
 def _device(rig: Rig, link: LinkParameters, kind: LinkKind[Any]) -> Callable[[], Any]:

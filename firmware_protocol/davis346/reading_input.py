@@ -57,15 +57,15 @@ class ReadingInput:
 
     def settings_of(self, kind: ReadingKind) -> tuple[int, ...]:
         """Return what the registers ask of a kind; see `EventDevice.reading_settings`."""
-        return tuple(int(n) for n in astuple(self._frames)) if kind is ReadingKind.FRAMES else ()
+        return tuple(int(n) for n in astuple(self._frames)) if self.takes(kind) else ()
 
     def takes(self, kind: ReadingKind) -> bool:
         """Say whether the camera has this kind."""
-        return kind is ReadingKind.FRAMES
+        return kind is ReadingKind.FRAMES and self._settings.frames
 
     def runs(self, kind: ReadingKind) -> bool:
         """Say whether readings of a kind would go to the host now."""
-        return kind is ReadingKind.FRAMES and self._frames.run
+        return self.takes(kind) and self._frames.run
 
     def reserved(self, free_words: int) -> int:
         """Return how many free words are kept for readings in a run that is not paced: half, if any kind runs."""

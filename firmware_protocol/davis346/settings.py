@@ -51,6 +51,8 @@ class Davis346Settings:
         0x40040000 to 0x40080000 in the vendor's memory map (cyfxtx.c). At 12 Mev/s that lasts 4 to 10 ms.
     pulse_us
         How long a pulse on the external input lasts (an EDGE of kind PULSE).
+    frames
+        Whether it takes frames; where not, its host may ask and gets none.
     start_delay_us
         Silence after the run gate opens, stream time; see `quirks`.
     """
@@ -63,6 +65,7 @@ class Davis346Settings:
     fifo_bytes: int = 256 * 1024
     start_delay_us: int = START_DELAY_US
     pulse_us: int = 100
+    frames: bool = False
     system: SystemInfo = field(default_factory=SystemInfo)
     manufacturer: str = "iniVation"
     product: str = "DAViS FX3"

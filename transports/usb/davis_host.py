@@ -24,6 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from firmware_protocol.davis346.decoder import Decoded, Decoder, WordFaults
+from firmware_protocol.davis346.frame_reader import FrameRead
 from firmware_protocol.davis346.registers import Layout, Module, SystemInfo, registers
 from firmware_protocol.edges import Edges, empty_edges
 from firmware_protocol.events import Events, empty_events
@@ -100,6 +101,8 @@ class StreamSettings:
         A buffer that is not full leaves the camera after this time; libcaer's default is 1 ms.
     edges
         Ask the external input for rising and falling edges and for pulses; see `DavisHost.take_edges`.
+    frames
+        Switch the APS on, as its registers are; see `DavisHost.take_frames`.
     """
 
     transfer_bytes: int = 131_072
@@ -107,6 +110,7 @@ class StreamSettings:
     reset_timestamps: bool = True
     early_packet_us: int = 1000
     edges: bool = False
+    frames: bool = False
 
 
 class DavisHost:
@@ -130,6 +134,7 @@ class DavisHost:
         self._reader: BulkReader | None = None
         self._held = empty_events()
         self._edges: list[Edges] = []
+        self._frames: list[FrameRead] = []
         self._keeps_edges = False
         try:
             host.configure()
@@ -155,11 +160,13 @@ class DavisHost:
         self._flush()
         self._configure(settings)
         self._decoder = Decoder(self.info.size, self.info.turned)
-        self._edges, self._keeps_edges = [], settings.edges
+        self._edges, self._keeps_edges, self._frames = [], settings.edges, []
         self._reader = self._host.stream(_STREAM_ENDPOINT, settings.transfer_bytes, settings.transfers)
         self._write_each(_START)
         if settings.edges:
             self._write_each(_LISTEN)
+        if settings.frames:
+            self.write_register(Module.APS, 4, 1)
         if settings.reset_timestamps:
             self.write_registers(_RESET_TIME)
             self._held = self._after_reset(self._reader)
@@ -182,8 +189,14 @@ class DavisHost:
         edges, self._edges = self._edges, []
         return np.concatenate([empty_edges(), *edges])
 
+    def take_frames(self) -> list[FrameRead]:
+        """Return the frames read since the last call, where the start asked for them."""
+        frames, self._frames = self._frames, []
+        return frames
+
     def _decode(self, data: bytes) -> Decoded:
         decoded = self._decoder.feed(data)
+        self._frames += decoded.frames
         if self._keeps_edges:
             self._edges.append(decoded.edges)
         return decoded
@@ -282,6 +295,7 @@ class DavisHost:
             if len(decoded.resets):
                 after = decoded.since_reset()
                 self._edges = [after.edges] if self._keeps_edges else []
+                self._frames = list(after.frames)
                 return after.events
 
 
