@@ -4,7 +4,7 @@
     rolling shutter   START  RESET and SIGNAL lines by time, the exposure's two moments with the first line  END
 
 A record: t u64 us | kind u8 (LineKind) | line u16, in the user's frame | exposure u32, ADC cycles | global_shutter bool
-| roi u16[4], first column, first row, last column, last row | length u16 | samples u16[most], ADC values.
+| by_column bool | roi u16[4], first column, first row, last column, last row | length u16 | samples u16[most], ADC values.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def line_record(most: int) -> np.dtype[Any]:
     """Return the dtype of a line of at most `most` samples."""
     return np.dtype(
         [
-            ("t", "<u8"), ("kind", "u1"), ("line", "<u2"), ("exposure", "<u4"), ("global_shutter", "?"),
+            ("t", "<u8"), ("kind", "u1"), ("line", "<u2"), ("exposure", "<u4"), ("global_shutter", "?"), ("by_column", "?"),
             ("roi", "<u2", (4,)), ("length", "<u2"), ("samples", "<u2", (most,)),
         ]
     )  # fmt: skip
@@ -69,6 +69,11 @@ class FrameSettings:
     first_row: int = 0
     last_column: int = 0
     last_row: int = 0
+
+    @classmethod
+    def of(cls, numbers: tuple[int, ...]) -> FrameSettings:
+        """Return them from the numbers of `EventDevice.reading_settings`; no numbers: no frames."""
+        return cls(*(bool(n) for n in numbers[:3]), *numbers[3:]) if numbers else cls()
 
     @property
     def roi(self) -> tuple[int, int, int, int]:

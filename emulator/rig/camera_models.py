@@ -68,6 +68,7 @@ def _davis346(camera: Camera, usb: UsbSettings) -> Callable[[], UsbCamera]:
         fifo_bytes=camera.fifo_bytes,
         start_delay_us=round(usb.start_delay_ms * 1000),
         imu_unit=0 if camera.imu is None else IMU_UNITS[camera.imu.unit],
+        frames=camera.frames is not None,
         pulse_us=Davis346Settings.pulse_us if usb.pulse_us is None else usb.pulse_us,
     )
     return partial(Davis346, settings)

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from emulator.optics.lens import LensParameters
+from emulator.sensor.aps.parameters import FrameParameters
 from emulator.sensor.imu.parameters import ImuParameters
 from emulator.sensor.presets import PRESETS, SensorParameters
 from firmware_protocol.device_clock import ClockSettings
@@ -42,6 +43,8 @@ class Camera:
         Its inertial unit, a DAVIS346's; without the table it has none.
     lens
         For scenes in units of radiance; the others bring their own light.
+    frames
+        The active pixels of a DAVIS346: with this table the camera takes frames when its host asks for them.
     """
 
     model: str = "davis346"
@@ -54,6 +57,7 @@ class Camera:
     clock: ClockSettings | None = None
     imu: ImuParameters | None = None
     lens: LensParameters = field(default_factory=LensParameters)
+    frames: FrameParameters | None = None
 
     def __post_init__(self) -> None:
         if not 1 <= len(self.serial) <= 8 or not self.serial.isascii() or not self.serial.isprintable():

@@ -21,6 +21,7 @@ from emulator.run.inertial import imu_source
 from emulator.run.readings import ReadingSource, ReadingSources
 from emulator.run.session import Schedule, Session
 from emulator.run.triggers import TriggerPaths
+from emulator.sensor.aps.source import FrameSource
 from emulator.sensor.chip.temperature import at_temperature
 from emulator.sensor.event_source import EventSource
 from emulator.sensor.gpu.array import GpuArray
@@ -53,6 +54,7 @@ __all__ = [
     "build_sensor",
     "build_session",
     "link_setups",
+    "reading_sources",
     "record_paths",
     "schedule",
 ]
@@ -80,20 +82,27 @@ def build_session(
         refinement = None if not refines else RefinementModel(min(parameters.threshold_on, parameters.threshold_off))
         steps = ControlledSteps(limits(rig, scene.motion_bound_px_s), dark, run.step_us * 1000, refinement)
     sensor = build_sensor(rig, parameters) if truth is None else _with_truth(rig, parameters, scene, truth)
-    return Session(pictures, sensor, steps, setups, clock, ReadingSources(reading_sources(rig, scene), setups))
+    readings = ReadingSources(reading_sources(rig, scene), setups)
+    return Session(pictures, sensor, steps, setups, clock, readings)
 
 
 def reading_sources(rig: Rig, scene: Scene) -> list[ReadingSource]:
     """Return what the rig's camera reads beside events."""
     imu = imu_source(rig, scene)
-    return [] if imu is None else [imu]
+    return [*_frame_sources(rig), *([] if imu is None else [imu])]
+
+
+def _frame_sources(rig: Rig) -> list[ReadingSource]:
+    camera = rig.camera
+    return [] if camera.frames is None else [FrameSource(camera.frames, rig.run.seed, camera.size)]
 
 
 def _reading_rings(rig: Rig, kind: LinkKind[Any]) -> tuple[ReadingRing, ...]:
     """Return new rings for a link whose device has a use for readings."""
-    if kind.serves != "usb" or rig.camera.imu is None:
+    if kind.serves != "usb":
         return ()
-    return (ReadingRing(ReadingKind.IMU, IMU_SAMPLE, _IMU_RING),)
+    imu = () if rig.camera.imu is None else (ReadingRing(ReadingKind.IMU, IMU_SAMPLE, _IMU_RING),)
+    return (*ReadingSources.new_rings(_frame_sources(rig)), *imu)
 
 
 def _with_truth(rig: Rig, parameters: SensorParameters, scene: Scene, truth: TruthFile) -> EventSource:

@@ -67,11 +67,11 @@ class ReadingInput:
 
     def takes(self, kind: ReadingKind) -> bool:
         """Say whether the camera has this kind."""
-        return kind is ReadingKind.FRAMES or self._settings.imu_unit != 0
+        return self._settings.frames if kind is ReadingKind.FRAMES else self._settings.imu_unit != 0
 
     def runs(self, kind: ReadingKind) -> bool:
         """Say whether readings of a kind would go to the host now."""
-        return self._frames.run if kind is ReadingKind.FRAMES else self._imu.run
+        return self.takes(kind) and (self._frames.run if kind is ReadingKind.FRAMES else self._imu.run)
 
     def reserved(self, free_words: int) -> int:
         """Return how many free words are kept for readings in a run that is not paced: half, if any kind runs."""

@@ -53,6 +53,8 @@ class Davis346Settings:
         How long a pulse on the external input lasts (an EDGE of kind PULSE).
     imu_unit
         Its inertial unit: 0 none, 1 MPU-6050, 2 MPU-9250 or MPU-6500.
+    frames
+        Whether it takes frames; where not, its host may ask and gets none.
     start_delay_us
         Silence after the run gate opens, stream time; see `quirks`.
     """
@@ -66,6 +68,7 @@ class Davis346Settings:
     start_delay_us: int = START_DELAY_US
     pulse_us: int = 100
     imu_unit: int = 0
+    frames: bool = False
     system: SystemInfo = field(default_factory=SystemInfo)
     manufacturer: str = "iniVation"
     product: str = "DAViS FX3"

@@ -34,7 +34,7 @@ def frame(layout, roi=(0, 0, 345, 259), start_us=1000, seed=0, line_us=10):
 
 
 def running(layout=Layout.UPRIGHT, **changes):
-    camera = Davis346(Davis346Settings(start_delay_us=0, layout=layout, **changes))
+    camera = Davis346(Davis346Settings(start_delay_us=0, layout=layout, frames=True, **changes))
     host = Host(camera, layout.turned)
     host.write_all([*RUN, APS_RUN])
     return camera, host
@@ -94,7 +94,7 @@ def test_however_the_stream_is_cut_blocks_stay_whole_and_in_order(pieces, reads,
 
 
 def test_without_run_bits_readings_are_not_running():
-    camera = Davis346(Davis346Settings(start_delay_us=0))
+    camera = Davis346(Davis346Settings(start_delay_us=0, frames=True))
     lines, _ = frame(Layout.UPRIGHT, (0, 0, 3, 3))
     assert camera.offer_readings(FRAMES, lines)
     host = Host(camera)
