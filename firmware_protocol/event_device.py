@@ -191,6 +191,14 @@ class EventDevice(ABC):
     def advance(self, now_us: int) -> None:
         """Say that stream time has reached `now_us`; the clock never goes back."""
 
+    def take_resets(self) -> tuple[int, ...]:
+        """Return, in its own time, when its host has set its clock to zero since the last call: for a sync cable."""
+        return ()
+
+    def follow_reset(self, at_us: int) -> None:
+        """Set its clock to zero at `at_us` of its own time, which has been reached: its master was reset then."""
+        self.restart_clock()
+
     def restart_clock(self) -> bool:
         """Start the device's own clock anew at zero, now, as a pulse on a synchronisation input does.
 

@@ -9,7 +9,7 @@ from functools import partial
 from emulator.optics.lens import CHIPS, Chip
 from emulator.rig.tables import Camera
 from emulator.sensor.presets import PRESETS, SensorParameters
-from firmware_protocol.davis346 import Davis346, Davis346Settings, Layout
+from firmware_protocol.davis346 import Davis346, Davis346Settings, Layout, SystemInfo
 from firmware_protocol.usb.device import Speed, UsbCamera
 
 __all__ = ["CAMERA_MODELS", "IMU_UNITS", "CameraModel", "UsbModel", "UsbSettings", "gige_models", "usb_sizes"]
@@ -17,10 +17,14 @@ __all__ = ["CAMERA_MODELS", "IMU_UNITS", "CameraModel", "UsbModel", "UsbSettings
 
 @dataclass(frozen=True)
 class UsbSettings:
-    """What a run settles for a camera's USB device; `pulse_us` None: no trigger is connected."""
+    """What a run settles for a camera's USB device; `pulse_us` None: no trigger is connected.
+
+    `is_master` False: its clock follows that of another camera.
+    """
 
     start_delay_ms: float
     pulse_us: int | None = None
+    is_master: bool = True
 
 
 @dataclass(frozen=True)
@@ -67,6 +71,7 @@ def _davis346(camera: Camera, usb: UsbSettings) -> Callable[[], UsbCamera]:
         layout=Layout[camera.layout.upper()],
         fifo_bytes=camera.fifo_bytes,
         start_delay_us=round(usb.start_delay_ms * 1000),
+        system=SystemInfo(timestamp_master=usb.is_master),
         imu_unit=0 if camera.imu is None else IMU_UNITS[camera.imu.unit],
         frames=camera.frames is not None,
         pulse_us=Davis346Settings.pulse_us if usb.pulse_us is None else usb.pulse_us,

@@ -22,13 +22,15 @@ from emulator.run.bias_following import BiasFollowing
 from emulator.run.drive import Drive, Simulation
 from emulator.run.frames import Pictures
 from emulator.run.lateness import Lateness, StepRule
-from emulator.run.ledger import Ledger, LinkLedger
+from emulator.run.ledger import Ledger
 from emulator.run.link_process import LinkProcess
 from emulator.run.lockstep import Lockstep
 from emulator.run.readings import ReadingSources
 from emulator.run.slow_notice import said_if_slow
+from emulator.run.stereo import SecondView, ledger_of
 from emulator.sensor.event_source import AdjustableSource, EventSource
 from firmware_protocol.events import Events
+from firmware_protocol.readings import ReadingKind, Readings
 from transports.faults.kinds import Fault
 from transports.link.pacing import Clock
 from transports.link.process import LinkSetup
@@ -154,6 +156,12 @@ class Session:
         self._lockstep: Lockstep | None = None
         self._drive: Drive | None = None
 
+        self._second: SecondView | None = None
+
+    def join(self, second: SecondView) -> None:
+        """Let a second camera run on the same clock, before the run; its scene is closed at the end."""
+        self._second = second
+
     def stop(self) -> None:
         """End the run after the present step; for `on_status`, and for a signal handler.
 
@@ -203,6 +211,8 @@ class Session:
         """
         self._on_events = on_events
         with ExitStack() as stack:
+            if self._second is not None:
+                stack.callback(self._second.close)
             stack.callback(self._stop_links, 0.0)  # does nothing more when the links have been stopped in order
             self._open_links()
             if schedule.simulation is not None:
@@ -212,6 +222,8 @@ class Session:
             self._run_steps(schedule, on_status)
             wall_seconds = (self._clock.now_ns() - start_ns) * 1e-9
             self._publish(self._sensor.finish(), schedule)
+            if self._second is not None:
+                self._hand_over(self._second.finish(), schedule, self._links_of(second=True))
             reports = self._stop_links(schedule.drain_s)
         frames, ledger = self._pictures.frames, self._ledger(reports)
         return RunResult(
@@ -245,6 +257,8 @@ class Session:
         self._sensor.reset(self._pictures.light, 0)
         self._readings.reset(self._pictures.light, 0)
         self._step_source.observe(self._pictures.light, self._pictures.rate, 0)
+        if self._second is not None:
+            self._second.begin()
 
     def _run_steps(self, schedule: Schedule, on_status: Callable[[RunStatus], None]) -> None:
         start_ns = self._clock.now_ns()
@@ -311,25 +325,42 @@ class Session:
             t1_ns = min(t1_ns, schedule.duration_ns)
         picture = self._pictures
         picture.draw(t1_ns)
-        for kind, records in self._readings.read(picture.light, t1_ns):
-            for link in self._links:
-                link.push_readings(kind, records, None if schedule.paced else lambda: self._goes_on)
+        self._hand_over_readings(self._readings.read(picture.light, t1_ns), schedule, self._links_of())
         events = self._sensor.expose(picture.light, t1_ns, picture.rate, picture.pixel_light, picture.changed)
         self._step_source.observe(picture.light, picture.rate, t1_ns)
         self._t_ns = t1_ns
         self._steps += 1
         self._publish(events, schedule)
+        if self._second is not None:
+            events, readings = self._second.step(t1_ns)
+            self._hand_over_readings(readings, schedule, self._links_of(second=True))
+            self._hand_over(events, schedule, self._links_of(second=True))
+
+    def _links_of(self, *, second: bool = False) -> list[LinkProcess]:
+        """Return the links that carry the first camera, or the second."""
+        carried = frozenset() if self._second is None else self._second.links
+        return [link for link in self._links if (link.name in carried) == second]
+
+    def _hand_over_readings(
+        self, readings: Sequence[tuple[ReadingKind, Readings]], schedule: Schedule, links: Sequence[LinkProcess]
+    ) -> None:
+        for kind, records in readings:
+            for link in links:
+                link.push_readings(kind, records, None if schedule.paced else lambda: self._goes_on)
 
     def _publish(self, events: Events, schedule: Schedule) -> None:
+        self._hand_over(events, schedule, self._links_of())
+        self._on_events(events)
+
+    def _hand_over(self, events: Events, schedule: Schedule, links: Sequence[LinkProcess]) -> None:
         now_us = self._t_ns // 1000
         if len(events):  # at the run's end the read-out sends what still queues, later than the last step
             now_us = max(now_us, int(events["t"][-1]))
-        for link in self._links:
+        for link in links:
             if schedule.paced:
                 link.push(events, now_us)
             else:
                 link.push_all(events, now_us, lambda: self._goes_on)
-        self._on_events(events)
 
     def _status(self, start_ns: int) -> RunStatus:
         reports = {link.name: link.listen() for link in self._links}
@@ -351,13 +382,7 @@ class Session:
         return {link.name: link.stop(drain_s) for link in links}
 
     def _ledger(self, reports: dict[str, LinkReport]) -> Ledger:
-        return Ledger(
-            raised=self._sensor.raised,
-            lost_in_pixel=self._sensor.lost_in_pixel,
-            lost_at_readout=self._sensor.lost_at_readout,
-            read_out=self._sensor.read_out,
-            links=tuple(
-                LinkLedger(name, report.delivered, report.dropped, report.dropped_in_device)
-                for name, report in reports.items()
-            ),
-        )
+        if self._second is None:
+            return ledger_of(self._sensor, reports)
+        own = {name: report for name, report in reports.items() if name not in self._second.links}
+        return ledger_of(self._sensor, own, self._second.ledger(reports))

@@ -61,6 +61,7 @@ FLUSH = 0xC6
 _ENTRY = struct.Struct(">BBI")
 _IN = 0x80
 _INPUT_FIFO = 8
+_MOST_RESETS = 64  # told to nobody, where there is no second camera
 
 
 @dataclass(frozen=True)
@@ -90,6 +91,7 @@ class Davis346(UsbCamera):
         self._input = ExternalInput(settings.pulse_us)
         self._stalled = no_marks()
         self._readings = ReadingInput(settings, self._registers)
+        self._resets_us: list[int] = []
         self._now_us = 0
         self._not_running = self._offered = 0
         self._power_on()
@@ -251,6 +253,17 @@ class Davis346(UsbCamera):
         self._stalled = marks[:keep]
         self._stream.drop_marks(len(marks[keep:]))
 
+    def take_resets(self) -> tuple[int, ...]:
+        """Return the stream times at which the host has reset the timestamps since the last call."""
+        resets, self._resets_us = tuple(self._resets_us), []
+        return resets
+
+    def follow_reset(self, at_us: int) -> None:
+        """Set device time to zero at `at_us`, as its master did then, and say so in the stream; a silence is over."""
+        if self._gate.words:
+            self._stream.reset_time(min(at_us, self._now_us))
+            self._silent_until_us = self._now_us
+
     def restart_clock(self) -> bool:
         """Set device time to zero and say so in the stream, as a slave does when its master was reset."""
         if self._gate.words:
@@ -352,6 +365,7 @@ class Davis346(UsbCamera):
         if after.reset and not before.reset and after.words:
             self._stream.reset_time(self._now_us)
             self._silent_until_us = self._now_us
+            self._resets_us = [*self._resets_us[-_MOST_RESETS:], self._now_us]
 
     def _factors_of_biases(self) -> Mapping[str, float]:
         return sensor_factors({bias.address: self._registers.read(Module.BIAS, bias.address) for bias in BIASES})

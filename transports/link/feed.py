@@ -46,6 +46,8 @@ class Timing:
         File for what that clock really shows: monotonic ns, stream us, device us, ten lines a second.
     send_period_us
         Above 0, the device says by a mark of its own when its time is a multiple of this.
+    sync_out, sync_in
+        The cable between two cameras: where the master tells of its timestamp resets, and where its slave hears.
     syncs
         Where the session hears of the SYNCs of this link's bus, when these drive the run.
     """
@@ -57,6 +59,8 @@ class Timing:
     truth: Path | None = None
     send_period_us: int = 0
     syncs: EdgeRing | None = None
+    sync_out: tuple[EdgeRing, ...] = ()
+    sync_in: EdgeRing | None = None
 
 
 @dataclass(frozen=True)
@@ -144,6 +148,7 @@ class Feed:
         self._device = device
         self._ring = ring
         self._edges = timing.edges
+        self._sync_out, self._sync_in = timing.sync_out, timing.sync_in
         self.clock = None if timing.clock is None else DeviceClock(timing.clock, timing.seed)
         self.readings = ReadingFeed(device, readings, self.clock)
         self._restarts_us = [] if self.clock is None else self.clock.restarts_us
@@ -163,6 +168,18 @@ class Feed:
             if self._device.restart_clock():
                 self._last_mark = 0
         self._stretch(until_us, limit)
+        self._synchronise()
+
+    def _synchronise(self) -> None:
+        """Tell a slave of resets, or follow those of a master that this device's time has reached."""
+        if self._sync_in is not None:
+            for edge in self._sync_in.take(self._device.now_us):
+                self._device.follow_reset(int(edge["t"]))
+        for at_us in self._device.take_resets() if self._sync_out else ():
+            told = empty_edges(1)
+            told["t"] = at_us
+            for ring in self._sync_out:
+                ring.push(told)
 
     def _stretch(self, until_us: int, limit: int) -> bool:
         """Feed one stretch; False when there were more events than `limit`."""
