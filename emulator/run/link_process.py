@@ -19,11 +19,12 @@ from pathlib import Path
 from typing import Any
 
 from emulator.run.spawning import starting_a_link
+from firmware_protocol.edges import EdgeKind
 from firmware_protocol.events import Events
 from firmware_protocol.readings import ReadingKind, Readings
 from transports.faults.kinds import Fault
 from transports.link.pacing import Clock
-from transports.link.process import InjectFault, LinkSetup, Stop, run_link
+from transports.link.process import Happen, InjectFault, LinkSetup, Stop, run_link
 from transports.link.report import LinkReport
 from transports.link.tally import DeliveryTally
 from transports.recording.format import with_addition
@@ -90,6 +91,11 @@ class LinkProcess:
         """Let a fault begin on it, one that it can have."""
         with suppress(BrokenPipeError):  # it died: `listen` will say so
             self._control.send(InjectFault(fault))
+
+    def happen(self, kind: EdgeKind | None) -> None:
+        """Let an edge come to the camera's input; None: let its clock start anew at zero."""
+        with suppress(BrokenPipeError):  # it died: `listen` will say so
+            self._control.send(Happen(kind))
 
     def push(self, events: Events, now_us: int) -> None:
         """Hand over events up to `now_us`; what finds no room in the ring is refused and counted there."""

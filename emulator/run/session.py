@@ -29,6 +29,7 @@ from emulator.run.readings import ReadingSources
 from emulator.run.slow_notice import said_if_slow
 from emulator.run.stereo import SecondView, ledger_of
 from emulator.sensor.event_source import AdjustableSource, EventSource
+from firmware_protocol.edges import EdgeKind
 from firmware_protocol.events import Events
 from firmware_protocol.readings import ReadingKind, Readings
 from transports.faults.kinds import Fault
@@ -198,6 +199,10 @@ class Session:
     def inject(self, fault: Fault) -> None:
         """Begin a fault on the link that it names, one that this link can have; for `on_status`."""
         next(link for link in self._links if link.name == fault.link).inject(fault)
+
+    def happen(self, link: str, kind: EdgeKind | None) -> None:
+        """Let an edge come to the input of a link's camera, or its clock start anew (None); for `on_status`."""
+        next(one for one in self._links if one.name == link).happen(kind)
 
     def run(
         self,

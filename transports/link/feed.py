@@ -170,6 +170,16 @@ class Feed:
         self._stretch(until_us, limit)
         self._synchronise()
 
+    def happen(self, kind: EdgeKind | None) -> None:
+        """Let an edge come to the input now, where device time has got to; None: the clock starts anew at zero."""
+        if kind is None:
+            self._device.restart_clock()
+            return
+        edge = empty_edges(1)
+        edge["t"], edge["kind"] = self._device.now_us, kind
+        self._taken += 1
+        self._device.offer_edges(edge)
+
     def _synchronise(self) -> None:
         """Tell a slave of resets, or follow those of a master that this device's time has reached."""
         if self._sync_in is not None:

@@ -26,6 +26,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
+from firmware_protocol.edges import EdgeKind
 from firmware_protocol.event_device import EventDevice
 from transports.faults.kinds import Fault
 from transports.faults.script import FaultRecord
@@ -42,7 +43,7 @@ from transports.link.tally import DeliveryTally
 from transports.recording.opening import open_recorder
 from transports.recording.part import Facts
 
-__all__ = ["STOP_SIGNALS", "InjectFault", "Link", "LinkSetup", "Stop", "run_link"]
+__all__ = ["STOP_SIGNALS", "Happen", "InjectFault", "Link", "LinkSetup", "Stop", "run_link"]
 
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 """Signals that end a run: to the session alone or to its whole process group."""
@@ -71,6 +72,13 @@ class InjectFault:
     """The session's request that a fault begins now, one that this kind of link can have."""
 
     fault: Fault
+
+
+@dataclass(frozen=True)
+class Happen:
+    """The session's request that an edge comes to the camera's input now; None: that its clock starts anew at zero."""
+
+    kind: EdgeKind | None
 
 
 @dataclass(frozen=True)
@@ -141,6 +149,10 @@ class Link:
             self._feed.marks_sent += self.endpoint.mark(marks)
         self.endpoint.pump()
         self._tally.delivered = self._delivered
+
+    def happen(self, kind: EdgeKind | None) -> None:
+        """Let an edge come to the input now, or the clock start anew."""
+        self._feed.happen(kind)
 
     def _free_until_us(self) -> int:
         """Return how far a run that is not paced may go now; a silence that the host needs lasts in its time too."""
@@ -285,9 +297,11 @@ async def _tick_until_stopped(link: Link, setup: LinkSetup[Any], control: Connec
                 control.send(link.report())
             report_ns = now_ns + _REPORT_PERIOD_NS
         if drain_ns is None and control.poll():
-            word: Stop | InjectFault = control.recv()
+            word: Stop | InjectFault | Happen = control.recv()
             if isinstance(word, InjectFault):
                 link.endpoint.inject(word.fault)
+            elif isinstance(word, Happen):
+                link.happen(word.kind)
             else:
                 drain_ns = int(word.drain_s * 1e9)
         deadline_ns = max(deadline_ns + period_ns, now_ns)
