@@ -3,6 +3,7 @@
     ring --events--> offer ---+
     bus  --edges---> offer_edges --> device --> its own way out: USB transfers, messages, frames
     run  --time----> advance -+
+    ring --frames, samples--> offer_readings
 
 A device is sans-I/O. Events and edges go in with stream time; each gets exactly one fate, which `counters` tells.
 """
@@ -15,10 +16,12 @@ from dataclasses import dataclass, field
 
 from firmware_protocol.edges import Edges
 from firmware_protocol.events import Events
+from firmware_protocol.readings import ReadingCounters, ReadingKind, Readings
 
 __all__ = ["CameraCounters", "EdgeCounters", "EventDevice"]
 
 _FOREVER_US = 1 << 62
+_NO_BOUND = 1 << 30
 
 
 @dataclass(frozen=True)
@@ -78,6 +81,8 @@ class CameraCounters:
         Waited longer than the camera keeps events.
     edges
         The same for the external input.
+    readings
+        The same for frames and the like, by `ReadingKind`; none for a camera that has no use for them.
     """
 
     offered: int = 0
@@ -91,6 +96,7 @@ class CameraCounters:
     dropped_rate: int = 0
     dropped_late: int = 0
     edges: EdgeCounters = field(default_factory=EdgeCounters)
+    readings: Mapping[str, ReadingCounters] = field(default_factory=dict)
 
     @property
     def dropped_for_room(self) -> int:
@@ -166,9 +172,32 @@ class EventDevice(ABC):
         A camera whose detector is off, or that has none, counts them as ignored.
         """
 
+    def reading_settings(self, kind: ReadingKind) -> tuple[int, ...]:
+        """What its host asks of a kind of readings, in the order of that kind's settings; empty: it wants none."""
+        return ()
+
+    def room_readings(self, kind: ReadingKind) -> int:
+        """Readings of a kind that certainly fit its buffer now, for runs that are not paced."""
+        return _NO_BOUND
+
+    def offer_readings(self, kind: ReadingKind, readings: Readings) -> bool:
+        """Give the camera readings of one kind, (n,) in stream time, sorted; copied.
+
+        False: it has no use for this kind, ever, and whoever offered them counts them as ignored.
+        """
+        return False
+
     @abstractmethod
     def advance(self, now_us: int) -> None:
         """Say that stream time has reached `now_us`; the clock never goes back."""
+
+    def take_resets(self) -> tuple[int, ...]:
+        """Return, in its own time, when its host has set its clock to zero since the last call: for a sync cable."""
+        return ()
+
+    def follow_reset(self, at_us: int) -> None:
+        """Set its clock to zero at `at_us` of its own time, which has been reached: its master was reset then."""
+        self.restart_clock()
 
     def restart_clock(self) -> bool:
         """Start the device's own clock anew at zero, now, as a pulse on a synchronisation input does.

@@ -41,6 +41,7 @@ for verb, module, told in (
     ("check", "check", "Check a rig file without running it."),
     ("plan", "plan", "Show what a run will model: step, effects and expected load."),
     ("fault", "fault", "Inject a fault into a link of a running rig."),
+    ("trigger", "trigger", "Let an edge come to the camera of a running rig, or reset its clock."),
     ("rigs", "rigs", "List the rigs that are installed with evstim."),
     ("dbc", "listen.can", "Write the DBC file of a rig's CAN link."),
     ("export", "export", "Write the packets' definitions for COSMOS, Yamcs, F Prime or Wireshark."),

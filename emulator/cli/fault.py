@@ -14,7 +14,7 @@ from emulator.cli.run_output.link_summary import fault_line
 from emulator.run.control import NoAnswer, ask, sockets
 from transports.faults.script import FaultRecord
 
-__all__ = ["fault"]
+__all__ = ["asked", "fault", "find_run"]
 
 _LOOK_PERIOD_S = 0.1
 _TIMEOUT_S = 20.0  # beyond the fault's own length
@@ -47,12 +47,12 @@ def fault(
     json
         Print one JSON object as the last line on stdout.
     """
-    path, faults = _find(run)
+    path, faults = find_run(run)
     if kind is None:
         return _list(faults, json)
     table = {"kind": kind, **_keys(keys)}
     table |= {key: value for key, value in (("link", link), ("for_s", for_s)) if value is not None}
-    injected = _ask(path, {"ask": "inject", "fault": table})
+    injected = asked(path, {"ask": "inject", "fault": table})
     if "error" in injected:
         raise Failure(str(injected["error"]), WRONG_USE)
     record = _follow(path, injected, kind, float(table.get("for_s", 0.0)))
@@ -61,7 +61,7 @@ def fault(
     else:
         console.print(f"{injected['link']}: {fault_line(record)}")
         if not record.hits:
-            console.print(_why_no_hits(_ask(path, {"ask": "faults"})["links"][injected["link"]]), markup=False)
+            console.print(_why_no_hits(asked(path, {"ask": "faults"})["links"][injected["link"]]), markup=False)
     return GOOD
 
 
@@ -73,10 +73,10 @@ def _why_no_hits(link: dict[str, Any]) -> str:
     return "0 hits: nothing was sent while it lasted, or its rate is low; a longer --for-s or a higher rate hits more"
 
 
-def _find(run: str | None) -> tuple[Path, dict[str, Any]]:
+def find_run(run: str | None) -> tuple[Path, dict[str, Any]]:
     """Return the control socket of the chosen run, and its answer about faults."""
     if run is not None and Path(run).is_socket():
-        return Path(run), _ask(Path(run), {"ask": "faults"})
+        return Path(run), asked(Path(run), {"ask": "faults"})
     found = []
     for path in sockets():
         try:
@@ -86,7 +86,7 @@ def _find(run: str | None) -> tuple[Path, dict[str, Any]]:
     meant = [(path, faults) for path, faults in found if run in (None, faults["rig"])]
     if not meant:
         name = "no rig" if run is None else f"no rig {run!r}"
-        raise Failure(f"{name} with a serial or CAN link is running; start one: evstim run serial-demo", LACKING)
+        raise Failure(f"{name} is running; start one: evstim run serial-demo", LACKING)
     if len(meant) > 1:
         there = ", ".join(str(path) for path, _ in meant)
         raise Failure(f"several rigs are running; choose one with --run: its name, or one of {there}", WRONG_USE)
@@ -118,7 +118,8 @@ def _keys(keys: tuple[str, ...]) -> dict[str, Any]:
     return table
 
 
-def _ask(path: Path, message: dict[str, Any]) -> dict[str, Any]:
+def asked(path: Path, message: dict[str, Any]) -> dict[str, Any]:
+    """Return the answer of a run; raises Failure where there is none."""
     try:
         return ask(path, message)
     except NoAnswer as error:
@@ -131,7 +132,7 @@ def _follow(path: Path, injected: dict[str, Any], kind: str, for_s: float) -> Fa
     record = None
     while record is None or (record.ended_us is None and time.monotonic() < until_s):
         time.sleep(_LOOK_PERIOD_S)
-        records = _ask(path, {"ask": "faults"})["links"][injected["link"]]["injected"][injected["after"] :]
+        records = asked(path, {"ask": "faults"})["links"][injected["link"]]["injected"][injected["after"] :]
         record = next((FaultRecord(**each) for each in records if each["kind"] == kind), None)
         if record is None and time.monotonic() > until_s:
             raise Failure(f"link {injected['link']!r} did not begin the fault", LACKING)

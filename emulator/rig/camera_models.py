@@ -9,20 +9,24 @@ from functools import partial
 from emulator.optics.lens import CHIPS, Chip
 from emulator.rig.tables import Camera
 from emulator.sensor.presets import PRESETS, SensorParameters
-from firmware_protocol.davis346 import Davis346, Davis346Settings, Layout
+from firmware_protocol.davis346 import Davis346, Davis346Settings, Layout, SystemInfo
 from firmware_protocol.evk4 import Evk4, Evk4Settings
 from firmware_protocol.imx636.registers import Surroundings
 from firmware_protocol.usb.device import Speed, UsbCamera
 
-__all__ = ["CAMERA_MODELS", "CameraModel", "UsbModel", "UsbSettings", "gige_models", "usb_sizes"]
+__all__ = ["CAMERA_MODELS", "IMU_UNITS", "CameraModel", "UsbModel", "UsbSettings", "gige_models", "usb_sizes"]
 
 
 @dataclass(frozen=True)
 class UsbSettings:
-    """What a run settles for a camera's USB device; `pulse_us` None: no trigger is connected."""
+    """What a run settles for a camera's USB device; `pulse_us` None: no trigger is connected.
+
+    `is_master` False: its clock follows that of another camera.
+    """
 
     start_delay_ms: float
     pulse_us: int | None = None
+    is_master: bool = True
 
 
 @dataclass(frozen=True)
@@ -61,6 +65,10 @@ class CameraModel:
     gige: bool = False
 
 
+IMU_UNITS = {"mpu_6050": 1, "mpu_9250": 2}
+"""Register TYPE of an inertial unit."""
+
+
 def _davis346(camera: Camera, usb: UsbSettings) -> Callable[[], UsbCamera]:
     settings = Davis346Settings(
         serial=camera.serial,
@@ -69,6 +77,9 @@ def _davis346(camera: Camera, usb: UsbSettings) -> Callable[[], UsbCamera]:
         layout=Layout[camera.layout.upper()],
         fifo_bytes=camera.fifo_bytes,
         start_delay_us=round(usb.start_delay_ms * 1000),
+        system=SystemInfo(timestamp_master=usb.is_master),
+        imu_unit=0 if camera.imu is None else IMU_UNITS[camera.imu.unit],
+        frames=camera.frames is not None,
         pulse_us=Davis346Settings.pulse_us if usb.pulse_us is None else usb.pulse_us,
     )
     return partial(Davis346, settings)

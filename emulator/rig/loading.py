@@ -5,6 +5,7 @@
     [camera]         model = a preset's name, serial, ...
     [camera.sensor]  any figure of the preset, changed for this rig
     [camera.clock]   how the camera's own clock goes wrong
+    [second_camera]  a camera beside the first one, on its clock
     [trigger]        what is connected to the camera's external input
     [run]            step_us, seed, seconds, pace, lead_us
     [verdict]        what a run must keep to be good
@@ -28,6 +29,7 @@ from emulator.rig.camera_models import CAMERA_MODELS, UsbSettings, gige_models, 
 from emulator.rig.fault_tables import convert_fault
 from emulator.rig.link_kinds import LINKS
 from emulator.rig.scene_kinds import SCENES
+from emulator.rig.second_camera import SecondCamera
 from emulator.rig.tables import Camera, Run
 from emulator.rig.text import line_of
 from emulator.rig.trigger_table import Trigger
@@ -83,6 +85,7 @@ class Rig:
     trigger: Trigger | None = None
     faults: tuple[Fault, ...] = ()
     verdict: Verdict = field(default_factory=Verdict)
+    second_camera: SecondCamera | None = None
 
 
 def shipped_rigs() -> dict[str, Path]:
@@ -150,7 +153,7 @@ def _dotted(path: KeyPath) -> str:
 
 def _rig(table: dict[str, Any], name: str) -> Rig:
     table = with_new_spellings(table)
-    known = ["title", "scene", "camera", "trigger", "run", "links", "faults", "verdict"]
+    known = ["title", "scene", "camera", "trigger", "run", "links", "faults", "verdict", "second_camera"]
     for key in table:
         if key not in known:
             raise TableError(unknown(key, known), (key,))
@@ -171,7 +174,19 @@ def _rig(table: dict[str, Any], name: str) -> Rig:
     scene = convert(rest, kind.parameters, ("scene",))
     faults = _faults(table.get("faults", []), links)
     verdict = convert(table.get("verdict", {}), Verdict, ("verdict",))
-    return Rig(name, title, scene, camera, run, links, trigger, faults, verdict)
+    second = _second(table["second_camera"], links) if "second_camera" in table else None
+    return Rig(name, title, scene, camera, run, links, trigger, faults, verdict, second)
+
+
+def _second(table: object, links: tuple[LinkParameters, ...]) -> SecondCamera:
+    second = convert(table, SecondCamera, ("second_camera",))
+    names = [link.name for link in links]
+    for name in second.links:
+        if name not in names:
+            raise TableError(unknown(name, names), ("second_camera", "links"))
+    if set(second.links) == set(names):
+        raise TableError("the first camera needs a link too", ("second_camera", "links"))
+    return second
 
 
 def _faults(tables: object, links: tuple[LinkParameters, ...]) -> tuple[Fault, ...]:

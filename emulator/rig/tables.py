@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from emulator.optics.lens import LensParameters
+from emulator.sensor.aps.parameters import FrameParameters
+from emulator.sensor.imu.parameters import ImuParameters
 from emulator.sensor.presets import PRESETS, SensorParameters
 from firmware_protocol.device_clock import ClockSettings
 
@@ -37,8 +39,12 @@ class Camera:
         Figures of the preset changed for this rig.
     clock
         The camera's own clock; without it the camera shows stream time.
+    imu
+        Its inertial unit, a DAVIS346's; without the table it has none.
     lens
         For scenes in units of radiance; the others bring their own light.
+    frames
+        The active pixels of a DAVIS346: with this table the camera takes frames when its host asks for them.
     """
 
     model: str = "davis346"
@@ -49,7 +55,9 @@ class Camera:
     start_delay_ms: float = 300.0
     sensor: SensorParameters = field(default_factory=lambda: PRESETS["davis346"])
     clock: ClockSettings | None = None
+    imu: ImuParameters | None = None
     lens: LensParameters = field(default_factory=LensParameters)
+    frames: FrameParameters | None = None
 
     def __post_init__(self) -> None:
         if not 1 <= len(self.serial) <= 8 or not self.serial.isascii() or not self.serial.isprintable():

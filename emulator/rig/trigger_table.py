@@ -7,8 +7,48 @@ from typing import Literal
 
 from firmware_protocol.edges import EdgeKind
 from transports.link.edges import EdgeTiming
+from transports.link.listed_edges import EdgeTrain
 
-__all__ = ["Trigger"]
+__all__ = ["Trigger", "TriggerEdges"]
+
+_LATEST_MS = 1e10
+
+Kind = Literal["pulse", "rising", "falling"]
+
+
+@dataclass(frozen=True)
+class TriggerEdges:
+    """Edges at given times of the run.
+
+    Attributes
+    ----------
+    at_ms
+        Stream time of the first.
+    kind
+        As of the trigger.
+    every_ms
+        Above 0, it is repeated with this period.
+    count
+        How often it happens in all; 0: without end. Without a period: once.
+    """
+
+    at_ms: float
+    kind: Kind = "pulse"
+    every_ms: float = 0.0
+    count: int = 0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.at_ms <= _LATEST_MS:
+            raise ValueError(f"at_ms must be 0 to {_LATEST_MS:g}, got {self.at_ms}")
+        if self.every_ms != 0 and not 0.01 <= self.every_ms <= 1e7:
+            raise ValueError(f"every_ms must be 0 (once) or 0.01 to 1e7, got {self.every_ms}")
+        if self.count < 0 or (self.count > 1 and not self.every_ms):
+            raise ValueError(f"count must be 0 or more, and every_ms be given for more than one, got {self.count}")
+
+    def train(self) -> EdgeTrain:
+        """Return the edges as a link makes them."""
+        count = (self.count or None) if self.every_ms else 1
+        return EdgeTrain(EdgeKind[self.kind.upper()], round(self.at_ms * 1000), round(self.every_ms * 1000), count)
 
 
 @dataclass(frozen=True)
@@ -21,6 +61,8 @@ class Trigger:
         Name of the CAN link whose SYNC triggers.
     period_ms
         Instead: an edge each period of stream time, the first after one period.
+    edges
+        Instead: edges at given times, without latency and jitter.
     kind
         What happens at the input: "pulse" (it rises, and falls again after `pulse_us`), "rising" or "falling".
     channel
@@ -40,7 +82,8 @@ class Trigger:
 
     source: str = ""
     period_ms: float = 0.0
-    kind: Literal["pulse", "rising", "falling"] = "pulse"
+    edges: tuple[TriggerEdges, ...] = ()
+    kind: Kind = "pulse"
     channel: int = 0
     latency_us: float = 0.0
     jitter_us: float = 0.0
@@ -51,8 +94,10 @@ class Trigger:
     def __post_init__(self) -> None:
         if self.source and self.period_ms:
             raise ValueError("period_ms makes edges without a bus; leave it out, or leave out source")
-        if not (self.source or self.period_ms or self.send_period_ms):
-            raise ValueError("a trigger needs source (the name of a CAN link), period_ms or send_period_ms")
+        if self.edges and (self.source or self.period_ms):
+            raise ValueError("edges come at given times; leave them out, or leave out source and period_ms")
+        if not (self.source or self.period_ms or self.edges or self.send_period_ms):
+            raise ValueError("a trigger needs source (the name of a CAN link), period_ms, edges or send_period_ms")
         for name in ("period_ms", "send_period_ms"):
             value = getattr(self, name)
             if value != 0 and not 0.01 <= value <= 1e7:

@@ -12,13 +12,18 @@ from emulator.light import Scene
 from emulator.plan.plan import limits, make_plan
 from emulator.plan.scene_probe import probe
 from emulator.plan.step_control import ControlledSteps, FixedSteps, RefinementModel, StepSource
-from emulator.rig.camera_models import CAMERA_MODELS, UsbSettings
+from emulator.rig.camera_models import CAMERA_MODELS, IMU_UNITS, UsbSettings
 from emulator.rig.link_kinds import LINKS
 from emulator.rig.loading import Rig, RigError, Run
 from emulator.rig.scene_kinds import SCENES
 from emulator.run.frames import Pictures
+from emulator.run.inertial import imu_source
+from emulator.run.readings import ReadingSource, ReadingSources
+from emulator.run.scene_assembly import build_scene
 from emulator.run.session import Schedule, Session
+from emulator.run.stereo import SecondView, carries_second, second_rig, wired
 from emulator.run.triggers import TriggerPaths
+from emulator.sensor.aps.source import FrameSource
 from emulator.sensor.chip.temperature import at_temperature
 from emulator.sensor.event_source import EventSource
 from emulator.sensor.gpu.array import GpuArray
@@ -29,14 +34,17 @@ from emulator.sensor.sensor import MakePixels, Sensor
 from emulator.tables.registry import imported
 from firmware_protocol.gige.settings import GigeSettings
 from firmware_protocol.gige.triton2 import Triton2
+from firmware_protocol.imu_samples import IMU_SAMPLE
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.plain_device import PlainDevice
+from firmware_protocol.readings import ReadingKind
 from firmware_protocol.usb.device import UsbCamera
 from transports.faults.script import FaultPlan
 from transports.link.feed import Timing
 from transports.link.kind import CameraFacts, LinkKind, LinkParameters, Wiring
 from transports.link.pacing import Clock
 from transports.link.process import LinkSetup
+from transports.link.reading_ring import ReadingRing
 from transports.link.ring import EventRing
 from transports.recording.format import with_addition
 from transports.recording.part import Facts
@@ -49,11 +57,13 @@ __all__ = [
     "build_sensor",
     "build_session",
     "link_setups",
+    "reading_sources",
     "record_paths",
     "schedule",
 ]
 
 
+_IMU_RING = 16384  # samples, 16 s of them
 _DRAIN_S = 1.0
 _DRAIN_UNPACED_S = 10.0  # a run that waits for its links loses nothing, also where a link still compiles its coders
 
@@ -75,7 +85,38 @@ def build_session(
         refinement = None if not refines else RefinementModel(min(parameters.threshold_on, parameters.threshold_off))
         steps = ControlledSteps(limits(rig, scene.motion_bound_px_s), dark, run.step_us * 1000, refinement)
     sensor = build_sensor(rig, parameters) if truth is None else _with_truth(rig, parameters, scene, truth)
-    return Session(pictures, sensor, steps, setups, clock)
+    own = [setup for setup in setups if not carries_second(rig, setup.name)]
+    readings = ReadingSources(reading_sources(rig, scene), own)
+    session = Session(pictures, sensor, steps, setups, clock, readings)
+    if rig.second_camera is not None:
+        session.join(_second_view(second_rig(rig), parameters, setups))
+    return session
+
+
+def _second_view(rig: Rig, parameters: SensorParameters, setups: Sequence[LinkSetup[Any]]) -> SecondView:
+    names = [link.name for link in rig.links]
+    scene = build_scene(rig)
+    readings = ReadingSources(reading_sources(rig, scene), [setup for setup in setups if setup.name in names])
+    return SecondView(build_pictures(rig, scene), build_sensor(rig, parameters), readings, names)
+
+
+def reading_sources(rig: Rig, scene: Scene) -> list[ReadingSource]:
+    """Return what the rig's camera reads beside events."""
+    imu = imu_source(rig, scene)
+    return [*_frame_sources(rig), *([] if imu is None else [imu])]
+
+
+def _frame_sources(rig: Rig) -> list[ReadingSource]:
+    camera = rig.camera
+    return [] if camera.frames is None else [FrameSource(camera.frames, rig.run.seed, camera.size)]
+
+
+def _reading_rings(rig: Rig, kind: LinkKind[Any]) -> tuple[ReadingRing, ...]:
+    """Return new rings for a link whose device has a use for readings."""
+    if kind.serves != "usb":
+        return ()
+    imu = () if rig.camera.imu is None else (ReadingRing(ReadingKind.IMU, IMU_SAMPLE, _IMU_RING),)
+    return (*ReadingSources.new_rings(_frame_sources(rig)), *imu)
 
 
 def _with_truth(rig: Rig, parameters: SensorParameters, scene: Scene, truth: TruthFile) -> EventSource:
@@ -135,10 +176,12 @@ def link_setups(
 ) -> list[LinkSetup[Any]]:
     """Return what each link's process needs; the files are for what was delivered, and when, and what faults did."""
     triggers = TriggerPaths(rig.trigger, [link.name for link in rig.links], rig.run.seed, rig.run.lockstep_us)
+    paths = zip(rig.links, record_paths(rig, record), record_paths(rig, truth), strict=True)
     setups = [
         _link_setup(rig, link, path, triggers, triggers.timing(link.name, rig.camera.clock, shown), fault_log)
-        for link, path, shown in zip(rig.links, record_paths(rig, record), record_paths(rig, truth), strict=True)
+        for link, path, shown in paths
     ]
+    setups = setups if rig.second_camera is None else wired(rig.second_camera.links, setups)
     run = rig.run
     return [dataclasses.replace(setup, fifo_priority=run.fifo_priority, restart=run.restart_links) for setup in setups]
 
@@ -147,18 +190,31 @@ def _link_setup(
     rig: Rig, link: LinkParameters, record: Path | None, triggers: TriggerPaths, timing: Timing, fault_log: Path | None
 ) -> LinkSetup[Any]:
     ring, kind = EventRing(), LINKS[link.kind]
+    is_master = not carries_second(rig, link.name)
+    rig = rig if is_master else dataclasses.replace(second_rig(rig), trigger=rig.trigger)
     camera = CameraFacts(rig.camera.model, rig.camera.size)
     endpoint = kind.endpoint(link, Wiring(_faults(rig, link, fault_log), triggers.sink(link.name, ring), camera))
+    facts = _facts(rig, kind)
+    setup = LinkSetup(
+        link.name, ring, _device(rig, link, kind, is_master), endpoint, record, timing=timing, facts=facts
+    )
+    return dataclasses.replace(setup, readings=_reading_rings(rig, kind))
+
+
+def _facts(rig: Rig, kind: LinkKind[Any]) -> Facts:
+    """Return what the link's recording says of the camera."""
     facts = Facts(rig.camera.size, f"{rig.camera.model.upper()}_{rig.camera.serial}")
-    return LinkSetup(link.name, ring, _device(rig, link, kind), endpoint, record, timing=timing, facts=facts)
+    if kind.serves != "usb" or rig.camera.imu is None:
+        return facts
+    return dataclasses.replace(facts, streams=facts.streams | {"imu"}, imu_unit=IMU_UNITS[rig.camera.imu.unit])
 
 
-def _device(rig: Rig, link: LinkParameters, kind: LinkKind[Any]) -> Callable[[], Any]:
+def _device(rig: Rig, link: LinkParameters, kind: LinkKind[Any], is_master: bool) -> Callable[[], Any]:
     if kind.serves == "plain":
         return PlainDevice
     if kind.serves == "gige":
         return _gige_camera(rig, link)
-    return _instrument(rig, link) if kind.serves == "instrument" else _usb_camera(rig, kind)
+    return _instrument(rig, link) if kind.serves == "instrument" else _usb_camera(rig, kind, is_master)
 
 
 def _faults(rig: Rig, link: LinkParameters, log: Path | None) -> FaultPlan:
@@ -180,9 +236,10 @@ def _gige_camera(rig: Rig, link: Any) -> Callable[[], Triton2]:
     return partial(Triton2, settings)
 
 
-def _usb_camera(rig: Rig, kind: LinkKind[Any]) -> Callable[[], UsbCamera]:
+def _usb_camera(rig: Rig, kind: LinkKind[Any], is_master: bool) -> Callable[[], UsbCamera]:
     model = CAMERA_MODELS[kind.usb_model or rig.camera.model]
     if model.usb is None:
         raise RigError(f"{rig.name}: there is no USB model for a {rig.camera.model} yet")
     delay_ms = rig.camera.start_delay_ms if kind.start_delay else 0.0
-    return model.usb.device(rig.camera, UsbSettings(delay_ms, None if rig.trigger is None else rig.trigger.pulse_us))
+    pulse_us = None if rig.trigger is None else rig.trigger.pulse_us
+    return model.usb.device(rig.camera, UsbSettings(delay_ms, pulse_us, is_master))

@@ -1,7 +1,9 @@
-"""Faults by hand: what a running session answers to `evstim fault`.
+"""Faults and edges by hand: what a running session answers to `evstim fault` and `evstim trigger`.
 
 {"ask": "faults"}                     ->  {"rig": ..., "t_s": ..., "links": {NAME: {"kinds": [...], "injected": [...]}}}
 {"ask": "inject", "fault": {table}}   ->  {"link": NAME, "after": number of its faults so far} or {"error": ...}
+{"ask": "trigger", "kind": KIND}      ->  {"links": [NAME, ...]}   "link": NAME for one alone
+                                          KIND: pulse, rising, falling at the camera's input; reset: its clock
 
 For one version more, "throw" is understood for "inject", and "injected" is there as "thrown" too.
 """
@@ -18,14 +20,21 @@ from emulator.rig.loading import Rig
 from emulator.run.control import ControlSocket, Message
 from emulator.run.session import RunStatus
 from emulator.tables.typed_table import TableError
+from firmware_protocol.edges import EdgeKind
 from transports.faults.kinds import Fault
 
 __all__ = ["FaultInjection", "fault_injection"]
 
 
+_HAPPENINGS = {"pulse": EdgeKind.PULSE, "rising": EdgeKind.RISING, "falling": EdgeKind.FALLING, "reset": None}
+
+
 class _Session(Protocol):
     def inject(self, fault: Fault) -> None:
         """Begin a fault on the link that it names."""
+
+    def happen(self, link: str, kind: EdgeKind | None) -> None:
+        """Let an edge come to the input of a link's camera, or its clock start anew."""
 
 
 class FaultInjection:
@@ -55,7 +64,9 @@ class FaultInjection:
                 return self._faults(status)
             case {"ask": "inject" | "throw", "fault": table}:
                 return self._inject(table, status)
-        return {"error": "known are ask = 'faults' and ask = 'inject' with a fault"}
+            case {"ask": "trigger", "kind": str(kind)}:
+                return self._trigger(kind, message.get("link"))
+        return {"error": "known are ask = 'faults' and ask = 'inject' with a fault, ask = 'trigger' with a kind"}
 
     def _faults(self, status: RunStatus) -> Message:
         links: dict[str, Any] = {}
@@ -76,11 +87,21 @@ class FaultInjection:
         self._session.inject(fault)
         return {"link": fault.link, "after": 0 if report is None else len(report.faults)}
 
+    def _trigger(self, kind: str, link: object) -> Message:
+        if kind not in _HAPPENINGS:
+            return {"error": f"kind {kind!r}: known are {', '.join(_HAPPENINGS)}"}
+        names = [one.name for one in self._rig.links if link in (None, one.name)]
+        if not names:
+            return {"error": f"link {link!r}: there is {', '.join(one.name for one in self._rig.links)}"}
+        for name in names:
+            self._session.happen(name, _HAPPENINGS[kind])
+        return {"links": names}
+
 
 @contextmanager
 def fault_injection(rig: Rig, session: _Session) -> Iterator[FaultInjection]:
-    """Open the socket of a run whose links can have faults; if that fails, `trouble` tells why and the run goes on."""
-    if not any(faults_of(link) for link in rig.links):
+    """Open the socket of a run that has links; if that fails, `trouble` tells why and the run goes on."""
+    if not rig.links:
         yield FaultInjection(rig, session, None)
         return
     try:

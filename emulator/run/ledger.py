@@ -33,13 +33,14 @@ class LinkLedger:
 
 @dataclass(frozen=True)
 class Ledger:
-    """The fates of all events of a run."""
+    """The fates of all events of a run; `second`: those of a second camera, which has links of its own."""
 
     raised: int
     lost_in_pixel: int
     lost_at_readout: int
     read_out: int
     links: tuple[LinkLedger, ...] = ()
+    second: Ledger | None = None
 
     @property
     def dropped_in_device(self) -> int:
@@ -50,7 +51,8 @@ class Ledger:
     def imbalance(self) -> int:
         """Events without a fate, or with two: zero in a sound run."""
         sensor = self.raised - self.lost_in_pixel - self.lost_at_readout - self.read_out
-        return abs(sensor) + sum(abs(self.read_out - link.total) for link in self.links)
+        beside = 0 if self.second is None else self.second.imbalance
+        return abs(sensor) + sum(abs(self.read_out - link.total) for link in self.links) + beside
 
     @property
     def balanced(self) -> bool:
@@ -73,4 +75,5 @@ class Ledger:
                 }
                 for link in self.links
             },
+            **({} if self.second is None else {"second_camera": self.second.as_json()}),
         }

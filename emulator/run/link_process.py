@@ -19,10 +19,12 @@ from pathlib import Path
 from typing import Any
 
 from emulator.run.spawning import starting_a_link
+from firmware_protocol.edges import EdgeKind
 from firmware_protocol.events import Events
+from firmware_protocol.readings import ReadingKind, Readings
 from transports.faults.kinds import Fault
 from transports.link.pacing import Clock
-from transports.link.process import InjectFault, LinkSetup, Stop, run_link
+from transports.link.process import Happen, InjectFault, LinkSetup, Stop, run_link
 from transports.link.report import LinkReport
 from transports.link.tally import DeliveryTally
 from transports.recording.format import with_addition
@@ -90,6 +92,11 @@ class LinkProcess:
         with suppress(BrokenPipeError):  # it died: `listen` will say so
             self._control.send(InjectFault(fault))
 
+    def happen(self, kind: EdgeKind | None) -> None:
+        """Let an edge come to the camera's input; None: let its clock start anew at zero."""
+        with suppress(BrokenPipeError):  # it died: `listen` will say so
+            self._control.send(Happen(kind))
+
     def push(self, events: Events, now_us: int) -> None:
         """Hand over events up to `now_us`; what finds no room in the ring is refused and counted there."""
         self._offered += len(events)
@@ -111,6 +118,19 @@ class LinkProcess:
             self._push(piece, int(piece["t"][-1]))
             events = events[len(piece) :]
         self._push(events, now_us)
+
+    def push_readings(self, kind: ReadingKind, readings: Readings, goes_on: Callable[[], bool] | None = None) -> None:
+        """Hand over readings of a kind, before the events of the same time; what finds no room is refused and counted.
+
+        In a run that is not paced, `goes_on` is given: it then waits for room, until the ring is empty.
+        """
+        ring = next((ring for ring in self._setup.readings if ring.kind == kind), None)
+        if ring is None or self.gone or not len(readings):
+            return
+        while goes_on is not None and len(readings) > ring.room and ring.waiting and not self.gone and goes_on():
+            self._clock.sleep_until(self._clock.now_ns() + _ROOM_WAIT_NS)
+            self.listen()
+        ring.push(readings)
 
     def stop(self, drain_s: float) -> LinkReport:
         """Close the ring, let the link deliver what waits, and return its final report."""

@@ -1,6 +1,7 @@
 """One run of one rig: scene, sensor and links wired together, paced, counted and stopped cleanly.
 
-    for each step [t, t1]:   picture(t1) -> sensor -> events -> a ring for each link
+    for each step [t, t1]:   picture(t1) -+-> sensor -> events -> a ring for each link
+                                          +-> frames, samples --> further rings, where a link has them
 
 Paced in real time, a step is computed `lead` ahead of the moment its first event is due, and each link lets every event
 go at its own time. Not paced, steps follow each other as fast as they can be computed and links hold the run back when
@@ -21,12 +22,16 @@ from emulator.run.bias_following import BiasFollowing
 from emulator.run.drive import Drive, Simulation
 from emulator.run.frames import Pictures
 from emulator.run.lateness import Lateness, StepRule
-from emulator.run.ledger import Ledger, LinkLedger
+from emulator.run.ledger import Ledger
 from emulator.run.link_process import LinkProcess
 from emulator.run.lockstep import Lockstep
+from emulator.run.readings import ReadingSources
 from emulator.run.slow_notice import said_if_slow
+from emulator.run.stereo import SecondView, ledger_of
 from emulator.sensor.event_source import AdjustableSource, EventSource
+from firmware_protocol.edges import EdgeKind
 from firmware_protocol.events import Events
+from firmware_protocol.readings import ReadingKind, Readings
 from transports.faults.kinds import Fault
 from transports.link.pacing import Clock
 from transports.link.process import LinkSetup
@@ -98,9 +103,11 @@ class RunResult:
 
     @property
     def good(self) -> bool:
-        """True when every event and edge has one fate, no link failed, every file is whole, and the run kept up."""
+        """True when all events, edges and readings have one fate, no link failed, files are whole, the run kept up."""
         links = self.links.values()
-        sound = self.ledger.balanced and all(link.error is None and link.edges_balanced for link in links)
+        sound = self.ledger.balanced and all(
+            link.error is None and link.edges_balanced and link.readings_balanced for link in links
+        )
         sound = sound and not any(link.file_troubles for link in links)
         return sound and not self.too_late
 
@@ -118,10 +125,18 @@ class Session:
         How long each step is.
     setups
         One for each link.
+    readings
+        What the camera reads beside events.
     """
 
     def __init__(
-        self, pictures: Pictures, sensor: EventSource, steps: StepSource, setups: Sequence[LinkSetup[Any]], clock: Clock
+        self,
+        pictures: Pictures,
+        sensor: EventSource,
+        steps: StepSource,
+        setups: Sequence[LinkSetup[Any]],
+        clock: Clock,
+        readings: ReadingSources | None = None,
     ) -> None:
         size = (sensor.parameters.width, sensor.parameters.height)
         if pictures.size != size:
@@ -131,6 +146,7 @@ class Session:
         self._biases = BiasFollowing(sensor)
         self._step_source = steps
         self._setups = setups
+        self._readings = readings or ReadingSources((), setups)
         self._clock = clock
         self._links: list[LinkProcess] = []
         self._steps = 0
@@ -140,6 +156,12 @@ class Session:
         self._on_events: Callable[[Events], None] = lambda _: None
         self._lockstep: Lockstep | None = None
         self._drive: Drive | None = None
+
+        self._second: SecondView | None = None
+
+    def join(self, second: SecondView) -> None:
+        """Let a second camera run on the same clock, before the run; its scene is closed at the end."""
+        self._second = second
 
     def stop(self) -> None:
         """End the run after the present step; for `on_status`, and for a signal handler.
@@ -178,6 +200,10 @@ class Session:
         """Begin a fault on the link that it names, one that this link can have; for `on_status`."""
         next(link for link in self._links if link.name == fault.link).inject(fault)
 
+    def happen(self, link: str, kind: EdgeKind | None) -> None:
+        """Let an edge come to the input of a link's camera, or its clock start anew (None); for `on_status`."""
+        next(one for one in self._links if one.name == link).happen(kind)
+
     def run(
         self,
         schedule: Schedule,
@@ -190,6 +216,8 @@ class Session:
         """
         self._on_events = on_events
         with ExitStack() as stack:
+            if self._second is not None:
+                stack.callback(self._second.close)
             stack.callback(self._stop_links, 0.0)  # does nothing more when the links have been stopped in order
             self._open_links()
             if schedule.simulation is not None:
@@ -199,6 +227,8 @@ class Session:
             self._run_steps(schedule, on_status)
             wall_seconds = (self._clock.now_ns() - start_ns) * 1e-9
             self._publish(self._sensor.finish(), schedule)
+            if self._second is not None:
+                self._hand_over(self._second.finish(), schedule, self._links_of(second=True))
             reports = self._stop_links(schedule.drain_s)
         frames, ledger = self._pictures.frames, self._ledger(reports)
         return RunResult(
@@ -230,7 +260,10 @@ class Session:
             self._sensor.warm_up()
         self._pictures.draw(0)
         self._sensor.reset(self._pictures.light, 0)
+        self._readings.reset(self._pictures.light, 0)
         self._step_source.observe(self._pictures.light, self._pictures.rate, 0)
+        if self._second is not None:
+            self._second.begin()
 
     def _run_steps(self, schedule: Schedule, on_status: Callable[[RunStatus], None]) -> None:
         start_ns = self._clock.now_ns()
@@ -298,22 +331,42 @@ class Session:
             t1_ns = min(t1_ns, schedule.duration_ns)
         picture = self._pictures
         picture.draw(t1_ns)
+        self._hand_over_readings(self._readings.read(picture.light, t1_ns), schedule, self._links_of())
         events = self._sensor.expose(picture.light, t1_ns, picture.rate, picture.pixel_light, picture.changed)
         self._step_source.observe(picture.light, picture.rate, t1_ns)
         self._t_ns = t1_ns
         self._steps += 1
         self._publish(events, schedule)
+        if self._second is not None:
+            events, readings = self._second.step(t1_ns)
+            self._hand_over_readings(readings, schedule, self._links_of(second=True))
+            self._hand_over(events, schedule, self._links_of(second=True))
+
+    def _links_of(self, *, second: bool = False) -> list[LinkProcess]:
+        """Return the links that carry the first camera, or the second."""
+        carried = frozenset() if self._second is None else self._second.links
+        return [link for link in self._links if (link.name in carried) == second]
+
+    def _hand_over_readings(
+        self, readings: Sequence[tuple[ReadingKind, Readings]], schedule: Schedule, links: Sequence[LinkProcess]
+    ) -> None:
+        for kind, records in readings:
+            for link in links:
+                link.push_readings(kind, records, None if schedule.paced else lambda: self._goes_on)
 
     def _publish(self, events: Events, schedule: Schedule) -> None:
+        self._hand_over(events, schedule, self._links_of())
+        self._on_events(events)
+
+    def _hand_over(self, events: Events, schedule: Schedule, links: Sequence[LinkProcess]) -> None:
         now_us = self._t_ns // 1000
         if len(events):  # at the run's end the read-out sends what still queues, later than the last step
             now_us = max(now_us, int(events["t"][-1]))
-        for link in self._links:
+        for link in links:
             if schedule.paced:
                 link.push(events, now_us)
             else:
                 link.push_all(events, now_us, lambda: self._goes_on)
-        self._on_events(events)
 
     def _status(self, start_ns: int) -> RunStatus:
         reports = {link.name: link.listen() for link in self._links}
@@ -335,13 +388,7 @@ class Session:
         return {link.name: link.stop(drain_s) for link in links}
 
     def _ledger(self, reports: dict[str, LinkReport]) -> Ledger:
-        return Ledger(
-            raised=self._sensor.raised,
-            lost_in_pixel=self._sensor.lost_in_pixel,
-            lost_at_readout=self._sensor.lost_at_readout,
-            read_out=self._sensor.read_out,
-            links=tuple(
-                LinkLedger(name, report.delivered, report.dropped, report.dropped_in_device)
-                for name, report in reports.items()
-            ),
-        )
+        if self._second is None:
+            return ledger_of(self._sensor, reports)
+        own = {name: report for name, report in reports.items() if name not in self._second.links}
+        return ledger_of(self._sensor, own, self._second.ledger(reports))

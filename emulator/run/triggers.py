@@ -2,6 +2,7 @@
 
     [trigger]  source = "can"      SYNC on that link's bus     -> EdgeSink -> a ring for each link (and the session's)
                period_ms = 10.0    no bus: every 10 ms         -> each link makes the same edges by itself
+               [[trigger.edges]]   no bus: at given times      -> the same
 
 The rings are shared memory, made before the links' processes start and passed to them.
 """
@@ -15,6 +16,7 @@ from emulator.rig.trigger_table import Trigger
 from firmware_protocol.device_clock import ClockSettings
 from transports.link.edges import EdgeRing, EdgeSink, EdgeSource, PeriodicEdges
 from transports.link.feed import Timing
+from transports.link.listed_edges import ListedEdges
 from transports.link.ring import EventRing
 
 __all__ = ["TriggerPaths"]
@@ -65,6 +67,8 @@ class TriggerPaths:
             return None
         if self._trigger.period_ms:
             return PeriodicEdges(round(self._trigger.period_ms * 1000), self._trigger.timing(self._seed))
+        if self._trigger.edges:
+            return ListedEdges([edges.train() for edges in self._trigger.edges], self._trigger.channel)
         return self._rings.get(link)
 
     def _is_source(self, link: str) -> bool:

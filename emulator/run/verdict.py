@@ -44,6 +44,7 @@ def _always(result: RunResult) -> Iterator[Judgement]:
     for name, link in result.links.items():
         trouble = [link.error] if link.error is not None else []
         trouble += [] if link.edges_balanced else ["edges without a fate"]
+        trouble += [] if link.readings_balanced else ["frames or samples without a fate"]
         trouble += link.file_troubles
         yield Judgement(f"link {name}", not trouble, "; ".join(trouble) or "sound")
     if result.max_late_us > 0:

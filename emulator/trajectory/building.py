@@ -16,6 +16,7 @@ from emulator.trajectory.descent import Descent
 from emulator.trajectory.keyframes import Keyframes
 from emulator.trajectory.live import LivePoses
 from emulator.trajectory.looking import Looking
+from emulator.trajectory.offset import Offset, OffsetPath
 from emulator.trajectory.orbit import Orbit
 from emulator.trajectory.parameters import (
     BasiliskPath,
@@ -52,7 +53,7 @@ def build_trajectories(paths: Sequence[TrajectoryParameters]) -> list[Trajectory
     return built
 
 
-def build_trajectory(p: TrajectoryParameters) -> Trajectory:
+def build_trajectory(p: TrajectoryParameters | OffsetPath) -> Trajectory:
     """Return the trajectory that a rig asks for; raises TrajectoryError, and OSError where a port cannot be had."""
     match p:
         case FixedPath():
@@ -73,8 +74,14 @@ def build_trajectory(p: TrajectoryParameters) -> Trajectory:
             return _looking(recorded, p.look_at_m, p.up, _spread(*span_ns))
         case LivePath():
             return _received(p, 0, {})
-        case BasiliskPath():
-            return flown_path(p)
+        case OffsetPath() | BasiliskPath():
+            return _derived(p)
+
+
+def _derived(p: OffsetPath | BasiliskPath) -> Trajectory:
+    if isinstance(p, BasiliskPath):
+        return flown_path(p)
+    return Offset(build_trajectory(p.path), p.offset_m, p.q_path_from_body)
 
 
 def _received(p: LivePath, number: int, receivers: dict[tuple[str, int], PoseReceiver]) -> ReceivedPath:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from emulator.geometry.attitude import Quaternion, multiply
+from emulator.geometry.attitude import Quaternion, matrix_of, multiply
+from emulator.trajectory.motion import Motion
 from emulator.trajectory.pose import Pose, Trajectory
 
 __all__ = ["Mounted", "PlaceAndAttitude"]
@@ -28,6 +29,12 @@ class PlaceAndAttitude(Trajectory):
         attitude = self._attitudes.pose(t_ns + self._attitudes_zero_ns).q_world_from_body
         return Pose(self._places.pose(t_ns + self._places_zero_ns).position_m, attitude)
 
+    def motion(self, t_ns: int) -> Motion:
+        """Return how the place of one moves and the attitude of the other turns."""
+        place = self._places.motion(t_ns + self._places_zero_ns)
+        turn = self._attitudes.motion(t_ns + self._attitudes_zero_ns).turn_rad_s
+        return Motion(place.velocity_m_s, place.acceleration_m_s2, turn)
+
     @property
     def speed_bound_m_s(self) -> float:
         """That of the places."""
@@ -49,6 +56,11 @@ class Mounted(Trajectory):
         """Return the pose at `t_ns`."""
         pose = self._path.pose(t_ns)
         return Pose(pose.position_m, multiply(pose.q_world_from_body, self._q))
+
+    def motion(self, t_ns: int) -> Motion:
+        """Return the path's motion, its turning along the axes of what is mounted."""
+        path = self._path.motion(t_ns)
+        return Motion(path.velocity_m_s, path.acceleration_m_s2, matrix_of(self._q).T @ path.turn_rad_s)
 
     @property
     def speed_bound_m_s(self) -> float:

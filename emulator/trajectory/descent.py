@@ -22,18 +22,18 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import PchipInterpolator
+from scipy.interpolate import PchipInterpolator, PPoly
 
 from emulator.geometry.attitude import Quaternion, Vector, quaternion_of
 from emulator.trajectory.keyframes import Keyframes
 from emulator.trajectory.looking import looking_along
 from emulator.trajectory.measured import measured_bounds
+from emulator.trajectory.motion import Motion
 from emulator.trajectory.pose import STILL, Pose, Trajectory, TrajectoryError
 from emulator.trajectory.sampling import instants_between
 
@@ -95,6 +95,7 @@ class Descent(Trajectory):
         times_ns = [round(gate.t_s * 1e9) for gate in gates]
         self._path = Keyframes(times_ns, [Pose(place, STILL.q_world_from_body) for place in places], velocities)
         self._ahead, self._depression_rad = ahead, _depression(gates)
+        self._depression_rate = self._depression_rad.derivative()
         self._turn_rad_s = measured_bounds(self.pose, instants_between(np.array(times_ns, np.int64)))[1]
         self._require_above(float(site[2]))
 
@@ -103,6 +104,13 @@ class Descent(Trajectory):
         first, last = self.span_ns
         depression = float(self._depression_rad(min(max(t_ns, first), last) * 1e-9))
         return Pose(self._path.pose(t_ns).position_m, _attitude(self._ahead, depression))
+
+    def motion(self, t_ns: int) -> Motion:
+        """Return how it moves; it turns about the camera's x axis, backwards as the depression grows."""
+        first, last = self.span_ns
+        rate = float(self._depression_rate(t_ns * 1e-9)) if first <= t_ns < last else 0.0
+        path = self._path.motion(t_ns)
+        return Motion(path.velocity_m_s, path.acceleration_m_s2, np.array([-rate, 0.0, 0.0]))
 
     @property
     def span_ns(self) -> tuple[int, int]:
@@ -135,12 +143,12 @@ def _forward_m(gates: Sequence[Gate]) -> list[float]:
     return [-sum(steps[k:]) for k in range(len(gates))]
 
 
-def _depression(gates: Sequence[Gate]) -> Callable[[float], Any]:
+def _depression(gates: Sequence[Gate]) -> PPoly:
     """Return the boresight's depression, rad, as a function of seconds; between gates it stays between theirs."""
     radians = [math.radians(gate.depression_deg) for gate in gates]
     if len(gates) == 1:
-        return lambda _: radians[0]
-    return cast("Callable[[float], Any]", PchipInterpolator([gate.t_s for gate in gates], radians))
+        return PPoly([radians], [0.0, 1.0])
+    return PchipInterpolator([gate.t_s for gate in gates], radians)
 
 
 def _attitude(ahead: Vector, depression_rad: float) -> Quaternion:

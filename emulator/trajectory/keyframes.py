@@ -24,6 +24,7 @@ from scipy.spatial.transform import Rotation, RotationSpline
 
 from emulator.geometry.attitude import multiply, quaternion_of_vector
 from emulator.trajectory.measured import measured_bounds
+from emulator.trajectory.motion import AT_REST, Motion, rate_of_vector
 from emulator.trajectory.pose import Pose, Trajectory, TrajectoryError
 from emulator.trajectory.sampling import instants_between, require_increasing
 
@@ -62,6 +63,8 @@ class Keyframes(Trajectory):
         if given is not None and (given.shape != self._places.shape or not np.isfinite(given).all()):
             raise TrajectoryError(f"velocities are {given.shape}: one of three finite m/s is needed for each keyframe")
         self._curve, self._vectors = _splines(self._seconds, self._places, given, self._turns)
+        self._velocity, self._acceleration = self._curve.derivative(), self._curve.derivative(2)
+        self._vector_rates = self._vectors.derivative()
         self._bounds: tuple[float, float] | None = None
 
     @property
@@ -89,6 +92,15 @@ class Keyframes(Trajectory):
         k = int(np.searchsorted(self._times_ns, t_ns, "right")) - 1
         t_s = (int(t_ns) - first) * 1e-9
         return Pose(self._curve(t_s), multiply(self._turns[k], quaternion_of_vector(self._vectors(t_s))))
+
+    def motion(self, t_ns: int) -> Motion:
+        """Return the derivatives of the curves; the acceleration may jump at a keyframe. It rests outside its span."""
+        first, last = self.span_ns
+        if not first <= t_ns < last:
+            return AT_REST
+        t_s = (int(t_ns) - first) * 1e-9
+        turn = rate_of_vector(self._vectors(t_s), self._vector_rates(t_s))
+        return Motion(self._velocity(t_s), self._acceleration(t_s), turn)
 
     def _measured(self) -> tuple[float, float]:
         if self._bounds is None:

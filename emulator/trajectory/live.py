@@ -18,17 +18,18 @@ sender that does not count (other poses with the same counter) is heard.
 
 from __future__ import annotations
 
-import math
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from emulator.geometry.attitude import Quaternion, Vector, conjugate, multiply, quaternion_of_vector
+from emulator.geometry.attitude import Vector, conjugate, multiply, quaternion_of_vector
+from emulator.trajectory.motion import AT_REST, Motion, rotation_vector
 from emulator.trajectory.pose import FARTHEST_M, STILL, Pose, Trajectory
 from firmware_protocol.pose_message import NOW, PoseMessage
 
-__all__ = ["LiveCounters", "LivePoses", "between"]
+__all__ = ["LiveCounters", "LivePoses", "between", "known_motion"]
 
 _KNOWN = 64
 _MOST_LOST = 1 << 16
@@ -117,6 +118,20 @@ class LivePoses(Trajectory):
         after = next(k for k, one in enumerate(known) if one.t_ns >= t_ns)
         return known[0].pose if after == 0 else between(known[after - 1].at, known[after].at, t_ns)
 
+    def pose_and_motion(self, t_ns: int) -> tuple[Pose, Motion]:
+        """Return both by what is known now; no picture is counted as late."""
+        late = self.counters.late_pictures
+        pose = self.pose(t_ns)
+        self.counters.late_pictures = late
+        return pose, self.motion(t_ns)
+
+    def motion(self, t_ns: int) -> Motion:
+        """Return how it moves at `t_ns` by what is known now, see `known_motion`; at rest where it stands still."""
+        known = [one.at for one in self._known]
+        if len(known) < 2 or t_ns < known[0][0] or t_ns > known[-1][0] + self._hold_ns:
+            return AT_REST
+        return known_motion(known, t_ns)
+
     @property
     def speed_bound_m_s(self) -> float:
         """Infinite: poses to come are not known."""
@@ -171,12 +186,31 @@ def between(before: tuple[int, Pose], after: tuple[int, Pose], t_ns: int) -> Pos
     place = (1 - x) * a.position_m + x * b.position_m  # exact at both, also beside a place very far away
     place = np.clip(place, -FARTHEST_M / 2, FARTHEST_M / 2)  # two hostile poses may point anywhere
     turn = multiply(b.q_world_from_body, conjugate(a.q_world_from_body))
-    part = quaternion_of_vector((x - 1) * _vector_of(turn))
+    part = quaternion_of_vector((x - 1) * rotation_vector(turn))
     return Pose(place, multiply(part, b.q_world_from_body))
 
 
-def _vector_of(q: Quaternion) -> Vector:
-    """Return the rotation vector of a unit quaternion, at most half a turn long."""
-    sine = float(np.linalg.norm(q[1:]))
-    half = math.atan2(sine, abs(q[0]))
-    return np.asarray(math.copysign(2 * half / sine if sine > 0 else 2.0, q[0]) * q[1:])
+def known_motion(known: Sequence[tuple[int, Pose]], t_ns: int) -> Motion:
+    """Return the motion at `t_ns` between two or more poses with their times, increasing, or beyond the last.
+
+    Velocity and turning are those of the straight line and the great circle. The acceleration is that of the parabola
+    through three poses: the two around `t_ns` and the one before, or the next where there is none; 0 with two poses.
+    Its error is that of the places times 4 / period^2.
+    """
+    last = next((k for k, (at_ns, _) in enumerate(known) if at_ns >= t_ns), len(known) - 1)
+    last = max(last, 1)
+    (before_ns, a), (after_ns, b) = known[last - 1], known[last]
+    seconds = (after_ns - before_ns) * 1e-9
+    turn = rotation_vector(multiply(conjugate(a.q_world_from_body), b.q_world_from_body))
+    bend = _second_derivative(known[max(0, last - 2) : max(3, last + 1)])
+    return Motion((b.position_m - a.position_m) / seconds, bend, turn / seconds)
+
+
+def _second_derivative(known: Sequence[tuple[int, Pose]]) -> Vector:
+    """Return the second derivative of the parabola through three places, (3,); 0 for fewer."""
+    if len(known) < 3:
+        return np.zeros(3)
+    (t0, a), (t1, b), (t2, c) = known
+    first = (b.position_m - a.position_m) / (t1 - t0)
+    second = (c.position_m - b.position_m) / (t2 - t1)
+    return np.asarray(2e18 * (second - first) / (t2 - t0))

@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from emulator.geometry.attitude import Matrix, Vector, cross, quaternion_of, unit
 from emulator.trajectory.measured import measured_bounds
+from emulator.trajectory.motion import Motion, rate_of_frame
 from emulator.trajectory.pose import Pose, Trajectory, TrajectoryError
 
 __all__ = ["Looking", "looking_along"]
@@ -44,6 +45,20 @@ class Looking(Trajectory):
             raise TrajectoryError(f"at {t_ns * 1e-9:g} s the camera is at the very point that it looks at")
         return Pose(place, quaternion_of(looking_along(sight, self._up)))
 
+    def motion(self, t_ns: int) -> Motion:
+        """Return the path's motion with the turning that keeps the boresight on the target."""
+        place, axes = self._place.motion(t_ns), self.pose(t_ns).world_from_body
+        x, _, z = axes.T
+        across = cross(z, self._up)
+        if np.linalg.norm(across) < _ALONG:
+            return Motion(place.velocity_m_s, place.acceleration_m_s2, super().motion(t_ns).turn_rad_s)
+        sight = self._target_m - self._place.pose(t_ns).position_m
+        z_rate = _turning(-place.velocity_m_s, z) / np.linalg.norm(sight)
+        x_rate = _turning(cross(z_rate, self._up), x) / np.linalg.norm(across)
+        y_rate = cross(z_rate, x) + cross(z, x_rate)
+        rates = np.column_stack([x_rate, y_rate, z_rate])
+        return Motion(place.velocity_m_s, place.acceleration_m_s2, rate_of_frame(axes, rates))
+
     @property
     def speed_bound_m_s(self) -> float:
         """That of the path."""
@@ -63,6 +78,11 @@ def looking_along(sight: npt.ArrayLike, up: npt.ArrayLike) -> Matrix:
         x = cross(z, _any_other(z))
     x = unit(x)
     return np.column_stack([x, cross(z, x), z])
+
+
+def _turning(rate: Vector, direction: Vector) -> Vector:
+    """Return the part of `rate` that turns a vector along the unit vector `direction`, not the one that stretches."""
+    return np.asarray(rate - (rate @ direction) * direction)
 
 
 def _any_other(axis: Vector) -> Vector:

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from emulator.geometry.attitude import Matrix, Vector
+from emulator.trajectory.motion import Motion
 from emulator.trajectory.pose import STILL, Pose, Trajectory
 
 __all__ = ["Elements", "Orbit", "eccentric_anomaly"]
@@ -78,12 +79,23 @@ class Orbit(Trajectory):
 
     def pose(self, t_ns: int) -> Pose:
         """Return the place at `t_ns`."""
-        k = self._elements
-        mean = math.radians(k.anomaly_deg) + math.fmod(k.mean_motion_rad_s * (t_ns * 1e-9), 2 * math.pi)
-        anomaly = eccentric_anomaly(mean, k.eccentricity)
+        k, anomaly = self._elements, self._anomaly(t_ns)
         across = math.sqrt(1 - k.eccentricity**2) * math.sin(anomaly)
         in_plane: Vector = k.semi_major_axis_m * np.array([math.cos(anomaly) - k.eccentricity, across, 0.0])
         return Pose(self._world_from_plane @ in_plane, STILL.q_world_from_body)
+
+    def motion(self, t_ns: int) -> Motion:
+        """Return velocity and acceleration, that of free fall: -GM r / |r|^3."""
+        k, anomaly, place = self._elements, self._anomaly(t_ns), self.pose(t_ns).position_m
+        speed = k.semi_major_axis_m * k.mean_motion_rad_s / (1 - k.eccentricity * math.cos(anomaly))
+        across = math.sqrt(1 - k.eccentricity**2) * math.cos(anomaly)
+        velocity = self._world_from_plane @ (speed * np.array([-math.sin(anomaly), across, 0.0]))
+        return Motion(velocity, -k.gm_m3_s2 * place / np.linalg.norm(place) ** 3, np.zeros(3))
+
+    def _anomaly(self, t_ns: int) -> float:
+        k = self._elements
+        mean = math.radians(k.anomaly_deg) + math.fmod(k.mean_motion_rad_s * (t_ns * 1e-9), 2 * math.pi)
+        return eccentric_anomaly(mean, k.eccentricity)
 
     @property
     def speed_bound_m_s(self) -> float:

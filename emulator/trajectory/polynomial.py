@@ -18,6 +18,7 @@ import numpy.typing as npt
 from scipy.interpolate import KroghInterpolator
 
 from emulator.trajectory.measured import measured_bounds
+from emulator.trajectory.motion import AT_REST, Motion
 from emulator.trajectory.pose import STILL, Pose, Trajectory, TrajectoryError
 from emulator.trajectory.sampling import instants_between, require_increasing
 
@@ -69,10 +70,24 @@ class PolynomialPath(Trajectory):
     def pose(self, t_ns: int) -> Pose:
         """Return the place at `t_ns`; before the first sample and after the last it stays."""
         t_ns = min(max(int(t_ns), self.span_ns[0]), self.span_ns[1])
+        first, curve = self._curve(t_ns)
+        return Pose(curve(self._steps(first, t_ns)), STILL.q_world_from_body)
+
+    def motion(self, t_ns: int) -> Motion:
+        """Return the polynomial's derivatives at `t_ns`; it rests outside its span."""
+        if not self.span_ns[0] <= t_ns < self.span_ns[1]:
+            return AT_REST
+        first, curve = self._curve(t_ns)
+        _, slope, bend = curve.derivatives(self._steps(first, t_ns), der=3)
+        step_s = self._step_ns(first) * 1e-9
+        return Motion(slope / step_s, bend / step_s**2, np.zeros(3))
+
+    def _curve(self, t_ns: int) -> tuple[int, KroghInterpolator]:
+        """Return the polynomial around `t_ns`, and the first sample that it goes through."""
         first = self._first_used(t_ns)
         if self._at is None or self._at[0] != first:
             self._at = first, self._through(first)
-        return Pose(self._at[1](self._steps(first, t_ns)), STILL.q_world_from_body)
+        return self._at
 
     @property
     def speed_bound_m_s(self) -> float:

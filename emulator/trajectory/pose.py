@@ -15,6 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from emulator.geometry.attitude import Matrix, Quaternion, Vector, conjugate, matrix_of, multiply
+from emulator.trajectory.motion import AT_REST, Motion, differences
 
 __all__ = ["FARTHEST_M", "STILL", "Fixed", "Pose", "Trajectory", "TrajectoryError"]
 
@@ -84,6 +85,14 @@ class Trajectory(ABC):
     def pose(self, t_ns: int) -> Pose:
         """Return the pose at time `t_ns`, which depends on nothing else unless poses come from outside."""
 
+    def motion(self, t_ns: int) -> Motion:
+        """Return how it moves at `t_ns`; from differences of poses where no closed form is known, see `motion`."""
+        return differences(self.pose, t_ns)
+
+    def pose_and_motion(self, t_ns: int) -> tuple[Pose, Motion]:
+        """Return both at `t_ns`, for one who looks beside the pictures: it takes in and counts nothing from outside."""
+        return self.pose(t_ns), self.motion(t_ns)
+
     @property
     @abstractmethod
     def speed_bound_m_s(self) -> float:
@@ -104,6 +113,10 @@ class Fixed(Trajectory):
     def pose(self, t_ns: int) -> Pose:
         """Return the one pose."""
         return self._pose
+
+    def motion(self, t_ns: int) -> Motion:
+        """It does not move."""
+        return AT_REST
 
     @property
     def speed_bound_m_s(self) -> float:

@@ -18,6 +18,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 from emulator.trajectory.live import LiveCounters, LivePoses
+from emulator.trajectory.motion import Motion
 from emulator.trajectory.pose import Pose, Trajectory, TrajectoryError
 from firmware_protocol.pose_message import POSE_BYTES, PoseMessage, PoseMessageError
 
@@ -179,6 +180,14 @@ class ReceivedPath(Trajectory):
         """Take in what has come and return the pose at `t_ns`."""
         self.receiver.receive(t_ns)
         return self._poses.pose(t_ns)
+
+    def motion(self, t_ns: int) -> Motion:
+        """Return how it moves at `t_ns` by the poses that have come, see `LivePoses.motion`."""
+        return self._poses.motion(t_ns)
+
+    def pose_and_motion(self, t_ns: int) -> tuple[Pose, Motion]:
+        """Return both by the poses that have come."""
+        return self._poses.pose_and_motion(t_ns)
 
     @property
     def speed_bound_m_s(self) -> float:

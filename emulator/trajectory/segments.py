@@ -7,6 +7,7 @@ from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from emulator.trajectory.motion import Motion
 from emulator.trajectory.pose import Pose, Trajectory, TrajectoryError
 
 __all__ = ["Segment", "Segmented"]
@@ -58,8 +59,16 @@ class Segmented(Trajectory):
 
     def pose(self, t_ns: int) -> Pose:
         """Return the pose at `t_ns`."""
-        segment = self._segments[max(0, bisect_right(self._starts_ns, t_ns) - 1)]
+        segment = self._segment(t_ns)
         return segment.path.pose(min(max(t_ns, segment.start_ns), segment.stop_ns) - segment.zero_ns)
+
+    def motion(self, t_ns: int) -> Motion:
+        """Return the motion of the segment at `t_ns`."""
+        segment = self._segment(t_ns)
+        return segment.path.motion(min(max(t_ns, segment.start_ns), segment.stop_ns) - segment.zero_ns)
+
+    def _segment(self, t_ns: int) -> Segment:
+        return self._segments[max(0, bisect_right(self._starts_ns, t_ns) - 1)]
 
     @property
     def speed_bound_m_s(self) -> float:

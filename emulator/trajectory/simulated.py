@@ -11,7 +11,8 @@ from __future__ import annotations
 
 from collections import deque
 
-from emulator.trajectory.live import between
+from emulator.trajectory.live import between, known_motion
+from emulator.trajectory.motion import AT_REST, Motion
 from emulator.trajectory.pose import Pose, Trajectory, TrajectoryError
 
 __all__ = ["SimulatedPath"]
@@ -46,6 +47,12 @@ class SimulatedPath(Trajectory):
             return known[0][1]
         after = next((k for k, (at_ns, _) in enumerate(known) if at_ns >= t_ns), len(known) - 1)
         return between(known[after - 1], known[after], t_ns)
+
+    def motion(self, t_ns: int) -> Motion:
+        """Return how it moves at `t_ns` by what is known now, see `known_motion`."""
+        if len(self._known) < 2 or t_ns < self._known[0][0]:
+            return AT_REST
+        return known_motion(list(self._known), t_ns)
 
     @property
     def speed_bound_m_s(self) -> float:

@@ -19,6 +19,7 @@ import numpy.typing as npt
 
 from emulator.geometry.attitude import Matrix, quaternion_of, spin, unit
 from emulator.geometry.cycle import Cycle
+from emulator.trajectory.motion import Motion
 from emulator.trajectory.pose import Pose, Trajectory
 
 __all__ = ["Spinning", "Tilt"]
@@ -49,6 +50,12 @@ class Spinning(Trajectory):
         """Return the pose at `t_ns`."""
         turning = spin(self._momentum, self._tilt.precession.turns(t_ns)) @ _about_x(self._tilt.tilt_rad)
         return Pose(self._position_m, quaternion_of(turning @ _about_z(self._turned.turns(t_ns))))
+
+    def motion(self, t_ns: int) -> Motion:
+        """Return its rate: the spin along its own +Z and the precession along the momentum, added."""
+        spin_rad_s, precession_rad_s = (2 * math.pi * float(c.rate_hz) for c in (self._turned, self._tilt.precession))
+        momentum = self.pose(t_ns).world_from_body.T @ self._momentum
+        return Motion(np.zeros(3), np.zeros(3), precession_rad_s * momentum + [0.0, 0.0, spin_rad_s])
 
     @property
     def speed_bound_m_s(self) -> float:

@@ -1,4 +1,4 @@
-"""Decoder of DAVIS word streams: bytes in any pieces to events, specials and a count of what was wrong.
+"""Decoder of DAVIS word streams: bytes in any pieces to events, specials, frames, IMU samples and a count of faults.
 
 The word layout is drawn in `words`. The meaning follows libcaer 3.3.15 (davis.c), as far as events are concerned:
 
@@ -8,17 +8,19 @@ The word layout is drawn in `words`. The meaning follows libcaer 3.3.15 (davis.c
 - a reset sets the time to zero and leaves the row;
 - a timestamp that does not increase is counted and used all the same.
 
-APS samples and misc words are counted, not yet interpreted. Unlike libcaer, which drops the last byte of a buffer with
-an odd length, a split inside a word is harmless.
+APS samples and misc words are counted as not interpreted, and read as frames by `FrameReader`. Unlike libcaer, which
+drops the last byte of a buffer with an odd length, a split inside a word is harmless.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 import numpy.typing as npt
 
+from firmware_protocol.davis346.frame_reader import FrameRead, FrameReader
+from firmware_protocol.davis346.imu_words import IMU_READ, ImuReader
 from firmware_protocol.davis346.marks import edges_of
 from firmware_protocol.davis346.words import (
     APS_SAMPLE,
@@ -41,6 +43,7 @@ from firmware_protocol.davis346.words import (
 )
 from firmware_protocol.edges import Edges
 from firmware_protocol.events import EVENT, Events
+from firmware_protocol.imu_samples import ImuSamples
 
 __all__ = ["SPECIAL_EVENT", "Decoded", "Decoder", "WordFaults"]
 
@@ -63,10 +66,19 @@ class Decoded:
         (n,) EVENT in device time, microseconds since the last timestamp reset.
     specials
         (m,) SPECIAL_EVENT.
+    frames
+        Those that were completed.
+    imu_read
+        (k,) IMU_READ: samples of the inertial unit; see `imu`.
+    resets_in_all
+        Timestamp resets since the decoder was made.
     """
 
     events: Events
     specials: npt.NDArray[np.void]
+    frames: tuple[FrameRead, ...] = ()
+    imu_read: npt.NDArray[np.void] = field(default_factory=lambda: np.empty(0, IMU_READ))
+    resets_in_all: int = 0
 
     @property
     def resets(self) -> Index:
@@ -81,7 +93,14 @@ class Decoded:
             return self
         first, specials = int(self.resets[-1]), self.specials[at[-1] + 1 :].copy()
         specials["index"] -= first
-        return Decoded(self.events[first:], specials)
+        frames = tuple(frame for frame in self.frames if frame.resets == self.resets_in_all)
+        imu_read = self.imu_read[self.imu_read["resets"] == self.resets_in_all]
+        return Decoded(self.events[first:], specials, frames, imu_read, self.resets_in_all)
+
+    @property
+    def imu(self) -> ImuSamples:
+        """(k,) IMU_SAMPLE in device time."""
+        return np.ascontiguousarray(self.imu_read["sample"])
 
     @property
     def edges(self) -> Edges:
@@ -129,12 +148,24 @@ class Decoder:
         self._odd = b""
         self._time_us = 0
         self._row = 0
+        self._frames = FrameReader(turned)
+        self._imu = ImuReader()
         self.faults = WordFaults()
 
     @property
     def time_us(self) -> int:
         """Device time of the last timestamp or wrap."""
         return self._time_us
+
+    @property
+    def frames_incomplete(self) -> int:
+        """Frames that began and were not whole."""
+        return self._frames.incomplete
+
+    @property
+    def imu_broken(self) -> int:
+        """IMU samples that were not whole."""
+        return self._imu.broken
 
     def feed(self, data: bytes) -> Decoded:
         """Decode the next bytes of the stream; any bytes give a result."""
@@ -144,16 +175,22 @@ class Decoder:
         words = np.frombuffer(data, WORD, even // 2)
         events = np.empty(_count(is_column(words)), EVENT)
         specials = [np.empty(0, SPECIAL_EVENT)]
+        frames: list[FrameRead] = []
+        imu = [np.empty(0, IMU_READ)]
         filled = 0
         for first in range(0, len(words), _BLOCK_WORDS):
-            count, special = self._block(words[first : first + _BLOCK_WORDS], events[filled:])
+            count, special = self._block(words[first : first + _BLOCK_WORDS], events[filled:], (frames, imu))
             special["index"] += filled
             filled += count
             specials.append(special)
-        return Decoded(events[:filled], np.concatenate(specials))
+        return Decoded(
+            events[:filled], np.concatenate(specials), tuple(frames), np.concatenate(imu), self._frames.resets
+        )
 
-    def _block(self, words: Words, out: Events) -> tuple[int, npt.NDArray[np.void]]:
-        """Decode into the front of `out`; return how many events that were, and the specials."""
+    def _block(
+        self, words: Words, out: Events, readings: tuple[list[FrameRead], list[npt.NDArray[np.void]]]
+    ) -> tuple[int, npt.NDArray[np.void]]:
+        """Decode into the front of `out` and append to `readings`; return how many events, and the specials."""
         rare = np.flatnonzero((words < ROW) | ((words >= APS_SAMPLE) & (words < TIMESTAMP)))
         at, columns = self._columns_in(words)
         stamp_of, time_us = self._timeline(words, rare)
@@ -163,7 +200,11 @@ class Decoder:
         address, row = columns & MAX_ADDRESS, rows.take(row_of.take(at))
         events["x"], events["y"] = (row, address) if self._turned else (address, row)
         events["on"] = columns >= COLUMN_ON
-        specials = self._specials(words.take(rare), rare, at, time_us.take(stamp_of.take(rare)))
+        seldom, seldom_us = words.take(rare), time_us.take(stamp_of.take(rare))
+        specials = self._specials(seldom, rare, at, seldom_us)
+        if len(seldom):
+            readings[0].extend(self._frames.feed(seldom, seldom_us))
+            readings[1].append(self._imu.feed(seldom, seldom_us))
         self._time_us, self._row = int(time_us[-1]), int(rows[-1])
         return len(at), specials
 

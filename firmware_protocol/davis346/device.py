@@ -19,6 +19,9 @@ Edges offered to the external input go through its detectors and enter the strea
 DROP_EXTINPUT_ON_STALL at 0, marks that find no room wait in that input's own FIFO, 8 deep, and are stamped when they
 leave it, as the multiplexer of the published logic does.
 
+Readings (lines of frames, inertial samples) enter the stream likewise, each as a block of words. Lines that find no
+room wait for it while WAIT_ON_STALL of the APS is 1; they are then dated by when they leave.
+
 One thread at a time may use a camera.
 """
 
@@ -35,6 +38,7 @@ from firmware_protocol.davis346.biases import BIASES
 from firmware_protocol.davis346.external_input import ExternalInput, InputSettings
 from firmware_protocol.davis346.fifo import Fifo
 from firmware_protocol.davis346.marks import Marks, join_marks, no_marks
+from firmware_protocol.davis346.reading_input import ReadingInput
 from firmware_protocol.davis346.registers import Module, RegisterFile, Statistic, registers
 from firmware_protocol.davis346.settings import DATA_ENDPOINT, Davis346Settings
 from firmware_protocol.davis346.stream import EventStream
@@ -43,6 +47,7 @@ from firmware_protocol.edges import Edges
 from firmware_protocol.event_copies import copy_events
 from firmware_protocol.event_device import CameraCounters, EdgeCounters
 from firmware_protocol.events import Events, empty_events
+from firmware_protocol.readings import ReadingKind, Readings
 from firmware_protocol.usb.control import Recipient, StandardControl
 from firmware_protocol.usb.device import Identity, RequestKind, SetupPacket, Stall, Transfer, UsbCamera
 
@@ -56,6 +61,7 @@ FLUSH = 0xC6
 _ENTRY = struct.Struct(">BBI")
 _IN = 0x80
 _INPUT_FIFO = 8
+_MOST_RESETS = 64  # told to nobody, where there is no second camera
 
 
 @dataclass(frozen=True)
@@ -80,10 +86,12 @@ class Davis346(UsbCamera):
     def __init__(self, settings: Davis346Settings | None = None) -> None:
         self.settings = settings = settings or Davis346Settings()
         self._standard = StandardControl(settings.descriptors())
-        self._registers = RegisterFile(registers(settings.size, settings.layout, settings.system))
+        self._registers = RegisterFile(registers(settings.size, settings.layout, settings.system, settings.imu_unit))
         self._stream = EventStream(WordEncoder(settings.size, settings.layout.turned), Fifo(settings.fifo_bytes))
         self._input = ExternalInput(settings.pulse_us)
         self._stalled = no_marks()
+        self._readings = ReadingInput(settings, self._registers)
+        self._resets_us: list[int] = []
         self._now_us = 0
         self._not_running = self._offered = 0
         self._power_on()
@@ -106,7 +114,8 @@ class Davis346(UsbCamera):
     @property
     def room_events(self) -> int:
         """Events that certainly fit the FIFO now beside the marks expected, if none is later than `horizon_us`."""
-        return max(0, self._stream.room_events - self._input.expected)
+        reserved = self._readings.reserved(self._stream.free_words)
+        return max(0, self._stream.room_beside(reserved) - self._input.expected)
 
     @property
     def horizon_us(self) -> int:
@@ -151,6 +160,7 @@ class Davis346(UsbCamera):
             s.lost_on_link,
             s.queued,
             edges=self._edge_counters(),
+            readings=self._readings.counters(self._stream.block_fates),
         )
 
     def _edge_counters(self) -> EdgeCounters:
@@ -194,6 +204,22 @@ class Davis346(UsbCamera):
         """
         self._input.offer(edges, self._now_us)
 
+    def reading_settings(self, kind: ReadingKind) -> tuple[int, ...]:
+        """What the registers ask of a kind of readings: of frames, the numbers of `FrameSettings`."""
+        return self._readings.settings_of(kind)
+
+    def room_readings(self, kind: ReadingKind) -> int:
+        """Readings that fit half of what is free; the other half is for events."""
+        if not self._readings.runs(kind):
+            return super().room_readings(kind)
+        return self._readings.room(kind, self._stream.free_words)
+
+    def offer_readings(self, kind: ReadingKind, readings: Readings) -> bool:
+        """Take lines of frames; see `EventDevice.offer_readings`."""
+        if self._readings.takes(kind):
+            self._readings.offer(kind, readings, self._silent_until_us)
+        return self._readings.takes(kind)
+
     def advance(self, now_us: int) -> None:
         """Say that stream time has reached `now_us`; the clock never goes back."""
         now_us = max(self._now_us, now_us)
@@ -203,25 +229,40 @@ class Davis346(UsbCamera):
             self._stream.advance(self._now_us)
 
     def _put(self, events: Events, until_us: int) -> None:
-        """Queue events, (n,) EVENT, and the marks of the external input up to `until_us`."""
+        """Queue events, (n,) EVENT, the marks of the external input and the readings up to `until_us`."""
         told_from_us = self._silent_until_us if self._gate.words else None
         marks = self._input.marks(self._now_us, until_us, InputSettings.of(self._registers, told_from_us))
         if len(self._stalled):
             self._stalled["t"] = np.maximum(self._stalled["t"], self._now_us)
             marks, self._stalled = join_marks([self._stalled, marks]), no_marks()
-        if not len(events) and not len(marks):
+        blocks = self._readings.due(self._now_us, until_us)
+        if not len(events) and not len(marks) and not blocks:
             return
         try:
-            self._hold(self._stream.put(events, marks))
+            late_marks, late_blocks = self._stream.put(events, marks, blocks)
         except ValueError:
             self._stalled = marks
+            self._readings.put_back(blocks)
             raise
+        self._hold(late_marks)
+        self._stream.drop_blocks(self._readings.hold(late_blocks))
 
     def _hold(self, marks: Marks) -> None:
         """Keep or drop marks that found no room, as the registers say."""
         keep = 0 if self._registers.read(Module.MULTIPLEXER, 4) else _INPUT_FIFO
         self._stalled = marks[:keep]
         self._stream.drop_marks(len(marks[keep:]))
+
+    def take_resets(self) -> tuple[int, ...]:
+        """Return the stream times at which the host has reset the timestamps since the last call."""
+        resets, self._resets_us = tuple(self._resets_us), []
+        return resets
+
+    def follow_reset(self, at_us: int) -> None:
+        """Set device time to zero at `at_us`, as its master did then, and say so in the stream; a silence is over."""
+        if self._gate.words:
+            self._stream.reset_time(min(at_us, self._now_us))
+            self._silent_until_us = self._now_us
 
     def restart_clock(self) -> bool:
         """Set device time to zero and say so in the stream, as a slave does when its master was reset."""
@@ -268,7 +309,7 @@ class Davis346(UsbCamera):
     def _power_on(self) -> None:
         self._registers.power_on()
         self._standard.power_on()
-        self._gate = _Gate.of(self._registers)
+        self._follow_registers()
         self._starting = False
         self._factors: Mapping[str, float] = {}
         self._silent_until_us = self._now_us
@@ -301,9 +342,13 @@ class Davis346(UsbCamera):
         self._registers.write(module, address, value)
         if module == Module.BIAS:
             self._factors = self._factors_of_biases()
-        self._gate = _Gate.of(self._registers)
+        self._follow_registers()
         if self._gate != before:
             self._turn(before, self._gate)
+
+    def _follow_registers(self) -> None:
+        self._gate = _Gate.of(self._registers)
+        self._readings.follow(words=self._gate.words)
 
     def _turn(self, before: _Gate, after: _Gate) -> None:
         """Do what a change of the run bits asks for."""
@@ -320,6 +365,7 @@ class Davis346(UsbCamera):
         if after.reset and not before.reset and after.words:
             self._stream.reset_time(self._now_us)
             self._silent_until_us = self._now_us
+            self._resets_us = [*self._resets_us[-_MOST_RESETS:], self._now_us]
 
     def _factors_of_biases(self) -> Mapping[str, float]:
         return sensor_factors({bias.address: self._registers.read(Module.BIAS, bias.address) for bias in BIASES})
@@ -327,6 +373,7 @@ class Davis346(UsbCamera):
     def _drop_stalled(self) -> None:
         self._stream.drop_marks(len(self._stalled))
         self._stalled = no_marks()
+        self._readings.flush()
 
     def _refresh_statistics(self) -> None:
         """Bring the counter registers up to date: rows and columns queued, events dropped, since power-on.

@@ -242,8 +242,8 @@ def _clocked(info: SystemInfo) -> Iterator[Register]:
     yield Register(Module.USB, 1, "EARLY_PACKET_DELAY", 1000 * usb, note="USB clock cycles")
 
 
-def registers(size: tuple[int, int], layout: Layout, info: SystemInfo) -> Iterator[Register]:
-    """Yield every register of a camera with a (width, height) array."""
+def registers(size: tuple[int, int], layout: Layout, info: SystemInfo, imu_unit: int = 0) -> Iterator[Register]:
+    """Yield every register of a camera with a (width, height) array; `imu_unit`: 0 none, 1 MPU-6050, 2 MPU-9250."""
     fixed = Access.READ_ONLY
     yield from _geometry(size, layout)
     yield from _declare(Module.MULTIPLEXER, _MULTIPLEXER)
@@ -252,7 +252,7 @@ def registers(size: tuple[int, int], layout: Layout, info: SystemInfo) -> Iterat
     yield from _declare(Module.DVS, _DVS_CAPABILITIES, fixed)
     yield from _declare(Module.APS, _APS)
     yield from _declare(Module.APS, ((3, "COLOUR_FILTER", 0), (6, "HAS_GLOBAL_SHUTTER", 1)), fixed)
-    yield from _declare(Module.IMU, ((0, "TYPE", 0), (1, "ORIENTATION", 0)), fixed, "0: no IMU")
+    yield from _declare(Module.IMU, ((0, "TYPE", imu_unit), (1, "ORIENTATION", 0)), fixed, "0: no IMU")
     yield from _declare(Module.IMU, _IMU)
     yield from _declare(Module.EXTERNAL_INPUT, ((10, "HAS_GENERATOR", 1),), fixed)
     for bias in BIASES:

@@ -51,6 +51,10 @@ class Davis346Settings:
         0x40040000 to 0x40080000 in the vendor's memory map (cyfxtx.c). At 12 Mev/s that lasts 4 to 10 ms.
     pulse_us
         How long a pulse on the external input lasts (an EDGE of kind PULSE).
+    imu_unit
+        Its inertial unit: 0 none, 1 MPU-6050, 2 MPU-9250 or MPU-6500.
+    frames
+        Whether it takes frames; where not, its host may ask and gets none.
     start_delay_us
         Silence after the run gate opens, stream time; see `quirks`.
     """
@@ -63,6 +67,8 @@ class Davis346Settings:
     fifo_bytes: int = 256 * 1024
     start_delay_us: int = START_DELAY_US
     pulse_us: int = 100
+    imu_unit: int = 0
+    frames: bool = False
     system: SystemInfo = field(default_factory=SystemInfo)
     manufacturer: str = "iniVation"
     product: str = "DAViS FX3"
@@ -74,6 +80,8 @@ class Davis346Settings:
             raise ValueError(f"bcd_device {self.bcd_device:#x} does not fit 16 bits")
         if self.start_delay_us < 0:
             raise ValueError(f"start_delay_us {self.start_delay_us} must not be negative")
+        if self.imu_unit not in (0, 1, 2):
+            raise ValueError(f"imu_unit {self.imu_unit} must be 0, 1 or 2")
         if self.pulse_us < 1:
             raise ValueError(f"pulse_us {self.pulse_us} must be at least 1")
 

@@ -1,15 +1,20 @@
-"""The camera's data path after the gate: encoder, FIFO, device time, and the fate of every event and mark."""
+"""The camera's data path after the gate: encoder, FIFO, device time, and the fate of every event, mark and block."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from firmware_protocol.davis346.fifo import Batch, Fifo
+from firmware_protocol.davis346.blocks import Block
+from firmware_protocol.davis346.fifo import Batch, Fifo, Flushed
 from firmware_protocol.davis346.marks import Marks, edges_of, no_marks
+from firmware_protocol.davis346.reading_input import BlockFates
 from firmware_protocol.davis346.words import SINGLE_WRAPS, WRAP_BITS, Encoded, WordEncoder, Words, WordState, is_row
 from firmware_protocol.events import Events, empty_events
+from firmware_protocol.readings import ReadingKind
 from firmware_protocol.usb.device import Transfer
 
 __all__ = ["EventStream", "MarkCounters", "StreamCounters"]
@@ -59,6 +64,8 @@ class EventStream:
         self._dropped = self._flushed = self._delivered = self._lost = self._rows = 0
         self._marks_in_flight = 0
         self._marks_dropped = self._marks_flushed = self._marks_delivered = self._marks_lost = 0
+        self._blocks = BlockFates()
+        self._blocks_in_flight: Counter[ReadingKind] = Counter()
 
     @property
     def counters(self) -> StreamCounters:
@@ -73,6 +80,16 @@ class EventStream:
         return MarkCounters(self._marks_dropped, self._marks_flushed, self._marks_delivered, self._marks_lost, queued)
 
     @property
+    def block_fates(self) -> BlockFates:
+        """The fates of blocks so far."""
+        return replace(self._blocks, queued=self._fifo.queued_blocks + self._blocks_in_flight)
+
+    @property
+    def free_words(self) -> int:
+        """Words that fit now."""
+        return self._fifo.free_words
+
+    @property
     def epoch_us(self) -> int:
         """Stream time at which device time is zero."""
         return self._epoch_us
@@ -80,7 +97,11 @@ class EventStream:
     @property
     def room_events(self) -> int:
         """Events that certainly fit now, if none is later than `room_until_us`."""
-        return max(0, (self._fifo.free_words - self._wraps_that_fit) // _WORDS_PER_EVENT)
+        return self.room_beside(0)
+
+    def room_beside(self, reserved_words: int) -> int:
+        """Return how many events certainly fit, as `room_events`, when so many words are kept for others."""
+        return max(0, (self._fifo.free_words - self._wraps_that_fit - reserved_words) // _WORDS_PER_EVENT)
 
     @property
     def room_until_us(self) -> int:
@@ -93,9 +114,7 @@ class EventStream:
 
     def start_time(self, now_us: int) -> None:
         """Begin device time at zero, for a reader that knows nothing; what is queued is dropped."""
-        flushed = self._fifo.flush()
-        self._flushed += flushed.events
-        self._marks_flushed += flushed.marks
+        self._empty()
         self._epoch_us = now_us
         self._encoder.reset()
 
@@ -106,34 +125,40 @@ class EventStream:
         self._epoch_us = now_us
         self._fifo.put_reset(self._batch(words, before))
 
-    def put(self, events: Events, marks: Marks | None = None) -> Marks:
-        """Queue `events`, (n,) EVENT, and `marks`, (m,) MARK, in stream time and at least one in all.
+    def put(
+        self, events: Events, marks: Marks | None = None, blocks: Sequence[Block] = ()
+    ) -> tuple[Marks, Sequence[Block]]:
+        """Queue `events`, (n,) EVENT, `marks`, (m,) MARK, and `blocks`, in stream time and at least one in all.
 
-        Events that find no room are dropped and counted. Marks that find none are returned: whether they are dropped is
-        for the caller, who says so by `drop_marks`.
+        Events that find no room are dropped and counted. Marks and blocks that find none are returned: whether they are
+        dropped is for the caller, who says so by `drop_marks` and `drop_blocks`.
         """
         marks = no_marks() if marks is None else marks
         at_start = self._encoder.state
-        first_us = min(int(some["t"][0]) for some in (events, marks) if len(some))
+        first_us = min([int(some["t"][0]) for some in (events, marks) if len(some)] + [b.t_us for b in blocks[:1]])
         wraps = self._encoder.advance(first_us - self._epoch_us, self._fifo.free_wrap_words)
         before = self._encoder.state
         try:
-            encoded = self._encoder.encode(events, self._epoch_us, marks)
+            encoded = self._encoder.encode(events, self._epoch_us, marks, blocks)
         except ValueError:
             self._encoder.state = at_start
             raise
         self._fifo.put_wraps(self._batch(wraps, at_start))
         queued, queued_marks = self._fifo.queued_events, self._fifo.queued_marks
-        kept = encoded.words[: self._fifo.put(Batch(encoded, events, before, self._epoch_us, marks))]
+        kept = encoded.words[: self._fifo.put(Batch(encoded, events, before, self._epoch_us, marks, blocks))]
         if len(kept) < len(encoded.words):
             self._encoder.state = before.after(kept)
             self._dropped += len(events) - (self._fifo.queued_events - queued)
         self._rows += int(np.count_nonzero(is_row(kept)))
-        return marks[self._fifo.queued_marks - queued_marks :]
+        return marks[self._fifo.queued_marks - queued_marks :], blocks[encoded.blocks_in(len(kept)) :]
 
     def drop_marks(self, count: int) -> None:
         """Count `count` marks as dropped for want of room."""
         self._marks_dropped += count
+
+    def drop_blocks(self, blocks: Sequence[Block]) -> None:
+        """Count blocks as dropped for want of room."""
+        self._blocks.dropped.update(block.reading.kind for block in blocks)
 
     def advance(self, now_us: int) -> None:
         """Queue the wraps due at stream time `now_us`, as far as there is room; the rest is made up for later."""
@@ -146,13 +171,18 @@ class EventStream:
 
         The encoder goes back to what the host has read, so that the stream stays valid.
         """
-        flushed = self._fifo.flush()
-        self._flushed += flushed.events
-        self._marks_flushed += flushed.marks
+        flushed = self._empty()
         if flushed.reset:
             self.reset_time(self._epoch_us)
         elif flushed.known is not None:
             self._encoder.state = flushed.known
+
+    def _empty(self) -> Flushed:
+        flushed = self._fifo.flush()
+        self._flushed += flushed.events
+        self._marks_flushed += flushed.marks
+        self._blocks.flushed.update(flushed.readings)
+        return flushed
 
     def take(self, max_bytes: int) -> Transfer | None:
         """Remove up to `max_bytes`; the transfer's events count as queued until `sent` or `lost`."""
@@ -162,7 +192,8 @@ class EventStream:
         self._in_flight += len(taken.events)
         self._marks_in_flight += len(taken.marks)
         edges = edges_of(taken.marks["t"], taken.marks["code"])
-        return Transfer(taken.data, taken.events, taken.epoch_us, edges)
+        self._blocks_in_flight.update(reading.kind for reading in taken.readings)
+        return Transfer(taken.data, taken.events, taken.epoch_us, edges, taken.readings)
 
     def sent(self, transfer: Transfer) -> None:
         """Count a transfer's events as delivered."""
@@ -170,6 +201,7 @@ class EventStream:
         self._delivered += len(transfer.events)
         self._marks_in_flight -= len(transfer.edges)
         self._marks_delivered += len(transfer.edges)
+        self._settle(transfer, self._blocks.delivered)
 
     def lost(self, transfer: Transfer) -> None:
         """Count a transfer's events as lost on the link."""
@@ -177,6 +209,12 @@ class EventStream:
         self._lost += len(transfer.events)
         self._marks_in_flight -= len(transfer.edges)
         self._marks_lost += len(transfer.edges)
+        self._settle(transfer, self._blocks.lost)
+
+    def _settle(self, transfer: Transfer, fate: Counter[ReadingKind]) -> None:
+        kinds = [reading.kind for reading in transfer.readings]
+        self._blocks_in_flight.subtract(kinds)
+        fate.update(kinds)
 
     def _batch(self, words: Words, before: WordState) -> Batch:
         return Batch(Encoded(words), empty_events(), before, self._epoch_us)

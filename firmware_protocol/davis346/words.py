@@ -1,4 +1,4 @@
-"""The 16-bit words of a DAVIS346's data stream, and the encoder that makes them from events and marks.
+"""The 16-bit words of a DAVIS346's data stream, and the encoder that makes them from events, marks and blocks.
 
     bits 15..12  meaning                                    bits 11..0
     1xxx         timestamp                                  low 15 bits: microseconds since the last wrap
@@ -21,20 +21,22 @@ Rules that the encoder keeps because drivers depend on them:
   an event at exactly that time needs no timestamp word.
 - A mark (an edge seen by the external input, a pulse of the generator) is a special word, dated as an event is. Of one
   microsecond it comes before the events, as in the multiplexer of the published logic, which asks that input first.
+- A block (part of a frame, an inertial sample) is dated as a mark is, and nothing comes between its words.
 - One wrap word of one step for each 32.768 ms, because neuromorphic_drivers ignores the number of steps
   (see `quirks`), unless there are more than SINGLE_WRAPS to make up for.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 from enum import IntEnum
 from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
 
+from firmware_protocol.davis346.blocks import Block, put_in_place, with_places
 from firmware_protocol.davis346.marks import NO_ROW, Items, Marks, items_of, no_marks
 from firmware_protocol.events import Events
 
@@ -62,7 +64,7 @@ MAX_ADDRESS = 0xFFF
 SINGLE_WRAPS = 4096
 """Wraps sent one by one at most: 134 s of silence. A longer gap uses words of many steps."""
 
-_BLOCK = 16384
+_PORTION = 16384
 """Events worked on at once, so that all intermediate arrays stay in the second-level cache."""
 
 
@@ -94,8 +96,8 @@ def is_column(words: Words) -> npt.NDArray[np.bool_]:
 
 
 def is_mark(words: Words) -> npt.NDArray[np.bool_]:
-    """Return which words are marks: specials other than the timestamp reset, in a stream of this encoder's."""
-    marks: npt.NDArray[np.bool_] = (words < ROW) & (words != int(Special.TIMESTAMP_RESET))
+    """Return which words are marks: specials of the external input and of the generator."""
+    marks: npt.NDArray[np.bool_] = (words - 2 <= 2) | (words - 16 <= 1)  # words are unsigned: 0 - 2 is large
     return marks
 
 
@@ -125,15 +127,20 @@ class WordState:
 
 @dataclass(frozen=True)
 class Encoded:
-    """Words of a run of events and marks, shape (n_words,)."""
+    """Words of a run of events, marks and blocks, shape (n_words,); `block_ends`: one past each block's last word."""
 
     words: Words
+    block_ends: npt.NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
 
     @property
     def ends(self) -> npt.NDArray[np.int64]:
-        """(n_events + n_marks,): index one past the last word of each event or mark."""
+        """(n_events + n_marks + n_blocks,): index one past the last word of each event, mark or block."""
         ends: npt.NDArray[np.int64] = np.flatnonzero(is_column(self.words) | is_mark(self.words)) + 1
-        return ends
+        return np.sort(np.concatenate([ends, self.block_ends])) if len(self.block_ends) else ends
+
+    def blocks_in(self, count: int) -> int:
+        """Return how many blocks the first `count` words complete."""
+        return int(np.searchsorted(self.block_ends, count, side="right"))
 
 
 def wrap_words(steps: int, room: int = SINGLE_WRAPS) -> Words | None:
@@ -169,7 +176,7 @@ class WordEncoder:
         self.state = WordState()
         self._size = size
         self._turned = turned
-        self._make_tables(_BLOCK)
+        self._make_tables(_PORTION)
 
     def reset(self) -> Words:
         """Start time anew: a timestamp reset word, after which device time is zero and no row is known."""
@@ -190,8 +197,10 @@ class WordEncoder:
         self.state = WordState(now_us >> WRAP_BITS << WRAP_BITS, self.state.row)
         return words
 
-    def encode(self, events: Events, epoch_us: int = 0, marks: Marks | None = None) -> Encoded:
-        """Return the words of `events`, (n,) EVENT, and `marks`, (m,) MARK, both in time order.
+    def encode(
+        self, events: Events, epoch_us: int = 0, marks: Marks | None = None, blocks: Sequence[Block] = ()
+    ) -> Encoded:
+        """Return the words of `events`, (n,) EVENT, `marks`, (m,) MARK, and `blocks`, each in time order.
 
         Parameters
         ----------
@@ -201,6 +210,8 @@ class WordEncoder:
             Stream time at which device time is zero.
         marks
             Marks in stream time, put between the events where their time is.
+        blocks
+            Runs of words in stream time, likewise; at one time after marks and before events.
 
         Raises
         ------
@@ -210,14 +221,16 @@ class WordEncoder:
         before = self.state
         pieces: list[Words] = []
         try:
-            for some, between in _blocks(events, no_marks() if marks is None else marks):
-                pieces.extend(self._encode_block(some, between, epoch_us))
+            told = with_places(no_marks() if marks is None else marks, blocks)
+            for some, between in _portions(events, told):
+                pieces.extend(self._encode_portion(some, between, epoch_us))
         except ValueError:
             self.state = before
             raise
-        return Encoded(np.concatenate(pieces) if pieces else np.empty(0, WORD))
+        words = np.concatenate(pieces) if pieces else np.empty(0, WORD)
+        return Encoded(*put_in_place(words, blocks))
 
-    def _encode_block(self, events: Events, marks: Marks, epoch_us: int) -> Iterator[Words]:
+    def _encode_portion(self, events: Events, marks: Marks, epoch_us: int) -> Iterator[Words]:
         items = items_of(self._device_time(events["t"], epoch_us), *self._addresses(events), events["on"])
         if len(marks):
             items = items.merged(self._device_time(marks["t"], epoch_us), marks["code"], self.state.row)
@@ -274,13 +287,13 @@ class WordEncoder:
         self._wanted[:, 2] = True
 
 
-def _blocks(events: Events, marks: Marks) -> Iterator[tuple[Events, Marks]]:
-    """Yield the events in blocks, each with the marks that come before its last event, the last with the rest."""
+def _portions(events: Events, marks: Marks) -> Iterator[tuple[Events, Marks]]:
+    """Yield the events in portions, each with the marks that come before its last event, the last with the rest."""
     done = 0
-    for first in range(0, len(events), _BLOCK):
-        block, last = events[first : first + _BLOCK], first + _BLOCK >= len(events)
-        upto = len(marks) if last else int(np.searchsorted(marks["t"], block["t"][-1], side="right"))
-        yield block, marks[done:upto]
+    for first in range(0, len(events), _PORTION):
+        some, last = events[first : first + _PORTION], first + _PORTION >= len(events)
+        upto = len(marks) if last else int(np.searchsorted(marks["t"], some["t"][-1], side="right"))
+        yield some, marks[done:upto]
         done = upto
     if not len(events) and len(marks):
         yield events, marks

@@ -19,6 +19,7 @@ One thread at a time may use a camera.
 from __future__ import annotations
 
 from collections import Counter, deque
+from typing import Any
 
 import numpy as np
 
@@ -105,7 +106,9 @@ class Evk4(UsbCamera):
     def counters(self) -> CameraCounters:
         """Fates of all events and edges offered so far."""
         edges = EdgeCounters(**self._edge_fates, queued=self._outflow.edges_queued + self._edges_carried)
-        return CameraCounters(**self._fates, queued=self._outflow.queued + self._carried, edges=edges)
+        queued = self._outflow.queued + self._carried
+        fates: dict[str, Any] = dict(self._fates)
+        return CameraCounters(**fates, queued=queued, edges=edges)
 
     def offer(self, events: Events) -> None:
         """Take events (n,) EVENT; raises ValueError when they go back in time or lie outside the array."""

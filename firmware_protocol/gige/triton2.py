@@ -130,7 +130,7 @@ class Triton2(EventDevice):
     def counters(self) -> CameraCounters:
         """Fates of all events and edges offered so far."""
         edges = EdgeCounters(**self._edge_fates, queued=self._outflow.edges_queued + self._edges_carried)
-        return CameraCounters(**self._fates, queued=self._outflow.queued + self._carried, edges=edges)
+        return CameraCounters(**self._fates, queued=self._outflow.queued + self._carried, edges=edges, readings={})
 
     def offer(self, events: Events) -> None:
         """Take events (n,) EVENT; raises ValueError when they go back in time or lie outside the array."""

@@ -20,6 +20,7 @@ from enum import IntEnum
 from firmware_protocol.edges import Edges, empty_edges
 from firmware_protocol.event_device import EventDevice
 from firmware_protocol.events import Events, empty_events
+from firmware_protocol.readings import Reading
 
 __all__ = ["Identity", "RequestKind", "SetupPacket", "Speed", "Stall", "Transfer", "UsbCamera", "UsbDevice"]
 
@@ -98,16 +99,17 @@ class Identity:
 
 @dataclass(frozen=True)
 class Transfer:
-    """Data that left a device in answer to one IN request, and the events and edges it completed.
+    """Data that left a device in answer to one IN request, and the events, edges and readings it completed.
 
-    `events` and `edges` carry stream time (microseconds since the start of the run); `epoch_us` is the stream time at
-    which the device's own clock was last zero, so that device time = t - epoch_us.
+    All of them carry stream time (microseconds since the start of the run); `epoch_us` is the stream time at which the
+    device's own clock was last zero, so that device time = t - epoch_us.
     """
 
     data: bytes
     events: Events = field(default_factory=empty_events)
     epoch_us: int = 0
     edges: Edges = field(default_factory=empty_edges)
+    readings: tuple[Reading, ...] = ()
 
 
 class UsbDevice(ABC):

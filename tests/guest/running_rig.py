@@ -13,9 +13,11 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+import numpy as np
+
 from firmware_protocol.edges import Edges
 from firmware_protocol.events import Events
-from transports.recording.record import load_edges, load_record
+from transports.recording.record import load_edges, load_imu, load_record
 
 __all__ = ["Delivered", "RunningRig"]
 
@@ -42,12 +44,16 @@ port = {port}
 
 @dataclass(frozen=True)
 class Delivered:
-    """What left the camera, in device time: events (n,) EVENT, edges (m,) EDGE, and where that time started anew."""
+    """What left the camera, in device time, and where that time started anew: events (n,) EVENT, edges (m,) EDGE, and
+    IMU samples (k,) IMU.
+    """
 
     events: Events
     resets: list[int]
     edges: Edges
     edge_resets: list[int]
+    imu: np.ndarray
+    imu_resets: list[int]
 
 
 class RunningRig:
@@ -119,7 +125,7 @@ class RunningRig:
     @property
     def delivered(self) -> Delivered:
         """The record; only after the end of the run."""
-        return Delivered(*load_record(self._record), *load_edges(self._record))
+        return Delivered(*load_record(self._record), *load_edges(self._record), *load_imu(self._record))
 
     def _wait_until_served(self) -> None:
         deadline = time.monotonic() + START_TIMEOUT_S

@@ -8,9 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from firmware_protocol.edges import Edges
 from firmware_protocol.events import Events
-from tests.guest.comparison import load_seen, load_triggers
+from tests.guest.comparison import load_imu, load_seen, load_triggers
 from tests.guest.environments import Driver
 from tests.guest.machine import Finished, Guest, Job
 
@@ -22,11 +24,16 @@ OPEN_TIMEOUT_S = 240.0
 
 @dataclass(frozen=True)
 class Seen:
-    """What a client tells of the camera, its events (n,) EVENT in its own time, and its triggers (m,) EDGE."""
+    """What a client tells of the camera: in its own time, events (n,) EVENT and triggers (m,) EDGE; and IMU samples.
+
+    `imu_t` (k,) and `imu` (k, 7): acceleration in g, temperature in degrees Celsius, rate in deg/s.
+    """
 
     about: dict[str, Any]
     events: Events
     triggers: Edges
+    imu_t: np.ndarray
+    imu: np.ndarray
 
 
 class Streaming:
@@ -66,7 +73,7 @@ class Streaming:
         about = _last_object(finished.stdout)
         if not (finished.ok or self._may_abort(finished, about)):
             raise RuntimeError(f"{finished}\nconsole of the guest:\n{self._guest.console}")
-        return Seen(about, load_seen(self._output), load_triggers(self._output))
+        return Seen(about, load_seen(self._output), load_triggers(self._output), *load_imu(self._output))
 
     def _may_abort(self, finished: Finished, about: dict[str, Any]) -> bool:
         known = self._driver.abort_after_unplugging

@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 
 import numpy as np
+import numpy.typing as npt
 
 from firmware_protocol.device_clock import DeviceClock
 from firmware_protocol.edges import Edges, empty_edges
 from firmware_protocol.event_copies import copy_events
 from firmware_protocol.events import Events
+from firmware_protocol.imu_samples import ImuSamples, no_samples, physical
+from firmware_protocol.readings import Reading, ReadingKind
 from transports.link.digest import digest_of
 from transports.link.latency import LatencyHistogram
 from transports.link.pacing import Clock
 from transports.link.ring import FREE_RUNNING, EventRing
 from transports.recording.opening import AnyRecorder
+from transports.recording.part import IMU, Part
 
-__all__ = ["Deliveries"]
+__all__ = ["Deliveries", "recorded_imu"]
 
 
 class Deliveries:
@@ -26,6 +31,8 @@ class Deliveries:
     ----------
     device_clock
         The camera's own, where its times are not stream time.
+    imu_unit
+        Which inertial unit the camera has, for its temperature.
 
     Attributes
     ----------
@@ -39,26 +46,31 @@ class Deliveries:
         clock: Clock,
         recorder: AnyRecorder | None = None,
         device_clock: DeviceClock | None = None,
+        imu_unit: int = 2,
     ) -> None:
         self._ring = ring
         self.clock = clock
         self._recorder = recorder
         self._device_clock = device_clock
+        self._imu_unit = imu_unit
         self._epoch_us: int | None = None
         self._unix_us: int | None = None
         self.latency = LatencyHistogram()
         self.digest = 0
 
-    def add(self, events: Events, epoch_us: int = 0, edges: Edges | None = None) -> None:
-        """Take note of events (n,) EVENT and edges (m,) EDGE that have left just now, in the time told to the device.
+    def add(
+        self, events: Events, epoch_us: int = 0, edges: Edges | None = None, readings: Sequence[Reading] = ()
+    ) -> None:
+        """Take note of events, edges and readings that have left just now, in the time told to the device.
 
         `epoch_us` is the time at which the device's own clock is zero; negative where that was before the run.
         """
         edges = empty_edges() if edges is None else edges
         if len(events):
             self._measure(events)
-        if len(events) or len(edges):
-            self._keep(events, edges, epoch_us)
+        imu = _imu_of(readings)
+        if len(events) or len(edges) or len(imu):
+            self._keep(Part(events, edges, recorded_imu(imu, self._imu_unit)), epoch_us)
 
     @property
     def paced(self) -> bool:
@@ -103,14 +115,27 @@ class Deliveries:
             due_us = self._device_clock.stream_us(events["t"].astype(np.int64), max(0, int(now_us)))
         self.latency.add(now_us - due_us)
 
-    def _keep(self, events: Events, edges: Edges, epoch_us: int) -> None:
-        events, edges = copy_events(events), edges.copy()
-        events["t"] -= np.uint64(epoch_us % (1 << 64))
-        edges["t"] -= np.uint64(epoch_us % (1 << 64))
+    def _keep(self, part: Part, epoch_us: int) -> None:
+        events, edges, imu = copy_events(part.events), part.edges.copy(), part.imu
+        for records in (events, edges, imu):
+            records["t"] -= np.uint64(epoch_us % (1 << 64))
         restarted = epoch_us != self._epoch_us
         self._epoch_us = epoch_us
         self.digest = digest_of(events, 0 if restarted else self.digest)
         if self._recorder is not None:
             unix_us = self.unix_us(epoch_us) if restarted else self._unix_us
             self._unix_us = unix_us
-            self._recorder.append(events, edges=edges, restarted=restarted, unix_us=unix_us)
+            self._recorder.append(events, edges=edges, imu=imu, restarted=restarted, unix_us=unix_us)
+
+
+def _imu_of(readings: Sequence[Reading]) -> ImuSamples:
+    return np.concatenate([no_samples(), *(one.record for one in readings if one.kind is ReadingKind.IMU)])
+
+
+def recorded_imu(samples: ImuSamples, unit: int) -> npt.NDArray[np.void]:
+    """Return samples, (n,) IMU_SAMPLE of a unit (1 or 2), as recordings have them, (n,) IMU."""
+    told, out = physical(samples, unit), np.zeros(len(samples), IMU)
+    out["t"], out["temperature"] = told["t"], told["temperature_c"]
+    for k, axis in enumerate("xyz"):
+        out[f"accelerometer_{axis}"], out[f"gyroscope_{axis}"] = told["acceleration_g"][:, k], told["rate_deg_s"][:, k]
+    return out

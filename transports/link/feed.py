@@ -1,14 +1,16 @@
-"""What goes into a device in a link's process: events and edges in time order, in the device's own time.
+"""What goes into a device in a link's process: events, edges and readings in time order, in the device's own time.
 
-    EventRing  --+--> [device clock] --> device.offer_edges, device.offer, device.advance
-    EdgeSource --+
+    EventRing   --+
+    EdgeSource  --+--> [device clock] --> device.offer_edges, offer_readings, offer, advance
+    ReadingRing --+
 
-Edges of a stretch of time go in before its events. An edge that comes when the device's time has passed it is late: a
-device that stamps by itself stamps it now. How late is counted, for any device.
+Edges and readings of a stretch of time go in before its events. An edge that comes when the device's time has passed it
+is late: a device that stamps by itself stamps it now. How late is counted, for any device.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,6 +22,8 @@ from firmware_protocol.event_copies import copy_events
 from firmware_protocol.event_device import EventDevice
 from firmware_protocol.events import Events
 from transports.link.edges import EdgeRing, EdgeSource
+from transports.link.reading_feed import ReadingFeed
+from transports.link.reading_ring import ReadingRing
 from transports.link.ring import EventRing
 from transports.output_file import OutputFile
 
@@ -42,6 +46,8 @@ class Timing:
         File for what that clock really shows: monotonic ns, stream us, device us, ten lines a second.
     send_period_us
         Above 0, the device says by a mark of its own when its time is a multiple of this.
+    sync_out, sync_in
+        The cable between two cameras: where the master tells of its timestamp resets, and where its slave hears.
     syncs
         Where the session hears of the SYNCs of this link's bus, when these drive the run.
     """
@@ -53,6 +59,8 @@ class Timing:
     truth: Path | None = None
     send_period_us: int = 0
     syncs: EdgeRing | None = None
+    sync_out: tuple[EdgeRing, ...] = ()
+    sync_in: EdgeRing | None = None
 
 
 @dataclass(frozen=True)
@@ -126,13 +134,23 @@ class ClockTruth:
 
 
 class Feed:
-    """Feeds a device. Stream time outside, device time inside."""
+    """Feeds a device. Stream time outside, device time inside.
 
-    def __init__(self, device: EventDevice, ring: EventRing, timing: Timing) -> None:
+    Attributes
+    ----------
+    readings
+        What is fed beside events and edges.
+    """
+
+    def __init__(
+        self, device: EventDevice, ring: EventRing, timing: Timing, readings: Sequence[ReadingRing] = ()
+    ) -> None:
         self._device = device
         self._ring = ring
         self._edges = timing.edges
+        self._sync_out, self._sync_in = timing.sync_out, timing.sync_in
         self.clock = None if timing.clock is None else DeviceClock(timing.clock, timing.seed)
+        self.readings = ReadingFeed(device, readings, self.clock)
         self._restarts_us = [] if self.clock is None else self.clock.restarts_us
         self._period_us = timing.send_period_us
         self._last_mark = 0
@@ -150,6 +168,28 @@ class Feed:
             if self._device.restart_clock():
                 self._last_mark = 0
         self._stretch(until_us, limit)
+        self._synchronise()
+
+    def happen(self, kind: EdgeKind | None) -> None:
+        """Let an edge come to the input now, where device time has got to; None: the clock starts anew at zero."""
+        if kind is None:
+            self._device.restart_clock()
+            return
+        edge = empty_edges(1)
+        edge["t"], edge["kind"] = self._device.now_us, kind
+        self._taken += 1
+        self._device.offer_edges(edge)
+
+    def _synchronise(self) -> None:
+        """Tell a slave of resets, or follow those of a master that this device's time has reached."""
+        if self._sync_in is not None:
+            for edge in self._sync_in.take(self._device.now_us):
+                self._device.follow_reset(int(edge["t"]))
+        for at_us in self._device.take_resets() if self._sync_out else ():
+            told = empty_edges(1)
+            told["t"] = at_us
+            for ring in self._sync_out:
+                ring.push(told)
 
     def _stretch(self, until_us: int, limit: int) -> bool:
         """Feed one stretch; False when there were more events than `limit`."""
@@ -159,6 +199,7 @@ class Feed:
         reached_us = until_us if complete else max(int(events["t"][-1]) if len(events) else 0, self.reached_us)
         if self._edges is not None:
             self._offer_edges(self._edges.take(reached_us))
+        self.readings.offer(reached_us)
         if len(events):
             self._device.offer(self._own_time(events))
         if complete:

@@ -3,6 +3,8 @@
     session process                      link process
     ---------------                      ------------------------------------------------
     EventRing  ---- events, now_us --->  feed: device.offer, device.advance
+    ReadingRing --- frames, samples -->        device.offer_readings
+               <--- what hosts ask ----        device.reading_settings
     Connection ---- Stop, InjectFault ->  endpoint: USB/IP server, serial line ...
                <--- LinkReport --------  (ten a second, and a last one)
 
@@ -24,6 +26,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
+from firmware_protocol.edges import EdgeKind
 from firmware_protocol.event_device import EventDevice
 from transports.faults.kinds import Fault
 from transports.faults.script import FaultRecord
@@ -32,6 +35,7 @@ from transports.link.deliveries import Deliveries
 from transports.link.endpoint import Endpoint, EndpointFactory, LinkBroken
 from transports.link.feed import ClockReport, ClockTruth, Feed, Timing
 from transports.link.pacing import Clock, MonotonicClock
+from transports.link.reading_ring import ReadingRing
 from transports.link.report import LinkReport
 from transports.link.ring import FREE_RUNNING, EventRing
 from transports.link.selector import FineSelector
@@ -39,7 +43,7 @@ from transports.link.tally import DeliveryTally
 from transports.recording.opening import open_recorder
 from transports.recording.part import Facts
 
-__all__ = ["STOP_SIGNALS", "InjectFault", "Link", "LinkSetup", "Stop", "run_link"]
+__all__ = ["STOP_SIGNALS", "Happen", "InjectFault", "Link", "LinkSetup", "Stop", "run_link"]
 
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 """Signals that end a run: to the session alone or to its whole process group."""
@@ -71,6 +75,13 @@ class InjectFault:
 
 
 @dataclass(frozen=True)
+class Happen:
+    """The session's request that an edge comes to the camera's input now; None: that its clock starts anew at zero."""
+
+    kind: EdgeKind | None
+
+
+@dataclass(frozen=True)
 class LinkSetup(Generic[_Device]):
     """All that a link process needs to know.
 
@@ -88,6 +99,8 @@ class LinkSetup(Generic[_Device]):
         Whether the process is started again when it dies.
     tally
         Count of delivered events that outlives the process.
+    readings
+        Rings of what the device reads beside events, one for each kind.
     """
 
     name: str
@@ -101,6 +114,7 @@ class LinkSetup(Generic[_Device]):
     fifo_priority: int = 0
     restart: bool = False
     tally: DeliveryTally = field(default_factory=DeliveryTally)
+    readings: tuple[ReadingRing, ...] = ()
 
 
 class Link:
@@ -112,12 +126,12 @@ class Link:
         self._clock = clock
         self._device: EventDevice = setup.device()
         recorder = None if setup.record is None else open_recorder(setup.record, setup.facts)
-        self._feed = Feed(self._device, setup.ring, setup.timing)
+        self._feed = Feed(self._device, setup.ring, setup.timing, setup.readings)
         self._holdback_us = setup.timing.holdback_us
         self._truth = None if setup.timing.truth is None else ClockTruth(setup.timing.truth)
         self._last_clock: ClockReport | None = None
         self._silence = -1, 0, 0  # when the newest one ends, and the stream time and the time at which it began
-        self._deliveries = Deliveries(setup.ring, clock, recorder, self._feed.clock)
+        self._deliveries = Deliveries(setup.ring, clock, recorder, self._feed.clock, setup.facts.imu_unit)
         self.endpoint: Endpoint = setup.endpoint.build(self._device, self._deliveries)
 
     def tick(self) -> None:
@@ -138,9 +152,13 @@ class Link:
         self.endpoint.pump()
         self._tally.delivered = self._delivered
 
+    def happen(self, kind: EdgeKind | None) -> None:
+        """Let an edge come to the input now, or the clock start anew."""
+        self._feed.happen(kind)
+
     def _free_until_us(self, now_us: int) -> int:
         """Return how far a run that is not paced may go now; a silence that the host needs lasts in its time too."""
-        until_us = min(now_us, self._feed.horizon_us)
+        until_us = self._feed.readings.until_us(min(now_us, self._feed.horizon_us))
         silent_until_us = self._device.silent_until_us
         if silent_until_us <= self._device.now_us:
             return until_us
@@ -159,7 +177,8 @@ class Link:
         """True when nothing waits, neither in the ring nor in the camera."""
         counters = self._device.counters
         reached = self._ring.origin_ns is None or self._feed.reached_us >= self._ring.now_us
-        return reached and self._ring.waiting == 0 and counters.queued == 0 and counters.edges.queued == 0
+        queued = counters.queued + counters.edges.queued + sum(one.queued for one in counters.readings.values())
+        return reached and self._ring.waiting == 0 and self._feed.readings.waiting == 0 and queued == 0
 
     def report(self, *, final: bool = False, error: str | None = None) -> LinkReport:
         """Say what the link has done; the final report counts what was left in the ring as dropped."""
@@ -184,6 +203,7 @@ class Link:
             faults=faults,
             file_troubles=self._file_troubles(faults),
             sensor_factors=self._device.sensor_factors,
+            readings=self._feed.readings.reports(final=final),
         )
 
     def _file_troubles(self, faults: tuple[FaultRecord, ...]) -> tuple[str, ...]:
@@ -279,9 +299,11 @@ async def _tick_until_stopped(link: Link, setup: LinkSetup[Any], control: Connec
                 control.send(link.report())
             report_ns = now_ns + _REPORT_PERIOD_NS
         if drain_ns is None and control.poll():
-            word: Stop | InjectFault = control.recv()
+            word: Stop | InjectFault | Happen = control.recv()
             if isinstance(word, InjectFault):
                 link.endpoint.inject(word.fault)
+            elif isinstance(word, Happen):
+                link.happen(word.kind)
             else:
                 drain_ns = int(word.drain_s * 1e9)
         deadline_ns = max(deadline_ns + period_ns, now_ns)

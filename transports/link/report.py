@@ -10,6 +10,7 @@ from transports.faults.script import FaultRecord
 from transports.link.endpoint import LineUse
 from transports.link.feed import ClockReport, EdgeReport
 from transports.link.latency import LatencySummary
+from transports.link.reading_feed import ReadingReport
 
 __all__ = ["LinkReport"]
 
@@ -39,6 +40,8 @@ class LinkReport:
         Why a file of the link (record, truth, fault log) is not whole, a sentence each.
     sensor_factors
         What the host's biases multiply figures of the sensor by; see `EventDevice.sensor_factors`.
+    readings
+        What became of frames and samples before the camera took them, by kind.
     """
 
     state: str
@@ -57,6 +60,7 @@ class LinkReport:
     faults: tuple[FaultRecord, ...] = ()
     file_troubles: tuple[str, ...] = ()
     sensor_factors: Mapping[str, float] = field(default_factory=dict)
+    readings: Mapping[str, ReadingReport] = field(default_factory=dict)
 
     @property
     def dropped_in_device(self) -> int:
@@ -70,3 +74,14 @@ class LinkReport:
             return True
         edges = self.camera.edges
         return edges.offered == self.edges.taken and edges.accounted == edges.offered + edges.added
+
+    @property
+    def readings_balanced(self) -> bool:
+        """True when every reading that the camera took has one fate."""
+        if self.camera is None:
+            return True
+        taken = {kind: report.taken for kind, report in self.readings.items() if report.taken}
+        counted = self.camera.readings
+        return taken == {kind: c.offered for kind, c in counted.items() if c.offered} and all(
+            c.accounted == c.offered for c in counted.values()
+        )

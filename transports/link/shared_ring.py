@@ -117,6 +117,13 @@ class SharedRing:
         self._head[_TAKEN] = taken + n
         return records
 
+    def time_of(self, index: int) -> int | None:
+        """Return `t` of the record that waits at `index`, us; None where there is none."""
+        if index >= self.waiting:
+            return None
+        place = (int(self._head[_TAKEN]) + index) % self.capacity
+        return int(self._body.view(self._record)["t"][place])
+
     def _due(self, taken: int, there: int, until_us: int) -> int:
         """Return how many of the next `there` records have t <= `until_us`."""
         times = self._body.view(self._record)["t"]

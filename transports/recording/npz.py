@@ -29,8 +29,8 @@ class NpzWriter:
         self._recorder = Recorder(path, facts.size)
 
     def write(self, part: Part) -> None:
-        """Append events and edges."""
-        self._recorder.append(part.events, edges=part.edges)
+        """Append events, edges and IMU samples."""
+        self._recorder.append(part.events, edges=part.edges, imu=part.imu)
         self._check()
 
     def close(self) -> None:

@@ -65,12 +65,15 @@ class Facts:
         Unix time of t = 0, us; 0: it is not known.
     streams
         What it holds besides events: "edges", "imu", "frames".
+    imu_unit
+        Type of the inertial unit: 1 MPU-6050, 2 MPU-9250.
     """
 
     size: tuple[int, int] | None = None
     camera: str = "evstim"
     unix_us: int = 0
     streams: frozenset[str] = frozenset({"edges"})
+    imu_unit: int = 2
 
 
 class Writer(Protocol):

@@ -6,6 +6,7 @@ The file is a NumPy `.npz`:
     resets   int64[k]   indices into `events` at which that clock started anew (a timestamp reset, or a new start)
     edges        EDGE[m]    what the external input told of, in device time
     edge_resets  int64[k]   indices into `edges` at the same restarts
+    imu          IMU[j]     samples of the inertial unit, see `part`; and imu_resets, as for edges
     size         int64[2]   width and height of the sensor, where they are known
 
 A client's view after it reset the camera's timestamps is `events[resets[-1]:]`. While the run lasts the events lie in a
@@ -24,8 +25,9 @@ from firmware_protocol.edges import EDGE, Edges
 from firmware_protocol.events import EVENT, Events
 from transports.output_file import OutputFile
 from transports.recording.array_file import ArrayFileError, load_arrays
+from transports.recording.part import IMU
 
-__all__ = ["Recorder", "load_edges", "load_record", "save_record"]
+__all__ = ["Recorder", "load_edges", "load_imu", "load_record", "save_record"]
 
 
 class Recorder:
@@ -36,31 +38,39 @@ class Recorder:
         self._size = size
         self._events = _Part(path.with_suffix(path.suffix + ".part"), EVENT)
         self._edges = _Part(path.with_suffix(path.suffix + ".edges.part"), EDGE)
+        self._imu = _Part(path.with_suffix(path.suffix + ".imu.part"), IMU)
+        self._kept = self._events, self._edges, self._imu
 
     @property
     def trouble(self) -> str:
         """Why the record is not whole, for people; empty where it is."""
-        return self._events.trouble or self._edges.trouble
+        return next((kept.trouble for kept in self._kept if kept.trouble), "")
 
     def append(
-        self, events: Events, *, edges: Edges | None = None, restarted: bool = False, unix_us: int | None = None
+        self,
+        events: Events,
+        *,
+        edges: Edges | None = None,
+        imu: npt.NDArray[np.void] | None = None,
+        restarted: bool = False,
+        unix_us: int | None = None,
     ) -> None:
-        """Add events and edges in device time; `restarted` when that time began anew before them.
+        """Add events, edges and IMU samples in device time; `restarted` when that time began anew before them.
 
         This format has no place for `unix_us`, the Unix time at which it began.
         """
         if self.trouble:
             return
         if restarted or not self._events.resets:
-            self._events.restart()
-            self._edges.restart()
-        self._events.append(events)
-        if edges is not None:
-            self._edges.append(edges)
+            for kept in self._kept:
+                kept.restart()
+        for kept, records in zip(self._kept, (events, edges, imu), strict=True):
+            if records is not None:
+                kept.append(records)
 
     def close(self) -> None:
         """Write the `.npz` and remove the raw files, which stay where that is not possible."""
-        for part in (self._events, self._edges):
+        for part in self._kept:
             part.close()
         if self.trouble:
             return
@@ -70,7 +80,7 @@ class Recorder:
             self._events.stop(error)
             self.path.unlink(missing_ok=True)  # half an archive is of no use, and the raw files have it all
             return
-        for part in (self._events, self._edges):
+        for part in self._kept:
             part.remove()
 
     def _write(self) -> None:
@@ -81,6 +91,8 @@ class Recorder:
                 resets=np.array(self._events.resets, np.int64),
                 edges=self._edges.content(),
                 edge_resets=np.array(self._edges.resets, np.int64),
+                imu=self._imu.content(),
+                imu_resets=np.array(self._imu.resets, np.int64),
                 size=np.array(self._size or (), np.int64),
             )
 
@@ -135,11 +147,19 @@ def load_edges(path: Path) -> tuple[Edges, list[int]]:
     return _load(path, EDGE, "edges", "edge_resets")
 
 
+def load_imu(path: Path) -> tuple[npt.NDArray[np.void], list[int]]:
+    """Read a record's inertial samples, (n,) IMU in device time, and the indices at which device time started anew.
+
+    Raises ArrayFileError with the file's name, or OSError where it cannot be opened.
+    """
+    return _load(path, IMU, "imu", "imu_resets")
+
+
 def _load(path: Path, dtype: np.dtype[np.void], name: str, resets: str) -> tuple[npt.NDArray[np.void], list[int]]:
     try:
         there = load_arrays(path, (name, resets))
-        if name not in there and dtype == EDGE:  # records of events alone have none
-            return np.zeros(0, EDGE), []
+        if name not in there and name != "events":  # records of events alone have none
+            return np.zeros(0, dtype), []
         records, starts = (there.get(key, np.zeros(0)) for key in (name, resets))
         if records.dtype != dtype or records.ndim != 1:
             raise ArrayFileError(f"its {name} are {records.dtype} of shape {records.shape}, not a list of {dtype}")

@@ -24,9 +24,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from firmware_protocol.davis346.decoder import Decoded, Decoder, WordFaults
+from firmware_protocol.davis346.frame_reader import FrameRead
 from firmware_protocol.davis346.registers import Layout, Module, SystemInfo, registers
 from firmware_protocol.edges import Edges, empty_edges
 from firmware_protocol.events import Events, empty_events
+from firmware_protocol.imu_samples import ImuSamples, no_samples
 from firmware_protocol.usb.device import SetupPacket
 from transports.usb.host import BulkReader, StallError, TransferTimeout, UnsuitableDevice, UsbHost, UsbHostError
 
@@ -67,6 +69,7 @@ _START: tuple[Entry, ...] = (
     (Module.DVS, 3, 1),
 )
 _LISTEN: tuple[Entry, ...] = tuple((Module.EXTERNAL_INPUT, address, 1) for address in (1, 2, 3, 0))
+_MEASURE: tuple[Entry, ...] = ((Module.IMU, 2, 1), (Module.IMU, 3, 1), (Module.IMU, 4, 1))
 _RESET_TIME: tuple[Entry, ...] = ((Module.MULTIPLEXER, 2, 1), (Module.MULTIPLEXER, 2, 0))
 
 
@@ -100,6 +103,10 @@ class StreamSettings:
         A buffer that is not full leaves the camera after this time; libcaer's default is 1 ms.
     edges
         Ask the external input for rising and falling edges and for pulses; see `DavisHost.take_edges`.
+    imu
+        Switch the inertial unit on, where there is one; see `DavisHost.take_imu`.
+    frames
+        Switch the APS on, as its registers are; see `DavisHost.take_frames`.
     """
 
     transfer_bytes: int = 131_072
@@ -107,6 +114,8 @@ class StreamSettings:
     reset_timestamps: bool = True
     early_packet_us: int = 1000
     edges: bool = False
+    imu: bool = False
+    frames: bool = False
 
 
 class DavisHost:
@@ -132,7 +141,10 @@ class DavisHost:
         self._reader: BulkReader | None = None
         self._held = empty_events()
         self._edges: list[Edges] = []
+        self._frames: list[FrameRead] = []
         self._keeps_edges = False
+        self._imu: list[ImuSamples] = []
+        self._keeps_imu = False
         try:
             host.configure()
             self.info = self._identify()
@@ -157,11 +169,16 @@ class DavisHost:
         self._flush()
         self._configure(settings)
         self._decoder = Decoder(self.info.size, self.info.turned)
-        self._edges, self._keeps_edges = [], settings.edges
+        self._edges, self._keeps_edges, self._frames = [], settings.edges, []
+        self._imu, self._keeps_imu = [], settings.imu and self.read_register(Module.IMU, 0) != 0
         self._reader = self._host.stream(_STREAM_ENDPOINT, settings.transfer_bytes, settings.transfers)
         self._write_each(_START)
         if settings.edges:
             self._write_each(_LISTEN)
+        if self._keeps_imu:
+            self._write_each(_MEASURE)
+        if settings.frames:
+            self.write_register(Module.APS, 4, 1)
         if settings.reset_timestamps:
             self.write_registers(_RESET_TIME)
             self._held = self._after_reset(self._reader)
@@ -184,8 +201,21 @@ class DavisHost:
         edges, self._edges = self._edges, []
         return np.concatenate([empty_edges(), *edges])
 
+    def take_frames(self) -> list[FrameRead]:
+        """Return the frames read since the last call, where the start asked for them."""
+        frames, self._frames = self._frames, []
+        return frames
+
+    def take_imu(self) -> ImuSamples:
+        """Return the IMU samples read since the last call, (n,) IMU_SAMPLE in device time, where the start asked."""
+        samples, self._imu = self._imu, []
+        return np.concatenate([no_samples(), *samples])
+
     def _decode(self, data: bytes) -> Decoded:
         decoded = self._decoder.feed(data)
+        self._frames += decoded.frames
+        if self._keeps_imu:
+            self._imu.append(decoded.imu)
         if self._keeps_edges:
             self._edges.append(decoded.edges)
         return decoded
@@ -284,6 +314,8 @@ class DavisHost:
             if len(decoded.resets):
                 after = decoded.since_reset()
                 self._edges = [after.edges] if self._keeps_edges else []
+                self._imu = [after.imu] if self._keeps_imu else []
+                self._frames = list(after.frames)
                 return after.events
 
 

@@ -1,7 +1,7 @@
 """A host and its camera in one process: the fake of every USB link, with the real device model and real decoder.
 
 `DirectHost` is a `UsbHost` whose cable is a function call; `LoopbackEndpoint` drives a camera through it as a driver
-does and compares every event that it decodes with the event that the camera says it sent.
+does and compares every event and frame that it decodes with what the camera says it sent.
 
 What it does not model: time on a wire, packets, other traffic, a host that is slow or goes away. Transfers are never
 lost and have no latency.
@@ -13,8 +13,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from firmware_protocol.davis346.frame_reader import FrameRead
 from firmware_protocol.edges import Edges
 from firmware_protocol.events import Events
+from firmware_protocol.frame_assembly import FrameAssembler
+from firmware_protocol.imu_samples import ImuSamples, no_samples
+from firmware_protocol.readings import ReadingKind
 from firmware_protocol.usb.device import Identity, SetupPacket, Stall, Transfer, UsbCamera, UsbDevice
 from transports.link.deliveries import Deliveries
 from transports.link.endpoint import Endpoint, EndpointFactory, LinkBroken
@@ -130,13 +134,14 @@ class LoopbackEndpoint(Endpoint):
         self._device = device
         self._host: DirectHost | None = None
         self._camera: DavisHost | None = None
-        self._received = self._edges = 0
+        self._received = self._edges = self._frames = self._samples = 0
+        self._assembler = FrameAssembler()
 
     async def start(self) -> None:
         """Take the camera, identify it, start it and reset its clock."""
         self._host = DirectHost(self._device)
         self._camera = DavisHost(self._host)
-        self._camera.start(StreamSettings(edges=True))
+        self._camera.start(StreamSettings(edges=True, frames=True, imu=True))
 
     def pump(self) -> None:
         """Read all that the camera has; raises LinkBroken when an event is not what was sent."""
@@ -146,8 +151,24 @@ class LoopbackEndpoint(Endpoint):
                 return
             edges = self._camera.take_edges()
             self._received += len(received)
+            imu = self._camera.take_imu()
             self._edges += len(edges)
-            _compare(received, edges, self._host.reader.last if self._host.reader else None)
+            self._samples += len(imu)
+            transfer = (self._host.reader and self._host.reader.last) or Transfer(b"")
+            _compare(received, edges, imu, transfer)
+            self._compare_frames(self._camera.take_frames(), transfer)
+
+    def _compare_frames(self, received: list[FrameRead], transfer: Transfer) -> None:
+        sent = self._assembler.add(transfer.readings)
+        same = [
+            one.start_us == other.start_us - transfer.epoch_us
+            and np.array_equal(one.reset, other.reset)
+            and np.array_equal(one.signal, other.signal)
+            for one, other in zip(received, sent, strict=False)
+        ]
+        if len(received) != len(sent) or not all(same):
+            raise LinkBroken(f"loopback: {len(sent)} frames were sent and {len(received)} others received")
+        self._frames += len(received)
 
     async def close(self) -> None:
         """Stop the camera and let go of it."""
@@ -158,12 +179,16 @@ class LoopbackEndpoint(Endpoint):
     def state(self) -> str:
         """How much has been checked."""
         edges = f", {self._edges} edges" if self._edges else ""
-        return f"{self._received} events{edges} checked"
+        frames = f", {self._frames} frames" if self._frames else ""
+        samples = f", {self._samples} IMU samples" if self._samples else ""
+        return f"{self._received} events{edges}{frames}{samples} checked"
 
 
-def _compare(received: Events, edges: Edges, transfer: Transfer | None) -> None:
-    transfer = transfer or Transfer(b"")
-    for what, got, said in (("events", received, transfer.events), ("edges", edges, transfer.edges)):
+def _compare(received: Events, edges: Edges, imu: ImuSamples, transfer: Transfer) -> None:
+    told = (one.record for one in transfer.readings if one.kind is ReadingKind.IMU)
+    said_imu = np.concatenate([no_samples(), *told])
+    pairs = (("events", received, transfer.events), ("edges", edges, transfer.edges), ("samples", imu, said_imu))
+    for what, got, said in pairs:
         sent = said.copy()
         sent["t"] -= np.uint64(transfer.epoch_us)
         if not np.array_equal(got, sent):

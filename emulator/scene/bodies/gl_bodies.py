@@ -37,6 +37,8 @@ from emulator.trajectory.pose import Pose
 
 if TYPE_CHECKING:
     import moderngl
+from emulator.trajectory.pose import Trajectory
+from emulator.trajectory.timescale import Timescale
 
 __all__ = ["GlBodies"]
 
@@ -95,6 +97,16 @@ class GlBodies(Scene):
     def renderer(self) -> str:
         """The name of what draws, in GL's words."""
         return self._stage.renderer
+
+    @property
+    def camera_path(self) -> Trajectory:
+        """The camera's path, on the scene's time."""
+        return self._world.camera
+
+    @property
+    def path_time(self) -> Timescale:
+        """Stream time to scene time."""
+        return self._world.time
 
     @property
     def motion_bound_px_s(self) -> float:

@@ -34,6 +34,8 @@ from emulator.scene.bodies.sharp_shadows import with_narrow_penumbras
 from emulator.scene.bodies.table import BodiesParameters
 from emulator.scene.bodies.truth import BodiesGeometry
 from emulator.scene.bodies.world import BodyWorld
+from emulator.trajectory.pose import Trajectory
+from emulator.trajectory.timescale import Timescale
 
 __all__ = ["LINEAR_WITHIN", "LONGEST_PX", "RasterBodies"]
 
@@ -88,6 +90,16 @@ class RasterBodies(Scene):
     def renderer(self) -> str:
         """The name of what draws."""
         return "the CPU, exact coverage"
+
+    @property
+    def camera_path(self) -> Trajectory:
+        """The camera's path, on the scene's time."""
+        return self._world.camera
+
+    @property
+    def path_time(self) -> Timescale:
+        """Stream time to scene time."""
+        return self._world.time
 
     @property
     def motion_bound_px_s(self) -> float:

@@ -79,6 +79,16 @@ class StarField(Scene):
         return self._size
 
     @property
+    def camera_path(self) -> Trajectory:
+        """The camera's path, on the scene's time."""
+        return self._camera
+
+    @property
+    def path_time(self) -> Timescale:
+        """Stream time to scene time."""
+        return self._time
+
+    @property
     def motion_bound_px_s(self) -> float:
         """From the camera's turning; not known where points or poses from outside move."""
         if self._paths or isinstance(self._p.camera, LivePath | BasiliskPath):

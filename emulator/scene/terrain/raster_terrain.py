@@ -34,6 +34,8 @@ from emulator.scene.terrain.quadtree import LEAST_REACH, Quadtree, block_facets
 from emulator.scene.terrain.table import TerrainParameters
 from emulator.scene.terrain.truth import TerrainGeometry
 from emulator.scene.terrain.world import TerrainWorld
+from emulator.trajectory.pose import Trajectory
+from emulator.trajectory.timescale import Timescale
 
 __all__ = ["RasterTerrain"]
 
@@ -87,6 +89,16 @@ class RasterTerrain(Scene):
     def renderer(self) -> str:
         """The name of what draws."""
         return "the CPU, exact coverage"
+
+    @property
+    def camera_path(self) -> Trajectory:
+        """The camera's path, on the scene's time."""
+        return self._world.camera
+
+    @property
+    def path_time(self) -> Timescale:
+        """Stream time to scene time."""
+        return self._world.time
 
     @property
     def motion_bound_px_s(self) -> float:

@@ -49,6 +49,17 @@ class Purpose(IntEnum):
     NOISE_BURST = 22
     SLOT = 32
     THRESHOLD_REDRAWN = 33
+    IMU_NOISE = 48
+    IMU_WALK = 49
+    IMU_BIAS = 50
+    APS_GAIN = 56
+    APS_COLUMN = 57
+    APS_RESET_NOISE = 58
+    APS_SIGNAL_NOISE = 59
+    APS_SHOT_NOISE = 60
+    APS_COLUMN_NOISE = 61
+    APS_ROW_NOISE = 62
+    APS_KICK = 63
 
 
 def root_of(seed: int, purpose: Purpose) -> np.uint64:

@@ -48,6 +48,11 @@ def test_without_the_tables_there_is_neither():
         ("[trigger]\nperiod_ms = 1\nlatency_us = -1\n", "latency_us must be"),
         ("[trigger]\nperiod_ms = 1\npulse_us = 0\n", "pulse_us must be"),
         ("[trigger]\nperiod_ms = 1\nchannel = 256\n", "channel must be"),
+        ("[trigger]\nperiod_ms = 1\nedges = [{at_ms = 1}]\n", "edges come at given times"),
+        ("[[trigger.edges]]\nat_ms = -1\n", "at_ms must be"),
+        ("[[trigger.edges]]\nat_ms = 1\nevery_ms = 0.001\n", "every_ms must be"),
+        ("[[trigger.edges]]\nat_ms = 1\ncount = 2\n", "count must be"),
+        ('[[trigger.edges]]\nat_ms = 1\nkind = "level"\n', "kind"),
         ('[trigger]\nperiod_ms = 1\nsource = "x"\n', "period_ms makes edges without a bus"),
         ('[trigger]\nsource = "loopback"\n', "'loopback' is not a link with a bus"),
         ("[camera.clock]\nwalk_ppb = -1\n", "camera.clock.walk_ppb"),
@@ -61,6 +66,17 @@ def test_mistakes_are_told(text, told):
     with pytest.raises(RigError, match=r"my\.toml, line") as error:
         rig(text)
     assert told in str(error.value)
+
+
+def test_edges_at_given_times_are_those_of_the_table():
+    loaded = rig(
+        '[[trigger.edges]]\nat_ms = 2.5\nkind = "rising"\n[[trigger.edges]]\nat_ms = 1\nevery_ms = 2\ncount = 3\n'
+        "[[trigger.edges]]\nat_ms = 4\nevery_ms = 10\n"
+    )
+    source = TriggerPaths(loaded.trigger, ["a"], 1).timing("a", None, None).edges
+    told = [(int(e["t"]), EdgeKind(e["kind"]).name) for e in source.take(15_000)]
+    pulses = [(1000, "PULSE"), (2500, "RISING"), (3000, "PULSE"), (4000, "PULSE"), (5000, "PULSE"), (14_000, "PULSE")]
+    assert told == pulses
 
 
 def test_a_period_needs_no_ring_and_no_holding_back():

@@ -23,6 +23,13 @@ def collect_triggers(camera: dv.io.CameraCapture, collector: Collector) -> None:
             collector.add_trigger(trigger.timestamp, KINDS[trigger.type])
 
 
+def collect_imu(camera: dv.io.CameraCapture, collector: Collector) -> None:
+    for one in camera.getNextImuBatch() or ():
+        acceleration_g = one.accelerometerX, one.accelerometerY, one.accelerometerZ
+        rate_deg_s = one.gyroscopeX, one.gyroscopeY, one.gyroscopeZ
+        collector.add_imu(one.timestamp, *acceleration_g, one.temperature, *rate_deg_s)
+
+
 def main() -> None:
     options = arguments()
     collector = Collector(options)
@@ -35,6 +42,8 @@ def main() -> None:
     resolution = camera.getEventResolution()
     while not collector.done and camera.isRunning():
         collect_triggers(camera, collector)
+        if options.imu:
+            collect_imu(camera, collector)
         batch = camera.getNextEventBatch()
         if batch is None:
             time.sleep(0.001)

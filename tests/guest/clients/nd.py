@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from importlib.metadata import version
+from typing import Any
 
 import neuromorphic_drivers as nd
 from collecting import Collector, arguments
@@ -10,7 +11,16 @@ from register import write_registers
 
 EXTERNAL_INPUT = 4
 DETECT = (1, 2, 3, 0)  # rising, falling, pulses, run
+G_M_S2, DEGREES = 9.80665, 57.29577951308232
 KINDS = {0: 3, 1: 2, 2: 4}  # its polarity of a trigger: falling, rising, pulse
+
+
+def collect_imu(samples: Any, collector: Collector) -> None:
+    """Take samples in m/s2 and rad/s."""
+    for one in samples:
+        acceleration_g = (float(one[f"accelerometer_{axis}"]) / G_M_S2 for axis in "xyz")
+        rate_deg_s = (float(one[f"gyroscope_{axis}"]) * DEGREES for axis in "xyz")
+        collector.add_imu(int(one["t"]), *acceleration_g, float(one["temperature"]), *rate_deg_s)
 
 
 def main() -> None:
@@ -32,6 +42,8 @@ def main() -> None:
                 continue
             for trigger in packet.trigger_events if packet.trigger_events is not None else ():
                 collector.add_trigger(int(trigger["t"]), KINDS[int(trigger["polarity"])])
+            if options.imu and packet.imu_events is not None:
+                collect_imu(packet.imu_events, collector)
             if packet.polarity_events is None:
                 continue
             events = packet.polarity_events

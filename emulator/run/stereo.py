@@ -1,0 +1,126 @@
+"""A run's second camera: its rig, its scene from where it is mounted, its sensor, and its ledger.
+
+The first camera's clock is the master of the second one's: see `Timing.sync_out`. Both are drawn at the same instants.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from emulator.rig.loading import Rig, RigError
+from emulator.rig.second_camera import SecondCamera
+from emulator.run.frames import Pictures
+from emulator.run.ledger import Ledger, LinkLedger
+from emulator.run.readings import ReadingSources
+from emulator.scene.kind import SceneParameters
+from emulator.sensor.event_source import EventSource
+from emulator.trajectory.offset import OffsetPath
+from emulator.trajectory.parameters import BasiliskPath, LivePath
+from firmware_protocol.events import Events
+from firmware_protocol.readings import ReadingKind, Readings
+from transports.link.edges import EdgeRing
+from transports.link.process import LinkSetup
+from transports.link.report import LinkReport
+
+__all__ = ["SecondView", "carries_second", "ledger_of", "second_rig", "wired"]
+
+
+def carries_second(rig: Rig, link: str) -> bool:
+    """Say whether a link carries the rig's second camera."""
+    return rig.second_camera is not None and link in rig.second_camera.links
+
+
+def second_rig(rig: Rig) -> Rig:
+    """Return the rig as its second camera has it; raises RigError where its scene has no path to mount it on."""
+    second = rig.second_camera
+    assert second is not None
+    seed = rig.run.seed + 1
+    camera = dataclasses.replace(rig.camera, serial=second.serial)
+    links = tuple(link for link in rig.links if carries_second(rig, link.name))
+    run = dataclasses.replace(rig.run, seed=seed)
+    return dataclasses.replace(
+        rig, camera=camera, links=links, run=run, scene=_moved(rig, second), trigger=None, second_camera=None
+    )
+
+
+def _moved(rig: Rig, second: SecondCamera) -> SceneParameters:
+    path = getattr(rig.scene, "camera", None)
+    if path is None or isinstance(path, LivePath | BasiliskPath):
+        raise RigError(
+            f"{rig.name}: second_camera: this scene's camera has no path of its own on which another can be mounted; "
+            "take one of bodies, terrain or stars with a path that the rig gives"
+        )
+    moved = OffsetPath(path, second.offset_m, second.q_first_from_second)
+    return dataclasses.replace(rig.scene, camera=moved)
+
+
+class SecondView:
+    """What the second camera sees, step by step.
+
+    Attributes
+    ----------
+    links : names of the links that carry it.
+    """
+
+    def __init__(self, pictures: Pictures, sensor: EventSource, readings: ReadingSources, links: Sequence[str]) -> None:
+        self._pictures, self._sensor, self._readings = pictures, sensor, readings
+        self.links = frozenset(links)
+
+    def begin(self) -> None:
+        """Draw the first picture."""
+        self._pictures.draw(0)
+        self._sensor.reset(self._pictures.light, 0)
+        self._readings.reset(self._pictures.light, 0)
+
+    def step(self, t_ns: int) -> tuple[Events, list[tuple[ReadingKind, Readings]]]:
+        """Move to `t_ns` and return the events and readings until then."""
+        picture = self._pictures
+        picture.draw(t_ns)
+        readings = self._readings.read(picture.light, t_ns)
+        events = self._sensor.expose(picture.light, t_ns, picture.rate, picture.pixel_light, picture.changed)
+        return events, readings
+
+    def finish(self) -> Events:
+        """Return what the read-out still holds."""
+        return self._sensor.finish()
+
+    def ledger(self, reports: Mapping[str, LinkReport]) -> Ledger:
+        """Return where its events went."""
+        return ledger_of(self._sensor, {name: report for name, report in reports.items() if name in self.links})
+
+    def close(self) -> None:
+        """Close its scene."""
+        self._pictures.scene.close()
+
+
+def wired(slaves: Sequence[str], setups: Sequence[LinkSetup[Any]]) -> list[LinkSetup[Any]]:
+    """Return the links with the cable between the cameras: the first link of the first camera is the master's end.
+
+    Each link of the second camera hears of the master's resets.
+    """
+    cables = {name: EdgeRing() for name in slaves}
+    master = next(setup.name for setup in setups if setup.name not in cables)
+
+    def at_the_cable(setup: LinkSetup[Any]) -> LinkSetup[Any]:
+        out = tuple(cables.values()) if setup.name == master else ()
+        timing = dataclasses.replace(setup.timing, sync_out=out, sync_in=cables.get(setup.name))
+        return dataclasses.replace(setup, timing=timing)
+
+    return [at_the_cable(setup) for setup in setups]
+
+
+def ledger_of(sensor: EventSource, reports: Mapping[str, LinkReport], second: Ledger | None = None) -> Ledger:
+    """Return where the events of a sensor went over its links."""
+    return Ledger(
+        raised=sensor.raised,
+        lost_in_pixel=sensor.lost_in_pixel,
+        lost_at_readout=sensor.lost_at_readout,
+        read_out=sensor.read_out,
+        links=tuple(
+            LinkLedger(name, report.delivered, report.dropped, report.dropped_in_device)
+            for name, report in reports.items()
+        ),
+        second=second,
+    )

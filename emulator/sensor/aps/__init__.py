@@ -1,0 +1,1 @@
+"""Frames: the active pixels of a DAVIS, beside its event pixels, from the same light."""

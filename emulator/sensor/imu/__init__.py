@@ -1,0 +1,1 @@
+"""The inertial measurement unit beside the sensor: what its elements feel, with their errors."""

@@ -1,0 +1,143 @@
+"""Readings on their way into the stream: they wait for their time, and for room where the camera waits on a stall.
+
+    offer -> [waits for its time] -> stream -> host
+                   ^-- no room --------+
+
+The registers say which kinds run. A frame whose start came while the camera did not run is left out as a whole, as the
+host could not read it.
+"""
+
+from __future__ import annotations
+
+import bisect
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import astuple, dataclass, field, replace
+
+from firmware_protocol.davis346.aps_registers import aps_waits_on_stall, frame_settings
+from firmware_protocol.davis346.blocks import Block, blocks_of
+from firmware_protocol.davis346.imu_registers import imu_settings
+from firmware_protocol.davis346.registers import RegisterFile
+from firmware_protocol.davis346.settings import Davis346Settings
+from firmware_protocol.frame_lines import FrameSettings, LineKind
+from firmware_protocol.imu_samples import ImuSettings
+from firmware_protocol.readings import ReadingCounters, ReadingKind, Readings
+
+__all__ = ["BlockFates", "ReadingInput"]
+
+_MOST_HELD = {ReadingKind.FRAMES: 1536, ReadingKind.IMU: 16}  # two frames of 346 columns; samples of an inertial unit
+_IMU_WORDS = 1 + 17  # a timestamp, and a sample of all three groups
+
+
+@dataclass
+class BlockFates:
+    """How many blocks of each kind met which fate in the stream."""
+
+    dropped: Counter[ReadingKind] = field(default_factory=Counter)
+    flushed: Counter[ReadingKind] = field(default_factory=Counter)
+    delivered: Counter[ReadingKind] = field(default_factory=Counter)
+    lost: Counter[ReadingKind] = field(default_factory=Counter)
+    queued: Counter[ReadingKind] = field(default_factory=Counter)
+
+
+class ReadingInput:
+    """What was offered and is not in the stream yet, and what the registers ask for."""
+
+    def __init__(self, settings: Davis346Settings, registers: RegisterFile) -> None:
+        self._settings = settings
+        self._registers = registers
+        self._longest = {ReadingKind.FRAMES: max(settings.size) + 2, ReadingKind.IMU: _IMU_WORDS}
+        self._frames = FrameSettings()
+        self._imu = ImuSettings()
+        self._waiting: list[Block] = []
+        self._in_frame = False
+        self._offered: Counter[ReadingKind] = Counter()
+        self._not_running: Counter[ReadingKind] = Counter()
+        self._flushed: Counter[ReadingKind] = Counter()
+
+    def follow(self, *, words: bool) -> None:
+        """Read the registers again; `words`: whether the data path runs."""
+        self._frames = frame_settings(self._registers, self._settings.size, self._settings.layout, words=words)
+        self._imu = imu_settings(self._registers, words=words)
+
+    def settings_of(self, kind: ReadingKind) -> tuple[int, ...]:
+        """Return what the registers ask of a kind; see `EventDevice.reading_settings`."""
+        asked = self._frames if kind is ReadingKind.FRAMES else self._imu
+        return tuple(int(n) for n in astuple(asked)) if self.takes(kind) else ()
+
+    def takes(self, kind: ReadingKind) -> bool:
+        """Say whether the camera has this kind."""
+        return self._settings.frames if kind is ReadingKind.FRAMES else self._settings.imu_unit != 0
+
+    def runs(self, kind: ReadingKind) -> bool:
+        """Say whether readings of a kind would go to the host now."""
+        return self.takes(kind) and (self._frames.run if kind is ReadingKind.FRAMES else self._imu.run)
+
+    def reserved(self, free_words: int) -> int:
+        """Return how many free words are kept for readings in a run that is not paced: half, if any kind runs."""
+        return free_words // 2 if any(self.runs(kind) for kind in ReadingKind) else 0
+
+    def room(self, kind: ReadingKind, free_words: int) -> int:
+        """Return how many readings of a kind fit what is kept for them."""
+        waiting = sum(len(block.words) for block in self._waiting)
+        kinds = sum(self.runs(one) for one in ReadingKind)
+        return max(0, (self.reserved(free_words) - waiting) // (self._longest[kind] * max(kinds, 1)))
+
+    def offer(self, kind: ReadingKind, readings: Readings, from_us: int) -> None:
+        """Take readings of a kind, (n,); those before `from_us` came while the camera did not run."""
+        wanted = readings[readings["t"] >= from_us] if self.runs(kind) else readings[:0]
+        blocks = blocks_of(kind, wanted)
+        if kind is ReadingKind.FRAMES:
+            self._in_frame = self._in_frame and len(blocks) == len(readings)
+            blocks = [block for block in blocks if self._is_read(block)]
+        self._offered[kind] += len(readings)
+        self._not_running[kind] += len(readings) - len(blocks)
+        self._waiting = sorted([*self._waiting, *blocks], key=_time_of)
+
+    def _is_read(self, block: Block) -> bool:
+        """Say whether a host can read this part of a frame: it has the frame's start, or will have."""
+        self._in_frame = self._in_frame or int(block.reading.record["kind"][0]) == LineKind.START
+        return self._in_frame
+
+    def due(self, now_us: int, until_us: int) -> list[Block]:
+        """Remove and return the blocks up to `until_us`; those that waited beyond their time have that of `now_us`."""
+        count = bisect.bisect_right(self._waiting, until_us, key=_time_of)
+        due, self._waiting = self._waiting[:count], self._waiting[count:]
+        return [block if block.t_us >= now_us else replace(block, t_us=now_us) for block in due]
+
+    def put_back(self, blocks: Sequence[Block]) -> None:
+        """Let blocks that were due wait further."""
+        self._waiting = [*blocks, *self._waiting]
+
+    def hold(self, blocks: Sequence[Block]) -> list[Block]:
+        """Keep blocks that found no room where the registers say so, and not too many; return the others."""
+        waits = {ReadingKind.FRAMES: aps_waits_on_stall(self._registers), ReadingKind.IMU: True}
+        held: Counter[ReadingKind] = Counter()
+        kept: list[Block] = []
+        others: list[Block] = []
+        for block in blocks:
+            kind = block.reading.kind
+            held[kind] += 1
+            (kept if waits[kind] and held[kind] <= _MOST_HELD[kind] else others).append(block)
+        self.put_back(kept)
+        return others
+
+    def flush(self) -> None:
+        """Drop what waits."""
+        self._flushed.update(block.reading.kind for block in self._waiting)
+        self._waiting, self._in_frame = [], False
+
+    def counters(self, fates: BlockFates) -> Mapping[str, ReadingCounters]:
+        """Return the fates of all that were offered, by kind; `fates` are those in the stream."""
+        waiting = Counter(block.reading.kind for block in self._waiting)
+        return {
+            str(kind): ReadingCounters(
+                offered, self._not_running[kind], fates.dropped[kind], self._flushed[kind] + fates.flushed[kind],
+                fates.delivered[kind], fates.lost[kind], fates.queued[kind] + waiting[kind],
+            )
+            for kind, offered in self._offered.items()
+        }  # fmt: skip
+
+
+def _time_of(block: Block) -> int:
+    return block.t_us

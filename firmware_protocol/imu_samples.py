@@ -1,0 +1,106 @@
+"""Samples of an inertial measurement unit as its converters count them, and what a host asks of the unit.
+
+acceleration, g       count * 4 * 2^range / 65536
+rate, deg/s           count * 500 * 2^range / 65536
+temperature, C        count / 340 + 35 (unit 1)    count / 333.87 + 21 (unit 2)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["IMU_SAMPLE", "PHYSICAL", "THERMOMETERS", "ImuSamples", "ImuScale", "ImuSettings", "no_samples", "physical"]
+
+THERMOMETERS = {1: (340.0, 35.0), 2: (333.87, 21.0)}
+"""Counts a degree, and the temperature of count 0, by the unit."""
+
+IMU_SAMPLE = np.dtype([("t", "<u8"), ("scale", "u1"), ("counts", "<i2", 7)])
+"""Time in us, scale byte, counts of accelerometer x, y, z, temperature, gyroscope x, y, z; 0 for what is not there."""
+
+PHYSICAL = np.dtype([("t", "<u8"), ("acceleration_g", "<f8", 3), ("temperature_c", "<f8"), ("rate_deg_s", "<f8", 3)])
+"""Time in us; g, degrees Celsius, deg/s."""
+
+ImuSamples = npt.NDArray[np.void]
+"""An array of IMU_SAMPLE records, shape (n,)."""
+
+
+@dataclass(frozen=True)
+class ImuScale:
+    """The scale byte: which groups are there, and the ranges, 0 to 3."""
+
+    accelerometer: bool = True
+    gyroscope: bool = True
+    temperature: bool = True
+    accelerometer_range: int = 1
+    gyroscope_range: int = 1
+
+    def __int__(self) -> int:
+        there = self.accelerometer << 7 | self.gyroscope << 6 | self.temperature << 5
+        return there | (self.accelerometer_range & 3) << 2 | self.gyroscope_range & 3
+
+    @classmethod
+    def parse(cls, byte: int) -> ImuScale:
+        """Read the byte; bit 4 is not used."""
+        return cls(bool(byte & 0x80), bool(byte & 0x40), bool(byte & 0x20), byte >> 2 & 3, byte & 3)
+
+    @property
+    def acceleration_g(self) -> float:
+        """One count of the accelerometer, g."""
+        return (4 << self.accelerometer_range) / 65536
+
+    @property
+    def rate_deg_s(self) -> float:
+        """One count of the gyroscope, deg/s."""
+        return (500 << self.gyroscope_range) / 65536
+
+
+def no_samples(n: int = 0) -> ImuSamples:
+    """Return an array of `n` zeroed samples."""
+    return np.zeros(n, IMU_SAMPLE)
+
+
+@dataclass(frozen=True)
+class ImuSettings:
+    """What the host's registers ask of the unit, in whole numbers.
+
+    Attributes
+    ----------
+    run
+        Whether samples are wanted now.
+    unit
+        1: MPU-6050, 2: MPU-9250 or MPU-6500.
+    scale
+        The scale byte: what runs, and the ranges.
+    accelerometer_mhz, gyroscope_mhz
+        Bandwidths, thousandths of a hertz.
+    per_ms
+        Samples of the unit's output a millisecond, before `divider`, 1 or more.
+    """
+
+    run: bool = False
+    unit: int = 0
+    scale: int = 0
+    accelerometer_mhz: int = 0
+    gyroscope_mhz: int = 0
+    per_ms: int = 1
+    divider: int = 1
+
+    def takes(self, index: int) -> bool:
+        """Say whether the unit gives a sample at millisecond `index`, at least 1, of its clock."""
+        return index * self.per_ms // self.divider > (index - 1) * self.per_ms // self.divider
+
+
+def physical(samples: ImuSamples, unit: int = 2) -> npt.NDArray[np.void]:
+    """Return samples in g, degrees Celsius and deg/s, (n,) PHYSICAL, as a driver converts them; `unit` is its TYPE."""
+    out = np.zeros(len(samples), PHYSICAL)
+    scale = samples["scale"].astype(np.int64)
+    counts = samples["counts"].astype(np.float64)
+    steepness, offset = THERMOMETERS[unit]
+    out["t"] = samples["t"]
+    out["acceleration_g"] = counts[:, :3] * (4.0 * 2.0 ** (scale >> 2 & 3) / 65536)[:, None]
+    out["temperature_c"] = counts[:, 3] / steepness + offset
+    out["rate_deg_s"] = counts[:, 4:] * (500.0 * 2.0 ** (scale & 3) / 65536)[:, None]
+    return out

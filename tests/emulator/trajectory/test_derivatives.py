@@ -1,0 +1,157 @@
+"""Velocity, acceleration and turning of trajectories, against closed forms and against differences of their poses."""
+
+import math
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from emulator.geometry.attitude import quaternion_of_vector
+from emulator.geometry.cycle import Cycle
+from emulator.trajectory.composed import Mounted, PlaceAndAttitude
+from emulator.trajectory.descent import Descent
+from emulator.trajectory.keyframes import Keyframes
+from emulator.trajectory.live import LivePoses, known_motion
+from emulator.trajectory.looking import Looking
+from emulator.trajectory.motion import differences
+from emulator.trajectory.orbit import Elements, Orbit
+from emulator.trajectory.polynomial import PolynomialPath
+from emulator.trajectory.pose import STILL, Fixed, Pose, Trajectory
+from emulator.trajectory.segments import Segment, Segmented
+from emulator.trajectory.simulated import SimulatedPath
+from emulator.trajectory.spinning import Spinning, Tilt
+
+SECOND = 1_000_000_000
+TURNED = quaternion_of_vector([0.3, -0.2, 0.5])
+
+
+def _keyframes():
+    times = [k * SECOND for k in range(5)]
+    places = [np.array([math.sin(k), k * 0.7, math.cos(2 * k)]) for k in range(5)]
+    return Keyframes(
+        times, [Pose(p, quaternion_of_vector([0.3 * k, 0.1 * k * k, -0.2 * k])) for k, p in enumerate(places)]
+    )
+
+
+def _orbit(eccentricity=0.3):
+    return Orbit(Elements(4.4628e5, 35e3, eccentricity, inclination_deg=40, node_deg=20, periapsis_deg=70))
+
+
+def _spinning():
+    return Spinning((1, 2, 3), (0.2, -0.5, 0.8), Cycle(Fraction(1, 7)), Tilt(0.4, Cycle(Fraction(-1, 11))))
+
+
+def _polynomial():
+    return PolynomialPath([k * SECOND for k in range(9)], [[math.sin(k / 3), math.cos(k / 2), k] for k in range(9)], 5)
+
+
+PATHS = {
+    "fixed": Fixed(),
+    "keyframes": _keyframes(),
+    "orbit": _orbit(),
+    "spinning": _spinning(),
+    "polynomial": _polynomial(),
+    "looking": Looking(_keyframes(), (9, -4, 7), (0.1, 0.2, 1), [0, SECOND]),
+    "descent": Descent(),
+    "places and attitudes": PlaceAndAttitude(_polynomial(), _spinning(), SECOND, 2 * SECOND),
+    "mounted": Mounted(_keyframes(), TURNED),
+    "segmented": Segmented([Segment(_keyframes(), SECOND, SECOND, 5 * SECOND)]),
+}
+
+
+@pytest.mark.parametrize("name", PATHS)
+def test_a_closed_form_agrees_with_differences_of_poses(name):
+    path = PATHS[name]
+    scale_m = 1 + np.linalg.norm(path.pose(0).position_m)
+    for t_ns in range(1_234_567_891, 2_900_000_000, 217_000_000):
+        if min(t_ns % SECOND, SECOND - t_ns % SECOND) < 20_000_000:  # a jump of the acceleration at a keyframe
+            continue
+        closed, differenced = path.motion(t_ns), differences(path.pose, t_ns)
+        np.testing.assert_allclose(closed.velocity_m_s, differenced.velocity_m_s, atol=1e-4, rtol=1e-5)
+        np.testing.assert_allclose(closed.acceleration_m_s2, differenced.acceleration_m_s2, atol=2e-4 + 2e-11 * scale_m)
+        np.testing.assert_allclose(closed.turn_rad_s, differenced.turn_rad_s, atol=3e-5)
+
+
+def test_a_circular_orbit_has_the_acceleration_and_speed_of_a_circle():
+    path, elements = _orbit(0.0), Elements(4.4628e5, 35e3)
+    w = elements.mean_motion_rad_s
+    motion, pose = path.motion(777 * SECOND), path.pose(777 * SECOND)
+    assert np.linalg.norm(motion.velocity_m_s) == pytest.approx(w * 35e3, rel=1e-12)
+    np.testing.assert_allclose(motion.acceleration_m_s2, -w * w * pose.position_m, rtol=1e-9, atol=1e-15)
+
+
+def test_a_camera_on_a_circle_that_looks_at_its_middle_turns_once_a_revolution():
+    """About its own y axis, which lies along -up = -z: an orbit in the sense of +z turns the camera by -w about it."""
+    w = Elements(4.4628e5, 35e3).mean_motion_rad_s
+    path = Looking(Orbit(Elements(4.4628e5, 35e3)), (0, 0, 0), (0, 0, 1), [0, SECOND])
+    np.testing.assert_allclose(path.motion(5 * SECOND).turn_rad_s, [0, -w, 0], atol=1e-12)
+
+
+def test_a_spin_about_one_axis_has_its_rate_about_that_axis():
+    path = Spinning((0, 0, 0), (0, 1, 0), Cycle(Fraction(1, 8)))
+    np.testing.assert_allclose(path.motion(3_141_592_653).turn_rad_s, [0, 0, 2 * math.pi / 8], atol=1e-14)
+
+
+def test_constant_acceleration_between_keyframes_is_exact():
+    a, v = np.array([0.5, -2.0, 1.62]), np.array([3.0, 0.0, -7.0])
+    seconds = [0.0, 1.0, 4.0]
+    path = Keyframes(
+        [round(t * SECOND) for t in seconds],
+        [Pose(v * t + a * t * t / 2, STILL.q_world_from_body) for t in seconds],
+        [v + a * t for t in seconds],
+    )
+    for t_ns in (0, 500_000_000, 3_999_999_999):
+        motion = path.motion(t_ns)
+        np.testing.assert_allclose(motion.acceleration_m_s2, a, atol=1e-12)
+        np.testing.assert_allclose(motion.velocity_m_s, v + a * t_ns * 1e-9, atol=1e-12)
+    np.testing.assert_array_equal(path.motion(5 * SECOND).acceleration_m_s2, 0)
+
+
+class _Helix(Trajectory):
+    """A circle with climb, turning with it: poses alone, so that its motion comes from differences."""
+
+    speed_bound_m_s = turn_bound_rad_s = math.inf
+
+    def pose(self, t_ns):
+        a = 2.0 * t_ns * 1e-9
+        return Pose(np.array([100 * math.cos(a), 100 * math.sin(a), a]), quaternion_of_vector([0, 0, a]))
+
+
+def test_differences_are_as_good_as_they_say():
+    w, radius, h = 2.0, 100.0, 5e-3
+    motion, place = _Helix().motion(1_700_000_000), _Helix().pose(1_700_000_000).position_m
+    expected = -w * w * np.array([place[0], place[1], 0])
+    assert np.abs(motion.acceleration_m_s2 - expected).max() < h * h / 12 * radius * w**4 + 4 * 1.2e-16 * radius / h**2
+    np.testing.assert_allclose(motion.turn_rad_s, [0, 0, w], atol=4 * 1.2e-16 / h + 1e-13)
+    assert np.linalg.norm(motion.velocity_m_s) == pytest.approx(math.hypot(w * radius, w), rel=h * h / 6 * w * w * 1.01)
+
+
+def _samples(period_ns, count, a):
+    turn = np.array([0.1, 0.2, -0.3])
+    return [
+        (k * period_ns, Pose(a * (k * period_ns * 1e-9) ** 2 / 2, quaternion_of_vector(turn * k * period_ns * 1e-9)))
+        for k in range(count)
+    ]
+
+
+def test_known_poses_of_constant_acceleration_and_rate_give_both():
+    a = np.array([1.0, -2.0, 0.5])
+    known = _samples(10_000_000, 6, a)
+    for t_ns in (1_000_000, 10_000_000, 35_000_000, 55_000_000):
+        motion = known_motion(known, t_ns)
+        np.testing.assert_allclose(motion.acceleration_m_s2, a, atol=1e-8)
+        np.testing.assert_allclose(motion.turn_rad_s, [0.1, 0.2, -0.3], atol=1e-10)
+
+
+def test_a_simulated_path_is_at_rest_until_it_is_known_to_move():
+    path = SimulatedPath(STILL)
+    assert not path.motion(0).velocity_m_s.any()
+    for t_ns, pose in _samples(10_000_000, 4, np.array([0, 0, 3.0])):
+        path.add(t_ns, pose)
+    np.testing.assert_allclose(path.motion(25_000_000).acceleration_m_s2, [0, 0, 3.0], atol=1e-8)
+
+
+def test_a_live_path_rests_where_nothing_has_come():
+    path = LivePoses()
+    assert not path.motion(0).acceleration_m_s2.any()
+    assert not path.motion(0).turn_rad_s.any()

@@ -1,0 +1,92 @@
+"""Readings on their way to a link: bounded, counted, and the host's settings on their way back."""
+
+import asyncio
+from functools import partial
+
+import numpy as np
+
+from firmware_protocol.davis346 import Davis346, Davis346Settings
+from firmware_protocol.frame_lines import FrameSettings, line_record
+from firmware_protocol.plain_device import PlainDevice
+from firmware_protocol.readings import ReadingKind
+from transports.link.pacing import FakeClock
+from transports.link.process import Link, LinkSetup
+from transports.link.reading_feed import ReadingReport
+from transports.link.reading_ring import ReadingRing
+from transports.link.ring import FREE_RUNNING, EventRing
+from transports.usb.loopback import LoopbackFactory
+
+RECORD = np.dtype([("t", "<u8"), ("value", "<i2", (3,))])
+
+
+CAMERA = partial(Davis346, Davis346Settings(start_delay_us=0, frames=True))
+
+
+def readings(times, record=RECORD):
+    some = np.zeros(len(times), record)
+    some["t"] = times
+    return some
+
+
+def test_what_finds_no_room_is_refused_and_counted():
+    ring = ReadingRing(ReadingKind.IMU, RECORD, 4)
+    assert ring.push(readings([1, 2, 3])) == 3
+    assert ring.push(readings([4, 5])) == 1
+    assert (ring.refused, ring.waiting, ring.room) == (1, 4, 0)
+    assert [ring.time_of(k) for k in (0, 3, 4)] == [1, 4, None]
+    assert ring.take(2)["t"].tolist() == [1, 2]
+    assert ring.time_of(0) == 3
+
+
+def test_settings_come_back_whole():
+    ring = ReadingRing(ReadingKind.IMU, RECORD, 4)
+    assert ring.settings == ()
+    ring.tell((1, 2, 3))
+    assert ring.settings == (1, 2, 3)
+    ring.tell((-5,))
+    assert ring.settings == (-5,)
+    ring._ring.cells[0] += 1  # as in the middle of a writing
+    ring._ring.cells[2] = 9
+    assert ring.settings == (-5,)
+
+
+def linked(device, ring, endpoint=None, origin_ns=FREE_RUNNING):
+    events, clock = EventRing(10_000), FakeClock(1_000_000_000)
+    link = Link(LinkSetup("one", events, device, endpoint or LoopbackFactory(), readings=(ring,)), clock)
+    asyncio.run(link.endpoint.start())
+    events.start(origin_ns)
+    return link, events, clock
+
+
+def test_a_device_hears_of_readings_in_its_time_and_its_host_is_heard():
+    ring = ReadingRing(ReadingKind.FRAMES, line_record(346), 16)
+    link, events, clock = linked(CAMERA, ring)
+    ring.push(readings([100, 5000], line_record(346)))
+    events.publish(1000)
+    link.tick()
+    report = link.report()
+    assert not link.idle
+    assert report.readings == {"frames": ReadingReport(taken=1)}
+    assert report.readings_balanced
+    events.publish(10_000)
+    for _ in range(5):
+        clock.advance(500_000)
+        link.tick()
+    assert link.idle
+    assert FrameSettings.of(ring.settings).run
+    assert FrameSettings.of(ring.settings).exposure_ns == 4_000_000
+    asyncio.run(link.close())
+    assert link.report(final=True).readings_balanced
+
+
+def test_a_device_without_a_use_for_them_ignores_and_counts_them():
+    ring = ReadingRing(ReadingKind.IMU, RECORD, 16)
+    link, events, _ = linked(CAMERA, ring)
+    ring.push(readings([1, 2, 3, 900]))
+    events.publish(500)
+    link.tick()
+    report = link.report(final=True)
+    assert report.readings == {"imu": ReadingReport(ignored=3, left=1)}
+    assert report.readings_balanced
+    assert not PlainDevice().offer_readings(ReadingKind.IMU, readings([1]))
+    asyncio.run(link.close())
