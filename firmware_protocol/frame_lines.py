@@ -4,7 +4,8 @@
     rolling shutter   START  RESET and SIGNAL lines by time, the exposure's two moments with the first line  END
 
 A record: t u64 us | kind u8 (LineKind) | line u16, in the user's frame | exposure u32, ADC cycles | global_shutter bool
-| by_column bool | roi u16[4], first column, first row, last column, last row | length u16 | samples u16[most], ADC values.
+| by_column bool | roi u16[4], first column, first row, last column, last row | length u16 | samples u16[most], ADC
+values.
 """
 
 from __future__ import annotations
@@ -33,8 +34,8 @@ def line_record(most: int) -> np.dtype[Any]:
     """Return the dtype of a line of at most `most` samples."""
     return np.dtype(
         [
-            ("t", "<u8"), ("kind", "u1"), ("line", "<u2"), ("exposure", "<u4"), ("global_shutter", "?"), ("by_column", "?"),
-            ("roi", "<u2", (4,)), ("length", "<u2"), ("samples", "<u2", (most,)),
+            ("t", "<u8"), ("kind", "u1"), ("line", "<u2"), ("exposure", "<u4"), ("global_shutter", "?"),
+            ("by_column", "?"), ("roi", "<u2", (4,)), ("length", "<u2"), ("samples", "<u2", (most,)),
         ]
     )  # fmt: skip
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import logging
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -56,6 +57,8 @@ __all__ = [
 ]
 
 
+log = logging.getLogger("evstim")
+
 _DRAIN_S = 1.0
 _DRAIN_UNPACED_S = 10.0  # a run that waits for its links loses nothing, also where a link still compiles its coders
 
@@ -77,13 +80,21 @@ def build_session(
         refinement = None if not refines else RefinementModel(min(parameters.threshold_on, parameters.threshold_off))
         steps = ControlledSteps(limits(rig, scene.motion_bound_px_s), dark, run.step_us * 1000, refinement)
     sensor = build_sensor(rig, parameters) if truth is None else _with_truth(rig, parameters, scene, truth)
-    return Session(pictures, sensor, steps, setups, clock, ReadingSources(reading_sources(rig), setups))
+    return Session(pictures, sensor, steps, setups, clock, ReadingSources(reading_sources(rig, sensor), setups))
 
 
-def reading_sources(rig: Rig) -> list[ReadingSource]:
-    """Return what the rig's camera reads beside events."""
-    camera = rig.camera
-    return [] if camera.frames is None else [FrameSource(camera.frames, rig.run.seed, camera.size)]
+def reading_sources(rig: Rig, sensor: EventSource | None = None) -> list[ReadingSource]:
+    """Return what the rig's camera reads beside events; it disturbs those of `sensor`, where this can be disturbed."""
+    frames = rig.camera.frames
+    if frames is None:
+        return []
+    disturb = None
+    if frames.kicks.share and sensor is not None:
+        if isinstance(sensor, Sensor) and sensor.with_kicks(frames.kicks):
+            disturb = sensor.disturb
+        else:
+            log.warning("row kicks are left out: this source of events cannot be disturbed by the reading of frames")
+    return [FrameSource(frames, rig.run.seed, rig.camera.size, disturb)]
 
 
 def _with_truth(rig: Rig, parameters: SensorParameters, scene: Scene, truth: TruthFile) -> EventSource:
