@@ -168,7 +168,8 @@ def _link_setup(
     ring, kind = EventRing(), LINKS[link.kind]
     camera = CameraFacts(rig.camera.model, rig.camera.size)
     endpoint = kind.endpoint(link, Wiring(_faults(rig, link, fault_log), triggers.sink(link.name, ring), camera))
-    facts = Facts(rig.camera.size, f"{rig.camera.model.upper()}_{rig.camera.serial}")
+    streams = frozenset({"edges"} if rig.camera.frames is None else {"edges", "frames"})
+    facts = Facts(rig.camera.size, f"{rig.camera.model.upper()}_{rig.camera.serial}", streams=streams)
     readings = ReadingSources.new_rings(reading_sources(rig)) if kind.serves == "usb" else ()
     device = _device(rig, link, kind)
     return LinkSetup(link.name, ring, device, endpoint, record, timing=timing, facts=facts, readings=readings)

@@ -33,6 +33,7 @@ speed_px_s = 10.0         # some 0.3 million events a second, which a processor 
 speed = "{speed}"
 layout = "{layout}"
 start_delay_ms = 1000.0   # neuromorphic_drivers must have started all its transfers; a guest on a busy machine is slow
+{camera}
 
 [[links]]
 kind = "usbip"
@@ -63,10 +64,14 @@ class RunningRig:
         How its chip lies, "upright" or "turned".
     more
         Further tables of the rig.
+    camera
+        Tables of the camera.
     """
 
-    def __init__(self, folder: Path, speed: str = "super", layout: str = "upright", more: str = "") -> None:
-        self._camera = {"speed": speed, "layout": layout}
+    def __init__(
+        self, folder: Path, speed: str = "super", layout: str = "upright", more: str = "", camera: str = ""
+    ) -> None:
+        self._camera = {"speed": speed, "layout": layout, "camera": camera}
         self._more = more
         self._record = folder / "delivered.npz"
         self._said = folder / "evstim.log"

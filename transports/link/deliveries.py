@@ -10,11 +10,14 @@ from firmware_protocol.device_clock import DeviceClock
 from firmware_protocol.edges import Edges, empty_edges
 from firmware_protocol.event_copies import copy_events
 from firmware_protocol.events import Events
+from firmware_protocol.frame_assembly import FrameAssembler, WholeFrame
+from firmware_protocol.readings import Reading
 from transports.link.digest import digest_of
 from transports.link.latency import LatencyHistogram
 from transports.link.pacing import Clock
 from transports.link.ring import FREE_RUNNING, EventRing
 from transports.recording.opening import AnyRecorder
+from transports.recording.part import Frame
 
 __all__ = ["Deliveries"]
 
@@ -48,17 +51,21 @@ class Deliveries:
         self._unix_us: int | None = None
         self.latency = LatencyHistogram()
         self.digest = 0
+        self._frames = FrameAssembler()
 
-    def add(self, events: Events, epoch_us: int = 0, edges: Edges | None = None) -> None:
-        """Take note of events (n,) EVENT and edges (m,) EDGE that have left just now, in the time told to the device.
+    def add(
+        self, events: Events, epoch_us: int = 0, edges: Edges | None = None, readings: tuple[Reading, ...] = ()
+    ) -> None:
+        """Take note of events (n,) EVENT, edges (m,) EDGE and readings that have left just now, in the device's time.
 
         `epoch_us` is the time at which the device's own clock is zero; negative where that was before the run.
         """
         edges = empty_edges() if edges is None else edges
         if len(events):
             self._measure(events)
-        if len(events) or len(edges):
-            self._keep(events, edges, epoch_us)
+        frames = self._frames.add(readings) if readings and self._recorder is not None else []
+        if len(events) or len(edges) or frames:
+            self._keep(events, edges, epoch_us, tuple(_frame(frame, epoch_us) for frame in frames))
 
     @property
     def paced(self) -> bool:
@@ -103,7 +110,7 @@ class Deliveries:
             due_us = self._device_clock.stream_us(events["t"].astype(np.int64), max(0, int(now_us)))
         self.latency.add(now_us - due_us)
 
-    def _keep(self, events: Events, edges: Edges, epoch_us: int) -> None:
+    def _keep(self, events: Events, edges: Edges, epoch_us: int, frames: tuple[Frame, ...]) -> None:
         events, edges = copy_events(events), edges.copy()
         events["t"] -= np.uint64(epoch_us % (1 << 64))
         edges["t"] -= np.uint64(epoch_us % (1 << 64))
@@ -113,4 +120,10 @@ class Deliveries:
         if self._recorder is not None:
             unix_us = self.unix_us(epoch_us) if restarted else self._unix_us
             self._unix_us = unix_us
-            self._recorder.append(events, edges=edges, restarted=restarted, unix_us=unix_us)
+            self._recorder.append(events, edges=edges, restarted=restarted, unix_us=unix_us, frames=frames)
+
+
+def _frame(frame: WholeFrame, epoch_us: int) -> Frame:
+    """Return a frame for a recording: dated by the start of its exposure, as drivers do."""
+    begin_us, end_us = frame.exposure_start_us - epoch_us, frame.exposure_end_us - epoch_us
+    return Frame(begin_us, begin_us, end_us, frame.pixels, (frame.first_column, frame.first_row))

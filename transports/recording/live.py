@@ -22,7 +22,7 @@ from typing import Any
 from firmware_protocol.edges import Edges, empty_edges
 from firmware_protocol.events import EVENT, Events
 from transports.recording.format import Format
-from transports.recording.part import Facts, Part
+from transports.recording.part import Facts, Frame, Part
 from transports.recording.parts_pipe import encoded_part, encoded_restart
 
 __all__ = ["LiveRecorder"]
@@ -90,15 +90,21 @@ class LiveRecorder:
         return ""
 
     def append(
-        self, events: Events, *, edges: Edges | None = None, restarted: bool = False, unix_us: int | None = None
+        self,
+        events: Events,
+        *,
+        edges: Edges | None = None,
+        restarted: bool = False,
+        unix_us: int | None = None,
+        frames: tuple[Frame, ...] = (),
     ) -> None:
-        """Add events and edges in device time; `restarted` when that time began anew before them.
+        """Add events, edges and frames in device time; `restarted` when that time began anew before them.
 
         `unix_us` is the Unix time at which it began; None in a run that is not paced, where this call may wait.
         """
         messages = encoded_restart(unix_us or 0) if restarted or self._is_first else []
         self._is_first = False
-        messages += encoded_part(Part(events, empty_edges() if edges is None else edges))
+        messages += encoded_part(Part(events, empty_edges() if edges is None else edges, frames=frames))
         size = sum(len(message) for message in messages)
         with self._changed:
             if unix_us is None:

@@ -7,6 +7,7 @@ The file is a NumPy `.npz`:
     edges        EDGE[m]    what the external input told of, in device time
     edge_resets  int64[k]   indices into `edges` at the same restarts
     size         int64[2]   width and height of the sensor, where they are known
+    frames       frame_record[f]   where there are any: times, and pixels of 10 bits; 0 outside a region of interest
 
 A client's view after it reset the camera's timestamps is `events[resets[-1]:]`. While the run lasts the events lie in a
 plain file beside it (`.part`), so that memory does not grow with the run and a killed run leaves its data. A record
@@ -16,6 +17,7 @@ that can be written no more (a full disk) stops, and its link goes on: see `Reco
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -24,8 +26,24 @@ from firmware_protocol.edges import EDGE, Edges
 from firmware_protocol.events import EVENT, Events
 from transports.output_file import OutputFile
 from transports.recording.array_file import ArrayFileError, load_arrays
+from transports.recording.part import Frame
 
-__all__ = ["Recorder", "load_edges", "load_record", "save_record"]
+__all__ = ["Recorder", "frame_record", "load_edges", "load_frames", "load_record", "save_record"]
+
+
+def frame_record(size: tuple[int, int]) -> np.dtype[np.void]:
+    """Return the dtype of a frame of a sensor of `size` = (width, height); times in us of device time."""
+    times = [(name, "<i8") for name in ("t", "exposure_begin", "exposure_end")]
+    return np.dtype([*times, ("pixels", "<u2", (size[1], size[0]))])
+
+
+def _frame(frame: Frame, size: tuple[int, int]) -> npt.NDArray[np.void]:
+    record = np.zeros(1, frame_record(size))
+    record["t"] = frame.t_us
+    record["exposure_begin"], record["exposure_end"] = frame.exposure_begin_us, frame.exposure_end_us
+    (column, row), (rows, columns) = frame.origin, frame.pixels.shape
+    record["pixels"][0, row : row + rows, column : column + columns] = frame.pixels
+    return record
 
 
 class Recorder:
@@ -36,6 +54,7 @@ class Recorder:
         self._size = size
         self._events = _Part(path.with_suffix(path.suffix + ".part"), EVENT)
         self._edges = _Part(path.with_suffix(path.suffix + ".edges.part"), EDGE)
+        self._frames: _Part | None = None
 
     @property
     def trouble(self) -> str:
@@ -43,9 +62,15 @@ class Recorder:
         return self._events.trouble or self._edges.trouble
 
     def append(
-        self, events: Events, *, edges: Edges | None = None, restarted: bool = False, unix_us: int | None = None
+        self,
+        events: Events,
+        *,
+        edges: Edges | None = None,
+        restarted: bool = False,
+        unix_us: int | None = None,
+        frames: tuple[Frame, ...] = (),
     ) -> None:
-        """Add events and edges in device time; `restarted` when that time began anew before them.
+        """Add events, edges and frames in device time; `restarted` when that time began anew before them.
 
         This format has no place for `unix_us`, the Unix time at which it began.
         """
@@ -57,10 +82,18 @@ class Recorder:
         self._events.append(events)
         if edges is not None:
             self._edges.append(edges)
+        if frames and self._size is not None:
+            self._add_frames(frames, self._size)
+
+    def _add_frames(self, frames: tuple[Frame, ...], size: tuple[int, int]) -> None:
+        if self._frames is None:
+            self._frames = _Part(self.path.with_suffix(self.path.suffix + ".frames.part"), frame_record(size))
+        self._frames.append(np.concatenate([_frame(frame, size) for frame in frames]))
 
     def close(self) -> None:
         """Write the `.npz` and remove the raw files, which stay where that is not possible."""
-        for part in (self._events, self._edges):
+        parts = [self._events, self._edges, *([] if self._frames is None else [self._frames])]
+        for part in parts:
             part.close()
         if self.trouble:
             return
@@ -70,10 +103,11 @@ class Recorder:
             self._events.stop(error)
             self.path.unlink(missing_ok=True)  # half an archive is of no use, and the raw files have it all
             return
-        for part in (self._events, self._edges):
+        for part in parts:
             part.remove()
 
     def _write(self) -> None:
+        frames: dict[str, Any] = {} if self._frames is None else {"frames": self._frames.content()}
         with self.path.open("wb") as file:
             np.savez(
                 file,
@@ -82,6 +116,7 @@ class Recorder:
                 edges=self._edges.content(),
                 edge_resets=np.array(self._edges.resets, np.int64),
                 size=np.array(self._size or (), np.int64),
+                **frames,
             )
 
 
@@ -133,6 +168,12 @@ def load_edges(path: Path) -> tuple[Edges, list[int]]:
     Raises ArrayFileError with the file's name, or OSError where it cannot be opened.
     """
     return _load(path, EDGE, "edges", "edge_resets")
+
+
+def load_frames(path: Path) -> npt.NDArray[np.void]:
+    """Read a record's frames, (n,) of `frame_record`; (0,) where it has none."""
+    with np.load(path) as arrays:
+        return arrays["frames"] if "frames" in arrays else np.zeros(0, frame_record((0, 0)))
 
 
 def _load(path: Path, dtype: np.dtype[np.void], name: str, resets: str) -> tuple[npt.NDArray[np.void], list[int]]:

@@ -38,7 +38,7 @@ class Observed(UsbDevice):
 
     def sent(self, transfer: Transfer) -> None:
         """Note what left, and pass on."""
-        self._deliveries.add(transfer.events, transfer.epoch_us, transfer.edges)
+        self._deliveries.add(transfer.events, transfer.epoch_us, transfer.edges, transfer.readings)
         self._device.sent(transfer)
 
     def lost(self, transfer: Transfer) -> None:

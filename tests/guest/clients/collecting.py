@@ -1,12 +1,14 @@
 """What the three clients share: their arguments, and the events they collect.
 
-    client.py --count N --timeout S --output FILE.npz [--triggers] [--packet-ms MS]
+    client.py --count N --timeout S --output FILE.npz [--triggers] [--frames] [--packet-ms MS]
 
 Each client prints what it saw as one JSON object on its last line, and saves the events as the arrays t (int64,
 microseconds), x, y (uint16) and on (bool). At its first events it makes the empty file FILE.started.
 
 With --triggers it asks the external input for rising and falling edges and pulses, and saves what the driver tells of
 them as trigger_t (int64, microseconds) and trigger_kind (uint8: 2 rising, 3 falling, 4 pulse).
+
+With --frames it saves frames as frame_t (int64, microseconds) and frames (n, height, width), as the driver gives them.
 
 With --packet-ms the drivers of iniVation hand events over after so much device time, instead of 10 ms: where a camera
 runs a thousand times faster than real time, their queues of packets would overflow.
@@ -28,6 +30,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--timeout", type=float, required=True, help="stop after this many seconds")
     parser.add_argument("--output", type=Path, required=True)
     parser.add_argument("--triggers", action="store_true", help="listen to the external input")
+    parser.add_argument("--frames", action="store_true", help="keep frames")
     parser.add_argument("--packet-ms", type=int, default=0, help="device time between packets; 0: the driver's own")
     return parser.parse_args()
 
@@ -41,6 +44,7 @@ class Collector:
         self._deadline = time.monotonic() + options.timeout
         self._columns: list[tuple[np.ndarray, ...]] = []
         self._triggers: list[tuple[int, int]] = []
+        self._frames: list[tuple[int, np.ndarray]] = []
         self._collected = 0
         self._started: float | None = None
 
@@ -58,6 +62,9 @@ class Collector:
     def add_trigger(self, t: int, kind: int) -> None:
         self._triggers.append((t, kind))
 
+    def add_frame(self, t: int, pixels: np.ndarray) -> None:
+        self._frames.append((t, np.array(pixels)))
+
     def report(self, **seen: object) -> None:
         """Save the events and triggers and print what was seen."""
         columns = [np.concatenate(column) for column in zip(*self._columns, strict=True)] or [np.empty(0)] * 4
@@ -65,6 +72,8 @@ class Collector:
             "trigger_t": np.array([t for t, _ in self._triggers], np.int64),
             "trigger_kind": np.array([kind for _, kind in self._triggers], np.uint8),
         }
+        triggers |= {"frame_t": np.array([t for t, _ in self._frames], np.int64)}
+        triggers |= {"frames": np.array([pixels for _, pixels in self._frames])}
         np.savez(self._output, **dict(zip(("t", "x", "y", "on"), columns, strict=True)), **triggers)
         streamed_s = time.monotonic() - (self._started or time.monotonic())
         print(json.dumps({"events": self._collected, "streamed_s": round(streamed_s, 3), **seen}), flush=True)

@@ -35,6 +35,8 @@ def main() -> None:
     resolution = camera.getEventResolution()
     while not collector.done and camera.isRunning():
         collect_triggers(camera, collector)
+        if options.frames and (frame := camera.getNextFrame()) is not None:
+            collector.add_frame(frame.timestamp, frame.image)
         batch = camera.getNextEventBatch()
         if batch is None:
             time.sleep(0.001)

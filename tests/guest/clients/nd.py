@@ -32,6 +32,8 @@ def main() -> None:
                 continue
             for trigger in packet.trigger_events if packet.trigger_events is not None else ():
                 collector.add_trigger(int(trigger["t"]), KINDS[int(trigger["polarity"])])
+            for frame in packet.frames if options.frames and packet.frames is not None else ():
+                collector.add_frame(int(frame.t), frame.pixels)
             if packet.polarity_events is None:
                 continue
             events = packet.polarity_events
