@@ -12,6 +12,7 @@ import time
 from pathlib import Path
 
 from firmware_protocol.events import EVENT
+from transports.recording.part import Part
 from transports.recording.record import Recorder
 
 __all__ = ["DRIVER", "driver_works", "main"]
@@ -44,7 +45,7 @@ def main(address: str, record: str, seconds: str) -> int:
     with camera:
         for _, packet in camera:
             if packet is not None and packet.polarity_events is not None:
-                recorder.append(packet.polarity_events.astype(EVENT))
+                recorder.append(Part(packet.polarity_events.astype(EVENT)))
             if time.monotonic() > end_s:
                 break
     recorder.close()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import logging
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -63,6 +64,8 @@ __all__ = [
 ]
 
 
+log = logging.getLogger("evstim")
+
 _IMU_RING = 16384  # samples, 16 s of them
 _DRAIN_S = 1.0
 _DRAIN_UNPACED_S = 10.0  # a run that waits for its links loses nothing, also where a link still compiles its coders
@@ -86,7 +89,7 @@ def build_session(
         steps = ControlledSteps(limits(rig, scene.motion_bound_px_s), dark, run.step_us * 1000, refinement)
     sensor = build_sensor(rig, parameters) if truth is None else _with_truth(rig, parameters, scene, truth)
     own = [setup for setup in setups if not carries_second(rig, setup.name)]
-    readings = ReadingSources(reading_sources(rig, scene), own)
+    readings = ReadingSources(reading_sources(rig, scene, sensor), own)
     session = Session(pictures, sensor, steps, setups, clock, readings)
     if rig.second_camera is not None:
         session.join(_second_view(second_rig(rig), parameters, setups))
@@ -95,20 +98,29 @@ def build_session(
 
 def _second_view(rig: Rig, parameters: SensorParameters, setups: Sequence[LinkSetup[Any]]) -> SecondView:
     names = [link.name for link in rig.links]
-    scene = build_scene(rig)
-    readings = ReadingSources(reading_sources(rig, scene), [setup for setup in setups if setup.name in names])
-    return SecondView(build_pictures(rig, scene), build_sensor(rig, parameters), readings, names)
+    scene, sensor = build_scene(rig), build_sensor(rig, parameters)
+    own = [setup for setup in setups if setup.name in names]
+    readings = ReadingSources(reading_sources(rig, scene, sensor), own)
+    return SecondView(build_pictures(rig, scene), sensor, readings, names)
 
 
-def reading_sources(rig: Rig, scene: Scene) -> list[ReadingSource]:
-    """Return what the rig's camera reads beside events."""
+def reading_sources(rig: Rig, scene: Scene, sensor: EventSource | None = None) -> list[ReadingSource]:
+    """Return what the rig's camera reads beside events; it disturbs those of `sensor`, where this can be disturbed."""
     imu = imu_source(rig, scene)
-    return [*_frame_sources(rig), *([] if imu is None else [imu])]
+    return [*_frame_sources(rig, sensor), *([] if imu is None else [imu])]
 
 
-def _frame_sources(rig: Rig) -> list[ReadingSource]:
-    camera = rig.camera
-    return [] if camera.frames is None else [FrameSource(camera.frames, rig.run.seed, camera.size)]
+def _frame_sources(rig: Rig, sensor: EventSource | None = None) -> list[ReadingSource]:
+    frames = rig.camera.frames
+    if frames is None:
+        return []
+    disturb = None
+    if frames.kicks.share and sensor is not None:
+        if isinstance(sensor, Sensor) and sensor.with_kicks(frames.kicks):
+            disturb = sensor.disturb
+        else:
+            log.warning("row kicks are left out: this source of events cannot be disturbed by the reading of frames")
+    return [FrameSource(frames, rig.run.seed, rig.camera.size, disturb)]
 
 
 def _reading_rings(rig: Rig, kind: LinkKind[Any]) -> tuple[ReadingRing, ...]:
@@ -194,9 +206,8 @@ def _link_setup(
     rig = rig if is_master else dataclasses.replace(second_rig(rig), trigger=rig.trigger)
     camera = CameraFacts(rig.camera.model, rig.camera.size)
     endpoint = kind.endpoint(link, Wiring(_faults(rig, link, fault_log), triggers.sink(link.name, ring), camera))
-    facts = _facts(rig, kind)
     setup = LinkSetup(
-        link.name, ring, _device(rig, link, kind, is_master), endpoint, record, timing=timing, facts=facts
+        link.name, ring, _device(rig, link, kind, is_master), endpoint, record, timing=timing, facts=_facts(rig, kind)
     )
     return dataclasses.replace(setup, readings=_reading_rings(rig, kind))
 
@@ -204,9 +215,12 @@ def _link_setup(
 def _facts(rig: Rig, kind: LinkKind[Any]) -> Facts:
     """Return what the link's recording says of the camera."""
     facts = Facts(rig.camera.size, f"{rig.camera.model.upper()}_{rig.camera.serial}")
-    if kind.serves != "usb" or rig.camera.imu is None:
+    if kind.serves != "usb":
         return facts
-    return dataclasses.replace(facts, streams=facts.streams | {"imu"}, imu_unit=IMU_UNITS[rig.camera.imu.unit])
+    told = {"frames": rig.camera.frames, "imu": rig.camera.imu}
+    streams = facts.streams | {name for name, table in told.items() if table is not None}
+    unit = facts.imu_unit if rig.camera.imu is None else IMU_UNITS[rig.camera.imu.unit]
+    return dataclasses.replace(facts, streams=streams, imu_unit=unit)
 
 
 def _device(rig: Rig, link: LinkParameters, kind: LinkKind[Any], is_master: bool) -> Callable[[], Any]:

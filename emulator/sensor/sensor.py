@@ -1,8 +1,8 @@
 """The whole sensor: light in, events out.
 
     light -> imager -> pixels -> jitter --+--> read-out -> events
-                         ^      noise ----+
-                       leaks    radiation +
+                         ^ ^    noise ----+
+                     leaks kicks radiation +
 
 A part that the rig leaves off does not exist and costs nothing. Some parts change at fixed stream times (the grid of
 shot noise, changing leak, pixels turning hot). A step across such a time is cut there; the light at the cut lies on a
@@ -19,6 +19,8 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.light import PixelLight, Region
+from emulator.sensor.aps.parameters import KickParameters
+from emulator.sensor.aps.row_kicks import LineReads, RowKicks
 from emulator.sensor.chip.defects import Defects, draw_defects
 from emulator.sensor.chip.imager import Imager, part_of_the_way
 from emulator.sensor.chip.leak import NEVER_NS, Leaks
@@ -137,6 +139,19 @@ class Sensor:
         self._dark = np.float32(here.dark_current_relative)
         self._before, self._way = (np.empty((own.height, own.width), np.float32) for _ in range(2))
         self._t_ns = 0
+        self._seed = seed
+        self._kicks: RowKicks | None = None
+        self._reads: LineReads | None = None
+
+    def with_kicks(self, kicks: KickParameters) -> bool:
+        """Let reads of active pixels disturb the events; False where the method of the pixels cannot."""
+        if type(self.pixels) is PixelArray:
+            self._kicks = RowKicks(kicks, self.parameters, self._seed, self.pixels)
+        return self._kicks is not None
+
+    def disturb(self, reads: LineReads) -> None:
+        """Take note of the reads of active pixels that begin in the next step, from its start on, before its end."""
+        self._reads = reads if self._kicks is not None else None
 
     @property
     def raised(self) -> int:
@@ -274,6 +289,8 @@ class Sensor:
 
     def finish(self) -> Events:
         """Return the events that have not left yet; the sensor cannot be exposed afterwards."""
+        if self._kicks is not None and len(late := self._kicks.rest()):
+            self._readout.push(late, int(late.t_ns[-1]) + 1)
         return finished(self._jitter, self._readout)
 
     def _next_cut_ns(self) -> int:
@@ -296,7 +313,13 @@ class Sensor:
         seen = self._imager.see(light, t_ns)
         rate, at = self._imager.see_rate(rate), self._imager.see_pixels(at)
         told = {} if changed is None or not self._skips else {"changed": changed}
-        crossings = self._of_live_pixels(self.pixels.step(seen, t_ns, rate, at, **told))
+        if self._kicks is None:
+            crossings = self.pixels.step(seen, t_ns, rate, at, **told)
+        else:
+            groups = [] if self._reads is None else self._kicks.begin(self._reads.between(self._t_ns, t_ns))
+            crossings = self.pixels.step(seen, t_ns, rate, at, **told)
+            crossings = self._kicks.end(groups, crossings, self._t_ns, t_ns)
+        crossings = self._of_live_pixels(crossings)
         self._t_ns = t_ns
         return self._with_others(crossings, seen, self.pixels.settled_ns)
 

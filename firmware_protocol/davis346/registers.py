@@ -12,7 +12,7 @@ checked.
 Capability registers tell the truth about this model: filters and the IMU read 0 until they are modelled. libcaer and
 neuromorphic_drivers switch the background activity filter on wherever it exists, so a camera that claimed it without
 filtering would send events which a real one removes. The APS size and shutter registers describe the chip, because
-drivers size their pictures by them; frames are not sent yet, and no driver waits for one.
+drivers size their pictures by them, also where the camera takes no frames (`Davis346Settings.frames`).
 """
 
 from __future__ import annotations

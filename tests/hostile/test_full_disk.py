@@ -14,6 +14,7 @@ from firmware_protocol.events import EVENT
 from transports.faults.kinds import BitFlips
 from transports.faults.script import FaultPlan, Faults
 from transports.link.feed import ClockReport, ClockTruth
+from transports.recording.part import Part
 from transports.recording.record import Recorder, load_record
 
 FULL = "/dev/full"
@@ -53,7 +54,7 @@ def events(count, start_us=0):
 def test_a_record_stops_and_keeps_what_it_had(tiny):
     recorder = Recorder(tiny / "a.npz")
     for k in range(40):
-        recorder.append(events(1000, 1000 * k))
+        recorder.append(Part(events(1000, 1000 * k)))
     recorder.close()
     assert recorder.trouble.startswith(f"record stopped: {NO_SPACE}")
     assert not (tiny / "a.npz").exists()
@@ -65,7 +66,7 @@ def test_a_record_stops_and_keeps_what_it_had(tiny):
 
 def test_a_record_for_which_the_archive_has_no_room_is_kept_as_it_is(tiny):
     recorder = Recorder(tiny / "a.npz")
-    recorder.append(events(12_000))  # 156 kB, twice
+    recorder.append(Part(events(12_000)))  # 156 kB, twice
     recorder.close()
     assert NO_SPACE in recorder.trouble
     assert [path.name for path in sorted(tiny.iterdir())] == ["a.npz.edges.part", "a.npz.part"]
@@ -74,7 +75,7 @@ def test_a_record_for_which_the_archive_has_no_room_is_kept_as_it_is(tiny):
 
 def test_a_record_that_fits_has_no_trouble(tiny):
     recorder = Recorder(tiny / "a.npz")
-    recorder.append(events(5000))
+    recorder.append(Part(events(5000)))
     recorder.close()
     assert recorder.trouble == ""
     assert len(load_record(tiny / "a.npz")[0]) == 5000

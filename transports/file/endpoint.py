@@ -12,7 +12,7 @@ from transports.link.deliveries import Deliveries
 from transports.link.endpoint import Endpoint, EndpointFactory
 from transports.recording.format import Format
 from transports.recording.live import LiveRecorder
-from transports.recording.part import Facts
+from transports.recording.part import Facts, Part
 
 __all__ = ["FileEndpoint", "FileFactory"]
 
@@ -63,8 +63,7 @@ class FileEndpoint(Endpoint):
         restarted = taken.epoch_us != self._epoch_us
         self._epoch_us = taken.epoch_us
         recorder.append(
-            own_time(taken.events, taken.epoch_us),
-            edges=own_time(taken.edges, taken.epoch_us),
+            Part(own_time(taken.events, taken.epoch_us), own_time(taken.edges, taken.epoch_us)),
             restarted=restarted,
             unix_us=self._deliveries.unix_us(taken.epoch_us),
         )

@@ -10,6 +10,7 @@ from firmware_protocol.events import Events
 from transports.gige.host import CameraGone, GigeHost
 from transports.link.digest import digest_of
 from transports.link.pacing import Clock
+from transports.recording.part import Part
 from transports.recording.record import Recorder
 
 __all__ = ["GigeReception", "receive"]
@@ -93,7 +94,7 @@ def _turn(camera: GigeHost, reception: GigeReception, recorder: Recorder | None)
     events = camera.read(_READ_TIMEOUT_S)
     edges = camera.take_edges()
     if recorder is not None and (len(events) or len(edges)):
-        recorder.append(events, edges=edges)
+        recorder.append(Part(events, edges))
     return dataclasses.replace(
         reception.with_events(events),
         edges=reception.edges + len(edges),

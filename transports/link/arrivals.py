@@ -9,6 +9,7 @@ from firmware_protocol.events import Events
 from transports.link.digest import digest_of
 from transports.link.latency import LatencySummary
 from transports.link.pacing import Clock
+from transports.recording.part import Part
 from transports.recording.record import Recorder
 
 __all__ = ["Arrivals"]
@@ -46,7 +47,7 @@ class Arrivals:
     def add(self, events: Events, edges: Edges, t_ns: int) -> None:
         """Take note of events (n,) EVENT and edges (m,) EDGE that came together at `t_ns`."""
         if self._recorder is not None and (len(events) or len(edges)):
-            self._recorder.append(events, edges=edges)
+            self._recorder.append(Part(events, edges))
         self.edges += len(edges)
         if not len(events):
             return

@@ -12,6 +12,7 @@ from firmware_protocol.device_clock import DeviceClock
 from firmware_protocol.edges import Edges, empty_edges
 from firmware_protocol.event_copies import copy_events
 from firmware_protocol.events import Events
+from firmware_protocol.frame_assembly import FrameAssembler, WholeFrame
 from firmware_protocol.imu_samples import ImuSamples, no_samples, physical
 from firmware_protocol.readings import Reading, ReadingKind
 from transports.link.digest import digest_of
@@ -19,7 +20,7 @@ from transports.link.latency import LatencyHistogram
 from transports.link.pacing import Clock
 from transports.link.ring import FREE_RUNNING, EventRing
 from transports.recording.opening import AnyRecorder
-from transports.recording.part import IMU, Part
+from transports.recording.part import IMU, Frame, Part
 
 __all__ = ["Deliveries", "recorded_imu"]
 
@@ -57,11 +58,12 @@ class Deliveries:
         self._unix_us: int | None = None
         self.latency = LatencyHistogram()
         self.digest = 0
+        self._frames = FrameAssembler()
 
     def add(
         self, events: Events, epoch_us: int = 0, edges: Edges | None = None, readings: Sequence[Reading] = ()
     ) -> None:
-        """Take note of events, edges and readings that have left just now, in the time told to the device.
+        """Take note of events (n,) EVENT, edges (m,) EDGE and readings that have left just now, in the device's time.
 
         `epoch_us` is the time at which the device's own clock is zero; negative where that was before the run.
         """
@@ -69,8 +71,10 @@ class Deliveries:
         if len(events):
             self._measure(events)
         imu = _imu_of(readings)
-        if len(events) or len(edges) or len(imu):
-            self._keep(Part(events, edges, recorded_imu(imu, self._imu_unit)), epoch_us)
+        frames = self._frames.add(tuple(readings)) if readings and self._recorder is not None else []
+        if len(events) or len(edges) or len(imu) or frames:
+            told = tuple(_frame(frame, epoch_us) for frame in frames)
+            self._keep(Part(events, edges, recorded_imu(imu, self._imu_unit), told), epoch_us)
 
     @property
     def paced(self) -> bool:
@@ -125,7 +129,8 @@ class Deliveries:
         if self._recorder is not None:
             unix_us = self.unix_us(epoch_us) if restarted else self._unix_us
             self._unix_us = unix_us
-            self._recorder.append(events, edges=edges, imu=imu, restarted=restarted, unix_us=unix_us)
+            part = Part(events, edges, imu, part.frames)
+            self._recorder.append(part, restarted=restarted, unix_us=unix_us)
 
 
 def _imu_of(readings: Sequence[Reading]) -> ImuSamples:
@@ -139,3 +144,9 @@ def recorded_imu(samples: ImuSamples, unit: int) -> npt.NDArray[np.void]:
     for k, axis in enumerate("xyz"):
         out[f"accelerometer_{axis}"], out[f"gyroscope_{axis}"] = told["acceleration_g"][:, k], told["rate_deg_s"][:, k]
     return out
+
+
+def _frame(frame: WholeFrame, epoch_us: int) -> Frame:
+    """Return a frame for a recording: dated by the start of its exposure, as drivers do."""
+    begin_us, end_us = frame.exposure_start_us - epoch_us, frame.exposure_end_us - epoch_us
+    return Frame(begin_us, begin_us, end_us, frame.pixels, (frame.first_column, frame.first_row))

@@ -1,6 +1,7 @@
-"""AEDAT 4.0 files by faery: events, triggers and IMU samples are written and read, frames are read.
+"""AEDAT 4.0 files by faery: events, triggers, IMU samples and frames are written and read.
 
-No frame is written: faery 0.7.1 writes only frames that it has read itself, and our parts come from another process.
+Frames are written with 8 bits, as readers know them, and grey. faery 0.7.1 writes only frames that it has read itself,
+so each goes through a small file of its own, see `_Frames`.
 
 Times in a file are Unix microseconds, and `tsOffset` tells the one of t = 0. Readers go by the names `events`,
 `frames`, `imu` and `triggers`. While it is written, the header says that there is no table of packets, and so a file
@@ -9,8 +10,10 @@ that was never closed is read up to its last whole packet.
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -18,15 +21,18 @@ from faery.extension import aedat
 
 from firmware_protocol.edges import EDGE, EdgeKind, Edges
 from firmware_protocol.events import EVENT
+from firmware_protocol.recordings.aedat4_frame import Aedat4Head
+from firmware_protocol.recordings.aedat4_picture import aedat4_picture
 from transports.recording.part import IMU, Facts, Frame, Part, RecordingError
 
 __all__ = ["Aedat4Reader", "Aedat4Writer"]
 
 _TRIGGER = np.dtype([("t", "<u8"), ("source", "u1")])
 _SOURCES = {EdgeKind.RISING: 1, EdgeKind.FALLING: 2, EdgeKind.PULSE: 3}
-_NUMBERS = {"events": 0, "imu": 2, "edges": 3}  # as cameras have them, whose frames are 1
+_NUMBERS = {"events": 0, "frames": 1, "imu": 2, "edges": 3}  # as cameras have them
 _STREAMS = (
     ("events", "events", "EVTS", "Array of events (polarity ON/OFF)."),
+    ("frames", "frames", "FRME", "Standard frame (8-bit image)."),
     ("imu", "imu", "IMUS", "Inertial Measurement Unit data samples."),
     ("edges", "triggers", "TRIG", "External triggers and special signals."),
 )
@@ -41,12 +47,16 @@ class Aedat4Writer:
         self._start_us = np.uint64(facts.unix_us)
         self._encoder = aedat.Encoder(path, [_description(facts, self._streams)], _LZ4)
         self._encoder.__enter__()
+        self._frames = _Frames(facts) if "frames" in self._streams else None
 
     def write(self, part: Part) -> None:
         """Append one packet of each stream that has something."""
         self._put("events", self._shifted(part.events))
         self._put("edges", self._shifted(_triggers(part.edges)))
         self._put("imu", self._shifted(part.imu))
+        if self._frames is not None:
+            for frame in part.frames:
+                self._encoder.write(_NUMBERS["frames"], self._frames.of_faery(frame, int(self._start_us)))
 
     def _put(self, stream: str, packet: Any) -> None:
         if len(packet) and stream in self._streams:
@@ -62,22 +72,50 @@ class Aedat4Writer:
     def close(self) -> None:
         """Write the table of packets and its place in the header."""
         self._encoder.__exit__(None, None, None)
+        if self._frames is not None:
+            self._frames.close()
 
 
-def _description(facts: Facts, streams: set[str]) -> Any:
+class _Frames:
+    """Makes frames of faery: writes a file with one frame, and lets faery read it."""
+
+    def __init__(self, facts: Facts) -> None:
+        self._folder = TemporaryDirectory(prefix="evstim-frames-")
+        self._path = Path(self._folder.name) / "frame.aedat4"
+        with aedat.Encoder(self._path, [_description(facts, {"frames"}, "NONE")], None):
+            pass
+        self._head = Aedat4Head(self._path.read_bytes()).unfinished()
+
+    def of_faery(self, frame: Frame, start_us: int) -> Any:
+        """Return a frame whose times are later by `start_us`; of more than 8 bits, 10 are taken."""
+        pixels = frame.pixels if frame.pixels.dtype == np.uint8 else (frame.pixels >> 2).astype(np.uint8)
+        pixels = pixels if pixels.ndim == 2 else pixels.mean(axis=2).astype(np.uint8)
+        t, begin, end = (t + start_us for t in (frame.t_us, frame.exposure_begin_us, frame.exposure_end_us))
+        payload = aedat4_picture((t, begin, end, begin, end), np.ascontiguousarray(pixels), frame.origin)
+        packet = struct.pack("<ii", _NUMBERS["frames"], len(payload)) + payload
+        self._path.write_bytes(self._head + packet)
+        with aedat.Decoder(self._path) as packets:
+            return next(iter(packets))[1]
+
+    def close(self) -> None:
+        """Remove the file."""
+        self._folder.cleanup()
+
+
+def _description(facts: Facts, streams: set[str], compression: str = "LZ4") -> Any:
     top = "/mainloop/Recorder/outInfo/"
-    nodes = [_node(facts, f"{top}{_NUMBERS[one]}/", row) for one, *row in _STREAMS if one in streams]
+    nodes = [_node(facts, f"{top}{_NUMBERS[one]}/", [*row, compression]) for one, *row in _STREAMS if one in streams]
     return aedat.DescriptionNode("outInfo", top, {}, nodes)
 
 
 def _node(facts: Facts, path: str, row: list[str]) -> Any:
-    name, kind, told = row
+    name, kind, told, compression = row
     about = {
-        "compression": "LZ4", "originalModuleName": "capture", "originalOutputName": name, "typeDescription": told,
-        "typeIdentifier": kind,
+        "compression": compression, "originalModuleName": "capture", "originalOutputName": name,
+        "typeDescription": told, "typeIdentifier": kind,
     }  # fmt: skip
     info = {"source": _text(facts.camera), "tsOffset": aedat.DescriptionAttribute("long", facts.unix_us)}
-    if facts.size is not None and kind == "EVTS":
+    if facts.size is not None and kind in ("EVTS", "FRME"):
         info |= {f"size{axis}": aedat.DescriptionAttribute("int", n) for axis, n in zip("XY", facts.size, strict=True)}
     own = {key: _text(value) for key, value in about.items()}
     inner = [aedat.DescriptionNode("info", f"{path}info/", info, [])]
@@ -144,7 +182,8 @@ def _start(info: Mapping[str, Any]) -> int:
 
 
 def _frame(frame: Any, start_us: int) -> Frame:
-    return Frame(frame.t - start_us, frame.exposure_start_t - start_us, frame.exposure_end_t - start_us, frame.pixels)
+    times = frame.t - start_us, frame.exposure_start_t - start_us, frame.exposure_end_t - start_us
+    return Frame(*times, frame.pixels, (frame.offset_x, frame.offset_y))
 
 
 def _edges(triggers: Any) -> Edges:

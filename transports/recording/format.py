@@ -31,7 +31,7 @@ class Format:
     writer, reader
         "module:Class" of what writes (path, facts) and reads (path) it.
     holds
-        What is written with it: "events", "edges", "imu". Frames are read alone: see `aedat4`.
+        What is written with it: "events", "edges", "imu", "frames".
     readers
         Programs that open it, for people.
     needs
@@ -92,7 +92,7 @@ _ROS = ("events", "edges")
 _FORMATS = (
     Format(
         "aedat4", "AEDAT 4.0", (".aedat4",), f"{_HERE}.aedat4:Aedat4Writer", f"{_HERE}.aedat4:Aedat4Reader",
-        ("events", "edges", "imu"), "DV, dv-processing, aedat, faery, jAER", "faery", (1 << 15, 1 << 15),
+        ("events", "edges", "imu", "frames"), "DV, dv-processing, aedat, faery, jAER", "faery", (1 << 15, 1 << 15),
     ),
     Format(
         "aedat2", "AEDAT 2.0", (".aedat2", ".aedat"), f"{_HERE}.legacy_aedat:Aedat2Writer",

@@ -19,13 +19,9 @@ from fcntl import F_SETPIPE_SZ, fcntl
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
-
-from firmware_protocol.edges import Edges, empty_edges
-from firmware_protocol.events import EVENT, Events
+from firmware_protocol.events import EVENT
 from transports.recording.format import Format
-from transports.recording.part import IMU, Facts, Part
+from transports.recording.part import Facts, Part
 from transports.recording.parts_pipe import encoded_part, encoded_restart
 
 __all__ = ["LiveRecorder"]
@@ -92,30 +88,20 @@ class LiveRecorder:
             return f"{self._what} lacks {late} edges: they came after later events ({self.path})"
         return ""
 
-    def append(
-        self,
-        events: Events,
-        *,
-        edges: Edges | None = None,
-        imu: npt.NDArray[np.void] | None = None,
-        restarted: bool = False,
-        unix_us: int | None = None,
-    ) -> None:
-        """Add events, edges and IMU samples in device time; `restarted` when that time began anew before them.
+    def append(self, part: Part, *, restarted: bool = False, unix_us: int | None = None) -> None:
+        """Add a part in device time; `restarted` when that time began anew before it.
 
         `unix_us` is the Unix time at which it began; None in a run that is not paced, where this call may wait.
         """
         messages = encoded_restart(unix_us or 0) if restarted or self._is_first else []
         self._is_first = False
-        messages += encoded_part(
-            Part(events, empty_edges() if edges is None else edges, np.zeros(0, IMU) if imu is None else imu)
-        )
+        messages += encoded_part(part)
         size = sum(len(message) for message in messages)
         with self._changed:
             if unix_us is None:
                 self._changed.wait_for(lambda: self._broken or self._waiting_bytes + size <= _CAPACITY_BYTES)
             if self._broken or self._waiting_bytes + size > _CAPACITY_BYTES:
-                self.missing += len(events)
+                self.missing += len(part.events)
                 return
             self._waiting.extend(messages)
             self._waiting_bytes += size

@@ -30,7 +30,7 @@ class NpzWriter:
 
     def write(self, part: Part) -> None:
         """Append events, edges and IMU samples."""
-        self._recorder.append(part.events, edges=part.edges, imu=part.imu)
+        self._recorder.append(part)
         self._check()
 
     def close(self) -> None:

@@ -33,12 +33,15 @@ class Frame:
         Its time, and those of its exposure.
     pixels
         (height, width) uint8 or uint16, row 0 on top.
+    origin
+        Column and row of the array at which it begins.
     """
 
     t_us: int
     exposure_begin_us: int
     exposure_end_us: int
     pixels: npt.NDArray[Any]
+    origin: tuple[int, int] = (0, 0)
 
 
 @dataclass(frozen=True)

@@ -43,7 +43,8 @@ def encoded_part(part: Part) -> list[bytes]:
 
 
 def _frame_bytes(frame: Frame) -> bytes:
-    head = [frame.t_us, frame.exposure_begin_us, frame.exposure_end_us, frame.pixels.dtype.str, frame.pixels.shape]
+    times = frame.t_us, frame.exposure_begin_us, frame.exposure_end_us
+    head = [*times, frame.pixels.dtype.str, frame.pixels.shape, frame.origin]
     return json.dumps(head).encode() + b"\n" + frame.pixels.tobytes()
 
 
@@ -125,5 +126,5 @@ def _with(part: Part, letter: bytes, data: bytes) -> Part:
 
 def _frame(data: bytes) -> Frame:
     head, _, pixels = data.partition(b"\n")
-    t_us, begin_us, end_us, dtype, shape = json.loads(head)
-    return Frame(t_us, begin_us, end_us, np.frombuffer(pixels, dtype).reshape(shape))
+    t_us, begin_us, end_us, dtype, shape, (column, row) = json.loads(head)
+    return Frame(t_us, begin_us, end_us, np.frombuffer(pixels, dtype).reshape(shape), (column, row))

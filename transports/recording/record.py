@@ -8,6 +8,7 @@ The file is a NumPy `.npz`:
     edge_resets  int64[k]   indices into `edges` at the same restarts
     imu          IMU[j]     samples of the inertial unit, see `part`; and imu_resets, as for edges
     size         int64[2]   width and height of the sensor, where they are known
+    frames       frame_record[f]   where there are any: times, and pixels of 10 bits; 0 outside a region of interest
 
 A client's view after it reset the camera's timestamps is `events[resets[-1]:]`. While the run lasts the events lie in a
 plain file beside it (`.part`), so that memory does not grow with the run and a killed run leaves its data. A record
@@ -17,6 +18,7 @@ that can be written no more (a full disk) stops, and its link goes on: see `Reco
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -25,9 +27,24 @@ from firmware_protocol.edges import EDGE, Edges
 from firmware_protocol.events import EVENT, Events
 from transports.output_file import OutputFile
 from transports.recording.array_file import ArrayFileError, load_arrays
-from transports.recording.part import IMU
+from transports.recording.part import IMU, Frame, Part
 
-__all__ = ["Recorder", "load_edges", "load_imu", "load_record", "save_record"]
+__all__ = ["Recorder", "frame_record", "load_edges", "load_frames", "load_imu", "load_record", "save_record"]
+
+
+def frame_record(size: tuple[int, int]) -> np.dtype[np.void]:
+    """Return the dtype of a frame of a sensor of `size` = (width, height); times in us of device time."""
+    times = [(name, "<i8") for name in ("t", "exposure_begin", "exposure_end")]
+    return np.dtype([*times, ("pixels", "<u2", (size[1], size[0]))])
+
+
+def _frame(frame: Frame, size: tuple[int, int]) -> npt.NDArray[np.void]:
+    record = np.zeros(1, frame_record(size))
+    record["t"] = frame.t_us
+    record["exposure_begin"], record["exposure_end"] = frame.exposure_begin_us, frame.exposure_end_us
+    (column, row), (rows, columns) = frame.origin, frame.pixels.shape
+    record["pixels"][0, row : row + rows, column : column + columns] = frame.pixels
+    return record
 
 
 class Recorder:
@@ -36,42 +53,42 @@ class Recorder:
     def __init__(self, path: Path, size: tuple[int, int] | None = None) -> None:
         self.path = path
         self._size = size
-        self._events = _Part(path.with_suffix(path.suffix + ".part"), EVENT)
-        self._edges = _Part(path.with_suffix(path.suffix + ".edges.part"), EDGE)
-        self._imu = _Part(path.with_suffix(path.suffix + ".imu.part"), IMU)
-        self._kept = self._events, self._edges, self._imu
+        self._events = _Raw(path.with_suffix(path.suffix + ".part"), EVENT)
+        self._edges = _Raw(path.with_suffix(path.suffix + ".edges.part"), EDGE)
+        self._imu = _Raw(path.with_suffix(path.suffix + ".imu.part"), IMU)
+        self._kept = [self._events, self._edges, self._imu]
+        self._frames: _Raw | None = None
 
     @property
     def trouble(self) -> str:
         """Why the record is not whole, for people; empty where it is."""
         return next((kept.trouble for kept in self._kept if kept.trouble), "")
 
-    def append(
-        self,
-        events: Events,
-        *,
-        edges: Edges | None = None,
-        imu: npt.NDArray[np.void] | None = None,
-        restarted: bool = False,
-        unix_us: int | None = None,
-    ) -> None:
-        """Add events, edges and IMU samples in device time; `restarted` when that time began anew before them.
+    def append(self, part: Part, *, restarted: bool = False, unix_us: int | None = None) -> None:
+        """Add a part in device time; `restarted` when that time began anew before it.
 
         This format has no place for `unix_us`, the Unix time at which it began.
         """
         if self.trouble:
             return
         if restarted or not self._events.resets:
-            for kept in self._kept:
+            for kept in (self._events, self._edges, self._imu):
                 kept.restart()
-        for kept, records in zip(self._kept, (events, edges, imu), strict=True):
-            if records is not None:
-                kept.append(records)
+        for kept, records in zip(self._kept, (part.events, part.edges, part.imu), strict=False):
+            kept.append(records)
+        if part.frames and self._size is not None:
+            self._add_frames(part.frames, self._size)
+
+    def _add_frames(self, frames: tuple[Frame, ...], size: tuple[int, int]) -> None:
+        if self._frames is None:
+            self._frames = _Raw(self.path.with_suffix(self.path.suffix + ".frames.part"), frame_record(size))
+            self._kept.append(self._frames)
+        self._frames.append(np.concatenate([_frame(frame, size) for frame in frames]))
 
     def close(self) -> None:
         """Write the `.npz` and remove the raw files, which stay where that is not possible."""
-        for part in self._kept:
-            part.close()
+        for kept in self._kept:
+            kept.close()
         if self.trouble:
             return
         try:
@@ -80,10 +97,11 @@ class Recorder:
             self._events.stop(error)
             self.path.unlink(missing_ok=True)  # half an archive is of no use, and the raw files have it all
             return
-        for part in self._kept:
-            part.remove()
+        for kept in self._kept:
+            kept.remove()
 
     def _write(self) -> None:
+        frames: dict[str, Any] = {} if self._frames is None else {"frames": self._frames.content()}
         with self.path.open("wb") as file:
             np.savez(
                 file,
@@ -94,10 +112,11 @@ class Recorder:
                 imu=self._imu.content(),
                 imu_resets=np.array(self._imu.resets, np.int64),
                 size=np.array(self._size or (), np.int64),
+                **frames,
             )
 
 
-class _Part:
+class _Raw:
     """One kind of record in a raw file, and at which of them time began anew."""
 
     def __init__(self, path: Path, dtype: np.dtype[np.void]) -> None:
@@ -153,6 +172,12 @@ def load_imu(path: Path) -> tuple[npt.NDArray[np.void], list[int]]:
     Raises ArrayFileError with the file's name, or OSError where it cannot be opened.
     """
     return _load(path, IMU, "imu", "imu_resets")
+
+
+def load_frames(path: Path) -> npt.NDArray[np.void]:
+    """Read a record's frames, (n,) of `frame_record`; (0,) where it has none."""
+    with np.load(path) as arrays:
+        return arrays["frames"] if "frames" in arrays else np.zeros(0, frame_record((0, 0)))
 
 
 def _load(path: Path, dtype: np.dtype[np.void], name: str, resets: str) -> tuple[npt.NDArray[np.void], list[int]]:

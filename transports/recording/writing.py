@@ -86,7 +86,7 @@ class RecordingFile:
         if len(part.edges) and "edges" in self._form.holds:
             self._waiting_edges.append(part.edges)
             self._newest_us = max(self._newest_us, int(part.edges["t"][-1]))
-        if len(part.imu) and "imu" in self._form.holds:
+        if (len(part.imu) and "imu" in self._form.holds) or (part.frames and "frames" in self._form.holds):
             self._put(dataclasses.replace(part, events=part.events[:0], edges=part.edges[:0]))
         until_us = self._starts_us[0] - 1 if self._hold else self._newest_us
         if (self._count >= _PIECE_EVENTS and not self._hold) or until_us - self._written_us >= self._form.piece_us:

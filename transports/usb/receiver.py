@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from firmware_protocol.events import Events, empty_events
 from transports.link.digest import digest_of
 from transports.link.pacing import Clock
+from transports.recording.part import Part
 from transports.recording.record import Recorder
 from transports.usb.cameras import CameraHost
 from transports.usb.davis_host import StreamSettings
@@ -79,7 +80,7 @@ def receive(
         events, edges = empty_events() if events is None else events, camera.take_edges()
         reception = reception.with_events(events, len(edges))
         if recorder is not None and (len(events) or len(edges)):
-            recorder.append(events, edges=edges)
+            recorder.append(Part(events, edges))
         reception = reception.at((clock.now_ns() - start_ns) * 1e-9, camera.faults.total)
 
     camera.start(StreamSettings(edges=True))

@@ -1,23 +1,31 @@
-"""Statistics of triggers and of the camera's clock, for the summary of a run."""
+"""Statistics of triggers, of the camera's clock, and of frames and samples, for the summary of a run."""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator
 
+from firmware_protocol.readings import ReadingCounters
 from transports.link.report import LinkReport
 
 __all__ = ["timing_json", "timing_lines"]
 
 
 def timing_json(report: LinkReport) -> dict[str, object]:
-    """Return the `edges` and `clock` of a link for the JSON summary."""
+    """Return the `edges`, `clock` and `readings` of a link for the JSON summary."""
     on_the_way = dataclasses.asdict(report.edges)
     fates = {} if report.camera is None else dataclasses.asdict(report.camera.edges)
     return {
         "edges": {**on_the_way, **fates, "balanced": report.edges_balanced},
         "clock": None if report.clock is None else dataclasses.asdict(report.clock),
+        "readings": {kind: _reading_json(report, kind) for kind in report.readings},
     }
+
+
+def _reading_json(report: LinkReport, kind: str) -> dict[str, object]:
+    counted = {} if report.camera is None else report.camera.readings
+    fates = dataclasses.asdict(counted.get(kind, ReadingCounters()))
+    return {**dataclasses.asdict(report.readings[kind]), **fates, "balanced": report.readings_balanced}
 
 
 def timing_lines(name: str, report: LinkReport) -> Iterator[str]:
@@ -33,6 +41,10 @@ def timing_lines(name: str, report: LinkReport) -> Iterator[str]:
         )
     if report.edges.marks:
         yield f"{name}: {report.edges.marks} own marks of the camera, {report.edges.marks_sent} sent"
+    for kind, fates in () if report.camera is None else report.camera.readings.items():
+        gone = fates.dropped + fates.flushed + fates.lost_on_link
+        unasked = f"{fates.not_running} not asked for"
+        yield f"{name}: {kind}: {fates.offered} readings = {fates.delivered} delivered, {gone} lost, {unasked}"
     if report.clock is not None:
         c = report.clock
         yield f"{name}: camera clock offset {c.offset_us:+.1f} us at {c.t_us * 1e-6:.3f} s, drift {c.ppm:+.3f} ppm"

@@ -6,7 +6,7 @@ on, later ones an interval after the one before, or when that one is done. Switc
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -16,12 +16,14 @@ from emulator.light import Light
 from emulator.sensor.aps.conversion import Converter
 from emulator.sensor.aps.exposure import Exposure
 from emulator.sensor.aps.parameters import FrameParameters
-from emulator.sensor.aps.timeline import FrameTimes, Schedule, frame_times
+from emulator.sensor.aps.row_kicks import LineReads
+from emulator.sensor.aps.timeline import Schedule, frame_times
 from firmware_protocol.frame_lines import FrameSettings, LineKind, line_record
 from firmware_protocol.readings import ReadingKind, Readings
 
 __all__ = ["FrameSource"]
 
+_READ = "t_ns", "line", "signal"
 _LEAST_INTERVAL_NS = 1_000_000  # a host can ask for one pixel without exposure: that would be millions of frames
 
 
@@ -44,6 +46,14 @@ class _Frame:
     def done(self) -> bool:
         """Whether all of it was told."""
         return self.told == len(self.schedule.t_us)
+
+    @property
+    def reads(self) -> LineReads:
+        """All its reads."""
+        times, lines = self.times, np.arange(self.lines.start, self.lines.stop)
+        signal = np.repeat([False, True], len(lines))
+        t_ns = np.concatenate([times.reset_ns, times.signal_ns])
+        return LineReads(t_ns, np.tile(lines, 2), signal, self.settings.by_column)
 
     def expose(self, before: Light, t0_ns: int, after: Light, t1_ns: int) -> None:
         """Add the light from `t0_ns` to `t1_ns`."""
@@ -79,11 +89,25 @@ class _Frame:
 
 
 class FrameSource:
-    """The active pixels of a chip of `size` = (width, height)."""
+    """The active pixels of a chip of `size` = (width, height).
+
+    Parameters
+    ----------
+    disturb
+        Is told of the reads that begin in each step, before the events of that step are made; None: nobody is.
+    """
 
     kind = ReadingKind.FRAMES
 
-    def __init__(self, parameters: FrameParameters, seed: int, size: tuple[int, int]) -> None:
+    def __init__(
+        self,
+        parameters: FrameParameters,
+        seed: int,
+        size: tuple[int, int],
+        disturb: Callable[[LineReads], None] | None = None,
+    ) -> None:
+        self._disturb = disturb
+        self._begun: list[_Frame] = []
         self.record = line_record(max(size))
         self._parameters = parameters
         self._seed = seed
@@ -93,11 +117,6 @@ class FrameSource:
         self._t_ns = self._before_ns = 0
         self._frame: _Frame | None = None
         self._next_ns: int | None = None
-
-    @property
-    def times(self) -> FrameTimes | None:
-        """Of the present frame; None between two."""
-        return None if self._frame is None else self._frame.times
 
     def reset(self, light: Light, t_ns: int) -> None:
         """Start at `t_ns` on `light`, (height, width) float32."""
@@ -110,6 +129,7 @@ class FrameSource:
         """Move to `t_ns`, when the light is `light`; return the lines that were read until then."""
         asked = FrameSettings.of(settings)
         told = np.zeros(0, self.record)
+        self._begun = []
         if not asked.run:
             self._frame = self._next_ns = None
             self._t_ns = t_ns
@@ -118,8 +138,16 @@ class FrameSource:
             self._next_ns = self._t_ns if self._before_ns == self._t_ns else t_ns
         told = np.concatenate([told, *self._frames(light, t_ns, asked)])
         self._before[:] = light
+        self._tell_reads(t_ns)
         self._t_ns = self._before_ns = t_ns
         return told
+
+    def _tell_reads(self, t_ns: int) -> None:
+        """Tell of the reads that begin in the step to `t_ns`."""
+        parts = [frame.reads.between(self._t_ns, t_ns) for frame in self._begun]
+        if self._disturb is not None and parts:
+            t, line, signal = (np.concatenate([getattr(one, name) for one in parts]) for name in _READ)
+            self._disturb(LineReads(t, line, signal, parts[-1].by_column))
 
     def _frames(self, light: Light, t_ns: int, asked: FrameSettings) -> Iterator[Readings]:
         """Yield what is told of each frame until `t_ns`."""
@@ -128,6 +156,7 @@ class FrameSource:
                 converter = self._converter(by_column=asked.by_column)
                 self._frame = _Frame(self._next_ns or 0, asked, converter, self._parameters.line_us)
             frame = self._frame
+            self._begun.append(frame)
             if self._before_ns == self._t_ns:
                 frame.expose(self._before, self._t_ns, light, t_ns)
             yield frame.read(t_ns // 1000, self.record)

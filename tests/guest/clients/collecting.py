@@ -1,6 +1,6 @@
 """What the three clients share: their arguments, and the events they collect.
 
-    client.py --count N --timeout S --output FILE.npz [--triggers] [--imu] [--packet-ms MS]
+    client.py --count N --timeout S --output FILE.npz [--triggers] [--imu] [--frames] [--packet-ms MS]
 
 Each client prints what it saw as one JSON object on its last line, and saves the events as the arrays t (int64,
 microseconds), x, y (uint16) and on (bool). At its first events it makes the empty file FILE.started.
@@ -10,6 +10,8 @@ them as trigger_t (int64, microseconds) and trigger_kind (uint8: 2 rising, 3 fal
 
 With --imu it takes samples of the inertial unit, and saves what the driver makes of them as imu_t (int64, microseconds)
 and imu (float64, one row each: acceleration x, y, z in g, temperature in degrees Celsius, rate x, y, z in deg/s).
+
+With --frames it saves frames as frame_t (int64, microseconds) and frames (n, height, width), as the driver gives them.
 
 With --packet-ms the drivers of iniVation hand events over after so much device time, instead of 10 ms: where a camera
 runs a thousand times faster than real time, their queues of packets would overflow.
@@ -33,6 +35,7 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument("--output", type=Path, required=True)
     parser.add_argument("--triggers", action="store_true", help="listen to the external input")
     parser.add_argument("--imu", action="store_true", help="take samples of the inertial unit")
+    parser.add_argument("--frames", action="store_true", help="keep frames")
     parser.add_argument("--packet-ms", type=int, default=0, help="device time between packets; 0: the driver's own")
     return parser
 
@@ -51,6 +54,7 @@ class Collector:
         self._columns: list[tuple[np.ndarray, ...]] = []
         self._triggers: list[tuple[int, int]] = []
         self._imu: list[tuple[float, ...]] = []
+        self._frames: list[tuple[int, np.ndarray]] = []
         self._collected = 0
         self._started: float | None = None
 
@@ -71,6 +75,9 @@ class Collector:
     def add_imu(self, t: int, *values: float) -> None:
         self._imu.append((t, *values))
 
+    def add_frame(self, t: int, pixels: np.ndarray) -> None:
+        self._frames.append((t, np.array(pixels)))
+
     def report(self, **seen: object) -> None:
         """Save the events and triggers and print what was seen."""
         columns = [np.concatenate(column) for column in zip(*self._columns, strict=True)] or [np.empty(0)] * 4
@@ -80,6 +87,8 @@ class Collector:
         }
         imu = np.array(self._imu, np.float64).reshape(-1, 8)
         triggers |= {"imu_t": imu[:, 0].astype(np.int64), "imu": imu[:, 1:]}
+        triggers |= {"frame_t": np.array([t for t, _ in self._frames], np.int64)}
+        triggers |= {"frames": np.array([pixels for _, pixels in self._frames])}
         np.savez(self._output, **dict(zip(("t", "x", "y", "on"), columns, strict=True)), **triggers)
         streamed_s = time.monotonic() - (self._started or time.monotonic())
         print(json.dumps({"events": self._collected, "streamed_s": round(streamed_s, 3), **seen}), flush=True)

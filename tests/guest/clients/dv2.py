@@ -44,6 +44,8 @@ def main() -> None:
         collect_triggers(camera, collector)
         if options.imu:
             collect_imu(camera, collector)
+        if options.frames and (frame := camera.getNextFrame()) is not None:
+            collector.add_frame(frame.timestamp, frame.image)
         batch = camera.getNextEventBatch()
         if batch is None:
             time.sleep(0.001)

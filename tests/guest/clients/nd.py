@@ -44,6 +44,8 @@ def main() -> None:
                 collector.add_trigger(int(trigger["t"]), KINDS[int(trigger["polarity"])])
             if options.imu and packet.imu_events is not None:
                 collect_imu(packet.imu_events, collector)
+            for frame in packet.frames if options.frames and packet.frames is not None else ():
+                collector.add_frame(int(frame.t), frame.pixels)
             if packet.polarity_events is None:
                 continue
             events = packet.polarity_events

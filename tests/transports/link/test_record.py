@@ -3,6 +3,7 @@
 import numpy as np
 
 from firmware_protocol.events import EVENT, empty_events
+from transports.recording.part import Part
 from transports.recording.record import Recorder, load_record
 
 
@@ -12,9 +13,9 @@ def test_a_record_holds_device_time_and_where_it_starts_anew(tmp_path):
     events["t"] = [5, 15, 25, 40, 50, 60]
     events["x"] = range(6)
     recorder = Recorder(path)
-    recorder.append(events[:2])
-    recorder.append(events[2:3])
-    recorder.append(events[3:], restarted=True)
+    recorder.append(Part(events[:2]))
+    recorder.append(Part(events[2:3]))
+    recorder.append(Part(events[3:]), restarted=True)
     recorder.close()
     read, resets = load_record(path)
     assert read.dtype == EVENT

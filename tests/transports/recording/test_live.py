@@ -15,7 +15,7 @@ from tests.transports.recording.test_files import DATED, read_all, read_until_da
 from transports.recording.format import FORMATS
 from transports.recording.live import LiveRecorder
 from transports.recording.opening import open_recorder
-from transports.recording.part import Facts
+from transports.recording.part import Facts, Part
 from transports.recording.record import Recorder
 
 pytestmark = pytest.mark.system
@@ -47,7 +47,7 @@ def test_what_was_appended_is_in_the_file(name, tmp_path):
     for start in range(0, len(EVENTS), 37):
         part = EVENTS[start : start + 37]
         own = edges[(edges["t"] >= part["t"][0]) & (edges["t"] <= part["t"][-1])]
-        recorder.append(part, edges=own, unix_us=UNIX_US)
+        recorder.append(Part(part, edges=own), unix_us=UNIX_US)
     recorder.close()
     assert recorder.trouble == ""
     assert recorder.report["events"] == len(EVENTS)
@@ -59,8 +59,8 @@ def test_what_was_appended_is_in_the_file(name, tmp_path):
 
 def test_a_clock_that_starts_anew_has_a_file_of_its_own(tmp_path):
     recorder = LiveRecorder(tmp_path / "a.aedat4", FORMATS["aedat4"], FACTS)
-    recorder.append(events_at([100, 200]), unix_us=UNIX_US)
-    recorder.append(events_at([3, 4]), restarted=True, unix_us=UNIX_US + 150)
+    recorder.append(Part(events_at([100, 200])), unix_us=UNIX_US)
+    recorder.append(Part(events_at([3, 4])), restarted=True, unix_us=UNIX_US + 150)
     recorder.close()
     assert recorder.trouble == ""
     paths = [tmp_path / "a.aedat4", tmp_path / "a-clock2.aedat4"]
@@ -75,12 +75,12 @@ def test_a_killed_writer_leaves_what_it_wrote_and_is_told(name, tmp_path):
     recorder = LiveRecorder(path, FORMATS[name], FACTS)
     events = sample_events(300_000, seed=8)
     for start in range(0, len(events), 1000):
-        recorder.append(events[start : start + 1000], unix_us=None)
+        recorder.append(Part(events[start : start + 1000]), unix_us=None)
     assert waited(lambda: recorder.room == (1 << 27) // EVENT.itemsize)
     time.sleep(0.5)  # the writer's own idle time, after which nothing waits in it
     os.kill(recorder._process.pid, signal.SIGKILL)
     recorder.close()
-    recorder.append(events[:10], unix_us=None)
+    recorder.append(Part(events[:10]), unix_us=None)
     assert "its writer was killed" in recorder.trouble
     assert recorder.missing == 10
     read, trouble = read_until_damage(path)
@@ -96,11 +96,11 @@ import numpy as np
 from firmware_protocol.events import EVENT
 from transports.recording.format import FORMATS
 from transports.recording.live import LiveRecorder
-from transports.recording.part import Facts
+from transports.recording.part import Facts, Part
 recorder = LiveRecorder(Path(sys.argv[1]), FORMATS["aedat4"], Facts((346, 260)))
 events = np.zeros(5000, EVENT)
 events["t"] = np.arange(5000)
-recorder.append(events)
+recorder.append(Part(events))
 while recorder._waiting_bytes: pass
 os.kill(os.getpid(), 9)
 """
@@ -122,7 +122,7 @@ def test_a_full_disk_stops_the_record_alone(name, tmp_path):
     recorder = LiveRecorder(tmp_path / "full", FORMATS[name], FACTS)
     events = sample_events(100_000)
     for start in range(0, len(events), 1000):
-        recorder.append(events[start : start + 1000])
+        recorder.append(Part(events[start : start + 1000]))
     recorder.close()
     assert recorder.trouble == f"record stopped: No space left on device ({tmp_path / 'full'})"
 
@@ -138,7 +138,7 @@ def test_events_that_come_faster_than_they_can_be_written_are_counted(tmp_path, 
     recorder = LiveRecorder(tmp_path / "a.aedat4", FORMATS["aedat4"], FACTS)
     os.kill(recorder._process.pid, signal.SIGSTOP)
     for k in range(300):
-        recorder.append(events_at(range(1000 * k, 1000 * k + 1000)), unix_us=UNIX_US)
+        recorder.append(Part(events_at(range(1000 * k, 1000 * k + 1000))), unix_us=UNIX_US)
     os.kill(recorder._process.pid, signal.SIGCONT)
     recorder.close()
     assert recorder.missing > 100_000
@@ -151,7 +151,7 @@ def test_a_run_that_is_not_paced_waits_and_loses_nothing(tmp_path, monkeypatch):
     monkeypatch.setattr("transports.recording.live._CAPACITY_BYTES", 13 * 5000)
     recorder = LiveRecorder(tmp_path / "a.raw", FORMATS["evt3"], FACTS)
     for k in range(300):
-        recorder.append(events_at(range(1000 * k, 1000 * k + 1000)))
+        recorder.append(Part(events_at(range(1000 * k, 1000 * k + 1000))))
     recorder.close()
     assert (recorder.missing, recorder.trouble) == (0, "")
     assert read_all(tmp_path / "a.raw")[1]["t"].tolist() == list(range(300_000))

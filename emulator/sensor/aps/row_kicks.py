@@ -1,0 +1,158 @@
+"""Reading a line of active pixels disturbs its event pixels: something is added to their signal for a moment.
+
+A pixel whose level comes within that of its ON threshold fires then, instead of later: the rest of its course is as if
+it had crossed the threshold by itself. So every leak event of a still pixel comes at a read, and events of a rising
+light come in bursts at the reads of their line, with fewer after them.
+
+Source: one recording of a DAVIS346 (2.36 s, 59 frames). In still pixels 373 of 376 events lie within 22 us of a read of
+their own row, 302 at signal and 74 at reset reads; 10.4 % of all ON events within 20 us. They begin some 18 us before
+their median and decay over about 36 us: here an exponential delay. What is added is 0.10 of the ON threshold; that of
+signal reads is a little larger in most pixels, because in stillness the larger one always comes first.
+
+Levels at a read lie on the straight line between those at both ends of the step.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from emulator.sensor.aps.parameters import KickParameters
+from emulator.sensor.numerics.keyed import Purpose, normal, uniform
+from emulator.sensor.pixels.array import Crossings, PixelArray
+from emulator.sensor.pixels.levels import Levels
+from emulator.sensor.pixels.merging import NO_CROSSINGS, merged
+from emulator.sensor.presets import SensorParameters
+
+__all__ = ["LineReads", "RowKicks"]
+
+_Int64s = npt.NDArray[np.int64]
+_Float32s = npt.NDArray[np.float32]
+_RESET, _SIGNAL = 0, 1
+
+
+@dataclass(frozen=True)
+class LineReads:
+    """Reads that begin in a step: times (n,) ns, lines (n,) of the user's picture, whether of the signal (n,)."""
+
+    t_ns: _Int64s
+    line: _Int64s
+    signal: npt.NDArray[np.bool_]
+    by_column: bool = False
+
+    def only(self, *, signal: bool) -> LineReads:
+        """Return the reads of one kind."""
+        return self._chosen(self.signal == signal)
+
+    def between(self, t0_ns: int, t1_ns: int) -> LineReads:
+        """Return the reads from `t0_ns` on and before `t1_ns`."""
+        return self._chosen((self.t_ns >= t0_ns) & (self.t_ns < t1_ns))
+
+    def _chosen(self, which: npt.NDArray[np.bool_]) -> LineReads:
+        return LineReads(self.t_ns[which], self.line[which], self.signal[which], self.by_column)
+
+    def pixels(self, width: int, height: int) -> tuple[_Int64s, _Int64s]:
+        """Return the pixels of all lines, and the time at which each is read, (n * length,)."""
+        along = np.arange(height) * width if self.by_column else np.arange(width)
+        first = self.line if self.by_column else self.line * width
+        pixel = (first[:, None] + along).reshape(-1)
+        return pixel, np.repeat(self.t_ns, len(along))
+
+
+@dataclass(frozen=True)
+class _Before:
+    """The pixels that are read in a step, when, and their levels at its start."""
+
+    pixel: _Int64s
+    t_ns: _Int64s
+    level: _Float32s
+    kind: int
+
+
+class RowKicks:
+    """What reads do to the events of an array."""
+
+    def __init__(self, kicks: KickParameters, sensor: SensorParameters, seed: int, array: PixelArray) -> None:
+        self._size = sensor.width, sensor.height
+        self._delay_ns = kicks.delay_us * 1000
+        self._seed = seed
+        self._levels = Levels(array)
+        pixels = np.arange(sensor.width * sensor.height)
+        excess = kicks.signal_excess / 2
+        self._added = [
+            (kicks.share * sensor.threshold_on * (1 + side + kicks.spread * normal(seed, Purpose.APS_KICK, pixels, k)))
+            for k, side in ((_RESET, -excess), (_SIGNAL, excess))
+        ]
+        self._late = NO_CROSSINGS
+        self._place = np.full(len(pixels), -1, np.int64)
+
+    def begin(self, reads: LineReads) -> list[_Before]:
+        """Take note of the levels at a step's start of all pixels that are read in it."""
+        groups = []
+        for kind in (_RESET, _SIGNAL):
+            own = reads.only(signal=kind == _SIGNAL)
+            if len(own.t_ns):
+                pixel, t_ns = own.pixels(*self._size)
+                pixel, first = np.unique(pixel, return_index=True)
+                groups.append(_Before(pixel, t_ns[first], self._levels.of(pixel), kind))
+        return groups
+
+    def end(self, groups: list[_Before], crossings: Crossings, t0_ns: int, t1_ns: int) -> Crossings:
+        """Return a step's crossings with what the reads made of them; some events may come in a later step."""
+        for group in groups:
+            crossings = self._kicked(group, crossings, t0_ns, t1_ns)
+        if not len(self._late) and not groups:
+            return crossings
+        crossings, self._late = merged(crossings, self._late), NO_CROSSINGS
+        inside = int(np.searchsorted(crossings.t_ns, t1_ns))
+        self._late = _part(crossings, np.arange(inside, len(crossings)), 0)
+        return _part(crossings, np.arange(inside), crossings.lost_in_pixel)
+
+    def rest(self) -> Crossings:
+        """Return the events that are still to come."""
+        late, self._late = self._late, NO_CROSSINGS
+        return late
+
+    def _kicked(self, group: _Before, crossings: Crossings, t0_ns: int, t1_ns: int) -> Crossings:
+        on, off = self._levels.thresholds(group.pixel)
+        self._place[group.pixel] = np.arange(len(group.pixel))
+        place = self._place[crossings.pixel]
+        self._place[group.pixel] = -1
+        at = np.flatnonzero(place >= 0)
+        place = place[at]
+        moved = np.where(crossings.on[at], on[place], -off[place])
+        before = crossings.t_ns[at] <= group.t_ns[place]
+        n = len(group.pixel)
+        until_read, in_all = (np.bincount(place, moved * chosen, n) for chosen in (before, np.ones(len(at))))
+        share = (group.t_ns - t0_ns) / (t1_ns - t0_ns)
+        rise = self._levels.of(group.pixel) + in_all - group.level
+        level = group.level + share * rise - until_read
+        fired = np.flatnonzero(level + self._added[group.kind][group.pixel] >= on)
+        return self._moved_or_added(group, fired, crossings, (at[~before], place[~before]))
+
+    def _moved_or_added(
+        self, group: _Before, fired: _Int64s, crossings: Crossings, later: tuple[_Int64s, _Int64s]
+    ) -> Crossings:
+        """Let the pixels `fired` of a group fire: instead of their next event in the step, if that is an ON event."""
+        places, first = np.unique(later[1], return_index=True)
+        following = np.full(len(group.pixel), -1, np.int64)
+        following[places] = later[0][first]
+        instead = following[fired]
+        instead = instead[instead >= 0]
+        instead = instead[crossings.on[instead]]
+        has_own = np.isin(group.pixel[fired], crossings.pixel[instead])
+        self._levels.fire(group.pixel[fired][~has_own])
+        kept = np.ones(len(crossings), np.bool_)
+        kept[instead] = False
+        pixel, index = group.pixel[fired], group.t_ns[fired] // 1000 + 2  # 0 and 1 are the strengths
+        waits = -np.log(uniform(self._seed, Purpose.APS_KICK, pixel, index)) * self._delay_ns
+        t_ns = group.t_ns[fired] + waits.astype(np.int64)
+        order = np.lexsort((pixel, t_ns))
+        new = Crossings(t_ns[order], pixel[order].astype(np.uint32), np.ones(len(order), np.bool_))
+        return merged(_part(crossings, np.flatnonzero(kept), crossings.lost_in_pixel), new)
+
+
+def _part(crossings: Crossings, which: _Int64s, lost: int) -> Crossings:
+    return Crossings(crossings.t_ns[which], crossings.pixel[which], crossings.on[which], lost)

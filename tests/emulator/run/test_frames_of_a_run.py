@@ -1,0 +1,52 @@
+"""Frames in whole runs: from the rig's table through a link's process into the record; and none without the table."""
+
+import json
+
+import numpy as np
+import pytest
+
+from emulator.cli.app import _main
+from emulator.rig.loading import RigError, parse_rig
+from emulator.run.assembly import link_setups, reading_sources
+from emulator.sensor.aps.parameters import FrameParameters
+from transports.recording.record import load_frames
+
+SCENE = '[scene]\nkind = "checkerboard"\nspeed_px_s = 20.0\n'
+SMALL = "[camera.sensor]\nwidth = 64\nheight = 48\n"
+RUN = '[run]\nseconds = 0.2\npace = "free"\n'
+LINK = '[[links]]\nkind = "loopback"\n'
+
+
+def rig(text):
+    return parse_rig(SCENE + text + LINK, "my.toml", "my")
+
+
+def test_the_table_is_typed_and_its_mistakes_are_told():
+    assert rig("[camera.frames]\nreset_dn = 800\n").camera.frames == FrameParameters(reset_dn=800)
+    with pytest.raises(RigError, match="reset_dn = 100"):
+        rig("[camera.frames]\nreset_dn = 100\n")
+    with pytest.raises(RigError, match=r"camera\.frames\.kicks\.share"):
+        rig("[camera.frames.kicks]\nshare = 2\n")
+
+
+def test_without_the_table_there_are_no_rings_and_no_sources():
+    (setup,) = link_setups(rig(""))
+    assert setup.readings == ()
+    assert reading_sources(rig("")) == []
+    assert not setup.device().settings.frames
+
+
+@pytest.mark.system
+@pytest.mark.parametrize("layout", ["upright", "turned"])
+def test_a_run_delivers_its_frames_and_records_them(tmp_path, capsys, layout):
+    path, record = tmp_path / "my.toml", tmp_path / "a.npz"
+    path.write_text(SCENE + f'[camera]\nlayout = "{layout}"\n[camera.frames]\n' + SMALL + RUN + LINK)
+    assert _main(["run", str(path), "--record", str(record), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out.splitlines()[-1])
+    readings = told["links"]["loopback"]["readings"]["frames"]
+    assert readings["balanced"]
+    assert readings["delivered"] == readings["offered"] == readings["taken"] > 300
+    frames = load_frames(record)
+    assert len(frames) >= 3
+    assert np.ptp(frames["pixels"].astype(int)) > 200
+    assert set(frames["exposure_end"] - frames["exposure_begin"]) == {4000}

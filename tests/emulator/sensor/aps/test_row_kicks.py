@@ -1,0 +1,157 @@
+"""Row kicks against their law, played pixel by pixel: when events come within the frame, how many, and off without."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.stats import ks_2samp, kstest
+
+from emulator.sensor.aps.parameters import FrameParameters, KickParameters
+from emulator.sensor.aps.source import FrameSource
+from emulator.sensor.aps.timeline import frame_times
+from emulator.sensor.presets import PRESETS
+from emulator.sensor.sensor import Sensor
+from firmware_protocol.frame_lines import FrameSettings
+
+WIDTH, HEIGHT = 64, 32
+THRESHOLD = 0.2
+IDEAL = dataclasses.replace(
+    PRESETS["ideal"], width=WIDTH, height=HEIGHT, threshold_on=THRESHOLD, threshold_off=THRESHOLD, random_start=True
+)
+ASKED = FrameSettings(True, True, False, 300_000, 10_000_000, 40_000_000, 0, 0, WIDTH - 1, HEIGHT - 1)
+LINE_US = 35.25 * 346 / WIDTH
+KICKS = KickParameters(share=0.1, signal_excess=0, spread=0)
+
+
+def run(frames_s, kicks, slope_hz=0.0, leak_hz=0.0, step_ns=1_000_000, asked=ASKED):
+    """Events of light that rises by `slope_hz` thresholds a second, with frames all the time.
+
+    Rates with no simple ratio to the frames: else a pixel fires at the same phase in each, and they count as one.
+    """
+    sensor = Sensor(dataclasses.replace(IDEAL, leak_hz=leak_hz, leak_spread=0), 7)
+    assert sensor.with_kicks(kicks)
+    parameters = FrameParameters(line_us=LINE_US, kicks=kicks)
+    source = FrameSource(parameters, 7, (WIDTH, HEIGHT), sensor.disturb)
+    settings = tuple(int(n) for n in dataclasses.astuple(asked))
+
+    def light(t_ns):
+        return np.full((HEIGHT, WIDTH), 0.1 * np.exp(THRESHOLD * slope_hz * t_ns * 1e-9), np.float32)
+
+    sensor.reset(light(0), 0)
+    source.reset(light(0), 0)
+    events = []
+    for t_ns in range(step_ns, round(frames_s * 1e9) + 1, step_ns):
+        source.read(light(t_ns), t_ns, settings)
+        events.append(sensor.expose(light(t_ns), t_ns))
+    events.append(sensor.finish())
+    assert sensor.raised == sensor.read_out
+    return np.concatenate(events)
+
+
+def read_times_ns(asked=ASKED):
+    """Start of the reset and of the signal read of each line, (2, lines), in the first frame."""
+    times = frame_times(0, asked, LINE_US)
+    return np.stack([times.reset_ns, times.signal_ns])
+
+
+def since_own_read_us(events, line="y", asked=ASKED):
+    """Time since the last read of the event's own line, rounded up."""
+    starts = read_times_ns(asked)[:, events[line]]
+    return ((whole_us(events["t"]) - starts) % 40_000_000).min(axis=0) * 1e-3
+
+
+def whole_us(t_us):
+    """The last nanosecond of the microsecond that an event tells."""
+    return t_us.astype(np.int64) * 1000 + 999
+
+
+def after_start(events):
+    """Without the first frame, at whose start some pixels are close to their thresholds."""
+    return events[events["t"] >= 40_000]
+
+
+def played(rate_hz, seconds, seed, strength=(0.1, 0.1)):
+    """The law, one pixel after another: times (ns) and lines of all events of levels that rise at `rate_hz`."""
+    random = np.random.default_rng(seed)
+    found = []
+    for line in range(HEIGHT):
+        reads = [(f * 40_000_000 + read_times_ns()[k, line], k) for f in range(int(seconds / 0.04) + 1) for k in (0, 1)]
+        for level in random.random(WIDTH):
+            found += [(t, line) for t in _pixel(level, rate_hz * 1e-9, sorted(reads), strength, random)]
+    t_ns, lines = np.array([f for f in found if f[0] < seconds * 1e9]).T
+    return whole_us(t_ns // 1000), lines.astype(int)
+
+
+def _pixel(level, rate, reads, strength, random):
+    now = 0
+    for read, kind in reads:
+        while level + rate * (read - now) >= 1:
+            now += (1 - level) / rate
+            level = 0.0
+            yield now
+        level, now = level + rate * (read - now), read
+        if level + strength[kind] >= 1:
+            level -= 1
+            yield now + random.exponential(26_000)
+
+
+def in_frame(t_ns, line):
+    """Time since the reset read of the own line, in the frame."""
+    return (t_ns - read_times_ns()[0][line]) % 40_000_000
+
+
+@pytest.mark.parametrize("rate_hz", [5.37, 47.3])
+def test_events_of_rising_light_come_in_the_frame_as_the_law_has_it(rate_hz):
+    seconds = 4.0 if rate_hz < 10 else 0.8
+    events = run(seconds, KICKS, slope_hz=rate_hz)
+    expected = played(rate_hz, seconds, 3)
+    assert len(events) == pytest.approx(len(expected[0]), rel=0.02)
+    emulated = in_frame(whole_us(events["t"]), events["y"])
+    assert ks_2samp(emulated, in_frame(*expected)).pvalue > 0.01
+    without = run(seconds, dataclasses.replace(KICKS, share=0), slope_hz=rate_hz)
+    flat = in_frame(whole_us(without["t"]), without["y"])
+    assert ks_2samp(flat, in_frame(*expected)).pvalue < 1e-6
+
+
+def test_a_kick_is_worth_its_share_of_a_threshold_and_is_repaid():
+    events = run(0.8, KICKS, slope_hz=47.3)
+    since = since_own_read_us(events)
+    assert np.count_nonzero(since < 200) / (40 * WIDTH * HEIGHT) == pytest.approx(0.1, rel=0.03)  # 20 frames of 2 reads
+    assert not np.count_nonzero((since > 400) & (since < 1900))  # 2 ms of rising were taken ahead
+    assert len(events) == pytest.approx(0.8 * 47.3 * WIDTH * HEIGHT, rel=0.01)
+
+
+def test_events_of_still_pixels_come_at_reads_of_their_own_line_alone():
+    events = run(2.0, KICKS, leak_hz=0.5)
+    assert len(events) == pytest.approx(2 * 0.5 * WIDTH * HEIGHT, rel=0.1)
+    assert events["on"].all()
+    since = since_own_read_us(after_start(events))
+    assert since.max() < 400
+    assert kstest(since - 0.5, "expon", args=(0, 26)).pvalue > 0.001
+
+
+def test_in_stillness_the_stronger_read_takes_most_events():
+    """302 of 376 at signal reads in the recording."""
+    events = after_start(run(40.0, KickParameters(), leak_hz=0.02, step_ns=20_000_000))
+    signal = (whole_us(events["t"]) - read_times_ns()[1][events["y"]]) % 40_000_000 < 400_000
+    assert len(events) > 1000
+    assert 0.70 < signal.mean() < 0.88
+
+
+def test_lines_are_columns_in_an_upright_chip():
+    asked = dataclasses.replace(ASKED, by_column=True)
+    events = after_start(run(1.0, KICKS, leak_hz=1.0, asked=asked))
+    assert len(events) > 1000
+    assert since_own_read_us(events, "x", asked).max() < 400
+
+
+def test_kicks_do_not_depend_on_the_step():
+    runs = [run(0.2, KICKS, slope_hz=20.0, step_ns=step) for step in (500_000, 2_000_000)]
+    common = np.intersect1d(*[one.view("V13") if one.itemsize == 13 else one for one in runs])
+    assert len(common) > 0.99 * len(runs[0])
+
+
+def test_without_frames_nothing_is_disturbed():
+    off = run(0.3, KICKS, slope_hz=20.0, asked=dataclasses.replace(ASKED, run=False))
+    never = run(0.3, dataclasses.replace(KICKS, share=0), slope_hz=20.0, asked=dataclasses.replace(ASKED, run=False))
+    assert off.tolist() == never.tolist()
