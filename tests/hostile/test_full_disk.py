@@ -69,7 +69,7 @@ def test_a_record_for_which_the_archive_has_no_room_is_kept_as_it_is(tiny):
     recorder.append(Part(events(12_000)))  # 156 kB, twice
     recorder.close()
     assert NO_SPACE in recorder.trouble
-    assert [path.name for path in sorted(tiny.iterdir())] == ["a.npz.edges.part", "a.npz.part"]
+    assert [path.name for path in sorted(tiny.iterdir())] == ["a.npz.edges.part", "a.npz.imu.part", "a.npz.part"]
     assert (tiny / "a.npz.part").stat().st_size == 12_000 * EVENT.itemsize
 
 

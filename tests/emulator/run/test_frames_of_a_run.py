@@ -8,6 +8,7 @@ import pytest
 from emulator.cli.app import _main
 from emulator.rig.loading import RigError, parse_rig
 from emulator.run.assembly import link_setups, reading_sources
+from emulator.run.scene_assembly import build_scene
 from emulator.sensor.aps.parameters import FrameParameters
 from transports.recording.record import load_frames
 
@@ -30,9 +31,10 @@ def test_the_table_is_typed_and_its_mistakes_are_told():
 
 
 def test_without_the_table_there_are_no_rings_and_no_sources():
-    (setup,) = link_setups(rig(""))
+    plain = rig("")
+    (setup,) = link_setups(plain)
     assert setup.readings == ()
-    assert reading_sources(rig("")) == []
+    assert reading_sources(plain, build_scene(plain)) == []
     assert not setup.device().settings.frames
 
 
