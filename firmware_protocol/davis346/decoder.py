@@ -136,6 +136,11 @@ class Decoder:
         """Device time of the last timestamp or wrap."""
         return self._time_us
 
+    @property
+    def row(self) -> int:
+        """Address of the last row word."""
+        return self._row
+
     def feed(self, data: bytes) -> Decoded:
         """Decode the next bytes of the stream; any bytes give a result."""
         data = self._odd + data if self._odd else data

@@ -183,7 +183,7 @@ class DavisHost:
         return np.concatenate([empty_edges(), *edges])
 
     def _decode(self, data: bytes) -> Decoded:
-        decoded = self._decoder.feed(data)
+        decoded = self._decoder.feed(_whole_words(data))
         if self._keeps_edges:
             self._edges.append(decoded.edges)
         return decoded
@@ -278,11 +278,16 @@ class DavisHost:
             data = reader.read(max(0.0, deadline - time.monotonic()))
             if data is None:
                 raise TransferTimeout(f"no timestamp reset in the stream within {_RESET_TIMEOUT_S:g} s")
-            decoded = self._decoder.feed(data)
+            decoded = self._decoder.feed(_whole_words(data))
             if len(decoded.resets):
                 after = decoded.since_reset()
                 self._edges = [after.edges] if self._keeps_edges else []
                 return after.events
+
+
+def _whole_words(data: bytes) -> bytes:
+    """Return a transfer without an odd byte at its end, which is damage: the camera sends words, never half of one."""
+    return data[: len(data) & ~1]
 
 
 def _require(what: str, found: int, good: bool, wanted: str) -> None:

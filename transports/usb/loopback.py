@@ -15,11 +15,11 @@ import numpy as np
 
 from firmware_protocol.edges import Edges
 from firmware_protocol.events import Events
-from firmware_protocol.usb.device import Identity, SetupPacket, Stall, Transfer, UsbCamera, UsbDevice
+from firmware_protocol.usb.device import Identity, NotReady, SetupPacket, Stall, Transfer, UsbCamera, UsbDevice
 from transports.link.deliveries import Deliveries
 from transports.link.endpoint import Endpoint, EndpointFactory, LinkBroken
 from transports.usb.davis_host import DavisHost, StreamSettings
-from transports.usb.host import StallError
+from transports.usb.host import StallError, TransferTimeout
 from transports.usb.observed import Observed
 
 __all__ = ["DirectHost", "DirectReader", "LoopbackEndpoint", "LoopbackFactory"]
@@ -83,6 +83,8 @@ class DirectHost:
             return self._device.control(setup, data)
         except Stall as stall:
             raise StallError(f"the device refused {setup}") from stall
+        except NotReady as late:
+            raise TransferTimeout(f"{setup}: no answer now, and nothing here waits") from late
 
     def stream(self, endpoint: int, transfer_bytes: int = 131_072, transfers: int = 32) -> DirectReader:
         """Read an IN endpoint; there is nothing to queue."""

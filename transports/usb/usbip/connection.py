@@ -7,7 +7,7 @@
 What is promised:
 
 - IN URBs of an endpoint are answered in the order they came, each with what one `read` of the device gave; while the
-  device has nothing they stay pending. Control URBs never wait for them.
+  device has nothing they stay pending. Control URBs never wait for them, but for an older one that has no answer yet.
 - While the socket takes no more, no URB is read from the peer and no data from the device: what the device cannot keep
   it drops and counts itself.
 - Every Transfer read from the device is reported `sent` when the kernel has all its bytes, or `lost` when the
@@ -26,7 +26,7 @@ from collections import OrderedDict, deque
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from firmware_protocol.usb.device import SetupPacket, Stall, Transfer, UsbDevice
+from firmware_protocol.usb.device import NotReady, SetupPacket, Stall, Transfer, UsbDevice
 from firmware_protocol.usb.usbip import (
     DeviceListReply,
     DeviceListRequest,
@@ -98,6 +98,8 @@ class Connection(asyncio.Protocol):
         self._device: UsbDevice | None = None
         # Endpoint number -> the URBs that wait there by sequence number, oldest first.
         self._pending: dict[int, OrderedDict[int, Submit]] = {}
+        # What the oldest control URB asks; the same object for as long as it waits.
+        self._setup: SetupPacket | None = None
         self._unsent: deque[Transfer] = deque()
         self._blocked = False
         self._leaving = False
@@ -154,9 +156,8 @@ class Connection(asyncio.Protocol):
 
     def answer(self) -> None:
         """Answer pending IN URBs with what the device has now."""
-        for endpoint, urbs in self._pending.items():
-            while urbs and self._writable and self._answer_one(endpoint, urbs):
-                pass
+        for endpoint in tuple(self._pending):
+            self._answer_all(endpoint)
 
     def hang_up(self) -> None:
         """Say goodbye: the peer gets what was sent, and closes when it has seen the end.
@@ -222,9 +223,7 @@ class Connection(asyncio.Protocol):
             self._transport.close()
 
     def _submit(self, urb: Submit) -> None:
-        if urb.endpoint == 0:
-            self._control(urb)
-        elif urb.is_in:
+        if urb.endpoint == 0 or urb.is_in:
             self._queue(urb)
         else:
             # A UsbDevice has no OUT endpoint but 0.
@@ -233,27 +232,39 @@ class Connection(asyncio.Protocol):
     def _queue(self, urb: Submit) -> None:
         if any(urb.seqnum in urbs for urbs in self._pending.values()):
             raise UsbipError(f"sequence number {urb.seqnum} is used by two pending URBs")
-        if sum(map(len, self._pending.values())) >= self._settings.pending_urbs:
+        answered_at_once = urb.endpoint == 0 and not self._pending.get(0)
+        if not answered_at_once and sum(map(len, self._pending.values())) >= self._settings.pending_urbs:
             raise UsbipError(f"more than {self._settings.pending_urbs} URBs pending")
         self._pending.setdefault(urb.endpoint, OrderedDict())[urb.seqnum] = urb
+        if urb.endpoint == 0:
+            self._answer_all(0)
 
     def _unlink(self, unlink: Unlink) -> None:
+        if unlink.victim == next(iter(self._pending.get(0, ())), None):
+            self._setup = None
         taken = any(urbs.pop(unlink.victim, None) is not None for urbs in self._pending.values())
         # A URB that was taken back gets no RET_SUBMIT; one that was answered before is left to its answer.
         self._transport.write(bytes(Unlinked(unlink.seqnum, UrbStatus.UNLINKED if taken else UrbStatus.OK)))
 
-    def _control(self, urb: Submit) -> None:
+    def _control(self, urb: Submit) -> bool:
+        """Answer a control URB; False when the device has no answer yet."""
         assert self._device
-        setup = SetupPacket.parse(urb.setup)
+        setup = self._setup = self._setup or SetupPacket.parse(urb.setup)
         try:
             if setup.length and setup.is_in != urb.is_in:
                 raise Stall("the direction of the URB is not that of its setup packet")
             data = self._device.control(setup, urb.data)[: min(setup.length, urb.length)]
+        except NotReady:
+            return False
         except Stall as stall:
             log.debug("%s: STALL of %s: %s", self.peer, setup, stall)
-            self._reply(Submitted(urb.seqnum, UrbStatus.STALL, 0))
+            reply = Submitted(urb.seqnum, UrbStatus.STALL, 0)
         else:
-            self._reply(Submitted(urb.seqnum, UrbStatus.OK, len(data) if urb.is_in else len(urb.data), data))
+            reply = Submitted(urb.seqnum, UrbStatus.OK, len(data) if urb.is_in else len(urb.data), data)
+        self._setup = None
+        del self._pending[0][urb.seqnum]
+        self._reply(reply)
+        return True
 
     def _reply(self, reply: Submitted) -> None:
         # One write, so that header and data leave in one segment.
@@ -261,10 +272,18 @@ class Connection(asyncio.Protocol):
 
     # Data from the device.
 
+    def _answer_all(self, endpoint: int) -> None:
+        """Answer the URBs of an endpoint as far as the device can."""
+        urbs = self._pending[endpoint]
+        while urbs and self._writable and self._answer_one(endpoint, urbs):
+            pass
+
     def _answer_one(self, endpoint: int, urbs: OrderedDict[int, Submit]) -> bool:
         """Answer the oldest URB of an endpoint; False when the device has nothing for it."""
         assert self._device
         seqnum, urb = next(iter(urbs.items()))
+        if endpoint == 0:
+            return self._control(urb)
         try:
             transfer = self._device.read(endpoint, urb.length)
         except Stall:

@@ -29,17 +29,17 @@ class UsbipFactory(EndpointFactory[UsbCamera]):
 
     def build(self, device: UsbCamera, deliveries: Deliveries) -> UsbipEndpoint:
         """Return the server, not yet listening."""
-        return UsbipEndpoint(self, FaultyDevice(Observed(device, deliveries), self.faults))
+        return UsbipEndpoint(self, FaultyDevice(device, self.faults), deliveries)
 
 
 class UsbipEndpoint(Endpoint):
     """One camera on one port."""
 
-    def __init__(self, factory: UsbipFactory, device: FaultyDevice) -> None:
+    def __init__(self, factory: UsbipFactory, device: FaultyDevice, deliveries: Deliveries) -> None:
         self._at = factory
         self._device = device
         self._is_gone = False
-        self._server = UsbipServer({factory.busid: device}, allow=factory.allow)
+        self._server = UsbipServer({factory.busid: Observed(device, deliveries)}, allow=factory.allow)
 
     async def start(self) -> None:
         """Listen; raises OSError, with what to do, when the port cannot be had."""

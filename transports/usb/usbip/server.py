@@ -61,7 +61,8 @@ class UsbipServer:
         allow: Sequence[str] = (),
     ) -> None:
         self._devices = dict(devices)
-        self._records = {busid: _record(busid, device) for busid, device in devices.items()}
+        for busid in devices:
+            _place(busid)
         self._settings = settings or ConnectionSettings()
         self._admission = Admission(AllowList(allow), places)
         self._listener = Listener(self._admission, self._connect)
@@ -132,7 +133,8 @@ class UsbipServer:
 
     def list_devices(self) -> DeviceListReply:
         """List all devices that are plugged in, also those that are taken, as usbipd does."""
-        return DeviceListReply(tuple(r for busid, r in self._records.items() if busid not in self._unplugged))
+        plugged = {busid: device for busid, device in self._devices.items() if busid not in self._unplugged}
+        return DeviceListReply(tuple(_record(busid, device) for busid, device in plugged.items()))
 
     def claim(self, busid: str, connection: Connection) -> tuple[ImportReply, UsbDevice | None]:
         """Give a device to a connection, or say why not."""
@@ -144,7 +146,7 @@ class UsbipServer:
         seat = self._connections[connection]
         if seat is not None:
             self._admission.settle(seat)
-        return ImportReply(OpStatus.OK, self._records[busid]), self._devices[busid]
+        return ImportReply(OpStatus.OK, _record(busid, self._devices[busid])), self._devices[busid]
 
     def closed(self, connection: Connection) -> None:
         """Forget a connection."""
@@ -162,9 +164,14 @@ class UsbipServer:
         return connection
 
 
-def _record(busid: str, device: UsbDevice) -> DeviceRecord:
+def _place(busid: str) -> tuple[int, int]:
+    """Return bus and port of a bus id; raises ValueError."""
     match = _BUSID.fullmatch(busid)
     if match is None:
         raise ValueError(f"a bus id looks like '1-1' (bus-port, numbers below 1000), got {busid!r}")
-    bus, port = int(match[1]), int(match[2])
+    return int(match[1]), int(match[2])
+
+
+def _record(busid: str, device: UsbDevice) -> DeviceRecord:
+    bus, port = _place(busid)
     return DeviceRecord(busid, bus, port + 1, device.identity, f"/sys/devices/evstim/usb{bus}/{busid}")
