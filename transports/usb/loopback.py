@@ -35,8 +35,11 @@ class DirectReader:
         self.last: Transfer | None = None
 
     def read(self, timeout_s: float) -> bytes | None:
-        """Return what the device has now, however long `timeout_s` is."""
-        self.last = self._device.read(self._endpoint, self._transfer_bytes)
+        """Return what the device has now, however long `timeout_s` is; raises StallError."""
+        try:
+            self.last = self._device.read(self._endpoint, self._transfer_bytes)
+        except Stall as stall:
+            raise StallError(f"endpoint {self._endpoint} is halted") from stall
         if self.last is None:
             return None
         self._device.sent(self.last)
