@@ -53,7 +53,7 @@ MULTI_WRITE = 0xC2
 LOG_LEVEL = 0xB1
 FLUSH = 0xC6
 
-_ENTRY = struct.Struct(">BBI")
+ENTRY = struct.Struct(">BBI")
 _IN = 0x80
 _INPUT_FIFO = 8
 
@@ -282,8 +282,8 @@ class Davis346(UsbCamera):
             raise Stall
         if setup.request == REGISTER and len(data) == 4:
             self._write(setup.value, setup.index, int.from_bytes(data, "big"))
-        elif setup.request == MULTI_WRITE and len(data) == setup.value * _ENTRY.size:
-            for module, address, value in _ENTRY.iter_unpack(data):
+        elif setup.request == MULTI_WRITE and len(data) == setup.value * ENTRY.size:
+            for module, address, value in ENTRY.iter_unpack(data):
                 self._write(module, address, value)
         elif setup.request == FLUSH and not data:
             self._stream.flush()

@@ -41,9 +41,11 @@ from firmware_protocol.usb.usbip import (
 )
 from firmware_protocol.usb.usbip_parser import Limits, Request, ServerParser
 
-__all__ = ["Bus", "Connection", "ConnectionSettings"]
+__all__ = ["Bus", "Connection", "ConnectionSettings", "UrbObserver"]
 
 log = logging.getLogger(__name__)
+
+_DEVICE_GONE = -108  # ESHUTDOWN, as a host sees it
 
 
 @dataclass(frozen=True)
@@ -86,14 +88,25 @@ class Bus(Protocol):
         """Hear that a connection is over; what it held is free again."""
 
 
+class UrbObserver(Protocol):
+    """Who hears of every URB: twice, when it is submitted and when it is over."""
+
+    def submitted(self, urb: Submit) -> None:
+        """Hear of a new one."""
+
+    def completed(self, urb: Submit, status: int, length: int, data: bytes = b"") -> None:
+        """Hear of its end, with the bytes that were moved and the data that went to the host."""
+
+
 class Connection(asyncio.Protocol):
     """The server's end of one connection."""
 
     _transport: asyncio.Transport
 
-    def __init__(self, bus: Bus, settings: ConnectionSettings) -> None:
+    def __init__(self, bus: Bus, settings: ConnectionSettings, observer: UrbObserver | None = None) -> None:
         self._bus = bus
         self._settings = settings
+        self._observer = observer
         self._parser = ServerParser(settings.limits)
         self._device: UsbDevice | None = None
         # Endpoint number -> the URBs that wait there by sequence number, oldest first.
@@ -145,6 +158,8 @@ class Connection(asyncio.Protocol):
         if error:
             log.info("%s: connection lost: %s", self.peer, error)
         device, self._device = self._device, None
+        for urb in [urb for urbs in self._pending.values() for urb in urbs.values()]:
+            self._over(urb, _DEVICE_GONE)
         self._pending.clear()
         try:
             if device:
@@ -223,11 +238,13 @@ class Connection(asyncio.Protocol):
             self._transport.close()
 
     def _submit(self, urb: Submit) -> None:
+        if self._observer is not None:
+            self._observer.submitted(urb)
         if urb.endpoint == 0 or urb.is_in:
             self._queue(urb)
         else:
             # A UsbDevice has no OUT endpoint but 0.
-            self._reply(Submitted(urb.seqnum, UrbStatus.STALL, 0))
+            self._reply(urb, Submitted(urb.seqnum, UrbStatus.STALL, 0))
 
     def _queue(self, urb: Submit) -> None:
         if any(urb.seqnum in urbs for urbs in self._pending.values()):
@@ -242,9 +259,11 @@ class Connection(asyncio.Protocol):
     def _unlink(self, unlink: Unlink) -> None:
         if unlink.victim == next(iter(self._pending.get(0, ())), None):
             self._setup = None
-        taken = any(urbs.pop(unlink.victim, None) is not None for urbs in self._pending.values())
+        taken = next((urbs.pop(unlink.victim) for urbs in self._pending.values() if unlink.victim in urbs), None)
+        if taken is not None:
+            self._over(taken, UrbStatus.UNLINKED)
         # A URB that was taken back gets no RET_SUBMIT; one that was answered before is left to its answer.
-        self._transport.write(bytes(Unlinked(unlink.seqnum, UrbStatus.UNLINKED if taken else UrbStatus.OK)))
+        self._transport.write(bytes(Unlinked(unlink.seqnum, UrbStatus.OK if taken is None else UrbStatus.UNLINKED)))
 
     def _control(self, urb: Submit) -> bool:
         """Answer a control URB; False when the device has no answer yet."""
@@ -263,12 +282,19 @@ class Connection(asyncio.Protocol):
             reply = Submitted(urb.seqnum, UrbStatus.OK, len(data) if urb.is_in else len(urb.data), data)
         self._setup = None
         del self._pending[0][urb.seqnum]
-        self._reply(reply)
+        self._reply(urb, reply)
         return True
 
-    def _reply(self, reply: Submitted) -> None:
+    def _reply(self, urb: Submit, reply: Submitted) -> None:
+        if self._observer is not None:
+            self._observer.completed(urb, reply.status, reply.actual_length, reply.data)
         # One write, so that header and data leave in one segment.
         self._transport.write(bytes(reply))
+
+    def _over(self, urb: Submit, status: int) -> None:
+        """Say that a URB is over without an answer."""
+        if self._observer is not None:
+            self._observer.completed(urb, status, 0)
 
     # Data from the device.
 
@@ -288,13 +314,13 @@ class Connection(asyncio.Protocol):
             transfer = self._device.read(endpoint, urb.length)
         except Stall:
             del urbs[seqnum]
-            self._reply(Submitted(seqnum, UrbStatus.STALL, 0))
+            self._reply(urb, Submitted(seqnum, UrbStatus.STALL, 0))
             return True
         if transfer is None:
             return False
         del urbs[seqnum]
         self._unsent.append(transfer)
-        self._reply(Submitted(seqnum, UrbStatus.OK, len(transfer.data), transfer.data))
+        self._reply(urb, Submitted(seqnum, UrbStatus.OK, len(transfer.data), transfer.data))
         if self._writable:
             self._settle()
         return True

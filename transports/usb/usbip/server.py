@@ -23,7 +23,7 @@ from firmware_protocol.usb.usbip import DeviceListReply, DeviceRecord, ImportRep
 from transports.network.admission import Admission, Places, Seat
 from transports.network.allow import AllowList, is_loopback
 from transports.network.listener import Listener
-from transports.usb.usbip.connection import Connection, ConnectionSettings
+from transports.usb.usbip.connection import Connection, ConnectionSettings, UrbObserver
 
 __all__ = ["UsbipServer"]
 
@@ -46,6 +46,8 @@ class UsbipServer:
         Connections held at once, in all and of one address. Each device needs one.
     allow
         Addresses and networks that may connect; without any, only this machine.
+    observer
+        Hears of every URB.
 
     Raises
     ------
@@ -59,11 +61,13 @@ class UsbipServer:
         settings: ConnectionSettings | None = None,
         places: Places = _PLACES,
         allow: Sequence[str] = (),
+        observer: UrbObserver | None = None,
     ) -> None:
         self._devices = dict(devices)
         for busid in devices:
             _place(busid)
         self._settings = settings or ConnectionSettings()
+        self._observer = observer
         self._admission = Admission(AllowList(allow), places)
         self._listener = Listener(self._admission, self._connect)
         self._connections: dict[Connection, Seat | None] = {}
@@ -158,7 +162,7 @@ class UsbipServer:
             self._idle.set()
 
     def _connect(self, seat: Seat | None) -> Connection:
-        connection = Connection(self, self._settings)
+        connection = Connection(self, self._settings, self._observer)
         self._connections[connection] = seat
         self._idle.clear()
         return connection
