@@ -124,6 +124,18 @@ def test_time_ahead_lasts_until_the_timestamp_reset():
     assert len(np.concatenate(bench.through)) == before + 100
 
 
+def test_a_stream_that_is_started_anew_is_read_by_a_receiver_that_knows_nothing():
+    sent, bench = unique_events(), Bench().start()
+    bench.run(sent, TimeAhead(wraps=3), 100_000)
+    bench.camera.stop()
+    bench.start()
+    before, begun_us, more = sum(map(len, bench.through)), bench.model.now_us, unique_events(100)
+    more["t"] += begun_us
+    bench.model.offer(more)
+    bench.take()
+    assert sum(map(len, bench.through)) == before + 100
+
+
 def test_a_frozen_clock_is_right_again_afterwards():
     sent, bench = unique_events(), Bench().start()
     decoded, _ = bench.run(sent, TimeFrozen(for_s=0.1), 100_000)
