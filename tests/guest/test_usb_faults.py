@@ -1,4 +1,4 @@
-"""What unmodified drivers make of faults on the cable and in the camera, and that the run's ledger knows what they got."""
+"""What unmodified drivers make of faults on the cable and in the camera, and that the ledger knows what they got."""
 
 from __future__ import annotations
 
