@@ -22,6 +22,7 @@ from emulator.cli.run_output.live import LiveTable
 from emulator.cli.run_output.reporting import Reporting, begin_report
 from emulator.cli.run_output.serving import Serving, check_serving
 from emulator.cli.run_output.timing import timing_json, timing_lines
+from emulator.cli.run_output.tracing import begin_trace
 from emulator.cli.run_output.truth import Truth
 from emulator.cli.signals import stopped_by_signals
 from emulator.light import Scene
@@ -65,6 +66,8 @@ class Files:
         Write a line of JSON to this file for each begin, hit, loss and end of a fault.
     ready_file
         Write a line of JSON with each link's address to this file when the run has begun.
+    trace
+        Write every URB of a USB/IP link to FILE.txt, with requests by name, and to FILE.pcap for Wireshark.
     report
         Write report.html, report.json and junit.xml into this folder when the run has ended.
     serve
@@ -76,6 +79,7 @@ class Files:
     truth_every: int = 1
     fault_log: Path | None = None
     ready_file: Path | None = None
+    trace: Path | None = None
     report: Path | None = None
     serve: str | bool | None = None
 
@@ -178,6 +182,7 @@ def run_rig(
             console.print(f"note: {note}", markup=False)
         serving = Serving(rig, files.serve)
         setups = serving.wired(link_setups(rig, files.record, truth.clock, files.fault_log))
+        setups = begin_trace(setups, files.trace)
         session = _session(rig, scene, setups, truth_file)
         with (
             stopped_by_signals(session),

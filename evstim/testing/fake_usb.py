@@ -9,8 +9,9 @@
 `FakeUsbBus` is a backend of pyusb that has one device on its bus. Requests that fail, fail as on a real bus:
 `break_with(errno.ENODEV)` is a cable that was pulled.
 
-What it does not model: time on a wire, packets, other devices. A bulk read returns what the camera has within its
-timeout, one transfer at a time.
+What it does not model: time on a wire, packets, other devices. A read returns what the camera has within its timeout,
+one transfer at a time. Faults (`transports.faults.usb.FaultyDevice`) and another camera go in by
+`FakeUsbBus(device, descriptors)`; it keeps the contract of `evstim.testing.usb_contract`, as the USB/IP server does.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import array
 import errno
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from types import SimpleNamespace
 from typing import Any, ParamSpec, Self, TypeVar
 
@@ -29,9 +31,11 @@ import usb.util
 from firmware_protocol.davis346 import Davis346, Davis346Settings
 from firmware_protocol.events import Events
 from firmware_protocol.usb.descriptors import DescriptorSet
-from firmware_protocol.usb.device import SetupPacket, Stall, Transfer, UsbDevice
+from firmware_protocol.usb.device import NotReady, SetupPacket, Speed, Stall, Transfer, UsbDevice
 
 __all__ = ["FakeCamera", "FakeUsbBus"]
+
+_PYUSB_SPEED = {Speed.LOW: 1, Speed.FULL: 2, Speed.HIGH: 3, Speed.SUPER: 4}
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -67,20 +71,21 @@ class FakeUsbBus(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has no ty
 
     def get_device_descriptor(self, dev: object) -> SimpleNamespace:
         """See `usb.backend.IBackend`."""
-        d = self._descriptors.device
+        fields, identity = bytes(self._descriptors.device), self.device.identity
         return SimpleNamespace(
-            bLength=18, bDescriptorType=1, bcdUSB=0x300, bDeviceClass=0, bDeviceSubClass=0, bDeviceProtocol=0,
-            bMaxPacketSize0=9, idVendor=d.vendor_id, idProduct=d.product_id, bcdDevice=d.bcd_device,
-            iManufacturer=1, iProduct=2, iSerialNumber=3, bNumConfigurations=1,
-            address=2, bus=1, port_number=1, port_numbers=(1,), speed=4,
+            bLength=18, bDescriptorType=1, bcdUSB=int.from_bytes(fields[2:4], "little"),
+            bDeviceClass=fields[4], bDeviceSubClass=fields[5], bDeviceProtocol=fields[6], bMaxPacketSize0=fields[7],
+            idVendor=identity.vendor_id, idProduct=identity.product_id, bcdDevice=identity.bcd_device,
+            iManufacturer=fields[14], iProduct=fields[15], iSerialNumber=fields[16], bNumConfigurations=1,
+            address=2, bus=1, port_number=1, port_numbers=(1,), speed=_PYUSB_SPEED[identity.speed],
         )  # fmt: skip
 
     def get_configuration_descriptor(self, dev: object, config: int) -> SimpleNamespace:
         """See `usb.backend.IBackend`."""
-        c = self._descriptors.configuration
+        fields = bytes(self._descriptors.configuration)
         return SimpleNamespace(
-            bLength=9, bDescriptorType=2, wTotalLength=len(bytes(c)), bNumInterfaces=len(c.interfaces),
-            bConfigurationValue=c.value, iConfiguration=c.string, bmAttributes=c.attributes, bMaxPower=50,
+            bLength=9, bDescriptorType=2, wTotalLength=len(fields), bNumInterfaces=fields[4],
+            bConfigurationValue=fields[5], iConfiguration=fields[6], bmAttributes=fields[7], bMaxPower=fields[8],
             extra_descriptors=[],
         )  # fmt: skip
 
@@ -88,20 +93,21 @@ class FakeUsbBus(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has no ty
         """See `usb.backend.IBackend`."""
         if alt:
             raise IndexError
-        i = self._descriptors.configuration.interfaces[intf]
-        kind, subclass, protocol = i.interface_class
+        interface = self._descriptors.configuration.interfaces[intf]
+        kind, subclass, protocol = interface.interface_class
         return SimpleNamespace(
-            bLength=9, bDescriptorType=4, bInterfaceNumber=i.number, bAlternateSetting=0,
-            bNumEndpoints=len(i.endpoints), bInterfaceClass=kind, bInterfaceSubClass=subclass,
-            bInterfaceProtocol=protocol, iInterface=i.string, extra_descriptors=[],
+            bLength=9, bDescriptorType=4, bInterfaceNumber=interface.number, bAlternateSetting=0,
+            bNumEndpoints=len(interface.endpoints), bInterfaceClass=kind, bInterfaceSubClass=subclass,
+            bInterfaceProtocol=protocol, iInterface=interface.string, extra_descriptors=[],
         )  # fmt: skip
 
     def get_endpoint_descriptor(self, dev: object, ep: int, intf: int, alt: int, config: int) -> SimpleNamespace:
         """See `usb.backend.IBackend`."""
-        e = self._descriptors.configuration.interfaces[intf].endpoints[ep]
+        endpoint = self._descriptors.configuration.interfaces[intf].endpoints[ep]
         return SimpleNamespace(
-            bLength=7, bDescriptorType=5, bEndpointAddress=e.address, bmAttributes=int(e.transfer_type),
-            wMaxPacketSize=e.max_packet, bInterval=e.interval, bRefresh=0, bSynchAddress=0, extra_descriptors=[],
+            bLength=7, bDescriptorType=5, bEndpointAddress=endpoint.address, bmAttributes=int(endpoint.transfer_type),
+            wMaxPacketSize=endpoint.max_packet, bInterval=endpoint.interval, bRefresh=0, bSynchAddress=0,
+            extra_descriptors=[],
         )  # fmt: skip
 
     def open_device(self, dev: object) -> str:
@@ -137,9 +143,9 @@ class FakeUsbBus(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has no ty
         self, dev_handle: object, bmRequestType: int, bRequest: int, wValue: int, wIndex: int, *data_and_timeout: Any
     ) -> int:
         """See `usb.backend.IBackend`; the last two are an array.array of bytes and a timeout, ms."""
-        data = data_and_timeout[0]
+        data, timeout = data_and_timeout
         setup = SetupPacket(bmRequestType, bRequest, wValue, wIndex, len(data))
-        reply = self._request(setup, b"" if setup.is_in else data.tobytes())
+        reply = self._request(setup, b"" if setup.is_in else data.tobytes(), timeout * 1e-3)
         if not setup.is_in:
             return len(data)
         data[: len(reply)] = array.array("B", reply)
@@ -164,11 +170,15 @@ class FakeUsbBus(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has no ty
             self.changed.notify_all()
         return len(data)
 
+    def intr_read(self, dev_handle: object, ep: int, intf: int, buff: Any, timeout: float) -> int:
+        """See `usb.backend.IBackend`; `timeout` in ms."""
+        return self.bulk_read(dev_handle, ep, intf, buff, timeout)
+
     def _wait_for_data(self, endpoint: int, most_bytes: int, timeout_s: float) -> Transfer:
         found: list[Transfer] = []
 
         def ready() -> bool:
-            if self.fault is None and (transfer := self._read(endpoint, most_bytes)):
+            if self.fault is None and (transfer := self._read(endpoint, most_bytes)) is not None:
                 found.append(transfer)
             return bool(found) or self.fault is not None
 
@@ -183,15 +193,23 @@ class FakeUsbBus(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has no ty
         except Stall as stall:
             raise usb.core.USBError("stall", None, errno.EPIPE) from stall
 
-    def _request(self, setup: SetupPacket, data: bytes = b"") -> bytes:
-        with self.changed:
+    def _request(self, setup: SetupPacket, data: bytes = b"", timeout_s: float = 1.0) -> bytes:
+        replies: list[bytes] = []
+
+        def answered() -> bool:
             self._check()
+            with suppress(NotReady):
+                replies.append(self.device.control(setup, data))
+            return bool(replies)
+
+        with self.changed:
             try:
-                reply = self.device.control(setup, data)
+                if not self.changed.wait_for(answered, timeout_s):
+                    raise usb.core.USBTimeoutError("timeout", None, errno.ETIMEDOUT)
             except Stall as stall:
                 raise usb.core.USBError("stall", None, errno.EPIPE) from stall
             self.changed.notify_all()
-        return reply
+        return replies[0]
 
     def _check(self) -> None:
         if self.fault is not None:

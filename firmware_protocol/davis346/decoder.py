@@ -158,6 +158,11 @@ class Decoder:
         return self._time_us
 
     @property
+    def row(self) -> int:
+        """Address of the last row word."""
+        return self._row
+
+    @property
     def frames_incomplete(self) -> int:
         """Frames that began and were not whole."""
         return self._frames.incomplete

@@ -37,6 +37,7 @@ from firmware_protocol.davis346.bias_effects import sensor_factors
 from firmware_protocol.davis346.biases import BIASES
 from firmware_protocol.davis346.external_input import ExternalInput, InputSettings
 from firmware_protocol.davis346.fifo import Fifo
+from firmware_protocol.davis346.filters import DvsFilters
 from firmware_protocol.davis346.marks import Marks, join_marks, no_marks
 from firmware_protocol.davis346.reading_input import ReadingInput
 from firmware_protocol.davis346.registers import Module, RegisterFile, Statistic, registers
@@ -58,7 +59,7 @@ MULTI_WRITE = 0xC2
 LOG_LEVEL = 0xB1
 FLUSH = 0xC6
 
-_ENTRY = struct.Struct(">BBI")
+ENTRY = struct.Struct(">BBI")
 _IN = 0x80
 _INPUT_FIFO = 8
 _MOST_RESETS = 64  # told to nobody, where there is no second camera
@@ -88,6 +89,7 @@ class Davis346(UsbCamera):
         self._standard = StandardControl(settings.descriptors())
         self._registers = RegisterFile(registers(settings.size, settings.layout, settings.system, settings.imu_unit))
         self._stream = EventStream(WordEncoder(settings.size, settings.layout.turned), Fifo(settings.fifo_bytes))
+        self._filters = DvsFilters(settings.size)
         self._input = ExternalInput(settings.pulse_us)
         self._stalled = no_marks()
         self._readings = ReadingInput(settings, self._registers)
@@ -159,6 +161,7 @@ class Davis346(UsbCamera):
             s.delivered,
             s.lost_on_link,
             s.queued,
+            not_selected=self._filters.filtered,
             edges=self._edge_counters(),
             readings=self._readings.counters(self._stream.block_fates),
         )
@@ -191,7 +194,9 @@ class Davis346(UsbCamera):
             raise ValueError(f"event at {events['t'][0]} us offered after the camera's clock reached {self._now_us} us")
         until_us = int(events["t"][-1])
         first = int(np.searchsorted(events["t"], self._silent_until_us)) if self._gate.events else len(events)
-        self._put(copy_events(events[first:]), until_us)
+        passed = self._filters.passed(copy_events(events[first:]), self._registers)
+        self._put(passed.events, until_us)
+        self._filters.take(passed)
         self._not_running += first
         self._offered += len(events)
         self._now_us = until_us
@@ -315,7 +320,8 @@ class Davis346(UsbCamera):
         self._silent_until_us = self._now_us
         self._drop_stalled()
         self._stream.start_time(self._now_us)
-        self._at_power_on = self._stream.counters
+        self._filters.power_on()
+        self._at_power_on, self._hot_before = self._stream.counters, self._filters.hot
         self._marks_dropped_before = self._stream.mark_counters.dropped_fifo
 
     def _vendor_out(self, setup: SetupPacket, data: bytes) -> None:
@@ -323,8 +329,8 @@ class Davis346(UsbCamera):
             raise Stall
         if setup.request == REGISTER and len(data) == 4:
             self._write(setup.value, setup.index, int.from_bytes(data, "big"))
-        elif setup.request == MULTI_WRITE and len(data) == setup.value * _ENTRY.size:
-            for module, address, value in _ENTRY.iter_unpack(data):
+        elif setup.request == MULTI_WRITE and len(data) == setup.value * ENTRY.size:
+            for module, address, value in ENTRY.iter_unpack(data):
                 self._write(module, address, value)
         elif setup.request == FLUSH and not data:
             self._stream.flush()
@@ -385,6 +391,7 @@ class Davis346(UsbCamera):
         self._registers.count(Statistic.DVS_ROWS, now.rows - base.rows)
         self._registers.count(Statistic.DVS_COLUMNS, now.accepted - base.accepted)
         self._registers.count(Statistic.DVS_DROPPED, dropped)
+        self._registers.count(Statistic.DVS_FILTERED_PIXELS, self._filters.hot - self._hot_before)
         self._registers.count(Statistic.MUX_DVS_DROPPED, dropped)
         marks_dropped = self._stream.mark_counters.dropped_fifo - self._marks_dropped_before
         self._registers.count(Statistic.MUX_EXTINPUT_DROPPED, marks_dropped)

@@ -9,8 +9,8 @@ What is not said there: the FPGA has no way to refuse. A write to a register tha
 read, is ignored; a read of one that does not exist gives 0. Written values read back in full, 32 bits wide, and are not
 checked.
 
-Capability registers tell the truth about this model: filters and the IMU read 0 until they are modelled. libcaer and
-neuromorphic_drivers switch the background activity filter on wherever it exists, so a camera that claimed it without
+Capability registers tell the truth about this model: the background activity filter and the IMU read 0 until they are
+modelled. libcaer and neuromorphic_drivers switch that filter on wherever it exists, so a camera that claimed it without
 filtering would send events which a real one removes. The APS size and shutter registers describe the chip, because
 drivers size their pictures by them, also where the camera takes no frames (`Davis346Settings.frames`).
 """
@@ -134,11 +134,11 @@ _DVS: Rows = (
 )
 
 _DVS_CAPABILITIES: Rows = (
-    (10, "HAS_PIXEL_FILTER", 0),
+    (10, "HAS_PIXEL_FILTER", 1),
     (30, "HAS_BACKGROUND_ACTIVITY_FILTER", 0),
-    (40, "HAS_ROI_FILTER", 0),
-    (50, "HAS_SKIP_FILTER", 0),
-    (60, "HAS_POLARITY_FILTER", 0),
+    (40, "HAS_ROI_FILTER", 1),
+    (50, "HAS_SKIP_FILTER", 1),
+    (60, "HAS_POLARITY_FILTER", 1),
     (80, "HAS_STATISTICS", 1),
 )
 

@@ -22,11 +22,15 @@ from firmware_protocol.event_device import EventDevice
 from firmware_protocol.events import Events, empty_events
 from firmware_protocol.readings import Reading
 
-__all__ = ["Identity", "RequestKind", "SetupPacket", "Speed", "Stall", "Transfer", "UsbCamera", "UsbDevice"]
+__all__ = ["Identity", "NotReady", "RequestKind", "SetupPacket", "Speed", "Stall", "Transfer", "UsbCamera", "UsbDevice"]
 
 
 class Stall(Exception):
     """The device refuses a request; the host sees a STALL handshake (EPIPE)."""
+
+
+class NotReady(Exception):
+    """The device has no answer yet (NAK): ask again, with the same SetupPacket object, which names the request."""
 
 
 class Speed(IntEnum):
@@ -151,6 +155,8 @@ class UsbDevice(ABC):
         ------
         Stall
             The request is not known or its data do not fit.
+        NotReady
+            The answer takes time; only a device with faults says so.
         """
 
     @abstractmethod

@@ -25,7 +25,9 @@ def test_the_page_has_its_examples():
 
 
 @pytest.mark.system
-@pytest.mark.parametrize("block", [*BLOCKS, *TESTING, *README], ids=[*TITLES, "testing", "README"])
+@pytest.mark.parametrize(
+    "block", [*BLOCKS, *TESTING, *README], ids=[*TITLES, *(f"testing {k}" for k in range(len(TESTING))), "README"]
+)
 def test_an_example_runs(block, tmp_path):
     script = tmp_path / "example.py"
     script.write_text(block)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Generic, TypeVar
 
 from firmware_protocol.edges import Edges
@@ -111,3 +112,7 @@ class EndpointFactory(ABC, Generic[_Served]):
     @abstractmethod
     def build(self, device: _Served, deliveries: Deliveries) -> Endpoint:
         """Return the endpoint that serves `device` and tells `deliveries` of the events that have left."""
+
+    def traced(self, path: Path) -> EndpointFactory[_Served] | None:
+        """Return the same with a trace of its cable in PATH.txt and PATH.pcap; None where there is no such cable."""
+        return None

@@ -212,7 +212,7 @@ class DavisHost:
         return np.concatenate([no_samples(), *samples])
 
     def _decode(self, data: bytes) -> Decoded:
-        decoded = self._decoder.feed(data)
+        decoded = self._decoder.feed(_whole_words(data))
         self._frames += decoded.frames
         if self._keeps_imu:
             self._imu.append(decoded.imu)
@@ -310,13 +310,18 @@ class DavisHost:
             data = reader.read(max(0.0, deadline - time.monotonic()))
             if data is None:
                 raise TransferTimeout(f"no timestamp reset in the stream within {_RESET_TIMEOUT_S:g} s")
-            decoded = self._decoder.feed(data)
+            decoded = self._decoder.feed(_whole_words(data))
             if len(decoded.resets):
                 after = decoded.since_reset()
                 self._edges = [after.edges] if self._keeps_edges else []
                 self._imu = [after.imu] if self._keeps_imu else []
                 self._frames = list(after.frames)
                 return after.events
+
+
+def _whole_words(data: bytes) -> bytes:
+    """Return a transfer without an odd byte at its end, which is damage: the camera sends words, never half of one."""
+    return data[: len(data) & ~1]
 
 
 def _require(what: str, found: int, good: bool, wanted: str) -> None:

@@ -19,7 +19,7 @@ from firmware_protocol.events import Events
 from firmware_protocol.frame_assembly import FrameAssembler
 from firmware_protocol.imu_samples import ImuSamples, no_samples
 from firmware_protocol.readings import ReadingKind
-from firmware_protocol.usb.device import Identity, SetupPacket, Stall, Transfer, UsbCamera, UsbDevice
+from firmware_protocol.usb.device import Identity, NotReady, SetupPacket, Stall, Transfer, UsbCamera, UsbDevice
 from transports.link.deliveries import Deliveries
 from transports.link.endpoint import Endpoint, EndpointFactory, LinkBroken
 from transports.usb.davis_host import DavisHost, StreamSettings
@@ -39,8 +39,11 @@ class DirectReader:
         self.last: Transfer | None = None
 
     def read(self, timeout_s: float) -> bytes | None:
-        """Return what the device has now, however long `timeout_s` is."""
-        self.last = self._device.read(self._endpoint, self._transfer_bytes)
+        """Return what the device has now, however long `timeout_s` is; raises StallError."""
+        try:
+            self.last = self._device.read(self._endpoint, self._transfer_bytes)
+        except Stall as stall:
+            raise StallError(f"endpoint {self._endpoint} is halted") from stall
         if self.last is None:
             return None
         self._device.sent(self.last)
@@ -87,6 +90,8 @@ class DirectHost:
             return self._device.control(setup, data)
         except Stall as stall:
             raise StallError(f"the device refused {setup}") from stall
+        except NotReady as late:
+            raise TransferTimeout(f"{setup}: no answer now, and nothing here waits") from late
 
     def bulk_out(self, endpoint: int, data: bytes) -> None:
         """Send data to the device; raises StallError."""

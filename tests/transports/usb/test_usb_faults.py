@@ -3,18 +3,31 @@
 import asyncio
 from functools import partial
 
+import numpy as np
 import pytest
 
 from firmware_protocol.davis346 import Davis346, Davis346Settings
-from firmware_protocol.usb.device import SetupPacket
+from firmware_protocol.usb.device import NotReady, SetupPacket, Stall
+from transports.faults.davis_kinds import WrongVersion
 from transports.faults.kinds import LostBytes
 from transports.faults.script import FaultPlan
-from transports.faults.usb import FaultyDevice, usb_stage
-from transports.faults.usb_kinds import USB_FAULTS, ShortTransfers, UsbSilence, UsbStall, UsbUnplugged
+from transports.faults.usb import FaultyDevice
+from transports.faults.usb_kinds import (
+    USB_FAULTS,
+    ControlStall,
+    EmptyTransfers,
+    ShortTransfers,
+    SlowControl,
+    UsbSilence,
+    UsbStall,
+    UsbUnplugged,
+)
+from transports.faults.usb_stages import usb_stage
 from transports.link.pacing import FakeClock
 from transports.link.process import Link, LinkSetup
 from transports.link.ring import EventRing
-from transports.usb.host import DeviceAbsent, StallError, UsbHostError
+from transports.usb.davis_host import DavisHost
+from transports.usb.host import DeviceAbsent, StallError, TransferTimeout, UsbHostError
 from transports.usb.usbip.client import UsbipHost
 from transports.usb.usbip.endpoint import UsbipFactory
 
@@ -44,7 +57,7 @@ def test_short_transfers_come_in_order_and_whole(faulty, device):
 
 @pytest.mark.parametrize("kind", USB_FAULTS)
 def test_every_kind_has_a_stage(kind):
-    assert usb_stage(USB_FAULTS[kind](), None) is not None
+    assert usb_stage(USB_FAULTS[kind](), np.random.default_rng(1)) is not None
 
 
 def test_what_usb_cannot_have_is_refused():
@@ -117,3 +130,111 @@ def test_a_camera_that_is_pulled_out_is_lost_and_found_again():
 
     report = asyncio.run(whole())
     assert [(r.kind, r.began_us, r.ended_us) for r in report.faults] == [("usb_unplugged", 110_000, 310_000)]
+
+
+def test_empty_transfers_come_first_and_nothing_is_lost(faulty, device):
+    device.chunks.append(b"abcd")
+    faulty.inject(EmptyTransfers(count=2))
+    transfers = [faulty.read(2, 64) for _ in range(3)]
+    for transfer in transfers:
+        faulty.sent(transfer)
+    assert [transfer.data for transfer in transfers] == [b"", b"", b"abcd"]
+    assert device.sent_data == [b"abcd"]
+    faulty.advance(1)
+    assert [(r.hits, r.ended_us) for r in faulty.records] == [(2, 1)]
+
+
+def test_what_the_link_loses_of_a_fault_and_of_the_device_is_told_apart(faulty, device):
+    device.chunks.append(b"abcd")
+    faulty.inject(EmptyTransfers(count=1))
+    for transfer in [faulty.read(2, 64) for _ in range(2)]:
+        faulty.lost(transfer)
+    assert device.lost_data == [b"abcd"]
+
+
+READ = SetupPacket(0xC0, 0xBF, 6, 0, 4)
+
+
+def test_vendor_requests_are_refused_as_often_as_asked(faulty):
+    faulty.inject(ControlStall(request=0xBF, count=2))
+    with pytest.raises(Stall):
+        faulty.control(SetupPacket(0xC0, 0x55, 0, 0, 4), b"")
+    assert faulty.records[0].hits == 0  # the device itself refused that one
+    for _ in range(2):
+        with pytest.raises(Stall, match="fault"):
+            faulty.control(READ, b"")
+    assert faulty.control(READ, b"") == bytes(4)
+    assert faulty.control(SetupPacket(0x80, 6, 0x0100, 0, 18), b"")
+    faulty.advance(5)
+    assert [(r.hits, r.ended_us) for r in faulty.records] == [(2, 5)]
+
+
+def test_a_slow_request_is_answered_when_its_time_has_come(faulty):
+    faulty.inject(SlowControl(delay_ms=10, for_s=1))
+    with pytest.raises(NotReady):
+        faulty.control(READ, b"")
+    faulty.advance(9_999)
+    with pytest.raises(NotReady):
+        faulty.control(READ, b"")
+    faulty.advance(10_000)
+    assert faulty.control(READ, b"") == bytes(4)
+    with pytest.raises(NotReady):
+        faulty.control(READ, b"")
+    faulty.advance(1_000_000)
+    assert faulty.control(READ, b"") == bytes(4)
+    assert faulty.records[0].hits == 2
+
+
+@pytest.mark.socket
+def test_a_host_waits_for_a_slow_request_and_its_data_do_not(bench, faulty, device):
+    bench.start({"1-1": faulty})
+    bench.call(faulty.inject, SlowControl(delay_ms=10, for_s=1))
+    with UsbipHost.attach(port=bench.server.port, timeout_s=0.2) as host:
+        stream = host.stream(2, 64, 1)
+        with pytest.raises(TransferTimeout):
+            host.control_in(READ)
+        bench.feed(device, b"abcd")
+        assert stream.read(30) == b"abcd"
+        with pytest.raises(TransferTimeout):  # asked anew: it waits from now on
+            host.control_in(READ)
+
+        def later():
+            faulty.advance(2_000_000)
+            bench.server.pump()
+
+        bench.call(later)
+        assert host.control_in(READ) == bytes(4)
+    assert faulty.records[0].hits == 2
+
+
+@pytest.mark.socket
+def test_another_camera_comes_back(bench):
+    camera = Davis346()
+    faulty = FaultyDevice(camera, FaultPlan("usb"))
+    bench.start({"1-1": faulty})
+
+    def serial_and_firmware():
+        with UsbipHost.attach(port=bench.server.port, timeout_s=30) as host:
+            device = DavisHost(host)
+            told = host.control_in(SetupPacket(0x80, 6, 0x0100, 0, 18))
+            return device.info.serial, host.record.identity.bcd_device, told[12:14]
+
+    assert serial_and_firmware() == ("00000346", 0x0206, b"\x06\x02")
+    bench.call(faulty.inject, UsbUnplugged(for_s=0.1, serial="00000999"))
+    bench.call(faulty.inject, WrongVersion(firmware=8))
+    bench.call(faulty.advance, 100_000)
+    assert serial_and_firmware() == ("00000999", 0x0208, b"\x08\x02")
+
+
+@pytest.mark.parametrize(
+    ("make", "says"),
+    [
+        (lambda: ControlStall(request=256), "request"),
+        (lambda: ControlStall(count=0), "count"),
+        (lambda: SlowControl(delay_ms=0), "delay_ms"),
+        (lambda: UsbUnplugged(serial="é"), "serial"),
+    ],
+)
+def test_bad_keys_are_named(make, says):
+    with pytest.raises(ValueError, match=says):
+        make()

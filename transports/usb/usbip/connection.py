@@ -7,7 +7,7 @@
 What is promised:
 
 - IN URBs of an endpoint are answered in the order they came, each with what one `read` of the device gave; while the
-  device has nothing they stay pending. Control URBs never wait for them.
+  device has nothing they stay pending. Control URBs never wait for them, but for an older one that has no answer yet.
 - While the socket takes no more, no URB is read from the peer and no data from the device: what the device cannot keep
   it drops and counts itself.
 - Every Transfer read from the device is reported `sent` when the kernel has all its bytes, or `lost` when the
@@ -26,7 +26,7 @@ from collections import OrderedDict, deque
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from firmware_protocol.usb.device import SetupPacket, Stall, Transfer, UsbDevice
+from firmware_protocol.usb.device import NotReady, SetupPacket, Stall, Transfer, UsbDevice
 from firmware_protocol.usb.usbip import (
     DeviceListReply,
     DeviceListRequest,
@@ -41,9 +41,11 @@ from firmware_protocol.usb.usbip import (
 )
 from firmware_protocol.usb.usbip_parser import Limits, Request, ServerParser
 
-__all__ = ["Bus", "Connection", "ConnectionSettings"]
+__all__ = ["Bus", "Connection", "ConnectionSettings", "UrbObserver"]
 
 log = logging.getLogger(__name__)
+
+_DEVICE_GONE = -108  # ESHUTDOWN, as a host sees it
 
 
 @dataclass(frozen=True)
@@ -86,18 +88,31 @@ class Bus(Protocol):
         """Hear that a connection is over; what it held is free again."""
 
 
+class UrbObserver(Protocol):
+    """Who hears of every URB: twice, when it is submitted and when it is over."""
+
+    def submitted(self, urb: Submit) -> None:
+        """Hear of a new one."""
+
+    def completed(self, urb: Submit, status: int, length: int, data: bytes = b"") -> None:
+        """Hear of its end, with the bytes that were moved and the data that went to the host."""
+
+
 class Connection(asyncio.Protocol):
     """The server's end of one connection."""
 
     _transport: asyncio.Transport
 
-    def __init__(self, bus: Bus, settings: ConnectionSettings) -> None:
+    def __init__(self, bus: Bus, settings: ConnectionSettings, observer: UrbObserver | None = None) -> None:
         self._bus = bus
         self._settings = settings
+        self._observer = observer
         self._parser = ServerParser(settings.limits)
         self._device: UsbDevice | None = None
         # Endpoint number -> the URBs that wait there by sequence number, oldest first.
         self._pending: dict[int, OrderedDict[int, Submit]] = {}
+        # What the oldest control URB asks; the same object for as long as it waits.
+        self._setup: SetupPacket | None = None
         self._unsent: deque[Transfer] = deque()
         self._blocked = False
         self._leaving = False
@@ -143,6 +158,8 @@ class Connection(asyncio.Protocol):
         if error:
             log.info("%s: connection lost: %s", self.peer, error)
         device, self._device = self._device, None
+        for urb in [urb for urbs in self._pending.values() for urb in urbs.values()]:
+            self._over(urb, _DEVICE_GONE)
         self._pending.clear()
         try:
             if device:
@@ -154,9 +171,8 @@ class Connection(asyncio.Protocol):
 
     def answer(self) -> None:
         """Answer pending IN URBs with what the device has now."""
-        for endpoint, urbs in self._pending.items():
-            while urbs and self._writable and self._answer_one(endpoint, urbs):
-                pass
+        for endpoint in tuple(self._pending):
+            self._answer_all(endpoint)
 
     def hang_up(self) -> None:
         """Say goodbye: the peer gets what was sent, and closes when it has seen the end.
@@ -222,9 +238,9 @@ class Connection(asyncio.Protocol):
             self._transport.close()
 
     def _submit(self, urb: Submit) -> None:
-        if urb.endpoint == 0:
-            self._control(urb)
-        elif urb.is_in:
+        if self._observer is not None:
+            self._observer.submitted(urb)
+        if urb.endpoint == 0 or urb.is_in:
             self._queue(urb)
         else:
             self._take(urb)
@@ -232,9 +248,12 @@ class Connection(asyncio.Protocol):
     def _queue(self, urb: Submit) -> None:
         if any(urb.seqnum in urbs for urbs in self._pending.values()):
             raise UsbipError(f"sequence number {urb.seqnum} is used by two pending URBs")
-        if sum(map(len, self._pending.values())) >= self._settings.pending_urbs:
+        answered_at_once = urb.endpoint == 0 and not self._pending.get(0)
+        if not answered_at_once and sum(map(len, self._pending.values())) >= self._settings.pending_urbs:
             raise UsbipError(f"more than {self._settings.pending_urbs} URBs pending")
         self._pending.setdefault(urb.endpoint, OrderedDict())[urb.seqnum] = urb
+        if urb.endpoint == 0:
+            self._answer_all(0)
 
     def _take(self, urb: Submit) -> None:
         """Give the device what the host sends to an OUT endpoint."""
@@ -242,49 +261,75 @@ class Connection(asyncio.Protocol):
         try:
             self._device.write(urb.endpoint, urb.data)
         except Stall:
-            self._reply(Submitted(urb.seqnum, UrbStatus.STALL, 0))
+            self._reply(urb, Submitted(urb.seqnum, UrbStatus.STALL, 0))
         else:
-            self._reply(Submitted(urb.seqnum, UrbStatus.OK, len(urb.data)))
+            self._reply(urb, Submitted(urb.seqnum, UrbStatus.OK, len(urb.data)))
 
     def _unlink(self, unlink: Unlink) -> None:
-        taken = any(urbs.pop(unlink.victim, None) is not None for urbs in self._pending.values())
+        if unlink.victim == next(iter(self._pending.get(0, ())), None):
+            self._setup = None
+        taken = next((urbs.pop(unlink.victim) for urbs in self._pending.values() if unlink.victim in urbs), None)
+        if taken is not None:
+            self._over(taken, UrbStatus.UNLINKED)
         # A URB that was taken back gets no RET_SUBMIT; one that was answered before is left to its answer.
-        self._transport.write(bytes(Unlinked(unlink.seqnum, UrbStatus.UNLINKED if taken else UrbStatus.OK)))
+        self._transport.write(bytes(Unlinked(unlink.seqnum, UrbStatus.OK if taken is None else UrbStatus.UNLINKED)))
 
-    def _control(self, urb: Submit) -> None:
+    def _control(self, urb: Submit) -> bool:
+        """Answer a control URB; False when the device has no answer yet."""
         assert self._device
-        setup = SetupPacket.parse(urb.setup)
+        setup = self._setup = self._setup or SetupPacket.parse(urb.setup)
         try:
             if setup.length and setup.is_in != urb.is_in:
                 raise Stall("the direction of the URB is not that of its setup packet")
             data = self._device.control(setup, urb.data)[: min(setup.length, urb.length)]
+        except NotReady:
+            return False
         except Stall as stall:
             log.debug("%s: STALL of %s: %s", self.peer, setup, stall)
-            self._reply(Submitted(urb.seqnum, UrbStatus.STALL, 0))
+            reply = Submitted(urb.seqnum, UrbStatus.STALL, 0)
         else:
-            self._reply(Submitted(urb.seqnum, UrbStatus.OK, len(data) if urb.is_in else len(urb.data), data))
+            reply = Submitted(urb.seqnum, UrbStatus.OK, len(data) if urb.is_in else len(urb.data), data)
+        self._setup = None
+        del self._pending[0][urb.seqnum]
+        self._reply(urb, reply)
+        return True
 
-    def _reply(self, reply: Submitted) -> None:
+    def _reply(self, urb: Submit, reply: Submitted) -> None:
+        if self._observer is not None:
+            self._observer.completed(urb, reply.status, reply.actual_length, reply.data)
         # One write, so that header and data leave in one segment.
         self._transport.write(bytes(reply))
 
+    def _over(self, urb: Submit, status: int) -> None:
+        """Say that a URB is over without an answer."""
+        if self._observer is not None:
+            self._observer.completed(urb, status, 0)
+
     # Data from the device.
+
+    def _answer_all(self, endpoint: int) -> None:
+        """Answer the URBs of an endpoint as far as the device can."""
+        urbs = self._pending[endpoint]
+        while urbs and self._writable and self._answer_one(endpoint, urbs):
+            pass
 
     def _answer_one(self, endpoint: int, urbs: OrderedDict[int, Submit]) -> bool:
         """Answer the oldest URB of an endpoint; False when the device has nothing for it."""
         assert self._device
         seqnum, urb = next(iter(urbs.items()))
+        if endpoint == 0:
+            return self._control(urb)
         try:
             transfer = self._device.read(endpoint, urb.length)
         except Stall:
             del urbs[seqnum]
-            self._reply(Submitted(seqnum, UrbStatus.STALL, 0))
+            self._reply(urb, Submitted(seqnum, UrbStatus.STALL, 0))
             return True
         if transfer is None:
             return False
         del urbs[seqnum]
         self._unsent.append(transfer)
-        self._reply(Submitted(seqnum, UrbStatus.OK, len(transfer.data), transfer.data))
+        self._reply(urb, Submitted(seqnum, UrbStatus.OK, len(transfer.data), transfer.data))
         if self._writable:
             self._settle()
         return True

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 from firmware_protocol.usb.device import UsbCamera
 from transports.faults.kinds import Fault
@@ -13,6 +15,7 @@ from transports.link.deliveries import Deliveries
 from transports.link.endpoint import Endpoint, EndpointFactory
 from transports.usb.observed import Observed
 from transports.usb.usbip.server import UsbipServer
+from transports.usb.usbip.trace import UrbTrace
 
 __all__ = ["UsbipEndpoint", "UsbipFactory"]
 
@@ -26,20 +29,31 @@ class UsbipFactory(EndpointFactory[UsbCamera]):
     busid: str
     faults: FaultPlan = field(default_factory=FaultPlan)
     allow: tuple[str, ...] = ()
+    trace: Path | None = None
+
+    def traced(self, path: Path) -> UsbipFactory:
+        """See `EndpointFactory.traced`."""
+        return replace(self, trace=path)
 
     def build(self, device: UsbCamera, deliveries: Deliveries) -> UsbipEndpoint:
         """Return the server, not yet listening."""
-        return UsbipEndpoint(self, FaultyDevice(Observed(device, deliveries), self.faults))
+        faulty = FaultyDevice(device, self.faults)
+        trace = None if self.trace is None else UrbTrace(self.trace, faulty, time.time_ns)
+        return UsbipEndpoint(self, faulty, deliveries, trace)
 
 
 class UsbipEndpoint(Endpoint):
     """One camera on one port."""
 
-    def __init__(self, factory: UsbipFactory, device: FaultyDevice) -> None:
+    def __init__(
+        self, factory: UsbipFactory, device: FaultyDevice, deliveries: Deliveries, trace: UrbTrace | None
+    ) -> None:
         self._at = factory
         self._device = device
         self._is_gone = False
-        self._server = UsbipServer({factory.busid: device}, allow=factory.allow)
+        self._trace = trace
+        observed = Observed(device, deliveries)
+        self._server = UsbipServer({factory.busid: observed}, allow=factory.allow, observer=trace)
 
     async def start(self) -> None:
         """Listen; raises OSError, with what to do, when the port cannot be had."""
@@ -76,6 +90,8 @@ class UsbipEndpoint(Endpoint):
         """Drop the hosts and stop listening."""
         await self._server.close()
         self._device.close()
+        if self._trace is not None:
+            self._trace.close()
 
     @property
     def state(self) -> str:
@@ -91,6 +107,11 @@ class UsbipEndpoint(Endpoint):
     def address(self) -> str:
         """Host and port that the server listens on."""
         return f"{self._at.host}:{self._server.port}"
+
+    @property
+    def trouble(self) -> str:
+        """See `Endpoint.trouble`: why the trace is not whole."""
+        return "" if self._trace is None else self._trace.trouble
 
     @property
     def counts(self) -> Mapping[str, int]:

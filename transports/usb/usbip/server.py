@@ -23,7 +23,7 @@ from firmware_protocol.usb.usbip import DeviceListReply, DeviceRecord, ImportRep
 from transports.network.admission import Admission, Places, Seat
 from transports.network.allow import AllowList, is_loopback
 from transports.network.listener import Listener
-from transports.usb.usbip.connection import Connection, ConnectionSettings
+from transports.usb.usbip.connection import Connection, ConnectionSettings, UrbObserver
 
 __all__ = ["UsbipServer"]
 
@@ -46,6 +46,8 @@ class UsbipServer:
         Connections held at once, in all and of one address. Each device needs one.
     allow
         Addresses and networks that may connect; without any, only this machine.
+    observer
+        Hears of every URB.
 
     Raises
     ------
@@ -59,10 +61,13 @@ class UsbipServer:
         settings: ConnectionSettings | None = None,
         places: Places = _PLACES,
         allow: Sequence[str] = (),
+        observer: UrbObserver | None = None,
     ) -> None:
         self._devices = dict(devices)
-        self._records = {busid: _record(busid, device) for busid, device in devices.items()}
+        for busid in devices:
+            _place(busid)
         self._settings = settings or ConnectionSettings()
+        self._observer = observer
         self._admission = Admission(AllowList(allow), places)
         self._listener = Listener(self._admission, self._connect)
         self._connections: dict[Connection, Seat | None] = {}
@@ -132,7 +137,8 @@ class UsbipServer:
 
     def list_devices(self) -> DeviceListReply:
         """List all devices that are plugged in, also those that are taken, as usbipd does."""
-        return DeviceListReply(tuple(r for busid, r in self._records.items() if busid not in self._unplugged))
+        plugged = {busid: device for busid, device in self._devices.items() if busid not in self._unplugged}
+        return DeviceListReply(tuple(_record(busid, device) for busid, device in plugged.items()))
 
     def claim(self, busid: str, connection: Connection) -> tuple[ImportReply, UsbDevice | None]:
         """Give a device to a connection, or say why not."""
@@ -144,7 +150,7 @@ class UsbipServer:
         seat = self._connections[connection]
         if seat is not None:
             self._admission.settle(seat)
-        return ImportReply(OpStatus.OK, self._records[busid]), self._devices[busid]
+        return ImportReply(OpStatus.OK, _record(busid, self._devices[busid])), self._devices[busid]
 
     def closed(self, connection: Connection) -> None:
         """Forget a connection."""
@@ -156,15 +162,20 @@ class UsbipServer:
             self._idle.set()
 
     def _connect(self, seat: Seat | None) -> Connection:
-        connection = Connection(self, self._settings)
+        connection = Connection(self, self._settings, self._observer)
         self._connections[connection] = seat
         self._idle.clear()
         return connection
 
 
-def _record(busid: str, device: UsbDevice) -> DeviceRecord:
+def _place(busid: str) -> tuple[int, int]:
+    """Return bus and port of a bus id; raises ValueError."""
     match = _BUSID.fullmatch(busid)
     if match is None:
         raise ValueError(f"a bus id looks like '1-1' (bus-port, numbers below 1000), got {busid!r}")
-    bus, port = int(match[1]), int(match[2])
+    return int(match[1]), int(match[2])
+
+
+def _record(busid: str, device: UsbDevice) -> DeviceRecord:
+    bus, port = _place(busid)
     return DeviceRecord(busid, bus, port + 1, device.identity, f"/sys/devices/evstim/usb{bus}/{busid}")

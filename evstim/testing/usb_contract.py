@@ -1,0 +1,207 @@
+"""The contract of a USB cable as tests: what a host gets of a camera, whatever lies between them.
+
+The USB/IP server, the bus in memory behind pyusb (`fake_usb`) and the loopback keep it, so that a program tested with
+one of them finds the same camera at the others. Subclass and let pytest collect the class:
+
+    class TestMyCable(UsbContract):
+        def plug(self, device, timeout_s):
+            bus = FakeUsbBus(device, Davis346Settings().descriptors())
+            return Plugged(PyusbHost.find(0x152A, 0x841A, bus, timeout_s), bus.call)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from evstim.testing.link_contract import event_stream
+from firmware_protocol.davis346 import Davis346, Davis346Settings
+from firmware_protocol.events import Events
+from firmware_protocol.usb.device import SetupPacket, UsbDevice
+from transports.faults.script import FaultPlan
+from transports.faults.usb import FaultyDevice
+from transports.faults.usb_kinds import ControlStall, ShortTransfers, SlowControl, UsbStall
+from transports.usb.davis_host import DavisHost, StreamSettings
+from transports.usb.host import StallError, TransferTimeout, UsbHost
+
+__all__ = ["Plugged", "UsbContract"]
+
+_PATIENCE_S = 30.0
+_IMPATIENCE_S = 0.3
+_EVENTS = 5000
+_DEVICE_DESCRIPTOR = SetupPacket(0x80, 6, 0x0100, 0, 18)
+_LOGIC_VERSION = SetupPacket(0xC0, 0xBF, 6, 0, 4)
+_UNKNOWN = SetupPacket(0xC0, 0x55, 0, 0, 4)
+
+
+@dataclass(frozen=True)
+class Plugged:
+    """A device at a host.
+
+    Attributes
+    ----------
+    host
+        The host's side.
+    call
+        Do something to the device as its owner, and let what follows reach the host: call(function, *arguments).
+    """
+
+    host: UsbHost
+    call: Callable[..., object]
+
+
+class UsbContract:
+    """What every cable between a camera and its host promises."""
+
+    def plug(self, device: UsbDevice, timeout_s: float) -> Plugged:
+        """Return `device`, a DAVIS346, at a host whose control requests may take `timeout_s`.
+
+        The device may be plugged in again when the host was closed.
+        """
+        raise NotImplementedError("a contract of a cable needs the cable")
+
+    @pytest.fixture
+    def model(self) -> Davis346:
+        """Return the camera."""
+        return Davis346(Davis346Settings(serial="00000042", start_delay_us=0))
+
+    @pytest.fixture
+    def faulty(self, model: Davis346) -> FaultyDevice:
+        """Return the camera behind faults, none of which is at work yet."""
+        return FaultyDevice(model, FaultPlan("usb"))
+
+    def test_it_says_who_it_is(self, model: Davis346) -> None:
+        """Identity, descriptors and strings are the camera's own."""
+        with closing(self.plug(model, _PATIENCE_S).host) as host:
+            identity = host.identity
+            assert (identity.vendor_id, identity.product_id, identity.bcd_device) == (0x152A, 0x841A, 0x0206)
+            assert host.control_in(_DEVICE_DESCRIPTOR) == bytes(model.settings.descriptors().device)
+            serial = host.control_in(SetupPacket(0x80, 6, 0x0303, 0x0409, 255))
+            assert serial[2:].decode("utf-16-le") == "00000042"
+
+    def test_an_answer_is_cut_to_what_was_asked_for(self, model: Davis346) -> None:
+        """WLength bounds the data stage."""
+        with closing(self.plug(model, _PATIENCE_S).host) as host:
+            assert host.control_in(SetupPacket(0x80, 6, 0x0100, 0, 8)) == host.control_in(_DEVICE_DESCRIPTOR)[:8]
+
+    def test_a_refused_request_harms_nothing(self, model: Davis346) -> None:
+        """A STALL of endpoint 0 is over with the next request; nothing of a bad write is written."""
+        with closing(self.plug(model, _PATIENCE_S).host) as host:
+            with pytest.raises(StallError):
+                host.control_in(_UNKNOWN)
+            with pytest.raises(StallError):
+                host.control_out(SetupPacket(0x40, 0xC2, 2, 0, 6), bytes((1, 3, 0, 0, 0, 1)))
+            assert host.control_in(SetupPacket(0xC0, 0xBF, 1, 3, 4)) == bytes(4)
+            assert host.control_in(_LOGIC_VERSION) == bytes((0, 0, 0, 18))
+
+    def test_registers_keep_what_is_written(self, model: Davis346) -> None:
+        """One at a time, and several with one request."""
+        with closing(self.plug(model, _PATIENCE_S).host) as host:
+            host.configure()
+            sent = host.control_out(SetupPacket(0x40, 0xBF, 1, 32, 4), bytes((0, 0, 1, 2)))
+            assert sent == 4
+            entries = bytes((1, 41, 0, 0, 0, 7, 1, 42, 0, 0, 0, 9))
+            assert host.control_out(SetupPacket(0x40, 0xC2, 2, 0, 12), entries) == 12
+            read = [host.control_in(SetupPacket(0xC0, 0xBF, 1, address, 4))[-2:] for address in (32, 41, 42)]
+            assert read == [b"\1\2", b"\0\7", b"\0\x09"]
+
+    def test_every_event_arrives_in_order(self, model: Davis346) -> None:
+        """None is lost where nothing forces it, and each counts as delivered."""
+        plugged, sent = self.plug(model, _PATIENCE_S), event_stream(_EVENTS)
+        camera = DavisHost(plugged.host)
+        camera.start(StreamSettings(transfer_bytes=2048, transfers=4, reset_timestamps=False))
+        plugged.call(_show, model, sent)
+        received = _read(camera, len(sent))
+        rest = camera.stop()
+        camera.close()
+        assert np.array_equal(received, sent)
+        assert not len(rest)
+        assert model.counters.delivered == len(sent) == model.counters.accounted
+
+    def test_a_read_of_nothing_ends_and_requests_do_not_wait_for_it(self, model: Davis346) -> None:
+        """Transfers that wait for data hold up no control request."""
+        with closing(self.plug(model, _PATIENCE_S).host) as host:
+            host.configure()
+            stream = host.stream(2, 512, 2)
+            assert stream.read(0.0) is None
+            assert host.control_in(_LOGIC_VERSION)[-1] == 18
+            assert stream.close() == []
+
+    def test_a_host_that_goes_leaves_a_camera_without_power(self, model: Davis346) -> None:
+        """Registers are as at power-on for the next host, and events between the two were not running."""
+        first = self.plug(model, _PATIENCE_S)
+        first.host.configure()
+        first.host.control_out(SetupPacket(0x40, 0xBF, 1, 32, 4), bytes((0, 0, 0, 99)))
+        first.host.close()
+        second = self.plug(model, _PATIENCE_S)
+        second.call(_show, model, event_stream(10))
+        with closing(second.host) as host:
+            assert host.control_in(SetupPacket(0xC0, 0xBF, 1, 32, 4))[-1] == 8
+        assert model.counters.not_running == 10
+
+    def test_a_halt_lasts_until_it_is_cleared(self, faulty: FaultyDevice) -> None:
+        """A halted endpoint fails reads; requests go on."""
+        plugged = self.plug(faulty, _PATIENCE_S)
+        with closing(plugged.host) as host:
+            host.configure()
+            plugged.call(faulty.inject, UsbStall())
+            stream = host.stream(2, 512, 1)
+            with pytest.raises(StallError):
+                stream.read(_PATIENCE_S)
+            stream.close()
+            assert host.control_in(_LOGIC_VERSION)[-1] == 18
+            host.clear_halt(2)
+            plugged.call(faulty.advance, 1)
+            stream = host.stream(2, 512, 1)
+            assert stream.read(0.0) is None
+            stream.close()
+        assert faulty.records[0].hits == 1
+
+    def test_a_request_can_be_refused_once(self, faulty: FaultyDevice) -> None:
+        """The next one is answered."""
+        plugged = self.plug(faulty, _PATIENCE_S)
+        with closing(plugged.host) as host:
+            plugged.call(faulty.inject, ControlStall())
+            with pytest.raises(StallError):
+                host.control_in(_LOGIC_VERSION)
+            assert host.control_in(_LOGIC_VERSION)[-1] == 18
+
+    def test_a_late_answer_is_a_timeout_and_not_that_of_the_next_request(self, faulty: FaultyDevice) -> None:
+        """A host that gives up asks anew."""
+        plugged = self.plug(faulty, _IMPATIENCE_S)
+        with closing(plugged.host) as host:
+            plugged.call(faulty.inject, SlowControl(for_s=1.0))
+            with pytest.raises(TransferTimeout):
+                host.control_in(_LOGIC_VERSION)
+            plugged.call(faulty.advance, 1_000_000)
+            assert host.control_in(SetupPacket(0xC0, 0xBF, 6, 1, 4))[-1] == 5
+
+    def test_transfers_of_any_length_carry_the_same_events(self, model: Davis346, faulty: FaultyDevice) -> None:
+        """A decoder must not count on full buffers."""
+        plugged, sent = self.plug(faulty, _PATIENCE_S), event_stream(100)
+        plugged.call(faulty.inject, ShortTransfers(for_s=10.0, most_bytes=6))
+        camera = DavisHost(plugged.host)
+        camera.start(StreamSettings(transfer_bytes=512, transfers=4, reset_timestamps=False))
+        plugged.call(_show, model, sent)
+        received = _read(camera, len(sent))
+        camera.close()
+        assert np.array_equal(received, sent)
+        assert model.counters.delivered == len(sent)
+
+
+def _show(model: Davis346, events: Events) -> None:
+    model.offer(events)
+    model.advance(int(events["t"][-1]))
+
+
+def _read(camera: DavisHost, count: int) -> Events:
+    parts: list[Events] = []
+    while sum(map(len, parts)) < count:
+        events = camera.read(_PATIENCE_S)
+        assert events is not None, f"{sum(map(len, parts))} of {count} events came"
+        parts.append(events)
+    return np.concatenate(parts)

@@ -1,0 +1,149 @@
+"""The filters of the DVS module between the run gate and the encoder, in the order of the published logic.
+
+    events -> polarity -> region of interest -> hot pixels -> (background activity, refractory) -> skip -> encoder
+
+    register  filter      rule
+    61        polarity    1: all events become OFF
+    62, 63    polarity    1: those of one polarity are suppressed, ON where 63 is 1; by the polarity of the pixel
+    41..44    region      start column, start row, end column, end row; both ends belong to it
+    11..26    hot pixels  eight pairs of row and column
+    51, 52    skip        1: N events pass, the next one is skipped, and so on; N is register 52
+
+Coordinates are the user's in both layouts: the logic swaps them itself. The count of the skip filter goes on through
+everything but power-on. Events that are filtered are counted as not selected; those of hot pixels also in the
+statistics of the module, which has no counter for polarity, region and skip.
+
+Background activity and refractory filter are not modelled: their capability register says so. Their published logic has
+a memory of 2 x 2 pixels a cell, and whether the shipped one has too is not known.
+
+Source: DVSAERFilters of the published logic (DAVIS FX3), libcaer 3.3.15 (davis.h).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from firmware_protocol.davis346.registers import Module, RegisterFile
+from firmware_protocol.events import Events
+
+__all__ = ["DvsFilters", "FilterSettings", "Passed"]
+
+_HOT_PIXELS = 8
+
+Mask = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class FilterSettings:
+    """What the registers ask of the filters.
+
+    Attributes
+    ----------
+    suppressed
+        Polarity that does not pass; None: both do.
+    region
+        (first column, first row, last column, last row).
+    hot
+        (column, row) of each pixel that does not pass; those outside the array are left out.
+    every
+        Events that pass before one is skipped; None: all pass.
+    """
+
+    flatten: bool
+    suppressed: bool | None
+    region: tuple[int, int, int, int]
+    hot: tuple[tuple[int, int], ...]
+    every: int | None
+
+    @classmethod
+    def of(cls, registers: RegisterFile, size: tuple[int, int]) -> FilterSettings:
+        """Return what the registers of a camera of `size` (width, height) say."""
+
+        def value(address: int) -> int:
+            return registers.read(Module.DVS, address)
+
+        pairs = [(value(12 + 2 * k), value(11 + 2 * k)) for k in range(_HOT_PIXELS)]
+        return cls(
+            flatten=bool(value(61) & 1),
+            suppressed=bool(value(63) & 1) if value(62) & 1 else None,
+            region=(value(41), value(42), value(43), value(44)),
+            hot=tuple((x, y) for x, y in pairs if x < size[0] and y < size[1]),
+            every=value(52) if value(51) & 1 else None,
+        )
+
+
+@dataclass(frozen=True)
+class Passed:
+    """Events that pass, how many did not, how many of those were hot pixels', and how many came to the skip filter."""
+
+    events: Events
+    filtered: int = 0
+    hot: int = 0
+    counted: int = 0
+
+
+class DvsFilters:
+    """The filters of one camera, with what they have counted since it was made.
+
+    Attributes
+    ----------
+    filtered, hot
+        Events that did not pass, and those of them at hot pixels.
+    """
+
+    def __init__(self, size: tuple[int, int]) -> None:
+        self._size = size
+        self._whole = (0, 0, size[0] - 1, size[1] - 1)
+        self._skip_count = 0
+        self.filtered = self.hot = 0
+
+    def power_on(self) -> None:
+        """Set the count of the skip filter to zero."""
+        self._skip_count = 0
+
+    def passed(self, events: Events, registers: RegisterFile) -> Passed:
+        """Return what passes of `events`, (n,) EVENT, which may be changed; it counts when `take` hears of it."""
+        asked = FilterSettings.of(registers, self._size)
+        good = _of_polarity(events, asked) & self._in_region(events, asked)
+        cold = _cold(events, asked)
+        hot = int(np.count_nonzero(good & ~cold))
+        good &= cold
+        counted = 0 if asked.every is None else int(np.count_nonzero(good))
+        if asked.every is not None:
+            places = self._skip_count + np.arange(counted)
+            good[np.flatnonzero(good)[places % (asked.every + 1) == asked.every]] = False
+        if asked.flatten:
+            events["on"] = False
+        kept = events if good.all() else events[good]
+        return Passed(kept, len(events) - len(kept), hot, counted)
+
+    def take(self, passed: Passed) -> None:
+        """Count what did not pass."""
+        self.filtered += passed.filtered
+        self.hot += passed.hot
+        self._skip_count += passed.counted
+
+    def _in_region(self, events: Events, asked: FilterSettings) -> Mask:
+        if asked.region == self._whole:  # so that events outside the array are still refused, and not filtered
+            return np.ones(len(events), np.bool_)
+        left, top, right, bottom = asked.region
+        x, y = events["x"], events["y"]
+        inside: Mask = (x >= left) & (x <= right) & (y >= top) & (y <= bottom)
+        return inside
+
+
+def _of_polarity(events: Events, asked: FilterSettings) -> Mask:
+    if asked.suppressed is None:
+        return np.ones(len(events), np.bool_)
+    others: Mask = events["on"] != asked.suppressed
+    return others
+
+
+def _cold(events: Events, asked: FilterSettings) -> Mask:
+    cold = np.ones(len(events), np.bool_)
+    for x, y in asked.hot:
+        cold &= (events["x"] != x) | (events["y"] != y)
+    return cold

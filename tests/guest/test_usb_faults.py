@@ -1,0 +1,72 @@
+"""What unmodified drivers make of faults on the cable and in the camera, and that the ledger knows what they got."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from emulator.run.control import ask, sockets
+from firmware_protocol.events import Events
+from tests.guest.attachment import Attachment
+from tests.guest.environments import DRIVERS, Driver
+from tests.guest.machine import Guest
+from tests.guest.running_rig import RunningRig
+from tests.guest.streaming import Seen, Streaming
+
+pytestmark = [pytest.mark.guest, pytest.mark.socket, pytest.mark.timeout(1200), pytest.mark.xdist_group("guest")]
+
+EVENTS = 700_000
+SECONDS = 25.0
+FAULTS = {
+    "repeated_events": {"kind": "repeated_events", "count": 100},
+    "empty_transfers": {"kind": "empty_transfers", "count": 3},
+    "odd_bytes_missing": {"kind": "odd_bytes", "count": 3},
+    "odd_bytes_extra": {"kind": "odd_bytes", "count": 3, "change": "extra"},
+    "missed_wraps": {"kind": "missed_wraps"},
+    "time_ahead": {"kind": "time_ahead"},
+    "time_frozen": {"kind": "time_frozen", "for_s": 0.2},
+    "time_back": {"kind": "time_back", "for_s": 0.2},
+    "usb_stall": {"kind": "usb_stall"},
+}
+
+
+def outcome(seen: Seen, delivered: Events, fault: dict[str, object]) -> dict[str, object]:
+    """What a driver saw beside what a sound receiver must have seen."""
+    if not len(seen.events):
+        return {"seen": 0, "running": seen.about.get("running")}
+    events = seen.events.copy()
+    events["t"] -= events["t"][0] - delivered["t"][0]
+    span = delivered[delivered["t"] <= events["t"].max()]
+    return {
+        "seen": len(events), "delivered": len(span), "missing": int(np.count_nonzero(~np.isin(span, events))),
+        "others": int(np.count_nonzero(~np.isin(events, span))), "running": seen.about.get("running"),
+        "t_first": int(events["t"][0]), "t_last": int(events["t"][-1]), "lost": fault.get("events_lost"),
+        "hits": fault.get("hits"),
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("name", FAULTS)
+@pytest.mark.parametrize("driver", DRIVERS, ids=lambda driver: driver.name)
+def test_a_driver_meets_a_fault(
+    guest: Guest, driver: Driver, driver_pythons: dict[str, Path], tmp_path: Path, name: str,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    with RunningRig(tmp_path) as rig, Attachment(guest, rig.port):
+        streaming = Streaming(guest, driver, driver_pythons[driver.name], EVENTS, timeout_s=SECONDS)
+        streaming.wait_until_started()
+        answer = ask(sockets()[0], {"ask": "inject", "fault": FAULTS[name]})
+        assert answer.get("link") == "usbip", answer
+        seen = streaming.wait()
+    assert rig.summary["balanced"], rig.summary
+    (fault,) = rig.summary["links"]["usbip"]["faults"]
+    delivered = rig.delivered
+    found = outcome(seen, delivered.events[delivered.resets[-1] :], fault)
+    if log := os.environ.get("EVSTIM_FAULT_OUTCOMES"):
+        with Path(log).open("a") as lines:
+            lines.write(json.dumps({"driver": driver.name, "fault": name, **found}) + "\n")
+    assert fault["hits"] > 0

@@ -1,0 +1,39 @@
+"""The contract of USB cables, over the USB/IP server, the bus in memory behind pyusb, and the loopback."""
+
+import pytest
+
+from evstim.testing.fake_usb import FakeUsbBus
+from evstim.testing.usb_contract import Plugged, UsbContract
+from firmware_protocol.davis346 import Davis346Settings
+from transports.usb.loopback import DirectHost
+from transports.usb.pyusb_host import PyusbHost
+from transports.usb.usbip.client import UsbipHost
+
+
+@pytest.mark.socket
+class TestUsbip(UsbContract):
+    @pytest.fixture(autouse=True)
+    def server(self, bench):
+        self.bench = bench
+
+    def plug(self, device, timeout_s):
+        if not self.bench.server.attached:
+            self.bench.run(self.bench.server.close(linger_s=30))
+        self.bench.start({"1-1": device})
+
+        def call(function, *args):
+            self.bench.call(function, *args)
+            self.bench.call(self.bench.server.pump)
+
+        return Plugged(UsbipHost.attach(port=self.bench.server.port, timeout_s=timeout_s), call)
+
+
+class TestFakeBus(UsbContract):
+    def plug(self, device, timeout_s):
+        bus = FakeUsbBus(device, Davis346Settings(serial="00000042").descriptors())
+        return Plugged(PyusbHost.find(0x152A, 0x841A, bus, timeout_s), bus.call)
+
+
+class TestLoopback(UsbContract):
+    def plug(self, device, timeout_s):
+        return Plugged(DirectHost(device), lambda function, *args: function(*args))

@@ -1,0 +1,202 @@
+"""What goes over a camera's USB cable, written beside the run: as text, and as a file for Wireshark.
+
+    connection --submitted, completed--> queue (bounded) --thread--> FILE.txt   requests by name, transfers by length
+                                                                 +-> FILE.pcap  every byte; see `usbmon`
+
+The connection only puts what it has into a queue. Where the disk is slower than the cable, URBs are left out and both
+files go on behind them; the text says how many are missing. Where a file cannot be written any more, it ends there and
+the other goes on.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from firmware_protocol.davis346.request_names import name_answer, name_davis_request
+from firmware_protocol.davis346.settings import PRODUCT_ID, VENDOR_ID
+from firmware_protocol.usb.device import Identity, SetupPacket, UsbDevice
+from firmware_protocol.usb.request_names import name_request
+from firmware_protocol.usb.usbip import Submit, UrbStatus
+from firmware_protocol.usb.usbmon import FILE_HEADER, IN_PROGRESS, UrbRecord
+from transports.output_file import OutputFile
+from transports.usb.usbip.trace_paths import trace_paths
+
+__all__ = ["UrbTrace", "transfer_types"]
+
+_CAPACITY_BYTES = 32 << 20
+_CAPACITY_URBS = 100_000
+_CLOSE_TIMEOUT_S = 10.0
+_PERIOD_S = 0.05
+_CONTROL, _BULK = 2, 3
+_KINDS = ("isochronous", "interrupt", "control", "bulk")
+_STATUS = {UrbStatus.OK: "ok", UrbStatus.STALL: "STALL", UrbStatus.UNLINKED: "taken back", -108: "device gone"}
+_SHOWN_BYTES = 8
+_CONFIGURATION = SetupPacket(0x80, 6, 0x0200, 0, 0xFFFF)
+_ENDPOINT_DESCRIPTOR = 5
+_KIND_OF_ATTRIBUTES = (2, 0, 3, 1)  # of control, isochronous, bulk, interrupt: usbmon counts them otherwise
+
+
+@dataclass(frozen=True)
+class _Moment:
+    """A URB when it was submitted (`status` None) or completed."""
+
+    t_ns: int
+    urb: Submit
+    status: int | None
+    length: int
+    data: bytes
+
+
+class UrbTrace:
+    """Writes the URBs of one camera.
+
+    Parameters
+    ----------
+    path
+        FILE of FILE.txt and FILE.pcap. Where those hold something already, FILE-restart1 and so on are taken.
+    device
+        The camera; it is asked for its descriptors.
+    now_ns
+        Unix time.
+    capacity_bytes
+        Data that may wait for the disk.
+
+    Raises
+    ------
+    OSError
+        A file cannot be opened.
+    """
+
+    def __init__(
+        self, path: Path, device: UsbDevice, now_ns: Callable[[], int], capacity_bytes: int = _CAPACITY_BYTES
+    ) -> None:
+        text, pcap = trace_paths(path)
+        self._text, self._pcap = OutputFile(text, "USB trace"), OutputFile(pcap, "USB trace")
+        self._now_ns = now_ns
+        self._words = _Words(device.identity, transfer_types(device), now_ns())
+        self._capacity_bytes = capacity_bytes
+        self._waiting: deque[_Moment] = deque()
+        self._waiting_bytes = 0
+        self._missing = 0
+        self.missing = 0
+        self._closing, self._lock = threading.Event(), threading.Lock()
+        self._pcap.write(FILE_HEADER, flush=True)
+        self._text.write(self._words.head.encode(), flush=True)
+        self._thread = threading.Thread(target=self._run, name="usb trace", daemon=True)
+        self._thread.start()
+
+    @property
+    def trouble(self) -> str:
+        """Why a file is not whole; empty where both are."""
+        lost = f"USB trace: {self.missing} records are missing, the disk was too slow" if self.missing else ""
+        return self._text.trouble or self._pcap.trouble or lost
+
+    def submitted(self, urb: Submit) -> None:
+        """Note that the host has submitted a URB."""
+        self._put(_Moment(self._now_ns(), urb, None, urb.length, urb.data))
+
+    def completed(self, urb: Submit, status: int, length: int, data: bytes = b"") -> None:
+        """Note that a URB was answered, taken back, or lost with its connection."""
+        self._put(_Moment(self._now_ns(), urb, status, length, data))
+
+    def close(self) -> None:
+        """Write what waits, for some seconds at most, and close the files."""
+        self._closing.set()
+        self._thread.join(_CLOSE_TIMEOUT_S)
+
+    def _put(self, moment: _Moment) -> None:
+        with self._lock:
+            full = self._waiting_bytes + len(moment.data) > self._capacity_bytes
+            if full or len(self._waiting) >= _CAPACITY_URBS:
+                self._missing += 1
+                self.missing += 1
+                return
+            self._waiting.append(moment)
+            self._waiting_bytes += len(moment.data)
+
+    def _run(self) -> None:
+        while not self._closing.wait(_PERIOD_S):
+            self._write_waiting()
+        self._write_waiting()
+        self._text.close()
+        self._pcap.close()
+
+    def _write_waiting(self) -> None:
+        while True:
+            with self._lock:
+                batch, self._waiting = self._waiting, deque()
+                missing, self._missing = self._missing, 0
+            if not batch and not missing:
+                return
+            for moment in batch:
+                self._pcap.write(bytes(self._words.record(moment)))
+                self._text.write(self._words.line(moment).encode())
+            if missing:
+                self._text.write(f"# {missing} records are missing here: the disk was too slow\n".encode())
+            with self._lock:
+                self._waiting_bytes -= sum(len(moment.data) for moment in batch)
+            for file in (self._text, self._pcap):
+                file.write(b"", flush=True)
+
+
+class _Words:
+    """Says what a URB is about."""
+
+    def __init__(self, camera: Identity, types: Mapping[int, int], begun_ns: int) -> None:
+        self._types = types
+        self._is_davis = (camera.vendor_id, camera.product_id) == (VENDOR_ID, PRODUCT_ID)
+        self._begun_ns = begun_ns
+        self.head = (
+            f"# USB trace of {camera.vendor_id:04x}:{camera.product_id:04x}, "
+            f"begun at {begun_ns / 1e9:.6f} s Unix time\n"
+            "# s since then, S the host asks or C its answer, number of the URB, transfer, what\n"
+        )
+
+    def record(self, moment: _Moment) -> UrbRecord:
+        """Return the record of a pcap file."""
+        urb = moment.urb
+        return UrbRecord(
+            urb.seqnum, moment.t_ns // 1000, moment.status is None, self._type(urb), urb.endpoint, urb.is_in,
+            urb.devid, IN_PROGRESS if moment.status is None else moment.status, moment.length, urb.setup, moment.data,
+        )  # fmt: skip
+
+    def line(self, moment: _Moment) -> str:
+        """Return a line of text."""
+        urb = moment.urb
+        way = f"{_KINDS[self._type(urb)]} {'IN' if urb.is_in else 'OUT'}"
+        what = self._asked(urb) if moment.status is None else self._answered(moment, moment.status)
+        letter = "S" if moment.status is None else "C"
+        return f"{(moment.t_ns - self._begun_ns) / 1e9:13.6f} {letter} {urb.seqnum:6d} {way:13s} {what}\n"
+
+    def _type(self, urb: Submit) -> int:
+        return _CONTROL if urb.endpoint == 0 else self._types.get(urb.endpoint | urb.is_in << 7, _BULK)
+
+    def _asked(self, urb: Submit) -> str:
+        if urb.endpoint:
+            return f"endpoint {urb.endpoint | urb.is_in << 7:#04x}, {urb.length} bytes"
+        name = name_davis_request if self._is_davis else name_request
+        return name(SetupPacket.parse(urb.setup), urb.data)
+
+    def _answered(self, moment: _Moment, status: int) -> str:
+        told = _STATUS.get(status, f"status {status}")
+        if status != UrbStatus.OK:
+            return told
+        setup = SetupPacket.parse(moment.urb.setup)
+        name = name_answer(setup, moment.data) if self._is_davis and moment.urb.endpoint == 0 else ""
+        start = moment.data[:_SHOWN_BYTES].hex(" ")
+        more = " ..." if len(moment.data) > _SHOWN_BYTES else ""
+        return f"{told}, {moment.length} bytes{': ' if name or start else ''}{name or start + more}"
+
+
+def transfer_types(device: UsbDevice) -> dict[int, int]:
+    """Return usbmon's transfer type of each endpoint (address with direction bit), from the device's descriptors."""
+    data, types, at = device.control(_CONFIGURATION, b""), {}, 0
+    while at + 2 <= len(data) and data[at] >= 2:
+        if data[at + 1] == _ENDPOINT_DESCRIPTOR and at + 4 <= len(data):
+            types[data[at + 2]] = _KIND_OF_ATTRIBUTES[data[at + 3] & 3]
+        at += data[at]
+    return types
