@@ -17,8 +17,7 @@ class TestUsbip(UsbContract):
         self.bench = bench
 
     def plug(self, device, timeout_s):
-        if not self.bench.server.attached:
-            self.bench.run(self.bench.server.close(linger_s=30))
+        self.bench.run(self.bench.server.close(linger_s=30))
         self.bench.start({"1-1": device})
 
         def call(function, *args):
