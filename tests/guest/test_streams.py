@@ -24,6 +24,9 @@ pytestmark = [pytest.mark.guest, pytest.mark.socket, pytest.mark.timeout(1200), 
 EVENTS = 150_000  # half a second of device time: a dozen frames, 50 pulses, 500 samples
 LAYOUTS = {"dv2": "upright", "dv1": "turned", "nd": "upright"}
 STREAMS = """
+[run]
+pace = "free"  # frames are ten times the bytes of the events: a busy machine cannot take them in real time
+
 [camera.clock]
 drift_ppm = 50
 
