@@ -103,7 +103,7 @@ class ReadingInput:
         """Remove and return the blocks up to `until_us`; those that waited beyond their time have that of `now_us`."""
         count = bisect.bisect_right(self._waiting, until_us, key=_time_of)
         due, self._waiting = self._waiting[:count], self._waiting[count:]
-        return [block if block.t_us >= now_us else replace(block, t_us=now_us) for block in due]
+        return [block if block.t_us >= now_us else _dated(block, now_us) for block in due]
 
     def put_back(self, blocks: Sequence[Block]) -> None:
         """Let blocks that were due wait further."""
@@ -141,3 +141,10 @@ class ReadingInput:
 
 def _time_of(block: Block) -> int:
     return block.t_us
+
+
+def _dated(block: Block, t_us: int) -> Block:
+    """Return a block whose words and reading are both of `t_us`: what is recorded is what the host reads."""
+    record = block.reading.record.copy()
+    record["t"] = t_us
+    return Block(t_us, block.words, replace(block.reading, record=record))

@@ -107,3 +107,17 @@ def test_of_those_that_find_no_room_few_wait_and_the_rest_is_dropped():
     camera.advance(20_001)
     assert len(host.decoded().imu) > 0
     assert fates(camera).accounted == 100
+
+
+def test_a_sample_that_waited_is_told_with_the_time_that_the_host_reads():
+    camera, host = running(fifo_bytes=1024)
+    camera.offer_readings(IMU, samples(40, period_us=10))
+    told, read = [], []
+    for now_us in (20_000, 21_000):
+        camera.advance(now_us)
+        transfers = host.transfers()
+        told += [int(one.record["t"][0]) for transfer in transfers for one in transfer.readings]
+        read += [host.decoder.feed(transfer.data).imu["t"] for transfer in transfers]
+    assert told == np.concatenate(read).tolist()
+    assert told[0] == 1000
+    assert told[-1] == 20_000
