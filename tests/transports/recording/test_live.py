@@ -32,6 +32,12 @@ def events_at(times):
     return events
 
 
+@pytest.fixture(autouse=True)
+def patient(monkeypatch):
+    """A writer on a busy machine has a minute to finish its file, not the seconds of a run."""
+    monkeypatch.setattr("transports.recording.live._CLOSE_S", 60.0)
+
+
 def waited(check, seconds=60.0):
     deadline = time.monotonic() + seconds
     while not check() and time.monotonic() < deadline:
@@ -77,7 +83,8 @@ def test_a_killed_writer_leaves_what_it_wrote_and_is_told(name, tmp_path):
     for start in range(0, len(events), 1000):
         recorder.append(Part(events[start : start + 1000]), unix_us=None)
     assert waited(lambda: recorder.room == (1 << 27) // EVENT.itemsize)
-    time.sleep(0.5)  # the writer's own idle time, after which nothing waits in it
+    most_lost = {"dsec": 300_000}.get(name, 20_000)
+    assert waited(lambda: len(read_until_damage(path)[0]) >= len(events) - most_lost)  # the writer is busy yet
     os.kill(recorder._process.pid, signal.SIGKILL)
     recorder.close()
     recorder.append(Part(events[:10]), unix_us=None)
@@ -86,7 +93,7 @@ def test_a_killed_writer_leaves_what_it_wrote_and_is_told(name, tmp_path):
     read, trouble = read_until_damage(path)
     lost = len(events) - len(read)
     np.testing.assert_array_equal(read[:-1], events[: max(0, len(read) - 1)])
-    assert lost <= {"dsec": 300_000}.get(name, 20_000), trouble
+    assert lost <= most_lost, trouble
 
 
 FEEDER = """
@@ -112,6 +119,7 @@ def test_a_killed_feeder_leaves_a_finished_file(tmp_path):
     done = subprocess.run([sys.executable, "-c", FEEDER, path], cwd=os.getcwd(), check=False, timeout=60)
     assert done.returncode == -signal.SIGKILL
     finished = FORMATS["aedat4"].imported("firmware_protocol.recordings.aedat4_frame:Aedat4Head")
+    assert waited(lambda: path.stat().st_size > 0)
     assert waited(lambda: finished(path.read_bytes()).table_at > 0)
     assert read_all(path)[1]["t"].tolist() == list(range(5000))
 
