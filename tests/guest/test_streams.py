@@ -52,7 +52,7 @@ def test_every_stream_is_seen_as_it_was_delivered(
     guest: Guest, driver: Driver, driver_pythons: dict[str, Path], tmp_path: Path
 ) -> None:
     asked = ("--imu", "--frames", "--triggers")
-    # neuromorphic_drivers, opening, waits a second for each answer: too short beside a run that takes all it can get.
+    # neuromorphic_drivers did not open beside a run at free pace: its requests timed out.
     more = STREAMS + (FREE if driver.adds_host_time else "")
     with RunningRig(tmp_path, layout=LAYOUTS[driver.name], more=more) as rig, Attachment(guest, rig.port):
         seen = Streaming(guest, driver, driver_pythons[driver.name], EVENTS, *asked).wait()
