@@ -94,13 +94,17 @@ class ImuSettings:
 
 
 def physical(samples: ImuSamples, unit: int = 2) -> npt.NDArray[np.void]:
-    """Return samples in g, degrees Celsius and deg/s, (n,) PHYSICAL, as a driver converts them; `unit` is its TYPE."""
+    """Return samples in g, degrees Celsius and deg/s, (n,) PHYSICAL, as a driver converts them; `unit` is its TYPE.
+
+    A group that its sample does not have is 0, the temperature too: a driver that starts the unit register by register
+    gets samples of the accelerometer alone first.
+    """
     out = np.zeros(len(samples), PHYSICAL)
     scale = samples["scale"].astype(np.int64)
     counts = samples["counts"].astype(np.float64)
     steepness, offset = THERMOMETERS[unit]
     out["t"] = samples["t"]
     out["acceleration_g"] = counts[:, :3] * (4.0 * 2.0 ** (scale >> 2 & 3) / 65536)[:, None]
-    out["temperature_c"] = counts[:, 3] / steepness + offset
+    out["temperature_c"] = np.where(scale & 0x20, counts[:, 3] / steepness + offset, 0.0)
     out["rate_deg_s"] = counts[:, 4:] * (500.0 * 2.0 ** (scale & 3) / 65536)[:, None]
     return out

@@ -86,3 +86,11 @@ def test_physical_values_are_those_of_the_published_formulas():
     assert value["rate_deg_s"].tolist() == [1000 / 65.536, -655 / 65.536, 1 / 65.536]
     assert physical(one, unit=1)[0]["temperature_c"] == pytest.approx(2504 / 340 + 35)
     assert len(physical(no_samples())) == 0
+
+
+def test_a_group_that_is_not_there_is_zero():
+    one = no_samples(1)
+    one["scale"] = int(ImuScale(gyroscope=False, temperature=False))
+    assert physical(one)[0]["temperature_c"] == 0.0
+    one["scale"] = int(ImuScale())
+    assert physical(one)[0]["temperature_c"] == 21.0
