@@ -34,19 +34,21 @@ def opened(address: str, ring: lucid_triton.RingConfiguration):
 def one_opening(address: str, count: int, octets: int) -> dict[str, object]:
     """Open, read at least `count` events, close."""
     ring = lucid_triton.RingConfiguration(buffer_length=octets, ring_length=1 << 17)
-    parts, seen, dropped = [], 0, 0
+    parts, seen, dropped, begun_s = [], 0, 0, 0.0
     with opened(address, ring) as camera:
         bounds = {str(name): str(value) for name, value in vars(camera.biases_bounds()).items()}
         end_s = time.monotonic() + PATIENCE_S
         for status, packet in camera:
             if packet is not None and packet.polarity_events is not None:
+                begun_s = begun_s or time.monotonic()
                 parts.append(packet.polarity_events)
                 seen += len(parts[-1])
             dropped = getattr(status, "dropped_packets", 0) or dropped
             if seen >= count or time.monotonic() > end_s:
                 break
+        read_s = time.monotonic() - begun_s
         celsius = camera.temperature_celsius()
-    return {"parts": parts, "seen": seen, "dropped": dropped, "celsius": celsius, "bounds": bounds}
+    return {"parts": parts, "seen": seen, "read_s": read_s, "dropped": dropped, "celsius": celsius, "bounds": bounds}
 
 
 def main() -> None:
