@@ -84,6 +84,8 @@ class _Gate:
 class Davis346(UsbCamera):
     """The camera. Events and the passing of stream time go in by `offer` and `advance`, USB by the rest."""
 
+    data_endpoint = DATA_ENDPOINT & 15
+
     def __init__(self, settings: Davis346Settings | None = None) -> None:
         self.settings = settings = settings or Davis346Settings()
         self._standard = StandardControl(settings.descriptors())

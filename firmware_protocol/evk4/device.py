@@ -46,6 +46,8 @@ _FIFO_BYTES_PER_EVENT = 6
 class Evk4(UsbCamera):
     """The camera. Events and the passing of stream time go in by `offer` and `advance`, USB by the rest."""
 
+    data_endpoint = DATA_ENDPOINT & 15
+
     def __init__(self, settings: Evk4Settings | None = None) -> None:
         self.settings = settings = settings or Evk4Settings()
         self._standard = StandardControl(settings.descriptors())

@@ -16,6 +16,7 @@ import struct
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from enum import IntEnum
+from typing import ClassVar
 
 from firmware_protocol.edges import Edges, empty_edges
 from firmware_protocol.event_device import EventDevice
@@ -183,4 +184,12 @@ class UsbDevice(ABC):
 
 
 class UsbCamera(UsbDevice, EventDevice):
-    """An event camera on USB: fed from one side, asked for bytes from the other."""
+    """An event camera on USB: fed from one side, asked for bytes from the other.
+
+    Attributes
+    ----------
+    data_endpoint
+        Number of the IN endpoint that bears its events.
+    """
+
+    data_endpoint: ClassVar[int]

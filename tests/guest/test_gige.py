@@ -4,12 +4,13 @@ The driver starts only where libusb finds a USB. On a machine without one it get
 its own. More events, larger packets and more openings than in CI:
 
     EVSTIM_GIGE_EVENTS=1e7 EVSTIM_GIGE_OPENINGS=100 python -m pytest tests/guest/test_gige.py
-    EVSTIM_GIGE_EVENTS=6e7 EVSTIM_GIGE_GAP_US=0.025 python -m pytest -s -k exact tests/guest/test_gige.py  # 40 Mev/s
+    EVSTIM_GIGE_EVENTS=6e7 EVSTIM_GIGE_GAP_US=0.025 python -m pytest -k exact --log-cli-level=info tests/guest/
 """
 
 from __future__ import annotations
 
 import json
+import logging
 import os
 import subprocess
 from pathlib import Path
@@ -25,6 +26,7 @@ from tests.guest.gige_run import GigeRun, looped_1280x720
 EVENTS = int(float(os.environ.get("EVSTIM_GIGE_EVENTS", "1e6")))
 OPENINGS = int(os.environ.get("EVSTIM_GIGE_OPENINGS", "5"))
 GAP_US = float(os.environ.get("EVSTIM_GIGE_GAP_US", "2"))
+log = logging.getLogger(__name__)
 CLIENT = Path(__file__).with_name("clients") / "nd_gige.py"
 EMPTY_USB = (
     "mount -t tmpfs none /sys && mount -t tmpfs none /run && mkdir -p /run/usb /dev/bus/usb && touch /run/usb/none && "
@@ -70,7 +72,7 @@ def test_every_event_is_exact(tmp_path, run, address, driver_pythons, octets):
     told = _read(driver_pythons["nd"], address, EVENTS, octets, tmp_path / "seen.npz")
     summary, delivered = run.stop()
     assert told["seen"] >= EVENTS, told
-    print(f"{told['seen']} events, {octets} octets: {told['seen'] / told['read_s'] / 1e6:.1f} Mev/s")
+    log.info("%d octets: %.1f Mev/s", octets, told["seen"] / told["read_s"] / 1e6)  # shown by --log-cli-level=info
     assert_same(load_seen(tmp_path / "seen.npz"), delivered, offset_us=0)
     assert (told["dropped"], told["celsius"]) == (0, 35.0)
     assert summary["balanced"], summary

@@ -26,8 +26,6 @@ from transports.faults.word_stages import WordStage
 
 __all__ = ["FaultyDevice"]
 
-_DATA_ENDPOINT = 2
-
 
 class FaultyDevice(UsbDevice):
     """Passes everything on to a device, by way of the faults."""
@@ -41,6 +39,7 @@ class FaultyDevice(UsbDevice):
         self._false = FalseAnswers()
         # What the device gave for each transfer that has no fate yet, oldest first; None: nothing, it is a fault's own.
         self._given: deque[Transfer | None] = deque()
+        self._data_endpoint = device.data_endpoint if isinstance(device, UsbCamera) else 2
         self._now_us = 0
 
     @property
@@ -52,6 +51,11 @@ class FaultyDevice(UsbDevice):
     def gone(self) -> bool:
         """True while the device is unplugged."""
         return any(stage.gone for stage in self._endpoint_stages)
+
+    @property
+    def silent(self) -> bool:
+        """True while its data endpoint is silent."""
+        return any(stage.silent and stage.endpoint == self._data_endpoint for stage in self._endpoint_stages)
 
     def advance(self, now_us: int) -> None:
         """Let stream time pass."""
@@ -95,7 +99,7 @@ class FaultyDevice(UsbDevice):
         answer = self._device.control(setup, data)
         if _ends_halt(setup):
             self._halted.discard(setup.index & 0x0F)
-            if setup.index & 0x0F == _DATA_ENDPOINT:
+            if setup.index & 0x0F == self._data_endpoint:
                 self._start_data()
         return self._false.answer(setup, answer) if setup.is_in else answer
 
@@ -143,7 +147,7 @@ class FaultyDevice(UsbDevice):
 
     def _read(self, endpoint: int, max_bytes: int) -> Transfer | None:
         stages = [stage for stage in self._faults.stages if isinstance(stage, WordStage) and not stage.over]
-        if endpoint != _DATA_ENDPOINT or not self._words.needed(stages):
+        if endpoint != self._data_endpoint or not self._words.needed(stages):
             transfer = given = self._device.read(endpoint, max_bytes)
         else:
             given = self._device.read(endpoint, self._words.room(stages, max_bytes))
@@ -175,6 +179,8 @@ class FaultyDevice(UsbDevice):
         self._false.versions = [stage.fault for stage in stages if isinstance(stage.fault, WrongVersion)]
 
     def _begin(self, stage: UsbStage) -> None:
+        if stage.overflow:
+            stage.endpoint = self._data_endpoint
         if isinstance(stage.fault, UsbUnplugged) and stage.fault.serial:
             self._false.serial = stage.fault.serial
         if isinstance(stage.fault, RegisterFlip):

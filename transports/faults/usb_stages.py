@@ -35,6 +35,8 @@ class UsbStage:
     ----------
     fault
         What was asked for.
+    endpoint
+        Number of the IN endpoint; that of the data where the camera's FIFO is to overflow.
     empty
         Which transfers come empty.
     overflow
@@ -113,7 +115,7 @@ def usb_stage(
         case SlowControl():
             return _Slowness(fault)
         case FifoOverflow():
-            return UsbStage(fault, endpoint=2, silent=True, overflow=dropped() + fault.events)
+            return UsbStage(fault, silent=True, overflow=dropped() + fault.events)
     return _endpoint_stage(fault, random)
 
 

@@ -72,6 +72,11 @@ class Endpoint(ABC):
         raise ValueError(f"{fault.kind!r} is no fault of this kind of link")
 
     @property
+    def withholds(self) -> bool:
+        """True while a fault keeps from the host what the camera has: stream time must not wait for the host then."""
+        return False
+
+    @property
     def faults(self) -> tuple[FaultRecord, ...]:
         """What each fault has done so far."""
         return ()

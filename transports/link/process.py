@@ -51,6 +51,7 @@ STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _REPORT_PERIOD_NS = 100_000_000
 _LONGEST_DRAIN_TURN_NS = 5_000_000
 _TAKE_LIMIT = 1 << 17  # events a tick: bounds the memory and the time of one tick
+_WITHHELD_STEP_US = 1000  # of a run that is not paced, while a fault is silent: it ends that late at most
 
 _NO_FACTS = Facts()
 
@@ -140,7 +141,8 @@ class Link:
         now_us = self._ring.now_us  # read first: what came into the ring after an order is not fed before it
         self.endpoint.listen()
         if origin_ns == FREE_RUNNING:
-            room = self._device.room_events if self._device.streaming else _TAKE_LIMIT
+            bounded = self._device.streaming and not self.endpoint.withholds
+            room = self._device.room_events if bounded else _TAKE_LIMIT
             self._feed.feed(self._free_until_us(now_us), min(room, _TAKE_LIMIT))
         elif origin_ns is not None:
             due_us = max(0, (self._clock.now_ns() - origin_ns) // 1000 - self._holdback_us)
@@ -158,6 +160,8 @@ class Link:
 
     def _free_until_us(self, now_us: int) -> int:
         """Return how far a run that is not paced may go now; a silence that the host needs lasts in its time too."""
+        if self.endpoint.withholds:  # the FIFO gets no emptier: it overflows, as it does in real time
+            return min(now_us, self._feed.reached_us + _WITHHELD_STEP_US)
         until_us = self._feed.readings.until_us(min(now_us, self._feed.horizon_us))
         silent_until_us = self._device.silent_until_us
         if silent_until_us <= self._device.now_us:

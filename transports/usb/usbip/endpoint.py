@@ -82,6 +82,11 @@ class UsbipEndpoint(Endpoint):
         self._device.inject(fault)
 
     @property
+    def withholds(self) -> bool:
+        """See `Endpoint.withholds`."""
+        return self._device.silent
+
+    @property
     def faults(self) -> tuple[FaultRecord, ...]:
         """See `Endpoint.faults`."""
         return self._device.records
