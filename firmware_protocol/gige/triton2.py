@@ -169,7 +169,12 @@ class Triton2(EventDevice):
 
     def next_extra(self) -> Extra | None:
         """Return the next datagram that a host asked for beside the blocks: a test packet, or one sent again."""
-        return self._extra.popleft() if self._extra and self.destination is not None else None
+        return self._extra.popleft() if self.waits_extra else None
+
+    @property
+    def waits_extra(self) -> bool:
+        """Whether `next_extra` has one."""
+        return bool(self._extra) and self.destination is not None
 
     def sent(self, outgoing: Outgoing) -> None:
         """Count a block as delivered."""

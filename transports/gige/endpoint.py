@@ -13,6 +13,7 @@ from collections import Counter, deque
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
+from firmware_protocol.gige.gvsp import HEADER_OCTETS
 from firmware_protocol.gige.outflow import Outgoing
 from firmware_protocol.gige.triton2 import Triton2
 from transports.faults.kinds import Fault
@@ -64,7 +65,7 @@ class GigeEndpoint(Endpoint):
         self._clock = deliveries.clock
         self._control: ControlProcess | None = None
         self._allow = AllowList(link.allow)
-        self._stream = StreamSocket(link.host)
+        self._stream = StreamSocket(link.host, segmented=link.segmentation)
         self._budget = ByteBudget(link.mbit_s, self._clock.now_ns())
         self._faulty = FaultyPackets(factory.faults)
         self._fates = BlockFates(self._arrived, self._destroyed)
@@ -103,7 +104,7 @@ class GigeEndpoint(Endpoint):
         self._control.tell(self._camera.time)
         self._budget.renew(self._clock.now_ns())
         self._look_at_time()
-        while self._budget.left > 0 and self._prepare() and self._send():
+        while self._budget.left > 0 and (self._send_block() or (self._prepare() and self._send())):
             pass
         self._fates.settle(self._clock.now_ns())
 
@@ -157,6 +158,25 @@ class GigeEndpoint(Endpoint):
         if self._camera.now_us != self._moved[0]:
             self._moved = self._camera.now_us, now_ns
         self._time_stands = now_ns - self._moved[1] >= self._patience_ns
+
+    def _send_block(self) -> bool:
+        """Send a block in few calls; False when there is none, or packets must go one by one."""
+        way, busy = self._way, self._going is not None or self._ready
+        if busy or way.to is None or way.pause_ns or self._faulty.at_work or self._camera.waits_extra:
+            return False
+        outgoing = self._camera.next_block(at_once=self._time_stands)
+        if outgoing is None:
+            return False
+        block = outgoing.block
+        taken = self._stream.send_block(block, way.to, may_fragment=way.may_fragment)
+        self.sent["packets"] += taken
+        self._going, self._whole = (outgoing, _packets(outgoing, taken)), True
+        if taken < block.packets:  # the others go one by one, and it is told why they do not
+            self._budget.left -= taken * block.packet_size
+            return False
+        self._budget.left -= len(block.data) + taken * (HEADER_OCTETS + _IP_UDP_OCTETS)
+        self._end_block()
+        return True
 
     def _prepare(self) -> bool:
         """Have a packet ready; False when there is nothing to send, or nothing may go yet."""
@@ -233,6 +253,6 @@ class GigeEndpoint(Endpoint):
         self._faulty.blame(len(outgoing.events), len(outgoing.edges))
 
 
-def _packets(outgoing: Outgoing) -> Iterator[Packet]:
+def _packets(outgoing: Outgoing, first: int = 0) -> Iterator[Packet]:
     block = outgoing.block
-    return (Packet(block.packet(number), block.number, number) for number in range(block.packets))
+    return (Packet(block.packet(number), block.number, number) for number in range(first, block.packets))

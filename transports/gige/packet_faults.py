@@ -59,6 +59,11 @@ class FaultyPackets:
             packets = going
         return packets
 
+    @property
+    def at_work(self) -> bool:
+        """Whether a fault is at work now."""
+        return bool(self._faults.stages)
+
     def gone(self) -> list[Packet]:
         """Return the packets that were taken away since the last call."""
         gone, self._gone = self._gone, []

@@ -36,7 +36,9 @@ class LatencyHistogram:
         if not len(latency_us):
             return
         bins = np.clip(latency_us / _BIN_US, 0, _BINS - 1).astype(np.int64)
-        self._counts += np.bincount(bins, minlength=_BINS)
+        first = int(bins.min())
+        counts = np.bincount(bins - first)
+        self._counts[first : first + len(counts)] += counts
         self._max_us = max(self._max_us or 0.0, float(latency_us.max()))
 
     def summary(self) -> LatencySummary:
