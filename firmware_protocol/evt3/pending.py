@@ -11,7 +11,8 @@ from firmware_protocol.evt3.words import WINDOW_PX
 
 __all__ = [
     "AT_EDGE", "AT_EVENT", "BACKWARDS", "HIGH_TOLD", "LAST", "LONGEST_GAP_US", "MUST_OPEN", "ORIGIN", "OUTSIDE",
-    "ROW_TOLD", "TIME_TOLD", "TOO_LATE", "edge_is_next", "fault_of", "is_left", "new_state", "next_time", "same_group", "window",
+    "ROW_TOLD", "TIME_TOLD", "TOO_LATE", "edge_is_next", "fault_of", "is_left", "new_state", "next_time", "same_group",
+    "window",
 ]  # fmt: skip
 
 _Bytes = npt.NDArray[np.uint8]

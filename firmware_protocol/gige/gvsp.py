@@ -18,8 +18,6 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 
-import numpy as np
-
 from firmware_protocol.gige.gvcp import Status
 
 __all__ = ["BLOCK_OCTETS", "HEADER_OCTETS", "LEAST_PACKET", "MOST_PACKET", "Block", "removed", "test_packet"]
@@ -65,18 +63,6 @@ class Block:
             return _header(status, _TRAILER, self.number, number) + _TRAILER_BODY.pack(0, _IMAGE, len(self.data))
         start = (number - 1) * self.room
         return _header(status, _PAYLOAD, self.number, number) + self.data[start : start + self.room]
-
-    def run(self, first: int, count: int) -> bytes:
-        """Return `count` payload packets from `first` (1 on) end to end; all are full but the block's last one."""
-        data = self.data[(first - 1) * self.room : (first - 1 + count) * self.room]
-        packets = np.empty((count, HEADER_OCTETS + self.room), np.uint8)
-        packets[:, : HEADER_OCTETS] = np.frombuffer(_header(Status.SUCCESS, _PAYLOAD, self.number, 0), np.uint8)
-        packets[:, HEADER_OCTETS - 4 : HEADER_OCTETS] = np.arange(first, first + count, dtype=">u4")[:, None].view(np.uint8)
-        whole = len(data) // self.room
-        packets[:whole, HEADER_OCTETS :] = np.frombuffer(data, np.uint8, whole * self.room).reshape(whole, self.room)
-        rest = len(data) - whole * self.room
-        packets[whole:, HEADER_OCTETS : HEADER_OCTETS + rest] = np.frombuffer(data, np.uint8, rest, whole * self.room)
-        return packets.data.cast("B")[: count * HEADER_OCTETS + len(data)].tobytes()
 
 
 def removed(block: int, packet: int) -> bytes:

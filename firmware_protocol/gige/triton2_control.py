@@ -59,6 +59,10 @@ class Triton2Control:
         self._control.expire(now_ns)
         return answers
 
+    def release(self) -> None:
+        """Take control away from whoever has it, as when its heartbeat does not come."""
+        self._control.release()
+
     @property
     def owner(self) -> Peer | None:
         """The host that has control."""

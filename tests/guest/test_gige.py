@@ -12,6 +12,7 @@ from __future__ import annotations
 import json
 import os
 import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -70,7 +71,7 @@ def test_every_event_is_exact(tmp_path, run, address, driver_pythons, octets):
     told = _read(driver_pythons["nd"], address, EVENTS, octets, tmp_path / "seen.npz")
     summary, delivered = run.stop()
     assert told["seen"] >= EVENTS, told
-    print(f"{told['seen']} events, {octets} octets: {told['seen'] / told['read_s'] / 1e6:.1f} Mev/s")
+    sys.stdout.write(f"{told['seen']} events, {octets} octets: {told['seen'] / told['read_s'] / 1e6:.1f} Mev/s\n")
     assert_same(load_seen(tmp_path / "seen.npz"), delivered, offset_us=0)
     assert (told["dropped"], told["celsius"]) == (0, 35.0)
     assert summary["balanced"], summary

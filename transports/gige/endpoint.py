@@ -18,7 +18,7 @@ from firmware_protocol.gige.outflow import Outgoing
 from firmware_protocol.gige.triton2 import Triton2
 from transports.faults.kinds import Fault
 from transports.faults.script import FaultPlan, FaultRecord
-from transports.gige.answering import ControlSetup
+from transports.gige.answering import ControlSetup, Mute, Release
 from transports.gige.control_process import ControlProcess
 from transports.gige.fates import BlockFates
 from transports.gige.packet_faults import FaultyPackets, Packet
@@ -76,7 +76,7 @@ class GigeEndpoint(Endpoint):
         self._next_ns = 0
         self._patience_ns = link.block_us * 1000
         self._moved = 0, self._clock.now_ns()
-        self._time_stands = False
+        self._time_stands = self._is_down = False
         self.sent: Counter[str] = Counter()
 
     async def start(self) -> None:
@@ -111,10 +111,12 @@ class GigeEndpoint(Endpoint):
     def advance_faults(self, stream_us: int) -> None:
         """See `Endpoint.advance_faults`."""
         self._ready += self._faulty.advance(stream_us)
+        self._follow_faults()
 
     def inject(self, fault: Fault) -> None:
         """See `Endpoint.inject`."""
         self._faulty.inject(fault)
+        self._follow_faults()
 
     @property
     def faults(self) -> tuple[FaultRecord, ...]:
@@ -151,6 +153,15 @@ class GigeEndpoint(Endpoint):
     def counts(self) -> Mapping[str, int]:
         """Packets, requests, and what was wrong with either."""
         return self.sent if self._control is None else self.sent + self._control.counts
+
+    def _follow_faults(self) -> None:
+        """Do to the control channel what faults do to it."""
+        assert self._control is not None
+        if self._faulty.link_is_down != self._is_down:
+            self._is_down = self._faulty.link_is_down
+            self._control.order(Mute(self._is_down))
+        if self._faulty.takes_control():
+            self._control.order(Release())
 
     def _look_at_time(self) -> None:
         """Find out whether stream time stands, as at the end of a run: what waits then leaves without growing."""
@@ -195,7 +206,7 @@ class GigeEndpoint(Endpoint):
         """Return the next packet of the camera: what a host asked for goes first, then the block that has begun."""
         asked = self._camera.next_extra()
         if asked is not None:
-            return Packet(asked.data, asked.block, asked.number)
+            return Packet(asked.data, asked.block, asked.number, again=asked.block > 0)
         while True:
             if self._going is None:
                 outgoing = self._camera.next_block(at_once=self._time_stands)

@@ -165,7 +165,7 @@ def _runs(block: Block) -> Iterator[tuple[bytes, int]]:
     yield block.packet(0), 1
     for first in range(1, last, most):
         count = min(most, last - first)
-        yield block.run(first, count), count
+        yield b"".join(block.packet(number) for number in range(first, first + count)), count
     yield block.packet(last), 1
 
 
