@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -31,7 +32,7 @@ class LatencyHistogram:
         self._counts = np.zeros(_BINS, np.int64)
         self._max_us: float | None = None
 
-    def add(self, latency_us: npt.NDArray[np.float64]) -> None:
+    def add(self, latency_us: npt.NDArray[np.floating[Any]]) -> None:
         """Count latencies, shape (n,), us; an event that leaves before its own time counts as 0."""
         if not len(latency_us):
             return

@@ -221,7 +221,6 @@ def test_a_link_that_is_down_is_silent_both_ways_and_comes_back(bench):
     here = bench(LinkDown(at_s=0.05, for_s=0.05))
     host = here.connect()
     host.start(packet_size=576)
-    host.assembly.missing = lambda now_ns: []
     events, asked = stream(20_000), socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     asked.settimeout(0.3)
     here.ring.start(FREE_RUNNING)
@@ -235,7 +234,6 @@ def test_a_link_that_is_down_is_silent_both_ways_and_comes_back(bench):
     here.ring.publish(int(events["t"][-1]) + 5000)
     for _ in range(600):
         here.turn()
-    here.turn(host)
     asked.settimeout(20.0)
     asked.sendto(request(Command.DISCOVERY, 2), (here.host, here.port))
     assert len(asked.recv(1000)) == 256
@@ -244,6 +242,25 @@ def test_a_link_that_is_down_is_silent_both_ways_and_comes_back(bench):
     report = here.close()
     assert 3000 < report.faults[0].events_lost < 8000
     assert report.delivered + report.faults[0].events_lost + report.dropped_in_device == 20_000
+
+
+@pytest.mark.parametrize("segmentation", [False, True])
+def test_what_waited_leaves_in_bursts_that_a_stock_socket_buffer_holds(bench, segmentation):
+    here = bench(segmentation=segmentation)
+    host = here.connect()
+    host.start(packet_size=1400)
+    here.turn()
+    here.ring.start(FREE_RUNNING)
+    here.ring.push(stream(150_000))
+    here.ring.publish(2_000_000)
+    sizes = []
+    while sum(sizes) < 400:
+        before = here.link.endpoint.sent["packets"]
+        here.clock.advance(10_000_000)
+        here.link.tick()
+        sizes.append(here.link.endpoint.sent["packets"] - before)
+    assert max(sizes) * 2304 < 2 * 212_992
+    host.close()
 
 
 def test_strangers_get_nothing(bench):
