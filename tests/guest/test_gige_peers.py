@@ -78,5 +78,7 @@ def test_viva_genicam_finds_reads_and_writes(network, camera, tmp_path):
     assert (told["found"], int(told["bias"]), told["format"]) == (["127.0.0.1"], 12, "EVT3_0")
     assert (told["incomplete"], told["lost"], told["octets"] >= OCTETS) == (0, 0, True), told
     summary, delivered = camera.stop()
-    assert_same(_decoded(seen), delivered, offset_us=0)
+    events, edges = Evt3Decoder().decode(seen.read_bytes())
+    assert_same(events, delivered, offset_us=0)
+    assert told["edge"] == {"acks": 1, "event": 0x9000, "event_ns": 1000 * int(edges["t"][0])}
     assert summary["balanced"], summary

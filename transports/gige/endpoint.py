@@ -11,6 +11,7 @@ from __future__ import annotations
 import ipaddress
 from collections import Counter, deque
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 from firmware_protocol.gige.gvsp import HEADER_OCTETS
@@ -74,6 +75,7 @@ class GigeEndpoint(Endpoint):
         self._ready: deque[Packet] = deque()
         self._whole = True
         self._way = _Way()
+        self._message_way: tuple[str, int] | None = None
         self._next_ns = 0
         self._patience_ns = link.block_us * 1000
         self._moved = 0, self._clock.now_ns()
@@ -98,6 +100,7 @@ class GigeEndpoint(Endpoint):
             self._camera.obey(order)
         if orders:
             self._way = self._chosen_way()
+            self._message_way = self._permitted(self._camera.message_destination)
 
     def pump(self) -> None:
         """Send what waits as far as the rate allows."""
@@ -105,6 +108,7 @@ class GigeEndpoint(Endpoint):
         self._control.tell(self._camera.time)
         self._budget.renew(self._clock.now_ns())
         self._look_at_time()
+        self._send_messages()
         while self._budget.left > 0 and (self._send_block() or (self._prepare() and self._send())):
             pass
         self._fates.settle(self._clock.now_ns())
@@ -153,7 +157,8 @@ class GigeEndpoint(Endpoint):
     @property
     def counts(self) -> Mapping[str, int]:
         """Packets, requests, and what was wrong with either."""
-        return self.sent if self._control is None else self.sent + self._control.counts
+        sent = self.sent + self._camera.messages.counts
+        return sent if self._control is None else sent + self._control.counts
 
     def _follow_faults(self) -> None:
         """Do to the control channel what faults do to it."""
@@ -170,6 +175,19 @@ class GigeEndpoint(Endpoint):
         if self._camera.now_us != self._moved[0]:
             self._moved = self._camera.now_us, now_ns
         self._time_stands = now_ns - self._moved[1] >= self._patience_ns
+
+    def _send_messages(self) -> None:
+        """Tell the host what it wants to be told, and hear its answers."""
+        messages, to = self._camera.messages, self._message_way
+        if to is None:
+            return
+        for data, peer in self._stream.take():
+            if peer == to:
+                messages.answered(data)
+        now_ns, settings = self._clock.now_ns(), self._camera.message_settings
+        while not self._is_down and (message := messages.next(now_ns, settings)) is not None:
+            with suppress(BlockingIOError):  # it is lost, as one on the way
+                self._stream.send(message, to, may_fragment=self._way.may_fragment)
 
     def _send_block(self) -> bool:
         """Send a block in few calls; False when there is none, or packets must go one by one."""
@@ -242,11 +260,15 @@ class GigeEndpoint(Endpoint):
 
     def _chosen_way(self) -> _Way:
         """Return how the camera's host wants its packets."""
-        to = None
-        if self._camera.destination is not None:
-            address = str(ipaddress.IPv4Address(self._camera.destination[0]))
-            to = (address, self._camera.destination[1]) if self._allow.permits(address) else None
+        to = self._permitted(self._camera.destination)
         return _Way(to, self._camera.may_fragment, self._camera.packet_delay_ns)
+
+    def _permitted(self, destination: tuple[int, int] | None) -> tuple[str, int] | None:
+        """Return an address and port in the form of sockets; None where nothing may go there."""
+        if destination is None:
+            return None
+        address = str(ipaddress.IPv4Address(destination[0]))
+        return (address, destination[1]) if self._allow.permits(address) else None
 
     def _end_block(self) -> None:
         """Settle the block whose last packet has been made."""

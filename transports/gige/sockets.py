@@ -5,6 +5,7 @@ from __future__ import annotations
 import socket
 import struct
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 
 from firmware_protocol.gige.control import Datagram
 from firmware_protocol.gige.gvsp import HEADER_OCTETS, Block
@@ -124,6 +125,15 @@ class StreamSocket:
         except OSError:  # longer than the network carries, no route
             return False
         return True
+
+    def take(self) -> list[Datagram]:
+        """Return what hosts sent to this socket: answers to messages; not too much of it."""
+        assert self._socket is not None
+        taken: list[Datagram] = []
+        with suppress(OSError):  # no more, or the complaint of a host that has gone
+            for _ in range(_AT_A_TIME):
+                taken.append(self._socket.recvfrom(_LONGEST))
+        return taken
 
     def send_block(self, block: Block, to: tuple[str, int], *, may_fragment: bool) -> int:
         """Give the kernel the packets of a block; returns how many it took, in order, before one did not go."""

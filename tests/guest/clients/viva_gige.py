@@ -9,6 +9,18 @@ import time
 import viva_genicam as viva
 
 PATIENCE_S = 120.0
+ACTION_KEYS = {0x090C: 1, 0x9800: 2, 0x9804: 4}  # registers of the device key, the group key and the group mask
+
+
+def told_of_an_edge(camera: viva.Camera, address: str) -> dict[str, int]:
+    """Have the camera's trigger input pulsed by an action command; return what the camera tells of it."""
+    for address, key in ACTION_KEYS.items():
+        camera.write_register(address, key.to_bytes(4, "big"))
+    with camera.events(["Line0AnyEdge"]) as events:
+        device_key, group_key, mask = ACTION_KEYS.values()
+        acks = viva.send_action(device_key, group_key, mask, None, address, 2000).acks
+        event = events.next_event(20_000)
+    return {"acks": acks, "event": event.id, "event_ns": event.ts_dev}
 
 
 def main() -> None:
@@ -19,7 +31,7 @@ def main() -> None:
     told = {"found": [one.ip for one in found], "bias": camera.get("BiasEventThresholdPositive")}
     stream = camera.stream(packet_size=1400)
     camera.acquisition_start()
-    end_s, seen, incomplete, name = time.monotonic() + PATIENCE_S, 0, 0, ""
+    end_s, seen, incomplete, name, edge = time.monotonic() + PATIENCE_S, 0, 0, "", None
     with open(out, "wb") as file:
         while seen < octets and time.monotonic() < end_s:
             try:
@@ -30,10 +42,13 @@ def main() -> None:
                 incomplete += not frame.is_complete
                 name = frame.pixel_format
                 seen += file.write(bytes(frame.payload()))
+                edge = edge or told_of_an_edge(camera, found[0].ip)
     lost = stream.stats().frames_lost
     stream.close()
     camera.close()
-    print(json.dumps({**told, "octets": seen, "incomplete": incomplete, "lost": lost, "format": str(name)}))
+    print(
+        json.dumps({**told, "edge": edge, "octets": seen, "incomplete": incomplete, "lost": lost, "format": str(name)})
+    )
 
 
 main()

@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from emulator.rig.loading import RigError, parse_rig
+from firmware_protocol.edges import EdgeKind
 from firmware_protocol.events import EVENT
 from firmware_protocol.gige.bootstrap import Register
+from firmware_protocol.gige.evs_registers import Evs
 from firmware_protocol.gige.gvcp import Command, request
 from firmware_protocol.gige.settings import GigeSettings
 from firmware_protocol.gige.triton2 import Triton2
@@ -260,6 +262,39 @@ def test_what_waited_leaves_in_bursts_that_a_stock_socket_buffer_holds(bench, se
         here.link.tick()
         sizes.append(here.link.endpoint.sent["packets"] - before)
     assert max(sizes) * 2304 < 2 * 212_992
+    host.close()
+
+
+def test_a_host_is_told_of_edges_until_it_answers(bench):
+    here = bench()
+    host = here.connect()
+    told = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    told.settimeout(20.0)
+    told.bind(("127.0.0.1", 0))
+    host.start()
+    for register, value in (
+        (Register.MESSAGE_ADDRESS, 0x7F000001), (Register.MESSAGE_PORT, told.getsockname()[1]),
+        (Register.MESSAGE_TIMEOUT, 10), (Register.MESSAGE_RETRIES, 1000 // 10), (Evs.EVENT_NOTIFICATION, 1),
+    ):  # fmt: skip
+        host.write(register, value)
+    here.turn()
+    here.link.happen(EdgeKind.RISING)
+    messages = []
+    for _ in range(2):
+        here.clock.advance(10_000_000)
+        here.link.tick()
+        data, camera = told.recvfrom(1000)
+        messages.append(data)
+    assert messages[0] == messages[1]
+    assert messages[0][:4] + messages[0][8:12] == bytes.fromhex("420100c000009000")
+    told.sendto(struct.pack(">HHHH", 0, 0xC1, 0, 1), camera)
+    here.clock.advance(10_000_000)
+    here.link.tick()
+    told.settimeout(0.2)
+    with pytest.raises(TimeoutError):
+        told.recv(1000)
+    assert (here.link.endpoint.counts["messages"], here.link.endpoint.counts["messages lost"]) == (1, 0)
+    told.close()
     host.close()
 
 
