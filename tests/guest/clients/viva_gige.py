@@ -18,7 +18,7 @@ def told_of_an_edge(camera: viva.Camera, address: str) -> dict[str, int]:
         camera.write_register(address, key.to_bytes(4, "big"))
     with camera.events(["Line0AnyEdge"]) as events:
         device_key, group_key, mask = ACTION_KEYS.values()
-        acks = viva.send_action(device_key, group_key, mask, None, address, 2000).acks
+        acks = viva.send_action(device_key, group_key, mask, destination=address, timeout_ms=2000).acks
         event = events.next_event(20_000)
     return {"acks": acks, "event": event.id, "event_ns": event.ts_dev}
 
