@@ -9,6 +9,7 @@ import json
 import subprocess
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from firmware_protocol.evt3.decoding import Evt3Decoder
@@ -24,6 +25,15 @@ CLIENTS = Path(__file__).with_name("clients")
 OCTETS = 1_000_000
 GAP_US = 10
 VIVA = Driver("viva", ("viva-genicam==0.10.0", "numpy"), adds_host_time=False)
+LOSS = """
+[[faults]]
+link = "gige"
+kind = "lost_datagrams"
+rate = 0.01
+count = 0
+at_s = 0.0
+for_s = 1000.0
+"""
 KEYS = "block_us = 10000\n"  # viva-genicam's queue loses small blocks that come fast
 
 pytestmark = [pytest.mark.guest, pytest.mark.socket]
@@ -36,10 +46,10 @@ def network():
 
 
 @pytest.fixture
-def camera(tmp_path, network):
+def camera(tmp_path, network, request):
     looped = looped_1280x720(500_000)
     looped.events["t"] *= GAP_US
-    camera = GigeRun(tmp_path, looped, KEYS, network.inside)
+    camera = GigeRun(tmp_path, looped, KEYS + getattr(request, "param", ""), network.inside)
     yield camera
     camera.kill()
 
@@ -65,6 +75,20 @@ def test_aravis_finds_reads_and_writes(network, camera, tmp_path):
     summary, delivered = camera.stop()
     assert_same(_decoded(seen), delivered, offset_us=0)
     assert summary["balanced"], summary
+
+
+@pytest.mark.parametrize("camera", [LOSS], indirect=True)
+def test_aravis_has_lost_packets_sent_again(network, camera, tmp_path):
+    seen = tmp_path / "seen"
+    told = json.loads(_run(network, "/usr/bin/python3", CLIENTS / "aravis_gige.py", "127.0.0.1", OCTETS, seen))
+    summary, delivered = camera.stop()
+    assert summary["balanced"], summary
+    assert told["resent"] > 2
+    assert told["bad"] < told["resent"]  # it cannot have the trailer of a short block again
+    events = _decoded(seen)
+    if not told["bad"]:
+        assert_same(events, delivered, offset_us=0)
+    assert len(np.setdiff1d(events, delivered)) == 0
 
 
 def test_viva_genicam_finds_reads_and_writes(network, camera, tmp_path):

@@ -14,8 +14,8 @@ ACTION_KEYS = {0x090C: 1, 0x9800: 2, 0x9804: 4}  # registers of the device key, 
 
 def told_of_an_edge(camera: viva.Camera, address: str) -> dict[str, int]:
     """Have the camera's trigger input pulsed by an action command; return what the camera tells of it."""
-    for address, key in ACTION_KEYS.items():
-        camera.write_register(address, key.to_bytes(4, "big"))
+    for register, key in ACTION_KEYS.items():
+        camera.write_register(register, key.to_bytes(4, "big"))
     with camera.events(["Line0AnyEdge"]) as events:
         device_key, group_key, mask = ACTION_KEYS.values()
         acks = viva.send_action(device_key, group_key, mask, destination=address, timeout_ms=2000).acks
