@@ -33,7 +33,7 @@ class OutputFile:
         self._file: BinaryIO = path.open("ab" if append else "wb")
         self.trouble = ""
 
-    def write(self, data: bytes, *, flush: bool = False) -> bool:
+    def write(self, data: bytes | memoryview, *, flush: bool = False) -> bool:
         """Write `data`; False, and nothing from then on, where that is not possible."""
         if self.trouble:
             return False

@@ -17,6 +17,7 @@ from emulator.scene.blank import Blank
 from emulator.sensor.chip.readout import ReadOut
 from emulator.sensor.pixels.array import Crossings
 from emulator.sensor.presets import SensorParameters
+from firmware_protocol.event_copies import copy_events, join_events
 from firmware_protocol.events import EVENT, Events
 
 __all__ = ["Replay", "blank", "replay"]
@@ -90,8 +91,8 @@ class Replay:
                 break
             self._next, self._start_ns = 0, self._start_ns + self._round_ns
             pieces.append(self._round(int(t_ns)))
-        times = np.concatenate([t for t, _ in pieces])
-        events = np.concatenate([e for _, e in pieces])
+        times = pieces[0][0] if len(pieces) == 1 else np.concatenate([t for t, _ in pieces])
+        events = join_events([e for _, e in pieces])
         self.raised += len(events)
         return self._leave(times, events, int(t_ns))
 
@@ -108,8 +109,8 @@ class Replay:
 
     def _leave(self, times: npt.NDArray[np.int64], events: Events, t_ns: int) -> Events:
         if self._readout is None:
-            out = events.copy()
-            out["t"] = times // _NS
+            out = copy_events(events)
+            out["t"] = times.view(np.uint64) // np.uint64(_NS)
             return out
         pixel = events["y"].astype(np.uint32) * np.uint32(self.parameters.width) + events["x"]
         return self._readout.push(Crossings(times, pixel, np.ascontiguousarray(events["on"])), t_ns)

@@ -11,7 +11,7 @@ import numpy as np
 
 from firmware_protocol.edges import Edges
 from firmware_protocol.events import Events
-from firmware_protocol.evt3.coding import Coder, Words
+from firmware_protocol.evt3.coding import Coder, Filled, Words
 from firmware_protocol.evt3.words import HIGH, HIGH_BITS, LIMIT_PX
 from firmware_protocol.evt3.writing import write_words
 
@@ -28,15 +28,16 @@ class Evt3Encoder:
     ----------
     standalone : whether the words of each call begin with their time and row, as messages and packets need it.
     width : of the sensor; no vector passes its last column. The default suits widths that are multiples of 32.
+    origin_us : time of events and edges that is zero in the words; `advance` goes by the time of the words.
     """
 
-    def __init__(self, *, standalone: bool = False, width: int = LIMIT_PX) -> None:
+    def __init__(self, *, standalone: bool = False, width: int = LIMIT_PX, origin_us: int = 0) -> None:
         words = Words(
             np.uint16, HIGH_BITS, HIGH_BITS,
             lambda events, edges, state, out: write_words(events, edges, width, state, out),
             lambda high: [HIGH << 12 | high & 0xFFF],
         )  # fmt: skip
-        self._coder = Coder(words, standalone=standalone)
+        self._coder = Coder(words, standalone=standalone, origin_us=origin_us)
 
     @staticmethod
     def max_bytes(n_events: int) -> int:
@@ -53,6 +54,10 @@ class Evt3Encoder:
         38 hours, or a place beyond 2047; the encoder then is as it was before.
         """
         return self._coder.encode(events, edges)
+
+    def fill(self, events: Events, edges: Edges, octets: int) -> Filled:
+        """Return the words of as many of the first events and edges as `octets` (64 to 65536) hold; as `encode`."""
+        return self._coder.fill(events, edges, octets)
 
     def advance(self, t_us: int) -> bytes:
         """Return the words that bring readers to `t_us`, where nothing happens; no event may be earlier afterwards.

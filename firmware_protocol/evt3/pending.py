@@ -10,25 +10,27 @@ from firmware_protocol.evt3.records import EDGE_BYTES, EVENT_BYTES, short_at, ti
 from firmware_protocol.evt3.words import WINDOW_PX
 
 __all__ = [
-    "AT_EDGE", "AT_EVENT", "BACKWARDS", "HIGH_TOLD", "LAST", "LONGEST_GAP_US", "MUST_OPEN", "OUTSIDE", "ROW_TOLD",
-    "TIME_TOLD", "TOO_LATE", "edge_is_next", "fault_of", "is_left", "new_state", "next_time", "same_group", "window",
+    "AT_EDGE", "AT_EVENT", "BACKWARDS", "HIGH_TOLD", "LAST", "LONGEST_GAP_US", "MUST_OPEN", "ORIGIN", "OUTSIDE",
+    "ROW_TOLD", "TIME_TOLD", "TOO_LATE", "edge_is_next", "fault_of", "is_left", "new_state", "next_time", "same_group",
+    "window",
 ]  # fmt: skip
 
 _Bytes = npt.NDArray[np.uint8]
 _State = npt.NDArray[np.int64]
 
 # What a state holds: full high part, full time and row that words told (-1: none), the newest time given, the next
-# event and edge of this call, and whether a high part must be written although it is known.
-HIGH_TOLD, TIME_TOLD, ROW_TOLD, LAST, AT_EVENT, AT_EDGE, MUST_OPEN = range(7)
+# event and edge of this call, whether a high part must be written although it is known, and which time of the records
+# is zero in the words. All other times are those of the words.
+HIGH_TOLD, TIME_TOLD, ROW_TOLD, LAST, AT_EVENT, AT_EDGE, MUST_OPEN, ORIGIN = range(8)
 BACKWARDS, TOO_LATE, OUTSIDE = -1, -2, -3
 LONGEST_GAP_US = 1 << 37  # 38 hours: 41 000 words
 
 _WINDOW_PX = WINDOW_PX
 
 
-def new_state() -> _State:
-    """Return the state before the first word."""
-    return np.array([-1, -1, -1, -1, 0, 0, 0], np.int64)
+def new_state(origin_us: int = 0) -> _State:
+    """Return the state before the first word; records of the time `origin_us` have time zero."""
+    return np.array([-1, -1, -1, -1, 0, 0, 0, origin_us], np.int64)
 
 
 @kernel
@@ -41,8 +43,8 @@ def is_left(events: _Bytes, edges: _Bytes, state: _State) -> bool:
 def next_time(events: _Bytes, edges: _Bytes, is_edge: bool, state: _State) -> int:
     """Return the time of the next edge or of the next event."""
     if is_edge:
-        return time_at(edges, state[AT_EDGE] * EDGE_BYTES)
-    return time_at(events, state[AT_EVENT] * EVENT_BYTES)
+        return int(time_at(edges, state[AT_EDGE] * EDGE_BYTES) - state[ORIGIN])
+    return int(time_at(events, state[AT_EVENT] * EVENT_BYTES) - state[ORIGIN])
 
 
 @kernel

@@ -60,7 +60,7 @@ def write_words(events: _Bytes, edges: _Bytes, width: int, state: _State, out: _
     width
         Columns of the sensor.
     state
-        (7,) as `pending` draws it; where it stands when this returns.
+        (8,) as `pending` draws it; where it stands when this returns.
     out
         (k,) room, k at least 8.
 

@@ -95,6 +95,7 @@ class Capability(IntFlag):
     LINK_SPEED = 1 << 28
     SCHEDULED_ACTION = 1 << 17
     ACTION = 1 << 6
+    EVENT = 1 << 3
     RESEND = 1 << 2
     WRITEMEM = 1 << 1
     CONCATENATION = 1 << 0
@@ -132,6 +133,7 @@ def _numbers(settings: GigeSettings) -> dict[int, int]:
         Register.MASK: 0xFFFFFF00,
         Register.INTERFACES: 1,
         Register.LINK_SPEED: _LINK_MBIT_S,
+        Register.MESSAGE_CHANNELS: 1,
         Register.STREAM_CHANNELS: 1,
         Register.ACTION_SIGNALS: 1,
         Register.ACTIVE_LINKS: 1,

@@ -34,6 +34,9 @@ _LEAST_HEARTBEAT_MS = 500
 _HEARTBEAT_OFF = 1
 _READ = struct.Struct(">IHH")
 _STRANGERS_ANSWERS_S = 2000
+_OF_THE_OWNER = (
+    Register.PRIVILEGE, Register.PRIMARY_PORT, Register.PRIMARY_ADDRESS, Register.STREAM_PORT, Register.MESSAGE_PORT,
+)  # fmt: skip
 _WRITES = (Command.WRITEREG, Command.WRITEMEM)
 
 
@@ -114,7 +117,7 @@ class Control:
         """Take control away from whoever has it."""
         if self.owner is not None:
             self.owner = None
-            for register in (Register.PRIVILEGE, Register.PRIMARY_PORT, Register.PRIMARY_ADDRESS, Register.STREAM_PORT):
+            for register in _OF_THE_OWNER:
                 self._memory.set(register, 0)
             self._controlled.released()
 

@@ -2,6 +2,7 @@
 
     1010 0030               temperature, signed, 1/16 degree C
     1030 0000 - 1030 0020   acquisition and picture: mode, start, stop, payload size, width, height, event format
+    1030 0024, 1030 0028    messages: which event is meant, whether it is told
     13F3 0000 + 14 k        bias k: value, least, most (signed offsets from the factory's value)
     13F6 0000               rate control: on, 0004 period, us, 0018 events a period, 002C what is dropped
     1040 1004 - 1040 1038   rows:    on, selector, size, offset, number of ranges
@@ -44,6 +45,8 @@ class Evs(IntEnum):
     HEIGHT = 0x1030_0018
     EVENT_FORMAT = 0x1030_001C
     EVENT_FORMAT_SIZE = 0x1030_0020
+    EVENT_SELECTOR = 0x1030_0024
+    EVENT_NOTIFICATION = 0x1030_0028
 
 
 class Erc(IntEnum):
@@ -116,7 +119,7 @@ def evs_rules(size: tuple[int, int]) -> dict[int, Rule]:
     rules = {bias.address: between(bias.least, bias.most) for bias in BIASES.values()}
     rules |= {Evs.MODE: between(0, 0), Evs.EVENT_FORMAT: between(0, 0), INVERTED: between(0, 1)}
     rules |= {Erc.ON: between(0, 1), Erc.PERIOD_US: between(1, 1 << 20), Erc.EVENTS: between(0, (1 << 31) - 1)}
-    rules[Erc.DROP_MODE] = between(0, 4)
+    rules |= {Erc.DROP_MODE: between(0, 4), Evs.EVENT_SELECTOR: between(0, 0), Evs.EVENT_NOTIFICATION: between(0, 1)}
     for registers, pixels in ((ROWS, size[1]), (COLUMNS, size[0])):
         rules |= {
             registers.on: between(0, 1),

@@ -66,7 +66,7 @@ _BIAS_TIPS = {
 
 def features(size: tuple[int, int]) -> list[Feature]:
     """Return all features of a camera whose sensor has `size` = (width, height) pixels."""
-    return [*_identity(), *_picture(size), *_acquisition(), *_biases(), *_rate_control(), *_transport()]
+    return [*_identity(), *_picture(size), *_acquisition(), *_biases(), *_rate_control(), *_messages(), *_transport()]
 
 
 def _identity() -> list[Feature]:
@@ -123,6 +123,18 @@ def _rate_control() -> list[Feature]:
         Feature("ErcReferencePeriod", group, "integer", Erc.PERIOD_US, "Period, us", limits=(1, 1 << 20)),
         Feature("ErcEventsPerPeriod", group, "integer", Erc.EVENTS, "Events a period", limits=(0, (1 << 31) - 1)),
     ]
+
+
+def _messages() -> list[Feature]:
+    group = "EventControl"
+    on_off = {"Off": 0, "On": 1}
+    return [
+        Feature(
+            "EventSelector", group, "enumeration", Evs.EVENT_SELECTOR, "Event that is meant",
+            entries={"Line0AnyEdge": 0},
+        ),
+        Feature("EventNotification", group, "enumeration", Evs.EVENT_NOTIFICATION, "Is told", entries=on_off),
+    ]  # fmt: skip
 
 
 def _transport() -> list[Feature]:

@@ -41,7 +41,7 @@ _FORCE_IP = struct.Struct(">HHI12xI12xI12xI")
 
 
 class Command(IntEnum):
-    """Requests; an answer carries the number plus one."""
+    """Requests; an answer carries the number plus one. EVENT goes from the device to its host: see `messages`."""
 
     DISCOVERY = 0x0002
     FORCEIP = 0x0004
@@ -50,6 +50,7 @@ class Command(IntEnum):
     WRITEREG = 0x0082
     READMEM = 0x0084
     WRITEMEM = 0x0086
+    EVENT = 0x00C0
     ACTION = 0x0100
 
 

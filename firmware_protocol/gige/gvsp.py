@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 from firmware_protocol.gige.gvcp import Status
 
-__all__ = ["BLOCK_OCTETS", "LEAST_PACKET", "MOST_PACKET", "Block", "removed", "test_packet"]
+__all__ = ["BLOCK_OCTETS", "HEADER_OCTETS", "LEAST_PACKET", "MOST_PACKET", "Block", "removed", "test_packet"]
 
 BLOCK_OCTETS = 64_000
 LEAST_PACKET, MOST_PACKET = 576, 9000
@@ -30,6 +30,7 @@ _LEADER, _TRAILER, _PAYLOAD = 1, 2, 3
 _IMAGE = 1
 _EVT3 = 0x81100E30
 _HEADER = struct.Struct(">HHIQI")
+HEADER_OCTETS = _HEADER.size
 _LEADER_BODY = struct.Struct(">HHQIIIIIHH")
 _TRAILER_BODY = struct.Struct(">HHI")
 
@@ -46,7 +47,7 @@ class Block:
     @property
     def room(self) -> int:
         """Octets of data in a full packet."""
-        return self.packet_size - _IP_UDP - _HEADER.size
+        return self.packet_size - _IP_UDP - HEADER_OCTETS
 
     @property
     def packets(self) -> int:

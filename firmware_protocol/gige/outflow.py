@@ -21,8 +21,7 @@ from firmware_protocol.gige.gvsp import BLOCK_OCTETS, Block
 __all__ = ["Extra", "Outflow", "Outgoing", "before"]
 
 _KEPT = 256
-_OCTETS_PER_EVENT = 8  # time in two words, row, column
-_MOST_EVENTS = BLOCK_OCTETS // _OCTETS_PER_EVENT - 64
+_MOST_EVENTS = BLOCK_OCTETS // 4  # a row and a column each; those that need more octets go into the next block
 _LONGEST_US = 1_000_000  # of device time in one block: no time words are needed in between
 _SILENCE_US = 1_000_000
 _LONGEST_SILENCE_US = 3_600_000_000  # told in one block
@@ -66,7 +65,7 @@ class Outflow:
     def __init__(self, epoch_us: int, block_us: int, width: int, number: int = 0) -> None:
         self._epoch_us = self._told_us = epoch_us
         self._block_us = block_us
-        self._encoder = Evt3Encoder(standalone=True, width=width)
+        self._encoder = Evt3Encoder(standalone=True, width=width, origin_us=epoch_us)
         self._waiting: deque[Events] = deque()
         self._edges = empty_edges()
         self._kept: deque[Block] = deque(maxlen=_KEPT)
@@ -118,9 +117,10 @@ class Outflow:
     def _block(self, begin_us: int, now_us: int, packet_size: int) -> Outgoing:
         events = self._taken(begin_us + _LONGEST_US)
         until_us = int(events["t"][-1]) if len(events) == _MOST_EVENTS else min(now_us, begin_us + _LONGEST_US)
-        due = self._edges["t"].astype(np.int64) <= until_us
-        edges, self._edges = self._edges[due], self._edges[~due]
-        words = self._encoder.encode(self._own(events), self._own(self._late(edges)))
+        due = int(np.count_nonzero(self._edges["t"] <= max(until_us, 0)))
+        words, told, told_edges = self._encoder.fill(events, self._late(self._edges[:due]), BLOCK_OCTETS)
+        self._put_back(events[told:])
+        events, edges, self._edges = events[:told], self._edges[:told_edges], self._edges[told_edges:]
         last_us = max([int(each["t"][-1]) for each in (events, edges) if len(each)])
         self._told_us = max(self._told_us, last_us)
         return Outgoing(self._numbered(words, begin_us, packet_size), events, edges)
@@ -138,15 +138,16 @@ class Outflow:
         self.queued -= _MOST_EVENTS - room
         return join_events(taken) if taken else empty_events()
 
+    def _put_back(self, events: Events) -> None:
+        """Let events that found no room in a block wait for the next one."""
+        if len(events):
+            self._waiting.appendleft(events)
+            self.queued += len(events)
+
     def _late(self, edges: Edges) -> Edges:
         late = edges.copy()
         late["t"] = np.maximum(late["t"], np.uint64(self._told_us))
         return late
-
-    def _own(self, records: Events | Edges) -> Events | Edges:
-        own = copy_events(records) if records.dtype == empty_events().dtype else records.copy()
-        own["t"] -= np.uint64(self._epoch_us)
-        return own
 
     def _silence(self, until_us: int, packet_size: int) -> Outgoing | None:
         """Return a block that tells the time alone; None where the last block is not old."""

@@ -16,6 +16,7 @@ _PERSISTENT_ADDRESSES = (0x064C, 0x065C, 0x066C)
 _REMEMBERED = (
     Register.HEARTBEAT_MS, Register.GVCP_CONFIGURATION, Register.PENDING_MS, Register.GVSP_CONFIGURATION,
     Register.PACKET_DELAY, Register.STREAM_ADDRESS, Register.ACTION_DEVICE_KEY, *_PERSISTENT_ADDRESSES,
+    Register.MESSAGE_ADDRESS,
 )  # fmt: skip
 
 
@@ -24,7 +25,8 @@ def standard_rules() -> dict[int, Rule]:
     rules: dict[int, Rule] = dict.fromkeys(_REMEMBERED, kept)
     rules |= {Register.USER_NAME + 4 * k: kept for k in range(4)}
     rules |= {Register.ACTION_GROUP + 16 * k + place: kept for k in range(ACTION_GROUPS) for place in (0, 4)}
-    rules[Register.STREAM_PORT] = between(0, 0xFFFF)
+    rules |= dict.fromkeys((Register.STREAM_PORT, Register.MESSAGE_PORT), between(0, 0xFFFF))
+    rules |= {Register.MESSAGE_TIMEOUT: between(0, 60_000), Register.MESSAGE_RETRIES: between(0, 100)}
     return rules
 
 

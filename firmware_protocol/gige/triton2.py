@@ -16,10 +16,11 @@ from firmware_protocol.edges import EdgeKind, Edges, empty_edges
 from firmware_protocol.event_device import CameraCounters, EdgeCounters, EventDevice
 from firmware_protocol.events import Events
 from firmware_protocol.gige.bootstrap import Register
-from firmware_protocol.gige.evs_registers import ACQUISITION_START, ACQUISITION_STOP, BIASES
+from firmware_protocol.gige.evs_registers import ACQUISITION_START, ACQUISITION_STOP, BIASES, Evs
 from firmware_protocol.gige.gvcp import Resend, Status
 from firmware_protocol.gige.gvsp import removed, test_packet
 from firmware_protocol.gige.memory import Memory, Rule
+from firmware_protocol.gige.messages import EDGE_EVENT, Messages, MessageSettings
 from firmware_protocol.gige.orders import DeviceTime, Order, Owner, Peer, Pulse, Write
 from firmware_protocol.gige.outflow import Extra, Outflow, Outgoing, before
 from firmware_protocol.gige.selection import Selection
@@ -40,6 +41,8 @@ class Triton2(EventDevice):
     ----------
     owner
         The host that has control of it, or None.
+    messages
+        What it tells its host of edges.
     """
 
     def __init__(self, settings: GigeSettings | None = None) -> None:
@@ -58,6 +61,7 @@ class Triton2(EventDevice):
         self._extra: deque[Extra] = deque()
         self._scheduled_us: list[int] = []
         self._starts = 0
+        self.messages = Messages()
 
     def obey(self, order: Order) -> None:
         """Carry out what the control channel has accepted."""
@@ -71,7 +75,8 @@ class Triton2(EventDevice):
             case Owner(peer):
                 self.owner = peer
                 if peer is None:
-                    self._memory.set(Register.STREAM_PORT, 0)
+                    for register in (Register.STREAM_PORT, Register.MESSAGE_PORT, Evs.EVENT_NOTIFICATION):
+                        self._memory.set(register, 0)
                     self._stop()
 
     @property
@@ -94,6 +99,18 @@ class Triton2(EventDevice):
         """(address as a number, port) that the host gave for the stream; None while the channel is closed."""
         port = self._memory.get(Register.STREAM_PORT) & 0xFFFF
         return (self._memory.get(Register.STREAM_ADDRESS), port) if port else None
+
+    @property
+    def message_destination(self) -> tuple[int, int] | None:
+        """(address as a number, port) that the host gave for messages; None while the channel is closed."""
+        port = self._memory.get(Register.MESSAGE_PORT) & 0xFFFF
+        return (self._memory.get(Register.MESSAGE_ADDRESS), port) if port else None
+
+    @property
+    def message_settings(self) -> MessageSettings:
+        """How long the host gives itself for an answer to a message, and how often it wants it repeated."""
+        timeout_ms = self._memory.get(Register.MESSAGE_TIMEOUT)
+        return MessageSettings(timeout_ms * 1_000_000, self._memory.get(Register.MESSAGE_RETRIES))
 
     @property
     def packet_delay_ns(self) -> int:
@@ -148,7 +165,7 @@ class Triton2(EventDevice):
         """Take edges (n,) EDGE for the trigger input."""
         self._edge_fates["offered"] += len(edges)
         if self.streaming and self._now_us >= self._silent_until_us:
-            self._outflow.put_edges(edges)
+            self._put_edges(edges)
         else:
             self._edge_fates["ignored"] += len(edges)
 
@@ -169,7 +186,12 @@ class Triton2(EventDevice):
 
     def next_extra(self) -> Extra | None:
         """Return the next datagram that a host asked for beside the blocks: a test packet, or one sent again."""
-        return self._extra.popleft() if self._extra and self.destination is not None else None
+        return self._extra.popleft() if self.waits_extra else None
+
+    @property
+    def waits_extra(self) -> bool:
+        """Whether `next_extra` has one."""
+        return bool(self._extra) and self.destination is not None
 
     def sent(self, outgoing: Outgoing) -> None:
         """Count a block as delivered."""
@@ -211,7 +233,14 @@ class Triton2(EventDevice):
             pulse = empty_edges(1)
             pulse["t"], pulse["kind"] = heappop(self._scheduled_us), EdgeKind.PULSE
             self._edge_fates["added"] += 1
-            self._outflow.put_edges(pulse)
+            self._put_edges(pulse)
+
+    def _put_edges(self, edges: Edges) -> None:
+        """Queue edges for the stream, and messages of them where the host wants these."""
+        self._outflow.put_edges(edges)
+        if self.message_destination is not None and self._memory.get(Evs.EVENT_NOTIFICATION):
+            for time_us in edges["t"].tolist():
+                self.messages.tell(EDGE_EVENT, 1000 * (time_us - self._epoch_us))
 
     def _settle(self, outgoing: Outgoing, fate: str) -> None:
         self._carried -= len(outgoing.events)
@@ -263,6 +292,7 @@ class Triton2(EventDevice):
         """End the acquisition; what waits is dropped. Blocks that were sent are kept for hosts that ask for them."""
         self._acquiring = False
         self._scheduled_us.clear()
+        self.messages.clear()
         self._fates["flushed"] += self._outflow.queued
         self._edge_fates["dropped"] += self._outflow.edges_queued
         self._outflow.clear()

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 
 from firmware_protocol.gige.bootstrap import Register
 from firmware_protocol.gige.control import Control, Datagram
-from firmware_protocol.gige.evs_registers import ACQUISITION_START, ACQUISITION_STOP
+from firmware_protocol.gige.evs_registers import ACQUISITION_START, ACQUISITION_STOP, Evs
 from firmware_protocol.gige.gvcp import Action, Refused, Resend, Status
 from firmware_protocol.gige.memory import Memory
 from firmware_protocol.gige.orders import DeviceTime, Order, Owner, Peer, Pulse, TimeSource, Write
@@ -59,6 +59,10 @@ class Triton2Control:
         self._control.expire(now_ns)
         return answers
 
+    def release(self) -> None:
+        """Take control away from whoever has it, as when its heartbeat does not come."""
+        self._control.release()
+
     @property
     def owner(self) -> Peer | None:
         """The host that has control."""
@@ -92,6 +96,7 @@ class Triton2Control:
     def released(self) -> None:
         """See `Controlled.released`."""
         self._acquiring = False
+        self._memory.set(Evs.EVENT_NOTIFICATION, 0)
         self.orders.append(Owner(None))
 
     def resend(self, asked: Resend) -> None:

@@ -9,6 +9,7 @@ import json
 import subprocess
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from firmware_protocol.evt3.decoding import Evt3Decoder
@@ -24,6 +25,15 @@ CLIENTS = Path(__file__).with_name("clients")
 OCTETS = 1_000_000
 GAP_US = 10
 VIVA = Driver("viva", ("viva-genicam==0.10.0", "numpy"), adds_host_time=False)
+LOSS = """
+[[faults]]
+link = "gige"
+kind = "lost_datagrams"
+rate = 0.01
+count = 0
+at_s = 0.0
+for_s = 1000.0
+"""
 KEYS = "block_us = 10000\n"  # viva-genicam's queue loses small blocks that come fast
 
 pytestmark = [pytest.mark.guest, pytest.mark.socket]
@@ -36,10 +46,10 @@ def network():
 
 
 @pytest.fixture
-def camera(tmp_path, network):
+def camera(tmp_path, network, request):
     looped = looped_1280x720(500_000)
     looped.events["t"] *= GAP_US
-    camera = GigeRun(tmp_path, looped, KEYS, network.inside)
+    camera = GigeRun(tmp_path, looped, KEYS + getattr(request, "param", ""), network.inside)
     yield camera
     camera.kill()
 
@@ -67,6 +77,20 @@ def test_aravis_finds_reads_and_writes(network, camera, tmp_path):
     assert summary["balanced"], summary
 
 
+@pytest.mark.parametrize("camera", [LOSS], indirect=True)
+def test_aravis_has_lost_packets_sent_again(network, camera, tmp_path):
+    seen = tmp_path / "seen"
+    told = json.loads(_run(network, "/usr/bin/python3", CLIENTS / "aravis_gige.py", "127.0.0.1", OCTETS, seen))
+    summary, delivered = camera.stop()
+    assert summary["balanced"], summary
+    assert told["resent"] > 2
+    assert told["bad"] < told["resent"]  # it cannot have the trailer of a short block again
+    events = _decoded(seen)
+    if not told["bad"]:
+        assert_same(events, delivered, offset_us=0)
+    assert len(np.setdiff1d(events, delivered)) == 0
+
+
 def test_viva_genicam_finds_reads_and_writes(network, camera, tmp_path):
     try:
         python = VIVA.python(CACHE)
@@ -78,5 +102,7 @@ def test_viva_genicam_finds_reads_and_writes(network, camera, tmp_path):
     assert (told["found"], int(told["bias"]), told["format"]) == (["127.0.0.1"], 12, "EVT3_0")
     assert (told["incomplete"], told["lost"], told["octets"] >= OCTETS) == (0, 0, True), told
     summary, delivered = camera.stop()
-    assert_same(_decoded(seen), delivered, offset_us=0)
+    events, edges = Evt3Decoder().decode(seen.read_bytes())
+    assert_same(events, delivered, offset_us=0)
+    assert told["edge"] == {"acks": 1, "event": 0x9000, "event_ns": 1000 * int(edges["t"][0])}
     assert summary["balanced"], summary

@@ -27,7 +27,7 @@ from firmware_protocol.gige.settings import GigeSettings
 from firmware_protocol.gige.triton2_control import Triton2Control
 from transports.gige.sockets import ControlSockets
 
-__all__ = ["TIME_CELLS", "ControlSetup", "Failed", "Listening", "Stop", "main", "read_time"]
+__all__ = ["TIME_CELLS", "ControlSetup", "Failed", "Listening", "Mute", "Release", "Stop", "main", "read_time"]
 
 TIME_CELLS = 2
 """Numbers of 64 bits in the shared memory: starts of the acquisition, and the device's clock, ns."""
@@ -65,6 +65,18 @@ class Failed:
 
 
 @dataclass(frozen=True)
+class Mute:
+    """A fault: requests do not come, and answers do not go; or they do again."""
+
+    on: bool
+
+
+@dataclass(frozen=True)
+class Release:
+    """A fault: take control away from the host that has it."""
+
+
+@dataclass(frozen=True)
 class Stop:
     """The link ends: tell the last counts and end too."""
 
@@ -88,21 +100,32 @@ class _Answering:
             self._news.register(descriptor, select.POLLIN)
         self._told: Counter[str] = Counter()
         self._told_ns = 0
+        self._mute = False
         says.send(Listening(self._sockets.port))
 
     def run(self) -> None:
         """Answer until the link stops."""
-        while True:
+        is_over = False
+        while not is_over:
             ready = self._news.poll(_TURN_MS)
             if any(descriptor == self._hears.fileno() for descriptor, _ in ready):
-                break
-            self._turn()
-        self._hears.recv()  # raises EOFError where the link has not said Stop
+                is_over = self._obey(self._hears.recv())  # raises EOFError where the link ends without saying Stop
+            else:
+                self._turn()
         self._says.send(self._counts())
+
+    def _obey(self, word: Mute | Release | Stop) -> bool:
+        """Do what the link says; True at the end."""
+        if isinstance(word, Mute):
+            self._mute = word.on
+        elif isinstance(word, Release):
+            self._control.release()
+        return isinstance(word, Stop)
 
     def _turn(self) -> None:
         now_ns = time.monotonic_ns()
-        answers = self._control.receive(self._sockets.take(), now_ns)
+        asked = self._sockets.take()
+        answers = self._control.receive([] if self._mute else asked, now_ns)
         self._hand_on()
         for answer, peer in answers:
             self._sockets.send(answer, peer)

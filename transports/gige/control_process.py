@@ -19,7 +19,7 @@ from contextlib import suppress
 from multiprocessing.connection import Connection
 
 from firmware_protocol.gige.orders import DeviceTime, Order
-from transports.gige.answering import TIME_CELLS, ControlSetup, Failed, Listening, Stop
+from transports.gige.answering import TIME_CELLS, ControlSetup, Failed, Listening, Mute, Release, Stop
 from transports.link.endpoint import LinkBroken
 
 __all__ = ["ControlProcess"]
@@ -85,6 +85,11 @@ class ControlProcess:
         """Say what the device's clock is: see `read_time`."""
         _TIME.pack_into(self._time, 8, time.ns)
         _TIME.pack_into(self._time, 0, time.starts)
+
+    def order(self, word: Mute | Release) -> None:
+        """Have a fault of the control channel begin or end; one that has died is told of by `take`."""
+        with suppress(ConnectionError):
+            self._says.send(word)
 
     def close(self) -> None:
         """End it; its last counts are taken, orders that wait are not."""

@@ -11,13 +11,15 @@ from __future__ import annotations
 import ipaddress
 from collections import Counter, deque
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 
+from firmware_protocol.gige.gvsp import HEADER_OCTETS
 from firmware_protocol.gige.outflow import Outgoing
 from firmware_protocol.gige.triton2 import Triton2
 from transports.faults.kinds import Fault
 from transports.faults.script import FaultPlan, FaultRecord
-from transports.gige.answering import ControlSetup
+from transports.gige.answering import ControlSetup, Mute, Release
 from transports.gige.control_process import ControlProcess
 from transports.gige.fates import BlockFates
 from transports.gige.packet_faults import FaultyPackets, Packet
@@ -31,6 +33,7 @@ from transports.network.datagrams import ByteBudget
 __all__ = ["GigeEndpoint", "GigeFactory"]
 
 _IP_UDP_OCTETS = 28
+_BURST_NS = 1_000_000  # with one block, at 1 Gbit/s, three quarters of a stock socket buffer: a packet takes 2304 there
 
 
 @dataclass(frozen=True)
@@ -64,18 +67,19 @@ class GigeEndpoint(Endpoint):
         self._clock = deliveries.clock
         self._control: ControlProcess | None = None
         self._allow = AllowList(link.allow)
-        self._stream = StreamSocket(link.host)
-        self._budget = ByteBudget(link.mbit_s, self._clock.now_ns())
+        self._stream = StreamSocket(link.host, segmented=link.segmentation)
+        self._budget = ByteBudget(link.mbit_s, self._clock.now_ns(), _BURST_NS)
         self._faulty = FaultyPackets(factory.faults)
         self._fates = BlockFates(self._arrived, self._destroyed)
         self._going: tuple[Outgoing, Iterator[Packet]] | None = None
         self._ready: deque[Packet] = deque()
         self._whole = True
         self._way = _Way()
+        self._message_way: tuple[str, int] | None = None
         self._next_ns = 0
         self._patience_ns = link.block_us * 1000
         self._moved = 0, self._clock.now_ns()
-        self._time_stands = False
+        self._time_stands = self._is_down = False
         self.sent: Counter[str] = Counter()
 
     async def start(self) -> None:
@@ -96,6 +100,7 @@ class GigeEndpoint(Endpoint):
             self._camera.obey(order)
         if orders:
             self._way = self._chosen_way()
+            self._message_way = self._permitted(self._camera.message_destination)
 
     def pump(self) -> None:
         """Send what waits as far as the rate allows."""
@@ -103,17 +108,20 @@ class GigeEndpoint(Endpoint):
         self._control.tell(self._camera.time)
         self._budget.renew(self._clock.now_ns())
         self._look_at_time()
-        while self._budget.left > 0 and self._prepare() and self._send():
+        self._send_messages()
+        while self._budget.left > 0 and (self._send_block() or (self._prepare() and self._send())):
             pass
         self._fates.settle(self._clock.now_ns())
 
     def advance_faults(self, stream_us: int) -> None:
         """See `Endpoint.advance_faults`."""
         self._ready += self._faulty.advance(stream_us)
+        self._follow_faults()
 
     def inject(self, fault: Fault) -> None:
         """See `Endpoint.inject`."""
         self._faulty.inject(fault)
+        self._follow_faults()
 
     @property
     def faults(self) -> tuple[FaultRecord, ...]:
@@ -149,7 +157,17 @@ class GigeEndpoint(Endpoint):
     @property
     def counts(self) -> Mapping[str, int]:
         """Packets, requests, and what was wrong with either."""
-        return self.sent if self._control is None else self.sent + self._control.counts
+        sent = self.sent + self._camera.messages.counts
+        return sent if self._control is None else sent + self._control.counts
+
+    def _follow_faults(self) -> None:
+        """Do to the control channel what faults do to it."""
+        assert self._control is not None
+        if self._faulty.link_is_down != self._is_down:
+            self._is_down = self._faulty.link_is_down
+            self._control.order(Mute(self._is_down))
+        if self._faulty.takes_control():
+            self._control.order(Release())
 
     def _look_at_time(self) -> None:
         """Find out whether stream time stands, as at the end of a run: what waits then leaves without growing."""
@@ -157,6 +175,38 @@ class GigeEndpoint(Endpoint):
         if self._camera.now_us != self._moved[0]:
             self._moved = self._camera.now_us, now_ns
         self._time_stands = now_ns - self._moved[1] >= self._patience_ns
+
+    def _send_messages(self) -> None:
+        """Tell the host what it wants to be told, and hear its answers."""
+        messages, to = self._camera.messages, self._message_way
+        if to is None:
+            return
+        for data, peer in self._stream.take():
+            if peer == to:
+                messages.answered(data)
+        now_ns, settings = self._clock.now_ns(), self._camera.message_settings
+        while not self._is_down and (message := messages.next(now_ns, settings)) is not None:
+            with suppress(BlockingIOError):  # it is lost, as one on the way
+                self._stream.send(message, to, may_fragment=self._way.may_fragment)
+
+    def _send_block(self) -> bool:
+        """Send a block in few calls; False when there is none, or packets must go one by one."""
+        way, busy = self._way, self._going is not None or self._ready
+        if busy or way.to is None or way.pause_ns or self._faulty.at_work or self._camera.waits_extra:
+            return False
+        outgoing = self._camera.next_block(at_once=self._time_stands)
+        if outgoing is None:
+            return False
+        block = outgoing.block
+        taken = self._stream.send_block(block, way.to, may_fragment=way.may_fragment)
+        self.sent["packets"] += taken
+        self._going, self._whole = (outgoing, _packets(outgoing, taken)), True
+        if taken < block.packets:  # the others go one by one, and it is told why they do not
+            self._budget.left -= taken * block.packet_size
+            return False
+        self._budget.left -= len(block.data) + taken * (HEADER_OCTETS + _IP_UDP_OCTETS)
+        self._end_block()
+        return True
 
     def _prepare(self) -> bool:
         """Have a packet ready; False when there is nothing to send, or nothing may go yet."""
@@ -175,7 +225,7 @@ class GigeEndpoint(Endpoint):
         """Return the next packet of the camera: what a host asked for goes first, then the block that has begun."""
         asked = self._camera.next_extra()
         if asked is not None:
-            return Packet(asked.data, asked.block, asked.number)
+            return Packet(asked.data, asked.block, asked.number, again=asked.block > 0)
         while True:
             if self._going is None:
                 outgoing = self._camera.next_block(at_once=self._time_stands)
@@ -210,11 +260,15 @@ class GigeEndpoint(Endpoint):
 
     def _chosen_way(self) -> _Way:
         """Return how the camera's host wants its packets."""
-        to = None
-        if self._camera.destination is not None:
-            address = str(ipaddress.IPv4Address(self._camera.destination[0]))
-            to = (address, self._camera.destination[1]) if self._allow.permits(address) else None
+        to = self._permitted(self._camera.destination)
         return _Way(to, self._camera.may_fragment, self._camera.packet_delay_ns)
+
+    def _permitted(self, destination: tuple[int, int] | None) -> tuple[str, int] | None:
+        """Return an address and port in the form of sockets; None where nothing may go there."""
+        if destination is None:
+            return None
+        address = str(ipaddress.IPv4Address(destination[0]))
+        return (address, destination[1]) if self._allow.permits(address) else None
 
     def _end_block(self) -> None:
         """Settle the block whose last packet has been made."""
@@ -233,6 +287,6 @@ class GigeEndpoint(Endpoint):
         self._faulty.blame(len(outgoing.events), len(outgoing.edges))
 
 
-def _packets(outgoing: Outgoing) -> Iterator[Packet]:
+def _packets(outgoing: Outgoing, first: int = 0) -> Iterator[Packet]:
     block = outgoing.block
-    return (Packet(block.packet(number), block.number, number) for number in range(block.packets))
+    return (Packet(block.packet(number), block.number, number) for number in range(first, block.packets))

@@ -1,35 +1,89 @@
-"""What faults do to the packets of a GigE Vision stream, between the camera and the network."""
+"""What faults do to the packets of a GigE Vision stream, between the camera and the network, and to its control."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numpy as np
+
+from firmware_protocol.gige.gvsp import removed
 from transports.faults.datagram_kinds import LateDatagrams, LostDatagrams, RepeatedDatagrams
 from transports.faults.datagram_stages import DatagramStage, Loss, datagram_stage
+from transports.faults.gige_kinds import LinkDown, LostHeartbeat, RefusedResends
+from transports.faults.hit_places import Places
 from transports.faults.kinds import Fault
 from transports.faults.script import FaultPlan, FaultRecord, Faults
 
 __all__ = ["PACKET_FAULTS", "FaultyPackets", "Packet"]
 
-PACKET_FAULTS: Mapping[str, type[Fault]] = {one.kind: one for one in (LostDatagrams, RepeatedDatagrams, LateDatagrams)}
-"""Faults of the stream, by kind."""
+PACKET_FAULTS: Mapping[str, type[Fault]] = {
+    one.kind: one for one in (LostDatagrams, RepeatedDatagrams, LateDatagrams, RefusedResends, LostHeartbeat, LinkDown)
+}
+"""Faults of a camera, by kind."""
 
 
 @dataclass(frozen=True)
 class Packet:
-    """A datagram of the stream, and which packet of which block it is; block 0: of none."""
+    """A datagram of the stream, and which packet of which block it is, block 0: of none; whether it is sent again."""
 
     data: bytes
     block: int = 0
     number: int = 0
+    again: bool = False
+
+
+class _Refusal(DatagramStage[Packet]):
+    """Says of single packets that a host asked for that they are kept no more."""
+
+    def __init__(self, fault: RefusedResends, random: np.random.Generator) -> None:
+        super().__init__()
+        self._where = Places(fault, random)
+
+    def change(self, datagram: Packet) -> list[Packet]:
+        """See `DatagramStage.change`."""
+        if not datagram.again or not self._where.within(1):
+            return [datagram]
+        self.hits += 1
+        self.touched += 1
+        self.over = self._where.over
+        return [Packet(removed(datagram.block, datagram.number))]
+
+
+class _Down(DatagramStage[Packet]):
+    """Lets no packet through."""
+
+    def change(self, datagram: Packet) -> list[Packet]:
+        """See `DatagramStage.change`."""
+        self.hits = 1
+        self.touched += 1
+        return []
+
+
+class _Taking(DatagramStage[Packet]):
+    """Control is to be taken away; over when that is done."""
+
+    def change(self, datagram: Packet) -> list[Packet]:
+        """See `DatagramStage.change`."""
+        return [datagram]
+
+
+def _stage(fault: Fault, random: np.random.Generator) -> DatagramStage[Packet]:
+    match fault:
+        case RefusedResends():
+            return _Refusal(fault, random)
+        case LinkDown():
+            return _Down()
+        case LostHeartbeat():
+            return _Taking()
+    return datagram_stage(fault, random)
 
 
 class FaultyPackets:
     """The faults of one stream."""
 
     def __init__(self, plan: FaultPlan) -> None:
-        self._faults: Faults[DatagramStage[Packet]] = Faults(plan, datagram_stage)
+        self._faults: Faults[DatagramStage[Packet]] = Faults(plan, _stage)
         self._gone: list[Packet] = []
 
     @property
@@ -53,11 +107,29 @@ class FaultyPackets:
             for each in packets:
                 passed = stage.change(each)
                 going += passed
-                self._gone += [each] if not passed and isinstance(stage, Loss) else []
+                self._gone += [each] if not passed and isinstance(stage, (Loss, _Down)) else []
             if stage.hits != before:
                 self._faults.struck(stage, [packet.number])
             packets = going
         return packets
+
+    @property
+    def link_is_down(self) -> bool:
+        """Whether nothing goes either way now."""
+        return any(isinstance(stage, _Down) for stage in self._faults.stages)
+
+    def takes_control(self) -> bool:
+        """Whether control is to be taken away from the host now; told once."""
+        taking = [stage for stage in self._faults.stages if isinstance(stage, _Taking) and not stage.over]
+        for stage in taking:
+            stage.hits, stage.over = 1, True
+            self._faults.struck(stage, [])
+        return bool(taking)
+
+    @property
+    def at_work(self) -> bool:
+        """Whether a fault is at work now."""
+        return bool(self._faults.stages)
 
     def gone(self) -> list[Packet]:
         """Return the packets that were taken away since the last call."""

@@ -28,6 +28,10 @@ class GigeLink:
     mbit_s
         Most that the stream takes, in Mbit/s: UDP has no back-pressure, and hosts lose what comes faster than they
         read. 1000 as the real camera's cable.
+    segmentation
+        Whether whole blocks are given to the kernel, which cuts them into packets, or has the network card do it (UDP
+        segmentation): less work for each packet. On loopback and veth, programs that read raw sockets see the blocks
+        uncut; Aravis does where root runs it.
     block_us
         Age at which a block is closed and sent, if it was not full before.
     name
@@ -39,6 +43,7 @@ class GigeLink:
     port: int = GVCP_PORT
     allow: tuple[str, ...] = ()
     mbit_s: float = 1000.0
+    segmentation: bool = False
     block_us: int = 1000
     name: str = "gige"
 

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import socket
-from collections.abc import Iterable
+import struct
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
 
 from firmware_protocol.gige.control import Datagram
+from firmware_protocol.gige.gvsp import HEADER_OCTETS, Block
 from firmware_protocol.gige.orders import Peer
 from transports.network.allow import AllowList
 
@@ -16,6 +19,7 @@ _AT_A_TIME = 64
 _SEND_BUFFER = 1 << 21
 _BROADCAST = "255.255.255.255"
 _IP_MTU_DISCOVER, _PMTUDISC_DONT, _PMTUDISC_DO = 10, 0, 2  # Linux: linux/in.h
+_UDP_SEGMENT, _MOST_SEGMENTS, _LONGEST_RUN = 103, 64, 65_507  # Linux: linux/udp.h
 
 
 class ControlSockets:
@@ -88,10 +92,17 @@ class ControlSockets:
 
 
 class StreamSocket:
-    """Sends the packets of the stream."""
+    """Sends the packets of the stream.
 
-    def __init__(self, host: str) -> None:
+    Parameters
+    ----------
+    segmented
+        Whether the kernel, or the network card, cuts what `send_block` gives it into packets.
+    """
+
+    def __init__(self, host: str, *, segmented: bool = False) -> None:
         self._host = host
+        self._segmented = segmented
         self._socket: socket.socket | None = None
         self._whole = True
 
@@ -115,6 +126,32 @@ class StreamSocket:
             return False
         return True
 
+    def take(self) -> list[Datagram]:
+        """Return what hosts sent to this socket: answers to messages; not too much of it."""
+        assert self._socket is not None
+        taken: list[Datagram] = []
+        with suppress(OSError):  # no more, or the complaint of a host that has gone
+            for _ in range(_AT_A_TIME):
+                taken.append(self._socket.recvfrom(_LONGEST))
+        return taken
+
+    def send_block(self, block: Block, to: tuple[str, int], *, may_fragment: bool) -> int:
+        """Give the kernel the packets of a block; returns how many it took, in order, before one did not go."""
+        assert self._socket is not None
+        if may_fragment == self._whole:
+            self._refuse_cuts(not may_fragment)
+        taken, cut = 0, struct.pack("=H", block.room + HEADER_OCTETS)
+        try:
+            for data, count in _runs(block) if self._segmented else _singles(block):
+                if count == 1:
+                    self._socket.sendto(data, to)
+                else:
+                    self._socket.sendmsg((data,), [(socket.IPPROTO_UDP, _UDP_SEGMENT, cut)], 0, to)
+                taken += count
+        except OSError:
+            return taken
+        return taken
+
     def close(self) -> None:
         """Close it."""
         if self._socket is not None:
@@ -124,6 +161,22 @@ class StreamSocket:
         assert self._socket is not None
         self._whole = whole
         self._socket.setsockopt(socket.IPPROTO_IP, _IP_MTU_DISCOVER, _PMTUDISC_DO if whole else _PMTUDISC_DONT)
+
+
+def _singles(block: Block) -> Iterator[tuple[bytes, int]]:
+    """Give the packets of a block, and 1 for each."""
+    return ((block.packet(number), 1) for number in range(block.packets))
+
+
+def _runs(block: Block) -> Iterator[tuple[bytes, int]]:
+    """Give the packets of a block, those with payload end to end in runs that the kernel takes, and how many."""
+    most = min(_MOST_SEGMENTS, _LONGEST_RUN // (block.room + HEADER_OCTETS))
+    last = block.packets - 1
+    yield block.packet(0), 1
+    for first in range(1, last, most):
+        count = min(most, last - first)
+        yield b"".join(block.packet(number) for number in range(first, first + count)), count
+    yield block.packet(last), 1
 
 
 def _bound(host: str, port: int, *, shared: bool) -> socket.socket:

@@ -70,11 +70,14 @@ class Deliveries:
         edges = empty_edges() if edges is None else edges
         if len(events):
             self._measure(events)
-        imu = _imu_of(readings)
-        frames = self._frames.add(tuple(readings)) if readings and self._recorder is not None else []
-        if len(events) or len(edges) or len(imu) or frames:
-            told = tuple(_frame(frame, epoch_us) for frame in frames)
-            self._keep(Part(events, edges, recorded_imu(imu, self._imu_unit), told), epoch_us)
+        part = self._with_readings(events, edges, readings, epoch_us) if readings else Part(events, edges)
+        if len(events) or len(edges) or len(part.imu) or part.frames:
+            self._keep(part, epoch_us)
+
+    def _with_readings(self, events: Events, edges: Edges, readings: Sequence[Reading], epoch_us: int) -> Part:
+        frames = self._frames.add(tuple(readings)) if self._recorder is not None else []
+        told = tuple(_frame(frame, epoch_us) for frame in frames)
+        return Part(events, edges, recorded_imu(_imu_of(readings), self._imu_unit), told)
 
     @property
     def paced(self) -> bool:
@@ -114,15 +117,17 @@ class Deliveries:
         if origin_ns is None or origin_ns == FREE_RUNNING:
             return
         now_us = (self.clock.now_ns() - origin_ns) / 1000
-        due_us = events["t"].astype(np.int64).astype(np.float64)
-        if self._device_clock is not None:
-            due_us = self._device_clock.stream_us(events["t"].astype(np.int64), max(0, int(now_us)))
-        self.latency.add(now_us - due_us)
+        device_us = events["t"].view(np.int64)
+        if self._device_clock is None:
+            self.latency.add(now_us - device_us)
+        else:
+            self.latency.add(now_us - self._device_clock.stream_us(device_us, max(0, int(now_us))))
 
     def _keep(self, part: Part, epoch_us: int) -> None:
         events, edges, imu = copy_events(part.events), part.edges.copy(), part.imu
         for records in (events, edges, imu):
-            records["t"] -= np.uint64(epoch_us % (1 << 64))
+            if len(records):
+                records["t"] -= np.uint64(epoch_us % (1 << 64))
         restarted = epoch_us != self._epoch_us
         self._epoch_us = epoch_us
         self.digest = digest_of(events, 0 if restarted else self.digest)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -31,12 +32,14 @@ class LatencyHistogram:
         self._counts = np.zeros(_BINS, np.int64)
         self._max_us: float | None = None
 
-    def add(self, latency_us: npt.NDArray[np.float64]) -> None:
+    def add(self, latency_us: npt.NDArray[np.floating[Any]]) -> None:
         """Count latencies, shape (n,), us; an event that leaves before its own time counts as 0."""
         if not len(latency_us):
             return
         bins = np.clip(latency_us / _BIN_US, 0, _BINS - 1).astype(np.int64)
-        self._counts += np.bincount(bins, minlength=_BINS)
+        first = int(bins.min())
+        counts = np.bincount(bins - first)
+        self._counts[first : first + len(counts)] += counts
         self._max_us = max(self._max_us or 0.0, float(latency_us.max()))
 
     def summary(self) -> LatencySummary:

@@ -18,16 +18,16 @@ _LONGEST = 1 << 16
 
 
 class ByteBudget:
-    """Bytes that may go now."""
+    """Bytes that may go now; at most those of `burst_ns` at once."""
 
-    def __init__(self, mbit_s: float, now_ns: int) -> None:
+    def __init__(self, mbit_s: float, now_ns: int, burst_ns: int = _BURST_NS) -> None:
         self._bytes_per_ns = mbit_s / 8000
-        self._most = max(_LEAST_BURST_BYTES, self._bytes_per_ns * _BURST_NS)
+        self._most = max(_LEAST_BURST_BYTES, self._bytes_per_ns * burst_ns)
         self._now_ns = now_ns
         self.left = self._most
 
     def renew(self, now_ns: int) -> None:
-        """Add what the time since the last call has brought, up to a burst of 4 ms."""
+        """Add what the time since the last call has brought, up to a burst."""
         self.left = min(self._most, self.left + (now_ns - self._now_ns) * self._bytes_per_ns)
         self._now_ns = now_ns
 

@@ -134,7 +134,7 @@ class _Raw:
         self.resets.append(self._count)
 
     def append(self, records: npt.NDArray[np.void]) -> None:
-        if len(records) and self._file.write(records.tobytes()):
+        if len(records) and self._file.write(np.ascontiguousarray(records).data):
             self._count += len(records)
 
     def content(self) -> npt.NDArray[np.void]:

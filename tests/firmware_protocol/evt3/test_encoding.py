@@ -277,3 +277,27 @@ def test_expelliarmus_reads_place_and_polarity_whatever_the_time(tmp_path):
     path = tmp_path / "a.raw"
     path.write_bytes(evt3_header(SIZE) + Evt3Encoder().encode(events))
     np.testing.assert_array_equal(by_expelliarmus(path)[["x", "y", "on"]], events[["x", "y", "on"]])
+
+
+@pytest.mark.parametrize("origin_us", [0, 123_456_789])
+def test_pieces_of_a_size_hold_as_much_as_fits_and_together_all(origin_us):
+    draw = np.random.default_rng(4)
+    events = np.zeros(3000, EVENT)
+    events["t"] = origin_us + np.sort(draw.integers(0, 400, 3000))
+    events["x"], events["y"] = draw.integers(0, 1280, 3000), draw.integers(0, 2, 3000)
+    edges = np.array([(origin_us + t, EdgeKind.RISING, 0, 0) for t in (0, 77, 399)], EDGE)
+    encoder, decoder = Evt3Encoder(standalone=True, origin_us=origin_us), Evt3Decoder()
+    seen, told, sizes = [], [], []
+    rest, rest_edges = events, edges
+    while len(rest) or len(rest_edges):
+        words, count, edge_count = encoder.fill(rest, rest_edges, 200)
+        rest, rest_edges = rest[count:], rest_edges[edge_count:]
+        sizes.append(len(words))
+        for into, found in zip((seen, told), decoder.decode(words), strict=True):
+            into.append(found)
+    assert max(sizes) <= 200
+    assert min(sizes[:-1]) > 200 - 16 - 8  # at most one turn of the loop is left out
+    expected = events.copy()
+    expected["t"] -= np.uint64(origin_us)
+    assert np.concatenate(seen).tobytes() == expected.tobytes()
+    assert np.concatenate(told)["t"].tolist() == [0, 77, 399]

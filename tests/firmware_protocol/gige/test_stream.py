@@ -31,6 +31,14 @@ def test_every_packet_but_the_last_is_full(packet_size):
     assert b"".join(payloads) == block.data
 
 
+def test_blocks_of_a_busy_stream_are_full():
+    host = Host()
+    host.start()
+    host.camera.offer(steady(60_000))
+    sizes = [len(outgoing.block.data) for outgoing in host.blocks()]
+    assert min(sizes[:-1]) > BLOCK_OCTETS - 16
+
+
 @pytest.mark.parametrize("step_us", [0, 1, 700, 20_000, 3_000_000])
 def test_events_come_out_as_they_went_in(step_us):
     host = Host()

@@ -45,7 +45,8 @@ def main() -> None:
                 bad += 1
             stream.push_buffer(buffer)
     camera.stop_acquisition()
-    print(json.dumps({**told, "octets": seen, "bad": bad}))
+    resent = stream.get_info_uint64_by_name("n_resent_packets")
+    print(json.dumps({**told, "octets": seen, "bad": bad, "resent": resent}))
 
 
 main()

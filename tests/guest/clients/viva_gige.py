@@ -4,11 +4,24 @@ from __future__ import annotations
 
 import json
 import sys
+import threading
 import time
 
 import viva_genicam as viva
 
 PATIENCE_S = 120.0
+ACTION_KEYS = {0x090C: 1, 0x9800: 2, 0x9804: 4}  # registers of the device key, the group key and the group mask
+
+
+def hear_of_an_edge(camera: viva.Camera, address: str, told: dict[str, int]) -> None:
+    """Have the camera's trigger input pulsed by an action command; note what the camera tells of it."""
+    for register, key in ACTION_KEYS.items():
+        camera.write_register(register, key.to_bytes(4, "big"))
+    with camera.events(["Line0AnyEdge"]) as events:
+        device_key, group_key, mask = ACTION_KEYS.values()
+        acks = viva.send_action(device_key, group_key, mask, destination=address, timeout_ms=2000).acks
+        event = events.next_event(20_000)
+    told.update(acks=acks, event=event.id, event_ns=event.ts_dev)
 
 
 def main() -> None:
@@ -19,9 +32,10 @@ def main() -> None:
     told = {"found": [one.ip for one in found], "bias": camera.get("BiasEventThresholdPositive")}
     stream = camera.stream(packet_size=1400)
     camera.acquisition_start()
-    end_s, seen, incomplete, name = time.monotonic() + PATIENCE_S, 0, 0, ""
+    end_s, seen, incomplete, name, edge = time.monotonic() + PATIENCE_S, 0, 0, "", {}
+    hearing = threading.Thread(target=hear_of_an_edge, args=(camera, found[0].ip, edge), daemon=True)
     with open(out, "wb") as file:
-        while seen < octets and time.monotonic() < end_s:
+        while (seen < octets or hearing.is_alive()) and time.monotonic() < end_s:
             try:
                 frame = stream.next_frame(timeout_ms=500)
             except viva.GenicamError:
@@ -30,10 +44,14 @@ def main() -> None:
                 incomplete += not frame.is_complete
                 name = frame.pixel_format
                 seen += file.write(bytes(frame.payload()))
+                if hearing.ident is None:
+                    hearing.start()
     lost = stream.stats().frames_lost
     stream.close()
     camera.close()
-    print(json.dumps({**told, "octets": seen, "incomplete": incomplete, "lost": lost, "format": str(name)}))
+    print(
+        json.dumps({**told, "edge": edge, "octets": seen, "incomplete": incomplete, "lost": lost, "format": str(name)})
+    )
 
 
 main()

@@ -9,12 +9,15 @@ import numpy as np
 import pytest
 
 from emulator.rig.loading import RigError, parse_rig
+from firmware_protocol.edges import EdgeKind
 from firmware_protocol.events import EVENT
 from firmware_protocol.gige.bootstrap import Register
+from firmware_protocol.gige.evs_registers import Evs
 from firmware_protocol.gige.gvcp import Command, request
 from firmware_protocol.gige.settings import GigeSettings
 from firmware_protocol.gige.triton2 import Triton2
 from transports.faults.datagram_kinds import LateDatagrams, LostDatagrams, RepeatedDatagrams
+from transports.faults.gige_kinds import LinkDown, LostHeartbeat, RefusedResends
 from transports.faults.script import FaultPlan
 from transports.gige.endpoint import GigeFactory
 from transports.gige.host import CameraGone, GigeHost, GigeHostError
@@ -81,6 +84,33 @@ class _PunctualHost(GigeHost):
         return events
 
 
+class Refusing:
+    """A socket that has no room for every third datagram, or run of datagrams, when it comes for the first time."""
+
+    def __init__(self):
+        self.refusals = self._calls = 0
+
+    def take_the_place_of(self, stream):
+        self._socket, stream._socket = stream._socket, self
+
+    def __getattr__(self, name):
+        return getattr(self._socket, name)
+
+    def sendto(self, data, to):
+        self._refuse()
+        return self._socket.sendto(data, to)
+
+    def sendmsg(self, *how):
+        self._refuse()
+        return self._socket.sendmsg(*how)
+
+    def _refuse(self):
+        self._calls += 1
+        if self._calls % 3 == 0:
+            self.refusals += 1
+            raise BlockingIOError
+
+
 @pytest.fixture
 def bench():
     made = []
@@ -103,8 +133,9 @@ def stream(count):
     return events
 
 
-def test_a_host_reads_every_event(bench):
-    here = bench()
+@pytest.mark.parametrize("segmentation", [False, True])
+def test_a_host_reads_every_event(bench, segmentation):
+    here = bench(segmentation=segmentation)
     host = here.connect()
     assert host.identity.model == "TRT009S-E"
     host.start(packet_size=576)
@@ -114,6 +145,20 @@ def test_a_host_reads_every_event(bench):
     host.close()
     report = here.close()
     assert (report.delivered, report.dropped, report.digest) == (20_000, 0, digest_of(events))
+
+
+@pytest.mark.parametrize("segmentation", [False, True])
+def test_packets_that_find_no_room_leave_later_in_order(bench, segmentation):
+    here, refused = bench(segmentation=segmentation), Refusing()
+    refused.take_the_place_of(here.link.endpoint._stream)
+    host = here.connect()
+    host.start(packet_size=576)
+    events = stream(20_000)
+    here.run(events, host)
+    assert refused.refusals > 50
+    assert np.concatenate(here.events).tobytes() == events.tobytes()
+    host.close()
+    assert (here.close().delivered, host.assembly.asked) == (20_000, 0)
 
 
 @pytest.mark.parametrize("fault", [LostDatagrams, RepeatedDatagrams, LateDatagrams])
@@ -141,6 +186,116 @@ def test_blocks_whose_packets_never_come_are_blamed_on_the_fault(bench):
     host.close()
     assert 0 < lost < 20_000
     assert here.link.report(final=True).delivered == 20_000 - lost
+
+
+def test_packets_that_the_camera_keeps_no_more_are_not_sent_again(bench):
+    here = bench(
+        LostDatagrams(rate=0.01, count=0, for_s=1000.0),
+        RefusedResends(rate=0.5, count=0, for_s=1000.0),
+    )
+    host = here.connect()
+    host.start(packet_size=576)
+    here.run(stream(20_000), host)
+    healed, refused = host.assembly.asked, here.link.endpoint.faults[1].hits
+    lost = here.close().faults[1].events_lost
+    host.close()
+    assert 0 < refused < healed
+    assert 0 < lost < 20_000
+    assert here.link.report(final=True).delivered == 20_000 - lost == sum(map(len, here.events))
+
+
+def test_a_heartbeat_that_is_lost_takes_control_away(bench):
+    here = bench()
+    host = here.connect()
+    host.start()
+    here.link.endpoint.inject(LostHeartbeat())
+    while here.link._device.owner is not None:
+        here.turn()
+    here.clock.advance(2_000_000_000)
+    with pytest.raises(CameraGone, match="control was taken away"):
+        host.read(0.001)
+    assert here.link.endpoint.faults[0].hits == 1
+    host.close()
+    here.connect().close()
+
+
+def test_a_link_that_is_down_is_silent_both_ways_and_comes_back(bench):
+    here = bench(LinkDown(at_s=0.05, for_s=0.05))
+    host = here.connect()
+    host.start(packet_size=576)
+    events, asked = stream(20_000), socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    asked.settimeout(0.3)
+    here.ring.start(FREE_RUNNING)
+    here.ring.push(events)
+    here.ring.publish(60_000)
+    for _ in range(200):
+        here.turn()
+    asked.sendto(request(Command.DISCOVERY, 1), (here.host, here.port))
+    with pytest.raises(TimeoutError):
+        asked.recv(1000)
+    here.ring.publish(int(events["t"][-1]) + 5000)
+    for _ in range(600):
+        here.turn()
+    asked.settimeout(20.0)
+    asked.sendto(request(Command.DISCOVERY, 2), (here.host, here.port))
+    assert len(asked.recv(1000)) == 256
+    asked.close()
+    host.close()
+    report = here.close()
+    assert 3000 < report.faults[0].events_lost < 8000
+    assert report.delivered + report.faults[0].events_lost + report.dropped_in_device == 20_000
+
+
+@pytest.mark.parametrize("segmentation", [False, True])
+def test_what_waited_leaves_in_bursts_that_a_stock_socket_buffer_holds(bench, segmentation):
+    here = bench(segmentation=segmentation)
+    host = here.connect()
+    host.start(packet_size=1400)
+    here.turn()
+    here.ring.start(FREE_RUNNING)
+    here.ring.push(stream(150_000))
+    here.ring.publish(2_000_000)
+    sizes = []
+    while sum(sizes) < 400:
+        before = here.link.endpoint.sent["packets"]
+        here.clock.advance(10_000_000)
+        here.link.tick()
+        sizes.append(here.link.endpoint.sent["packets"] - before)
+    assert max(sizes) * 2304 < 2 * 212_992
+    host.close()
+
+
+def test_a_host_is_told_of_edges_until_it_answers(bench):
+    here = bench()
+    host = here.connect()
+    told = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    told.settimeout(20.0)
+    told.bind(("127.0.0.1", 0))
+    host.start()
+    for register, value in (
+        (Register.MESSAGE_ADDRESS, 0x7F000001), (Register.MESSAGE_PORT, told.getsockname()[1]),
+        (Register.MESSAGE_TIMEOUT, 10), (Register.MESSAGE_RETRIES, 1000 // 10), (Evs.EVENT_NOTIFICATION, 1),
+    ):  # fmt: skip
+        host.write(register, value)
+    here.turn()
+    here.link.happen(EdgeKind.RISING)
+    messages = []
+    for _ in range(2):
+        here.clock.advance(10_000_000)
+        here.link.tick()
+        data, camera = told.recvfrom(1000)
+        messages.append(data)
+    assert messages[0] == messages[1]
+    assert messages[0][:4] + messages[0][8:12] == bytes.fromhex("420100c000009000")
+    told.sendto(struct.pack(">HHHH", 0, 0xC1, 0, 1), camera)
+    here.clock.advance(10_000_000)
+    here.link.tick()
+    told.settimeout(0.2)
+    with pytest.raises(TimeoutError):
+        told.recv(1000)
+    assert (here.link.endpoint.counts["messages"], here.link.endpoint.counts["messages lost"]) == (1, 0)
+    told.close()
+    host.close()
 
 
 def test_strangers_get_nothing(bench):
