@@ -19,12 +19,13 @@ Every register that the emulated camera knows, for a sensor of 346 x 260 pixels.
 those of the chip, 260 x 346, and ORIENTATION is 4. A register is a module (wValue) and a parameter (wIndex) of
 [request 0xBF](protocol.md#vendor-requests). All are 32 bits wide and big-endian on the wire. A register keeps the low
 **bits** of a written value, as the published logic does, reads back those, and refuses nothing: of 0xFFFFFFFF, EXPOSURE
-keeps 0x7FFFFFF (4.5 s), and of 2 a flag keeps 0. A register that is not in these tables reads 0; a write to it, or to one
-that can only be read (*ro*), is ignored.
+keeps 0x7FFFFFF (4.5 s), and of 2 a flag keeps 0. A register that is not in these tables reads 0; a write to it, or to
+one that can only be read (*ro*), is ignored.
 
-What the model makes of values that ask for the impossible: a region of interest is cut to the sensor, and gives no frames
-(of the DVS: no events) where it is empty; frames are at least 1 ms apart; a generator whose pulse is not shorter than its
-interval stands still, and tells at most one edge of each kind in a microsecond; factors of biases stay within 0.1 and 1000.
+What the model makes of values that ask for the impossible: a region of interest is cut to the sensor, and gives no
+frames (of the DVS: no events) where it is empty; frames are at least 1 ms apart; a generator whose pulse is not shorter
+than its interval stands still, and tells at most one edge of each kind in a microsecond; factors of biases stay within
+0.1 and 1000.
 
 **Acts** says what the model does with it: *yes*, it changes what is sent; *told*, its value describes the camera;
 empty, it is kept and read back, and nothing else.

@@ -12,9 +12,10 @@ records (DVSAER, APSADC, IMU, Multiplexer, FX3 and ChipBiasConfigRecords with th
 one): places 9 bits for this array, times in cycles 20 (exposure 22, frame interval 23) and as many as the clock's MHz
 take.
 
-Capability registers tell the truth about this model: the background activity filter reads 0 until it is modelled. libcaer and neuromorphic_drivers switch that filter on wherever it exists, so a camera that claimed it without
-filtering would send events which a real one removes. The APS size and shutter registers describe the chip, because
-drivers size their pictures by them, also where the camera takes no frames (`Davis346Settings.frames`).
+Capability registers tell the truth about this model: the background activity filter reads 0 until it is modelled.
+libcaer and neuromorphic_drivers switch that filter on wherever it exists, so a camera that claimed it without filtering
+would send events which a real one removes. The APS size and shutter registers describe the chip, because drivers size
+their pictures by them, also where the camera takes no frames (`Davis346Settings.frames`).
 """
 
 from __future__ import annotations

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from davis_host import Host, steady
+from davis_registers import kept
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -41,34 +42,19 @@ def test_no_register_is_declared_twice():
     assert len(set(keys)) == len(keys)
 
 
-# (module, first and last parameter): bits, as the records of the published logic declare them for this chip and its clocks.
-WIDTHS = {
-    (0, 0, 5): 1, (1, 3, 5): 1, (1, 11, 26): 9, (1, 31, 31): 1, (1, 32, 32): 12, (1, 33, 33): 1, (1, 34, 34): 12,
-    (1, 41, 44): 9, (1, 51, 51): 1, (1, 52, 52): 8, (1, 61, 63): 1, (2, 4, 5): 1, (2, 7, 7): 1, (2, 8, 11): 9,
-    (2, 12, 12): 27, (2, 13, 13): 28, (3, 2, 4): 1, (3, 5, 5): 8, (3, 6, 6): 3, (3, 7, 7): 2, (3, 9, 9): 3,
-    (3, 10, 10): 2, (4, 0, 4): 1, (4, 5, 5): 27, (4, 11, 12): 1, (4, 13, 14): 27, (4, 15, 16): 1, (5, 0, 4): 9,
-    (5, 8, 27): 15, (5, 34, 34): 15, (5, 35, 36): 16, (5, 128, 135): 4, (5, 136, 144): 1, (9, 0, 0): 1, (9, 1, 1): 27,
-}  # fmt: skip
-
-
-def kept(register, value):
-    (bits,) = (n for (module, a, b), n in WIDTHS.items() if module == register.module and a <= register.address <= b)
-    return value & (1 << bits) - 1
-
-
 @given(st.dictionaries(st.sampled_from(WRITABLE), st.integers(0, 0xFFFFFFFF)))
 def test_a_register_keeps_the_bits_that_its_part_uses_and_nothing_else_changes(writes):
     values = RegisterFile(DECLARED)
     for register, value in writes.items():
         values.write(register.module, register.address, value)
     for register in DECLARED:
-        expected = kept(register, writes[register]) if register in writes else register.default
+        expected = kept(register.module, register.address, writes[register]) if register in writes else register.default
         assert values.read(register.module, register.address) == expected
 
 
 @pytest.mark.parametrize("register", WRITABLE, ids=lambda r: f"{r.module.name}_{r.name}")
 def test_each_register_keeps_its_power_on_value_when_that_is_written(register):
-    assert kept(register, register.default) == register.default
+    assert kept(register.module, register.address, register.default) == register.default
 
 
 @pytest.mark.parametrize("register", FIXED, ids=lambda r: f"{r.module.name}_{r.name}")
