@@ -1,4 +1,4 @@
-"""A camera's whole life, told at random: whatever hosts do, every event, edge, frame and sample has exactly one fate."""
+"""A camera's whole life, told at random: every event, edge, frame line and sample has exactly one fate."""
 
 import dataclasses
 
