@@ -17,9 +17,15 @@ _HEAD = """# Registers of the DAVIS346
 
 Every register that the emulated camera knows, for a sensor of 346 x 260 pixels. With the layout `turned` the sizes are
 those of the chip, 260 x 346, and ORIENTATION is 4. A register is a module (wValue) and a parameter (wIndex) of
-[request 0xBF](protocol.md#vendor-requests). All are 32 bits wide and big-endian on the wire; a value that was written
-reads back in full, all 32 bits, and is not checked. Flags act where the value is not 0. A register that is not in these
-tables reads 0; a write to it, or to one that can only be read (*ro*), is ignored.
+[request 0xBF](protocol.md#vendor-requests). All are 32 bits wide and big-endian on the wire. A register keeps the low
+**bits** of a written value, as the published logic does, reads back those, and refuses nothing: of 0xFFFFFFFF, EXPOSURE
+keeps 0x7FFFFFF (4.5 s), and of 2 a flag keeps 0. A register that is not in these tables reads 0; a write to it, or to
+one that can only be read (*ro*), is ignored.
+
+What the model makes of values that ask for the impossible: a region of interest is cut to the sensor, and gives no
+frames (of the DVS: no events) where it is empty; frames are at least 1 ms apart; a generator whose pulse is not shorter
+than its interval stands still, and tells at most one edge of each kind in a microsecond; factors of biases stay within
+0.1 and 1000.
 
 **Acts** says what the model does with it: *yes*, it changes what is sent; *told*, its value describes the camera;
 empty, it is kept and read back, and nothing else.
@@ -30,17 +36,25 @@ This page is made by `docs/make_register_page.py` from `firmware_protocol/davis3
 _TITLES = {
     Module.MULTIPLEXER: "multiplexer",
     Module.DVS: "DVS",
-    Module.APS: "APS (frames are not sent)",
-    Module.IMU: "IMU (there is none)",
+    Module.APS: "APS",
+    Module.IMU: "IMU",
     Module.EXTERNAL_INPUT: "external input",
     Module.BIAS: "biases and chip",
     Module.SYSTEM: "system information",
     Module.USB: "USB",
 }
 
+_BIASES_THAT_ACT = ("DiffBn", "OnBn", "OffBn", "PrBp", "PrSFBp", "RefrBp")
+
 _ACTS = frozenset(
-    [(0, k) for k in range(5)] + [(1, 3), (9, 0)] + [(4, k) for k in (*range(6), *range(11, 17))]
-)  # what device.py and external_input.py read
+    [(0, k) for k in range(5)]
+    + [(1, 3), (9, 0)]
+    + [(4, k) for k in (*range(6), *range(11, 17))]
+    + [(1, k) for k in (*range(11, 27), *range(41, 45), 51, 52, 61, 62, 63)]
+    + [(2, k) for k in (4, 5, *range(7, 14))]
+    + [(3, k) for k in (2, 3, 4, 5, 6, 7, 9, 10)]
+    + [(5, bias.address) for bias in BIASES if bias.name in _BIASES_THAT_ACT]
+)  # what device.py and the modules that it gives its registers to read
 
 _MEANINGS = {
     "RUN": "this part runs; in module 0 the gate of all words",
@@ -122,7 +136,7 @@ _BIASES = {bias.address: bias for bias in BIASES}
 
 def _meaning(register: Register) -> str:
     if register.module is Module.BIAS and register.address in _BIASES:
-        return f"bias, 16 bits: {register.note}"
+        return f"bias: {register.note}"
     found = [text for pattern, text in _PATTERNS.items() if re.fullmatch(pattern, register.name)]
     meaning = _MEANINGS.get(register.name) or found[0]
     return f"{meaning} ({register.note})" if register.note else meaning
@@ -139,10 +153,11 @@ def _lines() -> Iterator[str]:
     known = sorted(registers((346, 260), Layout.UPRIGHT, SystemInfo()), key=lambda r: (r.module, r.address))
     for module, title in _TITLES.items():
         yield f"## Module {module.value}: {title}\n"
-        yield "| parameter | name | access | default | acts | meaning |\n|---|---|---|---|---|---|"
+        yield "| parameter | name | access | bits | default | acts | meaning |\n|---|---|---|---|---|---|---|"
         for r in (r for r in known if r.module is module):
             access = "ro" if r.access.value == "read" else "rw"
-            yield f"| {r.address} | {r.name} | {access} | {r.default} | {_acts(r)} | {_meaning(r)} |"
+            bits = r.bits if access == "rw" else ""
+            yield f"| {r.address} | {r.name} | {access} | {bits} | {r.default} | {_acts(r)} | {_meaning(r)} |"
         yield ""
 
 

@@ -97,6 +97,7 @@ MEASURES = (
     Measure("scenes_alike_64", "times", "lower", 2, ScenesAlike(64)),
     Measure("scenes_alike_4096", "times", "lower", 2, ScenesAlike(4096)),
     Measure("words_encode", "Mev/s", "higher", 80, word.words_encode),
+    Measure("words_encode_streams", "Mev/s", "higher", 40, word.words_encode_streams),
     Measure("words_decode", "Mev/s", "higher", 40, word.words_decode),
     Measure("evt3_encode_target", "Mev/s", "higher", 60, Evt3Encoding("target")),
     Measure("evt3_encode_rows", "Mev/s", "higher", 60, Evt3Encoding("rows")),

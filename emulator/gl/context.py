@@ -176,8 +176,10 @@ def _device_indices() -> Iterator[int | None]:
 
 
 def _open_device(index: int | None) -> moderngl.Context:
-    import moderngl
-
+    try:
+        import moderngl
+    except ImportError as error:  # arm64 Linux has no wheel of it
+        raise MachineLacks(f"no GL context: {error}; pip install moderngl builds it, with g++") from error
     settings: dict[str, Any] = {"backend": "egl"} if index is None else {"backend": "egl", "device_index": index}
     try:
         return moderngl.create_context(standalone=True, require=_VERSION, **settings)

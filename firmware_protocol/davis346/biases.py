@@ -12,6 +12,7 @@ within 0.5 %. What the biases do to the pixels is the sensor's affair; here they
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 __all__ = ["BIASES", "BiasDefinition", "BiasValue", "CoarseFine", "ShiftedSource", "Vdac"]
 
@@ -26,6 +27,8 @@ def _check(what: str, value: int, maximum: int) -> None:
 @dataclass(frozen=True)
 class CoarseFine:
     """A current source: two stages of choice, transistor sex and type."""
+
+    BITS: ClassVar[int] = 15
 
     coarse: int
     fine: int
@@ -70,6 +73,8 @@ class CoarseFine:
 class Vdac:
     """A voltage source: level and the strength of its buffer."""
 
+    BITS: ClassVar[int] = 9
+
     voltage: int
     current: int
 
@@ -92,6 +97,8 @@ class Vdac:
 @dataclass(frozen=True)
 class ShiftedSource:
     """A shifted source: `mode` 0 shifted source, 1 high impedance, 2 tied to the rail."""
+
+    BITS: ClassVar[int] = 16
 
     ref: int
     reg: int
@@ -126,6 +133,11 @@ class BiasDefinition:
     address: int
     name: str
     default: BiasValue
+
+    @property
+    def bits(self) -> int:
+        """Width of its register, as in the published logic's ChipBiasConfigRecords."""
+        return self.default.BITS
 
     def parse(self, word: int) -> BiasValue:
         """Read a word as this bias's kind."""

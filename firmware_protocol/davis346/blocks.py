@@ -15,7 +15,7 @@ The encoder treats a block as a mark with the word `PLACE`, and puts the block's
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,7 +26,7 @@ from firmware_protocol.davis346.marks import Marks, join_marks, no_marks
 from firmware_protocol.frame_lines import LineKind
 from firmware_protocol.readings import Reading, ReadingKind, Readings
 
-__all__ = ["PLACE", "Block", "block_of", "blocks_of", "frame_words", "put_in_place", "with_places"]
+__all__ = ["PLACE", "Block", "blocks_of", "frame_words", "put_in_place", "with_places"]
 
 PLACE = 0x0FFF
 """A special word that no stream holds."""
@@ -34,6 +34,9 @@ PLACE = 0x0FFF
 APS_SAMPLE, MISC8, MISC10 = 0x4000, 0x5000, 0x6000
 _ROI_HIGH, _ROI_LOW = 1, 2
 _START_GLOBAL, _START_ROLLING, _END, _RESET, _SIGNAL, _COLUMN_END = 8, 9, 10, 11, 12, 13
+_LINES = (LineKind.RESET, LineKind.SIGNAL)
+_LINE_START = np.zeros(len(LineKind), "<u2")
+_LINE_START[list(_LINES)] = _RESET, _SIGNAL
 _CODE = {LineKind.EXPOSURE_START: 14, LineKind.EXPOSURE_END: 15, LineKind.END: _END}
 
 Words = npt.NDArray[np.uint16]
@@ -48,19 +51,25 @@ class Block:
     reading: Reading
 
 
-def frame_words(line: Readings) -> Words:
-    """Return the words of a line or moment of a frame, (1,) of `line_record`."""
-    kind, one = LineKind(int(line["kind"][0])), line[0]
+def frame_words(lines: Readings) -> list[Words]:
+    """Return the words of lines and moments of frames, (n,) of `line_record`, those of each by themselves."""
+    of_kind = lines["kind"].tolist()
+    table = np.empty((len(lines), lines["samples"].shape[1] + 2), "<u2")
+    table[:, 0] = _LINE_START[lines["kind"]]
+    np.bitwise_or(lines["samples"], APS_SAMPLE, out=table[:, 1:-1])
+    ends = lines["length"].astype(np.intp) + 1
+    table[np.arange(len(lines)), ends] = _COLUMN_END
+    stops = (ends + 1).tolist()
+    return [
+        table[k, : stops[k]] if kind in _LINES else _moment_words(LineKind(kind), lines[k])
+        for k, kind in enumerate(of_kind)
+    ]
+
+
+def _moment_words(kind: LineKind, one: np.void) -> Words:
     if kind is LineKind.START:
         return _start_words(bool(one["global_shutter"]), int(one["exposure"]), one["roi"].tolist())
-    if kind in _CODE:
-        return np.array([_CODE[kind]], "<u2")
-    samples = one["samples"][: int(one["length"])]
-    words = np.empty(len(samples) + 2, "<u2")
-    words[0] = _RESET if kind is LineKind.RESET else _SIGNAL
-    np.bitwise_or(samples, APS_SAMPLE, out=words[1:-1])
-    words[-1] = _COLUMN_END
-    return words
+    return np.array([_CODE[kind]], "<u2")
 
 
 def _start_words(global_shutter: bool, exposure: int, roi: list[int]) -> Words:
@@ -69,21 +78,13 @@ def _start_words(global_shutter: bool, exposure: int, roi: list[int]) -> Words:
     return np.array([_START_GLOBAL if global_shutter else _START_ROLLING, *bits, *halves], "<u2")
 
 
-_WORDS_OF: Mapping[ReadingKind, Callable[[Readings], Words]] = {
-    ReadingKind.FRAMES: frame_words,
-    ReadingKind.IMU: imu_words,
-}
-
-
-def block_of(kind: ReadingKind, record: Readings) -> Block:
-    """Return a reading, (1,) of its dtype, as a block."""
-    return Block(int(record["t"][0]), _WORDS_OF[kind](record), Reading(kind, record))
-
-
 def blocks_of(kind: ReadingKind, readings: Readings) -> list[Block]:
     """Return readings of a kind, (n,), as blocks; they are copied."""
     own = readings.copy()
-    return [block_of(kind, own[k : k + 1]) for k in range(len(own))]
+    each = [own[k : k + 1] for k in range(len(own))]
+    words = frame_words(own) if kind is ReadingKind.FRAMES else [imu_words(one) for one in each]
+    times_us = own["t"].tolist()
+    return [Block(t_us, some, Reading(kind, one)) for t_us, some, one in zip(times_us, words, each, strict=True)]
 
 
 def with_places(marks: Marks, blocks: Sequence[Block]) -> Marks:

@@ -106,8 +106,11 @@ class GeneratorSettings:
         """Return when pulses begin (offset 0) or end, us since the start, one in any microsecond at most."""
         first = max(1, -(-((after_us + 1) * self.clock_mhz - offset) // self.interval))
         last = (until_us * self.clock_mhz + self.clock_mhz - 1 - offset) // self.interval
+        if self.interval <= self.clock_mhz:  # one in each microsecond: a hundred cycles need not be looked at
+            first_us, last_us = ((k * self.interval + offset) // self.clock_mhz for k in (first, last))
+            return np.arange(first_us, last_us + 1, dtype=np.int64)
         cycles = np.arange(first, last + 1, dtype=np.int64) * self.interval + offset
-        return np.unique(cycles // self.clock_mhz)
+        return cycles // self.clock_mhz
 
 
 @dataclass

@@ -11,6 +11,7 @@ generator rising 12, falling 13), which is what `EDGE` records carry.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -87,11 +88,23 @@ class Items:
         is written for it.
         """
         at = np.searchsorted(self.time_us, time_us, side="left")
-        first = np.uint16(NO_ROW if row < 0 else row)
-        before = np.concatenate([[first], self.rows]).astype(np.uint16)[at]
+        before = self.rows[np.maximum(at, 1) - 1] if len(self.rows) else np.empty(len(at), np.uint16)
+        before[at == 0] = NO_ROW if row < 0 else row
+        at += np.arange(len(at))
+        old = np.ones(len(self.words) + len(at), np.bool_)
+        old[at] = False
         return Items(
-            np.insert(self.time_us, at, time_us), np.insert(self.rows, at, before), np.insert(self.words, at, codes)
+            _woven(self.time_us, time_us, old, at),
+            _woven(self.rows, before, old, at),
+            _woven(self.words, codes, old, at),
         )
+
+
+def _woven(items: Any, marks: Any, old: npt.NDArray[np.bool_], at: npt.NDArray[np.intp]) -> Any:
+    """Return `items` where `old` is true and `marks` at the places `at`; np.insert takes twice as long."""
+    both = np.empty(len(old), items.dtype)
+    both[old], both[at] = items, marks
+    return both
 
 
 def items_of(time_us: Times, rows: Words, columns: Words, on: npt.NDArray[np.bool_]) -> Items:

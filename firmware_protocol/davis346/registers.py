@@ -6,13 +6,16 @@
 Source: libcaer 3.3.15 (davis.h), neuromorphic-drivers 0.16.1, register traffic of three drivers.
 
 What is not said there: the FPGA has no way to refuse. A write to a register that does not exist, or that can only be
-read, is ignored; a read of one that does not exist gives 0. Written values read back in full, 32 bits wide, and are not
-checked.
+read, is ignored; a read of one that does not exist gives 0. A register keeps as many low bits of a written value as its
+part of the logic uses, one for a flag, and reads back those. Widths are those of the published logic's configuration
+records (DVSAER, APSADC, IMU, Multiplexer, FX3 and ChipBiasConfigRecords with these addresses; ExtInput of an older
+one): places 9 bits for this array, times in cycles 20 (exposure 22, frame interval 23) and as many as the clock's MHz
+take.
 
-Capability registers tell the truth about this model: the background activity filter and the IMU read 0 until they are
-modelled. libcaer and neuromorphic_drivers switch that filter on wherever it exists, so a camera that claimed it without
-filtering would send events which a real one removes. The APS size and shutter registers describe the chip, because
-drivers size their pictures by them, also where the camera takes no frames (`Davis346Settings.frames`).
+Capability registers tell the truth about this model: the background activity filter reads 0 until it is modelled.
+libcaer and neuromorphic_drivers switch that filter on wherever it exists, so a camera that claimed it without filtering
+would send events which a real one removes. The APS size and shutter registers describe the chip, because drivers size
+their pictures by them, also where the camera takes no frames (`Davis346Settings.frames`).
 """
 
 from __future__ import annotations
@@ -56,6 +59,11 @@ class Register:
     default: int = 0
     access: Access = Access.READ_WRITE
     note: str = ""
+    bits: int = 1
+
+    def kept(self, value: int) -> int:
+        """Return what the register keeps of a written value."""
+        return value & (1 << self.bits) - 1
 
 
 class Layout(Enum):
@@ -105,7 +113,8 @@ class Statistic(Enum):
     DVS_FILTERED_REFRACTORY = (Module.DVS, 91)
 
 
-Rows = tuple[tuple[int, str, int], ...]
+Rows = tuple[tuple[int, str, int] | tuple[int, str, int, int], ...]
+"""Address, name, power-on value, and the width in bits where it is not a flag."""
 
 _MULTIPLEXER: Rows = (
     (0, "RUN", 0),
@@ -121,13 +130,11 @@ _DVS: Rows = (
     (4, "WAIT_ON_STALL", 0),
     (5, "EXTERNAL_AER_CONTROL", 0),
     (31, "BACKGROUND_ACTIVITY_FILTER", 0),
-    (32, "BACKGROUND_ACTIVITY_TIME_250US", 8),
+    (32, "BACKGROUND_ACTIVITY_TIME_250US", 8, 12),
     (33, "REFRACTORY_FILTER", 0),
-    (34, "REFRACTORY_TIME_250US", 1),
-    (41, "ROI_START_COLUMN", 0),
-    (42, "ROI_START_ROW", 0),
+    (34, "REFRACTORY_TIME_250US", 1, 12),
     (51, "SKIP", 0),
-    (52, "SKIP_EVERY", 5),
+    (52, "SKIP_EVERY", 5, 8),
     (61, "POLARITY_FLATTEN", 0),
     (62, "POLARITY_SUPPRESS", 0),
     (63, "POLARITY_SUPPRESS_TYPE", 0),
@@ -146,25 +153,23 @@ _APS: Rows = (
     (4, "RUN", 0),
     (5, "WAIT_ON_STALL", 1),
     (7, "GLOBAL_SHUTTER", 1),
-    (8, "ROI_START_COLUMN", 0),
-    (9, "ROI_START_ROW", 0),
 )
 
 _IMU: Rows = (
     (2, "RUN_ACCELEROMETER", 0),
     (3, "RUN_GYROSCOPE", 0),
     (4, "RUN_TEMPERATURE", 0),
-    (5, "SAMPLE_RATE_DIVIDER", 0),
-    (6, "ACCELEROMETER_LOW_PASS", 1),
-    (7, "ACCELEROMETER_FULL_SCALE", 1),
-    (9, "GYROSCOPE_LOW_PASS", 1),
-    (10, "GYROSCOPE_FULL_SCALE", 1),
+    (5, "SAMPLE_RATE_DIVIDER", 0, 8),
+    (6, "ACCELEROMETER_LOW_PASS", 1, 3),
+    (7, "ACCELEROMETER_FULL_SCALE", 1, 2),
+    (9, "GYROSCOPE_LOW_PASS", 1, 3),
+    (10, "GYROSCOPE_FULL_SCALE", 1, 2),
 )
 
 _CHIP: Rows = (
-    *((128 + k, f"DIGITAL_MUX_{k}", 0) for k in range(4)),
-    *((132 + k, f"ANALOG_MUX_{k}", 0) for k in range(3)),
-    (135, "BIAS_MUX_0", 0),
+    *((128 + k, f"DIGITAL_MUX_{k}", 0, 4) for k in range(4)),
+    *((132 + k, f"ANALOG_MUX_{k}", 0, 4) for k in range(3)),
+    (135, "BIAS_MUX_0", 0, 4),
     (136, "RESET_CALIB_NEURON", 1),
     (137, "TYPE_N_CALIB_NEURON", 0),
     (138, "RESET_TEST_PIXEL", 1),
@@ -178,17 +183,18 @@ _CHIP: Rows = (
 
 def _external_input(clock_mhz: int) -> Rows:
     """Power-on values of the published logic (ExtInputConfigRecords.vhd): pulses of 1 us, the generator at 1 MHz."""
+    bits = 20 + clock_mhz.bit_length()
     return (
         (0, "RUN_DETECTOR", 0),
         (1, "DETECT_RISING", 0),
         (2, "DETECT_FALLING", 0),
         (3, "DETECT_PULSES", 1),
         (4, "PULSE_POLARITY", 1),
-        (5, "PULSE_LENGTH", clock_mhz),
+        (5, "PULSE_LENGTH", clock_mhz, bits),
         (11, "RUN_GENERATOR", 0),
         (12, "GENERATOR_POLARITY", 1),
-        (13, "GENERATOR_INTERVAL", clock_mhz),
-        (14, "GENERATOR_LENGTH", clock_mhz // 2),
+        (13, "GENERATOR_INTERVAL", clock_mhz, bits),
+        (14, "GENERATOR_LENGTH", clock_mhz // 2, bits),
         (15, "INJECT_ON_RISING", 0),
         (16, "INJECT_ON_FALLING", 0),
     )
@@ -208,8 +214,8 @@ def _system(info: SystemInfo) -> Rows:
 
 
 def _declare(module: Module, rows: Rows, access: Access = Access.READ_WRITE, note: str = "") -> Iterator[Register]:
-    for address, name, default in rows:
-        yield Register(module, address, name, default, access, note)
+    for address, name, default, *bits in rows:
+        yield Register(module, address, name, default, access, note, *bits)
 
 
 def _geometry(size: tuple[int, int], layout: Layout) -> Iterator[Register]:
@@ -219,12 +225,21 @@ def _geometry(size: tuple[int, int], layout: Layout) -> Iterator[Register]:
     for module in (Module.DVS, Module.APS):
         yield from _declare(module, frame, Access.READ_ONLY, "chip's frame; orientation bit 2: turned")
     width, height = size
-    user = "user's frame, inclusive"
-    yield from _declare(Module.DVS, ((43, "ROI_END_COLUMN", width - 1), (44, "ROI_END_ROW", height - 1)), note=user)
-    yield from _declare(Module.APS, ((10, "ROI_END_COLUMN", width - 1), (11, "ROI_END_ROW", height - 1)), note=user)
+    x_bits, y_bits = width.bit_length(), height.bit_length()
+    for module, first in ((Module.DVS, 41), (Module.APS, 8)):
+        region: Rows = (
+            (first, "ROI_START_COLUMN", 0, x_bits),
+            (first + 1, "ROI_START_ROW", 0, y_bits),
+            (first + 2, "ROI_END_COLUMN", width - 1, x_bits),
+            (first + 3, "ROI_END_ROW", height - 1, y_bits),
+        )
+        yield from _declare(module, region, note="user's frame, inclusive")
     for k in range(8):
-        pixel: Rows = ((11 + 2 * k, f"HOT_PIXEL_{k}_ROW", height), (12 + 2 * k, f"HOT_PIXEL_{k}_COLUMN", width))
-        yield from _declare(Module.DVS, pixel, note="user's frame; just outside = off")
+        row, column = (
+            (11 + 2 * k, f"HOT_PIXEL_{k}_ROW", height, y_bits),
+            (12 + 2 * k, f"HOT_PIXEL_{k}_COLUMN", width, x_bits),
+        )
+        yield from _declare(Module.DVS, (row, column), note="user's frame; just outside = off")
 
 
 def _counters() -> Iterator[Register]:
@@ -236,10 +251,14 @@ def _counters() -> Iterator[Register]:
 
 def _clocked(info: SystemInfo) -> Iterator[Register]:
     adc, usb = info.adc_clock_mhz, info.usb_clock_mhz
-    yield Register(Module.APS, 12, "EXPOSURE", 4000 * adc, note="ADC clock cycles")
-    yield Register(Module.APS, 13, "FRAME_INTERVAL", 50000 * adc, note="ADC clock cycles")
+    times: Rows = (
+        (12, "EXPOSURE", 4000 * adc, 22 + adc.bit_length()),
+        (13, "FRAME_INTERVAL", 50000 * adc, 23 + adc.bit_length()),
+    )
+    yield from _declare(Module.APS, times, note="ADC clock cycles")
     yield from _declare(Module.EXTERNAL_INPUT, _external_input(info.logic_clock_mhz), note="logic clock cycles")
-    yield Register(Module.USB, 1, "EARLY_PACKET_DELAY", 1000 * usb, note="USB clock cycles")
+    delay: Rows = ((1, "EARLY_PACKET_DELAY", 1000 * usb, 20 + usb.bit_length()),)
+    yield from _declare(Module.USB, delay, note="USB clock cycles")
 
 
 def registers(size: tuple[int, int], layout: Layout, info: SystemInfo, imu_unit: int = 0) -> Iterator[Register]:
@@ -256,7 +275,7 @@ def registers(size: tuple[int, int], layout: Layout, info: SystemInfo, imu_unit:
     yield from _declare(Module.IMU, _IMU)
     yield from _declare(Module.EXTERNAL_INPUT, ((10, "HAS_GENERATOR", 1),), fixed)
     for bias in BIASES:
-        yield Register(Module.BIAS, bias.address, bias.name, int(bias.default), note=str(bias.default))
+        yield Register(Module.BIAS, bias.address, bias.name, int(bias.default), note=str(bias.default), bits=bias.bits)
     yield from _declare(Module.BIAS, _CHIP)
     yield from _declare(Module.SYSTEM, _system(info), fixed)
     yield Register(Module.USB, 0, "RUN")
@@ -283,10 +302,10 @@ class RegisterFile:
         return self._values.get((module, address), 0)
 
     def write(self, module: int, address: int, value: int) -> None:
-        """Store a 32-bit value as a host would; ignored where the register is read-only or does not exist."""
+        """Store what the register keeps of a value; ignored where it is read-only or does not exist."""
         register = self._declared.get((module, address))
         if register is not None and register.access is Access.READ_WRITE:
-            self._values[module, address] = value & 0xFFFFFFFF
+            self._values[module, address] = register.kept(value)
 
     def count(self, statistic: Statistic, value: int) -> None:
         """Set a 64-bit counter, as the logic does."""

@@ -28,12 +28,14 @@ def test_the_page_has_every_register_and_no_other():
         if line.startswith("## Module"):
             module = int(line.split()[2].rstrip(":"))
         elif re.match(r"\| \d", line):
-            address, name, access, default, acts, meaning = (cell.strip() for cell in line.strip("|").split("|"))
-            told.add((module, int(address), name, access == "rw", int(default)))
+            address, name, access, bits, default, acts, meaning = (cell.strip() for cell in line.strip("|").split("|"))
+            told.add((module, int(address), name, int(bits or 0), int(default)))
             assert meaning
+            assert (access == "rw") == bool(bits)
             assert acts in ("", "yes", "told")
     known = registers((346, 260), Layout.UPRIGHT, SystemInfo())
-    assert told == {(r.module.value, r.address, r.name, r.access is Access.READ_WRITE, r.default) for r in known}
+    wide = {r: r.bits if r.access is Access.READ_WRITE else 0 for r in known}
+    assert told == {(r.module.value, r.address, r.name, bits, r.default) for r, bits in wide.items()}
 
 
 def fields_of(column, heading):

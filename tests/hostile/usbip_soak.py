@@ -93,13 +93,17 @@ class FreeRun:
     port : where its camera is.
     processes : numbers of its processes, by name.
     record : what was delivered, after the end; None where it is not kept.
+
+    `tables` are more of the rig, TOML.
     """
 
-    def __init__(self, looped: Looped, folder: Path, start_delay_ms: int = 300, *, record: bool = False) -> None:
+    def __init__(
+        self, looped: Looped, folder: Path, start_delay_ms: int = 300, *, record: bool = False, tables: str = ""
+    ) -> None:
         rig, ready = folder / "soak.toml", folder / "ready"
         looped.save(folder / "looped.npz")
         step_us = max(1, EVENTS_A_STEP * looped.round_us // len(looped.events))
-        rig.write_text(RIG.format(step_us=min(step_us, 1_000_000), start_delay_ms=start_delay_ms))
+        rig.write_text(RIG.format(step_us=min(step_us, 1_000_000), start_delay_ms=start_delay_ms) + tables)
         command = [*RUN, str(rig), "--json", "--seconds", "3.2e7", "--ready-file", str(ready)]
         self.record = folder / "delivered.npz" if record else None
         command += ["--record", str(self.record)] if record else []

@@ -1,4 +1,4 @@
-"""A camera's whole life, told at random: whatever hosts and events do, every event and edge has exactly one fate."""
+"""A camera's whole life, told at random: every event, edge, frame line and sample has exactly one fate."""
 
 import dataclasses
 
@@ -11,6 +11,26 @@ from hypothesis import strategies as st
 from firmware_protocol.davis346 import Davis346, Davis346Settings, Decoder
 from firmware_protocol.edges import EDGE
 from firmware_protocol.events import EVENT
+from firmware_protocol.frame_lines import LineKind, line_record
+from firmware_protocol.imu_samples import no_samples
+from firmware_protocol.readings import ReadingKind
+
+FRAMES, IMU = ReadingKind.FRAMES, ReadingKind.IMU
+STREAMS = [(1, 3), (2, 4), (3, 2), (3, 3), (3, 4), (4, 0)]
+FRAME_KINDS = [LineKind.START, *[LineKind.RESET] * 3, LineKind.EXPOSURE_START, LineKind.EXPOSURE_END]
+FRAME_KINDS += [*[LineKind.SIGNAL] * 3, LineKind.END]
+
+
+def frame(number, start_us, line_us):
+    """A frame of 3 columns and 2 rows whose samples and exposure tell its number."""
+    lines = np.zeros(len(FRAME_KINDS), line_record(346))
+    lines["t"], lines["kind"] = start_us + line_us * np.arange(len(FRAME_KINDS)), FRAME_KINDS
+    lines["exposure"], lines["roi"], lines["length"] = number, (4, 5, 6, 6), 2
+    lines["samples"][:, :2] = number % 1024
+    return lines
+
+
+WORDS = st.sampled_from([0, 1, 255, 0xFFFFFFFF])
 
 
 class Life(stateful.RuleBasedStateMachine):
@@ -21,11 +41,34 @@ class Life(stateful.RuleBasedStateMachine):
 
     def __init__(self):
         super().__init__()
-        self.camera = Davis346(Davis346Settings(fifo_bytes=1024, start_delay_us=100))
+        self.camera = Davis346(Davis346Settings(fifo_bytes=1024, start_delay_us=100, frames=True, imu_unit=1))
         self.host = Host(self.camera)
         self.host.write_all(RUN)
         self.open = []
         self.t_us = 0
+        self.frames = 0
+
+    @stateful.rule(line_us=STEPS_US)
+    def offer_frame(self, line_us):
+        self.frames += 1
+        self.camera.offer_readings(FRAMES, frame(self.frames, self.t_us + 1, line_us))
+
+    @stateful.rule(steps=st.lists(STEPS_US, min_size=1, max_size=20), scale=st.sampled_from([0x20, 0xE5, 0x83]))
+    def offer_samples(self, steps, scale):
+        samples = no_samples(len(steps))
+        samples["t"], samples["scale"] = self.t_us + np.cumsum(steps), scale
+        samples["counts"][:, 3] = np.arange(len(steps)) if scale & 0x20 else 0
+        self.camera.offer_readings(IMU, samples)
+
+    @stateful.rule(stream=st.sampled_from(STREAMS), on=st.booleans())
+    def switch_stream(self, stream, on):
+        self.host.write(*stream, int(on))
+
+    @stateful.rule(
+        key=st.sampled_from([(0, 4), (2, 5), (2, 7), (2, 12), (3, 5), (1, 41), (1, 52), (5, 11)]), value=WORDS
+    )
+    def write_any(self, key, value):
+        self.host.write(*key, value)
 
     @stateful.rule(steps=st.lists(STEPS_US, min_size=1, max_size=8), repeat=st.integers(1, 40), seed=st.integers(0, 9))
     def offer(self, steps, repeat, seed):
@@ -63,9 +106,13 @@ class Life(stateful.RuleBasedStateMachine):
             if transfer is None:
                 return
             decoded = self.host.decoder.feed(transfer.data)
-            for seen, said in ((decoded.events, transfer.events), (decoded.edges, transfer.edges)):
+            samples = [one.record for one in transfer.readings if one.kind is IMU]
+            told = np.concatenate([no_samples(), *samples])
+            for seen, said in ((decoded.events, transfer.events), (decoded.edges, transfer.edges), (decoded.imu, told)):
                 seen["t"] += np.uint64(transfer.epoch_us)
                 assert np.array_equal(seen, said)
+            for read in decoded.frames:
+                assert set(np.unique([read.reset, read.signal]).tolist()) == {read.exposure_cycles % 1024}
             self.open.append(transfer)
 
     def settle(self, good):
@@ -105,6 +152,9 @@ class Life(stateful.RuleBasedStateMachine):
         assert self.camera.counters.offered == self.camera.counters.accounted
         edges = self.camera.counters.edges
         assert edges.accounted == edges.offered + edges.added
+        for one in self.camera.counters.readings.values():
+            assert one.accounted == one.offered
+            assert min(dataclasses.astuple(one)) >= 0
         assert min(dataclasses.astuple(edges)) >= 0
         assert min(dataclasses.astuple(self.camera.counters)[:-2]) >= 0  # the last are edges and readings
 

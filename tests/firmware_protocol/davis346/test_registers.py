@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from davis_host import Host, steady
+from davis_registers import kept
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -42,12 +43,18 @@ def test_no_register_is_declared_twice():
 
 
 @given(st.dictionaries(st.sampled_from(WRITABLE), st.integers(0, 0xFFFFFFFF)))
-def test_everything_written_reads_back_and_nothing_else_changes(writes):
+def test_a_register_keeps_the_bits_that_its_part_uses_and_nothing_else_changes(writes):
     values = RegisterFile(DECLARED)
     for register, value in writes.items():
         values.write(register.module, register.address, value)
     for register in DECLARED:
-        assert values.read(register.module, register.address) == writes.get(register, register.default)
+        expected = kept(register.module, register.address, writes[register]) if register in writes else register.default
+        assert values.read(register.module, register.address) == expected
+
+
+@pytest.mark.parametrize("register", WRITABLE, ids=lambda r: f"{r.module.name}_{r.name}")
+def test_each_register_keeps_its_power_on_value_when_that_is_written(register):
+    assert kept(register.module, register.address, register.default) == register.default
 
 
 @pytest.mark.parametrize("register", FIXED, ids=lambda r: f"{r.module.name}_{r.name}")
@@ -91,11 +98,11 @@ def test_counters_are_64_bits_upper_word_first():
 def test_registers_over_usb_are_big_endian_and_survive_streaming():
     camera = Davis346(Davis346Settings(start_delay_us=0))
     host = Host(camera)
-    host.write(5, 11, 0x12345678)
-    host.multi_write([(5, 12, 0xAABBCCDD), (1, 32, 9)])
+    host.write(2, 12, 0x02345678)
+    host.multi_write([(2, 13, 0x0ABBCCDD), (1, 32, 9)])
     camera.offer(steady(10))
-    assert host.read(5, 11) == 0x12345678
-    assert host.control(0xC0, 0xBF, 5, 12, length=4) == b"\xaa\xbb\xcc\xdd"
+    assert host.read(2, 12) == 0x02345678
+    assert host.control(0xC0, 0xBF, 2, 13, length=4) == b"\x0a\xbb\xcc\xdd"
     assert host.read(1, 32) == 9
 
 
