@@ -20,7 +20,7 @@ _POSES = {
 }
 
 
-def verdict(end: TouchDown, out: Path) -> dict[str, object]:
+def verdict(end: TouchDown, out: Path, frames_lost: int = 0) -> dict[str, object]:
     """Return how a landing ended, and how good its divergence was; call after the camera's end.
 
     `soft` is the verdict: on the ground, below 1 m/s. `why` has a sentence for each thing that went wrong, also where
@@ -29,7 +29,9 @@ def verdict(end: TouchDown, out: Path) -> dict[str, object]:
     soft = end.touched and end.vertical_m_s < _SOFT_M_S
     told: dict[str, object] = {"soft": soft, "touched": end.touched, "t_s": end.t_s}
     told |= {"vertical_m_s": end.vertical_m_s, "horizontal_m_s": end.horizontal_m_s, "fuel_kg": end.fuel_kg}
+    told["height_m"] = float(end.state.position_m[2])
     why = [*end.why, *_of_computer(out), *_of_camera(out)]
+    why += [f"{frames_lost} attitudes and commands were lost on the bus"] if frames_lost else []
     return told | {"why": why} | _errors(out)
 
 
