@@ -29,7 +29,7 @@ __all__ = ["Arrival", "Edge", "Links"]
 
 _ASK_S = 0.5
 _PATIENCE_S = 10.0  # wall time after which what has not come is not waited for: the line is stalled
-_STANDS_S = 2.0  # wall time after which a camera whose time stands still is not waited for: it hears no SYNC
+_STANDS_S = 5.0  # wall time after which a camera whose time stands still is not waited for: it hears no SYNC
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class Links:
     def complete(self, window: Window, until_us: int = 0) -> None:
         """Hear until every event that the camera had when this was called, or had at `until_us`, has come or is lost.
 
-        Returns at once without a serial line, after ten seconds where it is stalled, and after two where the camera
+        Returns at once without a serial line, after ten seconds where it is stalled, and after five where the camera
         answers but its time stands still.
         """
         end_s = time.monotonic() + _PATIENCE_S

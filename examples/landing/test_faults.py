@@ -98,11 +98,13 @@ def test_dynamics_without_numbers_end_the_flight() -> None:
 def test_the_verdict_says_what_went_wrong(tmp_path: Path) -> None:
     """Of the flight, the computer and the camera; a landing may be good all the same."""
     row = {"t_s": 1.0, "at_s": 0.9, "down_1_s": 0.08, "gain": float("inf"), "lost": True, "events_lost": 70}
+    row["edge"] = False
     (tmp_path / "computer.jsonl").write_text(json.dumps(row))
     (tmp_path / "truth.csv").write_text("t_s,z_m,ground_m,vz_m_s\n0,9,0,-1\n2,8,0,-1\n")
     rule = {"rule": "in real time", "good": False, "told": "worst step 2000 ms late"}
     fault = {"kind": "unplugged", "events_lost": 9, "began_us": 4_000_000}
     summary = {"scene": {"poses refused": 3}, "links": {"events": {"faults": [fault]}}, "rules": [rule]}
+    summary |= {"sim_seconds": 2.0, "events": {"read_out": 1_000_000}}
     (tmp_path / "summary.json").write_text(json.dumps(summary))
     told = verdict(dataclasses.replace(LANDED, why=("a word",)), tmp_path)
     assert told["soft"] is True
@@ -110,7 +112,9 @@ def test_the_verdict_says_what_went_wrong(tmp_path: Path) -> None:
         "a word",
         "70 events were lost on the serial line",
         "dead reckoning: no motion was seen in 1 of 1 turns",
+        "no edge of the SYNC came from the camera in 1 of 1 turns",
         "3 poses were refused: no numbers, or damaged",
+        "a storm of events: 500000 a second",
         "fault unplugged on events from 4.0 s on: 9 events lost",
         "the camera's run was not good: in real time: worst step 2000 ms late",
     ]
