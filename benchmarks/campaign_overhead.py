@@ -1,7 +1,7 @@
 """What `evstim campaign` costs beside its runs:  python benchmarks/campaign_overhead.py [RUNS] [MS] [WORKERS]
 
-CPU time of all processes of the command, start and report included, less that of the runs (`machine.cpu_s` of each row),
-over the latter: a busy machine does not change it much. MS is stream time of a run of 32 x 32 pixels.
+CPU time of all processes of the command, start and report included, less that of the runs (`machine.cpu_s` of each
+row), over the latter: a busy machine does not change it much. MS is stream time of a run of 32 x 32 pixels.
 """
 
 from __future__ import annotations
