@@ -4,6 +4,7 @@ import json
 import socket
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -16,7 +17,7 @@ pytestmark = [pytest.mark.system, pytest.mark.socket]
 MAP = 'position_m = [0.0, 0.0, "height_m"]\nstep_s = 0.05\n[file]\npath = "in.csv"\n[start]\nspeed_m_s = -1.0\n'
 
 
-def dynamics(file, folder, *options, trouble=0, seconds=0.5):
+def dynamics(file, folder, *options, trouble=0):
     (folder / "in.csv").write_text(f"time_s,trouble\n0,0\n0.1,{trouble}\n")
     (folder / "map.toml").write_text(MAP)
     start = [
@@ -28,7 +29,7 @@ def dynamics(file, folder, *options, trouble=0, seconds=0.5):
         "--map",
         folder / "map.toml",
     ]
-    return subprocess.run([*start, "--seconds", str(seconds), "--json", *options], capture_output=True, text=True, timeout=300)
+    return subprocess.run([*start, "--seconds", "0.5", "--json", *options], capture_output=True, text=True, timeout=300)
 
 
 def test_a_fall_arrives(falling, tmp_path):
@@ -64,33 +65,7 @@ def test_wrong_use(falling, tmp_path):
     assert (run.returncode, "give HOST:PORT" in _told(run)) == (2, True)
 
 
-RIG = """
-[scene]
-kind = "terrain"
-samples = 1
-sun_elevation_deg = 25.0
-[scene.camera]
-kind = "live"
-port = {port}
-position_m = [0.0, 0.0, 100.0]
-q_world_from_body = [0.0, 1.0, 0.0, 0.0]
-[scene.ground]
-kind = "ridge"
-size_m = 1024.0
-finest_m = 1.0
-ridge_m = 0.0
-seed = 8
-[camera.sensor]
-width = 64
-height = 48
-leak_hz = 0.0
-[camera.lens]
-field_of_view_deg = 60.0
-[run]
-step_us = 20000
-[[links]]
-kind = "loopback"
-"""
+EXAMPLE = Path(__file__).parents[3] / "examples" / "fmu"
 
 
 def test_an_fmu_moves_the_camera_of_a_rig(falling, tmp_path):
@@ -98,17 +73,20 @@ def test_an_fmu_moves_the_camera_of_a_rig(falling, tmp_path):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
-    (tmp_path / "rig.toml").write_text(RIG.format(port=port))
-    start = [sys.executable, "-c", "from emulator.cli import main; main()", "run", tmp_path / "rig.toml", "--json"]
-    with subprocess.Popen([*start, "--seconds", "0", "--ready-file", tmp_path / "ready"], stdout=subprocess.PIPE) as rig:
+    rig_file, command = tmp_path / "lander.toml", [sys.executable, "-c", "from emulator.cli import main; main()"]
+    rig_file.write_text((EXAMPLE / "lander.toml").read_text().replace("10364", str(port)))
+    run = [*command, "run", rig_file, "--json", "--seconds", "0", "--ready-file", tmp_path / "ready"]
+    fly = [*command, "dynamics", falling(3), "--map", EXAMPLE / "lander.map.toml", "--seconds", "2"]
+    with subprocess.Popen(run, stdout=subprocess.PIPE) as rig:
         try:
             while not (tmp_path / "ready").exists():
                 assert rig.poll() is None
-            flown = dynamics(falling(3), tmp_path, "--to", f"127.0.0.1:{port}", seconds=2)
+            flown = subprocess.run([*fly, "--to", f"127.0.0.1:{port}"], capture_output=True, text=True, timeout=300)
         finally:
             rig.terminate()
         told = json.loads(rig.communicate(timeout=300)[0].splitlines()[-1])
     assert flown.returncode == 0, flown.stderr
+    assert "40 steps, 2 s, at the end (0, 0, 85) m" in flown.stdout  # 10 m in the first second, 5 in the next
     assert told["events"]["read_out"] > 100
     poses = told["scene"]
     assert (poses["poses taken"], poses["poses refused"], poses["poses lost"], poses["poses stale"]) == (41, 0, 0, 0)
