@@ -20,7 +20,7 @@ from typing import Any
 
 from emulator.campaign.campaign import Campaign
 
-__all__ = ["FolderError", "begin_folder", "rows_folder", "working_in"]
+__all__ = ["FolderError", "begin_folder", "check_folder", "rows_folder", "working_in"]
 
 _MOST_TOLD = 8
 
@@ -38,16 +38,26 @@ def begin_folder(campaign: Campaign, folder: Path) -> str:
     """Make the folder, or check that it is of this campaign; return a remark, or "". Raises FolderError and OSError."""
     rows_folder(folder).mkdir(parents=True, exist_ok=True)
     file = folder / "campaign.json"
-    told = {"id": campaign.id, "evstim": version("evstim"), **campaign.content}
-    whole = json.dumps(told, indent=1, sort_keys=True, default=str) + "\n"
     if not file.exists():
-        _write_once(file, whole)
-    before = _read(file)
-    if before.get("id") != campaign.id:
-        raise FolderError(_told_difference(campaign, folder, before, json.loads(whole)))
-    if before.get("evstim") != told["evstim"]:
-        return f"rows of evstim {before.get('evstim')} are in {folder}; this is {told['evstim']}: runs may differ"
+        _write_once(file, _text(campaign))
+    before = check_folder(campaign, folder)
+    if before.get("evstim") != (now := version("evstim")):
+        return f"rows of evstim {before.get('evstim')} are in {folder}; this is {now}: runs may differ"
     return ""
+
+
+def check_folder(campaign: Campaign, folder: Path) -> dict[str, Any]:
+    """Return what a folder's campaign was when it began; raises FolderError where that is not this one."""
+    before = _read(folder / "campaign.json")
+    if before.get("id") != campaign.id:
+        raise FolderError(_told_difference(campaign, folder, before, json.loads(_text(campaign))))
+    return before
+
+
+def _text(campaign: Campaign) -> str:
+    """Return what campaign.json says."""
+    told = {"id": campaign.id, "evstim": version("evstim"), **campaign.content}
+    return json.dumps(told, indent=1, sort_keys=True, default=str) + "\n"
 
 
 def _write_once(file: Path, text: str) -> None:
@@ -65,6 +75,8 @@ def _write_once(file: Path, text: str) -> None:
 def _read(file: Path) -> dict[str, Any]:
     try:
         return dict(json.loads(file.read_text()))
+    except FileNotFoundError as error:
+        raise FolderError(f"{file.parent} is no folder of a campaign; give its --folder") from error
     except ValueError as error:
         raise FolderError(f"{file} is damaged; give another --folder") from error
 

@@ -58,11 +58,14 @@ class Plots:
         The column that orders the worst runs; by default the margin.
     worst_is
         Whether the lowest or the highest values of it are the worst.
+    labels
+        What the report calls columns and parameters, with their units: "result.vertical_m_s" = "touchdown, m/s".
     """
 
     columns: tuple[str, ...] = ()
     worst: str = "margin"
     worst_is: Literal["lowest", "highest"] = "lowest"
+    labels: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

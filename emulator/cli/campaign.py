@@ -20,6 +20,7 @@ from emulator.campaign.table import check_tables
 from emulator.campaign.warm_worker import WarmWorker
 from emulator.cli.campaign_again import again
 from emulator.cli.campaign_output import Progress, campaign_failures, finish
+from emulator.cli.campaign_report import report
 from emulator.cli.failures import failures
 from emulator.cli.output import WRONG_USE, Failure, status
 from emulator.cli.preparing import prepared
@@ -171,3 +172,4 @@ class _Stopping:
 verbs = App(name="campaign")
 verbs.default(campaign)
 verbs.command(again, name="again")
+verbs.command(report, name="report")

@@ -30,7 +30,7 @@ import can
 import numpy as np
 from divergence import Motion, MotionEstimator, Rays
 from guidance import Law
-from links import Links
+from links import Edge, Links
 from prediction import PredictingGuidance
 from window import Lens, Window
 
@@ -44,7 +44,7 @@ _LEAST_EVENTS = 500
 _BIN_US = 1000
 _SILENT_S = 1.0
 _LATE_S = 0.5  # a camera whose events are older does not keep up, and no descent begins
-_EDGE_S = 2.0  # wall time that an edge may come after its SYNC; the camera's turn, where its line is unplugged
+_EDGE_S = 2.0  # wall time after a SYNC when the camera is asked whether it is slow, or its line is dead
 _JOINED_S = 0.5  # the served bus lends no frames to a newcomer for a quarter of a second
 
 
@@ -103,21 +103,31 @@ def fly_lockstep(links: Links, window: Window, computer: FlightComputer, fails: 
     turn, heard_s = 0, math.inf
     while True:
         links.hear(window, 0.001 if links.edges or links.syncs > turn else 0.1)
-        edges = [edge for edge in links.edges if round(edge.t_us * 1e-6 / _TURN_S) >= turn]
-        links.edges = edges
-        if not edges and links.syncs <= turn:
+        edge, now_us = _edge_of(links, turn), round(turn * _TURN_S * 1e6)
+        if not links.edges and links.syncs <= turn:
             continue
         heard_s = min(heard_s, time.monotonic())
-        due = bool(edges) and round(edges[0].t_us * 1e-6 / _TURN_S) == turn
-        if not due and time.monotonic() < heard_s + _EDGE_S:
-            continue
-        now_us = edges[0].t_us if due else round(turn * _TURN_S * 1e6)
+        if edge is None:
+            if time.monotonic() < heard_s + _EDGE_S:
+                continue
+            links.complete(window, now_us)  # a camera that is slow, and no more, has sent its edge by then
+            edge = _edge_of(links, turn)
+        now_us = edge.t_us if edge else now_us
         if links.syncs <= turn and window.attitude_s < now_us * 1e-6 - 1e-6:
             continue
-        links.complete(window, 0 if due else now_us)
+        if edge:
+            links.complete(window)
         turn, heard_s = turn + 1, math.inf
         fails(now_us * 1e-6)
-        links.send(computer.turn(now_us * 1e-6, more={"events_lost": links.lost, "edge": due}), turn)
+        more = {"events_lost": links.lost, "edge": edge is not None}
+        links.send(computer.turn(now_us * 1e-6, more=more), turn)
+
+
+def _edge_of(links: Links, turn: int) -> Edge | None:
+    """Return the edge of a turn if it has come; forget those of turns that are over."""
+    links.edges = [edge for edge in links.edges if round(edge.t_us * 1e-6 / _TURN_S) >= turn]
+    first = links.edges[0] if links.edges else None
+    return first if first and round(first.t_us * 1e-6 / _TURN_S) == turn else None
 
 
 def fly_real_time(links: Links, window: Window, computer: FlightComputer, fails: Callable[[float], None]) -> None:

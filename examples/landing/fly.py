@@ -162,12 +162,9 @@ def _rig_text(arguments: argparse.Namespace, ends: Ends) -> str:
 
 def _report(end: TouchDown, flight: Flight, result: Path | None) -> int:
     """Write and print how a flight ended; return the exit code."""
-    out, told = flight.out, verdict(end, flight.out)
+    out, told = flight.out, verdict(end, flight.out, flight.faults.frames_lost)
     print(f"\n{_headline(end, soft=bool(told['soft']))}; files in {out}")
-    for sentence in (
-        *told["why"],
-        *([f"{lost} frames lost on the bus"] if (lost := flight.faults.frames_lost) else ()),
-    ):
+    for sentence in told["why"]:
         print(f"  {sentence}")
     for file in (out / "verdict.json", *([result] if result else [])):
         file.write_text(json.dumps(told))

@@ -6,6 +6,7 @@ same line those that have not come will not. A port that goes away is opened aga
 
 from __future__ import annotations
 
+import math
 import os
 import select
 import termios
@@ -28,6 +29,7 @@ __all__ = ["Arrival", "Edge", "Links"]
 
 _ASK_S = 0.5
 _PATIENCE_S = 10.0  # wall time after which what has not come is not waited for: the line is stalled
+_STANDS_S = 5.0  # wall time after which a camera whose time stands still is not waited for: it hears no SYNC
 
 
 @dataclass(frozen=True)
@@ -75,7 +77,8 @@ class Links:
     def complete(self, window: Window, until_us: int = 0) -> None:
         """Hear until every event that the camera had when this was called, or had at `until_us`, has come or is lost.
 
-        Returns at once without a serial line, and after ten seconds where it is stalled.
+        Returns at once without a serial line, after ten seconds where it is stalled, and after five where the camera
+        answers but its time stands still.
         """
         end_s = time.monotonic() + _PATIENCE_S
         first = self._report(window, until_us, end_s)
@@ -116,8 +119,11 @@ class Links:
     def _report(self, window: Window, until_us: int, end_s: float) -> Housekeeping | None:
         """Return the next report of the camera in which no event waits; None when none comes."""
         before, asked_s = self._receiver.housekeeping, 0.0
-        while self.plugged and time.monotonic() < end_s:
+        newest_us, stands_s = -1, math.inf
+        while self.plugged and time.monotonic() < min(end_s, stands_s):
             report = self._receiver.housekeeping
+            if report is not None and report is not before and report.t_us > newest_us:
+                newest_us, stands_s = report.t_us, time.monotonic() + _STANDS_S
             if report is not None and report is not before and not report.events.waiting and report.t_us >= until_us:
                 return report
             if time.monotonic() > asked_s + _ASK_S or report is not before:

@@ -12,6 +12,7 @@ from spacecraft import TouchDown
 __all__ = ["verdict"]
 
 _SOFT_M_S = 1.0
+_STORM_1_S = 300_000  # the ground alone gives 60 000 to 100 000 events a second
 _POSES = {
     "poses refused": "poses were refused: no numbers, or damaged",
     "poses stale": "poses were refused: their times went back",
@@ -20,7 +21,7 @@ _POSES = {
 }
 
 
-def verdict(end: TouchDown, out: Path) -> dict[str, object]:
+def verdict(end: TouchDown, out: Path, frames_lost: int = 0) -> dict[str, object]:
     """Return how a landing ended, and how good its divergence was; call after the camera's end.
 
     `soft` is the verdict: on the ground, below 1 m/s. `why` has a sentence for each thing that went wrong, also where
@@ -29,7 +30,9 @@ def verdict(end: TouchDown, out: Path) -> dict[str, object]:
     soft = end.touched and end.vertical_m_s < _SOFT_M_S
     told: dict[str, object] = {"soft": soft, "touched": end.touched, "t_s": end.t_s}
     told |= {"vertical_m_s": end.vertical_m_s, "horizontal_m_s": end.horizontal_m_s, "fuel_kg": end.fuel_kg}
+    told["height_m"] = float(end.state.position_m[2])
     why = [*end.why, *_of_computer(out), *_of_camera(out)]
+    why += [f"{frames_lost} attitudes and commands were lost on the bus"] if frames_lost else []
     return told | {"why": why} | _errors(out)
 
 
@@ -46,9 +49,10 @@ def _of_computer(out: Path) -> Iterator[str]:
         return
     if lost := rows[-1].get("events_lost", 0):
         yield f"{lost} events were lost on the serial line"
-    without = sum(row["lost"] for row in rows)
-    if without:
+    if without := sum(row["lost"] for row in rows):
         yield f"dead reckoning: no motion was seen in {without} of {len(rows)} turns"
+    if without := sum(not row.get("edge", True) for row in rows):
+        yield f"no edge of the SYNC came from the camera in {without} of {len(rows)} turns"
 
 
 def _of_camera(out: Path) -> Iterator[str]:
@@ -61,10 +65,12 @@ def _of_camera(out: Path) -> Iterator[str]:
     for name, words in _POSES.items():
         if count := told["scene"].get(name, 0):
             yield f"{count} {words}"
+    if (rate := told["events"]["read_out"] / (told["sim_seconds"] or 1.0)) > _STORM_1_S:
+        yield f"a storm of events: {rate:.0f} a second"
     for link, report in told["links"].items():
         for fault in report.get("faults", []):
-            began_s, lost = fault.get("began_us", 0) * 1e-6, fault.get("events_lost", 0)
-            yield f"fault {fault['kind']} on {link} from {began_s:.1f} s on: {lost} events lost"
+            lost = f": {fault['events_lost']} events lost" if fault.get("events_lost") else ""
+            yield f"fault {fault['kind']} on {link} from {fault.get('began_us', 0) * 1e-6:.1f} s on{lost}"
     for rule in told["rules"]:
         if not rule["good"]:
             yield f"the camera's run was not good: {rule['rule']}: {rule['told']}"

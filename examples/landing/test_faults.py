@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from faults import Fault, Faults, datagram_with_nan
+from fly_faults import FLIGHTS, fly, line
 from outcome import verdict
 from spacecraft import Limits, Spacecraft, TouchDown
 from vehicle import Lander, State
@@ -97,11 +98,13 @@ def test_dynamics_without_numbers_end_the_flight() -> None:
 def test_the_verdict_says_what_went_wrong(tmp_path: Path) -> None:
     """Of the flight, the computer and the camera; a landing may be good all the same."""
     row = {"t_s": 1.0, "at_s": 0.9, "down_1_s": 0.08, "gain": float("inf"), "lost": True, "events_lost": 70}
+    row["edge"] = False
     (tmp_path / "computer.jsonl").write_text(json.dumps(row))
     (tmp_path / "truth.csv").write_text("t_s,z_m,ground_m,vz_m_s\n0,9,0,-1\n2,8,0,-1\n")
     rule = {"rule": "in real time", "good": False, "told": "worst step 2000 ms late"}
     fault = {"kind": "unplugged", "events_lost": 9, "began_us": 4_000_000}
     summary = {"scene": {"poses refused": 3}, "links": {"events": {"faults": [fault]}}, "rules": [rule]}
+    summary |= {"sim_seconds": 2.0, "events": {"read_out": 1_000_000}}
     (tmp_path / "summary.json").write_text(json.dumps(summary))
     told = verdict(dataclasses.replace(LANDED, why=("a word",)), tmp_path)
     assert told["soft"] is True
@@ -109,10 +112,35 @@ def test_the_verdict_says_what_went_wrong(tmp_path: Path) -> None:
         "a word",
         "70 events were lost on the serial line",
         "dead reckoning: no motion was seen in 1 of 1 turns",
+        "no edge of the SYNC came from the camera in 1 of 1 turns",
         "3 poses were refused: no numbers, or damaged",
+        "a storm of events: 500000 a second",
         "fault unplugged on events from 4.0 s on: 9 events lost",
         "the camera's run was not good: in real time: worst step 2000 ms late",
     ]
+
+
+def test_each_flight_has_arguments_that_can_be_read() -> None:
+    """Its faults, and tables that are there."""
+    for arguments in FLIGHTS.values():
+        words = arguments.split()
+        for option, value in zip(words[::2], words[1::2], strict=True):
+            assert option in ("--fault", "--table", "--answer-s")
+            assert option != "--fault" or Fault.parse(value)
+            assert option != "--table" or (Path(__file__).parent / value).is_file()
+
+
+def test_a_flight_becomes_a_line_of_the_table(tmp_path: Path) -> None:
+    """Landed or not, with or without a divergence; a flight that has its verdict is not flown again."""
+    told = verdict(LANDED, tmp_path, frames_lost=3) | {"error_median": 0.008, "error_p90": 0.025}
+    (tmp_path / "crash").mkdir()
+    (tmp_path / "crash" / "verdict.json").write_text(json.dumps(told))
+    assert line("crash", fly("crash", tmp_path)) == (
+        "| crash: `--fault crash@5` | 0.50 m/s | 0.8 % / 2.5 % | "
+        "the flight computer answered no SYNC; 3 attitudes and commands were lost on the bus |"
+    )
+    up = {"touched": False, "height_m": 4.31, "why": []}
+    assert line("none", up) == "| none | not landed, 4.3 m up | | |"
 
 
 @pytest.mark.parametrize(("down_m_s", "touched"), [(1.2, True), (0.5, False)])

@@ -18,7 +18,7 @@ from emulator.campaign.report.sensitivity import numbers, sensitivity
 from emulator.report.figures import ChartsLacking
 from emulator.report.html import table, write_page
 
-__all__ = ["worst_runs", "write_report"]
+__all__ = ["quantiles", "worst_runs", "write_report"]
 
 _MOST_COLUMNS = 6
 _MOST_WORST = 10
@@ -58,19 +58,33 @@ def _shown(campaign: Campaign, rows: Sequence[Row]) -> list[str]:
 
 
 def _plots(campaign: Campaign, rows: Sequence[Row]) -> Iterator[str]:
-    shown, laws = _shown(campaign, rows), campaign.settings.parameters
+    settings, shown = campaign.settings, _shown(campaign, rows)
+    laws, labels = settings.parameters, settings.report.labels
+    if shown:
+        yield "<h2>Distributions</h2>"
+        yield table([{"column": labels.get(name, name), **quantiles(rows, name)} for name in shown])
     try:
+        if shown:
+            yield histograms(rows, shown, labels, settings.success)
         if laws:
             yield "<h2>Success by parameter</h2>"
-            yield success_by_parameter(rows, laws)
-        if shown:
-            yield "<h2>Distributions</h2>"
-            yield histograms(rows, shown)
+            yield success_by_parameter(rows, laws, labels)
         for column in shown if laws else ():
-            yield f"<h3>{html.escape(column)}</h3>"
-            yield scatter(rows, laws, column)
+            yield f"<h3>{_name(campaign, column)}</h3>"
+            yield scatter(rows, laws, column, labels)
     except ChartsLacking as error:
         yield f"<p>No charts: {html.escape(str(error))}</p>"
+
+
+def quantiles(rows: Sequence[Row], column: str) -> Row:
+    """Return how the numbers of a column are distributed."""
+    values = numbers(rows, column)
+    found = np.quantile(values[np.isfinite(values)], [0.0, 0.1, 0.5, 0.9, 1.0]).tolist()
+    return dict(zip(("least", "10 %", "median", "90 %", "most"), found, strict=True))
+
+
+def _name(campaign: Campaign, column: str) -> str:
+    return html.escape(campaign.settings.report.labels.get(column, column))
 
 
 def _sensitivities(campaign: Campaign, rows: Sequence[Row]) -> Iterator[str]:
@@ -81,9 +95,10 @@ def _sensitivities(campaign: Campaign, rows: Sequence[Row]) -> Iterator[str]:
     designed = settings.sampling == "saltelli" and settings.repeats == 1
     for column in ["success", *_shown(campaign, rows)]:
         found = sensitivity(rows, settings.parameters, column, settings.count if designed else 0)
-        yield f"<h3>{html.escape(column)}</h3><p>{html.escape(found.method)}</p>"
+        yield f"<h3>{_name(campaign, column)}</h3><p>{html.escape(found.method)}</p>"
         if found.rows:
-            yield table(found.rows)
+            labels = settings.report.labels
+            yield table([row | {"parameter": labels.get(row["parameter"], row["parameter"])} for row in found.rows])
 
 
 def worst_runs(campaign: Campaign, rows: Sequence[Row]) -> list[Row]:
@@ -109,7 +124,8 @@ def _worst(campaign: Campaign, rows: Sequence[Row]) -> Iterator[str]:
     names = list(dict.fromkeys([*names, campaign.settings.report.worst]))
     worst = worst_runs(campaign, rows)
     names = [name for name in names if any(row.get(name) not in (None, "") for row in worst)]
-    yield table([{name: _short(row.get(name)) for name in names} for row in worst])
+    labels = campaign.settings.report.labels
+    yield table([{labels.get(name, name): _short(row.get(name)) for name in names} for row in worst])
 
 
 def _short(value: Any) -> Any:

@@ -4,7 +4,7 @@
     PAWN               from any sample: how much the column's distribution changes when the parameter is known
     rank correlation   from any sample, Spearman's: direction and strength of what only rises or only falls
 
-Sobol indices and PAWN are computed by SALib.
+Sobol indices are computed by SALib, PAWN by `pawn`.
 """
 
 from __future__ import annotations
@@ -22,13 +22,12 @@ from scipy.stats import spearmanr
 
 from emulator.campaign.columns import Row
 from emulator.campaign.laws import Law
+from emulator.campaign.report.pawn import pawn, pawn_of_chance, slices_of
 
 __all__ = ["Sensitivity", "numbers", "parameter_numbers", "sensitivity"]
 
 _Floats = npt.NDArray[np.float64]
 _FEWEST = 20  # rows below which no figure says anything
-_SLICES = (10, 8, 5, 4, 2)  # of PAWN; for others SALib 1.6 asks for quantiles above 1
-_FEWEST_IN_SLICE = 10
 
 
 @dataclass(frozen=True)
@@ -69,17 +68,16 @@ def sensitivity(rows: Sequence[Row], laws: Sequence[Law], column: str, base_poin
     if len(y_there) < _FEWEST or np.ptp(y_there) == 0:
         why = f"fewer than {_FEWEST} runs have a value" if len(y_there) < _FEWEST else "all runs have the same value"
         return Sensitivity(column, f"nothing can be told: {why}", [])
-    salib = _salib()
-    if base_points and salib and there.all() and len(y) == base_points * (len(laws) + 2):
+    if base_points and _salib() and there.all() and len(y) == base_points * (len(laws) + 2):
         return Sensitivity(column, _SOBOL.format(base_points), _sobol(y, laws))
     x = np.stack([parameter_numbers(rows, law)[there] for law in laws], axis=1)
-    found = _ranks(x, y_there, laws)
-    method = f"rank correlation of {len(y_there)} runs (PAWN needs SALib: pip install 'evstim[campaign]')"
-    if salib:
-        found = [{**one, **pawn} for one, pawn in zip(found, _pawn(x, y_there, laws), strict=True)]
-        method = f"PAWN index and rank correlation of {len(y_there)} runs as sampled"
+    found = [
+        {"parameter": law.key, **_influence(one, y_there), **_rank(one, y_there)}
+        for law, one in zip(laws, x.T, strict=True)
+    ]
+    method = f"PAWN index and rank correlation of {len(y_there)} runs as sampled"
     if base_points:
-        method += "; no Sobol indices, because the design is not whole"
+        method += "; no Sobol indices, because the design is not whole, or SALib is not installed"
     return Sensitivity(column, method, found)
 
 
@@ -116,28 +114,11 @@ def _sobol(y: _Floats, laws: Sequence[Law]) -> list[dict[str, Any]]:
     ]
 
 
-def _ranks(x: _Floats, y: _Floats, laws: Sequence[Law]) -> list[dict[str, Any]]:
-    found = []
-    for k, law in enumerate(laws):
-        varies = np.ptp(x[:, k]) > 0
-        rho = spearmanr(x[:, k], y) if varies else None
-        found.append(
-            {
-                "parameter": law.key,
-                "rank correlation": float(rho.statistic) if rho else math.nan,
-                "p": float(rho.pvalue) if rho else math.nan,
-            }
-        )
-    return found
+def _rank(x: _Floats, y: _Floats) -> dict[str, float]:
+    rho = spearmanr(x, y) if np.ptp(x) > 0 else None
+    return {"rank correlation": float(rho.statistic) if rho else math.nan, "p": float(rho.pvalue) if rho else math.nan}
 
 
-def _pawn(x: _Floats, y: _Floats, laws: Sequence[Law]) -> list[dict[str, Any]]:
-    """Return PAWN indices, 0 (no influence) to 1, beside that of a parameter that has none: what chance alone gives."""
-    analyze = importlib.import_module("SALib.analyze.pawn").analyze
-    slices = next(n for n in _SLICES if n * _FEWEST_IN_SLICE <= len(y))
-    chance = np.random.default_rng(1).random((len(y), 1))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        found = analyze(_problem(len(laws)), x, y, S=slices, seed=1)["median"]
-        by_chance = float(analyze(_problem(1), chance, y, S=slices, seed=1)["median"][0])
-    return [{"PAWN": float(one), "PAWN by chance": by_chance} for one in found]
+def _influence(x: _Floats, y: _Floats) -> dict[str, float]:
+    slices = slices_of(x)
+    return {"PAWN": pawn(y, slices), "PAWN, 95 % of chance": pawn_of_chance(y, slices)}

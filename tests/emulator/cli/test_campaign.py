@@ -119,3 +119,14 @@ def test_a_run_again_is_equal_bit_for_bit(file, tmp_path):
 )
 def test_wrong_use(file, arguments, message):
     assert message in " ".join(evstim(file(), *arguments, code=2).stderr.split())
+
+
+def test_a_report_of_the_runs_that_are_done(file, tmp_path):
+    path = file(count=3)
+    assert "give its --folder" in evstim("report", path, code=2).stderr
+    evstim(path, "--part", "1/2", "--workers", "1")
+    told = summary(evstim("report", path, "--to", tmp_path / "there", "--json"))
+    assert (told["done"], told["runs"], told["came"]) == (2, 3, 0)
+    assert "1 of 3 runs are missing" in (tmp_path / "there" / "report.html").read_text()
+    path.write_text(path.read_text().replace("100", "101"))
+    assert "was 100, is 101" in summary(evstim("report", path, "--json", code=2))["error"]

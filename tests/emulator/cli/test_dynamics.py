@@ -4,6 +4,7 @@ import json
 import socket
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -62,3 +63,30 @@ def test_wrong_use(falling, tmp_path):
     assert (run.returncode, "no such file" in _told(run)) == (2, True)
     run = dynamics(falling(2), tmp_path, "--to", "10364")
     assert (run.returncode, "give HOST:PORT" in _told(run)) == (2, True)
+
+
+EXAMPLE = Path(__file__).parents[3] / "examples" / "fmu"
+
+
+def test_an_fmu_moves_the_camera_of_a_rig(falling, tmp_path):
+    """Its fall makes events on a sensor without noise; every pose is taken, and the camera ends where the FMU does."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    rig_file, command = tmp_path / "lander.toml", [sys.executable, "-c", "from emulator.cli import main; main()"]
+    rig_file.write_text((EXAMPLE / "lander.toml").read_text().replace("10364", str(port)))
+    run = [*command, "run", rig_file, "--json", "--seconds", "0", "--ready-file", tmp_path / "ready"]
+    fly = [*command, "dynamics", falling(3), "--map", EXAMPLE / "lander.map.toml", "--seconds", "2"]
+    with subprocess.Popen(run, stdout=subprocess.PIPE) as rig:
+        try:
+            while not (tmp_path / "ready").exists():
+                assert rig.poll() is None
+            flown = subprocess.run([*fly, "--to", f"127.0.0.1:{port}"], capture_output=True, text=True, timeout=300)
+        finally:
+            rig.terminate()
+        told = json.loads(rig.communicate(timeout=300)[0].splitlines()[-1])
+    assert flown.returncode == 0, flown.stderr
+    assert "40 steps, 2 s, at the end (0, 0, 85) m" in flown.stdout  # 10 m in the first second, 5 in the next
+    assert told["events"]["read_out"] - 20 * told["sim_seconds"] > 500  # a camera that stands gives 17 a second
+    poses = told["scene"]
+    assert (poses["poses taken"], poses["poses refused"], poses["poses lost"], poses["poses stale"]) == (41, 0, 0, 0)

@@ -1,10 +1,14 @@
 """FMUs that gcc builds of `falling.c`, once for all tests."""
 
 import shutil
+import sys
+from pathlib import Path
 
 import pytest
 
-from tests.emulator.dynamics.building import built
+sys.path.insert(0, str(Path(__file__).parents[3] / "examples" / "fmu"))
+
+from build import built
 
 
 @pytest.fixture(scope="session")
