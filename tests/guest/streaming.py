@@ -27,6 +27,7 @@ class Seen:
     """What a client tells of the camera: in its own time, events (n,) EVENT and triggers (m,) EDGE; and IMU samples.
 
     `imu_t` (k,) and `imu` (k, 7): acceleration in g, temperature in degrees Celsius, rate in deg/s.
+    `said`: all that the client printed, its driver's log too.
     """
 
     about: dict[str, Any]
@@ -34,6 +35,7 @@ class Seen:
     triggers: Edges
     imu_t: np.ndarray
     imu: np.ndarray
+    said: str = ""
 
 
 class Streaming:
@@ -73,7 +75,7 @@ class Streaming:
         about = _last_object(finished.stdout)
         if not (finished.ok or self._may_abort(finished, about)):
             raise RuntimeError(f"{finished}\nconsole of the guest:\n{self._guest.console}")
-        return Seen(about, load_seen(self._output), load_triggers(self._output), *load_imu(self._output))
+        return Seen(about, load_seen(self._output), load_triggers(self._output), *load_imu(self._output), str(finished))
 
     def _may_abort(self, finished: Finished, about: dict[str, Any]) -> bool:
         known = self._driver.abort_after_unplugging

@@ -203,9 +203,11 @@ class NoiseEvents:
         return Crossings(whole.t_ns, whole.pixel, whole.on, crossings.lost_in_pixel)
 
     def _start(self, light: _Float32s) -> None:
-        m, self._started = self._model, True
+        m, state, self._started = self._model, self._state, True
         far = under_way(light, m.row_if_live, (m.table, m.lights), m.seed, (self._slot, self._slot * SLOT_NS))
-        self._far, self._state[State.FAR] = far, far.shape[1]
+        # In the middle of a window, after `follow`, its candidates come without a further reserve.
+        self._far = _reserve(far, far.shape[1] + int(state[State.COUNT]) + 1)
+        state[State.FAR] = far.shape[1]
 
     def _reserve_candidates(self, candidates: int) -> None:
         self._candidates, self._chances = np.empty((3, candidates), np.int64), np.empty((2, candidates), np.float32)

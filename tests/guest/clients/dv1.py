@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import time
 
 import dv_processing as dv
@@ -30,28 +31,39 @@ def collect_imu(camera: dv.io.CameraCapture, collector: Collector) -> None:
         collector.add_imu(one.timestamp, *acceleration_g, one.temperature, *rate_deg_s)
 
 
-def main() -> None:
-    options = arguments()
-    collector = Collector(options)
-    discovered = dv.io.discoverDevices()
+def open_camera(options: argparse.Namespace) -> dv.io.CameraCapture:
+    """Open the first camera as the options ask."""
     camera = dv.io.CameraCapture()
     for parameter in DETECT if options.triggers else ():
         camera.deviceConfigSet(EXTERNAL_INPUT, parameter, 1)
     if options.packet_ms:
         camera.deviceConfigSet(HOST_PACKETS, MAX_INTERVAL_US, options.packet_ms * 1000)
+    return camera
+
+
+def take(camera: dv.io.CameraCapture, collector: Collector, options: argparse.Namespace) -> None:
+    """Take one packet of each stream that is asked for, or wait for a moment."""
+    collect_triggers(camera, collector)
+    if options.imu:
+        collect_imu(camera, collector)
+    if options.frames and (frame := camera.getNextFrame()) is not None:
+        collector.add_frame(frame.timestamp, frame.image)
+    batch = camera.getNextEventBatch()
+    if batch is None:
+        time.sleep(0.001)
+        return
+    events = batch.numpy()
+    collector.add(events["timestamp"], events["x"], events["y"], events["polarity"])
+
+
+def main() -> None:
+    options = arguments()
+    collector = Collector(options)
+    discovered = dv.io.discoverDevices()
+    camera = open_camera(options)
     resolution = camera.getEventResolution()
     while not collector.done and camera.isRunning():
-        collect_triggers(camera, collector)
-        if options.imu:
-            collect_imu(camera, collector)
-        if options.frames and (frame := camera.getNextFrame()) is not None:
-            collector.add_frame(frame.timestamp, frame.image)
-        batch = camera.getNextEventBatch()
-        if batch is None:
-            time.sleep(0.001)
-            continue
-        events = batch.numpy()
-        collector.add(events["timestamp"], events["x"], events["y"], events["polarity"])
+        take(camera, collector, options)
     seen = {
         "version": dv.__version__,
         "discovered": discovered,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import time
 from datetime import timedelta
 
@@ -28,30 +29,44 @@ def collect_imu(camera: dv.io.camera.DAVIS, collector: Collector) -> None:
         collector.add_imu(one.timestamp, *acceleration_g, one.temperature, *rate_deg_s)
 
 
-def main() -> None:
-    options = arguments()
-    collector = Collector(options)
-    discovered = [device.serialNumber for device in dv.io.camera.discover()]
+def open_camera(options: argparse.Namespace) -> dv.io.camera.DAVIS:
+    """Open the first camera as the options ask."""
     camera = dv.io.camera.open()
     if options.triggers:
         camera.setDetectorRisingEdges(True)
         camera.setDetectorFallingEdges(True)
         camera.setDetectorRunning(True)
+    if options.frames:
+        # It brightens until pixels saturate; dv-processing takes a signal below 4 as none, of which no record tells.
+        camera.setAutoExposure(False)
     if options.packet_ms:
         camera.setTimeInterval(timedelta(milliseconds=options.packet_ms))
+    return camera
+
+
+def take(camera: dv.io.camera.DAVIS, collector: Collector, options: argparse.Namespace) -> None:
+    """Take one packet of each stream that is asked for, or wait for a moment."""
+    collect_triggers(camera, collector)
+    if options.imu:
+        collect_imu(camera, collector)
+    if options.frames and (frame := camera.getNextFrame()) is not None:
+        collector.add_frame(frame.timestamp, frame.image)
+    batch = camera.getNextEventBatch()
+    if batch is None:
+        time.sleep(0.001)
+        return
+    events = batch.numpy()
+    collector.add(events["timestamp"], events["x"], events["y"], events["polarity"])
+
+
+def main() -> None:
+    options = arguments()
+    collector = Collector(options)
+    discovered = [device.serialNumber for device in dv.io.camera.discover()]
+    camera = open_camera(options)
     resolution = camera.getEventResolution()
     while not collector.done and camera.isRunning():
-        collect_triggers(camera, collector)
-        if options.imu:
-            collect_imu(camera, collector)
-        if options.frames and (frame := camera.getNextFrame()) is not None:
-            collector.add_frame(frame.timestamp, frame.image)
-        batch = camera.getNextEventBatch()
-        if batch is None:
-            time.sleep(0.001)
-            continue
-        events = batch.numpy()
-        collector.add(events["timestamp"], events["x"], events["y"], events["polarity"])
+        take(camera, collector, options)
     seen = {
         "version": dv.__version__,
         "discovered": discovered,

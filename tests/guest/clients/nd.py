@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 from importlib.metadata import version
 from typing import Any
 
@@ -23,34 +24,44 @@ def collect_imu(samples: Any, collector: Collector) -> None:
         collector.add_imu(int(one["t"]), *acceleration_g, float(one["temperature"]), *rate_deg_s)
 
 
+def open_camera(options: argparse.Namespace) -> Any:
+    """Open the first camera, with the detector of its external input on if triggers are asked for."""
+    camera = nd.open(nd.inivation_davis346.Configuration(), iterator_timeout=0.1)
+    if options.triggers:
+        write_registers(EXTERNAL_INPUT, DETECT, 1)
+    return camera
+
+
+def take(camera: Any, collector: Collector, options: argparse.Namespace) -> int:
+    """Take the next packet, if there is one in time, and return how often it tells of an overflow."""
+    _status, packet = next(camera)
+    if packet is None:
+        return 0
+    for trigger in packet.trigger_events if packet.trigger_events is not None else ():
+        collector.add_trigger(int(trigger["t"]), KINDS[int(trigger["polarity"])])
+    if options.imu and packet.imu_events is not None:
+        collect_imu(packet.imu_events, collector)
+    for frame in packet.frames if options.frames and packet.frames is not None else ():
+        collector.add_frame(int(frame.t), frame.pixels)
+    if packet.polarity_events is None:
+        return 0
+    events = packet.polarity_events
+    collector.add(events["t"], events["x"], events["y"], events["on"])
+    return len(packet.polarity_events_overflow_indices or ())
+
+
 def main() -> None:
     options = arguments()
     collector = Collector(options)
     discovered = [device.serial for device in nd.list_devices()]
     running, overflows = True, 0
-    with nd.open(nd.inivation_davis346.Configuration(), iterator_timeout=0.1) as camera:
+    with open_camera(options) as camera:
         seen = {"serial": camera.serial(), "name": camera.name().value, "connection": camera.connection().value}
-        if options.triggers:
-            write_registers(EXTERNAL_INPUT, DETECT, 1)
         while running and not collector.done:
             try:
-                _status, packet = next(camera)
+                overflows += take(camera, collector, options)
             except RuntimeError:  # the camera was unplugged
                 running = False
-                continue
-            if packet is None:
-                continue
-            for trigger in packet.trigger_events if packet.trigger_events is not None else ():
-                collector.add_trigger(int(trigger["t"]), KINDS[int(trigger["polarity"])])
-            if options.imu and packet.imu_events is not None:
-                collect_imu(packet.imu_events, collector)
-            for frame in packet.frames if options.frames and packet.frames is not None else ():
-                collector.add_frame(int(frame.t), frame.pixels)
-            if packet.polarity_events is None:
-                continue
-            events = packet.polarity_events
-            overflows += len(packet.polarity_events_overflow_indices or ())
-            collector.add(events["t"], events["x"], events["y"], events["on"])
         # Before the camera is closed: after an unplugging, closing may end the process (see environments.py).
         seen |= {"version": version("neuromorphic_drivers"), "discovered": discovered, "overflows": overflows}
         collector.report(running=running, **seen)

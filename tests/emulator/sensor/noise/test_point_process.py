@@ -16,6 +16,7 @@ from scipy import stats
 from emulator.sensor.chip.slots import SLOT_NS, Pending, Window, release
 from emulator.sensor.effects import NoiseParameters
 from emulator.sensor.noise.law import bandwidth_hz, corner_hz, of_array, rate_over_bandwidth, rms
+from emulator.sensor.noise.pending import State
 from emulator.sensor.noise.point_process import NoiseEvents
 from emulator.sensor.numerics import keyed_kernels
 from emulator.sensor.numerics.keyed import Purpose, normal, root_of, words
@@ -294,3 +295,16 @@ def test_dead_pixels_and_unreadable_light_are_silent():
 def test_light_below_zero_is_dark():
     noise, dark = NoiseEvents(PLAIN, 1, np.full(PIXELS, 0.2)), NoiseEvents(PLAIN, 1, np.full(PIXELS, 0.2))
     assert same(noise.step(light(-1.0), 3000 * MS), dark.step(light(0.0), 3000 * MS))
+
+
+def test_there_is_room_for_far_events_when_figures_change_within_a_window():
+    dark = dataclasses.replace(PLAIN, corner_min_hz=0.2, noise=NoiseParameters(rms=0.08))
+    noise = NoiseEvents(dark, 1, np.full(PIXELS, 0.2))
+    room = []
+    for t_ns in range(MS, 14 * MS, MS):
+        if t_ns == 4 * MS:
+            noise.follow(dataclasses.replace(dark, threshold_on=0.19), np.full(PIXELS, 0.195))
+        noise.step(light(0.0), t_ns)
+        room.append(noise._far.shape[1] - int(noise._state[State.FAR]))
+    assert int(noise._state[State.FAR]) > 0
+    assert min(room) > 0
