@@ -86,6 +86,11 @@ class Cable:
         """True while a host has chosen the configuration."""
         return self._is_enabled
 
+    @property
+    def idle(self) -> bool:
+        """True when there is no host, and nothing left to do."""
+        return not self._on_the_way and not self._orders and not self._is_enabled
+
     def start(self) -> None:
         """Begin to serve."""
         for thread in (self._control, *self._ins, *self._outs):
@@ -105,7 +110,7 @@ class Cable:
         self._is_closing = True
         await self._until(lambda: not self._on_the_way, linger_s)
         unbind()
-        await self._until(self._is_idle, 2 * _LINGER_S)
+        await self._until(lambda: self.idle, 2 * _LINGER_S)
         for thread in self._ins:
             thread.end()
         for reader in self._outs:
@@ -121,9 +126,6 @@ class Cable:
             if good():
                 return
             await asyncio.sleep(_STEP_S)
-
-    def _is_idle(self) -> bool:
-        return not self._on_the_way and not self._orders and not self._is_enabled
 
     def _soon(self, function: Callable[P, None]) -> Callable[P, None]:
         """Return what calls `function` in the loop's thread, from any thread."""
