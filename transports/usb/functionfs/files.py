@@ -38,7 +38,7 @@ _IN = 0x80
 
 _libc = ctypes.CDLL(None, use_errno=True)
 _libc.write.argtypes = (ctypes.c_int, ctypes.c_char_p, ctypes.c_size_t)
-_libc.read.argtypes = (ctypes.c_int, ctypes.c_char_p, ctypes.c_size_t)
+_libc.read.argtypes = (ctypes.c_int, ctypes.c_void_p, ctypes.c_size_t)
 _libc.write.restype = _libc.read.restype = ctypes.c_ssize_t
 
 
@@ -48,7 +48,8 @@ def _write(fd: int, data: bytes) -> int:
 
 def _read(fd: int, most_bytes: int) -> bytes:
     buffer = ctypes.create_string_buffer(most_bytes)
-    return buffer.raw[: _checked(_libc.read(fd, buffer, most_bytes))]
+    count = _checked(_libc.read(fd, buffer, most_bytes))
+    return buffer.raw[:count]
 
 
 def _checked(count: int) -> int:
