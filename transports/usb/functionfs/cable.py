@@ -106,10 +106,15 @@ class Cable:
                     self._carry(thread)
 
     async def close(self, unbind: Callable[[], None], linger_s: float = _LINGER_S) -> None:
-        """Give the host `linger_s` for what is on its way, `unbind` the controller, and end the threads."""
+        """Give the host `linger_s` for what is on its way, call `unbind`, which takes the host away, and end."""
         self._is_closing = True
         await self._until(lambda: not self._on_the_way, linger_s)
-        unbind()
+        try:
+            unbind()
+        finally:
+            await self._end_threads()
+
+    async def _end_threads(self) -> None:
         await self._until(lambda: self.idle, 2 * _LINGER_S)
         for thread in self._ins:
             thread.end()
@@ -151,8 +156,10 @@ class Cable:
             return self._turned(order)
         try:
             answer = self._obey(order)
-        except NotReady:
-            return False
+        except NotReady as late:
+            if not self._is_closing:
+                return False
+            order.answer.set_exception(Stall(f"no answer before the end: {late}"))
         except Stall as stall:
             order.answer.set_exception(stall)
         else:

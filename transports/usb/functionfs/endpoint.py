@@ -13,7 +13,7 @@ from transports.faults.kinds import Fault
 from transports.faults.script import FaultPlan, FaultRecord
 from transports.faults.usb import FaultyDevice
 from transports.link.deliveries import Deliveries
-from transports.link.endpoint import Endpoint, EndpointFactory
+from transports.link.endpoint import Endpoint, EndpointFactory, LinkBroken
 from transports.usb.functionfs.cable import Cable
 from transports.usb.functionfs.files import WAKE_SIGNAL, FunctionFiles
 from transports.usb.functionfs.gadget import Gadget, GadgetError, Places, controller_of
@@ -81,10 +81,7 @@ class GadgetEndpoint(Endpoint):
         self._faulty.advance(stream_us)
         if self._faulty.gone != self._is_gone:
             self._is_gone = self._faulty.gone
-            if self._is_gone:
-                self._gadget.unbind()
-            else:
-                self._gadget.bind(self._udc)
+            self._plug(connected=not self._is_gone)
 
     def inject(self, fault: Fault) -> None:
         """See `Endpoint.inject`."""
@@ -97,13 +94,16 @@ class GadgetEndpoint(Endpoint):
 
     async def close(self) -> None:
         """Take the camera from its host, and remove the gadget if this link made it."""
-        if self._cable is not None:
-            await self._cable.close(self._gadget.unbind)
+        try:
+            if self._cable is not None:
+                await self._cable.close(self._gadget.unbind)
+        except GadgetError as error:
+            log.warning("%s; it is disconnected by closing its files", error)
         if self._files is not None:
             self._files.close()
-        if self._is_mine:
-            self._gadget.remove()
         self._faulty.close()
+        if self._is_mine:
+            self._remove()
 
     @property
     def state(self) -> str:
@@ -119,6 +119,16 @@ class GadgetEndpoint(Endpoint):
         """The controller."""
         return self._udc
 
+    def _plug(self, *, connected: bool) -> None:
+        """Connect the gadget to its controller, or disconnect it; raises LinkBroken."""
+        try:
+            if connected:
+                self._gadget.bind(self._udc)
+            else:
+                self._gadget.unbind()
+        except GadgetError as error:
+            raise LinkBroken(str(error)) from error
+
     def _prepare(self) -> None:
         """Make the gadget, where there is none that suits; raises GadgetError."""
         descriptors = self._camera.descriptors(self._camera.identity.speed)
@@ -127,6 +137,12 @@ class GadgetEndpoint(Endpoint):
             return
         gadget.make(descriptors)
         self._is_mine = True
+
+    def _remove(self) -> None:
+        try:
+            self._gadget.remove()
+        except GadgetError as error:
+            log.warning("%s; `evstim gadget down --name %s` will", error, self._gadget.name)
 
     def _open(self, controller: str) -> FunctionFiles:
         """Give the kernel the camera's interface; raises OSError."""
@@ -137,7 +153,13 @@ class GadgetEndpoint(Endpoint):
             raise GadgetError(str(error)) from error
         places = {place: one.address for place, one in enumerate(interfaces[Speed.FULL].endpoints, 1)}
         used = {place: address for place, address in places.items() if address in own[Speed.FULL].endpoint_addresses}
-        return FunctionFiles(self._gadget.mount, (descriptor_block(interfaces), string_block()), used)
+        try:
+            return FunctionFiles(self._gadget.mount, (descriptor_block(interfaces), string_block()), used)
+        except OSError as error:
+            raise GadgetError(
+                f"cannot give the kernel the camera's interface in {self._gadget.mount}: {error}; `evstim gadget down` "
+                "removes what is wrong there"
+            ) from error
 
     def _look_at_addresses(self) -> None:
         """See whether the controller gave the endpoints that the camera's drivers know; the log tells where not."""

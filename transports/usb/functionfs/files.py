@@ -35,6 +35,7 @@ WAKE_SIGNAL = signal.SIGUSR2
 _DESCRIPTOR_BYTES = 9
 _ENDPOINT_DESCRIPTOR = 2 << 30 | _DESCRIPTOR_BYTES << 16 | ord("g") << 8 | 130  # _IOR('g', 130, 9 bytes)
 _IN = 0x80
+_NO_EVENT = (errno.EAGAIN, errno.EINTR, errno.EIDRM)  # EIDRM: the host gave up the last request
 
 _libc = ctypes.CDLL(None, use_errno=True)
 _libc.write.argtypes = (ctypes.c_int, ctypes.c_char_p, ctypes.c_size_t)
@@ -85,8 +86,11 @@ class ControlFile:
             ready = dict(asked.poll())
             if self._wake_out in ready:
                 return None
-            with contextlib.suppress(BlockingIOError, InterruptedError):
+            try:
                 return Event.parse(_read(self._fd, EVENT_BYTES))
+            except OSError as error:
+                if error.errno not in _NO_EVENT:
+                    raise
 
     def wake(self) -> None:
         """See `ControlPipe`."""

@@ -149,8 +149,9 @@ class InThread(threading.Thread):
             return
         if self._is_void:
             raise InterruptedError("given up before it began")
+        packet_bytes = self.pipe.packet_bytes()
         self.pipe.write(job.data)
-        if job.data and len(job.data) % self.pipe.packet_bytes() == 0:
+        if job.data and len(job.data) % packet_bytes == 0:
             self.pipe.write(b"")  # only a packet that is not full ends the host's transfer
 
 
