@@ -78,11 +78,13 @@ def test_what_a_host_that_goes_did_not_take_is_lost(bench, camera):
 @pytest.mark.parametrize("turns", [(EventKind.DISABLE, EventKind.ENABLE), (EventKind.ENABLE,)])
 def test_a_reset_is_a_new_host_which_gets_nothing_of_the_old_stream(bench, camera, turns):
     """The kernel tells of the second turn alone where nobody has read of the first."""
-    _, _ = started(bench, camera)
+    host, _ = started(bench, camera)
+    host.control_out(SetupPacket(0x40, 0xBF, 1, 32, 4), bytes((0, 0, 0, 99)))
     shown(bench, camera, 300)
     for turn in turns:
         bench.port.turn(turn)
     host = PortHost(bench.port, PATIENCE_S)
+    assert host.control_in(SetupPacket(0xC0, 0xBF, 1, 32, 4))[-1] == 8  # as at power-on
     driver = DavisHost(host)
     driver.start(SETTINGS)
     sent = shown(bench, camera, 200, 300)
@@ -116,6 +118,8 @@ def test_a_transfer_in_time_is_not_given_up(bench, camera):
     shown(bench, camera, 300)
     bench.until(lambda: camera.counters.queued > 0)
     host.control_out(SetupPacket(0x40, 0xBF, 0, 0, 4), bytes(4))
+    for _ in range(10):  # turns of the loop, in which an impatient cable would give up
+        bench.call(bool)
     assert len(host.bulk_in(2, 65536)) > 0
     bench.until(lambda: camera.counters.queued == 0)
     assert camera.counters.delivered > 0
