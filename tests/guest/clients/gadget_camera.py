@@ -31,13 +31,14 @@ from transports.usb.functionfs.endpoint import GadgetFactory
 AHEAD_US = 50_000
 PERIOD_S = 0.005
 DRAIN_S = 5.0
+START_DELAY_US = 3_000_000  # neuromorphic_drivers must have started all its transfers; the guest is slow
 
 
 def camera(options: argparse.Namespace) -> partial:
     speed = Speed[options.speed.upper()]
     if options.model == "evk4":
-        return partial(Evk4, Evk4Settings(serial=options.serial, speed=speed, start_delay_us=1_000_000))
-    return partial(Davis346, Davis346Settings(serial=options.serial, speed=speed, start_delay_us=1_000_000))
+        return partial(Evk4, Evk4Settings(serial=options.serial, speed=speed, start_delay_us=START_DELAY_US))
+    return partial(Davis346, Davis346Settings(serial=options.serial, speed=speed, start_delay_us=START_DELAY_US))
 
 
 class Player:
