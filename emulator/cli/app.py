@@ -60,6 +60,11 @@ app.command(
     help="Read a camera, real or emulated: on USB (the default), a serial line or a CAN bus.",
 )
 app.command(
+    "emulator.cli.gadget:verbs",
+    name="gadget",
+    help="Make or remove the USB gadget for a camera on a real cable, at a machine with a USB device port.",
+)
+app.command(
     "emulator.cli.campaign:verbs",
     name="campaign",
     help="Run a rig many times over sampled parameters, and report on the table of all runs.",

@@ -14,6 +14,7 @@ LINKS: Registry[LinkKind[Any]] = Registry(
     LinkKind,
     {
         "usbip": "transports.usb.usbip.kind:USBIP",
+        "usb_gadget": "transports.usb.functionfs.kind:USB_GADGET",
         "loopback": "transports.usb.loopback_kind:LOOPBACK",
         "serial": "transports.serial_line.kind:SERIAL",
         "gige": "transports.gige.kind:GIGE",

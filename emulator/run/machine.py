@@ -18,6 +18,7 @@ from pathlib import Path
 
 from emulator.gl.context import PACKAGES, WANTED, probe, renderers
 from firmware_protocol.gige.gvcp import GVCP_PORT
+from transports.usb.functionfs.gadget import Places
 
 __all__ = ["Finding", "examine"]
 
@@ -127,11 +128,14 @@ def _vhci() -> Finding:
 def _udc() -> Finding:
     folder = Path("/sys/class/udc")
     controllers = sorted(p.name for p in folder.iterdir()) if folder.is_dir() else []
-    wanted = "a camera on a real USB cable (gadget mode)"
-    if controllers:
-        return Finding("UDC", True, ", ".join(controllers), wanted)
-    fix = "modprobe dummy_hcd  # or a board with a USB device port"
-    return Finding("UDC", False, "no USB device controller", wanted, fix)
+    wanted = "a camera on a real USB cable (links usb_gadget)"
+    if not controllers:
+        fix = "modprobe dummy_hcd  # for a trial; or a board with a USB device port (Raspberry Pi: dtoverlay=dwc2)"
+        return Finding("UDC", False, "no USB device controller", wanted, fix)
+    told = ", ".join(controllers)
+    if not Places().gadgets.is_dir():
+        return Finding("UDC", False, f"{told}, but no gadgets in configfs", wanted, "modprobe libcomposite")
+    return Finding("UDC", True, told, wanted)
 
 
 def _vcan() -> Finding:

@@ -29,7 +29,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 
@@ -41,6 +41,7 @@ from firmware_protocol.davis346.filters import DvsFilters
 from firmware_protocol.davis346.marks import Marks, join_marks, no_marks
 from firmware_protocol.davis346.reading_input import ReadingInput
 from firmware_protocol.davis346.registers import Module, RegisterFile, Statistic, registers
+from firmware_protocol.davis346.run_gate import RunGate
 from firmware_protocol.davis346.settings import DATA_ENDPOINT, Davis346Settings
 from firmware_protocol.davis346.stream import EventStream
 from firmware_protocol.davis346.words import WordEncoder
@@ -50,7 +51,8 @@ from firmware_protocol.event_device import CameraCounters, EdgeCounters
 from firmware_protocol.events import Events, empty_events
 from firmware_protocol.readings import ReadingKind, Readings
 from firmware_protocol.usb.control import Recipient, StandardControl
-from firmware_protocol.usb.device import Identity, RequestKind, SetupPacket, Stall, Transfer, UsbCamera
+from firmware_protocol.usb.descriptors import DescriptorSet
+from firmware_protocol.usb.device import Identity, RequestKind, SetupPacket, Speed, Stall, Transfer, UsbCamera
 
 __all__ = ["Davis346"]
 
@@ -63,22 +65,6 @@ ENTRY = struct.Struct(">BBI")
 _IN = 0x80
 _INPUT_FIFO = 8
 _MOST_RESETS = 64  # told to nobody, where there is no second camera
-
-
-@dataclass(frozen=True)
-class _Gate:
-    """The run bits, as far as the data path cares."""
-
-    timestamps: bool
-    reset: bool
-    words: bool
-    events: bool
-
-    @classmethod
-    def of(cls, values: RegisterFile) -> _Gate:
-        run, timestamps, reset, chip = (bool(values.read(Module.MULTIPLEXER, k)) for k in range(4))
-        words = run and timestamps and chip and bool(values.read(Module.USB, 0))
-        return cls(timestamps, reset, words, words and bool(values.read(Module.DVS, 3)))
 
 
 class Davis346(UsbCamera):
@@ -97,7 +83,7 @@ class Davis346(UsbCamera):
         self._readings = ReadingInput(settings, self._registers)
         self._resets_us: list[int] = []
         self._now_us = 0
-        self._not_running = self._offered = 0
+        self._not_running = self._offered = self._flushes = 0
         self._power_on()
 
     @property
@@ -279,6 +265,14 @@ class Davis346(UsbCamera):
             self._stream.start_time(self._now_us)
         return True
 
+    def descriptors(self, speed: Speed) -> DescriptorSet:
+        """Return what GET_DESCRIPTOR gives at a speed."""
+        return replace(self.settings, speed=speed).descriptors()
+
+    def flushes(self, endpoint: int) -> int:
+        """How often the run gate was closed, or the power cut."""
+        return self._flushes if endpoint | _IN == DATA_ENDPOINT else 0
+
     def attached(self) -> None:
         """A host has taken the camera: power-on state."""
         self._power_on()
@@ -322,22 +316,26 @@ class Davis346(UsbCamera):
         self._silent_until_us = self._now_us
         self._drop_stalled()
         self._stream.start_time(self._now_us)
+        self._flushes += 1
         self._filters.power_on()
         self._at_power_on, self._hot_before = self._stream.counters, self._filters.hot
         self._marks_dropped_before = self._stream.mark_counters.dropped_fifo
 
+    def accepts(self, setup: SetupPacket) -> bool:
+        """Say whether an OUT request is known and its data have the right length."""
+        lengths = {REGISTER: 4, MULTI_WRITE: setup.value * ENTRY.size, FLUSH: 0, LOG_LEVEL: 0}
+        return setup.kind is not RequestKind.VENDOR or setup.length == lengths.get(setup.request)
+
     def _vendor_out(self, setup: SetupPacket, data: bytes) -> None:
-        if len(data) != setup.length:
+        if len(data) != setup.length or not self.accepts(setup):
             raise Stall
-        if setup.request == REGISTER and len(data) == 4:
+        if setup.request == REGISTER:
             self._write(setup.value, setup.index, int.from_bytes(data, "big"))
-        elif setup.request == MULTI_WRITE and len(data) == setup.value * ENTRY.size:
+        elif setup.request == MULTI_WRITE:
             for module, address, value in ENTRY.iter_unpack(data):
                 self._write(module, address, value)
-        elif setup.request == FLUSH and not data:
+        elif setup.request == FLUSH:
             self._stream.flush()
-        elif setup.request != LOG_LEVEL or data:
-            raise Stall
 
     def _read_register(self, setup: SetupPacket) -> bytes:
         if setup.request != REGISTER or setup.length < 4:
@@ -355,14 +353,15 @@ class Davis346(UsbCamera):
             self._turn(before, self._gate)
 
     def _follow_registers(self) -> None:
-        self._gate = _Gate.of(self._registers)
+        self._gate = RunGate.of(self._registers)
         self._readings.follow(words=self._gate.words)
 
-    def _turn(self, before: _Gate, after: _Gate) -> None:
+    def _turn(self, before: RunGate, after: RunGate) -> None:
         """Do what a change of the run bits asks for."""
         if before.words and not after.words:
             self._drop_stalled()
             self._stream.flush()
+            self._flushes += 1
         if after.timestamps and not before.timestamps:
             self._stream.start_time(self._now_us)
             self._starting = True

@@ -19,6 +19,7 @@ One thread at a time may use a camera.
 from __future__ import annotations
 
 from collections import Counter, deque
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -32,7 +33,8 @@ from firmware_protocol.evk4.treuzell import Board, BoardFacts
 from firmware_protocol.imx636.registers import BIASES, Registers
 from firmware_protocol.imx636.selection import Selection
 from firmware_protocol.usb.control import Recipient, StandardControl
-from firmware_protocol.usb.device import Identity, RequestKind, SetupPacket, Stall, Transfer, UsbCamera
+from firmware_protocol.usb.descriptors import DescriptorSet
+from firmware_protocol.usb.device import Identity, RequestKind, SetupPacket, Speed, Stall, Transfer, UsbCamera
 
 __all__ = ["Evk4"]
 
@@ -58,7 +60,7 @@ class Evk4(UsbCamera):
         self._answers: deque[bytes] = deque()
         self._fates: Counter[str] = Counter()
         self._edge_fates: Counter[str] = Counter()
-        self._carried = self._edges_carried = 0
+        self._carried = self._edges_carried = self._flushes = 0
         self._now_us = self._epoch_us = self._silent_until_us = 0
         self._outflow = self._new_outflow()
         self._was_running = False
@@ -141,6 +143,14 @@ class Evk4(UsbCamera):
         """Say that stream time has reached `now_us`; the clock never goes back."""
         self._now_us = max(self._now_us, now_us)
 
+    def descriptors(self, speed: Speed) -> DescriptorSet:
+        """Return what GET_DESCRIPTOR gives at a speed."""
+        return replace(self.settings, speed=speed).descriptors()
+
+    def flushes(self, endpoint: int) -> int:
+        """How often the sensor was started, stopped, or without power."""
+        return self._flushes if endpoint | _IN == DATA_ENDPOINT else 0
+
     def attached(self) -> None:
         """A host has taken the camera: power-on state."""
         self._power_on()
@@ -220,6 +230,7 @@ class Evk4(UsbCamera):
         self._fates["flushed"] += self._outflow.queued
         self._edge_fates["dropped"] += self._outflow.edges_queued
         self._outflow = self._new_outflow()
+        self._flushes += 1
 
     def _new_outflow(self) -> Outflow:
         return Outflow(self._epoch_us, self.settings.fifo_bytes // _FIFO_BYTES_PER_EVENT)

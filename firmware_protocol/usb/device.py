@@ -16,12 +16,15 @@ import struct
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from firmware_protocol.edges import Edges, empty_edges
 from firmware_protocol.event_device import EventDevice
 from firmware_protocol.events import Events, empty_events
 from firmware_protocol.readings import Reading
+
+if TYPE_CHECKING:
+    from firmware_protocol.usb.descriptors import DescriptorSet  # which knows speeds from here
 
 __all__ = ["Identity", "NotReady", "RequestKind", "SetupPacket", "Speed", "Stall", "Transfer", "UsbCamera", "UsbDevice"]
 
@@ -167,6 +170,14 @@ class UsbDevice(ABC):
         Returns None while there is nothing to send. Raises Stall for an endpoint that does not exist or is halted.
         """
 
+    def accepts(self, setup: SetupPacket) -> bool:
+        """Say whether the data of this OUT request may come; asked where they cannot be refused any more afterwards."""
+        return True
+
+    def flushes(self, endpoint: int) -> int:
+        """How often the stream of an IN endpoint has ended: a transfer read before is not wanted any more."""
+        return 0
+
     def write(self, endpoint: int, data: bytes) -> None:
         """Take `data` that the host sends to an OUT endpoint (number 1..15).
 
@@ -193,3 +204,7 @@ class UsbCamera(UsbDevice, EventDevice):
     """
 
     data_endpoint: ClassVar[int]
+
+    @abstractmethod
+    def descriptors(self, speed: Speed) -> DescriptorSet:
+        """Return what GET_DESCRIPTOR gives at a speed, FULL, HIGH or SUPER."""

@@ -160,6 +160,7 @@ class TestCanIsoTp(TestCan):
 
 def test_every_built_in_kind_is_under_contract():
     under = {case.parameters.kind for case in (TestUsbip, TestLoopback, TestSerial, TestCan)}
+    under |= {"usb_gadget"}  # needs a USB device controller: tests/guest/test_gadget.py
     # in tests/transports/file, gige, ros2, network_streams and udp_packets
     under |= {"file", "gige", "ros2", "tcp", "udp", "udp_packets"}
     assert under == {name for name in LINKS if name in LINKS._built_in}

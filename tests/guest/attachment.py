@@ -17,9 +17,14 @@ DAVIS_FX3 = ("152a", "841a")
 EVK4 = ("04b4", "00f5")
 
 
-def usb_bus(guest: Guest, cameras: int, timeout_s: float = 120.0, model: tuple[str, str] = DAVIS_FX3) -> dict[str, Any]:
-    """Wait until the guest's bus shows this many cameras of a model and return it; raises RuntimeError in vain."""
-    argv = [sys.executable, BUS_PROGRAM, *model, str(cameras), str(timeout_s)]
+def usb_bus(
+    guest: Guest, cameras: int, timeout_s: float = 120.0, model: tuple[str, str] = DAVIS_FX3, *, on_cable: bool = False
+) -> dict[str, Any]:
+    """Wait until the guest's bus shows this many cameras of a model and return it; raises RuntimeError in vain.
+
+    `on_cable`: they hang on the guest's own controller, and not on USB/IP.
+    """
+    argv = [sys.executable, BUS_PROGRAM, *model, str(cameras), str(timeout_s), *(["cable"] if on_cable else [])]
     seen: dict[str, Any] = json.loads(guest.check(argv, timeout_s + 10))
     return seen
 

@@ -123,6 +123,14 @@ class FaultyDevice(UsbDevice):
             raise Stall(f"endpoint {endpoint} is halted, by a fault")
         return self._read(endpoint, max_bytes)
 
+    def accepts(self, setup: SetupPacket) -> bool:
+        """Pass on."""
+        return self._device.accepts(setup)
+
+    def flushes(self, endpoint: int) -> int:
+        """Pass on."""
+        return self._device.flushes(endpoint)
+
     def write(self, endpoint: int, data: bytes) -> None:
         """Pass on."""
         self._device.write(endpoint, data)

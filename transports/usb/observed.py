@@ -36,6 +36,14 @@ class Observed(UsbDevice):
         """Pass on."""
         return self._device.read(endpoint, max_bytes)
 
+    def accepts(self, setup: SetupPacket) -> bool:
+        """Pass on."""
+        return self._device.accepts(setup)
+
+    def flushes(self, endpoint: int) -> int:
+        """Pass on."""
+        return self._device.flushes(endpoint)
+
     def write(self, endpoint: int, data: bytes) -> None:
         """Pass on."""
         self._device.write(endpoint, data)

@@ -1,6 +1,7 @@
 """What the guest's kernel says of the USB bus, as one JSON object: the devices, and the USB/IP ports in use.
 
     bus.py VENDOR PRODUCT COUNT TIMEOUT     waits until COUNT devices VENDOR:PRODUCT are there, and as many ports in use
+    bus.py VENDOR PRODUCT COUNT TIMEOUT cable           waits for the devices alone: they hang on no USB/IP port
 
 Exit code 1 when time runs out first.
 """
@@ -43,9 +44,10 @@ def ports() -> list[int]:
 def main() -> None:
     vendor, product, count, timeout_s = sys.argv[1], sys.argv[2], int(sys.argv[3]), float(sys.argv[4])
     deadline = time.monotonic() + timeout_s
+    on_cable = sys.argv[5:] == ["cable"]
     while True:
-        seen = {"devices": devices(vendor, product), "ports": ports()}
-        ready = len(seen["devices"]) == len(seen["ports"]) == count
+        seen = {"devices": devices(vendor, product), "ports": [] if on_cable else ports()}
+        ready = len(seen["devices"]) == count and (on_cable or len(seen["ports"]) == count)
         if ready or time.monotonic() > deadline:
             break
         time.sleep(0.02)

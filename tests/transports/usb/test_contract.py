@@ -1,10 +1,11 @@
-"""The contract of USB cables, over the USB/IP server, the bus in memory behind pyusb, and the loopback."""
+"""The contract of USB cables, over the USB/IP server, a port in memory, the bus behind pyusb, and the loopback."""
 
 import pytest
 
 from evstim.testing.fake_usb import FakeUsbBus
 from evstim.testing.usb_contract import Plugged, UsbContract
 from firmware_protocol.davis346 import Davis346Settings
+from tests.transports.usb.gadget_port import GadgetBench, PortHost
 from transports.usb.loopback import DirectHost
 from transports.usb.pyusb_host import PyusbHost
 from transports.usb.usbip.client import UsbipHost
@@ -25,6 +26,30 @@ class TestUsbip(UsbContract):
             self.bench.call(self.bench.server.pump)
 
         return Plugged(UsbipHost.attach(port=self.bench.server.port, timeout_s=timeout_s), call)
+
+
+class _Unplugged(PortHost):
+    """A host that has gone when `close` returns, as the contract's tests look at the camera next."""
+
+    def __init__(self, bench, port, timeout_s):
+        super().__init__(port, timeout_s)
+        self._bench = bench
+
+    def close(self):
+        super().close()
+        self._bench.until(lambda: self._bench.cable.idle)
+
+
+class TestGadget(UsbContract):
+    @pytest.fixture(autouse=True)
+    def gadget(self):
+        self.bench = GadgetBench()
+        yield
+        self.bench.close()
+
+    def plug(self, device, timeout_s):
+        port = self.bench.plug(device, Davis346Settings(serial="00000042").descriptors())
+        return Plugged(_Unplugged(self.bench, port, timeout_s), self.bench.call)
 
 
 class TestFakeBus(UsbContract):

@@ -1,0 +1,134 @@
+"""`evstim gadget up` and `evstim gadget down`: the USB gadget that a link `usb_gadget` runs its camera in."""
+
+from __future__ import annotations
+
+import pwd
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+from cyclopts import App, Parameter
+
+from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, console, print_json
+from emulator.rig.camera_models import CAMERA_MODELS, UsbSettings
+from emulator.rig.tables import Camera
+from firmware_protocol.usb.descriptors import DescriptorSet
+from transports.usb.functionfs.gadget import Gadget, GadgetError, Places, controller_of
+
+__all__ = ["Plug", "down", "up", "verbs"]
+
+
+@dataclass(frozen=True)
+class Plug:
+    """The camera that hosts are to see, as the rig's table [camera] has it.
+
+    Attributes
+    ----------
+    model
+        Camera model.
+    serial
+        Serial number.
+    speed
+        Highest USB speed.
+    """
+
+    model: str = Camera.model
+    serial: str = Camera.serial
+    speed: Literal["super", "high"] = Camera.speed
+
+
+_PLUG = Plug()
+
+
+def up(
+    *,
+    name: str = "evstim",
+    udc: str = "",
+    user: str | None = None,
+    plug: Annotated[Plug, Parameter(name="*")] = _PLUG,
+    json: Annotated[bool, Parameter(negative="")] = False,
+) -> int:
+    """Make the gadget, so that `evstim run` need not be root; hosts see it when a rig with a link usb_gadget runs.
+
+    What a killed program left of it is made anew. Needs root.
+
+    Parameters
+    ----------
+    name
+        Name of the gadget, as the link's key `gadget` has it.
+    udc
+        USB device controller, as /sys/class/udc names it; may be left out where there is one.
+    user
+        Who may run the camera, beside root.
+    plug
+        The camera.
+    json
+        Print one JSON object as the last line on stdout.
+    """
+    descriptors = _descriptors(plug)
+    gadget = _gadget(name)
+    try:
+        controller = controller_of(udc, Places())
+        gadget.make(descriptors, None if user is None else _user_id(user))
+    except GadgetError as error:
+        raise Failure(str(error), LACKING) from error
+    if json:
+        print_json({"gadget": name, "udc": controller, "mount": gadget.mount})
+    else:
+        console.print(f"gadget {name} is ready for {controller}; its files are in {gadget.mount}", markup=False)
+    return GOOD
+
+
+def down(*, name: str = "evstim", json: Annotated[bool, Parameter(negative="")] = False) -> int:
+    """Remove the gadget, and what a killed program left of it. Needs root.
+
+    Parameters
+    ----------
+    name
+        Name of the gadget.
+    json
+        Print one JSON object as the last line on stdout.
+    """
+    gadget = _gadget(name)
+    was_there = gadget.exists
+    try:
+        gadget.remove()
+    except GadgetError as error:
+        raise Failure(str(error), LACKING) from error
+    if json:
+        print_json({"gadget": name, "removed": was_there})
+    else:
+        console.print(f"gadget {name} is removed" if was_there else f"there is no gadget {name}", markup=False)
+    return GOOD
+
+
+def _gadget(name: str) -> Gadget:
+    try:
+        return Gadget(name)
+    except ValueError as error:
+        raise Failure(str(error), WRONG_USE) from error
+
+
+def _descriptors(plug: Plug) -> DescriptorSet:
+    """Return what hosts are to read of the camera."""
+    model = CAMERA_MODELS.get(plug.model)
+    if model is None or model.usb is None:
+        known = ", ".join(name for name, one in CAMERA_MODELS.items() if one.usb is not None)
+        raise Failure(f"there is no USB camera {plug.model!r}; there are: {known}", WRONG_USE)
+    try:
+        camera = Camera(model=plug.model, serial=plug.serial, speed=plug.speed)
+        device = model.usb.device(camera, UsbSettings(start_delay_ms=0.0))()
+    except ValueError as error:
+        raise Failure(str(error), WRONG_USE) from error
+    return device.descriptors(device.identity.speed)
+
+
+def _user_id(user: str) -> int:
+    try:
+        return pwd.getpwnam(user).pw_uid
+    except KeyError as error:
+        raise Failure(f"this machine has no user {user!r}", WRONG_USE) from error
+
+
+verbs = App(name="gadget")
+verbs.command(up)
+verbs.command(down)

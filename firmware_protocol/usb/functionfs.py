@@ -1,0 +1,99 @@
+"""What a FunctionFS program and the kernel tell each other on ep0: descriptors and strings at first, then events.
+
+Source: linux/usb/functionfs.h. All integers little-endian, w = 4 bytes.
+
+    descriptors     wMagic=3 wLength wFlags wFullSpeed wHighSpeed wSuperSpeed (how many descriptors follow for each)
+                    interface, endpoints                        full speed
+                    interface, endpoints                        high speed
+                    interface, endpoints with companions        SuperSpeed
+    strings         wMagic=2 wLength wStrings wLanguages
+                    for each language: its code (2), then each string in UTF-8 with a NUL behind it
+    event (12)      setup packet (8; meant only of SETUP) type (1) 0 0 0
+
+Lengths count the whole block. Endpoints must have the same addresses at all speeds; the controller replaces them.
+Flags: 1, 2, 4 there are descriptors of full speed, high speed, SuperSpeed; 64 control requests to all recipients
+come to us, also those to the device; 128 also before the host has chosen a configuration.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import IntEnum, IntFlag
+
+from firmware_protocol.usb.descriptors import ENGLISH_US, Interface
+from firmware_protocol.usb.device import SetupPacket, Speed
+
+__all__ = ["EVENT_BYTES", "Event", "EventKind", "Flag", "descriptor_block", "string_block"]
+
+EVENT_BYTES = 12
+
+_DESCRIPTORS_MAGIC = 3
+_STRINGS_MAGIC = 2
+_HEAD = struct.Struct("<III")
+_SPEEDS = (Speed.FULL, Speed.HIGH, Speed.SUPER)
+
+
+class Flag(IntFlag):
+    """Bits of the descriptors' flags."""
+
+    FULL_SPEED = 1
+    HIGH_SPEED = 2
+    SUPER_SPEED = 4
+    ALL_RECIPIENTS = 64
+    BEFORE_CONFIGURATION = 128
+
+
+class EventKind(IntEnum):
+    """Type of an event."""
+
+    BIND = 0
+    UNBIND = 1
+    ENABLE = 2
+    DISABLE = 3
+    SETUP = 4
+    SUSPEND = 5
+    RESUME = 6
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that happened at the device's port; `setup` is there for a SETUP."""
+
+    kind: EventKind
+    setup: SetupPacket | None = None
+
+    @classmethod
+    def parse(cls, data: bytes) -> Event:
+        """Read the 12 bytes of an event; raises ValueError for others, and for a type that is not known."""
+        if len(data) != EVENT_BYTES:
+            raise ValueError(f"an event of FunctionFS has {EVENT_BYTES} bytes, got {len(data)}")
+        kind = EventKind(data[8])
+        return cls(kind, SetupPacket.parse(data[:8]) if kind is EventKind.SETUP else None)
+
+    def __bytes__(self) -> bytes:
+        return (bytes(8) if self.setup is None else bytes(self.setup)) + bytes((self.kind, 0, 0, 0))
+
+
+def descriptor_block(interfaces: Mapping[Speed, Interface]) -> bytes:
+    """Return the descriptors of one interface at full speed, high speed and SuperSpeed.
+
+    Raises ValueError when its endpoints are not the same at all of them.
+    """
+    addresses = {tuple(e.address for e in interfaces[speed].endpoints) for speed in _SPEEDS}
+    if len(addresses) != 1:
+        raise ValueError("an interface must have the same endpoints, in the same order, at all speeds")
+    endpoints = len(interfaces[Speed.FULL].endpoints)
+    body = struct.pack("<III", 1 + endpoints, 1 + endpoints, 1 + 2 * endpoints)
+    body += b"".join(interfaces[speed].serialise(speed) for speed in _SPEEDS)
+    flags = Flag.FULL_SPEED | Flag.HIGH_SPEED | Flag.SUPER_SPEED | Flag.ALL_RECIPIENTS | Flag.BEFORE_CONFIGURATION
+    return _HEAD.pack(_DESCRIPTORS_MAGIC, _HEAD.size + len(body), flags) + body
+
+
+def string_block(strings: Sequence[str] = (), language: int = ENGLISH_US) -> bytes:
+    """Return the strings of an interface in one language; without strings there is no language either."""
+    body = struct.pack("<I", min(1, len(strings)))
+    if strings:
+        body += struct.pack("<H", language) + b"".join(text.encode() + b"\0" for text in strings)
+    return _HEAD.pack(_STRINGS_MAGIC, _HEAD.size + len(body), len(strings)) + body

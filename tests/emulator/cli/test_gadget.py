@@ -1,0 +1,63 @@
+"""`evstim gadget` on a machine that cannot have one: what is said, and the exit codes."""
+
+import json
+
+import pytest
+
+from emulator.cli.app import _main
+from transports.usb.functionfs import gadget as gadgets
+from transports.usb.functionfs.gadget import Places
+
+
+@pytest.fixture
+def machine(tmp_path, monkeypatch):
+    """A machine with a controller and without configfs."""
+    (tmp_path / "udc" / "dummy_udc.0").mkdir(parents=True)
+    places = Places(tmp_path / "config", tmp_path / "udc", tmp_path / "run")
+    for module in ("emulator.cli.gadget", "transports.usb.functionfs.gadget"):
+        monkeypatch.setattr(f"{module}.Places", lambda: places)
+    return places
+
+
+def told(capsys, *tokens):
+    code = _main(["gadget", *tokens, "--json"])
+    return code, json.loads(capsys.readouterr().out.splitlines()[-1])
+
+
+def test_a_machine_without_configfs_lacks_a_module(machine, capsys):
+    code, said = told(capsys, "up")
+    assert code == said["exit_code"] == 3
+    assert "modprobe libcomposite" in said["error"]
+
+
+def test_a_machine_without_a_controller_lacks_that(machine, capsys):
+    (machine.controllers / "dummy_udc.0").rmdir()
+    code, said = told(capsys, "up")
+    assert code == 3
+    assert "no USB device controller" in said["error"]
+
+
+@pytest.mark.parametrize(
+    ("tokens", "error"),
+    [
+        (("--model", "triton2"), "no USB camera 'triton2'; there are: davis346, evk4, ideal"),
+        (("--model", "evk4", "--serial", "xyz"), "hexadecimal"),
+        (("--name", "a/b"), "a gadget's name"),
+        (("--user", "nobody-of-this-name"), "no user"),
+    ],
+)
+def test_wrong_use_is_told(machine, capsys, tokens, error):
+    code, said = told(capsys, "up", *tokens)
+    assert code == 2
+    assert error in said["error"]
+
+
+def test_a_gadget_is_made_for_the_camera_and_removed(machine, capsys, monkeypatch):
+    made = []
+    monkeypatch.setattr(gadgets.Gadget, "make", lambda self, descriptors, owner: made.append((descriptors, owner)))
+    assert told(capsys, "up", "--serial", "00000007", "--speed", "high")[0] == 0
+    ((descriptors, owner),) = made
+    assert descriptors.strings[3] == "00000007"
+    assert descriptors.device.speed.name == "HIGH"
+    assert owner is None
+    assert told(capsys, "down") == (0, {"gadget": "evstim", "removed": False})

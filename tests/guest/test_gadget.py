@@ -1,0 +1,155 @@
+"""Unmodified drivers read a camera on FunctionFS: a gadget of the guest's kernel on the guest's own USB bus.
+
+Short by default; at length:
+
+    EVSTIM_GADGET_EVENTS=1e6 python -m pytest tests/guest/test_gadget.py
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.guest.attachment import EVK4
+from tests.guest.comparison import assert_same
+from tests.guest.environments import DRIVERS, Driver
+from tests.guest.gadget_rig import GadgetCamera, GadgetRig, load_port
+from tests.guest.gige_run import looped_1280x720
+from tests.guest.machine import Guest
+from tests.guest.streaming import Seen, Streaming
+
+EVENTS = round(float(os.environ.get("EVSTIM_GADGET_EVENTS", "1e5")))
+FEWER_EVENTS = 20_000
+LONGER_THAN_THE_CABLE = 1 << 40
+TIMEOUT_S = 300.0 + EVENTS * 1e-4
+CYCLES = 3
+NEVER_READS = str(Path(__file__).parent / "clients" / "never_reads.py")
+ND_EVK4 = Driver("nd_evk4", (), adds_host_time=False)
+
+pytestmark = [
+    pytest.mark.guest,
+    pytest.mark.socket,
+    pytest.mark.timeout(10 * TIMEOUT_S + 3600),
+    pytest.mark.xdist_group("guest"),
+]
+
+
+@pytest.fixture(scope="module")
+def port(guest: Guest) -> Iterator[Guest]:
+    """The guest with a SuperSpeed port."""
+    load_port(guest, "super")
+    yield guest
+    guest.run(["rmmod", "dummy_hcd"])
+
+
+def streamed(guest: Guest, driver: Driver, pythons: dict[str, Path], count: int = EVENTS) -> Seen:
+    seen = Streaming(guest, driver, pythons[driver.name], count, timeout_s=TIMEOUT_S).wait()
+    assert len(seen.events) >= count
+    return seen
+
+
+def assert_turns(camera: GadgetCamera, turns: list[tuple[Driver, Seen]]) -> None:
+    """Assert that each driver saw every event delivered since its start, at its time."""
+    delivered = camera.delivered
+    parts = np.split(delivered.events, delivered.resets[1:])
+    assert len(parts) == len(turns)
+    for (driver, seen), part in zip(turns, parts, strict=True):
+        offset_us = int(seen.events["t"][0]) - int(part["t"][0]) if driver.adds_host_time else 0
+        assert_same(seen.events, part, offset_us=offset_us)
+    assert camera.told["balanced"], camera.told
+    assert camera.told["error"] is None
+
+
+def test_each_driver_sees_every_event_delivered(port: Guest, driver_pythons: dict[str, Path]) -> None:
+    with GadgetCamera(port) as camera:
+        turns = [(driver, streamed(port, driver, driver_pythons)) for driver in DRIVERS]
+    assert (camera.device["bcdDevice"], camera.device["serial"], camera.device["speed"]) == ("0206", "00000346", "5000")
+    assert (camera.device["manufacturer"], camera.device["product"]) == ("iniVation", "DAViS FX3")
+    assert any("plugged in" in state for state in camera.told["states"])
+    assert_turns(camera, turns)
+
+
+@pytest.mark.parametrize("driver", DRIVERS, ids=lambda driver: driver.name)
+def test_a_driver_opens_the_camera_again_and_again(
+    port: Guest, driver_pythons: dict[str, Path], driver: Driver
+) -> None:
+    with GadgetCamera(port) as camera:
+        turns = [(driver, streamed(port, driver, driver_pythons, FEWER_EVENTS)) for _ in range(CYCLES)]
+    assert_turns(camera, turns)
+
+
+def test_a_camera_whose_controller_is_taken_away_is_gone_and_comes_again(
+    port: Guest, driver_pythons: dict[str, Path]
+) -> None:
+    driver = DRIVERS[0]
+    with GadgetCamera(port) as camera:
+        streaming = Streaming(port, driver, driver_pythons[driver.name], LONGER_THAN_THE_CABLE, timeout_s=TIMEOUT_S)
+        streaming.wait_until_started()
+        camera.plug(connected=False)
+        cut = streaming.wait()
+        camera.plug(connected=True)
+        again = streamed(port, driver, driver_pythons, FEWER_EVENTS)
+    delivered = camera.delivered
+    first, second = np.split(delivered.events, delivered.resets[1:])
+    assert cut.about["running"] is False
+    # What was on its way counts as lost, though the host may have read a part of it.
+    assert len(cut.events) <= len(first) + camera.told["dropped"]
+    known = cut.events[: len(first)]
+    assert_same(known, first, offset_us=int(known["t"][0]) - int(first["t"][0]))
+    assert_same(again.events, second, offset_us=int(again.events["t"][0]) - int(second["t"][0]))
+    assert camera.told["balanced"], camera.told
+
+
+def test_a_host_that_never_reads_does_not_stall_the_camera(port: Guest, driver_pythons: dict[str, Path]) -> None:
+    with GadgetCamera(port) as camera:
+        port.check(["env", f"PYTHONPATH={':'.join(sys.path)}", sys.executable, NEVER_READS], TIMEOUT_S)
+        turns = [(driver, streamed(port, driver, driver_pythons, FEWER_EVENTS)) for driver in DRIVERS]
+    assert "dropped_fifo=0" not in camera.told["camera"]
+    assert camera.told["dropped"] > 0
+    assert_turns(camera, turns)
+
+
+def test_drivers_take_turns_at_high_speed(port: Guest, driver_pythons: dict[str, Path]) -> None:
+    load_port(port, "high")
+    try:
+        with GadgetCamera(port, "--speed", "high") as camera:
+            turns = [(driver, streamed(port, driver, driver_pythons, FEWER_EVENTS)) for driver in DRIVERS]
+    finally:
+        load_port(port, "super")
+    assert camera.device["speed"] == "480"
+    assert_turns(camera, turns)
+
+
+def test_what_a_killed_camera_left_does_not_hinder_the_next(port: Guest, driver_pythons: dict[str, Path]) -> None:
+    with GadgetCamera(port) as killed:
+        killed.kill()
+        killed.on_the_bus(0)
+    with GadgetCamera(port) as camera:
+        turns = [(DRIVERS[0], streamed(port, DRIVERS[0], driver_pythons, FEWER_EVENTS))]
+    assert_turns(camera, turns)
+
+
+def test_an_evk4_is_read_event_by_event(port: Guest, driver_pythons: dict[str, Path]) -> None:
+    looped = looped_1280x720(300_000)
+    looped.events["t"] *= 10
+    looped.round_us *= 10
+    options = ("--model", "evk4", "--serial", "0badcafe")
+    with GadgetCamera(port, *options, looped=looped, model=EVK4) as camera:
+        seen = streamed(port, ND_EVK4, {"nd_evk4": driver_pythons["nd"]})
+    assert seen.about["serial"] == "0BADCAFE"
+    assert_turns(camera, [(ND_EVK4, seen)])
+
+
+def test_a_rig_runs_on_the_cable(port: Guest, driver_pythons: dict[str, Path]) -> None:
+    with GadgetRig(port) as rig:
+        seen = streamed(port, DRIVERS[0], driver_pythons, FEWER_EVENTS)
+    delivered = rig.delivered
+    events = delivered.events[delivered.resets[-1] :]
+    assert_same(seen.events, events, offset_us=int(seen.events["t"][0]) - int(events["t"][0]))
+    assert rig.told["balanced"], rig.told
+    assert port.run(["test", "-e", "/sys/kernel/config/usb_gadget/evstim"]).code == 1

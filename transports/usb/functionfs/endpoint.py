@@ -1,0 +1,178 @@
+"""A USB gadget of this machine as a link's endpoint."""
+
+from __future__ import annotations
+
+import logging
+import signal
+from contextlib import suppress
+from dataclasses import dataclass, field
+
+from firmware_protocol.usb.device import Speed, UsbCamera
+from firmware_protocol.usb.functionfs import descriptor_block, string_block
+from transports.faults.kinds import Fault
+from transports.faults.script import FaultPlan, FaultRecord
+from transports.faults.usb import FaultyDevice
+from transports.link.deliveries import Deliveries
+from transports.link.endpoint import Endpoint, EndpointFactory, LinkBroken
+from transports.usb.functionfs.cable import Cable
+from transports.usb.functionfs.files import WAKE_SIGNAL, FunctionFiles
+from transports.usb.functionfs.gadget import Gadget, GadgetError, Places, controller_of
+from transports.usb.functionfs.numbering import with_spares
+from transports.usb.observed import Observed
+
+__all__ = ["GadgetEndpoint", "GadgetFactory"]
+
+log = logging.getLogger(__name__)
+
+_SPEEDS = (Speed.FULL, Speed.HIGH, Speed.SUPER)
+
+
+@dataclass(frozen=True)
+class GadgetFactory(EndpointFactory[UsbCamera]):
+    """Puts the camera behind the controller `udc` (empty: the only one) as the gadget `name`."""
+
+    name: str
+    udc: str
+    faults: FaultPlan = field(default_factory=FaultPlan)
+
+    def build(self, device: UsbCamera, deliveries: Deliveries) -> GadgetEndpoint:
+        """Return the gadget, which hosts do not see yet."""
+        return GadgetEndpoint(self, device, deliveries)
+
+
+class GadgetEndpoint(Endpoint):
+    """One camera at one controller."""
+
+    def __init__(self, factory: GadgetFactory, camera: UsbCamera, deliveries: Deliveries) -> None:
+        self._camera = camera
+        self._faulty = FaultyDevice(camera, factory.faults)
+        self._observed = Observed(self._faulty, deliveries)
+        self._udc = factory.udc
+        self._gadget = Gadget(factory.name)
+        self._is_mine = self._is_gone = self._had_host = False
+        self._cable: Cable | None = None
+        self._files: FunctionFiles | None = None
+        self._trouble = ""
+
+    async def start(self) -> None:
+        """Make the gadget where it is not there, and connect it; raises OSError with what to do."""
+        controller = self._udc = controller_of(self._udc, Places())
+        signal.signal(WAKE_SIGNAL, lambda *_: None)
+        self._prepare()
+        try:
+            self._files = self._open(controller)
+            self._cable = Cable(self._observed, self._files)
+            self._cable.start()
+            self._gadget.bind(controller)
+        except OSError:
+            await self.close()
+            raise
+
+    def pump(self) -> None:
+        """Let the host have what the camera has."""
+        if self._cable is not None:
+            self._cable.pump()
+            if self._cable.enabled != self._had_host:
+                self._had_host = self._cable.enabled
+                self._look_at_addresses()
+
+    def advance_faults(self, stream_us: int) -> None:
+        """See `Endpoint.advance_faults`."""
+        self._faulty.advance(stream_us)
+        if self._faulty.gone != self._is_gone:
+            self._is_gone = self._faulty.gone
+            self._plug(connected=not self._is_gone)
+
+    def inject(self, fault: Fault) -> None:
+        """See `Endpoint.inject`."""
+        self._faulty.inject(fault)
+
+    @property
+    def withholds(self) -> bool:
+        """See `Endpoint.withholds`."""
+        return self._faulty.silent
+
+    @property
+    def faults(self) -> tuple[FaultRecord, ...]:
+        """See `Endpoint.faults`."""
+        return self._faulty.records
+
+    async def close(self) -> None:
+        """Take the camera from its host, and remove the gadget if this link made it."""
+        try:
+            if self._cable is not None:
+                await self._cable.close(self._gadget.unbind)
+        except GadgetError as error:
+            log.warning("%s; it is disconnected by closing its files", error)
+        if self._files is not None:
+            self._files.close()
+        self._faulty.close()
+        if self._is_mine:
+            self._remove()
+
+    @property
+    def state(self) -> str:
+        """Whether a host has the camera."""
+        if self._is_gone:
+            return "unplugged, by a fault"
+        if self._cable is not None and self._cable.enabled:
+            return f"{self._trouble or 'plugged in'} at {self._udc}"
+        return f"waiting for a host at {self._udc}"
+
+    @property
+    def address(self) -> str:
+        """The controller."""
+        return self._udc
+
+    def _plug(self, *, connected: bool) -> None:
+        """Connect the gadget to its controller, or disconnect it; raises LinkBroken."""
+        try:
+            if connected:
+                self._gadget.bind(self._udc)
+            else:
+                self._gadget.unbind()
+        except GadgetError as error:
+            raise LinkBroken(str(error)) from error
+
+    def _prepare(self) -> None:
+        """Make the gadget, where there is none that suits; raises GadgetError."""
+        descriptors = self._camera.descriptors(self._camera.identity.speed)
+        gadget = self._gadget
+        if gadget.is_ready and not gadget.controller and gadget.suits(descriptors):
+            return
+        gadget.make(descriptors)
+        self._is_mine = True
+
+    def _remove(self) -> None:
+        try:
+            self._gadget.remove()
+        except GadgetError as error:
+            log.warning("%s; `evstim gadget down --name %s` will", error, self._gadget.name)
+
+    def _open(self, controller: str) -> FunctionFiles:
+        """Give the kernel the camera's interface; raises OSError."""
+        own = {speed: self._camera.descriptors(speed).configuration for speed in _SPEEDS}
+        try:
+            interfaces = {speed: with_spares(own[speed].interfaces[0], controller) for speed in _SPEEDS}
+        except ValueError as error:
+            raise GadgetError(str(error)) from error
+        places = {place: one.address for place, one in enumerate(interfaces[Speed.FULL].endpoints, 1)}
+        used = {place: address for place, address in places.items() if address in own[Speed.FULL].endpoint_addresses}
+        try:
+            return FunctionFiles(self._gadget.mount, (descriptor_block(interfaces), string_block()), used)
+        except OSError as error:
+            raise GadgetError(
+                f"cannot give the kernel the camera's interface in {self._gadget.mount}: {error}; `evstim gadget down` "
+                "removes what is wrong there"
+            ) from error
+
+    def _look_at_addresses(self) -> None:
+        """See whether the controller gave the endpoints that the camera's drivers know; the log tells where not."""
+        if self._files is None or not self._had_host:
+            return
+        with suppress(OSError):  # the host may be gone again
+            wrong = {own: given for own, given in self._files.given.items() if own != given}
+            told = ", ".join(f"0x{given:02X} for 0x{own:02X}" for own, given in wrong.items())
+            self._trouble = f"wrong endpoints ({told})" if wrong else ""
+            if wrong:
+                log.warning("%s gives endpoint %s: drivers of this camera will not find them", self._udc, told)

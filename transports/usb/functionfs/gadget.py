@@ -1,0 +1,291 @@
+"""A USB gadget in configfs with one FunctionFS function, and its FunctionFS mounted: made, bound, and removed.
+
+    /sys/kernel/config/usb_gadget/NAME/
+        idVendor idProduct bcdDevice max_speed UDC
+        strings/0x409/          manufacturer product serialnumber
+        functions/ffs.NAME/     the function; its files are in the mount
+        configs/c.1/            MaxPower bmAttributes; ffs.NAME -> the function
+    /run/evstim/NAME/           the mount: ep0, and the endpoints when their descriptors were written
+
+The kernel takes the controller from a gadget whose program has ended, also when it was killed: a gadget that has a
+controller is in use, and what else a killed program left is made anew.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import re
+import subprocess
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from firmware_protocol.usb.descriptors import DescriptorSet
+from firmware_protocol.usb.device import Speed
+
+__all__ = ["Gadget", "GadgetError", "Places", "check_name", "controller_of", "mount_functionfs"]
+
+_ENGLISH = "0x409"
+_CONFIGURATION = "c.1"
+_SPEED = {Speed.FULL: "full-speed", Speed.HIGH: "high-speed", Speed.SUPER: "super-speed"}
+_TOOL_TIMEOUT_S = 30.0
+
+
+class GadgetError(OSError):
+    """The machine does not let the gadget be made, bound or removed; tells what to do."""
+
+
+@dataclass(frozen=True)
+class Places:
+    """Folders of the machine."""
+
+    gadgets: Path = Path("/sys/kernel/config/usb_gadget")
+    controllers: Path = Path("/sys/class/udc")
+    mounts: Path = Path("/run/evstim")
+
+
+def mount_functionfs(name: str, mount: Path, owner: int | None) -> None:
+    """Mount the function `name`, for the user with the id `owner` (None: root); raises GadgetError."""
+    options = [] if owner is None else ["-o", f"uid={owner},mode=0700"]
+    _tool(["mount", "-t", "functionfs", *options, name, str(mount)])
+
+
+def _unmount(mount: Path) -> None:
+    _tool(["umount", str(mount)])
+
+
+def _tool(command: list[str]) -> None:
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=_TOOL_TIMEOUT_S, check=False)
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise GadgetError(f"cannot run {command[0]}: {error}") from error
+    if done.returncode:
+        raise GadgetError(f"{' '.join(command)}: {done.stderr.strip()}")
+
+
+def check_name(name: str) -> None:
+    """Raise ValueError for a name that a gadget, a function and a folder cannot have all three."""
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,30}", name):
+        raise ValueError(f"a gadget's name has 1 to 31 letters, digits, '-' and '_', got {name!r}")
+
+
+def controller_of(wanted: str, places: Places) -> str:
+    """Return the USB device controller called `wanted`, or the only one where that is empty; raises GadgetError."""
+    there = sorted(path.name for path in places.controllers.iterdir()) if places.controllers.is_dir() else []
+    if not there:
+        raise GadgetError(
+            f"no USB device controller in {places.controllers}: this needs a board with one, switched to device mode "
+            "(Raspberry Pi: dtoverlay=dwc2 in config.txt); for a trial, modprobe dummy_hcd"
+        )
+    if wanted and wanted not in there:
+        raise GadgetError(f"no USB device controller {wanted!r}; there are: {', '.join(there)}")
+    if not wanted and len(there) > 1:
+        raise GadgetError(f"several USB device controllers, name one (udc): {', '.join(there)}")
+    return wanted or there[0]
+
+
+class Gadget:
+    """A gadget by its name; nothing is done before a method is called.
+
+    Parameters
+    ----------
+    name
+        Of the gadget, its function and the folder of its mount.
+    places
+        Folders of the machine.
+    mount, unmount
+        Mount the function's files, and unmount them.
+
+    Raises
+    ------
+    ValueError
+        The name has letters that folders cannot have.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        places: Places | None = None,
+        mount: Callable[[str, Path, int | None], None] = mount_functionfs,
+        unmount: Callable[[Path], None] = _unmount,
+    ) -> None:
+        check_name(name)
+        self.name = name
+        self._places = places or Places()
+        self._folder = self._places.gadgets / name
+        self._function = self._folder / "functions" / f"ffs.{name}"
+        self._configuration = self._folder / "configs" / _CONFIGURATION
+        self._mount, self._unmount = mount, unmount
+
+    @property
+    def mount(self) -> Path:
+        """Where its FunctionFS is mounted."""
+        return self._places.mounts / self.name
+
+    @property
+    def controller(self) -> str:
+        """The controller that it is bound to; empty where there is none."""
+        return _text(self._folder / "UDC")
+
+    @property
+    def exists(self) -> bool:
+        """True where something of this name is in configfs."""
+        return self._folder.is_dir()
+
+    @property
+    def is_ready(self) -> bool:
+        """True where it is whole, but for its controller."""
+        return (self._configuration / self._function.name).is_symlink() and (self.mount / "ep0").exists()
+
+    def suits(self, descriptors: DescriptorSet) -> bool:
+        """Say whether a host would read the device that `descriptors` describe."""
+        wanted = _attributes(descriptors)
+        return all(_same(_text(self._folder / path), value) for path, value in wanted.items())
+
+    def make(self, descriptors: DescriptorSet, owner: int | None = None) -> None:
+        """Make it for the device that `descriptors` describe, in place of what a killed program left.
+
+        Parameters
+        ----------
+        descriptors
+            Of the device, at the highest speed that it is to have.
+        owner
+            Id of the user who may run the camera; None: root alone.
+
+        Raises
+        ------
+        GadgetError
+            It is in use, or another's, or this user or machine cannot make gadgets.
+        """
+        self._require_root()
+        self.remove()
+        try:
+            self._make(descriptors, owner)
+        except GadgetError:
+            with contextlib.suppress(OSError):
+                self.remove()
+            raise
+        except OSError as error:
+            with contextlib.suppress(OSError):
+                self.remove()
+            raise GadgetError(f"cannot make the gadget {self.name}: {error}") from error
+
+    def bind(self, controller: str) -> None:
+        """Connect it to a controller: from now on hosts see it. Raises GadgetError."""
+        try:
+            (self._folder / "UDC").write_text(controller)
+        except OSError as error:
+            raise GadgetError(self._why_unbound(controller, error)) from error
+
+    def unbind(self) -> None:
+        """Disconnect it: hosts see it being unplugged. Does nothing where it is not bound; raises GadgetError."""
+        try:
+            if self.controller:
+                (self._folder / "UDC").write_text("\n")
+        except OSError as error:
+            if error.errno != errno.ENODEV:
+                raise GadgetError(f"cannot take the gadget {self.name} from its controller: {error}") from error
+
+    def remove(self) -> None:
+        """Remove it, or what there is of it; raises GadgetError where it is in use or another's."""
+        if self.exists:
+            self._require_ours()
+        try:
+            self._remove()
+        except OSError as error:
+            raise GadgetError(f"cannot remove the gadget {self.name}: {error}") from error
+
+    def _make(self, descriptors: DescriptorSet, owner: int | None) -> None:
+        self._folder.mkdir()
+        (self._folder / "strings" / _ENGLISH).mkdir(parents=True)
+        self._function.mkdir(parents=True)
+        self._configuration.mkdir(parents=True)
+        for path, value in _attributes(descriptors).items():
+            (self._folder / path).write_text(value)
+        (self._configuration / self._function.name).symlink_to(self._function)
+        self.mount.mkdir(parents=True, exist_ok=True)
+        self._mount(self.name, self.mount, owner)
+        if owner is not None:
+            os.chown(self._folder / "UDC", owner, -1)
+
+    def _remove(self) -> None:
+        if (self.mount / "ep0").exists():
+            self._unmount(self.mount)
+        if self.mount.is_dir():
+            self.mount.rmdir()
+        link = self._configuration / self._function.name
+        if link.is_symlink():
+            link.unlink()
+        strings = self._folder / "strings" / _ENGLISH
+        for folder in (self._configuration, self._function, strings, self._folder):
+            if folder.is_dir():
+                folder.rmdir()
+
+    def _require_root(self) -> None:
+        if not self._places.gadgets.is_dir():
+            raise GadgetError(
+                f"no {self._places.gadgets}: `modprobe libcomposite`, and `mount -t configfs none /sys/kernel/config` "
+                "where that is empty"
+            )
+        if not os.access(self._places.gadgets, os.W_OK):
+            raise GadgetError(
+                f"only root may make the gadget {self.name}: run as root, or let root prepare it for you with "
+                "`evstim gadget up --user NAME`"
+            )
+
+    def _require_ours(self) -> None:
+        """Raise GadgetError for a gadget that a program runs, or that is not one of ours."""
+        functions = self._folder / "functions"
+        others = [path.name for path in functions.iterdir() if path != self._function] if functions.is_dir() else []
+        if others:
+            raise GadgetError(
+                f"the name {self.name} is in use: that gadget has the function {others[0]}, which evstim does not "
+                "make. Choose another name"
+            )
+        if self.controller:
+            raise GadgetError(
+                f"the gadget {self.name} is in use at {self.controller}: a program runs it. End that one, or choose "
+                "another name"
+            )
+
+    def _why_unbound(self, controller: str, error: OSError) -> str:
+        told = f"cannot connect the gadget {self.name} to {controller}: {error.strerror}"
+        holders = [
+            path.name
+            for path in self._places.gadgets.iterdir()
+            if path != self._folder and _text(path / "UDC") == controller
+        ]
+        if holders:
+            return f"{told}; the gadget {holders[0]} has it: end its program, or write an empty line to its UDC"
+        if error.errno == errno.EBUSY:
+            return f"{told}; a module has it (g_ether, g_serial ...): lsmod, and rmmod that one"
+        return told
+
+
+def _attributes(descriptors: DescriptorSet) -> Mapping[str, str]:
+    """Return what is written to the gadget's files, by their paths."""
+    device, configuration = descriptors.device, descriptors.configuration
+    named = zip(("manufacturer", "product", "serialnumber"), device.strings, strict=True)
+    strings = {f"strings/{_ENGLISH}/{name}": descriptors.strings[index] for name, index in named if index}
+    return {
+        "idVendor": f"0x{device.vendor_id:04x}",
+        "idProduct": f"0x{device.product_id:04x}",
+        "bcdDevice": f"0x{device.bcd_device:04x}",
+        "max_speed": _SPEED[device.speed],
+        **strings,
+        f"configs/{_CONFIGURATION}/MaxPower": str(configuration.max_power_ma),
+        f"configs/{_CONFIGURATION}/bmAttributes": f"0x{configuration.attributes:x}",
+    }
+
+
+def _same(one: str, other: str) -> bool:
+    return one == other or one.lower() == other.lower()
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text().strip()
+    except OSError:
+        return ""
