@@ -12,6 +12,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -53,11 +54,11 @@ class Driver:
         return CLIENTS / f"{self.name}.py"
 
     def python(self, cache: Path) -> Path:
-        """Return the environment's interpreter, making the environment on the first call.
+        """Return the environment's interpreter, making the environment on the first call for these packages.
 
         Raises GuestUnavailable when no fitting Python is here or pip cannot install the packages.
         """
-        environment = cache / f"venv-{self.name}"
+        environment = cache / f"venv-{self.name}-{zlib.crc32(' '.join(self.packages).encode()):08x}"
         if not environment.is_dir():
             cache.mkdir(parents=True, exist_ok=True)
             with tempfile.TemporaryDirectory(dir=cache) as scratch:
@@ -92,7 +93,7 @@ DRIVERS = (
     Driver("dv1", ("dv-processing==1.7.9", "numpy<2"), adds_host_time=True, pythons=("3.11",)),
     Driver(
         "nd",
-        ("neuromorphic_drivers==0.18.2", "numpy"),
+        ("neuromorphic_drivers==0.18.2", "numpy", "pyusb==1.3.1"),
         adds_host_time=False,
         abort_after_unplugging="callback called for a transfer marked as complete",
     ),

@@ -62,6 +62,24 @@ class Collector:
     def done(self) -> bool:
         return self._collected >= self._count or time.monotonic() > self._deadline
 
+    @property
+    def counts(self) -> dict[str, int]:
+        """How much of each stream has come."""
+        return {
+            "events": self._collected, "triggers": len(self._triggers), "imu": len(self._imu),
+            "frames": len(self._frames),
+        }  # fmt: skip
+
+    @property
+    def last_t(self) -> int:
+        """Time of the last event, in microseconds; 0 before the first."""
+        return int(self._columns[-1][0][-1]) if self._columns else 0
+
+    def restart(self) -> None:
+        """Forget what was collected."""
+        self._columns, self._triggers, self._imu, self._frames = [], [], [], []
+        self._collected = 0
+
     def add(self, t: np.ndarray, x: np.ndarray, y: np.ndarray, on: np.ndarray) -> None:
         if self._started is None:
             self._started = time.monotonic()
