@@ -13,8 +13,10 @@ unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: demo test fast check docs docs/rigs.md bench clean
 
+# Two cameras: on USB/IP, read by evstim's own receiver, and on GigE Vision, read by an unmodified driver of others.
 demo: $(VENV)/.installed
 	$(BIN)/evstim demo
+	$(BIN)/evstim demo stars-gige
 
 # Three parts: what is quick; whole programs and fresh compilations; what QEMU emulates, which has the machine to itself.
 test: $(VENV)/.installed-test
@@ -48,7 +50,7 @@ bench: $(VENV)/.installed
 $(VENV)/.installed: pyproject.toml requirements.lock
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "evstim needs Python 3.11 or newer; set PYTHON=")'
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --quiet --disable-pip-version-check --constraint requirements.lock --editable '.[report]'
+	$(BIN)/pip install --quiet --disable-pip-version-check --constraint requirements.lock --editable '.[report,demo]'
 	@touch $@
 
 $(VENV)/.installed-test: $(VENV)/.installed

@@ -87,6 +87,17 @@ def test_a_stock_socket_buffer_is_enough(tmp_path, run, address, driver_pythons,
     assert_same(load_seen(tmp_path / "seen.npz"), delivered, offset_us=0)
 
 
+def test_the_demo_shows_the_driver_reading_every_event():
+    """As `make demo` does it, with the driver in evstim's own environment."""
+    command = [sys.executable, "-m", "evstim", "demo", "stars-gige", "--seconds", "2", "--json"]
+    done = subprocess.run([*_where_libusb_starts(), *command], capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    assert "neuromorphic_drivers, unmodified, attaches to it" in " ".join(done.stderr.split())
+    comparison = json.loads(done.stdout.splitlines()[-1])["comparison"]
+    assert comparison["equal"] is True
+    assert comparison["received"] > 1000
+
+
 def test_the_camera_can_be_opened_again_and_again(tmp_path, run, address, driver_pythons):
     told = _read(driver_pythons["nd"], address, 20_000, 1400, tmp_path / "seen.npz", OPENINGS)
     summary, delivered = run.stop()
