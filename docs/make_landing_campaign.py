@@ -36,7 +36,7 @@ From 1400 to 1600 m, over four grounds, with the Sun 20 to 35 degrees high and t
 over the real serial line, bus and poses. The seed of a run draws its start, the errors of navigation and engine, and
 the camera's noise. A success touches down below 1 m/s with a good verdict of the camera's run.
 
-**Success: {success}**, with Wilson's interval. {missing}
+**Success: {success}**, with Wilson's interval.{missing}
 
 {quantiles}
 
@@ -87,7 +87,7 @@ def page(made: Campaign, rows: Sequence[Row]) -> str:
     names = ["index", *(law.key for law in made.settings.parameters), *shown.columns]
     return TEXT.format(
         success=proportion(sum(bool(row["success"]) for row in rows), len(rows)),
-        missing=f"{missing} of {made.runs} runs are missing." if missing else "",
+        missing=f" {missing} of {made.runs} runs are missing." if missing else "",
         quantiles=markdown([{"column": shown.labels[name], **quantiles(rows, name)} for name in shown.columns]),
         sensitivities=sensitivities(made, rows),
         worst=markdown([{shown.labels.get(name, name): row[name] for name in names} for row in worst_runs(made, rows)]),
