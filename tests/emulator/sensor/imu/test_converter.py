@@ -18,7 +18,7 @@ def settings(unit=2, words=True, **values):
     names |= {"gyroscope_low_pass": 9, "range_deg_s": 10}
     file = RegisterFile(
         [Register(Module.IMU, 0, "TYPE", unit, Access.READ_ONLY)]
-        + [Register(Module.IMU, address, name) for name, address in names.items()]
+        + [Register(Module.IMU, address, name, bits=8) for name, address in names.items()]
     )
     defaults = {"accelerometer": 1, "gyroscope": 1, "temperature": 1, "low_pass": 1, "gyroscope_low_pass": 1}
     defaults |= {"range_g": 1, "range_deg_s": 1}
