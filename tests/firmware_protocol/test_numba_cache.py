@@ -40,6 +40,7 @@ def hits(folder, checksum, name):
     return int(done.stdout)
 
 
+@pytest.mark.system
 def test_code_on_disk_serves_the_same_sources_only(tmp_path):
     assert hits(tmp_path, 1, "Old") == 0
     assert hits(tmp_path, 1, "Old") == 1

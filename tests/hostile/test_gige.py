@@ -192,6 +192,7 @@ def test_a_flood_of_searches_gives_back_less_than_it_brings():
     assert strangers.octets_in < strangers.octets_out + 28 * (strangers.sent - strangers.answers)
 
 
+@pytest.mark.system
 @pytest.mark.timeout(0)
 def test_valid_orders_in_any_order_leave_a_balanced_camera():
     draw = np.random.default_rng(10)

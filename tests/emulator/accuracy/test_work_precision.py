@@ -134,6 +134,7 @@ def test_each_effect_alone_changes_what_it_should():
         assert rows[noisy].scores.count > 1
 
 
+@pytest.mark.system
 def test_the_chart_is_written_as_files_that_can_be_read(tmp_path):
     chosen = (Swept(SMALL, "a sine & more", (1.0, 5.0)),)
     points = list(sweep(chosen, [LINE, methods()[-1]]))

@@ -96,6 +96,7 @@ def test_doctor_names_the_extra_of_a_package_that_is_missing(monkeypatch, capsys
     assert capsys.readouterr().out.count("pip install 'evstim[report]'") == 2
 
 
+@pytest.mark.system
 @pytest.mark.parametrize(("step_us", "code"), [(20_000, 0), (1, 1)])
 def test_doctor_tells_whether_a_rig_runs_in_real_time(step_us, code, rig, capsys):
     rig.write_text(rig.read_text().replace("step_us = 2000", f"step_us = {step_us}"))

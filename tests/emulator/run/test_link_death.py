@@ -76,6 +76,7 @@ def test_events_of_a_killed_link_are_delivered_or_dropped():
     assert "exit code -9" in report.error
 
 
+@pytest.mark.system
 def test_a_link_that_is_to_be_restarted_goes_on_where_it_was():
     link = open_link(restart=True)
     push(link, 5000, 0)

@@ -184,6 +184,7 @@ def test_a_temperature_at_which_nothing_works_is_refused():
             Sensor(too_much, 1)
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("step_ns", [500_000, 5 * MS, 20 * MS])
 def test_noise_does_not_depend_on_the_step(step_ns):
     p = with_(noise=NoiseParameters(rms=0.06, corner_hz=300.0), radiation=RadiationParameters(hits_per_cm2_s=2e4))

@@ -271,6 +271,7 @@ def test_a_facet_in_the_dark_gets_one_triangle(shapes):
     assert np.abs(found.velocities_m_s).max() == 0.0
 
 
+@pytest.mark.system
 def test_corners_that_only_rounding_tells_apart_part_nothing():
     """A square whose first corner is there twice, cut around by a larger one: what overlaps is found."""
     (pieces, counts, earlier), *_ = blank_room(1)

@@ -138,6 +138,7 @@ def test_what_is_no_map_is_told(tmp_path, name, write, changes, message):
         load_heightmap(Heightmap(path=write(tmp_path / name), **changes), MOON_M)
 
 
+@pytest.mark.system
 @settings(max_examples=10, deadline=None)  # a child process for each; tests/hostile/test_files.py has many more
 @given(st.binary(max_size=300))
 def test_hostile_bytes_are_a_scene_error(tmp_path_factory, data):

@@ -59,6 +59,7 @@ def test_the_grid_is_a_tenth_of_the_noises_time_constant():
     assert grid_ns(fast) == 1000
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("refractory_us", [0.0, 200.0, 5000.0])
 @pytest.mark.parametrize("a", [2.5, 3.0])
 def test_events_come_at_the_rate_of_the_law(a, refractory_us):

@@ -8,6 +8,7 @@ from emulator.sensor.pixels import quiet_pass as kernels
 from emulator.sensor.pixels.state import BEFORE_ROWS, BLOCK, StepConstants
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("touching", [False, True], ids=["anywhere", "touching"])
 def test_the_quiet_test_rejects_no_step_that_fires(touching):
     """100 000 random steps along cubics in log light against RK4 with 200 sub-steps in float64.
