@@ -246,6 +246,7 @@ def _gige_camera(rig: Rig, link: Any) -> Callable[[], Triton2]:
         serial=rig.camera.serial,
         start_delay_us=round(rig.camera.start_delay_ms * 1000),
         block_us=link.block_us,
+        biases=rig.camera.bias_model,
     )
     return partial(Triton2, settings)
 

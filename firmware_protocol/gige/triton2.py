@@ -10,6 +10,7 @@ The device's time is zero at AcquisitionStart: neuromorphic_drivers begins at ze
 from __future__ import annotations
 
 from collections import Counter, deque
+from collections.abc import Mapping
 from heapq import heappop, heappush
 
 from firmware_protocol.edges import EdgeKind, Edges, empty_edges
@@ -127,6 +128,16 @@ class Triton2(EventDevice):
         """Offsets of the biases from the factory's values, by Prophesee's names."""
         values = {name: self._memory.get(bias.address) for name, bias in BIASES.items()}
         return {name: value - (value >> 31 << 32) for name, value in values.items()}
+
+    @property
+    def sensor_factors(self) -> Mapping[str, float]:
+        """What the biases that hosts wrote do to the pixels; empty while they are the factory's."""
+        return self.settings.biases.factors(self.biases)
+
+    @property
+    def without_effect(self) -> Mapping[str, str]:
+        """Biases that hosts moved and that change nothing here, and why."""
+        return self.settings.biases.without_effect(self.biases)
 
     @property
     def room_events(self) -> int:
