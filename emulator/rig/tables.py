@@ -79,8 +79,8 @@ class Camera:
     @property
     def bias_model(self) -> BiasModel:
         """What biases of an IMX636 do to this sensor."""
-        low_pass = "source_follower_hz" if self.sensor.source_follower_hz else "corner_max_hz"
-        return BiasModel(self.bias_slopes or BiasSlopes(), low_pass)
+        slopes = self.bias_slopes or BiasSlopes()
+        return BiasModel(slopes, "source_follower_hz" if self.sensor.source_follower_hz else "corner_max_hz")
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,7 @@
 """What biases written by an unmodified neuromorphic_drivers do, measured from the events that it gets.
 
-The light is known in closed form: its logarithm goes up and down on straight lines, the same for all pixels. Events of
-one pixel on one line are threshold / slope + refractory period apart. The driver gets them over GigE Vision on the
-loopback interface, so nothing of the camera's own is used to read them.
+The light is known in closed form, see `known_ramp`. The driver gets the events over GigE Vision on the loopback
+interface, so nothing of the camera's own is used to read them.
 """
 
 from __future__ import annotations
@@ -18,12 +17,12 @@ import pytest
 from emulator.run.free_ports import free_loopback_address
 from firmware_protocol.gige.gvcp import GVCP_PORT
 from tests.guest.gige_run import RigRun
+from tests.guest.known_ramp import apart_us, expected_us, save_frames
 from tests.guest.test_gige import where_libusb_starts
 
 CLIENT = Path(__file__).with_name("clients") / "nd_gige_biases.py"
 SECONDS = 2.0
-THRESHOLD, SLOPE_PER_S, RISE = 0.2, 8.0, 4.0
-REFRACTORY_US = 2000.0
+THRESHOLD, REFRACTORY_US = 0.2, 2000.0
 ROUNDING_US = 2
 RIG = """
 title = "light whose logarithm goes up and down on straight lines"
@@ -67,26 +66,10 @@ def address():
 
 @pytest.fixture
 def run(tmp_path, address):
-    levels = np.exp([0.0, RISE, 0.0]).astype(np.float32)
-    np.save(tmp_path / "triangle.npy", np.broadcast_to(levels[:, None, None], (3, 12, 16)))
+    save_frames(tmp_path / "triangle.npy", 16, 12, (16, 12))
     run = RigRun(tmp_path, RIG.format(threshold=THRESHOLD, refractory_us=REFRACTORY_US, host=address))
     yield run
     run.kill()
-
-
-def _apart_us(events, on):
-    """Return the median time between events of a pixel on one line of light, as often as a polarity repeats."""
-    order = np.lexsort((events["t"], events["x"], events["y"]))
-    ordered = events[order]
-    same = (ordered["x"][1:] == ordered["x"][:-1]) & (ordered["y"][1:] == ordered["y"][:-1])
-    same &= (ordered["on"][1:] == on) & (ordered["on"][:-1] == on)
-    apart_us = np.diff(ordered["t"].astype(np.int64))[same]
-    assert len(apart_us) > 500
-    return float(np.median(apart_us))
-
-
-def _expected_us(threshold, refractory_us):
-    return 1e6 * threshold / SLOPE_PER_S + refractory_us
 
 
 def test_thresholds_and_refractory_period_follow_what_the_driver_writes(tmp_path, run, address, driver_pythons):
@@ -98,13 +81,13 @@ def test_thresholds_and_refractory_period_follow_what_the_driver_writes(tmp_path
     summary, _ = run.stop()
     assert summary["balanced"], summary
     with np.load(tmp_path / "seen.npz") as seen:
-        measured = [[_apart_us(seen[str(k)], on) for on in (True, False)] for k in range(len(sets))]
+        measured = [[apart_us(seen[str(k)], on=on) for on in (True, False)] for k in range(len(sets))]
     expected = [
-        [_expected_us(THRESHOLD, REFRACTORY_US)] * 2,
-        [_expected_us(THRESHOLD * 1.63, REFRACTORY_US), _expected_us(THRESHOLD * 0.65, REFRACTORY_US)],
-        [_expected_us(THRESHOLD * 0.4645, REFRACTORY_US), _expected_us(THRESHOLD * 1.8, REFRACTORY_US)],
-        [_expected_us(THRESHOLD, 2 * REFRACTORY_US)] * 2,
-        [_expected_us(THRESHOLD, REFRACTORY_US)] * 2,
+        [expected_us(THRESHOLD, REFRACTORY_US)] * 2,
+        [expected_us(THRESHOLD * 1.63, REFRACTORY_US), expected_us(THRESHOLD * 0.65, REFRACTORY_US)],
+        [expected_us(THRESHOLD * 0.4645, REFRACTORY_US), expected_us(THRESHOLD * 1.8, REFRACTORY_US)],
+        [expected_us(THRESHOLD, 2 * REFRACTORY_US)] * 2,
+        [expected_us(THRESHOLD, REFRACTORY_US)] * 2,
     ]
     deviation = np.abs(np.divide(measured, expected) - 1).max()
     sys.stdout.write(f"largest deviation {deviation:.2%}\n")
