@@ -17,7 +17,7 @@ from firmware_protocol.edges import EdgeKind, Edges, empty_edges
 from firmware_protocol.event_device import CameraCounters, EdgeCounters, EventDevice
 from firmware_protocol.events import Events
 from firmware_protocol.gige.bootstrap import Register
-from firmware_protocol.gige.evs_registers import ACQUISITION_START, ACQUISITION_STOP, BIASES, Evs
+from firmware_protocol.gige.evs_registers import ACQUISITION_START, ACQUISITION_STOP, BIASES, TOLD_WITH_DATA, Evs
 from firmware_protocol.gige.gvcp import Resend, Status
 from firmware_protocol.gige.gvsp import removed, test_packet
 from firmware_protocol.gige.memory import Memory, Rule
@@ -249,9 +249,11 @@ class Triton2(EventDevice):
     def _put_edges(self, edges: Edges) -> None:
         """Queue edges for the stream, and messages of them where the host wants these."""
         self._outflow.put_edges(edges)
-        if self.message_destination is not None and self._memory.get(Evs.EVENT_NOTIFICATION):
-            for time_us in edges["t"].tolist():
-                self.messages.tell(EDGE_EVENT, 1000 * (time_us - self._epoch_us))
+        told = self._memory.get(Evs.EVENT_NOTIFICATION)
+        if self.message_destination is not None and told:
+            for time_us, kind in zip(edges["t"].tolist(), edges["kind"].tolist(), strict=True):
+                data = kind.to_bytes(4, "big") if told == TOLD_WITH_DATA else b""
+                self.messages.tell(EDGE_EVENT, 1000 * (time_us - self._epoch_us), data)
 
     def _settle(self, outgoing: Outgoing, fate: str) -> None:
         self._carried -= len(outgoing.events)

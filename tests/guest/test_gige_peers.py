@@ -119,5 +119,7 @@ def test_viva_genicam_finds_reads_and_writes(network, camera, tmp_path):
     summary, delivered = camera.stop()
     events, edges = Evt3Decoder().decode(seen.read_bytes())
     assert_same(events, delivered, offset_us=0)
-    assert told["edge"] == {"acks": 1, "event": 0x9000, "event_ns": 1000 * int(edges["t"][0])}
+    first_ns = 1000 * int(edges["t"][0])
+    with_data = {"data": "", "second": 0x9000, "second_data": "00000004"}
+    assert told["edge"] == {"acks": 1, "event": 0x9000, "event_ns": first_ns, **with_data}
     assert summary["balanced"], summary
