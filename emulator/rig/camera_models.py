@@ -57,15 +57,17 @@ class CameraModel:
     ----------
     gige
         Whether it is a GigE Vision device.
-    has_bias_slopes
-        Whether it takes `camera.bias_slopes`: an IMX636 whose hosts write its biases.
     """
 
     sensor: SensorParameters
     chip: Chip
     usb: UsbModel | None = None
     gige: bool = False
-    has_bias_slopes: bool = False
+
+    @property
+    def is_imx636(self) -> bool:
+        """Whether its chip is an IMX636: biases act by `camera.bias_slopes`."""
+        return self.chip is CHIPS["imx636"]
 
 
 IMU_UNITS = {"mpu_6050": 1, "mpu_9250": 2}
@@ -105,10 +107,8 @@ CAMERA_MODELS: Mapping[str, CameraModel] = {
     "davis346": CameraModel(PRESETS["davis346"], CHIPS["davis346"], UsbModel((346, 260), _davis346)),
     "dvxplorer_micro": CameraModel(PRESETS["dvxplorer_micro"], CHIPS["dvxplorer_micro"]),
     "imx636": CameraModel(PRESETS["imx636"], CHIPS["imx636"]),
-    "evk4": CameraModel(
-        PRESETS["imx636"], CHIPS["imx636"], UsbModel((1280, 720), _evk4, has_evt=True), has_bias_slopes=True
-    ),
-    "triton2": CameraModel(PRESETS["imx636"], CHIPS["imx636"], gige=True, has_bias_slopes=True),
+    "evk4": CameraModel(PRESETS["imx636"], CHIPS["imx636"], UsbModel((1280, 720), _evk4, has_evt=True)),
+    "triton2": CameraModel(PRESETS["imx636"], CHIPS["imx636"], gige=True),
     "ideal": CameraModel(PRESETS["ideal"], CHIPS["davis346"], UsbModel((346, 260), _davis346)),
 }
 """Camera models by the name that rigs write."""

@@ -47,7 +47,7 @@ class Camera:
     frames
         The active pixels of a DAVIS346: with this table the camera takes frames when its host asks for them.
     bias_slopes
-        What a step of each bias is worth on the IMX636 of an "evk4" or a "triton2"; without it, the defaults below.
+        What a step of each bias is worth on an IMX636: model "evk4", "triton2" or "imx636"; without it, the defaults.
     """
 
     model: str = "davis346"

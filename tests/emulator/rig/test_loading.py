@@ -227,7 +227,7 @@ source_follower_hz = {follower_hz}
 """
 
 
-@pytest.mark.parametrize("model", ["evk4", "triton2"])
+@pytest.mark.parametrize("model", ["evk4", "triton2", "imx636"])
 @pytest.mark.parametrize(("follower_hz", "low_pass"), [(0.0, "corner_max_hz"), (500.0, "source_follower_hz")])
 def test_a_rig_gives_the_slopes_of_biases(model, follower_hz, low_pass):
     text = IMX636.format(model=model, slopes="diff_on = 0.01", follower_hz=follower_hz)
@@ -239,7 +239,7 @@ def test_a_rig_gives_the_slopes_of_biases(model, follower_hz, low_pass):
 
 
 def test_slopes_of_biases_are_refused_where_there_are_none_or_they_cannot_be():
-    for model in ("davis346", "imx636"):
+    for model in ("davis346", "dvxplorer_micro"):
         text = IMX636.format(model=model, slopes="", follower_hz=0.0)
         assert f"biases of a {model} have no slopes" in message(text)
     assert "refr must be 0 to 1" in message(IMX636.format(model="evk4", slopes="refr = 2.0", follower_hz=0.0))

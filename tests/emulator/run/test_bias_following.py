@@ -6,6 +6,8 @@ import math
 import numpy as np
 import pytest
 
+from emulator.rig.loading import parse_rig
+from emulator.run.assembly import link_setups
 from emulator.run.bias_following import BiasFollowing
 from emulator.sensor.presets import PRESETS
 from emulator.sensor.sensor import Sensor
@@ -145,3 +147,26 @@ def test_the_refractory_period_of_an_imx636_follows_its_bias(steps, refractory_u
     BiasFollowing(sensor).follow({"gige": report(**BiasModel().factors({"refr": steps}))})
     apart_us = 1e6 / events_of_ramp(sensor, 1)
     assert apart_us == pytest.approx(1e6 * 0.283 / LN_RAMP + refractory_us, rel=0.03)
+
+
+SERIAL_RIG = """
+title = "t"
+[scene]
+kind = "checkerboard"
+[camera]
+model = "{model}"
+[[links]]
+kind = "serial"
+"""
+
+
+@pytest.mark.parametrize(
+    ("model", "number", "value", "factor"),
+    [("davis346", ADDRESSES["RefrBp"], int(CoarseFine(4, 50, n_type=False)), 0.5), ("evk4", 8, 40, 0.5),
+     ("triton2", 8, 30, 2 / 3), ("imx636", 8, 40, 0.5)],
+)  # fmt: skip
+def test_telecommands_set_the_biases_of_the_camera_s_own_chip(model, number, value, factor):
+    (setup,) = link_setups(parse_rig(SERIAL_RIG.format(model=model), "t.toml", "t"))
+    instrument = setup.device()
+    instrument.set_bias(number, value)
+    assert instrument.sensor_factors["refractory_us"] == pytest.approx(factor)
