@@ -17,7 +17,7 @@ from transports.link.report import LinkReport
 
 __all__ = ["BiasFollowing"]
 
-log = logging.getLogger("evstim")
+log = logging.getLogger(__name__)
 
 
 class BiasFollowing:

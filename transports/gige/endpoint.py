@@ -33,7 +33,7 @@ from transports.network.datagrams import ByteBudget
 
 __all__ = ["GigeEndpoint", "GigeFactory"]
 
-log = logging.getLogger("evstim")
+log = logging.getLogger(__name__)
 
 _IP_UDP_OCTETS = 28
 _BURST_NS = 1_000_000  # with one block, at 1 Gbit/s, three quarters of a stock socket buffer: a packet takes 2304 there
