@@ -153,6 +153,11 @@ class EventDevice(ABC):
         return {}
 
     @property
+    def without_effect(self) -> Mapping[str, str]:
+        """Settings that its host has moved and that change nothing in the simulated sensor, and why, by their names."""
+        return {}
+
+    @property
     @abstractmethod
     def counters(self) -> CameraCounters:
         """Fates of all events offered so far."""

@@ -64,6 +64,11 @@ class CameraModel:
     usb: UsbModel | None = None
     gige: bool = False
 
+    @property
+    def is_imx636(self) -> bool:
+        """Whether its chip is an IMX636: biases act by `camera.bias_slopes`."""
+        return self.chip is CHIPS["imx636"]
+
 
 IMU_UNITS = {"mpu_6050": 1, "mpu_9250": 2}
 """Register TYPE of an inertial unit."""
@@ -93,6 +98,7 @@ def _evk4(camera: Camera, usb: UsbSettings) -> Callable[[], UsbCamera]:
         fifo_bytes=camera.fifo_bytes,
         start_delay_us=round(usb.start_delay_ms * 1000),
         surroundings=Surroundings(celsius=sensor.temperature.celsius, dead_time_us=sensor.refractory_us),
+        biases=camera.bias_model,
     )
     return partial(Evk4, settings)
 

@@ -216,6 +216,9 @@ def _camera(table: object) -> Camera:
     own = {k: v for k, v in table.items() if k != "sensor"}
     camera = convert(own, Camera, path)
     camera = dataclasses.replace(camera, sensor=_sensor(table.get("sensor", {}), CAMERA_MODELS[model].sensor))
+    if camera.bias_slopes is not None and not CAMERA_MODELS[model].is_imx636:
+        able = " or ".join(name for name, one in CAMERA_MODELS.items() if one.is_imx636)
+        raise TableError(f"biases of a {model} have no slopes: leave it out, or take {able}", (*path, "bias_slopes"))
     usb = CAMERA_MODELS[model].usb
     if usb is not None:
         try:

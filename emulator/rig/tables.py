@@ -10,6 +10,7 @@ from emulator.sensor.aps.parameters import FrameParameters
 from emulator.sensor.imu.parameters import ImuParameters
 from emulator.sensor.presets import PRESETS, SensorParameters
 from firmware_protocol.device_clock import ClockSettings
+from firmware_protocol.imx636.bias_effects import BiasModel, BiasSlopes
 
 __all__ = ["Camera", "Method", "Run"]
 
@@ -45,6 +46,8 @@ class Camera:
         For scenes in units of radiance; the others bring their own light.
     frames
         The active pixels of a DAVIS346: with this table the camera takes frames when its host asks for them.
+    bias_slopes
+        What a step of each bias is worth on an IMX636: model "evk4", "triton2" or "imx636"; without it, the defaults.
     """
 
     model: str = "davis346"
@@ -58,6 +61,7 @@ class Camera:
     imu: ImuParameters | None = None
     lens: LensParameters = field(default_factory=LensParameters)
     frames: FrameParameters | None = None
+    bias_slopes: BiasSlopes | None = None
 
     def __post_init__(self) -> None:
         if not 1 <= len(self.serial) <= 8 or not self.serial.isascii() or not self.serial.isprintable():
@@ -71,6 +75,12 @@ class Camera:
     def size(self) -> tuple[int, int]:
         """(width, height) of the sensor, pixels."""
         return self.sensor.width, self.sensor.height
+
+    @property
+    def bias_model(self) -> BiasModel:
+        """What biases of an IMX636 do to this sensor."""
+        slopes = self.bias_slopes or BiasSlopes()
+        return BiasModel(slopes, "source_follower_hz" if self.sensor.source_follower_hz else "corner_max_hz")
 
 
 @dataclass(frozen=True)

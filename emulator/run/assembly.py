@@ -36,6 +36,7 @@ from emulator.tables.registry import imported
 from firmware_protocol.gige.settings import GigeSettings
 from firmware_protocol.gige.triton2 import Triton2
 from firmware_protocol.imu_samples import IMU_SAMPLE
+from firmware_protocol.instrument.biases import Imx636Biases
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.plain_device import PlainDevice
 from firmware_protocol.readings import ReadingKind
@@ -236,7 +237,8 @@ def _faults(rig: Rig, link: LinkParameters, log: Path | None) -> FaultPlan:
 
 
 def _instrument(rig: Rig, link: Any) -> Callable[[], Instrument]:
-    return partial(Instrument, rig.camera.size, link.instrument)
+    biases = Imx636Biases(rig.camera.bias_model) if CAMERA_MODELS[rig.camera.model].is_imx636 else None
+    return partial(Instrument, rig.camera.size, link.instrument, biases)
 
 
 def _gige_camera(rig: Rig, link: Any) -> Callable[[], Triton2]:
@@ -246,6 +248,7 @@ def _gige_camera(rig: Rig, link: Any) -> Callable[[], Triton2]:
         serial=rig.camera.serial,
         start_delay_us=round(rig.camera.start_delay_ms * 1000),
         block_us=link.block_us,
+        biases=rig.camera.bias_model,
     )
     return partial(Triton2, settings)
 

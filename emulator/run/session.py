@@ -370,7 +370,9 @@ class Session:
 
     def _status(self, start_ns: int) -> RunStatus:
         reports = {link.name: link.listen() for link in self._links}
-        self._biases.follow(reports)
+        self._biases.follow(self._of_first(reports))
+        if self._second is not None:
+            self._second.follow(reports)
         return RunStatus(
             self._t_ns * 1e-9,
             (self._clock.now_ns() - start_ns) * 1e-9,
@@ -388,7 +390,10 @@ class Session:
         return {link.name: link.stop(drain_s) for link in links}
 
     def _ledger(self, reports: dict[str, LinkReport]) -> Ledger:
-        if self._second is None:
-            return ledger_of(self._sensor, reports)
-        own = {name: report for name, report in reports.items() if name not in self._second.links}
-        return ledger_of(self._sensor, own, self._second.ledger(reports))
+        second = None if self._second is None else self._second.ledger(reports)
+        return ledger_of(self._sensor, self._of_first(reports), second)
+
+    def _of_first(self, reports: Mapping[str, LinkReport]) -> dict[str, LinkReport]:
+        """Return the reports of the links that carry the first camera."""
+        carried = frozenset() if self._second is None else self._second.links
+        return {name: report for name, report in reports.items() if name not in carried}

@@ -11,6 +11,7 @@ from typing import Any
 
 from emulator.rig.loading import Rig, RigError
 from emulator.rig.second_camera import SecondCamera
+from emulator.run.bias_following import BiasFollowing
 from emulator.run.frames import Pictures
 from emulator.run.ledger import Ledger, LinkLedger
 from emulator.run.readings import ReadingSources
@@ -66,6 +67,7 @@ class SecondView:
 
     def __init__(self, pictures: Pictures, sensor: EventSource, readings: ReadingSources, links: Sequence[str]) -> None:
         self._pictures, self._sensor, self._readings = pictures, sensor, readings
+        self._biases = BiasFollowing(sensor)
         self.links = frozenset(links)
 
     def begin(self) -> None:
@@ -86,9 +88,16 @@ class SecondView:
         """Return what the read-out still holds."""
         return self._sensor.finish()
 
+    def follow(self, reports: Mapping[str, LinkReport]) -> None:
+        """Let its sensor follow the biases that its hosts write."""
+        self._biases.follow(self._own(reports))
+
     def ledger(self, reports: Mapping[str, LinkReport]) -> Ledger:
         """Return where its events went."""
-        return ledger_of(self._sensor, {name: report for name, report in reports.items() if name in self.links})
+        return ledger_of(self._sensor, self._own(reports))
+
+    def _own(self, reports: Mapping[str, LinkReport]) -> dict[str, LinkReport]:
+        return {name: report for name, report in reports.items() if name in self.links}
 
     def close(self) -> None:
         """Close its scene."""

@@ -7,7 +7,7 @@
 Run gate: events leave while the array runs (register 0004 bit 10), the output is not disabled (9028 bit 1) and time
 runs (9008 bit 0). Opening it begins a stream; closing it drops what waits. Device time is zero when time starts to run.
 
-Biases are kept and read back. They do not act: no public formula gives a threshold or a bandwidth for them.
+Biases act on the sensor by way of `sensor_factors`; see `imx636.bias_effects`.
 
 Vendor request on endpoint 0, without which neuromorphic_drivers does not list the camera:
 
@@ -19,6 +19,7 @@ One thread at a time may use a camera.
 from __future__ import annotations
 
 from collections import Counter, deque
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -53,7 +54,7 @@ class Evk4(UsbCamera):
     def __init__(self, settings: Evk4Settings | None = None) -> None:
         self.settings = settings = settings or Evk4Settings()
         self._standard = StandardControl(settings.descriptors())
-        self._registers = Registers(settings.surroundings)
+        self._registers = Registers(settings.surroundings, settings.biases)
         self._selection = Selection(self._registers)
         facts = BoardFacts(int(settings.serial, 16), settings.release, settings.build_unix_s)
         self._board = Board(facts, self)
@@ -105,6 +106,16 @@ class Evk4(UsbCamera):
     def biases(self) -> dict[str, int]:
         """Currents of the biases, 0 to 255, by Prophesee's names, as the host set them."""
         return {name: self._registers[address] & 0xFF for name, (address, _) in BIASES.items()}
+
+    @property
+    def sensor_factors(self) -> Mapping[str, float]:
+        """What the biases that the host wrote do to the pixels; empty while they are the factory's."""
+        return self._registers.sensor_factors
+
+    @property
+    def without_effect(self) -> Mapping[str, str]:
+        """Biases that the host moved and that change nothing here, and why."""
+        return self.settings.biases.without_effect(self._registers.bias_steps)
 
     @property
     def counters(self) -> CameraCounters:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from firmware_protocol.imx636.bias_effects import BiasModel
 from firmware_protocol.imx636.registers import SIZE, Surroundings
 from firmware_protocol.usb.descriptors import (
     Configuration,
@@ -48,6 +49,8 @@ class Evk4Settings:
         Firmware version, 0x00MMmmpp; OpenEB refuses below 0x030800.
     build_unix_s
         When that was built.
+    biases
+        What biases do to the sensor.
     """
 
     serial: str = "00000346"
@@ -58,6 +61,7 @@ class Evk4Settings:
     release: int = 0x03_0900
     build_unix_s: int = 1_700_000_000
     surroundings: Surroundings = field(default_factory=Surroundings)
+    biases: BiasModel = field(default_factory=BiasModel)
 
     def __post_init__(self) -> None:
         if not 1 <= len(self.serial) <= 8 or set(self.serial) - set("0123456789abcdefABCDEF"):

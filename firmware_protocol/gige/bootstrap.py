@@ -95,6 +95,7 @@ class Capability(IntFlag):
     LINK_SPEED = 1 << 28
     SCHEDULED_ACTION = 1 << 17
     ACTION = 1 << 6
+    EVENTDATA = 1 << 4
     EVENT = 1 << 3
     RESEND = 1 << 2
     WRITEMEM = 1 << 1

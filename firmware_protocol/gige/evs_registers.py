@@ -2,7 +2,7 @@
 
     1010 0030               temperature, signed, 1/16 degree C
     1030 0000 - 1030 0020   acquisition and picture: mode, start, stop, payload size, width, height, event format
-    1030 0024, 1030 0028    messages: which event is meant, whether it is told
+    1030 0024, 1030 0028    messages: which event is meant, whether it is told: 1 without data, 2 with data
     13F3 0000 + 14 k        bias k: value, least, most (signed offsets from the factory's value)
     13F6 0000               rate control: on, 0004 period, us, 0018 events a period, 002C what is dropped
     1040 1004 - 1040 1038   rows:    on, selector, size, offset, number of ranges
@@ -24,7 +24,7 @@ from firmware_protocol.gige.memory import Rule, between
 
 __all__ = [
     "ACQUISITION_START", "ACQUISITION_STOP", "BIASES", "COLUMNS", "INVERTED", "MOST_RANGES", "PERIOD_US", "ROWS",
-    "TEMPERATURE", "Bias", "Erc", "Evs", "RangeRegisters", "evs_areas", "evs_rules",
+    "TEMPERATURE", "TOLD_WITH_DATA", "Bias", "Erc", "Evs", "RangeRegisters", "evs_areas", "evs_rules",
 ]  # fmt: skip
 
 TEMPERATURE = 0x1010_0030
@@ -32,6 +32,7 @@ ACQUISITION_START = 0x1030_0004
 ACQUISITION_STOP = 0x1030_0008
 INVERTED = 0x1040_108C
 PERIOD_US = 200
+TOLD_WITH_DATA = 2
 MOST_RANGES = 64
 _CELSIUS = 35
 
@@ -119,7 +120,11 @@ def evs_rules(size: tuple[int, int]) -> dict[int, Rule]:
     rules = {bias.address: between(bias.least, bias.most) for bias in BIASES.values()}
     rules |= {Evs.MODE: between(0, 0), Evs.EVENT_FORMAT: between(0, 0), INVERTED: between(0, 1)}
     rules |= {Erc.ON: between(0, 1), Erc.PERIOD_US: between(1, 1 << 20), Erc.EVENTS: between(0, (1 << 31) - 1)}
-    rules |= {Erc.DROP_MODE: between(0, 4), Evs.EVENT_SELECTOR: between(0, 0), Evs.EVENT_NOTIFICATION: between(0, 1)}
+    rules |= {
+        Erc.DROP_MODE: between(0, 4),
+        Evs.EVENT_SELECTOR: between(0, 0),
+        Evs.EVENT_NOTIFICATION: between(0, TOLD_WITH_DATA),
+    }
     for registers, pixels in ((ROWS, size[1]), (COLUMNS, size[0])):
         rules |= {
             registers.on: between(0, 1),

@@ -11,6 +11,7 @@ from firmware_protocol.gige.evs_registers import (
     ACQUISITION_START,
     ACQUISITION_STOP,
     BIASES,
+    TOLD_WITH_DATA,
     Erc,
     Evs,
 )
@@ -127,13 +128,13 @@ def _rate_control() -> list[Feature]:
 
 def _messages() -> list[Feature]:
     group = "EventControl"
-    on_off = {"Off": 0, "On": 1}
+    states = {"Off": 0, "On": 1, "OnWithData": TOLD_WITH_DATA}
     return [
         Feature(
             "EventSelector", group, "enumeration", Evs.EVENT_SELECTOR, "Event that is meant",
             entries={"Line0AnyEdge": 0},
         ),
-        Feature("EventNotification", group, "enumeration", Evs.EVENT_NOTIFICATION, "Is told", entries=on_off),
+        Feature("EventNotification", group, "enumeration", Evs.EVENT_NOTIFICATION, "Is told", entries=states),
     ]  # fmt: skip
 
 

@@ -41,7 +41,7 @@ _FORCE_IP = struct.Struct(">HHI12xI12xI12xI")
 
 
 class Command(IntEnum):
-    """Requests; an answer carries the number plus one. EVENT goes from the device to its host: see `messages`."""
+    """Requests; an answer carries the number plus one. EVENT, EVENTDATA go from the device to its host: `messages`."""
 
     DISCOVERY = 0x0002
     FORCEIP = 0x0004
@@ -51,6 +51,7 @@ class Command(IntEnum):
     READMEM = 0x0084
     WRITEMEM = 0x0086
     EVENT = 0x00C0
+    EVENTDATA = 0x00C2
     ACTION = 0x0100
 
 

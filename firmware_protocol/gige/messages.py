@@ -1,7 +1,8 @@
 """The message channel: what a camera tells its host unasked.
 
     message   a GVCP request of the camera, EVENT: u16 0 | u16 event | u16 stream, 0xFFFF none | u16 block | u64 ns
-    answer    u16 status | u16 EVENT + 1 | u16 0 | u16 id
+              or EVENTDATA: the same, then the data; of an edge u32 its kind, as in `edges`
+    answer    u16 status | u16 EVENT + 1, or EVENTDATA + 1 | u16 0 | u16 id
 
 Where the host has set a timeout, a message asks for an answer and is repeated until it comes, as often as the host has
 said; the next one waits meanwhile. Otherwise each is sent once.
@@ -39,6 +40,7 @@ class MessageSettings:
 @dataclass
 class _Sent:
     number: int
+    command: Command
     payload: bytes
     again_ns: int
     left: int
@@ -54,17 +56,18 @@ class Messages:
     """
 
     def __init__(self) -> None:
-        self._waiting: deque[bytes] = deque()
+        self._waiting: deque[tuple[Command, bytes]] = deque()
         self._sent: _Sent | None = None
         self._number = 0
         self.counts: Counter[str] = Counter()
 
-    def tell(self, event: int, time_ns: int) -> None:
-        """Queue a message; one that finds no room is counted as lost."""
+    def tell(self, event: int, time_ns: int, data: bytes = b"") -> None:
+        """Queue a message, an EVENTDATA where there are data; one that finds no room is counted as lost."""
         if len(self._waiting) == _MOST:
             self.counts["messages lost"] += 1
             return
-        self._waiting.append(_PAYLOAD.pack(0, event, _NO_STREAM, 0, time_ns))
+        payload = _PAYLOAD.pack(0, event, _NO_STREAM, 0, time_ns) + data
+        self._waiting.append((Command.EVENTDATA if data else Command.EVENT, payload))
 
     def next(self, now_ns: int, settings: MessageSettings) -> bytes | None:
         """Return the next message to send, or one to send again; None while an answer may still come."""
@@ -77,20 +80,20 @@ class Messages:
             if not self._waiting:
                 return None
             self._number = self._number % 0xFFFF + 1
-            self._sent = _Sent(self._number, self._waiting.popleft(), 0, settings.retries + 1)
+            self._sent = _Sent(self._number, *self._waiting.popleft(), 0, settings.retries + 1)
             self.counts["messages"] += 1
         sent = self._sent
         sent.again_ns, sent.left = now_ns + settings.timeout_ns, sent.left - 1
         if not settings.timeout_ns:
             self._sent = None
-        return request(Command.EVENT, sent.number, sent.payload, flags=int(settings.timeout_ns > 0))
+        return request(sent.command, sent.number, sent.payload, flags=int(settings.timeout_ns > 0))
 
     def answered(self, datagram: bytes) -> None:
         """Take what came from the host: the answer to the message that was sent last, or nothing of meaning."""
         if self._sent is None or len(datagram) != _ANSWER.size:
             return
         _, command, _, number = _ANSWER.unpack(datagram)
-        if (command, number) == (Command.EVENT + 1, self._sent.number):
+        if (command, number) == (self._sent.command + 1, self._sent.number):
             self._sent = None
 
     def clear(self) -> None:

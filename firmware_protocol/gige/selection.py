@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -20,19 +19,11 @@ from firmware_protocol.gige.evs_registers import (
     evs_rules,
 )
 from firmware_protocol.gige.memory import Rule
+from firmware_protocol.imx636.rate_control import RateControl, Selected
 
-__all__ = ["RateControl", "Selected", "Selection"]
+__all__ = ["Selection"]
 
 _Mask = npt.NDArray[np.bool_]
-
-
-@dataclass(frozen=True)
-class Selected:
-    """Events (n,) EVENT that pass, and how many others did not, by the reason."""
-
-    events: Events
-    outside: int
-    beyond_rate: int
 
 
 class Selection:
@@ -42,7 +33,7 @@ class Selection:
         self._bounds = evs_rules(size)
         self._rows, self._columns = _Ranges(size[1]), _Ranges(size[0])
         self._inverted = False
-        self._rate = RateControl()
+        self._rate = RateControl(PERIOD_US)
 
     def rules(self) -> dict[int, Rule]:
         """Return what writes to these registers do, by address."""
@@ -122,38 +113,6 @@ class _Ranges:
         self.mask[:] = not self.on
         for size, offset in zip(self._sizes[: self._used], self._offsets[: self._used], strict=True):
             self.mask[offset : offset + size] = True
-
-
-class RateControl:
-    """Lets so many events by in each period of the device's clock, and no more."""
-
-    def __init__(self) -> None:
-        self._period_us, self._most = PERIOD_US, 0
-        self._period, self._seen = -1, 0
-        self.on = False
-
-    def turn(self, on: int) -> None:
-        """Switch it on or off."""
-        self.on = bool(on)
-
-    def set_period_us(self, period_us: int) -> None:
-        """Set the length of a period."""
-        self._period_us = period_us
-
-    def set_most(self, events: int) -> None:
-        """Set how many events a period lets by."""
-        self._most = events
-
-    def passing(self, events: Events, epoch_us: int) -> _Mask:
-        """Return which events (n,) EVENT, sorted, are let by, (n,) bool: the first ones of each period."""
-        if not len(events):
-            return np.zeros(0, np.bool_)
-        periods = (events["t"].astype(np.int64) - epoch_us) // self._period_us
-        ranks = np.arange(len(periods)) - np.searchsorted(periods, periods)
-        if periods[0] == self._period:
-            ranks[periods == self._period] += self._seen
-        self._period, self._seen = int(periods[-1]), int(ranks[-1]) + 1
-        return ranks < self._most
 
 
 def _followed(bounds: Rule, do: Callable[[int], None]) -> Rule:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import ipaddress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+
+from firmware_protocol.imx636.bias_effects import BiasModel
 
 __all__ = ["GigeSettings"]
 
@@ -26,6 +28,8 @@ class GigeSettings:
         A block is closed when it is that old, or full.
     capacity
         Events that wait at most; further ones are dropped and counted.
+    biases
+        What biases do to the sensor.
     """
 
     size: tuple[int, int] = (1280, 720)
@@ -35,6 +39,7 @@ class GigeSettings:
     start_delay_us: int = 300_000
     block_us: int = 1000
     capacity: int = 1 << 20
+    biases: BiasModel = field(default_factory=BiasModel)
 
     def __post_init__(self) -> None:
         ipaddress.IPv4Address(self.address)

@@ -10,13 +10,14 @@ The device's time is zero at AcquisitionStart: neuromorphic_drivers begins at ze
 from __future__ import annotations
 
 from collections import Counter, deque
+from collections.abc import Mapping
 from heapq import heappop, heappush
 
 from firmware_protocol.edges import EdgeKind, Edges, empty_edges
 from firmware_protocol.event_device import CameraCounters, EdgeCounters, EventDevice
 from firmware_protocol.events import Events
 from firmware_protocol.gige.bootstrap import Register
-from firmware_protocol.gige.evs_registers import ACQUISITION_START, ACQUISITION_STOP, BIASES, Evs
+from firmware_protocol.gige.evs_registers import ACQUISITION_START, ACQUISITION_STOP, BIASES, TOLD_WITH_DATA, Evs
 from firmware_protocol.gige.gvcp import Resend, Status
 from firmware_protocol.gige.gvsp import removed, test_packet
 from firmware_protocol.gige.memory import Memory, Rule
@@ -129,6 +130,16 @@ class Triton2(EventDevice):
         return {name: value - (value >> 31 << 32) for name, value in values.items()}
 
     @property
+    def sensor_factors(self) -> Mapping[str, float]:
+        """What the biases that hosts wrote do to the pixels; empty while they are the factory's."""
+        return self.settings.biases.factors(self.biases)
+
+    @property
+    def without_effect(self) -> Mapping[str, str]:
+        """Biases that hosts moved and that change nothing here, and why."""
+        return self.settings.biases.without_effect(self.biases)
+
+    @property
     def room_events(self) -> int:
         """Events that fit now."""
         return self.settings.capacity - self._outflow.queued
@@ -238,9 +249,11 @@ class Triton2(EventDevice):
     def _put_edges(self, edges: Edges) -> None:
         """Queue edges for the stream, and messages of them where the host wants these."""
         self._outflow.put_edges(edges)
-        if self.message_destination is not None and self._memory.get(Evs.EVENT_NOTIFICATION):
-            for time_us in edges["t"].tolist():
-                self.messages.tell(EDGE_EVENT, 1000 * (time_us - self._epoch_us))
+        told = self._memory.get(Evs.EVENT_NOTIFICATION)
+        if self.message_destination is not None and told:
+            for time_us, kind in zip(edges["t"].tolist(), edges["kind"].tolist(), strict=True):
+                data = kind.to_bytes(4, "big") if told == TOLD_WITH_DATA else b""
+                self.messages.tell(EDGE_EVENT, 1000 * (time_us - self._epoch_us), data)
 
     def _settle(self, outgoing: Outgoing, fate: str) -> None:
         self._carried -= len(outgoing.events)

@@ -9,6 +9,7 @@ It needs neither numpy nor the events, so that a small process can answer at onc
 
 from __future__ import annotations
 
+import ipaddress
 from collections import Counter, deque
 from collections.abc import Sequence
 
@@ -62,6 +63,11 @@ class Triton2Control:
     def release(self) -> None:
         """Take control away from whoever has it, as when its heartbeat does not come."""
         self._control.release()
+
+    def move(self, address: str, stream_port: int) -> None:
+        """Tell another address from now on, and another port that the stream is sent from."""
+        self._memory.set(Register.ADDRESS, int(ipaddress.IPv4Address(address)))
+        self._memory.set(Register.STREAM_SOURCE_PORT, stream_port)
 
     @property
     def owner(self) -> Peer | None:

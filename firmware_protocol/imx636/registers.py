@@ -34,6 +34,8 @@ from enum import IntEnum
 import numpy as np
 import numpy.typing as npt
 
+from firmware_protocol.imx636.bias_effects import BiasModel
+
 __all__ = ["BIASES", "PIXEL_MASKS", "SIZE", "Address", "NoRegister", "Registers", "Surroundings", "is_register"]
 
 SIZE = (1280, 720)
@@ -105,7 +107,7 @@ class Surroundings:
     lux
         Light on the chip; the scene's is not known here.
     dead_time_us
-        Refractory period.
+        Refractory period at the factory's biases.
     """
 
     celsius: float = 35.0
@@ -122,10 +124,9 @@ class Surroundings:
         """Hundredths of a microsecond that the light meter counts: lux = 10^3.5 / (0.37 us)."""
         return min(round(100.0 * 10**3.5 / (0.37 * self.lux)), (1 << 27) - 1)
 
-    @property
-    def dead_time_count(self) -> int:
-        """Two hundredths of a microsecond of the refractory period."""
-        return min(round(200.0 * self.dead_time_us), (1 << 28) - 1)
+    def dead_time_count(self, factor: float = 1.0) -> int:
+        """Two hundredths of a microsecond of the refractory period, where biases multiply it by `factor`."""
+        return min(round(200.0 * self.dead_time_us * factor), (1 << 28) - 1)
 
 
 def is_register(address: int) -> bool:
@@ -136,8 +137,9 @@ def is_register(address: int) -> bool:
 class Registers:
     """The register file, from power-on."""
 
-    def __init__(self, surroundings: Surroundings = Surroundings()) -> None:
+    def __init__(self, surroundings: Surroundings = Surroundings(), biases: BiasModel | None = None) -> None:
         self._around = surroundings
+        self._biases = biases or BiasModel()
         self._words = np.zeros((_LOW_END + _SYSTEM_END - _SYSTEM) // 4, np.uint32)
         self.power_on()
 
@@ -168,7 +170,8 @@ class Registers:
         elif address == Address.ADC_CONTROL and value & 4:
             self._set(Address.ADC_STATUS, _READY | self._around.adc)
         elif address == Address.DEAD_TIME and value & _MEASURE_DEAD_TIME == _MEASURE_DEAD_TIME:
-            self._set(address, _MEASURE_DEAD_TIME | _VALID_DEAD_TIME | self._around.dead_time_count)
+            count = self._around.dead_time_count(self.sensor_factors.get("refractory_us", 1.0))
+            self._set(address, _MEASURE_DEAD_TIME | _VALID_DEAD_TIME | count)
         elif address == Address.WINDOW and value & 1:
             self._write_window()
             self._set(address, value | 2)
@@ -181,6 +184,16 @@ class Registers:
         """Return (count,) registers from `address` on."""
         place = self._place(address)
         return self._words[place : place + count]
+
+    @property
+    def bias_steps(self) -> dict[str, int]:
+        """Steps of each bias away from the factory's value, by Prophesee's names."""
+        return {name: (self[address] & 0xFF) - factory for name, (address, factory) in BIASES.items()}
+
+    @property
+    def sensor_factors(self) -> dict[str, float]:
+        """What the biases multiply figures of the sensor by."""
+        return self._biases.factors(self.bias_steps)
 
     @property
     def time_runs(self) -> bool:

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from firmware_protocol.events import Events
-from firmware_protocol.gige.selection import RateControl, Selected
+from firmware_protocol.imx636.rate_control import RateControl, Selected
 from firmware_protocol.imx636.registers import PIXEL_MASKS, SIZE, Address, Registers
 
 __all__ = ["Selection"]
@@ -31,7 +31,7 @@ class Selection:
         """Begin anew, as at power-on."""
         self._columns, self._rows = (np.zeros(pixels, np.bool_) for pixels in SIZE)
         self._pixels = np.zeros(0, np.int64)
-        self._rate = RateControl()
+        self._rate = RateControl(self._registers[Address.RATE_PERIOD])
         self._hides = False
 
     def written(self, address: int) -> None:

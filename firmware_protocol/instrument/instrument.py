@@ -17,12 +17,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from firmware_protocol.davis346.bias_effects import sensor_factors
-from firmware_protocol.davis346.biases import BIASES
 from firmware_protocol.edges import Edges
 from firmware_protocol.event_device import CameraCounters, EventDevice
 from firmware_protocol.events import Events
 from firmware_protocol.instrument.answers import Answers
+from firmware_protocol.instrument.biases import DavisBiases, SensorBiases
 from firmware_protocol.instrument.edge_path import EdgePath
 from firmware_protocol.instrument.event_path import EventPath, Piece, block_settings
 from firmware_protocol.instrument.outgoing import Outgoing
@@ -38,8 +37,6 @@ from firmware_protocol.telemetry import BlockEncoder
 
 __all__ = ["Instrument"]
 
-_KNOWN_BIASES = frozenset(bias.address for bias in BIASES)
-
 
 class Instrument(EventDevice):
     """The camera.
@@ -48,6 +45,8 @@ class Instrument(EventDevice):
     ----------
     size
         (width, height) of the array.
+    biases
+        Of its sensor; those of a DAVIS346 where none are given.
 
     Attributes
     ----------
@@ -60,7 +59,9 @@ class Instrument(EventDevice):
         The settings do not fit the array.
     """
 
-    def __init__(self, size: tuple[int, int], settings: InstrumentSettings | None = None) -> None:
+    def __init__(
+        self, size: tuple[int, int], settings: InstrumentSettings | None = None, biases: SensorBiases | None = None
+    ) -> None:
         self.settings = settings = settings or InstrumentSettings()
         self._path = EventPath(size, settings)
         self._edges = EdgePath(BlockEncoder(size, block_settings(settings)))
@@ -69,8 +70,7 @@ class Instrument(EventDevice):
         self._telecommands = TelecommandHandler(self, self._answers, self._time)
         self._reporter = Reporter(round(settings.housekeeping_s * 1e6))
         self._started, self._connected = settings.autostart, True
-        self._biases = {bias.address: int(bias.default) for bias in BIASES}
-        self._factors: Mapping[str, float] = {}
+        self._biases: SensorBiases = biases or DavisBiases()
         self.frames_refused = 0
 
     @property
@@ -153,13 +153,18 @@ class Instrument(EventDevice):
 
     @property
     def sensor_factors(self) -> Mapping[str, float]:
-        """What the commanded biases do to the pixels, by the formulas of the DAVIS346; empty before the first."""
-        return self._factors
+        """What the commanded biases do to the pixels; empty before the first."""
+        return self._biases.factors
+
+    @property
+    def without_effect(self) -> Mapping[str, str]:
+        """Commanded biases that change nothing in the sensor, and why."""
+        return self._biases.without_effect
 
     @property
     def biases(self) -> Mapping[int, int]:
-        """Bias words by number, as commanded; the numbers are those of the DAVIS346."""
-        return self._biases
+        """Biases by number, as commanded; see `instrument.biases`."""
+        return self._biases.values
 
     def connected(self) -> None:
         """Somebody listens on the line; so it is from the beginning, unless `disconnected` says otherwise."""
@@ -209,11 +214,8 @@ class Instrument(EventDevice):
         self._path.limit(events_per_s, self._time.now_us)
 
     def set_bias(self, bias: int, value: int) -> None:
-        """Set a bias word by its number; raises ValueError for a number that a DAVIS346 does not have."""
-        if bias not in _KNOWN_BIASES:
-            raise ValueError(f"there is no bias {bias}")
-        self._biases[bias] = value
-        self._factors = sensor_factors(self._biases)
+        """Set a bias by its number; raises ValueError for a number or a value that the sensor does not have."""
+        self._biases.set(bias, value)
 
     def next_message(self, *, events: bool = True, edges: bool = True) -> Outgoing | None:
         """Return what is to leave next, None when there is nothing; without what the link packs itself.

@@ -17,7 +17,7 @@ from firmware_protocol.events import Events
 from tests.hostile.looped import Looped
 from transports.recording.record import load_record
 
-__all__ = ["GigeRun", "looped_1280x720"]
+__all__ = ["GigeRun", "RigRun", "looped_1280x720"]
 
 RIG = """
 title = "recorded events at their own pace, on GigE Vision"
@@ -42,32 +42,22 @@ def looped_1280x720(count: int) -> Looped:
     return looped
 
 
-class GigeRun:
-    """A run that plays `looped` until it is stopped.
+class RigRun:
+    """A run of a rig until it is stopped.
 
     Parameters
     ----------
     folder
         Existing folder for the rig and what the run writes.
-    keys
-        Further lines of the link's table.
-    run
-        Further lines of the run's table.
+    text
+        The rig.
     inside
         Gives the command that runs a command elsewhere, in a network of its own for example.
     """
 
-    def __init__(
-        self,
-        folder: Path,
-        looped: Looped,
-        keys: str,
-        inside: Callable[..., list[str]] = lambda *command: [*command],
-        run: str = "",
-    ) -> None:
-        looped.save(folder / "looped.npz")
+    def __init__(self, folder: Path, text: str, inside: Callable[..., list[str]] = lambda *command: [*command]) -> None:
         rig, ready, self._record = folder / "gige.toml", folder / "ready", folder / "delivered.npz"
-        rig.write_text(RIG.format(run=run) + keys)
+        rig.write_text(text)
         command = [sys.executable, "-c", "from emulator.cli import main; main()", "run", str(rig), "--json"]
         command += ["--seconds", "600", "--record", str(self._record), "--ready-file", str(ready)]
         self._process = subprocess.Popen(inside(*command), stdout=subprocess.PIPE, text=True)
@@ -86,3 +76,28 @@ class GigeRun:
         """End it in any case."""
         self._process.kill()
         self._process.communicate()
+
+
+class GigeRun(RigRun):
+    """A run that plays `looped`.
+
+    Parameters
+    ----------
+    folder, inside
+        See `RigRun`.
+    keys
+        Further lines of the link's table.
+    run
+        Further lines of the run's table.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        looped: Looped,
+        keys: str,
+        inside: Callable[..., list[str]] = lambda *command: [*command],
+        run: str = "",
+    ) -> None:
+        looped.save(folder / "looped.npz")
+        super().__init__(folder, RIG.format(run=run) + keys, inside)

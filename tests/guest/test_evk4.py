@@ -19,6 +19,7 @@ from tests.guest.attachment import EVK4, Attachment
 from tests.guest.comparison import assert_same
 from tests.guest.environments import EVENTCV, Driver
 from tests.guest.gige_run import looped_1280x720
+from tests.guest.known_ramp import apart_us, expected_us, save_frames
 from tests.guest.machine import Guest
 from tests.guest.running_rig import RunningRig
 from tests.guest.streaming import Seen, Streaming
@@ -52,6 +53,37 @@ start_delay_ms = 3000.0   # neuromorphic_drivers must have started all its trans
 celsius = 20.0
 [run]
 step_us = 1000
+max_late_ms = 0
+[[links]]
+kind = "usbip"
+port = {port}
+"""
+RAMP = """
+title = "light whose logarithm goes up and down on straight lines"
+[scene]
+kind = "video"
+path = "ramp.npy"
+frames_per_s = 2.0
+floor = 1e-6
+[camera]
+model = "evk4"
+serial = "0badcafe"
+speed = "{speed}"
+start_delay_ms = 3000.0
+[camera.sensor]
+threshold_on = 0.2
+threshold_off = 0.2
+refractory_us = 2000.0
+mismatch = 0.0
+corner_hz_at_reference = inf
+corner_max_hz = inf
+dark_current_relative = 1e-6
+[camera.sensor.background]
+hz = 0.0
+hot_share = 0.0
+[run]
+step_us = 20000
+lead_us = 20000
 max_late_ms = 0
 [[links]]
 kind = "usbip"
@@ -102,6 +134,21 @@ def test_masks_and_the_rate_control_hide_what_the_driver_names_at_high_speed(
     x, row = MASKED_PIXEL
     assert not np.any((seen.events["x"] == x) & (seen.events["y"] == 719 - row))
     assert np.bincount(seen.events["t"].astype(np.int64) // 200).max() == LIMIT
+    assert rig.summary["balanced"], rig.summary
+
+
+def test_biases_that_the_driver_writes_move_thresholds_and_refractory_period(
+    guest: Guest, driver_pythons: dict[str, Path], tmp_path: Path
+) -> None:
+    """The client opens with diff_on 20 and refr -10 steps from the factory's values."""
+    save_frames(tmp_path / "ramp.npy", 1280, 720, (40, 30))
+    with RunningRig(tmp_path, text=RAMP) as rig:
+        seen = streamed(guest, driver_pythons["nd"], rig, FEWER_EVENTS // 2)
+    measured = [apart_us(seen.events, on=on) for on in (True, False)]
+    expected = [expected_us(0.2 * (1 + 20 * 0.0063), 4000.0), expected_us(0.2, 4000.0)]
+    assert np.allclose(measured, expected, rtol=0.01), (measured, expected)
+    assert "biases make threshold_on 0.2252" in rig.said
+    assert "no effect" not in rig.said  # what it writes when it opens are the factory's values
     assert rig.summary["balanced"], rig.summary
 
 

@@ -37,7 +37,8 @@ EMPTY_USB = (
 pytestmark = [pytest.mark.guest, pytest.mark.socket]
 
 
-def _where_libusb_starts() -> list[str]:
+def where_libusb_starts() -> list[str]:
+    """Return what prefixes a command so that libusb finds a USB, an empty one where this machine has none."""
     if Path("/sys/bus/usb/devices").is_dir() and Path("/dev/bus/usb").is_dir():
         return []
     prefix = ["unshare", "--mount", "sh", "-c", EMPTY_USB, "sh"]
@@ -63,7 +64,7 @@ def run(tmp_path, address):
 
 def _read(python, address, count, octets, out, openings=1, buffer_octets=0):
     arguments = [str(one) for one in (python, CLIENT, address, count, octets, out, openings, buffer_octets)]
-    done = subprocess.run([*_where_libusb_starts(), *arguments], capture_output=True, text=True, timeout=800)
+    done = subprocess.run([*where_libusb_starts(), *arguments], capture_output=True, text=True, timeout=800)
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout.splitlines()[-1])
 
@@ -90,7 +91,7 @@ def test_a_stock_socket_buffer_is_enough(tmp_path, run, address, driver_pythons,
 def test_the_demo_shows_the_driver_reading_every_event():
     """As `make demo` does it, with the driver in evstim's own environment."""
     command = [sys.executable, "-m", "evstim", "demo", "stars-gige", "--seconds", "2", "--json"]
-    done = subprocess.run([*_where_libusb_starts(), *command], capture_output=True, text=True, timeout=300)
+    done = subprocess.run([*where_libusb_starts(), *command], capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
     assert "neuromorphic_drivers, unmodified, attaches to it" in " ".join(done.stderr.split())
     comparison = json.loads(done.stdout.splitlines()[-1])["comparison"]

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from firmware_protocol.evt3.decoding import Evt3Decoder
+from firmware_protocol.gige.evs_registers import PERIOD_US
 from tests.guest.comparison import assert_same
 from tests.guest.conftest import cannot
 from tests.guest.environments import Driver
@@ -24,6 +25,7 @@ from tests.guest.own_network import OwnNetwork
 CLIENTS = Path(__file__).with_name("clients")
 OCTETS = 1_000_000
 GAP_US = 10
+LIMIT = 5  # events a period that the rate control lets by, of 20 on average
 VIVA = Driver("viva", ("viva-genicam==0.10.0", "numpy"), adds_host_time=False)
 LOSS = """
 [[faults]]
@@ -77,6 +79,19 @@ def test_aravis_finds_reads_and_writes(network, camera, tmp_path):
     assert summary["balanced"], summary
 
 
+def test_the_rate_control_that_aravis_sets_acts(network, camera, tmp_path):
+    for feature in (f"ErcEventsPerPeriod={LIMIT}", "ErcEnable=true"):
+        _run(network, "arv-tool-0.8", "-n", "127.0.0.1", "control", feature)
+    seen = tmp_path / "seen"
+    _run(network, "/usr/bin/python3", CLIENTS / "aravis_gige.py", "127.0.0.1", OCTETS // 10, seen)
+    summary, delivered = camera.stop()
+    events = _decoded(seen)
+    assert_same(events, delivered, offset_us=0)
+    counts = np.bincount(events["t"].astype(np.int64) // PERIOD_US)
+    assert (counts.max(), np.median(counts[counts > 0])) == (LIMIT, LIMIT)
+    assert summary["balanced"], summary
+
+
 @pytest.mark.parametrize("camera", [LOSS], indirect=True)
 def test_aravis_has_lost_packets_sent_again(network, camera, tmp_path):
     seen = tmp_path / "seen"
@@ -104,5 +119,7 @@ def test_viva_genicam_finds_reads_and_writes(network, camera, tmp_path):
     summary, delivered = camera.stop()
     events, edges = Evt3Decoder().decode(seen.read_bytes())
     assert_same(events, delivered, offset_us=0)
-    assert told["edge"] == {"acks": 1, "event": 0x9000, "event_ns": 1000 * int(edges["t"][0])}
+    first_ns = 1000 * int(edges["t"][0])
+    with_data = {"data": "", "second": 0x9000, "second_data": "00000004"}
+    assert told["edge"] == {"acks": 1, "event": 0x9000, "event_ns": first_ns, **with_data}
     assert summary["balanced"], summary

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import ipaddress
 from dataclasses import dataclass
 from typing import ClassVar
 
 from transports.faults.kinds import Fault, HitFault, LastingFault
 
-__all__ = ["LinkDown", "LostHeartbeat", "RefusedResends"]
+__all__ = ["IpChange", "LinkDown", "LostHeartbeat", "RefusedResends"]
 
 
 @dataclass(frozen=True)
@@ -29,3 +30,29 @@ class LinkDown(LastingFault):
     """The cable is pulled out and put in again: nothing goes either way meanwhile."""
 
     kind: ClassVar[str] = "link_down"
+
+
+@dataclass(frozen=True)
+class IpChange(LastingFault):
+    """The camera leaves its IP address and comes back with another one, as after a new DHCP lease or a FORCEIP.
+
+    Attributes
+    ----------
+    for_s
+        How long it has none.
+    address
+        IPv4 address that it has afterwards, to the end of the run; one of this machine's, on loopback any 127.x.y.z.
+    """
+
+    kind: ClassVar[str] = "ip_change"
+    for_s: float = 0.5
+    address: str = "127.0.0.254"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        try:
+            good = not ipaddress.IPv4Address(self.address).is_unspecified
+        except ValueError:
+            good = False
+        if not good:
+            raise ValueError(f"address must be an IPv4 address that the camera has afterwards, got {self.address!r}")

@@ -27,7 +27,7 @@ from firmware_protocol.gige.settings import GigeSettings
 from firmware_protocol.gige.triton2_control import Triton2Control
 from transports.gige.sockets import ControlSockets
 
-__all__ = ["TIME_CELLS", "ControlSetup", "Failed", "Listening", "Mute", "Release", "Stop", "main", "read_time"]
+__all__ = ["TIME_CELLS", "ControlSetup", "Failed", "Listening", "Move", "Mute", "Release", "Stop", "main", "read_time"]
 
 TIME_CELLS = 2
 """Numbers of 64 bits in the shared memory: starts of the acquisition, and the device's clock, ns."""
@@ -77,6 +77,14 @@ class Release:
 
 
 @dataclass(frozen=True)
+class Move:
+    """A fault: the camera is at another address from now on, at the same port, and sends its stream from another."""
+
+    host: str
+    stream_port: int
+
+
+@dataclass(frozen=True)
 class Stop:
     """The link ends: tell the last counts and end too."""
 
@@ -90,14 +98,15 @@ def read_time(cells: memoryview) -> DeviceTime:
 class _Answering:
     def __init__(self, setup: ControlSetup, hears: Connection, says: Connection, cells: memoryview) -> None:
         self._hears, self._says = hears, says
+        self._allow = setup.allow
         self._sockets = ControlSockets(setup.host, setup.port, setup.allow)
         self._sockets.open()
         self._control = Triton2Control(setup.settings, lambda: read_time(cells), setup.stream_port)
         self._room = select.poll()
         self._room.register(says, select.POLLOUT)
         self._news = select.poll()
-        for descriptor in (hears.fileno(), *self._sockets.descriptors):
-            self._news.register(descriptor, select.POLLIN)
+        self._news.register(hears.fileno(), select.POLLIN)
+        self._hear_sockets()
         self._told: Counter[str] = Counter()
         self._told_ns = 0
         self._mute = False
@@ -114,13 +123,36 @@ class _Answering:
                 self._turn()
         self._says.send(self._counts())
 
-    def _obey(self, word: Mute | Release | Stop) -> bool:
+    def _hear_sockets(self) -> None:
+        for descriptor in self._sockets.descriptors:
+            self._news.register(descriptor, select.POLLIN)
+
+    def _obey(self, word: Mute | Release | Move | Stop) -> bool:
         """Do what the link says; True at the end."""
         if isinstance(word, Mute):
             self._mute = word.on
         elif isinstance(word, Release):
             self._control.release()
+            self._hand_on()
+        elif isinstance(word, Move):
+            self._move(word)
         return isinstance(word, Stop)
+
+    def _move(self, to: Move) -> None:
+        """Listen at another address; where that cannot be, say so and stay."""
+        sockets = ControlSockets(to.host, self._sockets.port, self._allow)
+        try:
+            sockets.open()
+        except OSError as error:
+            self._says.send(Failed(error.errno, error.strerror or str(error)))
+            return
+        for descriptor in self._sockets.descriptors:
+            self._news.unregister(descriptor)
+        self._sockets.close()
+        sockets.refused = self._sockets.refused
+        self._sockets = sockets
+        self._hear_sockets()
+        self._control.move(to.host, to.stream_port)
 
     def _turn(self) -> None:
         now_ns = time.monotonic_ns()

@@ -19,7 +19,7 @@ from contextlib import suppress
 from multiprocessing.connection import Connection
 
 from firmware_protocol.gige.orders import DeviceTime, Order
-from transports.gige.answering import TIME_CELLS, ControlSetup, Failed, Listening, Mute, Release, Stop
+from transports.gige.answering import TIME_CELLS, ControlSetup, Failed, Listening, Move, Mute, Release, Stop
 from transports.link.endpoint import LinkBroken
 
 __all__ = ["ControlProcess"]
@@ -67,7 +67,7 @@ class ControlProcess:
         return self._process.pid
 
     def take(self) -> Iterator[Order]:
-        """Give what has been ordered; raises LinkBroken when the process has died."""
+        """Give what has been ordered; raises LinkBroken when the process has died, or cannot be where it is to be."""
         for _ in range(_AT_A_TIME):
             try:
                 if not self._hears.poll():
@@ -76,6 +76,8 @@ class ControlProcess:
             except (EOFError, ConnectionError) as error:
                 how = f"exit code {self._process.wait(_END_S)}"
                 raise LinkBroken(f"the process that answers GigE Vision hosts has died ({how})") from error
+            if isinstance(told, Failed):
+                raise LinkBroken(told.told)
             if isinstance(told, Counter):
                 self.counts = told
             else:
@@ -86,7 +88,7 @@ class ControlProcess:
         _TIME.pack_into(self._time, 8, time.ns)
         _TIME.pack_into(self._time, 0, time.starts)
 
-    def order(self, word: Mute | Release) -> None:
+    def order(self, word: Mute | Release | Move) -> None:
         """Have a fault of the control channel begin or end; one that has died is told of by `take`."""
         with suppress(ConnectionError):
             self._says.send(word)

@@ -9,6 +9,7 @@ UDP has no back-pressure: a block counts as delivered when the kernel has taken 
 from __future__ import annotations
 
 import ipaddress
+import logging
 from collections import Counter, deque
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
@@ -19,7 +20,7 @@ from firmware_protocol.gige.outflow import Outgoing
 from firmware_protocol.gige.triton2 import Triton2
 from transports.faults.kinds import Fault
 from transports.faults.script import FaultPlan, FaultRecord
-from transports.gige.answering import ControlSetup, Mute, Release
+from transports.gige.answering import ControlSetup, Move, Mute, Release
 from transports.gige.control_process import ControlProcess
 from transports.gige.fates import BlockFates
 from transports.gige.packet_faults import FaultyPackets, Packet
@@ -31,6 +32,8 @@ from transports.network.allow import AllowList
 from transports.network.datagrams import ByteBudget
 
 __all__ = ["GigeEndpoint", "GigeFactory"]
+
+log = logging.getLogger(__name__)
 
 _IP_UDP_OCTETS = 28
 _BURST_NS = 1_000_000  # with one block, at 1 Gbit/s, three quarters of a stock socket buffer: a packet takes 2304 there
@@ -62,6 +65,7 @@ class GigeEndpoint(Endpoint):
 
     def __init__(self, factory: GigeFactory, camera: Triton2, deliveries: Deliveries) -> None:
         self._link = link = factory.link
+        self._host = link.host
         self._camera = camera
         self._deliveries = deliveries
         self._clock = deliveries.clock
@@ -152,7 +156,7 @@ class GigeEndpoint(Endpoint):
     @property
     def address(self) -> str:
         """Where hosts find the camera."""
-        return f"{self._link.host}:{self._link.port if self._control is None else self._control.port}"
+        return f"{self._host}:{self._link.port if self._control is None else self._control.port}"
 
     @property
     def counts(self) -> Mapping[str, int]:
@@ -161,13 +165,28 @@ class GigeEndpoint(Endpoint):
         return sent if self._control is None else sent + self._control.counts
 
     def _follow_faults(self) -> None:
-        """Do to the control channel what faults do to it."""
+        """Do to the control channel, and to the camera's address, what faults do to them."""
         assert self._control is not None
+        if (address := self._faulty.new_address()) is not None:
+            self._move(self._control, address)
         if self._faulty.link_is_down != self._is_down:
             self._is_down = self._faulty.link_is_down
             self._control.order(Mute(self._is_down))
         if self._faulty.takes_control():
             self._control.order(Release())
+
+    def _move(self, control: ControlProcess, address: str) -> None:
+        """Have another address from now on; one that this machine does not have is told, and the camera stays."""
+        stream = StreamSocket(address, segmented=self._link.segmentation)
+        try:
+            port = stream.open()
+        except OSError as error:
+            log.warning("ip_change: this machine has no %s (%s): back at %s", address, error.strerror, self._host)
+            return
+        self._stream.close()
+        log.warning("ip_change: the camera has left %s and is at %s", self._host, address)
+        self._stream, self._host = stream, address
+        control.order(Move(address, port))
 
     def _look_at_time(self) -> None:
         """Find out whether stream time stands, as at the end of a run: what waits then leaves without growing."""

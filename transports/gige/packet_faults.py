@@ -10,7 +10,7 @@ import numpy as np
 from firmware_protocol.gige.gvsp import removed
 from transports.faults.datagram_kinds import LateDatagrams, LostDatagrams, RepeatedDatagrams
 from transports.faults.datagram_stages import DatagramStage, Loss, datagram_stage
-from transports.faults.gige_kinds import LinkDown, LostHeartbeat, RefusedResends
+from transports.faults.gige_kinds import IpChange, LinkDown, LostHeartbeat, RefusedResends
 from transports.faults.hit_places import Places
 from transports.faults.kinds import Fault
 from transports.faults.script import FaultPlan, FaultRecord, Faults
@@ -18,7 +18,8 @@ from transports.faults.script import FaultPlan, FaultRecord, Faults
 __all__ = ["PACKET_FAULTS", "FaultyPackets", "Packet"]
 
 PACKET_FAULTS: Mapping[str, type[Fault]] = {
-    one.kind: one for one in (LostDatagrams, RepeatedDatagrams, LateDatagrams, RefusedResends, LostHeartbeat, LinkDown)
+    one.kind: one
+    for one in (LostDatagrams, RepeatedDatagrams, LateDatagrams, RefusedResends, LostHeartbeat, LinkDown, IpChange)
 }
 """Faults of a camera, by kind."""
 
@@ -60,8 +61,27 @@ class _Down(DatagramStage[Packet]):
         return []
 
 
+class _Moving(_Down):
+    """Control is to be taken away, and nothing goes until the camera has its new address."""
+
+    def __init__(self, address: str) -> None:
+        super().__init__()
+        self.address = address
+        self.taken = False
+
+    def take(self) -> None:
+        """Note that control has been taken away."""
+        self.hits, self.taken = 1, True
+
+
 class _Taking(DatagramStage[Packet]):
     """Control is to be taken away; over when that is done."""
+
+    taken = False
+
+    def take(self) -> None:
+        """Note that control has been taken away."""
+        self.hits, self.taken, self.over = 1, True, True
 
     def change(self, datagram: Packet) -> list[Packet]:
         """See `DatagramStage.change`."""
@@ -74,6 +94,8 @@ def _stage(fault: Fault, random: np.random.Generator) -> DatagramStage[Packet]:
             return _Refusal(fault, random)
         case LinkDown():
             return _Down()
+        case IpChange():
+            return _Moving(fault.address)
         case LostHeartbeat():
             return _Taking()
     return datagram_stage(fault, random)
@@ -85,6 +107,7 @@ class FaultyPackets:
     def __init__(self, plan: FaultPlan) -> None:
         self._faults: Faults[DatagramStage[Packet]] = Faults(plan, _stage)
         self._gone: list[Packet] = []
+        self._address: str | None = None
 
     @property
     def records(self) -> tuple[FaultRecord, ...]:
@@ -93,7 +116,9 @@ class FaultyPackets:
 
     def advance(self, now_us: int) -> list[Packet]:
         """Let stream time pass; return the packets that faults held and that go on now."""
-        return [packet for stage in self._faults.advance(now_us) for packet in stage.finish()]
+        over = self._faults.advance(now_us)
+        self._address = next((stage.address for stage in over if isinstance(stage, _Moving)), self._address)
+        return [packet for stage in over for packet in stage.finish()]
 
     def inject(self, fault: Fault) -> None:
         """Begin a fault now; raises ValueError for one that a stream does not have."""
@@ -120,11 +145,16 @@ class FaultyPackets:
 
     def takes_control(self) -> bool:
         """Whether control is to be taken away from the host now; told once."""
-        taking = [stage for stage in self._faults.stages if isinstance(stage, _Taking) and not stage.over]
+        taking = [stage for stage in self._faults.stages if isinstance(stage, _Taking | _Moving) and not stage.taken]
         for stage in taking:
-            stage.hits, stage.over = 1, True
+            stage.take()
             self._faults.struck(stage, [])
         return bool(taking)
+
+    def new_address(self) -> str | None:
+        """Return the address that the camera has from now on; None where it keeps its own; told once."""
+        address, self._address = self._address, None
+        return address
 
     @property
     def at_work(self) -> bool:

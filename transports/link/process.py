@@ -207,6 +207,7 @@ class Link:
             faults=faults,
             file_troubles=self._file_troubles(faults),
             sensor_factors=self._device.sensor_factors,
+            without_effect=self._device.without_effect,
             readings=self._feed.readings.reports(final=final),
         )
 

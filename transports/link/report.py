@@ -40,6 +40,8 @@ class LinkReport:
         Why a file of the link (record, truth, fault log) is not whole, a sentence each.
     sensor_factors
         What the host's biases multiply figures of the sensor by; see `EventDevice.sensor_factors`.
+    without_effect
+        Settings of the host that change nothing in the sensor, and why; see `EventDevice.without_effect`.
     readings
         What became of frames and samples before the camera took them, by kind.
     """
@@ -60,6 +62,7 @@ class LinkReport:
     faults: tuple[FaultRecord, ...] = ()
     file_troubles: tuple[str, ...] = ()
     sensor_factors: Mapping[str, float] = field(default_factory=dict)
+    without_effect: Mapping[str, str] = field(default_factory=dict)
     readings: Mapping[str, ReadingReport] = field(default_factory=dict)
 
     @property

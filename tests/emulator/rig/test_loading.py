@@ -212,3 +212,34 @@ def test_raw_frames_refuse_a_sensor_that_is_too_large():
     camera = '[camera]\nmodel = "davis346"\n[camera.sensor]\nwidth = 640\nheight = 480\n'
     with pytest.raises(RigError, match=r"raw frames number 512 columns and rows, not 640x480"):
         parse_rig(camera + CAN, "r.toml", "r")
+
+
+IMX636 = """\
+title = "t"
+[scene]
+kind = "checkerboard"
+[camera]
+model = "{model}"
+[camera.bias_slopes]
+{slopes}
+[camera.sensor]
+source_follower_hz = {follower_hz}
+"""
+
+
+@pytest.mark.parametrize("model", ["evk4", "triton2", "imx636"])
+@pytest.mark.parametrize(("follower_hz", "low_pass"), [(0.0, "corner_max_hz"), (500.0, "source_follower_hz")])
+def test_a_rig_gives_the_slopes_of_biases(model, follower_hz, low_pass):
+    text = IMX636.format(model=model, slopes="diff_on = 0.01", follower_hz=follower_hz)
+    biases = parse_rig(text, "t.toml", "t").camera.bias_model
+    assert biases.factors({"diff_on": 10, "fo": 10}) == {
+        "threshold_on": pytest.approx(1.1),
+        low_pass: pytest.approx(1.12),
+    }
+
+
+def test_slopes_of_biases_are_refused_where_there_are_none_or_they_cannot_be():
+    for model in ("davis346", "dvxplorer_micro"):
+        text = IMX636.format(model=model, slopes="", follower_hz=0.0)
+        assert f"biases of a {model} have no slopes" in message(text)
+    assert "refr must be 0 to 1" in message(IMX636.format(model="evk4", slopes="refr = 2.0", follower_hz=0.0))

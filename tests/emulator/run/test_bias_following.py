@@ -6,11 +6,14 @@ import math
 import numpy as np
 import pytest
 
+from emulator.rig.loading import parse_rig
+from emulator.run.assembly import link_setups
 from emulator.run.bias_following import BiasFollowing
 from emulator.sensor.presets import PRESETS
 from emulator.sensor.sensor import Sensor
 from firmware_protocol.davis346.bias_effects import sensor_factors
 from firmware_protocol.davis346.biases import BIASES, CoarseFine
+from firmware_protocol.imx636.bias_effects import BiasModel
 from transports.link.report import LinkReport
 
 ADDRESSES = {bias.name: bias.address for bias in BIASES}
@@ -86,3 +89,84 @@ def test_figures_that_the_sensor_lacks_or_refuses_are_left():
 
 def test_a_sensor_that_cannot_be_adjusted_is_left_alone():
     BiasFollowing(object()).follow({"usbip": report(threshold_on=2.0)})
+
+
+def test_a_figure_that_was_refused_is_not_multiplied_on_the_way_back():
+    sensor = Adjusted(refuses=("threshold_on",))
+    following = BiasFollowing(sensor)
+    following.follow({"gige": report(threshold_on=0.1)})
+    sensor.refuses = ()
+    following.follow({"gige": report(threshold_on=1.0)})
+    assert sensor.adjustable["threshold_on"] == 0.2
+
+
+def test_what_has_no_effect_is_told_once(caplog):
+    following = BiasFollowing(Adjusted())
+    idle = LinkReport("streaming", without_effect={"hpf": "there is no high-pass"})
+    for one in (idle, idle, report(), report(refractory_us=2.0), report(refractory_us=2.0)):
+        following.follow({"gige": one})
+    assert [one.message for one in caplog.records] == [
+        "gige: bias hpf has no effect: there is no high-pass",
+        "gige: biases have no effect on refractory_us: this source of events cannot change it",
+    ]
+
+
+@pytest.mark.parametrize("steps", [-85, -30, 60, 140])
+@pytest.mark.parametrize(("bias", "towards"), [("diff_on", 1), ("diff_off", -1)])
+def test_thresholds_of_an_imx636_measured_from_events_follow_the_slopes(bias, steps, towards):
+    imx636 = dataclasses.replace(IDEAL, threshold_on=0.223, threshold_off=0.223)
+    sensor, slope = Sensor(imx636, 1), 0.0063
+    sensor.reset(np.full((4, 8), START[towards], np.float32), 0)
+    BiasFollowing(sensor).follow({"gige": report(**BiasModel().factors({bias: steps}))})
+    assert LN_RAMP / events_of_ramp(sensor, towards) == pytest.approx(0.223 * (1 + slope * steps), rel=0.03)
+
+
+@pytest.mark.parametrize("steps", [-35, 55])
+def test_the_low_pass_of_an_imx636_follows_its_bias(steps):
+    """The first event after a small step of bright light comes when 1 - exp(-2 pi f t) has reached the threshold."""
+    corner_hz, rise = 3000.0, 0.3
+    imx636 = dataclasses.replace(IDEAL, threshold_on=0.2, corner_hz_at_reference=1e6, corner_max_hz=corner_hz)
+    sensor = Sensor(imx636, 1)
+    sensor.reset(np.full((4, 8), 10.0, np.float32), 0)
+    BiasFollowing(sensor).follow({"gige": report(**BiasModel().factors({"fo": steps}))})
+    sensor.expose(np.full((4, 8), 10.0, np.float32), 1_000_000)
+    sensor.expose(np.full((4, 8), 10.0 * math.exp(rise), np.float32), 1_000_001)
+    events = sensor.expose(np.full((4, 8), 10.0 * math.exp(rise), np.float32), 3_000_000)
+    first_s = (events["t"].astype(float).mean() - 1000.5) * 1e-6  # stamps are whole microseconds, cut off
+    assert len(events) == 32
+    expected_s = math.log(rise / (rise - 0.2)) / (2 * math.pi * corner_hz * (1 + 0.012 * steps))
+    assert first_s == pytest.approx(expected_s, rel=0.03)
+
+
+@pytest.mark.parametrize(("steps", "refractory_us"), [(-10, 20_000.0), (20, 5000.0)])
+def test_the_refractory_period_of_an_imx636_follows_its_bias(steps, refractory_us):
+    """On a ramp, events of a pixel are threshold / slope + refractory period apart."""
+    imx636 = dataclasses.replace(IDEAL, refractory_us=10_000.0)
+    sensor = Sensor(imx636, 1)
+    sensor.reset(np.full((4, 8), START[1], np.float32), 0)
+    BiasFollowing(sensor).follow({"gige": report(**BiasModel().factors({"refr": steps}))})
+    apart_us = 1e6 / events_of_ramp(sensor, 1)
+    assert apart_us == pytest.approx(1e6 * 0.283 / LN_RAMP + refractory_us, rel=0.03)
+
+
+SERIAL_RIG = """
+title = "t"
+[scene]
+kind = "checkerboard"
+[camera]
+model = "{model}"
+[[links]]
+kind = "serial"
+"""
+
+
+@pytest.mark.parametrize(
+    ("model", "number", "value", "factor"),
+    [("davis346", ADDRESSES["RefrBp"], int(CoarseFine(4, 50, n_type=False)), 0.5), ("evk4", 8, 40, 0.5),
+     ("triton2", 8, 30, 2 / 3), ("imx636", 8, 40, 0.5)],
+)  # fmt: skip
+def test_telecommands_set_the_biases_of_the_camera_s_own_chip(model, number, value, factor):
+    (setup,) = link_setups(parse_rig(SERIAL_RIG.format(model=model), "t.toml", "t"))
+    instrument = setup.device()
+    instrument.set_bias(number, value)
+    assert instrument.sensor_factors["refractory_us"] == pytest.approx(factor)

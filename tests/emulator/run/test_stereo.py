@@ -9,11 +9,13 @@ import pytest
 from emulator.cli.app import _main
 from emulator.rig.loading import RigError, load_rig, parse_rig
 from emulator.rig.second_camera import SecondCamera
-from emulator.run.stereo import second_rig
+from emulator.run.readings import ReadingSources
+from emulator.run.stereo import SecondView, second_rig
 from emulator.trajectory.building import build_trajectory
 from emulator.trajectory.motion import differences
 from emulator.trajectory.offset import OffsetPath
 from emulator.trajectory.parameters import SpinPath
+from transports.link.report import LinkReport
 from transports.recording.record import load_record
 
 SCENE = """
@@ -117,3 +119,19 @@ def test_a_point_stands_apart_in_both_pictures_by_its_parallax_at_the_same_times
     assert middle == pytest.approx(focal_px * 1.0 / 100.0, abs=0.3)
     assert abs(speed) < 1.5  # of 62 px/s: their clocks go alike, and the distance is the same
     assert places["left"][0] == pytest.approx(focal_px * 8 / 100, rel=0.03)
+
+
+class _Adjusted:
+    adjustable = {"threshold_on": 0.2}
+
+    def adjust(self, name, value):
+        self.adjustable = {name: value}
+
+
+def test_the_second_sensor_follows_the_biases_of_its_own_hosts_alone():
+    sensor = _Adjusted()
+    view = SecondView(None, sensor, ReadingSources((), ()), ["right"])
+    view.follow({"left": LinkReport("streaming", sensor_factors={"threshold_on": 3.0})})
+    assert sensor.adjustable["threshold_on"] == 0.2
+    view.follow({"right": LinkReport("streaming", sensor_factors={"threshold_on": 2.0})})
+    assert sensor.adjustable["threshold_on"] == 0.4

@@ -195,9 +195,18 @@ def test_biases_are_kept_and_read_back_until_power_on():
     host.write((0x1010, 0x11A1_00D6))
     assert host.register(0x1010) == 0x11A1_00D6
     assert camera.biases["diff_on"] == 0xD6
-    assert camera.sensor_factors == {}
     camera.attached()
     assert camera.biases["diff_on"] == 0x66
+
+
+def test_biases_act_until_power_on_and_those_that_do_not_are_told():
+    camera, host = running()
+    assert (camera.sensor_factors, camera.without_effect) == ({}, {})
+    host.write((0x1018, 0x11A1_0049 + 50), (0x100C, 0x11A1_0020))
+    assert camera.sensor_factors == {"threshold_off": pytest.approx(1 + 50 * 0.0063)}
+    assert camera.without_effect == {"hpf": "the simulated pixel has no high-pass filter"}
+    camera.attached()
+    assert (camera.sensor_factors, camera.without_effect) == ({}, {})
 
 
 def test_bad_events_are_refused_whole():

@@ -41,6 +41,20 @@ def test_golden_octets_of_a_message():
     assert host.camera.message_destination == (0x7F000001, 51_000)
 
 
+def test_golden_octets_of_a_message_with_data_and_its_answer():
+    host = _host()
+    assert host.write(Evs.EVENT_NOTIFICATION, 2) == 0
+    host.camera.offer_edges(_edges(7))
+    messages, settings = host.camera.messages, MessageSettings(10 * MS, retries=1)
+    message = messages.next(0, settings)
+    assert message.hex(" ", 2) == "4201 00c2 0014 0001 0000 9000 ffff 0000 0000 0000 0000 1b58 0000 0002"
+    messages.answered(_answer(message))  # of an EVENT: not this one's
+    assert messages.next(10 * MS, settings) == message
+    messages.answered(struct.pack(">HHHH", 0, 0xC3, 0, 1))
+    assert messages.next(90 * MS, settings) is None
+    assert messages.counts == {"messages": 1}
+
+
 def test_messages_are_repeated_until_the_host_answers_and_no_oftener_than_it_said():
     messages, settings = Messages(), MessageSettings(10 * MS, retries=2)
     messages.tell(0x9000, 1)

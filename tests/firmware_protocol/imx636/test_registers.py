@@ -4,6 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from firmware_protocol.imx636.bias_effects import BiasModel, BiasSlopes
 from firmware_protocol.imx636.registers import NoRegister, Registers, Surroundings
 
 
@@ -31,6 +32,13 @@ def test_the_dead_time_is_measured_when_asked_for():
     value = registers.read(0x0020)
     assert value >> 28 & 1
     assert (value & 0x0FFF_FFFF) / 200 == 80.0
+
+
+def test_the_dead_time_that_is_measured_follows_its_bias():
+    registers = Registers(Surroundings(dead_time_us=80.0), BiasModel(BiasSlopes(refr=0.1)))
+    registers.write(0x1020, 0x11A1_0014 + 10)
+    registers.write(0x0020, 0xC000_0000)
+    assert (registers.read(0x0020) & 0x0FFF_FFFF) / 200 == 40.0
 
 
 def test_a_reset_brings_back_what_was_at_power_on():

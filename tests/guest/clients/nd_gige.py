@@ -22,11 +22,12 @@ MOST_ATTEMPTS = 10
 FIELDS = ("t", "x", "y", "on")
 
 
-def opened(address: str, ring: lucid_triton.RingConfiguration):
+def opened(address: str, ring: lucid_triton.RingConfiguration, told: lucid_triton.Configuration | None = None):
     """Open the camera; the driver gives up when an answer takes 25 ms, as on a busy machine, and so is asked again."""
     for attempt in range(MOST_ATTEMPTS):
         try:
-            return nd.open(lucid_triton.Configuration(), address=address, iterator_timeout=0.1, ring_configuration=ring)
+            told = told or lucid_triton.Configuration()
+            return nd.open(told, address=address, iterator_timeout=0.1, ring_configuration=ring)
         except RuntimeError as error:
             if attempt + 1 == MOST_ATTEMPTS:
                 raise
@@ -81,4 +82,5 @@ def main() -> None:
     print(json.dumps({**told, "openings": openings}))
 
 
-main()
+if __name__ == "__main__":
+    main()

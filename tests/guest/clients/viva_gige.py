@@ -10,6 +10,7 @@ import time
 import viva_genicam as viva
 
 PATIENCE_S = 120.0
+EVENT_NOTIFICATION, WITH_DATA = 0x1030_0028, 2
 ACTION_KEYS = {0x090C: 1, 0x9800: 2, 0x9804: 4}  # registers of the device key, the group key and the group mask
 
 
@@ -21,7 +22,11 @@ def hear_of_an_edge(camera: viva.Camera, address: str, told: dict[str, int]) -> 
         device_key, group_key, mask = ACTION_KEYS.values()
         acks = viva.send_action(device_key, group_key, mask, destination=address, timeout_ms=2000).acks
         event = events.next_event(20_000)
+        camera.write_register(EVENT_NOTIFICATION, WITH_DATA.to_bytes(4, "big"))
+        viva.send_action(device_key, group_key, mask, destination=address, timeout_ms=2000)
+        with_data = events.next_event(20_000)
     told.update(acks=acks, event=event.id, event_ns=event.ts_dev)
+    told.update(data=bytes(event.data).hex(), second=with_data.id, second_data=bytes(with_data.data).hex())
 
 
 def main() -> None:

@@ -3,6 +3,7 @@
 import asyncio
 import socket
 import struct
+import time
 from functools import partial
 
 import numpy as np
@@ -12,17 +13,18 @@ from emulator.rig.loading import RigError, parse_rig
 from firmware_protocol.edges import EdgeKind
 from firmware_protocol.events import EVENT
 from firmware_protocol.gige.bootstrap import Register
-from firmware_protocol.gige.evs_registers import Evs
+from firmware_protocol.gige.evs_registers import COLUMNS, ROWS, Erc, Evs
 from firmware_protocol.gige.gvcp import Command, request
 from firmware_protocol.gige.settings import GigeSettings
 from firmware_protocol.gige.triton2 import Triton2
 from transports.faults.datagram_kinds import LateDatagrams, LostDatagrams, RepeatedDatagrams
-from transports.faults.gige_kinds import LinkDown, LostHeartbeat, RefusedResends
+from transports.faults.gige_kinds import IpChange, LinkDown, LostHeartbeat, RefusedResends
 from transports.faults.script import FaultPlan
 from transports.gige.endpoint import GigeFactory
 from transports.gige.host import CameraGone, GigeHost, GigeHostError
 from transports.gige.parameters import GigeLink
 from transports.link.digest import digest_of
+from transports.link.endpoint import LinkBroken
 from transports.link.pacing import FakeClock
 from transports.link.process import Link, LinkSetup
 from transports.link.ring import FREE_RUNNING, EventRing
@@ -147,6 +149,25 @@ def test_a_host_reads_every_event(bench, segmentation):
     assert (report.delivered, report.dropped, report.digest) == (20_000, 0, digest_of(events))
 
 
+def test_ranges_and_the_rate_control_that_a_host_writes_act(bench):
+    """Columns 100 to 299 and rows 50 to 549 alone, in the order of neuromorphic_drivers' source; 3 events in 500 us."""
+    here, events = bench(), stream(20_000)
+    host = here.connect()
+    for address, value in (
+        (COLUMNS.on, 1), (COLUMNS.count, 1), (COLUMNS.selector, 0), (COLUMNS.offset, 0), (COLUMNS.size, 200),
+        (COLUMNS.offset, 100), (ROWS.on, 1), (ROWS.count, 1), (ROWS.selector, 0), (ROWS.offset, 0), (ROWS.size, 500),
+        (ROWS.offset, 50), (Erc.PERIOD_US, 500), (Erc.EVENTS, 3), (Erc.ON, 1),
+    ):  # fmt: skip
+        host.write(address, value)
+    host.start()
+    here.run(events, host)
+    inside = events[(events["x"] >= 100) & (events["x"] < 300) & (events["y"] >= 50) & (events["y"] < 550)]
+    periods = [inside[inside["t"] // 500 == k][:3] for k in range(20_000 * GAP_US // 500 + 1)]
+    assert sum(map(len, periods)) < len(inside)
+    assert np.concatenate(here.events).tobytes() == np.concatenate(periods).tobytes()
+    host.close()
+
+
 @pytest.mark.parametrize("segmentation", [False, True])
 def test_packets_that_find_no_room_leave_later_in_order(bench, segmentation):
     here, refused = bench(segmentation=segmentation), Refusing()
@@ -244,6 +265,90 @@ def test_a_link_that_is_down_is_silent_both_ways_and_comes_back(bench):
     report = here.close()
     assert 3000 < report.faults[0].events_lost < 8000
     assert report.delivered + report.faults[0].events_lost + report.dropped_in_device == 20_000
+
+
+def _discovered(where):
+    """Return the address that a camera tells when it is asked at `where`; None while nobody answers there."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asked:
+        asked.settimeout(0.3)
+        asked.connect(where)
+        try:
+            asked.send(request(Command.DISCOVERY, 1))
+            return socket.inet_ntoa(asked.recv(1000)[8 + 0x24 :][:4])
+        except (TimeoutError, ConnectionRefusedError):
+            return None
+
+
+def _turns_until(here, condition):
+    """Let the link turn until the processes have come to something; they have a minute for it."""
+    end_s = time.monotonic() + 60.0
+    while not condition():
+        assert time.monotonic() < end_s
+        here.turn()
+
+
+def test_a_camera_that_changes_its_address_is_lost_and_found_at_the_new_one(bench, caplog):
+    here = bench(IpChange(at_s=0.05, for_s=0.05, address="127.0.0.77"))
+    old = here.connect()
+    old.start(packet_size=576)
+    events, begun = stream(20_000), (here.host, here.port)
+    assert _discovered(begun) == here.host
+    _turns_until(here, lambda: here.link._device.owner is not None)
+    here.ring.start(FREE_RUNNING)
+    here.ring.push(events)
+    here.ring.publish(60_000)
+    _turns_until(here, lambda: here.link._device.owner is None)
+    assert _discovered(begun) is None
+    here.ring.publish(150_000)
+    _turns_until(here, lambda: here.link.endpoint.address == f"127.0.0.77:{here.port}")
+    moved = ("127.0.0.77", here.port)
+    _turns_until(here, lambda: _discovered(moved) == "127.0.0.77")
+    assert _discovered(begun) is None
+    here.clock.advance(2_000_000_000)
+    with pytest.raises(CameraGone):
+        old.read(0.001)
+    old.close()
+    assert [one.message for one in caplog.records] == [
+        f"ip_change: the camera has left {begun[0]} and is at 127.0.0.77"
+    ]
+    here.host, here.events = moved[0], []
+    new = here.connect()
+    assert new.read_register(Register.STREAM_SOURCE_PORT) == here.link.endpoint._stream._socket.getsockname()[1]
+    new.start(packet_size=576)
+    here.turn(new)
+    begins_us = here.link._device.epoch_us
+    here.ring.publish(int(events["t"][-1]) + 5000)
+    for _ in range(400):
+        here.turn(new)
+    seen = np.concatenate(here.events)
+    expected = events[events["t"] > begins_us]
+    assert len(expected) > 4000
+    assert np.array_equal(seen["t"] + np.uint64(begins_us), expected["t"])
+    new.close()
+    report = here.close()
+    assert (report.faults[0].hits, report.counts.get("heartbeats missed")) == (1, None)
+    assert report.delivered + report.dropped + report.dropped_in_device == 20_000
+
+
+def test_an_address_that_the_machine_does_not_have_is_told_and_the_camera_comes_back(bench, caplog):
+    here = bench(IpChange(at_s=0.0, for_s=0.01, address="192.0.2.1"))
+    here.ring.start(FREE_RUNNING)
+    here.turn()
+    here.ring.publish(20_000)
+    _turns_until(here, lambda: caplog.records)
+    assert "this machine has no 192.0.2.1" in caplog.records[0].message
+    _turns_until(here, lambda: _discovered((here.host, here.port)) == here.host)
+
+
+def test_an_address_that_another_camera_has_ends_the_link_with_the_reason(bench):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        here = bench(IpChange(at_s=0.0, for_s=0.01, address="127.0.0.78"))
+        other.bind(("127.0.0.78", here.port))
+        here.ring.start(FREE_RUNNING)
+        here.turn()
+        here.ring.publish(20_000)
+        with pytest.raises(LinkBroken, match=r"cannot listen on 127\.0\.0\.78 port \d+ .*another camera may be there"):
+            _turns_until(here, lambda: False)
 
 
 @pytest.mark.parametrize("segmentation", [False, True])
@@ -405,6 +510,8 @@ kind = "gige"
         ("triton2", "mbit_s = 0", "mbit_s must be 1 to 100000"),
         ("triton2", "block_us = 0", "block_us must be 1 to 1000000"),
         ("triton2", "port = 70000", "port must be 0"),
+        ("triton2", '[[faults]]\nkind = "ip_change"\naddress = "camera"', "address must be an IPv4 address"),
+        ("triton2", '[[faults]]\nkind = "ip_change"\naddress = "0.0.0.0"', "address must be an IPv4 address"),
     ],
 )
 def test_rigs_that_cannot_be_are_refused_with_a_reason(model, more, told):

@@ -1,0 +1,84 @@
+"""What biases of the IMX636 do to its pixels: by hand from the slopes, at the ends, and the same for both cameras."""
+
+import struct
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from firmware_protocol.evk4 import Evk4
+from firmware_protocol.gige.evs_registers import BIASES as OFFSETS
+from firmware_protocol.gige.orders import Write
+from firmware_protocol.gige.triton2 import Triton2
+from firmware_protocol.imx636.bias_effects import LEAST_FACTOR, MOST_FACTOR, BiasModel, BiasSlopes
+from firmware_protocol.imx636.registers import BIASES
+
+SLOPES = BiasSlopes(diff_on=0.01, diff_off=0.02, fo=0.025, refr=0.04)
+
+
+def test_the_factory_biases_change_nothing():
+    assert BiasModel().factors(dict.fromkeys(BIASES, 0)) == {}
+    assert BiasModel().without_effect(dict.fromkeys(BIASES, 0)) == {}
+
+
+@pytest.mark.parametrize(
+    ("bias", "steps", "figure", "factor"),
+    [
+        ("diff_on", 50, "threshold_on", 1.5),
+        ("diff_on", -50, "threshold_on", 0.5),
+        ("diff_off", 100, "threshold_off", 3.0),
+        ("fo", 40, "corner_max_hz", 2.0),
+        ("fo", -20, "corner_max_hz", 0.5),
+        ("refr", 75, "refractory_us", 0.25),
+        ("refr", -20, "refractory_us", 5.0),
+        ("refr", -25, "refractory_us", MOST_FACTOR),
+        ("diff_on", -200, "threshold_on", LEAST_FACTOR),
+    ],
+)
+def test_a_bias_moves_its_figure_alone(bias, steps, figure, factor):
+    assert BiasModel(SLOPES).factors({bias: steps}) == {figure: pytest.approx(factor)}
+
+
+def test_the_low_pass_is_the_source_follower_where_there_is_one():
+    assert BiasModel(SLOPES, "source_follower_hz").factors({"fo": 40}) == {"source_follower_hz": pytest.approx(2.0)}
+
+
+def test_the_default_slopes_are_those_whose_source_is_named():
+    defaults = BiasSlopes()
+    assert 1 / defaults.fo == pytest.approx(BIASES["fo"][1], rel=0.01)
+    assert 1 / defaults.refr == BIASES["refr"][1]
+    least = 0.223 * BiasModel().factors({"diff_on": -85})["threshold_on"]
+    assert least == pytest.approx(0.1044, rel=0.01)  # ln 1.11
+
+
+def test_biases_without_effect_are_told_with_the_reason():
+    told = BiasModel().without_effect({"hpf": 3, "diff": -1, "pr": 7, "diff_on": 5, "inv": 0})
+    assert list(told) == ["diff", "hpf", "pr"]
+    assert "high-pass" in told["hpf"]
+
+
+@given(st.dictionaries(st.sampled_from(sorted(BIASES)), st.integers(-255, 255)), st.floats(0, 1))
+def test_any_registers_and_slopes_give_factors_within_the_range(steps, slope):
+    model = BiasModel(BiasSlopes(slope, slope, slope, slope))
+    assert all(LEAST_FACTOR <= factor <= MOST_FACTOR for factor in model.factors(steps).values())
+
+
+@pytest.mark.parametrize("name", ["diff_on", "diff_off", "fo", "refr"])
+@pytest.mark.parametrize("value", [-0.001, 1.001, float("nan"), float("inf")])
+def test_slopes_that_cannot_be_are_refused_by_name(name, value):
+    with pytest.raises(ValueError, match=f"^{name} must be 0 to 1"):
+        BiasSlopes(**{name: value})
+
+
+@pytest.mark.parametrize(
+    ("name", "offset"), [("diff_on", -40), ("diff_off", 90), ("fo", 55), ("refr", 235), ("hpf", 9)]
+)
+def test_both_cameras_make_the_same_of_the_same_offset(name, offset):
+    usb, ethernet = Evk4(), Triton2()
+    address, factory = BIASES[name]
+    usb.write_register(address, 0x11A1_0000 | factory + offset)
+    (value,) = struct.unpack(">I", struct.pack(">i", offset))
+    ethernet.obey(Write(OFFSETS[name].address, value))
+    assert usb.sensor_factors == ethernet.sensor_factors
+    assert usb.without_effect == ethernet.without_effect
+    assert len(usb.sensor_factors) + len(usb.without_effect) == 1
