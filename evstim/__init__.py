@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from emulator.rig.tables import Run as RunParameters
     from emulator.rig.trigger_table import Trigger
     from emulator.run.link_process import LinkFailed
+    from emulator.run.outcome import RunResult
     from emulator.run.scene_assembly import build_scene
-    from emulator.run.session import RunResult
     from emulator.scene.bodies.table import BodiesParameters
     from emulator.scene.checkerboard.table import CheckerboardParameters
     from emulator.scene.stars.table import StarsParameters

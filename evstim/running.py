@@ -21,8 +21,9 @@ from emulator.rig.fault_tables import convert_fault
 from emulator.rig.loading import Rig, load_rig
 from emulator.rig.options import with_options
 from emulator.run.assembly import build_session, link_setups, schedule
+from emulator.run.outcome import RunResult, RunStatus
 from emulator.run.scene_assembly import build_scene
-from emulator.run.session import RunResult, RunStatus, Session
+from emulator.run.session import Session
 from emulator.run.truth.refusal import check_truth
 from firmware_protocol.events import Events
 from transports.faults.kinds import Fault

@@ -19,8 +19,8 @@ from emulator.bench.streams import saturated_stream
 from emulator.rig.loading import UsbipLink, load_rig
 from emulator.run.assembly import build_session, link_setups, schedule
 from emulator.run.link_process import LinkProcess
+from emulator.run.outcome import RunResult, RunStatus
 from emulator.run.scene_assembly import build_scene
-from emulator.run.session import RunResult, RunStatus
 from emulator.scene.checkerboard.table import CheckerboardParameters
 from firmware_protocol.davis346 import Davis346, Davis346Settings
 from transports.link.pacing import MonotonicClock

@@ -16,7 +16,7 @@ from typing import Any
 from emulator.campaign.success import margin, succeeds
 from emulator.campaign.tables import Settings
 from emulator.rig.loading import Rig
-from emulator.run.session import RunResult
+from emulator.run.outcome import RunResult
 from emulator.run.verdict import good, judge
 from emulator.tables.typed_table import TableError, unknown
 from transports.link.report import LinkReport

@@ -32,8 +32,9 @@ from emulator.rig.loading import Rig, RigError
 from emulator.run.assembly import build_session, link_setups, schedule
 from emulator.run.free_ports import on_a_free_pose_port, on_free_ports, pose_port
 from emulator.run.link_process import LinkFailed
+from emulator.run.outcome import RunResult, RunStatus
 from emulator.run.scene_assembly import build_scene
-from emulator.run.session import RunResult, RunStatus, Session
+from emulator.run.session import Session
 from emulator.tables.registry import PluginError
 from firmware_protocol.events import Events
 from transports.link.pacing import MonotonicClock

@@ -26,8 +26,8 @@ from emulator.rig.loading import Rig, UsbipLink, load_rig
 from emulator.run.assembly import build_session, link_setups, schedule
 from emulator.run.free_ports import free_loopback_address
 from emulator.run.kernels import parts_of
+from emulator.run.outcome import RunResult, RunStatus
 from emulator.run.scene_assembly import build_scene
-from emulator.run.session import RunResult, RunStatus
 from firmware_protocol.gige.gvcp import GVCP_PORT
 from transports.gige.parameters import GigeLink
 from transports.link.pacing import MonotonicClock

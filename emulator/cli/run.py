@@ -33,9 +33,10 @@ from emulator.run.assembly import build_session, link_setups, schedule
 from emulator.run.drive import Simulation
 from emulator.run.fault_injection import fault_injection
 from emulator.run.kernels import parts_of
+from emulator.run.outcome import RunResult, RunStatus
 from emulator.run.ready import ReadySignal
 from emulator.run.scene_assembly import build_scene
-from emulator.run.session import RunResult, RunStatus, Session
+from emulator.run.session import Session
 from emulator.run.verdict import good, judge
 from firmware_protocol.events import Events
 from transports.link.latency import LatencySummary

@@ -20,7 +20,7 @@ from emulator.report.frame_png import check_png, grey_png
 from emulator.rig.loading import Rig, load_rig
 from emulator.run.basilisk import BasiliskRun, Server
 from emulator.run.connected import camera_differs, connected
-from emulator.run.session import RunResult
+from emulator.run.outcome import RunResult
 from emulator.run.verdict import good, judge
 from emulator.trajectory.basilisk import ConnectedPath
 from firmware_protocol.vizard.update import Update

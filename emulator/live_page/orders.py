@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from typing import Any, Protocol
 
-from emulator.run.session import RunStatus
+from emulator.run.outcome import RunStatus
 from transports.faults.kinds import Fault
 
 __all__ = ["Orders", "RunningSession"]

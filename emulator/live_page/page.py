@@ -21,7 +21,7 @@ from emulator.live_page.process import PageSetup, serve_page
 from emulator.live_page.shared_view import SharedView
 from emulator.live_page.status_table import Rates, describe, status_table
 from emulator.rig.loading import Rig
-from emulator.run.session import RunStatus
+from emulator.run.outcome import RunStatus
 from emulator.run.spawning import starting_a_process
 from firmware_protocol.events import Events
 from transports.link.edges import EdgeRing, EdgeSink, EdgeTiming

@@ -7,7 +7,7 @@ from typing import Any
 
 from emulator.rig.fault_tables import faults_of
 from emulator.rig.loading import Rig
-from emulator.run.session import RunStatus
+from emulator.run.outcome import RunStatus
 from transports.link.report import LinkReport
 
 __all__ = ["Rates", "describe", "ledger_table", "status_table"]

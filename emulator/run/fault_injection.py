@@ -18,7 +18,7 @@ from typing import Any, Protocol
 from emulator.rig.fault_tables import convert_fault, faults_of
 from emulator.rig.loading import Rig
 from emulator.run.control import ControlSocket, Message
-from emulator.run.session import RunStatus
+from emulator.run.outcome import RunStatus
 from emulator.tables.typed_table import TableError
 from firmware_protocol.edges import EdgeKind
 from transports.faults.kinds import Fault

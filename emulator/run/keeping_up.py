@@ -10,8 +10,8 @@ from emulator.plan.scene_probe import probe
 from emulator.rig.loading import Rig
 from emulator.rig.scene_kinds import SCENES
 from emulator.run.assembly import build_session, schedule
+from emulator.run.outcome import RunStatus
 from emulator.run.scene_assembly import build_scene
-from emulator.run.session import RunStatus
 from transports.link.pacing import MonotonicClock
 
 __all__ = ["KeepingUp", "keeping_up"]

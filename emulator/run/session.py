@@ -13,7 +13,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 from emulator.light import Light
@@ -25,6 +25,7 @@ from emulator.run.lateness import Lateness, StepRule
 from emulator.run.ledger import Ledger
 from emulator.run.link_process import LinkProcess
 from emulator.run.lockstep import Lockstep
+from emulator.run.outcome import RunResult, RunStatus
 from emulator.run.readings import ReadingSources
 from emulator.run.slow_notice import said_if_slow
 from emulator.run.stereo import SecondView, ledger_of
@@ -38,7 +39,7 @@ from transports.link.process import LinkSetup
 from transports.link.report import LinkReport
 from transports.link.ring import FREE_RUNNING
 
-__all__ = ["RunResult", "RunStatus", "Schedule", "Session"]
+__all__ = ["Schedule", "Session"]
 
 log = logging.getLogger(__name__)
 
@@ -61,55 +62,6 @@ class Schedule:
     lockstep_ns: int = 0
     max_late_us: float = 0.0
     simulation: Simulation | None = None
-
-
-@dataclass(frozen=True)
-class RunStatus:
-    """What a run has done so far, for the live table."""
-
-    sim_seconds: float
-    wall_seconds: float
-    frames: int
-    read_out: int
-    lateness: Lateness
-    links: dict[str, LinkReport]
-    raised: int = 0
-    lost_in_pixel: int = 0
-    lost_at_readout: int = 0
-
-
-@dataclass(frozen=True)
-class RunResult:
-    """What a run has done."""
-
-    sim_seconds: float
-    wall_seconds: float
-    frames: int
-    steps: int
-    ledger: Ledger
-    lateness: Lateness
-    links: dict[str, LinkReport] = field(default_factory=dict)
-    undersampled_share: float | None = None
-    scene_counts: Mapping[str, int] = field(default_factory=dict)
-    syncs: int | None = None
-    renderer: str | None = None
-    pixels_by: str | None = None
-    max_late_us: float = 0.0
-
-    @property
-    def too_late(self) -> bool:
-        """True when a step was later than the schedule allows."""
-        return 0 < self.max_late_us < self.lateness.worst_gap_us
-
-    @property
-    def good(self) -> bool:
-        """True when all events, edges and readings have one fate, no link failed, files are whole, the run kept up."""
-        links = self.links.values()
-        sound = self.ledger.balanced and all(
-            link.error is None and link.edges_balanced and link.readings_balanced for link in links
-        )
-        sound = sound and not any(link.file_troubles for link in links)
-        return sound and not self.too_late
 
 
 class Session:

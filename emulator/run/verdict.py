@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from emulator.rig.verdict_table import Verdict
-from emulator.run.session import RunResult
+from emulator.run.outcome import RunResult
 from transports.link.report import LinkReport
 
 __all__ = ["Judgement", "good", "judge"]

@@ -21,7 +21,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from emulator.run.session import RunResult
+from emulator.run.outcome import RunResult
 from evstim.testing.running_rig import RigOptions, RunningRig, faults_of_a_run
 
 __all__ = ["RobotKeywords"]

@@ -18,8 +18,8 @@ import numpy as np
 
 from emulator.rig.loading import Rig, load_rig
 from emulator.run.free_ports import on_free_ports
+from emulator.run.outcome import RunResult, RunStatus
 from emulator.run.report.observation import Observation
-from emulator.run.session import RunResult, RunStatus
 from evstim.running import LiveRun, run
 from firmware_protocol.events import EVENT, Events
 

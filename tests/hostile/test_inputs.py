@@ -16,7 +16,7 @@ from emulator.rig.loading import parse_rig
 from emulator.run.control import _answered
 from emulator.run.fault_injection import FaultInjection
 from emulator.run.lateness import Lateness
-from emulator.run.session import RunStatus
+from emulator.run.outcome import RunStatus
 from firmware_protocol.can_frames.socketcand import SocketcandSession
 from firmware_protocol.usb.usbip import DeviceListRequest, ImportRequest, Submit, Unlink, UsbipError
 from firmware_protocol.usb.usbip_parser import Limits, ServerParser

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from emulator.rig.loading import Rig
-from emulator.run.session import RunResult
+from emulator.run.outcome import RunResult
 
 __all__ = ["lateness_lines"]
 

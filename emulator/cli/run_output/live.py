@@ -12,7 +12,7 @@ from rich.table import Table
 
 from emulator.cli.run_output.latency import quantile_text
 from emulator.rig.loading import Rig
-from emulator.run.session import RunStatus
+from emulator.run.outcome import RunStatus
 
 __all__ = ["LiveTable"]
 

@@ -10,9 +10,9 @@ from typing import Any
 from emulator.cli.output import LACKING, WRONG_USE, Failure, console
 from emulator.report.figures import ChartsLacking, check
 from emulator.rig.loading import Rig
+from emulator.run.outcome import RunResult, RunStatus
 from emulator.run.report.observation import Observation
 from emulator.run.report.page import Reported, write_report
-from emulator.run.session import RunResult, RunStatus
 from emulator.run.verdict import judge
 from firmware_protocol.events import Events
 

@@ -10,7 +10,8 @@ from emulator.cli.output import LACKING, WRONG_USE, Failure, status
 from emulator.light import MachineLacks
 from emulator.live_page.address import Address, parse_address
 from emulator.rig.loading import Rig
-from emulator.run.session import RunStatus, Session
+from emulator.run.outcome import RunStatus
+from emulator.run.session import Session
 from firmware_protocol.events import Events
 from transports.link.edges import EdgeSink
 from transports.link.process import LinkSetup

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from emulator.run.session import RunStatus
+from emulator.run.outcome import RunStatus
 from firmware_protocol.events import Events
 
 __all__ = ["INTERVAL_EDGES_US", "Observation", "RateSeries"]

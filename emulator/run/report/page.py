@@ -14,10 +14,10 @@ import msgspec
 
 from emulator.report.html import table, write_json, write_page
 from emulator.rig.loading import Rig
+from emulator.run.outcome import RunResult
 from emulator.run.report.charts import interval_chart, pixel_map, rate_chart
 from emulator.run.report.junit import write_junit
 from emulator.run.report.observation import Observation
-from emulator.run.session import RunResult
 from emulator.run.verdict import Judgement, good
 
 __all__ = ["Reported", "write_report"]

@@ -6,7 +6,7 @@ from emulator.cli.run import summary
 from emulator.rig.loading import load_rig
 from emulator.run.lateness import Lateness
 from emulator.run.ledger import Ledger
-from emulator.run.session import RunResult
+from emulator.run.outcome import RunResult
 
 
 @pytest.mark.parametrize("share", [0.25, 0.0, None])

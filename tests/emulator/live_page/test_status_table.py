@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from emulator.live_page.status_table import Rates, ledger_table, status_table
 from emulator.run.lateness import Lateness
-from emulator.run.session import RunStatus
+from emulator.run.outcome import RunStatus
 from transports.link.report import LinkReport
 
 _count = st.integers(0, 10**12)

@@ -16,8 +16,8 @@ from emulator.run.assembly import build_session, link_setups, schedule
 from emulator.run.control import ControlSocket, NoAnswer, ask, runtime_directory, sockets
 from emulator.run.fault_injection import FaultInjection, fault_injection
 from emulator.run.lateness import Lateness
+from emulator.run.outcome import RunStatus
 from emulator.run.scene_assembly import build_scene
-from emulator.run.session import RunStatus
 from transports.faults.can_kinds import DeadBus
 from transports.faults.kinds import BitFlips
 from transports.faults.script import FaultRecord

@@ -8,7 +8,7 @@ from emulator.rig.loading import RigError, parse_rig
 from emulator.rig.verdict_table import Verdict
 from emulator.run.lateness import Lateness
 from emulator.run.ledger import Ledger, LinkLedger
-from emulator.run.session import RunResult
+from emulator.run.outcome import RunResult
 from emulator.run.verdict import good, judge
 from firmware_protocol.event_device import CameraCounters
 from transports.link.latency import LatencySummary
