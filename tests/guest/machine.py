@@ -9,11 +9,13 @@ from __future__ import annotations
 import json
 import shlex
 import shutil
+import signal
 import socket
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -126,6 +128,15 @@ class Guest:
         if not finished.ok:
             raise RuntimeError(f"{finished}\nconsole of the guest:\n{self.console}")
         return finished.stdout
+
+    @contextmanager
+    def suspended(self) -> Iterator[None]:
+        """Let the whole machine stand still until the block ends."""
+        self._qemu.send_signal(signal.SIGSTOP)
+        try:
+            yield
+        finally:
+            self._qemu.send_signal(signal.SIGCONT)
 
     def load(self, module: str) -> None:
         """Load a kernel module from the unpacked package."""

@@ -1,0 +1,66 @@
+"""Hosts that do what they should not: two drivers at once, and a machine that stands still while it streams."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from emulator.run.control import ask, sockets
+from tests.guest.attachment import Attachment
+from tests.guest.comparison import assert_same
+from tests.guest.environments import DRIVERS
+from tests.guest.machine import Guest
+from tests.guest.running_rig import RunningRig
+from tests.guest.streaming import Seen, Streaming
+
+pytestmark = [pytest.mark.guest, pytest.mark.socket, pytest.mark.timeout(1200), pytest.mark.xdist_group("guest")]
+
+DV2, _, ND = DRIVERS
+EVENTS = 900_000
+SUSPENDED_S = 12.0  # of stream time: the events of that are more than the FIFO and all buffers of both machines hold
+
+
+def assert_all_seen(seen: Seen, rig: RunningRig) -> None:
+    delivered = rig.delivered
+    events = delivered.events[delivered.resets[-1] :]
+    assert_same(seen.events, events, offset_us=int(seen.events["t"][0]) - int(events["t"][0]))
+    assert rig.summary["balanced"], rig.summary
+
+
+def stream_time_s() -> float:
+    return float(ask(sockets()[0], {"ask": "faults"})["t_s"])
+
+
+def test_two_drivers_at_once_do_no_harm_to_the_next(
+    guest: Guest, driver_pythons: dict[str, Path], tmp_path: Path
+) -> None:
+    # neuromorphic_drivers takes the camera from a driver that streams, and starts its clock anew: that is the host's
+    # affair, and both see a part of the events.
+    with RunningRig(tmp_path) as rig, Attachment(guest, rig.port):
+        first = Streaming(guest, DV2, driver_pythons["dv2"], EVENTS, timeout_s=40)
+        first.wait_until_started()
+        second = Streaming(guest, ND, driver_pythons["nd"], 1, timeout_s=40).wait()
+        first.wait()
+        next_one = Streaming(guest, DV2, driver_pythons["dv2"], EVENTS).wait()
+    assert len(second.events) > 0
+    assert len(next_one.events) >= EVENTS
+    assert_all_seen(next_one, rig)
+
+
+def test_a_host_that_stood_still_goes_on_with_all_that_was_delivered(
+    guest: Guest, driver_pythons: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    with RunningRig(tmp_path) as rig, Attachment(guest, rig.port):
+        streaming = Streaming(guest, DV2, driver_pythons["dv2"], EVENTS)
+        streaming.wait_until_started()
+        with guest.suspended():
+            until_s = stream_time_s() + SUSPENDED_S
+            while stream_time_s() < until_s:
+                pass
+        seen = streaming.wait()
+    assert len(seen.events) >= EVENTS
+    assert seen.about["running"]
+    assert_all_seen(seen, rig)
+    assert rig.summary["links"]["usbip"]["dropped_in_device"]["dropped_fifo"] > 0, rig.summary
