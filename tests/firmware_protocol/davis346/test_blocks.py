@@ -137,7 +137,33 @@ def test_lines_without_room_are_dropped_and_counted_where_they_may_not_wait():
     camera.offer_readings(FRAMES, lines)
     camera.advance(10_000)
     assert host.decoded().frames == ()
+    camera.advance(20_000)
+    assert host.decoded().frames == ()
+    assert host.decoder.frames_incomplete == 1  # its end came: start, exposure and end are never dropped
     assert counted(camera).dropped == len(lines) - counted(camera).delivered > 100
+
+
+@pytest.mark.parametrize("stalled_us", [0, 60_000])
+def test_a_host_too_slow_for_all_frames_gets_fewer_and_those_whole(stalled_us):
+    camera, host = running(fifo_bytes=8192)
+    offered = [frame(Layout.UPRIGHT, (0, 0, 99, 99), 1000 + 3000 * k, seed=k) for k in range(60)]
+    for lines, _ in offered:
+        camera.offer_readings(FRAMES, lines)
+    got = []
+    for now_us in range(0, 300_000, 500):
+        camera.advance(now_us)
+        if now_us >= stalled_us and (transfer := camera.read(2, 2048)) is not None:
+            camera.sent(transfer)
+            got += host.decoder.feed(transfer.data).frames
+    sent = [reset.tolist() for _, (reset, _) in offered]
+    places = [sent.index(one.reset.tolist()) for one in got]
+    assert places == sorted(set(places))
+    assert 10 < len(got) < 50
+    assert host.decoder.frames_incomplete == host.decoder.faults.total == 0
+    each = len(offered[0][0])
+    told = counted(camera)
+    assert (told.dropped, told.delivered) == ((60 - len(got)) * each, len(got) * each)
+    assert told.accounted == told.offered
 
 
 def test_closing_the_gate_flushes_what_waits_and_what_is_queued():
