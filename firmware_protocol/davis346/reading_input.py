@@ -136,7 +136,7 @@ class ReadingInput:
         blocks = [*late, *self._held]
         samples = [block for block in blocks if block.reading.kind is ReadingKind.IMU][:_MOST_SAMPLES]
         parts = self._parts_that_wait([block for block in blocks if block.reading.kind is ReadingKind.FRAMES])
-        self._held = sorted([*parts, *samples], key=_time_of)
+        self._held = [*samples, *parts]  # all get one time when they leave
         self._dropped.update(block.reading.kind for block in blocks)
         self._dropped.subtract(block.reading.kind for block in self._held)
 

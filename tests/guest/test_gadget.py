@@ -26,9 +26,11 @@ from tests.guest.gadget_rig import GadgetCamera, GadgetRig, load_port
 from tests.guest.gige_run import looped_1280x720
 from tests.guest.machine import Guest
 from tests.guest.streaming import Seen, Streaming
+from tests.hostile.looped import Looped
 
 EVENTS = round(float(os.environ.get("EVSTIM_GADGET_EVENTS", "1e5")))
 FEWER_EVENTS = 20_000
+STREAMS_GAP_US = 32  # 100 000 events in 3.2 s, with at least three frames; a round is a whole number of frames
 LONGER_THAN_THE_CABLE = 1 << 40
 TIMEOUT_S = 300.0 + EVENTS * 1e-4
 NEVER_READS = str(Path(__file__).parent / "clients" / "never_reads.py")
@@ -73,7 +75,7 @@ def assert_turns(camera: GadgetCamera, turns: list[tuple[Driver, Seen]]) -> None
 
 def test_each_driver_sees_all_streams_and_opens_the_camera_again(port: Guest, driver_pythons: dict[str, Path]) -> None:
     turns = []
-    with GadgetCamera(port, "--streams") as camera:
+    with GadgetCamera(port, "--streams", looped=Looped(300_000, STREAMS_GAP_US)) as camera:
         for driver in DRIVERS:
             turns.append((driver, streamed(port, driver, driver_pythons, FEWER_EVENTS)))
             turns.append((driver, streamed(port, driver, driver_pythons, EVENTS, *ASKED)))

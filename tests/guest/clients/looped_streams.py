@@ -9,8 +9,9 @@ from firmware_protocol.imu_samples import IMU_SAMPLE
 
 SIZE = COLUMNS, ROWS = 346, 260
 LINE_US = 30
-FRAME_US = 250_000  # four frames a second: a processor that QEMU translates takes no more beside the events
-SAMPLE_US = 1000
+# A processor that QEMU translates takes some thousand lines and samples a second beside the events.
+FRAME_US = 800_000
+SAMPLE_US = 4000
 SCALE = 0xE5  # accelerometer, gyroscope and thermometer; 4 g, 500 deg/s
 STILL = (0, -8192, 0, 0, 0, 0, 0)  # counts: held up with 1 g, y down
 SIGNAL, BRIGHTNESS = (400, 500), (0, 512)  # of 1023; drivers take a reset read below 384 for white
