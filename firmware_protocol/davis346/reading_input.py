@@ -14,10 +14,9 @@ while parts of an earlier one wait is left out as a whole: a slow host gets fewe
 from __future__ import annotations
 
 import bisect
-from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections import Counter, deque
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import astuple, dataclass, field, replace
-from itertools import accumulate
 
 from firmware_protocol.davis346.aps_registers import aps_waits_on_stall, frame_settings
 from firmware_protocol.davis346.blocks import Block, blocks_of
@@ -55,7 +54,7 @@ class ReadingInput:
         self._frames = FrameSettings()
         self._imu = ImuSettings()
         self._waiting: list[Block] = []
-        self._held: list[Block] = []
+        self._held: deque[Block] = deque()
         self._in_frame = self._left_out = False
         self._offered: Counter[ReadingKind] = Counter()
         self._not_running: Counter[ReadingKind] = Counter()
@@ -113,44 +112,53 @@ class ReadingInput:
         """
         count = bisect.bisect_right(self._waiting, until_us, key=_time_of)
         new, self._waiting = self._waiting[:count], self._waiting[count:]
-        passed = [block for block in new if self._goes_on(block)]
+        passed = deque(block for block in new if self._goes_on(block))
         self._dropped[ReadingKind.FRAMES] += len(new) - len(passed)
-        due, self._held = [*self._held, *passed], []
-        fitting = bisect.bisect_right(list(accumulate(len(block.words) for block in due)), free_words)
-        self.hold(due[fitting:])
-        return [block if block.t_us >= now_us else _dated(block, now_us) for block in due[:fitting]]
+        due: list[Block] = []
+        for queue in (self._held, passed):
+            while queue and len(queue[0].words) <= free_words:
+                free_words -= len(queue[0].words)
+                due.append(queue.popleft())
+            if queue:
+                break
+        self._hold(passed)
+        return [block if block.t_us >= now_us else _dated(block, now_us) for block in due]
 
     def _goes_on(self, block: Block) -> bool:
         """Say whether this is no part of a frame that was left out."""
-        if block.reading.kind is not ReadingKind.FRAMES:
-            return True
-        self._left_out = self._left_out and _line_kind(block) != LineKind.START
-        return not self._left_out
+        part = _line_kind(block)
+        self._left_out = self._left_out and part != LineKind.START
+        return part is None or not self._left_out
 
     def put_back(self, blocks: Sequence[Block]) -> None:
         """Let blocks that were due wait further."""
-        self._held = [*blocks, *self._held]
+        self._held.extendleft(reversed(blocks))
 
     def hold(self, late: Sequence[Block]) -> None:
         """Let blocks that found no room wait further, those that may; the others are dropped."""
-        blocks = [*late, *self._held]
-        samples = [block for block in blocks if block.reading.kind is ReadingKind.IMU][:_MOST_SAMPLES]
-        parts = self._parts_that_wait([block for block in blocks if block.reading.kind is ReadingKind.FRAMES])
-        self._held = [*samples, *parts]  # all get one time when they leave
-        self._dropped.update(block.reading.kind for block in blocks)
-        self._dropped.subtract(block.reading.kind for block in self._held)
+        if late:
+            blocks, self._held = [*late, *self._held], deque()
+            self._hold(blocks)
 
-    def _parts_that_wait(self, parts: Sequence[Block]) -> list[Block]:
-        """Return those of the first frame, but for lines that may not wait; the frames after it are left out."""
-        later = [k for k, part in enumerate(parts) if k and _line_kind(part) == LineKind.START]
-        self._left_out = self._left_out or bool(later)
-        lines_wait = aps_waits_on_stall(self._registers)
-        return [part for part in parts[: [*later, None][0]] if lines_wait or _line_kind(part) not in _LINES]
+    def _hold(self, blocks: Iterable[Block]) -> None:
+        """Hold blocks behind those that are held; of frames the parts of one, but for lines that may not wait."""
+        held = Counter(block.reading.kind for block in self._held) if blocks else Counter()
+        lines_wait, left_out = aps_waits_on_stall(self._registers), False
+        for block in blocks:
+            kind, part = block.reading.kind, _line_kind(block)
+            if part == LineKind.START:
+                left_out = held[kind] > 0
+                self._left_out = self._left_out or left_out
+            waits = held[kind] < _MOST_SAMPLES if part is None else not left_out and (lines_wait or part not in _LINES)
+            if waits:
+                self._held.append(block)
+            held[kind] += waits
+            self._dropped[kind] += not waits
 
     def flush(self) -> None:
         """Drop what waits."""
         self._flushed.update(block.reading.kind for block in (*self._held, *self._waiting))
-        self._held, self._waiting = [], []
+        self._held, self._waiting = deque(), []
         self._in_frame = False
 
     def counters(self, fates: BlockFates) -> Mapping[str, ReadingCounters]:
@@ -169,9 +177,9 @@ def _time_of(block: Block) -> int:
     return block.t_us
 
 
-def _line_kind(block: Block) -> int:
-    """Return the `LineKind` of a part of a frame."""
-    return int(block.reading.record["kind"][0])
+def _line_kind(block: Block) -> int | None:
+    """Return the `LineKind` of a part of a frame; None of a sample."""
+    return int(block.reading.record["kind"][0]) if block.reading.kind is ReadingKind.FRAMES else None
 
 
 def _dated(block: Block, t_us: int) -> Block:
