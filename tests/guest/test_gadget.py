@@ -79,6 +79,7 @@ def test_each_driver_sees_all_streams_and_opens_the_camera_again(port: Guest, dr
         for driver in DRIVERS:
             turns.append((driver, streamed(port, driver, driver_pythons, FEWER_EVENTS)))
             turns.append((driver, streamed(port, driver, driver_pythons, EVENTS, *ASKED)))
+    assert port.run(["test", "-e", "/sys/kernel/config/usb_gadget/evstim"]).code == 1
     assert (camera.device["bcdDevice"], camera.device["serial"], camera.device["speed"]) == ("0206", "00000346", "5000")
     assert (camera.device["manufacturer"], camera.device["product"]) == ("iniVation", "DAViS FX3")
     assert any("plugged in" in state for state in camera.told["states"])
@@ -145,4 +146,3 @@ def test_a_rig_runs_on_the_cable_whatever_a_killed_camera_left(port: Guest, driv
     with GadgetRig(port) as rig:
         turns = [(DV2, streamed(port, DV2, driver_pythons, FEWER_EVENTS))]
     assert_turns(rig, turns)
-    assert port.run(["test", "-e", "/sys/kernel/config/usb_gadget/evstim"]).code == 1
