@@ -127,7 +127,7 @@ class LinkProcess:
         ring = next((ring for ring in self._setup.readings if ring.kind == kind), None)
         if ring is None or self.gone or not len(readings):
             return
-        while goes_on is not None and len(readings) > ring.room and ring.waiting and not self.gone and goes_on():
+        while goes_on is not None and not ring.fits(readings) and ring.waiting and not self.gone and goes_on():
             self._clock.sleep_until(self._clock.now_ns() + _ROOM_WAIT_NS)
             self.listen()
         ring.push(readings)

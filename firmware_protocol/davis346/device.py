@@ -228,7 +228,7 @@ class Davis346(UsbCamera):
         if len(self._stalled):
             self._stalled["t"] = np.maximum(self._stalled["t"], self._now_us)
             marks, self._stalled = join_marks([self._stalled, marks]), no_marks()
-        blocks = self._readings.due(self._now_us, until_us)
+        blocks = self._readings.due(self._now_us, until_us, self._stream.free_words)
         if not len(events) and not len(marks) and not blocks:
             return
         try:
@@ -238,7 +238,7 @@ class Davis346(UsbCamera):
             self._readings.put_back(blocks)
             raise
         self._hold(late_marks)
-        self._stream.drop_blocks(self._readings.hold(late_blocks))
+        self._readings.hold(late_blocks)
 
     def _hold(self, marks: Marks) -> None:
         """Keep or drop marks that found no room, as the registers say."""

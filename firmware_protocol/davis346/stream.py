@@ -131,7 +131,7 @@ class EventStream:
         """Queue `events`, (n,) EVENT, `marks`, (m,) MARK, and `blocks`, in stream time and at least one in all.
 
         Events that find no room are dropped and counted. Marks and blocks that find none are returned: whether they are
-        dropped is for the caller, who says so by `drop_marks` and `drop_blocks`.
+        dropped is for the caller, who says so of marks by `drop_marks` and counts blocks.
         """
         marks = no_marks() if marks is None else marks
         at_start = self._encoder.state
@@ -155,10 +155,6 @@ class EventStream:
     def drop_marks(self, count: int) -> None:
         """Count `count` marks as dropped for want of room."""
         self._marks_dropped += count
-
-    def drop_blocks(self, blocks: Sequence[Block]) -> None:
-        """Count blocks as dropped for want of room."""
-        self._blocks.dropped.update(block.reading.kind for block in blocks)
 
     def advance(self, now_us: int) -> None:
         """Queue the wraps due at stream time `now_us`, as far as there is room; the rest is made up for later."""

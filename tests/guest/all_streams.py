@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 
 from firmware_protocol.edges import EdgeKind
@@ -12,7 +10,6 @@ from tests.guest.comparison import assert_same
 from tests.guest.environments import Driver
 from tests.guest.running_rig import Delivered
 from tests.guest.streaming import Seen
-from transports.recording.record import load_frames
 
 __all__ = ["ASKED", "FREE", "STREAMS", "assert_same_frames", "assert_same_streams", "place_of"]
 
@@ -87,16 +84,15 @@ def assert_same_samples(seen: Seen, delivered: Delivered, offset_us: int, least:
     assert abs(values[:, 1].mean() + 1) < 0.2  # at rest on the bench, y down, it is held up with 1 g
 
 
-def assert_same_frames(driver: Driver, seen: Path, delivered: Path, offset_us: int) -> None:
-    frames = load_frames(delivered)
-    with np.load(seen) as arrays:
-        got, times = arrays["frames"], arrays["frame_t"] - offset_us
-    assert len(got) >= 3
+def assert_same_frames(driver: Driver, seen: Seen, delivered: Delivered, offset_us: int) -> None:
+    frames = delivered.frames[delivered.frame_resets[-1] :]
+    times = seen.frame_t - offset_us
+    assert len(times) >= 3
     ours = frames["t"] if driver.adds_host_time else frames["exposure_end"]
     first = int(np.argmin(np.abs(ours - times[0])))
     if driver.adds_host_time:  # the others date a frame by its end, which no record has
-        assert times.tolist() == ours[first : first + len(got)].tolist()
-    for k, pixels in enumerate(got):
+        assert times.tolist() == ours[first : first + len(times)].tolist()
+    for k, pixels in enumerate(seen.frames):
         expected = as_seen(driver, frames["pixels"][first + k].astype(np.int64))
         most = 0 if driver.name == "nd" else 1
         assert np.abs(pixels.astype(np.int64) - expected).max() <= most, k

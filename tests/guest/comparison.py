@@ -9,7 +9,7 @@ import numpy as np
 from firmware_protocol.edges import Edges, empty_edges
 from firmware_protocol.events import EVENT, Events
 
-__all__ = ["assert_same", "load_imu", "load_seen", "load_triggers"]
+__all__ = ["assert_same", "load_frames", "load_imu", "load_seen", "load_triggers"]
 
 
 def load_seen(path: Path) -> Events:
@@ -33,6 +33,12 @@ def load_imu(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """Read a client's samples: times (n,) in the client's time, and values (n, 7) as `collecting` describes them."""
     with np.load(path) as arrays:
         return arrays["imu_t"], arrays["imu"]
+
+
+def load_frames(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Read a client's frames: times (n,) in the client's time, and pixels (n, height, width) as the driver has them."""
+    with np.load(path) as arrays:
+        return arrays["frame_t"], arrays["frames"]
 
 
 def assert_same(seen: Events, delivered: Events, *, offset_us: int) -> None:

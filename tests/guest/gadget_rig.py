@@ -16,7 +16,6 @@ from tests.guest.attachment import DAVIS_FX3, usb_bus
 from tests.guest.machine import Finished, Guest, Job
 from tests.guest.running_rig import Delivered
 from tests.hostile.looped import Looped
-from transports.recording.record import load_edges, load_imu, load_record
 
 __all__ = ["CONTROLLER", "GadgetCamera", "GadgetRig", "load_port"]
 
@@ -123,8 +122,7 @@ class GadgetCamera:
     @property
     def delivered(self) -> Delivered:
         """The record; only after the end of the run."""
-        record = self._guest.results / "gadget.npz"
-        return Delivered(*load_record(record), *load_edges(record), *load_imu(record))
+        return Delivered.load(self._guest.results / "gadget.npz")
 
     def _command(self) -> Sequence[str]:
         np.save(self._guest.results / "looped.npy", self._looped.events)

@@ -17,7 +17,7 @@ import numpy as np
 
 from firmware_protocol.edges import Edges
 from firmware_protocol.events import Events
-from transports.recording.record import load_edges, load_imu, load_record
+from transports.recording.record import load_edges, load_frames, load_imu, load_record
 
 __all__ = ["Delivered", "RunningRig"]
 
@@ -44,8 +44,8 @@ port = {port}
 
 @dataclass(frozen=True)
 class Delivered:
-    """What left the camera, in device time, and where that time started anew: events (n,) EVENT, edges (m,) EDGE, and
-    IMU samples (k,) IMU.
+    """What left the camera, in device time, and where that time started anew: events (n,) EVENT, edges (m,) EDGE, IMU
+    samples (k,) IMU, and frames (f,) of `frame_record`.
     """
 
     events: Events
@@ -54,6 +54,28 @@ class Delivered:
     edge_resets: list[int]
     imu: np.ndarray
     imu_resets: list[int]
+    frames: np.ndarray
+    frame_resets: list[int]
+
+    @classmethod
+    def load(cls, record: Path) -> Delivered:
+        """Read a record."""
+        return cls(*load_record(record), *load_edges(record), *load_imu(record), *load_frames(record))
+
+    @property
+    def turns(self) -> list[Delivered]:
+        """Split where device time started anew."""
+        events, edges, imu, frames = (
+            np.split(told, resets[1:] or [len(told)] * (len(self.resets) - 1))
+            for told, resets in (
+                (self.events, self.resets),
+                (self.edges, self.edge_resets),
+                (self.imu, self.imu_resets),
+                (self.frames, self.frame_resets),
+            )
+        )
+        parts = zip(events, edges, imu, frames, strict=True)
+        return [Delivered(part[0], [0], part[1], [0], part[2], [0], part[3], [0]) for part in parts]
 
 
 class RunningRig:
@@ -125,7 +147,7 @@ class RunningRig:
     @property
     def delivered(self) -> Delivered:
         """The record; only after the end of the run."""
-        return Delivered(*load_record(self._record), *load_edges(self._record), *load_imu(self._record))
+        return Delivered.load(self._record)
 
     def _wait_until_served(self) -> None:
         deadline = time.monotonic() + START_TIMEOUT_S

@@ -12,7 +12,7 @@ import numpy as np
 
 from firmware_protocol.edges import Edges
 from firmware_protocol.events import Events
-from tests.guest.comparison import load_imu, load_seen, load_triggers
+from tests.guest.comparison import load_frames, load_imu, load_seen, load_triggers
 from tests.guest.environments import Driver
 from tests.guest.machine import Finished, Guest, Job
 
@@ -24,9 +24,10 @@ OPEN_TIMEOUT_S = 240.0
 
 @dataclass(frozen=True)
 class Seen:
-    """What a client tells of the camera: in its own time, events (n,) EVENT and triggers (m,) EDGE; and IMU samples.
+    """What a client tells of the camera, in its own time: events (n,) EVENT, triggers (m,) EDGE, samples and frames.
 
     `imu_t` (k,) and `imu` (k, 7): acceleration in g, temperature in degrees Celsius, rate in deg/s.
+    `frame_t` (f,) and `frames` (f, height, width): as the driver gives them.
     `said`: all that the client printed, its driver's log too.
     """
 
@@ -35,6 +36,8 @@ class Seen:
     triggers: Edges
     imu_t: np.ndarray
     imu: np.ndarray
+    frame_t: np.ndarray
+    frames: np.ndarray
     said: str = ""
 
 
@@ -75,7 +78,8 @@ class Streaming:
         about = _last_object(finished.stdout)
         if not (finished.ok or self._may_abort(finished, about)):
             raise RuntimeError(f"{finished}\nconsole of the guest:\n{self._guest.console}")
-        return Seen(about, load_seen(self._output), load_triggers(self._output), *load_imu(self._output), str(finished))
+        streams = load_seen(self._output), load_triggers(self._output)
+        return Seen(about, *streams, *load_imu(self._output), *load_frames(self._output), str(finished))
 
     def _may_abort(self, finished: Finished, about: dict[str, Any]) -> bool:
         known = self._driver.abort_after_unplugging

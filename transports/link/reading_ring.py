@@ -3,8 +3,9 @@
     session --records--> ring --> link process: device.offer_readings
             <--numbers-- cells <-- link process: device.reading_settings
 
-Nothing blocks: what finds no room is counted as refused. The numbers are written between two versions of a counter,
-so that a reader that comes in between keeps what it had before.
+Nothing blocks: what finds no room is counted as refused, and of a frame either all or nothing: its start is refused
+where the whole frame might find no room, and its lines with it. The numbers are written between two versions of a
+counter, so that a reader that comes in between keeps what it had before.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from firmware_protocol.frame_lines import LineKind
 from firmware_protocol.readings import ReadingKind, Readings
 from transports.link.shared_ring import SharedRing
 
@@ -22,6 +24,7 @@ MOST_NUMBERS = 16
 """Numbers that a device can tell of a kind."""
 
 _VERSION, _COUNT, _NUMBERS = range(3)
+_MOMENTS = 4  # of a frame, beside the two reads of each line
 
 
 class ReadingRing:
@@ -37,6 +40,10 @@ class ReadingRing:
         self.kind = kind
         self._ring = SharedRing(record, capacity, _NUMBERS + MOST_NUMBERS)
         self._told: tuple[int, ...] = ()
+        self._longest = 2 * record["samples"].shape[0] + _MOMENTS if kind is ReadingKind.FRAMES else 0
+        if capacity < self._longest:
+            raise ValueError(f"a ring of frames holds at least one, {self._longest} records, got capacity {capacity}")
+        self._refusing = False
 
     @property
     def waiting(self) -> int:
@@ -58,9 +65,27 @@ class ReadingRing:
         """Records that found no room, counted by the writer."""
         return self._ring.refused
 
+    def fits(self, records: Readings) -> bool:
+        """Say whether all of `records` can be written now."""
+        starts = self._starts(records)
+        return max(len(records), starts[-1] + self._longest if starts else 0) <= self.room
+
     def push(self, records: Readings) -> int:
         """Write what fits of `records`, in order, and return how many that were; the rest is counted as refused."""
-        return self._ring.push(records)
+        return sum(self._push_part(part) for part in np.split(records, self._starts(records)) if len(part))
+
+    def _push_part(self, part: Readings) -> int:
+        """Write records of which only the first may be the start of a frame."""
+        if self._starts(part):
+            self._refusing = self.room < self._longest
+        if self._refusing:
+            self._ring.refuse(len(part))
+            return 0
+        return self._ring.push(part)
+
+    def _starts(self, records: Readings) -> list[int]:
+        """Return where frames start."""
+        return np.flatnonzero(records["kind"] == LineKind.START).tolist() if self._longest else []
 
     def take(self, until_us: int) -> Readings:
         """Take the records up to `until_us`, (n,); a copy."""

@@ -103,8 +103,12 @@ class SharedRing:
         self._body[start : start + first] = raw[:first]
         self._body[: n - first] = raw[first:n]
         self._head[_WRITTEN] = written + n
-        self._head[_REFUSED] += len(records) - n
+        self.refuse(len(records) - n)
         return n
+
+    def refuse(self, count: int) -> None:
+        """Count records as refused."""
+        self._head[_REFUSED] += count
 
     def take(self, until_us: int, limit: int | None = None) -> npt.NDArray[Any]:
         """Take at most `limit` records with t <= `until_us`; returns a copy, shape (n,)."""

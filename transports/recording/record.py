@@ -8,7 +8,8 @@ The file is a NumPy `.npz`:
     edge_resets  int64[k]   indices into `edges` at the same restarts
     imu          IMU[j]     samples of the inertial unit, see `part`; and imu_resets, as for edges
     size         int64[2]   width and height of the sensor, where they are known
-    frames       frame_record[f]   where there are any: times, and pixels of 10 bits; 0 outside a region of interest
+    frames       frame_record[f]   where there are any: times, and pixels of 10 bits; 0 outside a region of interest;
+                                   and frame_resets, as for edges
 
 A client's view after it reset the camera's timestamps is `events[resets[-1]:]`. While the run lasts the events lie in a
 plain file beside it (`.part`), so that memory does not grow with the run and a killed run leaves its data. A record
@@ -72,7 +73,7 @@ class Recorder:
         if self.trouble:
             return
         if restarted or not self._events.resets:
-            for kept in (self._events, self._edges, self._imu):
+            for kept in self._kept:
                 kept.restart()
         for kept, records in zip(self._kept, (part.events, part.edges, part.imu), strict=False):
             kept.append(records)
@@ -82,6 +83,7 @@ class Recorder:
     def _add_frames(self, frames: tuple[Frame, ...], size: tuple[int, int]) -> None:
         if self._frames is None:
             self._frames = _Raw(self.path.with_suffix(self.path.suffix + ".frames.part"), frame_record(size))
+            self._frames.resets = [0] * len(self._events.resets)
             self._kept.append(self._frames)
         self._frames.append(np.concatenate([_frame(frame, size) for frame in frames]))
 
@@ -101,7 +103,9 @@ class Recorder:
             kept.remove()
 
     def _write(self) -> None:
-        frames: dict[str, Any] = {} if self._frames is None else {"frames": self._frames.content()}
+        frames: dict[str, Any] = {}
+        if self._frames is not None:
+            frames = {"frames": self._frames.content(), "frame_resets": np.array(self._frames.resets, np.int64)}
         with self.path.open("wb") as file:
             np.savez(
                 file,
@@ -174,10 +178,15 @@ def load_imu(path: Path) -> tuple[npt.NDArray[np.void], list[int]]:
     return _load(path, IMU, "imu", "imu_resets")
 
 
-def load_frames(path: Path) -> npt.NDArray[np.void]:
-    """Read a record's frames, (n,) of `frame_record`; (0,) where it has none."""
+def load_frames(path: Path) -> tuple[npt.NDArray[np.void], list[int]]:
+    """Read a record's frames, (n,) of `frame_record`, and the indices at which device time started anew.
+
+    Both are empty where it has no frames.
+    """
     with np.load(path) as arrays:
-        return arrays["frames"] if "frames" in arrays else np.zeros(0, frame_record((0, 0)))
+        if "frames" not in arrays:
+            return np.zeros(0, frame_record((0, 0))), []
+        return arrays["frames"], arrays["frame_resets"].tolist()
 
 
 def _load(path: Path, dtype: np.dtype[np.void], name: str, resets: str) -> tuple[npt.NDArray[np.void], list[int]]:

@@ -48,7 +48,7 @@ def test_a_run_delivers_its_frames_and_records_them(tmp_path, capsys, layout):
     readings = told["links"]["loopback"]["readings"]["frames"]
     assert readings["balanced"]
     assert readings["delivered"] == readings["offered"] == readings["taken"] > 300
-    frames = load_frames(record)
+    frames, _ = load_frames(record)
     assert len(frames) >= 3
     assert np.ptp(frames["pixels"].astype(int)) > 200
     assert set(frames["exposure_end"] - frames["exposure_begin"]) == {4000}

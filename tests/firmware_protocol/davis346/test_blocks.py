@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from davis_host import RUN, Host, steady
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from firmware_protocol.davis346 import Davis346, Davis346Settings, Layout
@@ -137,7 +137,39 @@ def test_lines_without_room_are_dropped_and_counted_where_they_may_not_wait():
     camera.offer_readings(FRAMES, lines)
     camera.advance(10_000)
     assert host.decoded().frames == ()
+    camera.advance(20_000)
+    assert host.decoded().frames == ()
+    assert host.decoder.frames_incomplete == 1  # its end came: start, exposure and end are never dropped
     assert counted(camera).dropped == len(lines) - counted(camera).delivered > 100
+
+
+@settings(max_examples=12, deadline=None)
+@example(words=[0, 0, 121], events=0)
+@given(
+    words=st.lists(st.integers(0, 400), min_size=3, max_size=20).filter(lambda words: 40 < np.mean(words) < 120),
+    events=st.integers(0, 40),
+)
+def test_a_host_too_slow_for_all_frames_gets_fewer_and_those_whole(words, events):
+    camera, host = running(fifo_bytes=2048)
+    offered = [frame(Layout.UPRIGHT, (0, 0, 19, 19), 1000 + 1000 * k, seed=k) for k in range(60)]
+    for lines, _ in offered:
+        camera.offer_readings(FRAMES, lines)
+    got = []
+    for now_us in range(0, 90_000, 100):
+        camera.offer(steady(events, now_us, seed=now_us))  # they take room, too
+        camera.advance(now_us + 99)
+        some = words[now_us // 100 % len(words)] if now_us < 70_000 else 10_000
+        if some and (transfer := camera.read(2, 2 * some)) is not None:
+            camera.sent(transfer)
+            got += host.decoder.feed(transfer.data).frames
+    sent = [reset.tolist() for _, (reset, _) in offered]
+    places = [sent.index(one.reset.tolist()) for one in got]
+    assert places == sorted(set(places))
+    assert len(got) > 5
+    assert host.decoder.frames_incomplete == host.decoder.faults.total == 0
+    each, told = len(offered[0][0]), counted(camera)
+    assert (told.dropped, told.delivered) == ((60 - len(got)) * each, len(got) * each)
+    assert told.accounted == told.offered
 
 
 def test_closing_the_gate_flushes_what_waits_and_what_is_queued():

@@ -7,6 +7,7 @@ import time
 
 import dv_processing as dv
 from collecting import Collector, arguments
+from written_camera import written
 
 HOST_PACKETS, MAX_INTERVAL_US = -3, 1  # libcaer's CAER_HOST_CONFIG_PACKETS
 EXTERNAL_INPUT = 4
@@ -38,7 +39,7 @@ def open_camera(options: argparse.Namespace) -> dv.io.CameraCapture:
         camera.deviceConfigSet(EXTERNAL_INPUT, parameter, 1)
     if options.packet_ms:
         camera.deviceConfigSet(HOST_PACKETS, MAX_INTERVAL_US, options.packet_ms * 1000)
-    return camera
+    return written(camera, options)
 
 
 def take(camera: dv.io.CameraCapture, collector: Collector, options: argparse.Namespace) -> None:

@@ -8,6 +8,7 @@ from datetime import timedelta
 
 import dv_processing as dv
 from collecting import Collector, arguments
+from written_camera import written
 
 KINDS = {
     dv.TriggerType.EXTERNAL_SIGNAL_RISING_EDGE: 2,
@@ -41,7 +42,7 @@ def open_camera(options: argparse.Namespace) -> dv.io.camera.DAVIS:
         camera.setAutoExposure(False)
     if options.packet_ms:
         camera.setTimeInterval(timedelta(milliseconds=options.packet_ms))
-    return camera
+    return written(camera, options)
 
 
 def take(camera: dv.io.camera.DAVIS, collector: Collector, options: argparse.Namespace) -> None:

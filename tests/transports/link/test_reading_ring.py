@@ -4,9 +4,10 @@ import asyncio
 from functools import partial
 
 import numpy as np
+import pytest
 
 from firmware_protocol.davis346 import Davis346, Davis346Settings
-from firmware_protocol.frame_lines import FrameSettings, line_record
+from firmware_protocol.frame_lines import FrameSettings, LineKind, line_record
 from firmware_protocol.plain_device import PlainDevice
 from firmware_protocol.readings import ReadingKind
 from transports.link.pacing import FakeClock
@@ -38,6 +39,32 @@ def test_what_finds_no_room_is_refused_and_counted():
     assert ring.time_of(0) == 3
 
 
+def frame_of(lines, start_us, most=8):
+    told = np.zeros(2 * lines + 4, line_record(most))
+    told["t"] = start_us + np.arange(len(told))
+    told["kind"] = [LineKind.START, *[LineKind.RESET] * lines, 2, 3, *[LineKind.SIGNAL] * lines, LineKind.END]
+    return told
+
+
+def test_of_a_frame_all_finds_room_or_nothing():
+    ring = ReadingRing(ReadingKind.FRAMES, line_record(8), 32)  # a frame has at most 20 records
+    first, second, third = (frame_of(5, t_us) for t_us in (0, 100, 200))
+    assert ring.push(first[:6]) == 6
+    assert ring.push(np.concatenate([first[6:], second[:3]])) == 8
+    assert ring.push(second[3:]) == 0
+    assert (ring.refused, ring.waiting) == (len(second), len(first))
+    assert not ring.fits(third)
+    assert ring.take(13)["t"].tolist() == first["t"].tolist()
+    assert ring.fits(third)
+    assert ring.push(third) == len(third)
+    assert ring.take(1000)["t"].tolist() == third["t"].tolist()
+
+
+def test_a_ring_of_frames_holds_at_least_one():
+    with pytest.raises(ValueError, match="at least one, 696 records"):
+        ReadingRing(ReadingKind.FRAMES, line_record(346), 695)
+
+
 def test_settings_come_back_whole():
     ring = ReadingRing(ReadingKind.IMU, RECORD, 4)
     assert ring.settings == ()
@@ -59,7 +86,7 @@ def linked(device, ring, endpoint=None, origin_ns=FREE_RUNNING):
 
 
 def test_a_device_hears_of_readings_in_its_time_and_its_host_is_heard():
-    ring = ReadingRing(ReadingKind.FRAMES, line_record(346), 16)
+    ring = ReadingRing(ReadingKind.FRAMES, line_record(346), 1024)
     link, events, clock = linked(CAMERA, ring)
     ring.push(readings([100, 5000], line_record(346)))
     events.publish(1000)

@@ -63,10 +63,21 @@ def test_frames_in_npz_keep_all_bits_and_their_place(tmp_path):
     recorder.append(Part(empty_events(), frames=frames[:1]), restarted=True)
     recorder.append(Part(events(), frames=frames[1:]))
     recorder.close()
-    read = load_frames(tmp_path / "a.npz")
+    read, resets = load_frames(tmp_path / "a.npz")
+    assert resets == [0]
     assert read.dtype == frame_record(SIZE)
     assert read["t"].tolist() == [1000, 2000]
     assert (read["pixels"][0] == frames[0].pixels).all()
     assert (read["pixels"][1, 20:25, 10:17] == frames[1].pixels).all()
     assert np.count_nonzero(read["pixels"][1]) <= 35
     assert [path.name for path in tmp_path.iterdir()] == ["a.npz"]
+
+
+def test_frames_in_npz_are_told_apart_where_time_began_anew(tmp_path):
+    recorder = Recorder(tmp_path / "a.npz", SIZE)
+    recorder.append(Part(events()), restarted=True)
+    recorder.append(Part(events(), frames=(frame(1000), frame(2000))), restarted=True)
+    recorder.append(Part(empty_events(), frames=(frame(500),)), restarted=True)
+    recorder.close()
+    read, resets = load_frames(tmp_path / "a.npz")
+    assert [part["t"].tolist() for part in np.split(read, resets)] == [[], [], [1000, 2000], [500]]

@@ -1,0 +1,87 @@
+"""What docs/drivers.md tells a new user to type works as it stands there: its rig, its commands, its programs.
+
+Only where the camera is differs: it is served on the host, and a program in the guest forwards port 3240, as the page
+has ssh do. `sudo` is a shell function, for the guest's user is root.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from tests.guest.environments import DRIVERS, Driver
+from tests.guest.machine import HOST_ADDRESS, Guest
+from tests.guest.running_rig import RunningRig
+
+PAGE = Path(__file__).parents[2] / "docs" / "drivers.md"
+HEADINGS = {"dv2": "dv-processing 2", "dv1": "dv-processing 1.7 (libcaer)", "nd": "neuromorphic_drivers"}
+PORT = "3240"
+TIMEOUT_S = 300.0
+FORWARD = str(Path(__file__).parent / "clients" / "forward.py")
+
+pytestmark = [pytest.mark.guest, pytest.mark.socket, pytest.mark.timeout(1200), pytest.mark.xdist_group("guest")]
+
+
+def blocks(heading: str) -> list[tuple[str, str]]:
+    """(language, text) of each block of code under a heading of the page."""
+    _, _, section = PAGE.read_text().partition(f"# {heading}\n")
+    shielded = re.sub(r"^```.*?^```", _shield, section, flags=re.M | re.S)
+    own = re.split(r"^#+ .*\n", shielded, maxsplit=1, flags=re.M)[0]
+    found = re.findall(r"^```(\w+)\n(.*?)^```", own, re.M | re.S)
+    return [(language, text.replace("\0", "#")) for language, text in found]
+
+
+def _shield(block: re.Match[str]) -> str:
+    """A block of code whose comments do not look like headings."""
+    return block[0].replace("#", "\0")
+
+
+def shell(guest: Guest, commands: str) -> str:
+    """Run lines of the page in the guest as they stand."""
+    return guest.check(["sh", "-ec", 'sudo() { "$@"; }\n' + commands], TIMEOUT_S)
+
+
+@contextmanager
+def forwarded(guest: Guest, port: int) -> Iterator[None]:
+    """Port 3240 of the guest is the host's `port`."""
+    (guest.results / "forward.pid").unlink(missing_ok=True)
+    pid = guest.path_in_guest("forward.pid")
+    job = guest.start([sys.executable, FORWARD, PORT, HOST_ADDRESS, str(port), pid], TIMEOUT_S * 4)
+    guest.check(["sh", "-c", f"until [ -s {pid} ]; do sleep 0.05; done"], TIMEOUT_S)
+    try:
+        yield
+    finally:
+        guest.check(["sh", "-c", f"kill $(cat {pid})"])
+        job.wait()
+
+
+@pytest.fixture
+def attached(guest: Guest, tmp_path: Path) -> Iterator[RunningRig]:
+    """The rig of the page, running, and its camera attached by the commands of the page."""
+    (_, rig), _, (_, attach), (_, detach) = blocks("Attach it")
+    rig = re.sub(rf"^port = {PORT}$", "port = {port}", rig, flags=re.M)
+    attach = attach.replace("modprobe", f"modprobe -d {guest.kernel.tree}")
+    with RunningRig(tmp_path, text=rig) as running, forwarded(guest, running.port):
+        shell(guest, attach)
+        yield running
+        shell(guest, detach)
+
+
+@pytest.mark.parametrize("driver", DRIVERS, ids=lambda driver: driver.name)
+def test_the_program_of_the_page_sees_all_streams(
+    guest: Guest, driver: Driver, driver_pythons: dict[str, Path], attached: RunningRig
+) -> None:
+    ((_, program),) = blocks(HEADINGS[driver.name])
+    ended = guest.run([str(driver_pythons[driver.name]), "-u", "-c", program], TIMEOUT_S)
+    assert ended.ok, ended
+    assert "ERROR" not in ended.stdout + ended.stderr, ended  # as libcaer logs a frame with gaps
+    seen = ast.literal_eval(ended.stdout.splitlines()[-1])
+    assert min(seen[stream] for stream in ("events", "frames", "imu", "triggers")) >= 5
+    attached.stop()
+    assert attached.summary["balanced"], attached.summary
