@@ -40,9 +40,10 @@ from firmware_protocol.davis346.fifo import Fifo
 from firmware_protocol.davis346.filters import DvsFilters
 from firmware_protocol.davis346.marks import Marks, join_marks, no_marks
 from firmware_protocol.davis346.reading_input import ReadingInput
-from firmware_protocol.davis346.registers import Module, RegisterFile, Statistic, registers
+from firmware_protocol.davis346.registers import Module, RegisterFile, registers
 from firmware_protocol.davis346.run_gate import RunGate
 from firmware_protocol.davis346.settings import DATA_ENDPOINT, Davis346Settings
+from firmware_protocol.davis346.statistics import Statistics
 from firmware_protocol.davis346.stream import EventStream
 from firmware_protocol.davis346.words import WordEncoder
 from firmware_protocol.edges import Edges
@@ -78,6 +79,7 @@ class Davis346(UsbCamera):
         self._registers = RegisterFile(registers(settings.size, settings.layout, settings.system, settings.imu_unit))
         self._stream = EventStream(WordEncoder(settings.size, settings.layout.turned), Fifo(settings.fifo_bytes))
         self._filters = DvsFilters(settings.size)
+        self._statistics = Statistics(self._stream, self._filters)
         self._input = ExternalInput(settings.pulse_us)
         self._stalled = no_marks()
         self._readings = ReadingInput(settings, self._registers)
@@ -318,8 +320,7 @@ class Davis346(UsbCamera):
         self._stream.start_time(self._now_us)
         self._flushes += 1
         self._filters.power_on()
-        self._at_power_on, self._hot_before = self._stream.counters, self._filters.hot
-        self._marks_dropped_before = self._stream.mark_counters.dropped_fifo
+        self._statistics.power_on()
 
     def accepts(self, setup: SetupPacket) -> bool:
         """Say whether an OUT request is known and its data have the right length."""
@@ -340,7 +341,7 @@ class Davis346(UsbCamera):
     def _read_register(self, setup: SetupPacket) -> bytes:
         if setup.request != REGISTER or setup.length < 4:
             raise Stall
-        self._refresh_statistics()
+        self._statistics.refresh(self._registers)
         return self._registers.read(setup.value, setup.index).to_bytes(4, "big")
 
     def _write(self, module: int, address: int, value: int) -> None:
@@ -381,18 +382,3 @@ class Davis346(UsbCamera):
         self._stream.drop_marks(len(self._stalled))
         self._stalled = no_marks()
         self._readings.flush()
-
-    def _refresh_statistics(self) -> None:
-        """Bring the counter registers up to date: rows and columns queued, events dropped, since power-on.
-
-        One FIFO stands here for the DVS module's and the USB buffers', so both dropped counters show its drops.
-        """
-        now, base = self._stream.counters, self._at_power_on
-        dropped = now.dropped_fifo - base.dropped_fifo
-        self._registers.count(Statistic.DVS_ROWS, now.rows - base.rows)
-        self._registers.count(Statistic.DVS_COLUMNS, now.accepted - base.accepted)
-        self._registers.count(Statistic.DVS_DROPPED, dropped)
-        self._registers.count(Statistic.DVS_FILTERED_PIXELS, self._filters.hot - self._hot_before)
-        self._registers.count(Statistic.MUX_DVS_DROPPED, dropped)
-        marks_dropped = self._stream.mark_counters.dropped_fifo - self._marks_dropped_before
-        self._registers.count(Statistic.MUX_EXTINPUT_DROPPED, marks_dropped)
