@@ -40,7 +40,7 @@ from firmware_protocol.davis346.fifo import Fifo
 from firmware_protocol.davis346.filters import DvsFilters
 from firmware_protocol.davis346.marks import Marks, join_marks, no_marks
 from firmware_protocol.davis346.reading_input import ReadingInput
-from firmware_protocol.davis346.registers import Module, RegisterFile, registers
+from firmware_protocol.davis346.registers import Module, RegisterFile
 from firmware_protocol.davis346.run_gate import RunGate
 from firmware_protocol.davis346.settings import DATA_ENDPOINT, Davis346Settings
 from firmware_protocol.davis346.statistics import Statistics
@@ -76,9 +76,9 @@ class Davis346(UsbCamera):
     def __init__(self, settings: Davis346Settings | None = None) -> None:
         self.settings = settings = settings or Davis346Settings()
         self._standard = StandardControl(settings.descriptors())
-        self._registers = RegisterFile(registers(settings.size, settings.layout, settings.system, settings.imu_unit))
+        self._registers = RegisterFile(settings.registers())
         self._stream = EventStream(WordEncoder(settings.size, settings.layout.turned), Fifo(settings.fifo_bytes))
-        self._filters = DvsFilters(settings.size)
+        self._filters = DvsFilters(settings.size, has_activity=settings.activity_filter)
         self._statistics = Statistics(self._stream, self._filters)
         self._input = ExternalInput(settings.pulse_us)
         self._stalled = no_marks()
@@ -152,6 +152,8 @@ class Davis346(UsbCamera):
             s.lost_on_link,
             s.queued,
             not_selected=self._filters.filtered,
+            dropped_background=self._filters.isolated,
+            dropped_refractory=self._filters.too_soon,
             edges=self._edge_counters(),
             readings=self._readings.counters(self._stream.block_fates),
         )
@@ -356,6 +358,7 @@ class Davis346(UsbCamera):
     def _follow_registers(self) -> None:
         self._gate = RunGate.of(self._registers)
         self._readings.follow(words=self._gate.words)
+        self._filters.follow(self._registers, self._now_us)
 
     def _turn(self, before: RunGate, after: RunGate) -> None:
         """Do what a change of the run bits asks for."""

@@ -37,6 +37,8 @@ class Statistics:
             Statistic.DVS_COLUMNS: events.accepted,
             Statistic.DVS_DROPPED: events.dropped_fifo,
             Statistic.DVS_FILTERED_PIXELS: filters.hot,
+            Statistic.DVS_FILTERED_BACKGROUND_ACTIVITY: filters.isolated,
+            Statistic.DVS_FILTERED_REFRACTORY: filters.too_soon,
             Statistic.MUX_DVS_DROPPED: events.dropped_fifo,
             Statistic.MUX_EXTINPUT_DROPPED: self._stream.mark_counters.dropped_fifo,
         }
