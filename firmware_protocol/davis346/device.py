@@ -301,7 +301,9 @@ class Davis346(UsbCamera):
         self._standard.require(endpoint | _IN)
         if endpoint | _IN != DATA_ENDPOINT or self._now_us < self._silent_until_us:
             return None
-        return self._stream.take(max_bytes)
+        transfer = self._stream.take(max_bytes)
+        self._has_sent = self._has_sent or transfer is not None
+        return transfer
 
     def sent(self, transfer: Transfer) -> None:
         """Count the transfer's events as delivered."""
@@ -315,7 +317,7 @@ class Davis346(UsbCamera):
         self._registers.power_on()
         self._standard.power_on()
         self._follow_registers()
-        self._starting = False
+        self._starting = self._has_sent = False
         self._factors: Mapping[str, float] = {}
         self._silent_until_us = self._now_us
         self._drop_stalled()
@@ -371,7 +373,9 @@ class Davis346(UsbCamera):
             self._starting = True
         if after.words or not after.timestamps:
             self._starting = False
-        if (after.words and not before.words) or (after.events and not before.events):
+        if after.words and not before.words:
+            self._has_sent = False
+        if (after.words and not before.words) or (after.events and not before.events and not self._has_sent):
             self._silent_until_us = self._now_us + self.settings.start_delay_us
         if after.reset and not before.reset and after.words:
             self._stream.reset_time(self._now_us)

@@ -4,6 +4,19 @@
 cancels each active transfer and marks it complete when libusb refuses, as libusb does for a device that is gone; when
 the transfer's callback then comes all the same, it panics in a C callback, and SIGABRT ends the process. The iterator
 has told of the missing device by then.
+
+**neuromorphic_drivers has no frames after a change of the region of interest.** `update_configuration` (0.16 source,
+0.18.2 as traced) writes APS RUN = 0, the region and then APS RUN = 0 again, where 1 is meant. So frames stay off until
+somebody else writes that register; here the client does.
+
+**dv-processing 2.0.4 never returns from `getGeneratorLowTime`**, called first thing on a camera just opened too.
+`getGeneratorHighTime`, `setGeneratorLowTime` and a second program that reads the same registers work meanwhile.
+
+**dv-processing 2.0.4 loses data in `setTransfersNumber` and `setTransfersSize`.** Both cancel all transfers and queue
+new ones while the camera streams; the frame under way then has wrong numbers of columns, and the log says so.
+
+**dv-processing 2.0.4 leaves the events off after `setExternalAERControl(False)`.** To hand the chip over it writes DVS
+RUN = 0, and to take it back only register 5; `setEventsRunning(True)` after `setEventsRunning(False)` starts them.
 """
 
 from __future__ import annotations

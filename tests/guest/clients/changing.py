@@ -18,7 +18,7 @@ Change = tuple[str, Callable[[], object]]
 Take = Callable[[], object]
 
 FAILURES = (AssertionError, OverflowError, RuntimeError, TypeError, ValueError)  # of the drivers, and of the checks
-CHANGE_US = 25_000  # device time from change to change
+CHANGE_US = 10_000  # device time from change to change: a packet of the drivers of iniVation
 CHANGE_S = 0.5  # and host time, should no events come
 SETTLE_US = 700_000  # longer than a frame and the drivers' queues
 
@@ -34,6 +34,7 @@ def look(getters: Iterable[Change]) -> list[dict[str, object]]:
     """Call each getter and return those that failed, and how."""
     failed: list[dict[str, object]] = []
     for name, getter in getters:
+        print(f"look: {name}", file=sys.stderr, flush=True)
         try:
             getter()
         except FAILURES as failure:

@@ -19,7 +19,7 @@ from collecting import Collector, arguments
 from dv1 import EXTERNAL_INPUT, open_camera, take
 
 CAPTURE = dv.io.CameraCapture
-MUX, DVS, APS, IMU, BIAS, SYSTEM, USB = 0, 1, 2, 3, 5, 6, 9
+MUX, DVS, APS, IMU, BIAS, USB = 0, 1, 2, 3, 5, 9
 HOST_USB, HOST_DATA, HOST_PACKETS, HOST_LOG = -1, -2, -3, -4
 FLAGS = {
     MUX: (4, 5),
@@ -40,11 +40,11 @@ NUMBERS = {
     HOST_USB: {0: 16, 1: 16384},
     HOST_DATA: {0: 128},
     HOST_PACKETS: {0: 4096, 1: 5000},
-    HOST_LOG: {0: 7},
+    HOST_LOG: {0: 4},
 }
+AUTO_EXPOSURE = 101
 RUNNING = ((MUX, 0), (MUX, 1), (MUX, 3), (USB, 0))
 ACTIONS = ((MUX, 2), (APS, 100), (DVS, 100))  # timestamp reset, snapshot, learning of noisy pixels
-READ_ONLY = {DVS: (0, 1, 2, 10, 30, 40, 50, 60, 80), APS: (0, 1, 2, 3, 6), IMU: (0, 1), SYSTEM: range(8)}
 GETTERS = (
     *("CameraName", "DavisExposureDuration", "DavisFrameInterval", "EventResolution", "FrameResolution"),
     *("ImuRate", "PixelPitch"),
@@ -70,7 +70,9 @@ def other(camera: Any, module: int, number: int, value: int | None) -> None:
 
 
 def changes(camera: Any) -> Iterator[Change]:
-    """Every parameter and setter; each is set back."""
+    """Every parameter and setter; each is set back, but for the exposure, which is no longer automatic."""
+    # While it is automatic, libcaer refuses any other exposure.
+    yield "no automatic exposure", partial(camera.deviceConfigSet, APS, AUTO_EXPOSURE, 0)
     for module, number, value in parameters():
         name = f"({module}, {number})"
         try:
@@ -86,11 +88,9 @@ def changes(camera: Any) -> Iterator[Change]:
 
 
 def setters(camera: Any) -> Iterator[Change]:
-    """The setters of the class, but for those of a DVXplorer."""
-    sensitivities, modes = CAPTURE.BiasSensitivity.__members__, CAPTURE.DavisReadoutMode.__members__
+    """The setters of the class, but for those that are a DVXplorer's: a DAVIS answers False."""
+    modes = CAPTURE.DavisReadoutMode.__members__
     calls: list[tuple[str, tuple[Any, ...]]] = [
-        *(("setDVSBiasSensitivity", (sensitivities[k],)) for k in ("VeryLow", "Low", "High", "VeryHigh", "Default")),
-        *(("setDVSGlobalHold", (state,)) for state in (False, True)),
         *(("setDavisColorMode", (mode,)) for mode in CAPTURE.DavisColorMode.__members__.values()),
         ("setDavisColorMode", (CAPTURE.DavisColorMode.Grayscale,)),
         *(("setDavisReadoutMode", (modes[k],)) for k in ("EventsOnly", "FramesOnly", "EventsAndFrames")),
@@ -103,12 +103,9 @@ def setters(camera: Any) -> Iterator[Change]:
 
 
 def getters(camera: Any) -> Iterator[Change]:
-    """What only looks; the parameters that can only be read too."""
+    """What only looks. The sizes and capabilities are no parameters: libcaer tells them itself, and refuses these."""
     for name in GETTERS:
         yield f"get{name}()", getattr(camera, f"get{name}")
-    for module, numbers in READ_ONLY.items():
-        for number in numbers:
-            yield f"({module}, {number})", partial(camera.deviceConfigGet, module, number)
 
 
 def _done(name: str, setter: Callable[[], object]) -> None:

@@ -48,12 +48,13 @@ VALUES: dict[str, tuple[Any, ...]] = {
     "TransfersSize": (16384, 8192),
     "LogLevel": tuple(dv.io.camera.USBDevice.LogLevel.__members__[f"LVL_{k}"] for k in ("DEBUG", "WARNING")),
 }  # fmt: skip
+NEVER_RETURNS = ("getGeneratorLowTime",)  # see environments.py
 OF_OTHER_MODELS = ("Davis240", "CDavis")
 
 
 def changes(camera: Any) -> Iterator[Change]:
     """Every setter, with the values of the tables above; the last one is the driver's default."""
-    values = VALUES | dict.fromkeys(FLAGS_ON, (False, True)) | dict.fromkeys(FLAGS_OFF, (True, False))
+    values = VALUES | dict.fromkeys(FLAGS_OFF, (True, False)) | dict.fromkeys(FLAGS_ON, (False, True))
     for name, wanted in values.items():
         for value in wanted:
             yield f"set{name}({value})", partial(getattr(camera, f"set{name}"), value)
@@ -76,7 +77,7 @@ def getters(camera: Any) -> Iterator[Change]:
     """Everything that takes no argument and only looks."""
     for name, method in inspect.getmembers(camera, callable):
         looks = name.startswith(("get", "is")) and not name.startswith("getNext")
-        if looks and "Bias" not in name and name != "getEventColor" and name != "isStreamAvailable":
+        if looks and "Bias" not in name and name not in ("getEventColor", "isStreamAvailable", *NEVER_RETURNS):
             yield f"{name}()", method
 
 

@@ -11,8 +11,10 @@ import neuromorphic_drivers as nd
 from changing import Change, look, make_changes, take_settled
 from collecting import Collector, arguments
 from nd import open_camera, take
+from register import write_registers
 
 DAVIS = nd.inivation_davis346
+APS, RUN = 2, 4
 DEFAULT = DAVIS.Configuration()
 OTHERS: dict[str, tuple[Any, ...]] = {
     "region_of_interest": (DAVIS.RegionOfInterest(20, 30, 200, 150),),
@@ -38,7 +40,13 @@ def configurations() -> Iterator[tuple[str, Any]]:
 def changes(camera: Any) -> Iterator[Change]:
     """Every field, and at the last the driver's own configuration."""
     for name, configuration in (*configurations(), ("default", DEFAULT)):
-        yield name, partial(camera.update_configuration, configuration)
+        yield name, partial(update, camera, configuration)
+
+
+def update(camera: Any, configuration: Any) -> None:
+    """Change the configuration, and start the frames that the driver leaves off after a change of the region."""
+    camera.update_configuration(configuration)
+    write_registers(APS, (RUN,), 1)
 
 
 def main() -> None:
