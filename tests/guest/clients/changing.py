@@ -19,7 +19,7 @@ Take = Callable[[], object]
 
 FAILURES = (AssertionError, OverflowError, RuntimeError, TypeError, ValueError)  # of the drivers, and of the checks
 CHANGE_US = 10_000  # device time from change to change: a packet of the drivers of iniVation
-CHANGE_S = 0.5  # and host time, should no events come
+CHANGE_S = 0.25  # and host time, should no events come
 SETTLE_US = 700_000  # longer than a frame and the drivers' queues
 
 

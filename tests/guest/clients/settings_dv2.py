@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import inspect
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from datetime import timedelta
 from functools import partial
 from typing import Any
@@ -22,6 +22,7 @@ FLAGS_ON = (
     *("EventsRunning", "FramesRunning", "ImuRunningAccelerometer", "ImuRunningGyroscope", "ImuRunningTemperature"),
     *("DetectorRisingEdges", "DetectorFallingEdges", "DetectorRunning"),
 )
+LOSES_DATA: dict[str, tuple[Any, ...]] = {"TransfersNumber": (16, 32), "TransfersSize": (16384, 8192)}  # made last
 FLAGS_OFF = (
     *("AutoExposure", "FlipHorizontal", "FlipVertical", "FlipHorizontalEvents", "FlipVerticalEvents"),
     *("FlipHorizontalFrames", "FlipVerticalFrames", "IMUFlipX", "IMUFlipY", "IMUFlipZ", "ExternalAERControl"),
@@ -44,8 +45,6 @@ VALUES: dict[str, tuple[Any, ...]] = {
     "CropAreaFrames": (REGION, WHOLE),
     "TimeInterval": (5 * MS, 10 * MS),
     "USBEarlyPacketDelay": (HALF_MS, MS),
-    "TransfersNumber": (16, 32),
-    "TransfersSize": (16384, 8192),
     "LogLevel": tuple(dv.io.camera.USBDevice.LogLevel.__members__[f"LVL_{k}"] for k in ("DEBUG", "WARNING")),
 }  # fmt: skip
 NEVER_RETURNS = ("getGeneratorLowTime",)  # see environments.py
@@ -55,9 +54,7 @@ OF_OTHER_MODELS = ("Davis240", "CDavis")
 def changes(camera: Any) -> Iterator[Change]:
     """Every setter, with the values of the tables above; the last one is the driver's default."""
     values = VALUES | dict.fromkeys(FLAGS_OFF, (True, False)) | dict.fromkeys(FLAGS_ON, (False, True))
-    for name, wanted in values.items():
-        for value in wanted:
-            yield f"set{name}({value})", partial(getattr(camera, f"set{name}"), value)
+    yield from setters(camera, values)
     for name, bias in DAVIS.Davis346BiasCF.__members__.items():
         yield from bias_changes(camera, name, bias)
     for name, bias in DAVIS.Davis346BiasVDAC.__members__.items():
@@ -65,6 +62,13 @@ def changes(camera: Any) -> Iterator[Change]:
         for value in ((voltage + 1) % 64, voltage):
             yield f"setDavis346BiasVoltage({name}, {value})", partial(camera.setDavis346BiasVoltage, bias, value)
     yield "snapshot()", camera.snapshot
+    yield from setters(camera, LOSES_DATA)
+
+
+def setters(camera: Any, values: Mapping[str, tuple[Any, ...]]) -> Iterator[Change]:
+    for name, wanted in values.items():
+        for value in wanted:
+            yield f"set{name}({value})", partial(getattr(camera, f"set{name}"), value)
 
 
 def bias_changes(camera: Any, name: str, bias: Any) -> Iterator[Change]:
