@@ -86,6 +86,7 @@ class Davis346(UsbCamera):
         self._resets_us: list[int] = []
         self._now_us = 0
         self._not_running = self._offered = self._flushes = 0
+        self._has_sent = False
         self._power_on()
 
     @property
@@ -317,7 +318,8 @@ class Davis346(UsbCamera):
         self._registers.power_on()
         self._standard.power_on()
         self._follow_registers()
-        self._starting = self._has_sent = False
+        self._starting = False
+        self._has_sent = False
         self._factors: Mapping[str, float] = {}
         self._silent_until_us = self._now_us
         self._drop_stalled()
