@@ -19,7 +19,7 @@ from tests.guest.machine import Guest
 from tests.guest.running_rig import CHECKERBOARD, RunningRig
 from tests.guest.streaming import Streaming
 
-TIMEOUT_S = 60.0
+TIMEOUT_S = 300.0  # on a busy machine; some 20 s on one that is not
 FILTERING = CHECKERBOARD.replace("[camera]\n", "[camera]\nactivity_filter = true\n")
 EVENTS = 100_000  # of the settled part: a third of a second of device time
 ABOVE_INFO = re.compile(r"\b(WARNING|WARN|ERROR|CRITICAL|ALERT|EMERGENCY)\b")
@@ -56,6 +56,8 @@ def test_every_setting_is_changed_while_all_streams_run(
     assert failed == {}
     assert seen.about["untried"] == []
     assert complaints(seen.said) == []
+    assert len(seen.events) >= EVENTS
     offset_us = assert_same_streams(driver, seen, rig.delivered, whole=False)
     assert_same_frames(driver, guest.results / f"{client.name}.npz", tmp_path / "delivered.npz", offset_us)
     assert rig.summary["balanced"], rig.summary
+    assert rig.summary["links"]["usbip"]["dropped_in_device"]["dropped_background"] > 0
