@@ -9,11 +9,12 @@ has told of the missing device by then.
 0.18.2 as traced) writes APS RUN = 0, the region and then APS RUN = 0 again, where 1 is meant. So frames stay off until
 somebody else writes that register; here the client does.
 
-**dv-processing 2.0.4 never returns from `getGeneratorLowTime`**, called first thing on a camera just opened too.
-`getGeneratorHighTime`, `setGeneratorLowTime` and a second program that reads the same registers work meanwhile.
+**dv-processing 2.0.4 does not return from `getGeneratorLowTime`**: not within 25 s on a camera just opened, from which
+`getGeneratorHighTime` had returned. Why is not known; libcaer reads both registers (4.13, 4.14) without trouble.
 
-**dv-processing 2.0.4 loses data in `setTransfersNumber` and `setTransfersSize`.** Both cancel all transfers and queue
-new ones while the camera streams; the frame under way then has wrong numbers of columns, and the log says so.
+**dv-processing 2.0.4 loses data in `setTransfersNumber` and `setTransfersSize`.** Both replace all transfers while the
+camera streams. Frames then have wrong numbers of columns; and once a timestamp went back by 9 ms, as after the loss of
+a wrap of 32.8 ms, for which the driver ends the stream.
 
 **dv-processing 2.0.4 leaves the events off after `setExternalAERControl(False)`.** To hand the chip over it writes DVS
 RUN = 0, and to take it back only register 5; `setEventsRunning(True)` after `setEventsRunning(False)` starts them.

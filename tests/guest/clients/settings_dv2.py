@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import inspect
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from datetime import timedelta
 from functools import partial
 from typing import Any
@@ -22,7 +22,6 @@ FLAGS_ON = (
     *("EventsRunning", "FramesRunning", "ImuRunningAccelerometer", "ImuRunningGyroscope", "ImuRunningTemperature"),
     *("DetectorRisingEdges", "DetectorFallingEdges", "DetectorRunning"),
 )
-LOSES_DATA: dict[str, tuple[Any, ...]] = {"TransfersNumber": (16, 32), "TransfersSize": (16384, 8192)}  # made last
 FLAGS_OFF = (
     *("AutoExposure", "FlipHorizontal", "FlipVertical", "FlipHorizontalEvents", "FlipVerticalEvents"),
     *("FlipHorizontalFrames", "FlipVerticalFrames", "IMUFlipX", "IMUFlipY", "IMUFlipZ", "ExternalAERControl"),
@@ -48,13 +47,16 @@ VALUES: dict[str, tuple[Any, ...]] = {
     "LogLevel": tuple(dv.io.camera.USBDevice.LogLevel.__members__[f"LVL_{k}"] for k in ("DEBUG", "WARNING")),
 }  # fmt: skip
 NEVER_RETURNS = ("getGeneratorLowTime",)  # see environments.py
+LOSE_DATA = {"setTransfersNumber", "setTransfersSize"}  # and may end the stream: see environments.py
 OF_OTHER_MODELS = ("Davis240", "CDavis")
 
 
 def changes(camera: Any) -> Iterator[Change]:
     """Every setter, with the values of the tables above; the last one is the driver's default."""
     values = VALUES | dict.fromkeys(FLAGS_OFF, (True, False)) | dict.fromkeys(FLAGS_ON, (False, True))
-    yield from setters(camera, values)
+    for name, wanted in values.items():
+        for value in wanted:
+            yield f"set{name}({value})", partial(getattr(camera, f"set{name}"), value)
     for name, bias in DAVIS.Davis346BiasCF.__members__.items():
         yield from bias_changes(camera, name, bias)
     for name, bias in DAVIS.Davis346BiasVDAC.__members__.items():
@@ -62,13 +64,6 @@ def changes(camera: Any) -> Iterator[Change]:
         for value in ((voltage + 1) % 64, voltage):
             yield f"setDavis346BiasVoltage({name}, {value})", partial(camera.setDavis346BiasVoltage, bias, value)
     yield "snapshot()", camera.snapshot
-    yield from setters(camera, LOSES_DATA)
-
-
-def setters(camera: Any, values: Mapping[str, tuple[Any, ...]]) -> Iterator[Change]:
-    for name, wanted in values.items():
-        for value in wanted:
-            yield f"set{name}({value})", partial(getattr(camera, f"set{name}"), value)
 
 
 def bias_changes(camera: Any, name: str, bias: Any) -> Iterator[Change]:
@@ -86,9 +81,9 @@ def getters(camera: Any) -> Iterator[Change]:
 
 
 def untried(camera: Any, tried: list[str]) -> list[str]:
-    """The setters that no change has called, but for those of other models."""
+    """The setters that no change has called, but for those of other models and those that lose data."""
     setters = {name for name in dir(camera) if name.startswith("set") and not name[3:].startswith(OF_OTHER_MODELS)}
-    return sorted(setters - {name.split("(")[0] for name in tried})
+    return sorted(setters - LOSE_DATA - {name.split("(")[0] for name in tried})
 
 
 def change_all(options: argparse.Namespace, collector: Collector) -> dict[str, object]:
