@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import inspect
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from datetime import timedelta
 from functools import partial
 from typing import Any
@@ -24,7 +24,7 @@ FLAGS_ON = (
 )
 FLAGS_OFF = (
     *("AutoExposure", "FlipHorizontal", "FlipVertical", "FlipHorizontalEvents", "FlipVerticalEvents"),
-    *("FlipHorizontalFrames", "FlipVerticalFrames", "IMUFlipX", "IMUFlipY", "IMUFlipZ", "ExternalAERControl"),
+    *("FlipHorizontalFrames", "FlipVerticalFrames", "IMUFlipX", "IMUFlipY", "IMUFlipZ"),
     *("GeneratorInjectTriggerOnFallingEdge", "GeneratorInjectTriggerOnRisingEdge", "GeneratorRunning"),
 )
 VALUES: dict[str, tuple[Any, ...]] = {
@@ -53,10 +53,7 @@ OF_OTHER_MODELS = ("Davis240", "CDavis")
 
 def changes(camera: Any) -> Iterator[Change]:
     """Every setter, with the values of the tables above; the last one is the driver's default."""
-    values = VALUES | dict.fromkeys(FLAGS_OFF, (True, False)) | dict.fromkeys(FLAGS_ON, (False, True))
-    for name, wanted in values.items():
-        for value in wanted:
-            yield f"set{name}({value})", partial(getattr(camera, f"set{name}"), value)
+    yield from setters(camera, dict.fromkeys(FLAGS_OFF, (True, False)) | VALUES)  # first what moves the exposure
     for name, bias in DAVIS.Davis346BiasCF.__members__.items():
         yield from bias_changes(camera, name, bias)
     for name, bias in DAVIS.Davis346BiasVDAC.__members__.items():
@@ -64,6 +61,14 @@ def changes(camera: Any) -> Iterator[Change]:
         for value in ((voltage + 1) % 64, voltage):
             yield f"setDavis346BiasVoltage({name}, {value})", partial(camera.setDavis346BiasVoltage, bias, value)
     yield "snapshot()", camera.snapshot
+    stop_events = {"ExternalAERControl": (True, False)}  # as the snapshot stops frames; the flags start them again
+    yield from setters(camera, stop_events | dict.fromkeys(FLAGS_ON, (False, True)))
+
+
+def setters(camera: Any, values: Mapping[str, tuple[Any, ...]]) -> Iterator[Change]:
+    for name, wanted in values.items():
+        for value in wanted:
+            yield f"set{name}({value})", partial(getattr(camera, f"set{name}"), value)
 
 
 def bias_changes(camera: Any, name: str, bias: Any) -> Iterator[Change]:
