@@ -20,6 +20,7 @@ Take = Callable[[], object]
 FAILURES = (AssertionError, OverflowError, RuntimeError, TypeError, ValueError)  # of the drivers, and of the checks
 CHANGE_US = 10_000  # device time from change to change: a packet of the drivers of iniVation
 CHANGE_S = 0.25  # and host time, should no events come
+FRAMES = 4  # of the settled part
 SETTLE_US = 700_000  # longer than a frame and the drivers' queues
 
 
@@ -59,8 +60,12 @@ def make_changes(changes: Iterable[Change], take: Take, collector: Collector) ->
 
 
 def take_settled(take: Take, collector: Collector, timeout_s: float) -> None:
-    """Let what the last changes did pass by, then collect as much as was asked for."""
+    """Let what the last changes did pass by, then collect as many events as were asked for, and some frames.
+
+    A driver may be further with its frames than with its events.
+    """
     read_on(take, collector, SETTLE_US, timeout_s)
     collector.restart()
-    while not collector.done:
+    deadline = time.monotonic() + timeout_s
+    while time.monotonic() < deadline and not (collector.done and collector.counts["frames"] >= FRAMES):
         take()
