@@ -27,6 +27,9 @@ frames (of the DVS: no events) where it is empty; frames are at least 1 ms apart
 than its interval stands still, and tells at most one edge of each kind in a microsecond; factors of biases stay within
 0.1 and 1000.
 
+Registers 31 to 34 of module 1 act in a camera that has these filters: `activity_filter = true` in `[camera]`. Then 30
+reads 1.
+
 **Acts** says what the model does with it: *yes*, it changes what is sent; *told*, its value describes the camera;
 empty, it is kept and read back, and nothing else.
 
@@ -50,7 +53,7 @@ _ACTS = frozenset(
     [(0, k) for k in range(5)]
     + [(1, 3), (9, 0)]
     + [(4, k) for k in (*range(6), *range(11, 17))]
-    + [(1, k) for k in (*range(11, 27), *range(41, 45), 51, 52, 61, 62, 63)]
+    + [(1, k) for k in (*range(11, 27), *range(31, 35), *range(41, 45), 51, 52, 61, 62, 63)]
     + [(2, k) for k in (4, 5, *range(7, 14))]
     + [(3, k) for k in (2, 3, 4, 5, 6, 7, 9, 10)]
     + [(5, bias.address) for bias in BIASES if bias.name in _BIASES_THAT_ACT]
@@ -65,9 +68,9 @@ _MEANINGS = {
     "DROP_DVS_ON_STALL": "events are dropped when the FIFO is full; the model always does",
     "WAIT_ON_STALL": "wait instead of dropping",
     "EXTERNAL_AER_CONTROL": "the chip's handshake is done outside",
-    "BACKGROUND_ACTIVITY_FILTER": "filter of isolated events on",
+    "BACKGROUND_ACTIVITY_FILTER": "filter of isolated events on ([the rule](drivers.md#the-activity-filter))",
     "BACKGROUND_ACTIVITY_TIME_250US": "its time, units of 250 us",
-    "REFRACTORY_FILTER": "filter of events too soon after the last of a pixel on",
+    "REFRACTORY_FILTER": "filter of events too soon after the last of their cell on",
     "REFRACTORY_TIME_250US": "its time, units of 250 us",
     "ROI_START_COLUMN": "region of interest: first column",
     "ROI_START_ROW": "region of interest: first row",

@@ -75,6 +75,8 @@ class CameraCounters:
         Still wait.
     not_selected
         Left out on purpose: outside the region of interest, or a pixel that sub-sampling skips.
+    dropped_background, dropped_refractory
+        Kept back by the camera's own filters of background activity and of the refractory period.
     dropped_rate
         Beyond the rate that the camera was told to keep.
     dropped_late
@@ -93,6 +95,8 @@ class CameraCounters:
     lost_on_link: int = 0
     queued: int = 0
     not_selected: int = 0
+    dropped_background: int = 0
+    dropped_refractory: int = 0
     dropped_rate: int = 0
     dropped_late: int = 0
     edges: EdgeCounters = field(default_factory=EdgeCounters)
@@ -106,7 +110,8 @@ class CameraCounters:
     @property
     def dropped_in_device(self) -> int:
         """Events that the camera took and did not hand to the link."""
-        return self.not_running + self.not_selected + self.dropped_for_room
+        filtered = self.not_selected + self.dropped_background + self.dropped_refractory
+        return self.not_running + filtered + self.dropped_for_room
 
     @property
     def accounted(self) -> int:

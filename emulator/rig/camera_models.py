@@ -85,6 +85,7 @@ def _davis346(camera: Camera, usb: UsbSettings) -> Callable[[], UsbCamera]:
         system=SystemInfo(timestamp_master=usb.is_master),
         imu_unit=0 if camera.imu is None else IMU_UNITS[camera.imu.unit],
         frames=camera.frames is not None,
+        activity_filter=camera.activity_filter,
         pulse_us=Davis346Settings.pulse_us if usb.pulse_us is None else usb.pulse_us,
     )
     return partial(Davis346, settings)

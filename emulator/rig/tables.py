@@ -36,6 +36,9 @@ class Camera:
         Size of the camera's output buffer; what finds no room in it is dropped and counted. 256 KiB, as in an FX3.
     start_delay_ms
         How long after the host's start command the first event may come (0 suits every driver but one).
+    activity_filter
+        Whether a DAVIS346 has its filters of background activity and refractory period. Where it has them, libcaer and
+        neuromorphic_drivers switch the former on, and do not see events that have no other near them.
     sensor
         Figures of the preset changed for this rig.
     clock
@@ -56,6 +59,7 @@ class Camera:
     layout: Literal["upright", "turned"] = "upright"
     fifo_bytes: int = 256 * 1024
     start_delay_ms: float = 300.0
+    activity_filter: bool = False
     sensor: SensorParameters = field(default_factory=lambda: PRESETS["davis346"])
     clock: ClockSettings | None = None
     imu: ImuParameters | None = None

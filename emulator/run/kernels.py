@@ -23,7 +23,7 @@ from emulator.rig.scene_kinds import SCENES
 from emulator.sensor.presets import PRESETS, SensorParameters
 from transports.link.kind import LinkParameters
 
-__all__ = ["CODER", "DECODER", "EVT", "TRUTH", "Part", "parts_of"]
+__all__ = ["ACTIVITY_FILTER", "CODER", "DECODER", "EVT", "TRUTH", "Part", "parts_of"]
 
 _WIDTH, _HEIGHT = 32, 24
 _FEW = dataclasses.replace(PRESETS["davis346"], width=_WIDTH, height=_HEIGHT)
@@ -71,6 +71,8 @@ def parts_of(rig: Rig) -> list[Part]:
         parts.append(CODER)
     if any(_has_evt(rig, link) for link in rig.links):
         parts.append(EVT)
+    if rig.camera.activity_filter:
+        parts.append(ACTIVITY_FILTER)
     return parts
 
 
@@ -197,6 +199,13 @@ def _code_evt() -> None:
     Evt3Encoder(), Evt3Decoder(), Evt2Encoder("evt2"), Evt2Decoder("evt2")
 
 
+def _filter_activity() -> None:
+    """Make the filters of background activity and refractory period."""
+    from firmware_protocol.davis346.activity_filter import ActivityFilter
+
+    ActivityFilter((_WIDTH, _HEIGHT))
+
+
 _CANDIDATES = Part("pixel candidates", 8.0, partial(_of_the_step, "candidates"))
 _BLOCKS = Part("pixel blocks", 4.0, partial(_of_the_step, "blocks"))
 PIXELS = Part("pixel step", 4.0, _step, after=(_CANDIDATES, _BLOCKS))
@@ -204,3 +213,4 @@ CODER = Part("telemetry coder", 4.0, _encode)
 TRUTH = Part("truth", 4.0, _tell_truth)
 DECODER = Part("telemetry decoder", 3.0, _decode)
 EVT = Part("EVT coder", 6.0, _code_evt)
+ACTIVITY_FILTER = Part("activity filter", 1.0, _filter_activity)

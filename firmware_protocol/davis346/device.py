@@ -40,9 +40,10 @@ from firmware_protocol.davis346.fifo import Fifo
 from firmware_protocol.davis346.filters import DvsFilters
 from firmware_protocol.davis346.marks import Marks, join_marks, no_marks
 from firmware_protocol.davis346.reading_input import ReadingInput
-from firmware_protocol.davis346.registers import Module, RegisterFile, Statistic, registers
+from firmware_protocol.davis346.registers import Module, RegisterFile
 from firmware_protocol.davis346.run_gate import RunGate
 from firmware_protocol.davis346.settings import DATA_ENDPOINT, Davis346Settings
+from firmware_protocol.davis346.statistics import Statistics
 from firmware_protocol.davis346.stream import EventStream
 from firmware_protocol.davis346.words import WordEncoder
 from firmware_protocol.edges import Edges
@@ -75,15 +76,17 @@ class Davis346(UsbCamera):
     def __init__(self, settings: Davis346Settings | None = None) -> None:
         self.settings = settings = settings or Davis346Settings()
         self._standard = StandardControl(settings.descriptors())
-        self._registers = RegisterFile(registers(settings.size, settings.layout, settings.system, settings.imu_unit))
+        self._registers = RegisterFile(settings.registers())
         self._stream = EventStream(WordEncoder(settings.size, settings.layout.turned), Fifo(settings.fifo_bytes))
-        self._filters = DvsFilters(settings.size)
+        self._filters = DvsFilters(settings.size, has_activity=settings.activity_filter)
+        self._statistics = Statistics(self._stream, self._filters)
         self._input = ExternalInput(settings.pulse_us)
         self._stalled = no_marks()
         self._readings = ReadingInput(settings, self._registers)
         self._resets_us: list[int] = []
         self._now_us = 0
         self._not_running = self._offered = self._flushes = 0
+        self._has_sent = False
         self._power_on()
 
     @property
@@ -150,6 +153,8 @@ class Davis346(UsbCamera):
             s.lost_on_link,
             s.queued,
             not_selected=self._filters.filtered,
+            dropped_background=self._filters.isolated,
+            dropped_refractory=self._filters.too_soon,
             edges=self._edge_counters(),
             readings=self._readings.counters(self._stream.block_fates),
         )
@@ -297,7 +302,9 @@ class Davis346(UsbCamera):
         self._standard.require(endpoint | _IN)
         if endpoint | _IN != DATA_ENDPOINT or self._now_us < self._silent_until_us:
             return None
-        return self._stream.take(max_bytes)
+        transfer = self._stream.take(max_bytes)
+        self._has_sent = self._has_sent or transfer is not None
+        return transfer
 
     def sent(self, transfer: Transfer) -> None:
         """Count the transfer's events as delivered."""
@@ -312,14 +319,14 @@ class Davis346(UsbCamera):
         self._standard.power_on()
         self._follow_registers()
         self._starting = False
+        self._has_sent = False
         self._factors: Mapping[str, float] = {}
         self._silent_until_us = self._now_us
         self._drop_stalled()
         self._stream.start_time(self._now_us)
         self._flushes += 1
         self._filters.power_on()
-        self._at_power_on, self._hot_before = self._stream.counters, self._filters.hot
-        self._marks_dropped_before = self._stream.mark_counters.dropped_fifo
+        self._statistics.power_on()
 
     def accepts(self, setup: SetupPacket) -> bool:
         """Say whether an OUT request is known and its data have the right length."""
@@ -340,7 +347,7 @@ class Davis346(UsbCamera):
     def _read_register(self, setup: SetupPacket) -> bytes:
         if setup.request != REGISTER or setup.length < 4:
             raise Stall
-        self._refresh_statistics()
+        self._statistics.refresh(self._registers)
         return self._registers.read(setup.value, setup.index).to_bytes(4, "big")
 
     def _write(self, module: int, address: int, value: int) -> None:
@@ -355,6 +362,7 @@ class Davis346(UsbCamera):
     def _follow_registers(self) -> None:
         self._gate = RunGate.of(self._registers)
         self._readings.follow(words=self._gate.words)
+        self._filters.follow(self._registers, self._now_us)
 
     def _turn(self, before: RunGate, after: RunGate) -> None:
         """Do what a change of the run bits asks for."""
@@ -367,7 +375,9 @@ class Davis346(UsbCamera):
             self._starting = True
         if after.words or not after.timestamps:
             self._starting = False
-        if (after.words and not before.words) or (after.events and not before.events):
+        if after.words and not before.words:
+            self._has_sent = False
+        if (after.words and not before.words) or (after.events and not before.events and not self._has_sent):
             self._silent_until_us = self._now_us + self.settings.start_delay_us
         if after.reset and not before.reset and after.words:
             self._stream.reset_time(self._now_us)
@@ -381,18 +391,3 @@ class Davis346(UsbCamera):
         self._stream.drop_marks(len(self._stalled))
         self._stalled = no_marks()
         self._readings.flush()
-
-    def _refresh_statistics(self) -> None:
-        """Bring the counter registers up to date: rows and columns queued, events dropped, since power-on.
-
-        One FIFO stands here for the DVS module's and the USB buffers', so both dropped counters show its drops.
-        """
-        now, base = self._stream.counters, self._at_power_on
-        dropped = now.dropped_fifo - base.dropped_fifo
-        self._registers.count(Statistic.DVS_ROWS, now.rows - base.rows)
-        self._registers.count(Statistic.DVS_COLUMNS, now.accepted - base.accepted)
-        self._registers.count(Statistic.DVS_DROPPED, dropped)
-        self._registers.count(Statistic.DVS_FILTERED_PIXELS, self._filters.hot - self._hot_before)
-        self._registers.count(Statistic.MUX_DVS_DROPPED, dropped)
-        marks_dropped = self._stream.mark_counters.dropped_fifo - self._marks_dropped_before
-        self._registers.count(Statistic.MUX_EXTINPUT_DROPPED, marks_dropped)

@@ -1,20 +1,19 @@
 """The filters of the DVS module between the run gate and the encoder, in the order of the published logic.
 
-    events -> polarity -> region of interest -> hot pixels -> (background activity, refractory) -> skip -> encoder
+    events -> polarity -> region of interest -> hot pixels -> background activity, refractory -> skip -> encoder
 
     register  filter      rule
     61        polarity    1: all events become OFF
     62, 63    polarity    1: those of one polarity are suppressed, ON where 63 is 1; by the polarity of the pixel
     41..44    region      start column, start row, end column, end row; both ends belong to it
     11..26    hot pixels  eight pairs of row and column
+    31..34    see `activity_filter`, in a camera that has it
     51, 52    skip        1: N events pass, the next one is skipped, and so on; N is register 52
 
 Coordinates are the user's in both layouts: the logic swaps them itself. The count of the skip filter goes on through
-everything but power-on. Events that are filtered are counted as not selected; those of hot pixels also in the
-statistics of the module, which has no counter for polarity, region and skip.
-
-Background activity and refractory filter are not modelled: their capability register says so. Their published logic has
-a memory of 2 x 2 pixels a cell, and whether the shipped one has too is not known.
+everything but power-on. Events that are filtered are counted as not selected, but those of background activity and
+refractory period have fates of their own; and those of these two and of hot pixels are counted in the statistics of the
+module, which has no counter for polarity, region and skip.
 
 Source: DVSAERFilters of the published logic (DAVIS FX3), libcaer 3.3.15 (davis.h).
 """
@@ -22,12 +21,16 @@ Source: DVSAERFilters of the published logic (DAVIS FX3), libcaer 3.3.15 (davis.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from firmware_protocol.davis346.registers import Module, RegisterFile
 from firmware_protocol.events import Events
+
+if TYPE_CHECKING:  # numba takes a second to import, and only a camera that has this filter needs it
+    from firmware_protocol.davis346.activity_filter import ActivityFilter, Judged
 
 __all__ = ["DvsFilters", "FilterSettings", "Passed"]
 
@@ -77,12 +80,23 @@ class FilterSettings:
 
 @dataclass(frozen=True)
 class Passed:
-    """Events that pass, how many did not, how many of those were hot pixels', and how many came to the skip filter."""
+    """Events that pass, and what to count of the others; the fields are what `DvsFilters.take` adds up.
+
+    Attributes
+    ----------
+    filtered, hot
+        How many were not selected, and how many of those were hot pixels'.
+    counted
+        How many came to the skip filter.
+    judged
+        What the activity filter made of them; None: it is off.
+    """
 
     events: Events
     filtered: int = 0
     hot: int = 0
     counted: int = 0
+    judged: Judged | None = None
 
 
 class DvsFilters:
@@ -91,18 +105,36 @@ class DvsFilters:
     Attributes
     ----------
     filtered, hot
-        Events that did not pass, and those of them at hot pixels.
+        Events that were not selected, and those of them at hot pixels.
     """
 
-    def __init__(self, size: tuple[int, int]) -> None:
+    def __init__(self, size: tuple[int, int], *, has_activity: bool = False) -> None:
         self._size = size
         self._whole = (0, 0, size[0] - 1, size[1] - 1)
         self._skip_count = 0
         self.filtered = self.hot = 0
+        self._activity = _activity_filter(size) if has_activity else None
+
+    @property
+    def isolated(self) -> int:
+        """Events that the filter of background activity dropped."""
+        return 0 if self._activity is None else self._activity.isolated
+
+    @property
+    def too_soon(self) -> int:
+        """Events that the filter of the refractory period dropped."""
+        return 0 if self._activity is None else self._activity.too_soon
 
     def power_on(self) -> None:
-        """Set the count of the skip filter to zero."""
+        """Set the count of the skip filter to zero, and forget what was heard."""
         self._skip_count = 0
+        if self._activity is not None:
+            self._activity.power_on()
+
+    def follow(self, registers: RegisterFile, now_us: int) -> None:
+        """Take notice that registers were written at `now_us`."""
+        if self._activity is not None:
+            self._activity.follow(registers, now_us)
 
     def passed(self, events: Events, registers: RegisterFile) -> Passed:
         """Return what passes of `events`, (n,) EVENT, which may be changed; it counts when `take` hears of it."""
@@ -111,6 +143,9 @@ class DvsFilters:
         cold = _cold(events, asked)
         hot = int(np.count_nonzero(good & ~cold))
         good &= cold
+        judged = None if self._activity is None else self._activity.judged(events[good], registers)
+        if judged is not None:
+            good[good] = judged.passes
         counted = 0 if asked.every is None else int(np.count_nonzero(good))
         if asked.every is not None:
             places = self._skip_count + np.arange(counted)
@@ -118,10 +153,13 @@ class DvsFilters:
         if asked.flatten:
             events["on"] = False
         kept = events if good.all() else events[good]
-        return Passed(kept, len(events) - len(kept), hot, counted)
+        dropped = 0 if judged is None else judged.isolated + judged.too_soon
+        return Passed(kept, len(events) - len(kept) - dropped, hot, counted, judged)
 
     def take(self, passed: Passed) -> None:
         """Count what did not pass."""
+        if self._activity is not None and passed.judged is not None:
+            self._activity.take(passed.judged)
         self.filtered += passed.filtered
         self.hot += passed.hot
         self._skip_count += passed.counted
@@ -147,3 +185,9 @@ def _cold(events: Events, asked: FilterSettings) -> Mask:
     for x, y in asked.hot:
         cold &= (events["x"] != x) | (events["y"] != y)
     return cold
+
+
+def _activity_filter(size: tuple[int, int]) -> ActivityFilter:
+    from firmware_protocol.davis346.activity_filter import ActivityFilter
+
+    return ActivityFilter(size)

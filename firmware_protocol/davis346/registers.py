@@ -12,10 +12,10 @@ records (DVSAER, APSADC, IMU, Multiplexer, FX3 and ChipBiasConfigRecords with th
 one): places 9 bits for this array, times in cycles 20 (exposure 22, frame interval 23) and as many as the clock's MHz
 take.
 
-Capability registers tell the truth about this model: the background activity filter reads 0 until it is modelled.
-libcaer and neuromorphic_drivers switch that filter on wherever it exists, so a camera that claimed it without filtering
-would send events which a real one removes. The APS size and shutter registers describe the chip, because drivers size
-their pictures by them, also where the camera takes no frames (`Davis346Settings.frames`).
+Capability registers tell the truth about this model. Whether it has the background activity filter is a setting
+(`Davis346Settings.activity_filter`): libcaer and neuromorphic_drivers switch that filter on wherever it exists, and
+isolated events are then missing from what they see. The APS size and shutter registers describe the chip, because
+drivers size their pictures by them, also where the camera takes no frames (`Davis346Settings.frames`).
 """
 
 from __future__ import annotations
@@ -142,7 +142,6 @@ _DVS: Rows = (
 
 _DVS_CAPABILITIES: Rows = (
     (10, "HAS_PIXEL_FILTER", 1),
-    (30, "HAS_BACKGROUND_ACTIVITY_FILTER", 0),
     (40, "HAS_ROI_FILTER", 1),
     (50, "HAS_SKIP_FILTER", 1),
     (60, "HAS_POLARITY_FILTER", 1),
@@ -261,7 +260,9 @@ def _clocked(info: SystemInfo) -> Iterator[Register]:
     yield from _declare(Module.USB, delay, note="USB clock cycles")
 
 
-def registers(size: tuple[int, int], layout: Layout, info: SystemInfo, imu_unit: int = 0) -> Iterator[Register]:
+def registers(
+    size: tuple[int, int], layout: Layout, info: SystemInfo, imu_unit: int = 0, *, activity_filter: bool = False
+) -> Iterator[Register]:
     """Yield every register of a camera with a (width, height) array; `imu_unit`: 0 none, 1 MPU-6050, 2 MPU-9250."""
     fixed = Access.READ_ONLY
     yield from _geometry(size, layout)
@@ -269,6 +270,7 @@ def registers(size: tuple[int, int], layout: Layout, info: SystemInfo, imu_unit:
     yield from _declare(Module.MULTIPLEXER, ((80, "HAS_STATISTICS", 1),), fixed)
     yield from _declare(Module.DVS, _DVS)
     yield from _declare(Module.DVS, _DVS_CAPABILITIES, fixed)
+    yield from _declare(Module.DVS, ((30, "HAS_BACKGROUND_ACTIVITY_FILTER", int(activity_filter)),), fixed)
     yield from _declare(Module.APS, _APS)
     yield from _declare(Module.APS, ((3, "COLOUR_FILTER", 0), (6, "HAS_GLOBAL_SHUTTER", 1)), fixed)
     yield from _declare(Module.IMU, ((0, "TYPE", imu_unit), (1, "ORIENTATION", 0)), fixed, "0: no IMU")

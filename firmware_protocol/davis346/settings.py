@@ -5,10 +5,11 @@ Sources: USB identity from libcaer 3.3.15 and three drivers' checks; endpoints f
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 from firmware_protocol.davis346.quirks import START_DELAY_US
-from firmware_protocol.davis346.registers import Layout, SystemInfo
+from firmware_protocol.davis346.registers import Layout, Register, SystemInfo, registers
 from firmware_protocol.usb.descriptors import (
     Configuration,
     DescriptorSet,
@@ -55,6 +56,8 @@ class Davis346Settings:
         Its inertial unit: 0 none, 1 MPU-6050, 2 MPU-9250 or MPU-6500.
     frames
         Whether it takes frames; where not, its host may ask and gets none.
+    activity_filter
+        Whether it has the filters of background activity and refractory period.
     start_delay_us
         Silence after the run gate opens, stream time; see `quirks`.
     """
@@ -69,6 +72,7 @@ class Davis346Settings:
     pulse_us: int = 100
     imu_unit: int = 0
     frames: bool = False
+    activity_filter: bool = False
     system: SystemInfo = field(default_factory=SystemInfo)
     manufacturer: str = "iniVation"
     product: str = "DAViS FX3"
@@ -89,6 +93,10 @@ class Davis346Settings:
     def identity(self) -> Identity:
         """The camera as a host's bus lists it."""
         return Identity(VENDOR_ID, PRODUCT_ID, self.bcd_device, self.speed)
+
+    def registers(self) -> Iterator[Register]:
+        """Yield its registers."""
+        return registers(self.size, self.layout, self.system, self.imu_unit, activity_filter=self.activity_filter)
 
     def descriptors(self) -> DescriptorSet:
         """Return all descriptors at the camera's speed."""

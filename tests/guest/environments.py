@@ -4,6 +4,20 @@
 cancels each active transfer and marks it complete when libusb refuses, as libusb does for a device that is gone; when
 the transfer's callback then comes all the same, it panics in a C callback, and SIGABRT ends the process. The iterator
 has told of the missing device by then.
+
+**neuromorphic_drivers has no frames after a change of the region of interest.** `update_configuration` (0.16 source,
+0.18.2 as traced) writes APS RUN = 0, the region and then APS RUN = 0 again, where 1 is meant. So frames stay off until
+somebody else writes that register; here the client does.
+
+**dv-processing 2.0.4 does not return from `getGeneratorLowTime`**: not within 25 s on a camera just opened, from which
+`getGeneratorHighTime` had returned. Why is not known; libcaer reads both registers (4.13, 4.14) without trouble.
+
+**dv-processing 2.0.4 loses data in `setTransfersNumber` and `setTransfersSize`.** Both replace all transfers while the
+camera streams. Frames then have wrong numbers of columns; and once a timestamp went back by 9 ms, as after the loss of
+a wrap of 32.8 ms, for which the driver ends the stream.
+
+**dv-processing 2.0.4 leaves the events off after `setExternalAERControl(False)`.** To hand the chip over it writes DVS
+RUN = 0, and to take it back only register 5; `setEventsRunning(True)` after `setEventsRunning(False)` starts them.
 """
 
 from __future__ import annotations

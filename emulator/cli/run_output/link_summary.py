@@ -13,6 +13,8 @@ __all__ = ["fault_line", "link_json", "link_lines"]
 _CAUSES = {
     "not_running": "no host was streaming",
     "not_selected": "not selected",
+    "dropped_background": "background activity",
+    "dropped_refractory": "within the refractory period",
     "dropped_rate": "over the rate limit",
     "dropped_late": "too late",
     "dropped_fifo": "FIFO full",

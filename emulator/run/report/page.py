@@ -90,7 +90,10 @@ def _in_device(result: RunResult, name: str) -> dict[str, int]:
     camera = result.links[name].camera
     if camera is None:
         return {}
-    causes = ("not_running", "not_selected", "dropped_rate", "dropped_late", "dropped_fifo", "flushed")
+    causes = (
+        *("not_running", "not_selected", "dropped_background", "dropped_refractory"),
+        *("dropped_rate", "dropped_late", "dropped_fifo", "flushed"),
+    )
     return {f"in the camera: {cause.replace('_', ' ')}": getattr(camera, cause) for cause in causes}
 
 

@@ -1,5 +1,6 @@
 """Compilation ahead of a run: in processes of their own, once."""
 
+import dataclasses
 import json
 import os
 import subprocess
@@ -10,7 +11,7 @@ import pytest
 
 from emulator.rig.loading import load_rig, shipped_rigs
 from emulator.run import preparation
-from emulator.run.kernels import DECODER, EVT, Part, parts_of
+from emulator.run.kernels import ACTIVITY_FILTER, DECODER, EVT, Part, parts_of
 from emulator.run.preparation import cold, prepare
 
 
@@ -52,6 +53,14 @@ def test_a_rig_compiles_each_part_once(name):
 def test_a_camera_on_usb_that_sends_evt3_needs_its_coder():
     assert EVT in parts_of(load_rig("stars-evk4"))
     assert EVT not in parts_of(load_rig("stars"))
+
+
+def test_a_camera_with_activity_filter_needs_its_kernel():
+    rig = load_rig("stars")
+    with_filter = dataclasses.replace(rig, camera=dataclasses.replace(rig.camera, activity_filter=True))
+    assert ACTIVITY_FILTER in parts_of(with_filter)
+    assert ACTIVITY_FILTER not in parts_of(rig)
+    assert prepare([ACTIVITY_FILTER]) == []
 
 
 def test_a_part_waits_for_those_that_it_needs(notes):

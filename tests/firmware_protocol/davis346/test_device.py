@@ -137,6 +137,37 @@ def test_what_is_queued_stays_silent_when_the_pixels_start_later():
     assert host.data() == b"\x01\x70"
 
 
+def test_pixels_stopped_and_started_while_the_host_reads_are_not_silent():
+    camera, host = running(start_delay_us=1000)
+    camera.offer(steady(2000))
+    assert len(host.decoded().events) == 1000
+    host.write(1, 3, 0)
+    host.write(1, 3, 1)
+    assert camera.streaming
+    camera.offer(steady(10, start_us=2000))
+    assert len(host.decoded().events) == 10
+
+
+def test_what_waits_when_the_pixels_are_stopped_and_started_leaves():
+    camera, host = running(start_delay_us=1000)
+    camera.offer(steady(2000))
+    assert camera.read(2, 512) is not None
+    host.write(1, 3, 0)
+    host.write(1, 3, 1)
+    assert camera.read(2, 512) is not None
+
+
+def test_a_run_gate_that_is_opened_again_is_silent_again():
+    camera, host = running(start_delay_us=1000)
+    camera.offer(steady(2000))
+    assert camera.read(2, 512) is not None
+    host.write(0, 0, 0)
+    host.write(0, 0, 1)
+    assert not camera.streaming
+    camera.offer(steady(500, start_us=2000))
+    assert camera.counters.not_running == 1000 + 500
+
+
 def test_wraps_owed_for_the_silence_come_when_it_ends():
     camera, host = running(start_delay_us=100_000)
     camera.advance(99_999)

@@ -113,7 +113,7 @@ def test_a_free_link_is_silent_after_the_start_as_long_as_its_host_needs():
     clock, ring = FakeClock(ORIGIN_NS), EventRing(10_000)
     link, _ = loopback_link(ring=ring, clock=clock, start_delay_us=300_000)
     for running in (0, 1):  # the host's reset of the timestamps has ended the first silence
-        link.endpoint._camera.write_register(1, 3, running)
+        link.endpoint._camera.write_register(0, 0, running)
     ring.start(FREE_RUNNING)
     ring.push(stream(5000, every_us=1000))
     ring.publish(5_000_000)

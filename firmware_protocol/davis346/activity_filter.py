@@ -1,0 +1,135 @@
+"""The filters of background activity and refractory period: how long ago was something heard here?
+
+One memory serves both. It has a stamp of 18 bits for each cell of 4 x 4 pixels, all 0 at power-on:
+
+    clock                ticks of 250 us since one of the two was switched on; it wraps after 65.5 s
+    each event           reads the clock and writes it into its own cell, whether it passes or not
+    age of a cell        the clock minus the stamp that was there before, modulo 2^18
+    refractory           drops an event whose own cell is younger than register 34; it is asked first
+    background activity  drops an event if neither its own cell nor one that its pixel touches has an age of at most
+                         register 32
+
+    +---------+     o  touches no other cell
+    | c e e c |     e  touches one, beyond its side
+    | e o o e |     c  touches three, beyond its corner
+    | e o o e |
+    | c e e c |     beyond the border of the array there is none
+    +---------+
+
+So the filters work on cells: an event in the same cell supports another, or is too soon after it, whatever its pixel
+and its polarity. All passes for the first register 32 ticks after the power came, because the stamps are 0 as the clock
+is. A stamp that is 65.5 s old looks new.
+
+The layout makes no difference: to swap rows and columns swaps the sides of a cell. What passed is not seen in the
+memory, so it does not matter how events are cut into batches.
+
+Source: DVSBAFilterStateMachine of the published logic (DAVIS FX3), the version with one memory. Its parameter
+BA_FILTER_SUBSAMPLE is a number of address bits, 2 where it is not set; what the shipped logic sets is not published.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from firmware_protocol.davis346.activity_kernel import CELL_BITS, ISOLATED, PASSES, STAMP_MASK, TOO_SOON, find_fates
+from firmware_protocol.davis346.registers import Module, RegisterFile
+from firmware_protocol.events import Events, empty_events
+
+__all__ = ["ActivityFilter", "ActivityLimits", "Judged"]
+
+_TICK_US = 250
+
+
+@dataclass(frozen=True)
+class ActivityLimits:
+    """What the registers ask for, in ticks.
+
+    Attributes
+    ----------
+    shortest
+        The least age of its own cell that lets an event pass; 0: any.
+    longest
+        The greatest age of a cell that supports an event; STAMP_MASK: any.
+    """
+
+    shortest: int
+    longest: int
+
+    @classmethod
+    def of(cls, registers: RegisterFile) -> ActivityLimits | None:
+        """Return what the registers say; None: both filters are off."""
+        isolated, age, refractory, pause = (registers.read(Module.DVS, address) for address in (31, 32, 33, 34))
+        if not isolated and not refractory:
+            return None
+        return cls(pause if refractory else 0, age if isolated else STAMP_MASK)
+
+
+@dataclass(frozen=True)
+class Judged:
+    """Which of some events pass, how many were isolated and how many too soon, and the memory (cells) after them."""
+
+    passes: npt.NDArray[np.bool_]
+    isolated: int
+    too_soon: int
+    stamps: npt.NDArray[np.int32]
+
+
+class ActivityFilter:
+    """Both filters of a camera of `size` (width, height), with what they have counted since it was made.
+
+    The kernel is compiled, or read from the disk, when it is made: not when events wait.
+
+    Attributes
+    ----------
+    isolated, too_soon
+        Events that the filter of background activity dropped, and that of the refractory period.
+    """
+
+    def __init__(self, size: tuple[int, int]) -> None:
+        width, height = size
+        self._stamps = np.zeros((_cells(height), _cells(width)), np.int32)
+        self._since_us = 0
+        self._on = False
+        self.isolated = self.too_soon = 0
+        self._judged(empty_events(), ActivityLimits(0, STAMP_MASK))
+
+    def power_on(self) -> None:
+        """Empty the memory."""
+        self._stamps = np.zeros_like(self._stamps)
+        self._on = False
+
+    def follow(self, registers: RegisterFile, now_us: int) -> None:
+        """Start the clock if the registers have switched a filter on at `now_us`."""
+        on = ActivityLimits.of(registers) is not None
+        if on and not self._on:
+            self._since_us = now_us
+        self._on = on
+
+    def judged(self, events: Events, registers: RegisterFile) -> Judged | None:
+        """Return what becomes of events, (n,) EVENT in stream time; it counts when `take` hears of it.
+
+        None: both filters are off. Events outside the memory pass and leave no stamp: the encoder refuses them.
+        """
+        limits = ActivityLimits.of(registers)
+        return None if limits is None else self._judged(events, limits)
+
+    def take(self, judged: Judged) -> None:
+        """Count what was dropped, and remember what was heard."""
+        self.isolated += judged.isolated
+        self.too_soon += judged.too_soon
+        self._stamps = judged.stamps
+
+    def _judged(self, events: Events, limits: ActivityLimits) -> Judged:
+        ticks = (events["t"].astype(np.int64) - self._since_us) // _TICK_US & STAMP_MASK
+        x, y = np.ascontiguousarray(events["x"]), np.ascontiguousarray(events["y"])
+        stamps, fates = self._stamps.copy(), np.empty(len(events), np.uint8)
+        find_fates(ticks.astype(np.int32), x, y, (limits.shortest, limits.longest), stamps, fates)
+        isolated, too_soon = np.count_nonzero(fates == ISOLATED), np.count_nonzero(fates == TOO_SOON)
+        return Judged(fates == PASSES, int(isolated), int(too_soon), stamps)
+
+
+def _cells(pixels: int) -> int:
+    return (pixels - 1 >> CELL_BITS) + 1
