@@ -124,7 +124,7 @@ _SOURCES = {
     "Rig": "emulator.rig.loading",
     "RigError": "emulator.rig.loading",
     "RunParameters": "emulator.rig.tables:Run",
-    "RunResult": "emulator.run.session",
+    "RunResult": "emulator.run.outcome",
     "Scene": "emulator.light",
     "SceneError": "emulator.light",
     "Sensor": "evstim.sensor",
