@@ -25,11 +25,11 @@ from __future__ import annotations
 import shutil
 import subprocess
 import sys
-import tempfile
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
+from tests.guest.cache import made_once
 from tests.guest.image import GuestUnavailable
 
 __all__ = ["DRIVERS", "EVENTCV", "Driver"]
@@ -73,12 +73,7 @@ class Driver:
         Raises GuestUnavailable when no fitting Python is here or pip cannot install the packages.
         """
         environment = cache / f"venv-{self.name}-{zlib.crc32(' '.join(self.packages).encode()):08x}"
-        if not environment.is_dir():
-            cache.mkdir(parents=True, exist_ok=True)
-            with tempfile.TemporaryDirectory(dir=cache) as scratch:
-                self._make(Path(scratch) / environment.name)
-                (Path(scratch) / environment.name).rename(environment)
-        return environment / "bin" / "python"
+        return made_once(environment, self._make) / "bin" / "python"
 
     def _make(self, environment: Path) -> None:
         """Only `bin/python` is used later, so the environment may be moved after pip has filled it."""

@@ -18,9 +18,10 @@ import re
 import shlex
 import shutil
 import subprocess
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
+
+from tests.guest.cache import made_once
 
 __all__ = ["GuestUnavailable", "Kernel", "build_initramfs", "fetch_kernel"]
 
@@ -53,11 +54,7 @@ def fetch_kernel(cache: Path) -> Kernel:
     """
     package = _newest_package()
     kernel = Kernel(package.removeprefix("linux-image-"), cache / package.replace("linux-image", "kernel"))
-    if not kernel.tree.is_dir():
-        cache.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=cache) as scratch:
-            _unpack(package, kernel.release, Path(scratch))
-            (Path(scratch) / "tree").rename(kernel.tree)
+    made_once(kernel.tree, lambda tree: _unpack(package, kernel.release, tree))
     return kernel
 
 
@@ -95,9 +92,9 @@ def _newest_package() -> str:
     return found[1]
 
 
-def _unpack(package: str, release: str, scratch: Path) -> None:
-    """Download `package` into `scratch` and lay it out in `scratch`/tree."""
-    tree = scratch / "tree"
+def _unpack(package: str, release: str, tree: Path) -> None:
+    """Download `package` beside `tree`, into a folder that holds nothing else, and lay it out in `tree`."""
+    scratch = tree.parent
     _step(["apt-get", "download", package], scratch)
     _step(["dpkg-deb", "-x", str(next(scratch.glob("*.deb"))), str(tree)], scratch)
     if not (tree / "lib").exists():  # since Debian 13 the modules lie under /usr/lib

@@ -30,7 +30,7 @@ from firmware_protocol.telemetry import as_received, decode_block
 from tests.guest.machine import Guest
 from transports.link.digest import digest_of
 
-pytestmark = [pytest.mark.guest, pytest.mark.socket, pytest.mark.timeout(1200), pytest.mark.xdist_group("guest")]
+pytestmark = [pytest.mark.guest, pytest.mark.socket, pytest.mark.timeout(1200)]
 
 IDS = Identifiers()
 CLIENT = str(Path(__file__).with_name("clients") / "can_link.py")

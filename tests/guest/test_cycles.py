@@ -27,7 +27,6 @@ pytestmark = [
     pytest.mark.guest,
     pytest.mark.socket,
     pytest.mark.timeout(CYCLES * CYCLE_S + 900),
-    pytest.mark.xdist_group("guest"),
 ]
 
 

@@ -25,7 +25,7 @@ PORT = "3240"
 TIMEOUT_S = 300.0
 FORWARD = str(Path(__file__).parent / "clients" / "forward.py")
 
-pytestmark = [pytest.mark.guest, pytest.mark.socket, pytest.mark.timeout(1200), pytest.mark.xdist_group("guest")]
+pytestmark = [pytest.mark.guest, pytest.mark.socket, pytest.mark.timeout(1200)]
 
 
 def blocks(heading: str) -> list[tuple[str, str]]:

@@ -15,7 +15,7 @@ from tests.guest.machine import Guest
 from tests.guest.running_rig import Delivered, RunningRig
 from tests.guest.streaming import Seen, Streaming
 
-pytestmark = [pytest.mark.guest, pytest.mark.socket, pytest.mark.timeout(1200), pytest.mark.xdist_group("guest")]
+pytestmark = [pytest.mark.guest, pytest.mark.socket, pytest.mark.timeout(1200)]
 
 EVENTS = 1_000_000
 FEWER_EVENTS = 100_000

@@ -36,7 +36,6 @@ pytestmark = [
     pytest.mark.guest,
     pytest.mark.socket,
     pytest.mark.timeout(2 * TIMEOUT_S + 1200),
-    pytest.mark.xdist_group("guest"),
 ]
 
 RIG = """

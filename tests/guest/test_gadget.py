@@ -41,7 +41,6 @@ pytestmark = [
     pytest.mark.guest,
     pytest.mark.socket,
     pytest.mark.timeout(10 * TIMEOUT_S + 3600),
-    pytest.mark.xdist_group("guest"),
 ]
 
 

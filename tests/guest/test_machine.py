@@ -10,7 +10,7 @@ from tests.guest import image
 from tests.guest.image import GuestUnavailable
 from tests.guest.machine import Guest
 
-pytestmark = [pytest.mark.guest, pytest.mark.socket, pytest.mark.timeout(1200), pytest.mark.xdist_group("guest")]
+pytestmark = [pytest.mark.guest, pytest.mark.socket, pytest.mark.timeout(1200)]
 
 
 def test_runs_debians_kernel(guest: Guest) -> None:

@@ -10,7 +10,7 @@ from tests.guest.attachment import Attachment, remote_cameras, usb_bus
 from tests.guest.machine import Guest
 from tests.guest.running_rig import RunningRig
 
-pytestmark = [pytest.mark.guest, pytest.mark.socket, pytest.mark.timeout(1200), pytest.mark.xdist_group("guest")]
+pytestmark = [pytest.mark.guest, pytest.mark.socket, pytest.mark.timeout(1200)]
 
 CYCLES = 5
 

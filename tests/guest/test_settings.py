@@ -28,7 +28,6 @@ pytestmark = [
     pytest.mark.guest,
     pytest.mark.socket,
     pytest.mark.timeout(TIMEOUT_S + 900),
-    pytest.mark.xdist_group("guest"),
 ]
 
 

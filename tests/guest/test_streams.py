@@ -30,7 +30,6 @@ pytestmark = [
     pytest.mark.guest,
     pytest.mark.socket,
     pytest.mark.timeout(TIMEOUT_S + 960),
-    pytest.mark.xdist_group("guest"),
 ]
 # libcaer asks for this interval; dv-processing 2 for none: 20 ms of exposure and two reads of 260 lines of 35.25 us
 FRAME_US = {"dv1": 40_000, "dv2": 20_000 + round(2 * 260 * 35.25)}

@@ -14,7 +14,7 @@ from tests.guest.machine import Guest
 from tests.guest.running_rig import RunningRig
 from tests.guest.streaming import Seen, Streaming
 
-pytestmark = [pytest.mark.guest, pytest.mark.socket, pytest.mark.timeout(1200), pytest.mark.xdist_group("guest")]
+pytestmark = [pytest.mark.guest, pytest.mark.socket, pytest.mark.timeout(1200)]
 
 DV2, _, ND = DRIVERS
 EVENTS = 900_000

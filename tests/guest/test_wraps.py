@@ -32,7 +32,6 @@ pytestmark = [
     pytest.mark.guest,
     pytest.mark.socket,
     pytest.mark.timeout(TIMEOUT_S + 300),
-    pytest.mark.xdist_group("guest"),
 ]
 
 
