@@ -109,7 +109,7 @@ if __name__ == "__main__":
 
 @pytest.mark.anew
 @pytest.mark.gl
-@pytest.mark.parametrize("rig", ["serial-demo", "stars", "eros"])
+@pytest.mark.parametrize("rig", ["serial-demo", "eros"])
 def test_after_the_preparation_a_run_compiles_nothing(rig, tmp_path, gl):
     script = tmp_path / "prepared.py"
     script.write_text(IN_A_RUN)
