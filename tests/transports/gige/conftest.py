@@ -1,0 +1,19 @@
+"""What the tests of the camera on its sockets share."""
+
+import pytest
+
+from tests.transports.gige.bench import Bench
+
+
+@pytest.fixture
+def bench():
+    made = []
+
+    def make(*faults, **more):
+        made.append(Bench(faults, **more))
+        return made[-1]
+
+    yield make
+    for one in made:
+        if not one.loop.is_closed():
+            one.close()
