@@ -59,15 +59,27 @@ def sockets() -> list[Path]:
 
 def ask(path: Path, message: Message) -> Message:
     """Say something to a run and return its answer; raises NoAnswer."""
-    with socket.socket(socket.AF_UNIX) as client:
-        client.settimeout(_ANSWER_TIMEOUT_S)
+    line = json.dumps(message).encode() + b"\n"
+    deadline = time.monotonic() + _ANSWER_TIMEOUT_S
+    while True:
         try:
-            _connect(client, path)
-            client.sendall(json.dumps(message).encode() + b"\n")
-            answer = client.makefile("rb").readline(_MOST_ANSWER_BYTES)
-            return _parsed(answer)
+            return _asked(path, line)
+        except (BrokenPipeError, ConnectionResetError, BlockingIOError) as error:
+            # Too many others ask: nobody has read our line, so it can be said again.
+            if time.monotonic() > deadline:
+                raise NoAnswer(f"the run at {path} does not answer: {error}") from error
+            time.sleep(_RETRY_S)
         except (OSError, ValueError) as error:
             raise NoAnswer(f"the run at {path} does not answer: {error}") from error
+
+
+def _asked(path: Path, line: bytes) -> Message:
+    """Say a line once and return the answer; raises OSError, ValueError."""
+    with socket.socket(socket.AF_UNIX) as client:
+        client.settimeout(_ANSWER_TIMEOUT_S)
+        client.connect(str(path))
+        client.sendall(line)
+        return _parsed(client.makefile("rb").readline(_MOST_ANSWER_BYTES))
 
 
 class ControlSocket:
@@ -179,18 +191,6 @@ def _removed(path: Path) -> bool:
         except OSError:  # it is too busy for us: somebody is there
             return False
     return False
-
-
-def _connect(client: socket.socket, path: Path) -> None:
-    """Connect, and try again while so many others wait that the socket takes no more."""
-    deadline = time.monotonic() + _ANSWER_TIMEOUT_S
-    while True:
-        try:
-            return client.connect(str(path))
-        except BlockingIOError:
-            if time.monotonic() > deadline:
-                raise
-            time.sleep(_RETRY_S)
 
 
 def _answered(line: bytes, answer: Callable[[Message], Message]) -> Message:

@@ -141,3 +141,22 @@ def test_a_flood_of_connections_leaves_the_one_that_asks_its_answer(control):
     finally:
         stop.set()
         flooding.join()
+
+
+def test_who_had_to_make_way_before_its_line_was_read_asks_again(tmp_path):
+    """A flood can push a client out between its connection and its line; the command is then said once more."""
+    path = tmp_path / "bench.sock"
+    with socket.socket(socket.AF_UNIX) as server:
+        server.bind(str(path))
+        server.listen()
+
+        def turn_one_away_then_answer():
+            server.accept()[0].close()
+            client, _ = server.accept()
+            with client:
+                client.sendall(client.recv(100))
+
+        other = threading.Thread(target=turn_one_away_then_answer)
+        other.start()
+        assert ask(path, {"n": 1}) == {"n": 1}
+        other.join()
