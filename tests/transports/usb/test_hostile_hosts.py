@@ -12,6 +12,7 @@ from firmware_protocol.usb.device import SetupPacket
 from firmware_protocol.usb.usbip import DeviceListRequest, Unlink
 from tests.transports.usb.raw_host import (
     GET_DEVICE,
+    SET_REGISTER,
     assert_serves,
     attached,
     is_closed,
@@ -40,10 +41,28 @@ def test_unlink_of_a_pending_urb_gives_econnreset_and_no_other_answer(served, de
 def test_unlink_of_an_answered_or_unknown_urb_gives_status_0(served, device):
     device.chunks.append(b"")
     sock = attached(served)
-    sock.sendall(submit(1))
-    assert read_urb(sock) == (3, 1, 0)
-    sock.sendall(bytes(Unlink(2, 0x10002, 1)) + bytes(Unlink(3, 0x10002, 999)))
-    assert [read_urb(sock) for _ in range(2)] == [(4, 2, 0), (4, 3, 0)]
+    sock.sendall(submit(5))
+    assert read_urb(sock) == (3, 5, 0)
+    sock.sendall(bytes(Unlink(6, 0x10002, 5)) + bytes(Unlink(7, 0x10002, 4)))
+    assert [read_urb(sock) for _ in range(2)] == [(4, 6, 0), (4, 7, 0)]
+
+
+def test_an_unlink_that_overtook_its_urb_takes_it_back_when_it_comes(served, device):
+    """As Linux's vhci_hcd sends them now and then: see `early_unlinks`."""
+    sock = attached(served)
+    sock.sendall(submit(1) + bytes(Unlink(4, 0x10002, 2)) + submit(2) + submit(3))
+    assert read_urb(sock) == (4, 4, -104)
+    for _ in range(2):
+        served.feed(device, b"")
+    assert [read_urb(sock) for _ in range(2)] == [(3, 1, 0), (3, 3, 0)]
+
+
+def test_an_out_urb_that_was_taken_back_before_it_came_is_not_done(served, device):
+    sock = attached(served)
+    write = submit(2, is_in=False, endpoint=0, length=4, setup=bytes(SET_REGISTER), data=b"abcd")
+    sock.sendall(bytes(Unlink(3, 0x10002, 2)) + write)
+    assert read_urb(sock) == (4, 3, -104)
+    assert device.register == bytes(4)
 
 
 def test_unlink_races_give_each_urb_one_end(served, device):

@@ -40,6 +40,7 @@ from firmware_protocol.usb.usbip import (
     UsbipError,
 )
 from firmware_protocol.usb.usbip_parser import Limits, Request, ServerParser
+from transports.usb.usbip.early_unlinks import EarlyUnlinks
 
 __all__ = ["Bus", "Connection", "ConnectionSettings", "UrbObserver"]
 
@@ -111,6 +112,7 @@ class Connection(asyncio.Protocol):
         self._device: UsbDevice | None = None
         # Endpoint number -> the URBs that wait there by sequence number, oldest first.
         self._pending: dict[int, OrderedDict[int, Submit]] = {}
+        self._early_unlinks = EarlyUnlinks(settings.pending_urbs)
         # What the oldest control URB asks; the same object for as long as it waits.
         self._setup: SetupPacket | None = None
         self._unsent: deque[Transfer] = deque()
@@ -240,7 +242,11 @@ class Connection(asyncio.Protocol):
     def _submit(self, urb: Submit) -> None:
         if self._observer is not None:
             self._observer.submitted(urb)
-        if urb.endpoint == 0 or urb.is_in:
+        unlink = self._early_unlinks.submitted(urb.seqnum)
+        if unlink is not None:
+            self._over(urb, UrbStatus.UNLINKED)
+            self._transport.write(bytes(Unlinked(unlink.seqnum, UrbStatus.UNLINKED)))
+        elif urb.endpoint == 0 or urb.is_in:
             self._queue(urb)
         else:
             self._take(urb)
@@ -266,6 +272,8 @@ class Connection(asyncio.Protocol):
             self._reply(urb, Submitted(urb.seqnum, UrbStatus.OK, len(urb.data)))
 
     def _unlink(self, unlink: Unlink) -> None:
+        if self._early_unlinks.keep(unlink):
+            return
         if unlink.victim == next(iter(self._pending.get(0, ())), None):
             self._setup = None
         taken = next((urbs.pop(unlink.victim) for urbs in self._pending.values() if unlink.victim in urbs), None)
