@@ -230,11 +230,15 @@ class Feed:
 
     @property
     def horizon_us(self) -> int:
-        """Stream time to which the device can be advanced now without dropping what waits."""
+        """Stream time to which the device can be advanced now without dropping what waits, to 2 us.
+
+        What the FIFO has no room for is not reached; the end of a silence is, or it would never come.
+        """
         horizon_us = self._device.horizon_us
         if self.clock is None or horizon_us > self._shown_us(self.reached_us) + 3_600_000_000:
             return horizon_us
-        return int(self.clock.stream_us(np.array([horizon_us]), self.reached_us)[0]) - 2
+        silent = self._device.now_us < self._device.silent_until_us
+        return int(self.clock.stream_us(np.array([horizon_us]), self.reached_us)[0]) + (2 if silent else -2)
 
     def own_marks(self) -> Edges:
         """Return the marks that the device has made since the last call, (n,) EDGE in the time its receivers see."""

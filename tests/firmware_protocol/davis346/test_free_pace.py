@@ -5,6 +5,7 @@ import pytest
 from davis_host import RUN, Host, steady
 
 from firmware_protocol.davis346 import Davis346, Davis346Settings
+from firmware_protocol.device_clock import ClockSettings
 from transports.link.feed import Feed, Timing
 from transports.link.ring import FREE_RUNNING, EventRing
 
@@ -14,14 +15,14 @@ LIMIT = 1 << 17
 class FreeLink:
     """What a link does in a run that is not paced, with a host that reads when it is told to."""
 
-    def __init__(self, events, **settings):
+    def __init__(self, events, timing=None, **settings):
         self.camera = Davis346(Davis346Settings(**settings))
         self.host = Host(self.camera)
         self._ring = EventRing(1 << 12)
         self._ring.start(FREE_RUNNING)
         self._ring.push(events)
         self._ring.publish(int(events["t"][-1]))
-        self._feed = Feed(self.camera, self._ring, Timing())
+        self._feed = Feed(self.camera, self._ring, timing or Timing())
         self.words = []
 
     def tick(self):
@@ -100,3 +101,18 @@ def test_time_runs_on_once_a_host_has_stopped_the_words_alone():
     link.host.write_all([(9, 0, 0)])
     link.tick()
     assert link.camera.counters.offered == len(events)
+
+
+@pytest.mark.parametrize("drift_ppm", [-1000, -50, 50, 333, 1000])
+@pytest.mark.parametrize("start_delay_us", [1000, 99_999, 1_000_000])
+def test_the_silence_of_a_start_ends_by_a_clock_of_any_rate(drift_ppm, start_delay_us):
+    events = steady(500, start_us=5, step_us=4001)
+    timing = Timing(clock=ClockSettings(drift_ppm=drift_ppm))
+    link = FreeLink(events, timing, start_delay_us=start_delay_us)
+    link.host.write_all(RUN)
+    for _ in range(200):
+        link.tick()
+        link.read()
+    counters = link.camera.counters
+    assert counters.offered == len(events)
+    assert counters.delivered == np.count_nonzero(events["t"] * (1 + drift_ppm * 1e-6) >= start_delay_us)
