@@ -145,6 +145,7 @@ def test_lines_without_room_are_dropped_and_counted_where_they_may_not_wait():
 
 @settings(max_examples=12, deadline=None)
 @example(words=[0, 0, 121], events=0)
+@example(words=[400, 0, 0, 0, 0, 0, 0, 0], events=7)
 @given(
     words=st.lists(st.integers(0, 170), min_size=3, max_size=20).filter(lambda words: 40 < np.mean(words) < 120),
     events=st.integers(0, 40),

@@ -3,8 +3,9 @@
 Linux's vhci_hcd sends all URBs that wait, then all unlinks that wait. A URB that is queued and taken back between the
 two leaves after its unlink. An answer to the unlink would then be wrong whatever it said: the kernel has either not
 sent the URB yet, forgets the unlink, and its program waits for the URB for ever; or it gives the URB back, does not
-know it when its data come, and drops the device. libcaer, which takes back and submits transfers in two threads, meets
-both. So the unlink waits for its URB, which then ends as one that was pending.
+know it when its data come, and drops the device. libcaer takes back and submits transfers in two threads: it was seen
+to lose the camera so, and once to wait without end. So the unlink waits for its URB, which then ends as one that was
+pending.
 
 Sequence numbers of URBs rise (vhci_hcd numbers them as it queues them), modulo 2^32.
 """
