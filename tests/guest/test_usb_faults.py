@@ -46,7 +46,8 @@ FAULTS = {
 AT_NEXT_START = {"stale_data"}
 EXACT = ("repeated_events", "empty_transfers", "fifo_overflow", "register_flip")  # of what left the camera all was seen
 ENDS = {("dv2", "missed_wraps"), ("dv2", "time_back"), *((driver.name, "usb_stall") for driver in DRIVERS)}
-UNSETTLED = {("dv2", "odd_bytes_missing")}  # with three bytes gone it either goes on with other times, or stops
+# It takes an odd byte for a word, with what happens to lie behind it: an event, another time, the end of the stream.
+UNSETTLED = {("dv2", "odd_bytes_missing"), ("dv2", "odd_bytes_extra")}
 
 
 def outcome(driver: Driver, seen: Seen, delivered: Events, fault: dict[str, object]) -> dict[str, object]:
@@ -73,7 +74,7 @@ def inject(name: str) -> None:
 
 ALL = [(driver.name, name) for name in FAULTS for driver in DRIVERS]
 TELLING = [
-    ("dv2", "time_back"), ("dv2", "missed_wraps"), ("dv2", "odd_bytes_extra"), ("dv1", "odd_bytes_missing"),
+    ("dv2", "time_back"), ("dv2", "missed_wraps"), ("nd", "odd_bytes_extra"), ("dv1", "odd_bytes_missing"),
     ("dv1", "time_ahead"), ("nd", "time_frozen"), ("nd", "usb_stall"), ("nd", "stale_data"),
 ]  # fmt: skip
 BY_NAME = {driver.name: driver for driver in DRIVERS}
@@ -124,7 +125,7 @@ def test_a_driver_meets_a_fault(
             lines.write(json.dumps({"driver": who, "fault": name, **found}) + "\n")
     if (who, name) not in UNSETTLED:
         assert found["running"] is ((who, name) not in ENDS), found
-    if name in EXACT:
+    if name in EXACT or (who, name) == ("nd", "odd_bytes_extra"):
         assert (found["missing"], found["others"]) == (0, 0), found
     if name == "stale_data":  # the drivers of iniVation wait for the reset of the timestamps
         assert (found["missing"], found["others"]) == (0, STALE_EVENTS if who == "nd" else 0), found

@@ -8,6 +8,7 @@ and set back.
 from __future__ import annotations
 
 import argparse
+import time
 from collections.abc import Callable, Iterator
 from datetime import timedelta
 from functools import partial
@@ -44,7 +45,8 @@ NUMBERS = {
 }
 AUTO_EXPOSURE = 101
 RUNNING = ((MUX, 0), (MUX, 1), (MUX, 3), (USB, 0))
-ACTIONS = ((MUX, 2), (APS, 100), (DVS, 100))  # timestamp reset, snapshot, learning of noisy pixels
+ACTIONS = ((APS, 100), (DVS, 100))  # snapshot, learning of noisy pixels
+RESET_S = 1.0  # much longer than a timestamp reset takes to come back from the camera
 GETTERS = (
     *("CameraName", "DavisExposureDuration", "DavisFrameInterval", "EventResolution", "FrameResolution"),
     *("ImuRate", "PixelPitch"),
@@ -82,9 +84,16 @@ def changes(camera: Any) -> Iterator[Change]:
             continue
         yield f"{name} other than {before}", partial(other, camera, module, number, value)
         yield f"{name} = {before}", partial(camera.deviceConfigSet, module, number, before)
+    yield f"({MUX}, 2) = 1", partial(reset_unread, camera)
     for module, number in ACTIONS:
         yield f"({module}, {number}) = 1", partial(camera.deviceConfigSet, module, number, 1)
     yield from setters(camera)
+
+
+def reset_unread(camera: Any) -> None:
+    """Reset the timestamps and read nothing until the reset has come: see environments.py."""
+    camera.deviceConfigSet(MUX, 2, 1)
+    time.sleep(RESET_S)
 
 
 def setters(camera: Any) -> Iterator[Change]:
