@@ -8,14 +8,16 @@ import numpy as np
 import pytest
 
 from firmware_protocol.davis346 import Davis346, Davis346Settings
-from firmware_protocol.usb.usbip import Submit
+from firmware_protocol.usb.usbip import Submit, Unlink
 from firmware_protocol.usb.usbmon import UrbRecord
+from tests.transports.usb.raw_host import attached, read_urb, submit
 from transports.faults.script import FaultPlan
 from transports.faults.usb import FaultyDevice
 from transports.faults.usb_kinds import ControlStall
 from transports.usb.davis_host import DavisHost, StreamSettings
 from transports.usb.host import StallError
 from transports.usb.usbip.client import UsbipHost
+from transports.usb.usbip.early_unlinks import Found
 from transports.usb.usbip.trace import UrbTrace, transfer_types
 
 BEGUN_NS = 1_700_000_000_000_000_000
@@ -82,7 +84,9 @@ def test_the_text_names_requests_and_registers(traced):
     answers = [line.split(maxsplit=5)[5] for line in lines if " C " in line]
     assert "ok, 4 bytes: system.LOGIC_VERSION (6.0) = 18" in answers
     assert answers.count("STALL") == 1
-    assert "taken back" in answers
+    taken_back = {line.split()[2] for line in lines if line.endswith("taken back")}
+    assert taken_back == {line.split()[2] for line in lines if line.endswith("unlink        of a URB pending")}
+    assert taken_back
     times = [float(line.split()[0]) for line in lines if not line.startswith("#")]
     assert times == sorted(times)
 
@@ -91,7 +95,7 @@ def test_the_text_names_requests_and_registers(traced):
 def test_tshark_reads_every_urb(traced):
     lines, pcap = traced
     urbs = tshark(pcap)
-    assert len(urbs) == sum(not line.startswith("#") for line in lines)
+    assert len(urbs) == sum(not line.startswith("#") and " U " not in line for line in lines)
     types = Counter(urb["usb.urb_type"] for urb in urbs)
     assert types["'S'"] == types["'C'"] == len(urbs) / 2
     kinds = Counter((urb["usb.transfer_type"], urb["usb.endpoint_address"]) for urb in urbs)
@@ -135,6 +139,34 @@ def trace(tmp_path):
     yield make
     for one in made:
         one.close()
+
+
+def test_unlinks_tell_how_they_found_their_urbs(trace, tmp_path):
+    one = trace()
+    for found in Found:
+        one.unlinked(Unlink(9, 0x10002, 7), found)
+    one.close()
+    lines = [line.split(maxsplit=3) for line in (tmp_path / "usb.txt").read_text().splitlines() if line[0] != "#"]
+    assert [line[1:] for line in lines] == [["U", "7", f"unlink        of a URB {found.value}"] for found in Found]
+    assert tshark(tmp_path / "usb.pcap") == []
+
+
+@pytest.mark.socket
+def test_unlinks_are_in_the_trace_before_the_ends_of_their_urbs(bench, device, tmp_path):
+    trace = UrbTrace(tmp_path / "usb", device, Ticks())
+    bench.start({"1-1": device}, observer=trace)
+    sock = attached(bench)
+    sock.sendall(submit(1) + b"".join(bytes(Unlink(9, 0x10002, victim)) for victim in (1, 2, 1)) + submit(2))
+    assert [read_urb(sock) for _ in range(3)] == [(4, 9, -104), (4, 9, 0), (4, 9, -104)]
+    sock.close()
+    bench.run(bench.server.close())
+    trace.close()
+    lines = [line.split(maxsplit=5) for line in (tmp_path / "usb.txt").read_text().splitlines() if line[0] != "#"]
+    assert [(line[1], line[2], line[-1].removeprefix("a URB ")) for line in lines] == [
+        ("S", "1", "endpoint 0x82, 100 bytes"), ("U", "1", "pending"), ("C", "1", "taken back"),
+        ("U", "2", "still to come"), ("U", "1", "over, or never seen"),
+        ("S", "2", "endpoint 0x82, 100 bytes"), ("C", "2", "taken back"),
+    ]  # fmt: skip
 
 
 def test_what_does_not_fit_the_queue_is_counted_and_told(trace, tmp_path):

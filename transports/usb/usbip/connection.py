@@ -40,7 +40,7 @@ from firmware_protocol.usb.usbip import (
     UsbipError,
 )
 from firmware_protocol.usb.usbip_parser import Limits, Request, ServerParser
-from transports.usb.usbip.early_unlinks import EarlyUnlinks
+from transports.usb.usbip.early_unlinks import EarlyUnlinks, Found
 
 __all__ = ["Bus", "Connection", "ConnectionSettings", "UrbObserver"]
 
@@ -90,13 +90,16 @@ class Bus(Protocol):
 
 
 class UrbObserver(Protocol):
-    """Who hears of every URB: twice, when it is submitted and when it is over."""
+    """Who hears of every URB, when it is submitted and when it is over, and of unlinks."""
 
     def submitted(self, urb: Submit) -> None:
         """Hear of a new one."""
 
     def completed(self, urb: Submit, status: int, length: int, data: bytes = b"") -> None:
         """Hear of its end, with the bytes that were moved and the data that went to the host."""
+
+    def unlinked(self, unlink: Unlink, found: Found) -> None:
+        """Hear that the host takes a URB back, before that URB's end."""
 
 
 class Connection(asyncio.Protocol):
@@ -273,10 +276,12 @@ class Connection(asyncio.Protocol):
 
     def _unlink(self, unlink: Unlink) -> None:
         if self._early_unlinks.keep(unlink):
+            self._tell(unlink, Found.STILL_TO_COME)
             return
         if unlink.victim == next(iter(self._pending.get(0, ())), None):
             self._setup = None
         taken = next((urbs.pop(unlink.victim) for urbs in self._pending.values() if unlink.victim in urbs), None)
+        self._tell(unlink, Found.OVER if taken is None else Found.PENDING)
         if taken is not None:
             self._over(taken, UrbStatus.UNLINKED)
         # A URB that was taken back gets no RET_SUBMIT; one that was answered before is left to its answer.
@@ -307,6 +312,10 @@ class Connection(asyncio.Protocol):
             self._observer.completed(urb, reply.status, reply.actual_length, reply.data)
         # One write, so that header and data leave in one segment.
         self._transport.write(bytes(reply))
+
+    def _tell(self, unlink: Unlink, found: Found) -> None:
+        if self._observer is not None:
+            self._observer.unlinked(unlink, found)
 
     def _over(self, urb: Submit, status: int) -> None:
         """Say that a URB is over without an answer."""

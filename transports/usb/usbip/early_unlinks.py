@@ -12,11 +12,21 @@ Sequence numbers of URBs rise (vhci_hcd numbers them as it queues them), modulo 
 
 from __future__ import annotations
 
+from enum import Enum
+
 from firmware_protocol.usb.usbip import Unlink
 
-__all__ = ["EarlyUnlinks"]
+__all__ = ["EarlyUnlinks", "Found"]
 
 _HALF = 1 << 31
+
+
+class Found(Enum):
+    """How an unlink found its URB."""
+
+    PENDING = "pending"
+    OVER = "over, or never seen"
+    STILL_TO_COME = "still to come"
 
 
 class EarlyUnlinks:

@@ -1,7 +1,10 @@
 """What goes over a camera's USB cable, written beside the run: as text, and as a file for Wireshark.
 
-    connection --submitted, completed--> queue (bounded) --thread--> FILE.txt   requests by name, transfers by length
-                                                                 +-> FILE.pcap  every byte; see `usbmon`
+    connection --submitted, completed, unlinked--> queue (bounded) --thread--> FILE.txt
+                                                                           +-> FILE.pcap
+
+FILE.txt has requests by name, transfers by length, and unlinks; FILE.pcap has every byte, see `usbmon`, which knows no
+unlinks.
 
 The connection only puts what it has into a queue. Where the disk is slower than the cable, URBs are left out and both
 files go on behind them; the text says how many are missing. Where a file cannot be written any more, it ends there and
@@ -20,9 +23,10 @@ from firmware_protocol.davis346.request_names import name_answer, name_davis_req
 from firmware_protocol.davis346.settings import PRODUCT_ID, VENDOR_ID
 from firmware_protocol.usb.device import Identity, SetupPacket, UsbDevice
 from firmware_protocol.usb.request_names import name_request
-from firmware_protocol.usb.usbip import Submit, UrbStatus
+from firmware_protocol.usb.usbip import Submit, Unlink, UrbStatus
 from firmware_protocol.usb.usbmon import FILE_HEADER, IN_PROGRESS, UrbRecord
 from transports.output_file import OutputFile
+from transports.usb.usbip.early_unlinks import Found
 from transports.usb.usbip.trace_paths import trace_paths
 
 __all__ = ["UrbTrace", "transfer_types"]
@@ -49,6 +53,16 @@ class _Moment:
     status: int | None
     length: int
     data: bytes
+
+
+@dataclass(frozen=True)
+class _TakenBack:
+    """A URB when the host took it back."""
+
+    t_ns: int
+    seqnum: int
+    found: Found
+    data: bytes = b""
 
 
 class UrbTrace:
@@ -79,7 +93,7 @@ class UrbTrace:
         self._now_ns = now_ns
         self._words = _Words(device.identity, transfer_types(device), now_ns())
         self._capacity_bytes = capacity_bytes
-        self._waiting: deque[_Moment] = deque()
+        self._waiting: deque[_Moment | _TakenBack] = deque()
         self._waiting_bytes = 0
         self._missing = 0
         self.missing = 0
@@ -103,12 +117,16 @@ class UrbTrace:
         """Note that a URB was answered, taken back, or lost with its connection."""
         self._put(_Moment(self._now_ns(), urb, status, length, data))
 
+    def unlinked(self, unlink: Unlink, found: Found) -> None:
+        """Note that the host takes a URB back."""
+        self._put(_TakenBack(self._now_ns(), unlink.victim, found))
+
     def close(self) -> None:
         """Write what waits, for some seconds at most, and close the files."""
         self._closing.set()
         self._thread.join(_CLOSE_TIMEOUT_S)
 
-    def _put(self, moment: _Moment) -> None:
+    def _put(self, moment: _Moment | _TakenBack) -> None:
         with self._lock:
             full = self._waiting_bytes + len(moment.data) > self._capacity_bytes
             if full or len(self._waiting) >= _CAPACITY_URBS:
@@ -133,7 +151,8 @@ class UrbTrace:
             if not batch and not missing:
                 return
             for moment in batch:
-                self._pcap.write(bytes(self._words.record(moment)))
+                if isinstance(moment, _Moment):
+                    self._pcap.write(bytes(self._words.record(moment)))
                 self._text.write(self._words.line(moment).encode())
             if missing:
                 self._text.write(f"# {missing} records are missing here: the disk was too slow\n".encode())
@@ -153,7 +172,7 @@ class _Words:
         self.head = (
             f"# USB trace of {camera.vendor_id:04x}:{camera.product_id:04x}, "
             f"begun at {begun_ns / 1e9:.6f} s Unix time\n"
-            "# s since then, S the host asks or C its answer, number of the URB, transfer, what\n"
+            "# s since then, S the host asks, C its answer, U it takes back, number of the URB, transfer, what\n"
         )
 
     def record(self, moment: _Moment) -> UrbRecord:
@@ -164,13 +183,18 @@ class _Words:
             urb.devid, IN_PROGRESS if moment.status is None else moment.status, moment.length, urb.setup, moment.data,
         )  # fmt: skip
 
-    def line(self, moment: _Moment) -> str:
+    def line(self, moment: _Moment | _TakenBack) -> str:
         """Return a line of text."""
+        if isinstance(moment, _TakenBack):
+            return f"{self._seconds(moment.t_ns)} U {moment.seqnum:6d} {'unlink':13s} of a URB {moment.found.value}\n"
         urb = moment.urb
         way = f"{_KINDS[self._type(urb)]} {'IN' if urb.is_in else 'OUT'}"
         what = self._asked(urb) if moment.status is None else self._answered(moment, moment.status)
         letter = "S" if moment.status is None else "C"
-        return f"{(moment.t_ns - self._begun_ns) / 1e9:13.6f} {letter} {urb.seqnum:6d} {way:13s} {what}\n"
+        return f"{self._seconds(moment.t_ns)} {letter} {urb.seqnum:6d} {way:13s} {what}\n"
+
+    def _seconds(self, t_ns: int) -> str:
+        return f"{(t_ns - self._begun_ns) / 1e9:13.6f}"
 
     def _type(self, urb: Submit) -> int:
         return _CONTROL if urb.endpoint == 0 else self._types.get(urb.endpoint | urb.is_in << 7, _BULK)
