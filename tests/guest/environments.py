@@ -9,8 +9,8 @@ has told of the missing device by then.
 0.18.2 as traced) writes APS RUN = 0, the region and then APS RUN = 0 again, where 1 is meant. So frames stay off until
 somebody else writes that register; here the client does.
 
-**dv-processing 2.0.4 does not return from `getGeneratorLowTime`.** It takes the camera's mutex, and within it what gives
-the high time takes the same mutex again, as its machine code shows: no camera can help that.
+**dv-processing 2.0.4 does not return from `getGeneratorLowTime`.** It takes the camera's mutex, and what gives the high
+time within it takes the same mutex again, as its machine code shows: no camera can help that.
 
 **dv-processing 2.0.4 loses data in `setTransfersNumber` and `setTransfersSize`.** Both replace all transfers while the
 camera streams. Frames then have wrong numbers of columns; and once a timestamp went back by 9 ms, as after the loss of

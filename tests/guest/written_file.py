@@ -33,6 +33,7 @@ FRAME_PARTS = [FRAME_START, EXPOSURE_START, EXPOSURE_END, FRAME_END]
 KINDS = {1: EdgeKind.RISING, 2: EdgeKind.FALLING, 3: EdgeKind.PULSE}
 PACKET_US = 10_000
 SAMPLE_US = 1000
+STEADY = 10  # intervals, before libcaer's automatic exposure makes them longer
 CLOCK_US = 5  # drift of 50 ppm over a frame, and rounding
 
 
@@ -45,7 +46,7 @@ def assert_same_file(path: Path, seen: Seen, frame_us: int) -> None:
     _assert_events(packets["events"], seen)
     _assert_samples(np.concatenate(packets["imus"]), seen)
     _assert_triggers(np.concatenate(packets["triggers"]), seen)
-    assert abs(float(np.median(np.diff(seen.frame_t))) - frame_us) <= CLOCK_US
+    assert abs(float(np.median(np.diff(seen.frame_t)[:STEADY])) - frame_us) <= CLOCK_US
     _assert_read_by_its_own_library(path, seen)
 
 
