@@ -178,7 +178,7 @@ def test_the_word_for_it_without_a_run(runtime, capsys):
 
 def test_a_fault_injected_into_a_run_is_done_and_told(runtime, capsys):
     bench = rig(SERIAL)
-    bench = replace(bench, run=replace(bench.run, seconds=30.0))
+    bench = replace(bench, run=replace(bench.run, seconds=30.0, max_late_ms=0.0))  # a busy machine may be late
     codes = []
 
     def inject():
