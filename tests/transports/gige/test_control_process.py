@@ -8,6 +8,7 @@ import struct
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
@@ -75,6 +76,15 @@ def process():
 def ask(process):
     with contextlib.closing(Asker(process.port)) as made:
         yield made
+
+
+def test_it_and_its_session_run_before_others(process):
+    autogroup = Path(f"/proc/{process.pid}/autogroup")
+    if not autogroup.exists():
+        pytest.skip("this kernel does not share processors out by session")
+    if os.getpriority(os.PRIO_PROCESS, process.pid) > -20:
+        pytest.skip("this user may not run at nice -20")
+    assert autogroup.read_text().endswith(" nice -20\n")
 
 
 def test_what_was_answered_has_been_handed_on_in_order(process, ask):
