@@ -35,29 +35,22 @@ def remote_cameras(guest: Guest, tcp_port: int) -> str:
 
 
 class Attachment:
-    """A camera of the host on the guest's USB bus, from the moment that the kernel knows it until it is unplugged.
+    """A camera of the host on the guest's USB bus, from the moment that the kernel knows it until it is unplugged."""
 
-    `beside`: so many of its model are there already, and stay.
-    """
-
-    def __init__(
-        self, guest: Guest, tcp_port: int, busid: str = "1-1", model: tuple[str, str] = DAVIS_FX3, beside: int = 0
-    ) -> None:
+    def __init__(self, guest: Guest, tcp_port: int, busid: str = "1-1", model: tuple[str, str] = DAVIS_FX3) -> None:
         self._guest = guest
-        self._beside = beside
         self._model = model
         self._tool = ["usbip", "--tcp-port", str(tcp_port)]
         self._busid = busid
 
     def __enter__(self) -> Attachment:
-        before = usb_bus(self._guest, cameras=self._beside, model=self._model)["ports"]
         self._guest.check([*self._tool, "attach", "-r", HOST_ADDRESS, "-b", self._busid])
-        seen = usb_bus(self._guest, cameras=self._beside + 1, model=self._model)
+        seen = usb_bus(self._guest, cameras=1, model=self._model)
         self.device: dict[str, str] = seen["devices"][0]
-        self._port: int = next(port for port in seen["ports"] if port not in before)
+        self._port: int = seen["ports"][0]
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         # After an unplugging there is nothing left to detach: the outcome shows on the bus.
         self._guest.run(["usbip", "detach", "-p", str(self._port)])
-        usb_bus(self._guest, cameras=self._beside, model=self._model)
+        usb_bus(self._guest, cameras=0, model=self._model)

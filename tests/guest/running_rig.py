@@ -19,7 +19,7 @@ from firmware_protocol.edges import Edges
 from firmware_protocol.events import Events
 from transports.recording.record import load_edges, load_frames, load_imu, load_record
 
-__all__ = ["Delivered", "RunningRig", "free_port"]
+__all__ = ["Delivered", "RunningRig"]
 
 START_TIMEOUT_S = 240.0
 STOP_TIMEOUT_S = 120.0
@@ -103,7 +103,7 @@ class RunningRig:
         self._record = folder / "delivered.npz"
         self._said = folder / "evstim.log"
         self._rig = folder / "guest.toml"
-        self.port = free_port()
+        self.port = _free_port()
         self.summary: dict[str, Any] = {}
 
     def __enter__(self) -> RunningRig:
@@ -163,8 +163,7 @@ class RunningRig:
         raise TimeoutError(f"evstim run does not serve:\n{self.said}")
 
 
-def free_port() -> int:
-    """Return a TCP port that nobody listens at now."""
+def _free_port() -> int:
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port: int = listener.getsockname()[1]
     return port

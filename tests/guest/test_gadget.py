@@ -133,7 +133,7 @@ def test_an_evk4_is_read_event_by_event(port: Guest, driver_pythons: dict[str, P
     looped.round_us *= 10
     options = ("--model", "evk4", "--serial", "0badcafe")
     with GadgetCamera(port, *options, looped=looped, model=EVK4) as camera:
-        seen = streamed(port, ND_EVK4, {"nd_evk4": driver_pythons["nd"]}, EVENTS // 4)
+        seen = streamed(port, ND_EVK4, {"nd_evk4": driver_pythons["nd"]})
     assert seen.about["serial"] == "0BADCAFE"
     assert_turns(camera, [(ND_EVK4, seen)])
 
