@@ -20,8 +20,8 @@ a wrap of 32.8 ms, for which the driver ends the stream.
 RUN = 0, and to take it back only register 5; `setEventsRunning(True)` after `setEventsRunning(False)` starts them.
 
 **dv-processing 1.7.9 corrupts its memory where it is read while a timestamp reset comes.** The thread that takes USB
-transfers then empties the queues (`setTimestampOffset`, `clearBuffers` of io/camera_capture.hpp), which are
-boost::lockfree::spsc_queue: only their one reader may do that. A client that let them fill, reset and read on ended
+transfers then empties the queues (`clearBuffers` in a public copy of io/camera_capture.hpp, of unknown version), which
+are boost::lockfree::spsc_queue: only their one reader may do that. A client that let them fill, reset and read on ended
 with "double free or corruption" after 40 and after 20 resets; one that read nothing for half a second, not in 98.
 """
 
