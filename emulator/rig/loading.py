@@ -171,6 +171,10 @@ def _rig(table: dict[str, Any], name: str) -> Rig:
             "lockstep needs a bus that drives it: give [trigger] source = the name of a CAN link", ("run", "pace")
         )
     kind, rest = _of_kind(table["scene"], SCENES, ("scene",))
+    if run.painter == "gl" and not kind.gl:
+        able = " and ".join(f'"{name}"' for name, one in SCENES.usable().items() if one.gl)
+        message = f'a scene of kind "{kind.name}" has no GL painter, only kinds {able} have one: leave painter out'
+        raise TableError(message, ("run", "painter"))
     scene = convert(rest, kind.parameters, ("scene",))
     faults = _faults(table.get("faults", []), links)
     verdict = convert(table.get("verdict", {}), Verdict, ("verdict",))

@@ -93,7 +93,7 @@ def _package(name: str, extra: str, wanted: str) -> Finding:
 
 def _egl() -> Finding:
     report = probe()
-    wanted = "rigs with a mesh (eros)"
+    wanted = 'run.painter = "gl" and run.pixels = "gpu"; nothing else needs GL'
     there = renderers()
     if report.available:
         others = f"; also there: {', '.join(_others(there, report.renderer))}" if len(there) > 1 else ""

@@ -38,6 +38,8 @@ class SceneKind:
         the scene.
     kernels
         Whether drawing it compiles kernels, which a run does ahead.
+    gl
+        Import path of what builds it drawn by GL, called as `build` is; "": the CPU alone draws it.
     """
 
     parameters: type[SceneParameters]
@@ -45,6 +47,7 @@ class SceneKind:
     lens: Literal["none", "applied", "own"] = "none"
     events: str = ""
     kernels: bool = True
+    gl: str = ""
 
     def __post_init__(self) -> None:
         if not isinstance(getattr(self.parameters, "kind", None), str):

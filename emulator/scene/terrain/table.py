@@ -181,4 +181,9 @@ class TerrainParameters:
             raise ValueError(f"time_scale is {self.time_scale:g}: it must be above 0 and at most 1e6")
 
 
-TERRAIN = SceneKind(TerrainParameters, "emulator.scene.terrain.build:build_terrain", lens="applied")
+TERRAIN = SceneKind(
+    TerrainParameters,
+    "emulator.scene.terrain.raster_terrain:build_terrain",
+    lens="applied",
+    gl="emulator.scene.terrain.gl_terrain:GlTerrain",
+)
