@@ -15,7 +15,6 @@ what would be right.
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -23,14 +22,13 @@ from typing import Any
 from emulator.rig.aliases import with_new_spellings
 from emulator.rig.second_camera import SecondCamera
 from emulator.rig.tables import Camera, Run
-from emulator.rig.text import line_of
 from emulator.rig.top_level import values_of
 from emulator.rig.trigger_table import Trigger
 from emulator.rig.verdict_table import Verdict
 from emulator.scene.kind import SceneParameters
 from emulator.tables.files import beside
 from emulator.tables.text_file import TextFileError, read_text, shortened
-from emulator.tables.typed_table import Path as KeyPath
+from emulator.tables.toml_text import TomlError, dotted, line_of, read_toml
 from emulator.tables.typed_table import TableError, unknown
 from transports.faults.kinds import Fault
 from transports.link.kind import LinkParameters
@@ -122,22 +120,14 @@ def rig_of_table(table: dict[str, Any], name: str, folder: Path) -> Rig:
 def parse_rig(text: str, file: str, name: str) -> Rig:
     """Make a rig of TOML text; `file` is for messages. Raises RigError."""
     try:
-        table = tomllib.loads(text)
-    except ValueError as error:  # TOMLDecodeError, or a number with more digits than Python converts
-        raise RigError(f"{file}: not valid TOML: {shortened(error)}") from error
-    except RecursionError as error:
-        raise RigError(f"{file}: not valid TOML: its arrays or tables are nested too deeply") from error
-    try:
-        return rig_of_table(table, name, Path(file).parent)
+        return rig_of_table(read_toml(text), name, Path(file).parent)
+    except TomlError as error:
+        raise RigError(error.at(file)) from error
     except TableError as error:
         line = line_of(text, error.path)
         at = f"{file}, line {line}" if line else file
-        key = _dotted(error.path)[:200]
+        key = dotted(error.path)[:200]
         raise RigError(f"{at}: {key}: {shortened(error)}" if key else f"{at}: {shortened(error)}") from error
-
-
-def _dotted(path: KeyPath) -> str:
-    return "".join(f"[{p}]" if isinstance(p, int) else f".{p}" for p in path).lstrip(".")
 
 
 def _rig(table: dict[str, Any], name: str) -> Rig:
