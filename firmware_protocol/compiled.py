@@ -11,6 +11,7 @@ disk when it changes; a test walks from every entry through what it uses and com
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -52,7 +53,7 @@ def entry_of(*sources: str, **options: Any) -> Callable[[_Function], _Function]:
     ValueError
         There is no module or package of such a name.
     """
-    checksum = checksum_of(*map(place_of, (*sources, *RULE)))
+    checksum = _checksum(*sources, *RULE)
 
     def entry(function: _Function) -> _Function:
         dispatcher: Any = njit(**{**_COUNTED, **options, "cache": True})(function)
@@ -63,6 +64,11 @@ def entry_of(*sources: str, **options: Any) -> Callable[[_Function], _Function]:
         return compiled
 
     return entry
+
+
+@cache
+def _checksum(*sources: str) -> int:
+    return checksum_of(*map(place_of, sources))
 
 
 def place_of(name: str) -> Path:
