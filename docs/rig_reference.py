@@ -14,10 +14,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from emulator.rig.fault_tables import known_faults
-from emulator.rig.link_kinds import LINKS
-from emulator.rig.loading import Camera, Run, Trigger, Verdict
-from emulator.rig.scene_kinds import SCENES
+from emulator.rig.top_level import TOP_LEVEL, TopLevelKey
 from emulator.sensor.presets import PRESETS
 from emulator.tables.files import RigFile
 from emulator.tables.typed_table import field_types, item_type, kinds_of, table_type
@@ -35,16 +32,31 @@ def page() -> str:
 
 def reference() -> str:
     """Return one section for each table of a rig file."""
-    tables = [table for name, kind in SCENES.items() for table in _within("scene", kind.parameters, name)]
-    alone = {"camera": Camera, "trigger": Trigger, "run": Run, "verdict": Verdict}
-    tables += [table for name, cls in alone.items() for table in _within(name, cls)]
-    tables += [table for name, kind in LINKS.items() for table in _within("[links]", kind.parameters, name)]
-    tables += [table for kind, cls in known_faults().items() for table in _within("[faults]", cls, kind)]
+    tables = [table for name, key in TOP_LEVEL.items() for table in _of_key(name, key)]
     places: dict[type, list[str]] = {}
     for title, cls in tables:
         if title not in places.setdefault(cls, []):
             places[cls].append(title)
-    return "\n\n".join([*(_section(cls, titles) for cls, titles in places.items()), _presets()])
+    return "\n\n".join([_overview(), *(_section(cls, titles) for cls, titles in places.items()), _presets()])
+
+
+def _overview() -> str:
+    """Return the section of the top-level keys."""
+    lines = ["## Top-level keys", "", "| key | type | needed | meaning |", "|---|---|---|---|"]
+    return "\n".join([*lines, *(_overview_row(name, key) for name, key in TOP_LEVEL.items())])
+
+
+def _overview_row(name: str, key: TopLevelKey) -> str:
+    of_type = "tables" if key.is_list else "table" if key.kinds() else "text"
+    header = {"tables": f"[[{name}]]", "table": f"[{name}]", "text": name}[of_type]
+    kinds = ", by its `kind`" if key.has_kinds else ""
+    return f"| `{header}` | {of_type}{kinds} | {'yes' if key.needed else 'no'} | {key.meaning} |"
+
+
+def _of_key(name: str, key: TopLevelKey) -> Iterator[tuple[str, type]]:
+    """Yield the title and the type of each table of a top-level key."""
+    for kind, cls in key.kinds().items():
+        yield from _within(f"[{name}]" if key.is_list else name, cls, kind)
 
 
 def _within(path: str, cls: type, kind: str = "") -> Iterator[tuple[str, type]]:

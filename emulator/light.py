@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from types import TracebackType
-from typing import Self
+from typing import Literal, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -91,8 +91,13 @@ class Scene(ABC):
         return ()
 
     @property
+    def painter(self) -> Literal["cpu", "gl"]:
+        """What draws: the CPU, unless a scene is one that GL draws."""
+        return "cpu"
+
+    @property
     def renderer(self) -> str | None:
-        """The name of what draws, in GL's words; None where no GL is used."""
+        """The name of what draws: GL's own where GL draws; None where a scene gives none."""
         return None
 
     @property

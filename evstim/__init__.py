@@ -4,6 +4,7 @@
     evstim.events_from_frames       an array of frames in, events out, in one call
     evstim.run                      a whole rig: scene, sensor, camera and links; its events while it runs
     evstim.SerialReceiver, ...      the ground side of a link: bytes in, events out
+    evstim.__version__              the version that is installed
 
 Every name is imported on its first use, so `import evstim` alone loads neither numpy nor the compiled kernels.
 """
@@ -152,19 +153,23 @@ _SOURCES = {
 }
 """Public name -> "module", or "module:name there" where the two names differ."""
 
+__version__: str
 
 if not TYPE_CHECKING:  # else a type checker would take any name for one of ours
 
     def __getattr__(name: str) -> Any:
         """Import a public name on its first use."""
-        if name not in _SOURCES:
+        if name == "__version__":
+            value = import_module("importlib.metadata").version("evstim")
+        elif name in _SOURCES:
+            module, _, there = _SOURCES[name].partition(":")
+            value = getattr(import_module(module), there or name)
+        else:
             raise AttributeError(f"module 'evstim' has no attribute {name!r}")
-        module, _, there = _SOURCES[name].partition(":")
-        value = getattr(import_module(module), there or name)
         globals()[name] = value
         return value
 
 
 def __dir__() -> list[str]:
-    """Return the public names, loaded or not."""
-    return sorted({*globals(), *__all__})
+    """Return the public names, loaded or not, and those that every module has."""
+    return sorted({"__version__", *__all__, *(name for name in globals() if name.startswith("__"))})

@@ -7,6 +7,7 @@ low-pass filter sees the same light however far apart the frames are.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable, Iterator
 from itertools import chain
 from pathlib import Path
@@ -25,6 +26,8 @@ __all__ = ["events_from_frames", "events_from_video"]
 
 _Float32s = npt.NDArray[np.float32]
 _MOST_STEP_US = 1_000_000
+_LEAST_INTERVAL_US, _SHORT_INTERVAL_US = 1.0, 10.0  # 1e6 and 1e5 frames a second
+_BRIGHT = 20.0  # times white
 
 Levels = Literal["linear", "srgb"]
 
@@ -34,22 +37,25 @@ def events_from_frames(  # noqa: PLR0913 - one call that names all it needs
     times_us: npt.ArrayLike,
     *,
     sensor: str | SensorParameters = "davis346",
-    levels: Levels = "linear",
-    light_at_white: float = 1.0,
+    levels: Levels | None = None,
+    light_at_white: float | None = None,
     step_us: int = 1000,
     seed: int = 0,
     **figures: Any,
 ) -> Events:
     """Return the events of a sensor that sees the frames.
 
+    Warns of frames less than 10 us apart, as times in seconds are, and of floats far above white, as levels are.
+
     Parameters
     ----------
-    frames : (n, height, width), or any iterable of n such frames; the sensor has their size. Floats are linear light;
-        uint8 and uint16 are levels from 0 to their full scale.
-    times_us : (n,), time of each frame, us, growing, >= 0; fractions allowed.
+    frames : (n, height, width), or any iterable of n such frames; the sensor has their size. Floats are linear light,
+        1.0 being white; uint8 and uint16 are levels from 0 to their full scale.
+    times_us : (n,), time of each frame, us, growing, >= 0, on average at least 1 us apart; fractions allowed.
     sensor : name of a preset, or SensorParameters, whose pixels and read-out are used.
-    levels : of integer frames: "linear", proportional to light, or "srgb", decoded by the sRGB curve.
-    light_at_white : light of 1.0, or of the full scale, relative to the sensor's reference level.
+    levels : needed for integer frames: "srgb", decoded by the sRGB curve, for nearly all videos and images; "linear",
+        proportional to light, for raw values of a sensor.
+    light_at_white : light of 1.0, or of the full scale, relative to the sensor's reference level; left out: 1.0.
     step_us : longest step of the simulation between two frames, us.
     seed : seed of everything random.
     figures : any field of SensorParameters, such as `threshold_on=0.2`.
@@ -63,17 +69,22 @@ def events_from_frames(  # noqa: PLR0913 - one call that names all it needs
     ValueError, TypeError
         An argument does not fit; the message names it.
     """
-    if levels not in ("linear", "srgb"):
+    if levels not in (None, "linear", "srgb"):
         raise ValueError(f'levels is {levels!r}: "linear" or "srgb" is needed')
     if not 1 <= step_us <= _MOST_STEP_US:
         raise ValueError(f"step_us is {step_us}: it must be 1 to {_MOST_STEP_US}")
-    if not (light_at_white > 0 and np.isfinite(light_at_white)):
+    if light_at_white is not None and not (light_at_white > 0 and np.isfinite(light_at_white)):
         raise ValueError(f"light_at_white is {light_at_white}: it must be above 0")
     times_ns, lights = _times_ns(times_us), _lights(frames, levels, light_at_white)
     first = next(lights, None)
     if first is None:
         raise ValueError("frames is empty: at least one frame is needed")
     simulated = Sensor(sensor, seed=seed, **{"width": first.shape[1], "height": first.shape[0], **figures})
+    if simulated.size != first.shape[::-1]:
+        raise ValueError(
+            f"the frames have the shape {first.shape}, the sensor {simulated.size[::-1]}: leave width and height out, "
+            "the sensor then has the frames' size"
+        )
     parts = list(_exposed(simulated, chain([first], lights), times_ns, int(step_us) * 1000))
     return np.concatenate(parts) if parts else empty_events()
 
@@ -119,29 +130,93 @@ def _times_ns(times_us: npt.ArrayLike) -> list[int]:
         raise ValueError(f"times_us has the shape {times.shape}: one time for each frame is needed, (n,)")
     if not (np.isfinite(times).all() and (times >= 0).all()):
         raise ValueError("times_us holds a time that is negative or not finite")
+    _check_growth(times, times)
+    if times.size > 1:
+        _check_interval(float(times[-1] - times[0]) / (times.size - 1))
     whole = np.rint(times * 1000).astype(np.int64)
-    stuck = np.flatnonzero(np.diff(whole) <= 0)
-    if stuck.size:
-        k = int(stuck[0]) + 1
-        raise ValueError(f"times_us[{k}] is {times[k]:g}, the one before it {times[k - 1]:g}: times must grow")
+    _check_growth(times, whole)
     return [int(t) for t in whole]
 
 
-def _lights(frames: Iterable[npt.ArrayLike], levels: Levels, light_at_white: float) -> Iterator[_Float32s]:
-    """Yield each frame as linear light relative to the reference level."""
+def _check_growth(times: npt.NDArray[np.float64], rounded: npt.NDArray[Any]) -> None:
+    stuck = np.flatnonzero(np.diff(rounded) <= 0)
+    if stuck.size:
+        k = int(stuck[0]) + 1
+        raise ValueError(
+            f"times_us[{k}] is {times[k]:.12g}, the one before it {times[k - 1]:.12g}: times must grow, by at least "
+            "a nanosecond"
+        )
+
+
+def _check_interval(interval_us: float) -> None:
+    """Raise ValueError, or warn, for frames that are so close together that their times may be seconds."""
+    told = (
+        f"times_us: the frames are {interval_us:.3g} us apart, {1e6 / interval_us:.3g} frames a second. Times are in "
+        "microseconds: for times in seconds write times_us = 1e6 * times_s, for milliseconds 1e3 * times_ms"
+    )
+    if interval_us < _LEAST_INTERVAL_US:
+        raise ValueError(told)
+    if interval_us < _SHORT_INTERVAL_US:
+        warnings.warn(told, stacklevel=4)
+
+
+def _lights(
+    frames: Iterable[npt.ArrayLike], levels: Levels | None, light_at_white: float | None
+) -> Iterator[_Float32s]:
+    """Yield each frame as linear light relative to the reference level; all have the size of the first."""
+    shape: tuple[int, ...] | None = None
+    warned = light_at_white is not None  # who gives it has thought of the scale
     for k, frame in enumerate(frames):
+        values = _frame(frame, k, shape)
+        shape = values.shape
+        if values.dtype.kind == "f" and not warned:
+            warned = _warn_of_levels(values, k)
+        yield np.asarray(_light(values, k, levels) * (light_at_white or 1.0), np.float32)
+
+
+def _frame(frame: npt.ArrayLike, k: int, shape: tuple[int, ...] | None) -> npt.NDArray[Any]:
+    """Return frame `k`, (height, width); raises ValueError where it has another shape than those before it."""
+    try:
         values = np.asarray(frame)
-        if values.ndim != 2 or not values.size:
-            raise ValueError(f"frame {k} has the shape {values.shape}: (height, width) is needed, without colours")
-        if values.dtype.kind == "f":
-            if levels == "srgb":
-                raise TypeError(f'frame {k} is {values.dtype}: levels = "srgb" is for uint8 and uint16')
-            yield np.asarray(values * light_at_white, np.float32)
-        elif values.dtype in (np.uint8, np.uint16):
-            light = linear_light(values, float(np.iinfo(values.dtype).max), is_linear=levels == "linear")
-            yield np.asarray(light * light_at_white, np.float32)
-        else:
-            raise TypeError(f"frame {k} is {values.dtype}: floats (linear light), uint8 or uint16 are needed")
+    except ValueError as error:  # rows of several lengths
+        raise ValueError(f"frame {k} is no array: {error}") from error
+    if values.ndim != 2 or not values.size:
+        raise ValueError(f"frame {k} has the shape {values.shape}: (height, width) is needed, without colours")
+    if shape is not None and values.shape != shape:
+        raise ValueError(
+            f"frame {k} has the shape {values.shape}, those before it {shape}: all frames must have the same "
+            "(height, width); crop or resize them"
+        )
+    return values
+
+
+def _light(values: npt.NDArray[Any], k: int, levels: Levels | None) -> npt.NDArray[Any]:
+    """Return frame `k` as linear light, white 1."""
+    if values.dtype.kind == "f":
+        if levels == "srgb":
+            raise TypeError(f'frame {k} is {values.dtype}: levels = "srgb" is for uint8 and uint16')
+        return values
+    if values.dtype not in (np.uint8, np.uint16):
+        raise TypeError(f"frame {k} is {values.dtype}: floats (linear light), uint8 or uint16 are needed")
+    if levels is None:
+        raise ValueError(
+            f'levels is missing, and frame {k} is {values.dtype}: write levels="srgb" for videos and images, which are '
+            'coded by the sRGB curve, or levels="linear" for raw values of a sensor, which are proportional to light'
+        )
+    return linear_light(values, float(np.iinfo(values.dtype).max), is_linear=levels == "linear")
+
+
+def _warn_of_levels(values: npt.NDArray[Any], k: int) -> bool:
+    """Return whether a frame of floats is far brighter than white, as levels are, and warn then."""
+    brightest = float(values.max())
+    if not brightest > _BRIGHT:
+        return False
+    warnings.warn(
+        f"frame {k} reaches {brightest:g}: floats are linear light, 1.0 being white. For levels of 8 bits give uint8 "
+        'frames and levels="srgb" or "linear"; for light, write what white is: light_at_white=1.0',
+        stacklevel=4,
+    )
+    return True
 
 
 def _exposed(sensor: Sensor, lights: Iterator[_Float32s], times_ns: list[int], step_ns: int) -> Iterator[Events]:

@@ -184,7 +184,10 @@ def _time_ns(t_ns: int) -> int:
 
 
 def _seed(seed: int) -> int:
-    number = operator.index(seed)
+    try:
+        number = operator.index(seed)
+    except TypeError:
+        raise TypeError(f"seed is {seed!r}: a whole number is needed, 0 to 2^63 - 1") from None
     if not 0 <= number < 1 << 63:
         raise ValueError(f"seed is {number}: it must be 0 to 2^63 - 1")
     return number

@@ -1,8 +1,8 @@
-"""Freshness of numba's cache on disk: code is valid as long as no source file of its folder changes.
+"""Freshness of numba's cache on disk: code is valid as long as none of its declared sources changes.
 
 numba by itself looks at the module of a function only, not at the modules that the function calls. Here a checksum of
 all sources is part of the version that numba compares before it reads a cached index. An index of other sources is
-ignored unread, so it may name types that exist no more.
+ignored unread, so it may name types that exist no more. `firmware_protocol.compiled` declares the sources.
 """
 
 from __future__ import annotations
@@ -14,9 +14,10 @@ from typing import Any
 __all__ = ["cache_folder", "checksum_of", "valid_for"]
 
 
-def checksum_of(folder: Path) -> int:
-    """Return the checksum of all Python sources in a folder and below it."""
-    return zlib.crc32(b"".join(path.read_bytes() for path in sorted(folder.rglob("*.py"))))
+def checksum_of(*places: Path) -> int:
+    """Return the checksum of Python sources: of modules, and of all in folders and below them."""
+    files = {file for place in places for file in (place.rglob("*.py") if place.is_dir() else (place,))}
+    return zlib.crc32(b"".join(file.read_bytes() for file in sorted(files)))
 
 
 def cache_folder(dispatcher: Any) -> Path:

@@ -48,3 +48,11 @@ def test_links_in_the_docs_lead_somewhere():
         for target in re.findall(r"\]\(([^)#]+)", page.read_text()):
             if "://" not in target:
                 assert (page.parent / target).exists(), f"{page.name}: {target}"
+
+
+def test_nothing_installs_evstim_from_a_package_index():
+    """The name on the index is not ours."""
+    told = [*ROOT.glob("*.md"), *ROOT.glob("rigs/*.toml"), *ROOT.glob("docs/**/*.md"), *MODULES]
+    told += [path for ending in ("md", "py", "toml", "ipynb") for path in (ROOT / "examples").rglob(f"*.{ending}")]
+    wrong = re.compile(r"pip install '?evstim\b|evstim\[\w")
+    assert [path.name for path in told if path.name != "CHANGELOG.md" and wrong.search(path.read_text())] == []

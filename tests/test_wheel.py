@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from emulator.rig.loading import shipped_rigs
+from emulator.rig.loading import load_rig, shipped_rigs
+from emulator.run.needs import needs_of
 
 ROOT = Path(__file__).parent.parent
-NEEDS = {"stars-ros2": "pip install 'evstim[ros2]'"}  # rigs that say which extra they lack
 
 
 def pip(*arguments):
@@ -59,8 +59,9 @@ def test_a_shipped_rig_runs_from_an_installed_wheel(installed, rig, tmp_path):
         [installed, "run", rig, "--seconds", "0.02", "--pace", "free", "--json"],
         cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=600,
     )  # fmt: skip
-    if needs := NEEDS.get(rig):
-        assert (done.returncode, needs in json.loads(done.stdout.splitlines()[-1])["error"]) == (3, True), done.stderr
+    if missing := [need.look().name for need in needs_of(load_rig(rig)) if need.by == "run"]:
+        error = json.loads(done.stdout.splitlines()[-1])["error"]
+        assert (done.returncode, missing[0] in error, "pip install '.[" in error) == (3, True, True), done.stderr
         return
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout.splitlines()[-1])["balanced"] is True

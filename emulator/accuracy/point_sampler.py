@@ -13,12 +13,13 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
+
+from firmware_protocol.compiled import entry_of
 
 __all__ = ["PointSampler", "clipped"]
 
 _Floats = npt.NDArray[np.float64]
-_compiled: Callable[[Callable[..., Any]], Callable[..., Any]] = njit(nogil=True, cache=True, error_model="numpy")
+_compiled: Callable[[Callable[..., Any]], Callable[..., Any]] = entry_of(__name__)
 
 
 class PointSampler:

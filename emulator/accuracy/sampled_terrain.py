@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from emulator.accuracy.point_sampler import PointSampler
 from emulator.geometry.pinhole import Pinhole
@@ -22,12 +21,13 @@ from emulator.light import Light, Scene
 from emulator.scene.terrain.table import TerrainParameters
 from emulator.scene.terrain.world import TerrainWorld
 from emulator.trajectory.pose import Pose
+from firmware_protocol.compiled import entry_of
 
 __all__ = ["SampledTerrain"]
 
 _Floats = npt.NDArray[np.float64]
 _Ints = npt.NDArray[np.int64]
-_compiled: Callable[[Callable[..., Any]], Callable[..., Any]] = njit(nogil=True, cache=True, error_model="numpy")
+_compiled: Callable[[Callable[..., Any]], Callable[..., Any]] = entry_of(__name__)
 _GRAZING = 0.02  # the laws are used for no smaller cosine of emission, as the scene's documents say
 
 

@@ -8,7 +8,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
+
+from firmware_protocol.compiled import entry_of
 
 __all__ = ["Events", "common_subsequences", "moved_us", "van_rossum_products"]
 
@@ -25,7 +26,7 @@ class Events(NamedTuple):
     first: _Int64s
 
 
-compiled: Callable[[Callable[..., Any]], Callable[..., Any]] = njit(nogil=True, cache=True)
+compiled: Callable[[Callable[..., Any]], Callable[..., Any]] = entry_of(__name__, error_model="python")
 
 
 @compiled

@@ -24,12 +24,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from emulator.accuracy.light import ClosedLight
 from emulator.accuracy.stream import Stream
 from emulator.sensor.pixels.mismatch import draw
 from emulator.sensor.presets import SensorParameters
+from firmware_protocol.compiled import entry_of
 
 __all__ = ["true_events"]
 
@@ -40,8 +40,7 @@ _BISECTIONS = 60
 _LONGEST_STEP = 1.5  # in time constants; Runge-Kutta is unstable from 2.8
 
 # Without reference counts, which cost more than the arithmetic: no kernel here makes an array (see sensor.compiled).
-_OPTIONS: dict[str, Any] = {"nogil": True, "cache": True, "error_model": "numpy", "_nrt": False}
-compiled: Callable[[Callable[..., Any]], Callable[..., Any]] = njit(**_OPTIONS)
+compiled: Callable[[Callable[..., Any]], Callable[..., Any]] = entry_of(__name__, _nrt=False)
 
 
 class _Constants(NamedTuple):

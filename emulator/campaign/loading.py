@@ -13,7 +13,6 @@ A mistake raises CampaignError, which tells the file, the line, the key, what is
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -23,8 +22,8 @@ from emulator.campaign.rig_keys import text_of
 from emulator.campaign.success import SuccessRule, parse_rule
 from emulator.campaign.tables import Program, Settings
 from emulator.rig.loading import find_rig, parse_rig, read_rig
-from emulator.rig.text import line_of
 from emulator.tables.text_file import TextFileError, read_text, shortened
+from emulator.tables.toml_text import TomlError, line_of, read_toml
 from emulator.tables.typed_table import Path as KeyPath
 from emulator.tables.typed_table import TableError, convert, convert_kind, field_types, unknown
 
@@ -57,6 +56,8 @@ class Source:
 def load_source(file: Path) -> Source:
     """Return the texts of a campaign file and its rig; raises CampaignError and RigError."""
     file = file.absolute()
+    if not file.exists():
+        raise CampaignError(f"{file}: no such file: give the path of a campaign file (docs/campaigns.md has one)")
     try:
         text = read_text(file, _MOST_BYTES)
     except TextFileError as error:
@@ -73,11 +74,9 @@ def load_source(file: Path) -> Source:
 
 def _table_of(text: str, file: str) -> dict[str, Any]:
     try:
-        return tomllib.loads(text)
-    except ValueError as error:
-        raise CampaignError(f"{file}: not valid TOML: {shortened(error)}") from error
-    except RecursionError as error:
-        raise CampaignError(f"{file}: not valid TOML: its arrays or tables are nested too deeply") from error
+        return read_toml(text)
+    except TomlError as error:
+        raise CampaignError(error.at(file)) from error
 
 
 def parse_settings(source: Source) -> tuple[Settings, dict[str, Any]]:

@@ -23,6 +23,7 @@ from emulator.campaign.columns import Row
 from emulator.campaign.loading import Source
 from emulator.campaign.one_run import CampaignStopped
 from emulator.campaign.warm_worker import WarmWorker, lost_row
+from transports.needs import install_command
 
 __all__ = ["DaskWorkers"]
 
@@ -122,7 +123,7 @@ def _connected(address: str) -> Any:
     try:
         distributed = importlib.import_module("distributed")
     except ImportError as error:
-        raise CampaignStopped("--scheduler needs dask.distributed:  pip install 'evstim[campaign]'") from error
+        raise CampaignStopped(f"--scheduler needs dask.distributed:  {install_command('campaign')}") from error
     try:
         return distributed.Client(address, timeout=_CONNECT_S, set_as_default=False)
     except (OSError, TimeoutError, ValueError) as error:

@@ -15,6 +15,7 @@ from types import MappingProxyType
 from typing import Any
 
 from emulator.campaign.columns import Row
+from transports.needs import install_command
 
 __all__ = [
     "RowUnreadable",
@@ -49,7 +50,7 @@ def _parquet() -> Any:
         importlib.import_module("pyarrow")
         return importlib.import_module("pyarrow.parquet")
     except ImportError as error:
-        raise TablesLacking("campaigns need pyarrow:  pip install 'evstim[campaign]'") from error
+        raise TablesLacking(f"campaigns need pyarrow:  {install_command('campaign')}") from error
 
 
 def write_row(folder: Path, row: Row) -> None:

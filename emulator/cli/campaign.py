@@ -91,8 +91,8 @@ def campaign(
         Print one JSON object as the last line on stdout.
     """
     with failures(), campaign_failures():
-        check_tables()
         made = Campaign(load_source(file))
+        check_tables()
         folder = where.folder or file.with_suffix("")
         wanted = _wanted(made, share)
         in_part = share.only is not None or share.part is not None

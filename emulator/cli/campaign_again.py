@@ -52,8 +52,8 @@ def again(
         Print one JSON object as the last line on stdout.
     """
     with failures(), campaign_failures():
-        check_tables()
         campaign = Campaign(load_source(file))
+        check_tables()
         rig = campaign.rig(index)
         if record is not None:
             if not rig.links:

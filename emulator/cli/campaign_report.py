@@ -40,8 +40,8 @@ def report(
         Print one JSON object as the last line on stdout.
     """
     with failures(), campaign_failures():
-        check_tables()
         made = Campaign(load_source(file))
+        check_tables()
         here = folder or file.with_suffix("")
         check_folder(made, here)
         done = len(done_rows(rows_folder(here)))

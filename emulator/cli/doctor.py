@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated
 
 from cyclopts import Parameter
 from rich.text import Text
 
 from emulator.cli.failures import failures
-from emulator.cli.output import BAD_VERDICT, GOOD, console, print_json
+from emulator.cli.needed import Needed, what_is_needed
+from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, console, print_json
 from emulator.cli.preparing import prepared
 from emulator.rig.loading import Rig, load_rig, shipped_rigs
 from emulator.run.keeping_up import KeepingUp, keeping_up
 from emulator.run.kernels import CODER, DECODER, EVT, Part, parts_of
-from emulator.run.machine import Finding, examine
+from emulator.run.machine import examine
+from transports.needs import Finding
 
 __all__ = ["doctor"]
 
@@ -30,46 +33,62 @@ def doctor(
     Parameters
     ----------
     rig
-        Path of a rig file, or the name of a shipped one: measure whether it runs in real time here.
+        Path of a rig file, or the name of a shipped one: show what it needs, and measure whether it runs in real time.
     prepare
         Compile the kernels of this rig, or of all shipped rigs, so that no run has to.
     json
         Print one JSON object as the last line on stdout.
     """
     with failures():
-        loaded = None if rig is None else load_rig(rig)
-        if prepare or loaded:
-            prepared(_parts(loaded))
-        speed = None if loaded is None else keeping_up(loaded)
-    findings = examine() if rig is None else []
+        if rig is not None:
+            return _of_rig(load_rig(rig), as_json=json)
+        if prepare:
+            prepared(_all_parts())
+    findings = examine()
     if json:
-        print_json({"findings": findings, **({} if loaded is None or speed is None else _as_json(loaded, speed))})
+        print_json({"findings": findings})
     else:
         _print(findings)
-        if loaded and speed:
-            console.print(_sentence(loaded, speed))
-    return GOOD if speed is None or speed.good else BAD_VERDICT
+    return GOOD
 
 
-def _parts(rig: Rig | None) -> list[Part]:
-    """Return what the rig compiles; without a rig what all shipped ones compile, and the receivers and files."""
-    if rig is not None:
-        return parts_of(rig)
+def _of_rig(rig: Rig, *, as_json: bool) -> int:
+    """Show what a rig needs, compile its kernels and measure its speed; the latter two where nothing is missing."""
+    needed = what_is_needed(rig)
+    lacks = any(one.stops_the_run for one in needed)
+    if not as_json:
+        for one in needed:
+            console.print(f"{rig.name}: {one.line}", markup=False)
+    if not lacks:
+        prepared(parts_of(rig))
+    speed = None if lacks else keeping_up(rig)
+    if as_json:
+        print_json({"findings": [one.found for one in needed], **_as_json(rig, needed, speed)})
+    else:
+        console.print(_sentence(rig, speed), markup=False)
+    return LACKING if speed is None else GOOD if speed.good else BAD_VERDICT
+
+
+def _all_parts() -> list[Part]:
+    """Return what all shipped rigs compile, and the receivers and files."""
     parts = [part for path in shipped_rigs().values() for part in parts_of(load_rig(str(path)))]
     once = {part.key: part for part in (*parts, CODER, DECODER, EVT)}
     return list(once.values())
 
 
-def _as_json(rig: Rig, speed: KeepingUp) -> dict[str, object]:
+def _as_json(rig: Rig, needed: Sequence[Needed], speed: KeepingUp | None) -> dict[str, object]:
     return {
         "rig": rig.name,
-        "real_time": speed.good,
-        "times_real_time": speed.times_real_time,
-        "planned_load": speed.planned_load,
+        "needs": [one.as_json() for one in needed],
+        "real_time": None if speed is None else speed.good,
+        "times_real_time": None if speed is None else speed.times_real_time,
+        "planned_load": None if speed is None else speed.planned_load,
     }
 
 
-def _sentence(rig: Rig, speed: KeepingUp) -> str:
+def _sentence(rig: Rig, speed: KeepingUp | None) -> str:
+    if speed is None:
+        return f"{rig.name} does NOT run on this machine: add what is missing first"
     verdict = "runs in real time on this machine" if speed.good else "does NOT run in real time on this machine"
     load = "" if speed.planned_load is None else f"; its plan expects {speed.planned_load:.2f} of a core"
     advice = "" if speed.good else ". Take a longer run.step_us or a smaller camera; `evstim plan` tells the costs"

@@ -244,6 +244,7 @@ def summary(rig: Rig, result: RunResult) -> dict[str, object]:
         "undersampled_share": result.undersampled_share,
         "suspect_share": result.undersampled_share,  # the old key, for one version
         "scene": result.scene_counts,
+        "painter": result.painter,
         "renderer": result.renderer,
         "pixels_by": result.pixels_by,
         "syncs": result.syncs,
@@ -275,6 +276,7 @@ def print_summary(rig: Rig, result: RunResult) -> None:
         f"{rig.name}: {result.sim_seconds:.3f} s of stream time in {result.wall_seconds:.3f} s, "
         f"{result.frames} frames, {result.steps} steps{_syncs(result)}"
     )
+    console.print(f"drawn by {result.drawn_by}", markup=False)
     console.print(
         f"events: {ledger.raised} raised = {ledger.lost_in_pixel} lost in the pixel + {ledger.lost_at_readout} lost at "
         f"the read-out + {ledger.read_out} read out"

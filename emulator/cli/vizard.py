@@ -25,6 +25,7 @@ from emulator.run.verdict import good, judge
 from emulator.trajectory.basilisk import ConnectedPath
 from firmware_protocol.vizard.update import Update
 from transports.link.pacing import MonotonicClock
+from transports.needs import install_command
 from transports.network.allow import check_allow
 from transports.vizard.forwarding import ForwardingServer, Other
 from transports.vizard.server import VizardServer
@@ -113,7 +114,7 @@ def _check_installed() -> None:
         try:
             importlib.import_module(module)
         except ImportError as error:
-            raise Failure("evstim vizard needs pyzmq and protobuf: pip install 'evstim[basilisk]'", LACKING) from error
+            raise Failure(f"evstim vizard needs pyzmq and protobuf: {install_command('basilisk')}", LACKING) from error
 
 
 @contextmanager

@@ -13,6 +13,7 @@ from emulator.dynamics.fmu_process import serve
 from emulator.dynamics.mapping import Mapping
 from emulator.light import MachineLacks
 from emulator.run.spawning import starting_a_process
+from transports.needs import install_command
 
 __all__ = ["Fmu"]
 
@@ -43,7 +44,7 @@ class Fmu:
 
     def __init__(self, file: Path, mapping: Mapping, inputs: tuple[str, ...] = ()) -> None:
         if importlib.util.find_spec("fmpy") is None:
-            raise MachineLacks("FMUs need fmpy:  pip install 'evstim[fmu]'")
+            raise MachineLacks(f"FMUs need fmpy:  {install_command('fmu')}")
         if not file.is_file():
             raise DynamicsError(f"{file}: no such file")
         self._file, self._names = file, list(dict.fromkeys(mapping.outputs))

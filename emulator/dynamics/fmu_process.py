@@ -15,6 +15,7 @@ import shutil
 import signal
 import tempfile
 import zipfile
+import zlib
 from collections.abc import Iterable
 from contextlib import suppress
 from multiprocessing.connection import Connection
@@ -23,6 +24,11 @@ from typing import Any
 __all__ = ["serve"]
 
 _KINDS = {"2.0": ("Real",), "3.0": ("Float64",)}
+_DESCRIPTION = "modelDescription.xml"
+_MOST_FILES = 10_000
+_MOST_MIB = 1024  # unpacked
+_MOST_DESCRIPTION_MIB = 64  # it is read as a whole, and its tree takes many times as much
+_SMALLER = "Export it without sources, documentation and resources that it does not read, or get it from its maker anew"
 
 
 class _Wrong(Exception):
@@ -65,7 +71,7 @@ class _Unit:
         fmpy = importlib.import_module("fmpy")
         description = _description(fmpy, file)
         self._references = _references(description, used)
-        fmpy.extract(file, unzipdir=folder)
+        _extract(fmpy, file, folder)
         self._is_3 = description.fmiVersion.startswith("3")
         self._unit = fmpy.instantiate_fmu(folder, description, fmi_type="CoSimulation")
 
@@ -95,8 +101,7 @@ class _Unit:
 
 def _description(fmpy: Any, file: str) -> Any:
     """Return the model description; raises _Wrong for what is no co-simulation FMU for this machine."""
-    if not zipfile.is_zipfile(file):
-        raise _Wrong("is not an FMU: it is no ZIP archive")
+    _check_size(file)
     try:
         description = fmpy.read_model_description(file)
     except Exception as error:
@@ -109,6 +114,36 @@ def _description(fmpy: Any, file: str) -> Any:
     if not here & set(there):
         raise _Wrong(f"has no machine code for {' or '.join(sorted(here))}, only for {', '.join(there) or 'none'}")
     return description
+
+
+def _extract(fmpy: Any, file: str, folder: str) -> None:
+    """Unpack an FMU whose size was checked; raises _Wrong for a damaged archive."""
+    try:
+        fmpy.extract(file, unzipdir=folder)
+    except (zipfile.BadZipFile, zlib.error, EOFError) as error:
+        raise _Wrong(f"is damaged: {str(error)[:300] or 'it ends too soon'}") from error
+
+
+def _check_size(file: str) -> None:
+    """Raise _Wrong for what is no archive, or unpacks to more than an FMU needs: a few KiB may become any size.
+
+    The sizes are those that the archive declares; zipfile unpacks no more than these.
+    """
+    try:
+        with zipfile.ZipFile(file) as archive:
+            entries = archive.infolist()
+    except (zipfile.BadZipFile, NotImplementedError) as error:
+        raise _Wrong(f"is not an FMU: it is no ZIP archive ({error})") from error
+    if len(entries) > _MOST_FILES:
+        raise _Wrong(f"has {len(entries)} files: at most {_MOST_FILES} are unpacked. {_SMALLER}")
+    _check_mib("unpacks to", sum(entry.file_size for entry in entries), _MOST_MIB)
+    description = sum(entry.file_size for entry in entries if entry.filename == _DESCRIPTION)
+    _check_mib(f"has a {_DESCRIPTION} of", description, _MOST_DESCRIPTION_MIB)
+
+
+def _check_mib(what: str, size: int, most_mib: int) -> None:
+    if size > most_mib << 20:
+        raise _Wrong(f"{what} {size / (1 << 20):.0f} MiB: at most {most_mib} MiB are unpacked. {_SMALLER}")
 
 
 def _platforms(fmpy: Any, description: Any) -> set[str]:

@@ -21,12 +21,12 @@ Names are those of the FMU's modelDescription.xml.
 from __future__ import annotations
 
 import struct
-import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from emulator.dynamics.failures import DynamicsError
 from emulator.tables.text_file import TextFileError, read_text
+from emulator.tables.toml_text import TomlError, read_toml
 from emulator.tables.typed_table import TableError, convert
 
 __all__ = ["Bus", "InputFile", "Mapping", "Signal", "load_mapping"]
@@ -117,11 +117,10 @@ class Mapping:
 def load_mapping(path: Path) -> Mapping:
     """Return a mapping file; raises DynamicsError."""
     try:
-        table = tomllib.loads(read_text(path, _MOST_BYTES))
-        return convert(table, Mapping)
+        return convert(read_toml(read_text(path, _MOST_BYTES)), Mapping)
     except TextFileError as error:
         raise DynamicsError(f"{path} {error}") from error
-    except ValueError as error:
-        raise DynamicsError(f"{path}: not valid TOML: {error}") from error
+    except TomlError as error:
+        raise DynamicsError(error.at(str(path))) from error
     except TableError as error:
         raise DynamicsError(f"{path}: {'.'.join(map(str, error.path))}: {error}") from error

@@ -3,7 +3,8 @@
 OpenGL 4.3 core is asked for. Of the machine's EGL devices the first that is not a software renderer is taken, else the
 first that works. What draws is a matter of the machine, not of the rig, so the environment may choose instead:
 
-    EVSTIM_RENDERER           part of a renderer's name in GL's words, upper or lower case: llvmpipe, nvidia, radeon
+    EVSTIM_RENDERER           part of a renderer's name in GL's words, upper or lower case: llvmpipe, nvidia, radeon;
+                              `cpu` and `gl` select a painter and no renderer (`gl.painter`)
     GLCONTEXT_DEVICE_INDEX    which EGL device: no other is tried
     GLCONTEXT_LINUX_LIBEGL    file name of libEGL
     GLCONTEXT_LINUX_LIBGL     file name of libGL (libOpenGL.so.0 needs no X library)
@@ -41,6 +42,9 @@ PACKAGES = "libegl1 libgl1 libgl1-mesa-dri"
 
 WANTED = "EVSTIM_RENDERER"
 """The environment's variable that chooses what draws."""
+
+_PAINTERS = ("cpu", "gl")
+"""Values of the variable that name no renderer."""
 
 _VERSION = 430
 _MOST_DEVICES = 16
@@ -84,7 +88,7 @@ def open_context() -> moderngl.Context:
         With the driver's message, its meaning and the packages to install; or with the renderers that are there, where
         none is the wanted one.
     """
-    wanted = os.environ.get(WANTED, "").strip()
+    wanted = _wanted_name()
     spare: moderngl.Context | None = None
     seen: list[str] = []
     with _quiet_driver():
@@ -138,6 +142,12 @@ def renderer_name(context: moderngl.Context) -> str:
 def is_software(renderer: str) -> bool:
     """Return whether the renderer of that name draws with the processor."""
     return any(name in renderer.lower() for name in _SOFTWARE)
+
+
+def _wanted_name() -> str:
+    """Return the part of a renderer's name that the environment gives; "": any renderer."""
+    wanted = os.environ.get(WANTED, "").strip()
+    return "" if wanted.lower() in _PAINTERS else wanted
 
 
 def _suits(renderer: str, wanted: str) -> bool:

@@ -26,6 +26,7 @@ from emulator.run.spawning import starting_a_process
 from firmware_protocol.events import Events
 from transports.link.edges import EdgeRing, EdgeSink, EdgeTiming
 from transports.link.process import LinkSetup
+from transports.needs import install_command
 
 __all__ = ["LivePage", "check_ui", "with_trigger_button"]
 
@@ -44,7 +45,7 @@ def check_ui() -> None:
         import uvicorn  # noqa: F401
         import websockets  # noqa: F401
     except ImportError as error:
-        raise MachineLacks(f"--serve needs {error.name}: pip install 'evstim[ui]'") from error
+        raise MachineLacks(f"--serve needs {error.name}: {install_command('ui')}") from error
 
 
 def with_trigger_button(

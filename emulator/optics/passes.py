@@ -20,6 +20,8 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from firmware_protocol.compiled import entry_of
+
 __all__ = ["Bilinear", "Part", "bend", "blur", "blur_and_scale", "gaussian_taps", "scale", "strip_for"]
 
 _Float32s = npt.NDArray[np.float32]
@@ -28,6 +30,8 @@ Part = tuple[int, int, int, int]
 
 _REACH_SIGMAS = 3.5
 _OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "_nrt": False, "fastmath": {"contract"}}
+_entry = entry_of(__name__, error_model="python")
+_blur_entry = entry_of(__name__, error_model="python", fastmath={"contract", "reassoc"})
 _loop: Callable[[Callable[..., None]], Any] = njit(**_OPTIONS)  # counts no references, which would slow loops down
 _STRIP = 48  # rows that are blurred together: they stay in the second-level cache
 
@@ -68,7 +72,7 @@ def blur(picture: _Float32s, taps: _Float32s, rows: _Float32s, out: _Float32s, p
     _blur_columns(rows, taps, part, out)
 
 
-@njit(cache=True, nogil=True)
+@_entry
 def scale(picture: _Float32s, factor: _Float32s, part: Part, out: _Float32s) -> None:
     """Write picture * factor into `out`, all (height, width), in `part`."""
     first_row, last_row, first, last = part
@@ -78,7 +82,7 @@ def scale(picture: _Float32s, factor: _Float32s, part: Part, out: _Float32s) -> 
             to[x] = row[x] * by[x]
 
 
-@njit(cache=True, nogil=True)
+@_entry
 def _bend(
     picture: _Float32s, places: tuple[npt.NDArray[np.int32], _Float32s, _Float32s], width: int, out: _Float32s
 ) -> None:
@@ -96,7 +100,7 @@ def bend(picture: _Float32s, places: Bilinear, out: _Float32s) -> None:
     _bend(picture.reshape(-1), (places.first, places.along, places.down), places.width, out)
 
 
-@njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
+@_blur_entry
 def _blur_rows(picture: _Float32s, taps: _Float32s, part: Part, out: _Float32s, top: int) -> None:
     """Write the pass along rows of `part`, that of row y to row y - top."""
     width = picture.shape[1]
@@ -120,7 +124,7 @@ def _blur_rows(picture: _Float32s, taps: _Float32s, part: Part, out: _Float32s, 
                 to[x] += tap * row[width - 1]
 
 
-@njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
+@_blur_entry
 def _blur_columns(picture: _Float32s, taps: _Float32s, part: Part, out: _Float32s) -> None:
     height = picture.shape[0]
     reach = taps.size // 2
@@ -204,7 +208,7 @@ def _blur_and_scale(
                 to[x] = line[x] * by[x]
 
 
-@njit(cache=True, nogil=True)
+@_entry
 def blur_and_scale(
     picture: _Float32s, taps: _Float32s, factor: _Float32s, part: Part, strip: _Float32s, out: _Float32s
 ) -> None:

@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from functools import partial
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -85,6 +86,11 @@ class Through(Scene):
     def notes(self) -> tuple[str, ...]:
         """Those of the scene."""
         return self.scene.notes
+
+    @property
+    def painter(self) -> Literal["cpu", "gl"]:
+        """That of the scene."""
+        return self.scene.painter
 
     @property
     def renderer(self) -> str | None:

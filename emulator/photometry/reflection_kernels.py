@@ -16,8 +16,8 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from emulator.photometry.compiled import entry
 from emulator.photometry.reflectance import Glossy, Hapke, Lambert, LommelSeeliger, LunarLambert, Reflectance
+from firmware_protocol.compiled import entry_of
 
 __all__ = ["Law", "law_of", "reflect"]
 
@@ -115,7 +115,7 @@ def _glossy(p: Floats, mu0: Floats, mu: Floats, chord2: Floats, count: int, out:
         out[i] = lit * (even + lobe * glint)
 
 
-@entry
+@entry_of("emulator.photometry")
 def reflect(kind: int, p: Floats, mu0: Floats, mu: Floats, chord2: Floats, count: int, out: Floats) -> None:
     """Write r, 1/sr, of `count` points.
 

@@ -1,7 +1,7 @@
 """Recordings of events as a rig names them, and how they are read.
 
     .npz       what `--record` and the listeners write; the part after the last restart of the camera's clock
-    .aedat4    recordings of iniVation's cameras; read by faery (`pip install 'evstim[files]'`)
+    .aedat4    recordings of iniVation's cameras; read by faery (`pip install '.[files]'`)
     .es .dat .raw .csv   likewise, as far as faery reads them; in a child process, see `foreign_file`
     others     every format that `evstim convert` reads, see docs/recordings.md
 
@@ -22,8 +22,10 @@ from emulator.scene.kind import SceneKind
 from emulator.tables.files import NO_FILE, RigFile
 from firmware_protocol.event_copies import join_events
 from firmware_protocol.events import Events
+from transports.needs import Need, package
 from transports.recording.array_file import ArrayFileError
 from transports.recording.guarded import LibraryMissing, OpenRecording
+from transports.recording.kind_of_file import format_to_read
 from transports.recording.part import RecordingError
 from transports.recording.record import load_record
 
@@ -63,7 +65,23 @@ class RecordingParameters:
             raise ValueError(f"time_scale is {self.time_scale}: it must be 1e-6 to 1e6")
 
 
-RECORDING = SceneKind(RecordingParameters, "emulator.playback.replay:blank", events="emulator.playback.replay:replay")
+def _needs(parameters: RecordingParameters) -> tuple[Need, ...]:
+    path = Path(parameters.path)
+    if path.suffix == ".npz":
+        return ()
+    try:
+        needed = "faery" if path.suffix in _BY_FAERY else format_to_read(path).needs
+    except (OSError, RecordingError):  # whoever opens it reports that
+        return ()
+    return (package(needed),) if needed else ()
+
+
+RECORDING = SceneKind(
+    RecordingParameters,
+    "emulator.playback.replay:blank",
+    events="emulator.playback.replay:replay",
+    needs=_needs,
+)
 
 
 def read_events(path: Path, known: tuple[int, int] | None = None) -> tuple[Events, tuple[int, int] | None]:

@@ -1,21 +1,11 @@
-"""Decorators of the renderer's kernels; entry points are cached on disk as long as no source of this folder changes."""
+"""Decorators of the renderer's kernels and entries."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
-
-from numba import njit
-
 from emulator.sensor.numerics.compiled import kernel, lane, vector_kernel
-from firmware_protocol.numba_cache import checksum_of, valid_for
+from firmware_protocol.compiled import entry_of
 
 __all__ = ["entry", "kernel", "lane", "vector_kernel"]
 
-_SOURCES = checksum_of(Path(__file__).parent)
-
-
-def entry(function: Callable[..., Any]) -> Any:
-    """Compile `function` for calls from Python; it releases the GIL."""
-    return valid_for(_SOURCES, njit(nogil=True, error_model="numpy", cache=True)(function))
+entry = entry_of("emulator.raster", "emulator.sensor.numerics")
+"""Compiles a function for calls from Python; it releases the GIL."""

@@ -6,6 +6,8 @@ import importlib
 from pathlib import Path
 from typing import Any
 
+from transports.needs import install_command
+
 __all__ = ["ChartsLacking", "check", "pyplot", "save"]
 
 
@@ -19,7 +21,7 @@ def pyplot() -> Any:
         importlib.import_module("matplotlib").use("agg")
         return importlib.import_module("matplotlib.pyplot")
     except ImportError as error:
-        raise ChartsLacking("charts need matplotlib:  pip install 'evstim[report]'") from error
+        raise ChartsLacking(f"charts need matplotlib:  {install_command('report')}") from error
 
 
 def check() -> None:

@@ -7,6 +7,7 @@ import io
 import numpy as np
 
 from emulator.light import Light, MachineLacks
+from transports.needs import install_command
 
 __all__ = ["check_png", "grey_png"]
 
@@ -18,7 +19,7 @@ def check_png() -> None:
     try:
         import PIL.Image  # noqa: F401
     except ImportError as error:
-        raise MachineLacks("writing pictures needs pillow: pip install 'evstim[report]'") from error
+        raise MachineLacks(f"writing pictures needs pillow: {install_command('report')}") from error
 
 
 def grey_png(light: Light, white: float) -> bytes:

@@ -10,6 +10,7 @@ import numpy as np
 
 from emulator.light import MachineLacks, SceneError
 from emulator.report.preview import Rgb
+from transports.needs import install_command
 
 __all__ = ["MOVIES", "save_movie"]
 
@@ -26,7 +27,7 @@ def _gif(path: Path, pictures: Iterable[Rgb], fps: int) -> None:
     try:
         from PIL import Image
     except ImportError as error:
-        raise MachineLacks("writing .gif needs pillow: pip install 'evstim[report]'") from error
+        raise MachineLacks(f"writing .gif needs pillow: {install_command('report')}") from error
     first, *rest = (Image.fromarray(picture) for picture in pictures)
     first.save(path, "GIF", save_all=True, append_images=rest, duration=round(1000 / fps), loop=0)
 
@@ -35,7 +36,7 @@ def _mp4(path: Path, pictures: Iterable[Rgb], fps: int) -> None:
     try:
         import av
     except ImportError as error:
-        raise MachineLacks("writing .mp4 needs av: pip install 'evstim[files]'") from error
+        raise MachineLacks(f"writing .mp4 needs av: {install_command('files')}") from error
     pictures = iter(pictures)
     first = next(pictures)
     with av.open(str(path), "w", format="mp4") as file:

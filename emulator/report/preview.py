@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from emulator.light import Light, MachineLacks, SceneError
 from firmware_protocol.events import Events
+from transports.needs import install_command
 
 __all__ = ["OFF_RGB", "ON_RGB", "Rgb", "captioned", "event_picture", "save_png", "scaled", "white_of"]
 
@@ -68,7 +69,7 @@ def captioned(rgb: Rgb, text: str) -> Rgb:
     try:
         from PIL import Image, ImageDraw, ImageFont
     except ImportError as error:
-        raise MachineLacks("drawing pictures needs pillow: pip install 'evstim[report]'") from error
+        raise MachineLacks(f"drawing pictures needs pillow: {install_command('report')}") from error
     height, width = rgb.shape[:2]
     picture = Image.new("RGB", (width, height + _CAPTION_PX))
     picture.paste(Image.fromarray(rgb))
@@ -85,7 +86,7 @@ def save_png(path: Path, rgb: Rgb) -> None:
     try:
         from PIL import Image
     except ImportError as error:
-        raise MachineLacks("writing pictures needs pillow: pip install 'evstim[report]'") from error
+        raise MachineLacks(f"writing pictures needs pillow: {install_command('report')}") from error
     try:
         Image.fromarray(rgb).save(path, "PNG")
     except OSError as error:

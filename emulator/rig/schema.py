@@ -10,10 +10,7 @@ from typing import Any
 import msgspec
 
 from emulator.rig.camera_models import CAMERA_MODELS
-from emulator.rig.fault_tables import known_faults
-from emulator.rig.link_kinds import LINKS
-from emulator.rig.loading import Camera, Run, Trigger, Verdict
-from emulator.rig.scene_kinds import SCENES
+from emulator.rig.top_level import TOP_LEVEL, TopLevelKey
 from emulator.tables.typed_table import field_types, item_type, kinds_of, table_type
 
 __all__ = ["rig_schema"]
@@ -24,11 +21,7 @@ _Definitions = dict[str, Any]
 def rig_schema() -> dict[str, Any]:
     """Return the schema (draft 2020-12) of a rig file as a table."""
     definitions: _Definitions = {}
-    scene, link = (
-        _one_of({name: kind.parameters for name, kind in kinds.usable().items()}, definitions)
-        for kinds in (SCENES, LINKS)
-    )
-    camera, run, trigger, verdict = (_table(cls, definitions) for cls in (Camera, Run, Trigger, Verdict))
+    properties = {name: _top_level(key, definitions) for name, key in TOP_LEVEL.items()}
     definitions["SensorParameters"].pop("required", None)  # a rig gives what differs from the preset
     definitions["Camera"]["properties"]["model"]["enum"] = list(CAMERA_MODELS)
     return {
@@ -36,19 +29,18 @@ def rig_schema() -> dict[str, Any]:
         "title": "evstim rig",
         "type": "object",
         "additionalProperties": False,
-        "required": ["scene"],
-        "properties": {
-            "title": {"type": "string", "description": "What this rig shows, in one sentence."},
-            "scene": scene,
-            "camera": camera,
-            "trigger": trigger,
-            "run": run,
-            "verdict": verdict,
-            "links": {"type": "array", "items": link},
-            "faults": {"type": "array", "items": _one_of(known_faults(), definitions)},
-        },
+        "required": [name for name, key in TOP_LEVEL.items() if key.needed],
+        "properties": properties,
         "$defs": definitions,
     }
+
+
+def _top_level(key: TopLevelKey, definitions: _Definitions) -> dict[str, Any]:
+    kinds = key.kinds()
+    if not kinds:
+        return {"type": "string", "description": key.meaning}
+    table = _one_of(kinds, definitions) if key.has_kinds else _table(kinds[""], definitions)
+    return {"description": key.meaning, **({"type": "array", "items": table} if key.is_list else table)}
 
 
 def _one_of(kinds: Mapping[str, type], definitions: _Definitions) -> dict[str, Any]:

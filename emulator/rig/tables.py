@@ -118,6 +118,10 @@ class Run:
         How light is interpolated between two frames: "hermite" (a cubic from value and derivative) or "line" (a
         straight line in log light); or another simulator's rule, to reproduce published results: "pangu", "v2e",
         "v2e_exact_filter", "esim", "sikorski", "frame_difference".
+    painter
+        What draws bodies and terrain: "cpu", the exact mean light of each pixel and the same events on every machine;
+        "gl", points in each pixel by OpenGL 4.3, for a quick look. The environment variable EVSTIM_RENDERER goes before
+        this key.
     pixels
         Where they are solved: "cpu", or "gpu", a compute shader for large sensors with methods "hermite" and "line" and
         without a second pole, parasitic leak, defects, and noise of grade "grid".
@@ -141,6 +145,7 @@ class Run:
     restart_links: bool = False
     fifo_priority: int = 0
     method: Method = "hermite"
+    painter: Literal["cpu", "gl"] = "cpu"
     pixels: Literal["cpu", "gpu"] = "cpu"
     threads: int = 0
     tolerance_us: float = 0.0

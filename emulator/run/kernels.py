@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from emulator.gl.painter import selected_painter
 from emulator.rig.camera_models import CAMERA_MODELS
 from emulator.rig.link_kinds import LINKS
 from emulator.rig.loading import Rig
@@ -64,7 +65,8 @@ def parts_of(rig: Rig) -> list[Part]:
     """Return what a run of the rig compiles."""
     sensor = dataclasses.replace(rig.camera.sensor, width=_WIDTH, height=_HEIGHT)
     kind = SCENES[rig.scene.kind]
-    parts = [Part(f"scene {rig.scene.kind}", 3.0, partial(_draw, rig))] if kind.kernels else []
+    painter = f"by {selected_painter(rig.run.painter)}" if kind.gl else ""  # GL compiles other kernels
+    parts = [Part(f"scene {rig.scene.kind}", 3.0, partial(_draw, rig), painter)] if kind.kernels else []
     if not kind.events:
         parts += [*PIXELS.after, PIXELS, _effects(sensor)]
     if any(LINKS[link.kind].serves == "instrument" for link in rig.links):

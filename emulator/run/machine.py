@@ -6,21 +6,18 @@ Nothing here is needed by everything: `needed_for` says what goes without.
 from __future__ import annotations
 
 import ctypes.util
-import importlib.metadata
 import os
-import platform
 import resource
 import shutil
 import socket
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 from emulator.gl.context import PACKAGES, WANTED, probe, renderers
 from firmware_protocol.gige.gvcp import GVCP_PORT
-from transports.usb.functionfs.gadget import Places
+from transports.needs import PYTHON_PACKAGES, UDC, VCAN, VHCI, Finding, package
 
-__all__ = ["Finding", "examine"]
+__all__ = ["egl", "examine"]
 
 _RMEM_MAX = Path("/proc/sys/net/core/rmem_max")
 _UDP_BUFFER = 1 << 24
@@ -38,41 +35,14 @@ _UDEV_FIX = (
     "&& sudo udevadm control --reload && sudo udevadm trigger"
 )
 
-_PACKAGES = (
-    ("pillow", "report", "`evstim picture`, image folders and GeoTIFF terrain"),
-    ("matplotlib", "report", "the charts of `evstim accuracy` and `evstim characterise`"),
-    ("faery", "files", "recordings of other programs (AEDAT4, EVT3, ...)"),
-    ("h5py", "files", "recordings in HDF5, as the DSEC data set has them"),
-    ("rosbags", "files", "recordings in ROS 1 and ROS 2 bags"),
-    ("pyarrow", "campaign", "`evstim campaign`"),
-    ("SALib", "campaign", "sensitivity in the reports of `evstim campaign`"),
-    ("distributed", "campaign", "`evstim campaign --scheduler`"),
-    ("pyzmq", "basilisk", "`evstim vizard`, a camera for Basilisk"),
-    ("protobuf", "basilisk", "`evstim vizard`"),
-    ("cyclonedds", "ros2", "topics of ROS 2 (links and scenes), without ROS"),
-    ("av", "files", "videos as scenes, and .mp4 files of `evstim picture`"),
-)
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One thing looked at. `fix` is a shell command, None where nothing is wrong."""
-
-    name: str
-    good: bool
-    detail: str
-    needed_for: str
-    fix: str | None = None
-
-
 def examine() -> list[Finding]:
     """Look at everything; takes about a second, most of it for opening GL."""
     looks: list[Callable[[], Finding]] = [
-        _egl,
+        egl,
         _usbip_tool,
-        _vhci,
-        _udc,
-        _vcan,
+        VHCI.look,
+        UDC.look,
+        VCAN.look,
         _libusb,
         _usb_permission,
         _gvcp,
@@ -80,20 +50,13 @@ def examine() -> list[Finding]:
         _priority,
         _cores,
     ]
-    return [*(look() for look in looks), *(_package(*each) for each in _PACKAGES)]
+    return [look() for look in (*looks, *(package(name).look for name in PYTHON_PACKAGES))]
 
 
-def _package(name: str, extra: str, wanted: str) -> Finding:
-    """Look at an optional Python package, which an extra of evstim brings."""
-    try:
-        return Finding(name, True, importlib.metadata.version(name), wanted)
-    except importlib.metadata.PackageNotFoundError:
-        return Finding(name, False, "not installed", wanted, f"pip install 'evstim[{extra}]'")
-
-
-def _egl() -> Finding:
+def egl() -> Finding:
+    """Look for OpenGL by EGL."""
     report = probe()
-    wanted = "rigs with a mesh (eros)"
+    wanted = 'run.painter = "gl" and run.pixels = "gpu"; nothing else needs GL'
     there = renderers()
     if report.available:
         others = f"; also there: {', '.join(_others(there, report.renderer))}" if len(there) > 1 else ""
@@ -116,33 +79,6 @@ def _usbip_tool() -> Finding:
     if path:
         return Finding("usbip", True, path, wanted)
     return Finding("usbip", False, "the tool is not installed", wanted, "apt-get install usbip")
-
-
-def _vhci() -> Finding:
-    wanted = "attaching the camera to this machine's own USB bus"
-    if Path("/sys/devices/platform/vhci_hcd.0").exists():
-        return Finding("vhci-hcd", True, "loaded", wanted)
-    return _module_missing("vhci-hcd", wanted)
-
-
-def _udc() -> Finding:
-    folder = Path("/sys/class/udc")
-    controllers = sorted(p.name for p in folder.iterdir()) if folder.is_dir() else []
-    wanted = "a camera on a real USB cable (links usb_gadget)"
-    if not controllers:
-        fix = "modprobe dummy_hcd  # for a trial; or a board with a USB device port (Raspberry Pi: dtoverlay=dwc2)"
-        return Finding("UDC", False, "no USB device controller", wanted, fix)
-    told = ", ".join(controllers)
-    if not Places().gadgets.is_dir():
-        return Finding("UDC", False, f"{told}, but no gadgets in configfs", wanted, "modprobe libcomposite")
-    return Finding("UDC", True, told, wanted)
-
-
-def _vcan() -> Finding:
-    wanted = "virtual CAN buses in the kernel"
-    if Path("/sys/module/vcan").exists():
-        return Finding("vcan", True, "loaded", wanted)
-    return _module_missing("vcan", wanted)
 
 
 def _gvcp() -> Finding:
@@ -180,16 +116,6 @@ def _priority() -> Finding:
     if nice >= _NICE_LIMIT or nice == resource.RLIM_INFINITY:
         return Finding("priority", True, "this user may run at nice -20", wanted)
     return Finding("priority", False, "this user may not run at nice -20", wanted, _PRIORITY_FIX)
-
-
-def _module_missing(module: str, wanted: str) -> Finding:
-    """Distinguish a module that can be loaded from one that this kernel does not have."""
-    release = platform.release()
-    built = any(Path(f"/lib/modules/{release}").rglob(f"{module}.ko*"))
-    if built:
-        return Finding(module, False, "not loaded", wanted, f"modprobe {module}")
-    detail = f"kernel {release} comes without it"
-    return Finding(module, False, detail, wanted, "apt-get install linux-image-amd64  # and boot it")
 
 
 def _libusb() -> Finding:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Literal
 
 from emulator.run.lateness import Lateness
 from emulator.run.ledger import Ledger
@@ -41,9 +42,15 @@ class RunResult:
     undersampled_share: float | None = None
     scene_counts: Mapping[str, int] = field(default_factory=dict)
     syncs: int | None = None
+    painter: Literal["cpu", "gl"] = "cpu"
     renderer: str | None = None
     pixels_by: str | None = None
     max_late_us: float = 0.0
+
+    @property
+    def drawn_by(self) -> str:
+        """The painter in words, with GL's name of its renderer."""
+        return f"GL: {self.renderer}" if self.painter == "gl" else self.renderer or "the CPU"
 
     @property
     def too_late(self) -> bool:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from functools import partial
 
+from emulator.gl.painter import selected_painter
 from emulator.light import Scene
 from emulator.optics.through import Through
 from emulator.rig.camera_models import CAMERA_MODELS
@@ -22,7 +23,8 @@ def build_scene(rig: Rig, size: tuple[int, int] | None = None) -> Scene:
     """Return the rig's scene at `size` = (width, height) pixels, by default its camera's; raises SceneError."""
     size = size or rig.camera.size
     kind, lens, chip = SCENES[rig.scene.kind], rig.camera.lens, CAMERA_MODELS[rig.camera.model].chip
-    build = partial(imported(kind.build), rig.scene)
+    drawn_by_gl = kind.gl and selected_painter(rig.run.painter) == "gl"
+    build = partial(imported(kind.gl if drawn_by_gl else kind.build), rig.scene)
     if kind.lens == "applied":
         return Through(lens, chip, size, build)
     scene: Scene = build(size, lens, chip) if kind.lens == "own" else build(size)

@@ -193,6 +193,7 @@ class Session:
             links=reports,
             undersampled_share=self._sensor.undersampled_share,
             scene_counts=self._pictures.scene.counts,
+            painter=self._pictures.scene.painter,
             renderer=self._pictures.scene.renderer,
             pixels_by=self._sensor.renderer,
             syncs=None if self._lockstep is None else self._lockstep.heard,

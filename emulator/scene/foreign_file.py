@@ -32,12 +32,13 @@ from numpy.lib import format as npy
 
 from emulator.light import MachineLacks, SceneError
 from emulator.tables.text_file import shortened
+from transports.needs import install_command
 
 __all__ = ["Limits", "answer", "read_in_child"]
 
 _MIB = 1 << 20
 _WALL_FACTOR = 10  # a busy machine gives the child a tenth of a processor
-_EXTRAS = {"PIL": "evstim[report]", "faery": "evstim[files]", "av": "evstim[files]"}
+_EXTRAS = {"PIL": "report", "faery": "files", "av": "files"}
 _START = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
     "from emulator.scene.foreign_file import answer; answer(json.loads(sys.argv[2]))"
@@ -129,7 +130,7 @@ def answer(order: dict[str, Any]) -> None:
         arrays = read(path)
     except ImportError as error:
         package = (error.name or "").partition(".")[0]
-        advice = f"pip install '{_EXTRAS.get(package, package)}'"
+        advice = install_command(_EXTRAS[package]) if package in _EXTRAS else f"pip install {package}"
         _write(descriptor, {"lacks": f"reading {path.suffix or 'it'} needs {package}: {advice}"})
     except MemoryError:
         mib = order["memory_bytes"] // _MIB

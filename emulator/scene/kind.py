@@ -5,8 +5,11 @@ A package outside evstim gives a record as an entry point of the group "evstim.s
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, Protocol
+
+from transports.needs import Need
 
 __all__ = ["SceneKind", "SceneParameters"]
 
@@ -16,6 +19,10 @@ class SceneParameters(Protocol):
 
     kind: ClassVar[str]
     __dataclass_fields__: ClassVar[dict[str, Any]]
+
+
+def _nothing(_: SceneParameters) -> tuple[Need, ...]:
+    return ()
 
 
 @dataclass(frozen=True)
@@ -38,6 +45,10 @@ class SceneKind:
         the scene.
     kernels
         Whether drawing it compiles kernels, which a run does ahead.
+    gl
+        Import path of what builds it drawn by GL, called as `build` is; "": the CPU alone draws it.
+    needs
+        What a scene of these parameters needs of the machine, beyond evstim and its base dependencies.
     """
 
     parameters: type[SceneParameters]
@@ -45,6 +56,8 @@ class SceneKind:
     lens: Literal["none", "applied", "own"] = "none"
     events: str = ""
     kernels: bool = True
+    gl: str = ""
+    needs: Callable[[Any], tuple[Need, ...]] = _nothing
 
     def __post_init__(self) -> None:
         if not isinstance(getattr(self.parameters, "kind", None), str):

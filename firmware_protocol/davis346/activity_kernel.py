@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,7 +22,7 @@ _Int32s = npt.NDArray[np.int32]
 _UInt16s = npt.NDArray[np.uint16]
 
 
-@entry_of(Path(__file__).parent)
+@entry_of(__name__)
 def find_fates(
     ticks: _Int32s, x: _UInt16s, y: _UInt16s, limits: tuple[int, int], stamps: _Int32s, fates: npt.NDArray[np.uint8]
 ) -> None:

@@ -42,7 +42,8 @@ def test_levels_of_8_bits_are_decoded():
     by_light = evstim.events_from_frames(light.astype(np.float32) * np.float32(0.5), times)
     assert len(by_levels)
     assert np.array_equal(by_levels[["x", "y", "on"]], by_light[["x", "y", "on"]])
-    assert len(evstim.events_from_frames(levels, times)) < len(by_levels), "linear levels have less contrast"
+    linear = evstim.events_from_frames(levels, times, levels="linear")
+    assert len(linear) < len(by_levels), "linear levels have less contrast"
 
 
 def test_any_iterable_of_frames_and_the_sensor_s_own_size():
@@ -68,22 +69,25 @@ def test_black_frames_are_allowed():
 @pytest.mark.parametrize(
     ("frames", "times", "options", "message"),
     [
-        (ramp(3), [0, 1], {}, "more frames than times_us"),
-        (ramp(3), [0, 1, 2, 3], {}, "3 frames and 4 times_us"),
-        (ramp(3), [0, 2, 2], {}, r"times_us\[2\] is 2, the one before it 2"),
-        (ramp(3), [0, 2, 1], {}, "times must grow"),
+        (ramp(3), [0, 10], {}, "more frames than times_us"),
+        (ramp(3), [0, 10, 20, 30], {}, "3 frames and 4 times_us"),
+        (ramp(3), [0, 20, 20], {}, r"times_us\[2\] is 20, the one before it 20"),
+        (ramp(3), [0, 20, 10], {}, "times must grow"),
+        (ramp(3), [0, 20, 20.0001], {}, "by at least a nanosecond"),
         (ramp(3), [0, np.nan, 1], {}, "not finite"),
         (ramp(3), [-1, 0, 1], {}, "negative"),
         (ramp(3), [[0, 1, 2]], {}, "times_us has the shape"),
         (ramp(0), [], {}, "frames is empty"),
-        (np.ones((2, 4, 6, 3)), [0, 1], {}, r"frame 0 has the shape \(4, 6, 3\)"),
-        (-ramp(2), [0, 1], {}, "must be 0 or more"),
-        (np.full((2, 4, 6), np.nan), [0, 1], {}, "must be finite"),
-        ([np.ones((4, 6)), np.ones((6, 4))], [0, 1], {}, "shape"),
-        (ramp(2), [0, 1], {"step_us": 0}, "step_us is 0"),
-        (ramp(2), [0, 1], {"levels": "gamma"}, "levels is 'gamma'"),
-        (ramp(2), [0, 1], {"light_at_white": 0.0}, "light_at_white is 0"),
-        (ramp(2), [0, 1], {"width": 7}, "shape"),
+        (np.ones((2, 4, 6, 3)), [0, 10], {}, r"frame 0 has the shape \(4, 6, 3\)"),
+        (-ramp(2), [0, 10], {}, "must be 0 or more"),
+        (np.full((2, 4, 6), np.nan), [0, 10], {}, "must be finite"),
+        ([np.ones((4, 6)), np.ones((6, 4))], [0, 10], {}, r"frame 1 .*\(6, 4\), those before it \(4, 6\).*crop"),
+        ([np.ones((4, 6)), np.ones((4, 1))], [0, 10_000], {}, "frame 1 has the shape"),
+        ([np.ones((4, 6)), [[1.0], [1.0, 2.0]]], [0, 10], {}, "frame 1 is no array"),
+        (ramp(2), [0, 10], {"step_us": 0}, "step_us is 0"),
+        (ramp(2), [0, 10], {"levels": "gamma"}, "levels is 'gamma'"),
+        (ramp(2), [0, 10], {"light_at_white": 0.0}, "light_at_white is 0"),
+        (ramp(2), [0, 10], {"width": 7}, r"frames .*\(4, 6\), the sensor \(4, 7\): leave width and height out"),
     ],
 )
 def test_what_does_not_fit_is_named(frames, times, options, message):
@@ -94,12 +98,12 @@ def test_what_does_not_fit_is_named(frames, times, options, message):
 @pytest.mark.parametrize("frames", [ramp(2).astype(complex), np.ones((2, 4, 6), np.int32), np.ones((2, 4, 6), bool)])
 def test_frames_of_another_type(frames):
     with pytest.raises(TypeError, match="frame 0 is"):
-        evstim.events_from_frames(frames, [0, 1])
+        evstim.events_from_frames(frames, [0, 10])
 
 
 def test_floats_are_never_srgb():
     with pytest.raises(TypeError, match='levels = "srgb" is for uint8'):
-        evstim.events_from_frames(ramp(2), [0, 1], levels="srgb")
+        evstim.events_from_frames(ramp(2), [0, 10], levels="srgb")
 
 
 def test_a_video_file_is_its_frames(tmp_path):
@@ -122,3 +126,39 @@ def test_the_light_of_white_scales_floats_too():
     scaled = evstim.events_from_frames(frames, times, light_at_white=0.25)
     assert np.array_equal(scaled, evstim.events_from_frames(0.25 * frames, times))
     assert not np.array_equal(scaled, evstim.events_from_frames(frames, times))
+
+
+@pytest.mark.parametrize("seed", ["a", 1.5, None])
+def test_a_seed_that_is_no_number_is_named(seed):
+    with pytest.raises(TypeError, match=rf"seed is {seed!r}: a whole number is needed, 0 to"):
+        evstim.events_from_frames(ramp(2), [0, 10], seed=seed)
+
+
+@pytest.mark.parametrize("times_s", [np.arange(5) / 30, np.arange(5) / 1e4, np.array([0.0, 0.5])])
+def test_times_in_seconds_are_refused_with_what_to_write(times_s):
+    """They would be frames within a nanosecond or few, and no event."""
+    frames = ramp(len(times_s))
+    with pytest.raises(ValueError, match=r"times_us: the frames are .* us apart.*write times_us = 1e6 \* times_s"):
+        evstim.events_from_frames(frames, times_s)
+    assert len(evstim.events_from_frames(frames, 1e6 * times_s, **PLAIN))
+
+
+def test_times_that_may_be_seconds_are_warned_of():
+    with pytest.warns(UserWarning, match="the frames are 1 us apart, 1e.06 frames a second") as told:
+        evstim.events_from_frames(ramp(), np.arange(5))
+    assert told[0].filename == __file__
+
+
+def test_integer_frames_need_to_be_told_apart_from_light():
+    levels = np.full((2, 4, 6), 100, np.uint8)
+    with pytest.raises(ValueError, match=r'levels is missing, and frame 0 is uint8: write levels="srgb".*"linear"'):
+        evstim.events_from_frames(levels, [0, 10])
+
+
+def test_floats_as_bright_as_levels_are_warned_of_once():
+    frames, times = 255 * ramp() / ramp().max(), 1e4 * np.arange(5)
+    with pytest.warns(UserWarning, match=r'frame 1 reaches 31.*uint8 frames and levels="srgb"') as told:
+        by_warning = evstim.events_from_frames(frames, times)
+    assert len(told) == 1
+    assert np.array_equal(by_warning, evstim.events_from_frames(frames, times, light_at_white=1.0))
+    evstim.events_from_frames(frames, times, light_at_white=1 / 255)

@@ -1,5 +1,6 @@
 """The public names of evstim: which there are, that all can be used, and that none costs anything before its use."""
 
+import importlib.metadata
 import subprocess
 import sys
 
@@ -63,6 +64,19 @@ HEAVY = ("numpy", "numba", "scipy", "moderngl", "trimesh", "can", "serial", "usb
 def test_the_public_names():
     assert sorted(evstim.__all__) == sorted(NAMES)
     assert set(NAMES) <= set(dir(evstim))
+
+
+def test_dir_contains_the_public_names_alone():
+    assert [name for name in dir(evstim) if not name.startswith("__")] == sorted(NAMES)
+    code = "import evstim; evstim.Sensor; print([n for n in dir(evstim) if n[0] != '_' and n not in evstim.__all__])"
+    assert in_a_process(code).strip() == "[]"
+
+
+def test_the_version_is_that_of_the_installed_package_and_costs_nothing_before():
+    assert evstim.__version__ == importlib.metadata.version("evstim")
+    assert "__version__" in dir(evstim)
+    code = "import sys, evstim; before = 'importlib.metadata' in sys.modules; print(before, evstim.__version__)"
+    assert in_a_process(code).split() == ["False", importlib.metadata.version("evstim")]
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -12,6 +12,7 @@ from transports.faults.can_kinds import CAN_FAULTS, ErrorFrames
 from transports.faults.kinds import Fault
 from transports.link.endpoint import EndpointFactory
 from transports.link.kind import CameraFacts, LinkKind, Listener, Unsuitable, Wiring, check_region
+from transports.needs import Need, network_interface
 
 __all__ = ["CAN"]
 
@@ -54,6 +55,12 @@ def _listens_on(parameters: CanParameters) -> tuple[str, int] | None:
     return (parameters.host, parameters.port) if served else None
 
 
+def _needs(parameters: CanParameters) -> tuple[Need, ...]:
+    if parameters.interface != "socketcan":
+        return ()
+    return tuple(network_interface(name) for name in (parameters.channel, parameters.channel_b) if name)
+
+
 CAN = LinkKind(
     CanParameters,
     serves="instrument",
@@ -65,4 +72,5 @@ CAN = LinkKind(
     complete=_with_identifiers,
     check=_check,
     listens_on=_listens_on,
+    needs=_needs,
 )

@@ -36,8 +36,13 @@ class CanParameters:
         Where the bus is served, with interface = "served".
     allow
         Addresses and networks that may join a served bus; needed where `host` can be reached from other machines.
-    bitrate, data_bitrate
-        Bits a second, of the bus and of the data of CAN FD frames.
+    bitrate
+        Bits a second of classic frames, and of the arbitration of CAN FD frames: 1000 to 1 000 000. A served bus sends
+        at this rate, and adapters are set to it (slcan, gs_usb, pcan, kvaser ...); a bus of the kernel (socketcan), of
+        a socketcand or of programs (virtual, udp_multicast) has its own. `share` counts frames by it on every bus.
+    data_bitrate
+        Bits a second of the data of CAN FD frames, `bitrate` to 20 000 000. With fd = true adapters are set to it,
+        where python-can sets them, and `share` counts by it; without, and on a served bus, it has no effect.
     fd
         CAN FD frames.
     share

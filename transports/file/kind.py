@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 
 from transports.link.endpoint import EndpointFactory
 from transports.link.kind import CameraFacts, LinkKind, Unsuitable, Wiring
+from transports.needs import Need, package
 from transports.recording.format import format_to_write
 from transports.recording.part import Facts, RecordingError
 
@@ -64,4 +65,9 @@ def _has_evt(link: FileLink) -> bool:
     return format_to_write(Path(link.path), link.format).name in ("evt2", "evt3", "ros1", "ros2")
 
 
-FILE = LinkKind(FileLink, serves="plain", endpoint=_endpoint, check=_check, has_evt=_has_evt)
+def _needs(link: FileLink) -> tuple[Need, ...]:
+    needed = format_to_write(Path(link.path), link.format).needs
+    return (package(needed),) if needed else ()
+
+
+FILE = LinkKind(FileLink, serves="plain", endpoint=_endpoint, check=_check, has_evt=_has_evt, needs=_needs)

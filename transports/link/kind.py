@@ -16,6 +16,7 @@ from transports.faults.kinds import Fault
 from transports.faults.script import FaultPlan
 from transports.link.edges import EdgeSink
 from transports.link.endpoint import EndpointFactory
+from transports.needs import Need
 
 __all__ = [
     "CameraFacts",
@@ -130,6 +131,10 @@ def _nowhere(parameters: LinkParameters) -> tuple[str, int] | None:
     return None
 
 
+def _nothing(parameters: LinkParameters) -> tuple[Need, ...]:
+    return ()
+
+
 def _never(parameters: LinkParameters) -> bool:
     return False
 
@@ -168,6 +173,8 @@ class LinkKind(Generic[P]):
         With "usb": whether the camera waits after its host's start command, as `camera.start_delay_ms` says.
     has_evt
         Whether a link of these parameters sends EVT3 or EVT2 words: a run compiles their kernels before it begins.
+    needs
+        What a link of these parameters needs of the machine, beyond evstim and its base dependencies.
     """
 
     parameters: type[P]
@@ -183,6 +190,7 @@ class LinkKind(Generic[P]):
     usb_model: str | None = None
     start_delay: bool = True
     has_evt: Callable[[P], bool] = _never
+    needs: Callable[[P], tuple[Need, ...]] = _nothing
 
     def __post_init__(self) -> None:
         needed = {"name"} | ({"instrument"} if self.serves == "instrument" else set())

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import partial
-from importlib.util import find_spec
 from typing import Any
 
 from firmware_protocol.network_streams.caer import CaerConnectionCoder, CaerDatagramCoder
@@ -15,6 +14,7 @@ from firmware_protocol.network_streams.pictures import DisplayCoder, EventImageC
 from firmware_protocol.network_streams.plain_datagrams import FaeryLongCoder, FaeryShortCoder, SpifCoder
 from transports.link.endpoint import EndpointFactory
 from transports.link.kind import CameraFacts, LinkKind, Unsuitable, Wiring
+from transports.needs import package
 from transports.network_streams.parameters import TcpStream, UdpStream
 
 __all__ = ["TCP", "UDP"]
@@ -51,8 +51,6 @@ def _udp_endpoint(link: UdpStream, wiring: Wiring) -> EndpointFactory[Any]:
 
 
 def _check_tcp(link: TcpStream, camera: CameraFacts) -> None:
-    if link.compression == "lz4" and find_spec("lz4") is None:
-        raise Unsuitable("compression needs lz4: pip install 'evstim[files]'", "compression")
     _check_size(link.format, _CONNECTION_CODERS[link.format].limit_px, camera)
 
 
@@ -73,6 +71,7 @@ TCP = LinkKind(
     endpoint=_tcp_endpoint,
     check=_check_tcp,
     listens_on=lambda link: (link.host, link.port) if link.port else None,
+    needs=lambda link: (package("lz4"),) if link.compression == "lz4" else (),
 )
 
 UDP = LinkKind(UdpStream, serves="plain", endpoint=_udp_endpoint, check=_check_udp)

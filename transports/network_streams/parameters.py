@@ -27,7 +27,7 @@ class TcpStream:
     buffer_mib
         What waits for one client at most. A paced run drops what a slow client has no room for, and goes on.
     compression
-        Of the format dv: "none", or "lz4" (`pip install 'evstim[files]'`).
+        Of the format dv: "none", or "lz4" (`pip install '.[files]'`).
     trigger_port
         With the format dv: port of a second server, for the camera's triggers, as dv-processing takes one stream from a
         connection; 0 takes a free one. Left out: none.

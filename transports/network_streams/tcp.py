@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from importlib.util import find_spec
 
 from firmware_protocol.edges import empty_edges
 from firmware_protocol.events import empty_events
@@ -19,6 +20,7 @@ from firmware_protocol.network_streams.coder import ConnectionCoder
 from firmware_protocol.plain_device import PlainDevice, Taken, own_time
 from transports.link.deliveries import Deliveries
 from transports.link.endpoint import Endpoint, EndpointFactory
+from transports.needs import install_command
 from transports.network_streams.audience import Audience
 from transports.network_streams.fates import Fates
 from transports.network_streams.parameters import TcpStream
@@ -58,7 +60,9 @@ class TcpEndpoint(Endpoint):
         device.takes_edges = self._coder.has_edges
 
     async def start(self) -> None:
-        """Listen; raises OSError, with what to do, when a port cannot be had."""
+        """Listen; raises OSError, with what to do, when a port or a compression cannot be had."""
+        if self._link.compression == "lz4" and find_spec("lz4") is None:
+            raise OSError(f"compression needs lz4: {install_command('files')}")
         self._device.run(False)
         self._clients.open(self._link.port)
         if self._trigger_clients is not None:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from transports.needs import install_command
 from transports.recording.part import Facts, Reader, RecordingError, Writer
 
 __all__ = ["FORMATS", "Format", "format_to_write", "with_addition"]
@@ -35,7 +36,7 @@ class Format:
     readers
         Programs that open it, for people.
     needs
-        The optional package that it needs, of the extra `evstim[files]`; "" for none.
+        The optional package that it needs, of the extra `files`; "" for none.
     size_px
         Largest (width, height) that it can number.
     until_us
@@ -84,7 +85,7 @@ class Format:
         try:
             return getattr(importlib.import_module(module), name)
         except ImportError as error:
-            raise RecordingError(f"{self.title} needs {self.needs}: pip install 'evstim[files]'") from error
+            raise RecordingError(f"{self.title} needs {self.needs}: {install_command('files')}") from error
 
 
 _HERE = "transports.recording"

@@ -20,6 +20,7 @@ from firmware_protocol.plain_device import PlainDevice, Taken, own_time
 from firmware_protocol.ros2.messages import EVENT_PACKET, IMAGE
 from transports.link.deliveries import Deliveries
 from transports.link.endpoint import Endpoint, EndpointFactory
+from transports.needs import install_command
 from transports.ros2.coding import PacketCoder, PictureCoder
 from transports.ros2.gathering import Gathering
 from transports.ros2.parameters import Ros2Topics
@@ -69,7 +70,7 @@ class Ros2Endpoint(Endpoint):
         try:
             from transports.ros2.dds import DdsParticipant, TopicQos
         except ImportError as error:
-            raise OSError(f"topics of ROS 2 need cyclonedds ({error}): pip install 'evstim[ros2]'") from error
+            raise OSError(f"topics of ROS 2 need cyclonedds ({error}): {install_command('ros2')}") from error
         link = self._link
         self._device.run(False)
         self._participant = DdsParticipant(link.network)

@@ -7,6 +7,7 @@ from typing import Any
 from firmware_protocol.evt3.words import LIMIT_PX
 from transports.link.endpoint import EndpointFactory
 from transports.link.kind import CameraFacts, LinkKind, Unsuitable, Wiring
+from transports.needs import Need, package
 from transports.ros2.parameters import Ros2Topics
 
 __all__ = ["ROS2"]
@@ -31,4 +32,8 @@ def _has_evt(link: Ros2Topics) -> bool:
     return link.encoding == "evt3"
 
 
-ROS2 = LinkKind(Ros2Topics, serves="plain", endpoint=_endpoint, check=_check, has_evt=_has_evt)
+def _needs(_: Ros2Topics) -> tuple[Need, ...]:
+    return (package("cyclonedds"),)
+
+
+ROS2 = LinkKind(Ros2Topics, serves="plain", endpoint=_endpoint, check=_check, has_evt=_has_evt, needs=_needs)

@@ -13,7 +13,7 @@ __all__ = ["Ros2Topics"]
 
 @dataclass(frozen=True)
 class Ros2Topics:
-    """Topics of ROS 2, without ROS (`pip install 'evstim[ros2]'`): packets of events, and pictures of them.
+    """Topics of ROS 2, without ROS (`pip install '.[ros2]'`): packets of events, and pictures of them.
 
     Attributes
     ----------

@@ -137,7 +137,7 @@ def _run_rows(of: Reported) -> list[dict[str, object]]:
         "stream time": f"{of.result.sim_seconds:.3f} s in {of.result.wall_seconds:.3f} s",
         "frames": of.result.frames,
         "worst lateness": f"{of.result.lateness.worst_gap_us:.0f} us",
-        "drawn by": of.result.renderer or "the scene itself",
+        "drawn by": of.result.drawn_by,
         "pixels computed by": of.result.pixels_by or "cpu",
         **_machine(of),
     }

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from emulator.rig.loading import Rig
 from emulator.rig.scene_kinds import SCENES
+from transports.needs import install_command
 
 __all__ = ["SUFFIXES", "TruthRefused", "check_truth"]
 
@@ -26,4 +27,4 @@ def check_truth(rig: Rig, path: Path, every: int = 1) -> None:
     if SCENES[rig.scene.kind].events:
         raise TruthRefused(f"a {rig.scene.kind} plays events that exist already: nothing is known of what raised them")
     if find_spec("h5py") is None:
-        raise ImportError("it needs h5py: pip install 'evstim[files]'")
+        raise ImportError(f"it needs h5py: {install_command('files')}")

@@ -1,21 +1,10 @@
-"""Compiled entry points of the light of bodies, cached on disk as long as no source that they are made of changes."""
+"""Decorator of the entries of the light of bodies."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
-
-from numba import njit
-
-from emulator import photometry
-from firmware_protocol.numba_cache import checksum_of, valid_for
+from firmware_protocol.compiled import entry_of
 
 __all__ = ["entry"]
 
-_SOURCES = checksum_of(Path(__file__).parent) ^ checksum_of(Path(photometry.__file__).parent)
-
-
-def entry(function: Callable[..., Any]) -> Any:
-    """Compile `function` for calls from Python; it releases the GIL."""
-    return valid_for(_SOURCES, njit(nogil=True, error_model="numpy", cache=True)(function))
+entry = entry_of("emulator.scene.bodies", "emulator.photometry")
+"""Compiles a function for calls from Python; it releases the GIL."""

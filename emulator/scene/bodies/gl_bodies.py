@@ -1,8 +1,8 @@
-"""Bodies in sunlight, any number of them, each on its path and seen from a camera on its own.
+"""Bodies in sunlight drawn by GL, by points in each pixel: for a quick look, and as a check of the CPU painter.
 
-A body stands in the world, or in the frame of another one that it is fixed to (a panel on a spacecraft). Light is
-radiance, W m-2 sr-1, 400 to 700 nm, by each body's law of reflection; all is drawn relative to the camera, subtracted
-in float64.
+Any number of bodies, each on its path, seen from a camera on its own. A body stands in the world, or in the frame of
+another one that it is fixed to (a panel on a spacecraft). Light is radiance, W m-2 sr-1, 400 to 700 nm, by each body's
+law of reflection; all is drawn relative to the camera, subtracted in float64.
 
 Detail: a mesh whose facets would be smaller than `detail_px` even at the closest approach is gathered into vertices
 that far apart, with the normals of the fine one (see `detail`). What throws shadows is as coarse as the map (see
@@ -22,6 +22,7 @@ import numpy.typing as npt
 from emulator.geometry.attitude import unit
 from emulator.geometry.pinhole import Pinhole
 from emulator.geometry.seen import Rays
+from emulator.gl.painter import QUICK_LOOK, Painter
 from emulator.gl.render_target import Stage, depth_terms
 from emulator.light import Light, Scene
 from emulator.scene.bodies.arrangement import middle
@@ -94,6 +95,11 @@ class GlBodies(Scene):
         return self._pinhole.size
 
     @property
+    def painter(self) -> Painter:
+        """GL."""
+        return "gl"
+
+    @property
     def renderer(self) -> str:
         """The name of what draws, in GL's words."""
         return self._stage.renderer
@@ -120,10 +126,10 @@ class GlBodies(Scene):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What is odd about the shapes, what detail was left out, and a black picture."""
+        """That GL draws, what is odd about the shapes, what detail was left out, and a black picture."""
         picture = np.zeros(self.size[::-1], np.float32)
         self.light(0, picture)
-        return self._world.notes(picture)
+        return (QUICK_LOOK, *self._world.notes(picture))
 
     @property
     def counts(self) -> Mapping[str, int]:

@@ -34,18 +34,26 @@ from emulator.scene.bodies.sharp_shadows import with_narrow_penumbras
 from emulator.scene.bodies.table import BodiesParameters
 from emulator.scene.bodies.truth import BodiesGeometry
 from emulator.scene.bodies.world import BodyWorld
+from emulator.threads import available_threads
 from emulator.trajectory.pose import Trajectory
 from emulator.trajectory.timescale import Timescale
 
-__all__ = ["LINEAR_WITHIN", "LONGEST_PX", "RasterBodies"]
+__all__ = ["LINEAR_WITHIN", "LONGEST_PX", "RasterBodies", "build_bodies"]
 
 LONGEST_PX = 12.0
 LINEAR_WITHIN = 0.01
 _MOST_DIVIDED = 8000  # facets of one body: a large side near the camera is divided no further
 _LIFT = 1e-6  # of its distance: how much nearer to the camera than its facet a shadow is drawn
 _NEAREST_SHARE = 1e-6  # of the range to the nearest body: facets are cut this near the camera
+_THREADS_FROM_PX = 50_000  # smaller light frames are drawn sooner than a second thread is awake
 
 _Floats = npt.NDArray[np.float64]
+
+
+def build_bodies(parameters: BodiesParameters, pinhole: Pinhole) -> RasterBodies:
+    """Return the bodies of `parameters` before `pinhole`, with the machine's threads if large; raises SceneError."""
+    large = pinhole.width * pinhole.height >= _THREADS_FROM_PX
+    return RasterBodies(parameters, pinhole, threads=available_threads() if large else 1)
 
 
 class RasterBodies(Scene):

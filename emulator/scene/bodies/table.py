@@ -73,7 +73,7 @@ class BodiesParameters:
     ambient_w_m2
         Light from all around, W/m2: earthshine, 0.06 on the Moon under a full Earth.
     samples
-        Light is averaged over samples x samples points of each pixel, 1 to 4.
+        With run.painter = "gl", light is averaged over samples x samples points of each pixel, 1 to 4.
     detail_px
         Facets smaller than this are gathered into larger ones, pixels; 0 keeps every facet.
     shadows
@@ -117,4 +117,9 @@ class BodiesParameters:
             names.append(body.name)
 
 
-BODIES = SceneKind(BodiesParameters, "emulator.scene.bodies.build:build_bodies", lens="applied")
+BODIES = SceneKind(
+    BodiesParameters,
+    "emulator.scene.bodies.raster_bodies:build_bodies",
+    lens="applied",
+    gl="emulator.scene.bodies.gl_bodies:GlBodies",
+)

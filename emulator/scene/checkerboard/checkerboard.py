@@ -32,8 +32,11 @@ from emulator.geometry.seen import Rays
 from emulator.light import Light, PixelLight, Region, Scene
 from emulator.scene.checkerboard.table import CheckerboardParameters
 from emulator.scene.checkerboard.truth import BoardGeometry
+from firmware_protocol.compiled import entry_of
 
 __all__ = ["Checkerboard"]
+
+_entry = entry_of(__name__, error_model="python")
 
 
 class Checkerboard(Scene):
@@ -162,7 +165,7 @@ def _mean(turns: float, half_box: float) -> float:
     return rise / (2.0 * half_box)
 
 
-@njit(cache=True, nogil=True)
+@_entry
 def _box_wave(n: int, step: float, start: float) -> npt.NDArray[np.float32]:
     """Means of the square wave over n pixels, (n,) float32; `start` is the phase in the middle of the picture."""
     wave = np.empty(n, np.float32)
@@ -181,7 +184,7 @@ def _slope(turns: float, half_box: float) -> float:
     return (low_behind - low_ahead) / half_box
 
 
-@njit(cache=True, nogil=True)
+@_entry
 def _box_slope(n: int, step: float, start: float) -> npt.NDArray[np.float32]:
     """Derivatives of `_box_wave` by the phase, (n,) float32."""
     slope = np.empty(n, np.float32)
@@ -190,7 +193,7 @@ def _box_slope(n: int, step: float, start: float) -> npt.NDArray[np.float32]:
     return slope
 
 
-@njit(cache=True, nogil=True)
+@_entry
 def _add_outer(along_x: npt.NDArray[np.float32], along_y: npt.NDArray[np.float32], out: Light) -> None:
     """out[y, x] += along_x[x] * along_y[y]."""
     for y in range(along_y.size):
@@ -199,7 +202,7 @@ def _add_outer(along_x: npt.NDArray[np.float32], along_y: npt.NDArray[np.float32
             row[x] += along_x[x] * scale
 
 
-@njit(cache=True, nogil=True)
+@_entry
 def _outer(along_x: npt.NDArray[np.float32], along_y: npt.NDArray[np.float32], middle: np.float32, out: Light) -> None:
     """out[y, x] = middle + along_x[x] * along_y[y]; the plain row loop is what the vectoriser wants."""
     for y in range(along_y.size):
@@ -208,7 +211,7 @@ def _outer(along_x: npt.NDArray[np.float32], along_y: npt.NDArray[np.float32], m
             row[x] = middle + along_x[x] * scale
 
 
-@njit(cache=True, nogil=True)
+@_entry
 def _turned(
     steps: tuple[float, float], start: tuple[float, float], half: np.float32, middle: np.float32, out: Light
 ) -> None:
@@ -225,7 +228,7 @@ def _turned(
             row[x] = middle + half * np.float32(min(1.0, max(-1.0, u * v)))
 
 
-@njit(cache=True, nogil=True)
+@_entry
 def _turned_rate(
     steps: tuple[float, float], start: tuple[float, float], speed: tuple[float, float], out: Light
 ) -> None:
@@ -242,7 +245,7 @@ def _turned_rate(
             row[x] = np.float32(by_u + speed[1] * _slope(v, half_box) * _mean(u, half_box))
 
 
-@njit(cache=True, nogil=True)
+@_entry
 def _listed(
     pixels: npt.NDArray[np.int64],
     size: tuple[int, int],

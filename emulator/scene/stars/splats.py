@@ -15,9 +15,9 @@ import math
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from emulator.light import Light
+from firmware_protocol.compiled import entry_of
 
 __all__ = ["REACH_SIGMAS", "boxes_of", "clear", "splat"]
 
@@ -25,13 +25,14 @@ REACH_SIGMAS = 4.0
 """Where the Gaussian is cut off; what is beyond is 6e-5 of the light on each side."""
 
 _MOST = 256
+_entry = entry_of(__name__, error_model="python")
 
 Floats = npt.NDArray[np.float64]
 Boxes = npt.NDArray[np.int64]
 """(n, 4) int64: first and last row, first and last column, the last ones not included."""
 
 
-@njit(cache=True, nogil=True)
+@_entry
 def _shares(x: float, first: int, n: int, sigma: float, share: Floats, slope: Floats) -> None:
     """Write w_j and dw_j/dx of pixels first to first + n."""
     s = sigma * math.sqrt(2.0)
@@ -45,14 +46,14 @@ def _shares(x: float, first: int, n: int, sigma: float, share: Floats, slope: Fl
         erf_before, g_before = erf_after, g_after
 
 
-@njit(cache=True, nogil=True)
+@_entry
 def _reach(sigma: float) -> tuple[int, int]:
     """Return how many pixels a point reaches before its own, and how many in all."""
     reach = math.ceil(REACH_SIGMAS * sigma) + 1
     return reach, min(2 * reach + 1, _MOST)
 
 
-@njit(cache=True, nogil=True)
+@_entry
 def boxes_of(points: Floats, sigma: float, size: tuple[int, int], boxes: Boxes) -> None:
     """Write where `splat` draws points in a picture of `size` = (width, height), a box each; empty if outside."""
     reach, n = _reach(sigma)
@@ -62,7 +63,7 @@ def boxes_of(points: Floats, sigma: float, size: tuple[int, int], boxes: Boxes) 
         boxes[k, 2], boxes[k, 3] = min(max(left, 0), size[0]), min(max(left + n, 0), size[0])
 
 
-@njit(cache=True, nogil=True)
+@_entry
 def clear(boxes: Boxes, sky: np.float32, light: Light, rate: Light) -> None:
     """Write an empty sky into the boxes of a picture and of its time derivative, which may have no pixels."""
     for k in range(boxes.shape[0]):
@@ -72,7 +73,7 @@ def clear(boxes: Boxes, sky: np.float32, light: Light, rate: Light) -> None:
                 rate[row, boxes[k, 2] : boxes[k, 3]] = np.float32(0)
 
 
-@njit(cache=True, nogil=True)
+@_entry
 def splat(points: Floats, sigma: float, light: Light, rate: Light) -> None:
     """Add points to a picture and to its time derivative.
 

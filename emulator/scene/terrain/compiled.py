@@ -1,32 +1,15 @@
-"""Compiled entry points of the CPU's terrain, cached on disk as long as no source that they are made of changes."""
+"""Decorators of the terrain's entries."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
+from firmware_protocol.compiled import entry_of
 
-from numba import njit
+__all__ = ["entry", "map_entry"]
 
-from emulator import photometry
-from firmware_protocol.numba_cache import checksum_of, valid_for
+_SOURCES = ("emulator.scene.terrain", "emulator.photometry", "emulator.raster.layout", "emulator.sensor.numerics")
 
-__all__ = ["entry"]
+entry = entry_of(*_SOURCES, fastmath={"contract"}, _nrt=False)
+"""Compiles a function for calls from Python, without allocation; see `numerics.compiled` for the options."""
 
-_SOURCES = checksum_of(Path(__file__).parent) ^ checksum_of(Path(photometry.__file__).parent)
-
-
-def entry(function: Callable[..., Any]) -> Any:
-    """Compile `function` for calls from Python, without allocation; see `numerics.compiled` for the options.
-
-    Its code on disk is valid while terrain and photometry are unchanged.
-    """
-    options: dict[str, Any] = {
-        "nogil": True,
-        "error_model": "numpy",
-        "cache": True,
-        "fastmath": {"contract"},
-        "_nrt": False,
-    }
-    compiled = njit(**options)(function)
-    return valid_for(_SOURCES, compiled)
+map_entry = entry_of(*_SOURCES, error_model="python")
+"""Compiles a loop over a map, which may allocate; a division by zero raises."""

@@ -1,4 +1,4 @@
-"""Ground under a low Sun drawn by GL, by points in each pixel: for machines with a graphics card, and as a check.
+"""Ground under a low Sun drawn by GL, by points in each pixel: for a quick look, and as a check of the CPU painter.
 
 Light is radiance, W m-2 sr-1, 400 to 700 nm: sunlight by the ground's law of reflection, with the shadows that the
 ground throws on itself and their penumbra, and an even light from all around. The ground curves with the body. What is
@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from emulator.geometry.pinhole import Pinhole
 from emulator.geometry.seen import Rays
+from emulator.gl.painter import QUICK_LOOK, Painter
 from emulator.gl.render_target import Stage, depth_terms
 from emulator.light import Light, Scene
 from emulator.scene.terrain.ground_mesh import GroundMesh, GroundView, shading
@@ -65,6 +66,11 @@ class GlTerrain(Scene):
         return self._world.pinhole.size
 
     @property
+    def painter(self) -> Painter:
+        """GL."""
+        return "gl"
+
+    @property
     def renderer(self) -> str:
         """The name of what draws, in GL's words."""
         return self._stage.renderer
@@ -91,10 +97,10 @@ class GlTerrain(Scene):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What is odd about the map, what lies beyond it, and a black picture."""
+        """That GL draws, what is odd about the map, what lies beyond it, and a black picture."""
         first = np.zeros(self.size[::-1], np.float32)
         self.light(0, first)
-        return self._world.notes(first)
+        return (QUICK_LOOK, *self._world.notes(first))
 
     @property
     def counts(self) -> Mapping[str, int]:

@@ -18,10 +18,10 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from emulator.scene.terrain.compiled import map_entry
 from emulator.scene.terrain.ground import Ground
 
 __all__ = ["horizon_slopes", "sunlit_share"]
@@ -55,7 +55,7 @@ def sunlit_share(slopes: Slopes, elevation_rad: float, radius_rad: float) -> Slo
     return np.asarray(0.5 + (x * np.sqrt(1 - x * x) + np.arcsin(x)) / np.float32(math.pi), np.float32)
 
 
-@numba.njit(cache=True, nogil=True)
+@map_entry
 def _sweep(heights: npt.NDArray[np.float32], grid: int, drift: float, length_m: float) -> Slopes:
     """Return the horizons' slopes on one grid, (rows, columns); the Sun is towards higher rows.
 
@@ -83,7 +83,7 @@ def _sweep(heights: npt.NDArray[np.float32], grid: int, drift: float, length_m: 
     return out
 
 
-@numba.njit(cache=True, nogil=True)
+@map_entry
 def _walk(
     heights: npt.NDArray[np.float32],
     grid: int,
@@ -130,7 +130,7 @@ def _walk(
         y -= 1 << k
 
 
-@numba.njit(cache=True, nogil=True)
+@map_entry
 def _height(heights: npt.NDArray[np.float32], grid: int, x: float, y: int) -> float:
     """Return the height at a lattice place on a grid, or from a coarser one where it lies beside it."""
     rows, columns = heights.shape[1], heights.shape[2]
@@ -146,7 +146,7 @@ def _height(heights: npt.NDArray[np.float32], grid: int, x: float, y: int) -> fl
     return float(low * (1 - above) + high * above)
 
 
-@numba.njit(cache=True, nogil=True)
+@map_entry
 def _is_on(at: float, columns: int) -> bool:
     """Return whether a column lies on a grid, or so near that a line there must have been walked at the next row.
 

@@ -20,9 +20,10 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 import numpy.typing as npt
+
+from emulator.scene.terrain.compiled import map_entry
 
 __all__ = [
     "boulder_sizes",
@@ -89,7 +90,7 @@ def crater_places(rng: np.random.Generator, diameters: Floats, side: float) -> F
     return places
 
 
-@numba.njit(cache=True, nogil=True)
+@map_entry
 def height_of_crater(r: float, diameter: float, age: float, floor: float) -> float:
     """Return the height of a crater's profile `r` radii from its middle; age 1 and floor 0 for a fresh one."""
     rim = RIM * age * age
@@ -100,7 +101,7 @@ def height_of_crater(r: float, diameter: float, age: float, floor: float) -> flo
     return 0.0
 
 
-@numba.njit(cache=True, nogil=True)
+@map_entry
 def sink_craters(heights: Floats, places: Floats, diameters: Floats, shapes: Floats) -> None:
     """Add craters to (rows, columns) `heights`; places (n, 2) row and column, diameters in posts.
 
@@ -121,7 +122,7 @@ def sink_craters(heights: Floats, places: Floats, diameters: Floats, shapes: Flo
                 heights[i, j] += height_of_crater(r, diameters[k], age, floor)
 
 
-@numba.njit(cache=True, nogil=True)
+@map_entry
 def brighten(albedo: Floats, places: Floats, diameters: Floats, ages: Floats) -> None:
     """Multiply relative albedo, (rows, columns), by up to 1.3 in and around young craters; see `sink_craters`."""
     rows, columns = albedo.shape
@@ -137,7 +138,7 @@ def brighten(albedo: Floats, places: Floats, diameters: Floats, ages: Floats) ->
                     albedo[i, j] *= 1.0 + BRIGHTER * young * near * near
 
 
-@numba.njit(cache=True, nogil=True)
+@map_entry
 def raise_boulders(heights: Floats, places: Floats, diameters: Floats, lots: Floats) -> None:
     """Add boulders, as `sink_craters` does craters; `lots` are (n, 4) numbers between 0 and 1 for their sides."""
     rows, columns = heights.shape
@@ -152,7 +153,7 @@ def raise_boulders(heights: Floats, places: Floats, diameters: Floats, lots: Flo
                     heights[i, j] += radius * high
 
 
-@numba.njit(cache=True, nogil=True)
+@map_entry
 def height_of_boulder(x: float, y: float, lots: Floats) -> float:
     """Return the height in radii, at a place in radii: the lowest of a tilted top and SIDES sides, 0 beyond them.
 

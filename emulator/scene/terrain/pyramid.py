@@ -17,10 +17,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from emulator.scene.terrain.compiled import map_entry
 from emulator.scene.terrain.ground import Ground
 
 __all__ = ["FIELDS", "Pyramid", "build_pyramid"]
@@ -85,7 +85,7 @@ def _table(ground: Ground, parts: list[Posts]) -> Ints:
     return table
 
 
-@numba.njit(cache=True, nogil=True)
+@map_entry
 def _own(
     heights: npt.NDArray[np.float32], sunlit: npt.NDArray[np.float32], post_m: float, sun: npt.NDArray[np.float64]
 ) -> Posts:
@@ -106,7 +106,7 @@ def _own(
     return out
 
 
-@numba.njit(cache=True, nogil=True)
+@map_entry
 def _coarsen(fine: Posts, coarse: Posts, rows: int, columns: int, border: int) -> None:
     """Write the first `rows` x `columns` coarse posts, but for `border` ones at each side, from the fine ones."""
     weights = np.array([-0.125, 0.25, 0.75, 0.25, -0.125])

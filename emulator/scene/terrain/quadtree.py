@@ -13,10 +13,10 @@ jumps when blocks change. Source: Strugar 2010, Continuous distance-dependent le
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from emulator.scene.terrain.compiled import map_entry
 from emulator.scene.terrain.ground import Ground
 
 __all__ = ["BLOCK", "LEAST_REACH", "Quadtree", "block_facets"]
@@ -148,7 +148,7 @@ def _quarters(values: Floats, padding: float, extreme: np.ufunc) -> Floats:
     return np.asarray(extreme(by_rows[:, ::2], by_rows[:, 1::2]))
 
 
-@numba.njit(cache=True, nogil=True)
+@map_entry
 def _select(
     levels: Ints,
     low: Floats,
@@ -192,7 +192,7 @@ def _select(
     return found[:count].copy(), distances[:count].copy()
 
 
-@numba.njit(cache=True, nogil=True)
+@map_entry
 def _is_outside(box: tuple[float, float, float, float, float], camera: Floats, planes: Floats) -> bool:
     x, y, size, low, high = box
     for k in range(len(planes)):
@@ -203,7 +203,7 @@ def _is_outside(box: tuple[float, float, float, float, float], camera: Floats, p
     return False
 
 
-@numba.njit(cache=True, nogil=True)
+@map_entry
 def _distance(box: tuple[float, float, float, float, float], camera: Floats) -> float:
     x, y, size, low, high = box
     dx = max(x - camera[0], 0.0, camera[0] - x - size)
@@ -212,14 +212,14 @@ def _distance(box: tuple[float, float, float, float, float], camera: Floats) -> 
     return float(np.sqrt(dx * dx + dy * dy + dz * dz))
 
 
-@numba.njit(cache=True, nogil=True)
+@map_entry
 def _from_site(box: tuple[float, float, float, float, float]) -> float:
     """Return how far the box begins from the site, along the axis on which that is more."""
     x, y, size, _, _ = box
     return max(x, -x - size, y, -y - size, 0.0)
 
 
-@numba.njit(cache=True, nogil=True)
+@map_entry
 def _finest_around(x: int, y: int, size: int, grid: int, shape: tuple[int, int]) -> int:
     """Return the finest grid that holds a block wholly, `grid` being one that does."""
     while grid > 0:

@@ -34,16 +34,22 @@ from emulator.scene.terrain.quadtree import LEAST_REACH, Quadtree, block_facets
 from emulator.scene.terrain.table import TerrainParameters
 from emulator.scene.terrain.truth import TerrainGeometry
 from emulator.scene.terrain.world import TerrainWorld
+from emulator.threads import available_threads
 from emulator.trajectory.pose import Trajectory
 from emulator.trajectory.timescale import Timescale
 
-__all__ = ["RasterTerrain"]
+__all__ = ["RasterTerrain", "build_terrain"]
 
 _NEAREST_SHARE = 1e-3  # of the least height of the camera: facets are cut this near
 _FIRST_BLOCKS = 256
 _FINEST_PX = 1.0
 _COARSER = 2.0
 _HEIGHTS = 4097  # of the eye's direction, in the table of the ambient light
+
+
+def build_terrain(parameters: TerrainParameters, pinhole: Pinhole) -> RasterTerrain:
+    """Return the ground of `parameters` before `pinhole`, with the machine's threads; raises SceneError."""
+    return RasterTerrain(parameters, pinhole, threads=available_threads())
 
 
 class RasterTerrain(Scene):

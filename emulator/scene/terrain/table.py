@@ -10,6 +10,7 @@ from emulator.photometry.sun import EARTHLIGHT_W_M2
 from emulator.scene.kind import SceneKind
 from emulator.tables.files import NO_FILE, RigFile
 from emulator.trajectory.parameters import DescentPath, TrajectoryParameters
+from transports.needs import Need, package
 
 __all__ = ["TERRAIN", "GroundParameters", "Heightmap", "Ridge", "TerrainParameters"]
 
@@ -181,4 +182,15 @@ class TerrainParameters:
             raise ValueError(f"time_scale is {self.time_scale:g}: it must be above 0 and at most 1e6")
 
 
-TERRAIN = SceneKind(TerrainParameters, "emulator.scene.terrain.build:build_terrain", lens="applied")
+def _needs(parameters: TerrainParameters) -> tuple[Need, ...]:
+    path = getattr(parameters.ground, "path", "")
+    return (package("pillow"),) if path.lower().endswith((".tif", ".tiff")) else ()
+
+
+TERRAIN = SceneKind(
+    TerrainParameters,
+    "emulator.scene.terrain.raster_terrain:build_terrain",
+    lens="applied",
+    gl="emulator.scene.terrain.gl_terrain:GlTerrain",
+    needs=_needs,
+)

@@ -3,7 +3,7 @@
     a folder                 its images in the order of their names, each of any format that pillow reads
     .npy                     an array (frames, height, width): uint8 and uint16 are levels, floats are linear light
     .gif .tif .png .webp     the frames of one file, by pillow
-    .mp4 .mkv .avi .mov      by PyAV (`pip install 'evstim[files]'`), with the times that the file gives
+    .mp4 .mkv .avi .mov      by PyAV (`pip install '.[files]'`), with the times that the file gives
 
 Pillow and PyAV read in a child process, see `foreign_file`.
 Colours become luminance (Rec. 709). Levels are taken from 0 to 1 and decoded by the sRGB curve unless told to be
@@ -24,10 +24,10 @@ from emulator.scene.foreign_file import Limits, read_in_child
 from emulator.scene.video.stacking import MOST_BYTES
 from transports.recording.array_file import ArrayFileError, load_array
 
-__all__ = ["Frames", "linear_light", "read_frames"]
+__all__ = ["VIDEO_SUFFIXES", "Frames", "linear_light", "read_frames"]
 
 _LIMITS = Limits(memory_bytes=3 * MOST_BYTES, cpu_s=600)  # a video of one MiB may well hold a GiB of frames
-_VIDEOS = (".mp4", ".mkv", ".avi", ".mov", ".webm", ".m4v")
+VIDEO_SUFFIXES = (".mp4", ".mkv", ".avi", ".mov", ".webm", ".m4v")
 
 Levels = npt.NDArray[Any]
 
@@ -55,7 +55,7 @@ def read_frames(path: Path) -> Frames:
     """Read all frames; raises SceneError with the file and, where it can be told, the frame."""
     if path.suffix == ".npy" and path.is_file():
         return Frames(_array(path))
-    is_video = path.is_file() and path.suffix.lower() in _VIDEOS
+    is_video = path.is_file() and path.suffix.lower() in VIDEO_SUFFIXES
     reader = f"foreign_{'video:read_video' if is_video else 'images:read_images'}"
     found = read_in_child(f"emulator.scene.video.{reader}", path, _LIMITS)
     return Frames(found["levels"], found["times_s"].tolist() if found["times_s"].size else None)

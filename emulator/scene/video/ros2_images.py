@@ -26,6 +26,7 @@ from emulator.trajectory.pose_receiver import SceneClock
 from firmware_protocol.ros2.cdr import CdrError
 from firmware_protocol.ros2.messages import IMAGE, parse_image
 from firmware_protocol.ros2.pixels import ImageError, levels_of
+from transports.needs import Need, install_command, package
 from transports.ros2.network import DdsNetwork, check_topic
 
 if TYPE_CHECKING:
@@ -40,7 +41,7 @@ _LOOK_S = 0.01
 
 @dataclass(frozen=True)
 class Ros2ImageParameters:
-    """A topic of images of ROS 2, without ROS (`pip install 'evstim[ros2]'`).
+    """A topic of images of ROS 2, without ROS (`pip install '.[ros2]'`).
 
     Attributes
     ----------
@@ -105,7 +106,13 @@ class Ros2ImageParameters:
         return DdsNetwork(self.domain, self.interfaces, self.peers, self.multicast)
 
 
-ROS2_IMAGES = SceneKind(Ros2ImageParameters, "emulator.scene.video.ros2_images:open_ros2_images", kernels=False)
+def _needs(_: Ros2ImageParameters) -> tuple[Need, ...]:
+    return (package("cyclonedds"),)
+
+
+ROS2_IMAGES = SceneKind(
+    Ros2ImageParameters, "emulator.scene.video.ros2_images:open_ros2_images", kernels=False, needs=_needs
+)
 
 
 class ImageSource(Protocol):
@@ -239,7 +246,7 @@ def open_ros2_images(parameters: Ros2ImageParameters, size: tuple[int, int]) -> 
     try:
         topic = _Topic(parameters)
     except ImportError as error:
-        raise MachineLacks(f"a topic of ROS 2 needs cyclonedds ({error}): pip install 'evstim[ros2]'") from error
+        raise MachineLacks(f"a topic of ROS 2 needs cyclonedds ({error}): {install_command('ros2')}") from error
     except OSError as error:
         raise SceneError(str(error)) from error
     scene = Ros2Images(parameters, size, topic)

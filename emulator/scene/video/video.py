@@ -23,8 +23,9 @@ import numpy.typing as npt
 
 from emulator.light import Light, Scene, SceneError
 from emulator.scene.kind import SceneKind
-from emulator.scene.video.frames import Frames, linear_light, read_frames
+from emulator.scene.video.frames import VIDEO_SUFFIXES, Frames, linear_light, read_frames
 from emulator.tables.files import NO_FILE, RigFile
+from transports.needs import Need, package
 
 __all__ = ["VIDEO", "Video", "VideoParameters", "coarsest_level", "resampled"]
 
@@ -86,7 +87,12 @@ def coarsest_level(full_scale: float, floor: float, *, is_linear: bool, threshol
     return int(coarse[-1]) + 1 if coarse.size else 0
 
 
-VIDEO = SceneKind(VideoParameters, "emulator.scene.video.video:Video")
+def _needs(parameters: VideoParameters) -> tuple[Need, ...]:
+    suffix = Path(parameters.path).suffix.lower()
+    return () if suffix == ".npy" else (package("av" if suffix in VIDEO_SUFFIXES else "pillow"),)
+
+
+VIDEO = SceneKind(VideoParameters, "emulator.scene.video.video:Video", needs=_needs)
 
 
 class Video(Scene):

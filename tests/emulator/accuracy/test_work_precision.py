@@ -178,7 +178,7 @@ def test_the_verb_says_what_is_missing(tmp_path, monkeypatch):
         raise ImportError(name)
 
     monkeypatch.setattr(charts.importlib, "import_module", without)
-    with pytest.raises(Failure, match=r"evstim\[report\]") as lacking:
+    with pytest.raises(Failure, match=r"'\.\[report\]'") as lacking:
         accuracy(out=tmp_path / "new")
     assert lacking.value.exit_code == LACKING
     assert not (tmp_path / "new").exists()

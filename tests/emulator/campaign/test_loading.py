@@ -68,7 +68,7 @@ def test_a_run_that_would_never_end_is_refused(campaign_file):
 
 
 def test_files_that_cannot_be_read(tmp_path, campaign_file):
-    with pytest.raises(CampaignError, match="No such file"):
+    with pytest.raises(CampaignError, match="no such file"):
         load_source(tmp_path / "gone.toml")
     bad = tmp_path / "bad.toml"
     bad.write_text("rig = [")

@@ -91,9 +91,9 @@ def test_doctor_names_the_extra_of_a_package_that_is_missing(monkeypatch, capsys
     def missing(name):
         raise importlib.metadata.PackageNotFoundError(name)
 
-    monkeypatch.setattr("emulator.run.machine.importlib.metadata.version", missing)
+    monkeypatch.setattr("transports.needs.importlib.metadata.version", missing)
     assert _main(["doctor"]) == 0
-    assert capsys.readouterr().out.count("pip install 'evstim[report]'") == 2
+    assert capsys.readouterr().out.count("pip install '.[report]'") == 2
 
 
 @pytest.mark.system

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import sys
 
 import numpy as np
 import pytest
@@ -31,6 +32,8 @@ def error_of(arguments, capsys):
         ('[camera.sensor]\nwidth = "wide"\n', ["line 4", "camera.sensor.width", "'wide'"]),
         ("[run]\nstep_us = 1.5\n", ["line 4", "run.step_us", "1.5"]),
         ('[run]\npace = "fast"\n', ["run.pace", "'fast'"]),
+        ("[run]\nseed = 1\nseed = 2\n", ["line 5: run.seed is given twice, first in line 4: leave one out"]),
+        ("[run]\n[scene]\n", ["line 4: [scene] is given twice, first in line 1: put its keys under one header"]),
     ],
 )
 def test_a_wrong_value_is_shown(text, words, tmp_path, capsys):
@@ -49,6 +52,19 @@ def test_a_rig_that_is_not_utf8_is_told_by_line(tmp_path, capsys):
     assert "line 3" in error
     assert "0xe9" in error
     assert "save the file as UTF-8" in error
+
+
+@pytest.mark.parametrize("verb", [[], ["report"], ["again"]])
+def test_a_campaign_file_that_is_not_there_is_told_before_a_package_that_is_not(verb, tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyarrow", None)  # importing it raises ImportError
+    missing = tmp_path / "speed.toml"
+    code, error = error_of(["campaign", *verb, missing, *(["0"] if verb == ["again"] else [])], capsys)
+    assert code == 2
+    assert error == f"{missing}: no such file: give the path of a campaign file (docs/campaigns.md has one)"
+    missing.write_text('rig = "loopback"\ncount = 1\n')
+    code, error = error_of(["campaign", *verb, missing, *(["0"] if verb == ["again"] else [])], capsys)
+    assert code == 3
+    assert "campaigns need pyarrow" in error
 
 
 def test_a_folder_is_no_rig(tmp_path, capsys):

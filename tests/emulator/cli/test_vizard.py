@@ -201,6 +201,6 @@ def test_a_rig_without_such_a_path_is_refused():
 @pytest.mark.parametrize("module", ["zmq", "google.protobuf"])
 def test_what_is_not_installed_is_named(module, monkeypatch):
     monkeypatch.setitem(sys.modules, module, None)
-    with pytest.raises(Failure, match=r"pip install 'evstim\[basilisk\]'") as caught:
+    with pytest.raises(Failure, match=r"pip install '\.\[basilisk\]'") as caught:
         vizard("eros")
     assert caught.value.exit_code == 3

@@ -1,5 +1,8 @@
 """Values that a command gives in place of a rig's."""
 
+import re
+
+import numpy as np
 import pytest
 
 from emulator.rig.loading import parse_rig
@@ -16,3 +19,24 @@ def test_a_looping_recording_as_fast_as_possible_needs_an_end():
     assert with_options(rig, seconds=0.0, pace="realtime").run.seconds == 0.0
     once = parse_rig(LOOPING + "loop = false\n", "r.toml", "r")
     assert with_options(once, seconds=0.0, pace="free").run.pace == "free"
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"seed": "a"}, "seed must be a whole number, 0 to 2^63 - 1, got 'a'"),
+        ({"seed": 1.5}, "seed must be a whole number, 0 to 2^63 - 1, got 1.5"),
+        ({"seed": -1}, "seed must be 0 to 2^63 - 1, got -1"),
+        ({"seconds": "1"}, "seconds must be a number of seconds, 0 (until Ctrl-C) to 3.2e7, got '1'"),
+        ({"seconds": -1}, "seconds must be 0 (until Ctrl-C) to 3.2e7 (a year), got -1.0"),
+        ({"pace": "fast"}, 'pace must be "realtime" or "free" or "lockstep", got \'fast\''),
+    ],
+)
+def test_an_option_that_does_not_fit_is_named(options, message):
+    with pytest.raises(ValueError, match=f"^{re.escape(message)}$"):
+        with_options(parse_rig('[scene]\nkind = "checkerboard"\n', "r.toml", "r"), **options)
+
+
+def test_numbers_of_numpy_are_numbers():
+    rig = parse_rig('[scene]\nkind = "checkerboard"\n', "r.toml", "r")
+    assert with_options(rig, np.float32(0.5), np.uint8(7)).run.seed == 7

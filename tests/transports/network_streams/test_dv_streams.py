@@ -1,5 +1,6 @@
 """Triggers on a port of their own, and LZ4, read by dv_processing.io.NetworkReader."""
 
+import asyncio
 import dataclasses
 import socket
 import time
@@ -13,7 +14,9 @@ from emulator.rig.loading import RigError, parse_rig
 from emulator.run.assembly import link_setups
 from emulator.run.link_process import LinkProcess
 from evstim.testing.link_contract import LinkContract, event_stream
+from firmware_protocol.plain_device import PlainDevice
 from tests.transports.network_streams.stream_readers import DvReader
+from transports.link.deliveries import Deliveries
 from transports.link.pacing import MonotonicClock
 from transports.link.ring import FREE_RUNNING, EventRing
 from transports.network_streams.parameters import TcpStream
@@ -150,3 +153,12 @@ def test_a_client_of_triggers_that_sleeps_does_not_hold_up_events():
 def test_a_table_that_cannot_be_is_refused(table, message):
     with pytest.raises(RigError, match=message):
         opened(table)
+
+
+def test_a_missing_lz4_is_told_when_the_link_opens(monkeypatch):
+    monkeypatch.setattr("transports.network_streams.tcp.find_spec", lambda name: None)
+    table = 'kind = "tcp"\ncompression = "lz4"\nport = 0\n'
+    (setup,) = link_setups(parse_rig(f'[scene]\nkind = "checkerboard"\n[[links]]\n{table}', "a.toml", "a"))
+    endpoint = setup.endpoint.build(PlainDevice(), Deliveries(setup.ring, MonotonicClock()))
+    with pytest.raises(OSError, match=r"compression needs lz4: pip install '\.\[files\]'"):
+        asyncio.run(endpoint.start())

@@ -177,7 +177,7 @@ def test_a_suffix_that_is_not_written_is_answered_with_those_that_are(name, tmp_
 
 def test_a_missing_library_is_told_with_the_command_that_adds_it(tmp_path):
     form = dataclasses.replace(FORMATS["dsec"], writer="not_there_at_all:Writer")
-    with pytest.raises(RecordingError, match=r"needs h5py: pip install 'evstim\[files\]'"):
+    with pytest.raises(RecordingError, match=r"needs h5py: pip install '\.\[files\]'"):
         form.open_writer(tmp_path / "a.h5", Facts(SIZE))
 
 

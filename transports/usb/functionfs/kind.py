@@ -7,6 +7,7 @@ from typing import Any
 from transports.faults.usb_kinds import USB_FAULTS
 from transports.link.endpoint import EndpointFactory
 from transports.link.kind import LinkKind, Wiring
+from transports.needs import UDC
 from transports.usb.functionfs.parameters import UsbGadgetLink
 from transports.usb.models import check_model
 
@@ -19,4 +20,11 @@ def _endpoint(link: UsbGadgetLink, wiring: Wiring) -> EndpointFactory[Any]:
     return GadgetFactory(link.gadget, link.udc, wiring.faults)
 
 
-USB_GADGET = LinkKind(UsbGadgetLink, serves="usb", endpoint=_endpoint, faults=USB_FAULTS, check=check_model)
+USB_GADGET = LinkKind(
+    UsbGadgetLink,
+    serves="usb",
+    endpoint=_endpoint,
+    faults=USB_FAULTS,
+    check=check_model,
+    needs=lambda link: (UDC,),
+)

@@ -7,6 +7,7 @@ from typing import Any
 from transports.faults.usb_kinds import USB_FAULTS
 from transports.link.endpoint import EndpointFactory
 from transports.link.kind import LinkKind, Listener, Wiring
+from transports.needs import VHCI
 from transports.usb.models import check_model
 from transports.usb.usbip.parameters import UsbipLink
 
@@ -27,4 +28,5 @@ USBIP = LinkKind(
     listener=Listener("usb", "Read a DAVIS346 or an EVK4 on USB.", "emulator.cli.listen.usb:listen"),
     check=check_model,
     listens_on=lambda link: (link.host, link.port) if link.port else None,
+    needs=lambda link: (VHCI,),
 )

@@ -15,8 +15,6 @@ from emulator.photometry.reflectance import Glossy, Lambert, LommelSeeliger
 from emulator.photometry.sun import Sun
 from emulator.rig.camera_models import CAMERA_MODELS
 from emulator.rig.loading import load_rig
-from emulator.scene.bodies.build import build_bodies
-from emulator.scene.bodies.gl_bodies import GlBodies
 from emulator.scene.bodies.raster_bodies import RasterBodies
 from emulator.scene.bodies.table import BodiesParameters, BodyTable
 from emulator.trajectory.parameters import FixedPath, SpinPath
@@ -163,21 +161,6 @@ def test_a_small_near_body_is_seen_before_a_large_far_one(shapes):
     with RasterBodies(scene(near, far, sun=(0, 0, -1), shadows=False), CAMERA) as body:
         light, _ = frame(body, 0)
     assert light[36, 48] > 3 * light[36, 48 - 26] > 0
-
-
-def test_the_machine_chooses_what_draws(shapes, monkeypatch):
-    parameters = scene(spinning(shapes / "box.obj"))
-    monkeypatch.setenv("EVSTIM_RENDERER", "cpu")
-    with build_bodies(parameters, CAMERA) as body:
-        assert isinstance(body, RasterBodies)
-        assert "CPU" in body.renderer
-
-
-@pytest.mark.gl
-def test_the_environment_may_ask_for_gl(shapes, monkeypatch, gl):
-    monkeypatch.setenv("EVSTIM_RENDERER", gl.renderer.split()[0])
-    with build_bodies(scene(spinning(shapes / "box.obj")), CAMERA) as body:
-        assert isinstance(body, GlBodies)
 
 
 @pytest.mark.parametrize("rig", ["eros", "itokawa", "rendezvous", "eros-flyover"])

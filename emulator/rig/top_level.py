@@ -1,0 +1,244 @@
+"""The top-level keys of a rig file: the one table that the loader, the JSON Schema and the rig reference derive from.
+
+A key is read when it is first needed, so a key may use the value of another one, such as the links that of the camera.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+from emulator.rig.camera_models import CAMERA_MODELS, UsbSettings, gige_models, usb_sizes
+from emulator.rig.fault_tables import convert_fault, known_faults
+from emulator.rig.link_kinds import LINKS
+from emulator.rig.scene_kinds import SCENES
+from emulator.rig.second_camera import SecondCamera
+from emulator.rig.tables import Camera, Run
+from emulator.rig.trigger_table import Trigger
+from emulator.rig.verdict_table import Verdict
+from emulator.scene.kind import SceneParameters
+from emulator.sensor.presets import SensorParameters
+from emulator.tables.registry import PluginError, Record, Registry
+from emulator.tables.typed_table import Path as KeyPath
+from emulator.tables.typed_table import TableError, convert, split_kind, unknown
+from transports.faults.kinds import Fault
+from transports.link.kind import CameraFacts, LinkParameters, Unsuitable
+
+__all__ = ["TOP_LEVEL", "TopLevelKey", "values_of"]
+
+R = TypeVar("R", bound=Record)
+
+
+class _Values(dict[str, Any]):
+    """Values of the top-level keys by name, each read from the file's `table` when it is first needed."""
+
+    def __init__(self, table: Mapping[str, Any]) -> None:
+        super().__init__()
+        self._table = table
+
+    def __missing__(self, name: str) -> Any:
+        key = TOP_LEVEL[name]
+        given = self._table.get(name, key.absent)
+        self[name] = value = None if given is None else key.read(given, self)
+        return value
+
+
+@dataclass(frozen=True)
+class TopLevelKey:
+    """One top-level key of a rig file.
+
+    Attributes
+    ----------
+    meaning
+        One sentence for readers of the schema and the reference.
+    read
+        Returns the value of what the file gives; called with that and the values of the other keys; raises TableError.
+    kinds
+        Returns the types that a table of this key may have, by the kind that it names; by "" where it names none; empty
+        for a key that is no table.
+    is_list
+        Whether there may be any number of such tables: [[links]].
+    absent
+        What is read where the file lacks the key; None: nothing, the value is None.
+    needed
+        Whether every rig must have it.
+    """
+
+    meaning: str
+    read: Callable[[Any, Mapping[str, Any]], Any]
+    kinds: Callable[[], Mapping[str, type]] = dict
+    is_list: bool = False
+    absent: object = None
+    needed: bool = False
+
+    @property
+    def has_kinds(self) -> bool:
+        """Whether a table of this key names its kind."""
+        return any(self.kinds())
+
+
+def values_of(table: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the value of every top-level key of a rig file, by name; raises TableError."""
+    for name in table:
+        if name not in TOP_LEVEL:
+            raise TableError(unknown(name, list(TOP_LEVEL)), (name,))
+    for name, key in TOP_LEVEL.items():
+        if key.needed and name not in table:
+            raise TableError(f"a rig needs a [{name}] table", ())
+    values = _Values(table)
+    return {name: values[name] for name in TOP_LEVEL}
+
+
+def _title(title: object, _: Mapping[str, Any]) -> str:
+    if not isinstance(title, str):
+        raise TableError(f"expected text, got {title!r}", ("title",))
+    return title
+
+
+def _scene(table: object, rig: Mapping[str, Any]) -> SceneParameters:
+    kind, rest = _of_kind(table, SCENES, ("scene",))
+    if rig["run"].painter == "gl" and not kind.gl:
+        able = " and ".join(f'"{name}"' for name, one in SCENES.usable().items() if one.gl)
+        message = f'a scene of kind "{kind.name}" has no GL painter, only kinds {able} have one: leave painter out'
+        raise TableError(message, ("run", "painter"))
+    return convert(rest, kind.parameters, ("scene",))
+
+
+def _camera(table: object, _: Mapping[str, Any]) -> Camera:
+    path = ("camera",)
+    if not isinstance(table, dict):
+        raise TableError(f"expected a table, got {table!r}", path)
+    model = table.get("model", "davis346")
+    if model not in CAMERA_MODELS:
+        raise TableError(unknown(str(model), list(CAMERA_MODELS)), (*path, "model"))
+    own = {k: v for k, v in table.items() if k != "sensor"}
+    camera = convert(own, Camera, path)
+    camera = dataclasses.replace(camera, sensor=_sensor(table.get("sensor", {}), CAMERA_MODELS[model].sensor))
+    if camera.bias_slopes is not None and not CAMERA_MODELS[model].is_imx636:
+        able = " or ".join(name for name, one in CAMERA_MODELS.items() if one.is_imx636)
+        raise TableError(f"biases of a {model} have no slopes: leave it out, or take {able}", (*path, "bias_slopes"))
+    usb = CAMERA_MODELS[model].usb
+    if usb is not None:
+        try:
+            usb.device(camera, UsbSettings(camera.start_delay_ms))
+        except ValueError as error:
+            raise TableError(str(error), (*path, "serial")) from error
+    return camera
+
+
+def _sensor(table: object, preset: SensorParameters) -> SensorParameters:
+    """Lay the rig's own figures over the preset's, table by table."""
+    path = ("camera", "sensor")
+    if not isinstance(table, dict):
+        raise TableError(f"expected a table, got {table!r}", path)
+    merged = dataclasses.asdict(preset)
+    for key, value in table.items():
+        is_part = isinstance(merged.get(key), dict) and isinstance(value, dict)
+        merged[key] = {**merged[key], **value} if is_part else value
+    return convert(merged, SensorParameters, path)
+
+
+def _second_camera(table: object, rig: Mapping[str, Any]) -> SecondCamera:
+    second = convert(table, SecondCamera, ("second_camera",))
+    names = [link.name for link in rig["links"]]
+    for name in second.links:
+        if name not in names:
+            raise TableError(unknown(name, names), ("second_camera", "links"))
+    if set(second.links) == set(names):
+        raise TableError("the first camera needs a link too", ("second_camera", "links"))
+    return second
+
+
+def _trigger(table: object, rig: Mapping[str, Any]) -> Trigger:
+    trigger = convert(table, Trigger, ("trigger",))
+    buses = [link.name for link in rig["links"] if LINKS[link.kind].has_sync]
+    if trigger.source and trigger.source not in buses:
+        there = ", ".join(buses) or "none in this rig"
+        raise TableError(
+            f'{trigger.source!r} is not a link with a bus (kind = "can"); there is {there}', ("trigger", "source")
+        )
+    return trigger
+
+
+def _run(table: object, rig: Mapping[str, Any]) -> Run:
+    run = convert(table, Run, ("run",))
+    if run.pace == "lockstep" and not (rig["trigger"] and rig["trigger"].source):
+        raise TableError(
+            "lockstep needs a bus that drives it: give [trigger] source = the name of a CAN link", ("run", "pace")
+        )
+    return run
+
+
+def _verdict(table: object, _: Mapping[str, Any]) -> Verdict:
+    return convert(table, Verdict, ("verdict",))
+
+
+def _links(tables: object, rig: Mapping[str, Any]) -> tuple[LinkParameters, ...]:
+    if not isinstance(tables, list):
+        raise TableError("expected [[links]] tables", ("links",))
+    links = tuple(_link(table, rig["camera"], ("links", i)) for i, table in enumerate(tables))
+    for i, link in enumerate(links):
+        _check_apart(link, links[:i], ("links", i))
+    return links
+
+
+def _link(table: object, camera: Camera, path: KeyPath) -> LinkParameters:
+    kind, rest = _of_kind(table, LINKS, path)
+    link: LinkParameters = convert(kind.complete(rest), kind.parameters, path)
+    try:
+        kind.check(link, CameraFacts(camera.model, camera.size, usb_sizes(), gige_models()))
+    except Unsuitable as error:
+        raise TableError(str(error), (*path, *error.key)) from error
+    return link
+
+
+def _check_apart(link: LinkParameters, earlier: tuple[LinkParameters, ...], path: KeyPath) -> None:
+    """Raise TableError for a link that has the name or the port of an earlier one."""
+    if link.name in [other.name for other in earlier]:
+        raise TableError(f"name {link.name!r} is taken by an earlier link; give each its own", path)
+    place = LINKS[link.kind].listens_on(link)
+    if place is not None and place in [LINKS[other.kind].listens_on(other) for other in earlier]:
+        raise TableError(f"port {place[1]} is taken by an earlier link; give each its own", (*path, "port"))
+
+
+def _faults(tables: object, rig: Mapping[str, Any]) -> tuple[Fault, ...]:
+    if not isinstance(tables, list):
+        raise TableError("expected [[faults]] tables", ("faults",))
+    return tuple(convert_fault(table, rig["links"], ("faults", i)) for i, table in enumerate(tables))
+
+
+def _of_kind(table: object, kinds: Registry[R], path: KeyPath) -> tuple[R, dict[str, Any]]:
+    """Return the record that a table's `kind` names, and its other keys; raises TableError."""
+    kind, rest = split_kind(table, kinds, path)
+    try:
+        return kinds[kind], rest
+    except PluginError as error:
+        raise TableError(str(error), (*path, "kind")) from error
+
+
+def _one(cls: type) -> Callable[[], Mapping[str, type]]:
+    return lambda: {"": cls}
+
+
+def _parameters(kinds: Registry[Any]) -> Callable[[], Mapping[str, type]]:
+    return lambda: {name: kind.parameters for name, kind in kinds.usable().items()}
+
+
+TOP_LEVEL: Mapping[str, TopLevelKey] = {
+    "title": TopLevelKey("What this rig shows, in one sentence; left out: the file's name.", _title),
+    "scene": TopLevelKey("What the camera looks at.", _scene, _parameters(SCENES), needed=True),
+    "camera": TopLevelKey("The emulated camera, its sensor and its lens.", _camera, _one(Camera), absent={}),
+    "second_camera": TopLevelKey(
+        "A camera beside the first one, on its clock; left out: none.", _second_camera, _one(SecondCamera)
+    ),
+    "trigger": TopLevelKey(
+        "What is connected to the camera's external input; left out: nothing.", _trigger, _one(Trigger)
+    ),
+    "run": TopLevelKey("How the run goes through time.", _run, _one(Run), absent={}),
+    "verdict": TopLevelKey("What a run must keep to be good.", _verdict, _one(Verdict), absent={}),
+    "links": TopLevelKey("What carries the events, any number of them.", _links, _parameters(LINKS), True, []),
+    "faults": TopLevelKey("What goes wrong on a link, and when.", _faults, known_faults, True, []),
+}
+"""Top-level keys by name, in the order of the reference; each is a field of `emulator.rig.loading.Rig`."""

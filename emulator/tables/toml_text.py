@@ -1,0 +1,109 @@
+"""TOML text as tables, with messages that point at a line.
+
+The standard reader keeps no positions. `line_of` reads no values: only table headers and the keys at the start of
+lines, which is all that a rig file has.
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Iterator
+from typing import Any
+
+from emulator.tables.text_file import shortened
+
+__all__ = ["TomlError", "dotted", "line_of", "read_toml"]
+
+_HEADER = re.compile(r"^\s*(\[\[?)\s*([A-Za-z0-9_.\-\" ]+?)\s*\]\]?\s*(#.*)?$")
+_KEY = re.compile(r"^\s*([A-Za-z0-9_\-\"]+(?:\s*\.\s*[A-Za-z0-9_\-\"]+)*)\s*=")
+_GIVEN_TWICE = re.compile(r"Cannot overwrite|Cannot declare .* twice|Duplicate")
+
+Path = tuple[str | int, ...]
+
+
+class TomlError(Exception):
+    """A text is not valid TOML; the message is for its author.
+
+    Attributes
+    ----------
+    line : of the mistake, from 1; None where the message has it.
+    """
+
+    def __init__(self, message: str, line: int | None = None) -> None:
+        super().__init__(message)
+        self.line = line
+
+    def at(self, file: str) -> str:
+        """Return the message with the file, and the line where there is one."""
+        return f"{file}, line {self.line}: {self}" if self.line else f"{file}: {self}"
+
+
+def read_toml(text: str) -> dict[str, Any]:
+    """Return the tables of a text; raises TomlError."""
+    try:
+        return tomllib.loads(text)
+    except ValueError as error:  # TOMLDecodeError, or a number with more digits than Python converts
+        if _GIVEN_TWICE.search(str(error)):
+            raise _given_twice(text, error) from error
+        raise TomlError(f"not valid TOML: {shortened(error)}") from error
+    except RecursionError as error:
+        raise TomlError("not valid TOML: its arrays or tables are nested too deeply") from error
+
+
+def _given_twice(text: str, error: ValueError) -> TomlError:
+    """Return the error of a text that gives a key or a table twice."""
+    first: dict[Path, int] = {}
+    for line, path, is_header in _paths(text):
+        if path in first:
+            name = dotted(path)[:200]
+            what, cure = (f"[{name}]", "put its keys under one header") if is_header else (name, "leave one out")
+            return TomlError(f"{what} is given twice, first in line {first[path]}: {cure}", line)
+        first[path] = line
+    return TomlError(f"not valid TOML: a key or a table is given twice, leave one out: {shortened(error)}")
+
+
+def dotted(path: Path) -> str:
+    """Return a path as people write it: links[0].port."""
+    return "".join(f"[{p}]" if isinstance(p, int) else f".{p}" for p in path).lstrip(".")
+
+
+def line_of(text: str, path: Path) -> int | None:
+    """Return the line (from 1) of the key or table at `path`, or of its nearest parent that has one."""
+    lines: dict[Path, int] = {}
+    for line, found, _ in _paths(text):
+        lines.setdefault(found, line)
+    while path:
+        if path in lines:
+            return lines[path]
+        path = path[:-1]
+    return None
+
+
+def _paths(text: str) -> Iterator[tuple[int, Path, bool]]:
+    """Yield the line of every path that is written in the text, the path, and whether it is that of a header."""
+    table: Path = ()
+    counts: dict[Path, int] = {}
+    for number, line in enumerate(text.splitlines(), start=1):
+        if header := _HEADER.match(line):
+            table = _table(header.group(2), is_array=header.group(1) == "[[", counts=counts)
+            yield number, table, True
+        elif key := _KEY.match(line):
+            yield number, table + _parts(key.group(1)), False
+
+
+def _table(dotted: str, *, is_array: bool, counts: dict[Path, int]) -> Path:
+    """Return the path of a header; `[[name]]` numbers its tables, and a sub-table belongs to the last of them."""
+    path: Path = ()
+    parts = _parts(dotted)
+    for i, part in enumerate(parts):
+        path = (*path, part)
+        if is_array and i == len(parts) - 1:
+            counts[path] = counts.get(path, -1) + 1
+        if path in counts:
+            path = (*path, counts[path])
+    return path
+
+
+def _parts(dotted: str) -> tuple[str, ...]:
+    return tuple(part.strip().strip('"') for part in dotted.split("."))

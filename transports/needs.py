@@ -1,0 +1,169 @@
+"""Things that a machine may lack: how to look for each, and the command that adds it.
+
+A kind of link or of scene declares its needs (`LinkKind.needs`, `SceneKind.needs`). `evstim rigs` and
+`evstim doctor RIG` show those of a rig, `evstim doctor` looks for all.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import platform
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Literal
+
+__all__ = [
+    "PYTHON_PACKAGES",
+    "UDC",
+    "VCAN",
+    "VHCI",
+    "By",
+    "Finding",
+    "Need",
+    "install_command",
+    "network_interface",
+    "package",
+]
+
+By = Literal["run", "driver"]
+
+_NETWORK = Path("/sys/class/net")
+_VHCI = Path("/sys/devices/platform/vhci_hcd.0")
+_VCAN = Path("/sys/module/vcan")
+_UDC = Path("/sys/class/udc")
+_GADGETS = Path("/sys/kernel/config/usb_gadget")
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing looked at. `fix` is a shell command, None where nothing is wrong."""
+
+    name: str
+    good: bool
+    detail: str
+    needed_for: str
+    fix: str | None = None
+
+
+@dataclass(frozen=True)
+class Need:
+    """One thing that a rig needs beyond evstim and its base dependencies.
+
+    Attributes
+    ----------
+    name
+        In a few words: "extra ros2 (cyclonedds)", "kernel module vhci-hcd".
+    look
+        Looks whether this machine has it.
+    by
+        "run": without it the rig does not run; "driver": drivers of the camera that run on this machine need it.
+    """
+
+    name: str
+    look: Callable[[], Finding]
+    by: By = "run"
+
+
+def install_command(extra: str) -> str:
+    """Return the shell command that installs an extra of evstim: from its source, since no package index has it."""
+    return f"pip install '.[{extra}]'  # in the source folder of evstim"
+
+
+@dataclass(frozen=True)
+class _Package:
+    """A Python package that an extra brings."""
+
+    extra: str
+    wanted: str
+
+
+PYTHON_PACKAGES: Mapping[str, _Package] = MappingProxyType(
+    {
+        "pillow": _Package("report", "`evstim picture`, image folders and GeoTIFF terrain"),
+        "matplotlib": _Package("report", "the charts of `evstim accuracy` and `evstim characterise`"),
+        "faery": _Package("files", "recordings of other programs (AEDAT4, EVT3, ...)"),
+        "h5py": _Package("files", "recordings in HDF5, as the DSEC data set has them"),
+        "rosbags": _Package("files", "recordings in ROS 1 and ROS 2 bags"),
+        "lz4": _Package("files", "compressed streams for dv-processing"),
+        "pyarrow": _Package("campaign", "`evstim campaign`"),
+        "SALib": _Package("campaign", "sensitivity in the reports of `evstim campaign`"),
+        "distributed": _Package("campaign", "`evstim campaign --scheduler`"),
+        "pyzmq": _Package("basilisk", "`evstim vizard`, a camera for Basilisk"),
+        "protobuf": _Package("basilisk", "`evstim vizard`"),
+        "cyclonedds": _Package("ros2", "topics of ROS 2 (links and scenes), without ROS"),
+        "av": _Package("files", "videos as scenes, and .mp4 files of `evstim picture`"),
+    }
+)
+"""The optional packages that doctor looks for."""
+
+
+def package(name: str) -> Need:
+    """Return the need of an optional package, one of PYTHON_PACKAGES."""
+    of = PYTHON_PACKAGES[name]
+
+    def look() -> Finding:
+        try:
+            return Finding(name, True, importlib.metadata.version(name), of.wanted)
+        except importlib.metadata.PackageNotFoundError:
+            return Finding(name, False, "not installed", of.wanted, install_command(of.extra))
+
+    return Need(f"extra {of.extra} ({name})", look)
+
+
+def network_interface(name: str) -> Need:
+    """Return the need of a network interface of the kernel, such as can0."""
+    wanted = "a CAN bus of the kernel"
+
+    def look() -> Finding:
+        if (_NETWORK / name).exists():
+            return Finding(name, True, "there", wanted)
+        fix = (
+            f"modprobe vcan && ip link add dev {name} type vcan && ip link set {name} up"
+            "  # virtual; for a real bus connect its adapter"
+        )
+        return Finding(name, False, "there is no such network interface", wanted, fix)
+
+    return Need(f"network interface {name}", look)
+
+
+def _vhci() -> Finding:
+    return _module("vhci-hcd", _VHCI, "attaching the camera to this machine's own USB bus")
+
+
+def _vcan() -> Finding:
+    return _module("vcan", _VCAN, "virtual CAN buses in the kernel")
+
+
+def _module(module: str, place: Path, wanted: str) -> Finding:
+    """Distinguish a module that is loaded, one that can be, and one that this kernel does not have."""
+    if place.exists():
+        return Finding(module, True, "loaded", wanted)
+    release = platform.release()
+    if any(Path(f"/lib/modules/{release}").rglob(f"{module}.ko*")):
+        return Finding(module, False, "not loaded", wanted, f"modprobe {module}")
+    detail = f"kernel {release} comes without it"
+    return Finding(module, False, detail, wanted, "apt-get install linux-image-amd64  # and boot it")
+
+
+def _udc() -> Finding:
+    controllers = sorted(p.name for p in _UDC.iterdir()) if _UDC.is_dir() else []
+    found = Finding("UDC", True, ", ".join(controllers), "a camera on a real USB cable (links usb_gadget)")
+    if not controllers:
+        fix = "modprobe dummy_hcd  # for a trial; or a board with a USB device port (Raspberry Pi: dtoverlay=dwc2)"
+        return replace(found, good=False, detail="no USB device controller", fix=fix)
+    if not _GADGETS.is_dir():
+        detail = f"{found.detail}, but no gadgets in configfs"
+        return replace(found, good=False, detail=detail, fix="modprobe libcomposite")
+    return found
+
+
+VHCI = Need("kernel module vhci-hcd", _vhci, "driver")
+"""What attaches a camera of USB/IP to a machine's own USB bus."""
+
+VCAN = Need("kernel module vcan", _vcan)
+"""What makes virtual CAN buses."""
+
+UDC = Need("kernel module libcomposite and a USB device controller", _udc)
+"""What makes this machine a device on a USB cable."""
