@@ -18,6 +18,7 @@ from rich.logging import RichHandler
 
 from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, print_json, status
 from emulator.cli.result_stream import guard_stdout
+from emulator.cli.signals import ignore_stop_signals
 from transports.link.background_log import BackgroundWriter
 
 __all__ = ["app", "main"]
@@ -29,6 +30,7 @@ app = App(
     "Try:  evstim run eros      evstim demo      evstim run checkerboard --seconds 10 --json",
     version=version("evstim"),
     result_action="return_value",
+    suppress_keyboard_interrupt=False,  # it would exit with 130, without a message
 )
 # By name, so that a command imports only what it needs: numba and GL would slow `evstim rigs` down.
 for verb, module, told in (
@@ -81,6 +83,7 @@ def main() -> None:
     try:
         sys.exit(_main(sys.argv[1:]))
     finally:
+        ignore_stop_signals()
         log.drain()
 
 
@@ -99,6 +102,7 @@ def _main(tokens: list[str]) -> int:
     except Failure as failure:
         return _fail(str(failure), failure.exit_code, as_json)
     except KeyboardInterrupt:
+        ignore_stop_signals()
         return _fail("interrupted", BAD_VERDICT, as_json)
 
 

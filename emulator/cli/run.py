@@ -24,7 +24,7 @@ from emulator.cli.run_output.serving import Serving, check_serving
 from emulator.cli.run_output.timing import timing_json, timing_lines
 from emulator.cli.run_output.tracing import begin_trace
 from emulator.cli.run_output.truth import Truth
-from emulator.cli.signals import stopped_by_signals
+from emulator.cli.signals import ignore_stop_signals, stop_on_signals
 from emulator.light import Scene
 from emulator.rig.loading import Rig, load_rig
 from emulator.rig.options import with_options
@@ -145,6 +145,7 @@ def run_with_files(
     reporting = begin_report(rig, files.report)
     prepared([*parts_of(rig), *truth.parts])
     result = run_rig(rig, files, reporting, truth, show=show, simulation=simulation)
+    ignore_stop_signals()
     reporting.write(result, summary(rig, result))
     return result, truth
 
@@ -185,8 +186,8 @@ def run_rig(
         setups = serving.wired(link_setups(rig, files.record, truth.clock, files.fault_log))
         setups = begin_trace(setups, files.trace)
         session = _session(rig, scene, setups, truth_file)
+        stop_on_signals(session.stop)
         with (
-            stopped_by_signals(session),
             fault_injection(rig, session) as faults,
             serving.page(session, faults.answer) as page,
             LiveTable(rig, status) if show else nullcontext() as live,

@@ -6,7 +6,7 @@ import signal
 import numpy as np
 import pytest
 
-from emulator.cli.signals import stopped_by_signals
+from emulator.cli.signals import stop_on_signals
 from emulator.light import Scene
 from emulator.plan.step_control import FixedSteps
 from emulator.run.frames import Pictures
@@ -99,19 +99,10 @@ def test_a_signal_inside_a_step_ends_the_run_after_it(number):
             super().light(t_ns, out)
 
     running = session(Interrupting(clock), clock)
-    with stopped_by_signals(running):
-        result = running.run(Schedule(paced=False))
+    stop_on_signals(running.stop)
+    result = running.run(Schedule(paced=False))
     assert result.steps == 7
     assert result.ledger.balanced
-
-
-def test_a_second_signal_interrupts_at_once():
-    clock = FakeClock()
-    running = session(Flashing(clock), clock)
-    with stopped_by_signals(running):
-        signal.raise_signal(signal.SIGINT)
-        with pytest.raises(KeyboardInterrupt):
-            signal.raise_signal(signal.SIGINT)
 
 
 def test_a_run_can_be_stopped_from_its_status():
