@@ -21,6 +21,7 @@ from emulator.cli.failures import failures
 from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, console, print_json, status
 from emulator.cli.preparing import prepared
 from emulator.cli.run import summary
+from emulator.cli.run_output.lateness import lateness_lines
 from emulator.cli.signals import ignore_stop_signals, stop_on_signals
 from emulator.rig.loading import Rig, UsbipLink, load_rig
 from emulator.run.assembly import build_session, link_setups, schedule
@@ -67,11 +68,17 @@ def demo(rig: str = "eros", /, *, seconds: float = 5.0, json: Annotated[bool, Pa
         print_json({**summary(loaded, result), "comparison": verdict, "good": good})
     else:
         _print_verdict(result, verdict, good)
+        for line in lateness_lines(loaded, result):
+            console.print(line)
     return GOOD if good else BAD_VERDICT
 
 
 def _on_a_free_port(rig: Rig) -> Rig:
-    """Return the rig with its camera alone, where no other program is: drivers know one port of GigE Vision."""
+    """Return the rig with its camera alone, where no other program is: drivers know one port of GigE Vision.
+
+    The demo compares events: that a machine is late now and then is shown, and judged by `run`.
+    """
+    rig = dataclasses.replace(rig, run=dataclasses.replace(rig.run, max_late_share=1.0))
     for link in rig.links:
         if isinstance(link, UsbipLink):
             return dataclasses.replace(rig, links=(dataclasses.replace(link, host="127.0.0.1", port=0),))

@@ -241,7 +241,7 @@ def summary(rig: Rig, result: RunResult) -> dict[str, object]:
         "balanced": result.ledger.balanced,
         "rules": [dataclasses.asdict(one) for one in judge(rig.verdict, result)],
         "latency_us": dataclasses.asdict(_worst(latencies)),
-        "lateness": {**result.lateness.as_json(), "too_late": result.too_late},
+        "lateness": {**result.lateness.as_json(), "late_share": result.late_share, "too_late": result.too_late},
         "undersampled_share": result.undersampled_share,
         "suspect_share": result.undersampled_share,  # the old key, for one version
         "scene": result.scene_counts,
