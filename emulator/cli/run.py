@@ -37,6 +37,7 @@ from emulator.run.outcome import RunResult, RunStatus
 from emulator.run.ready import ReadySignal
 from emulator.run.scene_assembly import build_scene
 from emulator.run.session import Session
+from emulator.run.undersampling import undersampled_advice
 from emulator.run.verdict import good, judge
 from firmware_protocol.events import Events
 from transports.link.latency import LatencySummary
@@ -44,8 +45,6 @@ from transports.link.pacing import MonotonicClock
 from transports.link.process import LinkSetup
 
 __all__ = ["NO_FILES", "Files", "print_summary", "rig_with_options", "run", "run_rig", "run_with_files", "summary"]
-
-_MANY_UNDERSAMPLED = 0.1  # above it, shorter steps for all pixels are cheaper than refining single ones
 
 
 @dataclass(frozen=True)
@@ -296,11 +295,8 @@ def print_summary(rig: Rig, result: RunResult) -> None:
                 f"p99 {quantile_text(report.latency.p99)} us, "
                 f"max {report.latency.max:.0f} us"
             )
-    if result.undersampled_share is not None and result.undersampled_share > _MANY_UNDERSAMPLED:
-        console.print(
-            f"pictures too far apart: in {result.undersampled_share:.0%} of the solved pixel-steps the light changed "
-            "unseen between them; shorten run.step_us, or give run.tolerance_us"
-        )
+    if advice := undersampled_advice(result.undersampled_share):
+        console.print(advice)
     if result.scene_counts:
         console.print(f"scene: {', '.join(f'{n} {name}' for name, n in result.scene_counts.items())}")
     if result.pixels_by:
