@@ -14,8 +14,8 @@ from importlib.metadata import version
 from typing import IO, cast
 
 from cyclopts import App, CycloptsError
-from rich.logging import RichHandler
 
+from emulator.cli.line_breaks import break_lines, help_console, log_handler
 from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, print_json, status
 from emulator.cli.result_stream import guard_stdout
 from emulator.cli.signals import ignore_stop_signals
@@ -88,17 +88,18 @@ def main() -> None:
 
 
 def _main(tokens: list[str]) -> int:
-    logging.basicConfig(format="%(message)s", handlers=[RichHandler(console=status, show_path=False, show_time=False)])
+    logging.basicConfig(format="%(message)s", handlers=[log_handler()])
     for package in ("emulator", "transports"):
         logging.getLogger(package).setLevel(os.environ.get("EVSTIM_LOG", "INFO").upper())
     as_json = "--json" in tokens
+    boxed = break_lines() and not as_json
     if "--quiet" in tokens:
         tokens = [token for token in tokens if token != "--quiet"]
         _be_quiet()
     try:
-        return _exit_code(tokens, as_json)
+        return _exit_code(tokens, as_json, boxed)
     except CycloptsError as error:
-        return _fail(str(error), WRONG_USE, as_json, told=not as_json)
+        return _fail(str(error), WRONG_USE, as_json, told=boxed)
     except Failure as failure:
         return _fail(str(failure), failure.exit_code, as_json)
     except KeyboardInterrupt:
@@ -106,12 +107,15 @@ def _main(tokens: list[str]) -> int:
         return _fail("interrupted", BAD_VERDICT, as_json)
 
 
-def _exit_code(tokens: list[str], as_json: bool) -> int:
-    """Run a command to the last byte of its result; raises Failure where that cannot be written."""
+def _exit_code(tokens: list[str], as_json: bool, boxed: bool) -> int:
+    """Run a command to the last byte of its result; raises Failure where that cannot be written.
+
+    `boxed`: wrong use is printed by cyclopts, in a box.
+    """
     if as_json and "--version" in tokens:
         print_json({"name": "evstim", "version": version("evstim")})
         return GOOD
-    code = int(app(tokens, exit_on_error=False, print_error=not as_json) or GOOD)
+    code = int(app(tokens, console=help_console(app), exit_on_error=False, print_error=boxed) or GOOD)
     if sys.stdout is not None:
         sys.stdout.flush()
     return code
