@@ -39,7 +39,7 @@ async def reports_of(camera, fault):
     port, done = int(link.endpoint.address.rpartition(":")[2]), asyncio.Event()
 
     def read_all():
-        with UsbipHost.attach(port=port, timeout_s=30) as host:
+        with UsbipHost.attach(port=port, timeout_s=120) as host:
             driver = driver_of(host)
             driver.start()
             while not done.is_set():

@@ -55,7 +55,7 @@ def traced(bench, tmp_path):
     faulty = FaultyDevice(camera, FaultPlan("usb"))
     trace = UrbTrace(tmp_path / "usb", faulty, Ticks())
     bench.start({"2-3": faulty}, observer=trace)
-    host = UsbipHost.attach(port=bench.server.port, busid="2-3", timeout_s=30)
+    host = UsbipHost.attach(port=bench.server.port, busid="2-3", timeout_s=120)
     driver = DavisHost(host)
     driver.start(StreamSettings(transfer_bytes=8192, transfers=3))
     bench.call(faulty.inject, ControlStall(count=1))
@@ -205,7 +205,7 @@ def test_what_waits_when_a_host_goes_is_over_too(bench, tmp_path):
     trace = UrbTrace(tmp_path / "usb", Davis346(), Ticks())
     camera = Davis346()
     bench.start({"1-1": camera}, observer=trace)
-    with UsbipHost.attach(port=bench.server.port, timeout_s=30) as host:
+    with UsbipHost.attach(port=bench.server.port, timeout_s=120) as host:
         host.configure()
         host.stream(2, 512, 2)
         DavisHost(host)
