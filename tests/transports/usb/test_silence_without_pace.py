@@ -46,7 +46,7 @@ async def reports_of(camera, fault):
                 driver.read(0.05)
 
     reading = asyncio.create_task(asyncio.to_thread(read_all))
-    ends_s = time.monotonic() + 60
+    ends_s = time.monotonic() + 300
     while not (link.idle and ring.origin_ns is not None) and time.monotonic() < ends_s:
         link.tick()
         if ring.origin_ns is None and camera.streaming:

@@ -27,6 +27,12 @@ FIELDS = [
 ]  # fmt: skip
 
 
+@pytest.fixture(autouse=True)
+def unhurried(monkeypatch):
+    """A writer that has two minutes to finish its files, not the seconds of a run."""
+    monkeypatch.setattr("transports.usb.usbip.trace._CLOSE_TIMEOUT_S", 120.0)
+
+
 class Ticks:
     """Time that goes on by a microsecond at each look."""
 
@@ -169,7 +175,8 @@ def test_unlinks_are_in_the_trace_before_the_ends_of_their_urbs(bench, device, t
     ]  # fmt: skip
 
 
-def test_what_does_not_fit_the_queue_is_counted_and_told(trace, tmp_path):
+def test_what_does_not_fit_the_queue_is_counted_and_told(trace, tmp_path, monkeypatch):
+    monkeypatch.setattr("transports.usb.usbip.trace._PERIOD_S", 600.0)  # nothing is written before the end
     one = trace(capacity_bytes=600)
     for number in range(1, 4):
         one.completed(urb(number), 0, 512, bytes(512))
