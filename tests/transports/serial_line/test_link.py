@@ -107,7 +107,8 @@ def test_a_reader_that_does_not_read_never_blocks_the_tick(bench):
     assert b.link.report().camera.accounted == 100_000
 
 
-def test_the_last_bytes_reach_a_reader_that_is_late(bench):
+def test_the_last_bytes_reach_a_reader_that_is_late(bench, monkeypatch):
+    monkeypatch.setattr("transports.serial_line.endpoint._CLOSE_S", PATIENCE_S)
     b = bench()
     b.plug()
     b.ring.start(ORIGIN_NS)
