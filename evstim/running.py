@@ -24,6 +24,7 @@ from emulator.run.assembly import build_session, link_setups, schedule
 from emulator.run.outcome import RunResult, RunStatus
 from emulator.run.scene_assembly import build_scene
 from emulator.run.session import Session
+from emulator.run.standard_descriptors import fill_standard_descriptors
 from emulator.run.truth.refusal import check_truth
 from firmware_protocol.events import Events
 from transports.faults.kinds import Fault
@@ -68,6 +69,7 @@ def run(
     ImportError
         `truth` needs h5py.
     """
+    fill_standard_descriptors()
     loaded = rig if isinstance(rig, Rig) else load_rig(str(rig))
     if record is not None and not loaded.links:
         raise ValueError("record: this rig has no link, so no event is delivered")

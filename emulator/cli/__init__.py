@@ -6,6 +6,9 @@ __all__ = ["main"]
 def main() -> None:
     """Run the command line and exit with its code."""
     # Here and not above: each link's process begins by importing the script that calls this, and needs no verbs.
+    from emulator.run.standard_descriptors import fill_standard_descriptors
+
+    fill_standard_descriptors()
     from emulator.cli.signals import exit_on_stop_signals, interrupt_on_stop_signals
 
     exit_on_stop_signals()

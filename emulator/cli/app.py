@@ -1,7 +1,8 @@
 """The application: all commands, and the exit codes of their failures.
 
-Exit codes: 0 good; 1 the verdict of the run is bad; 2 wrong use or wrong rig; 3 the machine lacks something.
-With `--json` the last line on stdout is one JSON object, also after an error (`{"error": ...}`).
+Exit codes: 0 good; 1 the verdict of the run is bad; 2 wrong use or wrong rig; 3 the machine lacks something, or stdout
+cannot take the result. With `--json` the last line on stdout is one JSON object, also after an error
+(`{"error": ...}`).
 """
 
 from __future__ import annotations
@@ -13,9 +14,11 @@ from importlib.metadata import version
 from typing import IO, cast
 
 from cyclopts import App, CycloptsError
-from rich.logging import RichHandler
 
-from emulator.cli.output import BAD_VERDICT, WRONG_USE, Failure, print_json, status
+from emulator.cli.line_breaks import break_lines, help_console, log_handler
+from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, print_json, status
+from emulator.cli.result_stream import guard_stdout
+from emulator.cli.signals import ignore_stop_signals
 from transports.link.background_log import BackgroundWriter
 
 __all__ = ["app", "main"]
@@ -27,6 +30,7 @@ app = App(
     "Try:  evstim run eros      evstim demo      evstim run checkerboard --seconds 10 --json",
     version=version("evstim"),
     result_action="return_value",
+    suppress_keyboard_interrupt=False,  # it would exit with 130, without a message
 )
 # By name, so that a command imports only what it needs: numba and GL would slow `evstim rigs` down.
 for verb, module, told in (
@@ -73,33 +77,48 @@ app.command(
 
 def main() -> None:
     """Run the command line and exit with its code."""
+    guard_stdout()
     log = BackgroundWriter(2)
     status.file = cast(IO[str], log)  # an stderr that nobody reads must not stop a camera
     try:
         sys.exit(_main(sys.argv[1:]))
     finally:
+        ignore_stop_signals()
         log.drain()
 
 
 def _main(tokens: list[str]) -> int:
-    logging.basicConfig(format="%(message)s", handlers=[RichHandler(console=status, show_path=False, show_time=False)])
+    logging.basicConfig(format="%(message)s", handlers=[log_handler()])
     for package in ("emulator", "transports"):
         logging.getLogger(package).setLevel(os.environ.get("EVSTIM_LOG", "INFO").upper())
     as_json = "--json" in tokens
-    if as_json and "--version" in tokens:
-        print_json({"name": "evstim", "version": version("evstim")})
-        return 0
+    boxed = break_lines() and not as_json
     if "--quiet" in tokens:
         tokens = [token for token in tokens if token != "--quiet"]
         _be_quiet()
     try:
-        return int(app(tokens, exit_on_error=False, print_error=not as_json) or 0)
+        return _exit_code(tokens, as_json, boxed)
     except CycloptsError as error:
-        return _fail(str(error), WRONG_USE, as_json, told=not as_json)
+        return _fail(str(error), WRONG_USE, as_json, told=boxed)
     except Failure as failure:
         return _fail(str(failure), failure.exit_code, as_json)
     except KeyboardInterrupt:
+        ignore_stop_signals()
         return _fail("interrupted", BAD_VERDICT, as_json)
+
+
+def _exit_code(tokens: list[str], as_json: bool, boxed: bool) -> int:
+    """Run a command to the last byte of its result; raises Failure where that cannot be written.
+
+    `boxed`: wrong use is printed by cyclopts, in a box.
+    """
+    if as_json and "--version" in tokens:
+        print_json({"name": "evstim", "version": version("evstim")})
+        return GOOD
+    code = int(app(tokens, console=help_console(app), exit_on_error=False, print_error=boxed) or GOOD)
+    if sys.stdout is not None:
+        sys.stdout.flush()
+    return code
 
 
 def _be_quiet() -> None:
@@ -111,6 +130,14 @@ def _fail(message: str, exit_code: int, as_json: bool, told: bool = False) -> in
     if not told:
         status.quiet = False
         status.print(f"evstim: {message}", markup=False)
-    if as_json:
-        print_json({"error": message, "exit_code": exit_code})
+    if as_json and sys.stdout is not None:
+        _print_error({"error": message, "exit_code": exit_code})
     return exit_code
+
+
+def _print_error(error: dict[str, object]) -> None:
+    """Print the JSON of an error; stdout that cannot take it changes neither the message nor the exit code."""
+    try:
+        print_json(error)
+    except Failure as failure:
+        status.print(f"evstim: {failure}", markup=False)

@@ -24,7 +24,7 @@ from emulator.cli.campaign_report import report
 from emulator.cli.failures import failures
 from emulator.cli.output import WRONG_USE, Failure, status
 from emulator.cli.preparing import prepared
-from emulator.cli.signals import stopped_by_signals
+from emulator.cli.signals import interrupt_on_stop_signals, stop_on_signals
 from emulator.run.kernels import parts_of
 
 __all__ = ["campaign", "verbs"]
@@ -135,11 +135,14 @@ def _run(made: Campaign, folder: Path, todo: list[int], where: Where, progress: 
         prepared(parts_of(made.rig(todo[0])))
     workers = _workers(made, folder.absolute(), len(todo), where)
     gc.freeze()  # what is loaded stays: no collection need look at it again
-    with stopped_by_signals(_Stopping(workers, progress)), progress.shown():
+    stop_on_signals(_Stopping(workers, progress).stop)
+    with progress.shown():
         try:
             run_campaign(made, folder, todo, workers, progress.add)
         except CampaignStopped as error:
             progress.trouble = str(error)
+    if not progress.interrupted:  # a report of many runs takes its time
+        interrupt_on_stop_signals()
 
 
 def _workers(made: Campaign, folder: Path, most: int, where: Where) -> Workers:

@@ -21,7 +21,8 @@ from emulator.cli.failures import failures
 from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, console, print_json, status
 from emulator.cli.preparing import prepared
 from emulator.cli.run import summary
-from emulator.cli.signals import stopped_by_signals
+from emulator.cli.run_output.lateness import lateness_lines
+from emulator.cli.signals import ignore_stop_signals, stop_on_signals
 from emulator.rig.loading import Rig, UsbipLink, load_rig
 from emulator.run.assembly import build_session, link_setups, schedule
 from emulator.run.free_ports import free_loopback_address
@@ -60,17 +61,24 @@ def demo(rig: str = "eros", /, *, seconds: float = 5.0, json: Annotated[bool, Pa
         prepared(parts_of(loaded))
         status.print(f"{loaded.name}: {loaded.title}")
         result = _run(loaded, sent, received, seconds)
+        ignore_stop_signals()
         verdict = _compare(sent, received, whole=isinstance(loaded.links[0], UsbipLink))
     good = verdict["equal"] is True and result.good
     if json:
         print_json({**summary(loaded, result), "comparison": verdict, "good": good})
     else:
         _print_verdict(result, verdict, good)
+        for line in lateness_lines(loaded, result):
+            console.print(line)
     return GOOD if good else BAD_VERDICT
 
 
 def _on_a_free_port(rig: Rig) -> Rig:
-    """Return the rig with its camera alone, where no other program is: drivers know one port of GigE Vision."""
+    """Return the rig with its camera alone, where no other program is: drivers know one port of GigE Vision.
+
+    The demo compares events: that a machine is late now and then is shown, and judged by `run`.
+    """
+    rig = dataclasses.replace(rig, run=dataclasses.replace(rig.run, max_late_share=1.0))
     for link in rig.links:
         if isinstance(link, UsbipLink):
             return dataclasses.replace(rig, links=(dataclasses.replace(link, host="127.0.0.1", port=0),))
@@ -99,8 +107,8 @@ def _run(rig: Rig, sent: Path, received: Path, seconds: float) -> RunResult:
 
         try:
             plan = dataclasses.replace(schedule(rig), duration_ns=round((seconds + 60) * 1e9))
-            with stopped_by_signals(session):
-                return session.run(plan, follow)
+            stop_on_signals(session.stop)
+            return session.run(plan, follow)
         finally:
             if receiver is not None and receiver.poll() is None:
                 receiver.terminate()

@@ -13,7 +13,7 @@ from cyclopts import Parameter
 
 from emulator.cli.failures import failures
 from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, console, print_json
-from emulator.cli.signals import stopped_by_signals
+from emulator.cli.signals import ignore_stop_signals, stop_on_signals
 from emulator.dynamics.failures import DynamicsError, FlightEnded
 from emulator.dynamics.flight import Flown, Pace, fly, wall_clock
 from emulator.dynamics.fmu import Fmu
@@ -64,6 +64,7 @@ def dynamics(
         if not 0 < seconds < 1e7:
             raise Failure(f"--seconds is {seconds:g}: give more than 0 and less than 1e7", WRONG_USE)
         flown, complete = _flown(fmu, map, Pace(seconds, stamped, lambda _: True), _address(to))
+    ignore_stop_signals()
     told = {"steps": flown.steps, "seconds": flown.t_s, "position_m": flown.last.position_m}
     told["q_world_from_body"] = flown.last.q_world_from_body
     if json:
@@ -79,7 +80,8 @@ def _flown(file: Path, map_file: Path, pace: Pace, to: tuple[str, int]) -> tuple
     mapping, ending = load_mapping(map_file), _Stop()
     with opened_inputs(mapping, map_file.parent) as inputs, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
         names = tuple(name for one in inputs for name in one.names)
-        with Fmu(file, mapping, names) as unit, stopped_by_signals(ending):
+        with Fmu(file, mapping, names) as unit:
+            stop_on_signals(ending.stop)
             pace = dataclasses.replace(pace, waiting=wall_clock(lambda: ending.asked))
             flown = fly(unit, mapping, inputs, pace, lambda data: out.sendto(data, to))
     return flown, not ending.asked

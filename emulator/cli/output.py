@@ -29,7 +29,9 @@ class Failure(Exception):
 
 
 def print_json(value: object) -> None:
-    """Print one line of JSON on stdout."""
+    """Print one line of JSON on stdout; raises Failure where that was closed before the start."""
+    if sys.stdout is None:
+        raise Failure("--json: stdout is closed: the result was not written", LACKING)
     sys.stdout.write(json.dumps(value, default=_plain) + "\n")
     sys.stdout.flush()
 

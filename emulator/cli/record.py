@@ -14,6 +14,7 @@ from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, console, 
 from emulator.cli.preparing import prepared
 from emulator.cli.recording_paths import check_recording
 from emulator.cli.run import print_summary, run_rig, summary
+from emulator.cli.signals import ignore_stop_signals
 from emulator.rig.loading import Rig, load_rig
 from emulator.rig.options import with_options
 from emulator.run.kernels import parts_of
@@ -75,6 +76,7 @@ def record(
             raise Failure(f"--{error}", WRONG_USE) from error
         prepared(parts_of(loaded))
         result = run_rig(loaded, show=not json)
+    ignore_stop_signals()
     if json:
         print_json(summary(loaded, result))
     else:

@@ -24,7 +24,7 @@ from emulator.cli.run_output.serving import Serving, check_serving
 from emulator.cli.run_output.timing import timing_json, timing_lines
 from emulator.cli.run_output.tracing import begin_trace
 from emulator.cli.run_output.truth import Truth
-from emulator.cli.signals import stopped_by_signals
+from emulator.cli.signals import ignore_stop_signals, stop_on_signals
 from emulator.light import Scene
 from emulator.rig.loading import Rig, load_rig
 from emulator.rig.options import with_options
@@ -37,6 +37,7 @@ from emulator.run.outcome import RunResult, RunStatus
 from emulator.run.ready import ReadySignal
 from emulator.run.scene_assembly import build_scene
 from emulator.run.session import Session
+from emulator.run.undersampling import undersampled_advice
 from emulator.run.verdict import good, judge
 from firmware_protocol.events import Events
 from transports.link.latency import LatencySummary
@@ -44,8 +45,6 @@ from transports.link.pacing import MonotonicClock
 from transports.link.process import LinkSetup
 
 __all__ = ["NO_FILES", "Files", "print_summary", "rig_with_options", "run", "run_rig", "run_with_files", "summary"]
-
-_MANY_UNDERSAMPLED = 0.1  # above it, shorter steps for all pixels are cheaper than refining single ones
 
 
 @dataclass(frozen=True)
@@ -145,6 +144,7 @@ def run_with_files(
     reporting = begin_report(rig, files.report)
     prepared([*parts_of(rig), *truth.parts])
     result = run_rig(rig, files, reporting, truth, show=show, simulation=simulation)
+    ignore_stop_signals()
     reporting.write(result, summary(rig, result))
     return result, truth
 
@@ -185,8 +185,8 @@ def run_rig(
         setups = serving.wired(link_setups(rig, files.record, truth.clock, files.fault_log))
         setups = begin_trace(setups, files.trace)
         session = _session(rig, scene, setups, truth_file)
+        stop_on_signals(session.stop)
         with (
-            stopped_by_signals(session),
             fault_injection(rig, session) as faults,
             serving.page(session, faults.answer) as page,
             LiveTable(rig, status) if show else nullcontext() as live,
@@ -240,7 +240,7 @@ def summary(rig: Rig, result: RunResult) -> dict[str, object]:
         "balanced": result.ledger.balanced,
         "rules": [dataclasses.asdict(one) for one in judge(rig.verdict, result)],
         "latency_us": dataclasses.asdict(_worst(latencies)),
-        "lateness": {**result.lateness.as_json(), "too_late": result.too_late},
+        "lateness": {**result.lateness.as_json(), "late_share": result.late_share, "too_late": result.too_late},
         "undersampled_share": result.undersampled_share,
         "suspect_share": result.undersampled_share,  # the old key, for one version
         "scene": result.scene_counts,
@@ -297,11 +297,8 @@ def print_summary(rig: Rig, result: RunResult) -> None:
                 f"p99 {quantile_text(report.latency.p99)} us, "
                 f"max {report.latency.max:.0f} us"
             )
-    if result.undersampled_share is not None and result.undersampled_share > _MANY_UNDERSAMPLED:
-        console.print(
-            f"pictures too far apart: in {result.undersampled_share:.0%} of the solved pixel-steps the light changed "
-            "unseen between them; shorten run.step_us, or give run.tolerance_us"
-        )
+    if advice := undersampled_advice(result.undersampled_share):
+        console.print(advice)
     if result.scene_counts:
         console.print(f"scene: {', '.join(f'{n} {name}' for name, n in result.scene_counts.items())}")
     if result.pixels_by:

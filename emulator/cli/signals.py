@@ -1,52 +1,89 @@
-"""Clean end of a run at Ctrl-C (SIGINT) and at a service manager's SIGTERM."""
+"""Stop of a command at Ctrl-C (SIGINT), at a service manager's SIGTERM, and at the end of a terminal (SIGHUP).
+
+    signal                          before a run       during a run                 while its summary is written
+    first                           interrupts         ends it after this step      does nothing
+    second, within _PATIENCE_S      does nothing       does nothing                 does nothing
+    second, later; third            interrupts         interrupts                   does nothing
+
+One Ctrl-C often arrives twice: from the terminal to the whole process group, and from a wrapper (`uv run`, `make`,
+`docker`) that forwards its own. The second must not take away the summary that the first one asked for.
+"""
 
 from __future__ import annotations
 
 import os
 import signal
-from collections.abc import Iterator
-from contextlib import contextmanager
-from typing import Protocol
+import time
+from collections.abc import Callable
+from typing import Never
 
-__all__ = ["exit_on_stop_signals", "interrupt_on_stop_signals", "stopped_by_signals"]
+__all__ = [
+    "StopSignals",
+    "exit_on_stop_signals",
+    "ignore_stop_signals",
+    "interrupt_on_stop_signals",
+    "stop_on_signals",
+]
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+_PATIENCE_S = 3.0
+_INSISTING = 3  # signals
 
 
-class _Session(Protocol):
-    def stop(self) -> None:
-        """End the run after the present step."""
+class StopSignals:
+    """A handler: the first signal calls `stop`; a third one, or a second one after some seconds, interrupts."""
+
+    def __init__(self, stop: Callable[[], object], now_s: Callable[[], float] = time.monotonic) -> None:
+        self._stop = stop
+        self._now_s = now_s
+        self._count = 0
+        self._first_s = 0.0
+
+    def __call__(self, *_: object) -> None:
+        """Take a signal; raises KeyboardInterrupt."""
+        self._count += 1
+        if self._count == 1:
+            self._first_s = self._now_s()
+            self._stop()
+        elif self._count >= _INSISTING or self._now_s() - self._first_s >= _PATIENCE_S:
+            raise KeyboardInterrupt
 
 
 def exit_on_stop_signals() -> None:
-    """Let signals that stop a run end the process at once: while it is imported there is nothing to tidy up."""
-
-    def leave(*_: object) -> None:
-        os.write(2, b"evstim: interrupted\n")
-        os._exit(1)
-
-    for number in _SIGNALS:
-        signal.signal(number, leave)
+    """Let signals end the process at once: while it is imported there is nothing to tidy up."""
+    _handle(_leave)
 
 
 def interrupt_on_stop_signals() -> None:
-    """Let SIGTERM and SIGHUP do what Ctrl-C does."""
+    """Let signals interrupt the command, from now on."""
+    _handle(StopSignals(_interrupt))
+
+
+def stop_on_signals(stop: Callable[[], object]) -> None:
+    """Let the first signal call `stop`, such as that of a Session, from now on.
+
+    This stays so when the run has ended: a second signal may arrive at any moment after the first.
+    """
+    _handle(StopSignals(stop))
+
+
+def ignore_stop_signals() -> None:
+    """Let signals do nothing from now on: what remains is to write the summary, and to leave.
+
+    A handler and not SIG_IGN, which programs that are started meanwhile would inherit.
+    """
+    _handle(lambda *_: None)
+
+
+def _handle(handler: Callable[..., object]) -> None:
     for number in _SIGNALS:
-        signal.signal(number, signal.default_int_handler)
+        signal.signal(number, handler)
 
 
-@contextmanager
-def stopped_by_signals(session: _Session) -> Iterator[None]:
-    """Let SIGINT, SIGTERM and SIGHUP end the session after its present step; a second one interrupts at once."""
+def _leave(*_: object) -> Never:
+    os.write(2, b"evstim: interrupted\n")
+    os._exit(1)
 
-    def stop(*_: object) -> None:
-        session.stop()
-        for number in _SIGNALS:
-            signal.signal(number, signal.default_int_handler)
 
-    before = {number: signal.signal(number, stop) for number in _SIGNALS}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+def _interrupt() -> Never:
+    raise KeyboardInterrupt

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import stat
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +22,7 @@ from emulator.trajectory.parameters import BasiliskPath, FilePath
 from emulator.trajectory.pose import TrajectoryError
 from emulator.trajectory.recorded import read_path
 
-__all__ = ["open_files", "remarks"]
+__all__ = ["OpenedFile", "open_files", "remarks"]
 
 _QUESTIONABLE_THRESHOLD = 2.0
 _LIGHTS = 30
@@ -71,28 +73,59 @@ def _short_paths(rig: Rig) -> Iterator[str]:
             )
 
 
-def open_files(rig: Rig) -> None:
+@dataclass(frozen=True)
+class OpenedFile:
+    """A file that a rig names.
+
+    Attributes
+    ----------
+    key : of the rig, such as "scene.path".
+    bytes : its size; None for a folder.
+    is_read : whether its content was read too; otherwise it was opened, and may still be damaged.
+    """
+
+    key: str
+    path: str
+    bytes: int | None
+    is_read: bool
+
+
+def open_files(rig: Rig) -> list[OpenedFile]:
     """Open every file that the rig names, and read its trajectories; raises RigError with the key."""
+    opened = []
     for where, table in _tables(rig.scene, "scene"):
+        is_read = isinstance(table, FilePath)
         for name, annotation in field_types(type(table)).items():
             value = getattr(table, name)
             if annotation is RigFile and value:
-                _open(f"{rig.name}: {where}.{name}", find_shape(value) if isinstance(table, BodyTable) else Path(value))
+                path = find_shape(value) if isinstance(table, BodyTable) else Path(value)
+                size = _open(f"{rig.name}: {where}.{name}", path)
+                opened.append(OpenedFile(f"{where}.{name}", str(path), size, is_read))
         if isinstance(table, FilePath):
             try:
                 read_path(table)
             except TrajectoryError as error:
                 raise RigError(f"{rig.name}: {where}: {error}") from error
+    return opened
 
 
-def _open(where: str, path: Path) -> None:
-    if path.is_dir():  # a folder of images
-        return
+def _open(where: str, path: Path) -> int | None:
+    """Return the size of a file that can be opened, None for a folder; raises RigError.
+
+    The status comes first: a FIFO would wait for a writer when it is opened, and a device may have no end.
+    """
     try:
-        with path.open("rb") as file:
-            file.read(1)
-    except OSError as error:
-        raise RigError(f"{where}: {path} cannot be opened: {error.strerror or error}") from error
+        status = path.stat()
+        if stat.S_ISDIR(status.st_mode):  # a folder of images
+            return None
+        if not stat.S_ISREG(status.st_mode):
+            raise RigError(f"{where}: {path} is no regular file: name a file with content of its own")
+        if not status.st_size:
+            raise RigError(f"{where}: {path} is empty")
+        path.open("rb").close()
+    except (OSError, ValueError) as error:  # ValueError: a name with a NUL
+        raise RigError(f"{where}: {path} cannot be opened: {getattr(error, 'strerror', None) or error}") from error
+    return status.st_size
 
 
 def _tables(value: object, where: str) -> Iterator[tuple[str, object]]:

@@ -108,7 +108,10 @@ class Run:
         How far ahead of real time steps are computed; at least one step. Covers the jitter of the machine.
     max_late_ms
         In real time: a run whose worst step was ready later than this after it was due has not kept up, and its verdict
-        is bad. 0: no limit.
+        is bad. 0: lateness is not judged, `max_late_share` included.
+    max_late_share
+        In real time: a run of which more than this share of the steps was ready after it was due has not kept up, and
+        its verdict is bad. 0: no step may be late; 1: any share.
     restart_links
         Whether a link whose process died is started again. Otherwise the other links go on without it.
     fifo_priority
@@ -142,6 +145,7 @@ class Run:
     lockstep_us: int = 0
     lead_us: int = 10_000
     max_late_ms: float = 1000.0
+    max_late_share: float = 0.01
     restart_links: bool = False
     fifo_priority: int = 0
     method: Method = "hermite"
@@ -166,7 +170,9 @@ class Run:
         if not 0 <= self.fifo_priority <= 99:
             raise ValueError(f"fifo_priority must be 0 (none) to 99, got {self.fifo_priority}")
         if not 0 <= self.max_late_ms <= 3.6e6:
-            raise ValueError(f"max_late_ms must be 0 (no limit) to 3.6e6, got {self.max_late_ms}")
+            raise ValueError(f"max_late_ms must be 0 (not judged) to 3.6e6, got {self.max_late_ms}")
+        if not 0 <= self.max_late_share <= 1:
+            raise ValueError(f"max_late_share must be 0 (no step) to 1 (any), got {self.max_late_share}")
         if not 0 <= self.lead_us <= 10_000_000:
             raise ValueError(f"lead_us must be 0 to 10000000, got {self.lead_us}")
         if self.tolerance_us != 0 and not 0.01 <= self.tolerance_us <= 1e6:

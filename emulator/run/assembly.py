@@ -174,6 +174,7 @@ def schedule(rig: Rig) -> Schedule:
         drain_s=_DRAIN_S if run.pace == "realtime" else _DRAIN_UNPACED_S,
         lockstep_ns=run.lockstep_us * 1000,
         max_late_us=run.max_late_ms * 1000,
+        max_late_share=run.max_late_share,
     )
 
 

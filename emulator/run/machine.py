@@ -35,6 +35,7 @@ _UDEV_FIX = (
     "&& sudo udevadm control --reload && sudo udevadm trigger"
 )
 
+
 def examine() -> list[Finding]:
     """Look at everything; takes about a second, most of it for opening GL."""
     looks: list[Callable[[], Finding]] = [

@@ -46,6 +46,22 @@ class RunResult:
     renderer: str | None = None
     pixels_by: str | None = None
     max_late_us: float = 0.0
+    max_late_share: float = 1.0
+
+    @property
+    def late_share(self) -> float:
+        """Share of the steps that were ready after they were due."""
+        return self.lateness.frames_late / self.steps if self.steps else 0.0
+
+    @property
+    def step_too_late(self) -> bool:
+        """True when a step was later than the schedule allows."""
+        return 0 < self.max_late_us < self.lateness.worst_gap_us
+
+    @property
+    def late_too_often(self) -> bool:
+        """True when more steps were late than the schedule allows."""
+        return self.max_late_us > 0 and self.late_share > self.max_late_share
 
     @property
     def drawn_by(self) -> str:
@@ -54,8 +70,8 @@ class RunResult:
 
     @property
     def too_late(self) -> bool:
-        """True when a step was later than the schedule allows."""
-        return 0 < self.max_late_us < self.lateness.worst_gap_us
+        """True when the run has not kept up with real time, by either limit."""
+        return self.step_too_late or self.late_too_often
 
     @property
     def good(self) -> bool:

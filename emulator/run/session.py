@@ -44,7 +44,7 @@ __all__ = ["Schedule", "Session"]
 log = logging.getLogger(__name__)
 
 _STATUS_PERIOD_NS = 100_000_000
-_HEAD_START_NS = 20_000_000  # between deciding to start and stream time zero, so that the first step is in time
+_HEAD_START_NS = 60_000_000  # from the start until stream time zero: twice what the first step, the slowest, takes
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,8 @@ class Schedule:
     """How a run goes through time. Above 0, each SYNC on a link's bus is worth `lockstep_ns`, and nothing else is.
 
     A `simulation` stands in the place of such a bus, and the run is then not paced.
-    A paced run whose worst step was later than `max_late_us` is not good; 0: any lateness is.
+    A paced run whose worst step was later than `max_late_us`, or with a larger share of late steps than
+    `max_late_share`, is not good; `max_late_us` of 0: any lateness is.
     """
 
     lead_ns: int = 5_000_000
@@ -61,6 +62,7 @@ class Schedule:
     drain_s: float = 1.0
     lockstep_ns: int = 0
     max_late_us: float = 0.0
+    max_late_share: float = 1.0
     simulation: Simulation | None = None
 
 
@@ -198,6 +200,7 @@ class Session:
             pixels_by=self._sensor.renderer,
             syncs=None if self._lockstep is None else self._lockstep.heard,
             max_late_us=schedule.max_late_us if schedule.paced else 0.0,
+            max_late_share=schedule.max_late_share,
         )
 
     def _open_links(self) -> None:
@@ -230,7 +233,8 @@ class Session:
         while self._goes_on and (schedule.duration_ns is None or self._t_ns < schedule.duration_ns):
             lead_ns = max(schedule.lead_ns, rule.step_ns)
             if schedule.paced:
-                self._clock.sleep_until(origin_ns + self._t_ns - lead_ns)
+                if self._t_ns:  # the first step begins at once
+                    self._clock.sleep_until(origin_ns + self._t_ns - lead_ns)
             elif not self._may_go_on(start_ns, on_status):
                 break
             due_ns, begun_ns = origin_ns + self._t_ns, self._clock.now_ns()

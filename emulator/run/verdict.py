@@ -50,7 +50,10 @@ def _always(result: RunResult) -> Iterator[Judgement]:
     if result.max_late_us > 0:
         worst_ms = result.lateness.worst_gap_us * 1e-3
         told = f"worst step {worst_ms:.3g} ms late, run.max_late_ms is {result.max_late_us * 1e-3:g}"
-        yield Judgement("in real time", not result.too_late, told)
+        yield Judgement("in real time", not result.step_too_late, told)
+        late = f"{result.lateness.frames_late} of {result.steps} steps late ({result.late_share:.3g})"
+        told = f"{late}, run.max_late_share is {result.max_late_share:g}"
+        yield Judgement("steps in time", not result.late_too_often, told)
 
 
 def _own(rules: Verdict, result: RunResult) -> Iterator[Judgement]:

@@ -12,8 +12,9 @@ one of them finds the same camera at the others. Subclass and let pytest collect
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 import pytest
@@ -30,8 +31,11 @@ from transports.usb.host import StallError, TransferTimeout, UsbHost
 
 __all__ = ["Plugged", "UsbContract"]
 
-_PATIENCE_S = 30.0
+_T = TypeVar("_T")
+
+_PATIENCE_S = 120.0
 _IMPATIENCE_S = 0.3
+_ATTEMPTS = 200
 _EVENTS = 5000
 _DEVICE_DESCRIPTOR = SetupPacket(0x80, 6, 0x0100, 0, 18)
 _LOGIC_VERSION = SetupPacket(0xC0, 0xBF, 6, 0, 4)
@@ -172,13 +176,13 @@ class UsbContract:
 
     def test_a_late_answer_is_a_timeout_and_not_that_of_the_next_request(self, faulty: FaultyDevice) -> None:
         """A host that gives up asks anew."""
-        plugged = self.plug(faulty, _IMPATIENCE_S)
+        plugged = _in_time(lambda: self.plug(faulty, _IMPATIENCE_S))
         with closing(plugged.host) as host:
             plugged.call(faulty.inject, SlowControl(for_s=1.0))
             with pytest.raises(TransferTimeout):
                 host.control_in(_LOGIC_VERSION)
             plugged.call(faulty.advance, 1_000_000)
-            assert host.control_in(SetupPacket(0xC0, 0xBF, 6, 1, 4))[-1] == 5
+            assert _in_time(lambda: host.control_in(SetupPacket(0xC0, 0xBF, 6, 1, 4)))[-1] == 5
 
     def test_transfers_of_any_length_carry_the_same_events(self, model: Davis346, faulty: FaultyDevice) -> None:
         """A decoder must not count on full buffers."""
@@ -191,6 +195,14 @@ class UsbContract:
         camera.close()
         assert np.array_equal(received, sent)
         assert model.counters.delivered == len(sent)
+
+
+def _in_time(action: Callable[[], _T]) -> _T:
+    """Return what an action gives; it is repeated where a busy machine kept an impatient host waiting."""
+    for _ in range(_ATTEMPTS):
+        with suppress(TransferTimeout):
+            return action()
+    raise TransferTimeout(f"not done in {_ATTEMPTS} attempts of {_IMPATIENCE_S} s")
 
 
 def _show(model: Davis346, events: Events) -> None:

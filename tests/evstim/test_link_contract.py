@@ -35,13 +35,13 @@ class UsbipReader:
 
     def __init__(self, link):
         host, _, port = link.report.address.rpartition(":")
-        self._camera = DavisHost(UsbipHost.attach(host, int(port), "1-1", timeout_s=60.0))
+        self._camera = DavisHost(UsbipHost.attach(host, int(port), "1-1", timeout_s=120.0))
         self._camera.start()
 
     def read(self, count):
         batches, have = [], 0
         while have < count:
-            events = self._camera.read(60.0)
+            events = self._camera.read(120.0)
             assert events is not None, f"only {have} of {count} events came"
             batches.append(events)
             have += len(events)
@@ -65,7 +65,7 @@ class _ReadAllTheTime:
     def read(self, count):
         batches, have = [], 0
         while have < count:
-            batches.append(self._parts.get(timeout=60.0))
+            batches.append(self._parts.get(timeout=120.0))
             have += len(batches[-1])
         return np.concatenate(batches)
 
@@ -155,7 +155,7 @@ class TestCan(LinkContract):
 
 
 class TestCanIsoTp(TestCan):
-    parameters = CanParameters(port=0, instrument=PATIENT, share=1.0, carriage="isotp")
+    parameters = CanParameters(port=0, instrument=PATIENT, share=1.0, carriage="isotp", answer_ms=60_000)
 
 
 def test_every_built_in_kind_is_under_contract():

@@ -104,7 +104,7 @@ def test_a_name_that_is_not_there():
 
 
 def in_a_process(code):
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=100, check=True)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300, check=True)
     return done.stdout
 
 
@@ -137,6 +137,6 @@ def test_a_receiver_needs_no_simulator():
 
 
 def test_python_dash_m():
-    done = subprocess.run([sys.executable, "-m", "evstim", "rigs"], capture_output=True, text=True, timeout=100)
+    done = subprocess.run([sys.executable, "-m", "evstim", "rigs"], capture_output=True, text=True, timeout=300)
     assert done.returncode == 0
     assert "loopback" in done.stdout

@@ -145,6 +145,6 @@ def test_ctrl_c_in_a_script_without_a_main_guard(tmp_path):
     process = subprocess.Popen([sys.executable, script], stdout=subprocess.PIPE, text=True, env=os.environ)
     assert process.stdout.readline() == "reading\n"
     process.send_signal(signal.SIGINT)
-    lines = process.communicate(timeout=100)[0].splitlines()
+    lines = process.communicate(timeout=300)[0].splitlines()
     assert [line for line in lines if line != "reading"] == ["interrupted", "True"]
     assert process.returncode == 0

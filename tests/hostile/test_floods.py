@@ -135,14 +135,13 @@ def test_the_device_list_of_a_usbip_server():
                 answered.append(read(sock, 12))
 
         with Flood(lambda: socket.create_connection(("127.0.0.1", port), 60)) as flood:
-            while not flood.over:
+            while not (flood.over and answered):
                 await asyncio.to_thread(ask_again)
         await server.close(linger_s=0)
         return flood.done, server.counts
 
     done, counts = asyncio.run(run())
     assert done == FLOOD
-    assert answered
     assert set(answered) == {bytes.fromhex("011100050000000000000000")}
     assert counts["idle connections closed for newer ones"] > 0
 
@@ -164,7 +163,7 @@ def test_the_control_socket(tmp_path, monkeypatch):
         answers = []
 
         def keep_asking(flood):
-            while not flood.over:
+            while not (flood.over and answers):
                 answers.append(ask(control.path, {"n": len(answers)})["n"])
 
         with Flood(connect) as flood:

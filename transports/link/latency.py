@@ -1,19 +1,25 @@
-"""How late events leave: a histogram with a fixed size, whatever the length of the run."""
+"""Latency of events: a histogram with a fixed size, whatever the length of the run and of the latencies.
+
+Below 0.2 s a bin is 10 us wide, above that each is 1 % wider than the one before, up to a year.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["LONGEST_US", "LatencyHistogram", "LatencySummary"]
+__all__ = ["LatencyHistogram", "LatencySummary"]
 
 _BIN_US = 10
-_BINS = 20_000
-LONGEST_US = float(_BIN_US * _BINS)
-"""Longest latency that is measured; a quantile that says this is that long or longer."""
+_EVEN_BINS = 20_000
+_EVEN_US = float(_BIN_US * _EVEN_BINS)
+_RATIO = 1.01
+_YEAR_US = 3.2e13  # the longest run
+_BINS = _EVEN_BINS + math.ceil(math.log(_YEAR_US / _EVEN_US, _RATIO))
 
 
 @dataclass(frozen=True)
@@ -26,7 +32,7 @@ class LatencySummary:
 
 
 class LatencyHistogram:
-    """Latencies in bins of 10 us up to 0.2 s; later ones share the last bin, the largest is kept exactly."""
+    """Latencies in bins of 10 us up to 0.2 s, and of 1 % above; the largest is kept exactly."""
 
     def __init__(self) -> None:
         self._counts = np.zeros(_BINS, np.int64)
@@ -36,7 +42,7 @@ class LatencyHistogram:
         """Count latencies, shape (n,), us; an event that leaves before its own time counts as 0."""
         if not len(latency_us):
             return
-        bins = np.clip(latency_us / _BIN_US, 0, _BINS - 1).astype(np.int64)
+        bins = _bins(latency_us)
         first = int(bins.min())
         counts = np.bincount(bins - first)
         self._counts[first : first + len(counts)] += counts
@@ -51,4 +57,20 @@ class LatencyHistogram:
     def _quantile_us(self, share: float) -> float:
         cumulative = np.cumsum(self._counts)
         index = int(np.searchsorted(cumulative, share * cumulative[-1]))
-        return min(float((index + 1) * _BIN_US), self._max_us or 0.0)
+        return min(_upper_edge_us(index), self._max_us or 0.0)
+
+
+def _bins(latency_us: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.int64]:
+    """Return the bin of each latency."""
+    bins = np.clip(latency_us / _BIN_US, 0, _EVEN_BINS - 1).astype(np.int64)
+    long = latency_us >= _EVEN_US
+    if long.any():
+        above = np.log(latency_us[long] / _EVEN_US) / math.log(_RATIO)
+        bins[long] = np.minimum(_EVEN_BINS + above.astype(np.int64), _BINS - 1)
+    return bins
+
+
+def _upper_edge_us(index: int) -> float:
+    if index < _EVEN_BINS:
+        return float((index + 1) * _BIN_US)
+    return math.inf if index == _BINS - 1 else _EVEN_US * _RATIO ** (index + 1 - _EVEN_BINS)

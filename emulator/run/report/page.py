@@ -18,6 +18,7 @@ from emulator.run.outcome import RunResult
 from emulator.run.report.charts import interval_chart, pixel_map, rate_chart
 from emulator.run.report.junit import write_junit
 from emulator.run.report.observation import Observation
+from emulator.run.undersampling import undersampled_advice, undersampled_text
 from emulator.run.verdict import Judgement, good
 
 __all__ = ["Reported", "write_report"]
@@ -46,6 +47,7 @@ def write_report(of: Reported, folder: Path) -> list[Path]:
     verdict = "good" if good(of.judgements) else "bad"
     body = [
         _verdict(of.judgements),
+        *_advice(of.result),
         "<h2>Events</h2>",
         rate_chart(of.seen, of.result.sim_seconds),
         _ledger(of.result),
@@ -67,6 +69,12 @@ def write_report(of: Reported, folder: Path) -> list[Path]:
 def _verdict(judgements: Sequence[Judgement]) -> str:
     rows = [{"rule": one.rule, "kept": "yes" if one.good else "NO", "found": one.told} for one in judgements]
     return table(rows)
+
+
+def _advice(result: RunResult) -> list[str]:
+    """Return a paragraph where the steps were too long for the light."""
+    advice = undersampled_advice(result.undersampled_share)
+    return [f"<p>{html.escape(advice)}</p>"] if advice else []
 
 
 def _ledger(result: RunResult) -> str:
@@ -126,7 +134,7 @@ def _links(result: RunResult) -> list[str]:
 
 
 def _run_rows(of: Reported) -> list[dict[str, object]]:
-    run = of.rig.run
+    run, late = of.rig.run, of.result.lateness
     told = {
         "title": of.rig.title,
         "camera": f"{of.rig.camera.model}, {of.rig.camera.size[0]}x{of.rig.camera.size[1]} pixels",
@@ -136,7 +144,8 @@ def _run_rows(of: Reported) -> list[dict[str, object]]:
         "step": f"{run.step_us} us",
         "stream time": f"{of.result.sim_seconds:.3f} s in {of.result.wall_seconds:.3f} s",
         "frames": of.result.frames,
-        "worst lateness": f"{of.result.lateness.worst_gap_us:.0f} us",
+        "late steps": f"{late.frames_late} of {of.result.steps}, worst {late.worst_gap_us:.0f} us",
+        "undersampled": undersampled_text(of.result.undersampled_share),
         "drawn by": of.result.drawn_by,
         "pixels computed by": of.result.pixels_by or "cpu",
         **_machine(of),

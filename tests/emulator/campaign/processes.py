@@ -4,7 +4,7 @@ import time
 from pathlib import Path
 
 
-def gone(pid, patience_s=30.0):
+def gone(pid, patience_s=120.0):
     """Wait until a process has ended; one that nobody has asked about yet (a zombie) has."""
     until_s = time.monotonic() + patience_s
     while _runs(Path(f"/proc/{pid}/stat")):

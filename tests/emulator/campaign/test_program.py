@@ -35,7 +35,7 @@ def test_addresses():
 def test_a_program_runs_and_gives_its_exit_code(tmp_path):
     argv = ("{python}", "-c", "import os; print(os.getcwd(), os.environ['EVSTIM_RUN']); raise SystemExit(3)")
     with RunningProgram(Program(argv), tmp_path, Path("/"), "id/7", {}) as program:
-        code, seconds = program.wait(60)
+        code, seconds = program.wait(120)
     assert code == 3
     assert seconds > 0
     assert (tmp_path / "output.txt").read_text() == "/ id/7\n"
@@ -44,7 +44,7 @@ def test_a_program_runs_and_gives_its_exit_code(tmp_path):
 def test_a_program_that_goes_on_is_stopped_with_its_children(tmp_path):
     script = "import subprocess, sys, time; p = subprocess.Popen(['sleep', '600']); print(p.pid, flush=True); p.wait()"
     with RunningProgram(Program((sys.executable, "-c", script)), tmp_path, tmp_path, "id/1", {}) as program:
-        until_s = time.monotonic() + 60
+        until_s = time.monotonic() + 120
         while not (tmp_path / "output.txt").read_text().endswith("\n"):
             assert time.monotonic() < until_s
             time.sleep(0.02)
@@ -60,7 +60,7 @@ def test_a_program_left_by_a_killed_worker_is_ended_and_no_other(tmp_path):
         end_leftover(tmp_path, "id/2")
         assert left.poll() is None
         end_leftover(tmp_path, "id/1")
-        assert left.wait(30) == -signal.SIGKILL
+        assert left.wait(120) == -signal.SIGKILL
     (tmp_path / "program.pid").write_text(str(os.getpid()))
     end_leftover(tmp_path, "id/1")
 

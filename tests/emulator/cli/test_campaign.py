@@ -88,7 +88,7 @@ def test_a_signal_ends_it_with_a_summary_and_it_goes_on(file, number):
             assert time.monotonic() < until_s
             time.sleep(0.05)
         run.send_signal(number)
-        out, err = run.communicate(timeout=120)
+        out, err = run.communicate(timeout=300)
     assert run.returncode == 1, err
     assert "Traceback" not in err
     assert f"{len(done_rows(rows))} of 3000 runs are done" in out

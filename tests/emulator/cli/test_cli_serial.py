@@ -30,11 +30,15 @@ def stream(count):
 
 
 class Camera:
-    """A link in a thread, started by telecommand only; nothing is lost, for its run is not paced."""
+    """A link in a thread that sends its events when it has done so many telecommands, the first of which starts it.
 
-    def __init__(self, events):
+    Nothing is lost, for its run is not paced; what answers the telecommands is on the line before the events.
+    """
+
+    def __init__(self, events, telecommands):
         ring = EventRing()
-        device = partial(Instrument, (346, 260), InstrumentSettings(autostart=False, housekeeping_s=0.05))
+        device = partial(Instrument, (346, 260), InstrumentSettings(autostart=False, housekeeping_s=0))
+        self._telecommands = telecommands
         self._link = Link(LinkSetup("serial", ring, device, SerialFactory(SerialParameters())), MonotonicClock())
         self._ring, self._events, self._ends = ring, events, False
         self._ready = threading.Event()
@@ -46,7 +50,7 @@ class Camera:
         await self._link.endpoint.start()
         self.path = self._link.endpoint.address
         self._ready.set()
-        while not self._link._device.streaming and not self._ends:
+        while self._link.report().counts.get("telecommands", 0) < self._telecommands and not self._ends:
             self._link.tick()
             await asyncio.sleep(0.001)
         self._ring.start(FREE_RUNNING)
@@ -63,15 +67,21 @@ class Camera:
 
 
 @pytest.fixture
-def camera():
-    camera = Camera(stream(3000))
-    yield camera
-    camera.stop()
+def camera_after():
+    made = []
+
+    def make(telecommands):
+        made.append(Camera(stream(3000), telecommands))
+        return made[-1]
+
+    yield make
+    for one in made:
+        one.stop()
 
 
-def test_a_camera_is_started_read_and_recorded(camera, tmp_path, capsys):
-    record = tmp_path / "came.npz"
-    arguments = ["--start", "--ping", "--events", "3000", "--record", str(record), "--json"]
+def test_a_camera_is_started_read_and_recorded(camera_after, tmp_path, capsys):
+    record, camera = tmp_path / "came.npz", camera_after(telecommands=3)
+    arguments = ["--start", "--ping", "--housekeeping", "--events", "3000", "--record", str(record), "--json"]
     assert _main(["listen", "serial", camera.path, *arguments]) == 0
     said = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert said["events"] == 3000
@@ -82,7 +92,8 @@ def test_a_camera_is_started_read_and_recorded(camera, tmp_path, capsys):
     assert np.array_equal(load_record(record)[0], stream(3000))
 
 
-def test_people_are_told_in_words(camera, capsys):
+def test_people_are_told_in_words(camera_after, capsys):
+    camera = camera_after(telecommands=1)
     assert _main(["listen", "serial", camera.path, "--start", "--events", "3000"]) == 0
     out = capsys.readouterr().out
     assert "3000 events and 0 edges" in out

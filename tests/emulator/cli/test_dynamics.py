@@ -10,6 +10,7 @@ import pytest
 
 from firmware_protocol.pose_message import PoseMessage
 from tests.emulator.dynamics.conftest import falling
+from tests.free_ports import free_port
 
 __all__ = ["falling"]
 
@@ -35,7 +36,7 @@ def dynamics(file, folder, *options, trouble=0):
 def test_a_fall_arrives(falling, tmp_path):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as rig:
         rig.bind(("127.0.0.1", 0))
-        rig.settimeout(10)
+        rig.settimeout(120)
         run = dynamics(falling(2), tmp_path, "--to", f"127.0.0.1:{rig.getsockname()[1]}", "--stamped")
         poses = [PoseMessage.parse(rig.recv(100)) for _ in range(11)]
     assert run.returncode == 0, run.stderr
@@ -70,9 +71,7 @@ EXAMPLE = Path(__file__).parents[3] / "examples" / "fmu"
 
 def test_an_fmu_moves_the_camera_of_a_rig(falling, tmp_path):
     """Its fall makes events on a sensor without noise; every pose is taken, and the camera ends where the FMU does."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
+    port = free_port()
     rig_file, command = tmp_path / "lander.toml", [sys.executable, "-c", "from emulator.cli import main; main()"]
     rig_file.write_text((EXAMPLE / "lander.toml").read_text().replace("10364", str(port)))
     run = [*command, "run", rig_file, "--json", "--seconds", "0", "--ready-file", tmp_path / "ready"]

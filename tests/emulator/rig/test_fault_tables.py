@@ -178,7 +178,7 @@ def test_the_word_for_it_without_a_run(runtime, capsys):
 
 def test_a_fault_injected_into_a_run_is_done_and_told(runtime, capsys):
     bench = rig(SERIAL)
-    bench = replace(bench, run=replace(bench.run, seconds=30.0, max_late_ms=0.0))  # a busy machine may be late
+    bench = replace(bench, run=replace(bench.run, seconds=3000.0, max_late_ms=0.0))  # until `session.stop`
     codes = []
 
     def inject():
@@ -208,7 +208,7 @@ def test_a_fault_injected_into_a_run_is_done_and_told(runtime, capsys):
     assert told["link"] == "serial"
     assert told["fault"]["kind"] == "stall"
     lasted_us = told["fault"]["ended_us"] - told["fault"]["began_us"]
-    assert 190_000 < lasted_us < 10_000_000  # its end is noticed by a process that may have to wait for its turn
+    assert 190_000 < lasted_us < 120_000_000  # its end is noticed by a process that may have to wait for its turn
     assert "fault 1, stall, " in said
     assert [record.kind for record in result.links["serial"].faults] == ["stall"]
     assert result.good

@@ -9,6 +9,7 @@ import pytest
 
 from emulator.cli.app import _main
 from firmware_protocol.edges import EdgeKind
+from tests.free_ports import free_port
 from transports.recording.record import load_edges
 
 RIG = """
@@ -37,11 +38,6 @@ kind = "loopback"
 """
 
 
-def free_port():
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        return listener.getsockname()[1]
-
-
 def joined(port):
     """The bus, as socketcand's protocol lets any program join it."""
     for _ in range(6000):  # the link may have its coders to compile
@@ -58,8 +54,8 @@ def send_syncs(port):
         for words in (b"< open can0 >", b"< rawmode >"):
             bus.recv(1024)
             bus.sendall(words)
-        while b"frame" not in bus.recv(1024):
-            pass
+        while b"frame" not in (said := bus.recv(1024)):
+            assert said, "the bus has gone"
         try:
             while True:
                 bus.sendall(b"< send 080 0 >")

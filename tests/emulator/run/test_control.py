@@ -19,7 +19,7 @@ def control(tmp_path, monkeypatch):
 
 def client(control):
     sock = socket.socket(socket.AF_UNIX)
-    sock.settimeout(10)
+    sock.settimeout(120)
     sock.connect(str(control.path))
     return sock
 

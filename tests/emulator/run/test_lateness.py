@@ -1,9 +1,16 @@
 """Keeping up with real time."""
 
+import dataclasses
+
 import pytest
 
+from emulator.cli import demo
+from emulator.cli.run_output.lateness import lateness_lines
 from emulator.plan.step_control import FixedSteps
+from emulator.rig.loading import load_rig
 from emulator.run.lateness import LONGEST_STRETCH, Lateness, StepRule
+from emulator.run.ledger import Ledger
+from emulator.run.outcome import RunResult
 
 
 def test_a_run_in_time_keeps_its_step():
@@ -54,3 +61,28 @@ def test_the_lead_needed_is_from_when_computing_was_to_begin_until_ready():
 def test_a_step_must_last():
     with pytest.raises(ValueError, match="at least 1 ns"):
         FixedSteps(0)
+
+
+def result_of(late, steps, rig):
+    lateness = Lateness()
+    for _ in range(late):
+        lateness.add(2_000_000, 1)
+    limits = {"max_late_us": rig.run.max_late_ms * 1000, "max_late_share": rig.run.max_late_share}
+    return RunResult(1.0, 1.0, steps + 1, steps, Ledger(0, 0, 0, 0), lateness, **limits)
+
+
+def test_the_summary_says_which_limit_was_broken_and_by_how_much():
+    rig = load_rig("loopback")
+    (line,) = lateness_lines(rig, result_of(370, 935, rig))
+    assert line.startswith("NOT IN REAL TIME: 370 of 935 steps (39.6%) were late, and run.max_late_share is 0.01. Take")
+    (line,) = lateness_lines(rig, result_of(5, 935, rig))
+    assert line.startswith("late: 5 of 935 steps, the worst by 2000 us")
+    assert lateness_lines(rig, result_of(0, 935, rig)) == []
+    rig = dataclasses.replace(rig, run=dataclasses.replace(rig.run, max_late_ms=1.0, max_late_share=1.0))
+    (line,) = lateness_lines(rig, result_of(5, 935, rig))
+    assert line.startswith("NOT IN REAL TIME: the worst step was 0.002 s late, and run.max_late_ms is 1. Take")
+
+
+def test_a_demo_shows_lateness_and_judges_events():
+    assert load_rig("checkerboard").run.max_late_share == 0.01
+    assert demo._on_a_free_port(load_rig("checkerboard")).run.max_late_share == 1.0

@@ -53,7 +53,7 @@ def push(link, count, start_us):
     link.push_all(events, start_us + count)
 
 
-def until(condition, timeout_s=60.0):
+def until(condition, timeout_s=120.0):
     deadline_s = time.monotonic() + timeout_s
     while not condition():
         assert time.monotonic() < deadline_s
@@ -81,7 +81,7 @@ def test_a_link_that_is_to_be_restarted_goes_on_where_it_was():
     link = open_link(restart=True)
     push(link, 5000, 0)
     until(lambda: delivered(link) == 5000)
-    time.sleep(1.1)  # one that dies within a second is not started again
+    link._began_ns -= 2 * 10**9  # one that dies within a second is not started again
     os.kill(link._process.pid, signal.SIGKILL)
     until(lambda: link.listen().state == "restarting")
     push(link, 700, 10_000)
@@ -132,10 +132,9 @@ class Running:
         until(lambda: self._ready.exists() or self._process.poll() is not None)
         until(lambda: len(self.links()) == 2 or self._process.poll() is not None)
         assert self._process.poll() is None, "the run ended before a link could be killed"
-        time.sleep(0.5)
 
     def end(self):
-        return self._process.communicate(timeout=120)
+        return self._process.communicate(timeout=300)
 
     def result(self):
         out, err = self.end()
@@ -143,15 +142,25 @@ class Running:
         return self._process.returncode, json.loads(out.splitlines()[-1])
 
 
+def recorded(folder):
+    """Return how many bytes of events each link has recorded so far."""
+    parts = [folder / f"record-{name}.npz.part" for name in "ab"]
+    return [part.stat().st_size if part.exists() else 0 for part in parts]
+
+
 @pytest.mark.system
 def test_the_other_link_goes_on_and_the_summary_is_written(tmp_path):
-    with Running(tmp_path, arguments=["--seconds", "10"]) as running:  # a busy machine needs time to find the link
+    with Running(tmp_path, arguments=["--record", str(tmp_path / "record.npz"), "--seconds", "0"]) as running:
         running.wait_started()
+        until(lambda: all(recorded(tmp_path)))
         os.kill(running.links()[0], signal.SIGKILL)
+        until(lambda: len(running.links()) == 1)
+        before = recorded(tmp_path)
+        until(lambda: max(now - then for now, then in zip(recorded(tmp_path), before, strict=True)) > 100_000)
+        os.kill(running.pid, signal.SIGINT)
         code, summary = running.result()
     assert code == 1
     assert summary["balanced"]
-    assert summary["sim_seconds"] == 10
     states = sorted(link["error"] is None for link in summary["links"].values())
     assert states == [False, True]
 
@@ -162,6 +171,7 @@ def test_a_signal_to_the_group_ends_the_run_cleanly(tmp_path, number):
     record = tmp_path / "record.npz"
     with Running(tmp_path, arguments=["--record", str(record)]) as running:
         running.wait_started()
+        until(lambda: all(recorded(tmp_path)))
         os.killpg(running.pid, number)
         code, summary = running.result()
     assert code == 0
@@ -208,4 +218,4 @@ def test_an_unread_stderr_does_not_stop_the_run(tmp_path):
         stdout=subprocess.PIPE, stderr=subprocess.PIPE,
     ) as process:  # fmt: skip
         assert json.loads(process.stdout.readline())["balanced"]
-        assert process.wait(60) == 0
+        assert process.wait(300) == 0

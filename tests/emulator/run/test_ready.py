@@ -36,7 +36,7 @@ def test_the_file_appears_whole_or_not_at_all(tmp_path, monkeypatch):
 def test_a_service_manager_is_told(tmp_path, monkeypatch):
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
         manager.bind(str(tmp_path / "notify"))
-        manager.settimeout(5.0)
+        manager.settimeout(120.0)
         monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
         ReadySignal(None).tell({})
         assert manager.recv(100) == b"READY=1"

@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import numpy as np
 import pytest
 
 from emulator.rig.loading import RigError, parse_rig
@@ -11,7 +12,7 @@ from emulator.run.ledger import Ledger, LinkLedger
 from emulator.run.outcome import RunResult
 from emulator.run.verdict import good, judge
 from firmware_protocol.event_device import CameraCounters
-from transports.link.latency import LatencySummary
+from transports.link.latency import LatencyHistogram, LatencySummary
 from transports.link.report import LinkReport
 
 CAMERA = CameraCounters(offered=1000, not_running=100, dropped_fifo=30, delivered=870)
@@ -53,6 +54,35 @@ def test_what_no_rule_forgives():
     late.lateness.add(2_000_000, 1)
     assert broken(Verdict(), late) == ["in real time"]
     assert not late.good
+
+
+def late_run(late, steps, **limits):
+    """Return a run of which so many steps were late, each by 1 ms."""
+    lateness = Lateness()
+    for _ in range(late):
+        lateness.add(1_000_000, 1)
+    return dataclasses.replace(RESULT, steps=steps, lateness=lateness, **limits)
+
+
+def test_a_run_that_is_late_too_often_is_bad_however_little():
+    limits = {"max_late_us": 1e6, "max_late_share": 0.01}
+    assert broken(Verdict(), late_run(10, 1000, **limits)) == []
+    often = late_run(370, 935, **limits)
+    assert broken(Verdict(), often) == ["steps in time"]
+    assert not often.good
+    (judgement,) = (one for one in judge(Verdict(), often) if not one.good)
+    assert "370 of 935 steps late (0.396)" in judgement.told
+    assert "run.max_late_share is 0.01" in judgement.told
+    assert broken(Verdict(), late_run(370, 935, max_late_us=0.0, max_late_share=0.01)) == []
+    assert broken(Verdict(), late_run(0, 935, max_late_us=1e6, max_late_share=0.0)) == []
+
+
+def test_a_latency_above_a_fifth_of_a_second_breaks_its_limit():
+    latencies = LatencyHistogram()
+    latencies.add(np.full(100, 19e6))
+    slow = dataclasses.replace(RESULT, links={"usb": dataclasses.replace(LINK, latency=latencies.summary())})
+    assert broken(Verdict(max_latency_us=20e6), slow) == []
+    assert broken(Verdict(max_latency_us=1e6), slow) == ["verdict.max_latency_us usb"]
 
 
 @pytest.mark.parametrize("table", ["max_drop = 1.5", "min_rate_hz = -1", "min_rate_hz = 5\nmax_rate_hz = 4", "x = 1"])

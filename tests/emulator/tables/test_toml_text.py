@@ -70,7 +70,7 @@ def test_a_text_that_is_not_toml_is_told_with_line_and_cure(text, line, message)
     assert told.value.at("r.toml") == (f"r.toml, line {line}: {told.value}" if line else f"r.toml: {told.value}")
 
 
-@given(st.text(alphabet="ab[]=. \n\"1{}", max_size=60))
+@given(st.text(alphabet='ab[]=. \n"1{}', max_size=60))
 def test_any_text_is_a_table_or_an_error(text):
     line = None
     try:

@@ -38,7 +38,7 @@ def stream(count, gap_us=5, seed=1):
 def read_all(host, count):
     parts = []
     while sum(map(len, parts)) < count:
-        events = host.read(30.0)
+        events = host.read(120.0)
         assert events is not None
         parts.append(events)
     return np.concatenate(parts)

@@ -5,6 +5,12 @@ import pytest
 from tests.transports.gige.bench import Bench
 
 
+@pytest.fixture(autouse=True)
+def unhurried(monkeypatch):
+    """A host that asks for a minute, not for seconds: a busy machine may not let the camera answer sooner."""
+    monkeypatch.setattr("transports.gige.host._ATTEMPTS", 120)
+
+
 @pytest.fixture
 def bench():
     made = []

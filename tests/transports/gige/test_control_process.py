@@ -50,7 +50,7 @@ class Asker:
 
     def __init__(self, port):
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.settimeout(30.0)
+        self._socket.settimeout(120.0)
         self._socket.connect(("127.0.0.1", port))
         self._number = 0
 
@@ -138,7 +138,7 @@ def test_it_ends_with_its_link(end):
     link.send_signal(end)
     link.communicate()
     with pytest.raises(ProcessLookupError):
-        _looked_for(number, 60.0)
+        _looked_for(number, 120.0)
 
 
 def test_it_counts_to_the_end():

@@ -1,6 +1,7 @@
 """The latency histogram against sorted data."""
 
 import numpy as np
+import pytest
 
 from transports.link.latency import LatencyHistogram, LatencySummary
 
@@ -21,9 +22,26 @@ def test_nothing_measured_is_not_zero():
     assert LatencyHistogram().summary() == LatencySummary(None, None, None)
 
 
-def test_latencies_beyond_the_last_bin_keep_their_maximum():
+def test_an_event_before_its_time_counts_as_zero():
     histogram = LatencyHistogram()
     histogram.add(np.array([-5.0, 3e6]))
+    assert histogram.summary() == LatencySummary(10.0, 3e6, 3e6)
+
+
+@pytest.mark.parametrize("scale_us", [1e5, 1e6, 1e8, 1e12])
+def test_long_latencies_have_quantiles_too(scale_us):
+    """Half of them above 0.2 s, or all: within 1 % above those of the sorted data."""
+    latencies = np.random.default_rng(2).gamma(2.0, scale_us, 20_000)
+    histogram = LatencyHistogram()
+    for part in np.array_split(latencies, 7):
+        histogram.add(part)
     summary = histogram.summary()
-    assert summary.max == 3e6
-    assert summary.p50 == 10.0
+    for quantile_us, share in ((summary.p50, 0.5), (summary.p99, 0.99)):
+        exact_us = np.quantile(latencies, share, method="inverted_cdf")
+        assert exact_us <= quantile_us <= max(1.01 * exact_us, exact_us + 10)
+
+
+def test_latencies_beyond_all_bins_give_the_maximum():
+    histogram = LatencyHistogram()
+    histogram.add(np.array([1e15, 1e300]))
+    assert histogram.summary() == LatencySummary(1e300, 1e300, 1e300)

@@ -50,4 +50,5 @@ def test_a_wait_is_not_rounded_up_to_a_millisecond():
             selector.select(0.0002)
             return time.perf_counter() - start
 
-        assert 0.0002 <= min(waited_s() for _ in range(200)) < 0.001
+        assert min(waited_s() for _ in range(20)) >= 0.0002
+        assert any(waited_s() < 0.001 for _ in range(20_000))  # rounded up, none would be, however idle the machine

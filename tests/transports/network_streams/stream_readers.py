@@ -23,7 +23,7 @@ class DvReader:
             time.sleep(0.01)
 
     def read(self, count):
-        batches, have, until = [], 0, time.monotonic() + 60
+        batches, have, until = [], 0, time.monotonic() + 120
         while have < count:
             batch = self.client.getNextEventBatch()
             if batch is None:
@@ -68,24 +68,37 @@ def caer_events(data):
 
 
 class _Bytes:
-    """A thread that reads a TCP stream to its end."""
+    """A thread that reads a TCP stream to its end, so that the link does not wait while its bytes are decoded."""
 
     def __init__(self, link):
         host, _, port = link.report.address.rpartition(":")
-        self.socket = socket.create_connection((host, int(port)), timeout=60)
+        self._socket = socket.create_connection((host, int(port)), timeout=120)
+        self._pieces, self._held = queue.SimpleQueue(), bytearray()
+        self._thread = threading.Thread(target=self._take)
+        self._thread.start()
         while "waiting" in link.listen().state:
             time.sleep(0.01)
 
+    def _take(self):
+        with contextlib.suppress(OSError):  # it was closed here, or by the link
+            while piece := self._socket.recv(1 << 20):
+                self._pieces.put(piece)
+        self._pieces.put(b"")
+
     def exactly(self, size):
-        data = bytearray()
-        while len(data) < size:
-            piece = self.socket.recv(size - len(data))
+        while len(self._held) < size:
+            piece = self._pieces.get(timeout=120)
             assert piece, "the link closed the connection"
-            data += piece
-        return bytes(data)
+            self._held += piece
+        data = bytes(self._held[:size])
+        del self._held[:size]
+        return data
 
     def close(self):
-        self.socket.close()
+        with contextlib.suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)
+        self._thread.join()
+        self._socket.close()
 
 
 class CaerReader(_Bytes):
@@ -132,7 +145,7 @@ class DatagramReader:
     def read(self, count):
         events = []
         while len(events) < count:
-            events += self._decode(self._datagrams.get(timeout=60))
+            events += self._decode(self._datagrams.get(timeout=120))
         return np.array(events, EVENT)
 
     def close(self):

@@ -15,6 +15,7 @@ from emulator.run.assembly import link_setups
 from emulator.run.link_process import LinkProcess
 from evstim.testing.link_contract import LinkContract, event_stream
 from firmware_protocol.plain_device import PlainDevice
+from tests.free_ports import free_port
 from tests.transports.network_streams.stream_readers import DvReader
 from transports.link.deliveries import Deliveries
 from transports.link.pacing import MonotonicClock
@@ -29,11 +30,6 @@ class TestDvLz4(LinkContract):
 
     def reader(self, link):
         return DvReader(link)
-
-
-def free_port():
-    with closing(socket.create_server(("127.0.0.1", 0))) as server:
-        return server.getsockname()[1]
 
 
 def opened(table, more=""):
@@ -123,7 +119,7 @@ def test_the_camera_takes_edges_while_a_client_for_them_is_there():
 
 def edges_when(link, told):
     """Return what the camera says of its edges once `told` holds for it."""
-    until = time.monotonic() + 30
+    until = time.monotonic() + 120
     while not (link.listen().camera and told(link.report.camera.edges)):
         assert time.monotonic() < until, link.report
         time.sleep(0.01)

@@ -46,7 +46,7 @@ def clients(link, count):
 
 def connected(link):
     host, _, port = link.report.address.rpartition(":")
-    return socket.create_connection((host, int(port)), timeout=60)
+    return socket.create_connection((host, int(port)), timeout=120)
 
 
 def balanced(report, count):

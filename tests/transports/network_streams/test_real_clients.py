@@ -8,6 +8,7 @@ import sys
 import threading
 import time
 from contextlib import closing
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,7 +17,8 @@ from emulator.rig.loading import parse_rig
 from emulator.run.assembly import link_setups
 from emulator.run.link_process import LinkProcess
 from evstim.testing.link_contract import event_stream
-from tests.transports.network_streams.stream_readers import DvReader, udp_port
+from tests.free_ports import free_port
+from tests.transports.network_streams.stream_readers import DvReader
 from transports.link.pacing import MonotonicClock
 from transports.link.ring import FREE_RUNNING, EventRing
 
@@ -58,16 +60,23 @@ def opened(table):
     return link
 
 
-def free_udp_port():
-    with closing(udp_port()) as receiver:
-        return receiver.getsockname()[1]
-
-
-def started(script, *arguments, python=sys.executable):
-    client = subprocess.Popen([python, "-c", script, *map(str, arguments)], stdout=subprocess.PIPE, text=True)
+def started(script, port, *arguments, python=sys.executable):
+    """Start a client, and wait until it has opened its port, which it does when it is first asked."""
+    client = subprocess.Popen([python, "-c", script, *map(str, (port, *arguments))], stdout=subprocess.PIPE, text=True)
     assert client.stdout.readline() == "ready\n"
-    time.sleep(0.2)  # it opens its socket when it is first asked
+    until = time.monotonic() + 120
+    while not is_bound(port):
+        assert client.poll() is None
+        assert time.monotonic() < until
+        time.sleep(0.01)
     return client
+
+
+def is_bound(port):
+    """Return whether a UDP socket of this machine has the port."""
+    files = [path for name in ("udp", "udp6") if (path := Path("/proc/net", name)).exists()]
+    rows = [row.split() for path in files for row in path.read_text().splitlines()[1:]]
+    return any(int(row[1].rpartition(":")[2], 16) == port for row in rows)
 
 
 def sent(table, events):
@@ -83,10 +92,10 @@ def sent(table, events):
 @pytest.mark.parametrize("form", ["t64_x16_y16_on8", "t32_x16_y15_on1"])
 def test_faery_reads_its_datagrams(form, tmp_path):
     pytest.importorskip("faery", reason="the `files` extra is not installed")
-    events, port = event_stream(5000), free_udp_port()
+    events, port = event_stream(5000), free_port()
     with started(FAERY, port, form, len(events), tmp_path / "have.npy") as client:
         sent(f'kind = "udp"\nformat = "{form}"\nport = {port}\nmbit_s = 8.0', events)
-        assert client.wait(60) == 0
+        assert client.wait(300) == 0
     have = np.load(tmp_path / "have.npy")
     assert all((have[name] == events[name]).all() for name in ("t", "x", "y", "on"))
 
@@ -95,10 +104,10 @@ def test_aestream_counts_each_event_at_its_place(tmp_path):
     python = os.environ.get("EVSTIM_AESTREAM_PYTHON", sys.executable)
     if subprocess.run([python, "-c", "import aestream"], capture_output=True).returncode:
         pytest.skip("aestream is not installed here, nor below EVSTIM_AESTREAM_PYTHON")
-    events, port = event_stream(5000), free_udp_port()
+    events, port = event_stream(5000), free_port()
     with started(AESTREAM, port, len(events), tmp_path / "picture.npy", python=python) as client:
         sent(f'kind = "udp"\nformat = "spif"\nport = {port}\nmbit_s = 2.0', events)
-        assert client.wait(60) == 0
+        assert client.wait(300) == 0
     expected = np.zeros((346, 260))
     np.add.at(expected, (events["x"], events["y"]), 1)
     np.testing.assert_array_equal(np.load(tmp_path / "picture.npy"), expected)
@@ -117,7 +126,7 @@ def test_numpy_reads_event_images():
     pictures = '[links.pictures]\nchannels = ["on", "off", "level", "filtered"]\nfilter_ms = 0.1'
     link = opened(f'kind = "tcp"\nformat = "event_image"\nport = 0\nframe_ms = 5.0\nbuffer_mib = 64.0\n{pictures}')
     host, _, port = link.report.address.rpartition(":")
-    with socket.create_connection((host, int(port)), timeout=60) as client:
+    with socket.create_connection((host, int(port)), timeout=120) as client:
         while "waiting" in link.listen().state:
             time.sleep(0.01)
         link.start(FREE_RUNNING)

@@ -85,10 +85,10 @@ class EventReader(Peer):
         self.packets = []
 
     def read(self, count):
-        have, until = 0, time.monotonic() + 60
+        have, until = 0, time.monotonic() + 120
         while have < count:
             assert time.monotonic() < until, f"only {have} of {count} events came"
-            packet = self.types.deserialize_cdr(self.messages.get(timeout=60), "event_camera_msgs/msg/EventPacket")
+            packet = self.types.deserialize_cdr(self.messages.get(timeout=120), "event_camera_msgs/msg/EventPacket")
             have += events_in(packet)
             self.packets.append(packet)
         return decoded(self.packets)

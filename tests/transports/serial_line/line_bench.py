@@ -20,7 +20,7 @@ from transports.serial_line.parameters import SerialParameters
 
 ORIGIN_NS = 1_000_000_000
 TICK_NS = 500_000
-PATIENCE_S = 60.0
+PATIENCE_S = 120.0
 
 
 def stream(count, every_us=20, start_us=0):

@@ -13,7 +13,7 @@ from transports.serial_line.parameters import SerialParameters
 from transports.serial_line.port import DescriptorPort, ThreadedPort
 from transports.serial_line.pty_pair import PtyPort
 
-PATIENCE_S = 60.0
+PATIENCE_S = 120.0
 
 
 def until(condition):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import socket
 import threading
+import time
 from collections import deque
 
 import pytest
@@ -37,7 +38,7 @@ class FakeDevice(UsbDevice):
 
     def wait_for(self, entry: str, times: int = 1) -> None:
         with self.events:
-            assert self.events.wait_for(lambda: self.log.count(entry) >= times, 30), (entry, times, self.log)
+            assert self.events.wait_for(lambda: self.log.count(entry) >= times, 120), (entry, times, self.log)
 
     @property
     def identity(self) -> Identity:
@@ -108,7 +109,7 @@ class ServerThread:
         return self.server
 
     def run(self, coroutine):
-        return asyncio.run_coroutine_threadsafe(coroutine, self.loop).result(30)
+        return asyncio.run_coroutine_threadsafe(coroutine, self.loop).result(120)
 
     def call(self, function, *args):
         async def wrapped():
@@ -124,13 +125,13 @@ class ServerThread:
         self.call(feed)
 
     def connect(self) -> socket.socket:
-        sock = socket.create_connection(("127.0.0.1", self.server.port), 30)
+        sock = socket.create_connection(("127.0.0.1", self.server.port), 120)
         self._sockets.append(sock)
         return sock
 
     def pair(self) -> socket.socket:
         ours, theirs = socket.socketpair()
-        ours.settimeout(30)
+        ours.settimeout(120)
         self._sockets.append(ours)
         self.run(self.server.serve(theirs))
         return ours
@@ -142,6 +143,18 @@ class ServerThread:
         self.loop.call_soon_threadsafe(self.loop.stop)
         self._thread.join()
         self.loop.close()
+
+
+@pytest.fixture
+def impatient(monkeypatch):
+    """Makes the next wait of a USB/IP host for an answer short, for one that is in vain; others last as before."""
+    short_s = deque()
+
+    def deadline(timeout_s):
+        return time.monotonic() + (short_s.popleft() if short_s else timeout_s)
+
+    monkeypatch.setattr("transports.usb.usbip.client._deadline", deadline)
+    return lambda: short_s.append(0.1)
 
 
 @pytest.fixture
@@ -165,7 +178,7 @@ def bench():
 @pytest.fixture
 def served(bench, device):
     """A server with one fake device at 1-1."""
-    bench.start({"1-1": device}, ConnectionSettings(operation_timeout_s=30))
+    bench.start({"1-1": device}, ConnectionSettings(operation_timeout_s=120))
     return bench
 
 

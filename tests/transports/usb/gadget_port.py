@@ -20,7 +20,7 @@ from transports.usb.functionfs.cable import Cable
 from transports.usb.host import StallError, TransferTimeout
 
 PACKET_BYTES = 1024
-PATIENCE_S = 30.0
+PATIENCE_S = 120.0
 
 
 class PortControl:
@@ -305,11 +305,11 @@ class GadgetBench:
             assert time.monotonic() < deadline_s, "in vain"
             time.sleep(0.001)
 
-    def unplug(self) -> None:
+    def unplug(self, linger_s: float = 0.2) -> None:
         """End the cable, as the end of a run does."""
         if self.cable is not None:
             cable, self.cable = self.cable, None
-            self.run(cable.close(lambda: self.port.turn(EventKind.UNBIND), linger_s=0.2))
+            self.run(cable.close(lambda: self.port.turn(EventKind.UNBIND), linger_s=linger_s))
 
     def close(self) -> None:
         self.unplug()

@@ -31,7 +31,7 @@ def read_urb(sock: socket.socket) -> tuple[int, int, int]:
 
 def is_closed(sock: socket.socket) -> bool:
     """True when the server ends the connection, whatever it still says before."""
-    sock.settimeout(30)
+    sock.settimeout(120)
     try:
         while sock.recv(65536):
             pass
@@ -52,7 +52,7 @@ def attached(bench) -> socket.socket:
 def assert_serves(bench, device) -> None:
     """The next host gets the device and an answer."""
     before = device.log.count("detached")
-    with UsbipHost(bench.connect(), "1-1", timeout_s=30) as host:
+    with UsbipHost(bench.connect(), "1-1", timeout_s=120) as host:
         assert len(host.control_in(GET_DEVICE)) == 18
     device.wait_for("detached", before + 1)
 

@@ -18,7 +18,7 @@ class TestUsbip(UsbContract):
         self.bench = bench
 
     def plug(self, device, timeout_s):
-        self.bench.run(self.bench.server.close(linger_s=30))
+        self.bench.run(self.bench.server.close(linger_s=120))
         self.bench.start({"1-1": device})
 
         def call(function, *args):

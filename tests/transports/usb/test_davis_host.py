@@ -38,7 +38,7 @@ def cable(request, bench, usb_bus):
             camera.advance(now_us)
             bench.server.pump()
 
-        return UsbipHost(bench.connect(), "1-1", timeout_s=30), lambda *args: bench.call(play, *args)
+        return UsbipHost(bench.connect(), "1-1", timeout_s=120), lambda *args: bench.call(play, *args)
 
     def pyusb(camera):
         bus = usb_bus(camera, camera.settings.descriptors())
@@ -55,7 +55,7 @@ def cable(request, bench, usb_bus):
 def read_all(driver: DavisHost, n: int) -> np.ndarray:
     parts = [np.zeros(0, EVENT)]
     while sum(map(len, parts)) < n:
-        part = driver.read(30)
+        part = driver.read(120)
         assert part is not None, f"{sum(map(len, parts))} of {n} events"
         parts.append(part)
     return np.concatenate(parts)
@@ -152,7 +152,7 @@ def test_idle_camera_gives_no_events_or_nothing(cable):
     driver = DavisHost(host)
     driver.start(SMALL)
     play(np.zeros(0, EVENT), 100_000)
-    assert len(driver.read(30)) == 0
+    assert len(driver.read(120)) == 0
     assert driver.read(0) is None
     driver.close()
 
@@ -198,17 +198,17 @@ def test_refuses_another_camera(bench, device, monkeypatch):
     monkeypatch.setattr(type(device), "identity", Identity(1, 2, 6, Speed.SUPER))
     bench.start({"1-1": device})
     with pytest.raises(UnsuitableDevice, match="0001:0002 is not a DAVIS"):
-        DavisHost(UsbipHost(bench.connect(), "1-1", timeout_s=30))
+        DavisHost(UsbipHost(bench.connect(), "1-1", timeout_s=120))
     device.wait_for("detached")
 
 
 def test_camera_that_goes_away_while_streaming(bench):
     bench.start({"1-1": Davis346()})
-    driver = DavisHost(UsbipHost(bench.connect(), "1-1", timeout_s=30))
+    driver = DavisHost(UsbipHost(bench.connect(), "1-1", timeout_s=120))
     driver.start(SMALL)
     bench.run(bench.server.close(linger_s=0))
     with pytest.raises(PeerGone):
-        driver.read(30)
+        driver.read(120)
     driver.close()
 
 
@@ -217,7 +217,7 @@ def test_reset_that_never_shows_is_a_timeout(bench, monkeypatch):
     camera = Davis346()
     monkeypatch.setattr(camera, "read", lambda endpoint, max_bytes: None)
     bench.start({"1-1": camera})
-    driver = DavisHost(UsbipHost(bench.connect(), "1-1", timeout_s=30))
+    driver = DavisHost(UsbipHost(bench.connect(), "1-1", timeout_s=120))
     with pytest.raises(TransferTimeout, match="timestamp reset"):
         driver.start(SMALL)
     driver.close()

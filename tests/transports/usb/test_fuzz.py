@@ -52,7 +52,7 @@ async def play(device, pieces: list[bytes]) -> bytes:
         await server.serve(theirs)
         after.setblocking(False)
         await loop.sock_sendall(after, bytes(DeviceListRequest()))
-        listed = await asyncio.wait_for(loop.sock_recv(after, 4096), 30)
+        listed = await asyncio.wait_for(loop.sock_recv(after, 4096), 120)
     await server.close(linger_s=0)
     return listed
 

@@ -67,7 +67,7 @@ def test_device_that_goes_away_ends_the_stream(bus):
     reader = host.stream(2, 512, 4)
     bus.break_with(errno.ENODEV)
     with pytest.raises(PeerGone):
-        reader.read(30)
+        reader.read(120)
     bus.break_with(None)
     host.close()
 
@@ -78,7 +78,7 @@ def test_a_slow_caller_holds_the_device_back_and_loses_nothing(usb_bus, device):
     host = PyusbHost.find(0x152A, 0x841A, bus)
     host.configure()
     reader = host.stream(2, 512, 4)
-    first = [reader.read(30) for _ in range(10)]
+    first = [reader.read(120) for _ in range(10)]
     rest = reader.close()
     assert first + rest == device.given
     assert len(rest) <= 6

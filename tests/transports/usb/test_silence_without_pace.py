@@ -39,14 +39,14 @@ async def reports_of(camera, fault):
     port, done = int(link.endpoint.address.rpartition(":")[2]), asyncio.Event()
 
     def read_all():
-        with UsbipHost.attach(port=port, timeout_s=30) as host:
+        with UsbipHost.attach(port=port, timeout_s=120) as host:
             driver = driver_of(host)
             driver.start()
             while not done.is_set():
                 driver.read(0.05)
 
     reading = asyncio.create_task(asyncio.to_thread(read_all))
-    ends_s = time.monotonic() + 60
+    ends_s = time.monotonic() + 300
     while not (link.idle and ring.origin_ns is not None) and time.monotonic() < ends_s:
         link.tick()
         if ring.origin_ns is None and camera.streaming:

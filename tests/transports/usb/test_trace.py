@@ -27,6 +27,12 @@ FIELDS = [
 ]  # fmt: skip
 
 
+@pytest.fixture(autouse=True)
+def unhurried(monkeypatch):
+    """A writer that has two minutes to finish its files, not the seconds of a run."""
+    monkeypatch.setattr("transports.usb.usbip.trace._CLOSE_TIMEOUT_S", 120.0)
+
+
 class Ticks:
     """Time that goes on by a microsecond at each look."""
 
@@ -55,7 +61,7 @@ def traced(bench, tmp_path):
     faulty = FaultyDevice(camera, FaultPlan("usb"))
     trace = UrbTrace(tmp_path / "usb", faulty, Ticks())
     bench.start({"2-3": faulty}, observer=trace)
-    host = UsbipHost.attach(port=bench.server.port, busid="2-3", timeout_s=30)
+    host = UsbipHost.attach(port=bench.server.port, busid="2-3", timeout_s=120)
     driver = DavisHost(host)
     driver.start(StreamSettings(transfer_bytes=8192, transfers=3))
     bench.call(faulty.inject, ControlStall(count=1))
@@ -169,7 +175,8 @@ def test_unlinks_are_in_the_trace_before_the_ends_of_their_urbs(bench, device, t
     ]  # fmt: skip
 
 
-def test_what_does_not_fit_the_queue_is_counted_and_told(trace, tmp_path):
+def test_what_does_not_fit_the_queue_is_counted_and_told(trace, tmp_path, monkeypatch):
+    monkeypatch.setattr("transports.usb.usbip.trace._PERIOD_S", 600.0)  # nothing is written before the end
     one = trace(capacity_bytes=600)
     for number in range(1, 4):
         one.completed(urb(number), 0, 512, bytes(512))
@@ -205,7 +212,7 @@ def test_what_waits_when_a_host_goes_is_over_too(bench, tmp_path):
     trace = UrbTrace(tmp_path / "usb", Davis346(), Ticks())
     camera = Davis346()
     bench.start({"1-1": camera}, observer=trace)
-    with UsbipHost.attach(port=bench.server.port, timeout_s=30) as host:
+    with UsbipHost.attach(port=bench.server.port, timeout_s=120) as host:
         host.configure()
         host.stream(2, 512, 2)
         DavisHost(host)

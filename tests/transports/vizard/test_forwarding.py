@@ -40,13 +40,13 @@ class Visualiser:
 
     def _serve(self, replies):
         for reply in replies:
-            if self._socket.poll(20_000):
+            if self._socket.poll(120_000):
                 self.asked.append(self._socket.recv_multipart())
                 self._socket.send_multipart(reply)
         self._socket.close(1000)
 
     def join(self):
-        self._thread.join(30)
+        self._thread.join(120)
         self._context.term()
 
 

@@ -11,7 +11,8 @@ from transports.vizard.server import VizardServer
 
 pytestmark = pytest.mark.socket
 
-LONG_MS = 20_000
+LONG_MS = 120_000
+LOOKS = 2400  # of 50 ms each
 
 
 @contextmanager
@@ -32,7 +33,7 @@ def peer(address, kind=zmq.REQ):
 
 
 def until(condition, look):
-    for _ in range(400):
+    for _ in range(LOOKS):
         look()
         if condition():
             return
@@ -41,7 +42,7 @@ def until(condition, look):
 
 def received(one):
     """Return the next request; what other peers do can make a single look come back empty."""
-    return next(parts for _ in range(400) if (parts := one.receive(50)) is not None)
+    return next(parts for _ in range(LOOKS) if (parts := one.receive(50)) is not None)
 
 
 def test_a_request_and_its_reply():

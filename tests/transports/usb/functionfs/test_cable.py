@@ -132,7 +132,7 @@ def test_the_end_of_a_run_waits_for_a_host_that_reads(bench, camera):
     bench.until(lambda: camera.counters.queued > 0)
     reader = host.stream(2, 65536)
     data = reader.read(PATIENCE_S)
-    bench.unplug()
+    bench.unplug(linger_s=PATIENCE_S)
     assert data
     assert camera.counters.delivered > 0
     assert camera.counters.accounted == 300
@@ -211,6 +211,7 @@ def test_nothing_of_a_device_is_read_before_a_host_has_chosen_the_configuration(
     with pytest.raises(TransferTimeout):
         host.bulk_in(2, 512)
     assert device.given == []
+    host._timeout_s = PATIENCE_S
     host.configure()
     assert host.bulk_in(2, 512) == b"words"
     assert Transfer(b"words").data == device.given[0]

@@ -42,7 +42,7 @@ def test_events_are_waited_for_and_read_one_by_one(ep0):
     waiting = threading.Thread(target=lambda: read.append(control.next_event()))
     waiting.start()
     kernel.send(bytes(Event(EventKind.ENABLE)))
-    waiting.join(30)
+    waiting.join(120)
     assert read == [Event(EventKind.ENABLE)]
 
 
@@ -52,7 +52,7 @@ def test_the_waiting_for_events_can_be_ended(ep0):
     waiting = threading.Thread(target=lambda: read.append(control.next_event()))
     waiting.start()
     control.wake()
-    waiting.join(30)
+    waiting.join(120)
     assert read == [None]
 
 
@@ -82,7 +82,7 @@ def test_a_blocked_write_ends_with_a_signal_and_is_not_begun_again():
     thread.start()
     while not ended.wait(0.01):
         pipe.interrupt()
-    thread.join(30)
+    thread.join(120)
     assert errors
     pipe.interrupt()  # nobody is in a call: nothing happens
     pipe.close()

@@ -1,0 +1,52 @@
+"""The page of a run's report: the share of undersampled pixel-steps and the late steps, as the terminal shows them."""
+
+import dataclasses
+
+import pytest
+
+from emulator.cli.run import print_summary
+from emulator.rig.loading import load_rig
+from emulator.run.lateness import Lateness
+from emulator.run.ledger import Ledger
+from emulator.run.outcome import RunResult
+from emulator.run.report.observation import Observation
+from emulator.run.report.page import Reported, write_report
+from emulator.run.verdict import judge
+
+RESULT = RunResult(1.0, 1.0, 101, 100, Ledger(0, 0, 0, 0), Lateness())
+
+
+@pytest.fixture
+def page(tmp_path):
+    pytest.importorskip("matplotlib", reason="charts (extra report)")
+    rig = load_rig("checkerboard")
+
+    def page_of(result):
+        reported = Reported(rig, result, Observation((20, 10)), judge(rig.verdict, result), {}, "1.0")
+        path, *_ = write_report(reported, tmp_path)
+        return path.read_text()
+
+    return page_of
+
+
+@pytest.mark.parametrize(("share", "told"), [(0.25, "0.25 of the solved"), (0.02, "0.02 of"), (None, "not measured")])
+def test_the_share_of_undersampled_pixel_steps_is_in_every_report(share, told, page):
+    text = page(dataclasses.replace(RESULT, undersampled_share=share))
+    assert f"<td>undersampled</td><td>{told}" in text
+
+
+@pytest.mark.parametrize("share", [0.25, 0.02])
+def test_the_report_has_the_advice_of_the_terminal(share, page, capsys):
+    result = dataclasses.replace(RESULT, undersampled_share=share)
+    print_summary(load_rig("checkerboard"), result)
+    advice = [line for line in capsys.readouterr().out.splitlines() if line.startswith("pictures too far apart")]
+    assert len(advice) == (share > 0.1)
+    text = page(result)
+    assert ("pictures too far apart" in text) is bool(advice)
+    assert all(f"<p>{line}</p>" in text for line in advice)
+
+
+def test_late_steps_are_counted_in_the_report(page):
+    late = dataclasses.replace(RESULT, lateness=Lateness())
+    late.lateness.add(2_000_000, 1)
+    assert "<td>late steps</td><td>1 of 100, worst 2000 us</td>" in page(late)
