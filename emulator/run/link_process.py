@@ -140,6 +140,9 @@ class LinkProcess:
         self._process.join(5.0)
         if self._process.is_alive():
             self._process.kill()
+            self._process.join(5.0)
+        if self._process.exitcode:
+            self._setup.endpoint.remove_remains()
         return self._accounted()
 
     def _push(self, events: Events, now_us: int) -> None:
@@ -173,6 +176,7 @@ class LinkProcess:
 
     def _died(self) -> None:
         self._process.join(1.0)
+        self._setup.endpoint.remove_remains()
         why = f"its process ended (exit code {self._process.exitcode})"
         ran_ns = self._clock.now_ns() - self._began_ns
         if not self._setup.restart or ran_ns < _RESTART_AFTER_NS:

@@ -118,6 +118,10 @@ class EndpointFactory(ABC, Generic[_Served]):
     def build(self, device: _Served, deliveries: Deliveries) -> Endpoint:
         """Return the endpoint that serves `device` and tells `deliveries` of the events that have left."""
 
+    def remove_remains(self) -> None:
+        """Remove what a process of this link that was killed left on the machine; what a running one has stays."""
+        return
+
     def traced(self, path: Path) -> EndpointFactory[_Served] | None:
         """Return the same with a trace of its cable in PATH.txt and PATH.pcap; None where there is no such cable."""
         return None
