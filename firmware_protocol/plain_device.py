@@ -287,7 +287,8 @@ class PlainDevice(EventDevice):
 
     def lost_readings(self, kind: ReadingKind, count: int) -> None:
         """Say that `count` readings of a kind more of those that were taken did not arrive."""
-        self._readings[kind].lose(count)
+        if count:
+            self._readings[kind].lose(count)
 
     def drop_waiting(self) -> None:
         """Drop all that waits: nobody will take it."""

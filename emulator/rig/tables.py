@@ -110,7 +110,8 @@ class Run:
         In real time: a run whose worst step was ready later than this after it was due has not kept up, and its verdict
         is bad. 0: no limit.
     restart_links
-        Whether a link whose process died is started again. Otherwise the other links go on without it.
+        Whether a link whose process died is started again; its record and its own file go on in NAME-restart1.SUFFIX.
+        Otherwise the other links go on without it.
     fifo_priority
         Above 0: links run under SCHED_FIFO at this priority (1 to 99), before all that is not as urgent. Delivery and
         the stamps of a bus are then steady on a busy machine. Needs root, or a limit of 'rtprio'.
