@@ -61,9 +61,8 @@ def aedat2_header(size: tuple[int, int], unix_us: int = 0) -> bytes:
 def event_words(events: Events, size: tuple[int, int]) -> Words:
     """Return events (n,) EVENT of a sensor of `size`, (n,) WORD."""
     words = np.empty(len(events), WORD)
-    x = size[0] - 1 - events["x"].astype(np.int64)
-    y = size[1] - 1 - events["y"].astype(np.int64)
-    words["address"] = (y << 22) | (x << 12) | (events["on"].astype(np.int64) << 11)
+    x, y = np.uint32(size[0] - 1) - events["x"], np.uint32(size[1] - 1) - events["y"]
+    words["address"] = (y << np.uint32(22)) | (x << np.uint32(12)) | (events["on"].astype(np.uint32) << np.uint32(11))
     words["t"] = events["t"]
     return words
 

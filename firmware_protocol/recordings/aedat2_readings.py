@@ -23,7 +23,7 @@ from firmware_protocol.recordings.part import IMU, Frame, ImuRecords, ten_bits
 
 __all__ = ["WORD", "FrameWords", "ImuWords", "Words", "frame_words", "imu_words"]
 
-WORD = np.dtype([("address", "<u4"), ("t", "<u8")])
+WORD = np.dtype([("address", "<u4"), ("t", "<u8")], align=True)
 """An address, and its time, us, which does not wrap."""
 
 Words = npt.NDArray[np.void]
@@ -41,6 +41,8 @@ _LEAST_RESET_DN = 384  # hosts take lower ones for saturated pixels
 
 def imu_words(imu: ImuRecords) -> Words:
     """Return the words of samples (n,) IMU, (7 n,) WORD; values beyond 4 g and 500 deg/s are cut."""
+    if not len(imu):
+        return np.empty(0, WORD)
     counts = (np.stack([imu[name] for name in _VALUES], 1) - _OFFSET) * _PER_UNIT
     raw = np.clip(np.rint(counts), -32768, 32767).astype(np.int64) & 0xFFFF
     words = np.empty(raw.size, WORD)

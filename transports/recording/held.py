@@ -24,7 +24,7 @@ class HeldRecords:
     """
 
     def __init__(self, dtype: np.dtype[Any]) -> None:
-        self._dtype = dtype
+        self._dtype, self._none = dtype, np.zeros(0, dtype)
         self._pieces: deque[_Records] = deque()
         self._last_us = 0
         self._is_sorted = True
@@ -48,6 +48,8 @@ class HeldRecords:
 
     def take(self, until_us: int) -> _Records:
         """Return the records up to `until_us`, (n,) in the order of time; those of one time as they came."""
+        if not self._pieces:
+            return self._none
         self._sort()
         taken = []
         while self._pieces and int(self._pieces[0]["t"][0]) <= until_us:
@@ -68,7 +70,7 @@ class HeldRecords:
     def _joined(self, pieces: list[_Records]) -> _Records:
         if self._dtype == EVENT:
             return join_events(pieces)
-        return np.concatenate([np.zeros(0, self._dtype), *pieces])
+        return np.concatenate([self._none, *pieces])
 
 
 class HeldFrames:

@@ -88,12 +88,13 @@ class RecordingFile:
         self._facts = dataclasses.replace(self._facts, unix_us=unix_us)
         is_new = self._is_new
         self.close()
-        if is_new:  # nothing has been written, so that the same file serves
+        if is_new:  # nothing has come, so that the same file serves
             _remove(self.paths.pop())
         self._begin()
 
     def write(self, part: Part) -> None:
         """Append a part; raises RecordingError for events that the format cannot hold, and what its writer raises."""
+        self._is_new = False
         self.left_out.update({name: n for name, n in counts_of(part).items() if name not in self._streams})
         if len(part.events):
             self._check(part.events)
@@ -102,7 +103,7 @@ class RecordingFile:
             self._since_flush += len(part.events)
         for name, records in (("events", part.events), ("edges", part.edges), ("imu", part.imu)):
             if len(records) and name in self._streams:
-                self._hold_records(name, records)
+                self._hold_records(name, records if name == "events" else _sorted(records))
         if part.frames and "frames" in self._streams:
             self._hold_frames(part.frames)
         self.reach(self._last_us)
@@ -121,7 +122,7 @@ class RecordingFile:
         last_us = int(records["t"][-1])
         if last_us >= self._form.until_us:
             raise RecordingError(f"{self._form.title} holds no time beyond {self._form.until_us // 1_000_000} s")
-        late = int(np.count_nonzero(records["t"].astype(np.int64) < self._earliest_us(name)))
+        late = int(np.searchsorted(records["t"], np.uint64(self._earliest_us(name))))
         self.late[name] += late
         self._held[name].add(records[late:])
         self._newest_us = max(self._newest_us, last_us - _ALONE_US)
@@ -179,7 +180,6 @@ class RecordingFile:
         counts = counts_of(part)
         if not counts or self._writer is None:
             return
-        self._is_new = False
         self._writer.write(part)
         self.written.update(counts)
         for name, records in taken.items():
@@ -203,6 +203,12 @@ def _hold_us(form: Format, facts: Facts) -> int:
     if form.holds == ("events",):
         return 0
     return _HOLD_FRAMES_US if "frames" in form.ordered and "frames" in facts.streams else _HOLD_US
+
+
+def _sorted(records: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return the records of a piece in the order of time: files of other programs may have another."""
+    is_sorted = bool((records["t"][1:] >= records["t"][:-1]).all())
+    return records if is_sorted else records[np.argsort(records["t"], kind="stable")]
 
 
 def _is_inside(frame: Frame, size: tuple[int, int]) -> bool:

@@ -8,6 +8,7 @@ import sys
 import time
 
 import dv_processing
+import h5py
 import numpy as np
 import pytest
 
@@ -165,6 +166,7 @@ model = "davis346"
 width = 64
 height = 48
 """
+RESETS = {"events": "resets", "edges": "edge_resets", "imu": "imu_resets", "frames": "frame_resets"}
 EVERY_50_MS = "[trigger]\nperiod_ms = 50.0\n"
 
 
@@ -191,11 +193,27 @@ def test_a_record_holds_what_its_format_can_whatever_the_step(step_us, camera, t
         assert file["written"]["events"] == run["events"]["read_out"] > 1000
         assert (file["written"]["edges"], set(file["left_out"])) == (10, left_out)
         counts = file["written"] | file["left_out"]
-        assert (counts["frames"], 495 <= counts["imu"] <= 505) == (12, True)
+        assert (counts["frames"], 495 <= counts["imu"] <= 505) == (13, True)
     events = load_record(tmp_path / "a.npz")[0]
     for name in ("a.raw", "a.aedat2"):
         np.testing.assert_array_equal(read_all(tmp_path / name)[1], events)
     assert set(load_edges(tmp_path / "a.npz")[0]["t"].tolist()) == set(range(50_000, 500_001, 50_000))
+
+
+@pytest.mark.system
+@pytest.mark.parametrize("step_us", [1000, 120_000, 250_000])
+def test_truth_and_record_are_in_the_order_of_time_with_triggers(step_us, camera, tmp_path, capsys):
+    rig, paths = camera(step_us), [tmp_path / "true.h5", tmp_path / "a.npz"]
+    rig.write_text(rig.read_text() + '[[links]]\nkind = "loopback"\n')
+    arguments = ["--seconds", "0.5", "--pace", "free", "--truth", paths[0], "--record", paths[1]]
+    code, run = told(capsys, "run", rig, *arguments)
+    assert (code, run["truth_trouble"]) == (0, "")
+    with h5py.File(paths[0]) as truth, np.load(paths[1]) as record:
+        streams = [truth["events/t"][:], truth["clean_events/t"][:], truth["pictures/t"][:]]
+        streams += [record[name]["t"][record[resets][-1] :] for name, resets in RESETS.items() if name in record]
+        assert len(truth["events/t"]) == run["events"]["read_out"]
+        assert len(record["edges"]) > 10
+    assert all((np.diff(t.astype(np.float64)) >= 0).all() for t in streams)
 
 
 def test_info_lists_every_stream_with_its_times(camera, tmp_path, capsys):

@@ -109,6 +109,16 @@ def test_each_clock_has_a_file_of_its_own(tmp_path):
     assert [read_all(path)[0].facts.unix_us for path in file.paths] == [10**15 + 100, 2 * 10**15 + 50]
 
 
+def test_a_clock_that_starts_anew_before_anything_is_written_begins_a_new_file_too(tmp_path):
+    file = RecordingFile(tmp_path / "a.raw", FORMATS["evt3"], Facts(SIZE))
+    file.restart(0)
+    file.write(Part(events_at([100, 200])))
+    file.restart(0)  # a run without a date
+    file.write(Part(events_at([50])))
+    file.close()
+    assert [read_all(path)[1]["t"].tolist() for path in file.paths] == [[100, 200], [50]]
+
+
 def edge_at(t_us):
     edge = np.zeros(1, EDGE)
     edge["t"], edge["kind"] = t_us, 2
