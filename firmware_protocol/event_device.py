@@ -178,7 +178,8 @@ class EventDevice(ABC):
     def offer_edges(self, edges: Edges) -> None:
         """Give the camera edges on its external input, (n,) EDGE in stream time, sorted; copied.
 
-        An edge may be older than `now_us`: it was measured elsewhere and comes as soon as it can, with its own time.
+        An edge may be older than `now_us`: it was measured elsewhere and comes as soon as it can, with its own time;
+        where later events have left already, it may be dated as early as possible.
         A camera whose detector is off, or that has none, counts them as ignored.
         """
 

@@ -25,6 +25,8 @@ class WholeFrame:
         Where its region begins in the array.
     reset, signal
         (rows, columns) uint16, ADC values.
+    records
+        Lines and moments that it was made of.
     """
 
     start_us: int
@@ -35,6 +37,7 @@ class WholeFrame:
     first_row: int
     reset: Samples
     signal: Samples
+    records: int = 0
 
     @property
     def pixels(self) -> Samples:
@@ -80,4 +83,4 @@ def _whole(told: Readings) -> list[WholeFrame]:
     by_column = told["by_column"][0]
     reset, signal = (np.ascontiguousarray(read.T if by_column else read) for read in reads)
     start, opened, shut, end = (int(one["t"][0]) for one in moments)
-    return [WholeFrame(start, opened, shut, end, left, top, reset, signal)]
+    return [WholeFrame(start, opened, shut, end, left, top, reset, signal, len(told))]

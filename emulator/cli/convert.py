@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -16,29 +17,15 @@ from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, console, 
 from emulator.cli.recording_paths import check_recording, parsed_size, reading, writing
 from transports.recording.format import Format
 from transports.recording.guarded import OpenRecording
-from transports.recording.part import Facts, Part, Reader, RecordingError
+from transports.recording.part import Facts, Reader, RecordingError, counts_of
 from transports.recording.recovery import RawEvents, recover_aedat4
+from transports.recording.summary import named
 from transports.recording.writing import RecordingFile
 
 __all__ = ["convert", "recover"]
 
 _PROGRESS_S = 2.0
-
-
-@dataclass
-class _Tally:
-    """What was read: for what is left out."""
-
-    events: int = 0
-    edges: int = 0
-    imu: int = 0
-    frames: int = 0
-
-    def add(self, part: Part) -> None:
-        self.events += len(part.events)
-        self.edges += len(part.edges)
-        self.imu += len(part.imu)
-        self.frames += len(part.frames)
+_LATE = "as they come in the file after what is later in time"
 
 
 def convert(
@@ -76,17 +63,16 @@ def convert(
 class _Done:
     """What a conversion did, and why its input was not read to its end."""
 
-    read: _Tally
+    read: Counter[str]
     file: RecordingFile
     trouble: str
     seconds: float
 
 
 def _convert(source: OpenRecording | Reader, facts: Facts, target: Path, form: Format) -> _Done:
-    start_s, tally, trouble = time.monotonic(), _Tally(), ""
-    facts = dataclasses.replace(facts, streams=facts.streams & set(form.holds))
+    start_s, tally, trouble = time.monotonic(), Counter[str](), ""
     with writing(target):
-        file = RecordingFile(target, form, facts, hold="edges" in facts.streams)
+        file = RecordingFile(target, form, facts, hold=bool(facts.streams & set(form.holds)))
     with _closed(file, target):
         parts = source.parts()
         next_s = start_s + _PROGRESS_S
@@ -98,12 +84,12 @@ def _convert(source: OpenRecording | Reader, facts: Facts, target: Path, form: F
                 break
             if part is None:
                 break
-            tally.add(part)
+            tally.update(counts_of(part))
             with writing(target):
                 file.write(part)
             if time.monotonic() > next_s:
                 next_s += _PROGRESS_S
-                status.print(f"{tally.events:>14} events")
+                status.print(f"{tally['events']:>14} events")
     return _Done(tally, file, trouble, time.monotonic() - start_s)
 
 
@@ -121,19 +107,21 @@ def _closed(file: RecordingFile, target: Path) -> Iterator[None]:
 
 
 def _told(source: Path, target: Path, form: Format, done: _Done, json: bool) -> int:
-    file, read = done.file, done.read
-    left = {"edges": read.edges - file.edges}
-    left |= {name: getattr(read, name) for name in ("imu", "frames") if name not in form.holds}
-    left = {name: count for name, count in left.items() if count}
+    file, rate = done.file, done.file.written["events"] / max(done.seconds, 1e-9) * 1e-6
+    left_out = +(done.read - file.written)
     if json:
-        told = {"input": source, "output": file.paths, "format": form.name, "events": file.events, "edges": file.edges}
-        print_json({**told, "left_out": left, "trouble": done.trouble, "seconds": done.seconds})
+        written = {name: file.written[name] for name in ("events", "edges", "imu", "frames")}
+        print_json(
+            {
+                "input": source, "output": file.paths, "format": form.name, **written, "left_out": left_out,
+                "trouble": done.trouble, "seconds": done.seconds,
+            }
+        )  # fmt: skip
     else:
-        rate = file.events / max(done.seconds, 1e-9) * 1e-6
-        told_rate = f"{file.events} events, {file.edges} edges, {rate:.1f} Mev/s"
-        console.print(f"{target}: {form.title}, {told_rate}", markup=False)
-        for name, count in left.items():
-            console.print(f"left out, as evstim does not write them to {form.title}: {count} {name}")
+        console.print(f"{target}: {form.title}, {named(file.written) or 'nothing'}, {rate:.1f} Mev/s", markup=False)
+        for why, counts in ((f"as {form.title} cannot hold them", file.left_out), (_LATE, +file.late)):
+            if counts:
+                console.print(f"left out, {why}: {named(counts)}", markup=False)
         console.print(f"opens in: {form.readers}")
         if done.trouble:
             console.print(f"{source}: {done.trouble}; what came before is in {target}", markup=False)

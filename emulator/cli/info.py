@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
+import numpy.typing as npt
 from cyclopts import Parameter
 
 from emulator.cli.output import BAD_VERDICT, GOOD, console, print_json
@@ -21,6 +22,47 @@ from transports.recording.part import Facts, Part, RecordingError
 __all__ = ["info"]
 
 _BIN_US = 100_000
+_STREAMS = {"events": "events", "edges": "triggers", "imu": "IMU", "frames": "frames"}
+
+_Times = npt.NDArray[np.int64]
+
+
+@dataclass
+class StreamSurvey:
+    """Count and times of one stream.
+
+    Attributes
+    ----------
+    first_us, last_us : times of the first and of the latest record; None before the first.
+    steps_back : records that are earlier than the one before.
+    """
+
+    count: int = 0
+    first_us: int | None = None
+    last_us: int | None = None
+    steps_back: int = 0
+    _before_us: int = 0
+
+    def add(self, t_us: _Times) -> None:
+        """Take the times of records in, (n,) us."""
+        if not len(t_us):
+            return
+        if self.first_us is None or self.last_us is None:
+            self.first_us = self.last_us = self._before_us = int(t_us[0])
+        self.count += len(t_us)
+        self.steps_back += int(np.count_nonzero(np.diff(t_us, prepend=self._before_us) < 0))
+        self._before_us = int(t_us[-1])
+        self.last_us = max(self.last_us, int(t_us.max()))
+
+    @property
+    def seconds(self) -> float:
+        """Time from the first record to the latest."""
+        return 0.0 if self.first_us is None or self.last_us is None else (self.last_us - self.first_us) * 1e-6
+
+    @property
+    def mean_hz(self) -> float | None:
+        """Records a second; None where no time passes."""
+        return self.count / self.seconds if self.seconds > 0 else None
 
 
 @dataclass
@@ -29,62 +71,37 @@ class Survey:
 
     Attributes
     ----------
-    first_us, last_us : times of the first and of the latest event.
-    steps_back : events that are earlier than the one before.
+    streams : of "events", "edges", "imu", "frames".
     busiest : events of the busiest tenth of a second.
     extent : one more than the largest column and row.
     """
 
-    events: int = 0
     on: int = 0
-    edges: int = 0
-    imu: int = 0
-    frames: int = 0
-    first_us: int | None = None
-    last_us: int = 0
-    steps_back: int = 0
     busiest: int = 0
     extent: tuple[int, int] = (0, 0)
-    _before_us: int = 0
+    streams: dict[str, StreamSurvey] = field(default_factory=lambda: {name: StreamSurvey() for name in _STREAMS})
     _bin: list[int] = field(default_factory=lambda: [0, 0])
 
     def add(self, part: Part) -> None:
         """Take a part in."""
-        self.edges += len(part.edges)
-        self.imu += len(part.imu)
-        self.frames += len(part.frames)
+        for name, records in (("events", part.events), ("edges", part.edges), ("imu", part.imu)):
+            self.streams[name].add(records["t"].astype(np.int64))
+        self.streams["frames"].add(np.array([frame.t_us for frame in part.frames], np.int64))
         if len(part.events):
             self._add_events(part.events)
 
     def _add_events(self, events: Events) -> None:
-        t = events["t"].astype(np.int64)
-        if self.first_us is None:
-            self.first_us = self._before_us = int(t[0])
-        self.events += len(events)
         self.on += int(np.count_nonzero(events["on"]))
-        self.steps_back += int(np.count_nonzero(np.diff(t, prepend=self._before_us) < 0))
-        self._before_us = int(t[-1])
-        self.last_us = max(self.last_us, int(t.max()))
         self.extent = (max(self.extent[0], int(events["x"].max()) + 1), max(self.extent[1], int(events["y"].max()) + 1))
-        self._count_bins(t // _BIN_US)
+        self._count_bins(events["t"].astype(np.int64) // _BIN_US)
 
-    def _count_bins(self, bins: np.ndarray) -> None:
+    def _count_bins(self, bins: _Times) -> None:
         starts = np.flatnonzero(np.diff(bins, prepend=bins[0] - 1))
         counts = np.diff(starts, append=len(bins))
         if bins[0] == self._bin[0]:
             counts[0] += self._bin[1]
         self.busiest = max(self.busiest, int(counts.max()))
         self._bin = [int(bins[starts[-1]]), int(counts[-1])]
-
-    @property
-    def seconds(self) -> float:
-        """Time from the first event to the latest."""
-        return 0.0 if self.first_us is None else (self.last_us - self.first_us) * 1e-6
-
-    @property
-    def mean_hz(self) -> float | None:
-        """Events a second; None where no time passes."""
-        return self.events / self.seconds if self.seconds > 0 else None
 
 
 def info(
@@ -94,14 +111,14 @@ def info(
     size: str | None = None,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
-    """Show what a recording or a truth file is and holds, and which programs open it.
+    """Show the format, the camera and every stream of a recording or a truth file, and which programs open it.
 
     Parameters
     ----------
     file
         A recording in any format that is read: see docs/recordings.md.
     size
-        WIDTHxHEIGHT of the sensor, such as 346x260, for files that do not tell it.
+        WIDTHxHEIGHT of the sensor, such as 346x260, for files that do not give it.
     json
         Print one JSON object as the last line on stdout.
     """
@@ -126,34 +143,46 @@ def info(
 
 
 def _as_json(file: Path, recording: OpenRecording, survey: Survey, trouble: str) -> dict[str, object]:
-    facts = recording.facts
+    facts, events = recording.facts, survey.streams["events"]
+    streams = {
+        name: {"count": one.count, "first_us": one.first_us, "last_us": one.last_us, "steps_back": one.steps_back}
+        for name, one in survey.streams.items()
+    }
     return {
         "file": file, "format": recording.format.name, "size": facts.size, "camera": facts.camera,
-        "unix_us": facts.unix_us or None, "events": survey.events, "on": survey.on, "edges": survey.edges,
-        "imu": survey.imu, "frames": survey.frames, "first_us": survey.first_us, "last_us": survey.last_us,
-        "seconds": survey.seconds, "mean_hz": survey.mean_hz, "busiest_hz": survey.busiest * 1e6 / _BIN_US,
-        "steps_back": survey.steps_back, "extent": survey.extent, "trouble": trouble,
+        "unix_us": facts.unix_us or None, **{name: one.count for name, one in survey.streams.items()}, "on": survey.on,
+        "first_us": events.first_us, "last_us": events.last_us or 0, "seconds": events.seconds,
+        "mean_hz": events.mean_hz, "busiest_hz": survey.busiest * 1e6 / _BIN_US, "steps_back": events.steps_back,
+        "extent": survey.extent, "streams": streams, "trouble": trouble,
     }  # fmt: skip
 
 
 def _lines(recording: OpenRecording, survey: Survey) -> list[str]:
-    form, facts = recording.format, recording.facts
-    size = "not told" if facts.size is None else f"{facts.size[0]} x {facts.size[1]}"
-    share = f", {survey.on / survey.events:.1%} ON" if survey.events else ""
+    form, facts, events = recording.format, recording.facts, survey.streams["events"]
+    size = "unknown" if facts.size is None else f"{facts.size[0]} x {facts.size[1]}"
+    share = f", {survey.on / events.count:.1%} ON" if events.count else ""
+    busiest = f", {survey.busiest * 1e6 / _BIN_US:.0f} in the busiest 0.1 s" if events.count else ""
     lines = [
         f"format    {form.title} (opens in {form.readers})",
         f"camera    {facts.camera}, {size} pixels; events reach to {survey.extent[0]} x {survey.extent[1]}",
         f"begins    {_date(facts)}",
-        f"events    {survey.events}{share}",
     ]
-    if survey.first_us is not None:
-        mean = "" if survey.mean_hz is None else f"; {survey.mean_hz:.0f} a second"
-        busiest = survey.busiest * 1e6 / _BIN_US
-        lines.append(f"times     {survey.first_us} to {survey.last_us} us{mean}, {busiest:.0f} in the busiest 0.1 s")
-    others = [f"{getattr(survey, name)} {name}" for name in ("edges", "imu", "frames") if getattr(survey, name)]
-    lines += [f"and       {', '.join(others)}"] if others else []
-    lines += [f"NOTE      time goes back {survey.steps_back} times"] if survey.steps_back else []
+    for name, title in _STREAMS.items():
+        more = (share, busiest) if name == "events" else ("", "")
+        content = _stream_text(survey.streams[name], more) if name in form.holds else "none: the format holds none"
+        lines.append(f"{title:<9} {content}")
+    for name, title in _STREAMS.items():
+        if back := survey.streams[name].steps_back:
+            lines.append(f"NOTE      the time of {title} goes back {back} times")
     return lines
+
+
+def _stream_text(stream: StreamSurvey, more: tuple[str, str]) -> str:
+    """Return count and times of a stream, with more on either."""
+    if not stream.count:
+        return "none"
+    mean = "" if stream.mean_hz is None else f"; {stream.mean_hz:.4g} a second"
+    return f"{stream.count}{more[0]}, from {stream.first_us} to {stream.last_us} us{mean}{more[1]}"
 
 
 def _date(facts: Facts) -> str:

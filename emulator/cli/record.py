@@ -18,6 +18,7 @@ from emulator.cli.signals import ignore_stop_signals
 from emulator.rig.loading import Rig, load_rig
 from emulator.rig.options import with_options
 from emulator.run.kernels import parts_of
+from emulator.run.outcome import RunResult
 from emulator.run.verdict import good, judge
 from transports.file.kind import FileLink
 
@@ -55,21 +56,26 @@ def record(
     course: Annotated[Course, Parameter(name="*")] = _COURSE,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
-    """Record the events of a rig's sensor, without its links: no host is needed. Ctrl-C ends it with a sound file.
+    """Record all that a rig's camera sends and the format can hold, without its links: no host is needed.
+
+    Events, triggers, and frames and IMU samples where the rig has them, as drivers ask for them by default. The summary
+    reports what the format cannot hold. Ctrl-C ends the recording with a sound file.
 
     Parameters
     ----------
     rig
         Path of a rig file, or the name of a shipped one (see `evstim rigs`).
     file
-        The recording; its suffix tells the format, see docs/recordings.md.
+        The recording; its suffix gives the format, see docs/recordings.md.
     to
-        Name of the format, where the suffix does not tell it: aedat31, evt2, ros1-dvs, ...
+        Name of the format, where the suffix does not give it: aedat31, evt2, ros1-dvs, ...
     json
         Print one JSON object as the last line on stdout.
     """
     with failures():
-        loaded = _recording_rig(load_rig(rig), file, check_recording("FILE", file, to).name)
+        loaded = load_rig(rig)
+        absent = _not_recorded(loaded)
+        loaded = _recording_rig(loaded, file, check_recording("FILE", file, to).name)
         try:
             loaded = with_options(loaded, course.seconds, course.seed, course.pace)
         except ValueError as error:
@@ -78,15 +84,35 @@ def record(
         result = run_rig(loaded, show=not json)
     ignore_stop_signals()
     if json:
-        print_json(summary(loaded, result))
+        print_json({**summary(loaded, result), "not_recorded": absent})
     else:
         print_summary(loaded, result)
-        console.print(f"written to {file}; `evstim info {file}` shows what it holds", markup=False)
+        for line in (*(f"not recorded: {one}" for one in absent), _outcome(file, result)):
+            console.print(line, markup=False)
     return GOOD if good(judge(loaded.verdict, result)) else BAD_VERDICT
+
+
+def _outcome(file: Path, result: RunResult) -> str:
+    """Return the last line for people."""
+    link = result.links[FileLink.name]
+    troubles = [*([] if link.error is None else [link.error]), *link.file_troubles]
+    if troubles:
+        return f"NOT WHOLE: {'; '.join(troubles)}; `evstim info {file}` shows what {file} holds"
+    return f"written to {file}; `evstim info {file}` shows what it holds"
 
 
 def _recording_rig(rig: Rig, file: Path, form: str) -> Rig:
     """Return the rig with the file as its only link, and nothing that another link would have brought."""
     link = FileLink(str(file), form, f"{rig.camera.model.upper()}_{rig.camera.serial}")
     trigger = None if rig.trigger is None or rig.trigger.source else rig.trigger
-    return dataclasses.replace(rig, links=(link,), faults=(), trigger=trigger)
+    return dataclasses.replace(rig, links=(link,), faults=(), trigger=trigger, second_camera=None)
+
+
+def _not_recorded(rig: Rig) -> list[str]:
+    """Return what the rig has that no file of one camera without links can show."""
+    absent = []
+    if rig.trigger is not None and rig.trigger.source:
+        absent.append(f"triggers, which come by the bus of the link {rig.trigger.source!r}")
+    if rig.second_camera is not None:
+        absent.append("the second camera")
+    return absent

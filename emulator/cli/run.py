@@ -54,12 +54,13 @@ class Files:
     Attributes
     ----------
     record
-        Write what the links delivered to this file, in device time; its suffix tells the format, such as .aedat4, .raw
-        or .npz: see docs/recordings.md.
+        Write what the links delivered to this file, in device time; its suffix gives the format, such as .aedat4, .raw
+        or .npz: see docs/recordings.md. Of several links each has a file, NAME-LINK.SUFFIX; a link that was started
+        again writes NAME-restart1.SUFFIX, and where a camera's clock starts anew NAME-clock2.SUFFIX follows (not .npz).
     truth
         Write what is true beside the events to this .h5: light, depth, optical flow, poses, labels, the origin of each
         event, the events of an ideal sensor; see docs/truth.md. Or the true error of the camera's clock to this .csv,
-        ten lines per second; the rig needs [camera.clock].
+        ten lines per second; the rig needs [camera.clock]. Of several links each has a .csv, NAME-LINK.csv.
     truth_every
         Light, depth, flow and labels go into the .h5 of every n-th picture.
     fault_log
@@ -284,7 +285,7 @@ def print_summary(rig: Rig, result: RunResult) -> None:
     for link in ledger.links:
         report = result.links[link.name]
         for line in link_lines(link, report):
-            console.print(line)
+            console.print(line, markup=False)
         if report.error is not None:
             console.print(f"{link.name}: {report.error}")
         for trouble in report.file_troubles:

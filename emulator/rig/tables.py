@@ -113,7 +113,8 @@ class Run:
         In real time: a run of which more than this share of the steps was ready after it was due has not kept up, and
         its verdict is bad. 0: no step may be late; 1: any share.
     restart_links
-        Whether a link whose process died is started again. Otherwise the other links go on without it.
+        Whether a link whose process died is started again; its record and its own file go on in NAME-restart1.SUFFIX.
+        Otherwise the other links go on without it.
     fifo_priority
         Above 0: links run under SCHED_FIFO at this priority (1 to 99), before all that is not as urgent. Delivery and
         the stamps of a bus are then steady on a busy machine. Needs root, or a limit of 'rtprio'.

@@ -19,6 +19,7 @@ from emulator.rig.loading import Rig, RigError, Run
 from emulator.rig.scene_kinds import SCENES
 from emulator.run.frames import Pictures
 from emulator.run.inertial import imu_source
+from emulator.run.plain_camera import asked_readings, plain_camera
 from emulator.run.readings import ReadingSource, ReadingSources
 from emulator.run.scene_assembly import build_scene
 from emulator.run.session import Schedule, Session
@@ -126,10 +127,19 @@ def _frame_sources(rig: Rig, sensor: EventSource | None = None) -> list[ReadingS
 
 def _reading_rings(rig: Rig, kind: LinkKind[Any]) -> tuple[ReadingRing, ...]:
     """Return new rings for a link whose device has a use for readings."""
-    if kind.serves != "usb":
+    if not _has_readings(kind):
         return ()
     imu = () if rig.camera.imu is None else (ReadingRing(ReadingKind.IMU, IMU_SAMPLE, _IMU_RING),)
-    return (*ReadingSources.new_rings(_frame_sources(rig)), *imu)
+    rings = (*ReadingSources.new_rings(_frame_sources(rig)), *imu)
+    if kind.serves == "plain":  # what it asks holds from the start, not from its process's first look
+        asked = asked_readings(rig)
+        for ring in rings:
+            ring.tell(asked[ring.kind])
+    return rings
+
+
+def _has_readings(kind: LinkKind[Any]) -> bool:
+    return kind.serves == "usb" or kind.has_readings
 
 
 def _with_truth(rig: Rig, parameters: SensorParameters, scene: Scene, truth: TruthFile) -> EventSource:
@@ -206,28 +216,29 @@ def _link_setup(
     ring, kind = EventRing(), LINKS[link.kind]
     is_master = not carries_second(rig, link.name)
     rig = rig if is_master else dataclasses.replace(second_rig(rig), trigger=rig.trigger)
-    camera = CameraFacts(rig.camera.model, rig.camera.size)
+    facts = _facts(rig, kind)
+    camera = CameraFacts(rig.camera.model, rig.camera.size, streams=facts.streams, imu_unit=facts.imu_unit)
     endpoint = kind.endpoint(link, Wiring(_faults(rig, link, fault_log), triggers.sink(link.name, ring), camera))
     setup = LinkSetup(
-        link.name, ring, _device(rig, link, kind, is_master), endpoint, record, timing=timing, facts=_facts(rig, kind)
+        link.name, ring, _device(rig, link, kind, is_master), endpoint, record, timing=timing, facts=facts
     )
     return dataclasses.replace(setup, readings=_reading_rings(rig, kind))
 
 
 def _facts(rig: Rig, kind: LinkKind[Any]) -> Facts:
-    """Return what the link's recording says of the camera."""
+    """Return the camera's facts for the link's recording."""
     facts = Facts(rig.camera.size, f"{rig.camera.model.upper()}_{rig.camera.serial}")
-    if kind.serves != "usb":
+    if not _has_readings(kind):
         return facts
-    told = {"frames": rig.camera.frames, "imu": rig.camera.imu}
-    streams = facts.streams | {name for name, table in told.items() if table is not None}
+    tables = {"frames": rig.camera.frames, "imu": rig.camera.imu}
+    streams = facts.streams | {name for name, table in tables.items() if table is not None}
     unit = facts.imu_unit if rig.camera.imu is None else IMU_UNITS[rig.camera.imu.unit]
     return dataclasses.replace(facts, streams=streams, imu_unit=unit)
 
 
 def _device(rig: Rig, link: LinkParameters, kind: LinkKind[Any], is_master: bool) -> Callable[[], Any]:
     if kind.serves == "plain":
-        return PlainDevice
+        return plain_camera(rig) if kind.has_readings else PlainDevice
     if kind.serves == "gige":
         return _gige_camera(rig, link)
     return _instrument(rig, link) if kind.serves == "instrument" else _usb_camera(rig, kind, is_master)

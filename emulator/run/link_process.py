@@ -28,6 +28,7 @@ from transports.link.process import Happen, InjectFault, LinkSetup, Stop, run_li
 from transports.link.report import LinkReport
 from transports.link.tally import DeliveryTally
 from transports.recording.format import with_addition
+from transports.recording.summary import RecordingSummary
 
 __all__ = ["LinkFailed", "LinkProcess"]
 
@@ -55,6 +56,7 @@ class LinkProcess:
         self._setup = setup
         self._clock = clock
         self._offered = self._delivered_before = 0
+        self._recordings: tuple[RecordingSummary, ...] = ()
         self._starts = 0
         self._error: str | None = None
         self.gone = False
@@ -140,6 +142,9 @@ class LinkProcess:
         self._process.join(5.0)
         if self._process.is_alive():
             self._process.kill()
+            self._process.join(5.0)
+        if self._process.exitcode:
+            self._setup.endpoint.remove_remains()
         return self._accounted()
 
     def _push(self, events: Events, now_us: int) -> None:
@@ -150,7 +155,8 @@ class LinkProcess:
     def _spawn(self) -> None:
         self._tally = DeliveryTally()
         self._began_ns = self._clock.now_ns()
-        setup = dataclasses.replace(self._setup, tally=self._tally, record=self._record())
+        endpoint = self._setup.endpoint.restarted(self._starts) if self._starts else self._setup.endpoint
+        setup = dataclasses.replace(self._setup, tally=self._tally, record=self._record(), endpoint=endpoint)
         context = multiprocessing.get_context("spawn")
         self._control, theirs = context.Pipe()
         self._process = context.Process(target=run_link, args=(setup, theirs), name=f"evstim {self.name}", daemon=True)
@@ -173,12 +179,14 @@ class LinkProcess:
 
     def _died(self) -> None:
         self._process.join(1.0)
+        self._setup.endpoint.remove_remains()
         why = f"its process ended (exit code {self._process.exitcode})"
         ran_ns = self._clock.now_ns() - self._began_ns
         if not self._setup.restart or ran_ns < _RESTART_AFTER_NS:
             self._leave(why, "died")
             return
         self._delivered_before += self._tally.delivered
+        self._recordings += self.report.recordings
         self._error = f"{why} and was started again {self._starts} times" if self._starts > 1 else f"{why}; restarted"
         self._spawn()
         self.report = LinkReport("restarting")
@@ -205,4 +213,7 @@ class LinkProcess:
             report = dataclasses.replace(report, camera=None, delivered=self._tally.delivered, final=True)
         delivered = report.delivered + self._delivered_before
         dropped = self._offered - delivered - report.dropped_in_device
-        return dataclasses.replace(report, delivered=delivered, dropped=dropped, error=self._error)
+        recordings = (*self._recordings, *report.recordings)
+        return dataclasses.replace(
+            report, delivered=delivered, dropped=dropped, error=self._error, recordings=recordings
+        )

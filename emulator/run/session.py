@@ -28,6 +28,7 @@ from emulator.run.lockstep import Lockstep
 from emulator.run.outcome import RunResult, RunStatus
 from emulator.run.readings import ReadingSources
 from emulator.run.slow_notice import said_if_slow
+from emulator.run.step_output import StepOutput
 from emulator.run.stereo import SecondView, ledger_of
 from emulator.sensor.event_source import AdjustableSource, EventSource
 from firmware_protocol.edges import EdgeKind
@@ -44,6 +45,7 @@ __all__ = ["Schedule", "Session"]
 log = logging.getLogger(__name__)
 
 _STATUS_PERIOD_NS = 100_000_000
+_SLICE_US = 20_000  # of a step, for rings of readings: a frame of a DAVIS346 takes 18 ms
 _HEAD_START_NS = 60_000_000  # from the start until stream time zero: twice what the first step, the slowest, takes
 
 
@@ -180,7 +182,9 @@ class Session:
             start_ns = self._clock.now_ns()
             self._run_steps(schedule, on_status)
             wall_seconds = (self._clock.now_ns() - start_ns) * 1e-9
-            self._publish(self._sensor.finish(), schedule)
+            events = self._sensor.finish()
+            self._hand_over(events, schedule, self._links_of())
+            self._on_events(events)
             if self._second is not None:
                 self._hand_over(self._second.finish(), schedule, self._links_of(second=True))
             reports = self._stop_links(schedule.drain_s)
@@ -288,32 +292,46 @@ class Session:
             t1_ns = min(t1_ns, schedule.duration_ns)
         picture = self._pictures
         picture.draw(t1_ns)
-        self._hand_over_readings(self._readings.read(picture.light, t1_ns), schedule, self._links_of())
+        readings = self._readings.read(picture.light, t1_ns)
+        if schedule.paced:  # they may leave while the events are computed
+            self._hand_over_readings(readings, self._links_of())
         events = self._sensor.expose(picture.light, t1_ns, picture.rate, picture.pixel_light, picture.changed)
         self._step_source.observe(picture.light, picture.rate, t1_ns)
-        self._t_ns = t1_ns
+        t0_ns, self._t_ns = self._t_ns, t1_ns
         self._steps += 1
-        self._publish(events, schedule)
+        self._hand_over_step(StepOutput(events, () if schedule.paced else readings), t0_ns, schedule, self._links_of())
+        self._on_events(events)
         if self._second is not None:
-            events, readings = self._second.step(t1_ns)
-            self._hand_over_readings(readings, schedule, self._links_of(second=True))
-            self._hand_over(events, schedule, self._links_of(second=True))
+            self._hand_over_step(self._second.step(t1_ns), t0_ns, schedule, self._links_of(second=True))
 
     def _links_of(self, *, second: bool = False) -> list[LinkProcess]:
         """Return the links that carry the first camera, or the second."""
         carried = frozenset() if self._second is None else self._second.links
         return [link for link in self._links if (link.name in carried) == second]
 
+    def _hand_over_step(self, output: StepOutput, t0_ns: int, schedule: Schedule, links: Sequence[LinkProcess]) -> None:
+        """Hand over what a step from `t0_ns` gave: piece by piece where the run waits for room, as rings are finite."""
+        if schedule.paced or not any(len(records) for _, records in output.readings):
+            self._hand_over_readings(output.readings, links)
+            self._hand_over(output.events, schedule, links)
+            return
+        for until_us in range(t0_ns // 1000 + _SLICE_US, self._t_ns // 1000, _SLICE_US):
+            piece, output = output.cut(until_us)
+            self._hand_over_readings(piece.readings, links, self._going_on)
+            for link in links:
+                link.push_all(piece.events, until_us, self._going_on)
+        self._hand_over_readings(output.readings, links, self._going_on)
+        self._hand_over(output.events, schedule, links)
+
     def _hand_over_readings(
-        self, readings: Sequence[tuple[ReadingKind, Readings]], schedule: Schedule, links: Sequence[LinkProcess]
+        self,
+        readings: Sequence[tuple[ReadingKind, Readings]],
+        links: Sequence[LinkProcess],
+        goes_on: Callable[[], bool] | None = None,
     ) -> None:
         for kind, records in readings:
             for link in links:
-                link.push_readings(kind, records, None if schedule.paced else lambda: self._goes_on)
-
-    def _publish(self, events: Events, schedule: Schedule) -> None:
-        self._hand_over(events, schedule, self._links_of())
-        self._on_events(events)
+                link.push_readings(kind, records, goes_on)
 
     def _hand_over(self, events: Events, schedule: Schedule, links: Sequence[LinkProcess]) -> None:
         now_us = self._t_ns // 1000
@@ -323,7 +341,10 @@ class Session:
             if schedule.paced:
                 link.push(events, now_us)
             else:
-                link.push_all(events, now_us, lambda: self._goes_on)
+                link.push_all(events, now_us, self._going_on)
+
+    def _going_on(self) -> bool:
+        return self._goes_on
 
     def _status(self, start_ns: int) -> RunStatus:
         reports = {link.name: link.listen() for link in self._links}

@@ -15,12 +15,12 @@ from emulator.run.bias_following import BiasFollowing
 from emulator.run.frames import Pictures
 from emulator.run.ledger import Ledger, LinkLedger
 from emulator.run.readings import ReadingSources
+from emulator.run.step_output import StepOutput
 from emulator.scene.kind import SceneParameters
 from emulator.sensor.event_source import EventSource
 from emulator.trajectory.offset import OffsetPath
 from emulator.trajectory.parameters import BasiliskPath, LivePath
 from firmware_protocol.events import Events
-from firmware_protocol.readings import ReadingKind, Readings
 from transports.link.edges import EdgeRing
 from transports.link.process import LinkSetup
 from transports.link.report import LinkReport
@@ -76,13 +76,13 @@ class SecondView:
         self._sensor.reset(self._pictures.light, 0)
         self._readings.reset(self._pictures.light, 0)
 
-    def step(self, t_ns: int) -> tuple[Events, list[tuple[ReadingKind, Readings]]]:
+    def step(self, t_ns: int) -> StepOutput:
         """Move to `t_ns` and return the events and readings until then."""
         picture = self._pictures
         picture.draw(t_ns)
         readings = self._readings.read(picture.light, t_ns)
         events = self._sensor.expose(picture.light, t_ns, picture.rate, picture.pixel_light, picture.changed)
-        return events, readings
+        return StepOutput(events, readings)
 
     def finish(self) -> Events:
         """Return what the read-out still holds."""

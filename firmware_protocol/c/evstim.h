@@ -231,7 +231,7 @@ struct evstim_can {
     uint32_t events;
     uint32_t edges;
     uint32_t marks;
-    int32_t lost;     /* sent and not received; below 0 while frames come out of order */
+    int32_t lost;     /* sent and not received; below 0 while frames come out of order; stays at its bounds */
     uint32_t dropped; /* dropped by the camera */
     uint32_t gaps;    /* times that the sequence count was not the next */
     uint32_t repeated;     /* frames that came twice in a row, used once */

@@ -158,6 +158,13 @@ static bool fd_events(struct evstim_can *c, const uint8_t *data, size_t n)
     return true;
 }
 
+/* `count` and `more`, or the bound of the counter that the sum lies beyond: an overflow is undefined in C. */
+static int32_t saturated(int32_t count, int64_t more)
+{
+    int64_t sum = count + more;
+    return sum > INT32_MAX ? INT32_MAX : sum < INT32_MIN ? INT32_MIN : (int32_t)sum;
+}
+
 static bool epoch(struct evstim_can *c, const uint8_t *data, size_t n)
 {
     if (n != CLASSIC_BYTES)
@@ -169,7 +176,7 @@ static bool epoch(struct evstim_can *c, const uint8_t *data, size_t n)
     c->near_tick = c->timed || c->clocked ? evstim_unwrapped(low, 30, near) : low;
     c->tick_us = tick_us;
     if (c->timed) {
-        c->lost += (int16_t)(uint16_t)(sent - c->epoch_sent) - (int32_t)c->since_epoch;
+        c->lost = saturated(c->lost, (int16_t)(uint16_t)(sent - c->epoch_sent) - (int64_t)c->since_epoch);
         c->dropped += (uint16_t)(dropped - c->epoch_dropped);
     }
     c->epoch_sent = sent;

@@ -19,7 +19,7 @@ from __future__ import annotations
 from firmware_protocol.davis346.registers import Module, RegisterFile
 from firmware_protocol.imu_samples import ImuScale, ImuSettings
 
-__all__ = ["imu_settings"]
+__all__ = ["driver_imu_settings", "imu_settings"]
 
 _BANDWIDTHS_MHZ = {
     1: (
@@ -32,6 +32,7 @@ _BANDWIDTHS_MHZ = {
     ),
 }
 _UNFILTERED_GYROSCOPE = (0, 7)
+_DRIVER_LOW_PASS = 1  # libcaer 3.3.15, davis.c
 
 
 def imu_settings(values: RegisterFile, *, words: bool) -> ImuSettings:
@@ -51,3 +52,9 @@ def imu_settings(values: RegisterFile, *, words: bool) -> ImuSettings:
         per_ms=8 if of_gyroscope in _UNFILTERED_GYROSCOPE else 1,
         divider=1 + (divider & 0xFF),
     )
+
+
+def driver_imu_settings(unit: int) -> ImuSettings:
+    """Return what drivers ask of unit 1 or 2 by default: all of it, 1 kHz, low-pass 1, 4 g and 500 deg/s."""
+    accelerometer_mhz, gyroscope_mhz = (bandwidths[_DRIVER_LOW_PASS] for bandwidths in _BANDWIDTHS_MHZ[unit])
+    return ImuSettings(True, unit, int(ImuScale()), accelerometer_mhz, gyroscope_mhz)

@@ -1,7 +1,7 @@
 """AEDAT 2.0, jAER's format for a DAVIS: text lines, then records of 8 bytes, big-endian: address, signed time in us.
 
     address, bit 31 = 0:   30..22 y   21..12 x   11 polarity (1 = ON)   10 external event   9..0 zero, or pin edge
-    address, bit 31 = 1:   frames and IMU samples, which are left out here
+    address, bit 31 = 1:   frames and samples of the inertial unit, see `aedat2_readings`
 
 jAER counts columns from the right and rows from the bottom: x = width - 1 - column, y = height - 1 - row. The 32 bits
 of time wrap to negative after 2147 s; readers count that.
@@ -13,14 +13,19 @@ from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from firmware_protocol.edges import EDGE, EdgeKind, Edges, empty_edges
 from firmware_protocol.events import EVENT, Events
+from firmware_protocol.recordings.aedat2_readings import WORD, FrameWords, ImuWords, Words
+from firmware_protocol.recordings.part import Part
 
-__all__ = ["CHIPS", "Aedat2Decoder", "aedat2_header", "encode_aedat2", "guarded_start", "parse_aedat2_header"]
+__all__ = [
+    "CHIPS", "Aedat2Decoder", "aedat2_header", "edge_words", "encode_aedat2", "event_words",
+    "guarded_start", "packed", "parse_aedat2_header",
+]  # fmt: skip
 
 CHIPS: Mapping[tuple[int, int], str] = {
     (346, 260): "eu.seebetter.ini.chips.davis.Davis346blue",
@@ -53,20 +58,37 @@ def aedat2_header(size: tuple[int, int], unix_us: int = 0) -> bytes:
     return "".join(f"#{line}\r\n" for line in lines).encode("ascii")
 
 
+def event_words(events: Events, size: tuple[int, int]) -> Words:
+    """Return events (n,) EVENT of a sensor of `size`, (n,) WORD."""
+    words = np.empty(len(events), WORD)
+    x, y = np.uint32(size[0] - 1) - events["x"], np.uint32(size[1] - 1) - events["y"]
+    words["address"] = (y << np.uint32(22)) | (x << np.uint32(12)) | (events["on"].astype(np.uint32) << np.uint32(11))
+    words["t"] = events["t"]
+    return words
+
+
+def edge_words(edges: Edges) -> Words:
+    """Return edges (n,) EDGE, (n,) WORD."""
+    words = np.empty(len(edges), WORD)
+    pins = np.array([0, 0, *(_PINS[kind] for kind in (EdgeKind.RISING, EdgeKind.FALLING, EdgeKind.PULSE))])
+    words["address"], words["t"] = _EXTERNAL | pins[edges["kind"]], edges["t"]
+    return words
+
+
+def packed(parts: Sequence[Words]) -> bytes:
+    """Return the records of words, each part sorted, in the order of time; at one time, in the order of the parts."""
+    filled = [part for part in parts if len(part)]
+    words = np.concatenate([np.empty(0, WORD), *filled])
+    if len(filled) > 1:
+        words = words[np.argsort(words["t"], kind="stable")]
+    records = np.empty(len(words), _RECORD)
+    records["address"], records["t"] = words["address"], words["t"].astype(np.uint32).astype(np.int32)  # wraps
+    return records.tobytes()
+
+
 def encode_aedat2(events: Events, size: tuple[int, int], edges: Edges | None = None) -> bytes:
     """Return the records of events (n,) EVENT and edges (m,) EDGE, each sorted, of a sensor of `size`."""
-    edges = empty_edges() if edges is None else edges
-    records = np.empty(len(edges) + len(events), _RECORD)
-    x = size[0] - 1 - events["x"].astype(np.int64)
-    y = size[1] - 1 - events["y"].astype(np.int64)
-    pins = np.array([0, 0, *(_PINS[kind] for kind in (EdgeKind.RISING, EdgeKind.FALLING, EdgeKind.PULSE))])
-    records["address"][: len(edges)] = _EXTERNAL | pins[edges["kind"]]
-    records["address"][len(edges) :] = (y << 22) | (x << 12) | (events["on"].astype(np.int64) << 11)
-    t = np.concatenate((edges["t"], events["t"]))
-    records["t"] = t.astype(np.uint32).astype(np.int32)  # wraps
-    if len(edges):
-        records = records[np.argsort(t, kind="stable")]
-    return records.tobytes()
+    return packed([edge_words(empty_edges() if edges is None else edges), event_words(events, size)])
 
 
 def guarded_start(records: bytes) -> bytes:
@@ -115,7 +137,6 @@ class Aedat2Decoder:
 
     Attributes
     ----------
-    others : records of frames and IMU samples so far.
     outside : events beyond the sensor so far.
     """
 
@@ -124,18 +145,31 @@ class Aedat2Decoder:
         self._rest = b""
         self._wraps_us = 0
         self._last = 0
-        self.others = self.outside = 0
+        self._imu, self._frames = ImuWords(), FrameWords(size)
+        self.outside = 0
 
-    def decode(self, data: bytes) -> tuple[Events, Edges]:
-        """Return events (n,) EVENT and edges (m,) EDGE of the next bytes, which may end inside a record."""
+    @property
+    def others(self) -> int:
+        """Records so far that belong to no whole sample or frame; those of the last ones may still wait for more."""
+        return self._imu.others + self._frames.others
+
+    def decode(self, data: bytes) -> Part:
+        """Return what is complete with the next bytes, which may end inside a record."""
         data = self._rest + data
         whole = len(data) & ~7
         self._rest = data[whole:]
         records = np.frombuffer(data[:whole], _RECORD)
         address, t = records["address"].astype(np.int64), self._times(records["t"].astype(np.int64))
         is_other, is_edge = address >> 31 != 0, (address >> 10) & 1 != 0
-        self.others += int(np.count_nonzero(is_other))
-        return self._events(address, t, ~is_other & ~is_edge), _edges(address, t, ~is_other & is_edge)
+        others = np.empty(int(np.count_nonzero(is_other)), WORD)
+        others["address"], others["t"] = address[is_other], t[is_other]
+        is_imu = (others["address"] >> 10) & 3 == 3
+        return Part(
+            self._events(address, t, ~is_other & ~is_edge),
+            _edges(address, t, ~is_other & is_edge),
+            self._imu.decode(others[is_imu]),
+            self._frames.decode(others[~is_imu]),
+        )
 
     def _times(self, t: np.ndarray) -> np.ndarray:
         """Return times that count the wraps of the 32 bits."""

@@ -1,13 +1,16 @@
 """AEDAT 3.1, the format of cAER: text lines, then packets of events of one kind, little-endian.
 
     i16 kind   i16 source   i32 event size   i32 offset of the time   i32 wraps of 2^31 us
-    i32 capacity   i32 number   i32 valid ones   then the events, 8 bytes each of these kinds:
+    i32 capacity   i32 number   i32 valid ones   then the events:
     0 special   u32: bit 0 valid, 7..1 what, 31..8 data     i32 us
     1 polarity  u32: bit 0 valid, 1 ON, 16..2 y, 31..17 x   i32 us
+    2 frame     u32: bit 0 valid, 3..1 channels             i32 us of start, end, exposure start, exposure end
+                i32 columns, rows, first column, first row  u16 pixels, of 16 bits
+    3 IMU 6     u32: bit 0 valid   i32 us   f32 acceleration x, y, z, g; turning x, y, z, deg/s; degrees Celsius
 
-Row 0 is the upper one. Frames and IMU samples (kinds 2, 3, 4) are left out.
+Row 0 is the upper one. Other kinds and frames with colours are left out.
 
-Sources: docs.inivation.com, "AEDAT 3.1"; libcaer, events/common.h, polarity.h, special.h.
+Sources: docs.inivation.com, "AEDAT 3.1"; libcaer, events/common.h, polarity.h, special.h, frame.h, imu6.h.
 """
 
 from __future__ import annotations
@@ -18,8 +21,11 @@ import numpy as np
 
 from firmware_protocol.edges import EDGE, EdgeKind, Edges, empty_edges
 from firmware_protocol.events import EVENT, Events
+from firmware_protocol.recordings.part import IMU, Frame, ImuRecords, Part, ten_bits
 
-__all__ = ["Aedat31Decoder", "aedat31_header", "encode_aedat31", "parse_aedat31_header"]
+__all__ = [
+    "Aedat31Decoder", "aedat31_header", "encode_aedat31", "encode_frame", "encode_imu", "parse_aedat31_header",
+]  # fmt: skip
 
 LIMIT_PX = 1 << 15
 _HEAD = np.dtype(
@@ -27,7 +33,15 @@ _HEAD = np.dtype(
     + [(name, "<i4") for name in ("event_bytes", "time_at", "wraps", "capacity", "number", "valid")]
 )
 _EVENT = np.dtype([("data", "<u4"), ("t", "<i4")])
-_SPECIAL, _POLARITY = 0, 1
+_TIMES, _PLACE = ("start", "end", "exposure_start", "exposure_end"), ("columns", "rows", "left", "top")
+_FRAME = np.dtype([("data", "<u4"), *((name, "<i4") for name in (*_TIMES, *_PLACE))])
+_IMU_VALUES = (
+    *(f"{what}_{axis}" for what in ("accelerometer", "gyroscope") for axis in "xyz"), "temperature",
+)  # fmt: skip
+_IMU = np.dtype([("data", "<u4"), ("t", "<i4"), *((name, "<f4") for name in _IMU_VALUES)])
+_SPECIAL, _POLARITY, _FRAMES, _IMU6 = range(4)
+_SCALE_BITS = 6  # the 10 bits of a pixel are the upper ones of 16, as in libcaer
+_LISTS = ("events", "edges", "imu")
 _MOST_PACKET = 1 << 28  # bytes
 _END = b"#!END-HEADER\r\n"
 
@@ -41,28 +55,50 @@ def aedat31_header(source: str, started: str = "1970-01-01 00:00:00 (TZ+0000)") 
 def encode_aedat31(events: Events, edges: Edges | None = None) -> bytes:
     """Return the packets of events (n,) EVENT and edges (m,) EDGE, each sorted."""
     edges = empty_edges() if edges is None else edges
+    polarity, special = np.empty(len(events), _EVENT), np.empty(len(edges), _EVENT)
     x, y = events["x"].astype(np.uint32), events["y"].astype(np.uint32)
-    polarity = (x << 17) | (y << 2) | (events["on"].astype(np.uint32) << 1) | 1
-    special = (edges["kind"].astype(np.uint32) << 1) | 1
+    polarity["data"] = (x << 17) | (y << 2) | (events["on"].astype(np.uint32) << 1) | 1
+    special["data"] = (edges["kind"].astype(np.uint32) << 1) | 1
     return _packets(_SPECIAL, special, edges["t"]) + _packets(_POLARITY, polarity, events["t"])
 
 
-def _packets(kind: int, data: np.ndarray, t: np.ndarray) -> bytes:
-    """Return packets of one kind, a new one where the 31 bits of time wrap."""
+def encode_imu(imu: ImuRecords) -> bytes:
+    """Return the packets of samples (n,) IMU, sorted; their magnetometer is left out."""
+    records = np.empty(len(imu), _IMU)
+    records["data"] = 1
+    for name in _IMU_VALUES:
+        records[name] = imu[name]
+    return _packets(_IMU6, records, imu["t"])
+
+
+def encode_frame(frame: Frame) -> bytes:
+    """Return the packet of a frame, grey; times before the clock's zero are written as zero."""
+    pixels, record = ten_bits(frame) << _SCALE_BITS, np.zeros(1, _FRAME)
+    wraps = max(0, frame.t_us) >> 31
+    times = (frame.t_us, frame.exposure_end_us, frame.exposure_begin_us, frame.exposure_end_us)
+    values = (*(min(max(0, t_us - (wraps << 31)), (1 << 31) - 1) for t_us in times), *pixels.shape[::-1], *frame.origin)
+    record["data"] = 1 | 1 << 1  # valid, one channel
+    for name, value in zip((*_TIMES, *_PLACE), values, strict=True):
+        record[name] = value
+    body = record.tobytes() + pixels.astype("<u2").tobytes()
+    return _head(_FRAMES, len(body), wraps, 1) + body
+
+
+def _packets(kind: int, records: np.ndarray, t: np.ndarray) -> bytes:
+    """Return packets of one kind, a new one where the 31 bits of time wrap; `t`, (n,) us, goes into the records."""
     if not len(t):
         return b""
     wraps = (t >> np.uint64(31)).astype(np.int64)
     starts = np.flatnonzero(np.diff(wraps, prepend=-1))
-    body = np.empty(len(t), _EVENT)
-    body["data"], body["t"] = data, t & np.uint64(0x7FFFFFFF)
+    records["t"] = t & np.uint64(0x7FFFFFFF)
     packets = []
     for start, end in zip(starts, [*starts[1:], len(t)], strict=True):
-        head = np.zeros(1, _HEAD)
-        head["kind"], head["source"], head["event_bytes"], head["time_at"] = kind, 1, _EVENT.itemsize, 4
-        head["wraps"] = wraps[start]
-        head["capacity"] = head["number"] = head["valid"] = end - start
-        packets.append(head.tobytes() + body[start:end].tobytes())
+        packets += [_head(kind, records.itemsize, int(wraps[start]), end - start), records[start:end].tobytes()]
     return b"".join(packets)
+
+
+def _head(kind: int, event_bytes: int, wraps: int, number: int) -> bytes:
+    return np.array([(kind, 1, event_bytes, 4, wraps, number, number, number)], _HEAD).tobytes()
 
 
 def parse_aedat31_header(head: bytes) -> tuple[int, str]:
@@ -81,45 +117,60 @@ class Aedat31Decoder:
 
     Attributes
     ----------
-    others : frames, IMU samples and special events without meaning here so far.
+    others : events without meaning here so far.
     """
 
     def __init__(self) -> None:
         self._rest = b""
         self.others = 0
 
-    def decode(self, data: bytes) -> tuple[Events, Edges]:
-        """Return events (n,) EVENT and edges (m,) EDGE of the packets that are complete with the next bytes.
+    def decode(self, data: bytes) -> Part:
+        """Return what is in the packets that are complete with the next bytes.
 
         Raises ValueError for a packet that cannot be one.
         """
         data = self._rest + data
-        events, edges, start = [np.zeros(0, EVENT)], [np.zeros(0, EDGE)], 0
+        parts, start = [Part()], 0
         while len(data) - start >= _HEAD.itemsize:
             head = np.frombuffer(data, _HEAD, 1, start)[0]
             body_at = start + _HEAD.itemsize
             end = body_at + _body_bytes(head)
             if end > len(data):
                 break
-            self._take(head, data[body_at:end], events, edges)
+            parts.append((self._frames if head["kind"] == _FRAMES else self._part)(head, data[body_at:end]))
             start = end
         self._rest = data[start:]
-        return np.concatenate(events), np.concatenate(edges)
+        events, edges, imu = (np.concatenate([getattr(one, name) for one in parts]) for name in _LISTS)
+        return Part(events, edges, imu, tuple(frame for one in parts for frame in one.frames))
 
-    def _take(self, head: np.void, body: bytes, events: list[Events], edges: list[Edges]) -> None:
-        if head["kind"] not in (_SPECIAL, _POLARITY) or head["event_bytes"] != _EVENT.itemsize:
-            self.others += int(head["number"])
-            return
-        records = np.frombuffer(body, _EVENT, int(head["number"]))
+    def _part(self, head: np.void, body: bytes) -> Part:
+        """Return the records of a packet; what has no meaning here is counted."""
+        kind, number = int(head["kind"]), int(head["number"])
+        dtype = {_SPECIAL: _EVENT, _POLARITY: _EVENT, _IMU6: _IMU}.get(kind)
+        if dtype is None or head["event_bytes"] != dtype.itemsize:
+            self.others += number
+            return Part()
+        records = np.frombuffer(body, dtype, number)
         records = records[records["data"] & 1 == 1]
-        t = (np.int64(head["wraps"]) << 31) + records["t"]
-        if head["kind"] == _POLARITY:
-            events.append(_events(records["data"], t))
-            return
-        what = (records["data"] >> 1) & 0x7F
+        t = (int(head["wraps"]) << 31) + records["t"].astype(np.int64)
+        if kind == _POLARITY:
+            return Part(_events(records["data"], t))
+        return Part(imu=_imu(records, t)) if kind == _IMU6 else Part(edges=self._edges(records["data"], t))
+
+    def _edges(self, data: np.ndarray, t: np.ndarray) -> Edges:
+        what = (data >> 1) & 0x7F
         known = np.isin(what, [int(kind) for kind in EdgeKind])
-        self.others += int(np.count_nonzero(~known))
-        edges.append(_edges(what[known], t[known]))
+        edges = np.zeros(int(np.count_nonzero(known)), EDGE)
+        edges["t"], edges["kind"] = t[known], what[known]
+        self.others += len(what) - len(edges)
+        return edges
+
+    def _frames(self, head: np.void, body: bytes) -> Part:
+        size, wraps_us = int(head["event_bytes"]), int(head["wraps"]) << 31
+        frames = [_frame(body[at : at + size], wraps_us) for at in range(0, len(body), size)]
+        whole = tuple(frame for frame in frames if frame is not None)
+        self.others += len(frames) - len(whole)
+        return Part(frames=whole)
 
 
 def _body_bytes(head: np.void) -> int:
@@ -138,7 +189,23 @@ def _events(data: np.ndarray, t: np.ndarray) -> Events:
     return events
 
 
-def _edges(what: np.ndarray, t: np.ndarray) -> Edges:
-    edges = np.zeros(len(t), EDGE)
-    edges["t"], edges["kind"] = t, what
-    return edges
+def _imu(records: np.ndarray, t: np.ndarray) -> ImuRecords:
+    imu = np.zeros(len(t), IMU)
+    imu["t"] = t
+    for name in _IMU_VALUES:
+        imu[name] = records[name]
+    return imu
+
+
+def _frame(body: bytes, wraps_us: int) -> Frame | None:
+    """Return the frame of an event; None where it is not valid, has colours, or is larger than its bytes."""
+    if len(body) < _FRAME.itemsize:
+        return None
+    record = np.frombuffer(body, _FRAME, 1)[0]
+    rows, columns, channels = int(record["rows"]), int(record["columns"]), int(record["data"]) >> 1 & 7
+    room = (len(body) - _FRAME.itemsize) // 2
+    if not record["data"] & 1 or channels > 1 or min(rows, columns) < 1 or rows * columns > room:
+        return None
+    pixels = np.frombuffer(body, "<u2", rows * columns, _FRAME.itemsize).reshape(rows, columns) >> _SCALE_BITS
+    start, _, begin, end = (wraps_us + int(record[name]) for name in _TIMES)
+    return Frame(start, begin, end, pixels.astype(np.uint16), (int(record["left"]), int(record["top"])))

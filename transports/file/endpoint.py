@@ -1,18 +1,23 @@
-"""The far end of a link that is a file: a process that writes it, beside the one that feeds it."""
+"""The endpoint of a link that is a file: it hands over what the device has to a process that writes the file."""
 
 from __future__ import annotations
 
 import asyncio
+import dataclasses
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from firmware_protocol.plain_device import PlainDevice, Taken, own_time
+from firmware_protocol.plain_device import PlainDevice, Taken
+from firmware_protocol.readings import ReadingKind
+from transports.link.delivered_parts import Delivered, DeliveredParts
 from transports.link.deliveries import Deliveries
 from transports.link.endpoint import Endpoint, EndpointFactory
-from transports.recording.format import Format
+from transports.recording.format import Format, with_addition
 from transports.recording.live import LiveRecorder
-from transports.recording.part import Facts, Part
+from transports.recording.part import Facts, counts_of
+from transports.recording.summary import RecordingSummary
 
 __all__ = ["FileEndpoint", "FileFactory"]
 
@@ -31,6 +36,10 @@ class FileFactory(EndpointFactory[PlainDevice]):
         """Return the endpoint, which opens the file when it is started."""
         return FileEndpoint(self, device, deliveries)
 
+    def restarted(self, number: int) -> FileFactory:
+        """Return the same with a file of its own: what the killed process sent stays in the first."""
+        return dataclasses.replace(self, path=with_addition(self.path, f"restart{number}"))
+
 
 class FileEndpoint(Endpoint):
     """Hands over what the device has, as fast as the writer takes it."""
@@ -39,9 +48,10 @@ class FileEndpoint(Endpoint):
         self._order = order
         self._device = device
         self._deliveries = deliveries
+        self._parts = DeliveredParts(order.facts.imu_unit)
         self._recorder: LiveRecorder | None = None
         self._epoch_us: int | None = None
-        self._handed = 0
+        self._handed: Counter[str] = Counter()
 
     async def start(self) -> None:
         """Start the writer; raises OSError where the file cannot be opened."""
@@ -58,17 +68,17 @@ class FileEndpoint(Endpoint):
             return
         while (room := min(recorder.room, _MOST_EVENTS)) and (taken := self._device.take(room)) is not None:
             self._hand_over(recorder, taken)
+        if not self._device.waiting and self._epoch_us == self._device.epoch_us:
+            recorder.reach(self._device.now_us - self._device.epoch_us)
 
     def _hand_over(self, recorder: LiveRecorder, taken: Taken) -> None:
         restarted = taken.epoch_us != self._epoch_us
         self._epoch_us = taken.epoch_us
-        recorder.append(
-            Part(own_time(taken.events, taken.epoch_us), own_time(taken.edges, taken.epoch_us)),
-            restarted=restarted,
-            unix_us=self._deliveries.unix_us(taken.epoch_us),
-        )
-        self._deliveries.add(taken.events, taken.epoch_us, taken.edges)
-        self._handed += len(taken.events)
+        part = self._parts.part(Delivered(taken.events, taken.edges, taken.readings), taken.epoch_us)
+        if restarted or counts_of(part):
+            recorder.append(part, restarted=restarted, unix_us=self._deliveries.unix_us(taken.epoch_us))
+        self._deliveries.add(taken.events, taken.epoch_us, taken.edges, taken.readings)
+        self._handed.update(counts_of(part))
 
     async def close(self) -> None:
         """Let the writer finish; what it could not write is counted as lost on the link."""
@@ -76,15 +86,19 @@ class FileEndpoint(Endpoint):
             return
         await asyncio.to_thread(self._recorder.close)
         self._device.drop_waiting()
-        written = self._recorder.report.get("events")
-        self._device.lost(self._handed - (written if isinstance(written, int) else 0))
+        summary = self._recorder.summary
+        lost = self._handed - Counter(summary.written) - Counter(summary.left_out)
+        self._device.lost(lost["events"], lost["edges"])
+        self._device.lost_readings(ReadingKind.IMU, lost["imu"])
+        records = self._parts.frame_records
+        self._device.lost_readings(ReadingKind.FRAMES, sum(records[len(records) - lost["frames"] :]))
 
     @property
     def state(self) -> str:
         """The file and how much went there."""
         if self._recorder is not None and self._recorder.broken:
             return "stopped"
-        return f"{self._handed} events to {self._order.path.name}"
+        return f"{self._handed['events']} events to {self._order.path.name}"
 
     @property
     def address(self) -> str | None:
@@ -97,7 +111,12 @@ class FileEndpoint(Endpoint):
         return "" if self._recorder is None else self._recorder.trouble
 
     @property
+    def recording(self) -> RecordingSummary | None:
+        """What the file holds, once it is closed."""
+        return None if self._recorder is None else self._recorder.summary
+
+    @property
     def counts(self) -> Mapping[str, int]:
         """How many files there are, where the camera's clock started anew."""
-        paths = [] if self._recorder is None else self._recorder.report.get("paths", [])
+        paths = () if self._recorder is None else self._recorder.summary.paths
         return {"files": len(paths)} if len(paths) > 1 else {}

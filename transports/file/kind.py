@@ -17,14 +17,16 @@ __all__ = ["FILE", "FileLink"]
 
 @dataclass(frozen=True)
 class FileLink:
-    """A recording of all that the sensor sends, in a format of others, written while the run goes on.
+    """A recording of all that the camera sends and the format can hold, written while the run goes on.
 
     Attributes
     ----------
     path
-        The file, where evstim is started; its suffix tells the format. What was there is written over.
+        The file, relative to where evstim is started; its suffix gives the format. What was there is written over.
+        Where the camera's clock starts anew, NAME-clock2.SUFFIX follows; a link that was started again
+        (`run.restart_links`) writes NAME-restart1.SUFFIX.
     format
-        Name of the format where the suffix does not tell it; "" for the suffix. See docs/recordings.md.
+        Name of the format where the suffix does not give it; "" for the suffix. See docs/recordings.md.
     camera
         Name of the camera in the file; "" for the model's.
     name
@@ -51,7 +53,8 @@ def _endpoint(link: FileLink, wiring: Wiring) -> EndpointFactory[Any]:
 
     form = format_to_write(Path(link.path), link.format)
     camera = link.camera or wiring.camera.model or "evstim"
-    return FileFactory(Path(link.path), form, Facts(wiring.camera.size, camera))
+    facts = Facts(wiring.camera.size, camera, streams=wiring.camera.streams, imu_unit=wiring.camera.imu_unit)
+    return FileFactory(Path(link.path), form, facts)
 
 
 def _check(link: FileLink, camera: CameraFacts) -> None:
@@ -70,4 +73,6 @@ def _needs(link: FileLink) -> tuple[Need, ...]:
     return (package(needed),) if needed else ()
 
 
-FILE = LinkKind(FileLink, serves="plain", endpoint=_endpoint, check=_check, has_evt=_has_evt, needs=_needs)
+FILE = LinkKind(
+    FileLink, serves="plain", endpoint=_endpoint, check=_check, has_evt=_has_evt, needs=_needs, has_readings=True
+)

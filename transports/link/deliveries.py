@@ -6,23 +6,21 @@ import time
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from firmware_protocol.device_clock import DeviceClock
 from firmware_protocol.edges import Edges, empty_edges
-from firmware_protocol.event_copies import copy_events
 from firmware_protocol.events import Events
-from firmware_protocol.frame_assembly import FrameAssembler, WholeFrame
-from firmware_protocol.imu_samples import ImuSamples, no_samples, physical
-from firmware_protocol.readings import Reading, ReadingKind
+from firmware_protocol.readings import Reading
+from transports.link.delivered_parts import Delivered, DeliveredParts
 from transports.link.digest import digest_of
 from transports.link.latency import LatencyHistogram
 from transports.link.pacing import Clock
 from transports.link.ring import FREE_RUNNING, EventRing
 from transports.recording.opening import AnyRecorder
-from transports.recording.part import IMU, Frame, Part
+from transports.recording.part import Part, counts_of
+from transports.recording.summary import RecordingSummary
 
-__all__ = ["Deliveries", "recorded_imu"]
+__all__ = ["Deliveries"]
 
 
 class Deliveries:
@@ -53,12 +51,11 @@ class Deliveries:
         self.clock = clock
         self._recorder = recorder
         self._device_clock = device_clock
-        self._imu_unit = imu_unit
         self._epoch_us: int | None = None
         self._unix_us: int | None = None
         self.latency = LatencyHistogram()
         self.digest = 0
-        self._frames = FrameAssembler()
+        self._parts = DeliveredParts(imu_unit)
 
     def add(
         self, events: Events, epoch_us: int = 0, edges: Edges | None = None, readings: Sequence[Reading] = ()
@@ -70,14 +67,15 @@ class Deliveries:
         edges = empty_edges() if edges is None else edges
         if len(events):
             self._measure(events)
-        part = self._with_readings(events, edges, readings, epoch_us) if readings else Part(events, edges)
-        if len(events) or len(edges) or len(part.imu) or part.frames:
+        readings = () if self._recorder is None else readings
+        part = self._parts.part(Delivered(events, edges, readings), epoch_us)
+        if counts_of(part):
             self._keep(part, epoch_us)
 
-    def _with_readings(self, events: Events, edges: Edges, readings: Sequence[Reading], epoch_us: int) -> Part:
-        frames = self._frames.add(tuple(readings)) if self._recorder is not None else []
-        told = tuple(_frame(frame, epoch_us) for frame in frames)
-        return Part(events, edges, recorded_imu(_imu_of(readings), self._imu_unit), told)
+    def reach(self, device_us: int, epoch_us: int) -> None:
+        """Take note that all up to `device_us`, in the device's time, has left or was dropped."""
+        if self._recorder is not None and epoch_us == self._epoch_us:
+            self._recorder.reach(device_us - epoch_us)
 
     @property
     def paced(self) -> bool:
@@ -107,6 +105,11 @@ class Deliveries:
         """Why the record is not whole, for people; empty where it is, or where there is none."""
         return "" if self._recorder is None else self._recorder.trouble
 
+    @property
+    def recording(self) -> RecordingSummary | None:
+        """What the record holds, once it is closed; None where there is none."""
+        return None if self._recorder is None else self._recorder.summary
+
     def close(self) -> None:
         """Close the record."""
         if self._recorder is not None:
@@ -124,34 +127,10 @@ class Deliveries:
             self.latency.add(now_us - self._device_clock.stream_us(device_us, max(0, int(now_us))))
 
     def _keep(self, part: Part, epoch_us: int) -> None:
-        events, edges, imu = copy_events(part.events), part.edges.copy(), part.imu
-        for records in (events, edges, imu):
-            if len(records):
-                records["t"] -= np.uint64(epoch_us % (1 << 64))
         restarted = epoch_us != self._epoch_us
         self._epoch_us = epoch_us
-        self.digest = digest_of(events, 0 if restarted else self.digest)
+        self.digest = digest_of(part.events, 0 if restarted else self.digest)
         if self._recorder is not None:
             unix_us = self.unix_us(epoch_us) if restarted else self._unix_us
             self._unix_us = unix_us
-            part = Part(events, edges, imu, part.frames)
             self._recorder.append(part, restarted=restarted, unix_us=unix_us)
-
-
-def _imu_of(readings: Sequence[Reading]) -> ImuSamples:
-    return np.concatenate([no_samples(), *(one.record for one in readings if one.kind is ReadingKind.IMU)])
-
-
-def recorded_imu(samples: ImuSamples, unit: int) -> npt.NDArray[np.void]:
-    """Return samples, (n,) IMU_SAMPLE of a unit (1 or 2), as recordings have them, (n,) IMU."""
-    told, out = physical(samples, unit), np.zeros(len(samples), IMU)
-    out["t"], out["temperature"] = told["t"], told["temperature_c"]
-    for k, axis in enumerate("xyz"):
-        out[f"accelerometer_{axis}"], out[f"gyroscope_{axis}"] = told["acceleration_g"][:, k], told["rate_deg_s"][:, k]
-    return out
-
-
-def _frame(frame: WholeFrame, epoch_us: int) -> Frame:
-    """Return a frame for a recording: dated by the start of its exposure, as drivers do."""
-    begin_us, end_us = frame.exposure_start_us - epoch_us, frame.exposure_end_us - epoch_us
-    return Frame(begin_us, begin_us, end_us, frame.pixels, (frame.first_column, frame.first_row))

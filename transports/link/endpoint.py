@@ -12,6 +12,7 @@ from firmware_protocol.edges import Edges
 from transports.faults.kinds import Fault
 from transports.faults.script import FaultRecord
 from transports.link.deliveries import Deliveries
+from transports.recording.summary import RecordingSummary
 
 __all__ = ["Endpoint", "EndpointFactory", "LineUse", "LinkBroken"]
 
@@ -106,6 +107,11 @@ class Endpoint(ABC):
         return ""
 
     @property
+    def recording(self) -> RecordingSummary | None:
+        """What the file that it writes holds, once it is closed; None where it writes none."""
+        return None
+
+    @property
     def counts(self) -> Mapping[str, int]:
         """What else happened, by name, for the summary."""
         return {}
@@ -117,6 +123,14 @@ class EndpointFactory(ABC, Generic[_Served]):
     @abstractmethod
     def build(self, device: _Served, deliveries: Deliveries) -> Endpoint:
         """Return the endpoint that serves `device` and tells `deliveries` of the events that have left."""
+
+    def restarted(self, number: int) -> EndpointFactory[_Served]:
+        """Return what makes the endpoint of the `number`-th restart of the link's process, after one that died."""
+        return self
+
+    def remove_remains(self) -> None:
+        """Remove what a process of this link that was killed left on the machine; what a running one has stays."""
+        return
 
     def traced(self, path: Path) -> EndpointFactory[_Served] | None:
         """Return the same with a trace of its cable in PATH.txt and PATH.pcap; None where there is no such cable."""

@@ -66,12 +66,18 @@ class CameraFacts:
         Size of each camera model that has a USB device.
     gige_models
         Camera models that have a GigE Vision device.
+    streams
+        What the camera has beside events, as `Facts.streams`.
+    imu_unit
+        Type of its inertial unit: 1 MPU-6050, 2 MPU-9250.
     """
 
     model: str
     size: tuple[int, int]
     usb_models: Mapping[str, tuple[int, int]] = field(default_factory=dict)
     gige_models: tuple[str, ...] = ()
+    streams: frozenset[str] = frozenset({"edges"})
+    imu_unit: int = 2
 
 
 _NO_CAMERA = CameraFacts("", (0, 0))
@@ -175,6 +181,8 @@ class LinkKind(Generic[P]):
         Whether a link of these parameters sends EVT3 or EVT2 words: a run compiles their kernels before it begins.
     needs
         What a link of these parameters needs of the machine, beyond evstim and its base dependencies.
+    has_readings
+        With "plain": whether it takes frames and samples of the inertial unit.
     """
 
     parameters: type[P]
@@ -191,6 +199,7 @@ class LinkKind(Generic[P]):
     start_delay: bool = True
     has_evt: Callable[[P], bool] = _never
     needs: Callable[[P], tuple[Need, ...]] = _nothing
+    has_readings: bool = False
 
     def __post_init__(self) -> None:
         needed = {"name"} | ({"instrument"} if self.serves == "instrument" else set())

@@ -153,6 +153,8 @@ class Link:
             self._feed.marks_sent += self.endpoint.mark(marks)
         self.endpoint.pump()
         self._tally.delivered = self._delivered
+        if self._deliveries.recording is not None and not self._queued:
+            self._deliveries.reach(self._device.now_us, self._device.epoch_us)
 
     def happen(self, kind: EdgeKind | None) -> None:
         """Let an edge come to the input now, or the clock start anew."""
@@ -179,10 +181,14 @@ class Link:
     @property
     def idle(self) -> bool:
         """True when nothing waits, neither in the ring nor in the camera."""
-        counters = self._device.counters
         reached = self._ring.origin_ns is None or self._feed.reached_us >= self._ring.now_us
-        queued = counters.queued + counters.edges.queued + sum(one.queued for one in counters.readings.values())
-        return reached and self._ring.waiting == 0 and self._feed.readings.waiting == 0 and queued == 0
+        return reached and self._ring.waiting == 0 and self._feed.readings.waiting == 0 and self._queued == 0
+
+    @property
+    def _queued(self) -> int:
+        """Events, edges and readings that wait in the camera."""
+        counters = self._device.counters
+        return counters.queued + counters.edges.queued + sum(one.queued for one in counters.readings.values())
 
     def report(self, *, final: bool = False, error: str | None = None) -> LinkReport:
         """Say what the link has done; the final report counts what was left in the ring as dropped."""
@@ -209,6 +215,7 @@ class Link:
             sensor_factors=self._device.sensor_factors,
             without_effect=self._device.without_effect,
             readings=self._feed.readings.reports(final=final),
+            recordings=tuple(one for one in (self._deliveries.recording, self.endpoint.recording) if one is not None),
         )
 
     def _file_troubles(self, faults: tuple[FaultRecord, ...]) -> tuple[str, ...]:

@@ -108,7 +108,7 @@ class ReadingRing:
         return self._told
 
     def tell(self, settings: tuple[int, ...]) -> None:
-        """Say what the device's host asks; for the link process alone."""
+        """Write what the device's host asks; for the link process alone, and for who makes the ring."""
         if settings == self._told:
             return
         cells = self._ring.cells

@@ -11,6 +11,7 @@ from transports.link.endpoint import LineUse
 from transports.link.feed import ClockReport, EdgeReport
 from transports.link.latency import LatencySummary
 from transports.link.reading_feed import ReadingReport
+from transports.recording.summary import RecordingSummary
 
 __all__ = ["LinkReport"]
 
@@ -44,6 +45,8 @@ class LinkReport:
         Settings of the host that change nothing in the sensor, and why; see `EventDevice.without_effect`.
     readings
         What became of frames and samples before the camera took them, by kind.
+    recordings
+        What the files that the link writes hold: its record, and its own.
     """
 
     state: str
@@ -64,6 +67,7 @@ class LinkReport:
     sensor_factors: Mapping[str, float] = field(default_factory=dict)
     without_effect: Mapping[str, str] = field(default_factory=dict)
     readings: Mapping[str, ReadingReport] = field(default_factory=dict)
+    recordings: tuple[RecordingSummary, ...] = ()
 
     @property
     def dropped_in_device(self) -> int:

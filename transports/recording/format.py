@@ -26,13 +26,15 @@ class Format:
     Attributes
     ----------
     name, title
-        What commands and people call it.
+        Its name in commands, and its name for people.
     suffixes
-        Ends of the names of its files; the first one that has a format decides when it is written.
+        Ends of the names of its files, the usual one first.
     writer, reader
         "module:Class" of what writes (path, facts) and reads (path) it.
     holds
         What is written with it: "events", "edges", "imu", "frames".
+    ordered
+        Streams that share one order of time; each of the others has packets or a list of its own.
     readers
         Programs that open it, for people.
     needs
@@ -55,6 +57,7 @@ class Format:
     writer: str
     reader: str
     holds: tuple[str, ...] = ("events",)
+    ordered: tuple[str, ...] = ()
     readers: str = ""
     needs: str = ""
     size_px: tuple[int, int] = (1 << 16, 1 << 16)
@@ -89,63 +92,65 @@ class Format:
 
 
 _HERE = "transports.recording"
-_ROS = ("events", "edges")
+_ALL = ("events", "edges", "imu", "frames")
+_PICTURED = ("events", "imu", "frames")
+_WORDS = ("events", "edges")  # share one order of time where both are words of EVT2 or EVT3
 _FORMATS = (
     Format(
-        "aedat4", "AEDAT 4.0", (".aedat4",), f"{_HERE}.aedat4:Aedat4Writer", f"{_HERE}.aedat4:Aedat4Reader",
-        ("events", "edges", "imu", "frames"), "DV, dv-processing, aedat, faery, jAER", "faery", (1 << 15, 1 << 15),
+        "aedat4", "AEDAT 4.0", (".aedat4",), f"{_HERE}.aedat4:Aedat4Writer", f"{_HERE}.aedat4:Aedat4Reader", _ALL, (),
+        "DV, dv-processing, aedat, faery, jAER", "faery", (1 << 15, 1 << 15),
     ),
     Format(
         "aedat2", "AEDAT 2.0", (".aedat2", ".aedat"), f"{_HERE}.legacy_aedat:Aedat2Writer",
-        f"{_HERE}.legacy_aedat:Aedat2Reader", ("events", "edges"), "jAER, tonic, dv", "", (1 << 10, 1 << 9),
+        f"{_HERE}.legacy_aedat:Aedat2Reader", _ALL, _ALL, "jAER, tonic, dv", "", (1 << 10, 1 << 9),
     ),
     Format(
         "aedat31", "AEDAT 3.1", (".aedat31", ".aedat3"), f"{_HERE}.legacy_aedat:Aedat31Writer",
-        f"{_HERE}.legacy_aedat:Aedat31Reader", ("events", "edges"), "cAER, dv", "", (1 << 15, 1 << 15),
+        f"{_HERE}.legacy_aedat:Aedat31Reader", _ALL, (), "cAER, dv", "", (1 << 15, 1 << 15),
     ),
     Format(
-        "evt3", "EVT3", (".raw",), f"{_HERE}.evt_file:Evt3Writer", f"{_HERE}.evt_file:EvtReader",
-        ("events", "edges"), "Metavision, OpenEB, faery, evlib, evt3", "", (1 << 11, 1 << 11),
+        "evt3", "EVT3", (".raw",), f"{_HERE}.evt_file:Evt3Writer", f"{_HERE}.evt_file:EvtReader", _WORDS, _WORDS,
+        "Metavision, OpenEB, faery, evlib, evt3", "", (1 << 11, 1 << 11),
     ),
     Format(
-        "evt2", "EVT2", (".evt2",), f"{_HERE}.evt_file:Evt2Writer", f"{_HERE}.evt_file:EvtReader",
-        ("events", "edges"), "Metavision, OpenEB, faery, evlib, expelliarmus", "", (1 << 11, 1 << 11), 1 << 34,
+        "evt2", "EVT2", (".evt2.raw", ".evt2"), f"{_HERE}.evt_file:Evt2Writer", f"{_HERE}.evt_file:EvtReader",
+        _WORDS, _WORDS, "Metavision, OpenEB, faery, evlib, expelliarmus", "", (1 << 11, 1 << 11), 1 << 34,
     ),
     Format(
-        "dat", "DAT", (".dat",), f"{_HERE}.faery_files:DatWriter", f"{_HERE}.faery_files:DatReader",
-        ("events",), "Metavision, OpenEB, faery, expelliarmus", "faery", (1 << 14, 1 << 14), 1 << 32,
+        "dat", "DAT", (".dat",), f"{_HERE}.faery_files:DatWriter", f"{_HERE}.faery_files:DatReader", ("events",), (),
+        "Metavision, OpenEB, faery, expelliarmus", "faery", (1 << 14, 1 << 14), 1 << 32,
     ),
     Format(
-        "es", "Event Stream", (".es",), f"{_HERE}.faery_files:EsWriter", f"{_HERE}.faery_files:EsReader",
-        ("events",), "faery, event_stream, Sepia", "faery", until_us=1 << 37,
+        "es", "Event Stream", (".es",), f"{_HERE}.faery_files:EsWriter", f"{_HERE}.faery_files:EsReader", ("events",),
+        (), "faery, event_stream, Sepia", "faery", until_us=1 << 37,
     ),
     Format(
-        "csv", "CSV", (".csv",), f"{_HERE}.faery_files:CsvWriter", f"{_HERE}.faery_files:CsvReader",
-        ("events",), "faery, pandas, any table", "faery",
+        "csv", "CSV", (".csv",), f"{_HERE}.faery_files:CsvWriter", f"{_HERE}.faery_files:CsvReader", ("events",), (),
+        "faery, pandas, any table", "faery",
     ),
     Format(
         "dsec", "HDF5 as DSEC has it", (".h5", ".hdf5"), f"{_HERE}.dsec:DsecWriter", f"{_HERE}.dsec:DsecReader",
-        ("events",), "h5py, evlib, the DSEC tools", "h5py", until_us=1 << 32, piece_us=1_000_000,
+        ("events",), (), "h5py, evlib, the DSEC tools", "h5py", until_us=1 << 32, piece_us=1_000_000,
     ),
     Format(
-        "ros1", "ROS 1 bag", (".bag",), f"{_HERE}.rosbag:Ros1Writer", f"{_HERE}.rosbag:BagReader", _ROS,
+        "ros1", "ROS 1 bag", (".bag",), f"{_HERE}.rosbag:Ros1Writer", f"{_HERE}.rosbag:BagReader", _ALL, _WORDS,
         "event_camera_msgs (evt3)", "rosbags", (1 << 11, 1 << 11), live=False,
     ),
     Format(
         "ros1-dvs", "ROS 1 bag of dvs_msgs", (".dvs.bag",), f"{_HERE}.rosbag:Ros1DvsWriter",
-        f"{_HERE}.rosbag:BagReader", ("events",), "dvs_msgs: rpg_dvs_ros, rpg_esim", "rosbags", live=False,
+        f"{_HERE}.rosbag:BagReader", _PICTURED, (), "dvs_msgs: rpg_dvs_ros, rpg_esim", "rosbags", live=False,
     ),
     Format(
-        "ros2", "ROS 2 bag", (".ros2",), f"{_HERE}.rosbag:Ros2Writer", f"{_HERE}.rosbag:BagReader", _ROS,
+        "ros2", "ROS 2 bag", (".ros2",), f"{_HERE}.rosbag:Ros2Writer", f"{_HERE}.rosbag:BagReader", _ALL, _WORDS,
         "event_camera_msgs (evt3)", "rosbags", (1 << 11, 1 << 11), is_folder=True, live=False,
     ),
     Format(
         "ros2-dvs", "ROS 2 bag of dvs_msgs", (".dvs.ros2",), f"{_HERE}.rosbag:Ros2DvsWriter",
-        f"{_HERE}.rosbag:BagReader", ("events",), "dvs_msgs", "rosbags", is_folder=True, live=False,
+        f"{_HERE}.rosbag:BagReader", _PICTURED, (), "dvs_msgs", "rosbags", is_folder=True, live=False,
     ),
     Format(
-        "npz", "NumPy", (".npz",), f"{_HERE}.npz:NpzWriter", f"{_HERE}.npz:NpzReader", ("events", "edges"),
-        "numpy, evstim", "", live=False,
+        "npz", "NumPy", (".npz",), f"{_HERE}.npz:NpzWriter", f"{_HERE}.npz:NpzReader", _ALL, (), "numpy, evstim", "",
+        live=False,
     ),
 )  # fmt: skip
 FORMATS: Mapping[str, Format] = {one.name: one for one in _FORMATS}

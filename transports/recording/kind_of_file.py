@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import re
 from pathlib import Path
 
 from transports.recording.format import FORMATS, Format
@@ -39,13 +41,21 @@ def format_to_read(path: Path) -> Format:
     return _of_text(head, path)
 
 
+def _of_percent(head: bytes, path: Path) -> Format:
+    """Return the format of a file of Prophesee's: its lines of text begin with a percent sign."""
+    if path.suffix == ".dat" and b"% evt" not in head and b"% format" not in head:
+        return FORMATS["dat"]
+    if re.search(rb"(?mi)^% (evt 2\.1|format EVT2\.?1)", head):
+        return dataclasses.replace(FORMATS["evt2"], title="EVT2.1", readers="Metavision, OpenEB")
+    return FORMATS["evt2" if re.search(rb"(?mi)^% (evt 2\.0|format EVT2\b)", head) else "evt3"]
+
+
 def _of_text(head: bytes, path: Path) -> Format:
     if head.startswith(b"#!AER-DAT"):
         version = head[9:12].decode("ascii", "replace")
         raise RecordingError(f"it is AEDAT {version}; 2.0, 3.1 and 4.0 are read")
     if head.startswith(b"%"):
-        is_dat = path.suffix == ".dat" and b"% evt" not in head and b"% format" not in head
-        return FORMATS["dat" if is_dat else "evt3"]
+        return _of_percent(head, path)
     first = head.splitlines()[0]
     is_line = first[:2] in (b"t,", b"x,") or (first.count(b",") >= 3 and first[:1].isdigit())
     if is_line or path.suffix == ".csv":

@@ -10,11 +10,21 @@ from typing import TypeVar
 from firmware_protocol.recordings.aedat2 import (
     Aedat2Decoder,
     aedat2_header,
-    encode_aedat2,
+    edge_words,
+    event_words,
     guarded_start,
+    packed,
     parse_aedat2_header,
 )
-from firmware_protocol.recordings.aedat31 import Aedat31Decoder, aedat31_header, encode_aedat31, parse_aedat31_header
+from firmware_protocol.recordings.aedat2_readings import Words, frame_words, imu_words
+from firmware_protocol.recordings.aedat31 import (
+    Aedat31Decoder,
+    aedat31_header,
+    encode_aedat31,
+    encode_frame,
+    encode_imu,
+    parse_aedat31_header,
+)
 from transports.recording.part import Facts, Part, RecordingError
 
 __all__ = ["Aedat2Reader", "Aedat2Writer", "Aedat31Reader", "Aedat31Writer"]
@@ -25,28 +35,48 @@ _MOST_HEADER = 1 << 22  # jAER writes all its preferences: 2100 lines
 
 
 class Aedat2Writer:
-    """Writes events and pin events as jAER does, of a sensor of `facts.size`."""
+    """Writes events, pin events, IMU samples and frames as jAER does, of a sensor of `facts.size`.
+
+    A frame is the reset reads of its pixels, at the start of its exposure, and their signal reads at its end, which
+    wait until all that is earlier has come.
+    """
 
     def __init__(self, path: Path, facts: Facts) -> None:
         self._size = facts.size or (0, 0)
         self._file = path.open("wb", buffering=1 << 16)
         self._file.write(aedat2_header(self._size, facts.unix_us))
+        self._signal: list[Words] = []
         self._is_start = True
 
     def write(self, part: Part) -> None:
-        """Append records."""
-        records = encode_aedat2(part.events, self._size, part.edges)
+        """Append records; none of the next part is earlier."""
+        reset = []
+        for frame in part.frames:
+            reads = frame_words(frame, self._size[1])
+            reset.append(reads[0])
+            self._signal.append(reads[1])
+        words = [edge_words(part.edges), imu_words(part.imu), *reset, event_words(part.events, self._size)]
+        until_us = max((int(one["t"][-1]) for one in words if len(one)), default=0)
+        due = [one for one in self._signal if int(one["t"][0]) <= until_us]
+        self._signal = [one for one in self._signal if int(one["t"][0]) > until_us]
+        self._append([*words[:2], *due, *words[2:]])
+
+    def _append(self, words: list[Words]) -> None:
+        records = packed(words)
         self._file.write(guarded_start(records) if self._is_start else records)
         self._is_start = self._is_start and not records
         self._file.flush()
 
     def close(self) -> None:
-        """Close the file."""
-        self._file.close()
+        """Write what waits and close the file."""
+        try:
+            self._append(self._signal)
+        finally:
+            self._file.close()
 
 
 class Aedat2Reader:
-    """Reads events and pin events; `size` is that of the sensor where the file does not tell."""
+    """Reads events, pin events, IMU samples and frames; `size` is the sensor's where the file does not give it."""
 
     def __init__(self, path: Path, size: tuple[int, int] | None) -> None:
         self._path = path
@@ -54,13 +84,13 @@ class Aedat2Reader:
             self._start, told, unix_us = _parsed(parse_aedat2_header, file.read(_MOST_HEADER))
         if not (size or told):
             raise RecordingError("it does not tell the size of its sensor: give --size, such as 346x260")
-        self.facts = Facts(size or told, "aedat2", unix_us)
+        self.facts = Facts(size or told, "aedat2", unix_us, _STREAMS)
 
     def parts(self) -> Iterator[Part]:
         """Yield events, and raise RecordingError at the end where many lay outside the sensor."""
         decoder = Aedat2Decoder(self.facts.size or (0, 0))
         for data in _pieces(self._path, self._start):
-            yield Part(*decoder.decode(data))
+            yield decoder.decode(data)
         if decoder.outside:
             raise RecordingError(
                 f"{decoder.outside} events lie outside {self.facts.size} and are left out: give --size"
@@ -68,7 +98,7 @@ class Aedat2Reader:
 
 
 class Aedat31Writer:
-    """Writes events and special events as cAER does."""
+    """Writes events, special events, IMU samples and frames as cAER does."""
 
     def __init__(self, path: Path, facts: Facts) -> None:
         self._file = path.open("wb", buffering=1 << 16)
@@ -77,7 +107,9 @@ class Aedat31Writer:
 
     def write(self, part: Part) -> None:
         """Append packets."""
-        self._file.write(encode_aedat31(part.events, part.edges))
+        self._file.write(encode_aedat31(part.events, part.edges) + encode_imu(part.imu))
+        for frame in part.frames:
+            self._file.write(encode_frame(frame))
         self._file.flush()
 
     def close(self) -> None:
@@ -86,26 +118,27 @@ class Aedat31Writer:
 
 
 class Aedat31Reader:
-    """Reads events and special events; the file does not tell the size of its sensor."""
+    """Reads events, special events, IMU samples and frames; the file does not give the size of its sensor."""
 
     def __init__(self, path: Path, size: tuple[int, int] | None) -> None:
         self._path = path
         with path.open("rb") as file:
             self._start, source = _parsed(parse_aedat31_header, file.read(_MOST_HEADER))
         known = next((s for name, s in _SIZES.items() if source.upper().startswith(name)), None)
-        self.facts = Facts(size or known, source or "aedat31")
+        self.facts = Facts(size or known, source or "aedat31", streams=_STREAMS)
 
     def parts(self) -> Iterator[Part]:
-        """Yield the events of whole packets."""
+        """Yield what is in whole packets."""
         decoder = Aedat31Decoder()
         for data in _pieces(self._path, self._start):
             try:
-                part = Part(*decoder.decode(data))
+                part = decoder.decode(data)
             except ValueError as error:
                 raise RecordingError(f"it is damaged: {error}") from error
             yield part
 
 
+_STREAMS = frozenset({"edges", "imu", "frames"})  # may be there: only reading all of a file shows it
 _SIZES = {"DAVIS346": (346, 260), "DAVIS240": (240, 180), "DVS128": (128, 128), "DAVIS640": (640, 480)}
 
 

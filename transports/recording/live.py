@@ -13,7 +13,7 @@ import os
 import subprocess
 import sys
 import threading
-from collections import deque
+from collections import Counter, deque
 from contextlib import suppress
 from fcntl import F_SETPIPE_SZ, fcntl
 from pathlib import Path
@@ -21,13 +21,15 @@ from typing import Any
 
 from firmware_protocol.events import EVENT
 from transports.recording.format import Format
-from transports.recording.part import Facts, Part
-from transports.recording.parts_pipe import encoded_part, encoded_restart
+from transports.recording.part import Facts, Part, counts_of
+from transports.recording.parts_pipe import encoded_part, encoded_reached, encoded_restart
+from transports.recording.summary import RecordingSummary, named
 
 __all__ = ["LiveRecorder"]
 
 _CAPACITY_BYTES = 1 << 27
 _PIPE_BYTES = 1 << 20
+_REACH_US = 50_000  # between two messages of the time reached
 _CLOSE_S = 8.0  # a session waits 10 s for a link's last report
 _START = (
     "import json, sys; sys.path[:] = json.loads(sys.argv.pop()); "
@@ -36,12 +38,12 @@ _START = (
 
 
 class LiveRecorder:
-    """Writes events and edges in device time to `path`. Only the constructor raises OSError.
+    """Writes parts in device time to `path`. Only the constructor raises OSError.
 
     Attributes
     ----------
-    missing : events that found the queue full, or came when nothing could be written any more.
-    report : what the writer said at its end: "events", "edges", "trouble", "paths".
+    missing : how much of each stream found the queue full, or came when nothing could be written any more.
+    report : what the writer reports at its end: "written", "left_out", "late", "trouble", "paths".
     """
 
     def __init__(self, path: Path, form: Format, facts: Facts, what: str = "record") -> None:
@@ -53,8 +55,10 @@ class LiveRecorder:
         self._waiting_bytes = 0
         self._changed = threading.Condition()
         self._ending = self._broken = False
-        self._is_first = True
-        self.missing = 0
+        self._restart: list[bytes] | None = None  # the message of a restart that could not be sent; None: of the first
+        self._form = form
+        self._reached_us = 0
+        self.missing: Counter[str] = Counter()
         self.report: dict[str, Any] = {}
         self._thread = threading.Thread(target=self._send_all, name="recording", daemon=True)
         self._thread.start()
@@ -83,32 +87,54 @@ class LiveRecorder:
         if why := self.report.get("trouble"):
             return f"{self._what} stopped: {why} ({self.path})"
         if self.missing:
-            return f"{self._what} lacks {self.missing} events: they came faster than it could be written ({self.path})"
-        if late := self.report.get("late_edges"):
-            return f"{self._what} lacks {late} edges: they came after later events ({self.path})"
+            return f"{self._what} lacks {named(self.missing)}: they came faster than it could be written ({self.path})"
+        if late := self.report.get("late"):
+            return f"{self._what} lacks {named(late)}: they came after what is later had been written ({self.path})"
         return ""
+
+    @property
+    def summary(self) -> RecordingSummary:
+        """What the file holds, once it is closed."""
+        report = self.report
+        paths = tuple(report.get("paths", [str(self.path)]))
+        written, left_out = report.get("written", {}), report.get("left_out", {})
+        return RecordingSummary(self._form.title, paths, written, left_out, self.trouble, closed=bool(report))
 
     def append(self, part: Part, *, restarted: bool = False, unix_us: int | None = None) -> None:
         """Add a part in device time; `restarted` when that time began anew before it.
 
         `unix_us` is the Unix time at which it began; None in a run that is not paced, where this call may wait.
         """
-        messages = encoded_restart(unix_us or 0) if restarted or self._is_first else []
-        self._is_first = False
-        messages += encoded_part(part)
+        if restarted:
+            self._restart = encoded_restart(unix_us or 0)
+        messages = [*(encoded_restart(unix_us or 0) if self._restart is None else self._restart), *encoded_part(part)]
+        self._reached_us = 0 if restarted else self._reached_us
+        if self._queue(messages, wait=unix_us is None):
+            self._restart = []
+        else:
+            self.missing.update(counts_of(part))
+
+    def reach(self, t_us: int) -> None:
+        """Take note that no event earlier than `t_us` of device time will come."""
+        if t_us - self._reached_us >= _REACH_US:
+            self._reached_us = t_us
+            self._queue(encoded_reached(t_us), wait=False)
+
+    def _queue(self, messages: list[bytes], *, wait: bool) -> bool:
+        """Let messages be sent; False where there is no room for them."""
         size = sum(len(message) for message in messages)
         with self._changed:
-            if unix_us is None:
+            if wait:
                 self._changed.wait_for(lambda: self._broken or self._waiting_bytes + size <= _CAPACITY_BYTES)
             if self._broken or self._waiting_bytes + size > _CAPACITY_BYTES:
-                self.missing += len(part.events)
-                return
+                return False
             self._waiting.extend(messages)
             self._waiting_bytes += size
             self._changed.notify_all()
+        return True
 
     def close(self) -> None:
-        """Let the writer finish the file, and hear its report; it goes on by itself where that takes long."""
+        """Let the writer finish the file, and receive its report; it goes on by itself where that takes long."""
         with self._changed:
             self._ending = True
             self._changed.notify_all()

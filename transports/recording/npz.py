@@ -14,22 +14,27 @@ from numpy.lib import format as npy
 from firmware_protocol.edges import EDGE
 from firmware_protocol.events import EVENT
 from transports.recording.array_file import ArrayFileError, load_arrays
-from transports.recording.part import Facts, Part, RecordingError
-from transports.recording.record import Recorder
+from transports.recording.part import IMU, Facts, Frame, Part, RecordingError
+from transports.recording.record import Recorder, frame_record
 
 __all__ = ["NpzReader", "NpzWriter"]
 
-_PIECE = 1 << 16  # records
+_PIECE_BYTES = 1 << 20
+_MOST_EVENTS = 1 << 16  # of a part
+_PART_US = 1_000_000
+_FOREVER_US = (1 << 63) - 1
+_NONE = np.zeros(0, np.int64)
+_RESTARTS = {"events": "resets", "edges": "edge_resets", "imu": "imu_resets", "frames": "frame_resets"}
 
 
 class NpzWriter:
-    """Writes events and edges; the file is there when it is closed, and until then the raw `.part` files are."""
+    """Writes all streams; the file is there when it is closed, and until then the raw `.part` files are."""
 
     def __init__(self, path: Path, facts: Facts) -> None:
         self._recorder = Recorder(path, facts.size)
 
     def write(self, part: Part) -> None:
-        """Append events, edges and IMU samples."""
+        """Append a part."""
         self._recorder.append(part)
         self._check()
 
@@ -44,37 +49,44 @@ class NpzWriter:
 
 
 class NpzReader:
-    """Reads events and edges, the former from the last restart of the camera's clock on."""
+    """Reads a record, each stream from the last restart of the camera's clock on."""
 
     def __init__(self, path: Path, size: tuple[int, int] | None) -> None:
         self._path = path
         try:
-            starts = load_arrays(path, ("resets", "edge_resets", "size"))
-        except ArrayFileError as error:
+            arrays = load_arrays(path, (*_RESTARTS.values(), "size"))
+            self._starts = {name: _last(arrays.get(key, _NONE)) for name, key in _RESTARTS.items()}
+        except (ArrayFileError, ValueError, TypeError) as error:
             raise RecordingError(str(error)) from error
-        told = starts.get("size", np.zeros(0))
+        told = arrays.get("size", np.zeros(0))
         known = (int(told[0]), int(told[1])) if told.shape == (2,) else size
-        self.facts = Facts(known, "npz")
-        self.restarts = {name: [int(i) for i in starts.get(name, ())] for name in ("resets", "edge_resets")}
+        with zipfile.ZipFile(path) as archive:
+            streams = {name for name in ("edges", "imu", "frames") if f"{name}.npy" in archive.namelist()}
+        self.facts = Facts(known, "npz", streams=frozenset(streams))
 
     def parts(self) -> Iterator[Part]:
-        """Yield events and edges in the order of time; both from where device time began anew for the last time."""
-        edges = _Waiting(self._pieces("edges", EDGE, self.restarts["edge_resets"]))
-        for events in self._pieces("events", EVENT, self.restarts["resets"]):
-            yield Part(events, edges.until(int(events["t"][-1])))
-        while len(rest := edges.until(1 << 63)):
-            yield Part(edges=rest)
+        """Yield what there is in the order of time, at most a second of it at a time."""
+        events, edges, imu, frames = (
+            _Waiting(self._pieces(name, dtype), dtype)
+            for name, dtype in zip(_RESTARTS, (EVENT, EDGE, IMU, frame_record(self.facts.size or (0, 0))), strict=True)
+        )
+        while (first_us := min(one.first_us for one in (events, edges, imu, frames))) < _FOREVER_US:
+            until_us = first_us + _PART_US
+            some = events.until(until_us, _MOST_EVENTS)
+            until_us = min(until_us, int(some["t"][-1])) if len(some) == _MOST_EVENTS else until_us
+            yield Part(some, edges.until(until_us), imu.until(until_us), _frames(frames.until(until_us)))
+        if any(one.left for one in (events, edges, imu, frames)):
+            raise RecordingError("it holds times beyond 2^63 us")
 
-    def _pieces(self, name: str, dtype: np.dtype[np.void], starts: list[int]) -> Iterator[npt.NDArray[Any]]:
+    def _pieces(self, name: str, dtype: np.dtype[np.void]) -> Iterator[npt.NDArray[Any]]:
         with zipfile.ZipFile(self._path) as archive:
             if f"{name}.npy" not in archive.namelist():
                 return
             with archive.open(f"{name}.npy") as file:
-                count = _count(file, dtype)
-                skipped = starts[-1] if starts else 0
-                for n in _numbers(skipped):
+                count, most = _count(file, dtype), max(1, _PIECE_BYTES // dtype.itemsize)
+                for n in _numbers(self._starts[name], most):
                     file.read(n * dtype.itemsize)
-                for n in _numbers(count - skipped):
+                for n in _numbers(count - self._starts[name], most):
                     data = file.read(n * dtype.itemsize)
                     whole = len(data) // dtype.itemsize
                     yield np.frombuffer(data, dtype, whole)
@@ -83,24 +95,50 @@ class NpzReader:
 
 
 class _Waiting:
-    """Edges in the order of time, taken up to a time."""
+    """Records in the order of time, taken up to a time."""
 
-    def __init__(self, pieces: Iterator[npt.NDArray[Any]]) -> None:
+    def __init__(self, pieces: Iterator[npt.NDArray[Any]], dtype: np.dtype[np.void]) -> None:
         self._pieces = pieces
-        self._next = next(pieces, np.zeros(0, EDGE))
+        self._none = np.zeros(0, dtype)
+        self._next = next(pieces, self._none)
 
-    def until(self, t_us: int) -> npt.NDArray[Any]:
-        """Return some of the edges up to `t_us`; none is left when it returns none."""
+    @property
+    def first_us(self) -> int:
+        """Time of the next record; that of no record where none is left."""
         if not len(self._next):
-            self._next = next(self._pieces, np.zeros(0, EDGE))
-        n = int(np.searchsorted(self._next["t"], np.uint64(t_us), "right"))
-        taken, self._next = self._next[:n], self._next[n:]
-        return taken
+            self._next = next(self._pieces, self._none)
+        return int(self._next["t"][0]) if len(self._next) else _FOREVER_US
+
+    @property
+    def left(self) -> bool:
+        """Whether there are records that no time up to the latest one reaches."""
+        return len(self._next) > 0
+
+    def until(self, t_us: int, most: int = 1 << 62) -> npt.NDArray[Any]:
+        """Return at most `most` of the records up to `t_us`, in order."""
+        taken = [self._none]
+        while most > 0 and self.first_us <= t_us:
+            due = int(np.count_nonzero(np.maximum.accumulate(self._next["t"].astype(np.int64)) <= t_us))
+            n = min(due, most)
+            taken.append(self._next[:n])
+            self._next, most = self._next[n:], most - n
+        return np.concatenate(taken)
 
 
-def _numbers(count: int) -> Iterator[int]:
-    for start in range(0, max(0, count), _PIECE):
-        yield min(_PIECE, count - start)
+def _last(starts: npt.NDArray[Any]) -> int:
+    """Return the last of the indices at which the clock started anew; 0 for none."""
+    return int(starts.ravel()[-1]) if starts.size else 0
+
+
+def _frames(records: npt.NDArray[Any]) -> tuple[Frame, ...]:
+    return tuple(
+        Frame(int(one["t"]), int(one["exposure_begin"]), int(one["exposure_end"]), one["pixels"]) for one in records
+    )
+
+
+def _numbers(count: int, most: int) -> Iterator[int]:
+    for start in range(0, max(0, count), most):
+        yield min(most, count - start)
 
 
 def _count(file: Any, dtype: np.dtype[np.void]) -> int:

@@ -2,56 +2,24 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, field
-from typing import Any, Protocol
+from dataclasses import dataclass
+from typing import Protocol
 
-import numpy as np
-import numpy.typing as npt
+from firmware_protocol.recordings.part import IMU, Frame, Part
 
-from firmware_protocol.edges import Edges, empty_edges
-from firmware_protocol.events import Events, empty_events
-
-__all__ = ["IMU", "Facts", "Frame", "Part", "Reader", "RecordingError", "Writer"]
-
-_AXES = [f"{what}_{axis}" for what in ("accelerometer", "gyroscope", "magnetometer") for axis in "xyz"]
-IMU = np.dtype([("t", "<u8"), ("temperature", "<f4"), *((name, "<f4") for name in _AXES)])
-"""A sample of an inertial unit: us, degrees Celsius, g, degrees per second, microtesla; the layout of faery."""
+__all__ = ["IMU", "Facts", "Frame", "Part", "Reader", "RecordingError", "Writer", "counts_of"]
 
 
 class RecordingError(Exception):
     """A recording cannot be read or written; the message says why, without the file's name."""
 
 
-@dataclass(frozen=True)
-class Frame:
-    """A picture of the camera.
-
-    Attributes
-    ----------
-    t_us, exposure_begin_us, exposure_end_us
-        Its time, and those of its exposure.
-    pixels
-        (height, width) uint8 or uint16, row 0 on top.
-    origin
-        Column and row of the array at which it begins.
-    """
-
-    t_us: int
-    exposure_begin_us: int
-    exposure_end_us: int
-    pixels: npt.NDArray[Any]
-    origin: tuple[int, int] = (0, 0)
-
-
-@dataclass(frozen=True)
-class Part:
-    """A piece of a recording: events (n,) EVENT, edges (m,) EDGE, IMU samples (k,) IMU, each sorted, and frames."""
-
-    events: Events = field(default_factory=empty_events)
-    edges: Edges = field(default_factory=empty_edges)
-    imu: npt.NDArray[np.void] = field(default_factory=lambda: np.zeros(0, IMU))
-    frames: tuple[Frame, ...] = ()
+def counts_of(part: Part) -> Counter[str]:
+    """Return how much of each stream a part has: "events", "edges", "imu", "frames"; none of an empty one."""
+    counts = Counter(events=len(part.events), edges=len(part.edges), imu=len(part.imu), frames=len(part.frames))
+    return +counts
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """Parts of recordings on a pipe between two processes of ours: a letter, a length, and bytes.
 
 E events   X edges   I IMU samples   F a frame: JSON head, newline, pixels
-R a restart of the clock: i64 Unix us      H facts, Z the end: JSON
+R a restart of the clock: i64 Unix us   T a time that was reached: i64 us   H facts, Z the end: JSON
 """
 
 from __future__ import annotations
@@ -18,7 +18,10 @@ from firmware_protocol.edges import EDGE
 from firmware_protocol.events import EVENT
 from transports.recording.part import IMU, Facts, Frame, Part
 
-__all__ = ["PipeReader", "Restart", "encoded_end", "encoded_facts", "encoded_part", "encoded_restart", "facts_of"]
+__all__ = [
+    "PipeReader", "Reached", "Restart", "encoded_end", "encoded_facts", "encoded_part", "encoded_reached",
+    "encoded_restart", "facts_of",
+]  # fmt: skip
 
 _HEAD = struct.Struct("<cI")
 _MOST_BYTES = 1 << 30
@@ -27,6 +30,10 @@ _FOREIGN = "the other process sends what is no part of a recording"
 
 class Restart(int):
     """A restart of the camera's clock: the Unix time, us, at which it is zero."""
+
+
+class Reached(int):
+    """A time of the camera's clock, us, before which no event will come any more."""
 
 
 def encoded_part(part: Part) -> list[bytes]:
@@ -51,6 +58,11 @@ def _frame_bytes(frame: Frame) -> bytes:
 def encoded_restart(unix_us: int) -> list[bytes]:
     """Return the message of a restart."""
     return _message(b"R", struct.pack("<q", unix_us))
+
+
+def encoded_reached(t_us: int) -> list[bytes]:
+    """Return the message of a time that was reached."""
+    return _message(b"T", struct.pack("<q", t_us))
 
 
 def encoded_facts(facts: Facts, **more: Any) -> list[bytes]:
@@ -81,7 +93,7 @@ class PipeReader:
         self._data = bytearray()
         self._part = Part()
 
-    def feed(self, data: bytes) -> Iterator[Part | Restart | dict[str, Any]]:
+    def feed(self, data: bytes) -> Iterator[Part | Restart | Reached | dict[str, Any]]:
         """Yield what is complete with the next bytes; raises ValueError for what is none of ours."""
         self._data += data
         start = 0
@@ -94,7 +106,7 @@ class PipeReader:
                 break
             payload = bytes(memoryview(self._data)[start + _HEAD.size : end])
             start = end
-            if letter in b"HRZ":
+            if letter in b"HRTZ":
                 yield _told(letter, payload)
                 continue
             self._part = _with(self._part, letter.upper(), payload)
@@ -104,9 +116,9 @@ class PipeReader:
         del self._data[:start]
 
 
-def _told(letter: bytes, data: bytes) -> Restart | dict[str, Any]:
-    if letter == b"R":
-        return Restart(struct.unpack("<q", data)[0])
+def _told(letter: bytes, data: bytes) -> Restart | Reached | dict[str, Any]:
+    if letter in b"RT":
+        return (Restart if letter == b"R" else Reached)(struct.unpack("<q", data)[0])
     told: dict[str, Any] = json.loads(data)
     return {"kind": letter.decode(), **told}
 

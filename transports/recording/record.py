@@ -1,10 +1,8 @@
-"""What was delivered, written to a file event by event.
-
-The file is a NumPy `.npz`:
+"""The `.npz` record of what was delivered, written event by event.
 
     events   EVENT[n]   in device time: microseconds since the device's clock was last zero
     resets   int64[k]   indices into `events` at which that clock started anew (a timestamp reset, or a new start)
-    edges        EDGE[m]    what the external input told of, in device time
+    edges        EDGE[m]    edges on the external input, in device time, sorted between two restarts
     edge_resets  int64[k]   indices into `edges` at the same restarts
     imu          IMU[j]     samples of the inertial unit, see `part`; and imu_resets, as for edges
     size         int64[2]   width and height of the sensor, where they are known
@@ -18,6 +16,7 @@ that can be written no more (a full disk) stops, and its link goes on: see `Reco
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +28,7 @@ from firmware_protocol.events import EVENT, Events
 from transports.output_file import OutputFile
 from transports.recording.array_file import ArrayFileError, load_arrays
 from transports.recording.part import IMU, Frame, Part
+from transports.recording.summary import RecordingSummary
 
 __all__ = ["Recorder", "frame_record", "load_edges", "load_frames", "load_imu", "load_record", "save_record"]
 
@@ -49,7 +49,7 @@ def _frame(frame: Frame, size: tuple[int, int]) -> npt.NDArray[np.void]:
 
 
 class Recorder:
-    """Appends delivered events and edges; `close` makes the `.npz`. Only the constructor raises OSError."""
+    """Appends what was delivered; `close` makes the `.npz`. Only the constructor raises OSError."""
 
     def __init__(self, path: Path, size: tuple[int, int] | None = None) -> None:
         self.path = path
@@ -59,11 +59,23 @@ class Recorder:
         self._imu = _Raw(path.with_suffix(path.suffix + ".imu.part"), IMU)
         self._kept = [self._events, self._edges, self._imu]
         self._frames: _Raw | None = None
+        self._frames_left_out = 0  # the size of the sensor is not known
+        self._closed = False
 
     @property
     def trouble(self) -> str:
         """Why the record is not whole, for people; empty where it is."""
         return next((kept.trouble for kept in self._kept if kept.trouble), "")
+
+    @property
+    def summary(self) -> RecordingSummary:
+        """What the file holds, once it is closed."""
+        if not self._closed:
+            return RecordingSummary("NumPy", (str(self._events.path),))
+        frames = 0 if self._frames is None else self._frames.count
+        written = Counter(events=self._events.count, edges=self._edges.count, imu=self._imu.count, frames=frames)
+        left_out = Counter(frames=self._frames_left_out)
+        return RecordingSummary("NumPy", (str(self.path),), dict(+written), dict(+left_out), self.trouble, closed=True)
 
     def append(self, part: Part, *, restarted: bool = False, unix_us: int | None = None) -> None:
         """Add a part in device time; `restarted` when that time began anew before it.
@@ -79,6 +91,11 @@ class Recorder:
             kept.append(records)
         if part.frames and self._size is not None:
             self._add_frames(part.frames, self._size)
+        elif part.frames:
+            self._frames_left_out += len(part.frames)
+
+    def reach(self, t_us: int) -> None:
+        """Take note that no event earlier than `t_us` will come: nothing waits here."""
 
     def _add_frames(self, frames: tuple[Frame, ...], size: tuple[int, int]) -> None:
         if self._frames is None:
@@ -89,6 +106,7 @@ class Recorder:
 
     def close(self) -> None:
         """Write the `.npz` and remove the raw files, which stay where that is not possible."""
+        self._closed = True
         for kept in self._kept:
             kept.close()
         if self.trouble:
@@ -111,7 +129,7 @@ class Recorder:
                 file,
                 events=self._events.content(),
                 resets=np.array(self._events.resets, np.int64),
-                edges=self._edges.content(),
+                edges=self._edges.sorted_content(),
                 edge_resets=np.array(self._edges.resets, np.int64),
                 imu=self._imu.content(),
                 imu_resets=np.array(self._imu.resets, np.int64),
@@ -121,12 +139,19 @@ class Recorder:
 
 
 class _Raw:
-    """One kind of record in a raw file, and at which of them time began anew."""
+    """One kind of record in a raw file, and the indices of those at which time began anew.
+
+    Attributes
+    ----------
+    path : the raw file.
+    count : records that were written.
+    """
 
     def __init__(self, path: Path, dtype: np.dtype[np.void]) -> None:
+        self.path = path
         self._file = OutputFile(path, "record")
         self._dtype = dtype
-        self._count = 0
+        self.count = 0
         self.resets: list[int] = []
         self.stop, self.close = self._file.stop, self._file.close
 
@@ -135,14 +160,22 @@ class _Raw:
         return self._file.trouble
 
     def restart(self) -> None:
-        self.resets.append(self._count)
+        self.resets.append(self.count)
 
     def append(self, records: npt.NDArray[np.void]) -> None:
         if len(records) and self._file.write(np.ascontiguousarray(records).data):
-            self._count += len(records)
+            self.count += len(records)
 
     def content(self) -> npt.NDArray[np.void]:
-        return np.memmap(self._file.path, self._dtype, "r") if self._count else np.zeros(0, self._dtype)
+        return np.memmap(self._file.path, self._dtype, "r") if self.count else np.zeros(0, self._dtype)
+
+    def sorted_content(self) -> npt.NDArray[np.void]:
+        """Return the records, those between two restarts in the order of time."""
+        content = self.content()
+        starts = np.zeros(len(content), np.int64)
+        np.add.at(starts, [k for k in self.resets if k < len(content)], 1)
+        order = np.lexsort((content["t"], np.cumsum(starts)))
+        return content if bool((np.diff(order) == 1).all()) else content[order]
 
     def remove(self) -> None:
         self._file.path.unlink()

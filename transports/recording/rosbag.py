@@ -2,11 +2,14 @@
 
 Of `event_camera_msgs`, packets of the encodings "evt3" and "mono" are read, and "evt3" is written: each message
 begins with its time and row, so that a reader may start anywhere. Its times are those of the camera; the stamp of its
-header is Unix time. The times of `dvs_msgs` are Unix time themselves.
+header is Unix time. The times of `dvs_msgs` are Unix time themselves. Frames and samples of the inertial unit have
+topics of their own beside that of the events.
 """
 
 from __future__ import annotations
 
+import dataclasses
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -23,13 +26,17 @@ from firmware_protocol.evt3.decoding import Evt3Decoder
 from firmware_protocol.evt3.encoding import Evt3Encoder
 from transports.recording.part import Facts, Part, RecordingError
 from transports.recording.ros_messages import DVS_EVENT, EVENT_ARRAY, EVENT_PACKET, array_events, event_array
+from transports.recording.ros_readings import IMAGE, SAMPLE, frame_of, image_of, imu_of, sample_of
 
 __all__ = ["BagReader", "Ros1DvsWriter", "Ros1Writer", "Ros2DvsWriter", "Ros2Writer"]
 
 _PACKET, _ARRAY = "event_camera_msgs/msg/EventPacket", "dvs_msgs/msg/EventArray"
 _DEFINITIONS = ((_PACKET, EVENT_PACKET), (_ARRAY, EVENT_ARRAY), ("dvs_msgs/msg/Event", DVS_EVENT))
+_KINDS = {"imu": SAMPLE, "frames": IMAGE}
+_TOPICS = {"imu": "imu", "frames": "image_raw"}
 _MOST_EVENTS = 1 << 15  # of a message
 _ROS2_VERSION: Final = 8
+_FOREVER_US = 1 << 62
 _UNIX_US = 10**14  # the year 1973: cameras count from their start
 
 
@@ -43,9 +50,9 @@ def _typestore(store: Stores) -> Any:
 
 
 class _BagWriter:
-    """Writes messages of one type to one topic."""
+    """Writes a topic of events, and topics of frames and IMU samples where the camera has them."""
 
-    _topic, _type = "/event_camera/events", _PACKET
+    _space, _type = "/event_camera", _PACKET
     _store = Stores.ROS1_NOETIC
 
     def __init__(self, path: Path, facts: Facts) -> None:
@@ -53,10 +60,16 @@ class _BagWriter:
         self._size = facts.size or (0, 0)
         self._types = _typestore(self._store)
         self._encoder = Evt3Encoder(standalone=True, width=self._size[0])
-        self._seq = 0
+        self._count: Counter[str] = Counter()
         self._stack = ExitStack()
         self._bag = self._stack.enter_context(self._opened(path))
-        self._connection = self._bag.add_connection(self._topic, self._type, typestore=self._types)
+        topics = {"events": self._type} | {
+            _TOPICS[name]: kind for name, kind in _KINDS.items() if name in facts.streams
+        }
+        self._connections = {
+            topic: self._bag.add_connection(f"{self._space}/{topic}", kind, typestore=self._types)
+            for topic, kind in topics.items()
+        }
 
     @property
     def _cdr(self) -> bool:
@@ -69,30 +82,46 @@ class _BagWriter:
         return Bag1(path)
 
     def write(self, part: Part) -> None:
-        """Append messages of at most 32 768 events."""
+        """Append messages, those of events with at most 32 768 of them."""
         for start in range(0, max(len(part.events), 1), _MOST_EVENTS):
             piece = Part(part.events[start : start + _MOST_EVENTS], part.edges if not start else part.edges[:0])
             if len(piece.events) or len(piece.edges):
-                self._put(piece)
+                self._put_events(piece)
+        for sample in part.imu:
+            stamp_us = self._facts.unix_us + int(sample["t"])
+            message = sample_of(sample, self._header("imu", stamp_us), self._types.types)
+            self._put("imu", stamp_us, self._serialized(message, SAMPLE))
+        for frame in part.frames:
+            stamp_us = max(0, self._facts.unix_us + frame.t_us)
+            message = image_of(frame, self._size, self._header("image_raw", stamp_us), self._types.types)
+            self._put("image_raw", stamp_us, self._serialized(message, IMAGE))
 
-    def _put(self, part: Part) -> None:
+    def _put_events(self, part: Part) -> None:
         first = min(int(t[0]) for t in (part.events["t"], part.edges["t"]) if len(t))
         stamp_us = self._facts.unix_us + first
-        self._bag.write(self._connection, stamp_us * 1000, self._message(part, stamp_us))
-        self._seq += 1
+        self._put("events", stamp_us, self._message(part, stamp_us))
 
-    def _message(self, part: Part, stamp_us: int) -> bytes:
+    def _put(self, topic: str, stamp_us: int, message: bytes) -> None:
+        self._bag.write(self._connections[topic], stamp_us * 1000, message)
+        self._count[topic] += 1
+
+    def _header(self, topic: str, stamp_us: int) -> Any:
         types = self._types.types
         stamp = types["builtin_interfaces/msg/Time"](sec=stamp_us // 1_000_000, nanosec=stamp_us % 1_000_000 * 1000)
-        own = {} if self._cdr else {"seq": self._seq}
-        header = types["std_msgs/msg/Header"](stamp=stamp, frame_id="camera", **own)
-        words = np.frombuffer(self._encoder.encode(part.events, part.edges), np.uint8)
-        message = types[_PACKET](
-            header=header, height=self._size[1], width=self._size[0], seq=self._seq, time_base=0, encoding="evt3",
-            is_bigendian=False, events=words,
-        )  # fmt: skip
+        own = {} if self._cdr else {"seq": self._count[topic]}
+        return types["std_msgs/msg/Header"](stamp=stamp, frame_id="camera", **own)
+
+    def _serialized(self, message: Any, kind: str) -> bytes:
         made = self._types.serialize_cdr if self._cdr else self._types.serialize_ros1
-        return bytes(made(message, _PACKET))
+        return bytes(made(message, kind))
+
+    def _message(self, part: Part, stamp_us: int) -> bytes:
+        words = np.frombuffer(self._encoder.encode(part.events, part.edges), np.uint8)
+        message = self._types.types[_PACKET](
+            header=self._header("events", stamp_us), height=self._size[1], width=self._size[0],
+            seq=self._count["events"], time_base=0, encoding="evt3", is_bigendian=False, events=words,
+        )  # fmt: skip
+        return self._serialized(message, _PACKET)
 
     def close(self) -> None:
         """Write the index."""
@@ -112,14 +141,10 @@ class Ros2Writer(_BagWriter):
 class Ros1DvsWriter(_BagWriter):
     """Writes a ROS 1 bag of dvs_msgs."""
 
-    _topic, _type = "/dvs/events", _ARRAY
+    _space, _type = "/dvs", _ARRAY
 
     def _message(self, part: Part, stamp_us: int) -> bytes:
-        return event_array(part.events, self._size, self._facts.unix_us, self._seq, cdr=self._cdr)
-
-    def write(self, part: Part) -> None:
-        """Append messages of at most 32 768 events."""
-        super().write(Part(part.events))
+        return event_array(part.events, self._size, self._facts.unix_us, self._count["events"], cdr=self._cdr)
 
 
 class Ros2DvsWriter(Ros1DvsWriter):
@@ -129,59 +154,101 @@ class Ros2DvsWriter(Ros1DvsWriter):
 
 
 class BagReader:
-    """Reads the first topic with events of a ROS 1 bag or of a folder with a ROS 2 bag."""
+    """Reads a topic with events of a ROS 1 bag or of a folder with a ROS 2 bag, and the frames and samples beside it.
+
+    Of several topics of a type the first is read, of frames and samples the first in the name space of the events.
+    """
 
     def __init__(self, path: Path, size: tuple[int, int] | None) -> None:
         self._bag = AnyReader([path], default_typestore=_typestore(Stores.ROS2_HUMBLE))
         self._bag.open()
-        found = [c for c in self._bag.connections if c.msgtype in (_PACKET, _ARRAY)]
-        if not found:
+        found = next((c for c in self._bag.connections if c.msgtype in (_PACKET, _ARRAY)), None)
+        if found is None:
             raise RecordingError("it has no topic of event_camera_msgs/EventPacket or dvs_msgs/EventArray")
-        self._topics = [c for c in found if c.topic == found[0].topic]
-        self._is_array = found[0].msgtype == _ARRAY
-        self._decoder = Evt3Decoder()
-        self._start_us: int | None = None
+        beside = {name: topic for name, kind in _KINDS.items() if (topic := self._beside(found.topic, kind))}
+        topics = {found.topic, *beside.values()}
+        self._connections = [c for c in self._bag.connections if c.topic in topics]
+        self._is_array = found.msgtype == _ARRAY
         self._seen_size: tuple[int, int] | None = None
-        next(self._parts(), None)  # of the first message: the size, and when it was
         self._decoder = Evt3Decoder()
-        streams = frozenset[str]() if self._is_array else frozenset({"edges"})
-        self.facts = Facts(self._seen_size or size, found[0].topic, self._start_us or 0, streams)
+        self._start_us = self._first_us()
+        self._decoder = Evt3Decoder()
+        streams = frozenset(beside) if self._is_array else frozenset({"edges", *beside})
+        self.facts = Facts(self._seen_size or size, found.topic, self._start_us, streams)
+
+    def _beside(self, topic: str, kind: str) -> str | None:
+        """Return the first topic of a type in the name space of another one: elsewhere it is of another camera."""
+        topics = [c.topic for c in self._bag.connections if c.msgtype == kind]
+        return next((one for one in topics if one.rpartition("/")[0] == topic.rpartition("/")[0]), None)
+
+    def _first_us(self) -> int:
+        """Return the Unix time of t = 0, us, or 0, by the messages up to the first one with events."""
+        earliest_us = _FOREVER_US
+        for part, stamp_us in self._stamped():
+            times = [int(t[0]) for t in (part.events["t"], part.edges["t"]) if len(t)]
+            if self._is_array:  # Unix time counts from the first message on
+                earliest_us = min([earliest_us, *(times or [stamp_us])])
+                if times:
+                    return earliest_us if earliest_us > _UNIX_US else 0
+            elif times:
+                return max(0, stamp_us - min(times)) if stamp_us else 0
+        return 0
 
     def parts(self) -> Iterator[Part]:
-        """Yield the events of each message."""
-        yield from self._parts()
+        """Yield what each message holds."""
+        for part, _ in self._stamped():
+            if self._is_array and len(part.events):
+                part.events["t"] -= np.uint64(self._start_us)
+            yield _later(part, -self._start_us)
         self._bag.close()
 
-    def _parts(self) -> Iterator[Part]:
-        for connection, _, data in self._bag.messages(connections=self._topics):
-            data = bytes(data)
-            yield self._of_array(data) if self._is_array else self._of_packet(data, connection.msgtype)
+    def _stamped(self) -> Iterator[tuple[Part, int]]:
+        """Yield what each message holds, and its stamp, us: frames and samples in Unix time, events as they are."""
+        for connection, _, raw in self._bag.messages(connections=self._connections):
+            data = bytes(raw)
+            if connection.msgtype == _ARRAY:
+                yield self._of_array(data), 0
+                continue
+            message: Any = self._bag.deserialize(data, connection.msgtype)
+            stamp_us = message.header.stamp.sec * 1_000_000 + message.header.stamp.nanosec // 1000
+            if connection.msgtype == _PACKET:
+                yield self._of_packet(message), stamp_us if message.encoding == "evt3" else 0
+            elif connection.msgtype == SAMPLE:
+                yield Part(imu=imu_of(message, stamp_us)), stamp_us
+            elif (frame := frame_of(message, stamp_us)) is not None:
+                yield Part(frames=(frame,)), stamp_us
 
     def _of_array(self, data: bytes) -> Part:
         try:
             events, self._seen_size = array_events(data, cdr=self._bag.is2)
         except ValueError as error:
             raise RecordingError(f"it is damaged: {error}") from error
-        if self._start_us is None:  # Unix time is counted from the first event on; what is no such time stays as it is
-            self._start_us = int(events["t"][0]) if len(events) and events["t"][0] > _UNIX_US else 0
-        if self._start_us:
-            events["t"] -= np.uint64(self._start_us)
         return Part(events)
 
-    def _of_packet(self, data: bytes, kind: str) -> Part:
-        message: Any = self._bag.deserialize(data, kind)
+    def _of_packet(self, message: Any) -> Part:
         self._seen_size = (message.width, message.height)
         words = message.events.tobytes()
         if message.encoding == "evt3":
-            part = Part(*self._decoder.decode(words))
-        elif message.encoding == "mono":
-            part = Part(_mono(words, message.time_base))
-        else:
-            raise RecordingError(f'its events are encoded as "{message.encoding}"; "evt3" and "mono" are read')
-        if self._start_us is None and len(part.events) and message.encoding == "evt3":
-            stamp = message.header.stamp
-            self._start_us = max(0, stamp.sec * 1_000_000 + stamp.nanosec // 1000 - int(part.events["t"][0]))
+            return Part(*self._decoder.decode(words))
+        if message.encoding == "mono":
+            return Part(_mono(words, message.time_base))
+        raise RecordingError(f'its events are encoded as "{message.encoding}"; "evt3" and "mono" are read')
+
+
+def _later(part: Part, by_us: int) -> Part:
+    """Return the part with frames and samples later by `by_us`, none before zero."""
+    if not by_us or not (len(part.imu) or part.frames):
         return part
+    imu = part.imu.copy()
+    imu["t"] = np.maximum(imu["t"].astype(np.int64) + by_us, 0)
+    frames = tuple(
+        dataclasses.replace(
+            frame, t_us=frame.t_us + by_us, exposure_begin_us=frame.exposure_begin_us + by_us,
+            exposure_end_us=frame.exposure_end_us + by_us,
+        )
+        for frame in part.frames
+    )  # fmt: skip
+    return Part(part.events, part.edges, imu, frames)
 
 
 def _mono(data: bytes, base_ns: int) -> Events:

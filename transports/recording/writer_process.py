@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import json
 import os
-import select
 import signal
 import sys
 from contextlib import suppress
@@ -20,14 +19,13 @@ from typing import Any
 
 from transports.recording.format import FORMATS
 from transports.recording.part import Part
-from transports.recording.parts_pipe import PipeReader, Restart, facts_of
+from transports.recording.parts_pipe import PipeReader, Reached, Restart, facts_of
 from transports.recording.reasons import reason
 from transports.recording.writing import RecordingFile
 
 __all__ = ["main"]
 
 _READ_BYTES = 1 << 20
-_IDLE_S = 0.1  # what waits for longer is written
 
 
 def main() -> None:
@@ -42,8 +40,8 @@ def main() -> None:
         return
     _tell(opened=True)
     trouble = _written(file)
-    told = {"events": file.events, "edges": file.edges, "late_edges": file.late_edges, "trouble": trouble}
-    _tell(**told, paths=[str(path) for path in file.paths])
+    paths = [str(path) for path in file.paths]
+    _tell(written=file.written, left_out=+file.left_out, late=+file.late, trouble=trouble, paths=paths)
 
 
 def _written(file: RecordingFile) -> str:
@@ -52,7 +50,7 @@ def _written(file: RecordingFile) -> str:
         _write_all(file)
     except BaseException as error:  # noqa: BLE001
         trouble = reason(error)
-        with suppress(BaseException):  # the first reason is told
+        with suppress(BaseException):  # the first reason is reported
             file.close()
         return trouble
     return ""
@@ -60,16 +58,12 @@ def _written(file: RecordingFile) -> str:
 
 def _write_all(file: RecordingFile) -> None:
     messages = PipeReader()
-    while True:
-        if not select.select([0], [], [], _IDLE_S)[0]:
-            file.flush()
-            select.select([0], [], [])
-        data = os.read(0, _READ_BYTES)
-        if not data:
-            break
+    while data := os.read(0, _READ_BYTES):
         for message in messages.feed(data):
             if isinstance(message, Restart):
                 file.restart(int(message))
+            elif isinstance(message, Reached):
+                file.reach(int(message))
             elif isinstance(message, Part):
                 file.write(message)
     file.close()

@@ -1,5 +1,11 @@
 """A recording in any format as it is written: in pieces of a good size, in the order of time, one file for each clock.
 
+Links hand over what they have as it leaves them: an edge ahead of the events of its time, a frame when it has been
+read out, dated by its exposure. What comes is therefore held for a while, and what is older than that is written in the
+order of time. For how long is a matter of stream time alone, so that the file depends neither on the step nor on how
+busy the machine was. What comes still later is left out and counted, where the format has one order of time for it and
+what was written.
+
 A format holds one time that never goes back. When the camera's clock starts anew, so does the file: NAME.aedat4 is
 followed by NAME-clock2.aedat4.
 """
@@ -8,21 +14,27 @@ from __future__ import annotations
 
 import dataclasses
 import shutil
-from collections import deque
+from collections import Counter, deque
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from firmware_protocol.edges import Edges, empty_edges
-from firmware_protocol.event_copies import join_events
-from firmware_protocol.events import Events
+from firmware_protocol.edges import EDGE
+from firmware_protocol.events import EVENT, Events
 from transports.recording.format import Format, with_addition
-from transports.recording.part import Facts, Part, RecordingError, Writer
+from transports.recording.held import HeldFrames, HeldRecords
+from transports.recording.part import IMU, Facts, Frame, Part, RecordingError, Writer, counts_of
 
 __all__ = ["RecordingFile"]
 
 _PIECE_EVENTS = 1 << 14
 _HELD_PARTS = 4
+_HOLD_US = 100_000
+_HOLD_FRAMES_US = 1_000_000  # among events: as long as a frame may take from its exposure on to its last line
+_ALONE_US = 10_000_000  # what no event follows for so long waits for none
+_FOREVER_US = 1 << 62
 
 
 class RecordingFile:
@@ -30,34 +42,40 @@ class RecordingFile:
 
     Parameters
     ----------
-    hold : whether edges may come after later events, as the streams of a file do, each in packets of its own: what came
-        with the last four parts with events then waits for them.
+    hold : whether the parts come from a file that has packets of its own for each stream: what came with the last four
+        parts with events then waits for them.
 
     Attributes
     ----------
     paths : the files.
-    events, edges : how many are in them.
-    late_edges : edges that came when later events had been written, and are left out.
+    written, left_out : how much of each stream is in them, and how much the format cannot hold.
+    late : how much of each stream is left out because it came when what is later had been written.
     """
 
     def __init__(self, path: Path, form: Format, facts: Facts, *, hold: bool = False) -> None:
         self._first = path
         self._form = form
         self._facts = facts
-        self._hold = hold
+        self._parts = _HELD_PARTS if hold else 0
+        self._hold_us = _hold_us(form, facts)
+        self._streams = {"events", *facts.streams} & set(form.holds)
         self.paths: list[Path] = []
-        self.events = self.edges = self.late_edges = 0
+        self.written: Counter[str] = Counter()
+        self.left_out: Counter[str] = Counter()
+        self.late: Counter[str] = Counter()
         self._writer: Writer | None = None
         self._begin()
 
     def _begin(self) -> None:
         number = len(self.paths) + 1
         path = self._first if number == 1 else with_addition(self._first, f"clock{number}")
-        self._waiting: list[Events] = []
-        self._waiting_edges: list[Edges] = []
-        self._count = 0
-        self._starts_us: deque[int] = deque([0] * _HELD_PARTS, _HELD_PARTS)
-        self._last_us = self._newest_us = self._written_us = 0
+        self._held = {"events": HeldRecords(EVENT), "edges": HeldRecords(EDGE), "imu": HeldRecords(IMU)}
+        self._frames = HeldFrames()
+        self._starts_us: deque[int] = deque([0] * self._parts, self._parts)
+        self._last_us = self._newest_us = 0
+        self._limit_us = self._flushed_us = -1
+        self._written_us = dict.fromkeys(("events", "edges", "imu", "frames"), 0)
+        self._since_flush = 0
         self._is_new = True
         self._writer = self._form.open_writer(path, self._facts)
         self.paths.append(path)
@@ -70,27 +88,59 @@ class RecordingFile:
         self._facts = dataclasses.replace(self._facts, unix_us=unix_us)
         is_new = self._is_new
         self.close()
-        if is_new:  # nothing has been written, so that the same file serves
+        if is_new:  # nothing has come, so that the same file serves
             _remove(self.paths.pop())
         self._begin()
 
     def write(self, part: Part) -> None:
-        """Append a part; raises RecordingError for what the format cannot hold, and what its writer raises."""
+        """Append a part; raises RecordingError for events that the format cannot hold, and what its writer raises."""
+        self._is_new = False
+        self.left_out.update({name: n for name, n in counts_of(part).items() if name not in self._streams})
         if len(part.events):
             self._check(part.events)
-            self._waiting.append(part.events)
-            self._count += len(part.events)
             self._starts_us.append(int(part.events["t"][0]))
             self._last_us = int(part.events["t"][-1])
-            self._newest_us = max(self._newest_us, self._last_us)
-        if len(part.edges) and "edges" in self._form.holds:
-            self._waiting_edges.append(part.edges)
-            self._newest_us = max(self._newest_us, int(part.edges["t"][-1]))
-        if (len(part.imu) and "imu" in self._form.holds) or (part.frames and "frames" in self._form.holds):
-            self._put(dataclasses.replace(part, events=part.events[:0], edges=part.edges[:0]))
-        until_us = self._starts_us[0] - 1 if self._hold else self._newest_us
-        if (self._count >= _PIECE_EVENTS and not self._hold) or until_us - self._written_us >= self._form.piece_us:
-            self.flush(until_us if self._hold else None)
+            self._since_flush += len(part.events)
+        for name, records in (("events", part.events), ("edges", part.edges), ("imu", part.imu)):
+            if len(records) and name in self._streams:
+                self._hold_records(name, records if name == "events" else _sorted(records))
+        if part.frames and "frames" in self._streams:
+            self._hold_frames(part.frames)
+        self.reach(self._last_us)
+
+    def reach(self, t_us: int) -> None:
+        """Take note that no event earlier than `t_us` will come, and write what need not wait any longer."""
+        self._newest_us = max(self._newest_us, t_us)
+        limit_us = self._newest_us - self._hold_us
+        if self._parts:
+            limit_us = min(limit_us, self._starts_us[0] - 1)
+        self._limit_us = max(self._limit_us, limit_us)
+        if self._since_flush >= _PIECE_EVENTS or self._limit_us - self._flushed_us >= self._form.piece_us:
+            self._flush(self._limit_us)
+
+    def _hold_records(self, name: str, records: npt.NDArray[Any]) -> None:
+        last_us = int(records["t"][-1])
+        if last_us >= self._form.until_us:
+            raise RecordingError(f"{self._form.title} holds no time beyond {self._form.until_us // 1_000_000} s")
+        late = int(np.searchsorted(records["t"], np.uint64(self._earliest_us(name))))
+        self.late[name] += late
+        self._held[name].add(records[late:])
+        self._newest_us = max(self._newest_us, last_us - _ALONE_US)
+
+    def _hold_frames(self, frames: tuple[Frame, ...]) -> None:
+        inside = tuple(frame for frame in frames if _is_inside(frame, self._facts.size or (0, 0)))
+        earliest_us = self._earliest_us("frames")
+        timely = tuple(frame for frame in inside if frame.t_us >= earliest_us)
+        self.left_out["frames"] += len(frames) - len(inside)
+        self.late["frames"] += len(inside) - len(timely)
+        self._frames.add(timely)
+        self._newest_us = max(self._newest_us, frames[-1].t_us - _ALONE_US)
+
+    def _earliest_us(self, name: str) -> int:
+        """Return the time from which on something of a stream can still be written."""
+        if name in self._form.ordered:
+            return max(0, self._limit_us)
+        return self._written_us[name] if name != "frames" else -_FOREVER_US
 
     def _check(self, events: Events) -> None:
         t = events["t"]
@@ -99,41 +149,42 @@ class RecordingFile:
         if len(back):
             k = int(back[0])
             raise RecordingError(f"an event goes back in time, from {before[k]} to {t[k]} us: a file holds one clock")
-        if int(t[-1]) >= self._form.until_us:
-            raise RecordingError(f"{self._form.title} holds no time beyond {self._form.until_us // 1_000_000} s")
         width, height = self._facts.size or (0, 0)
         if int(events["x"].max()) >= width or int(events["y"].max()) >= height:
             raise RecordingError(f"an event lies outside the sensor of {width} x {height} pixels")
 
-    def flush(self, until_us: int | None = None) -> None:
-        """Write what waits, up to a time if one is given."""
-        edges = np.concatenate([empty_edges(), *self._waiting_edges])
-        if len(edges) > 1 and bool((edges["t"][1:] < edges["t"][:-1]).any()):
-            edges = edges[np.argsort(edges["t"], kind="stable")]
-        events = join_events(self._waiting)
-        cut = (len(events), len(edges))
-        if until_us is not None:
-            limit = np.uint64(max(0, until_us))
-            cut = (int(np.searchsorted(events["t"], limit, "right")), int(np.searchsorted(edges["t"], limit, "right")))
-        self._waiting, self._waiting_edges = [events[cut[0] :]], [edges[cut[1] :]]
-        self._count = len(events) - cut[0]
-        self._put_in_order(events[: cut[0]], edges[: cut[1]])
+    def flush(self) -> None:
+        """Write all that waits."""
+        self._flush(_FOREVER_US)
 
-    def _put_in_order(self, events: Events, edges: Edges) -> None:
-        if not len(events) and not len(edges):
+    def _flush(self, until_us: int) -> None:
+        """Write what waits up to a time, in pieces as cameras make their packets."""
+        while (piece_us := self._end_of_piece_us()) is not None and piece_us < until_us:
+            self._write_piece(piece_us)
+        self._write_piece(until_us)
+        self._flushed_us, self._since_flush = max(self._flushed_us, min(until_us, self._newest_us)), 0
+
+    def _end_of_piece_us(self) -> int | None:
+        """Return the time up to which what waits makes a piece; None where nothing waits."""
+        firsts = [*(held.time_of(0) for held in self._held.values()), self._frames.time_of(0)]
+        first_us = min((t_us for t_us in firsts if t_us is not None), default=None)
+        if first_us is None:
+            return None
+        full_us = self._held["events"].time_of(_PIECE_EVENTS)
+        end_us = first_us + self._form.piece_us
+        return end_us if full_us is None else min(end_us, full_us)
+
+    def _write_piece(self, until_us: int) -> None:
+        taken = {name: held.take(until_us) for name, held in self._held.items()}
+        part = Part(taken["events"], taken["edges"], taken["imu"], self._frames.take(until_us))
+        counts = counts_of(part)
+        if not counts or self._writer is None:
             return
-        late = int(np.searchsorted(edges["t"], np.uint64(self._written_us)))
-        self.late_edges += late
-        edges = edges[late:]
-        self._written_us = max([self._written_us, *(int(t[-1]) for t in (events["t"], edges["t"]) if len(t))])
-        self._put(Part(events, edges))
-        self.events += len(events)
-        self.edges += len(edges)
-
-    def _put(self, part: Part) -> None:
-        if self._writer is not None:
-            self._is_new = False
-            self._writer.write(part)
+        self._writer.write(part)
+        self.written.update(counts)
+        for name, records in taken.items():
+            if len(records):
+                self._written_us[name] = int(records["t"][-1])
 
     def close(self) -> None:
         """Write what waits and finish the file."""
@@ -145,6 +196,24 @@ class RecordingFile:
         finally:
             self._writer = None
             writer.close()
+
+
+def _hold_us(form: Format, facts: Facts) -> int:
+    """Return for how long what comes is held; not at all where a file has events alone."""
+    if form.holds == ("events",):
+        return 0
+    return _HOLD_FRAMES_US if "frames" in form.ordered and "frames" in facts.streams else _HOLD_US
+
+
+def _sorted(records: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return the records of a piece in the order of time: files of other programs may have another."""
+    is_sorted = bool((records["t"][1:] >= records["t"][:-1]).all())
+    return records if is_sorted else records[np.argsort(records["t"], kind="stable")]
+
+
+def _is_inside(frame: Frame, size: tuple[int, int]) -> bool:
+    rows, columns = frame.pixels.shape[:2]
+    return bool(frame.origin[0] + columns <= size[0] and frame.origin[1] + rows <= size[1])
 
 
 def _remove(path: Path) -> None:

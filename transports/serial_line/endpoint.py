@@ -14,6 +14,7 @@ from collections import Counter
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.outgoing import Outgoing
@@ -28,6 +29,7 @@ from transports.serial_line.opening import open_port
 from transports.serial_line.pacing import BaudClock
 from transports.serial_line.parameters import SerialParameters
 from transports.serial_line.port import Port
+from transports.serial_line.pty_symlink import remove_abandoned
 from transports.serial_line.transmitter import Frame, Transmitter
 
 __all__ = ["SerialEndpoint", "SerialFactory"]
@@ -51,6 +53,11 @@ class SerialFactory(EndpointFactory[Instrument]):
     def build(self, device: Instrument, deliveries: Deliveries) -> SerialEndpoint:
         """Return the endpoint, its port not yet open."""
         return SerialEndpoint(self, device, deliveries)
+
+    def remove_remains(self) -> None:
+        """Remove the symbolic link to a pty that is gone."""
+        if self.line.symlink:
+            remove_abandoned(Path(self.line.symlink))
 
 
 class SerialEndpoint(Endpoint):

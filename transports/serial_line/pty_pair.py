@@ -11,6 +11,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from transports.serial_line.port import Descriptor, Port, count_of
+from transports.serial_line.pty_symlink import PtySymlink
 
 __all__ = ["PtyPort"]
 
@@ -28,15 +29,18 @@ class PtyPort(Port):
         self._path = os.ttyname(other)
         os.close(other)  # so that poll tells whether a reader has it open
         self._side = Descriptor(master)
-        self._link = Path(symlink) if symlink else None
         self._was_heard = False
-        if self._link:
-            _point(self._link, self._path)
+        try:
+            self._link = PtySymlink(Path(symlink), self._path) if symlink else None
+        except OSError:
+            os.close(master)
+            raise
+        self._address = symlink or self._path
 
     @property
     def address(self) -> str:
         """Path of the other side."""
-        return str(self._link or self._path)
+        return self._address
 
     @property
     def heard(self) -> bool:
@@ -57,9 +61,9 @@ class PtyPort(Port):
 
     def close(self) -> None:
         """Close our side; a reader sees its port hang up."""
+        if self._link is not None:
+            self._link.close()
         os.close(self._side.fd)
-        if self._link and self._link.is_symlink() and os.readlink(self._link) == self._path:
-            self._link.unlink()
 
     @property
     def unsent(self) -> int:
@@ -81,14 +85,3 @@ def _opened(path: str) -> Iterator[int]:
         yield fd
     finally:
         os.close(fd)
-
-
-def _point(link: Path, target: str) -> None:
-    """Make or renew a symbolic link; raises OSError rather than replace what is no link."""
-    try:
-        if link.is_symlink():
-            link.unlink()
-        link.symlink_to(target)
-    except OSError as error:
-        cure = "give a path that is free, in a folder that exists"
-        raise OSError(f"symlink = {str(link)!r}: {error.strerror}; {cure}") from error

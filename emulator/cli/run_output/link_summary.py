@@ -23,7 +23,7 @@ _CAUSES = {
 
 
 def link_json(report: LinkReport) -> dict[str, object]:
-    """Return the drop causes, line use, counts and faults of a link, for `run --json`."""
+    """Return the drop causes, line use, counts, faults and recordings of a link, for `run --json`."""
     camera = report.camera
     dropped = {} if camera is None else {cause: getattr(camera, cause) for cause in _CAUSES}
     return {
@@ -31,11 +31,12 @@ def link_json(report: LinkReport) -> dict[str, object]:
         "use": None if report.use is None else dataclasses.asdict(report.use),
         "counts": dict(report.counts),
         "faults": [dataclasses.asdict(fault) for fault in report.faults],
+        "recordings": [dataclasses.asdict(one) for one in report.recordings],
     }
 
 
 def link_lines(link: LinkLedger, report: LinkReport) -> list[str]:
-    """Return the summary lines on a link's events and on the use of its line."""
+    """Return the summary lines on a link's events, the use of its line, its faults and its recordings."""
     lines = [
         f"{link.name}: {link.delivered} delivered (digest {report.digest:08x}), {link.dropped} dropped, "
         f"{link.dropped_in_device} dropped in the device{_causes(report)}"
@@ -46,6 +47,7 @@ def link_lines(link: LinkLedger, report: LinkReport) -> list[str]:
     if told:
         lines.append(f"{link.name}: {', '.join(told)}")
     lines += [f"{link.name}: {fault_line(fault)}" for fault in report.faults]
+    lines += [f"{link.name}: {line}" for recording in report.recordings for line in recording.lines]
     return lines
 
 

@@ -1,10 +1,14 @@
 """`evstim record`, `convert`, `info` and `recover`, and `run --record` in the formats of others."""
 
 import json
+import os
+import signal
 import subprocess
 import sys
+import time
 
 import dv_processing
+import h5py
 import numpy as np
 import pytest
 
@@ -12,7 +16,7 @@ from emulator.cli.app import _main
 from firmware_protocol.events import EVENT
 from tests.transports.recording.samples import SIZE, sample_edges, sample_events, write
 from tests.transports.recording.test_files import read_all, read_until_damage
-from transports.recording.record import load_record
+from transports.recording.record import load_edges, load_record
 
 EVENTS = sample_events()
 EDGES = sample_edges(EVENTS)
@@ -151,6 +155,130 @@ def test_a_rig_is_recorded_without_its_links(board, tmp_path, capsys):
     events = read_all(tmp_path / "a.aedat4")[1]
     assert (run["balanced"], link["file_troubles"]) == (True, [])
     assert len(events) == run["events"]["read_out"] > 1000
+
+
+CAMERA = """
+[camera]
+model = "davis346"
+[camera.frames]
+[camera.imu]
+[camera.sensor]
+width = 64
+height = 48
+"""
+RESETS = {"events": "resets", "edges": "edge_resets", "imu": "imu_resets", "frames": "frame_resets"}
+EVERY_50_MS = "[trigger]\nperiod_ms = 50.0\n"
+
+
+@pytest.fixture
+def camera(tmp_path):
+    """A rig with all that a camera can send, whose step is a parameter."""
+
+    def of_step(step_us):
+        path = tmp_path / f"camera{step_us}.toml"
+        path.write_text(BOARD + f"step_us = {step_us}\n" + CAMERA + EVERY_50_MS)
+        return path
+
+    return of_step
+
+
+@pytest.mark.system
+@pytest.mark.parametrize("step_us", [1000, 120_000, 250_000])
+def test_a_record_holds_what_its_format_can_whatever_the_step(step_us, camera, tmp_path, capsys):
+    for name, left_out in (("a.npz", set()), ("a.raw", {"imu", "frames"}), ("a.aedat2", set())):
+        code, run = told(capsys, "record", camera(step_us), tmp_path / name, "--seconds", "0.5")
+        link = run["links"]["file"]
+        assert (code, link["file_troubles"], run["not_recorded"]) == (0, [], [])
+        (file,) = link["recordings"]
+        assert file["written"]["events"] == run["events"]["read_out"] > 1000
+        assert (file["written"]["edges"], set(file["left_out"])) == (10, left_out)
+        counts = file["written"] | file["left_out"]
+        assert (counts["frames"], 495 <= counts["imu"] <= 505) == (13, True)
+    events = load_record(tmp_path / "a.npz")[0]
+    for name in ("a.raw", "a.aedat2"):
+        np.testing.assert_array_equal(read_all(tmp_path / name)[1], events)
+    assert set(load_edges(tmp_path / "a.npz")[0]["t"].tolist()) == set(range(50_000, 500_001, 50_000))
+
+
+@pytest.mark.system
+@pytest.mark.parametrize("step_us", [1000, 120_000, 250_000])
+def test_truth_and_record_are_in_the_order_of_time_with_triggers(step_us, camera, tmp_path, capsys):
+    rig, paths = camera(step_us), [tmp_path / "true.h5", tmp_path / "a.npz"]
+    rig.write_text(rig.read_text() + '[[links]]\nkind = "loopback"\n')
+    arguments = ["--seconds", "0.5", "--pace", "free", "--truth", paths[0], "--record", paths[1]]
+    code, run = told(capsys, "run", rig, *arguments)
+    assert (code, run["truth_trouble"]) == (0, "")
+    with h5py.File(paths[0]) as truth, np.load(paths[1]) as record:
+        streams = [truth["events/t"][:], truth["clean_events/t"][:], truth["pictures/t"][:]]
+        streams += [record[name]["t"][record[resets][-1] :] for name, resets in RESETS.items() if name in record]
+        assert len(truth["events/t"]) == run["events"]["read_out"]
+        assert len(record["edges"]) > 10
+    assert all((np.diff(t.astype(np.float64)) >= 0).all() for t in streams)
+
+
+def test_info_lists_every_stream_with_its_times(camera, tmp_path, capsys):
+    told(capsys, "record", camera(10_000), tmp_path / "a.aedat4", "--seconds", "0.2")
+    code, info = told(capsys, "info", tmp_path / "a.aedat4")
+    streams = info["streams"]
+    assert code == 0
+    assert [streams[name]["count"] for name in ("edges", "frames")] == [4, 5] == [info["edges"], info["frames"]]
+    assert (streams["edges"]["first_us"], streams["edges"]["last_us"]) == (50_000, 200_000)
+    assert streams["frames"]["last_us"] - streams["frames"]["first_us"] == 4 * 40_000
+    assert streams["imu"]["first_us"] == 998
+    assert not any(stream["steps_back"] for stream in streams.values())
+    assert _main(["info", str(tmp_path / "a.aedat4")]) == 0
+    printed = capsys.readouterr().out
+    assert "triggers  4, from 50000 to 200000 us" in printed
+    assert f"frames    5, from {streams['frames']['first_us']} to {streams['frames']['last_us']} us" in printed
+    assert f"IMU       {info['imu']}, from 998 to" in printed
+    told(capsys, "convert", tmp_path / "a.aedat4", tmp_path / "a.raw")
+    assert _main(["info", str(tmp_path / "a.raw")]) == 0
+    assert "frames    none: the format holds none" in capsys.readouterr().out
+
+
+def test_a_record_that_stopped_ends_with_a_verdict_and_says_why(camera, tmp_path, capsys):
+    (tmp_path / "full.raw").symlink_to("/dev/full")
+    assert _main(["record", str(camera(10_000)), str(tmp_path / "full.raw"), "--seconds", "0.2"]) == 1
+    printed = capsys.readouterr().out
+    last = " ".join(printed[printed.index("NOT WHOLE") :].split())
+    assert last.startswith(f"NOT WHOLE: file stopped: No space left on device ({tmp_path / 'full.raw'}); `evstim info")
+    assert "written to" not in printed
+
+
+def test_a_record_reports_what_no_file_can_show(tmp_path, capsys):
+    """The triggers of a bus come by a link, and a record has none."""
+    rig = tmp_path / "bus.toml"
+    bus = '[trigger]\nsource = "can"\n[[links]]\nkind = "can"\ninterface = "virtual"\nname = "can"\n'
+    rig.write_text(BOARD + CAMERA + bus)
+    code, run = told(capsys, "record", rig, tmp_path / "a.npz", "--seconds", "0.05")
+    assert (code, run["not_recorded"]) == (0, ["triggers, which come by the bus of the link 'can'"])
+    assert _main(["record", str(rig), str(tmp_path / "a.npz"), "--seconds", "0.05"]) == 0
+    assert "not recorded: triggers, which come by the bus of the link 'can'" in capsys.readouterr().out
+
+
+@pytest.mark.system
+def test_a_trigger_that_is_pressed_while_recording_is_in_the_file(camera, tmp_path):
+    """By `evstim trigger`, as somebody at the bench does it."""
+    evstim = [sys.executable, "-c", "from emulator.cli import main; main()"]
+    rig = camera(120_000)
+    rig.write_text(rig.read_text().replace(EVERY_50_MS, ""))
+    record = [*evstim, "record", rig, tmp_path / "a.raw", "--seconds", "0", "--pace", "realtime", "--json"]
+    environment = os.environ | {"XDG_RUNTIME_DIR": str(tmp_path)}
+    with subprocess.Popen(record, stdout=subprocess.PIPE, text=True, env=environment) as running:
+        deadline_s = time.monotonic() + 300
+        pressed = 0
+        while pressed < 3:
+            assert time.monotonic() < deadline_s
+            press = [*evstim, "trigger", "rising", "--link", "file"]
+            pressed += subprocess.run(press, env=environment, capture_output=True, check=False).returncode == 0
+        running.send_signal(signal.SIGINT)
+        run = json.loads(running.stdout.read().splitlines()[-1])
+    assert running.returncode == 0, run
+    (file,) = run["links"]["file"]["recordings"]
+    assert (file["written"]["edges"], file["written"]["events"]) == (3, run["events"]["read_out"])
+    _, events, edges = read_all(tmp_path / "a.raw")
+    assert (len(events), len(edges)) == (run["events"]["read_out"], 3)
+    assert (np.diff(edges["t"].astype(np.int64)) > 0).all()
 
 
 def test_what_a_link_delivers_is_recorded_in_the_formats_of_others(board, tmp_path, capsys):

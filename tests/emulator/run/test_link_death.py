@@ -14,9 +14,13 @@ import pytest
 from emulator.run.link_process import LinkProcess
 from firmware_protocol.davis346 import Davis346, Davis346Settings
 from firmware_protocol.events import EVENT
+from firmware_protocol.instrument.instrument import Instrument
+from firmware_protocol.instrument.settings import InstrumentSettings
 from transports.link.pacing import MonotonicClock
 from transports.link.process import LinkSetup
 from transports.link.ring import FREE_RUNNING, EventRing
+from transports.serial_line.endpoint import SerialFactory
+from transports.serial_line.parameters import SerialParameters
 from transports.usb.loopback import LoopbackFactory
 
 pytestmark = pytest.mark.socket
@@ -74,6 +78,38 @@ def test_events_of_a_killed_link_are_delivered_or_dropped():
     report = link.stop(1.0)
     assert (report.delivered, report.dropped, report.dropped_in_device) == (5000, 700, 0)
     assert "exit code -9" in report.error
+
+
+def open_serial_link(symlink, **more):
+    """Return a link on a pty that `symlink` leads to."""
+    factory = SerialFactory(SerialParameters(symlink=str(symlink)))
+    device = partial(Instrument, (346, 260), InstrumentSettings())
+    link = LinkProcess(LinkSetup("serial", EventRing(), device, factory, **more), MonotonicClock())
+    link.wait_ready()
+    link.start(FREE_RUNNING)
+    return link
+
+
+def test_the_symlink_of_a_killed_serial_link_goes_and_that_of_a_live_one_stays(tmp_path):
+    killed, other = open_serial_link(tmp_path / "killed"), open_serial_link(tmp_path / "other")
+    os.kill(killed.pid, signal.SIGKILL)
+    until(lambda: killed.listen().state == "died")
+    assert not (tmp_path / "killed").is_symlink()
+    assert (tmp_path / "other").exists()
+    again = open_serial_link(tmp_path / "killed")
+    killed.stop(1.0)
+    assert (tmp_path / "killed").exists()
+    for link in (again, other):
+        link.stop(1.0)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_symlink_goes_where_the_session_first_notices_the_death_at_its_end(tmp_path):
+    link = open_serial_link(tmp_path / "camera")
+    os.kill(link.pid, signal.SIGKILL)
+    link._process.join(60.0)
+    link.stop(1.0)
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.system

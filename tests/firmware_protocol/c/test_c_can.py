@@ -111,6 +111,19 @@ def test_edges_and_marks_are_kept_apart(library):
     assert (reply.counters[1], reply.counters[2], reply.counters[-1]) == (3, 1, 1)
 
 
+@pytest.mark.parametrize(("step", "bound"), [(32767, 2**31 - 1), (-32768, -(2**31))])
+def test_the_count_of_lost_events_stays_at_the_bounds_of_an_int32(library, step, bound):
+    """An epoch frame tells of 32767 events at most, so that 65 540 of them exceed the counter."""
+    sent = (step * np.arange(65_600, dtype=np.int64)) & 0xFFFF
+    frames = [Frame(EPOCH, struct.pack("<IHH", k, int(n), 0)) for k, n in enumerate(sent)]
+    reply = library("n", request(frames))
+    assert reply.counters[3] == bound & 0xFFFFFFFF
+    assert reply.counters[-1] == 0
+    inwards = -1000 if step > 0 else 1000
+    back = [*frames, Frame(EPOCH, struct.pack("<IHH", 0, (int(sent[-1]) + inwards) & 0xFFFF, 0))]
+    assert library("n", request(back)).counters[3] == (bound + inwards) & 0xFFFFFFFF
+
+
 @pytest.mark.parametrize("fd", [False, True])
 def test_random_frames_do_no_harm(library, fd):
     rng = np.random.default_rng(5)

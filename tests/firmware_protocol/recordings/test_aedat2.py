@@ -40,9 +40,9 @@ def test_pin_events_have_their_own_codes():
     records = encode_aedat2(events_at([6]), SIZE, edges)
     addresses = [struct.unpack_from(">I", records, 8 * k)[0] for k in (0, 1, 3)]
     assert addresses == [0x402, 0x403, 0x404]
-    read, told = Aedat2Decoder(SIZE).decode(records)
-    np.testing.assert_array_equal(told[["t", "kind"]], edges[["t", "kind"]])
-    np.testing.assert_array_equal(read, events_at([6]))
+    part = Aedat2Decoder(SIZE).decode(records)
+    np.testing.assert_array_equal(part.edges[["t", "kind"]], edges[["t", "kind"]])
+    np.testing.assert_array_equal(part.events, events_at([6]))
 
 
 steps = st.lists(st.one_of(st.integers(0, 100), st.integers(0, 2**31 - 1)), min_size=1, max_size=40)
@@ -52,16 +52,20 @@ steps = st.lists(st.one_of(st.integers(0, 100), st.integers(0, 2**31 - 1)), min_
 def test_round_trip_across_wraps_in_pieces(steps, piece):
     events = events_at(np.cumsum(steps))
     data, decoder = encode_aedat2(events, SIZE), Aedat2Decoder(SIZE)
-    read = [decoder.decode(data[k : k + piece])[0] for k in range(0, len(data), piece)]
+    read = [decoder.decode(data[k : k + piece]).events for k in range(0, len(data), piece)]
     np.testing.assert_array_equal(np.concatenate(read), events)
     assert (decoder.others, decoder.outside) == (0, 0)
 
 
-def test_frames_and_imu_samples_are_counted_and_left_out():
-    raw = struct.pack(">IiIi", 0x8000_0000, 1, 0x8000_0C00, 2) + encode_aedat2(events_at([3]), SIZE)
+def test_words_of_no_whole_frame_or_sample_are_counted_and_left_out():
+    """A signal read without a reset read, a read of a kind that is no longer in use, six of the seven values."""
+    imu = b"".join(struct.pack(">Ii", 0x8000_0C00 | k << 28, 2) for k in (0, 1, 2, 3, 4, 5, 0))
+    raw = struct.pack(">IiIi", 0x8000_0400, 1, 0x8000_0800, 1) + imu + encode_aedat2(events_at([3]), SIZE)
     decoder = Aedat2Decoder(SIZE)
-    assert decoder.decode(raw)[0]["t"].tolist() == [3]
-    assert decoder.others == 2
+    part = decoder.decode(raw)
+    assert part.events["t"].tolist() == [3]
+    assert (len(part.imu), part.frames) == (0, ())
+    assert decoder.others == 2 + 1  # six values may still be completed
 
 
 @pytest.mark.parametrize("unix_us", [0, 1_700_000_000_123_000])
@@ -80,13 +84,13 @@ def test_the_first_record_never_looks_like_a_line_of_text():
     guarded = guarded_start(records)
     assert guarded[:1] != b"#"
     decoder = Aedat2Decoder(SIZE)
-    np.testing.assert_array_equal(decoder.decode(guarded)[0], events)
+    np.testing.assert_array_equal(decoder.decode(guarded).events, events)
     assert guarded_start(records[1:]) == records[1:]
 
 
 @given(st.binary(max_size=300))
 def test_any_bytes_are_read_or_refused_in_words(data):
-    events, _ = Aedat2Decoder(SIZE).decode(data)
+    events = Aedat2Decoder(SIZE).decode(data).events
     assert events["x"].max(initial=0) < 346
     assert events["y"].max(initial=0) < 260
     for head in (data, b"#!AER-DAT2.0\r\n#" + data):

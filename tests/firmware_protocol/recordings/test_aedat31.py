@@ -13,8 +13,11 @@ from firmware_protocol.recordings.aedat31 import (
     Aedat31Decoder,
     aedat31_header,
     encode_aedat31,
+    encode_frame,
+    encode_imu,
     parse_aedat31_header,
 )
+from firmware_protocol.recordings.part import IMU, Frame
 
 
 def events_at(times):
@@ -34,9 +37,31 @@ def test_a_packet_has_the_fields_of_libcaer():
 
 def test_special_events_carry_edges():
     edges = np.array([(5, 2, 0, 0), (6, 3, 0, 0), (7, 4, 0, 0)], EDGE)
-    events, read = Aedat31Decoder().decode(encode_aedat31(events_at([]), edges))
-    np.testing.assert_array_equal(read, edges)
-    assert len(events) == 0
+    part = Aedat31Decoder().decode(encode_aedat31(events_at([]), edges))
+    np.testing.assert_array_equal(part.edges, edges)
+    assert len(part.events) == 0
+
+
+def test_a_frame_has_the_fields_of_libcaer():
+    frame = Frame(2**31 + 5, 2**31 + 5, 2**31 + 9, np.array([[0, 1, 2], [512, 1022, 1023]], np.uint16), (7, 8))
+    head = struct.pack("<hhiiiiii", 2, 1, 48, 4, 1, 1, 1, 1)
+    body = struct.pack("<I8i6H", 3, 5, 9, 5, 9, 3, 2, 7, 8, 0, 64, 128, 32768, 65408, 65472)
+    assert encode_frame(frame) == head + body
+    (read,) = Aedat31Decoder().decode(head + body).frames
+    assert (read.t_us, read.exposure_begin_us, read.exposure_end_us, read.origin) == (
+        2**31 + 5, 2**31 + 5, 2**31 + 9, (7, 8),
+    )  # fmt: skip
+    np.testing.assert_array_equal(read.pixels, frame.pixels)
+    assert Aedat31Decoder().decode(head + body[:-1]).frames == ()
+
+
+def test_samples_have_the_fields_of_libcaer():
+    imu = np.zeros(2, IMU)
+    imu["t"], imu["temperature"], imu["gyroscope_z"], imu["accelerometer_x"] = [3, 4], 30, -2.5, 0.5
+    data = struct.pack("<hhiiiiii", 3, 1, 36, 4, 0, 2, 2, 2)
+    data += b"".join(struct.pack("<Ii7f", 1, t, 0.5, 0, 0, 0, 0, -2.5, 30) for t in (3, 4))
+    assert encode_imu(imu) == data
+    np.testing.assert_array_equal(Aedat31Decoder().decode(data).imu, imu)
 
 
 steps = st.lists(st.one_of(st.integers(0, 100), st.integers(0, 2**33)), max_size=40)
@@ -46,22 +71,25 @@ steps = st.lists(st.one_of(st.integers(0, 100), st.integers(0, 2**33)), max_size
 def test_round_trip_across_wraps_in_pieces(steps, piece):
     events = events_at(np.cumsum(steps))
     data, decoder = encode_aedat31(events), Aedat31Decoder()
-    read = [decoder.decode(data[k : k + piece])[0] for k in range(0, len(data), piece)]
+    read = [decoder.decode(data[k : k + piece]).events for k in range(0, len(data), piece)]
     np.testing.assert_array_equal(np.concatenate([events[:0], *read]), events)
 
 
-def test_other_packets_are_counted_and_left_out():
-    frame = struct.pack("<hhiiiiii", 2, 1, 40, 12, 0, 1, 1, 1) + bytes(40)
+def test_other_packets_and_frames_that_cannot_be_read_are_counted_and_left_out():
+    colours = struct.pack("<hhiiiiii", 2, 1, 42, 4, 0, 1, 1, 1) + struct.pack("<I8i3H", 7, *[0] * 4, 1, 1, *[0] * 5)
+    larger = struct.pack("<hhiiiiii", 2, 1, 38, 4, 0, 1, 1, 1) + struct.pack("<I8iH", 3, *[0] * 4, 9, 9, 0, 0, 1)
+    nine_axes = struct.pack("<hhiiiiii", 4, 1, 48, 4, 0, 1, 1, 1) + bytes(48)
     decoder = Aedat31Decoder()
-    events, _ = decoder.decode(frame + encode_aedat31(events_at([9])))
-    assert events["t"].tolist() == [9]
-    assert decoder.others == 1
+    part = decoder.decode(colours + larger + nine_axes + encode_aedat31(events_at([9])))
+    assert part.events["t"].tolist() == [9]
+    assert part.frames == ()
+    assert decoder.others == 3
 
 
 def test_events_that_are_marked_invalid_are_left_out():
     data = bytearray(encode_aedat31(events_at([1, 2])))
     data[28] &= 0xFE
-    assert Aedat31Decoder().decode(bytes(data))[0]["t"].tolist() == [2]
+    assert Aedat31Decoder().decode(bytes(data)).events["t"].tolist() == [2]
 
 
 def test_the_header_names_the_camera():

@@ -3,6 +3,7 @@
 import dataclasses
 import os
 import signal
+import time
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from emulator.run.assembly import link_setups
 from emulator.run.link_process import LinkFailed, LinkProcess
 from evstim.testing.link_contract import LinkContract, NoReader, event_stream
 from firmware_protocol.edges import EDGE
-from tests.transports.recording.test_files import read_all
+from tests.transports.recording.test_files import read_all, read_until_damage
 from tests.transports.recording.test_live import waited
 from transports.file.kind import FileLink
 from transports.link.edges import EdgeRing
@@ -82,6 +83,28 @@ def test_a_killed_writer_stops_the_file_and_not_the_link(tmp_path):
     assert report.error is None
     assert report.delivered + report.dropped + report.dropped_in_device == 2000
     assert "its writer was killed" in report.file_troubles[0]
+
+
+def test_a_link_that_is_started_again_begins_another_file(tmp_path):
+    """What the first process handed over is in a finished file, which nobody writes over."""
+    link = opened(tmp_path / "a.aedat4", restart=True)
+    link.start(FREE_RUNNING)
+    events = event_stream(2000)
+    link.push_all(events[:1000], 2999)
+    assert waited(lambda: link.listen().delivered == 1000)
+    time.sleep(1.1)  # a process that ends sooner is not started again
+    os.kill(link.pid, signal.SIGKILL)
+    assert waited(lambda: link.listen().state == "restarting")
+    link.push_all(events[1000:], 6000)
+    assert waited(lambda: link.listen().delivered == 1000)
+    report = link.stop(60.0)
+    paths = [tmp_path / "a.aedat4", tmp_path / "a-restart1.aedat4"]
+    assert [one.paths for one in report.recordings] == [(str(path),) for path in paths]
+    assert [one.closed for one in report.recordings] == [False, True]
+    assert "not closed, as its link died" in report.recordings[0].lines[0]
+    assert waited(lambda: len(read_until_damage(paths[0])[0]) == 1000)
+    np.testing.assert_array_equal(read_all(paths[0])[1], events[:1000])
+    np.testing.assert_array_equal(read_all(paths[1])[1], events[1000:])
 
 
 def children(pid):

@@ -2,9 +2,10 @@
 
 import numpy as np
 
+from firmware_protocol.edges import empty_edges
 from firmware_protocol.events import EVENT, empty_events
-from transports.recording.part import Part
-from transports.recording.record import Recorder, load_record
+from transports.recording.part import Frame, Part
+from transports.recording.record import Recorder, load_edges, load_record
 
 
 def test_a_record_holds_device_time_and_where_it_starts_anew(tmp_path):
@@ -31,3 +32,24 @@ def test_an_empty_record_is_a_record(tmp_path):
     read, resets = load_record(tmp_path / "none.npz")
     assert np.array_equal(read, empty_events())
     assert resets == []
+
+
+def test_edges_that_were_heard_late_are_in_the_order_of_time_between_two_restarts(tmp_path):
+    recorder = Recorder(tmp_path / "run.npz")
+    for k, times in enumerate(([5, 9], [7], [3, 8], [1])):
+        edges = empty_edges(len(times))
+        edges["t"], edges["seq"] = times, k
+        recorder.append(Part(edges=edges), restarted=k in (0, 2))
+    recorder.close()
+    read, resets = load_edges(tmp_path / "run.npz")
+    assert [part["t"].tolist() for part in np.split(read, resets)] == [[], [5, 7, 9], [1, 3, 8]]
+    assert read["seq"].tolist() == [0, 1, 0, 3, 2, 2]
+    assert recorder.summary.written == {"edges": 6}
+
+
+def test_frames_of_a_sensor_of_unknown_size_are_counted_as_left_out(tmp_path):
+    recorder = Recorder(tmp_path / "run.npz")
+    recorder.append(Part(frames=(Frame(1, 1, 2, np.zeros((2, 2), np.uint16)),)))
+    assert not recorder.summary.closed
+    recorder.close()
+    assert (recorder.summary.written, recorder.summary.left_out) == ({}, {"frames": 1})

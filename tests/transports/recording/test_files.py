@@ -50,7 +50,7 @@ def test_what_was_written_is_read_back(name, tmp_path):
     path = tmp_path / f"a{form.suffixes[0]}"
     assert format_to_write(path) is form
     file = write(path, name, EVENTS, EDGES)
-    assert (file.events, file.late_edges) == (len(EVENTS), 0)
+    assert (file.written["events"], +file.late) == (len(EVENTS), {})
     recording, events, edges = read_all(path, SIZE)
     start = EVENTS["t"][0] if name.endswith("-dvs") else 0  # these know Unix time alone
     events["t"] += start
@@ -109,18 +109,66 @@ def test_each_clock_has_a_file_of_its_own(tmp_path):
     assert [read_all(path)[0].facts.unix_us for path in file.paths] == [10**15 + 100, 2 * 10**15 + 50]
 
 
-def test_edges_that_come_after_later_events_are_put_in_order_or_counted(tmp_path):
-    for hold, late in ((True, 0), (False, 1)):
+def test_a_clock_that_starts_anew_before_anything_is_written_begins_a_new_file_too(tmp_path):
+    file = RecordingFile(tmp_path / "a.raw", FORMATS["evt3"], Facts(SIZE))
+    file.restart(0)
+    file.write(Part(events_at([100, 200])))
+    file.restart(0)  # a run without a date
+    file.write(Part(events_at([50])))
+    file.close()
+    assert [read_all(path)[1]["t"].tolist() for path in file.paths] == [[100, 200], [50]]
+
+
+def edge_at(t_us):
+    edge = np.zeros(1, EDGE)
+    edge["t"], edge["kind"] = t_us, 2
+    return edge
+
+
+@pytest.mark.parametrize(
+    ("hold", "behind_us", "is_late"), [(False, 90_000, 0), (False, 110_000, 1), (True, 110_000, 0)]
+)
+def test_an_edge_that_comes_after_later_events_is_put_in_order_or_counted(hold, behind_us, is_late, tmp_path):
+    """A tenth of a second behind the newest event, whatever the pieces; of a file, four packets behind."""
+    for pieces in (1, 400):
         file = RecordingFile(tmp_path / "a.raw", FORMATS["evt3"], Facts(SIZE), hold=hold)
-        file.write(Part(events_at(range(0, 20_000, 10))))
-        edges = np.zeros(1, EDGE)
-        edges["t"], edges["kind"] = 19_000, 2
-        file.write(Part(edges=edges))
-        file.write(Part(events_at([500_000])))
+        for events in np.array_split(events_at(range(0, 200_001, 10)), pieces):
+            file.write(Part(events))
+        file.write(Part(edges=edge_at(200_000 - behind_us)))
+        for t in range(500_000, 1_000_000, 100_000):
+            file.write(Part(events_at([t])))
         file.close()
+        if hold and pieces > 4:
+            continue
         _, events, read = read_all(tmp_path / "a.raw")
-        assert len(events) == 2001
-        assert (len(read), file.late_edges) == (1 - late, late)
+        assert len(events) == 20_006
+        assert (read["t"].tolist(), file.late["edges"]) == ([] if is_late else [200_000 - behind_us], is_late)
+
+
+def test_an_edge_ahead_of_its_events_waits_for_them_however_long(tmp_path):
+    """A step of a run may be long: its edges come first."""
+    file = RecordingFile(tmp_path / "a.raw", FORMATS["evt3"], Facts(SIZE))
+    file.write(Part(edges=np.concatenate([edge_at(t) for t in range(50_000, 1_000_001, 50_000)])))
+    for start in range(0, 1_000_000, 1000):
+        file.write(Part(events_at(range(start, start + 1000, 100))))
+    file.close()
+    _, events, read = read_all(tmp_path / "a.raw")
+    assert read["t"].tolist() == list(range(50_000, 1_000_001, 50_000))
+    assert len(events) == 10_000
+    assert +file.late == {}
+
+
+def test_what_no_event_follows_is_written_when_its_time_is_reached(tmp_path):
+    for reach in (True, False):
+        file = RecordingFile(tmp_path / "a.raw", FORMATS["evt3"], Facts(SIZE))
+        file.write(Part(events_at([5]), edges=edge_at(10)))
+        if reach:
+            file.reach(120_000)
+        assert (file.written["events"], file.written["edges"]) == ((1, 1) if reach else (0, 0))
+        file.write(Part(edges=edge_at(15_000_000)))  # nothing waits for more than ten seconds
+        assert (file.written["events"], file.written["edges"]) == (1, 1)
+        file.close()
+        assert file.written["edges"] == 2
 
 
 @pytest.mark.parametrize("name", [name for name, form in FORMATS.items() if not form.is_folder])

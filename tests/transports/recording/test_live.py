@@ -56,7 +56,7 @@ def test_what_was_appended_is_in_the_file(name, tmp_path):
         recorder.append(Part(part, edges=own), unix_us=UNIX_US)
     recorder.close()
     assert recorder.trouble == ""
-    assert recorder.report["events"] == len(EVENTS)
+    assert recorder.summary.written["events"] == len(EVENTS)
     recording, events, read = read_all(path)
     np.testing.assert_array_equal(events, EVENTS)
     assert recording.facts.unix_us == (UNIX_US if name in DATED else 0)
@@ -70,7 +70,7 @@ def test_a_clock_that_starts_anew_has_a_file_of_its_own(tmp_path):
     recorder.close()
     assert recorder.trouble == ""
     paths = [tmp_path / "a.aedat4", tmp_path / "a-clock2.aedat4"]
-    assert recorder.report["paths"] == [str(path) for path in paths]
+    assert recorder.summary.paths == tuple(str(path) for path in paths)
     assert [read_all(path)[1]["t"].tolist() for path in paths] == [[100, 200], [3, 4]]
     assert [read_all(path)[0].facts.unix_us for path in paths] == [UNIX_US, UNIX_US + 150]
 
@@ -89,7 +89,7 @@ def test_a_killed_writer_leaves_what_it_wrote_and_is_told(name, tmp_path):
     recorder.close()
     recorder.append(Part(events[:10]), unix_us=None)
     assert "its writer was killed" in recorder.trouble
-    assert recorder.missing == 10
+    assert recorder.missing == {"events": 10}
     read, trouble = read_until_damage(path)
     lost = len(events) - len(read)
     np.testing.assert_array_equal(read[:-1], events[: max(0, len(read) - 1)])
@@ -149,10 +149,10 @@ def test_events_that_come_faster_than_they_can_be_written_are_counted(tmp_path, 
         recorder.append(Part(events_at(range(1000 * k, 1000 * k + 1000))), unix_us=UNIX_US)
     os.kill(recorder._process.pid, signal.SIGCONT)
     recorder.close()
-    assert recorder.missing > 100_000
-    assert f"lacks {recorder.missing} events: they came faster" in recorder.trouble
+    assert recorder.missing["events"] > 100_000
+    assert f"lacks {recorder.missing['events']} events: they came faster" in recorder.trouble
     events = read_all(tmp_path / "a.aedat4")[1]
-    assert len(events) == 300_000 - recorder.missing
+    assert len(events) == 300_000 - recorder.missing["events"]
 
 
 def test_a_run_that_is_not_paced_waits_and_loses_nothing(tmp_path, monkeypatch):
@@ -161,7 +161,7 @@ def test_a_run_that_is_not_paced_waits_and_loses_nothing(tmp_path, monkeypatch):
     for k in range(300):
         recorder.append(Part(events_at(range(1000 * k, 1000 * k + 1000))))
     recorder.close()
-    assert (recorder.missing, recorder.trouble) == (0, "")
+    assert (recorder.missing, recorder.trouble) == ({}, "")
     assert read_all(tmp_path / "a.raw")[1]["t"].tolist() == list(range(300_000))
 
 

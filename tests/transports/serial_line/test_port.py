@@ -3,6 +3,8 @@
 import os
 import socket
 import stat
+import subprocess
+import sys
 import time
 
 import pytest
@@ -12,6 +14,7 @@ from transports.serial_line.opening import open_port
 from transports.serial_line.parameters import SerialParameters
 from transports.serial_line.port import DescriptorPort, ThreadedPort
 from transports.serial_line.pty_pair import PtyPort
+from transports.serial_line.pty_symlink import remove_abandoned
 
 PATIENCE_S = 120.0
 
@@ -93,6 +96,50 @@ def test_a_link_leads_to_the_pty_and_goes_with_it(tmp_path):
     assert stat.S_ISCHR(os.stat(link).st_mode)
     port.close()
     assert not link.is_symlink()
+
+
+def test_the_link_of_a_running_port_is_neither_replaced_nor_removed(tmp_path):
+    link = tmp_path / "camera"
+    port = open_port(SerialParameters(symlink=str(link)))
+    target = os.readlink(link)
+    with pytest.raises(OSError, match="a running link has it"):
+        open_port(SerialParameters(symlink=str(link)))
+    remove_abandoned(link)
+    assert os.readlink(link) == target
+    port.close()
+    again = open_port(SerialParameters(symlink=str(link)))
+    again.close()
+    assert not link.is_symlink()
+
+
+KILLED = """
+import os, sys
+from transports.serial_line.opening import open_port
+from transports.serial_line.parameters import SerialParameters
+port = open_port(SerialParameters(symlink=sys.argv[1]))
+os.kill(os.getpid(), 9)
+"""
+
+
+@pytest.mark.system
+def test_the_link_of_a_killed_process_is_replaced_by_the_next_start_or_removed(tmp_path):
+    link = tmp_path / "camera"
+    for _ in range(2):
+        subprocess.run([sys.executable, "-c", KILLED, link], cwd=os.getcwd(), check=False, timeout=60)
+        assert link.is_symlink()
+    remove_abandoned(link)
+    assert not link.is_symlink()
+
+
+def test_what_is_not_a_link_to_a_pty_stays(tmp_path):
+    link = tmp_path / "camera"
+    link.symlink_to(tmp_path / "elsewhere")
+    remove_abandoned(link)
+    assert link.is_symlink()
+    remove_abandoned(tmp_path / "nothing")
+    (tmp_path / "file").write_text("precious")
+    remove_abandoned(tmp_path / "file")
+    assert (tmp_path / "file").read_text() == "precious"
 
 
 @pytest.mark.parametrize("name", ["taken", "missing/camera"])
