@@ -148,10 +148,14 @@ class PixelArray:
         return ArrayFaults(self, self._pixels)
 
     def follow_parameters(self, constants: tuple[np.float32, np.float32, np.float32, np.float32]) -> None:
-        """Take over what the steps use of changed `parameters`; see `adjustment`."""
+        """Take over changed `parameters`, and thresholds or leak that changed with them; see `adjustment`.
+
+        Pixels rest while nothing can fire them, by the figures that were: after any change all are looked at again.
+        """
         self._refractory_ns = round(self.parameters.refractory_us * 1000)
         self._light_constants = constants
         self._refinement = None
+        self.wake()
 
     def compile_part(self, which: str) -> None:
         """Compile "blocks" or "candidates", large parts of the step that `step` then finds on disk."""
