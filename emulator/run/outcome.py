@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from emulator.run.changes import Change
 from emulator.run.lateness import Lateness
 from emulator.run.ledger import Ledger
 from transports.link.report import LinkReport
@@ -29,7 +30,13 @@ class RunStatus:
 
 @dataclass(frozen=True)
 class RunResult:
-    """What a run has done."""
+    """What a run has done.
+
+    Attributes
+    ----------
+    changes, changes_beyond
+        What changed it from outside, and how many changes more there were.
+    """
 
     sim_seconds: float
     wall_seconds: float
@@ -44,6 +51,8 @@ class RunResult:
     renderer: str | None = None
     pixels_by: str | None = None
     max_late_us: float = 0.0
+    changes: tuple[Change, ...] = ()
+    changes_beyond: int = 0
 
     @property
     def too_late(self) -> bool:
