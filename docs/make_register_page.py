@@ -25,7 +25,8 @@ one that can only be read (*ro*), is ignored.
 What the model makes of values that ask for the impossible: a region of interest is cut to the sensor, and gives no
 frames (of the DVS: no events) where it is empty; frames are at least 1 ms apart; a generator whose pulse is not shorter
 than its interval stands still, and tells at most one edge of each kind in a microsecond; factors of biases stay within
-0.1 and 1000.
+0.1 and 1000, also their product over several links. A bias acts on the pixels from the end of the step in which it was
+written ([the rule](timing.md#changes-while-a-run-goes-on)).
 
 Registers 31 to 34 of module 1 act in a camera that has these filters: `activity_filter = true` in `[camera]`. Then 30
 reads 1.

@@ -13,6 +13,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 from firmware_protocol.edges import Edges
 from firmware_protocol.events import Events
@@ -120,7 +121,14 @@ class CameraCounters:
 
 
 class EventDevice(ABC):
-    """An event camera without its cable. One thread at a time may use it."""
+    """An event camera without its cable. One thread at a time may use it.
+
+    Attributes
+    ----------
+    set_by : by what hosts set the biases of its sensor, "register" or "telecommand".
+    """
+
+    set_by: ClassVar[str] = "register"
 
     @property
     @abstractmethod
@@ -161,6 +169,10 @@ class EventDevice(ABC):
     def without_effect(self) -> Mapping[str, str]:
         """Settings that its host has moved and that change nothing in the simulated sensor, and why, by their names."""
         return {}
+
+    def take_commands(self) -> tuple[str, ...]:
+        """Return the telecommands that changed it since the last call, as text."""
+        return ()
 
     @property
     @abstractmethod

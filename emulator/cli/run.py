@@ -15,6 +15,7 @@ from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, WRONG_USE, Failure, 
 from emulator.cli.output_paths import check_output
 from emulator.cli.preparing import prepared
 from emulator.cli.recording_paths import check_recording
+from emulator.cli.run_output.changes import changes_lines
 from emulator.cli.run_output.latency import quantile_text
 from emulator.cli.run_output.lateness import lateness_lines
 from emulator.cli.run_output.link_summary import link_json, link_lines
@@ -30,6 +31,7 @@ from emulator.rig.loading import Rig, load_rig
 from emulator.rig.options import with_options
 from emulator.rig.remarks import remarks
 from emulator.run.assembly import build_session, link_setups, schedule
+from emulator.run.changes import Operator
 from emulator.run.drive import Simulation
 from emulator.run.fault_injection import fault_injection
 from emulator.run.kernels import parts_of
@@ -188,8 +190,8 @@ def run_rig(
         session = _session(rig, scene, setups, truth_file)
         stop_on_signals(session.stop)
         with (
-            fault_injection(rig, session) as faults,
-            serving.page(session, faults.answer) as page,
+            fault_injection(rig, Operator(session, "evstim")) as faults,
+            serving.page(session) as page,
             LiveTable(rig, status) if show else nullcontext() as live,
         ):
             if show and faults.trouble:
@@ -249,6 +251,8 @@ def summary(rig: Rig, result: RunResult) -> dict[str, object]:
         "renderer": result.renderer,
         "pixels_by": result.pixels_by,
         "syncs": result.syncs,
+        "changes": [change.as_json() for change in result.changes],
+        "changes_beyond": result.changes_beyond,
         "links": {
             name: {
                 "state": r.state,
@@ -304,6 +308,8 @@ def print_summary(rig: Rig, result: RunResult) -> None:
         console.print(f"scene: {', '.join(f'{n} {name}' for name, n in result.scene_counts.items())}")
     if result.pixels_by:
         console.print(f"pixels computed by {result.pixels_by}")
+    for line in changes_lines(result):
+        console.print(line, markup=False)
     for line in lateness_lines(rig, result):
         console.print(line)
     for broken in (one for one in judge(rig.verdict, result) if not one.good and one.rule.startswith("verdict.")):

@@ -23,6 +23,7 @@ from firmware_protocol.edges import EdgeKind
 from firmware_protocol.events import Events
 from firmware_protocol.readings import ReadingKind, Readings
 from transports.faults.kinds import Fault
+from transports.link.changes import CameraSettings, Occurrence
 from transports.link.pacing import Clock
 from transports.link.process import Happen, InjectFault, LinkSetup, Stop, run_link
 from transports.link.report import LinkReport
@@ -34,6 +35,7 @@ __all__ = ["LinkFailed", "LinkProcess"]
 
 _START_TIMEOUT_S = 180.0  # the first time, a link compiles its kernels: 10 s, and longer on a machine that is busy
 _ROOM_WAIT_NS = 200_000
+_SETTLE_WAIT_NS = 50_000
 _RESTART_AFTER_NS = 1_000_000_000  # a process that dies sooner would die again
 
 
@@ -57,6 +59,7 @@ class LinkProcess:
         self._clock = clock
         self._offered = self._delivered_before = 0
         self._recordings: tuple[RecordingSummary, ...] = ()
+        self._changes: list[CameraSettings | Occurrence] = []
         self._starts = 0
         self._error: str | None = None
         self.gone = False
@@ -89,15 +92,31 @@ class LinkProcess:
         """Let stream time run; see EventRing.start."""
         self._setup.ring.start(origin_ns)
 
-    def inject(self, fault: Fault) -> None:
-        """Let a fault begin on it, one that it can have."""
+    def inject(self, fault: Fault, by: str = "") -> None:
+        """Let a fault begin on it, one that it can have, on behalf of `by`."""
         with suppress(BrokenPipeError):  # it died: `listen` will say so
-            self._control.send(InjectFault(fault))
+            self._control.send(InjectFault(fault, by))
 
-    def happen(self, kind: EdgeKind | None) -> None:
-        """Let an edge come to the camera's input; None: let its clock start anew at zero."""
+    def happen(self, kind: EdgeKind | None, by: str = "") -> None:
+        """Let an edge come to the camera's input, on behalf of `by`; None: let its clock start anew at zero."""
         with suppress(BrokenPipeError):  # it died: `listen` will say so
-            self._control.send(Happen(kind))
+            self._control.send(Happen(kind, by))
+
+    def wait_settled(self, until_us: int, goes_on: Callable[[], bool]) -> None:
+        """Return when the camera has reached a stream time, and all changes before it can be taken.
+
+        When `goes_on` says no, or the link is gone, it waits no longer.
+        """
+        while self._setup.ring.settled_us < until_us and not self.gone and goes_on():
+            self._clock.sleep_until(self._clock.now_ns() + _SETTLE_WAIT_NS)
+            self.listen()
+
+    def take_changes(self, before_us: int) -> list[CameraSettings | Occurrence]:
+        """Return the changes at the camera before a stream time that have come and have not been taken, in order."""
+        self.listen()
+        due = [change for change in self._changes if change.t_us < before_us]
+        self._changes = [change for change in self._changes if change.t_us >= before_us]
+        return due
 
     def push(self, events: Events, now_us: int) -> None:
         """Hand over events up to `now_us`; what finds no room in the ring is refused and counted there."""
@@ -172,10 +191,13 @@ class LinkProcess:
             return record
         return with_addition(record, f"restart{self._starts}")
 
-    def _take(self, report: LinkReport) -> None:
-        self.report = report
-        if report.error is not None:
-            self._leave(report.error, "failed")
+    def _take(self, word: LinkReport | CameraSettings | Occurrence) -> None:
+        if not isinstance(word, LinkReport):
+            self._changes.append(word)
+            return
+        self.report = word
+        if word.error is not None:
+            self._leave(word.error, "failed")
 
     def _died(self) -> None:
         self._process.join(1.0)
@@ -190,6 +212,7 @@ class LinkProcess:
         self._error = f"{why} and was started again {self._starts} times" if self._starts > 1 else f"{why}; restarted"
         self._spawn()
         self.report = LinkReport("restarting")
+        self._changes.append(CameraSettings(self._setup.ring.settled_us, "restart"))
 
     def _leave(self, why: str, state: str) -> None:
         self.gone = True

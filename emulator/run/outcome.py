@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
+from emulator.run.changes import Change
 from emulator.run.lateness import Lateness
 from emulator.run.ledger import Ledger
 from transports.link.report import LinkReport
@@ -30,7 +31,13 @@ class RunStatus:
 
 @dataclass(frozen=True)
 class RunResult:
-    """What a run has done."""
+    """What a run has done.
+
+    Attributes
+    ----------
+    changes, changes_beyond
+        What changed it from outside, and how many changes more there were.
+    """
 
     sim_seconds: float
     wall_seconds: float
@@ -47,6 +54,8 @@ class RunResult:
     pixels_by: str | None = None
     max_late_us: float = 0.0
     max_late_share: float = 1.0
+    changes: tuple[Change, ...] = ()
+    changes_beyond: int = 0
 
     @property
     def late_share(self) -> float:

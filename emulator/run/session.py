@@ -14,11 +14,12 @@ import logging
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 from emulator.light import Light
 from emulator.plan.step_control import StepSource
 from emulator.run.bias_following import BiasFollowing
+from emulator.run.changes import Change, Changes
 from emulator.run.drive import Drive, Simulation
 from emulator.run.frames import Pictures
 from emulator.run.lateness import Lateness, StepRule
@@ -35,6 +36,7 @@ from firmware_protocol.edges import EdgeKind
 from firmware_protocol.events import Events
 from firmware_protocol.readings import ReadingKind, Readings
 from transports.faults.kinds import Fault
+from transports.link.changes import CameraSettings, Occurrence
 from transports.link.pacing import Clock
 from transports.link.process import LinkSetup
 from transports.link.report import LinkReport
@@ -44,6 +46,9 @@ __all__ = ["Schedule", "Session"]
 
 log = logging.getLogger(__name__)
 
+_T = TypeVar("_T")
+
+_FOREVER_US = 1 << 62
 _STATUS_PERIOD_NS = 100_000_000
 _SLICE_US = 20_000  # of a step, for rings of readings: a frame of a DAVIS346 takes 18 ms
 _HEAD_START_NS = 60_000_000  # from the start until stream time zero: twice what the first step, the slowest, takes
@@ -99,7 +104,8 @@ class Session:
             raise ValueError(f"the scene is {pictures.size} pixels, the sensor {size}")
         self._pictures = pictures
         self._sensor = sensor
-        self._biases = BiasFollowing(sensor)
+        self._changes = Changes()
+        self._biases = BiasFollowing(sensor, self._changes)
         self._step_source = steps
         self._setups = setups
         self._readings = readings or ReadingSources((), setups)
@@ -118,6 +124,7 @@ class Session:
     def join(self, second: SecondView) -> None:
         """Let a second camera run on the same clock, before the run; its scene is closed at the end."""
         self._second = second
+        second.record_in(self._changes)
 
     def stop(self) -> None:
         """End the run after the present step; for `on_status`, and for a signal handler.
@@ -146,19 +153,28 @@ class Session:
         """Figures of the sensor that `adjust` can change, with their present values."""
         return self._sensor.adjustable if isinstance(self._sensor, AdjustableSource) else {}
 
-    def adjust(self, name: str, value: float) -> None:
-        """Change a figure of the sensor from the next step on; for `on_status` and `on_events`; raises ValueError."""
+    def adjust(self, name: str, value: float, by: str = "program") -> None:
+        """Change a figure of the sensor from the next step on; for `on_status` and `on_events`; raises ValueError.
+
+        `by` stands in the record of the run, here and below.
+        """
         if not isinstance(self._sensor, AdjustableSource):
             raise ValueError(f"{name} cannot be changed: a recording stands in the sensor's place")
+        before = self._sensor.adjustable.get(name)
         self._sensor.adjust(name, value)
+        self.record(Change(self._t_ns, by, name, before=before, after=value))
 
-    def inject(self, fault: Fault) -> None:
+    def inject(self, fault: Fault, by: str = "program") -> None:
         """Begin a fault on the link that it names, one that this link can have; for `on_status`."""
-        next(link for link in self._links if link.name == fault.link).inject(fault)
+        next(link for link in self._links if link.name == fault.link).inject(fault, by)
 
-    def happen(self, link: str, kind: EdgeKind | None) -> None:
+    def happen(self, link: str, kind: EdgeKind | None, by: str = "program") -> None:
         """Let an edge come to the input of a link's camera, or its clock start anew (None); for `on_status`."""
-        next(one for one in self._links if one.name == link).happen(kind)
+        next(one for one in self._links if one.name == link).happen(kind, by)
+
+    def record(self, change: Change) -> None:
+        """Record something that changed the run from outside."""
+        self._changes.add(change)
 
     def run(
         self,
@@ -205,6 +221,8 @@ class Session:
             syncs=None if self._lockstep is None else self._lockstep.heard,
             max_late_us=schedule.max_late_us if schedule.paced else 0.0,
             max_late_share=schedule.max_late_share,
+            changes=self._changes.listed,
+            changes_beyond=self._changes.beyond,
         )
 
     def _open_links(self) -> None:
@@ -232,24 +250,21 @@ class Session:
         origin_ns = start_ns + _HEAD_START_NS if schedule.paced else FREE_RUNNING
         for link in self._links:
             link.start(origin_ns)
-        rule = StepRule(self._step_source)
-        status_ns = start_ns
+        rule, goes_on = StepRule(self._step_source), self._telling(on_status, start_ns)
         while self._goes_on and (schedule.duration_ns is None or self._t_ns < schedule.duration_ns):
             lead_ns = max(schedule.lead_ns, rule.step_ns)
             if schedule.paced:
                 if self._t_ns:  # the first step begins at once
                     self._clock.sleep_until(origin_ns + self._t_ns - lead_ns)
-            elif not self._may_go_on(start_ns, on_status):
+            elif not self._may_go_on(goes_on):
                 break
             due_ns, begun_ns = origin_ns + self._t_ns, self._clock.now_ns()
-            self._step(rule, schedule)
+            self._step(rule, schedule, goes_on)
             if schedule.paced:
                 ready_ns = self._clock.now_ns()
                 self._lateness.add(ready_ns - due_ns, rule.stretch, lead_ns)
                 rule.follow(ready_ns - due_ns, ready_ns - begun_ns)
-            if self._clock.now_ns() >= status_ns:
-                status_ns = self._clock.now_ns() + _STATUS_PERIOD_NS
-                on_status(self._status(start_ns))
+            goes_on()
 
     @property
     def _goes_on(self) -> bool:
@@ -265,11 +280,11 @@ class Session:
             raise ValueError("no link's bus drives this run")
         return Lockstep(rings[0], schedule.lockstep_ns, self._clock)
 
-    def _may_go_on(self, start_ns: int, on_status: Callable[[RunStatus], None]) -> bool:
+    def _may_go_on(self, goes_on: Callable[[], bool]) -> bool:
         """Wait for what drives the run, telling how things stand; False when the run is to end."""
         if self._drive is None:
             return True
-        return self._drive.wait(self._t_ns, self._telling(on_status, start_ns)) > self._t_ns
+        return self._drive.wait(self._t_ns, goes_on) > self._t_ns
 
     def _telling(self, on_status: Callable[[RunStatus], None], start_ns: int | None) -> Callable[[], bool]:
         """Return what says whether the run goes on, and now and then tells how things stand; None: not begun."""
@@ -284,14 +299,17 @@ class Session:
 
         return goes_on
 
-    def _step(self, rule: StepRule, schedule: Schedule) -> None:
+    def _step(self, rule: StepRule, schedule: Schedule, goes_on: Callable[[], bool]) -> None:
         t1_ns = self._t_ns + rule.step_ns
         if self._drive is not None:
             t1_ns = min(t1_ns, self._drive.limit_ns)
+        if schedule.lockstep_ns:  # steps end with each period, however many SYNCs have come
+            t1_ns = min(t1_ns, (self._t_ns // schedule.lockstep_ns + 1) * schedule.lockstep_ns)
         if schedule.duration_ns is not None:
             t1_ns = min(t1_ns, schedule.duration_ns)
         picture = self._pictures
         picture.draw(t1_ns)
+        self._follow_cameras(schedule, goes_on)
         readings = self._readings.read(picture.light, t1_ns)
         if schedule.paced:  # they may leave while the events are computed
             self._hand_over_readings(readings, self._links_of())
@@ -303,6 +321,26 @@ class Session:
         self._on_events(events)
         if self._second is not None:
             self._hand_over_step(self._second.step(t1_ns), t0_ns, schedule, self._links_of(second=True))
+
+    def _follow_cameras(self, schedule: Schedule, goes_on: Callable[[], bool]) -> None:
+        """Let the sensors, which are at the end of a step, follow what hosts changed at their cameras before it.
+
+        A run that is not paced waits until the cameras are there too, so that no such change is still to come.
+        """
+        now_us = self._t_ns // 1000
+        for link in self._links if not schedule.paced else ():
+            link.wait_settled(now_us, goes_on)
+        for link in self._links:
+            for change in link.take_changes(now_us):
+                self._take_change(link.name, change)
+
+    def _take_change(self, link: str, change: CameraSettings | Occurrence) -> None:
+        if isinstance(change, Occurrence):
+            self.record(Change(change.t_us * 1000, change.by, change.what, link, taken_us=change.t_us))
+            return
+        self._biases.follow(self._of_first({link: change}), self._t_ns)
+        if self._second is not None:
+            self._second.follow({link: change}, self._t_ns)
 
     def _links_of(self, *, second: bool = False) -> list[LinkProcess]:
         """Return the links that carry the first camera, or the second."""
@@ -348,9 +386,6 @@ class Session:
 
     def _status(self, start_ns: int) -> RunStatus:
         reports = {link.name: link.listen() for link in self._links}
-        self._biases.follow(self._of_first(reports))
-        if self._second is not None:
-            self._second.follow(reports)
         return RunStatus(
             self._t_ns * 1e-9,
             (self._clock.now_ns() - start_ns) * 1e-9,
@@ -365,13 +400,18 @@ class Session:
 
     def _stop_links(self, drain_s: float) -> dict[str, LinkReport]:
         links, self._links = self._links, []
-        return {link.name: link.stop(drain_s) for link in links}
+        reports = {link.name: link.stop(drain_s) for link in links}
+        for link in links:
+            for change in link.take_changes(_FOREVER_US):
+                if isinstance(change, Occurrence):  # settings act on no step any more
+                    self._take_change(link.name, change)
+        return reports
 
     def _ledger(self, reports: dict[str, LinkReport]) -> Ledger:
         second = None if self._second is None else self._second.ledger(reports)
         return ledger_of(self._sensor, self._of_first(reports), second)
 
-    def _of_first(self, reports: Mapping[str, LinkReport]) -> dict[str, LinkReport]:
-        """Return the reports of the links that carry the first camera."""
+    def _of_first(self, of_links: Mapping[str, _T]) -> dict[str, _T]:
+        """Return what belongs to the links that carry the first camera."""
         carried = frozenset() if self._second is None else self._second.links
-        return {name: report for name, report in reports.items() if name not in carried}
+        return {name: one for name, one in of_links.items() if name not in carried}

@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 from emulator.rig.loading import Rig, RigError
 from emulator.rig.second_camera import SecondCamera
 from emulator.run.bias_following import BiasFollowing
+from emulator.run.changes import Changes
 from emulator.run.frames import Pictures
 from emulator.run.ledger import Ledger, LinkLedger
 from emulator.run.readings import ReadingSources
@@ -21,11 +22,14 @@ from emulator.sensor.event_source import EventSource
 from emulator.trajectory.offset import OffsetPath
 from emulator.trajectory.parameters import BasiliskPath, LivePath
 from firmware_protocol.events import Events
+from transports.link.changes import CameraSettings
 from transports.link.edges import EdgeRing
 from transports.link.process import LinkSetup
 from transports.link.report import LinkReport
 
 __all__ = ["SecondView", "carries_second", "ledger_of", "second_rig", "wired"]
+
+_T = TypeVar("_T")
 
 
 def carries_second(rig: Rig, link: str) -> bool:
@@ -88,16 +92,20 @@ class SecondView:
         """Return what the read-out still holds."""
         return self._sensor.finish()
 
-    def follow(self, reports: Mapping[str, LinkReport]) -> None:
-        """Let its sensor follow the biases that its hosts write."""
-        self._biases.follow(self._own(reports))
+    def record_in(self, changes: Changes) -> None:
+        """Record what its hosts change of its sensor."""
+        self._biases.changes = changes
+
+    def follow(self, settings: Mapping[str, CameraSettings], t_ns: int = 0) -> None:
+        """Let its sensor, which is at stream time `t_ns`, follow the biases that its hosts write."""
+        self._biases.follow(self._own(settings), t_ns)
 
     def ledger(self, reports: Mapping[str, LinkReport]) -> Ledger:
         """Return where its events went."""
         return ledger_of(self._sensor, self._own(reports))
 
-    def _own(self, reports: Mapping[str, LinkReport]) -> dict[str, LinkReport]:
-        return {name: report for name, report in reports.items() if name in self.links}
+    def _own(self, of_links: Mapping[str, _T]) -> dict[str, _T]:
+        return {name: one for name, one in of_links.items() if name in self.links}
 
     def close(self) -> None:
         """Close its scene."""

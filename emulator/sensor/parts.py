@@ -16,7 +16,7 @@ from emulator.sensor.chip.scan import ScanReadOut
 from emulator.sensor.noise.point_process import NoiseEvents
 from emulator.sensor.pixels.array import Crossings, PixelArray
 from emulator.sensor.pixels.faults import DEAD_THRESHOLD
-from emulator.sensor.pixels.merging import NO_CROSSINGS
+from emulator.sensor.pixels.merging import NO_CROSSINGS, joined
 from emulator.sensor.pixels.mismatch import draw
 from emulator.sensor.pixels.state import Field
 from emulator.sensor.presets import SensorParameters
@@ -61,13 +61,16 @@ def make_readout(p: SensorParameters) -> ReadOut | ScanReadOut:
     return ScanReadOut(p) if p.readout.scan_us else ReadOut(p)
 
 
-def finished(jitter: Jitter | None, readout: ReadOut | ScanReadOut) -> Events:
-    """Return the events that a read-out, and a delay before it, have not sent yet."""
-    if jitter is None:
-        return readout.finish()
-    end_ns = jitter.last_ns() + 1
-    late = readout.push(jitter.step(NO_CROSSINGS, end_ns), end_ns)
-    return np.concatenate([late, readout.finish()])
+def finished(jitter: Jitter | None, readout: ReadOut | ScanReadOut, late: Crossings = NO_CROSSINGS) -> Events:
+    """Return the events that a read-out, and a delay before it, have not sent yet.
+
+    `late` are crossings after the last step. They are delayed as all are, so they may leave before earlier ones.
+    """
+    if jitter is not None:
+        begun = jitter.step(late, int(late.t_ns[-1]) + 1) if len(late) else late
+        late = joined([begun, jitter.step(NO_CROSSINGS, jitter.last_ns() + 1)])
+    sent = [readout.push(late, int(late.t_ns[-1]) + 1)] if len(late) else []
+    return np.concatenate([*sent, readout.finish()])
 
 
 def dead_pixels(p: SensorParameters, defects: Defects) -> npt.NDArray[np.bool_] | None:

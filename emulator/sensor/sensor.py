@@ -40,7 +40,7 @@ from emulator.sensor.photoreceptor.array import LargeSignalPixels
 from emulator.sensor.pixels.adjustment import ADJUSTABLE, adjust
 from emulator.sensor.pixels.array import Crossings, PixelArray
 from emulator.sensor.pixels.faults import PixelFaults
-from emulator.sensor.pixels.merging import joined
+from emulator.sensor.pixels.merging import NO_CROSSINGS, joined
 from emulator.sensor.presets import SensorParameters
 from firmware_protocol.events import Events
 
@@ -289,9 +289,8 @@ class Sensor:
 
     def finish(self) -> Events:
         """Return the events that have not left yet; the sensor cannot be exposed afterwards."""
-        if self._kicks is not None and len(late := self._kicks.rest()):
-            self._readout.push(late, int(late.t_ns[-1]) + 1)
-        return finished(self._jitter, self._readout)
+        late = NO_CROSSINGS if self._kicks is None else self._of_live_pixels(self._kicks.rest())
+        return finished(self._jitter, self._readout, late)
 
     def _next_cut_ns(self) -> int:
         """Return the next time at which a step must end."""

@@ -59,6 +59,8 @@ class Instrument(EventDevice):
         The settings do not fit the array.
     """
 
+    set_by = "telecommand"
+
     def __init__(
         self, size: tuple[int, int], settings: InstrumentSettings | None = None, biases: SensorBiases | None = None
     ) -> None:
@@ -256,6 +258,10 @@ class Instrument(EventDevice):
     def command(self, received: ReceivedCommand) -> None:
         """Do what a telecommand says, and answer as PUS service 1 does."""
         self._telecommands.handle(received)
+
+    def take_commands(self) -> tuple[str, ...]:
+        """See `EventDevice.take_commands`."""
+        return self._telecommands.take_executed()
 
     def report(self) -> Housekeeping:
         """Return the housekeeping report; its rates are since the last one."""

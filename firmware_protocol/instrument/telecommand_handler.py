@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from typing import Protocol
 
 from firmware_protocol.instrument.answers import Answers
@@ -25,6 +26,8 @@ from firmware_protocol.packets.telecommands import (
 from firmware_protocol.packets.verification import CommandRefused, Failure, FailureCode, RequestId, Stage, Verification
 
 __all__ = ["Commanded", "TelecommandHandler"]
+
+_MOST_EXECUTED = 256  # between two looks, each within a millisecond
 
 
 class Commanded(Protocol):
@@ -69,6 +72,13 @@ class TelecommandHandler:
         self._answers = answers
         self._time = time
         self.taken = self.refused = self.missing = 0
+        self._executed: deque[str] = deque(maxlen=_MOST_EXECUTED)
+
+    def take_executed(self) -> tuple[str, ...]:
+        """Return the telecommands that set something since the last call, the oldest first; of very many, the last."""
+        executed = tuple(self._executed)
+        self._executed.clear()
+        return executed
 
     def handle(self, received: ReceivedCommand) -> None:
         """Do what a telecommand says, and queue the answers."""
@@ -84,6 +94,8 @@ class TelecommandHandler:
             self._refuse(received.request, Stage.COMPLETION, failure)
             return
         self.taken += 1
+        if not isinstance(received.command, Ping | RequestHousekeeping):
+            self._executed.append(repr(received.command))
         self._verify(received, Stage.COMPLETION, Acknowledge.COMPLETION)
 
     def _execute(self, command: Telecommand) -> None:

@@ -110,6 +110,13 @@ class EdgeSink:
         Any of the run's event rings: it knows when stream time began.
     lockstep_us
         Above 0, the bus drives time: edge k happens k periods after the start, whenever it is heard.
+
+    Attributes
+    ----------
+    last_us
+        Stream time of the last edge; 0 before the first.
+    heard_early
+        Triggers before the start, of which no edge was made.
     """
 
     def __init__(self, rings: Sequence[EdgeRing], run: EventRing, timing: EdgeTiming, lockstep_us: int = 0) -> None:
@@ -118,7 +125,7 @@ class EdgeSink:
         self._timing = timing
         self._lockstep_us = lockstep_us
         self._number = 0
-        self._last_us = 0
+        self.last_us = 0
         self.heard_early = 0
 
     def __call__(self, bus_t_ns: int, seq: int) -> None:
@@ -127,9 +134,9 @@ class EdgeSink:
         if at_ns is None:
             self.heard_early += 1
             return
-        t_us = max((at_ns + self._timing.delay_ns(self._number)) // 1000, self._last_us)
+        t_us = max((at_ns + self._timing.delay_ns(self._number)) // 1000, self.last_us)
         self._number += 1
-        self._last_us = t_us
+        self.last_us = t_us
         edge = self._timing.edge(t_us, seq)
         for ring in self._rings:
             ring.push(edge)

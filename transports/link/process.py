@@ -6,6 +6,7 @@
     ReadingRing --- frames, samples -->        device.offer_readings
                <--- what hosts ask ----        device.reading_settings
     Connection ---- Stop, InjectFault ->  endpoint: USB/IP server, serial line ...
+               <--- CameraSettings ----  as hosts change them, with their stream time (see `changes`)
                <--- LinkReport --------  (ten a second, and a last one)
 
 Each link has a process of its own because a busy Python thread turns pacing of microseconds into tens of milliseconds.
@@ -19,6 +20,7 @@ import gc
 import os
 import select
 import signal
+from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -31,6 +33,7 @@ from firmware_protocol.event_device import EventDevice
 from transports.faults.kinds import Fault
 from transports.faults.script import FaultRecord
 from transports.link.background_log import log_in_background
+from transports.link.changes import CameraSettings, ChangeWatch, Occurrence
 from transports.link.deliveries import Deliveries
 from transports.link.endpoint import Endpoint, EndpointFactory, LinkBroken
 from transports.link.feed import ClockReport, ClockTruth, Feed, Timing
@@ -70,16 +73,21 @@ class Stop:
 
 @dataclass(frozen=True)
 class InjectFault:
-    """The session's request that a fault begins now, one that this kind of link can have."""
+    """The session's request that a fault begins now, one that this kind of link can have; `by`: on whose behalf."""
 
     fault: Fault
+    by: str = ""
 
 
 @dataclass(frozen=True)
 class Happen:
-    """The session's request that an edge comes to the camera's input now; None: that its clock starts anew at zero."""
+    """The session's request that an edge comes to the camera's input now; None: that its clock starts anew at zero.
+
+    `by`: on whose behalf.
+    """
 
     kind: EdgeKind | None
+    by: str = ""
 
 
 @dataclass(frozen=True)
@@ -128,6 +136,7 @@ class Link:
         self._device: EventDevice = setup.device()
         recorder = None if setup.record is None else open_recorder(setup.record, setup.facts)
         self._feed = Feed(self._device, setup.ring, setup.timing, setup.readings)
+        self._watch = ChangeWatch(self._device)
         self._holdback_us = setup.timing.holdback_us
         self._truth = None if setup.timing.truth is None else ClockTruth(setup.timing.truth)
         self._last_clock: ClockReport | None = None
@@ -140,6 +149,7 @@ class Link:
         origin_ns = self._ring.origin_ns
         now_us = self._ring.now_us  # read first: what came into the ring after an order is not fed before it
         self.endpoint.listen()
+        self._watch.look(self._feed.reached_us)
         if origin_ns == FREE_RUNNING:
             bounded = self._device.streaming and not self.endpoint.withholds
             room = self._device.room_events if bounded else _TAKE_LIMIT
@@ -156,9 +166,25 @@ class Link:
         if self._deliveries.recording is not None and not self._queued:
             self._deliveries.reach(self._device.now_us, self._device.epoch_us)
 
-    def happen(self, kind: EdgeKind | None) -> None:
-        """Let an edge come to the input now, or the clock start anew."""
+    @property
+    def changes(self) -> deque[CameraSettings | Occurrence]:
+        """What has changed at the camera and has not been sent to the session, the oldest first."""
+        return self._watch.waiting
+
+    def settle(self) -> None:
+        """Tell the session how far the camera is, when all changes have been sent."""
+        self._ring.settle(self._watch.settled_us(self._feed.reached_us))
+
+    def inject(self, fault: Fault, by: str = "") -> None:
+        """Begin a fault, on behalf of `by`."""
+        self.endpoint.inject(fault)
+        self._watch.add(Occurrence(self._feed.reached_us, by, f"fault {fault.kind}"))
+
+    def happen(self, kind: EdgeKind | None, by: str = "") -> None:
+        """Let an edge come to the input now, or the clock start anew, on behalf of `by`."""
         self._feed.happen(kind)
+        what = "reset" if kind is None else kind.name.lower()
+        self._watch.add(Occurrence(self._feed.reached_us, by, f"trigger {what}"))
 
     def _free_until_us(self, now_us: int) -> int:
         """Return how far a run that is not paced may go now; a silence that the host needs lasts in its time too."""
@@ -300,6 +326,7 @@ async def _tick_until_stopped(link: Link, setup: LinkSetup[Any], control: Connec
     drain_ns: int | None = None
     while True:
         link.tick()
+        _send_changes(link, control)
         now_ns = clock.now_ns()
         if drain_ns is not None:
             drain_ns -= min(now_ns - last_ns, _LONGEST_DRAIN_TURN_NS)
@@ -311,15 +338,23 @@ async def _tick_until_stopped(link: Link, setup: LinkSetup[Any], control: Connec
                 control.send(link.report())
             report_ns = now_ns + _REPORT_PERIOD_NS
         if drain_ns is None and control.poll():
-            word: Stop | InjectFault | Happen = control.recv()
-            if isinstance(word, InjectFault):
-                link.endpoint.inject(word.fault)
-            elif isinstance(word, Happen):
-                link.happen(word.kind)
+            order: Stop | InjectFault | Happen = control.recv()
+            if isinstance(order, Stop):
+                drain_ns = int(order.drain_s * 1e9)
+            elif isinstance(order, InjectFault):
+                link.inject(order.fault, order.by)
             else:
-                drain_ns = int(word.drain_s * 1e9)
+                link.happen(order.kind, order.by)
         deadline_ns = max(deadline_ns + period_ns, now_ns)
         await _sleep_until(loop, deadline_ns, clock)
+
+
+def _send_changes(link: Link, control: Connection) -> None:
+    """Send what has changed at the camera, and only then how far it is."""
+    while link.changes and _is_read(control):
+        control.send(link.changes.popleft())
+    if not link.changes:
+        link.settle()
 
 
 def _is_read(control: Connection) -> bool:

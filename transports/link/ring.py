@@ -14,7 +14,7 @@ __all__ = ["FREE_RUNNING", "EventRing"]
 FREE_RUNNING = -1
 """The origin of a run that is not paced: events may leave as soon as they are there."""
 
-_NOW_US, _ORIGIN_NS, _CLOSED, _CELLS = range(4)
+_NOW_US, _ORIGIN_NS, _CLOSED, _SETTLED_US, _CELLS = range(5)
 
 
 class EventRing:
@@ -42,6 +42,14 @@ class EventRing:
     def now_us(self) -> int:
         """The stream time that the writer has reached, us."""
         return int(self._ring.cells[_NOW_US])
+
+    @property
+    def settled_us(self) -> int:
+        """The stream time that the camera has reached, us; what its hosts changed before has been sent to the writer.
+
+        Written by the reader.
+        """
+        return int(self._ring.cells[_SETTLED_US])
 
     @property
     def origin_ns(self) -> int | None:
@@ -73,6 +81,10 @@ class EventRing:
     def publish(self, now_us: int) -> None:
         """Say that every event before `now_us` has been pushed."""
         self._ring.cells[_NOW_US] = now_us
+
+    def settle(self, until_us: int) -> None:
+        """Store the stream time that the camera has reached, after what its hosts changed before has been sent."""
+        self._ring.cells[_SETTLED_US] = until_us
 
     def take(self, until_us: int, limit: int | None = None) -> Events:
         """Take at most `limit` events with t <= `until_us`; returns a copy, shape (n,)."""

@@ -10,6 +10,8 @@ from emulator.cli.output import LACKING, WRONG_USE, Failure, status
 from emulator.light import MachineLacks
 from emulator.live_page.address import Address, parse_address
 from emulator.rig.loading import Rig
+from emulator.run.changes import Operator
+from emulator.run.fault_injection import FaultInjection
 from emulator.run.outcome import RunStatus
 from emulator.run.session import Session
 from firmware_protocol.events import Events
@@ -57,9 +59,7 @@ class Serving:
         return wired
 
     @contextmanager
-    def page(
-        self, session: Session, inject: Callable[[dict[str, Any], RunStatus], dict[str, Any]]
-    ) -> Iterator[ShownRun]:
+    def page(self, session: Session) -> Iterator[ShownRun]:
         """Serve the page; raises Failure where it cannot listen there."""
         if self._address is None:
             yield ShownRun(session, None)
@@ -69,7 +69,9 @@ class Serving:
 
         run = self._rig.run
         can_pause = run.pace == "free" and not run.lockstep_us
-        orders = Orders(session, inject, self._trigger, can_pause=can_pause)
+        viewer = Operator(session, "live page")
+        inject = FaultInjection(self._rig, viewer, None).answer
+        orders = Orders(viewer, inject, self._button(viewer), can_pause=can_pause)
         try:
             page = LivePage(self._rig, self._address, orders)
         except OSError as error:
@@ -77,6 +79,20 @@ class Serving:
         with page:
             status.print(f"live page: {page.url}", markup=False, soft_wrap=True)
             yield ShownRun(session, page)
+
+    def _button(self, viewer: Operator) -> Callable[[int, int], None] | None:
+        """Return the trigger, which records its edges; None where there is none."""
+        trigger = self._trigger
+        if trigger is None:
+            return None
+
+        def press(bus_t_ns: int, number: int) -> None:
+            early = trigger.heard_early
+            trigger(bus_t_ns, number)
+            if trigger.heard_early == early:
+                viewer.record(trigger.last_us, "trigger pulse")
+
+        return press
 
 
 def check_serving(asked: str | bool | None) -> None:

@@ -55,6 +55,7 @@ def write_report(of: Reported, folder: Path) -> list[Path]:
         pixel_map(of.seen),
         "<h2>Links</h2>",
         *_links(of.result),
+        *_changes(of.result),
         "<h2>Run</h2>",
         table(_run_rows(of)),
     ]
@@ -131,6 +132,25 @@ def _links(result: RunResult) -> list[str]:
         for f in link.faults
     ]
     return [table(rows), *([f"<h3>Faults</h3>{table(faults)}"] if faults else [])]
+
+
+def _changes(result: RunResult) -> list[str]:
+    """Return what changed the run from outside; nothing where nothing did."""
+    if not result.changes:
+        return []
+    rows = [
+        {
+            "stream time, s": f"{change.t_ns * 1e-9:.6f}",
+            "link": change.link,
+            "what": change.what,
+            "before": change.before,
+            "after": change.after,
+            "by": change.by,
+        }
+        for change in result.changes
+    ]
+    beyond = f"<p>and {result.changes_beyond} more</p>" if result.changes_beyond else ""
+    return ["<h2>Changed from outside</h2>", table(rows), beyond]
 
 
 def _run_rows(of: Reported) -> list[dict[str, object]]:

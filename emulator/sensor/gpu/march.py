@@ -33,6 +33,8 @@ MARCH = f"""
 const float SHARE = 0.004, LEAST_MISS = 2e-5;  // of a threshold, and ln units: error of a substep's cubic
 const float NEARLY = 1.001, SETTLED = 3e-5;
 const uint MOST_EVENTS = {MOST_EVENTS}u;
+const uint MOST_PASSES = 5u;  // of a substep: three monotone parts, and what rounding leaves
+const float MOST_LOST = 65536.0;  // of them each; the counter has 32 bits for all pixels
 const int MOST_CUTS = 64;                      // substeps that are shortened for the exponential
 
 const int CUBIC = 0, JUMP = 1, LATE = 2, EARLY = 3;
@@ -190,6 +192,13 @@ void raise(uint pixel, bool on, float z, inout uint count) {{
     if (k < capacity) events[k] = uvec2(pixel << 1 | uint(on), floatBitsToUint(z));
 }}
 
+float pass_over(float level, float end, float threshold) {{  // the last level before a monotone part's end
+    float way = abs(end - level), passed = floor(way / threshold), rest = way - passed * threshold;
+    atomicAdd(too_many, uint(clamp(passed, 1.0, MOST_LOST)));
+    float last = end - (rest >= 0.0 && rest < threshold ? rest : 0.0) * sign(end - level);
+    return abs(end - last) < threshold ? last : end;
+}}
+
 void march(uint pixel, Thresholds p, Light light, inout Pixel s) {{
     float steepest = max(abs(light.a0), abs(light.a1));
     float steepness = max(abs(light.d), light.form > JUMP ? steepest : 0.5 * steepest);
@@ -231,7 +240,7 @@ void march(uint pixel, Thresholds p, Light light, inout Pixel s) {{
         vec4 g = vec4(d0, m0, 3.0 * rise - 2.0 * m0 - m1, m0 + m1 - 2.0 * rise);
         vec2 turns = turns_of(g);
         float x = 0.0;
-        while (true) {{
+        for (uint passes = 0u; passes <= MOST_PASSES;) {{
             if (is_refractory) {{
                 x = max(x, re_armed > z ? (re_armed - z) / span : 0.0);
                 if (x > 1.0) break;
@@ -246,6 +255,11 @@ void march(uint pixel, Thresholds p, Light light, inout Pixel s) {{
             float low = by0 || by1 ? x : by2 ? turn : turn2;
             float high = by0 ? x : by1 ? turn : by2 ? turn2 : 1.0;
             bool rising = (by0 ? g0 : by1 ? g1 : by2 ? g2 : g3) > 0.0;
+            if (count >= MOST_EVENTS && refractory_ns == 0u) {{
+                level = pass_over(level, value(g, ++passes < MOST_PASSES ? high : 1.0), rising ? p.on : p.off);
+                x = high;
+                continue;
+            }}
             float to = level + (rising ? p.on : -p.off);
             x = crossing(g, low, high, to, rising);
             level = to;

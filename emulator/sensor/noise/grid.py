@@ -37,6 +37,7 @@ from emulator.sensor.pixels.array import Crossings
 from emulator.sensor.pixels.faults import DEAD_THRESHOLD
 from emulator.sensor.pixels.merging import NO_CROSSINGS, unpacked
 from emulator.sensor.pixels.mismatch import draw
+from emulator.sensor.pixels.packed_crossings import levels_passed
 from emulator.sensor.presets import SensorParameters
 
 __all__ = ["NoisyPixels", "grid_ns"]
@@ -193,6 +194,9 @@ def _fire(move: _Move, m: _Model, s: _State, pending: Pending, n: int) -> tuple[
         seen, end = 0.0, move.change - _bridge(0.0, at, 0.0, move.change, move)
     while True:
         move = _later(move)
+        if events >= _MOST_EVENTS and refractory == 0 and (end >= m.on[pixel] or end <= -m.off[pixel]):
+            passed, end = levels_passed(0.0, end, m.on[pixel] if end > 0 else m.off[pixel])
+            events += passed
         at_event, on = _next_event(at, seen, end, move, (m.on[pixel], m.off[pixel]))
         if at_event > 1:
             s.seen[pixel] = end
@@ -330,6 +334,8 @@ class NoisyPixels:
     ) -> Crossings:
         """Move from the last frame to `light`, (height, width) float32, at `t_ns`; `rate` and `at` are not used.
 
+        A frame at the time of the last one takes its place.
+
         Returns
         -------
         The crossings between the last `settled_ns` and the new one, the last grid time before `t_ns`.
@@ -343,6 +349,7 @@ class NoisyPixels:
         if t_ns < self._t_ns:
             raise ValueError(f"t_ns = {t_ns}: before the last step's {self._t_ns}; time does not go back")
         if t_ns == self._t_ns:
+            self._u = self._log(light)
             return NO_CROSSINGS
         u, settled = self._log(light), self.settled_ns
         span = _Span(settled // m.delta_ns, t_ns // m.delta_ns, self._t_ns, t_ns)

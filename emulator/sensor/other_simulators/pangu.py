@@ -20,7 +20,8 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.sensor.numerics.keyed import Purpose, uniform
-from emulator.sensor.other_simulators.rule import Fired, Frame, Rule, each
+from emulator.sensor.other_simulators.rule import MOST_EVENTS, Fired, Frame, Rule, each
+from emulator.sensor.pixels.packed_crossings import MOST_LOST
 from emulator.sensor.presets import SensorParameters
 
 __all__ = ["RAW_CHANNELS", "Pangu"]
@@ -63,15 +64,17 @@ class Pangu(Rule):
         if refractory_ns:
             counts, first = self._with_reset(frame, apart, theta, refractory_ns)
         else:
-            counts = np.floor(np.abs(apart) / theta).astype(np.int64)
+            passed = np.floor(np.abs(apart) / theta)
+            counts = np.minimum(passed, MOST_LOST).astype(np.int64)
             first = np.where(counts > 0, theta / np.where(counts > 0, np.abs(apart), 1), np.nan)
-            self._r = self._r + counts * np.where(on, theta, -theta)
+            self._r = self._r + passed * np.where(on, theta, -theta)
         end_ns = np.where(self._refractory_until_ns > frame.t0_ns, self._refractory_until_ns - frame.t0_ns, np.nan)
         self._keep_raw(np.where(on, counts, -counts), first * frame.h_ns, end_ns)
-        pixel, k = each(counts)
+        listed = np.minimum(counts, MOST_EVENTS)
+        pixel, k = each(listed)
         jitter = uniform(self.seed, Purpose.SLOT, pixel, self._fired[pixel] + k)
         self._fired = self._fired + counts
-        return Fired(pixel, (k + jitter) / counts[pixel], on[pixel])
+        return Fired(pixel, (k + jitter) / counts[pixel], on[pixel], int((counts - listed).sum()))
 
     def _with_reset(
         self, frame: Frame, apart: _Float64s, theta: _Float64s, refractory_ns: int

@@ -60,11 +60,12 @@ class Frame:
 
 @dataclass(frozen=True, slots=True)
 class Fired:
-    """Crossings, (n,) each: pixel, when as a share of the step in [0, 1], and polarity."""
+    """Crossings, (n,) each: pixel, when as a share of the step in [0, 1], and polarity; and how many more are lost."""
 
     pixel: _Int64s
     share: _Float64s
     on: _Bools
+    lost: int = 0
 
 
 def each(counts: _Int64s) -> tuple[_Int64s, _Int64s]:
@@ -173,7 +174,7 @@ class Rule(ABC):
         starts = np.searchsorted(pixel, pixel)
         listed = order[np.arange(order.size) - starts < MOST_EVENTS]
         listed = listed[np.lexsort((fired.pixel[listed], dt_ns[listed]))]
-        lost = order.size - listed.size
+        lost = order.size - listed.size + fired.lost
         self.lost_in_pixel += lost
         return Crossings(t0_ns + dt_ns[listed], fired.pixel[listed].astype(np.uint32), fired.on[listed], lost)
 

@@ -23,6 +23,7 @@ from emulator.sensor.pixels.array import Crossings
 from emulator.sensor.pixels.faults import DEAD_THRESHOLD
 from emulator.sensor.pixels.merging import NO_CROSSINGS, unpacked
 from emulator.sensor.pixels.mismatch import draw
+from emulator.sensor.pixels.packed_crossings import levels_passed
 from emulator.sensor.presets import SensorParameters
 
 __all__ = ["LargeSignalPixels"]
@@ -30,6 +31,7 @@ __all__ = ["LargeSignalPixels"]
 _TOLERANCE = 2e-6  # ln units a substep
 _AT_REST = 1e-6  # ln units: less than the tolerance
 _MOST_EVENTS = 64
+_BRIGHTEST = 1e20  # light: more counts as this, for which the circuit's equations can be solved
 _LONGEST_NS = 1 << 33  # of a step, whose events are sorted together
 _SAFETY, _LEAST, _MOST = 0.9, 0.2, 4.0
 
@@ -122,26 +124,49 @@ def _next(piece: _Piece, after: float, up: float, down: float) -> tuple[float, i
     return 2.0, 0
 
 
+@kernel
+def _pass_over(piece: _Piece, z: float, reference: float, thresholds: tuple[float, float]) -> tuple[float, int]:
+    """Return the reference after all crossings of a substep from share z on, and how many they are."""
+    turns, lost = _extrema(piece), 0
+    for k in range(3):
+        high = turns[k] if k < 2 else 1.0
+        end = _signal(piece, high)
+        threshold = thresholds[0] if end > reference else thresholds[1]
+        if high > z and abs(end - reference) >= threshold:
+            passed, rest = levels_passed(reference, end, threshold)
+            reference, lost = end - rest, lost + passed
+    return reference, lost
+
+
 @kernel_that_allocates
-def _fire(pixel: int, piece: _Piece, m: _Model, s: _Array, pending: Pending, n: int) -> tuple[Pending, int, int]:
-    """Add the events of a substep to `pending` from n on; return it, the new n, and how many are lost."""
-    events, z = 0, 0.0
+def _fire(
+    pixel: int, piece: _Piece, m: _Model, s: _Array, pending: Pending, at: tuple[int, int]
+) -> tuple[Pending, int, int]:
+    """Add the events of a substep to `pending`; return it, the number of its events, and how many are lost.
+
+    `at` are the numbers of events in it before this step of the pixel, and now.
+    """
+    (begun, n), lost, z = at, 0, 0.0
     while True:
         if s.refractory_s[pixel] > piece.t + z * piece.h:
             z = (s.refractory_s[pixel] - piece.t) / piece.h
             if z > 1:
-                return pending, n, max(events - _MOST_EVENTS, 0)
+                return pending, n, lost
             s.reference[pixel] = _signal(piece, z)
         reference = s.reference[pixel]
         z, on = _next(piece, z, reference + m.on[pixel], reference - m.off[pixel])
         if z > 1:
-            return pending, n, max(events - _MOST_EVENTS, 0)
-        events += 1
-        if events <= _MOST_EVENTS:
+            return pending, n, lost
+        if n - begun < _MOST_EVENTS:
             pending = reserve(pending, n, 1)
             pending.t_ns[n] = np.int64((piece.t + z * piece.h) * 1e9)
             pending.key[n] = np.uint64(pixel) << np.uint64(1) | np.uint64(on)
             n += 1
+        elif m.refractory_s == 0:
+            s.reference[pixel], more = _pass_over(piece, z, reference, (m.on[pixel], m.off[pixel]))
+            return pending, n, lost + more
+        else:
+            lost += 1
         s.reference[pixel] += m.on[pixel] if on else -m.off[pixel]
         s.refractory_s[pixel] = piece.t + z * piece.h + m.refractory_s
 
@@ -169,7 +194,7 @@ def _advance_pixel(
     pixel: int, light: Light, m: _Model, s: _Array, pending: Pending, n: int
 ) -> tuple[Pending, int, int]:
     """Move one pixel over a step."""
-    c, lost, t, leaked = m.circuit, 0, 0.0, 0.0
+    c, lost, begun, t, leaked = m.circuit, 0, n, 0.0, 0.0
     state = State(s.p[pixel], s.y[pixel], s.w[pixel])
     still = light.u0 == light.u1 and light.a0 == 0 and light.a1 == 0
     rests = still and max(abs(state.p), abs(state.y - light.u0), abs(state.w - light.u0)) < _AT_REST
@@ -185,7 +210,7 @@ def _advance_pixel(
         v0, v1 = (state.w, after.w) if c.c > 0 else (state.y, after.y)
         more = leaked + h * (l0 + l1) / 2
         piece = _Piece(v0 + leaked, v1 + more, h * (slope0 + l0), h * (slope1 + l1), t, h)
-        pending, n, gone = _fire(pixel, piece, m, s, pending, n)
+        pending, n, gone = _fire(pixel, piece, m, s, pending, (begun, n))
         state, t, leaked, lost = after, t + h, more, lost + gone
     s.p[pixel], s.y[pixel], s.w[pixel] = state
     if not c.c > 0:
@@ -261,7 +286,7 @@ class LargeSignalPixels:
     Attributes
     ----------
     lost_in_pixel : int
-        Crossings beyond 64 of a pixel in a substep.
+        Crossings beyond 64 of a pixel in a step.
     quiet_nan : int
         Pixel-steps whose light was not finite; the last finite light of the pixel is used.
     settled_ns : int
@@ -330,10 +355,11 @@ class LargeSignalPixels:
             raise ValueError(f"t_ns = {t_ns}: before the last step's {t0_ns}; time does not go back")
         if h_ns > _LONGEST_NS:
             raise ValueError(f"a step of {h_ns * 1e-9:.3g} s: a large-signal photoreceptor takes 8.6 s at most")
-        if h_ns == 0:
-            return NO_CROSSINGS
         u = self._log(light)
         slope = self._slopes(rate)
+        if h_ns == 0:
+            self._u, self._slope = u, slope
+            return NO_CROSSINGS
         pending, n, lost = _advance(
             (self._u, u, self._current), (self._slope, slope), h_ns * 1e-9, self._model, self._state, new_pending()
         )
@@ -364,6 +390,7 @@ class LargeSignalPixels:
         changed, new = changed[readable], new[readable]
         u = self._u.copy()
         self._light[changed] = new
-        self._current[changed] = np.maximum(new, 0).astype(np.float64) + self.parameters.dark_current_relative
+        current = np.clip(new, 0, _BRIGHTEST).astype(np.float64)
+        self._current[changed] = current + self.parameters.dark_current_relative
         u[changed] = np.log(self._current[changed])
         return u

@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from emulator.sensor.pixels.array import PixelArray, light_constants
+from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.pixels.faults import DEAD_THRESHOLD
 from emulator.sensor.pixels.mismatch import draw
-from emulator.sensor.pixels.state import Field
+from emulator.sensor.pixels.state import Field, light_constants
 from emulator.sensor.presets import SensorParameters
 
 __all__ = ["ADJUSTABLE", "adjust"]

@@ -19,20 +19,31 @@ from emulator.sensor.numerics.keyed import Purpose, normal, uniform
 from emulator.sensor.numerics.vectors import aligned_zeros
 from emulator.sensor.pixels.event_buffers import EventBuffers
 from emulator.sensor.pixels.faults import ArrayFaults
+from emulator.sensor.pixels.idle import wake
 from emulator.sensor.pixels.interpolation import UNSEEN_SHARE
+from emulator.sensor.pixels.mismatch import draw
 from emulator.sensor.pixels.refinement import SHORTEST_NS, Refinement
-from emulator.sensor.pixels.state import BLOCK, EPOCH_BITS, FIELDS, PARTS, Field, Pixels, PixelState, StepConstants
-from emulator.sensor.pixels.step import Share, Tally, advance, compile_parts
+from emulator.sensor.pixels.state import (
+    BLOCK,
+    EPOCH_BITS,
+    FIELDS,
+    PARTS,
+    Field,
+    Pixels,
+    PixelState,
+    StepConstants,
+    light_constants,
+    put_field,
+    take_field,
+)
+from emulator.sensor.pixels.step import Share, Tally, advance, compile_parts, replace_light
 from emulator.sensor.pixels.touched import Touched, touch
 from emulator.sensor.pixels.workers import Workers
 from emulator.sensor.presets import SensorParameters
 
-__all__ = ["Crossings", "PixelArray", "PixelState", "light_constants"]
+__all__ = ["Crossings", "PixelArray", "PixelState"]
 
 _EPOCH_NS = 1 << EPOCH_BITS
-_NO_LOW_PASS_RATE = 1e12  # rad/s: a lag of a picosecond
-_HIGHEST_HZ = _NO_LOW_PASS_RATE / (2 * math.pi)
-_LEAST_THRESHOLD = 0.1  # of the nominal one, however far the mismatch would go
 
 _Float32s = npt.NDArray[np.float32]
 _NO_RATE = np.empty(0, np.float32)
@@ -110,23 +121,20 @@ class PixelArray:
         self._workers = Workers(self.state.fields.shape[0], threads)
         self._touched_units = np.zeros(self.state.fields.shape[0] * (1 + PARTS), np.uint8)
         self._known = self.state.fields
+        self._replacing: tuple[_Float32s, _Float32s] | None = None
         self._refinement: Refinement | None = None
 
     def _dark_state(self) -> PixelState:
         """Return the state before the first light, with the fixed figures of each pixel drawn."""
         blocks = -(-self._pixels // BLOCK)
-        fields = aligned_zeros((blocks, FIELDS, BLOCK))
+        fields, p = aligned_zeros((blocks, FIELDS, BLOCK)), self.parameters
         fields[:, Field.ON] = fields[:, Field.OFF] = np.inf
-        p, pixel = self.parameters, np.arange(self._pixels)
-        for which, purpose, nominal in (
-            (Field.ON, Purpose.THRESHOLD_ON, p.threshold_on),
-            (Field.OFF, Purpose.THRESHOLD_OFF, p.threshold_off),
-        ):
-            spread = 1 + p.mismatch * normal(self.seed, purpose, pixel)
-            _put(fields, which, nominal * np.maximum(spread, _LEAST_THRESHOLD))
+        drawn, pixel = draw(p, self.seed), np.arange(self._pixels)
+        put_field(fields, Field.ON, drawn.on)
+        put_field(fields, Field.OFF, drawn.off)
         sigma = p.leak_spread
         rate_hz = p.leak_hz * np.exp(sigma * normal(self.seed, Purpose.LEAK_RATE, pixel) - sigma**2 / 2)
-        _put(fields, Field.LEAK, rate_hz * _take(fields, Field.ON, self._pixels))
+        put_field(fields, Field.LEAK, rate_hz * take_field(fields, Field.ON, self._pixels))
         return PixelState(fields, np.zeros(blocks * BLOCK, np.int64), 0, 0, False)
 
     def _clear_counters(self) -> None:
@@ -148,10 +156,14 @@ class PixelArray:
         return ArrayFaults(self, self._pixels)
 
     def follow_parameters(self, constants: tuple[np.float32, np.float32, np.float32, np.float32]) -> None:
-        """Take over what the steps use of changed `parameters`; see `adjustment`."""
+        """Take over changed `parameters`, and thresholds or leak that changed with them; see `adjustment`.
+
+        Pixels rest while nothing can fire them, by the figures that were: after any change all are looked at again.
+        """
         self._refractory_ns = round(self.parameters.refractory_us * 1000)
         self._light_constants = constants
         self._refinement = None
+        self.wake()
 
     def compile_part(self, which: str) -> None:
         """Compile "blocks" or "candidates", large parts of the step that `step` then finds on disk."""
@@ -161,12 +173,12 @@ class PixelArray:
         compile_parts(which, pixels, self._workers.buffers(), share, self._constants(0, 1_000_000))
 
     def wake(self) -> None:
-        """Look at all blocks again in the next step; for who changes the state of pixels from outside."""
-        self._workers.idle.until_ns[:] = -1
+        """Compute all blocks in the next step; for callers that change the state of pixels."""
+        wake(self._workers.idle)
 
     def field(self, which: Field) -> _Float32s:
         """Return a copy of one field of the state, (height, width) float32."""
-        return _take(self.state.fields, which, self._pixels).reshape(self.parameters.height, self.parameters.width)
+        return take_field(self.state.fields, which, self._pixels).reshape(self.parameters.height, self.parameters.width)
 
     def reset(self, light: _Float32s, t_ns: int, rate: _Float32s | None = None) -> None:
         """Start at `t_ns` with the filter at rest on `light`, and counters at zero; `light` and `rate` as in `step`."""
@@ -179,23 +191,25 @@ class PixelArray:
         current[~np.isfinite(flat)] = np.nan
         log_light = np.log(current)
         _, at_reference, least, most = self._light_constants
-        filter_rate = np.clip(at_reference * current, least, most)
+        with np.errstate(over="ignore"):
+            filter_rate = np.clip(at_reference * current, least, most)
         phase = uniform(self.seed, Purpose.LEAK_PHASE, np.arange(self._pixels)) if p.random_start else np.float64(0)
-        on, leak = (_take(state.fields, which, self._pixels) for which in (Field.ON, Field.LEAK))
+        on, leak = (take_field(state.fields, which, self._pixels) for which in (Field.ON, Field.LEAK))
         since_epoch = (state.t_ns - state.epoch_ns) * 1e-9
         state.fields[:, Field.LEAKED] = 0
         self._move_parasitic(-since_epoch, log_light)
         state.slopes_known = rate is not None
         for which in (Field.LOG_LIGHT, Field.FILTERED, Field.SECOND):
-            _put(state.fields, which, log_light)
-        _put(state.fields, Field.RATE, filter_rate)
-        _put(
+            put_field(state.fields, which, log_light)
+        put_field(state.fields, Field.RATE, filter_rate)
+        put_field(
             state.fields,
             Field.SLOPE,
             np.where(flat > 0, slope, 0) / (current * filter_rate) if slope.size else np.full(flat.size, np.nan),
         )
-        _put(state.fields, Field.REFERENCE, log_light + leak * since_epoch - on * phase)
+        put_field(state.fields, Field.REFERENCE, log_light + leak * since_epoch - on * phase)
         self._clear_counters()
+        self._replacing = None
         self.wake()
 
     def step(
@@ -216,7 +230,8 @@ class PixelArray:
         light : (height, width) float32
             Relative to the reference level; values below 0 count as 0.
         t_ns : int
-            Stream time of that frame. If it equals the last time, the step is empty.
+            Stream time of that frame. If it equals the last time, the step is empty, and this frame takes the place of
+            the last one: the light jumps there, and the next step begins with it.
         rate : (height, width) float32, optional
             Time derivative of the light at `t_ns`, per second; not finite where unknown.
         at : PixelLight, optional
@@ -239,13 +254,16 @@ class PixelArray:
             n, slope = self._whole_epochs(flat, t_ns), _NO_RATE
         if t_ns > state.t_ns:
             n = self._advance((flat, slope), t_ns, n, at, changed)
+        else:
+            self._replacing = flat.copy(), slope.copy()
         found = self._buffers
         return Crossings(found.t_ns[:n], found.pixel[:n], found.on[:n], self.lost_in_pixel - lost_before)
 
     def _whole_epochs(self, flat: _Float32s, t_ns: int) -> int:
         """Advance by whole epochs, on a straight line in log light, until at most one is left; return the number."""
         state, n = self.state, 0
-        before, t0_ns = _take(state.fields, Field.LOG_LIGHT, self._pixels), state.t_ns
+        self._replace_light()
+        before, t0_ns = take_field(state.fields, Field.LOG_LIGHT, self._pixels), state.t_ns
         while t_ns - state.t_ns > _EPOCH_NS:
             share = (state.t_ns + _EPOCH_NS - t0_ns) / (t_ns - t0_ns)
             n = self._advance((self._between(before, flat, share), _NO_RATE), state.t_ns + _EPOCH_NS, n)
@@ -267,6 +285,7 @@ class PixelArray:
     ) -> int:
         """Advance by at most an epoch, add the crossings after the first n, and return the new number."""
         state, buffers, slope = self.state, self._buffers, frame[1]
+        self._replace_light()
         self._move_epoch()
         if state.fields is not self._known:
             self._known = state.fields
@@ -293,6 +312,17 @@ class PixelArray:
         state.t_ns = t_ns
         return buffers.add(lists, (t0_ns, self._pixel_bits), n)
 
+    def _replace_light(self) -> None:
+        """Let the light jump to that of a frame whose time was the last one's, where there is one."""
+        if self._replacing is None:
+            return
+        (flat, slope), self._replacing, state = self._replacing, None, self.state
+        c = self._constants(state.t_ns, state.t_ns + 1, chord=not slope.size)
+        pixels = Pixels(state.fields.reshape(-1), state.refractory_until_ns)
+        self.quiet_nan += replace_light((flat, slope), pixels, self._workers.buffers().scratch, c)
+        state.slopes_known = bool(slope.size)
+        self.wake()
+
     def _touched(self, changed: Region | None) -> Touched:
         region = self._whole if changed is None else changed
         units = _NO_UNITS
@@ -308,16 +338,19 @@ class PixelArray:
         if epoch_ns != state.epoch_ns:
             moved_s = np.float32((epoch_ns - state.epoch_ns) * 1e-9)
             state.fields[:, Field.REFERENCE] -= state.fields[:, Field.LEAK] * moved_s
-            self._move_parasitic(moved_s, _take(state.fields, Field.LOG_LIGHT, self._pixels))
+            self._move_parasitic(moved_s, take_field(state.fields, Field.LOG_LIGHT, self._pixels))
             state.epoch_ns = epoch_ns
 
     def _move_parasitic(self, by_s: float | np.float32, log_light: _Float32s) -> None:
         """Count the parasitic leak of the present light from an epoch that is `by_s` later."""
         hz = self.parameters.parasitic_hz_at_reference
         if hz:
-            fields, lit = self.state.fields, np.where(np.isfinite(log_light), np.exp(log_light), 0)
-            leaked = _take(fields, Field.LEAKED, self._pixels) + hz * _take(fields, Field.ON, self._pixels) * lit * by_s
-            _put(fields, Field.LEAKED, leaked)
+            fields, lit = self.state.fields, np.where(np.isfinite(log_light), np.exp(np.minimum(log_light, 80)), 0)
+            leaked = (
+                take_field(fields, Field.LEAKED, self._pixels)
+                + hz * take_field(fields, Field.ON, self._pixels) * lit * by_s
+            )
+            put_field(fields, Field.LEAKED, leaked)
 
     def _made_refinement(self) -> Refinement:
         """Return the refinement, which is made when first needed."""
@@ -365,25 +398,3 @@ class PixelArray:
         if frame.shape != self._size or frame.dtype != np.float32:
             raise ValueError(f"light or rate is {frame.shape} {frame.dtype}: must be {self._size} float32")
         return np.ascontiguousarray(frame).reshape(-1)
-
-
-def _take(fields: _Float32s, which: Field, pixels: int) -> _Float32s:
-    """Return a copy of one field in pixel order, (pixels,) float32."""
-    return np.asarray(fields[:, which].reshape(-1)[:pixels].copy())
-
-
-def _put(fields: _Float32s, which: Field, values: npt.NDArray[np.floating]) -> None:
-    """Set one field from values in pixel order, (pixels,)."""
-    row = fields[:, which].reshape(-1)
-    row[: values.size] = values
-    fields[:, which] = row.reshape(-1, BLOCK)
-
-
-def light_constants(p: SensorParameters) -> tuple[np.float32, np.float32, np.float32, np.float32]:
-    """Return the dark current, relative, the filter's rate at light 1, and the bounds of that rate, rad/s."""
-    at_reference, least, most = (
-        (_NO_LOW_PASS_RATE,) * 3
-        if math.isinf(p.corner_hz_at_reference)
-        else (2 * math.pi * hz for hz in (p.corner_hz_at_reference, p.corner_min_hz, min(p.corner_max_hz, _HIGHEST_HZ)))
-    )
-    return np.float32(p.dark_current_relative), np.float32(at_reference), np.float32(least), np.float32(most)

@@ -25,7 +25,7 @@ from emulator.sensor.pixels.interpolation import is_smooth
 from emulator.sensor.pixels.lowpass import Course, missed_by_cubic, photocurrent, transient
 from emulator.sensor.pixels.march import march_through
 from emulator.sensor.pixels.march_table import CAPACITY, March, Start, enter, new_march
-from emulator.sensor.pixels.packed_crossings import MOST_EVENTS, Keys, pack, reserve
+from emulator.sensor.pixels.packed_crossings import MOST_EVENTS, Keys, levels_passed, pack, reserve
 from emulator.sensor.pixels.packs import pixel_at
 from emulator.sensor.pixels.state import BEFORE_ROWS, BLOCK, Field, Pixels, StepConstants, slot, whole_vectors
 
@@ -290,8 +290,7 @@ def _move_column(table: Table, j: int, k: int) -> None:
 @kernel
 def _fire(pixels: Pixels, table: Table, n: int, keys: Keys, n_keys: int, c: StepConstants) -> tuple[int, int]:
     """Write the events of the candidates that fire, and their references; return n_keys and how many fire again."""
-    rows = table.rows
-    again = NONE
+    rows, again = table.rows, NONE
     for j in range(n):
         if rows[_C_KIND + j] != _FIRES:
             continue
@@ -309,22 +308,28 @@ def _fire(pixels: Pixels, table: Table, n: int, keys: Keys, n_keys: int, c: Step
 
 
 @kernel
+def _pass_over(pixels: Pixels, table: Table, n: int, c: StepConstants) -> int:
+    """Move the references of candidates that fire too often to their last crossings, and return how many are lost."""
+    rows, lost = table.rows, NONE
+    for j in range(n):
+        a, d1, at = rows[_C_A + j], rows[_C_D1 + j], slot(table.pixels[j])
+        more, rest = levels_passed(a, d1, rows[_C_ON + j] if d1 > a else rows[_C_OFF + j])
+        compared = pixels.fields[at + (_W if c.second > _ZERO else _V)] + pixels.fields[at + _LEAK] * c.since_epoch_1
+        pixels.fields[at + _REF] = compared - np.float32(rest)
+        lost += more
+    return int(lost)
+
+
+@kernel
 def _start(rows: _Float32s, j: int, c: StepConstants) -> Start:
     """Return column j of the table as the start of a march."""
     return Start(
-        u0=rows[_C_U0 + j],
-        u1=rows[_C_U1 + j],
-        a0=rows[_C_A0 + j],
-        a1=rows[_C_A1 + j],
-        v=rows[_C_V0 + j],
+        u0=rows[_C_U0 + j], u1=rows[_C_U1 + j], a0=rows[_C_A0 + j], a1=rows[_C_A1 + j], v=rows[_C_V0 + j],
         w=rows[_C_W0 + j] if c.second > _ZERO else rows[_C_V0 + j],
         leaked=rows[_C_P0 + j] if c.parasitic > _ZERO else _ZERO,
-        reference=rows[_C_REF + j],
-        re_armed=rows[_C_START + j],
-        on=rows[_C_ON + j],
-        off=rows[_C_OFF + j],
-        leak=rows[_C_LEAK + j],
-    )
+        reference=rows[_C_REF + j], re_armed=rows[_C_START + j],
+        on=rows[_C_ON + j], off=rows[_C_OFF + j], leak=rows[_C_LEAK + j],
+    )  # fmt: skip
 
 
 @kernel
@@ -333,8 +338,7 @@ def _dispatch(pixels: Pixels, table: Table, n: int, c: StepConstants) -> int:
 
     This loop is a function of its own because it runs over all candidates; see `compiled` on reference counts.
     """
-    rows = table.rows
-    marching: int = NONE
+    rows, marching = table.rows, NONE
     for j in range(n):
         kind = rows[_C_KIND + j]
         if kind == _NEEDS_SUBSTEPS:
@@ -342,7 +346,7 @@ def _dispatch(pixels: Pixels, table: Table, n: int, c: StepConstants) -> int:
             marching += 1
         elif kind == _RE_ARMS:
             pixels.fields[slot(table.pixels[j]) + _REF] = rows[_C_BASE + j] + rows[_C_A + j]
-    return marching
+    return int(marching)
 
 
 @kernel
@@ -380,6 +384,9 @@ def solve(
     keys, n_keys, lost, undersampled = march_through(pixels, table.march, marching, keys, n_keys, c)
     event = 0
     while n > 0:
+        if (event >= MOST_EVENTS) & (c.refractory_ns == 0):
+            lost += _pass_over(pixels, table, n, c)
+            break
         _cross(table.rows, whole_vectors(n))
         _bisect_unsettled(table, n)
         _follow(table.rows, whole_vectors(n), c)

@@ -25,7 +25,7 @@ from emulator.sensor.numerics.compiled import kernel, vector_kernel
 from emulator.sensor.numerics.elementary import exponential
 from emulator.sensor.pixels.state import BEFORE_ROWS, BLOCK, EPOCH_BITS, PART, PARTS, Field, StepConstants
 
-__all__ = ["NO_PART", "Idle", "is_same", "mark", "may_rest", "new_idle", "part_at", "part_is_same"]
+__all__ = ["NO_PART", "Idle", "is_same", "mark", "may_rest", "new_idle", "part_at", "part_is_same", "wake"]
 
 _Float32s = npt.NDArray[np.float32]
 _Words = npt.NDArray[np.uint64]
@@ -41,12 +41,13 @@ _MORE = np.float32(1.1)  # a rise of that much more must still be lost in roundi
 _MARGIN = np.float32(2e-5)  # ln units: that of the quiet test, and rounding
 _EARLY_NS = 1000
 
-NO_PART = -2
+_NOT_IDLE = -(1 << 62)  # earlier than any stream time
+NO_PART = _NOT_IDLE - 1
 """`until_ns` of a block that was moved whole, and none of whose parts is idle."""
 
 
 class Idle(NamedTuple):
-    """The idle blocks and parts of an array: the figures above, `until_ns` -1 for those that are not idle.
+    """The idle blocks and parts of an array: the figures above, `until_ns` _NOT_IDLE for those that are not idle.
 
     All but `seen` have blocks * (1 + PARTS) entries, those of the blocks first; one array for both, because each costs
     time in every call. `until_ns` is NO_PART for a block without an idle part. `level` is the light of all pixels, NaN
@@ -64,7 +65,12 @@ def new_idle(blocks: int) -> Idle:
     """Return the table of an array of which no block is idle."""
     units = blocks * (1 + PARTS)
     longest, shortest, level = (np.zeros(units, np.float32) for _ in range(3))
-    return Idle(np.full(units, -1, np.int64), longest, shortest, level, np.empty(blocks * BLOCK, np.float32))
+    return Idle(np.full(units, _NOT_IDLE, np.int64), longest, shortest, level, np.empty(blocks * BLOCK, np.float32))
+
+
+def wake(idle: Idle) -> None:
+    """Let no block or part be idle."""
+    idle.until_ns[:] = _NOT_IDLE
 
 
 @kernel
@@ -204,7 +210,7 @@ def _mark_part(light: _Float32s, wait: _Float32s, idle: Idle, first: int, c: Ste
     part, least = part_at(idle, first), _least(wait)
     epoch_ns, longest_ns = (c.t0_ns >> EPOCH_BITS) << EPOCH_BITS, 1 << EPOCH_BITS
     wait_ns = longest_ns if least * 1e9 >= longest_ns else int(least * 1e9) - _EARLY_NS
-    idle.until_ns[part] = epoch_ns + wait_ns if wait_ns > 0 else -1
+    idle.until_ns[part] = epoch_ns + wait_ns if wait_ns > 0 else _NOT_IDLE
     idle.longest[part] = c.h
     idle.shortest[part] = c.h if c.second > _ZERO else _ZERO
     idle.level[part] = light[0] if _all_same(light) else _NAN
@@ -240,7 +246,7 @@ def mark(
     blocks = idle.until_ns.size // (1 + PARTS)
     for j in range(n):
         first, begin, end = firsts[j], j * PART, (j + 1) * PART - 1
-        idle.until_ns[blocks + first // PART] = idle.until_ns[first // BLOCK] = -1
+        idle.until_ns[blocks + first // PART] = idle.until_ns[first // BLOCK] = _NOT_IDLE
         if (s[_U + begin] != before[_U0 + begin]) | (s[_U + end] != before[_U0 + end]):
             continue  # the usual case where light changes, without a look at the other pixels
         if _stands_still(s, before, flags, j, behind):

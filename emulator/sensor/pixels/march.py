@@ -16,7 +16,7 @@ from emulator.sensor.numerics.compiled import NONE, kernel, kernel_that_allocate
 from emulator.sensor.pixels.cubic_roots import SETTLED, Bracket, Cubic, bisect, newton, value
 from emulator.sensor.pixels.lowpass import photocurrent
 from emulator.sensor.pixels.march_table import March
-from emulator.sensor.pixels.packed_crossings import MOST_EVENTS, Keys, pack, reserve
+from emulator.sensor.pixels.packed_crossings import MOST_EVENTS, Keys, levels_passed, pack, reserve
 from emulator.sensor.pixels.state import BLOCK, Field, Pixels, StepConstants, slot, whole_vectors
 from emulator.sensor.pixels.substeps import begin, begin_substep
 
@@ -28,6 +28,7 @@ _U, _V, _, _, _REF, _, _, _, _W, _P = (int(f) * BLOCK for f in Field)
 
 _NAN = np.float32(np.nan)
 _ZERO, _ONE = np.float32(0), np.float32(1)
+_BEHIND = np.float32(2)  # the substep, which ends at 1
 
 
 @lane
@@ -94,6 +95,27 @@ def _bisect_unsettled(march: March, n: int) -> None:
 
 
 @kernel
+def _pass_over(rows: _Float32s, j: int) -> int:
+    """Move the level of a column that fires too often to the last one in its monotone part; return how many it met.
+
+    Where float32 is too coarse for a threshold, the level becomes that of the substep's end.
+    """
+    level, high, to = rows[row.LEVEL + j], rows[row.HIGH + j], rows[row.TO + j]
+    end = value(_cubic(rows, j), high)
+    threshold = rows[row.ON + j] if to >= level else rows[row.OFF + j]
+    passed, rest = levels_passed(level, end, threshold)
+    last = end - np.float32(rest)
+    rows[row.X + j], rows[row.LEVEL + j] = high, last if abs(end - last) < threshold else end
+    if passed == 0 and to != level:
+        rows[row.LEVEL + j], passed = to, 1
+    elif passed == 0:
+        end = value(_cubic(rows, j), _ONE)
+        passed, _ = levels_passed(level, end, threshold)
+        rows[row.X + j], rows[row.LEVEL + j] = _BEHIND, end
+    return int(passed)
+
+
+@kernel
 def _fire(pixels: Pixels, march: March, n: int, keys: Keys, n_keys: int, c: StepConstants) -> tuple[int, int, int]:
     """Write the events of the columns that fire; return how many events there are now, were written and were lost."""
     rows = march.rows
@@ -108,6 +130,9 @@ def _fire(pixels: Pixels, march: March, n: int, keys: Keys, n_keys: int, c: Step
         if rows[row.COUNT + j] < MOST_EVENTS:
             keys[n_keys] = pack(dt_ns, pixel, to > rows[row.LEVEL + j], c.pixel_bits)
             n_keys += 1
+        elif c.refractory_ns == 0:
+            lost += _pass_over(rows, j)
+            continue
         else:
             lost += 1
         rows[row.COUNT + j] += _ONE
@@ -116,6 +141,15 @@ def _fire(pixels: Pixels, march: March, n: int, keys: Keys, n_keys: int, c: Step
             rows[row.LEVEL + j], rows[row.RE_ARMED + j] = _NAN, z + c.refractory
             pixels.refractory_until_ns[pixel] = c.t0_ns + dt_ns + c.refractory_ns
     return n_keys, fired, lost
+
+
+@kernel
+def _last_reference(rows: _Float32s, j: int, c: StepConstants) -> np.float32:
+    """Return the reference of a column that fired too often: near its comparator, however large its leak has become."""
+    on, off = rows[row.ON + j], rows[row.OFF + j]
+    rest = min(max(value(_cubic(rows, j), _ONE) - rows[row.LEVEL + j], -off), on)
+    reference: np.float32 = rows[row.W1 + j] + rows[row.LEAK + j] * c.since_epoch_1 - rest
+    return reference
 
 
 @kernel
@@ -130,6 +164,9 @@ def _store(pixels: Pixels, march: March, j: int, c: StepConstants) -> None:
         leaked = rows[row.P1 + j]
         leaks = c.parasitic * rows[row.ON + j] * photocurrent(pixels.fields[here + _U])
         pixels.fields[here + _P] = (leaked if level == _ZERO else _ZERO) - leaks * c.since_epoch_1
+    if (rows[row.COUNT + j] >= MOST_EVENTS) & (c.refractory_ns == 0):
+        pixels.fields[here + _REF] = _last_reference(rows, j, c)
+        return
     moved = level - leaked if level != _ZERO else _ZERO
     pixels.fields[here + _REF] = rows[row.BASE + j] + moved
 

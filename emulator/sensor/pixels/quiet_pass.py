@@ -52,7 +52,7 @@ from emulator.sensor.pixels.lowpass import (
 )
 from emulator.sensor.pixels.state import BEFORE_ROWS, BLOCK, Field, StepConstants
 
-__all__ = ["list_flags", "move_quietly"]
+__all__ = ["list_flags", "move_quietly", "replace_light_of_block"]
 
 _Float32s = npt.NDArray[np.float32]
 _Int64s = npt.NDArray[np.int64]
@@ -255,3 +255,36 @@ def move_quietly(
     if c.parasitic > _ZERO:
         _add_parasitic(s, before, c)
     _test(s, before, may_fire, c)
+
+
+@vector_kernel
+def _restart_filters(s: _Float32s, before: _Float32s) -> None:
+    """Let the filters of a block start anew where its light is not readable, or was not."""
+    for i in range(BLOCK):
+        u0, u1 = before[_U0 + i], s[_U + i]
+        readable = (u0 == u0) & (u1 == u1)
+        s[_V + i], s[_W + i] = s[_V + i] if readable else u1, s[_W + i] if readable else u1
+
+
+@vector_kernel
+def _move_leaked(s: _Float32s, before: _Float32s, c: StepConstants) -> None:
+    """Leave a block's parasitic leak so far as it is: the sums are kept without what the present light leaks."""
+    for i in range(BLOCK):
+        more = photocurrent(s[_U + i]) - photocurrent(before[_U0 + i])
+        s[_P + i] -= c.parasitic * s[_ON + i] * more * c.since_epoch_0
+
+
+@kernel
+def replace_light_of_block(light: _Float32s, rate: _Float32s, s: _Float32s, before: _Float32s, c: StepConstants) -> int:
+    """Let a block's light jump at the start of a step; return in how many pixels it is not readable."""
+    if c.chord:
+        _take_light_alone(light, s, before, c)
+    else:
+        _take_light(light, rate, s, before, c)
+    _restart_filters(s, before)
+    if c.parasitic > _ZERO:
+        _move_leaked(s, before, c)
+    unreadable = 0
+    for i in range(BLOCK):
+        unreadable += s[_U + i] != s[_U + i]
+    return unreadable

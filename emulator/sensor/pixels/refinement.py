@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from emulator.light import PixelLight
 from emulator.sensor.pixels.candidates import Table
-from emulator.sensor.pixels.idle import new_idle
+from emulator.sensor.pixels.idle import new_idle, wake
 from emulator.sensor.pixels.interpolation import REFINED_UNSEEN_SHARE
 from emulator.sensor.pixels.state import BLOCK, FIELDS, Pixels, StepConstants
 from emulator.sensor.pixels.step import Buffers, Share, Tally, advance, new_scratch
@@ -112,7 +112,7 @@ class Refinement:
         """Move an array over a half; pixels that are still undersampled are refined again."""
         again = level + 1 < LEVELS and half.t1_ns - half.t0_ns >= SHORTEST_NS
         c = self._constants(half.t0_ns, half.t1_ns)._replace(refine=again, unseen_share=REFINED_UNSEEN_SHARE)
-        self._share.idle.until_ns[:] = -1  # these are other pixels each time
+        wake(self._share.idle)  # these are other pixels each time
         buffers = self._buffers[level + 1]
         self._keys, found, tally = advance(half.end, here, buffers, self._keys, self._share, c)
         whole = self._whole

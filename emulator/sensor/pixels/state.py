@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple
@@ -10,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.sensor.numerics.compiled import kernel
+from emulator.sensor.presets import SensorParameters
 
 __all__ = [
     "BEFORE_ROWS",
@@ -22,7 +24,10 @@ __all__ = [
     "PixelState",
     "Pixels",
     "StepConstants",
+    "light_constants",
+    "put_field",
     "slot",
+    "take_field",
     "whole_vectors",
 ]
 
@@ -37,6 +42,10 @@ PARTS = BLOCK // PART
 
 EPOCH_BITS = 33
 """Leak is counted from the last multiple of 2^33 ns, 8.6 s."""
+
+
+_NO_LOW_PASS_RATE = 1e12  # rad/s: a lag of a picosecond
+_HIGHEST_HZ = _NO_LOW_PASS_RATE / (2 * math.pi)
 
 
 class Field(IntEnum):
@@ -131,3 +140,25 @@ def whole_vectors(n: int) -> int:
     would then depend on how many others are solved with it.
     """
     return (n + 63) // 64 * 64
+
+
+def take_field(fields: npt.NDArray[np.float32], which: Field, pixels: int) -> npt.NDArray[np.float32]:
+    """Return a copy of one field in pixel order, (pixels,) float32."""
+    return np.asarray(fields[:, which].reshape(-1)[:pixels].copy())
+
+
+def put_field(fields: npt.NDArray[np.float32], which: Field, values: npt.NDArray[np.floating]) -> None:
+    """Set one field from values in pixel order, (pixels,)."""
+    row = fields[:, which].reshape(-1)
+    row[: values.size] = values
+    fields[:, which] = row.reshape(-1, BLOCK)
+
+
+def light_constants(p: SensorParameters) -> tuple[np.float32, np.float32, np.float32, np.float32]:
+    """Return the dark current, relative, the filter's rate at light 1, and the bounds of that rate, rad/s."""
+    at_reference, least, most = (
+        (_NO_LOW_PASS_RATE,) * 3
+        if math.isinf(p.corner_hz_at_reference)
+        else (2 * math.pi * hz for hz in (p.corner_hz_at_reference, p.corner_min_hz, min(p.corner_max_hz, _HIGHEST_HZ)))
+    )
+    return np.float32(p.dark_current_relative), np.float32(at_reference), np.float32(least), np.float32(most)

@@ -20,7 +20,7 @@ from emulator.sensor.numerics.vectors import aligned_zeros
 from emulator.sensor.pixels.candidates import BATCH, Table, gather, gather_rare, select, solve
 from emulator.sensor.pixels.idle import Idle, is_same, mark, may_rest
 from emulator.sensor.pixels.packs import MOST_PACKED, gather_parts, list_active, list_all, scatter_parts
-from emulator.sensor.pixels.quiet_pass import list_flags, move_quietly
+from emulator.sensor.pixels.quiet_pass import list_flags, move_quietly, replace_light_of_block
 from emulator.sensor.pixels.state import BEFORE_ROWS, BLOCK, FIELDS, PART, PARTS, Pixels, StepConstants
 from emulator.sensor.pixels.subset import Subset, gather_undersampled
 from emulator.sensor.pixels.touched import Touched, block_is_touched
@@ -34,6 +34,7 @@ __all__ = [
     "advance",
     "compile_parts",
     "new_scratch",
+    "replace_light",
     "unpack",
     "unpack_both",
 ]
@@ -315,6 +316,27 @@ def advance(
         lost, undersampled = lost + more, undersampled + more_undersampled
         at = _Progress(at.block, at.packed, NONE, at.candidates, at.unreadable, at.refined, at.moved)
     return keys, n_keys, Tally(lost, undersampled, at.candidates, at.unreadable, at.refined, at.moved * PART)
+
+
+@kernel
+def _replace_light(frame: _Frame, pixels: Pixels, scratch: Scratch, c: StepConstants) -> int:
+    unreadable = NONE
+    for first in range(0, frame[0].size, BLOCK):
+        light, rate = _of_block(frame, first, scratch, c)
+        s = pixels.fields[first * FIELDS : (first + BLOCK) * FIELDS]
+        unreadable += replace_light_of_block(light, rate, s, scratch.before, c)
+    return int(unreadable)
+
+
+@cached_entry
+def replace_light(frame: _Frame, pixels: Pixels, scratch: Scratch, c: StepConstants) -> int:
+    """Let the light jump to that of `frame` at the start of a step; see `advance`. Filters and references stay.
+
+    Returns
+    -------
+    The number of pixels whose light is not readable.
+    """
+    return int(_replace_light(frame, pixels, scratch, c))
 
 
 @inlined

@@ -9,12 +9,13 @@ import pytest
 from emulator.rig.loading import parse_rig
 from emulator.run.assembly import link_setups
 from emulator.run.bias_following import BiasFollowing
+from emulator.run.changes import Change, Changes
 from emulator.sensor.presets import PRESETS
 from emulator.sensor.sensor import Sensor
 from firmware_protocol.davis346.bias_effects import sensor_factors
 from firmware_protocol.davis346.biases import BIASES, CoarseFine
 from firmware_protocol.imx636.bias_effects import BiasModel
-from transports.link.report import LinkReport
+from transports.link.changes import CameraSettings
 
 ADDRESSES = {bias.name: bias.address for bias in BIASES}
 DEFAULTS = {bias.address: int(bias.default) for bias in BIASES}
@@ -37,7 +38,7 @@ class Adjusted:
 
 
 def report(**factors):
-    return LinkReport("streaming", sensor_factors=factors)
+    return CameraSettings(0, "register", factors)
 
 
 def events_of_ramp(sensor, towards):
@@ -81,6 +82,41 @@ def test_the_same_report_is_followed_once():
     assert sensor.adjustable["corner_max_hz"] == pytest.approx(1500.0)
 
 
+@pytest.mark.parametrize(("factor", "bound"), [(0.1, 0.1), (0.2, 0.1), (40.0, 1000.0), (1000.0, 1000.0)])
+def test_the_biases_of_several_links_have_one_bound(factor, bound, caplog):
+    sensor = Adjusted()
+    following = BiasFollowing(sensor)
+    for link in ("usbip", "serial", "can"):
+        following.follow({link: report(threshold_on=factor)})
+    assert sensor.adjustable["threshold_on"] == pytest.approx(0.2 * bound)
+    assert f"kept at {bound:g}" in caplog.text
+    following.follow({"serial": report(threshold_on=1.0)})
+    following.follow({"can": report()})
+    assert sensor.adjustable["threshold_on"] == pytest.approx(0.2 * factor)
+    following.follow({"usbip": report(threshold_on=1.0)})
+    assert sensor.adjustable["threshold_on"] == pytest.approx(0.2)
+
+
+def test_factors_of_links_multiply_within_the_bound():
+    sensor = Adjusted()
+    following = BiasFollowing(sensor)
+    following.follow({"usbip": report(threshold_on=4.0), "serial": report(threshold_on=0.5)})
+    assert sensor.adjustable["threshold_on"] == pytest.approx(0.4)
+
+
+def test_each_change_is_recorded_with_its_time_its_origin_and_both_values():
+    sensor, changes = Adjusted(refuses=("corner_max_hz",)), Changes()
+    following = BiasFollowing(sensor, changes)
+    factors = {"threshold_on": 2.0, "corner_max_hz": 3.0, "unknown": 4.0}
+    for t_us in (1_300, 1_700):
+        following.follow({"usbip": CameraSettings(t_us, "register", factors)}, 2_000_000)
+    following.follow({"serial": CameraSettings(2_000, "telecommand", {"threshold_on": 0.5})}, 3_000_000)
+    assert changes.listed == (
+        Change(2_000_000, "register", "threshold_on", "usbip", 0.2, 0.4, 1_300),
+        Change(3_000_000, "telecommand", "threshold_on", "serial", 0.4, 0.2, 2_000),
+    )
+
+
 def test_figures_that_the_sensor_lacks_or_refuses_are_left():
     sensor = Adjusted(refuses=("threshold_on",))
     BiasFollowing(sensor).follow({"usbip": report(threshold_on=2.0, refractory_us=3.0, corner_max_hz=2.0)})
@@ -102,7 +138,7 @@ def test_a_figure_that_was_refused_is_not_multiplied_on_the_way_back():
 
 def test_what_has_no_effect_is_told_once(caplog):
     following = BiasFollowing(Adjusted())
-    idle = LinkReport("streaming", without_effect={"hpf": "there is no high-pass"})
+    idle = CameraSettings(0, "register", without_effect={"hpf": "there is no high-pass"})
     for one in (idle, idle, report(), report(refractory_us=2.0), report(refractory_us=2.0)):
         following.follow({"gige": one})
     assert [one.message for one in caplog.records] == [

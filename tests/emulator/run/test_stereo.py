@@ -15,7 +15,7 @@ from emulator.trajectory.building import build_trajectory
 from emulator.trajectory.motion import differences
 from emulator.trajectory.offset import OffsetPath
 from emulator.trajectory.parameters import SpinPath
-from transports.link.report import LinkReport
+from transports.link.changes import CameraSettings
 from transports.recording.record import load_record
 
 SCENE = """
@@ -131,7 +131,7 @@ class _Adjusted:
 def test_the_second_sensor_follows_the_biases_of_its_own_hosts_alone():
     sensor = _Adjusted()
     view = SecondView(None, sensor, ReadingSources((), ()), ["right"])
-    view.follow({"left": LinkReport("streaming", sensor_factors={"threshold_on": 3.0})})
+    view.follow({"left": CameraSettings(0, "register", {"threshold_on": 3.0})})
     assert sensor.adjustable["threshold_on"] == 0.2
-    view.follow({"right": LinkReport("streaming", sensor_factors={"threshold_on": 2.0})})
+    view.follow({"right": CameraSettings(0, "register", {"threshold_on": 2.0})})
     assert sensor.adjustable["threshold_on"] == 0.4

@@ -9,7 +9,8 @@ from scipy.stats import ks_2samp, kstest
 from emulator.sensor.aps.parameters import FrameParameters, KickParameters
 from emulator.sensor.aps.source import FrameSource
 from emulator.sensor.aps.timeline import frame_times
-from emulator.sensor.presets import PRESETS
+from emulator.sensor.effects import DefectParameters, JitterParameters
+from emulator.sensor.presets import PRESETS, ReadoutParameters
 from emulator.sensor.sensor import Sensor
 from firmware_protocol.frame_lines import FrameSettings
 
@@ -23,12 +24,12 @@ LINE_US = 35.25 * 346 / WIDTH
 KICKS = KickParameters(share=0.1, signal_excess=0, spread=0)
 
 
-def run(frames_s, kicks, slope_hz=0.0, leak_hz=0.0, step_ns=1_000_000, asked=ASKED):
+def run(frames_s, kicks, slope_hz=0.0, leak_hz=0.0, step_ns=1_000_000, asked=ASKED, **effects):
     """Events of light that rises by `slope_hz` thresholds a second, with frames all the time.
 
     Rates with no simple ratio to the frames: else a pixel fires at the same phase in each, and they count as one.
     """
-    sensor = Sensor(dataclasses.replace(IDEAL, leak_hz=leak_hz, leak_spread=0), 7)
+    sensor = Sensor(dataclasses.replace(IDEAL, leak_hz=leak_hz, leak_spread=0, **effects), 7)
     assert sensor.with_kicks(kicks)
     parameters = FrameParameters(line_us=LINE_US, kicks=kicks)
     source = FrameSource(parameters, 7, (WIDTH, HEIGHT), sensor.disturb)
@@ -44,7 +45,8 @@ def run(frames_s, kicks, slope_hz=0.0, leak_hz=0.0, step_ns=1_000_000, asked=ASK
         source.read(light(t_ns), t_ns, settings)
         events.append(sensor.expose(light(t_ns), t_ns))
     events.append(sensor.finish())
-    assert sensor.raised == sensor.read_out
+    assert sensor.raised == sensor.read_out + sensor.lost_at_readout
+    assert sensor.pending == 0
     return np.concatenate(events)
 
 
@@ -155,3 +157,35 @@ def test_without_frames_nothing_is_disturbed():
     off = run(0.3, KICKS, slope_hz=20.0, asked=dataclasses.replace(ASKED, run=False))
     never = run(0.3, dataclasses.replace(KICKS, share=0), slope_hz=20.0, asked=dataclasses.replace(ASKED, run=False))
     assert off.tolist() == never.tolist()
+
+
+DELAYED = {
+    "jitter": {"jitter": JitterParameters(latency_us=200.0, deviation_us=100.0)},
+    "long jitter": {"jitter": JitterParameters(latency_us=20_000.0, deviation_us=10_000.0)},
+    "jitter, read-out": {
+        "jitter": JitterParameters(latency_us=200.0, deviation_us=100.0),
+        "readout": ReadoutParameters(event_ns=80.0, row_ns=80),
+    },
+    "dead pixels": {"defects": DefectParameters(dead_share=0.3)},
+}
+
+
+@pytest.mark.parametrize("effects", DELAYED)
+def test_a_run_of_any_length_ends_with_all_its_events_in_time_order(effects):
+    """Late kicks and delayed events of the last step: a longer run has the same events, and those that follow."""
+    whole = run(0.060, KickParameters(), 40.0, **DELAYED[effects])
+    assert (np.diff(whole["t"].astype(np.int64)) >= 0).all()
+    known = {event.tobytes() for event in whole}
+    for length_ms in range(12, 36):
+        events = run(length_ms * 1e-3, KickParameters(), 40.0, **DELAYED[effects])
+        assert (np.diff(events["t"].astype(np.int64)) >= 0).all()
+        left = events[events["t"] < length_ms * 1000]
+        assert np.array_equal(left, whole[: len(left)])
+        assert (whole["t"][len(left) :] >= length_ms * 1000).all()
+        assert len({event.tobytes() for event in events[len(left) :]} & known) >= 0.9 * (len(events) - len(left))
+
+
+def test_dead_pixels_are_not_kicked():
+    dead = {(x, y) for x in range(0, WIDTH, 2) for y in range(0, HEIGHT, 3)}
+    events = run(0.0153, KickParameters(share=0.9), 40.0, defects=DefectParameters(dead_pixels=tuple(dead)))
+    assert not dead & set(zip(events["x"].tolist(), events["y"].tolist(), strict=True))

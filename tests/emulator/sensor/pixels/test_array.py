@@ -324,3 +324,42 @@ def test_a_picture_that_is_a_view_is_read_rightly():
     a, b = started(parameters), started(parameters)
     c, d = a.step(big[::2, ::2], MS), b.step(wave(parameters, MS), MS)
     assert np.array_equal(c.t_ns, d.t_ns)
+
+
+def test_light_that_jumps_at_once_passes_the_filter_alone():
+    """Light rises by e^0.5 in no time: v = 0.5 (1 - exp(-2 pi f t)), so the first event is at its closed form."""
+    parameters = sensor(
+        corner_hz_at_reference=1e9, corner_max_hz=50.0, random_start=False, threshold_on=0.2, mismatch=0.0, leak_hz=0.0,
+        dark_current_relative=1e-9,
+    )  # fmt: skip
+    array = PixelArray(parameters, 1)
+    array.reset(flat(parameters, 1.0), 0)
+    array.step(flat(parameters, 1.0), MS)
+    assert len(array.step(flat(parameters, np.exp(0.5)), MS)) == 0
+    found = array.step(flat(parameters, np.exp(0.5)), 3 * MS)
+    expected_ns = MS - np.log(1 - 0.2 / 0.5) / (2 * np.pi * 50.0) * 1e9
+    assert len(found) == parameters.width * parameters.height
+    assert np.abs(found.t_ns - expected_ns).max() < 1000
+
+
+@pytest.mark.parametrize("effects", [{}, {"source_follower_hz": 500.0, "parasitic_hz_at_reference": 3.0}])
+def test_the_same_frame_again_at_the_same_time_changes_nothing(effects):
+    once, again = (started(sensor(leak_hz=2.0, **effects)) for _ in range(2))
+    for k in range(1, 30):
+        light = wave(once.parameters, k * MS)
+        expected = once.step(light, k * MS)
+        events = [tuple(part.copy() for part in (expected.t_ns, expected.pixel, expected.on))]
+        found = again.step(light, k * MS)
+        events.append((found.t_ns.copy(), found.pixel.copy(), found.on.copy()))
+        assert len(again.step(light, k * MS)) == 0
+        assert all(np.array_equal(a, b) for a, b in zip(*events, strict=True))
+
+
+def test_unreadable_light_that_is_replaced_at_the_same_time_restarts_the_filter():
+    array = started(sensor())
+    array.step(flat(array.parameters, np.nan), MS)
+    assert array.quiet_nan == array.parameters.width * array.parameters.height
+    array.step(flat(array.parameters, 2.0), MS)
+    array.step(flat(array.parameters, 2.0), 2 * MS)
+    assert array.quiet_nan == array.parameters.width * array.parameters.height
+    assert array.field(Field.FILTERED) == pytest.approx(array.field(Field.LOG_LIGHT))

@@ -95,11 +95,11 @@ def changed_region(before, after, told):
     return Region(int(rows.min()), int(rows.max()) + 1, int(columns.min()), int(columns.max()) + 1)
 
 
-def run(array, scene, steps_ns, *, slopes=True, told=False, full=False):
+def run(array, scene, steps_ns, *, slopes=True, told=False, full=False, begin_ns=0):
     """Return the events of all steps and the last state."""
     before = tuple(part.astype(np.float32) for part in scene(0))
-    array.reset(before[0], 0, before[1] if slopes else None)
-    t_ns, found = 0, []
+    array.reset(before[0], begin_ns, before[1] if slopes else None)
+    t_ns, found = begin_ns, []
     for k, h_ns in enumerate(steps_ns, 1):
         if full:
             array.wake()
@@ -217,3 +217,42 @@ def test_a_copied_state_is_looked_at_whole():
     t_ns = (STEPS + 1) * MS
     assert len(array.step(light, t_ns, rate)) == len(other.step(light, t_ns, rate)) > 0
     assert np.array_equal(array.state.fields[:, Field.FILTERED], other.state.fields[:, Field.FILTERED], equal_nan=True)
+
+
+@pytest.mark.parametrize("effect", ["preset", "leaky", "all"])
+def test_skipping_changes_nothing_before_stream_time_zero(effect):
+    """Leak is counted from multiples of 2^33 ns, so a stream that begins one of these earlier is the same stream."""
+    epoch_ns = 1 << 33
+    p = sensor(**EFFECTS[effect])
+    begun = run(PixelArray(p, 1), spot_before_texture, steps("even"), begin_ns=-epoch_ns)
+    full = run(PixelArray(p, 1), spot_before_texture, steps("even"), begin_ns=-epoch_ns, full=True)
+    assert_same(begun, full)
+    later = run(PixelArray(p, 1), spot_before_texture, steps("even"))
+    assert np.array_equal(begun[0]["f0"] + epoch_ns, later[0]["f0"])
+    assert np.array_equal(begun[0]["f1"], later[0]["f1"])
+
+
+def test_skipping_changes_nothing_across_stream_time_zero():
+    p = sensor(**EFFECTS["leaky"])
+    begun = run(PixelArray(p, 1), spot_before_texture, steps("even"), begin_ns=-20 * MS)
+    assert_same(begun, run(PixelArray(p, 1), spot_before_texture, steps("even"), begin_ns=-20 * MS, full=True))
+
+
+def lamp(k):
+    """Still light, in which a lamp goes on at step 20 and off at step 30."""
+    light, rate = still(k)
+    light[30, 100:140] += 20 <= k < 30
+    return light, rate
+
+
+@pytest.mark.parametrize("scene", [lamp, spot_before_texture])
+@pytest.mark.parametrize("told", [True, "boxes"])
+@pytest.mark.parametrize("slopes", [True, False])
+@pytest.mark.parametrize("effect", ["preset", "all", "no low-pass"])
+def test_a_frame_at_the_time_of_the_last_one_takes_its_place(effect, slopes, told, scene):
+    """Light that changes in no time, in blocks that rest: the next step need not name it."""
+    p = sensor(**EFFECTS[effect])
+    lengths_ns = [0 if k in (7, 20, 21, 30) else MS for k in range(1, STEPS)]
+    full = run(PixelArray(p, 1), scene, lengths_ns, slopes=slopes, full=True)
+    assert len(full[0]) > 50
+    assert_same(run(PixelArray(p, 1), scene, lengths_ns, slopes=slopes, told=told), full)
