@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from emulator.campaign.report.sensitivity import numbers
+from emulator.campaign.report import numbers
 from emulator.campaign.table import read_rows
 
 CAMPAIGN = """

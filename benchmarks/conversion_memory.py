@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from firmware_protocol.evt3.words import evt3_header
+from firmware_protocol.evt.words import evt3_header
 from tests.hostile.memory import MIB, resident_bytes
 
 __all__ = ["main"]

@@ -23,9 +23,8 @@ from pathlib import Path
 
 import numpy as np
 
-from firmware_protocol.gige.bootstrap import Register
-from firmware_protocol.gige.evs_registers import ACQUISITION_START
 from firmware_protocol.gige.gvcp import Command, request
+from firmware_protocol.gige.registers import ACQUISITION_START, Register
 from tests.guest.gige_run import GigeRun, looped_1280x720
 
 __all__ = ["main"]

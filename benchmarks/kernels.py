@@ -39,7 +39,7 @@ def tell(what: str, value_s: float) -> None:
 
 def measure_encoder() -> None:
     """Print what DAVIS346 words of a saturated read-out cost."""
-    from emulator.bench.streams import saturated_stream
+    from emulator.evaluation.bench.streams import saturated_stream
     from firmware_protocol.davis346 import WordEncoder
 
     events = saturated_stream(EVENTS)
@@ -55,7 +55,7 @@ def measure_encoder() -> None:
 
 def measure_steps(what: str, phase: float) -> None:
     """Print what a step of 346 x 260 pixels costs in a grating that moves by `phase` rad a step."""
-    from emulator.bench.pixel import grating
+    from emulator.evaluation.bench.pixels import grating
     from emulator.sensor.pixels.array import PixelArray
     from emulator.sensor.presets import PRESETS
 

@@ -10,13 +10,13 @@ import time
 from pathlib import Path
 
 from emulator.rig.loading import load_rig
-from emulator.scene.bodies.arrangement import Arrangement, Placed
 from emulator.scene.bodies.lighting import Lighting, motion_at
 from emulator.scene.bodies.lit_surface import lit_surface, subdivide
 from emulator.scene.bodies.mesh import find_shape, load_mesh
 from emulator.scene.bodies.table import BodiesParameters
+from emulator.scene.bodies.world import Arrangement, Placed
 from emulator.trajectory.building import build_trajectory
-from emulator.trajectory.timescale import Timescale
+from emulator.trajectory.motion import Timescale
 
 __all__ = ["main"]
 

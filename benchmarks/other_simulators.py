@@ -29,7 +29,7 @@ from typing import Any
 
 import numpy as np
 
-from emulator.bench.pixel import grating
+from emulator.evaluation.bench.pixels import grating
 from emulator.sensor.presets import PRESETS
 from emulator.sensor.sensor import Sensor
 

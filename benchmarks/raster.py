@@ -18,9 +18,9 @@ import numpy as np
 
 from emulator.raster import Box, Renderer, Screen, View, join, prepare
 from emulator.rig.loading import load_rig
-from emulator.scene.bodies.detailed import detailed
 from emulator.scene.bodies.lit_surface import lit_surface
 from emulator.scene.bodies.mesh import find_shape, load_mesh
+from emulator.scene.bodies.regolith import detailed
 
 SIZES = ((346, 260), (1280, 720))
 

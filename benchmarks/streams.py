@@ -27,14 +27,14 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from emulator.bench.streams import saturated_stream
+from emulator.evaluation.bench.streams import saturated_stream
 from emulator.rig.loading import parse_rig
 from emulator.run.assembly import link_setups
 from emulator.run.link_process import LinkProcess
 from firmware_protocol.events import EVENT, Events
 from transports.link.pacing import MonotonicClock
 from transports.link.report import LinkReport
-from transports.link.ring import FREE_RUNNING
+from transports.link.rings import FREE_RUNNING
 
 __all__ = ["main"]
 

@@ -26,7 +26,7 @@ import can
 import numpy as np
 import numpy.typing as npt
 
-from firmware_protocol.edges import EdgeKind
+from firmware_protocol.events import EdgeKind
 from transports.recording.record import load_edges
 
 __all__ = ["main"]

@@ -15,9 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
-from emulator.bench.pixel import grating
+from emulator.evaluation.bench.pixels import grating
 from emulator.light import Light, Region
-from emulator.report.figures import pyplot, save
+from emulator.report.page import pyplot, save
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.presets import PRESETS
 

@@ -10,13 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from emulator.report.frame_png import grey_png
-from emulator.report.preview import Rgb, captioned, event_picture, save_png
+from emulator.report.pictures import Rgb, captioned, event_picture, grey_png, save_png
 from emulator.rig.loading import load_rig
-from emulator.run.assembly import build_session, schedule
-from emulator.run.basilisk import BasiliskRun
-from emulator.run.connected import connected
-from emulator.run.scene_assembly import build_scene
+from emulator.run.assembly import build_scene, build_session, schedule
+from emulator.run.basilisk import BasiliskRun, connected
 from firmware_protocol.events import Events, empty_events
 from transports.link.pacing import MonotonicClock
 from transports.vizard.server import VizardServer

@@ -11,15 +11,12 @@ from pathlib import Path
 
 import numpy as np
 
-from emulator.campaign.campaign import Campaign
-from emulator.campaign.columns import Row
-from emulator.campaign.folder import check_folder, rows_folder
+from emulator.campaign.campaign import Campaign, Row
 from emulator.campaign.loading import load_source
-from emulator.campaign.proportion import proportion
-from emulator.campaign.report.page import quantiles, worst_runs
-from emulator.campaign.report.sensitivity import numbers, sensitivity
-from emulator.campaign.table import read_rows
-from emulator.report.figures import pyplot
+from emulator.campaign.report import numbers, quantiles, sensitivity, worst_runs
+from emulator.campaign.success import proportion
+from emulator.campaign.table import check_folder, read_rows, rows_folder
+from emulator.report.page import pyplot
 
 PAGE = Path(__file__).parent
 FILE = PAGE.parent / "examples" / "landing" / "campaign.toml"

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from emulator.cli.picture import look
-from emulator.report.preview import Rgb, event_picture, save_png
+from emulator.report.pictures import Rgb, event_picture, save_png
 from emulator.rig.loading import load_rig
 
 PICTURES = Path(__file__).parent / "pictures"

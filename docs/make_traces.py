@@ -17,19 +17,17 @@ from firmware_protocol.can_frames.bus_time import frame_bits
 from firmware_protocol.can_frames.canopen import NodeState
 from firmware_protocol.can_frames.frame import Frame
 from firmware_protocol.can_frames.raw_events import Epoch, unpack_clock
-from firmware_protocol.edges import EDGE
-from firmware_protocol.events import EVENT, Events
+from firmware_protocol.events import EDGE, EVENT, Events
 from firmware_protocol.instrument.instrument import Instrument
+from firmware_protocol.packets.addresses import Message, MessageKind
 from firmware_protocol.packets.housekeeping import Housekeeping
-from firmware_protocol.packets.message import Message, MessageKind
 from firmware_protocol.packets.profile import Profile
-from firmware_protocol.packets.telecommands import Ping
-from firmware_protocol.packets.verification import Verification
+from firmware_protocol.packets.telecommands import Ping, Verification
 from firmware_protocol.receiver.can import CanReceiver
 from firmware_protocol.telemetry import decode_block
 from transports.can_bus.carriage import sources
-from transports.can_bus.parameters import CanParameters
-from transports.serial_line.parameters import SerialParameters
+from transports.can_bus.kind import CanParameters
+from transports.serial_line.kind import SerialParameters
 
 __all__ = ["EDGES", "EVENTS", "FOLDER", "files"]
 

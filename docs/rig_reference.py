@@ -16,8 +16,7 @@ from typing import Any
 
 from emulator.rig.top_level import TOP_LEVEL, TopLevelKey
 from emulator.sensor.presets import PRESETS
-from emulator.tables.files import RigFile
-from emulator.tables.typed_table import field_types, item_type, kinds_of, table_type
+from emulator.tables.typed_table import RigFile, field_types, item_type, kinds_of, table_type
 
 PAGE = Path(__file__).with_name("rigs.md")
 MARKER = "<!-- from here on written by docs/rig_reference.py -->"

@@ -12,7 +12,7 @@ from typing import Literal, Self
 import numpy as np
 import numpy.typing as npt
 
-from emulator.geometry.seen import Rays, SceneGeometry
+from emulator.geometry.camera import Rays, SceneGeometry
 
 __all__ = ["Light", "MachineLacks", "PixelLight", "Region", "Scene", "SceneError"]
 

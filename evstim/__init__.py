@@ -19,38 +19,34 @@ if TYPE_CHECKING:
     from emulator.optics.lens import LensParameters
     from emulator.playback.recording import RecordingParameters
     from emulator.rig.loading import Rig, RigError, load_rig, parse_rig, shipped_rigs
-    from emulator.rig.tables import Camera
+    from emulator.rig.tables import Camera, Trigger
     from emulator.rig.tables import Run as RunParameters
-    from emulator.rig.trigger_table import Trigger
+    from emulator.run.assembly import build_scene
     from emulator.run.link_process import LinkFailed
     from emulator.run.outcome import RunResult
-    from emulator.run.scene_assembly import build_scene
     from emulator.scene.bodies.table import BodiesParameters
     from emulator.scene.checkerboard.table import CheckerboardParameters
     from emulator.scene.stars.table import StarsParameters
     from emulator.scene.terrain.table import TerrainParameters
     from emulator.scene.video.video import VideoParameters
     from emulator.sensor.presets import PRESETS, SensorParameters
-    from emulator.trajectory.conventions import from_basilisk as attitude_from_basilisk
-    from emulator.trajectory.conventions import from_opengl as attitude_from_opengl
-    from emulator.trajectory.conventions import from_scalar_last as attitude_from_scalar_last
-    from emulator.trajectory.conventions import from_spice as attitude_from_spice
-    from evstim.frames import events_from_frames, events_from_video
-    from evstim.reconstruction import reconstruct
+    from emulator.trajectory.pose import from_basilisk as attitude_from_basilisk
+    from emulator.trajectory.pose import from_opengl as attitude_from_opengl
+    from emulator.trajectory.pose import from_scalar_last as attitude_from_scalar_last
+    from emulator.trajectory.pose import from_spice as attitude_from_spice
+    from evstim.frames import events_from_frames, events_from_video, reconstruct
     from evstim.running import LiveRun, run
     from evstim.sensor import Sensor
-    from firmware_protocol.edges import EDGE
-    from firmware_protocol.events import EVENT
+    from firmware_protocol.events import EDGE, EVENT
     from firmware_protocol.packets.profile import Profile
     from firmware_protocol.receiver.can import CanReceiver, CanReceiverSettings
-    from firmware_protocol.receiver.clock_estimator import ClockEstimate, ClockEstimator
-    from firmware_protocol.receiver.davis import DavisReceiver
-    from firmware_protocol.receiver.serial import SerialReceiver
-    from transports.can_bus.parameters import CanParameters
+    from firmware_protocol.receiver.clock_estimator import ClockEstimate, ClockEstimator, DavisReceiver
+    from firmware_protocol.receiver.instrument import SerialReceiver
+    from transports.can_bus.kind import CanParameters
     from transports.recording.record import load_record
-    from transports.serial_line.parameters import SerialParameters
-    from transports.usb.loopback_kind import LoopbackLink
-    from transports.usb.usbip.parameters import UsbipLink
+    from transports.serial_line.kind import SerialParameters
+    from transports.usb.loopback import LoopbackLink
+    from transports.usb.usbip.kind import UsbipLink
 
 __all__ = [
     "EDGE",
@@ -103,22 +99,22 @@ __all__ = [
 ]
 
 _SOURCES = {
-    "EDGE": "firmware_protocol.edges",
+    "EDGE": "firmware_protocol.events",
     "EVENT": "firmware_protocol.events",
     "PRESETS": "emulator.sensor.presets",
     "BodiesParameters": "emulator.scene.bodies.table",
     "Camera": "emulator.rig.tables",
-    "CanParameters": "transports.can_bus.parameters",
+    "CanParameters": "transports.can_bus.kind",
     "CanReceiver": "firmware_protocol.receiver.can",
     "CanReceiverSettings": "firmware_protocol.receiver.can",
     "CheckerboardParameters": "emulator.scene.checkerboard.table",
     "ClockEstimate": "firmware_protocol.receiver.clock_estimator",
     "ClockEstimator": "firmware_protocol.receiver.clock_estimator",
-    "DavisReceiver": "firmware_protocol.receiver.davis",
+    "DavisReceiver": "firmware_protocol.receiver.clock_estimator",
     "LensParameters": "emulator.optics.lens",
     "LinkFailed": "emulator.run.link_process",
     "LiveRun": "evstim.running",
-    "LoopbackLink": "transports.usb.loopback_kind",
+    "LoopbackLink": "transports.usb.loopback",
     "MachineLacks": "emulator.light",
     "Profile": "firmware_protocol.packets.profile",
     "RecordingParameters": "emulator.playback.recording",
@@ -130,24 +126,24 @@ _SOURCES = {
     "SceneError": "emulator.light",
     "Sensor": "evstim.sensor",
     "SensorParameters": "emulator.sensor.presets",
-    "SerialParameters": "transports.serial_line.parameters",
-    "SerialReceiver": "firmware_protocol.receiver.serial",
+    "SerialParameters": "transports.serial_line.kind",
+    "SerialReceiver": "firmware_protocol.receiver.instrument",
     "StarsParameters": "emulator.scene.stars.table",
     "TerrainParameters": "emulator.scene.terrain.table",
-    "Trigger": "emulator.rig.trigger_table",
-    "UsbipLink": "transports.usb.usbip.parameters",
+    "Trigger": "emulator.rig.tables",
+    "UsbipLink": "transports.usb.usbip.kind",
     "VideoParameters": "emulator.scene.video.video",
-    "attitude_from_basilisk": "emulator.trajectory.conventions:from_basilisk",
-    "attitude_from_opengl": "emulator.trajectory.conventions:from_opengl",
-    "attitude_from_scalar_last": "emulator.trajectory.conventions:from_scalar_last",
-    "attitude_from_spice": "emulator.trajectory.conventions:from_spice",
-    "build_scene": "emulator.run.scene_assembly",
+    "attitude_from_basilisk": "emulator.trajectory.pose:from_basilisk",
+    "attitude_from_opengl": "emulator.trajectory.pose:from_opengl",
+    "attitude_from_scalar_last": "emulator.trajectory.pose:from_scalar_last",
+    "attitude_from_spice": "emulator.trajectory.pose:from_spice",
+    "build_scene": "emulator.run.assembly",
     "events_from_frames": "evstim.frames",
     "events_from_video": "evstim.frames",
     "load_record": "transports.recording.record",
     "load_rig": "emulator.rig.loading",
     "parse_rig": "emulator.rig.loading",
-    "reconstruct": "evstim.reconstruction",
+    "reconstruct": "evstim.frames",
     "run": "evstim.running",
     "shipped_rigs": "emulator.rig.loading",
 }

@@ -3,6 +3,8 @@
 Between two frames the photocurrent of each pixel (light plus dark current) follows a straight line in its logarithm, as
 in v2e and in `[scene] kind = "video"`. The way between two frames is cut into steps of `step_us`, so that the pixel's
 low-pass filter sees the same light however far apart the frames are.
+
+The picture that events tell: start with a known picture and add a threshold for each event.
 """
 
 from __future__ import annotations
@@ -16,13 +18,16 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from emulator.evaluation.accuracy import scores as metrics
+from emulator.evaluation.accuracy.scores import Stream
 from emulator.scene.video.frames import linear_light, read_frames
 from emulator.scene.video.video import resampled
 from emulator.sensor.presets import SensorParameters
 from evstim.sensor import Sensor
 from firmware_protocol.events import Events, empty_events
 
-__all__ = ["events_from_frames", "events_from_video"]
+__all__ = ["events_from_frames", "events_from_video", "reconstruct"]
+
 
 _Float32s = npt.NDArray[np.float32]
 _MOST_STEP_US = 1_000_000
@@ -250,3 +255,36 @@ def _between(
         current = np.exp((1 - share) * log_a + share * log_b)
         yield a_ns + (b_ns - a_ns) * k // steps, np.maximum(current - dark, np.float32(0))
     yield b_ns, b
+
+
+def reconstruct(
+    events: Events,
+    log_light: npt.ArrayLike,
+    *,
+    threshold_on: npt.ArrayLike,
+    threshold_off: npt.ArrayLike,
+    t_us: float = np.inf,
+) -> npt.NDArray[np.float64]:
+    """Return the logarithm of light that the events up to `t_us` tell, (height, width).
+
+    Parameters
+    ----------
+    events : (n,) EVENT.
+    log_light : (height, width), natural logarithm of the light before the first event.
+    threshold_on, threshold_off : contrast thresholds, natural-log units; one number, or (height, width).
+    t_us : time up to which events count, us.
+
+    Raises
+    ------
+    ValueError
+        An event lies outside the picture, or a shape does not fit.
+    """
+    start = np.asarray(log_light, np.float64)
+    if start.ndim != 2:
+        raise ValueError(f"log_light has the shape {start.shape}: (height, width) is needed")
+    height, width = start.shape
+    if len(events) and (events["x"].max() >= width or events["y"].max() >= height):
+        raise ValueError(f"there are events outside the {width} x {height} picture")
+    on, off = (np.broadcast_to(np.asarray(t, np.float64), start.shape).ravel() for t in (threshold_on, threshold_off))
+    stream = Stream.from_events(events, width, height)
+    return metrics.reconstruct(stream, on, off, start.ravel(), t_us).reshape(start.shape)

@@ -17,21 +17,19 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Literal, Self
 
-from emulator.rig.fault_tables import convert_fault
-from emulator.rig.loading import Rig, load_rig
-from emulator.rig.options import with_options
-from emulator.run.assembly import build_session, link_setups, schedule
+from emulator.rig.kinds import convert_fault
+from emulator.rig.loading import Rig, load_rig, with_options
+from emulator.run.assembly import build_scene, build_session, link_setups, schedule
 from emulator.run.outcome import RunResult, RunStatus
-from emulator.run.scene_assembly import build_scene
 from emulator.run.session import Session
 from emulator.run.standard_descriptors import fill_standard_descriptors
-from emulator.run.truth.refusal import check_truth
+from emulator.run.truth.source import check_truth
 from firmware_protocol.events import Events
 from transports.faults.kinds import Fault
 from transports.link.pacing import MonotonicClock
 
 if TYPE_CHECKING:
-    from emulator.run.truth.output import TruthFile
+    from emulator.run.truth.source import TruthFile
 
 __all__ = ["LiveRun", "run"]
 
@@ -225,7 +223,7 @@ class LiveRun:
         if self._truth is None:
             yield None
             return
-        from emulator.run.truth.output import TruthFile
+        from emulator.run.truth.source import TruthFile
 
         with TruthFile(self.rig, self._truth, self._truth_every) as truth:
             yield truth

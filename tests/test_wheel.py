@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from emulator.rig.loading import load_rig, shipped_rigs
-from emulator.run.needs import needs_of
+from emulator.run.machine import needs_of
 
 ROOT = Path(__file__).parent.parent
 

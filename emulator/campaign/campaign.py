@@ -1,28 +1,188 @@
-"""A campaign: what each of its runs is, as a pure function of the campaign's content and the run's index."""
+"""A campaign: what each of its runs is, as a pure function of the campaign's content and the run's index.
+
+The columns of a campaign's table: one row for each run.
+
+index, campaign, outcome, error, success, margin, seed, KEY of each parameter
+verdict, broken, sim_s, frames, steps, undersampled_share, late_us
+events.*, link.NAME.*      fates and digests of the events
+program.exit, program.trouble, result.*     how the program ended, and what it wrote as its result
+machine.*                  host, wall time, version: the only columns that may differ when a run is repeated
+
+Placeholders in the arguments of the program under test, such as {address} or {camera.sensor.threshold_on}.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import math
+import os
+import re
+import shutil
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from emulator.campaign.columns import check_columns
-from emulator.campaign.laws import Law
-from emulator.campaign.loading import CampaignError, Source, parse_settings, told_at
-from emulator.campaign.placeholders import check_placeholders
-from emulator.campaign.rig_keys import laid_over, path_of, with_value, with_worker
-from emulator.campaign.sampling import grid_digits, unit_points
+from emulator.campaign.loading import (
+    CampaignError,
+    Settings,
+    Source,
+    laid_over,
+    parse_settings,
+    path_of,
+    told_at,
+    with_value,
+    with_worker,
+)
+from emulator.campaign.sampling import Law, grid_digits, unit_points
+from emulator.campaign.success import margin, succeeds
 from emulator.rig.loading import Rig, rig_of_table
-from emulator.tables.text_file import shortened
-from emulator.tables.typed_table import Path as KeyPath
-from emulator.tables.typed_table import TableError
+from emulator.run.machine import pose_port
+from emulator.run.outcome import RunResult, good, judge
+from emulator.tables.toml_text import shortened
+from emulator.tables.typed_table import KeyPath, TableError, unknown
+from transports.link.report import LinkReport
 
-__all__ = ["Campaign"]
+__all__ = [
+    "POSE_PORT",
+    "Campaign",
+    "Row",
+    "addresses_as_placeholders",
+    "check_columns",
+    "check_placeholders",
+    "filled",
+    "judged",
+    "parameter_columns",
+    "result_columns",
+]
+
+
+Row = dict[str, Any]
+
+_OF_PROGRAM = ("program.", "result.")
+_ALWAYS = ("index", "outcome", "seed", "verdict", "sim_s", "frames", "steps", "undersampled_share", "late_us")
+_EVENTS = ("raised", "lost_in_pixel", "lost_at_readout", "read_out", "rate_hz")
+_LINK = ("delivered", "dropped", "dropped_in_device", "latency_p50_us", "latency_p99_us", "latency_max_us")
+
+
+def parameter_columns(values: Mapping[str, Any]) -> Row:
+    """Return the values of the parameters as columns: what is a table or a list, as JSON."""
+    return {key: value if isinstance(value, str | int | float) else json.dumps(value) for key, value in values.items()}
+
+
+def result_columns(rig: Rig, result: RunResult, digest: str) -> Row:
+    """Return what a run has done; `digest` is of the events that its sensor read out."""
+    judgements = judge(rig.verdict, result)
+    ledger = result.ledger
+    row: Row = {
+        "verdict": good(judgements),
+        "broken": "; ".join(f"{one.rule}: {one.told}" for one in judgements if not one.good),
+        "sim_s": result.sim_seconds,
+        "frames": result.frames,
+        "steps": result.steps,
+        "undersampled_share": result.undersampled_share,
+        "late_us": float(result.lateness.worst_gap_us),
+        "events.raised": ledger.raised,
+        "events.lost_in_pixel": ledger.lost_in_pixel,
+        "events.lost_at_readout": ledger.lost_at_readout,
+        "events.read_out": ledger.read_out,
+        "events.rate_hz": ledger.read_out / result.sim_seconds if result.sim_seconds else 0.0,
+        "events.digest": digest,
+    }
+    for name, link in result.links.items():
+        row |= {f"link.{name}.{column}": value for column, value in _link_columns(link).items()}
+    return row
+
+
+def _link_columns(link: LinkReport) -> Row:
+    return {
+        "delivered": link.delivered,
+        "dropped": link.dropped,
+        "dropped_in_device": link.dropped_in_device,
+        "digest": f"{link.digest:08x}",
+        "latency_p50_us": link.latency.p50,
+        "latency_p99_us": link.latency.p99,
+        "latency_max_us": link.latency.max,
+        "error": link.error or "",
+    }
+
+
+def judged(settings: Settings, row: Row) -> Row:
+    """Return a row with its success and its margin."""
+    return {**row, "success": succeeds(settings.success, row), "margin": margin(settings.success, row)}
+
+
+def check_columns(rig: Rig, settings: Settings) -> None:
+    """Raise TableError for a column that no row of the campaign has."""
+    known = [*_ALWAYS, *(f"events.{name}" for name in _EVENTS), *(law.key for law in settings.parameters)]
+    known += ["program.exit", "program.trouble"]
+    known += [f"link.{link.name}.{column}" for link in rig.links for column in _LINK]
+    for rule in settings.success:
+        if rule.column.startswith(_OF_PROGRAM) and settings.program is None:
+            raise TableError(f"{rule.told!r} needs a [program]", ("success",))
+        _check_column(rule.column, known, ("success",))
+    shown = settings.report
+    for column in shown.columns:
+        _check_column(column, [*known, "success", "margin"], ("report", "columns"))
+    _check_column(shown.worst, [*known, "success", "margin"], ("report", "worst"))
+
+
+def _check_column(column: str, known: list[str], path: tuple[str, ...]) -> None:
+    if column not in known and not column.startswith("result."):
+        raise TableError(unknown(column, known), path)
+
+
+_PLACEHOLDER = re.compile(r"\{([A-Za-z_][\w.\[\]-]*)\}")
+POSE_PORT = "port.poses"
+_ALWAYS_PLACEHOLDERS = ("index", "seed", "folder", "result", "python", "worker")
+
+
+def filled(argv: Sequence[str], values: Mapping[str, Any]) -> list[str]:
+    """Return arguments with each {NAME} replaced by its value, a table or a list as JSON."""
+    return [_PLACEHOLDER.sub(lambda found: _text(values[found[1]]), argument) for argument in argv]
+
+
+def _text(value: Any) -> str:
+    return str(value) if isinstance(value, str | int | float | Path) else json.dumps(value)
+
+
+def addresses_as_placeholders(addresses: Mapping[str, str | None]) -> dict[str, str]:
+    """Return {address.NAME} and {port.NAME} of each link, and {address} and {port} where there is only one."""
+    found: dict[str, str] = {}
+    for name, address in addresses.items():
+        port = (address or "").rpartition(":")[2]
+        found |= {f"address.{name}": address or "", f"port.{name}": port}
+        if len(addresses) == 1:
+            found |= {"address": address or "", "port": port}
+    return found
+
+
+def check_placeholders(rig: Rig, settings: Settings, folder: Path) -> None:
+    """Raise TableError for a placeholder that nothing fills, or a program that is not there, seen from `folder`."""
+    if settings.program is None:
+        return
+    known = [*_ALWAYS_PLACEHOLDERS, *(law.key for law in settings.parameters)]
+    known += ["record"] if settings.record else []
+    if settings.program.start == "with":
+        known += addresses_as_placeholders({link.name: "" for link in rig.links})
+        known += [POSE_PORT] if pose_port(rig) is not None else []
+    _check_program(settings.program.argv[0], folder)
+    for name in (name for argument in settings.program.argv for name in _PLACEHOLDER.findall(argument)):
+        if name == "record" and not settings.record:
+            raise TableError('{record} needs record = ".npz", or another suffix', ("program", "argv"))
+        if name not in known:
+            raise TableError(f"placeholder {unknown(name, known)}", ("program", "argv"))
+
+
+def _check_program(name: str, folder: Path) -> None:
+    if _PLACEHOLDER.search(name):
+        return
+    found = os.access(folder / name, os.X_OK) if "/" in name else shutil.which(name)
+    if not found:
+        raise TableError(f"there is no program {name!r} that can be run", ("program", "argv"))
+
 
 _NOT_OF_THE_RUNS = ("title", "rig", "min_success", "timeout_s", "report")
 _FOR_PROGRAM = "program."

@@ -9,25 +9,217 @@
     [report]                              what the report shows
 
 A mistake raises CampaignError, which tells the file, the line, the key, what is wrong and what would be right.
+
+The tables of a campaign file, as frozen types.
+
+Keys of a rig as dotted text, such as "faults[0].rate", and values laid over the tables of a rig.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
-from emulator.campaign.laws import LAWS, Law
-from emulator.campaign.rig_keys import text_of
+from emulator.campaign.sampling import LAWS, Law, Sampling
 from emulator.campaign.success import SuccessRule, parse_rule
-from emulator.campaign.tables import Program, Settings
 from emulator.rig.loading import find_rig, parse_rig, read_rig
-from emulator.tables.text_file import TextFileError, read_text, shortened
-from emulator.tables.toml_text import TomlError, line_of, read_toml
-from emulator.tables.typed_table import Path as KeyPath
-from emulator.tables.typed_table import TableError, convert, convert_kind, field_types, unknown
+from emulator.tables.toml_text import TextFileError, TomlError, line_of, read_text, read_toml, shortened
+from emulator.tables.typed_table import KeyPath, TableError, convert, convert_kind, field_types, unknown
 
-__all__ = ["CampaignError", "Source", "load_source", "parse_settings", "told_at"]
+__all__ = [
+    "CampaignError",
+    "Plots",
+    "Program",
+    "Settings",
+    "Source",
+    "laid_over",
+    "load_source",
+    "parse_settings",
+    "path_of",
+    "text_of",
+    "told_at",
+    "with_value",
+    "with_worker",
+]
+
+
+@dataclass(frozen=True)
+class Program:
+    """The program under test, started once for each run.
+
+    Attributes
+    ----------
+    argv
+        Program and arguments. Placeholders: {index}, {seed}, {folder} (the run's own, for its files), {result} (the
+        JSON file that it may write), {record} (what the links delivered), {python}, {address} (of the only link),
+        {address.NAME}, {port}, {port.NAME}, and {KEY} for the value of a parameter.
+    start
+        "with": when the links of the run are open; "after": when the run is over.
+    ends_run
+        Whether the run ends when the program does; only a program that starts with the run can.
+    grace_s
+        How long the program may take to end after the run has; then it is stopped. Started after the run: how long it
+        may take at all.
+    """
+
+    argv: tuple[str, ...]
+    start: Literal["with", "after"] = "with"
+    ends_run: bool = False
+    grace_s: float = 10.0
+
+    def __post_init__(self) -> None:
+        if not self.argv:
+            raise ValueError("argv must name a program")
+        if self.ends_run and self.start == "after":
+            raise ValueError('ends_run is for start = "with": a program that starts after the run cannot end it')
+        if not 0 <= self.grace_s <= 1e6:
+            raise ValueError(f"grace_s must be 0 to 1e6, got {self.grace_s}")
+
+
+@dataclass(frozen=True)
+class Plots:
+    """What the report shows.
+
+    Attributes
+    ----------
+    columns
+        Columns of which the sensitivity is told; by default success, the margin, the event rate and the numbers that
+        the program gives.
+    worst
+        The column that orders the worst runs; by default the margin.
+    worst_is
+        Whether the lowest or the highest values of it are the worst.
+    labels
+        What the report calls columns and parameters, with their units: "result.vertical_m_s" = "touchdown, m/s".
+    """
+
+    columns: tuple[str, ...] = ()
+    worst: str = "margin"
+    worst_is: Literal["lowest", "highest"] = "lowest"
+    labels: dict[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Settings:
+    """A campaign file but its rig.
+
+    Attributes
+    ----------
+    rig
+        Name of a shipped rig, or path of a rig file, absolute or from the campaign's folder.
+    title
+        What the campaign is for, in one sentence.
+    sampling
+        How the values of the parameters are chosen.
+    count
+        Number of points; with "saltelli" of base points; a grid has as many as it has.
+    repeats
+        Runs of each point, each with a seed of its own.
+    seed
+        Changes all that is random in the campaign.
+    success
+        What a run must keep to be a success: "verdict", "program" (it ends with 0), and rules "COLUMN OP VALUE".
+    min_success
+        Share of successes below which `evstim campaign` ends with 1.
+    timeout_s
+        Time after which a run is given up.
+    record
+        Suffix of a recording that each run keeps of what its links delivered, such as ".npz"; none by default.
+    parameters
+        What is sampled.
+    program
+        The program under test.
+    report
+        What the report shows.
+    set
+        Tables of a rig, laid over the rig's own.
+    """
+
+    rig: str
+    title: str = ""
+    sampling: Sampling = "sobol"
+    count: int = 0
+    repeats: int = 1
+    seed: int = 1
+    success: tuple[SuccessRule, ...] = ()
+    min_success: float = 0.0
+    timeout_s: float = 3600.0
+    record: str = ""
+    parameters: tuple[Law, ...] = ()
+    program: Program | None = None
+    report: Plots = field(default_factory=Plots)
+    set: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.sampling == "grid" and self.count:
+            raise ValueError("count is for samples: a grid has as many points as its values; see repeats")
+        if self.sampling != "grid" and not 1 <= self.count <= 10_000_000:
+            raise ValueError(f"count must be 1 to 10000000, got {self.count}")
+        if not 1 <= self.repeats <= 1_000_000:
+            raise ValueError(f"repeats must be 1 to 1000000, got {self.repeats}")
+        if not 0 <= self.min_success <= 1:
+            raise ValueError(f"min_success must be 0 to 1, got {self.min_success}")
+        if not 0 < self.timeout_s <= 1e7:
+            raise ValueError(f"timeout_s must be above 0 and at most 1e7, got {self.timeout_s}")
+        if self.record and not self.record.startswith("."):
+            raise ValueError(f'record must be a suffix such as ".npz", got {self.record!r}')
+
+
+_PART = re.compile(r"([A-Za-z_][A-Za-z0-9_-]*)((?:\[\d+\])*)")
+_WORKER = "{worker}"
+
+
+def path_of(key: str) -> KeyPath:
+    """Return the path that a dotted key writes; raises ValueError."""
+    path: KeyPath = ()
+    for part in key.split("."):
+        if not (found := _PART.fullmatch(part)):
+            raise ValueError(f'key must be like "camera.sensor.threshold_on" or "faults[0].rate", got {key!r}')
+        path = (*path, found[1], *(int(n) for n in re.findall(r"\d+", found[2])))
+    return path
+
+
+def text_of(path: KeyPath) -> str:
+    """Return a path as dotted text."""
+    return "".join(f"[{p}]" if isinstance(p, int) else f".{p}" for p in path).lstrip(".")
+
+
+def with_value(table: Any, path: KeyPath, value: Any, at: KeyPath = ()) -> Any:
+    """Return tables with one value in its place, tables that lack on the way made; the argument stays as it is."""
+    if not path:
+        return value
+    head, rest = path[0], path[1:]
+    if isinstance(head, int):
+        if not isinstance(table, list) or head >= len(table):
+            count = len(table) if isinstance(table, list) else 0
+            raise TableError(f"{text_of((*at, head))} is not in the rig, which has {count} of them", (*at, head))
+        return [*table[:head], with_value(table[head], rest, value, (*at, head)), *table[head + 1 :]]
+    table = {} if table is None else table
+    if not isinstance(table, dict):
+        raise TableError(f"{text_of(at)} is no table", at)
+    return {**table, head: with_value(table.get(head), rest, value, (*at, head))}
+
+
+def laid_over(table: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+    """Return tables with those of `over` laid over them: tables are merged, everything else is replaced."""
+    merged = dict(table)
+    for key, value in over.items():
+        old = merged.get(key)
+        merged[key] = laid_over(old, value) if isinstance(old, dict) and isinstance(value, dict) else value
+    return merged
+
+
+def with_worker(table: Any, worker: int) -> Any:
+    """Return tables in whose texts {worker} is the worker's number: a bus for each, for example."""
+    if isinstance(table, dict):
+        return {key: with_worker(value, worker) for key, value in table.items()}
+    if isinstance(table, list):
+        return [with_worker(value, worker) for value in table]
+    return table.replace(_WORKER, str(worker)) if isinstance(table, str) else table
+
 
 _MOST_BYTES = 1 << 22
 T = TypeVar("T")

@@ -18,11 +18,10 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
 
-from emulator.campaign.campaign import Campaign
-from emulator.campaign.columns import Row
+from emulator.campaign.campaign import Campaign, Row
 from emulator.campaign.loading import Source
 from emulator.campaign.one_run import CampaignStopped
-from emulator.campaign.warm_worker import WarmWorker, lost_row
+from emulator.campaign.workers import WarmWorker, lost_row
 from transports.needs import install_command
 
 __all__ = ["DaskWorkers"]

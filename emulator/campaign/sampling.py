@@ -5,18 +5,41 @@ latin-hypercube   each parameter's range in as many equal parts as there are run
 random            independent points
 saltelli          a design for Sobol indices (Saltelli 2010): base points times (parameters + 2)
 grid              every combination of the parameters' values
+
+How the values of a parameter are spread: each law turns a number of the unit interval into a value.
+
+uniform       low to high
+log-uniform   low to high, the logarithm is uniform
+normal        mean and deviation, cut at low and high
+integers      low to high, both may be drawn
+list          any values, each as often
 """
 
 from __future__ import annotations
 
 import math
-from typing import Literal
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 import numpy.typing as npt
+from scipy.special import ndtr, ndtri
 from scipy.stats import qmc
 
-__all__ = ["Sampling", "grid_digits", "unit_points"]
+__all__ = [
+    "LAWS",
+    "Integers",
+    "Law",
+    "LogUniform",
+    "Normal",
+    "OneOf",
+    "Sampling",
+    "Uniform",
+    "grid_digits",
+    "unit_points",
+]
+
 
 Sampling = Literal["sobol", "latin-hypercube", "random", "saltelli", "grid"]
 _Points = npt.NDArray[np.float64]
@@ -61,3 +84,176 @@ def grid_digits(index: int, lengths: list[int]) -> list[int]:
     if index:
         raise IndexError(f"a grid of {math.prod(lengths)} points")
     return digits[::-1]
+
+
+_MOST_VALUES = 10_000
+
+
+@dataclass(frozen=True)
+class Law(ABC):
+    """A parameter, and how its values are spread.
+
+    Attributes
+    ----------
+    key
+        Where the value goes: a key of the rig such as "camera.sensor.threshold_on" or "faults[0].rate", or
+        "program.NAME" for a value that the program under test alone is given.
+    also
+        Other keys of the rig that have the same value.
+    """
+
+    kind: ClassVar[str]
+
+    key: str
+    also: tuple[str, ...] = ()
+
+    @abstractmethod
+    def at(self, share: float) -> Any:
+        """Return the value below which `share` of all values are, 0 <= share < 1."""
+
+    @abstractmethod
+    def grid(self) -> list[Any]:
+        """Return the values for a grid; raises ValueError where the law has no number of them."""
+
+
+@dataclass(frozen=True)
+class _Range(Law):
+    """A range, with the number of its values in a grid."""
+
+    low: float = math.nan
+    high: float = math.nan
+    steps: int = 0
+
+    def __post_init__(self) -> None:
+        _require_order(self.low, self.high)
+        if not 0 <= self.steps <= _MOST_VALUES:
+            raise ValueError(f"steps must be 0 (no grid) to {_MOST_VALUES}, got {self.steps}")
+
+    def grid(self) -> list[float]:
+        """Return `steps` values from low to high, at equal shares."""
+        if not self.steps:
+            raise ValueError('steps is missing: a grid needs the number of values, or kind = "list"')
+        return [self.at(k / (self.steps - 1) if self.steps > 1 else 0.5) for k in range(self.steps)]
+
+
+@dataclass(frozen=True)
+class Uniform(_Range):
+    """Any value from `low` to `high`, each as likely; `steps` values of it in a grid."""
+
+    kind = "uniform"
+
+    def at(self, share: float) -> float:
+        """Return low + share (high - low)."""
+        return float(self.low + share * (self.high - self.low))
+
+
+@dataclass(frozen=True)
+class LogUniform(_Range):
+    """Any value from `low` to `high`, each factor as likely; `steps` values of it in a grid."""
+
+    kind = "log-uniform"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.low > 0:
+            raise ValueError(f"low must be above 0 for a logarithm, got {self.low}")
+
+    def at(self, share: float) -> float:
+        """Return low (high / low)^share."""
+        value = math.exp(math.log(self.low) + share * (math.log(self.high) - math.log(self.low)))
+        return min(max(value, self.low), self.high)
+
+
+@dataclass(frozen=True)
+class Normal(Law):
+    """A normal distribution of `mean` and `deviation`, of which only what lies from `low` to `high` is taken.
+
+    By default it is cut three deviations from the mean.
+    """
+
+    kind = "normal"
+
+    mean: float = math.nan
+    deviation: float = math.nan
+    low: float = math.nan
+    high: float = math.nan
+
+    def __post_init__(self) -> None:
+        if not math.isfinite(self.mean):
+            raise ValueError("mean is missing or no number")
+        if not 0 < self.deviation < math.inf:
+            raise ValueError(f"deviation must be above 0, got {self.deviation}")
+        _require_order(*self.bounds)
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """(low, high), where values are cut."""
+        low = self.mean - 3 * self.deviation if math.isnan(self.low) else self.low
+        high = self.mean + 3 * self.deviation if math.isnan(self.high) else self.high
+        return low, high
+
+    def at(self, share: float) -> float:
+        """Return the quantile of the cut distribution."""
+        low, high = self.bounds
+        below, upto = ndtr((low - self.mean) / self.deviation), ndtr((high - self.mean) / self.deviation)
+        value = self.mean + self.deviation * float(ndtri(below + share * (upto - below)))
+        return min(max(value, low), high)
+
+    def grid(self) -> list[float]:
+        """Raise ValueError: a grid would not show the distribution."""
+        raise ValueError('kind "normal" has no grid; give kind = "list", or another sampling')
+
+
+@dataclass(frozen=True)
+class Integers(Law):
+    """A whole number from `low` to `high`, each as likely; all of them in a grid."""
+
+    kind = "integers"
+
+    low: int = 0
+    high: int = 0
+
+    def __post_init__(self) -> None:
+        _require_order(self.low, self.high)
+
+    def at(self, share: float) -> int:
+        """Return a whole number; each has an equal part of the unit interval."""
+        return min(self.low + math.floor(share * (self.high - self.low + 1)), self.high)
+
+    def grid(self) -> list[int]:
+        """Return all of them."""
+        if self.high - self.low >= _MOST_VALUES:
+            raise ValueError(f"high - low must be below {_MOST_VALUES} in a grid")
+        return list(range(self.low, self.high + 1))
+
+
+@dataclass(frozen=True)
+class OneOf(Law):
+    """One of `values`, each as likely; all of them in a grid. A value may be whatever the key takes, tables too."""
+
+    kind = "list"
+
+    values: tuple[Any, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not 0 < len(self.values) <= _MOST_VALUES:
+            raise ValueError(f"values must be a list of 1 to {_MOST_VALUES}, got {len(self.values)}")
+
+    def at(self, share: float) -> Any:
+        """Return a value; each has an equal part of the unit interval."""
+        return self.values[min(math.floor(share * len(self.values)), len(self.values) - 1)]
+
+    def grid(self) -> list[Any]:
+        """Return all of them."""
+        return list(self.values)
+
+
+def _require_order(low: float, high: float) -> None:
+    if not (np.isfinite(low) and np.isfinite(high)):
+        raise ValueError("low and high are both needed, as finite numbers")
+    if not low < high:
+        raise ValueError(f"low must be below high, got {low} and {high}")
+
+
+LAWS: dict[str, type[Law]] = {law.kind: law for law in (Uniform, LogUniform, Normal, Integers, OneOf)}
+"""All laws by kind."""

@@ -1,4 +1,7 @@
-"""When a run is a success: the rig's verdict, the program's exit, and rules such as "result.error < 0.05"."""
+"""When a run is a success: the rig's verdict, the program's exit, and rules such as "result.error < 0.05".
+
+The share of successes and how well it is known.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-__all__ = ["SuccessRule", "margin", "parse_rule", "succeeds"]
+from scipy.stats import binomtest
+
+__all__ = ["Proportion", "SuccessRule", "margin", "parse_rule", "proportion", "succeeds"]
+
 
 _COMPARE: dict[str, Callable[[Any, Any], bool]] = {
     "<": operator.lt,
@@ -92,3 +98,29 @@ def _margin(rule: SuccessRule, row: Mapping[str, Any]) -> float | None:
         return None
     distance = float(found) - limit if rule.op.startswith(">") else limit - float(found)
     return distance / (abs(limit) or 1.0)
+
+
+@dataclass(frozen=True)
+class Proportion:
+    """Successes among runs, with the Wilson interval of their probability."""
+
+    successes: int
+    runs: int
+    low: float
+    high: float
+
+    @property
+    def share(self) -> float:
+        """Successes divided by runs; 0 without a run."""
+        return self.successes / self.runs if self.runs else 0.0
+
+    def __str__(self) -> str:
+        return f"{self.successes} of {self.runs} ({self.share:.1%}; 95 % interval {self.low:.1%} to {self.high:.1%})"
+
+
+def proportion(successes: int, runs: int, confidence: float = 0.95) -> Proportion:
+    """Return the share of successes with its Wilson interval."""
+    if not runs:
+        return Proportion(0, 0, 0.0, 1.0)
+    interval = binomtest(successes, runs).proportion_ci(confidence, method="wilson")
+    return Proportion(successes, runs, float(interval.low), float(interval.high))

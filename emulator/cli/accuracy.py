@@ -10,18 +10,29 @@ from typing import Annotated, Literal, TypeVar
 from cyclopts import Parameter
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from emulator.accuracy.against_line import BLURS_PX, QUICK_SCENES, SCENES, SPEEDS_PX, cells_against_line
-from emulator.accuracy.against_line_report import write_against_line
-from emulator.accuracy.cases import CASES, QUICK
-from emulator.accuracy.effects import EFFECTS, QUICK_EFFECTS, effect_rows
-from emulator.accuracy.harness import methods
-from emulator.accuracy.rendering import Stretch, fits, rendering_rows, rows_of
-from emulator.accuracy.report import write_rendering, write_stability, write_work_precision
-from emulator.accuracy.stability import QUICK_SWEEPS, SWEEPS, cells
-from emulator.accuracy.work_precision import settings, sweep
-from emulator.cli.failures import failures
-from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, console, print_json, status
-from emulator.report.figures import ChartsLacking, check
+from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, console, failures, print_json, status
+from emulator.evaluation.accuracy.harness import CASES, QUICK, methods
+from emulator.evaluation.accuracy.rendering import Stretch, fits, rendering_rows, rows_of
+from emulator.evaluation.accuracy.report import (
+    write_against_line,
+    write_rendering,
+    write_stability,
+    write_work_precision,
+)
+from emulator.evaluation.accuracy.stability import QUICK_SWEEPS, SWEEPS, cells
+from emulator.evaluation.accuracy.sweeps import (
+    BLURS_PX,
+    EFFECTS,
+    QUICK_EFFECTS,
+    QUICK_SCENES,
+    SCENES,
+    SPEEDS_PX,
+    cells_against_line,
+    effect_rows,
+    settings,
+    sweep,
+)
+from emulator.report.page import ChartsLacking, check
 from emulator.rig.loading import Rig, load_rig, shipped_rigs
 
 __all__ = ["accuracy"]

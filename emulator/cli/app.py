@@ -15,10 +15,9 @@ from typing import IO, cast
 
 from cyclopts import App, CycloptsError
 
-from emulator.cli.line_breaks import break_lines, help_console, log_handler
 from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, print_json, status
-from emulator.cli.result_stream import guard_stdout
 from emulator.cli.signals import ignore_stop_signals
+from emulator.cli.streams import break_lines, guard_stdout, help_console, log_handler
 from transports.link.background_log import BackgroundWriter
 
 __all__ = ["app", "main"]

@@ -1,33 +1,309 @@
-"""`evstim campaign FILE`: many runs of a rig over sampled parameters."""
+"""`evstim campaign FILE`: many runs of a rig over sampled parameters.
+
+What `evstim campaign` shows: progress on stderr, a summary on stdout, the table and the report in files.
+
+`evstim campaign again FILE INDEX`: one run of a campaign once more, recorded.
+
+`evstim campaign report FILE`: table and report of the runs that are done, without doing any.
+"""
 
 from __future__ import annotations
 
 import gc
-from collections.abc import Sequence
-from dataclasses import dataclass
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated
 
 from cyclopts import App, Parameter
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+from rich.progress import Progress as Bar
 
-from emulator.campaign.campaign import Campaign
-from emulator.campaign.folder import begin_folder, working_in
-from emulator.campaign.loading import load_source
-from emulator.campaign.local import LocalWorkers, cores
-from emulator.campaign.one_run import CampaignStopped
-from emulator.campaign.running import Workers, part_of, remaining, run_campaign
-from emulator.campaign.table import check_tables
-from emulator.campaign.warm_worker import WarmWorker
-from emulator.cli.campaign_again import again
-from emulator.cli.campaign_output import Progress, campaign_failures, finish
-from emulator.cli.campaign_report import report
-from emulator.cli.failures import failures
-from emulator.cli.output import WRONG_USE, Failure, status
-from emulator.cli.preparing import prepared
+from emulator.campaign.campaign import Campaign, Row
+from emulator.campaign.loading import CampaignError, load_source
+from emulator.campaign.one_run import CampaignStopped, Place, run_row
+from emulator.campaign.report import write_report
+from emulator.campaign.success import proportion
+from emulator.campaign.table import (
+    FolderError,
+    RowUnreadable,
+    TablesLacking,
+    begin_folder,
+    check_folder,
+    check_tables,
+    done_rows,
+    read_row,
+    read_rows,
+    rows_folder,
+    working_in,
+    write_table,
+)
+from emulator.campaign.workers import LocalWorkers, WarmWorker, Workers, cores, part_of, remaining, run_campaign
+from emulator.cli.output import (
+    BAD_VERDICT,
+    GOOD,
+    LACKING,
+    WRONG_USE,
+    Failure,
+    check_recording,
+    console,
+    failures,
+    prepared,
+    print_json,
+    status,
+)
 from emulator.cli.signals import interrupt_on_stop_signals, stop_on_signals
 from emulator.run.kernels import parts_of
 
-__all__ = ["campaign", "verbs"]
+__all__ = ["Progress", "again", "campaign", "campaign_failures", "finish", "report", "verbs"]
+
+
+_LINE_PERIOD_S = 10.0
+
+
+class Progress:
+    """Counts the rows as they come, and shows how the campaign stands.
+
+    Attributes
+    ----------
+    interrupted : whether a signal ended the campaign.
+    trouble : why it could not go on, or "".
+    rows : the rows that came since this command began, by the index of their run.
+    """
+
+    def __init__(self, campaign: Campaign, wanted: int, done_before: int) -> None:
+        self.interrupted = False
+        self.trouble = ""
+        self.rows: dict[int, Row] = {}
+        self.run_s = 0.0
+        self._wanted = wanted
+        self._before = done_before
+        self._name = campaign.name
+        self._successes = 0
+        self._begun_s = self._told_s = time.monotonic()
+        self._bar: Bar | None = None
+
+    @property
+    def came(self) -> int:
+        """Rows that came since this command began."""
+        return len(self.rows)
+
+    @property
+    def remaining(self) -> int:
+        """Runs without a row."""
+        return self._wanted - self._before - self.came
+
+    @property
+    def wall_s(self) -> float:
+        """Time since the command began."""
+        return time.monotonic() - self._begun_s
+
+    def add(self, row: Row) -> None:
+        """Take note of a row that was written."""
+        self.rows[row["index"]] = row
+        self._successes += bool(row["success"])
+        self.run_s += float(row.get("machine.wall_s") or 0.0)
+        if self._bar is not None:
+            self._bar.update(self._bar.task_ids[0], advance=1, told=self._told)
+        elif time.monotonic() - self._told_s > _LINE_PERIOD_S:
+            self._told_s = time.monotonic()
+            status.print(f"{self._name}: {self._before + self.came} of {self._wanted} runs, {self._told}", markup=False)
+
+    @property
+    def _told(self) -> str:
+        return f"{self._successes} of {self.came} successes"
+
+    @contextmanager
+    def shown(self) -> Iterator[None]:
+        """Show a bar while the block lasts, where there is a terminal."""
+        if self._before:
+            status.print(f"{self._name}: {self._before} of {self._wanted} runs are done", markup=False)
+        if not status.is_terminal or status.quiet:
+            yield
+            return
+        columns = TextColumn(self._name), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
+        with Bar(*columns, TextColumn("{task.fields[told]}"), console=status, transient=True) as bar:
+            bar.add_task(self._name, total=self._wanted, completed=self._before, told="")
+            self._bar = bar
+            yield
+        self._bar = None
+
+
+def finish(
+    campaign: Campaign, folder: Path, progress: Progress, report: Path | None, *, in_part: bool, as_json: bool
+) -> int:
+    """Write table and report where the campaign is complete, print the summary and return the exit code."""
+    rows = read_rows(rows_folder(folder), progress.rows)
+    successes = sum(bool(row["success"]) for row in rows)
+    known = proportion(successes, len(rows))
+    outcomes = Counter(str(row["outcome"]) for row in rows)
+    told: dict[str, object] = {
+        "campaign": campaign.name,
+        "id": campaign.id,
+        "runs": campaign.runs,
+        "done": len(rows),
+        "came": progress.came,
+        "outcomes": outcomes,
+        "success": asdict(known),
+        "wall_s": progress.wall_s,
+        "run_s": progress.run_s,
+        "folder": str(folder),
+    }
+    complete = len(rows) == campaign.runs
+    if rows and (complete or report is not None) and not in_part and not progress.trouble:
+        told["report"] = _write(campaign, rows, folder, report)
+    _print(told, outcomes, str(known), progress)
+    if progress.trouble:
+        resume = f"{len(rows)} of {campaign.runs} runs are done; the same command goes on with the others"
+        raise Failure(f"{progress.trouble}. {resume}", LACKING)
+    if as_json:
+        print_json(told)
+    if progress.interrupted or progress.remaining:
+        return BAD_VERDICT
+    return GOOD if not complete or known.share >= campaign.settings.min_success else BAD_VERDICT
+
+
+def _write(campaign: Campaign, rows: list[Row], folder: Path, report: Path | None) -> str:
+    try:
+        if len(rows) == campaign.runs:
+            write_table(folder / "rows.parquet", rows)
+        return str(write_report(campaign, rows, report or folder))
+    except OSError as error:
+        told = f"{error.filename or folder}: {error.strerror or error}: table or report is missing"
+        raise Failure(told, LACKING) from error
+
+
+def _print(told: dict[str, object], outcomes: Counter[str], success: str, progress: Progress) -> None:
+    console.print(f"{told['campaign']}: {told['done']} of {told['runs']} runs are done", markup=False)
+    if told["done"]:
+        console.print(f"success: {success}", markup=False)
+    for outcome, count in outcomes.items():
+        if outcome != "ok":
+            console.print(f"{outcome}: {count}", markup=False)
+    if progress.interrupted:
+        console.print("interrupted: the same command goes on", markup=False)
+    if "report" in told:
+        console.print(f"report: {told['report']}", markup=False)
+
+
+@contextmanager
+def campaign_failures() -> Iterator[None]:
+    """Turn the errors of a campaign into Failure with its exit code."""
+    try:
+        yield
+    except (TablesLacking, CampaignStopped) as error:
+        raise Failure(str(error), LACKING) from error
+    except (CampaignError, FolderError, RowUnreadable) as error:
+        raise Failure(str(error), WRONG_USE) from error
+
+
+def again(
+    file: Path,
+    index: int,
+    /,
+    *,
+    record: Path | None = None,
+    folder: Path | None = None,
+    json: Annotated[bool, Parameter(negative="")] = False,
+) -> int:
+    """Do one run of a campaign once more, and compare it with its row.
+
+    Exit code 1 tells that events differ from those of the row.
+
+    Parameters
+    ----------
+    file
+        The campaign.
+    index
+        The run, from 0.
+    record
+        Write what the links delivered to this file; its suffix tells the format.
+    folder
+        Of the campaign; default: beside FILE, its name without .toml.
+    json
+        Print one JSON object as the last line on stdout.
+    """
+    with failures(), campaign_failures():
+        campaign = Campaign(load_source(file))
+        check_tables()
+        rig = campaign.rig(index)
+        if record is not None:
+            if not rig.links:
+                raise Failure("--record: this rig has no link, so no event is delivered", WRONG_USE)
+            check_recording("--record", record)
+        before = _row_before(campaign, folder or file.with_suffix(""), index)
+        if before is None:
+            prepared(parts_of(rig))
+        interrupt_on_stop_signals()
+        with tempfile.TemporaryDirectory(prefix="evstim-") as place:
+            row = run_row(campaign, index, Place(Path(place), record=record), lambda _: None)
+    different = None if before is None else _different(before, row)
+    if json:
+        print_json({"row": row, "different": different})
+    else:
+        _print_campaign_again(row, different)
+    return BAD_VERDICT if different else GOOD
+
+
+def _row_before(campaign: Campaign, folder: Path, index: int) -> Row | None:
+    rows = rows_folder(folder)
+    if index not in done_rows(rows):
+        return None
+    row = read_row(rows, index)
+    return row if row["campaign"] == campaign.id else None
+
+
+def _different(before: Row, now: Row) -> list[str]:
+    """Return the columns of events that differ: counts and digests."""
+    names = [name for name in before if name.startswith("events.") or name.endswith(".digest")]
+    return [name for name in [*names, "outcome"] if before[name] != now.get(name)]
+
+
+def _print_campaign_again(row: Row, different: list[str] | None) -> None:
+    for name, value in row.items():
+        console.print(f"{name}: {value}", markup=False)
+    if different is None:
+        console.print("there is no row of this run to compare with", markup=False)
+    elif different:
+        console.print(f"DIFFERENT from the row of the campaign: {', '.join(different)}", markup=False)
+    else:
+        console.print("equal to the row of the campaign: all counts and digests of events", markup=False)
+
+
+def report(
+    file: Path,
+    /,
+    *,
+    folder: Path | None = None,
+    to: Path | None = None,
+    json: Annotated[bool, Parameter(negative="")] = False,
+) -> int:
+    """Write the report of the runs that are done; also while the campaign goes on.
+
+    Parameters
+    ----------
+    file
+        The campaign.
+    folder
+        Of the campaign; default: beside FILE, its name without .toml.
+    to
+        Folder for the report; default: the campaign's.
+    json
+        Print one JSON object as the last line on stdout.
+    """
+    with failures(), campaign_failures():
+        made = Campaign(load_source(file))
+        check_tables()
+        here = folder or file.with_suffix("")
+        check_folder(made, here)
+        done = len(done_rows(rows_folder(here)))
+        if not done:
+            raise Failure(f"{here}: no run of {made.name} is done", WRONG_USE)
+        return finish(made, here, Progress(made, done, done), to or here, in_part=False, as_json=json)
 
 
 @dataclass(frozen=True)

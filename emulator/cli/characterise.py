@@ -8,13 +8,12 @@ from typing import Annotated
 from cyclopts import Parameter
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from emulator.characterise.measurements import figures, measurements
-from emulator.characterise.points import Point
-from emulator.characterise.recorded import compare, write_comparison
-from emulator.characterise.report import reading, write
-from emulator.cli.failures import failures
-from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, console, print_json, status
-from emulator.report.figures import ChartsLacking, check
+from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, console, failures, print_json, status
+from emulator.evaluation.characterise.measurements import figures, measurements
+from emulator.evaluation.characterise.recordings import compare, write_comparison
+from emulator.evaluation.characterise.report import reading, write
+from emulator.evaluation.characterise.stimuli import Point
+from emulator.report.page import ChartsLacking, check
 from emulator.rig.loading import RigError, load_rig
 from emulator.sensor.presets import PRESETS, SensorParameters
 

@@ -13,12 +13,23 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, console, print_json, status
-from emulator.cli.recording_paths import check_recording, parsed_size, reading, writing
+from emulator.cli.output import (
+    BAD_VERDICT,
+    GOOD,
+    WRONG_USE,
+    Failure,
+    check_recording,
+    console,
+    parsed_size,
+    print_json,
+    reading,
+    status,
+    writing,
+)
+from transports.recording.aedat4 import RawEvents, recover_aedat4
 from transports.recording.format import Format
 from transports.recording.guarded import OpenRecording
 from transports.recording.part import Facts, Reader, RecordingError, counts_of
-from transports.recording.recovery import RawEvents, recover_aedat4
 from transports.recording.summary import named
 from transports.recording.writing import RecordingFile
 

@@ -2,39 +2,139 @@
 
 Over USB/IP the reader is evstim's own; over GigE Vision it is neuromorphic_drivers, unmodified, where it is installed.
 Every event is compared. `evstim demo landing` flies a landing instead.
+
+`evstim demo landing`: the landing of examples/landing, flown from start to touchdown.
+
+The programs that `evstim demo` starts to read its camera, each in a process of its own.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import json
 import subprocess
+import sys
 import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from json import dumps
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from cyclopts import Parameter
 
-from emulator.cli.demo_landing import fly_landing
-from emulator.cli.demo_readers import reader_of
-from emulator.cli.failures import failures
-from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, console, print_json, status
-from emulator.cli.preparing import prepared
+from emulator.cli.driver_client import DRIVER, driver_works
+from emulator.cli.output import (
+    BAD_VERDICT,
+    GOOD,
+    LACKING,
+    WRONG_USE,
+    Failure,
+    console,
+    failures,
+    prepared,
+    print_json,
+    status,
+)
 from emulator.cli.run import summary
-from emulator.cli.run_output.lateness import lateness_lines
+from emulator.cli.run_summary import lateness_lines
 from emulator.cli.signals import ignore_stop_signals, stop_on_signals
 from emulator.rig.loading import Rig, UsbipLink, load_rig
-from emulator.run.assembly import build_session, link_setups, schedule
-from emulator.run.free_ports import free_loopback_address
+from emulator.run.assembly import build_scene, build_session, link_setups, schedule
 from emulator.run.kernels import parts_of
+from emulator.run.machine import free_loopback_address
 from emulator.run.outcome import RunResult, RunStatus
-from emulator.run.scene_assembly import build_scene
 from firmware_protocol.gige.gvcp import GVCP_PORT
-from transports.gige.parameters import GigeLink
+from transports.gige.kind import GigeLink
 from transports.link.pacing import MonotonicClock
 from transports.recording.record import load_record
 
-__all__ = ["demo"]
+__all__ = ["DemoReader", "demo", "fly_landing", "reader_of"]
+
+
+_HEIGHT_M = 60.0
+_PARENTS = Path(__file__).parents
+
+
+def fly_landing(*, as_json: bool) -> int:
+    """Fly one landing, its descent on stderr; return the exit code."""
+    out = Path(tempfile.mkdtemp(prefix="evstim-landing-"))
+    status.print(f"a lander falls from {_HEIGHT_M:g} m, guided by events; about 30 s of flight; files in {out}")
+    command = [sys.executable, str(_program()), "--height", str(_HEIGHT_M), "--out", str(out)]
+    code = subprocess.run(command, stdout=sys.stderr, check=False).returncode
+    file = out / "verdict.json"
+    if not file.exists():
+        own = code if code in (WRONG_USE, LACKING) else BAD_VERDICT
+        raise Failure(f"the landing did not begin: fly.py ended with {code}, see above", own)
+    told = json.loads(file.read_text())
+    if as_json:
+        print_json({**told, "good": told["soft"], "folder": str(out)})
+    else:
+        _print(told)
+    return GOOD if told["soft"] else BAD_VERDICT
+
+
+def _program() -> Path:
+    """Return the example's program: in the package when installed, else in the checkout."""
+    for root in (_PARENTS[2] / "evstim" / "examples", _PARENTS[2] / "examples"):
+        if (program := root / "landing" / "fly.py").is_file():
+            return program
+    raise Failure("examples/landing is not here: it comes with evstim and lies in its repository", WRONG_USE)
+
+
+def _print(told: dict[str, Any]) -> None:
+    if told["touched"]:
+        console.print(f"touchdown after {told['t_s']:.1f} s at {told['vertical_m_s']:.2f} m/s down")
+    if "error_median" in told:
+        console.print(f"divergence from events: {100 * told['error_median']:.1f} % off in the median")
+    for sentence in told["why"]:
+        console.print(sentence, markup=False)
+    console.print("good" if told["soft"] else "NOT GOOD: below 1 m/s is a landing")
+
+
+_START = "import json, sys; sys.path[:] = json.loads(sys.argv.pop(1)); from emulator.cli import main; main()"
+_DRIVER = (
+    "import json, sys; sys.path[:] = json.loads(sys.argv.pop(1)); "
+    "from emulator.cli.driver_client import main; sys.exit(main(*sys.argv[1:]))"
+)
+
+_Command = Callable[[str, Path, float], list[str]]
+
+
+@dataclass(frozen=True)
+class DemoReader:
+    """A reader: what is said of it, and its arguments for a camera's address, a record and a time in seconds."""
+
+    told: str
+    arguments: _Command
+    code: str = _START
+
+    def start(self, address: str, record: Path, seconds: float) -> subprocess.Popen[bytes]:
+        """Start it."""
+        command = [sys.executable, "-P", "-c", self.code, dumps(sys.path), *self.arguments(address, record, seconds)]
+        return subprocess.Popen(command, stdout=subprocess.DEVNULL)
+
+
+def _usbip(address: str, record: Path, seconds: float) -> list[str]:
+    return ["listen", "--usbip", address, "--seconds", str(seconds), "--record", str(record)]
+
+
+def _gige(address: str, record: Path, seconds: float) -> list[str]:
+    return ["listen", "gige", address, "--seconds", str(seconds), "--record", str(record)]
+
+
+def _driver(address: str, record: Path, seconds: float) -> list[str]:
+    return [address.rpartition(":")[0], str(record), str(seconds)]
+
+
+def reader_of(kind: str) -> DemoReader:
+    """Return what reads a camera on a link of this kind: for GigE Vision a driver that others wrote, if it works."""
+    if kind == "usbip":
+        return DemoReader("evstim's own receiver", _usbip)
+    if driver_works():
+        return DemoReader(f"{DRIVER}, unmodified,", _driver, _DRIVER)
+    return DemoReader(f"evstim's own receiver (pip install {DRIVER} for a driver that others wrote)", _gige)
 
 
 def demo(rig: str = "eros", /, *, seconds: float = 5.0, json: Annotated[bool, Parameter(negative="")] = False) -> int:

@@ -8,10 +8,8 @@ from typing import Annotated
 from cyclopts import Parameter
 from rich.text import Text
 
-from emulator.cli.failures import failures
-from emulator.cli.needed import Needed, what_is_needed
-from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, console, print_json
-from emulator.cli.preparing import prepared
+from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, console, failures, prepared, print_json
+from emulator.cli.rigs import Needed, what_is_needed
 from emulator.rig.loading import Rig, load_rig, shipped_rigs
 from emulator.run.keeping_up import KeepingUp, keeping_up
 from emulator.run.kernels import CODER, DECODER, EVT, Part, parts_of

@@ -11,14 +11,19 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from emulator.cli.failures import failures
-from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, console, print_json
+from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, console, failures, print_json
 from emulator.cli.signals import ignore_stop_signals, stop_on_signals
-from emulator.dynamics.failures import DynamicsError, FlightEnded
-from emulator.dynamics.flight import Flown, Pace, fly, wall_clock
+from emulator.dynamics.flight import (
+    DynamicsError,
+    FlightEnded,
+    Flown,
+    Pace,
+    fly,
+    load_mapping,
+    opened_inputs,
+    wall_clock,
+)
 from emulator.dynamics.fmu import Fmu
-from emulator.dynamics.inputs import opened_inputs
-from emulator.dynamics.mapping import load_mapping
 
 __all__ = ["dynamics"]
 

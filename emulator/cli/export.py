@@ -10,8 +10,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from emulator.cli.failures import failures
-from emulator.cli.output import GOOD, WRONG_USE, Failure, console, print_json
+from emulator.cli.output import GOOD, WRONG_USE, Failure, console, failures, print_json
 from emulator.rig.loading import load_rig
 from firmware_protocol.can_frames.dbc import CanMessage, can_messages
 from firmware_protocol.ground.cosmos import CosmosPorts, cosmos_files
@@ -19,9 +18,9 @@ from firmware_protocol.ground.description import Packet, instrument_packets
 from firmware_protocol.ground.fprime import fprime_text
 from firmware_protocol.ground.wireshark import wireshark_text
 from firmware_protocol.ground.xtce import xtce_text
-from transports.can_bus.parameters import CanParameters
+from transports.can_bus.kind import CanParameters
 from transports.link.kind import LinkParameters
-from transports.udp_packets.parameters import UdpPackets
+from transports.udp_packets.kind import UdpPackets
 
 __all__ = ["export"]
 

@@ -1,20 +1,24 @@
-"""`evstim fault [KIND]`: inject a fault into a link of a running rig."""
+"""`evstim fault [KIND]`: inject a fault into a link of a running rig.
+
+`evstim trigger [KIND]`: an edge at the camera's input of a running rig, or a reset of its clock.
+"""
 
 from __future__ import annotations
 
 import time
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
 from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, console, print_json
-from emulator.cli.run_output.link_summary import fault_line
+from emulator.cli.run_summary import fault_line
 from emulator.run.control import NoAnswer, ask, sockets
 from transports.faults.script import FaultRecord
 
-__all__ = ["asked", "fault", "find_run"]
+__all__ = ["asked", "fault", "find_run", "trigger"]
+
 
 _LOOK_PERIOD_S = 0.1
 _TIMEOUT_S = 20.0  # beyond the fault's own length
@@ -137,3 +141,36 @@ def _follow(path: Path, injected: dict[str, Any], kind: str, for_s: float) -> Fa
         if record is None and time.monotonic() > until_s:
             raise Failure(f"link {injected['link']!r} did not begin the fault", LACKING)
     return record
+
+
+def trigger(
+    kind: Literal["pulse", "rising", "falling", "reset"] = "pulse",
+    /,
+    *,
+    run: str | None = None,
+    link: str | None = None,
+    json: Annotated[bool, Parameter(negative="")] = False,
+) -> int:
+    """Let an edge come to the external input of the cameras of a running rig, or reset their clocks.
+
+    Parameters
+    ----------
+    kind
+        pulse, rising or falling: what happens at the input; reset: device time starts anew at zero.
+    run
+        Name of the rig if several run; or the path of its control socket.
+    link
+        Name of the link whose camera is meant; without it, all.
+    json
+        Print one JSON object as the last line on stdout.
+    """
+    path, _ = find_run(run)
+    question: dict[str, Any] = {"ask": "trigger", "kind": kind}
+    answer = asked(path, question if link is None else question | {"link": link})
+    if "error" in answer:
+        raise Failure(str(answer["error"]), WRONG_USE)
+    if json:
+        print_json({"kind": kind, **answer})
+    else:
+        console.print(f"{kind}: {', '.join(answer['links'])}", markup=False)
+    return GOOD

@@ -1,25 +1,59 @@
-"""`evstim info FILE`."""
+"""`evstim info FILE`.
+
+`evstim info` of a truth file.
+"""
 
 from __future__ import annotations
 
 import datetime
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
 from cyclopts import Parameter
 
-from emulator.cli.output import BAD_VERDICT, GOOD, console, print_json
-from emulator.cli.recording_paths import parsed_size, reading
-from emulator.cli.truth_info import show_truth
-from emulator.run.truth.survey import truth_in
+from emulator.cli.output import BAD_VERDICT, GOOD, console, parsed_size, print_json, reading
+from emulator.run.truth.file import truth_in
 from firmware_protocol.events import Events
 from transports.recording.guarded import OpenRecording
 from transports.recording.part import Facts, Part, RecordingError
 
-__all__ = ["info"]
+__all__ = ["info", "show_truth"]
+
+
+def show_truth(file: Path, told: Mapping[str, Any], *, json: bool) -> int:
+    """Print what `truth_in` told of a file; return the exit code."""
+    if json:
+        print_json({"file": file, **told})
+    else:
+        for line in _lines(told):
+            console.print(line, markup=False)
+    return GOOD if told["complete"] else BAD_VERDICT
+
+
+def _lines(told: Mapping[str, Any]) -> list[str]:
+    names = ", ".join(f"{k} {name}" for k, name in enumerate(told["names"]))
+    origins = ", ".join(f"{count} {name}" for name, count in told["origins"].items())
+    lines = [
+        f"format    {told['format']}, version {told['version']}: HDF5 (opens in h5py; see docs/truth.md)",
+        f"of        {told['rig']}: {told['title']}; {told['camera']}, {told['width']} x {told['height']} pixels",
+        f"pictures  {told['pictures']} in {told['seconds']:.3f} s, each with {', '.join(told['of_each_picture'])}",
+        f"poses     {told['poses']}",
+        f"labels    {names}",
+        f"events    {told['events']}{': ' + origins if origins else ''}",
+        f"clean     {told['clean_events']} events of the ideal sensor",
+    ]
+    lines += [f"absent    {told['absent']}"] if told["absent"] else []
+    if told["missing_pictures"] or told["missing_events"]:
+        lost = f"{told['missing_pictures']} pictures and {told['missing_events']} events"
+        lines.append(f"NOTE      it lacks {lost}, which came faster than they could be written")
+    elif not told["complete"]:
+        lines.append("NOTE      it was not finished: the process that wrote it was killed, or the disk was full")
+    return lines
+
 
 _BIN_US = 100_000
 _STREAMS = {"events": "events", "edges": "triggers", "imu": "IMU", "frames": "frames"}
@@ -135,7 +169,7 @@ def info(
     if json:
         print_json(told)
     else:
-        for line in _lines(recording, survey):
+        for line in _lines_info(recording, survey):
             console.print(line, markup=False)
         if trouble:
             console.print(f"damaged: {trouble}; the figures are of what comes before", markup=False)
@@ -157,7 +191,7 @@ def _as_json(file: Path, recording: OpenRecording, survey: Survey, trouble: str)
     }  # fmt: skip
 
 
-def _lines(recording: OpenRecording, survey: Survey) -> list[str]:
+def _lines_info(recording: OpenRecording, survey: Survey) -> list[str]:
     form, facts, events = recording.format, recording.facts, survey.streams["events"]
     size = "unknown" if facts.size is None else f"{facts.size[0]} x {facts.size[1]}"
     share = f", {survey.on / events.count:.1%} ON" if events.count else ""

@@ -1,15 +1,55 @@
-"""Consoles, JSON output and exit codes, the same for every command."""
+"""Consoles, JSON output and exit codes, the same for every command.
+
+Errors of the packages as failures of a command, with their exit codes.
+
+Check of the files that a command will write, made before it begins its work.
+
+Checks of recordings that commands read and write, and their errors as failures of a command.
+
+Compilation of kernels under a progress bar, before a command needs them.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 import json
+import os
+import re
 import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
-__all__ = ["BAD_VERDICT", "GOOD", "LACKING", "WRONG_USE", "Failure", "console", "print_json", "status"]
+from emulator.light import MachineLacks, SceneError
+from emulator.rig.loading import RigError
+from emulator.run.kernels import Part, Preparation, cold, prepare
+from emulator.run.link_process import LinkFailed
+from emulator.tables.registry import PluginError
+from transports.recording.format import Format, format_to_write, reason
+from transports.recording.guarded import LibraryMissing
+from transports.recording.part import RecordingError
+
+__all__ = [
+    "BAD_VERDICT",
+    "GOOD",
+    "LACKING",
+    "WRONG_USE",
+    "Failure",
+    "check_output",
+    "check_recording",
+    "console",
+    "failures",
+    "parsed_size",
+    "prepared",
+    "print_json",
+    "reading",
+    "status",
+    "writing",
+]
+
 
 GOOD, BAD_VERDICT, WRONG_USE, LACKING = range(4)
 
@@ -42,3 +82,118 @@ def _plain(value: object) -> object:
     if isinstance(value, Path):
         return str(value)
     raise TypeError(f"cannot write {type(value).__name__} as JSON")
+
+
+@contextmanager
+def failures() -> Iterator[None]:
+    """Turn the errors of the packages into Failure with its exit code."""
+    try:
+        yield
+    except (MachineLacks, LinkFailed, PluginError) as error:
+        raise Failure(str(error), LACKING) from error
+    except (RigError, SceneError) as error:
+        raise Failure(str(error), WRONG_USE) from error
+
+
+def check_output(option: str, path: Path | None, suffix: str = "") -> None:
+    """Raise Failure where a file cannot be written, or does not end in the one `suffix` that is; None is no file."""
+    if path is None:
+        return
+    if suffix and path.suffix != suffix:
+        raise Failure(f"{option}: {path} must end in {suffix}, the one format that is written", WRONG_USE)
+    if not path.parent.is_dir():
+        raise Failure(f"{option}: the folder {path.parent} does not exist", WRONG_USE)
+    try:
+        if path.is_dir():
+            raise Failure(f"{option}: {path} is a folder; name a file", WRONG_USE)
+        _open_once(path)
+    except OSError as error:
+        raise Failure(f"{option}: {path}: {error.strerror}", WRONG_USE) from error
+
+
+def _open_once(path: Path) -> None:
+    """Open a file for writing and leave what it holds; raises OSError.
+
+    A file that is not there does not appear under its name, not even for an instant: somebody may wait for it.
+    """
+    is_new = not path.exists()
+    tried = path.with_name(f".{path.name}.{os.getpid()}") if is_new else path
+    os.close(os.open(tried, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_NONBLOCK, 0o666))  # a pipe must not wait
+    if is_new:
+        tried.unlink()
+
+
+def check_recording(option: str, path: Path, name: str = "") -> Format:
+    """Return the format that `path` will be written in; raises Failure where it cannot be."""
+    try:
+        form = format_to_write(path, name)
+        form.imported(form.writer)
+    except RecordingError as error:
+        lacks = "pip install" in str(error)
+        raise Failure(f"{option}: {error}", LACKING if lacks else WRONG_USE) from error
+    if form.is_folder:
+        if path.exists():
+            raise Failure(f"{option}: {path} exists; a {form.title} is a folder of its own", WRONG_USE)
+        if not path.parent.is_dir():
+            raise Failure(f"{option}: the folder {path.parent} does not exist", WRONG_USE)
+    else:
+        check_output(option, path)
+    return form
+
+
+def parsed_size(text: str | None) -> tuple[int, int] | None:
+    """Return (width, height) of text such as "346x260"; raises Failure."""
+    if text is None:
+        return None
+    told = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text)
+    if told is None or not int(told[1]) or not int(told[2]):
+        raise Failure(f"--size must be WIDTHxHEIGHT such as 346x260, got {text!r}", WRONG_USE)
+    return int(told[1]), int(told[2])
+
+
+@contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Turn what is wrong with a recording that is read into Failure."""
+    try:
+        yield
+    except LibraryMissing as error:
+        raise Failure(f"{path}: {error}", LACKING) from error
+    except RecordingError as error:
+        raise Failure(f"{path}: {error}", WRONG_USE) from error
+    except OSError as error:
+        raise Failure(f"{path}: {error.strerror or error}", WRONG_USE) from error
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Turn what goes wrong while a recording is written into Failure; libraries raise what they like."""
+    try:
+        yield
+    except (Failure, KeyboardInterrupt):
+        raise
+    except BaseException as error:
+        raise Failure(f"{path}: {reason(error)}", LACKING if isinstance(error, OSError) else WRONG_USE) from error
+
+
+def prepared(parts: Sequence[Part]) -> int:
+    """Compile those of the parts that this machine has not compiled yet; return how many these were."""
+    missing = cold(parts)
+    if not missing:
+        return 0
+    names = ", ".join(part.name for part in missing)
+    status.print(f"compiling, once on this machine: {names}", markup=False)
+    columns = TextColumn("compiling"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn()
+    with Progress(*columns, console=status, transient=True, disable=not status.is_terminal) as bar:
+        task = bar.add_task("compiling", total=1.0)
+        told: set[str] = set()
+
+        def show(state: Preparation) -> None:
+            bar.update(task, completed=state.share)
+            for name in [] if status.is_terminal else [n for n in state.ended if n not in told]:
+                told.add(name)
+                status.print(f"compiled: {name} ({len(state.ended)} of {len(missing)})", markup=False)
+
+        failed = prepare(missing, show)
+    if failed:
+        status.print(f"not compiled ahead: {', '.join(failed)}; that happens during the run", markup=False)
+    return len(missing)

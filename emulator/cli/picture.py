@@ -11,16 +11,12 @@ from typing import Annotated
 import numpy as np
 from cyclopts import Parameter
 
-from emulator.cli.failures import failures
-from emulator.cli.output import GOOD, WRONG_USE, Failure, console, print_json
-from emulator.cli.preparing import prepared
+from emulator.cli.output import GOOD, WRONG_USE, Failure, console, failures, prepared, print_json
 from emulator.light import Light
-from emulator.report.movie import MOVIES, save_movie
-from emulator.report.preview import Rgb, captioned, event_picture, save_png, scaled, white_of
+from emulator.report.pictures import MOVIES, Rgb, captioned, event_picture, save_movie, save_png, scaled, white_of
 from emulator.rig.loading import Rig, load_rig
-from emulator.run.assembly import build_pictures, build_sensor
+from emulator.run.assembly import build_pictures, build_scene, build_sensor
 from emulator.run.kernels import parts_of
-from emulator.run.scene_assembly import build_scene
 from firmware_protocol.events import Events, empty_events
 
 __all__ = ["look", "picture"]

@@ -8,15 +8,13 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from emulator.cli.failures import failures
-from emulator.cli.output import GOOD, console, print_json
-from emulator.plan.decide import Decision
-from emulator.plan.plan import Plan, make_plan
+from emulator.cli.output import GOOD, console, failures, print_json
+from emulator.plan.plan import Decision, Plan, make_plan
 from emulator.plan.scene_probe import probe
 from emulator.rig.camera_models import CAMERA_MODELS
+from emulator.rig.kinds import SCENES
 from emulator.rig.loading import Rig, load_rig
-from emulator.rig.scene_kinds import SCENES
-from emulator.run.scene_assembly import build_scene
+from emulator.run.assembly import build_scene
 
 __all__ = ["plan"]
 

@@ -9,17 +9,22 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from emulator.cli.failures import failures
-from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, console, print_json
-from emulator.cli.preparing import prepared
-from emulator.cli.recording_paths import check_recording
+from emulator.cli.output import (
+    BAD_VERDICT,
+    GOOD,
+    WRONG_USE,
+    Failure,
+    check_recording,
+    console,
+    failures,
+    prepared,
+    print_json,
+)
 from emulator.cli.run import print_summary, run_rig, summary
 from emulator.cli.signals import ignore_stop_signals
-from emulator.rig.loading import Rig, load_rig
-from emulator.rig.options import with_options
+from emulator.rig.loading import Rig, load_rig, with_options
 from emulator.run.kernels import parts_of
-from emulator.run.outcome import RunResult
-from emulator.run.verdict import good, judge
+from emulator.run.outcome import RunResult, good, judge
 from transports.file.kind import FileLink
 
 __all__ = ["record"]

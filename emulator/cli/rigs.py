@@ -1,18 +1,62 @@
-"""`evstim rigs` and `evstim schema`: the installed rigs, and the JSON Schema of rig files."""
+"""`evstim rigs` and `evstim schema`: the installed rigs, and the JSON Schema of rig files.
+
+What a rig needs of this machine, as it was found: for `evstim rigs` and `evstim doctor RIG`.
+
+`evstim check RIG`: check a rig file.
+"""
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Annotated
 
 from cyclopts import Parameter
 
-from emulator.cli.failures import failures
-from emulator.cli.needed import what_is_needed
-from emulator.cli.output import GOOD, console, print_json
-from emulator.rig.loading import load_rig, shipped_rigs
+from emulator.cli.output import GOOD, console, failures, print_json
+from emulator.rig.kinds import SCENES
+from emulator.rig.loading import Rig, load_rig, shipped_rigs
+from emulator.rig.remarks import OpenedFile, open_files, remarks
 from emulator.rig.schema import rig_schema
+from emulator.run.assembly import build_scene, build_sensor
+from emulator.run.machine import needs_of
+from transports.needs import By, Finding
 
-__all__ = ["rigs", "schema"]
+__all__ = ["Needed", "check", "rigs", "schema", "what_is_needed"]
+
+
+_WORDS = {"run": "needs", "driver": "drivers on this machine need"}
+
+
+@dataclass(frozen=True)
+class Needed:
+    """One thing that a rig needs; `by` as in `transports.needs.Need`."""
+
+    name: str
+    by: By
+    found: Finding
+
+    @property
+    def stops_the_run(self) -> bool:
+        """Whether the rig does not run here for want of it."""
+        return self.by == "run" and not self.found.good
+
+    @property
+    def line(self) -> str:
+        """It in words, with the command that adds it where it is missing."""
+        state = "there" if self.found.good else f"missing; {self.found.fix}"
+        return f"{_WORDS[self.by]} the {self.name}: {state}"
+
+    def as_json(self) -> dict[str, object]:
+        """Return it for JSON; `fix` is a shell command, null where the thing is there."""
+        return {"name": self.name, "by": self.by, "good": self.found.good, "fix": self.found.fix}
+
+
+def what_is_needed(rig: Rig) -> tuple[Needed, ...]:
+    """Return what a rig needs of this machine, as it was found."""
+    return tuple(Needed(need.name, need.by, need.look()) for need in needs_of(rig))
+
 
 Json = Annotated[bool, Parameter(negative="")]
 
@@ -48,3 +92,58 @@ def schema() -> int:
     """Print the JSON Schema of rig files, for editors."""
     print_json(rig_schema())
     return GOOD
+
+
+def check(rig: str, /, *, draw: Annotated[bool, Parameter(negative="")] = False, json: Json = False) -> int:
+    """Check a rig file without running it, and open every file that it names; trajectories are read.
+
+    Parameters
+    ----------
+    rig
+        Path of a rig file, or the name of a shipped one.
+    draw
+        Also build the scene; this reads its files, or its recording, and needs the libraries that draw it.
+    json
+        Print one JSON object as the last line on stdout.
+    """
+    with failures():
+        loaded = load_rig(rig)
+        files = [dataclasses.replace(file, is_read=file.is_read or draw) for file in open_files(loaded)]
+        notes = remarks(loaded)
+        if draw:
+            _draw(loaded)
+    if json:
+        print_json({"rig": loaded.name, "good": True, "title": loaded.title, "notes": notes, "files": files})
+    else:
+        console.print(f"{loaded.name}: good. {_sentence(loaded)}")
+        for line in _unread(files):
+            console.print(line, markup=False)
+        for note in notes:
+            console.print(f"note: {note}", markup=False)
+    return GOOD
+
+
+def _draw(rig: Rig) -> None:
+    """Read the files of the scene, each within the bounds of its reader."""
+    build_scene(rig).close()
+    if SCENES[rig.scene.kind].events:
+        build_sensor(rig, rig.camera.sensor)
+
+
+def _unread(files: Sequence[OpenedFile]) -> list[str]:
+    """Return a line on the files that were opened and not read, if there are any."""
+    told = [f"{file.key} ({file.path}{_size(file)})" for file in files if not file.is_read]
+    return [f"opened, not read: {', '.join(told)}; `evstim check --draw` reads them"] if told else []
+
+
+def _size(file: OpenedFile) -> str:
+    return "" if file.bytes is None else f", {file.bytes} bytes"
+
+
+def _sentence(rig: Rig) -> str:
+    sensor = rig.camera.sensor
+    links = ", ".join(link.name for link in rig.links) or "none"
+    return (
+        f"{type(rig.scene).__name__.removesuffix('Parameters')} seen by a {rig.camera.model} of "
+        f"{sensor.width}x{sensor.height} pixels, a step every {rig.run.step_us} us; links: {links}."
+    )

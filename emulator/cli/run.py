@@ -10,39 +10,45 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from emulator.cli.failures import failures
-from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, WRONG_USE, Failure, console, print_json, status
-from emulator.cli.output_paths import check_output
-from emulator.cli.preparing import prepared
-from emulator.cli.recording_paths import check_recording
-from emulator.cli.run_output.changes import changes_lines
-from emulator.cli.run_output.latency import quantile_text
-from emulator.cli.run_output.lateness import lateness_lines
-from emulator.cli.run_output.link_summary import link_json, link_lines
-from emulator.cli.run_output.live import LiveTable
-from emulator.cli.run_output.reporting import Reporting, begin_report
-from emulator.cli.run_output.serving import Serving, check_serving
-from emulator.cli.run_output.timing import timing_json, timing_lines
-from emulator.cli.run_output.tracing import begin_trace
-from emulator.cli.run_output.truth import Truth
+from emulator.cli.output import (
+    BAD_VERDICT,
+    GOOD,
+    LACKING,
+    WRONG_USE,
+    Failure,
+    check_output,
+    check_recording,
+    console,
+    failures,
+    prepared,
+    print_json,
+    status,
+)
+from emulator.cli.run_display import LiveTable, Reporting, Serving, begin_report, check_serving
+from emulator.cli.run_summary import (
+    Truth,
+    begin_trace,
+    changes_lines,
+    lateness_lines,
+    link_json,
+    link_lines,
+    quantile_text,
+    timing_json,
+    timing_lines,
+)
 from emulator.cli.signals import ignore_stop_signals, stop_on_signals
 from emulator.light import Scene
-from emulator.rig.loading import Rig, load_rig
-from emulator.rig.options import with_options
+from emulator.rig.loading import Rig, load_rig, with_options
 from emulator.rig.remarks import remarks
-from emulator.run.assembly import build_session, link_setups, schedule
+from emulator.run.assembly import build_scene, build_session, link_setups, schedule
 from emulator.run.changes import Operator
-from emulator.run.drive import Simulation
-from emulator.run.fault_injection import fault_injection
+from emulator.run.control import ReadySignal, fault_injection
 from emulator.run.kernels import parts_of
-from emulator.run.outcome import RunResult, RunStatus
-from emulator.run.ready import ReadySignal
-from emulator.run.scene_assembly import build_scene
+from emulator.run.outcome import RunResult, RunStatus, good, judge, undersampled_advice
+from emulator.run.pacing import Simulation
 from emulator.run.session import Session
-from emulator.run.undersampling import undersampled_advice
-from emulator.run.verdict import good, judge
 from firmware_protocol.events import Events
-from transports.link.latency import LatencySummary
+from transports.link.deliveries import LatencySummary
 from transports.link.pacing import MonotonicClock
 from transports.link.process import LinkSetup
 

@@ -12,23 +12,19 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from emulator.cli.failures import failures
-from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, WRONG_USE, Failure, console, print_json, status
+from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, WRONG_USE, Failure, console, failures, print_json, status
 from emulator.cli.run import NO_FILES, Files, print_summary, rig_with_options, run_with_files, summary
-from emulator.cli.run_output.latency import quantile_text
-from emulator.report.frame_png import check_png, grey_png
+from emulator.cli.run_summary import quantile_text
+from emulator.report.pictures import check_png, grey_png
 from emulator.rig.loading import Rig, load_rig
-from emulator.run.basilisk import BasiliskRun, Server
-from emulator.run.connected import camera_differs, connected
-from emulator.run.outcome import RunResult
-from emulator.run.verdict import good, judge
+from emulator.run.basilisk import BasiliskRun, Server, camera_differs, connected
+from emulator.run.outcome import RunResult, good, judge
 from emulator.trajectory.basilisk import ConnectedPath
-from firmware_protocol.vizard.update import Update
+from firmware_protocol.vizard.messages import Update
 from transports.link.pacing import MonotonicClock
 from transports.needs import install_command
-from transports.network.allow import check_allow
-from transports.vizard.forwarding import ForwardingServer, Other
-from transports.vizard.server import VizardServer
+from transports.network.datagrams import check_allow
+from transports.vizard.server import ForwardingServer, Other, VizardServer
 
 __all__ = ["vizard"]
 

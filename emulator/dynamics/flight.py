@@ -1,19 +1,269 @@
-"""A flight: an FMU steps, and each pose that comes of it is sent."""
+"""A flight: an FMU steps, and each pose that comes of it is sent.
+
+What can go wrong with dynamics from outside.
+
+The mapping file: which variables of an FMU are the pose, what is set at the start, and where inputs come from.
+
+step_s = 0.01
+position_m = ["x", "y", "z"]              # variables, or numbers
+q_world_from_body = ["qw", "qx", "qy", "qz"]
+[start]
+mass_kg = 1000.0
+[file]                                    # columns named in the first line: time_s, then variables
+path = "commands.csv"
+[can]
+interface = "socketcan"
+channel = "vcan0"
+[[can.signals]]
+variable = "thrust_n"
+id = 0x120
+format = "<f"                             # of Python's struct module, from byte `at` on
+
+Names are those of the FMU's modelDescription.xml.
+
+Inputs of an FMU: from a CSV file over its time, or from the frames of a CAN bus as they come.
+"""
 
 from __future__ import annotations
 
+import csv
+import importlib
 import math
+import struct
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Protocol
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
 
-from emulator.dynamics.failures import FlightEnded
-from emulator.dynamics.inputs import Inputs
-from emulator.dynamics.mapping import Mapping
+from emulator.light import MachineLacks
+from emulator.tables.toml_text import TextFileError, TomlError, read_text, read_toml
+from emulator.tables.typed_table import TableError, convert
 from firmware_protocol.pose_message import NOW, PoseMessage, PoseMessageError
 
-__all__ = ["Flown", "Pace", "Stepping", "fly", "wall_clock"]
+__all__ = [
+    "Bus",
+    "CanInputs",
+    "DynamicsError",
+    "FileInputs",
+    "FlightEnded",
+    "Flown",
+    "InputFile",
+    "Inputs",
+    "Mapping",
+    "Pace",
+    "Signal",
+    "Stepping",
+    "fly",
+    "load_mapping",
+    "opened_inputs",
+    "wall_clock",
+]
+
+
+class DynamicsError(Exception):
+    """The FMU, its mapping or its inputs cannot be used; the message says what to change."""
+
+
+class FlightEnded(Exception):
+    """The FMU failed during the flight; the message says when and how."""
+
+
+_MOST_BYTES = 1 << 20
+_MOST_ID = 0x1FFF_FFFF
+
+
+@dataclass(frozen=True)
+class Signal:
+    """A number in a CAN frame that is an input of the FMU: `scale` times what `format` reads, plus `offset`."""
+
+    variable: str
+    id: int
+    format: str = "<f"
+    at: int = 0
+    scale: float = 1.0
+    offset: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.id <= _MOST_ID:
+            raise ValueError(f"id must be 0 to 0x{_MOST_ID:x}, got {self.id}")
+        try:
+            values = struct.unpack(self.format, bytes(struct.calcsize(self.format)))
+        except struct.error as error:
+            raise ValueError(f"format {self.format!r}: {error}") from error
+        if len(values) != 1 or not isinstance(values[0], int | float):
+            raise ValueError(f'format {self.format!r} must read one number, such as "<f" or ">h"')
+        if not 0 <= self.at <= 64 - struct.calcsize(self.format):
+            raise ValueError(f"at must be 0 to {64 - struct.calcsize(self.format)}, got {self.at}")
+
+    def value(self, data: bytes) -> float | None:
+        """Return the number that a frame's data hold; None where they are too short."""
+        if len(data) < self.at + struct.calcsize(self.format):
+            return None
+        return float(struct.unpack_from(self.format, data, self.at)[0]) * self.scale + self.offset
+
+
+@dataclass(frozen=True)
+class Bus:
+    """A CAN bus of python-can, and what its frames hold."""
+
+    interface: str
+    channel: str
+    signals: tuple[Signal, ...]
+
+
+@dataclass(frozen=True)
+class InputFile:
+    """A CSV file of inputs over time; each value holds until the next one. The path is from the mapping's folder."""
+
+    path: str
+
+
+@dataclass(frozen=True)
+class Mapping:
+    """What evstim has to know of an FMU.
+
+    Attributes
+    ----------
+    position_m : three variables or numbers, m in the world of the rig's scene.
+    q_world_from_body : four variables or numbers, scalar first.
+    step_s : time from one pose to the next.
+    body : number of the live path, 0 the camera.
+    start : values that are set before the FMU is initialised, by variable.
+    """
+
+    position_m: tuple[str | float, str | float, str | float]
+    q_world_from_body: tuple[str | float, str | float, str | float, str | float] = (1.0, 0.0, 0.0, 0.0)
+    step_s: float = 0.01
+    body: int = 0
+    start: dict[str, float] = field(default_factory=dict)
+    file: InputFile | None = None
+    can: Bus | None = None
+
+    def __post_init__(self) -> None:
+        if not 1e-5 <= self.step_s <= 10:
+            raise ValueError(f"step_s must be 1e-5 to 10, got {self.step_s:g}")
+        if not 0 <= self.body < 1 << 16:
+            raise ValueError(f"body must be 0 to 65535, got {self.body}")
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Variables that are read after each step."""
+        return tuple(one for one in (*self.position_m, *self.q_world_from_body) if isinstance(one, str))
+
+
+def load_mapping(path: Path) -> Mapping:
+    """Return a mapping file; raises DynamicsError."""
+    try:
+        return convert(read_toml(read_text(path, _MOST_BYTES)), Mapping)
+    except TextFileError as error:
+        raise DynamicsError(f"{path} {error}") from error
+    except TomlError as error:
+        raise DynamicsError(error.at(str(path))) from error
+    except TableError as error:
+        raise DynamicsError(f"{path}: {'.'.join(map(str, error.path))}: {error}") from error
+
+
+_MOST_BYTES_INPUTS = 64 << 20
+_MOST_FRAMES = 1000  # a step, so that a flood does not hold the flight up
+_TIME = "time_s"
+
+
+class Inputs(Protocol):
+    """What gives inputs."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Variables that may be set."""
+
+    def at(self, t_s: float) -> dict[str, float]:
+        """Return what is to be set before the step from `t_s`."""
+
+
+class FileInputs:
+    """Inputs of a CSV file: a row holds from its time on; raises DynamicsError."""
+
+    def __init__(self, file: Path) -> None:
+        try:
+            lines = list(csv.reader(read_text(file, _MOST_BYTES_INPUTS).splitlines()))
+        except TextFileError as error:
+            raise DynamicsError(f"{file} {error}") from error
+        if not lines or lines[0][:1] != [_TIME] or len(lines[0]) < 2:
+            raise DynamicsError(f"{file}: line 1 must name the columns: {_TIME}, then variables of the FMU")
+        self.names = tuple(lines[0][1:])
+        self._rows = [_numbers(file, k, line, len(lines[0])) for k, line in enumerate(lines[1:], 2) if line]
+        for k, (one, other) in enumerate(zip(self._rows, self._rows[1:], strict=False), 3):
+            if other[0] <= one[0]:
+                raise DynamicsError(f"{file}: row {k}: times must ascend, {other[0]:g} comes after {one[0]:g}")
+        self._next = 0
+
+    def at(self, t_s: float) -> dict[str, float]:
+        """Return the newest row's values when they are new at `t_s`, which ascends."""
+        due: dict[str, float] = {}
+        while self._next < len(self._rows) and self._rows[self._next][0] <= t_s + 1e-9:
+            due = dict(zip(self.names, self._rows[self._next][1:], strict=True))
+            self._next += 1
+        return due
+
+
+def _numbers(file: Path, line: int, cells: list[str], columns: int) -> list[float]:
+    try:
+        values = [float(cell) for cell in cells]
+    except ValueError as error:
+        raise DynamicsError(f"{file}: line {line}: {error}") from error
+    if len(values) != columns or not all(map(math.isfinite, values)):
+        raise DynamicsError(f"{file}: line {line}: expected {columns} finite numbers")
+    return values
+
+
+class CanInputs:
+    """Inputs from the frames that a bus of python-can has received.
+
+    Attributes
+    ----------
+    unusable : frames of known ids that were too short, or held no finite number.
+    """
+
+    def __init__(self, bus: Any, told: Bus) -> None:
+        self._bus, self._signals = bus, told.signals
+        self.names = tuple(signal.variable for signal in told.signals)
+        self.unusable = 0
+
+    def at(self, t_s: float) -> dict[str, float]:
+        """Return the newest value of each variable whose frame came since the last call."""
+        due: dict[str, float] = {}
+        for _ in range(_MOST_FRAMES):
+            if (frame := self._bus.recv(0)) is None:
+                break
+            for signal in self._signals:
+                if signal.id == frame.arbitration_id:
+                    self._take(signal.variable, signal.value(bytes(frame.data)), due)
+        return due
+
+    def _take(self, variable: str, value: float | None, due: dict[str, float]) -> None:
+        if value is None or not math.isfinite(value):
+            self.unusable += 1
+        else:
+            due[variable] = value
+
+
+@contextmanager
+def opened_inputs(mapping: Mapping, folder: Path) -> Iterator[list[Inputs]]:
+    """Yield the inputs that a mapping names; files lie in `folder`. Raises DynamicsError and MachineLacks."""
+    inputs: list[Inputs] = [FileInputs(folder / mapping.file.path)] if mapping.file else []
+    if mapping.can is None:
+        yield inputs
+        return
+    can = importlib.import_module("can")
+    try:
+        bus = can.Bus(interface=mapping.can.interface, channel=mapping.can.channel)
+    except Exception as error:  # each backend of python-can has errors of its own
+        told = f"CAN bus {mapping.can.interface}:{mapping.can.channel}: {error}"
+        raise MachineLacks(told) from error
+    with bus:
+        yield [*inputs, CanInputs(bus, mapping.can)]
+
 
 _UNIT_WITHIN = 0.01
 

@@ -8,11 +8,10 @@ import signal
 from pathlib import Path
 from typing import Any, Self
 
-from emulator.dynamics.failures import DynamicsError, FlightEnded
+from emulator.dynamics.flight import DynamicsError, FlightEnded, Mapping
 from emulator.dynamics.fmu_process import serve
-from emulator.dynamics.mapping import Mapping
 from emulator.light import MachineLacks
-from emulator.run.spawning import starting_a_process
+from emulator.run.link_process import starting_a_process
 from transports.needs import install_command
 
 __all__ = ["Fmu"]

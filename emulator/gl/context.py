@@ -11,6 +11,16 @@ first that works. What draws is a matter of the machine, not of the rig, so the 
 
 A context belongs to the thread that made it, and does not survive `fork`: make it in the process and the thread that
 draws. moderngl is imported here when it is first needed, so closed-form scenes run without any GL library.
+
+Choice of the painter of bodies and terrain: the CPU, unless the environment or the rig selects GL.
+
+    EVSTIM_RENDERER unset or empty    run.painter of the rig, "cpu" where the rig has no such key
+    EVSTIM_RENDERER=cpu               the CPU, for every rig
+    EVSTIM_RENDERER=gl                GL, by the first renderer that is no software renderer, else the first that works
+    EVSTIM_RENDERER=llvmpipe          GL, by the renderer with this in its name
+
+The presence of a graphics card selects nothing: a rig and a seed give the same events on every machine. GL averages
+points in each pixel, without time derivative; the CPU gives the exact mean (docs/accuracy.md has both).
 """
 
 from __future__ import annotations
@@ -19,7 +29,7 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from emulator.light import MachineLacks, SceneError
 
@@ -28,14 +38,18 @@ if TYPE_CHECKING:
 
 __all__ = [
     "PACKAGES",
+    "QUICK_LOOK",
     "WANTED",
     "GlReport",
+    "Painter",
     "is_software",
     "open_context",
     "probe",
     "renderer_name",
     "renderers",
+    "selected_painter",
 ]
+
 
 PACKAGES = "libegl1 libgl1 libgl1-mesa-dri"
 """The Debian packages that give a machine without a GPU its GL."""
@@ -208,3 +222,20 @@ def _quiet_driver() -> Iterator[None]:
     finally:
         if before is None:
             del os.environ["EGL_LOG_LEVEL"]
+
+
+Painter = Literal["cpu", "gl"]
+
+QUICK_LOOK = (
+    'GL draws, by points in each pixel: a quick look, whose events differ from those of run.painter = "cpu" '
+    f"(the default, with {WANTED} unset)"
+)
+"""Note of a scene that GL draws."""
+
+
+def selected_painter(of_rig: Painter) -> Painter:
+    """Return the painter: that of the environment, else that of the rig."""
+    wanted = os.environ.get(WANTED, "").strip().lower()
+    if not wanted:
+        return of_rig
+    return "cpu" if wanted == "cpu" else "gl"

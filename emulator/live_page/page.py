@@ -1,34 +1,170 @@
-"""The session's end of the live page: starts its process, shows it the run, and carries out what viewers ask."""
+"""The session's end of the live page: starts its process, shows it the run, and carries out what viewers ask.
+
+What the session tells the page's process: sent when the pipe takes it, so that a page that hangs holds up nothing.
+
+Answers and states are kept in their order, a bounded number of them; of statuses only the newest is.
+
+How a run stands, as the tables that the page shows.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 import logging
 import multiprocessing
+import select
 import socket
+from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
+from multiprocessing.connection import Connection
 from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
 
 from emulator.light import MachineLacks
-from emulator.live_page.address import Access, Address
-from emulator.live_page.orders import Orders
-from emulator.live_page.outbox import Outbox
-from emulator.live_page.process import PageSetup, serve_page
-from emulator.live_page.shared_view import SharedView
-from emulator.live_page.status_table import Rates, describe, status_table
+from emulator.live_page.messages import Access, Address, Orders
+from emulator.live_page.process import PageSetup, SharedView, serve_page
+from emulator.rig.kinds import faults_of
 from emulator.rig.loading import Rig
+from emulator.run.link_process import starting_a_process
 from emulator.run.outcome import RunStatus
-from emulator.run.spawning import starting_a_process
 from firmware_protocol.events import Events
 from transports.link.edges import EdgeRing, EdgeSink, EdgeTiming
 from transports.link.process import LinkSetup
+from transports.link.report import LinkReport
 from transports.needs import install_command
 
-__all__ = ["LivePage", "check_ui", "with_trigger_button"]
+__all__ = ["LivePage", "Outbox", "Rates", "check_ui", "describe", "ledger_table", "status_table", "with_trigger_button"]
+
+
+_MOST_WAITING = 64
+
+
+class Outbox:
+    """Messages on their way into `pipe`, which is a socket: ready when most of its buffer is free."""
+
+    def __init__(self, pipe: Connection) -> None:
+        self._pipe = pipe
+        self._kept: deque[dict[str, Any]] = deque(maxlen=_MOST_WAITING)
+        self._status: dict[str, Any] | None = None
+        self._writable = select.poll()
+        self._writable.register(pipe.fileno(), select.POLLOUT)
+
+    @property
+    def waits(self) -> bool:
+        """Whether something has not been sent."""
+        return bool(self._kept) or self._status is not None
+
+    def put(self, message: dict[str, Any]) -> None:
+        """Let a message be sent in its turn; of very many that wait the oldest is left out."""
+        self._kept.append(message)
+
+    def renew(self, status: dict[str, Any]) -> None:
+        """Let a status be sent, in place of an older one that was not."""
+        self._status = status
+
+    def flush(self, heard: int) -> None:
+        """Send what the pipe takes, with the number of commands heard so far; raises OSError where nobody reads."""
+        while self.waits and self._writable.poll(0):
+            self._pipe.send({**self._next(), "heard": heard})
+
+    def _next(self) -> dict[str, Any]:
+        if self._kept:
+            return self._kept.popleft()
+        assert self._status is not None
+        status, self._status = self._status, None
+        return status
+
+
+_WINDOW = 10  # status reports over which rates are averaged
+
+
+class Rates:
+    """Rates over the last second."""
+
+    def __init__(self) -> None:
+        self._past: deque[RunStatus] = deque(maxlen=_WINDOW)
+
+    def renew(self, status: RunStatus) -> dict[str, float]:
+        """Return events per second of stream time, and stream seconds per second of time."""
+        self._past.append(status)
+        first = self._past[0]
+        sim_s, wall_s = status.sim_seconds - first.sim_seconds, status.wall_seconds - first.wall_seconds
+        return {
+            "events_per_s": (status.read_out - first.read_out) / sim_s if sim_s > 0 else 0.0,
+            "real_time_factor": sim_s / wall_s if wall_s > 0 else 0.0,
+        }
+
+
+def describe(rig: Rig) -> dict[str, Any]:
+    """Return what does not change during a run."""
+    width, height = rig.camera.size
+    return {
+        "name": rig.name,
+        "title": rig.title,
+        "camera": rig.camera.model,
+        "size": [width, height],
+        "pace": rig.run.pace,
+        "links": {link.name: {"kind": link.kind, "faults": list(faults_of(link))} for link in rig.links},
+    }
+
+
+def status_table(status: RunStatus, rates: dict[str, float]) -> dict[str, Any]:
+    """Return what changes during a run."""
+    return {
+        "t_s": status.sim_seconds,
+        "wall_s": status.wall_seconds,
+        "frames": status.frames,
+        **rates,
+        "lateness": status.lateness.as_json(),
+        "ledger": ledger_table(status),
+        "links": {name: _link(report) for name, report in status.links.items()},
+    }
+
+
+def ledger_table(status: RunStatus) -> dict[str, Any]:
+    """Return the fates of all events so far; in each table the parts add up to its whole.
+
+    An event that has no fate yet is `pending` in the sensor, or `on_the_way` to a link or in it. A negative number
+    there would be an event with two fates.
+    """
+    accounted = status.lost_in_pixel + status.lost_at_readout + status.read_out
+    return {
+        "whole": status.raised,
+        "parts": {
+            "read_out": status.read_out,
+            "pending": status.raised - accounted,
+            "lost_at_readout": status.lost_at_readout,
+            "lost_in_pixel": status.lost_in_pixel,
+        },
+        "links": {name: _fates(report, status.read_out) for name, report in status.links.items()},
+    }
+
+
+def _fates(report: LinkReport, read_out: int) -> dict[str, Any]:
+    parts = {
+        "delivered": report.delivered,
+        "on_the_way": read_out - report.delivered - report.dropped - report.dropped_in_device,
+        "dropped_in_device": report.dropped_in_device,
+        "dropped": report.dropped,
+    }
+    return {"whole": read_out, "parts": parts}
+
+
+def _link(report: LinkReport) -> dict[str, Any]:
+    latency = report.latency
+    return {
+        "state": report.state,
+        "address": report.address,
+        "error": report.error,
+        "latency_us": [latency.p50, latency.p99, latency.max],
+        "edges": report.edges.taken,
+        "faults": len(report.faults),
+        "events_lost_by_faults": sum(fault.events_lost for fault in report.faults),
+    }
+
 
 _log = logging.getLogger(__name__)
 

@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from emulator.light import Light, Scene
 from emulator.plan.step_control import Sampled, error_us, sample, slips, weighted_quantile
-from emulator.sensor.chip.temperature import at_temperature
+from emulator.sensor.chip.defects import at_temperature
 from emulator.sensor.presets import SensorParameters
 
 __all__ = ["Probe", "probe"]

@@ -35,7 +35,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.light import Light
-from emulator.sensor.pixels.interpolation import REFINED_UNSEEN_SHARE
+from emulator.sensor.pixels.curve import REFINED_UNSEEN_SHARE
 from emulator.sensor.pixels.refinement import LEVELS
 
 __all__ = [

@@ -6,33 +6,36 @@
     others     every format that `evstim convert` reads, see docs/recordings.md
 
 A recording is taken whole into memory, 13 bytes an event.
+
+Events of recordings that faery reads; for a child process, see `foreign_file`.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
+import faery
 import numpy as np
+import numpy.typing as npt
 
 from emulator.light import MachineLacks, SceneError
 from emulator.scene.foreign_file import read_in_child
 from emulator.scene.kind import SceneKind
-from emulator.tables.files import NO_FILE, RigFile
-from firmware_protocol.event_copies import join_events
-from firmware_protocol.events import Events
+from emulator.tables.typed_table import NO_FILE, RigFile
+from firmware_protocol.events import EVENT, Events, join_events
 from transports.needs import Need, package
-from transports.recording.array_file import ArrayFileError
+from transports.recording.format import format_to_read
 from transports.recording.guarded import LibraryMissing, OpenRecording
-from transports.recording.kind_of_file import format_to_read
 from transports.recording.part import RecordingError
-from transports.recording.record import load_record
+from transports.recording.record import ArrayFileError, load_record
 
-__all__ = ["RECORDING", "RecordingParameters", "load_recording", "read_events"]
+__all__ = ["RECORDING", "RecordingParameters", "load_recording", "read_events", "read_recording"]
+
 
 _BY_FAERY = (".aedat4", ".es", ".dat", ".raw", ".csv")
-_FAERY = "emulator.playback.foreign_recording:read_recording"
+_FAERY = "emulator.playback.recording:read_recording"
 
 
 @dataclass(frozen=True)
@@ -145,3 +148,14 @@ def _read_npz(path: Path) -> Events:
     except ArrayFileError as error:
         raise SceneError(str(error)) from error
     return events[restarts[-1] :].copy() if restarts else events
+
+
+def read_recording(path: Path) -> dict[str, npt.NDArray[Any]]:
+    """Return `events`, (n,) EVENT, and `size`, (2,): width and height.
+
+    A damaged file may end the process: faery panics, which is no Exception.
+    """
+    stream = faery.events_stream_from_file(path)
+    packets = [packet.astype(EVENT) for packet in stream]
+    events = np.concatenate(packets) if packets else np.empty(0, EVENT)
+    return {"events": events, "size": np.array(stream.dimensions(), np.int64)}

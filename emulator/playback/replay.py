@@ -13,12 +13,11 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.playback.recording import RecordingParameters, load_recording
-from emulator.scene.blank import Blank
+from emulator.scene.kind import Blank
 from emulator.sensor.chip.readout import ReadOut
 from emulator.sensor.pixels.array import Crossings
 from emulator.sensor.presets import SensorParameters
-from firmware_protocol.event_copies import copy_events, join_events
-from firmware_protocol.events import EVENT, Events
+from firmware_protocol.events import EVENT, Events, copy_events, join_events
 
 __all__ = ["Replay", "blank", "replay"]
 

@@ -8,13 +8,11 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.raster.bands import draw_bands, query_bands
-from emulator.raster.clipping import clip
-from emulator.raster.layout import BAND, FACET_FIELDS, VERTEX_FIELDS, Bytes, Floats, Ints, Pictures
+from emulator.raster.layout import BAND, FACET_FIELDS, VERTEX_FIELDS, Box, Bytes, Floats, Ints, Pictures, Screen, View
 from emulator.raster.lines import LINE_FIELDS, SIDE_FIELDS
 from emulator.raster.nearest import nearest_facets
-from emulator.raster.projection import bucket, project, set_up
+from emulator.raster.projection import bucket, clip, project, set_up
 from emulator.raster.topology import Topology
-from emulator.raster.view import Box, Screen, View
 from emulator.threads import Crew
 
 __all__ = ["Owners", "Renderer"]

@@ -12,8 +12,8 @@ from __future__ import annotations
 import math
 
 from emulator.raster.compiled import lane, vector_kernel
-from emulator.raster.edges import flux, is_still, piece
 from emulator.raster.layout import Data, Floats, G, Ints, L, Plane, Sign
+from emulator.raster.pixel import flux, is_still, piece
 
 __all__ = ["add_facet"]
 

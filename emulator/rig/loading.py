@@ -11,31 +11,34 @@
 `emulator.rig.top_level` has the top-level keys. Each key below them is a field of a dataclass, in `emulator.rig.tables`
 or in the package that owns the thing. A mistake raises RigError with the file, the line, the key, what is wrong and
 what would be right.
+
+Old spellings in rig files: accepted for one version, with a logged warning that names the new spelling.
+
+Values of a rig's `[run]` table that a command or a call gives in its place.
 """
 
 from __future__ import annotations
 
+import dataclasses
+import logging
+import operator
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
-from emulator.rig.aliases import with_new_spellings
-from emulator.rig.second_camera import SecondCamera
-from emulator.rig.tables import Camera, Run
+from emulator.rig.tables import Camera, Run, SecondCamera, Trigger, Verdict
 from emulator.rig.top_level import values_of
-from emulator.rig.trigger_table import Trigger
-from emulator.rig.verdict_table import Verdict
 from emulator.scene.kind import SceneParameters
-from emulator.tables.files import beside
-from emulator.tables.text_file import TextFileError, read_text, shortened
-from emulator.tables.toml_text import TomlError, dotted, line_of, read_toml
-from emulator.tables.typed_table import TableError, unknown
+from emulator.tables.toml_text import TextFileError, TomlError, dotted, line_of, read_text, read_toml, shortened
+from emulator.tables.typed_table import TableError, beside, field_types, unknown
 from transports.faults.kinds import Fault
 from transports.link.kind import LinkParameters
-from transports.usb.loopback_kind import LoopbackLink
-from transports.usb.usbip.parameters import UsbipLink
+from transports.usb.loopback import LoopbackLink
+from transports.usb.usbip.kind import UsbipLink
 
 __all__ = [
+    "VALUES",
     "Camera",
     "LoopbackLink",
     "Rig",
@@ -50,7 +53,29 @@ __all__ = [
     "read_rig",
     "rig_of_table",
     "shipped_rigs",
+    "with_new_spellings",
+    "with_options",
 ]
+
+
+_LOG = logging.getLogger(__name__)
+
+VALUES: Mapping[tuple[str, str], Mapping[str, str]] = {
+    ("run", "method"): {"warped": "hermite", "held": "v2e_exact_filter"},
+}
+"""New value by old value, for each (table, key). Renamed in version 0.2; to be removed in the version after."""
+
+
+def with_new_spellings(rig: dict[str, Any]) -> dict[str, Any]:
+    """Return a rig's tables with old values replaced by the new ones; the argument stays as it is."""
+    for (name, key), renamed in VALUES.items():
+        table = rig.get(name)
+        old = table.get(key) if isinstance(table, dict) else None
+        if isinstance(old, str) and old in renamed:
+            _LOG.warning("%s.%s = %r is the old spelling of %r; please change the rig", name, key, old, renamed[old])
+            rig = {**rig, name: {**rig[name], key: renamed[old]}}
+    return rig
+
 
 _MOST_BYTES = 1 << 22  # the longest shipped rig has 4 KiB
 
@@ -134,3 +159,47 @@ def _rig(table: dict[str, Any], name: str) -> Rig:
     values = values_of(with_new_spellings(table))
     title = name if values["title"] is None else values["title"]
     return Rig(name, **{**values, "title": title})
+
+
+_PACES = get_args(field_types(Run)["pace"])
+
+
+def with_options(rig: Rig, seconds: float | None = None, seed: int | None = None, pace: str | None = None) -> Rig:
+    """Return the rig with the values that are not None; raises ValueError, its message begins with the name."""
+    given = {"seconds": seconds, "seed": seed, "pace": pace}
+    changed = {name: _converted(name, value) for name, value in given.items() if value is not None}
+    made = dataclasses.replace(rig, run=dataclasses.replace(rig.run, **changed))
+    if made.run.pace == "free" and not made.run.seconds and getattr(made.scene, "loop", False):
+        raise ValueError(
+            'seconds must be above 0 here, got 0: with pace "free" a recording or video that loops '
+            "(scene.loop) never ends"
+        )
+    return made
+
+
+def _converted(name: str, value: Any) -> Any:
+    """Return a value as the table has it; raises ValueError where it is of another type."""
+    convert, wanted = _TYPES[name]
+    try:
+        return convert(value)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name} must be {wanted}, got {value!r}") from None
+
+
+def _number(value: Any) -> float:
+    if isinstance(value, str):
+        raise TypeError
+    return float(value)
+
+
+def _pace(value: Any) -> str:
+    if value not in _PACES:
+        raise ValueError
+    return str(value)
+
+
+_TYPES: Mapping[str, tuple[Callable[[Any], Any], str]] = {
+    "seconds": (_number, "a number of seconds, 0 (until Ctrl-C) to 3.2e7"),
+    "seed": (operator.index, "a whole number, 0 to 2^63 - 1"),
+    "pace": (_pace, " or ".join(f'"{pace}"' for pace in _PACES)),
+}

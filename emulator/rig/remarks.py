@@ -16,11 +16,10 @@ from emulator.scene.bodies.mesh import find_shape
 from emulator.scene.bodies.table import BodyTable
 from emulator.sensor.noise.law import beyond_the_law, corner_hz
 from emulator.sensor.presets import SensorParameters
-from emulator.tables.files import RigFile
-from emulator.tables.typed_table import field_types
+from emulator.tables.typed_table import RigFile, field_types
+from emulator.trajectory.building import read_path
 from emulator.trajectory.parameters import BasiliskPath, FilePath
 from emulator.trajectory.pose import TrajectoryError
-from emulator.trajectory.recorded import read_path
 
 __all__ = ["OpenedFile", "open_files", "remarks"]
 

@@ -1,18 +1,29 @@
-"""The tables of a rig that belong to no room: the camera as a whole, and the run."""
+"""The tables of a rig that belong to no room: the camera as a whole, and the run.
+
+The [trigger] table of a rig: what is connected to the camera's external input.
+
+The [verdict] table of a rig: what else a run must keep to be good.
+
+The [second_camera] table of a rig: a camera beside the first one, on its clock, looking at the same scene.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Literal
 
 from emulator.optics.lens import LensParameters
-from emulator.sensor.aps.parameters import FrameParameters
+from emulator.sensor.aps.row_kicks import FrameParameters
 from emulator.sensor.imu.parameters import ImuParameters
 from emulator.sensor.presets import PRESETS, SensorParameters
-from firmware_protocol.device_clock import ClockSettings
-from firmware_protocol.imx636.bias_effects import BiasModel, BiasSlopes
+from firmware_protocol.device.clock import ClockSettings
+from firmware_protocol.events import EdgeKind
+from firmware_protocol.imx636.registers import BiasModel, BiasSlopes
+from transports.link.edges import EdgeTiming, EdgeTrain
 
-__all__ = ["Camera", "Method", "Run"]
+__all__ = ["Camera", "Method", "Run", "SecondCamera", "Trigger", "TriggerEdges", "Verdict"]
+
 
 Method = Literal["hermite", "line", "pangu", "v2e", "v2e_exact_filter", "esim", "sikorski", "frame_difference"]
 
@@ -188,3 +199,172 @@ class Run:
             raise ValueError(f'pixels = "gpu" has methods "hermite" and "line", got method = {self.method!r}')
         if self.pixels == "gpu" and self.step_us > 250_000:
             raise ValueError(f'step_us must be at most 250000 with pixels = "gpu", got {self.step_us}')
+
+
+_LATEST_MS = 1e10
+
+Kind = Literal["pulse", "rising", "falling"]
+
+
+@dataclass(frozen=True)
+class TriggerEdges:
+    """Edges at given times of the run.
+
+    Attributes
+    ----------
+    at_ms
+        Stream time of the first.
+    kind
+        As of the trigger.
+    every_ms
+        Above 0, it is repeated with this period.
+    count
+        How often it happens in all; 0: without end. Without a period: once.
+    """
+
+    at_ms: float
+    kind: Kind = "pulse"
+    every_ms: float = 0.0
+    count: int = 0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.at_ms <= _LATEST_MS:
+            raise ValueError(f"at_ms must be 0 to {_LATEST_MS:g}, got {self.at_ms}")
+        if self.every_ms != 0 and not 0.01 <= self.every_ms <= 1e7:
+            raise ValueError(f"every_ms must be 0 (once) or 0.01 to 1e7, got {self.every_ms}")
+        if self.count < 0 or (self.count > 1 and not self.every_ms):
+            raise ValueError(f"count must be 0 or more, and every_ms be given for more than one, got {self.count}")
+
+    def train(self) -> EdgeTrain:
+        """Return the edges as a link makes them."""
+        count = (self.count or None) if self.every_ms else 1
+        return EdgeTrain(EdgeKind[self.kind.upper()], round(self.at_ms * 1000), round(self.every_ms * 1000), count)
+
+
+@dataclass(frozen=True)
+class Trigger:
+    """What is connected to the camera's external input.
+
+    Attributes
+    ----------
+    source
+        Name of the CAN link whose SYNC triggers.
+    period_ms
+        Instead: an edge each period of stream time, the first after one period.
+    edges
+        Instead: edges at given times, without latency and jitter.
+    kind
+        What happens at the input: "pulse" (it rises, and falls again after `pulse_us`), "rising" or "falling".
+    channel
+        Which input; a DAVIS346 has one, 0.
+    latency_us
+        From the bus to the input.
+    jitter_us
+        Standard deviation of the latency, normal and never below zero in all.
+    pulse_us
+        Length of a pulse.
+    holdback_us
+        With a source: how long after its time an event goes to the camera, so that an edge which is heard late still
+        comes in order. Later ones are stamped at the earliest time possible, and counted.
+    send_period_ms
+        Above 0, the camera itself sends a mark on the bus each time its own clock has gone this far.
+    """
+
+    source: str = ""
+    period_ms: float = 0.0
+    edges: tuple[TriggerEdges, ...] = ()
+    kind: Kind = "pulse"
+    channel: int = 0
+    latency_us: float = 0.0
+    jitter_us: float = 0.0
+    pulse_us: int = 100
+    holdback_us: int = 2000
+    send_period_ms: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.source and self.period_ms:
+            raise ValueError("period_ms makes edges without a bus; leave it out, or leave out source")
+        if self.edges and (self.source or self.period_ms):
+            raise ValueError("edges come at given times; leave them out, or leave out source and period_ms")
+        if not (self.source or self.period_ms or self.edges or self.send_period_ms):
+            raise ValueError("a trigger needs source (the name of a CAN link), period_ms, edges or send_period_ms")
+        for name in ("period_ms", "send_period_ms"):
+            value = getattr(self, name)
+            if value != 0 and not 0.01 <= value <= 1e7:
+                raise ValueError(f"{name} must be 0 (none) or 0.01 to 1e7, got {value}")
+        if not 0 <= self.channel <= 255:
+            raise ValueError(f"channel must be 0 to 255, got {self.channel}")
+        for name, most in (("latency_us", 1e7), ("jitter_us", 1e6), ("holdback_us", 1e6)):
+            if not 0 <= getattr(self, name) <= most:
+                raise ValueError(f"{name} must be 0 to {most:g}, got {getattr(self, name)}")
+        if not 1 <= self.pulse_us <= 1_000_000:
+            raise ValueError(f"pulse_us must be 1 to 1000000, got {self.pulse_us}")
+
+    def timing(self, seed: int) -> EdgeTiming:
+        """Return what an edge of this trigger is."""
+        return EdgeTiming(EdgeKind[self.kind.upper()], self.channel, self.latency_us, self.jitter_us, seed)
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What a run must keep, beside a balanced ledger, sound links and whole files; 0 asks for nothing.
+
+    Attributes
+    ----------
+    max_drop
+        Share of the events read out that a link may lose after its camera was started: 0.01 is one in a hundred.
+        Negative: any share.
+    min_rate_hz, max_rate_hz
+        Events a second that the sensor must read out at least, and at most, as a mean over the run.
+    max_latency_us
+        Most that the 99th percentile of the time from an event to its bytes may be, on any link.
+    max_undersampled
+        Share of the solved pixel-steps whose light may have changed unseen between two pictures.
+    """
+
+    max_drop: float = -1.0
+    min_rate_hz: float = 0.0
+    max_rate_hz: float = 0.0
+    max_latency_us: float = 0.0
+    max_undersampled: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.max_drop > 1:
+            raise ValueError(f"max_drop is a share, at most 1, got {self.max_drop}")
+        for name in ("min_rate_hz", "max_rate_hz", "max_latency_us", "max_undersampled"):
+            if not getattr(self, name) >= 0:
+                raise ValueError(f"{name} must be 0 (asks for nothing) or more, got {getattr(self, name)}")
+        if 0 < self.max_rate_hz < self.min_rate_hz:
+            raise ValueError(f"max_rate_hz {self.max_rate_hz} is below min_rate_hz {self.min_rate_hz}")
+
+
+@dataclass(frozen=True)
+class SecondCamera:
+    """A second camera of the same model, mounted beside the first; its clock is the slave of the first one's.
+
+    Attributes
+    ----------
+    links
+        Names of the links that carry it; the others carry the first camera.
+    serial
+        Its serial number, up to 8 characters.
+    offset_m
+        Where it is, along the first camera's axes: x right, y down, z along the boresight.
+    q_first_from_second
+        How it is turned against the first one: unit quaternion, scalar first.
+    """
+
+    links: tuple[str, ...]
+    serial: str = "00000347"
+    offset_m: tuple[float, float, float] = (0.1, 0.0, 0.0)
+    q_first_from_second: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        if not self.links:
+            raise ValueError("links must name the links that carry this camera")
+        if not 1 <= len(self.serial) <= 8 or not self.serial.isascii() or not self.serial.isprintable():
+            raise ValueError(f"serial must have 1 to 8 printable ASCII characters, got {self.serial!r}")
+        if not all(abs(part) <= 1e9 for part in self.offset_m):  # NaN compares false
+            raise ValueError(f"offset_m must be three numbers of at most 1e9, got {self.offset_m}")
+        if not abs(math.hypot(*self.q_first_from_second) - 1) < 1e-3:
+            raise ValueError(f"q_first_from_second must be a unit quaternion, got {self.q_first_from_second}")

@@ -11,17 +11,12 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from emulator.rig.camera_models import CAMERA_MODELS, UsbSettings, gige_models, usb_sizes
-from emulator.rig.fault_tables import convert_fault, known_faults
-from emulator.rig.link_kinds import LINKS
-from emulator.rig.scene_kinds import SCENES
-from emulator.rig.second_camera import SecondCamera
-from emulator.rig.tables import Camera, Run
-from emulator.rig.trigger_table import Trigger
-from emulator.rig.verdict_table import Verdict
+from emulator.rig.kinds import LINKS, SCENES, convert_fault, known_faults
+from emulator.rig.tables import Camera, Run, SecondCamera, Trigger, Verdict
 from emulator.scene.kind import SceneParameters
 from emulator.sensor.presets import SensorParameters
 from emulator.tables.registry import PluginError, Record, Registry
-from emulator.tables.typed_table import Path as KeyPath
+from emulator.tables.typed_table import KeyPath as KeyPath
 from emulator.tables.typed_table import TableError, convert, split_kind, unknown
 from transports.faults.kinds import Fault
 from transports.link.kind import CameraFacts, LinkParameters, Unsuitable

@@ -1,69 +1,222 @@
-"""From a rig to the parts of a run."""
+"""From a rig to the parts of a run.
+
+From a rig to its scene.
+
+Scenes in units of radiance are seen through the camera's lens; the others bring their own light, relative to the
+sensor's reference. What builds a scene is imported only for a rig that has one of its kind.
+
+From a rig to its inertial unit: the path that carries it, and the gravity along it.
+
+A rig's trigger: where edges on the camera's input come from, and how they get to each link and to the session.
+
+    [trigger]  source = "can"      SYNC on that link's bus     -> EdgeSink -> a ring for each link (and the session's)
+               period_ms = 10.0    no bus: every 10 ms         -> each link makes the same edges by itself
+               [[trigger.edges]]   no bus: at given times      -> the same
+
+The rings are shared memory, made before the links' processes start and passed to them.
+
+What a camera without electronics asks of the rig's frames and inertial unit: there is no host that sets registers.
+
+It asks what drivers ask of a DAVIS346 by default: frames of 4 ms every 40 ms with a global shutter, and all of the
+inertial unit at 1 kHz. Beside a link with a host on USB it asks nothing, and gets what that host asks for: there is one
+chip, and a recording has no say in what it does.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from emulator.gl.context import selected_painter
 from emulator.light import Scene
+from emulator.optics.through import Through
 from emulator.plan.plan import limits, make_plan
 from emulator.plan.scene_probe import probe
 from emulator.plan.step_control import ControlledSteps, FixedSteps, RefinementModel, StepSource
 from emulator.rig.camera_models import CAMERA_MODELS, IMU_UNITS, UsbSettings
-from emulator.rig.link_kinds import LINKS
+from emulator.rig.kinds import LINKS, SCENES
 from emulator.rig.loading import Rig, RigError, Run
-from emulator.rig.scene_kinds import SCENES
-from emulator.run.frames import Pictures
-from emulator.run.inertial import imu_source
-from emulator.run.plain_camera import asked_readings, plain_camera
-from emulator.run.readings import ReadingSource, ReadingSources
-from emulator.run.scene_assembly import build_scene
+from emulator.rig.tables import Trigger
+from emulator.run.readings import Pictures, ReadingSource, ReadingSources
 from emulator.run.session import Schedule, Session
 from emulator.run.stereo import SecondView, carries_second, second_rig, wired
-from emulator.run.triggers import TriggerPaths
-from emulator.sensor.aps.source import FrameSource
-from emulator.sensor.chip.temperature import at_temperature
+from emulator.scene.terrain.table import TerrainParameters
+from emulator.sensor.aps.frames import FrameSource
+from emulator.sensor.chip.defects import at_temperature
 from emulator.sensor.event_source import EventSource
 from emulator.sensor.gpu.array import GpuArray
+from emulator.sensor.imu.parameters import ImuParameters
+from emulator.sensor.imu.unit import EARTH_IN_THE_PICTURE, MOON_BELOW, WEIGHTLESS, Carried, Gravity, ImuSource, ImuUnit
 from emulator.sensor.other_simulators import OTHER_SIMULATORS
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.presets import SensorParameters
 from emulator.sensor.sensor import MakePixels, Sensor
 from emulator.tables.registry import imported
-from firmware_protocol.gige.settings import GigeSettings
+from emulator.trajectory.building import HasCameraPath
+from emulator.trajectory.motion import Timescale
+from emulator.trajectory.parameters import OrbitPath
+from emulator.trajectory.pose import Fixed
+from firmware_protocol.davis346.registers import driver_imu_settings
+from firmware_protocol.device.clock import ClockSettings
+from firmware_protocol.device.event_device import ReadingKind
+from firmware_protocol.device.plain_device import PlainDevice
+from firmware_protocol.frames import FrameSettings
+from firmware_protocol.gige.registers import GigeSettings
 from firmware_protocol.gige.triton2 import Triton2
 from firmware_protocol.imu_samples import IMU_SAMPLE
-from firmware_protocol.instrument.biases import Imx636Biases
 from firmware_protocol.instrument.instrument import Instrument
-from firmware_protocol.plain_device import PlainDevice
-from firmware_protocol.readings import ReadingKind
+from firmware_protocol.instrument.settings import Imx636Biases
 from firmware_protocol.usb.device import UsbCamera
 from transports.faults.script import FaultPlan
+from transports.link.edges import EdgeRing, EdgeSink, EdgeSource, ListedEdges, PeriodicEdges
 from transports.link.feed import Timing
 from transports.link.kind import CameraFacts, LinkKind, LinkParameters, Wiring
 from transports.link.pacing import Clock
 from transports.link.process import LinkSetup
-from transports.link.reading_ring import ReadingRing
-from transports.link.ring import EventRing
+from transports.link.rings import EventRing, ReadingRing
 from transports.recording.format import with_addition
 from transports.recording.part import Facts
 
 if TYPE_CHECKING:
-    from emulator.run.truth.output import TruthFile
+    from emulator.run.truth.source import TruthFile
 
 __all__ = [
+    "TriggerPaths",
+    "asked_readings",
     "build_pictures",
+    "build_scene",
     "build_sensor",
     "build_session",
+    "carried",
+    "imu_source",
     "link_setups",
+    "plain_camera",
     "reading_sources",
     "record_paths",
     "schedule",
 ]
+
+
+def build_scene(rig: Rig, size: tuple[int, int] | None = None) -> Scene:
+    """Return the rig's scene at `size` = (width, height) pixels, by default its camera's; raises SceneError."""
+    size = size or rig.camera.size
+    kind, lens, chip = SCENES[rig.scene.kind], rig.camera.lens, CAMERA_MODELS[rig.camera.model].chip
+    drawn_by_gl = kind.gl and selected_painter(rig.run.painter) == "gl"
+    build = partial(imported(kind.gl if drawn_by_gl else kind.build), rig.scene)
+    if kind.lens == "applied":
+        return Through(lens, chip, size, build)
+    scene: Scene = build(size, lens, chip) if kind.lens == "own" else build(size)
+    return scene
+
+
+def imu_source(rig: Rig, scene: Scene) -> ImuSource | None:
+    """Return what samples the rig's inertial unit on the path of the scene's camera; None where it has none."""
+    imu = rig.camera.imu
+    return None if imu is None else ImuSource(ImuUnit(imu, carried(rig, imu, scene), rig.run.seed))
+
+
+def carried(rig: Rig, imu: ImuParameters, scene: Scene) -> Carried:
+    """Return path, gravity and time of the unit; on a bench where the scene's camera has no path."""
+    inner = scene.scene if isinstance(scene, Through) else scene
+    given = Gravity(np.zeros(3) if imu.gravity_m_s2 is None else np.array(imu.gravity_m_s2), imu.gm_m3_s2)
+    is_given = imu.gravity_m_s2 is not None or imu.gm_m3_s2 > 0
+    if not isinstance(inner, HasCameraPath):
+        return Carried(Fixed(), given if is_given else EARTH_IN_THE_PICTURE, Timescale())
+    return Carried(inner.camera_path, given if is_given else _gravity_of(rig), inner.path_time)
+
+
+def _gravity_of(rig: Rig) -> Gravity:
+    """Return the gravity that the scene implies."""
+    if isinstance(rig.scene, TerrainParameters):
+        return MOON_BELOW
+    path = getattr(rig.scene, "camera", None)
+    return dataclasses.replace(WEIGHTLESS, gm_m3_s2=path.gm_m3_s2) if isinstance(path, OrbitPath) else WEIGHTLESS
+
+
+class TriggerPaths:
+    """The rings of one run's trigger.
+
+    Parameters
+    ----------
+    links
+        Names of the rig's links.
+    lockstep_us
+        Above 0, the trigger drives the run.
+    """
+
+    def __init__(self, trigger: Trigger | None, links: Sequence[str], seed: int, lockstep_us: int = 0) -> None:
+        self._trigger = trigger
+        self._seed = seed
+        self._lockstep_us = lockstep_us
+        has_bus = trigger is not None and bool(trigger.source)
+        self._rings = {name: EdgeRing() for name in links} if has_bus else {}
+        self._syncs = EdgeRing() if has_bus and lockstep_us else None
+
+    def timing(self, link: str, clock: ClockSettings | None, truth: Path | None) -> Timing:
+        """Return what the link `link` has to do with time and triggers."""
+        trigger, is_source = self._trigger, self._is_source(link)
+        return Timing(
+            edges=self._edges(link),
+            holdback_us=trigger.holdback_us if trigger is not None and trigger.source else 0,
+            clock=clock,
+            seed=self._seed,
+            truth=truth if clock is not None else None,
+            send_period_us=round(trigger.send_period_ms * 1000) if trigger is not None else 0,
+            syncs=self._syncs if is_source else None,
+        )
+
+    def sink(self, link: str, run: EventRing) -> EdgeSink | None:
+        """Return what the link `link`, fed from `run`, tells of its bus's SYNCs; None where nobody wants to know."""
+        if self._trigger is None or not self._is_source(link):
+            return None
+        # The session's ring comes last: when it has an edge, every link has it too.
+        rings = [*self._rings.values(), *([] if self._syncs is None else [self._syncs])]
+        return EdgeSink(rings, run, self._trigger.timing(self._seed), self._lockstep_us)
+
+    def _edges(self, link: str) -> EdgeSource | None:
+        if self._trigger is None:
+            return None
+        if self._trigger.period_ms:
+            return PeriodicEdges(round(self._trigger.period_ms * 1000), self._trigger.timing(self._seed))
+        if self._trigger.edges:
+            return ListedEdges([edges.train() for edges in self._trigger.edges], self._trigger.channel)
+        return self._rings.get(link)
+
+    def _is_source(self, link: str) -> bool:
+        return self._trigger is not None and self._trigger.source == link
+
+
+_EXPOSURE_NS, _INTERVAL_NS = 4_000_000, 40_000_000
+
+
+def asked_readings(rig: Rig) -> Mapping[ReadingKind, tuple[int, ...]]:
+    """Return what it asks of each kind of readings that the rig's camera has, as `EventDevice.reading_settings`."""
+    has_host = any(LINKS[one.kind].serves == "usb" and not carries_second(rig, one.name) for one in rig.links)
+    return {kind: () if has_host else settings for kind, settings in _driver_settings(rig).items()}
+
+
+def plain_camera(rig: Rig) -> Callable[[], PlainDevice]:
+    """Return what makes the device of a link that takes frames and samples, for its process."""
+    return partial(PlainDevice, readings=asked_readings(rig))
+
+
+def _driver_settings(rig: Rig) -> Mapping[ReadingKind, tuple[int, ...]]:
+    settings = {}
+    if rig.camera.frames is not None:
+        width, height = rig.camera.size
+        frames = FrameSettings(
+            run=True, exposure_ns=_EXPOSURE_NS, interval_ns=_INTERVAL_NS, last_column=width - 1, last_row=height - 1
+        )
+        settings[ReadingKind.FRAMES] = dataclasses.astuple(frames)
+    if rig.camera.imu is not None:
+        settings[ReadingKind.IMU] = dataclasses.astuple(driver_imu_settings(IMU_UNITS[rig.camera.imu.unit]))
+    return settings
 
 
 log = logging.getLogger("evstim")

@@ -5,23 +5,56 @@
 Only its owner can open it (directory 0700, socket 0600). The session looks at it when it reports its status, ten times
 a second; nobody waits for a client that says nothing, reads nothing or never stops: lines, clients and the work of one
 look are bounded, and the client that has been silent longest makes way for a newer one.
+
+Faults and edges by hand: what a running session answers to `evstim fault` and `evstim trigger`.
+
+{"ask": "faults"}                     ->  {"rig": ..., "t_s": ..., "links": {NAME: {"kinds": [...], "injected": [...]}}}
+{"ask": "inject", "fault": {table}}   ->  {"link": NAME, "after": number of its faults so far} or {"error": ...}
+{"ask": "trigger", "kind": KIND}      ->  {"links": [NAME, ...]}   "link": NAME for one alone
+                                          KIND: pulse, rising, falling at the camera's input; reset: its clock
+
+For one version more, "throw" is understood for "inject", and "injected" is there as "thrown" too.
+
+Tell whoever started a run that it is ready: a file for scripts, sd_notify for a service manager.
+
+file         one line of JSON, {"pid": ..., "links": {NAME: ADDRESS or null}}; it appears whole or not at all
+sd_notify    READY=1 to the socket that $NOTIFY_SOCKET names (systemd.exec, Type=notify)
 """
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 import socket
 import stat
 import tempfile
 import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Protocol, Self
 
-__all__ = ["ControlSocket", "Message", "NoAnswer", "ask", "runtime_directory", "sockets"]
+from emulator.rig.kinds import convert_fault, faults_of
+from emulator.rig.loading import Rig
+from emulator.run.outcome import RunStatus
+from emulator.tables.typed_table import TableError
+from firmware_protocol.events import EdgeKind
+from transports.faults.kinds import Fault
+
+__all__ = [
+    "ControlSocket",
+    "FaultInjection",
+    "Message",
+    "NoAnswer",
+    "ReadySignal",
+    "ask",
+    "fault_injection",
+    "runtime_directory",
+    "sockets",
+]
+
 
 _MOST_LINE_BYTES = 1 << 16
 _MOST_ANSWER_BYTES = 1 << 20
@@ -217,3 +250,123 @@ def _parsed(line: bytes) -> Message:
     if not isinstance(message, dict):
         raise ValueError("a JSON object is expected")
     return message
+
+
+_HAPPENINGS = {"pulse": EdgeKind.PULSE, "rising": EdgeKind.RISING, "falling": EdgeKind.FALLING, "reset": None}
+
+
+class _Session(Protocol):
+    def inject(self, fault: Fault) -> None:
+        """Begin a fault on the link that it names."""
+
+    def happen(self, link: str, kind: EdgeKind | None) -> None:
+        """Let an edge come to the input of a link's camera, or its clock start anew."""
+
+
+class FaultInjection:
+    """Answers for one run; without a socket it does nothing.
+
+    Attributes
+    ----------
+    trouble
+        Why there is no socket; "" where there is one, or none is needed.
+    """
+
+    def __init__(self, rig: Rig, session: _Session, socket: ControlSocket | None, trouble: str = "") -> None:
+        self._rig = rig
+        self._session = session
+        self._socket = socket
+        self.trouble = trouble
+
+    def serve(self, status: RunStatus) -> None:
+        """Answer what has been asked since the last call."""
+        if self._socket is not None:
+            self._socket.poll(lambda message: self.answer(message, status))
+
+    def answer(self, message: Message, status: RunStatus) -> Message:
+        """Return the answer to one question."""
+        match message:
+            case {"ask": "faults"}:
+                return self._faults(status)
+            case {"ask": "inject" | "throw", "fault": table}:
+                return self._inject(table, status)
+            case {"ask": "trigger", "kind": str(kind)}:
+                return self._trigger(kind, message.get("link"))
+        return {"error": "known are ask = 'faults' and ask = 'inject' with a fault, ask = 'trigger' with a kind"}
+
+    def _faults(self, status: RunStatus) -> Message:
+        links: dict[str, Any] = {}
+        for link in self._rig.links:
+            report = status.links.get(link.name)
+            injected = [] if report is None else [dataclasses.asdict(record) for record in report.faults]
+            links[link.name] = {"kinds": list(faults_of(link)), "injected": injected, "thrown": injected}
+            links[link.name]["state"] = "" if report is None else report.state
+        return {"rig": self._rig.name, "t_s": status.sim_seconds, "links": links}
+
+    def _inject(self, table: object, status: RunStatus) -> Message:
+        try:
+            fault = convert_fault(table, self._rig.links, ())
+        except TableError as error:
+            at = ".".join(str(part) for part in error.path)
+            return {"error": f"{at}: {error}" if at else str(error)}
+        report = status.links.get(fault.link)
+        self._session.inject(fault)
+        return {"link": fault.link, "after": 0 if report is None else len(report.faults)}
+
+    def _trigger(self, kind: str, link: object) -> Message:
+        if kind not in _HAPPENINGS:
+            return {"error": f"kind {kind!r}: known are {', '.join(_HAPPENINGS)}"}
+        names = [one.name for one in self._rig.links if link in (None, one.name)]
+        if not names:
+            return {"error": f"link {link!r}: there is {', '.join(one.name for one in self._rig.links)}"}
+        for name in names:
+            self._session.happen(name, _HAPPENINGS[kind])
+        return {"links": names}
+
+
+@contextmanager
+def fault_injection(rig: Rig, session: _Session) -> Iterator[FaultInjection]:
+    """Open the socket of a run that has links; if that fails, `trouble` tells why and the run goes on."""
+    if not rig.links:
+        yield FaultInjection(rig, session, None)
+        return
+    try:
+        socket = ControlSocket(rig.name)
+    except OSError as error:
+        yield FaultInjection(rig, session, None, f"no control socket, so no `evstim fault` for this run: {error}")
+        return
+    with socket:
+        yield FaultInjection(rig, session, socket)
+
+
+class ReadySignal:
+    """Tells once, at the first call of `tell`.
+
+    Parameters
+    ----------
+    path : the file to write; None for none.
+    """
+
+    def __init__(self, path: Path | None) -> None:
+        self._path = path
+        self._told = False
+
+    def tell(self, addresses: Mapping[str, str | None]) -> None:
+        """Say that every link is open, at these addresses; raises OSError when the file cannot be written."""
+        if self._told:
+            return
+        self._told = True
+        if self._path is not None:
+            part = self._path.with_name(self._path.name + ".part")
+            part.write_text(json.dumps({"pid": os.getpid(), "links": dict(addresses)}) + "\n", encoding="utf-8")
+            part.replace(self._path)
+        _notify("READY=1")
+
+
+def _notify(message: str) -> None:
+    address = os.environ.get("NOTIFY_SOCKET")
+    if not address:
+        return
+    with suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as service_manager:
+        service_manager.connect("\0" + address[1:] if address.startswith("@") else address)
+        service_manager.send(message.encode())

@@ -7,11 +7,10 @@ from dataclasses import dataclass
 
 from emulator.plan.plan import make_plan
 from emulator.plan.scene_probe import probe
+from emulator.rig.kinds import SCENES
 from emulator.rig.loading import Rig
-from emulator.rig.scene_kinds import SCENES
-from emulator.run.assembly import build_session, schedule
+from emulator.run.assembly import build_scene, build_session, schedule
 from emulator.run.outcome import RunStatus
-from emulator.run.scene_assembly import build_scene
 from transports.link.pacing import MonotonicClock
 
 __all__ = ["KeepingUp", "keeping_up"]

@@ -2,29 +2,44 @@
 
 No two parts compile the same thing. Each one does at a small size what a run does; types and so the compiled code are
 the same for all sizes.
+
+Compilation of kernels ahead of a run, in parallel processes.
+
+numba keeps on disk what it has compiled, so this is needed once, and again after a change of the program. A file beside
+the kernels notes that a part is done. Without that file everything works too, and is compiled at its first use.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import multiprocessing
+import os
+import signal
+import time
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
+from multiprocessing.connection import wait
+from multiprocessing.process import BaseProcess
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from numba import config
 
-from emulator.gl.painter import selected_painter
+from emulator.gl.context import selected_painter
 from emulator.rig.camera_models import CAMERA_MODELS
-from emulator.rig.link_kinds import LINKS
+from emulator.rig.kinds import LINKS, SCENES
 from emulator.rig.loading import Rig
-from emulator.rig.scene_kinds import SCENES
 from emulator.sensor.presets import PRESETS, SensorParameters
+from firmware_protocol.compiled import cache_folder, checksum_of
 from transports.link.kind import LinkParameters
 
-__all__ = ["ACTIVITY_FILTER", "CODER", "DECODER", "EVT", "TRUTH", "Part", "parts_of"]
+__all__ = ["ACTIVITY_FILTER", "CODER", "DECODER", "EVT", "TRUTH", "Part", "Preparation", "cold", "parts_of", "prepare"]
+
 
 _WIDTH, _HEIGHT = 32, 24
 _FEW = dataclasses.replace(PRESETS["davis346"], width=_WIDTH, height=_HEIGHT)
@@ -104,7 +119,7 @@ def _step() -> None:
     """Move a few pixels over a step in which some fire, and some are refined; merge the events of two threads."""
     from emulator.light import Region
     from emulator.sensor.pixels.array import PixelArray
-    from emulator.sensor.pixels.event_buffers import EventBuffers
+    from emulator.sensor.pixels.workers import EventBuffers
 
     dark, bright = np.zeros((_HEIGHT, _WIDTH), np.float32), np.ones((_HEIGHT, _WIDTH), np.float32)
     pixels = PixelArray(_FEW, 0)
@@ -141,7 +156,7 @@ def _read_out(sensor: SensorParameters) -> None:
 def _draw(rig: Rig) -> None:
     """Draw three pictures of the rig's scene, at a small size; what it cannot do the run says."""
     from emulator.light import MachineLacks, SceneError
-    from emulator.run.scene_assembly import build_scene
+    from emulator.run.assembly import build_scene
 
     light, rate = np.zeros((_HEIGHT, _WIDTH), np.float32), np.zeros((_HEIGHT, _WIDTH), np.float32)
     try:
@@ -155,12 +170,10 @@ def _draw(rig: Rig) -> None:
 
 def _tell_truth() -> None:
     """Find the nearest facet of a small surface, its depth and flow; tell the leak's events of a few pixels."""
-    from emulator.geometry.pinhole import Pinhole
-    from emulator.geometry.seen import Rays, Seen
-    from emulator.sensor.leak_share import LeakShare
+    from emulator.geometry.camera import Pinhole, Rays, Seen
+    from emulator.sensor.origins import LeakShare
     from emulator.sensor.pixels.merging import NO_CROSSINGS
-    from emulator.truth.motion import write_depth_and_flow
-    from emulator.truth.surfaces import NearestSurface
+    from emulator.truth.surfaces import NearestSurface, write_depth_and_flow
 
     camera, seen = Pinhole(_WIDTH, _HEIGHT, 20.0), Seen.of(_WIDTH, _HEIGHT)
     rays, inverse_depth = Rays.straight(camera), np.zeros((_HEIGHT, _WIDTH))
@@ -175,7 +188,7 @@ def _tell_truth() -> None:
 def _encode() -> None:
     """Make a telemetry block."""
     from firmware_protocol.events import empty_events
-    from firmware_protocol.telemetry.encoder import BlockEncoder
+    from firmware_protocol.telemetry.writing import BlockEncoder
 
     BlockEncoder((_WIDTH, _HEIGHT)).encode(np.zeros_like(empty_events(8)))
 
@@ -194,9 +207,8 @@ def _decode() -> None:
 
 def _code_evt() -> None:
     """Get ready to make and to read EVT3 and EVT2 words."""
-    from firmware_protocol.evt3.decoding import Evt3Decoder
-    from firmware_protocol.evt3.encoding import Evt3Encoder
-    from firmware_protocol.evt3.evt2 import Evt2Decoder, Evt2Encoder
+    from firmware_protocol.evt.evt2 import Evt2Decoder, Evt2Encoder
+    from firmware_protocol.evt.evt3 import Evt3Decoder, Evt3Encoder
 
     Evt3Encoder(), Evt3Decoder(), Evt2Encoder("evt2"), Evt2Decoder("evt2")
 
@@ -216,3 +228,103 @@ TRUTH = Part("truth", 4.0, _tell_truth)
 DECODER = Part("telemetry decoder", 3.0, _decode)
 EVT = Part("EVT coder", 6.0, _code_evt)
 ACTIVITY_FILTER = Part("activity filter", 1.0, _filter_activity)
+
+
+_TICK_S = 0.2
+_MOST_OF_A_PART = 0.95  # what a part that takes longer than expected counts for
+
+
+@dataclass(frozen=True)
+class Preparation:
+    """State of a preparation: parts that have ended, and the share of the work that is done, 0 to 1."""
+
+    ended: tuple[str, ...]
+    share: float
+
+
+@dataclass(frozen=True)
+class _Running:
+    part: Part
+    process: BaseProcess
+    began_s: float
+
+
+def cold(parts: Sequence[Part]) -> list[Part]:
+    """Return the parts that have not been compiled on this machine yet; none with NUMBA_DISABLE_JIT."""
+    if getattr(config, "DISABLE_JIT", 0):
+        return []
+    return [part for part in parts if not _note(part).exists()]
+
+
+def prepare(parts: Sequence[Part], on_state: Callable[[Preparation], None] = lambda _: None) -> list[str]:
+    """Compile the parts, as many at a time as there are cores; return the names of those that failed.
+
+    The longest come first, but none before those that it needs.
+    """
+    waiting, running = sorted(parts, key=lambda part: -part.seconds), list[_Running]()
+    ended: list[str] = []
+    failed: list[str] = []
+    try:
+        while waiting or running:
+            busy = {part.key for part in (*waiting, *(one.part for one in running))}
+            for part in [part for part in waiting if not busy & {needed.key for needed in part.after}]:
+                if len(running) < len(os.sched_getaffinity(0)):
+                    waiting.remove(part)
+                    running.append(_started(part))
+            wait([one.process.sentinel for one in running], _TICK_S)
+            gone = [one for one in running if not one.process.is_alive()]
+            running = [one for one in running if one not in gone]
+            ended += [one.part.name for one in gone]
+            failed += [one.part.name for one in gone if one.process.exitcode]
+            on_state(Preparation(tuple(ended), _share(parts, ended, running)))
+    finally:
+        for one in running:
+            one.process.terminate()
+    return failed
+
+
+def _share(parts: Sequence[Part], ended: Sequence[str], running: Sequence[_Running]) -> float:
+    """Return the share of the work that is done; a part in work counts by its time."""
+    done_s = sum(part.seconds for part in parts if part.name in ended)
+    now_s = time.monotonic()
+    begun_s = sum(min(now_s - one.began_s, _MOST_OF_A_PART * one.part.seconds) for one in running)
+    return (done_s + begun_s) / sum(part.seconds for part in parts)
+
+
+def _started(part: Part) -> _Running:
+    process = multiprocessing.get_context("spawn").Process(target=_compile, args=(part,), daemon=True)
+    process.start()
+    return _Running(part, process, time.monotonic())
+
+
+def _compile(part: Part) -> None:
+    """Compile a part and note that it is done."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # whoever waits for this process ends it
+    part.compile()
+    note = _note(part)
+    with suppress(OSError):  # then numba has nowhere to write either
+        note.parent.mkdir(parents=True, exist_ok=True)
+        note.touch()
+
+
+def _note(part: Part) -> Path:
+    return _folder() / f"evstim-{_version()}-{part.key}.compiled"
+
+
+@cache
+def _folder() -> Path:
+    from firmware_protocol.telemetry.reading import read_block
+
+    return cache_folder(read_block)
+
+
+@cache
+def _version() -> str:
+    """Return the checksum of what compiled code depends on: our sources, numba's version, and the processor."""
+    import llvmlite.binding
+    import numba
+
+    root = Path(__file__).parents[2]
+    sources = [checksum_of(root / folder) for folder in ("emulator", "firmware_protocol")]
+    words = f"{sources} {numba.__version__} {llvmlite.binding.get_host_cpu_name()}"
+    return f"{zlib.crc32(words.encode()):08x}"

@@ -7,31 +7,97 @@
 
 A link that is gone never ends the run. The events that were meant for it are counted as dropped, except those that its
 process had delivered before (see `DeliveryTally`).
+
+Start of a process of a run, such as a link: whatever the program that starts it, whatever signals come meanwhile.
+
+The trace of what goes over the cables of a run's links.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import multiprocessing
-from collections.abc import Callable
-from contextlib import suppress
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from functools import partial
+from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import Any
 
-from emulator.run.spawning import starting_a_link
-from firmware_protocol.edges import EdgeKind
-from firmware_protocol.events import Events
-from firmware_protocol.readings import ReadingKind, Readings
+from firmware_protocol.device.event_device import ReadingKind, Readings
+from firmware_protocol.events import EdgeKind, Events
 from transports.faults.kinds import Fault
 from transports.link.changes import CameraSettings, Occurrence
+from transports.link.deliveries import DeliveryTally
 from transports.link.pacing import Clock
-from transports.link.process import Happen, InjectFault, LinkSetup, Stop, run_link
+from transports.link.process import STOP_SIGNALS, Happen, InjectFault, LinkSetup, Stop, run_link
 from transports.link.report import LinkReport
-from transports.link.tally import DeliveryTally
 from transports.recording.format import with_addition
 from transports.recording.summary import RecordingSummary
 
-__all__ = ["LinkFailed", "LinkProcess"]
+__all__ = ["LinkFailed", "LinkProcess", "starting_a_link", "starting_a_process", "traced"]
+
+
+_FOUND_BY = ("__file__", "__spec__")
+_one_at_a_time = threading.Lock()
+
+
+@contextmanager
+def starting_a_link(setup: LinkSetup[Any]) -> Iterator[None]:
+    """Start a process within this block that ignores the signals to the session, and needs no main module."""
+    with starting_a_process(setup.device, setup.endpoint):
+        yield
+
+
+@contextmanager
+def starting_a_process(*parts: object) -> Iterator[None]:
+    """Do the same for any process; `parts` are the factories that it is given."""
+    with _signals_held_back(), _without_main_module(parts):
+        yield
+
+
+@contextmanager
+def _signals_held_back() -> Iterator[None]:
+    """Hold back the signals that end a run while a process starts: it inherits that, and ignores them when it can.
+
+    A signal to the whole process group would otherwise end the new process before it could say that it ignores it.
+    """
+    resource_tracker.ensure_running()  # it unblocks SIGINT and SIGTERM when it starts, so it must run before
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, STOP_SIGNALS)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextmanager
+def _without_main_module(parts: tuple[object, ...]) -> Iterator[None]:
+    """Start a process that does not import the main module again, unless one of `parts` is defined there.
+
+    Else a script that starts a run without `if __name__ == "__main__":`, or one read from standard input, would fail.
+    """
+    main = sys.modules["__main__"]
+    if "__main__" in map(_module_of, parts):
+        yield
+        return
+    with _one_at_a_time:
+        hidden: dict[str, Any] = {name: vars(main).pop(name) for name in _FOUND_BY if name in vars(main)}
+        main.__spec__ = None
+        try:
+            yield
+        finally:
+            vars(main).update(hidden)
+
+
+def _module_of(part: object) -> str:
+    """Return the module in which a factory, or the function in it, is defined."""
+    while isinstance(part, partial):
+        part = part.func
+    return str(getattr(part, "__module__", type(part).__module__))
+
 
 _START_TIMEOUT_S = 180.0  # the first time, a link compiles its kernels: 10 s, and longer on a machine that is busy
 _ROOM_WAIT_NS = 200_000
@@ -240,3 +306,20 @@ class LinkProcess:
         return dataclasses.replace(
             report, delivered=delivered, dropped=dropped, error=self._error, recordings=recordings
         )
+
+
+def traced(setups: Sequence[LinkSetup[Any]], path: Path | None) -> tuple[list[LinkSetup[Any]], list[Path]]:
+    """Return the links with a trace of those that have a USB cable, and the FILE of each trace.
+
+    FILE is `path`, with the link's name behind it where there are several; without a path nothing is traced.
+    """
+    if path is None:
+        return list(setups), []
+    names = [setup.name for setup in setups if setup.endpoint.traced(path) is not None]
+    paths = {name: path if len(names) == 1 else path.with_name(f"{path.name}-{name}") for name in names}
+    return [_traced(setup, paths.get(setup.name)) for setup in setups], list(paths.values())
+
+
+def _traced(setup: LinkSetup[Any], path: Path | None) -> LinkSetup[Any]:
+    endpoint = None if path is None else setup.endpoint.traced(path)
+    return setup if endpoint is None else dataclasses.replace(setup, endpoint=endpoint)

@@ -1,11 +1,16 @@
 """What this machine offers and lacks, each with the exact command that mends it.
 
 Nothing here is needed by everything: `needed_for` says what goes without.
+
+Free ports for a rig that runs beside others on one machine: in a test, in a campaign.
+
+What a rig needs of the machine, beyond evstim and its base dependencies.
 """
 
 from __future__ import annotations
 
 import ctypes.util
+import dataclasses
 import os
 import resource
 import shutil
@@ -13,11 +18,26 @@ import socket
 from collections.abc import Callable
 from pathlib import Path
 
-from emulator.gl.context import PACKAGES, WANTED, probe, renderers
+from emulator.gl.context import PACKAGES, WANTED, probe, renderers, selected_painter
+from emulator.rig.kinds import LINKS, SCENES
+from emulator.rig.loading import Rig
+from emulator.scene.kind import SceneParameters
+from emulator.trajectory.parameters import LivePath
 from firmware_protocol.gige.gvcp import GVCP_PORT
-from transports.needs import PYTHON_PACKAGES, UDC, VCAN, VHCI, Finding, package
+from transports.link.kind import LinkParameters
+from transports.needs import PYTHON_PACKAGES, UDC, VCAN, VHCI, Finding, Need, package
 
-__all__ = ["egl", "examine"]
+__all__ = [
+    "GL",
+    "egl",
+    "examine",
+    "free_loopback_address",
+    "needs_of",
+    "on_a_free_pose_port",
+    "on_free_ports",
+    "pose_port",
+]
+
 
 _RMEM_MAX = Path("/proc/sys/net/core/rmem_max")
 _UDP_BUFFER = 1 << 24
@@ -146,3 +166,64 @@ def _cores() -> Finding:
     wanted = "the session and each link in a process of its own"
     fix = None if count >= 2 else "taskset -p ffff $$  # or a machine with two cores"
     return Finding("cores", count >= 2, str(count), wanted, fix)
+
+
+def on_free_ports(rig: Rig, folder: Path) -> Rig:
+    """Return the rig with ports that nobody else has: TCP port 0, and symbolic links of serial lines in `folder`."""
+    return dataclasses.replace(rig, links=tuple(_on_free_port(link, folder) for link in rig.links))
+
+
+def pose_port(rig: Rig) -> int | None:
+    """Return the UDP port at which a rig's camera takes poses; None where its path is in the rig."""
+    path = _live_path(rig.scene)
+    return path.port if path else None
+
+
+def on_a_free_pose_port(rig: Rig) -> Rig:
+    """Return the rig whose camera takes poses at a UDP port that nobody else has; others as they are."""
+    if not (path := _live_path(rig.scene)):
+        return rig
+    with socket.socket(type=socket.SOCK_DGRAM) as free:
+        free.bind((path.host, 0))
+        path = dataclasses.replace(path, port=free.getsockname()[1])
+    return dataclasses.replace(rig, scene=dataclasses.replace(rig.scene, **{"camera": path}))
+
+
+def _live_path(scene: SceneParameters) -> LivePath | None:
+    path = getattr(scene, "camera", None)
+    return path if isinstance(path, LivePath) else None
+
+
+def _on_free_port(link: LinkParameters, folder: Path) -> LinkParameters:
+    changed: dict[str, object] = {}
+    if LINKS[link.kind].listens_on(link) is not None:
+        changed["port"] = 0
+    if getattr(link, "symlink", ""):
+        changed["symlink"] = str(folder / f"{link.name}.tty")
+    return dataclasses.replace(link, **changed) if changed else link
+
+
+def free_loopback_address(udp_port: int) -> str:
+    """Return an address of this machine alone on which nobody has a UDP port; raises OSError where there is none."""
+    for last in range(1, 255):
+        address = f"127.0.0.{last}"
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            try:
+                probe.bind((address, udp_port))
+            except OSError:
+                continue
+            return address
+    raise OSError(f"UDP port {udp_port} is taken on every loopback address")
+
+
+GL = Need("OpenGL 4.3 by EGL", egl)
+"""What the GL painter, and pixels as a compute shader, draw with."""
+
+
+def needs_of(rig: Rig) -> tuple[Need, ...]:
+    """Return what the scene, the links and the painter of a rig need, each once."""
+    scene = SCENES[rig.scene.kind]
+    found = [*scene.needs(rig.scene), *(need for link in rig.links for need in LINKS[link.kind].needs(link))]
+    if rig.run.pixels == "gpu" or (scene.gl and selected_painter(rig.run.painter) == "gl"):
+        found.append(GL)
+    return tuple({need.name: need for need in found}.values())

@@ -1,17 +1,105 @@
-"""What a run has done: so far, for those who watch it, and in the end."""
+"""What a run has done: so far, for those who watch it, and in the end.
+
+Where every event went. Each event raised has exactly one fate, and the sums must agree at every stop.
+
+    raised  = lost_in_pixel + lost_at_readout + read_out
+    read_out = dropped_in_device + delivered + dropped          for every link, which each carry the whole stream
+
+lost_in_pixel      crossings beyond what one pixel may raise in one step
+lost_at_readout    the pixel crossed again while its earlier event still waited to be read out
+dropped_in_device  the camera was not running, its FIFO was full, or it was flushed at a stop
+dropped            lost by the link: its ring was full, or the bytes had left the camera when the host went away
+
+Whether a run was good, rule by rule: those that hold for every run, and those of the rig's [verdict] table.
+
+The share of undersampled pixel-steps of a run in words, the same for the terminal and the report.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
+from emulator.rig.tables import Verdict
 from emulator.run.changes import Change
-from emulator.run.lateness import Lateness
-from emulator.run.ledger import Ledger
+from emulator.run.pacing import Lateness
 from transports.link.report import LinkReport
 
-__all__ = ["RunResult", "RunStatus"]
+__all__ = [
+    "Judgement",
+    "Ledger",
+    "LinkLedger",
+    "RunResult",
+    "RunStatus",
+    "good",
+    "judge",
+    "undersampled_advice",
+    "undersampled_text",
+]
+
+
+@dataclass(frozen=True)
+class LinkLedger:
+    """The fates of the events that one link was given."""
+
+    name: str
+    delivered: int
+    dropped: int
+    dropped_in_device: int
+
+    @property
+    def total(self) -> int:
+        """Events accounted for."""
+        return self.delivered + self.dropped + self.dropped_in_device
+
+
+@dataclass(frozen=True)
+class Ledger:
+    """The fates of all events of a run; `second`: those of a second camera, which has links of its own."""
+
+    raised: int
+    lost_in_pixel: int
+    lost_at_readout: int
+    read_out: int
+    links: tuple[LinkLedger, ...] = ()
+    second: Ledger | None = None
+
+    @property
+    def dropped_in_device(self) -> int:
+        """Events dropped inside cameras, summed over the links."""
+        return sum(link.dropped_in_device for link in self.links)
+
+    @property
+    def imbalance(self) -> int:
+        """Events without a fate, or with two: zero in a sound run."""
+        sensor = self.raised - self.lost_in_pixel - self.lost_at_readout - self.read_out
+        beside = 0 if self.second is None else self.second.imbalance
+        return abs(sensor) + sum(abs(self.read_out - link.total) for link in self.links) + beside
+
+    @property
+    def balanced(self) -> bool:
+        """True when every event has exactly one fate."""
+        return self.imbalance == 0
+
+    def as_json(self) -> dict[str, object]:
+        """The `events` object of `evstim run --json`."""
+        return {
+            "raised": self.raised,
+            "lost_in_pixel": self.lost_in_pixel,
+            "lost_at_readout": self.lost_at_readout,
+            "dropped_in_device": self.dropped_in_device,
+            "read_out": self.read_out,
+            "links": {
+                link.name: {
+                    "delivered": link.delivered,
+                    "dropped": link.dropped,
+                    "dropped_in_device": link.dropped_in_device,
+                }
+                for link in self.links
+            },
+            **({} if self.second is None else {"second_camera": self.second.as_json()}),
+        }
 
 
 @dataclass(frozen=True)
@@ -91,3 +179,101 @@ class RunResult:
         )
         sound = sound and not any(link.file_troubles for link in links)
         return sound and not self.too_late
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """One rule and what became of it.
+
+    Attributes
+    ----------
+    rule : its name, the same in every report.
+    good : whether the run kept it.
+    told : limit and finding, for people.
+    """
+
+    rule: str
+    good: bool
+    told: str
+
+
+def judge(rules: Verdict, result: RunResult) -> tuple[Judgement, ...]:
+    """Return every rule that was applied to a run that has ended."""
+    return (*_always(result), *_own(rules, result))
+
+
+def good(judgements: tuple[Judgement, ...]) -> bool:
+    """Return whether all rules were kept."""
+    return all(one.good for one in judgements)
+
+
+def _always(result: RunResult) -> Iterator[Judgement]:
+    imbalance = result.ledger.imbalance
+    yield Judgement("ledger", not imbalance, "balanced" if not imbalance else f"off by {imbalance} events")
+    for name, link in result.links.items():
+        trouble = [link.error] if link.error is not None else []
+        trouble += [] if link.edges_balanced else ["edges without a fate"]
+        trouble += [] if link.readings_balanced else ["frames or samples without a fate"]
+        trouble += link.file_troubles
+        yield Judgement(f"link {name}", not trouble, "; ".join(trouble) or "sound")
+    if result.max_late_us > 0:
+        worst_ms = result.lateness.worst_gap_us * 1e-3
+        told = f"worst step {worst_ms:.3g} ms late, run.max_late_ms is {result.max_late_us * 1e-3:g}"
+        yield Judgement("in real time", not result.step_too_late, told)
+        late = f"{result.lateness.frames_late} of {result.steps} steps late ({result.late_share:.3g})"
+        told = f"{late}, run.max_late_share is {result.max_late_share:g}"
+        yield Judgement("steps in time", not result.late_too_often, told)
+
+
+def _own(rules: Verdict, result: RunResult) -> Iterator[Judgement]:
+    if rules.max_drop >= 0:
+        yield from (_drop(rules.max_drop, result, name, link) for name, link in result.links.items())
+    rate_hz = result.ledger.read_out / result.sim_seconds if result.sim_seconds else 0.0
+    if rules.min_rate_hz:
+        told = f"{rate_hz:.4g} events/s, at least {rules.min_rate_hz:g}"
+        yield Judgement("verdict.min_rate_hz", rate_hz >= rules.min_rate_hz, told)
+    if rules.max_rate_hz:
+        told = f"{rate_hz:.4g} events/s, at most {rules.max_rate_hz:g}"
+        yield Judgement("verdict.max_rate_hz", rate_hz <= rules.max_rate_hz, told)
+    if rules.max_latency_us:
+        yield from (_latency(rules.max_latency_us, name, link) for name, link in result.links.items())
+    if rules.max_undersampled and result.undersampled_share is not None:
+        share = result.undersampled_share
+        told = f"{share:.3g} of the solved pixel-steps, at most {rules.max_undersampled:g}"
+        yield Judgement("verdict.max_undersampled", share <= rules.max_undersampled, told)
+
+
+def _drop(most: float, result: RunResult, name: str, link: LinkReport) -> Judgement:
+    """Judge what a link lost; what came while no host was streaming, or was not selected, was not to be sent."""
+    in_camera = 0 if link.camera is None else link.camera.dropped_for_room
+    lost = link.dropped + in_camera
+    wanted = lost + link.delivered
+    share = lost / wanted if wanted else 0.0
+    told = f"{lost} of {wanted} events lost ({share:.3g}), at most {most:g}"
+    return Judgement(f"verdict.max_drop {name}", share <= most, told)
+
+
+def _latency(most_us: float, name: str, link: LinkReport) -> Judgement:
+    p99_us = link.latency.p99
+    if p99_us is None:
+        return Judgement(f"verdict.max_latency_us {name}", True, "nothing was sent")
+    told = f"99th percentile {p99_us:.0f} us, at most {most_us:g}"
+    return Judgement(f"verdict.max_latency_us {name}", p99_us <= most_us, told)
+
+
+_MANY = 0.1  # above it, shorter steps for all pixels are cheaper than refining single ones
+
+
+def undersampled_text(share: float | None) -> str:
+    """Return the share of the solved pixel-steps in which the light changed unseen between two light frames."""
+    return "not measured" if share is None else f"{share:.3g} of the solved pixel-steps"
+
+
+def undersampled_advice(share: float | None) -> str:
+    """Return what to change where the share is large; "" where it is not."""
+    if share is None or share <= _MANY:
+        return ""
+    return (
+        f"pictures too far apart: in {share:.0%} of the solved pixel-steps the light changed unseen between them; "
+        "shorten run.step_us, or give run.tolerance_us"
+    )

@@ -6,45 +6,54 @@
 Paced in real time, a step is computed `lead` ahead of the moment its first event is due, and each link lets every event
 go at its own time. Not paced, steps follow each other as fast as they can be computed and links hold the run back when
 they are full, so that nothing is lost. In lockstep they go on as far as the SYNCs of a bus let them.
+
+A word when something takes long, and none when it does not.
 """
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from emulator.light import Light
 from emulator.plan.step_control import StepSource
-from emulator.run.bias_following import BiasFollowing
-from emulator.run.changes import Change, Changes
-from emulator.run.drive import Drive, Simulation
-from emulator.run.frames import Pictures
-from emulator.run.lateness import Lateness, StepRule
-from emulator.run.ledger import Ledger
+from emulator.run.changes import BiasFollowing, Change, Changes
 from emulator.run.link_process import LinkProcess
-from emulator.run.lockstep import Lockstep
-from emulator.run.outcome import RunResult, RunStatus
-from emulator.run.readings import ReadingSources
-from emulator.run.slow_notice import said_if_slow
-from emulator.run.step_output import StepOutput
+from emulator.run.outcome import Ledger, RunResult, RunStatus
+from emulator.run.pacing import Drive, Lateness, Lockstep, Simulation, StepRule
+from emulator.run.readings import Pictures, ReadingSources, StepOutput
 from emulator.run.stereo import SecondView, ledger_of
 from emulator.sensor.event_source import AdjustableSource, EventSource
-from firmware_protocol.edges import EdgeKind
-from firmware_protocol.events import Events
-from firmware_protocol.readings import ReadingKind, Readings
+from firmware_protocol.device.event_device import ReadingKind, Readings
+from firmware_protocol.events import EdgeKind, Events
 from transports.faults.kinds import Fault
 from transports.link.changes import CameraSettings, Occurrence
 from transports.link.pacing import Clock
 from transports.link.process import LinkSetup
 from transports.link.report import LinkReport
-from transports.link.ring import FREE_RUNNING
+from transports.link.rings import FREE_RUNNING
 
-__all__ = ["Schedule", "Session"]
+__all__ = ["Schedule", "Session", "said_if_slow"]
+
 
 log = logging.getLogger(__name__)
+
+
+@contextmanager
+def said_if_slow(message: str, after_s: float = 5.0) -> Iterator[None]:
+    """Log `message` when the block has not ended after `after_s`."""
+    timer = threading.Timer(after_s, log.info, [message])
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+
 
 _T = TypeVar("_T")
 

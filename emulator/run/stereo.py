@@ -10,16 +10,13 @@ from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar
 
 from emulator.rig.loading import Rig, RigError
-from emulator.rig.second_camera import SecondCamera
-from emulator.run.bias_following import BiasFollowing
-from emulator.run.changes import Changes
-from emulator.run.frames import Pictures
-from emulator.run.ledger import Ledger, LinkLedger
-from emulator.run.readings import ReadingSources
-from emulator.run.step_output import StepOutput
+from emulator.rig.tables import SecondCamera
+from emulator.run.changes import BiasFollowing, Changes
+from emulator.run.outcome import Ledger, LinkLedger
+from emulator.run.readings import Pictures, ReadingSources, StepOutput
 from emulator.scene.kind import SceneParameters
 from emulator.sensor.event_source import EventSource
-from emulator.trajectory.offset import OffsetPath
+from emulator.trajectory.building import OffsetPath
 from emulator.trajectory.parameters import BasiliskPath, LivePath
 from firmware_protocol.events import Events
 from transports.link.changes import CameraSettings

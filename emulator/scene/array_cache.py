@@ -18,7 +18,7 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from transports.recording.array_file import ArrayFileError, load_array
+from transports.recording.record import ArrayFileError, load_array
 
 __all__ = ["Progress", "cache_folder", "kept"]
 

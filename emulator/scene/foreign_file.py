@@ -31,7 +31,7 @@ import numpy.typing as npt
 from numpy.lib import format as npy
 
 from emulator.light import MachineLacks, SceneError
-from emulator.tables.text_file import shortened
+from emulator.tables.toml_text import shortened
 from transports.needs import install_command
 
 __all__ = ["Limits", "answer", "read_in_child"]

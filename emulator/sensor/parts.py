@@ -1,29 +1,34 @@
-"""The parts of a sensor beside its pixels: what delays, what reads out, and other sources of events."""
+"""The parts of a sensor beside its pixels: what delays, what reads out, and other sources of events.
+
+Figures of an array's pixels that can change between two steps, as the biases of a chip can.
+
+What the comparator sees does not jump: a new threshold is compared with the same stored level, and the reference moves
+with the leak (see `faults`). A pixel that is in its refractory period stays there until the end that it had.
+"""
 
 from __future__ import annotations
 
-from typing import Protocol
+import dataclasses
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.chip.background import BackgroundEvents
 from emulator.sensor.chip.defects import Defects
-from emulator.sensor.chip.jitter import Jitter
-from emulator.sensor.chip.radiation import Particles
-from emulator.sensor.chip.readout import ReadOut
+from emulator.sensor.chip.readout import Jitter, ReadOut
 from emulator.sensor.chip.scan import ScanReadOut
-from emulator.sensor.noise.point_process import NoiseEvents
+from emulator.sensor.chip.sources import BackgroundEvents, Particles
+from emulator.sensor.noise.points import NoiseEvents
 from emulator.sensor.pixels.array import Crossings, PixelArray
-from emulator.sensor.pixels.faults import DEAD_THRESHOLD
 from emulator.sensor.pixels.merging import NO_CROSSINGS, joined
-from emulator.sensor.pixels.mismatch import draw
-from emulator.sensor.pixels.state import Field
+from emulator.sensor.pixels.state import DEAD_THRESHOLD, Field, draw, light_constants
 from emulator.sensor.presets import SensorParameters
 from firmware_protocol.events import Events
 
 __all__ = [
+    "ADJUSTABLE",
     "Source",
+    "adjust",
     "dead_pixels",
     "finished",
     "live_thresholds",
@@ -32,6 +37,7 @@ __all__ = [
     "make_readout",
     "make_sources",
 ]
+
 
 _Float32s = npt.NDArray[np.float32]
 
@@ -106,3 +112,48 @@ def make_sources(p: SensorParameters, seed: int, defects: Defects, noise: NoiseE
     if p.radiation.hits_per_cm2_s:
         sources.append(Particles(p, seed, defects.dead))
     return sources
+
+
+ADJUSTABLE = ("threshold_on", "threshold_off", "leak_hz", "refractory_us", "corner_max_hz", "source_follower_hz")
+"""Fields of SensorParameters that `adjust` can change."""
+
+
+def adjust(array: PixelArray, name: str, value: float) -> None:
+    """Set one of `ADJUSTABLE` from the array's time on; raises ValueError where the value is not allowed."""
+    before = array.parameters
+    if name == "source_follower_hz" and not (before.source_follower_hz > 0 and value > 0):
+        raise ValueError("source_follower_hz can change between figures above 0: its pole is there or it is not")
+    changed: dict[str, Any] = {name: value}
+    after = dataclasses.replace(before, **changed)
+    if name == "threshold_on":
+        _scale(array, Field.ON, after.threshold_on / before.threshold_on)
+        _move_leak(array, after.threshold_on / before.threshold_on)  # events a second stay as they were
+    elif name == "threshold_off":
+        _scale(array, Field.OFF, after.threshold_off / before.threshold_off)
+    elif name == "leak_hz":
+        _set_leak(array, before, after)
+    array.parameters = after
+    array.follow_parameters(light_constants(after))
+
+
+def _scale(array: PixelArray, which: Field, ratio: float) -> None:
+    """Multiply a threshold of all pixels that are not dead."""
+    values = array.state.fields[:, which]
+    values *= np.where(values < DEAD_THRESHOLD, np.float32(ratio), np.float32(1))
+
+
+def _set_leak(array: PixelArray, before: SensorParameters, after: SensorParameters) -> None:
+    if before.leak_hz:
+        _move_leak(array, after.leak_hz / before.leak_hz)
+        return
+    drawn = draw(after, array.seed)
+    array.faults().set_leak(drawn.leak / drawn.on)
+
+
+def _move_leak(array: PixelArray, ratio: float) -> None:
+    """Multiply the leak of all pixels, and keep the level that each comparator sees."""
+    state = array.state
+    leak, since_epoch_s = state.fields[:, Field.LEAK], np.float32((state.t_ns - state.epoch_ns) * 1e-9)
+    more = leak * np.float32(ratio) - leak
+    state.fields[:, Field.REFERENCE] += more * since_epoch_s
+    leak += more

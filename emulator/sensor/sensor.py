@@ -19,15 +19,15 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.light import PixelLight, Region
-from emulator.sensor.aps.parameters import KickParameters
-from emulator.sensor.aps.row_kicks import LineReads, RowKicks
-from emulator.sensor.chip.defects import Defects, draw_defects
+from emulator.sensor.aps.row_kicks import KickParameters, LineReads, RowKicks
+from emulator.sensor.chip.defects import NEVER_NS, Defects, Leaks, at_temperature, draw_defects
 from emulator.sensor.chip.imager import Imager, part_of_the_way
-from emulator.sensor.chip.leak import NEVER_NS, Leaks
-from emulator.sensor.chip.temperature import at_temperature
 from emulator.sensor.effects import DefectParameters
+from emulator.sensor.methods.large_signal import LargeSignalPixels
 from emulator.sensor.noise.grid import NoisyPixels
 from emulator.sensor.parts import (
+    ADJUSTABLE,
+    adjust,
     dead_pixels,
     finished,
     live_thresholds,
@@ -36,11 +36,9 @@ from emulator.sensor.parts import (
     make_readout,
     make_sources,
 )
-from emulator.sensor.photoreceptor.array import LargeSignalPixels
-from emulator.sensor.pixels.adjustment import ADJUSTABLE, adjust
 from emulator.sensor.pixels.array import Crossings, PixelArray
-from emulator.sensor.pixels.faults import PixelFaults
 from emulator.sensor.pixels.merging import NO_CROSSINGS, joined
+from emulator.sensor.pixels.state import PixelFaults
 from emulator.sensor.presets import SensorParameters
 from firmware_protocol.events import Events
 

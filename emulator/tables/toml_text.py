@@ -2,6 +2,8 @@
 
 The standard reader keeps no positions. `line_of` reads no values: only table headers and the keys at the start of
 lines, which is all that a rig file has.
+
+Text files of unknown origin: regular files of a bounded size, as UTF-8, and messages of a bounded length.
 """
 
 from __future__ import annotations
@@ -9,17 +11,55 @@ from __future__ import annotations
 import re
 import tomllib
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
-from emulator.tables.text_file import shortened
+__all__ = ["TextFileError", "TomlError", "dotted", "line_of", "read_text", "read_toml", "shortened"]
 
-__all__ = ["TomlError", "dotted", "line_of", "read_toml"]
+
+_MOST_TOLD = 400
+
+
+class TextFileError(Exception):
+    """The text cannot be had; the message says why, without the file's name."""
+
+
+def read_text(path: Path, most_bytes: int) -> str:
+    """Return the text of a file of at most `most_bytes`; raises TextFileError."""
+    try:
+        if path.exists() and not path.is_file():
+            raise TextFileError("cannot be read: it is no regular file")
+        if (size := path.stat().st_size) > most_bytes:
+            raise TextFileError(f"is {size} bytes long: at most {most_bytes} are read")
+        return _decoded(path.read_bytes())
+    except OSError as error:
+        raise TextFileError(f"cannot be read: {error.strerror or error}") from error
+    except ValueError as error:  # a name with a NUL
+        raise TextFileError(f"cannot be read: {error}") from error
+
+
+def _decoded(data: bytes) -> str:
+    try:
+        return data.decode("utf-8")
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        raise TextFileError(
+            f"cannot be read: line {line}: byte 0x{data[error.start]:02x} is not UTF-8: save the file as UTF-8, "
+            "or leave the letter out"
+        ) from error
+
+
+def shortened(error: BaseException) -> str:
+    """Return an error's message for people, or its type where it has none: a damaged file may bring pages of text."""
+    text = str(error) or type(error).__name__
+    return text if len(text) <= _MOST_TOLD else f"{text[:_MOST_TOLD]} ..."
+
 
 _HEADER = re.compile(r"^\s*(\[\[?)\s*([A-Za-z0-9_.\-\" ]+?)\s*\]\]?\s*(#.*)?$")
 _KEY = re.compile(r"^\s*([A-Za-z0-9_\-\"]+(?:\s*\.\s*[A-Za-z0-9_\-\"]+)*)\s*=")
 _GIVEN_TWICE = re.compile(r"Cannot overwrite|Cannot declare .* twice|Duplicate")
 
-Path = tuple[str | int, ...]
+KeyPath = tuple[str | int, ...]
 
 
 class TomlError(Exception):
@@ -53,7 +93,7 @@ def read_toml(text: str) -> dict[str, Any]:
 
 def _given_twice(text: str, error: ValueError) -> TomlError:
     """Return the error of a text that gives a key or a table twice."""
-    first: dict[Path, int] = {}
+    first: dict[KeyPath, int] = {}
     for line, path, is_header in _paths(text):
         if path in first:
             name = dotted(path)[:200]
@@ -63,14 +103,14 @@ def _given_twice(text: str, error: ValueError) -> TomlError:
     return TomlError(f"not valid TOML: a key or a table is given twice, leave one out: {shortened(error)}")
 
 
-def dotted(path: Path) -> str:
+def dotted(path: KeyPath) -> str:
     """Return a path as people write it: links[0].port."""
     return "".join(f"[{p}]" if isinstance(p, int) else f".{p}" for p in path).lstrip(".")
 
 
-def line_of(text: str, path: Path) -> int | None:
+def line_of(text: str, path: KeyPath) -> int | None:
     """Return the line (from 1) of the key or table at `path`, or of its nearest parent that has one."""
-    lines: dict[Path, int] = {}
+    lines: dict[KeyPath, int] = {}
     for line, found, _ in _paths(text):
         lines.setdefault(found, line)
     while path:
@@ -80,10 +120,10 @@ def line_of(text: str, path: Path) -> int | None:
     return None
 
 
-def _paths(text: str) -> Iterator[tuple[int, Path, bool]]:
+def _paths(text: str) -> Iterator[tuple[int, KeyPath, bool]]:
     """Yield the line of every path that is written in the text, the path, and whether it is that of a header."""
-    table: Path = ()
-    counts: dict[Path, int] = {}
+    table: KeyPath = ()
+    counts: dict[KeyPath, int] = {}
     for number, line in enumerate(text.splitlines(), start=1):
         if header := _HEADER.match(line):
             table = _table(header.group(2), is_array=header.group(1) == "[[", counts=counts)
@@ -92,9 +132,9 @@ def _paths(text: str) -> Iterator[tuple[int, Path, bool]]:
             yield number, table + _parts(key.group(1)), False
 
 
-def _table(dotted: str, *, is_array: bool, counts: dict[Path, int]) -> Path:
+def _table(dotted: str, *, is_array: bool, counts: dict[KeyPath, int]) -> KeyPath:
     """Return the path of a header; `[[name]]` numbers its tables, and a sub-table belongs to the last of them."""
-    path: Path = ()
+    path: KeyPath = ()
     parts = _parts(dotted)
     for i, part in enumerate(parts):
         path = (*path, part)

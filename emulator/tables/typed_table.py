@@ -4,6 +4,10 @@ Tables within tables are dataclasses again, or lists of them. Where several kind
 a union of dataclasses with a class attribute `kind`, and the table's own `kind` says which it is. msgspec converts and
 checks plain values; unknown keys, missing ones and the path of the key to blame are told here. A dataclass that refuses
 a value in its `__post_init__` starts its message with the key's name.
+
+Files that a rig names: found beside the rig file, whatever folder the command runs in.
+
+A dataclass of a rig marks such a key by the type `RigFile`.
 """
 
 from __future__ import annotations
@@ -15,13 +19,17 @@ import types
 import typing
 from collections.abc import Collection, Mapping
 from functools import cache
-from typing import Any, TypeVar
+from pathlib import Path
+from typing import Any, NewType, TypeVar
 
 import msgspec
 
 __all__ = [
-    "Path",
+    "NO_FILE",
+    "KeyPath",
+    "RigFile",
     "TableError",
+    "beside",
     "convert",
     "convert_kind",
     "field_types",
@@ -32,7 +40,8 @@ __all__ = [
     "unknown",
 ]
 
-Path = tuple[str | int, ...]
+
+KeyPath = tuple[str | int, ...]
 T = TypeVar("T")
 
 _AT = re.compile(r" - at `\$(.*)`$")
@@ -42,12 +51,12 @@ _INDEX = re.compile(r"\[(\d+)\]")
 class TableError(Exception):
     """A value in a table is wrong; `path` leads to the key."""
 
-    def __init__(self, message: str, path: Path) -> None:
+    def __init__(self, message: str, path: KeyPath) -> None:
         super().__init__(message)
         self.path = path
 
 
-def convert(table: object, target: type[T], path: Path = ()) -> T:
+def convert(table: object, target: type[T], path: KeyPath = ()) -> T:
     """Return `table` as a `target`, a dataclass; raises TableError."""
     if not isinstance(table, dict):
         raise TableError(f"expected a table, got {table!r}", path)
@@ -63,13 +72,13 @@ def convert(table: object, target: type[T], path: Path = ()) -> T:
         raise TableError(str(error), _blamed(str(error), known, path)) from error
 
 
-def convert_kind(table: object, kinds: Mapping[str, type[T]], path: Path) -> T:
+def convert_kind(table: object, kinds: Mapping[str, type[T]], path: KeyPath) -> T:
     """Convert a table whose `kind` says what it describes; raises TableError."""
     kind, rest = split_kind(table, kinds, path)
     return convert(rest, kinds[kind], path)
 
 
-def split_kind(table: object, kinds: Collection[str], path: Path) -> tuple[str, dict[str, Any]]:
+def split_kind(table: object, kinds: Collection[str], path: KeyPath) -> tuple[str, dict[str, Any]]:
     """Return a table's `kind`, one of `kinds`, and its other keys; raises TableError."""
     if not isinstance(table, dict):
         raise TableError(f"expected a table, got {table!r}", path)
@@ -127,7 +136,7 @@ def _is_union(annotation: Any) -> bool:
     return typing.get_origin(annotation) in (typing.Union, types.UnionType)
 
 
-def _value(value: object, annotation: Any, path: Path) -> object:
+def _value(value: object, annotation: Any, path: KeyPath) -> object:
     if item := item_type(annotation):
         if not isinstance(value, list):
             raise TableError(f"expected a list of tables, got {value!r}", path)
@@ -138,7 +147,7 @@ def _value(value: object, annotation: Any, path: Path) -> object:
     return _plain(value, annotation, path) if table is None else convert(value, table, path)
 
 
-def _plain(value: object, annotation: Any, path: Path) -> object:
+def _plain(value: object, annotation: Any, path: KeyPath) -> object:
     try:
         return msgspec.convert(value, annotation)
     except msgspec.ValidationError as error:
@@ -149,14 +158,38 @@ def _plain(value: object, annotation: Any, path: Path) -> object:
         raise TableError(f"{message}; here it is {value!r}", path) from error
 
 
-def _require_all(values: Mapping[str, object], target: Any, path: Path) -> None:
+def _require_all(values: Mapping[str, object], target: Any, path: KeyPath) -> None:
     for f in dataclasses.fields(target):
         is_optional = f.default is not dataclasses.MISSING or f.default_factory is not dataclasses.MISSING
         if f.name not in values and not is_optional:
             raise TableError(f"{f.name!r} is missing", path)
 
 
-def _blamed(message: str, known: Mapping[str, object], path: Path) -> Path:
+def _blamed(message: str, known: Mapping[str, object], path: KeyPath) -> KeyPath:
     """Return the path of the key that a refusal names first."""
     first = re.match(r"\w+", message)
     return (*path, first.group()) if first and first.group() in known else path
+
+
+RigFile = NewType("RigFile", str)
+"""A path, absolute or from the rig file's folder; or a name that is no file, such as that of a shipped shape."""
+
+NO_FILE = RigFile("")
+
+
+def beside(value: T, folder: Path) -> T:
+    """Return a dataclass, the ones in it too, with each file that lies in `folder` given by its whole path."""
+    if isinstance(value, tuple):
+        found = tuple(beside(one, folder) for one in value)
+        return value if found == value else found  # type: ignore[return-value]
+    if not dataclasses.is_dataclass(value) or isinstance(value, type):
+        return value
+    types = field_types(type(value))
+    changed: dict[str, Any] = {}
+    for name, annotation in types.items():
+        old = getattr(value, name)
+        is_file = annotation is RigFile and (folder / old).is_file()
+        new = RigFile(str(folder / old)) if is_file else beside(old, folder)
+        if new is not old:
+            changed[name] = new
+    return dataclasses.replace(value, **changed) if changed else value

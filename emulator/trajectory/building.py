@@ -1,22 +1,40 @@
 """Trajectories from a rig's tables.
 
 The paths of one scene are built together, because live ones share a port: the camera is number 0, bodies follow.
+
+Trajectories from files, one for the places and perhaps one for the attitudes, each at its own times.
+
+Time 0 is the first place. Attitudes are taken at the epochs of their own file (CCSDS AEM); beside a table or a flight
+file, which have no epochs, they begin at time 0.
+
+Something mounted beside what moves on a path, at a fixed place of its frame.
+
+Which path a scene's camera is on, for what is carried with it.
 """
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
+from dataclasses import dataclass
 from fractions import Fraction
+from pathlib import Path
+from typing import Protocol, runtime_checkable
 
 import numpy as np
+import numpy.typing as npt
 
-from emulator.geometry.cycle import Cycle
+from emulator.geometry.attitude import cross
+from emulator.geometry.camera import Cycle
+from emulator.tables.toml_text import TextFileError, read_text, shortened
 from emulator.trajectory.basilisk import flown_path
+from emulator.trajectory.ccsds_file import CcsdsPath, parse_aem, parse_oem
 from emulator.trajectory.descent import Descent
+from emulator.trajectory.flight_file import Samples, parse_flight, parse_table
 from emulator.trajectory.keyframes import Keyframes
 from emulator.trajectory.live import LivePoses
-from emulator.trajectory.looking import Looking
-from emulator.trajectory.offset import Offset, OffsetPath
+from emulator.trajectory.motion import Motion, Timescale
+from emulator.trajectory.mounting import Looking, Mounted, PlaceAndAttitude, Spinning, Tilt
 from emulator.trajectory.orbit import Orbit
 from emulator.trajectory.parameters import (
     BasiliskPath,
@@ -29,12 +47,128 @@ from emulator.trajectory.parameters import (
     SpinPath,
     TrajectoryParameters,
 )
-from emulator.trajectory.pose import Fixed, Pose, Trajectory, TrajectoryError
+from emulator.trajectory.pose import OPENGL_FROM_CAMERA, Fixed, Pose, Trajectory, TrajectoryError
 from emulator.trajectory.pose_receiver import PoseReceiver, ReceivedPath, close_receivers
-from emulator.trajectory.recorded import read_path
-from emulator.trajectory.spinning import Spinning, Tilt
 
-__all__ = ["build_trajectories", "build_trajectory"]
+__all__ = ["HasCameraPath", "Offset", "OffsetPath", "build_trajectories", "build_trajectory", "read_path"]
+
+
+_MOST_BYTES = 1 << 28
+_LOG = logging.getLogger(__name__)
+
+_Span = tuple[int, int]
+
+
+def read_path(p: FilePath) -> tuple[Trajectory, _Span]:
+    """Return the path of the files that a rig names, and its first and last time; raises TrajectoryError."""
+    path = Path(p.path)
+    try:
+        orbit = parse_oem(_text(path)) if path.suffix.lower() == ".oem" else None
+        places = orbit.path if orbit else _keyframes(path, p.period_s)
+    except TrajectoryError as error:
+        raise TrajectoryError(f"{p.path}: {shortened(error)}") from error
+    start_ns, stop_ns = places.span_ns
+    zero_ns = start_ns if orbit else 0
+    try:
+        attitudes, attitudes_zero_ns = _attitudes(p, places.span_ns, orbit) if p.attitude_path else (places, zero_ns)
+    except TrajectoryError as error:
+        raise TrajectoryError(f"{p.attitude_path}: {shortened(error)}") from error
+    both: Trajectory = PlaceAndAttitude(places, attitudes, zero_ns, attitudes_zero_ns)
+    return Mounted(both, OPENGL_FROM_CAMERA) if p.axes == "opengl" else both, (start_ns - zero_ns, stop_ns - zero_ns)
+
+
+def _keyframes(path: Path, period_s: float) -> Keyframes:
+    samples = _samples(path, period_s)
+    return Keyframes(samples.times_ns, samples.poses)
+
+
+def _samples(path: Path, period_s: float) -> Samples:
+    match path.suffix.lower():
+        case ".fli":
+            flight = parse_flight(_text(path), period_s)
+            if flight.left_out:
+                told = ", ".join(f"{count} {command}" for command, count in flight.left_out.items())
+                _LOG.info("%s: left out of the flight: %s", path, told)
+            return flight.samples
+        case ".csv":
+            return parse_table(_text(path))
+    raise TrajectoryError("which format this is cannot be told: name it .csv, .oem or .fli")
+
+
+def _attitudes(p: FilePath, span_ns: _Span, orbit: CcsdsPath | None) -> tuple[Trajectory, int]:
+    """Return the attitudes, and the time on their axis that is time 0 of the path."""
+    file = parse_aem(_text(Path(p.attitude_path)))
+    for note in file.notes:
+        _LOG.info("%s: %s", p.attitude_path, note)
+    if orbit is None:
+        return file.path, file.path.span_ns[0]
+    _require_comparable(orbit, file)
+    late_s, early_s = (file.path.span_ns[0] - span_ns[0]) * 1e-9, (span_ns[1] - file.path.span_ns[1]) * 1e-9
+    length_s = (span_ns[1] - span_ns[0]) * 1e-9
+    if max(late_s, early_s) > length_s:
+        raise TrajectoryError("the attitudes are of another time than the places: they do not overlap")
+    if max(late_s, early_s) > 0:
+        gaps = f"{max(late_s, 0):g} s at the beginning and {max(early_s, 0):g} s at the end"
+        _LOG.warning("%s: no attitudes for %s of the path: the nearest one holds there", p.attitude_path, gaps)
+    return file.path, span_ns[0]
+
+
+def _require_comparable(orbit: CcsdsPath, attitudes: CcsdsPath) -> None:
+    for what, of_orbit, of_attitudes in (
+        ("TIME_SYSTEM", orbit.scale, attitudes.scale),
+        ("reference frame", orbit.axes, attitudes.axes),
+    ):
+        if of_orbit and of_attitudes and of_orbit != of_attitudes:
+            raise TrajectoryError(
+                f"its {what} is {of_attitudes}, and that of the orbit file {of_orbit}: convert one of them"
+            )
+
+
+def _text(path: Path) -> str:
+    try:
+        return read_text(path, _MOST_BYTES)
+    except TextFileError as error:
+        raise TrajectoryError(str(error)) from error
+
+
+@dataclass(frozen=True)
+class OffsetPath:
+    """Parameters of a path beside another one; no rig writes it. See `Offset`."""
+
+    path: TrajectoryParameters
+    offset_m: tuple[float, float, float]
+    q_path_from_body: tuple[float, float, float, float]
+
+
+class Offset(Trajectory):
+    """A thing at `offset_m`, (3,) along the axes of `path`, turned against them by the fixed `q_path_from_body`."""
+
+    def __init__(self, path: Trajectory, offset_m: npt.ArrayLike, q_path_from_body: npt.ArrayLike) -> None:
+        self._path = path
+        self._mounted = Pose(np.asarray(offset_m, np.float64), np.asarray(q_path_from_body, np.float64))
+
+    def pose(self, t_ns: int) -> Pose:
+        """Return the pose at `t_ns`."""
+        return self._path.pose(t_ns).after(self._mounted)
+
+    def motion(self, t_ns: int) -> Motion:
+        """Return its motion: velocity and turning of a rigid body, the acceleration from differences of places."""
+        path, world_from_path = self._path.motion(t_ns), self._path.pose(t_ns).world_from_body
+        carried = world_from_path @ cross(path.turn_rad_s, self._mounted.position_m)
+        acceleration = super().motion(t_ns).acceleration_m_s2
+        return Motion(path.velocity_m_s + carried, acceleration, self._mounted.world_from_body.T @ path.turn_rad_s)
+
+    @property
+    def speed_bound_m_s(self) -> float:
+        """That of the path, and that of turning about it."""
+        arm_m = float(np.linalg.norm(self._mounted.position_m))
+        return self._path.speed_bound_m_s + arm_m * self._path.turn_bound_rad_s
+
+    @property
+    def turn_bound_rad_s(self) -> float:
+        """That of the path."""
+        return self._path.turn_bound_rad_s
+
 
 _Triple = tuple[float, float, float]
 _MEASURED = 1024  # instants at which a path's turning is measured
@@ -109,3 +243,22 @@ def _spinning(p: SpinPath) -> Spinning:
     turned = Cycle(turns(p.spin_deg_s), turns(p.start_deg))
     tilt = Tilt(float(np.radians(p.tilt_deg)), Cycle(turns(p.precession_deg_s)))
     return Spinning(p.position_m, p.pole, turned, tilt)
+
+
+@runtime_checkable
+class HasCameraPath(Protocol):
+    """A scene whose camera moves on a path.
+
+    Attributes
+    ----------
+    camera_path : of the camera, on the scene's time.
+    path_time : stream time to scene time.
+    """
+
+    @property
+    def camera_path(self) -> Trajectory:
+        """See the class."""
+
+    @property
+    def path_time(self) -> Timescale:
+        """See the class."""

@@ -14,25 +14,305 @@ across it. Only the part between USEABLE_START_TIME and USEABLE_STOP_TIME is use
 as asked (LINEAR, LAGRANGE, HERMITE); without it places lie on cubic Hermite curves. Attitudes lie on a spline of
 rotations whatever INTERPOLATION_METHOD says, which is noted. REF_FRAME, CENTER_NAME and TIME_SYSTEM must be the same in
 all segments of a file. For frames of attitudes see `frames`, for times `epochs`.
+
+Epochs of CCSDS files as nanoseconds of one continuous time scale.
+
+    UTC                 leap seconds are counted: 23:59:60 is an instant, and a file may cross one
+    TAI, TT (TDT), GPS  TAI = TT - 32.184 s = GPS + 19 s
+    TDB                 taken as TT, from which it never differs by more than 2 ms
+    others              (UT1, MET, MRT, SCLK, TCB, TCG, GMST) have no fixed relation to these: they are only compared
+                        with themselves
+
+Source of the leap seconds: IERS Bulletin C; the last one was at the end of 2016. Before 1972 UTC is taken as TAI less
+10 s.
+
+Names of reference frames in CCSDS files: which ones stand for the world.
+
+A frame stands for the world when its axes are those of the sky or of a planet. Names are compared without case, spaces,
+hyphens and underscores. Source: the SANA registry of celestial body reference frames, and SPICE's names (J2000, IAU_*).
+Axes of ICRF, GCRF, EME2000 and J2000 differ by less than 0.1 seconds of arc and count as the same.
+
+Places on polynomials through the nearest samples, as orbit files ask for.
+
+    Lagrange of degree d     through d + 1 samples
+    Hermite of degree d      through (d + 1) / 2 samples and their velocities; an even degree is raised by one
+
+The samples lie evenly before and after the instant, an odd one before it; at the ends of the path they are the first or
+last ones. One polynomial follows another at a sample, which both go through, so the place makes no jump. Computed
+by scipy's KroghInterpolator (Krogh 1970, Mathematics of Computation 24, 185) in steps of time, which keeps it well
+conditioned.
+
+Trajectories in segments that follow one another in time.
 """
 
 from __future__ import annotations
 
+import itertools
 import re
-from collections.abc import Callable, Iterator
+from bisect import bisect_right
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from datetime import date, datetime, timedelta
+from fractions import Fraction
 
 import numpy as np
 import numpy.typing as npt
+from scipy.interpolate import KroghInterpolator
 
-from emulator.trajectory.epochs import epoch_ns, scale_of
-from emulator.trajectory.frames import axes_of, world_is_a
 from emulator.trajectory.keyframes import Keyframes
-from emulator.trajectory.polynomial import PolynomialPath
+from emulator.trajectory.motion import AT_REST, Motion
 from emulator.trajectory.pose import FARTHEST_M, STILL, Pose, Trajectory, TrajectoryError
-from emulator.trajectory.segments import Segment, Segmented
+from emulator.trajectory.sampling import instants_between, measured_bounds, require_increasing
 
-__all__ = ["CcsdsPath", "parse_aem", "parse_oem"]
+__all__ = [
+    "CcsdsPath",
+    "PolynomialPath",
+    "Segment",
+    "Segmented",
+    "axes_of",
+    "epoch_ns",
+    "parse_aem",
+    "parse_oem",
+    "scale_of",
+    "world_is_a",
+]
+
+
+_EPOCH = re.compile(r"(\d{4})-(?:(\d{3})|(\d{2})-(\d{2}))T(\d{2}):(\d{2}):(\d{2})(\.\d+)?Z?$")
+_ORIGIN = datetime(2000, 1, 1)
+_BEHIND_TAI_NS = {"TAI": 0, "TT": -32_184_000_000, "TDT": -32_184_000_000, "TDB": -32_184_000_000, "GPS": 19 * 10**9}
+_FIRST_OFFSET_S = 10
+_LEAPS = [
+    date(year, month, 1)
+    for year, month in (
+        (1972, 7), (1973, 1), (1974, 1), (1975, 1), (1976, 1), (1977, 1), (1978, 1), (1979, 1), (1980, 1), (1981, 7),
+        (1982, 7), (1983, 7), (1985, 7), (1988, 1), (1990, 1), (1991, 1), (1992, 7), (1993, 7), (1994, 7), (1996, 1),
+        (1997, 7), (1999, 1), (2006, 1), (2009, 1), (2012, 7), (2015, 7), (2017, 1),
+    )
+]  # fmt: skip
+"""Days that a leap second comes just before."""
+
+
+def scale_of(time_system: str) -> str:
+    """Return the scale that a TIME_SYSTEM is counted on here: TAI where it can be turned into that, else its name."""
+    return "TAI" if time_system == "UTC" or time_system in _BEHIND_TAI_NS else time_system
+
+
+def epoch_ns(text: str, time_system: str = "UTC") -> int:
+    """Return an epoch on the scale of its time system, ns since 2000-01-01T00:00:00 of that; raises ValueError."""
+    found = _EPOCH.match(text)
+    if not found:
+        raise ValueError(f"epoch {text!r}: expected yyyy-mm-ddThh:mm:ss or yyyy-dddThh:mm:ss")
+    year, day_of_year, month, day, hour, minute, second, fraction = found.groups()
+    start = datetime(int(year), int(month or 1), int(day or 1), int(hour), int(minute))
+    if day_of_year:
+        start += timedelta(days=int(day_of_year) - 1)
+    if int(second) >= 60:
+        _require_leap_second(text, start, int(second), time_system)
+    whole = (start - _ORIGIN) // timedelta(seconds=1) + int(second)
+    ns = whole * 10**9 + int(Fraction(fraction or "0") * 10**9)
+    if time_system == "UTC":
+        return ns + (_FIRST_OFFSET_S + bisect_right(_LEAPS, start.date())) * 10**9
+    return ns + _BEHIND_TAI_NS.get(time_system, 0)
+
+
+def _require_leap_second(text: str, minute: datetime, second: int, time_system: str) -> None:
+    after = minute + timedelta(minutes=1)
+    is_last_minute = (minute.hour, minute.minute) == (23, 59)
+    if time_system != "UTC" or second > 60 or not is_last_minute or after.date() not in _LEAPS:
+        raise ValueError(f"epoch {text!r}: there was no leap second in {time_system}")
+
+
+_CELESTIAL = re.compile(
+    r"(ICRF|MCI|B1950|FK[45]|TEME(OFDATE|OFEPOCH)?|TOD|MOD|MOE|TOE|TOR|TRUEECLIPTIC|"
+    r"(MEAN)?ECLIPTIC(J2000)?|ECLIPJ2000|J2000ECLIPTIC|ALIGN(CB|EARTH)|UVWGOINERTIAL|GALACTIC|"
+    r"ITRF\d*|DTRF\d*|CIRS|TIRS|GTOD|TDR|PEF|EFG|WGS84|FIXED(CB|EARTH)|MOON(ME|MEIAU|PA).*|IAU.+)$"
+)
+_SAME_AXES = re.compile(r"(ICRF\d*|GCRF\d*|EME2000|J2000)$")
+
+
+def axes_of(frame: str) -> str:
+    """Return a text that is the same for frames of the same axes; empty for no name."""
+    name = re.sub(r"[\s_-]", "", frame.upper())
+    return "ICRF" if _SAME_AXES.match(name) else name
+
+
+def world_is_a(frame_a: str, frame_b: str) -> bool:
+    """Return whether the first of two frames stands for the world, and not the second; raises ValueError otherwise."""
+    is_world = [bool(_CELESTIAL.match(axes_of(frame))) for frame in (frame_a, frame_b)]
+    if is_world[0] == is_world[1]:
+        problem = "both are" if is_world[0] else "neither is"
+        raise ValueError(
+            f"REF_FRAME_A = {frame_a or 'missing'}, REF_FRAME_B = {frame_b or 'missing'}: one must be the world's "
+            f"frame (ICRF, EME2000, MCI, IAU_EROS, ...) and the other the spacecraft's; {problem} known as the world's"
+        )
+    return is_world[0]
+
+
+_HIGHEST_DEGREE = 25
+
+
+class PolynomialPath(Trajectory):
+    """A path through places at given times on polynomials, with the attitude of the world.
+
+    Parameters
+    ----------
+    times_ns : (n,) increasing.
+    places_m : (n, 3).
+    degree : of the polynomials.
+    velocities_m_s : (n, 3) for Hermite's, None for Lagrange's.
+
+    Raises
+    ------
+    TrajectoryError
+        Times that do not increase, or too few samples for the degree.
+    """
+
+    def __init__(
+        self,
+        times_ns: Sequence[int],
+        places_m: npt.ArrayLike,
+        degree: int,
+        velocities_m_s: npt.ArrayLike | None = None,
+    ) -> None:
+        self._places_m = np.asarray(places_m, np.float64)
+        self._velocities = None if velocities_m_s is None else np.asarray(velocities_m_s, np.float64)
+        require_increasing(times_ns, len(self._places_m))
+        self._times_ns = np.array(times_ns, np.int64)
+        self._used = degree + 1 if velocities_m_s is None else degree // 2 + 1
+        if not 1 <= degree <= _HIGHEST_DEGREE:
+            raise TrajectoryError(f"a degree of {degree}: 1 to {_HIGHEST_DEGREE} can be used")
+        if len(times_ns) < self._used:
+            raise TrajectoryError(f"degree {degree} needs {self._used} samples, and there are {len(times_ns)}")
+        self._at: tuple[int, KroghInterpolator] | None = None
+        self._bounds: tuple[float, float] | None = None
+
+    @property
+    def span_ns(self) -> tuple[int, int]:
+        """Time of the first sample and of the last."""
+        return int(self._times_ns[0]), int(self._times_ns[-1])
+
+    def pose(self, t_ns: int) -> Pose:
+        """Return the place at `t_ns`; before the first sample and after the last it stays."""
+        t_ns = min(max(int(t_ns), self.span_ns[0]), self.span_ns[1])
+        first, curve = self._curve(t_ns)
+        return Pose(curve(self._steps(first, t_ns)), STILL.q_world_from_body)
+
+    def motion(self, t_ns: int) -> Motion:
+        """Return the polynomial's derivatives at `t_ns`; it rests outside its span."""
+        if not self.span_ns[0] <= t_ns < self.span_ns[1]:
+            return AT_REST
+        first, curve = self._curve(t_ns)
+        _, slope, bend = curve.derivatives(self._steps(first, t_ns), der=3)
+        step_s = self._step_ns(first) * 1e-9
+        return Motion(slope / step_s, bend / step_s**2, np.zeros(3))
+
+    def _curve(self, t_ns: int) -> tuple[int, KroghInterpolator]:
+        """Return the polynomial around `t_ns`, and the first sample that it goes through."""
+        first = self._first_used(t_ns)
+        if self._at is None or self._at[0] != first:
+            self._at = first, self._through(first)
+        return self._at
+
+    @property
+    def speed_bound_m_s(self) -> float:
+        """Measured, see `measured`."""
+        if self._bounds is None:
+            self._bounds = measured_bounds(self.pose, instants_between(self._times_ns))
+        return self._bounds[0]
+
+    @property
+    def turn_bound_rad_s(self) -> float:
+        """It does not turn."""
+        return 0.0
+
+    def _first_used(self, t_ns: int) -> int:
+        """Return the first of the samples around `t_ns`."""
+        after = int(np.searchsorted(self._times_ns, t_ns, "right"))
+        return min(max(after - (self._used + 1) // 2, 0), len(self._times_ns) - self._used)
+
+    def _through(self, first: int) -> KroghInterpolator:
+        used = slice(first, first + self._used)
+        steps = (self._times_ns[used] - self._times_ns[first]) / self._step_ns(first)
+        if self._velocities is None:
+            return KroghInterpolator(steps, self._places_m[used])
+        pairs = np.stack([self._places_m[used], self._velocities[used] * self._step_ns(first) * 1e-9], axis=1)
+        return KroghInterpolator(np.repeat(steps, 2), pairs.reshape(-1, 3))
+
+    def _steps(self, first: int, t_ns: int) -> float:
+        return (t_ns - int(self._times_ns[first])) / self._step_ns(first)
+
+    def _step_ns(self, first: int) -> float:
+        return (int(self._times_ns[first + self._used - 1]) - int(self._times_ns[first])) / (self._used - 1 or 1) or 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Segment:
+    """A part of a trajectory.
+
+    Attributes
+    ----------
+    path : on a time axis of its own.
+    zero_ns : the instant of the whole's time axis at which the path's time is 0.
+    start_ns, stop_ns : when the path may be used, on the whole's time axis.
+    """
+
+    path: Trajectory
+    zero_ns: int
+    start_ns: int
+    stop_ns: int
+
+
+class Segmented(Trajectory):
+    """A trajectory of segments in turn; at an instant that two share the later one holds.
+
+    Before the first segment and after the last the pose stays what it is there.
+
+    Raises
+    ------
+    TrajectoryError
+        No segment, or segments that overlap or leave a gap.
+    """
+
+    def __init__(self, segments: Sequence[Segment]) -> None:
+        if not segments:
+            raise TrajectoryError("an empty trajectory: the file holds no samples")
+        for number, (a, b) in enumerate(itertools.pairwise(segments), start=2):
+            if b.start_ns != a.stop_ns:
+                apart_s = (b.start_ns - a.stop_ns) * 1e-9
+                problem = f"starts {apart_s:g} s after" if apart_s > 0 else f"starts {-apart_s:g} s before"
+                raise TrajectoryError(f"segment {number} {problem} the end of the one before: they must follow closely")
+        self._segments = tuple(segments)
+        self._starts_ns = [segment.start_ns for segment in segments]
+
+    @property
+    def span_ns(self) -> tuple[int, int]:
+        """Start of the first segment and end of the last."""
+        return self._segments[0].start_ns, self._segments[-1].stop_ns
+
+    def pose(self, t_ns: int) -> Pose:
+        """Return the pose at `t_ns`."""
+        segment = self._segment(t_ns)
+        return segment.path.pose(min(max(t_ns, segment.start_ns), segment.stop_ns) - segment.zero_ns)
+
+    def motion(self, t_ns: int) -> Motion:
+        """Return the motion of the segment at `t_ns`."""
+        segment = self._segment(t_ns)
+        return segment.path.motion(min(max(t_ns, segment.start_ns), segment.stop_ns) - segment.zero_ns)
+
+    def _segment(self, t_ns: int) -> Segment:
+        return self._segments[max(0, bisect_right(self._starts_ns, t_ns) - 1)]
+
+    @property
+    def speed_bound_m_s(self) -> float:
+        """The greatest of the segments; jumps from one to the next are left out."""
+        return max(segment.path.speed_bound_m_s for segment in self._segments)
+
+    @property
+    def turn_bound_rad_s(self) -> float:
+        """The greatest of the segments; jumps from one to the next are left out."""
+        return max(segment.path.turn_bound_rad_s for segment in self._segments)
+
 
 _KEYWORD = re.compile(r"([A-Z][A-Z0-9_]*)\s*=\s*(.*)$")
 _MARKS = re.compile(r"(META|DATA|COVARIANCE)_(START|STOP)$")

@@ -31,11 +31,10 @@ from scipy.interpolate import PchipInterpolator, PPoly
 
 from emulator.geometry.attitude import Quaternion, Vector, quaternion_of
 from emulator.trajectory.keyframes import Keyframes
-from emulator.trajectory.looking import looking_along
-from emulator.trajectory.measured import measured_bounds
 from emulator.trajectory.motion import Motion
+from emulator.trajectory.mounting import looking_along
 from emulator.trajectory.pose import STILL, Pose, Trajectory, TrajectoryError
-from emulator.trajectory.sampling import instants_between
+from emulator.trajectory.sampling import instants_between, measured_bounds
 
 __all__ = ["LANDING", "Descent", "Gate"]
 

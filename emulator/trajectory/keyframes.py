@@ -23,10 +23,9 @@ from scipy.interpolate import CubicHermiteSpline, PPoly
 from scipy.spatial.transform import Rotation, RotationSpline
 
 from emulator.geometry.attitude import multiply, quaternion_of_vector
-from emulator.trajectory.measured import measured_bounds
 from emulator.trajectory.motion import AT_REST, Motion, rate_of_vector
 from emulator.trajectory.pose import Pose, Trajectory, TrajectoryError
-from emulator.trajectory.sampling import instants_between, require_increasing
+from emulator.trajectory.sampling import instants_between, measured_bounds, require_increasing
 
 __all__ = ["Keyframes"]
 

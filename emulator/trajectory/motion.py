@@ -8,6 +8,12 @@ Differences are central, over a step h of 5 ms to either side of t (p: place, w:
 
 At 1 km from the origin rounding makes an acceleration wrong by 2e-8 m/s2 at most, at 10 000 km by 2e-4 m/s2. Where a
 path has a kink (its ends, a change of segment), they see it within h.
+
+Scene time from stream time, by an exact factor that makes slow motion fast.
+
+Itokawa turns once in half a day, and from Hayabusa's home position a pixel of motion takes a quarter of a minute. A
+factor of 100 shows the same in minutes; events then come 100 times as fast as they would, which a summary should
+never hide.
 """
 
 from __future__ import annotations
@@ -15,6 +21,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,7 +31,8 @@ from emulator.geometry.attitude import Matrix, Quaternion, Vector, conjugate, mu
 if TYPE_CHECKING:
     from emulator.trajectory.pose import Pose
 
-__all__ = ["AT_REST", "Motion", "differences", "rate_of_frame", "rate_of_vector", "rotation_vector"]
+__all__ = ["AT_REST", "Motion", "Timescale", "differences", "rate_of_frame", "rate_of_vector", "rotation_vector"]
+
 
 _H_NS = 5_000_000
 _H_S = _H_NS * 1e-9
@@ -85,3 +93,20 @@ def rate_of_frame(axes: Matrix, rates: Matrix) -> Vector:
     """Return the angular rate along a body's axes, the columns of `axes`, (3, 3), which change by `rates` a second."""
     turn = axes.T @ rates
     return np.array([turn[2, 1], turn[0, 2], turn[1, 0]])
+
+
+class Timescale:
+    """Scene time = start + factor * stream time; `factor` is taken as the decimal that a person wrote."""
+
+    def __init__(self, factor: float = 1.0, start_s: float = 0.0) -> None:
+        self._factor = Fraction(repr(float(factor)))
+        self._start_ns = round(Fraction(repr(float(start_s))) * 10**9)
+
+    @property
+    def factor(self) -> float:
+        """Scene time per unit of stream time."""
+        return float(self._factor)
+
+    def scene_ns(self, t_ns: int) -> int:
+        """Return the scene's time at stream time `t_ns`, ns, rounded down."""
+        return self._start_ns + int(t_ns) * self._factor.numerator // self._factor.denominator

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from ipaddress import IPv4Address
 from typing import ClassVar, Literal
 
-from emulator.tables.files import NO_FILE, RigFile
+from emulator.tables.typed_table import NO_FILE, RigFile
 from emulator.trajectory.descent import LANDING, Gate
 from emulator.trajectory.orbit import Elements
 

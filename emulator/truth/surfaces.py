@@ -4,6 +4,19 @@ The nearest facet at a middle is that of the renderer of light (`raster`), found
 over a facet on the picture, so the facet's plane tells it exactly. Where a lens bends lines, the facet is the one at
 the nearest pixel of the straight picture, and its plane is taken at the ray itself: beside an outline the label may be
 wrong by half a pixel.
+
+Optical flow of rigid bodies, in closed form.
+
+A point of a body stands in the camera's axes (x right, y down, z out) at P = R q + s, with q fixed in the body, so that
+
+    dP/dt = R' R^T (P - s) + s' = M P + c        M = R' R^T,  c = s' - M s
+
+and on the picture, with P = z (X, Y, 1), w = 1 / z and g = M (X, Y, 1) + w c,
+
+    du/dt = f (g_x - X g_z)        dv/dt = f (g_y - Y g_z)
+
+The sky has w = 0 and turns with the camera alone. R' and s' are differences of poses a moment before and after; no
+picture is used.
 """
 
 from __future__ import annotations
@@ -13,13 +26,15 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from emulator.geometry.pinhole import Pinhole
-from emulator.geometry.seen import Rays
+from emulator.geometry.camera import Pinhole, Rays, Seen
 from emulator.raster import Renderer, Screen, View, join, prepare
 from emulator.raster.layout import W, WHighest, WLowest
+from emulator.trajectory.motion import Timescale
+from emulator.trajectory.pose import STILL, Pose, Trajectory
 from emulator.truth.compiled import entry
 
-__all__ = ["NearestSurface", "Surface", "nearest_along"]
+__all__ = ["Instants", "NearestSurface", "Surface", "instants", "motion_of", "nearest_along", "write_depth_and_flow"]
+
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int32]
@@ -96,3 +111,95 @@ def _along(
             else:
                 w = facets[f, W] + facets[f, W + 1] * x + facets[f, W + 2] * y
                 labels[r, c], inverse_depth[r, c] = label[f], min(max(w, facets[f, WLowest]), facets[f, WHighest])
+
+
+Instants = tuple[Pose, Pose, Pose]
+"""A pose now, a moment before, and a moment after."""
+
+_SIDE_NS = 1_000_000  # of scene time, from now to the moments before and after
+
+
+def instants(t_ns: int, paths: Sequence[Trajectory], time: Timescale) -> tuple[list[Instants], float]:
+    """Return where `paths` are at stream time `t_ns`, and the stream time from before to after, s.
+
+    At the start, where paths may begin, before is now.
+    """
+    now_ns = time.scene_ns(t_ns)
+    first_ns, last_ns = max(now_ns - _SIDE_NS, min(now_ns, time.scene_ns(0))), now_ns + _SIDE_NS
+    poses = [(path.pose(now_ns), path.pose(first_ns), path.pose(last_ns)) for path in paths]
+    return poses, (last_ns - first_ns) / (1e9 * time.factor)
+
+
+def motion_of(camera: Instants, body: Instants | None, between_s: float) -> Floats:
+    """Return M and c of a body in the camera's axes, (3, 4), a second of stream time; None: the sky.
+
+    Parameters
+    ----------
+    between_s : from before to after.
+    """
+    (now, s), (before, s_before), (after, s_after) = (
+        _camera_from_body(eye, STILL if body is None else body[k]) for k, eye in enumerate(camera)
+    )
+    turning = (after - before) / between_s @ now.T
+    # An orthogonal matrix's rate is antisymmetric; what the difference leaves beside that is its own error.
+    turning = (turning - turning.T) / 2
+    out = np.zeros((3, 4))
+    out[:, :3] = turning
+    if body is not None:
+        out[:, 3] = (s_after - s_before) / between_s - turning @ s
+    return out
+
+
+def _camera_from_body(camera: Pose, body: Pose) -> tuple[Floats, Floats]:
+    camera_from_world = camera.world_from_body.T
+    return camera_from_world @ body.world_from_body, camera_from_world @ (body.position_m - camera.position_m)
+
+
+def write_depth_and_flow(inverse_depth: Floats, motions: Floats, camera: Pinhole, rays: Rays, out: Seen) -> None:
+    """Write depth and flow of the points that `out.labels` name.
+
+    Parameters
+    ----------
+    inverse_depth : (height, width), 1/m; not read where the label is 0.
+    motions : (labels, 3, 4), of the sky and of each body, see `motion_of`.
+    """
+    figures = np.array([camera.focal_px, camera.width / 2, camera.height / 2])
+    _write(inverse_depth, motions, figures, rays.columns, rays.rows, out.labels, out.depth, out.flow)
+    if rays.bend is not None:
+        _bend(rays.bend, out.flow)
+
+
+@entry
+def _write(
+    inverse_depth: Floats,
+    motions: Floats,
+    figures: Floats,
+    columns: Floats,
+    rows: Floats,
+    labels: npt.NDArray[np.uint16],
+    depth: npt.NDArray[np.float32],
+    flow: npt.NDArray[np.float32],
+) -> None:
+    focal, x0, y0 = figures
+    for r in range(labels.shape[0]):
+        for c in range(labels.shape[1]):
+            k = labels[r, c]
+            x, y = (columns[r, c] - x0) / focal, (rows[r, c] - y0) / focal
+            w = inverse_depth[r, c] if k > 0 else 0.0
+            m = motions[k]
+            along = m[2, 0] * x + m[2, 1] * y + m[2, 2] + w * m[2, 3]
+            right = m[0, 0] * x + m[0, 1] * y + m[0, 2] + w * m[0, 3]
+            down = m[1, 0] * x + m[1, 1] * y + m[1, 2] + w * m[1, 3]
+            depth[r, c] = 1.0 / w if w > 0.0 else np.inf
+            flow[r, c, 0] = focal * (right - x * along)
+            flow[r, c, 1] = focal * (down - y * along)
+
+
+@entry
+def _bend(bend: Floats, flow: npt.NDArray[np.float32]) -> None:
+    """Turn motion in the picture without distortion into that on the chip."""
+    for r in range(flow.shape[0]):
+        for c in range(flow.shape[1]):
+            u, v = flow[r, c, 0], flow[r, c, 1]
+            flow[r, c, 0] = bend[r, c, 0] * u + bend[r, c, 1] * v
+            flow[r, c, 1] = bend[r, c, 1] * u + bend[r, c, 2] * v

@@ -23,17 +23,16 @@ from typing import Protocol
 import numpy as np
 import pytest
 
-from emulator.rig.link_kinds import LINKS
+from emulator.rig.kinds import LINKS, SCENES
 from emulator.rig.loading import Rig
-from emulator.rig.scene_kinds import SCENES
 from emulator.rig.tables import Camera
 from emulator.run.assembly import link_setups
 from emulator.run.link_process import LinkProcess
 from firmware_protocol.events import EVENT, Events
-from transports.link.digest import digest_of
+from transports.link.deliveries import digest_of
 from transports.link.kind import LinkParameters
 from transports.link.pacing import MonotonicClock
-from transports.link.ring import FREE_RUNNING, EventRing
+from transports.link.rings import FREE_RUNNING, EventRing
 
 __all__ = ["LinkContract", "NoReader", "Reader", "event_stream"]
 

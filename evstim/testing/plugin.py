@@ -12,21 +12,45 @@ kept in the folder of `--evstim-artefacts`.
 `evstim_camera` is a DAVIS346 in memory, without a rig or a link, that pyusb opens: see `evstim.testing.fake_usb`.
 
 Only pytest is imported here: this module is loaded in every pytest session of whoever has evstim installed.
+
+What remains of a failed test: the rig's last events, its counts and, where matplotlib is installed, its report.
+
+The events are AEDAT 4.0 where faery is installed, which most viewers open, else an .npz.
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Generator
+from importlib.metadata import version
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import msgspec
 import pytest
+
+from emulator.cli.run import summary
+from emulator.report.page import ChartsLacking
+from emulator.run.outcome import judge
+from emulator.run.report import Reported, write_report
+from evstim.testing.running_rig import RunningRig
+from transports.recording.format import FORMATS
+from transports.recording.part import Facts, Part
+from transports.recording.writing import RecordingFile
 
 if TYPE_CHECKING:
     from evstim.testing.fake_usb import FakeCamera
-    from evstim.testing.running_rig import RunningRig
 
-__all__ = ["evstim_camera", "evstim_rig", "pytest_addoption", "pytest_configure", "pytest_runtest_makereport"]
+__all__ = [
+    "evstim_camera",
+    "evstim_rig",
+    "pytest_addoption",
+    "pytest_configure",
+    "pytest_runtest_makereport",
+    "write_artefacts",
+]
+
 
 _MARK = "rig(name, seconds=0, seed=None, pace=None, keep_s=2): the rig that the fixture evstim_rig runs"
 _failed: pytest.StashKey[bool] = pytest.StashKey()
@@ -119,7 +143,7 @@ def _entered(rig: RunningRig, config: pytest.Config) -> None:
 
 def _keep(rig: RunningRig, item: pytest.Item) -> None:
     """Write what the rig did into the artefacts' folder, and name it in the test's report."""
-    from evstim.testing.artefacts import write_artefacts
+    from evstim.testing.plugin import write_artefacts
 
     base = item.config.getoption("evstim_artefacts")
     paths = write_artefacts(rig, item.config.invocation_params.dir / base / _as_path(item.nodeid))
@@ -129,3 +153,25 @@ def _keep(rig: RunningRig, item: pytest.Item) -> None:
 def _as_path(node: str) -> str:
     """Return a node's id as the name of a folder."""
     return "".join(c if c.isalnum() or c in "-_." else "_" for c in node)[-120:]
+
+
+def write_artefacts(rig: RunningRig, folder: Path) -> list[Path]:
+    """Write events, summary.json and the report of a rig that has been stopped; return their paths."""
+    folder.mkdir(parents=True, exist_ok=True)
+    events, counts = _write_events(rig, folder), folder / "summary.json"
+    told = msgspec.to_builtins(summary(rig.rig, rig.result))
+    counts.write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")
+    reported = Reported(rig.rig, rig.result, rig.seen, judge(rig.rig.verdict, rig.result), told, version("evstim"))
+    try:
+        return [events, counts, *write_report(reported, folder)]
+    except ChartsLacking:
+        return [events, counts]
+
+
+def _write_events(rig: RunningRig, folder: Path) -> Path:
+    form = FORMATS["aedat4" if find_spec("faery") else "npz"]
+    path = folder / f"events{form.suffixes[0]}"
+    file = RecordingFile(path, form, Facts(size=rig.rig.camera.size, camera=rig.rig.camera.model))
+    file.write(Part(events=rig.recent_events()))
+    file.close()
+    return path

@@ -17,9 +17,9 @@ from typing import Any, Literal, Self
 import numpy as np
 
 from emulator.rig.loading import Rig, load_rig
-from emulator.run.free_ports import on_free_ports
+from emulator.run.machine import on_free_ports
 from emulator.run.outcome import RunResult, RunStatus
-from emulator.run.report.observation import Observation
+from emulator.run.report import Observation
 from evstim.running import LiveRun, run
 from firmware_protocol.events import EVENT, Events
 

@@ -10,7 +10,7 @@ import serial
 from rate_guard import RateGuard
 
 import evstim
-from evstim.testing.fake_serial import FakeSerialPort
+from evstim.testing.fakes import FakeSerialPort
 from evstim.testing.running_rig import RunningRig
 
 

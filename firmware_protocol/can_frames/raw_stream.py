@@ -9,7 +9,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from firmware_protocol.can_frames.fd_events import pack_fd_events, unpack_fd_events
 from firmware_protocol.can_frames.frame import Frame
 from firmware_protocol.can_frames.raw_events import (
     TICKS_US,
@@ -17,8 +16,10 @@ from firmware_protocol.can_frames.raw_events import (
     RawError,
     pack_clock,
     pack_events,
+    pack_fd_events,
     unpack_clock,
     unpack_events,
+    unpack_fd_events,
     unwrapped,
 )
 from firmware_protocol.events import Events, empty_events

@@ -11,35 +11,257 @@ column, start row, end column, end row, each a high (misc8 code 1) and a low byt
 (davis.c); seen read by three drivers.
 
 The encoder treats a block as a mark with the word `PLACE`, and puts the block's words in its place at the end.
+
+Marks: special words that tell of the external input and of the generator, and their place among the events.
+
+    t       u64   stream time, us
+    code    u16   word of the stream: 2 falling edge, 3 rising edge, 4 pulse, 16 and 17 generator falls, rises
+
+The codes are those of the published logic (EventCodes.vhd: EXT_INPUT_FALLING 2, RISING 3, PULSE 4, INPUTGEN_FALLING 16,
+INPUTGEN_RISING 17). A host's library numbers them otherwise (libcaer, events/special.h: rising 2, falling 3, pulse 4,
+generator rising 12, falling 13), which is what `EDGE` records carry.
+
+IMU samples in a DAVIS346's stream: counts of the converters to words, and back.
+
+    special 5        start
+    misc8, code 3    scale   7 accelerometer, 6 gyroscope, 5 temperature is there
+                             3..2 range of the accelerometer, 2 g * 2^n   1..0 of the gyroscope, 250 deg/s * 2^n
+    misc8, code 0    upper and lower byte of each count, signed 16 bits: accelerometer x, y, z, temperature,
+                     gyroscope x, y, z; what is not there is left out
+    special 7        end; its time is that of the sample
+
+    acceleration, g       count * 4 * 2^range / 65536
+    rate, deg/s           count * 500 * 2^range / 65536
+    temperature, C        count / 340 + 35 (unit 1)    count / 333.87 + 21 (unit 2)
+
+Source: the parsers of libcaer 3.3.15 (davis.c) and neuromorphic-drivers 0.16.1. A sample whose bytes are not as many
+as its scale says is dropped by libcaer, and by this reader, which counts it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from firmware_protocol.davis346.imu_words import imu_words
-from firmware_protocol.davis346.marks import Marks, join_marks, no_marks
-from firmware_protocol.frame_lines import LineKind
-from firmware_protocol.readings import Reading, ReadingKind, Readings
+from firmware_protocol.device.event_device import Reading, ReadingKind, Readings
+from firmware_protocol.events import EDGE, EdgeKind, Edges
+from firmware_protocol.frames import LineKind
+from firmware_protocol.imu_samples import IMU_SAMPLE, ImuSamples
 
-__all__ = ["PLACE", "Block", "blocks_of", "frame_words", "put_in_place", "with_places"]
+__all__ = [
+    "GENERATOR_FALLING",
+    "GENERATOR_RISING",
+    "IMU_READ",
+    "MARK",
+    "NO_ROW",
+    "PLACE",
+    "Block",
+    "ImuReader",
+    "Items",
+    "Marks",
+    "blocks_of",
+    "edges_of",
+    "frame_words",
+    "imu_words",
+    "is_imu",
+    "items_of",
+    "join_marks",
+    "no_marks",
+    "put_in_place",
+    "with_places",
+]
+
+
+MARK = np.dtype([("t", "<u8"), ("code", "<u2")])
+
+Marks = npt.NDArray[np.void]
+"""An array of MARK records, shape (n,), sorted by t."""
+
+GENERATOR_RISING, GENERATOR_FALLING = 12, 13
+"""Kinds of EDGE records beyond EdgeKind that only a DAVIS346's generator makes."""
+
+NO_ROW = 0xFFFF
+"""Row of a mark that comes before any event: above every address, so that the first event tells its own."""
+
+_COLUMN_OFF = 0x2000
+_KIND_OF_CODE = np.zeros(18, np.uint8)
+_KIND_OF_CODE[[2, 3, 4]] = EdgeKind.FALLING, EdgeKind.RISING, EdgeKind.PULSE
+_KIND_OF_CODE[[16, 17]] = GENERATOR_FALLING, GENERATOR_RISING
+
+Words = npt.NDArray[np.uint16]
+Times = npt.NDArray[np.int64]
+
+
+def no_marks(n: int = 0) -> Marks:
+    """Return an array of `n` zeroed marks."""
+    return np.zeros(n, MARK)
+
+
+def join_marks(parts: list[Marks]) -> Marks:
+    """Return the (n,) MARK arrays of `parts` in one, in time order; marks of one time stay in the order given."""
+    marks = np.concatenate([no_marks(), *parts])
+    return marks[np.argsort(marks["t"], kind="stable")]
+
+
+def edges_of(times_us: npt.NDArray[np.uint64], codes: Words) -> Edges:
+    """Return the (n,) EDGE records that a reader makes of marks at `times_us` (n,) with stream codes `codes` (n,)."""
+    edges = np.zeros(len(codes), EDGE)
+    edges["t"] = times_us
+    edges["kind"] = _KIND_OF_CODE[codes]
+    return edges
+
+
+@dataclass(frozen=True)
+class Items:
+    """What the stream tells, in order: device times (n,) us, the row in force (n,), and the word of each (n,)."""
+
+    time_us: Times
+    rows: Words
+    words: Words
+
+    def __getitem__(self, part: slice) -> Items:
+        return Items(self.time_us[part], self.rows[part], self.words[part])
+
+    def merged(self, time_us: Times, codes: Words, row: int) -> Items:
+        """Return these with marks at `time_us` (m,), each before the items of its own time.
+
+        A mark has no row: it takes that of the item before it, `row` (-1: none) before the first, so that no row word
+        is written for it.
+        """
+        at = np.searchsorted(self.time_us, time_us, side="left")
+        before = self.rows[np.maximum(at, 1) - 1] if len(self.rows) else np.empty(len(at), np.uint16)
+        before[at == 0] = NO_ROW if row < 0 else row
+        at += np.arange(len(at))
+        old = np.ones(len(self.words) + len(at), np.bool_)
+        old[at] = False
+        return Items(
+            _woven(self.time_us, time_us, old, at),
+            _woven(self.rows, before, old, at),
+            _woven(self.words, codes, old, at),
+        )
+
+
+def _woven(items: Any, marks: Any, old: npt.NDArray[np.bool_], at: npt.NDArray[np.intp]) -> Any:
+    """Return `items` where `old` is true and `marks` at the places `at`; np.insert takes twice as long."""
+    both = np.empty(len(old), items.dtype)
+    both[old], both[at] = items, marks
+    return both
+
+
+def items_of(time_us: Times, rows: Words, columns: Words, on: npt.NDArray[np.bool_]) -> Items:
+    """Return events, each array (n,), as items."""
+    words = on.astype(np.uint16)
+    words <<= 12
+    words += _COLUMN_OFF
+    words |= columns
+    return Items(time_us, rows, words)
+
+
+IMU_READ = np.dtype([("sample", IMU_SAMPLE), ("resets", "<u4")])
+"""A sample in device time, and how many timestamp resets came before it."""
+
+
+_WORD = np.dtype("<u2")
+_RESET, _START, _END = 1, 5, 7
+_SCALE, _DATA = 0x5300, 0x5000
+_HIGH_BYTE = 0xFF00
+_GROUPS = ((7, slice(0, 3)), (5, slice(3, 4)), (6, slice(4, 7)))
+
+
+def imu_words(sample: ImuSamples) -> Words:
+    """Return the words of one sample, (1,) IMU_SAMPLE, without its time."""
+    scale, counts = int(sample["scale"][0]), sample["counts"][0]
+    there = np.concatenate([counts[group] for _, group in _present(scale)] or [np.empty(0, np.int16)])
+    data = there.astype(">i2").view(np.uint8)
+    return np.concatenate(
+        [[np.uint16(_START), np.uint16(_SCALE | scale)], data.astype(_WORD) | _WORD.type(_DATA), [np.uint16(_END)]]
+    ).astype(_WORD)
+
+
+def _present(scale: int) -> list[tuple[int, slice]]:
+    return [(bit, group) for bit, group in _GROUPS if scale >> bit & 1]
+
+
+def is_imu(words: Words) -> npt.NDArray[np.bool_]:
+    """Return which words tell of an IMU sample."""
+    kind = words & _HIGH_BYTE
+    found: npt.NDArray[np.bool_] = (words == _START) | (words == _END) | (kind == _SCALE) | (kind == _DATA)
+    return found
+
+
+class ImuReader:
+    """Reads the words of IMU samples, keeping what it has between pieces.
+
+    Attributes
+    ----------
+    resets : timestamp resets seen so far.
+    broken : samples that ended too early or too late, or that another one began in.
+    """
+
+    def __init__(self) -> None:
+        self._scale: int | None = None
+        self._data = bytearray()
+        self._open = False
+        self.broken = self.resets = 0
+
+    def feed(self, words: Words, times_us: npt.NDArray[np.int64]) -> npt.NDArray[np.void]:
+        """Return the samples that end in `words` (n,), at device times (n,); (m,) IMU_READ. Other words are skipped.
+
+        A timestamp reset ends a sample, as in libcaer.
+        """
+        found: list[tuple[tuple[int, int, list[int]], int]] = []
+        wanted = is_imu(words) | (words == _RESET)
+        for word, time_us in zip(words[wanted].tolist(), times_us[wanted].tolist(), strict=True):
+            if word in (_START, _RESET):
+                self.broken += self._open
+                self._begin(word == _START)
+                self.resets += word == _RESET
+            elif word == _END:
+                found.extend((sample, self.resets) for sample in self._ended(time_us))
+            elif word & _HIGH_BYTE == _SCALE:
+                self._scale = word & 0xFF
+            else:
+                self._data.append(word & 0xFF)
+        return np.array(found, IMU_READ)
+
+    def _begin(self, is_open: bool) -> None:
+        self._open, self._scale = is_open, None
+        self._data.clear()
+
+    def _ended(self, time_us: int) -> list[tuple[int, int, list[int]]]:
+        """Return the sample that ends now, if it is whole."""
+        scale, data, was_open = self._scale, bytes(self._data), self._open
+        self._begin(False)
+        if was_open and scale is not None:
+            groups = [group for _, group in _present(scale)]
+            if len(data) == 2 * sum(group.stop - group.start for group in groups):
+                return [(time_us, scale, _counts(data, groups))]
+        self.broken += 1
+        return []
+
+
+def _counts(data: bytes, groups: list[slice]) -> list[int]:
+    counts, numbers = [0] * 7, iter(np.frombuffer(data, ">i2").tolist())
+    for group in groups:
+        for k in range(group.start, group.stop):
+            counts[k] = next(numbers)
+    return counts
+
 
 PLACE = 0x0FFF
 """A special word that no stream holds."""
 
 APS_SAMPLE, MISC8, MISC10 = 0x4000, 0x5000, 0x6000
 _ROI_HIGH, _ROI_LOW = 1, 2
-_START_GLOBAL, _START_ROLLING, _END, _RESET, _SIGNAL, _COLUMN_END = 8, 9, 10, 11, 12, 13
+_START_GLOBAL, _START_ROLLING, _END_BLOCKS, _RESET_BLOCKS, _SIGNAL, _COLUMN_END = 8, 9, 10, 11, 12, 13
 _LINES = (LineKind.RESET, LineKind.SIGNAL)
 _LINE_START = np.zeros(len(LineKind), "<u2")
-_LINE_START[list(_LINES)] = _RESET, _SIGNAL
-_CODE = {LineKind.EXPOSURE_START: 14, LineKind.EXPOSURE_END: 15, LineKind.END: _END}
-
-Words = npt.NDArray[np.uint16]
+_LINE_START[list(_LINES)] = _RESET_BLOCKS, _SIGNAL
+_CODE = {LineKind.EXPOSURE_START: 14, LineKind.EXPOSURE_END: 15, LineKind.END: _END_BLOCKS}
 
 
 @dataclass(frozen=True)

@@ -23,39 +23,35 @@ Readings (lines of frames, inertial samples) enter the stream likewise, each as 
 room wait for it while WAIT_ON_STALL of the APS is 1; they are then dated by when they leave.
 
 One thread at a time may use a camera.
+
+Vendor requests of a DAVIS346 in words, with the names of modules and registers; see `device` for the requests.
 """
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
-from firmware_protocol.davis346.bias_effects import sensor_factors
-from firmware_protocol.davis346.biases import BIASES
-from firmware_protocol.davis346.external_input import ExternalInput, InputSettings
-from firmware_protocol.davis346.fifo import Fifo
-from firmware_protocol.davis346.filters import DvsFilters
-from firmware_protocol.davis346.marks import Marks, join_marks, no_marks
-from firmware_protocol.davis346.reading_input import ReadingInput
-from firmware_protocol.davis346.registers import Module, RegisterFile
-from firmware_protocol.davis346.run_gate import RunGate
+from firmware_protocol.davis346.biases import BIASES, sensor_factors
+from firmware_protocol.davis346.blocks import Marks, join_marks, no_marks
+from firmware_protocol.davis346.filters import DvsFilters, Statistics
+from firmware_protocol.davis346.inputs import ExternalInput, InputSettings, ReadingInput
+from firmware_protocol.davis346.registers import Layout, Module, RegisterFile, RunGate, SystemInfo, registers
 from firmware_protocol.davis346.settings import DATA_ENDPOINT, Davis346Settings
-from firmware_protocol.davis346.statistics import Statistics
-from firmware_protocol.davis346.stream import EventStream
+from firmware_protocol.davis346.stream import EventStream, Fifo
 from firmware_protocol.davis346.words import WordEncoder
-from firmware_protocol.edges import Edges
-from firmware_protocol.event_copies import copy_events
-from firmware_protocol.event_device import CameraCounters, EdgeCounters
-from firmware_protocol.events import Events, empty_events
-from firmware_protocol.readings import ReadingKind, Readings
-from firmware_protocol.usb.control import Recipient, StandardControl
+from firmware_protocol.device.event_device import CameraCounters, EdgeCounters, ReadingKind, Readings
+from firmware_protocol.events import Edges, Events, copy_events, empty_events
+from firmware_protocol.usb.control import Recipient, StandardControl, name_request
 from firmware_protocol.usb.descriptors import DescriptorSet
 from firmware_protocol.usb.device import Identity, RequestKind, SetupPacket, Speed, Stall, Transfer, UsbCamera
 
-__all__ = ["Davis346"]
+__all__ = ["Davis346", "name_answer", "name_davis_request"]
+
 
 REGISTER = 0xBF
 MULTI_WRITE = 0xC2
@@ -391,3 +387,44 @@ class Davis346(UsbCamera):
         self._stream.drop_marks(len(self._stalled))
         self._stalled = no_marks()
         self._readings.flush()
+
+
+_SIZE = (346, 260)  # names do not depend on it
+_MODULES = frozenset(map(int, Module))
+
+
+def name_davis_request(setup: SetupPacket, data: bytes) -> str:
+    """Return what a request asks of a DAVIS346; `data` are those of its OUT stage."""
+    if setup.kind is not RequestKind.VENDOR:
+        return name_request(setup, data)
+    if setup.request == REGISTER and setup.is_in:
+        return f"read {_name(setup.value, setup.index)}"
+    if setup.request == REGISTER and len(data) == 4:
+        return f"write {_name(setup.value, setup.index)} = {int.from_bytes(data, 'big')}"
+    if setup.request == MULTI_WRITE and data and len(data) % ENTRY.size == 0:
+        return f"write {', '.join(_entries(data))}"
+    if setup.request == LOG_LEVEL:
+        return f"log level {setup.value}"
+    return "flush the data path" if setup.request == FLUSH else name_request(setup, data)
+
+
+def name_answer(setup: SetupPacket, data: bytes) -> str:
+    """Return what the answer to a request says; empty where that has no name."""
+    if setup.kind is not RequestKind.VENDOR or setup.request != REGISTER or len(data) != 4:
+        return ""
+    return f"{_name(setup.value, setup.index)} = {int.from_bytes(data, 'big')}"
+
+
+def _entries(data: bytes) -> Iterator[str]:
+    for module, address, value in ENTRY.iter_unpack(data):
+        yield f"{_name(module, address)} = {value}"
+
+
+def _name(module: int, address: int) -> str:
+    where = Module(module).name.lower() if module in _MODULES else f"module {module}"
+    return f"{where}.{_names().get((module, address), 'parameter')} ({module}.{address})"
+
+
+@cache
+def _names() -> dict[tuple[int, int], str]:
+    return {(r.module.value, r.address): r.name for r in registers(_SIZE, Layout.UPRIGHT, SystemInfo())}

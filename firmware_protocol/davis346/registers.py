@@ -16,6 +16,25 @@ Capability registers tell the truth about this model. Whether it has the backgro
 (`Davis346Settings.activity_filter`): libcaer and neuromorphic_drivers switch that filter on wherever it exists, and
 isolated events are then missing from what they see. The APS size and shutter registers describe the chip, because
 drivers size their pictures by them, also where the camera takes no frames (`Davis346Settings.frames`).
+
+What the registers of the APS module ask of frames: module 2, see `registers`; times in cycles of the ADC's clock.
+
+What module 3 asks of the inertial unit: which parts run, ranges, low-pass filters, sample rate.
+
+    2, 3, 4 run accelerometer, gyroscope, temperature   5 divider of the sample rate
+    6, 9 low-pass of accelerometer, gyroscope (unit 1: 6 is for both)   7, 10 range, 2 g and 250 deg/s * 2^n
+
+    low-pass, Hz             0      1      2     3     4     5     6     7
+    unit 1  accelerometer    260    184    94    44    21    10    5     260
+            gyroscope        256 *  188    98    42    20    10    5     256 *
+    unit 2  accelerometer    218.1  218.1  99    44.8  21.2  10.2  5.05  420
+            gyroscope        250 *  184    92    41    20    10    5     3600 *
+
+Source: libcaer 3.3.15 (davis.h), which quotes InvenSense's register maps. The sample rate is 1 kHz / (1 + divider), and
+8 kHz / (1 + divider) at * but here never above 1 kHz; the bus to the real unit carries some 2 kHz at most. Value 7 of
+unit 1 is reserved, and taken as 0.
+
+The run bits of a DAVIS346 as its data path sees them.
 """
 
 from __future__ import annotations
@@ -25,8 +44,24 @@ from dataclasses import dataclass
 from enum import Enum, IntEnum
 
 from firmware_protocol.davis346.biases import BIASES
+from firmware_protocol.frames import FrameSettings
+from firmware_protocol.imu_samples import ImuScale, ImuSettings
 
-__all__ = ["Access", "Layout", "Module", "Register", "RegisterFile", "Statistic", "SystemInfo", "registers"]
+__all__ = [
+    "Access",
+    "Layout",
+    "Module",
+    "Register",
+    "RegisterFile",
+    "RunGate",
+    "Statistic",
+    "SystemInfo",
+    "aps_waits_on_stall",
+    "driver_imu_settings",
+    "frame_settings",
+    "imu_settings",
+    "registers",
+]
 
 
 class Module(IntEnum):
@@ -314,3 +349,85 @@ class RegisterFile:
         module, upper = statistic.value
         self._values[module, upper] = value >> 32 & 0xFFFFFFFF
         self._values[module, upper + 1] = value & 0xFFFFFFFF
+
+
+_RUN, _WAIT, _GLOBAL_SHUTTER, _ROI, _EXPOSURE, _INTERVAL = 4, 5, 7, 8, 12, 13
+
+
+def frame_settings(values: RegisterFile, size: tuple[int, int], layout: Layout, *, words: bool) -> FrameSettings:
+    """Return what they ask now; `words`: whether the data path runs.
+
+    The region of interest is cut to the array of `size` = (width, height); an empty one gives no frames.
+    """
+    aps = [values.read(Module.APS, k) for k in range(14)]
+    first_column, first_row, last_column, last_row = aps[_ROI : _ROI + 4]
+    last_column, last_row = min(last_column, size[0] - 1), min(last_row, size[1] - 1)
+    empty = first_column > last_column or first_row > last_row
+    kilohertz = max(values.read(Module.SYSTEM, 4), 1) * max(values.read(Module.SYSTEM, 6), 1)
+    exposure_ns, interval_ns = (cycles * 1_000_000 // kilohertz for cycles in (aps[_EXPOSURE], aps[_INTERVAL]))
+    run = words and bool(aps[_RUN]) and not empty
+    return FrameSettings(
+        run, bool(aps[_GLOBAL_SHUTTER]), not layout.turned, aps[_EXPOSURE], exposure_ns, interval_ns,
+        first_column, first_row, last_column, last_row,
+    )  # fmt: skip
+
+
+def aps_waits_on_stall(values: RegisterFile) -> bool:
+    """Return whether lines that find no room wait for it."""
+    return bool(values.read(Module.APS, _WAIT))
+
+
+_BANDWIDTHS_MHZ = {
+    1: (
+        (260_000, 184_000, 94_000, 44_000, 21_000, 10_000, 5_000, 260_000),
+        (256_000, 188_000, 98_000, 42_000, 20_000, 10_000, 5_000, 256_000),
+    ),
+    2: (
+        (218_100, 218_100, 99_000, 44_800, 21_200, 10_200, 5_050, 420_000),
+        (250_000, 184_000, 92_000, 41_000, 20_000, 10_000, 5_000, 3_600_000),
+    ),
+}
+_UNFILTERED_GYROSCOPE = (0, 7)
+_DRIVER_LOW_PASS = 1  # libcaer 3.3.15, davis.c
+
+
+def imu_settings(values: RegisterFile, *, words: bool) -> ImuSettings:
+    """Return what the registers ask; `words`: whether the data path runs."""
+    unit, _, accelerometer, gyroscope, temperature, divider, low_pass = (values.read(Module.IMU, k) for k in range(7))
+    if unit not in _BANDWIDTHS_MHZ:
+        return ImuSettings()
+    of_gyroscope = (values.read(Module.IMU, 9) if unit == 2 else low_pass) & 7
+    ranges = values.read(Module.IMU, 7) & 3, values.read(Module.IMU, 10) & 3
+    accelerometer_mhz, gyroscope_mhz = _BANDWIDTHS_MHZ[unit]
+    return ImuSettings(
+        run=words and bool(accelerometer or gyroscope or temperature),
+        unit=unit,
+        scale=int(ImuScale(bool(accelerometer), bool(gyroscope), bool(temperature), *ranges)),
+        accelerometer_mhz=accelerometer_mhz[low_pass & 7],
+        gyroscope_mhz=gyroscope_mhz[of_gyroscope],
+        per_ms=8 if of_gyroscope in _UNFILTERED_GYROSCOPE else 1,
+        divider=1 + (divider & 0xFF),
+    )
+
+
+def driver_imu_settings(unit: int) -> ImuSettings:
+    """Return what drivers ask of unit 1 or 2 by default: all of it, 1 kHz, low-pass 1, 4 g and 500 deg/s."""
+    accelerometer_mhz, gyroscope_mhz = (bandwidths[_DRIVER_LOW_PASS] for bandwidths in _BANDWIDTHS_MHZ[unit])
+    return ImuSettings(True, unit, int(ImuScale()), accelerometer_mhz, gyroscope_mhz)
+
+
+@dataclass(frozen=True)
+class RunGate:
+    """The run bits, as far as the data path cares."""
+
+    timestamps: bool
+    reset: bool
+    words: bool
+    events: bool
+
+    @classmethod
+    def of(cls, values: RegisterFile) -> RunGate:
+        """Return what the registers say."""
+        run, timestamps, reset, chip = (bool(values.read(Module.MULTIPLEXER, k)) for k in range(4))
+        words = run and timestamps and chip and bool(values.read(Module.USB, 0))
+        return cls(timestamps, reset, words, words and bool(values.read(Module.DVS, 3)))

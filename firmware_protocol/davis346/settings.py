@@ -1,6 +1,23 @@
 """What a DAVIS346 is before it runs: who it says it is, its array and its sizes; and the descriptors that follow.
 
 Sources: USB identity from libcaer 3.3.15 and three drivers' checks; endpoints from the published FX3 firmware.
+
+Odd behaviour of drivers that the camera model allows for, each with its story.
+
+**neuromorphic_drivers loses order when data flow at once.** Versions 0.16 to 0.18 start the sensor, then submit 32
+bulk transfers one after another, resubmit each as soon as it finishes, and take completions in ring order. If a
+transfer finishes while the others are still being submitted, buffers are swapped or lost: 6 of 16 openings lost or
+reordered events of a 50 000-event stream in a slow guest; with data held back for 0.3 s, 16 of 16 were exact. A real
+camera races too, but nobody compares its events with a truth. So the model stays silent for START_DELAY_US of stream
+time after the run gate opens, and anew when the DVS is switched on, unless the host has read by then: in the middle of
+a stream the DVS can be switched off and on without a silence. A timestamp reset ends the silence at once:
+neuromorphic_drivers never sends one, and the drivers that do (libcaer, dv-processing) have all their transfers queued
+by then, the latter waiting 5 s for the reset.
+
+**neuromorphic_drivers ignores the number of steps in a wrap word** and always adds 32 768 us (0.18.2). The encoder
+sends wraps one by one, and uses words of many steps only when the host has not read for so long that single ones do
+not fit; libcaer and dv-processing then keep the right time, neuromorphic_drivers falls behind, as it would with a real
+camera.
 """
 
 from __future__ import annotations
@@ -8,7 +25,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-from firmware_protocol.davis346.quirks import START_DELAY_US
 from firmware_protocol.davis346.registers import Layout, Register, SystemInfo, registers
 from firmware_protocol.usb.descriptors import (
     Configuration,
@@ -20,7 +36,11 @@ from firmware_protocol.usb.descriptors import (
 )
 from firmware_protocol.usb.device import Identity, Speed
 
-__all__ = ["DATA_ENDPOINT", "DEBUG_ENDPOINT", "Davis346Settings"]
+__all__ = ["DATA_ENDPOINT", "DEBUG_ENDPOINT", "START_DELAY_US", "Davis346Settings"]
+
+
+START_DELAY_US = 300_000
+
 
 VENDOR_ID = 0x152A
 PRODUCT_ID = 0x841A

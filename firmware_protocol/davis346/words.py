@@ -36,8 +36,7 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from firmware_protocol.davis346.blocks import Block, put_in_place, with_places
-from firmware_protocol.davis346.marks import NO_ROW, Items, Marks, items_of, no_marks
+from firmware_protocol.davis346.blocks import NO_ROW, Block, Items, Marks, items_of, no_marks, put_in_place, with_places
 from firmware_protocol.events import Events
 
 __all__ = ["Encoded", "Special", "WordEncoder", "WordState", "Words", "is_column", "is_mark", "is_row", "wrap_words"]

@@ -14,30 +14,256 @@ Vendor request on endpoint 0, without which neuromorphic_drivers does not list t
     C0  bRequest 72, wValue 0, wIndex 0     2 bytes, the first 31: the kind of board, an EVK4
 
 One thread at a time may use a camera.
+
+From events that wait to transfers of EVT3 words.
+
+Words are made when the host asks for them, so that what is dropped while it waits leaves no trace in the stream. In a
+silence, words tell the time every 4096 us: decoders lose it after 8.4 s.
+
+What an EVK4 is before it runs: who it says it is and its sizes; and the descriptors that follow.
+
+Sources: what OpenEB 5.1.1 and neuromorphic_drivers check. Device version, release and build date of a shipped camera
+are not public: those here are new enough for both.
 """
 
 from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
-from firmware_protocol.edges import Edges
-from firmware_protocol.event_device import CameraCounters, EdgeCounters
-from firmware_protocol.events import Events
-from firmware_protocol.evk4.outflow import Outflow
-from firmware_protocol.evk4.settings import ANSWER_ENDPOINT, DATA_ENDPOINT, REQUEST_ENDPOINT, Evk4Settings
+from firmware_protocol.device.event_device import CameraCounters, EdgeCounters
+from firmware_protocol.events import Edges, Events, copy_events, empty_edges, empty_events, join_events
 from firmware_protocol.evk4.treuzell import Board, BoardFacts
-from firmware_protocol.imx636.registers import BIASES, Registers
+from firmware_protocol.evt.evt3 import Evt3Encoder
+from firmware_protocol.imx636.registers import BIASES, SIZE, BiasModel, Registers, Surroundings
 from firmware_protocol.imx636.selection import Selection
 from firmware_protocol.usb.control import Recipient, StandardControl
-from firmware_protocol.usb.descriptors import DescriptorSet
+from firmware_protocol.usb.descriptors import (
+    Configuration,
+    DescriptorSet,
+    DeviceDescriptor,
+    Endpoint,
+    Interface,
+    TransferType,
+)
 from firmware_protocol.usb.device import Identity, RequestKind, SetupPacket, Speed, Stall, Transfer, UsbCamera
 
-__all__ = ["Evk4"]
+__all__ = ["ANSWER_ENDPOINT", "DATA_ENDPOINT", "REQUEST_ENDPOINT", "Evk4", "Evk4Settings", "Outflow"]
+
+
+_SILENCE_US = 4096  # a high part of the time
+_LONGEST_GAP_US = 1_000_000  # between words, without time words of a silence in between
+_LONGEST_SILENCE_US = 3_600_000_000  # told in one transfer
+_FEWEST_EVENTS = 16  # made into words together, also for a host that asks for less
+_MOST_EDGES = 1024
+
+
+class Outflow:
+    """Events and edges of one run of the sensor on their way out.
+
+    Attributes
+    ----------
+    epoch_us
+        Stream time at which the sensor's clock was zero.
+    queued, edges_queued
+        Events and edges that wait.
+    """
+
+    def __init__(self, epoch_us: int, capacity: int) -> None:
+        self.epoch_us = self._told_us = epoch_us
+        self._capacity = capacity
+        self._encoder = Evt3Encoder(width=SIZE[0])
+        self._waiting: deque[Events] = deque()
+        self._edges = empty_edges()
+        self._cut: Transfer | None = None  # what is left of words that the host asked too little for
+        self._queued = 0
+
+    @property
+    def queued(self) -> int:
+        """Events that wait."""
+        return self._queued + (0 if self._cut is None else len(self._cut.events))
+
+    @property
+    def edges_queued(self) -> int:
+        """Edges that wait."""
+        return len(self._edges) + (0 if self._cut is None else len(self._cut.edges))
+
+    @property
+    def room(self) -> int:
+        """Events that fit now."""
+        return max(0, self._capacity - self.queued)
+
+    def put(self, events: Events) -> int:
+        """Take as many of events (n,) EVENT, sorted, as fit, and return how many that are; they are copied."""
+        fitting = events[: self.room]
+        if len(fitting):
+            self._waiting.append(copy_events(fitting))
+            self._queued += len(fitting)
+        return len(fitting)
+
+    def put_edges(self, edges: Edges) -> int:
+        """Take as many of edges (n,) EDGE, sorted, as fit, and return how many; old ones get the time told last."""
+        fitting = edges[: max(0, _MOST_EDGES - len(self._edges))]
+        self._edges = np.concatenate([self._edges, fitting])
+        return len(fitting)
+
+    def take(self, now_us: int, max_bytes: int) -> Transfer | None:
+        """Remove up to `max_bytes` of words; None where there is nothing to tell yet."""
+        if max_bytes < 2:
+            return None
+        whole = self._cut or self._next(now_us, max_bytes)
+        if whole is None or len(whole.data) <= max_bytes:
+            self._cut = None
+            return whole
+        end = max_bytes & ~1
+        self._cut = Transfer(whole.data[end:], whole.events, whole.epoch_us, whole.edges)
+        return Transfer(whole.data[:end], epoch_us=whole.epoch_us)
+
+    def _next(self, now_us: int, max_bytes: int) -> Transfer | None:
+        begin_us = self._first_us()
+        if begin_us is None or begin_us > now_us:
+            return self._silence(now_us)
+        if begin_us - self._told_us > _LONGEST_GAP_US:
+            return self._silence(begin_us)
+        return self._words(begin_us, now_us, max_bytes)
+
+    def _first_us(self) -> int | None:
+        firsts = [int(self._waiting[0]["t"][0])] if self._waiting else []
+        if len(self._edges):
+            firsts.append(max(int(self._edges["t"][0].astype(np.int64)), self._told_us))
+        return min(firsts, default=None)
+
+    def _silence(self, until_us: int) -> Transfer | None:
+        if until_us - self._told_us < _SILENCE_US:
+            return None
+        self._told_us = min(until_us, self._told_us + _LONGEST_SILENCE_US)
+        words = self._encoder.advance(self._told_us - self.epoch_us)
+        return Transfer(words, epoch_us=self.epoch_us) if words else None
+
+    def _words(self, begin_us: int, now_us: int, max_bytes: int) -> Transfer:
+        until_us = min(now_us, begin_us + _LONGEST_GAP_US)
+        room = max(max_bytes // 8 - 2, _FEWEST_EVENTS)
+        events = self._taken(until_us, room)
+        if len(events) == room:
+            until_us = int(events["t"][-1])
+        edges = self._taken_edges(until_us)
+        last_us = max(int(each["t"][-1]) for each in (events, edges) if len(each))
+        self._told_us = max(self._told_us, last_us)
+        words = self._encoder.encode(self._own(events), self._own(edges))
+        return Transfer(words, events, self.epoch_us, edges)
+
+    def _taken(self, until_us: int, room: int) -> Events:
+        """Return up to `room` events that are not later than `until_us`."""
+        taken = []
+        while self._waiting and room:
+            first = self._waiting[0]
+            count = min(room, int(np.searchsorted(first["t"], until_us, side="right")))
+            if not count:
+                break
+            taken.append(first[:count])
+            room -= count
+            self._queued -= count
+            self._waiting[0] = first[count:]
+            if count < len(first):
+                break
+            self._waiting.popleft()
+        return join_events(taken) if taken else empty_events()
+
+    def _taken_edges(self, until_us: int) -> Edges:
+        """Return the edges that are not later than `until_us`; the sensor stamps those itself that come late."""
+        times = np.maximum.accumulate(np.maximum(self._edges["t"].astype(np.int64), self._told_us))
+        due = times <= until_us
+        edges = self._edges[due].copy()
+        edges["t"] = times[due]
+        self._edges = self._edges[~due]
+        return edges
+
+    def _own(self, records: Events | Edges) -> Events | Edges:
+        own = copy_events(records) if records.dtype == empty_events().dtype else records.copy()
+        own["t"] -= np.uint64(self.epoch_us)
+        return own
+
+
+VENDOR_ID = 0x04B4
+PRODUCT_ID = 0x00F5
+ANSWER_ENDPOINT = 0x82
+REQUEST_ENDPOINT = 0x02
+DATA_ENDPOINT = 0x81
+
+_INTERFACE_CLASS = (0xFF, 0x19, 0)
+_BULK_PACKET = {Speed.SUPER: 1024, Speed.HIGH: 512, Speed.FULL: 64}
+_OTHER_SPEED = {Speed.HIGH: Speed.FULL, Speed.FULL: Speed.HIGH}
+
+
+@dataclass(frozen=True)
+class Evk4Settings:
+    """A camera's settings.
+
+    Attributes
+    ----------
+    serial
+        1 to 8 hexadecimal digits.
+    fifo_bytes
+        Room for events that wait for the host, at 6 bytes each: time, row and column.
+    start_delay_us
+        Silence after the sensor starts, stream time; see `davis346.quirks`, the driver's race is the same.
+    release
+        Firmware version, 0x00MMmmpp; OpenEB refuses below 0x030800.
+    build_unix_s
+        When that was built.
+    biases
+        What biases do to the sensor.
+    """
+
+    serial: str = "00000346"
+    speed: Speed = Speed.SUPER
+    fifo_bytes: int = 256 * 1024
+    start_delay_us: int = 300_000
+    bcd_device: int = 0x0309
+    release: int = 0x03_0900
+    build_unix_s: int = 1_700_000_000
+    surroundings: Surroundings = field(default_factory=Surroundings)
+    biases: BiasModel = field(default_factory=BiasModel)
+
+    def __post_init__(self) -> None:
+        if not 1 <= len(self.serial) <= 8 or set(self.serial) - set("0123456789abcdefABCDEF"):
+            raise ValueError(f"the serial of an EVK4 has 1 to 8 hexadecimal digits, got {self.serial!r}")
+        if self.fifo_bytes < 1024:
+            raise ValueError(f"fifo_bytes must be at least 1024, got {self.fifo_bytes}")
+        if self.start_delay_us < 0:
+            raise ValueError(f"start_delay_us {self.start_delay_us} must not be negative")
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height) of the sensor, pixels."""
+        return SIZE
+
+    @property
+    def identity(self) -> Identity:
+        """The camera as a host's bus lists it."""
+        return Identity(VENDOR_ID, PRODUCT_ID, self.bcd_device, self.speed, interfaces=(_INTERFACE_CLASS,))
+
+    def descriptors(self) -> DescriptorSet:
+        """Return all descriptors at the camera's speed."""
+        other = _OTHER_SPEED.get(self.speed)
+        return DescriptorSet(
+            device=DeviceDescriptor(self.speed, VENDOR_ID, PRODUCT_ID, self.bcd_device, strings=(1, 2, 0)),
+            configuration=_configuration(self.speed),
+            strings={1: "Prophesee", 2: "EVK4"},
+            other_speed=_configuration(other) if other else None,
+        )
+
+
+def _configuration(speed: Speed) -> Configuration:
+    """OpenEB wants these three endpoints in this order."""
+    addresses = (ANSWER_ENDPOINT, REQUEST_ENDPOINT, DATA_ENDPOINT)
+    endpoints = tuple(Endpoint(each, TransferType.BULK, _BULK_PACKET[speed], burst=15) for each in addresses)
+    return Configuration(speed, (Interface(endpoints, interface_class=_INTERFACE_CLASS),))
+
 
 _BOARD_KIND = 0x72
 _KIND = b"\x31\x00"

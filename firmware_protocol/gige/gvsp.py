@@ -11,16 +11,32 @@ neuromorphic_drivers needs. As the real camera: pixel format 0x81100E30 is EVT3,
 a block holds.
 
 Source: GigE Vision 2.0 as implemented in the open by Aravis; values from a published capture of a TRT009S-E.
+
+Blocks out of the packets of a stream, at the host's side: packets are put in order, missing ones asked for again.
+
+packet --> its block --> all from leader to trailer there? --> data, in the order of blocks
+holes --> Resend, some times --> given up: the block is lost
 """
 
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
-from firmware_protocol.gige.gvcp import Status
+from firmware_protocol.gige.gvcp import Resend, Status
 
-__all__ = ["BLOCK_OCTETS", "HEADER_OCTETS", "LEAST_PACKET", "MOST_PACKET", "Block", "removed", "test_packet"]
+__all__ = [
+    "BLOCK_OCTETS",
+    "HEADER_OCTETS",
+    "LEAST_PACKET",
+    "MOST_PACKET",
+    "Block",
+    "BlockAssembly",
+    "StreamPacket",
+    "removed",
+    "test_packet",
+]
+
 
 BLOCK_OCTETS = 64_000
 LEAST_PACKET, MOST_PACKET = 576, 9000
@@ -77,3 +93,163 @@ def test_packet(packet_size: int) -> bytes:
 
 def _header(status: Status, kind: int, block: int, packet: int) -> bytes:
     return _HEADER.pack(status, 0, (_EXTENDED | kind) << 24, block, packet)
+
+
+_LEADER, _TRAILER, _PAYLOAD = 1, 2, 3
+_ASK_AGAIN_NS = 20_000_000
+_FIRST_ASK_NS = 1_000_000
+_MOST_ASKS = 5
+_MOST_OPEN = 256
+_MOST_PACKETS = 1 << 16  # of a block
+_FARTHEST = 1 << 12  # blocks ahead of the next one: what lies beyond is damaged
+_GOOD = (Status.SUCCESS, Status.PACKET_RESENT)
+
+
+@dataclass(frozen=True)
+class StreamPacket:
+    """A packet of the stream as it came."""
+
+    status: int
+    kind: int
+    block: int
+    number: int
+    data: bytes
+
+    @classmethod
+    def of(cls, datagram: bytes) -> StreamPacket | None:
+        """Return the packet in a datagram; None for one that is none, or without long ids."""
+        if len(datagram) < _HEADER.size:
+            return None
+        status, _, kind_and_number, block, number = _HEADER.unpack_from(datagram)
+        kind = kind_and_number >> 24
+        if not kind & _EXTENDED:
+            return None
+        return cls(status, kind & ~_EXTENDED, block, number, datagram[_HEADER.size :])
+
+
+@dataclass
+class _Open:
+    ask_ns: int
+    asks: int = 0
+    parts: dict[int, bytes] = field(default_factory=dict)
+    trailer: int = -1
+    newest: int = 0
+
+    @property
+    def complete(self) -> bool:
+        """Whether all packets from the leader to the trailer are there."""
+        return self.trailer > 0 and len(self.parts) == self.trailer + 1
+
+    @property
+    def data(self) -> bytes:
+        """What lies between leader and trailer."""
+        return b"".join(self.parts[number] for number in range(1, self.trailer))
+
+    def holes(self, *, over: bool) -> list[tuple[int, int]]:
+        """Return (first, last) of packets that are missing below the newest one, and past it if the block is over."""
+        end = self.trailer if self.trailer > 0 else self.newest + (1 if over else 0)
+        missing = [number for number in range(end + 1) if number not in self.parts]
+        holes: list[tuple[int, int]] = []
+        for number in missing:
+            if holes and holes[-1][1] == number - 1:
+                holes[-1] = holes[-1][0], number
+            else:
+                holes.append((number, number))
+        return holes
+
+
+class BlockAssembly:
+    """Puts blocks together.
+
+    Attributes
+    ----------
+    lost
+        Blocks that were given up, or of which nothing came.
+    repeated
+        Packets that came more than once.
+    asked
+        Packets that were asked for again.
+    strange
+        Datagrams that are no packets, and packets of blocks that are over.
+    """
+
+    def __init__(self) -> None:
+        self._open: dict[int, _Open] = {}
+        self._next: int | None = None
+        self.lost = self.repeated = self.asked = self.strange = 0
+
+    def push(self, datagram: bytes, now_ns: int) -> list[bytes]:
+        """Take a datagram; return the data of blocks that are complete by it, in order."""
+        packet = StreamPacket.of(datagram)
+        if packet is None or packet.kind not in (_LEADER, _TRAILER, _PAYLOAD):
+            self.strange += 1
+        elif packet.block:  # block 0 is a test packet
+            self._take(packet, now_ns)
+        return self.done(now_ns)
+
+    def done(self, now_ns: int) -> list[bytes]:
+        """Return the data of blocks that are next; those that stay incomplete for too long are given up."""
+        data = []
+        while self._open:
+            first = min(self._open)
+            if self._next is None:
+                self._next = first
+            block = self._open[first]
+            hopeless = len(self._open) > _MOST_OPEN or (block.asks >= _MOST_ASKS and now_ns >= block.ask_ns)
+            if not hopeless and (first > self._next or not block.complete):
+                break  # what is missing may still come
+            self.lost += first - self._next + (not block.complete)
+            data += [block.data] if block.complete else []
+            del self._open[first]
+            self._next = first + 1
+        return data
+
+    @property
+    def waiting(self) -> int:
+        """Blocks that have begun and are neither complete nor given up."""
+        return len(self._open)
+
+    def missing(self, now_ns: int, *, over: bool = False) -> list[Resend]:
+        """Return what to ask for again now; `over`: nothing new comes, so the end of the last block is missing too."""
+        wanted = []
+        newest = max(self._open, default=0)
+        for number, block in self._open.items():
+            if not block.complete and now_ns >= block.ask_ns and block.asks < _MOST_ASKS:
+                holes = block.holes(over=over or number < newest)
+                if holes:
+                    block.ask_ns = now_ns + _ASK_AGAIN_NS
+                    block.asks += 1
+                wanted += [Resend(number, first, last) for first, last in holes]
+        wanted += self._whole_blocks(now_ns)
+        self.asked += sum(one.last - one.first + 1 for one in wanted)
+        return wanted
+
+    def _whole_blocks(self, now_ns: int) -> list[Resend]:
+        """Return requests for the leaders of blocks of which nothing came: their answer opens them."""
+        if self._next is None or not self._open:
+            return []
+        gone = range(self._next, min(min(self._open), self._next + 16))
+        for number in gone:
+            self._open[number] = _Open(now_ns + _ASK_AGAIN_NS)
+        return [Resend(number, 0, 1) for number in gone]
+
+    def _take(self, packet: StreamPacket, now_ns: int) -> None:
+        expected = packet.block if self._next is None else self._next
+        if not expected <= packet.block < expected + _FARTHEST or packet.number >= _MOST_PACKETS:
+            self.strange += 1
+            return
+        if packet.status not in _GOOD and packet.block not in self._open:
+            self.strange += 1  # the answer to a request of somebody else
+            return
+        block = self._open.setdefault(packet.block, _Open(now_ns + _FIRST_ASK_NS))
+        if packet.status not in _GOOD:
+            block.asks, block.ask_ns = _MOST_ASKS, now_ns
+            return
+        if packet.number in block.parts:
+            self.repeated += 1
+        else:
+            block.asks = 0  # what comes is worth asking on
+        block.parts[packet.number] = packet.data
+        block.newest = max(block.newest, packet.number)
+        if packet.kind == _TRAILER:
+            block.trailer = packet.number

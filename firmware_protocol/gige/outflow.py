@@ -2,23 +2,38 @@
 
 Each block begins with its time and row, so that a block that is lost takes nothing with it. In a silence, blocks
 without events tell the time: decoders lose it after 8.4 s.
+
+Which events leave the sensor: those in the ranges of rows and columns, and no more than the rate control lets by.
 """
 
 from __future__ import annotations
 
 from bisect import bisect_left
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
-from firmware_protocol.edges import Edges, empty_edges
-from firmware_protocol.event_copies import copy_events, join_events
-from firmware_protocol.events import Events, empty_events
-from firmware_protocol.evt3.encoding import Evt3Encoder
+from firmware_protocol.events import Edges, Events, copy_events, empty_edges, empty_events, join_events
+from firmware_protocol.evt.evt3 import Evt3Encoder
 from firmware_protocol.gige.gvsp import BLOCK_OCTETS, Block
+from firmware_protocol.gige.registers import (
+    COLUMNS,
+    INVERTED,
+    MOST_RANGES,
+    PERIOD_US,
+    ROWS,
+    Erc,
+    RangeRegisters,
+    Rule,
+    evs_rules,
+)
+from firmware_protocol.imx636.selection import RateControl, Selected
 
-__all__ = ["Extra", "Outflow", "Outgoing", "before"]
+__all__ = ["Extra", "Outflow", "Outgoing", "Selection", "before"]
+
 
 _KEPT = 256
 _MOST_EVENTS = BLOCK_OCTETS // 4  # a row and a column each; those that need more octets go into the next block
@@ -162,3 +177,106 @@ class Outflow:
         block = Block(self.number, 1000 * (time_us - self._epoch_us), words, packet_size)
         self._kept.append(block)
         return block
+
+
+_Mask = npt.NDArray[np.bool_]
+
+
+class Selection:
+    """What hosts write to the registers of ranges and of the rate control, at work."""
+
+    def __init__(self, size: tuple[int, int]) -> None:
+        self._bounds = evs_rules(size)
+        self._rows, self._columns = _Ranges(size[1]), _Ranges(size[0])
+        self._inverted = False
+        self._rate = RateControl(PERIOD_US)
+
+    def rules(self) -> dict[int, Rule]:
+        """Return what writes to these registers do, by address."""
+        doing = self._doing(ROWS, self._rows) | self._doing(COLUMNS, self._columns)
+        doing |= {
+            INVERTED: self._invert,
+            Erc.ON: self._rate.turn,
+            Erc.PERIOD_US: self._rate.set_period_us,
+            Erc.EVENTS: self._rate.set_most,
+        }
+        return {address: _followed(self._bounds[address], do) for address, do in doing.items()}
+
+    def apply(self, events: Events, epoch_us: int) -> Selected:
+        """Return what passes of events (n,) EVENT, sorted, of a camera whose clock was zero at `epoch_us`."""
+        wanted = events
+        if self._rows.on or self._columns.on:
+            crossing = self._rows.mask[events["y"]] & self._columns.mask[events["x"]]
+            wanted = events[~crossing if self._inverted else crossing]
+        let_by = wanted[self._rate.passing(wanted, epoch_us)] if self._rate.on else wanted
+        return Selected(let_by, len(events) - len(wanted), len(wanted) - len(let_by))
+
+    def _invert(self, value: int) -> None:
+        self._inverted = bool(value)
+
+    @staticmethod
+    def _doing(registers: RangeRegisters, ranges: _Ranges) -> dict[int, Callable[[int], None]]:
+        return {
+            registers.on: ranges.turn,
+            registers.selector: ranges.select,
+            registers.size: ranges.resize,
+            registers.offset: ranges.move,
+            registers.count: ranges.use,
+        }
+
+
+class _Ranges:
+    """Ranges of rows, or of columns, that a host writes one by one: selector, then size and offset.
+
+    Attributes
+    ----------
+    mask
+        Which rows or columns lie in a range, (pixels,) bool; all of them while the ranges are off.
+    """
+
+    def __init__(self, pixels: int) -> None:
+        self._sizes = np.zeros(MOST_RANGES, np.int64)
+        self._offsets = np.zeros(MOST_RANGES, np.int64)
+        self._selected = self._used = 0
+        self.on = False
+        self.mask: _Mask = np.ones(pixels, np.bool_)
+
+    def turn(self, on: int) -> None:
+        """Switch the ranges on or off."""
+        self.on = bool(on)
+        self._draw()
+
+    def select(self, number: int) -> None:
+        """Say which range is written next."""
+        self._selected = number
+
+    def resize(self, size: int) -> None:
+        """Set the size of the selected range."""
+        self._sizes[self._selected] = size
+        self._draw()
+
+    def move(self, offset: int) -> None:
+        """Set where the selected range begins."""
+        self._offsets[self._selected] = offset
+        self._draw()
+
+    def use(self, count: int) -> None:
+        """Say how many ranges, from the first on, are used."""
+        self._used = count
+        self._draw()
+
+    def _draw(self) -> None:
+        self.mask[:] = not self.on
+        for size, offset in zip(self._sizes[: self._used], self._offsets[: self._used], strict=True):
+            self.mask[offset : offset + size] = True
+
+
+def _followed(bounds: Rule, do: Callable[[int], None]) -> Rule:
+    """Return a rule that does something with a value that is within bounds."""
+
+    def rule(value: int) -> int:
+        done = bounds(value)
+        do(done)
+        return done
+
+    return rule

@@ -13,21 +13,40 @@ from collections import Counter, deque
 from collections.abc import Mapping
 from heapq import heappop, heappush
 
-from firmware_protocol.edges import EdgeKind, Edges, empty_edges
-from firmware_protocol.event_device import CameraCounters, EdgeCounters, EventDevice
-from firmware_protocol.events import Events
-from firmware_protocol.gige.bootstrap import Register
-from firmware_protocol.gige.evs_registers import ACQUISITION_START, ACQUISITION_STOP, BIASES, TOLD_WITH_DATA, Evs
+from firmware_protocol.device.event_device import CameraCounters, EdgeCounters, EventDevice
+from firmware_protocol.events import EdgeKind, Edges, Events, empty_edges
+from firmware_protocol.gige.control import (
+    EDGE_EVENT,
+    DeviceTime,
+    Messages,
+    MessageSettings,
+    Order,
+    Owner,
+    Peer,
+    Pulse,
+    Write,
+)
 from firmware_protocol.gige.gvcp import Resend, Status
 from firmware_protocol.gige.gvsp import removed, test_packet
-from firmware_protocol.gige.memory import Memory, Rule
-from firmware_protocol.gige.messages import EDGE_EVENT, Messages, MessageSettings
-from firmware_protocol.gige.orders import DeviceTime, Order, Owner, Peer, Pulse, Write
-from firmware_protocol.gige.outflow import Extra, Outflow, Outgoing, before
-from firmware_protocol.gige.selection import Selection
-from firmware_protocol.gige.settings import GigeSettings
-from firmware_protocol.gige.standard_rules import DO_NOT_FRAGMENT, TEST_PACKET, packet_size
-from firmware_protocol.gige.triton2_registers import triton2_areas, triton2_rules
+from firmware_protocol.gige.outflow import Extra, Outflow, Outgoing, Selection, before
+from firmware_protocol.gige.registers import (
+    ACQUISITION_START,
+    ACQUISITION_STOP,
+    BIASES,
+    TOLD_WITH_DATA,
+    Evs,
+    GigeSettings,
+    Memory,
+    Register,
+    Rule,
+)
+from firmware_protocol.gige.triton2_registers import (
+    DO_NOT_FRAGMENT,
+    TEST_PACKET,
+    packet_size,
+    triton2_areas,
+    triton2_rules,
+)
 
 __all__ = ["Triton2"]
 

@@ -13,13 +13,9 @@ import ipaddress
 from collections import Counter, deque
 from collections.abc import Sequence
 
-from firmware_protocol.gige.bootstrap import Register
-from firmware_protocol.gige.control import Control, Datagram
-from firmware_protocol.gige.evs_registers import ACQUISITION_START, ACQUISITION_STOP, Evs
+from firmware_protocol.gige.control import Control, Datagram, DeviceTime, Order, Owner, Peer, Pulse, TimeSource, Write
 from firmware_protocol.gige.gvcp import Action, Refused, Resend, Status
-from firmware_protocol.gige.memory import Memory
-from firmware_protocol.gige.orders import DeviceTime, Order, Owner, Peer, Pulse, TimeSource, Write
-from firmware_protocol.gige.settings import GigeSettings
+from firmware_protocol.gige.registers import ACQUISITION_START, ACQUISITION_STOP, Evs, GigeSettings, Memory, Register
 from firmware_protocol.gige.triton2_registers import triton2_areas, triton2_rules
 
 __all__ = ["Triton2Control"]

@@ -9,33 +9,127 @@ A message is formed when the line asks for it, as late as possible: a line that 
 that is full takes full ones. Answers go first, then edges, housekeeping, events.
 
 The camera's own time is stream time plus an offset that SetTime changes; all that leaves bears it.
+
+Housekeeping: when it is due, and what it says.
+
+What leaves an instrument.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from firmware_protocol.edges import Edges
-from firmware_protocol.event_device import CameraCounters, EventDevice
-from firmware_protocol.events import Events
-from firmware_protocol.instrument.answers import Answers
-from firmware_protocol.instrument.biases import DavisBiases, SensorBiases
-from firmware_protocol.instrument.edge_path import EdgePath
-from firmware_protocol.instrument.event_path import EventPath, Piece, block_settings
-from firmware_protocol.instrument.outgoing import Outgoing
-from firmware_protocol.instrument.own_time import OwnTime
-from firmware_protocol.instrument.rate import Selection
-from firmware_protocol.instrument.report import Reporter, State
-from firmware_protocol.instrument.settings import InstrumentSettings
-from firmware_protocol.instrument.telecommand_handler import TelecommandHandler
-from firmware_protocol.packets.housekeeping import Housekeeping, LinkCounts
-from firmware_protocol.packets.message import Message, MessageKind
+from firmware_protocol.device.event_device import CameraCounters, EventDevice
+from firmware_protocol.events import Edges, Events, empty_edges, empty_events
+from firmware_protocol.instrument.event_path import EdgePath, EventPath, Piece, block_settings
+from firmware_protocol.instrument.queue import OwnTime, Selection
+from firmware_protocol.instrument.settings import DavisBiases, InstrumentSettings, SensorBiases
+from firmware_protocol.instrument.telecommand_handler import Answers, TelecommandHandler
+from firmware_protocol.packets.addresses import Message, MessageKind
+from firmware_protocol.packets.housekeeping import EdgeCounts, EventCounts, Housekeeping, LinkCounts, Mode, TimeStatus
 from firmware_protocol.packets.profile import ReceivedCommand
 from firmware_protocol.telemetry import BlockEncoder
 
-__all__ = ["Instrument"]
+__all__ = ["Instrument", "Outgoing", "Reporter", "State"]
+
+
+_MOST_HZ = 0xFFFF_FFFF
+
+
+@dataclass(frozen=True)
+class State:
+    """What an instrument has to tell of itself; `now_us` is stream time, `own_us` the camera's."""
+
+    now_us: int
+    own_us: int
+    streaming: bool
+    time_status: TimeStatus
+    tick_us: int
+    rate_limit: int
+    selection: Selection
+    temperature_c: float
+    counters: CameraCounters
+    link: LinkCounts
+
+
+class Reporter:
+    """Makes housekeeping reports, one every `period_us` of stream time; with 0 only those that are asked for."""
+
+    def __init__(self, period_us: int) -> None:
+        self._period_us = period_us
+        self._next_us = 0
+        self._last_us = self._offered = self._sent = 0
+
+    def due(self, now_us: int) -> bool:
+        """Say whether the next report is due."""
+        return self._period_us > 0 and now_us >= self._next_us
+
+    def report(self, state: State) -> Housekeeping:
+        """Return the report; rates are since the last one."""
+        c, selection = state.counters, state.selection
+        seconds = (state.now_us - self._last_us) * 1e-6
+        offered_hz, sent_hz = (
+            min(_MOST_HZ, round(count / seconds)) if seconds > 0 else 0
+            for count in (c.offered - self._offered, c.delivered - self._sent)
+        )
+        self._last_us, self._offered, self._sent = state.now_us, c.offered, c.delivered
+        if self._period_us:
+            self._next_us = (state.now_us // self._period_us + 1) * self._period_us
+        return Housekeeping(
+            t_us=state.own_us,
+            region=(selection.x, selection.y, selection.width, selection.height),
+            mode=Mode.STREAMING if state.streaming else Mode.STOPPED,
+            time_status=state.time_status,
+            offered_hz=offered_hz,
+            sent_hz=sent_hz,
+            temperature_centi_c=round(100 * state.temperature_c),
+            tick_us=state.tick_us,
+            rate_limit_hz=state.rate_limit,
+            events=_events(c),
+            edges=EdgeCounts(c.edges.offered, c.edges.delivered, c.edges.ignored, c.edges.dropped),
+            link=state.link,
+        )
+
+
+def _events(c: CameraCounters) -> EventCounts:
+    return EventCounts(
+        offered=c.offered,
+        sent=c.delivered,
+        waiting=c.queued,
+        not_running=c.not_running,
+        not_selected=c.not_selected,
+        over_rate=c.dropped_rate,
+        too_late=c.dropped_late,
+        buffer_full=c.dropped_fifo,
+        flushed=c.flushed,
+        lost_on_link=c.lost_on_link,
+    )
+
+
+@dataclass(frozen=True)
+class Outgoing:
+    """A message, and what it carries as a receiver will see it.
+
+    Attributes
+    ----------
+    message
+        What to send, with the instrument's own time. Its payload is empty where the link packs the events itself.
+    events, edges
+        What it carries, in stream time: cut to the tick and in the order of the block.
+    epoch_us
+        Stream time at which the instrument's own time is zero; negative where that is before the stream began.
+    dropped
+        Events dropped between these and those that left before.
+    """
+
+    message: Message
+    events: Events = field(default_factory=empty_events)
+    edges: Edges = field(default_factory=empty_edges)
+    epoch_us: int = 0
+    dropped: int = 0
 
 
 class Instrument(EventDevice):

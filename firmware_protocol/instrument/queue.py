@@ -8,6 +8,10 @@ a gap, so the count in its header stands exactly where the events are missing.
 
 What gives way when the queue is full is the policy: "drop_oldest" lets go at the head, so what is sent is fresh and the
 gap lies between two blocks; "drop_newest" refuses at the tail until there is room for a block again.
+
+What keeps a stream within a set rate: a token bucket in stream time, and a choice of pixels.
+
+The camera's own time: stream time plus an offset that SetTime, the bus or a synchronisation input changes.
 """
 
 from __future__ import annotations
@@ -18,10 +22,10 @@ from enum import StrEnum
 
 import numpy as np
 
-from firmware_protocol.event_copies import join_events
-from firmware_protocol.events import Events, empty_events
+from firmware_protocol.events import EVENT, Events, empty_events, join_events
+from firmware_protocol.packets.housekeeping import TimeStatus
 
-__all__ = ["Dropped", "EventQueue", "Policy", "QueueBounds"]
+__all__ = ["Dropped", "EventQueue", "OwnTime", "Policy", "QueueBounds", "Selection", "TokenBucket"]
 
 
 class Policy(StrEnum):
@@ -184,3 +188,118 @@ class EventQueue:
                 self._segments.popleft()
                 if self._segments:
                     self._before, self._segments[0].before = self._before + self._segments[0].before, 0
+
+
+_RECORD = f"V{EVENT.itemsize}"  # numpy picks these as bytes, and structured records field by field
+
+
+class TokenBucket:
+    """Lets through `per_second` events on the average, at most `burst` at once; a rate of 0 lets everything through."""
+
+    def __init__(self, per_second: float, burst: int, now_us: int = 0) -> None:
+        self.per_second = per_second
+        self._burst = burst
+        self._tokens = float(burst)
+        self._now_us = now_us
+
+    def advance(self, now_us: int) -> None:
+        """Let stream time pass."""
+        gained = (now_us - self._now_us) * 1e-6 * self.per_second
+        self._tokens = min(float(self._burst), self._tokens + gained)
+        self._now_us = now_us
+
+    def holds(self, count: int) -> bool:
+        """Say whether `count` events may go now."""
+        return self.per_second == 0 or count <= self._tokens
+
+    def spend(self, count: int) -> None:
+        """Let `count` events go."""
+        if self.per_second:
+            self._tokens -= count
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Which pixels are sent.
+
+    Attributes
+    ----------
+    x, y, width, height
+        The region of interest, pixels.
+    keep_every
+        Of the region, only columns and rows that are a multiple of this, counted from the array's corner.
+    """
+
+    x: int
+    y: int
+    width: int
+    height: int
+    keep_every: int = 1
+
+    def within(self, size: tuple[int, int]) -> Selection:
+        """Return this if it lies within an array of `size` = (width, height); raises ValueError otherwise."""
+        if self.x + self.width > size[0] or self.y + self.height > size[1]:
+            raise ValueError(
+                f"region {[self.x, self.y, self.width, self.height]} reaches beyond the {size[0]}x{size[1]} pixels"
+            )
+        return self
+
+    def of(self, events: Events) -> Events:
+        """Return a copy of those events (n,) that are chosen."""
+        x, y = events["x"], events["y"]
+        chosen = (x >= self.x) & (x < self.x + self.width) & (y >= self.y) & (y < self.y + self.height)
+        if self.keep_every > 1:
+            chosen &= (x % self.keep_every == 0) & (y % self.keep_every == 0)
+        chosen_events: Events = events.view(_RECORD)[chosen].view(EVENT)
+        return chosen_events
+
+
+_LATEST_US = ((1 << 32) - 366 * 86_400) * 1_000_000
+
+
+class OwnTime:
+    """Stream time reached, and the camera's time beside it.
+
+    Attributes
+    ----------
+    now_us
+        Stream time.
+    offset_us
+        What the camera's time is ahead of it.
+    status
+        What the camera's time depends on.
+    """
+
+    def __init__(self) -> None:
+        self.now_us = self.offset_us = 0
+        self.status = TimeStatus.FREE_RUNNING
+
+    @property
+    def own_us(self) -> int:
+        """The camera's own time; never negative."""
+        return self.now_us + self.offset_us
+
+    @property
+    def epoch_us(self) -> int:
+        """Stream time at which the camera's own time is zero; negative when it was set ahead."""
+        return -self.offset_us
+
+    def of(self, stream_us: int) -> int:
+        """Return the camera's time at a stream time, which is taken modulo 2^64: a tick may begin before the stream."""
+        return (stream_us + self.offset_us) % (1 << 64)
+
+    def reach(self, now_us: int) -> None:
+        """Let stream time pass; it never goes back."""
+        self.now_us = max(self.now_us, now_us)
+
+    def set(self, t_us: int) -> None:
+        """Make the camera's time `t_us` now; raises ValueError when that is negative or too far in the future."""
+        if not 0 <= t_us <= _LATEST_US:
+            raise ValueError(f"time {t_us} us leaves no year before 32 bits of seconds are full")
+        self.offset_us = t_us - self.now_us
+        self.status = TimeStatus.SET
+
+    def restart(self) -> None:
+        """Make the camera's time zero now, unasked."""
+        self.set(0)
+        self.status = TimeStatus.FREE_RUNNING

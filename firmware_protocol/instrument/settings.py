@@ -1,14 +1,25 @@
-"""What an instrument is before it is told anything."""
+"""What an instrument is before it is told anything.
+
+The biases of an instrument's sensor, as telecommands set them by number, and what they do to its pixels.
+
+DAVIS346    number of the bias in module 5, value its word
+IMX636      number of its register after 1000, in steps of four octets: 1 fo, 3 hpf, 4 diff_on, 5 diff, 6 diff_off,
+8 refr; value its current, 0 to 255
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-from firmware_protocol.instrument.queue import Policy, QueueBounds
-from firmware_protocol.instrument.rate import Selection
+from firmware_protocol.davis346.biases import BIASES as DAVIS_BIASES
+from firmware_protocol.davis346.biases import sensor_factors
+from firmware_protocol.imx636.registers import BIASES as IMX_BIASES
+from firmware_protocol.imx636.registers import BiasModel
+from firmware_protocol.instrument.queue import Policy, QueueBounds, Selection
 
-__all__ = ["InstrumentSettings"]
+__all__ = ["DavisBiases", "Imx636Biases", "InstrumentSettings", "SensorBiases"]
 
 
 @dataclass(frozen=True)
@@ -85,3 +96,64 @@ class InstrumentSettings:
         """Return which pixels of an array of `size` = (width, height) are sent; raises ValueError."""
         x, y, width, height = self.region or (0, 0, *size)
         return Selection(x, y, width, height, self.keep_every).within(size)
+
+
+_FIRST, _STEP, _MOST = 0x1000, 4, 255
+_IMX_NUMBERS = {(address - _FIRST) // _STEP: name for name, (address, _) in IMX_BIASES.items()}
+
+
+class DavisBiases:
+    """Those of a DAVIS346.
+
+    Attributes
+    ----------
+    values
+        As they are now, by number.
+    factors, without_effect
+        See `EventDevice.sensor_factors` and `EventDevice.without_effect`.
+    """
+
+    def __init__(self) -> None:
+        self.values = {bias.address: int(bias.default) for bias in DAVIS_BIASES}
+        self.factors: Mapping[str, float] = {}
+        self.without_effect: Mapping[str, str] = {}
+
+    def set(self, number: int, value: int) -> None:
+        """Set one; raises ValueError for a number that there is not."""
+        if number not in self.values:
+            raise ValueError(f"there is no bias {number}")
+        self.values[number] = value
+        self.factors = sensor_factors(self.values)
+
+
+class Imx636Biases:
+    """Those of an IMX636; attributes as `DavisBiases`."""
+
+    def __init__(self, model: BiasModel) -> None:
+        self._model = model
+        self.values = {number: IMX_BIASES[name][1] for number, name in _IMX_NUMBERS.items()}
+
+    def set(self, number: int, value: int) -> None:
+        """Set one; raises ValueError for a number or a value that there is not."""
+        if number not in self.values:
+            raise ValueError(f"there is no bias {number}")
+        if value > _MOST:
+            raise ValueError(f"bias {number} goes to {_MOST}, got {value}")
+        self.values[number] = value
+
+    @property
+    def factors(self) -> Mapping[str, float]:
+        """See `DavisBiases`."""
+        return self._model.factors(self._steps)
+
+    @property
+    def without_effect(self) -> Mapping[str, str]:
+        """See `DavisBiases`."""
+        return self._model.without_effect(self._steps)
+
+    @property
+    def _steps(self) -> dict[str, int]:
+        return {name: self.values[number] - IMX_BIASES[name][1] for number, name in _IMX_NUMBERS.items()}
+
+
+SensorBiases = DavisBiases | Imx636Biases

@@ -1,31 +1,62 @@
-"""Telecommands carried out, and answered as PUS service 1 does."""
+"""Telecommands carried out, and answered as PUS service 1 does.
+
+Answers that wait for the line: a bounded queue of messages, the oldest lost first.
+"""
 
 from __future__ import annotations
 
 from collections import deque
 from typing import Protocol
 
-from firmware_protocol.instrument.answers import Answers
-from firmware_protocol.instrument.own_time import OwnTime
+from firmware_protocol.instrument.queue import OwnTime
+from firmware_protocol.packets.addresses import Message, MessageKind
 from firmware_protocol.packets.housekeeping import Housekeeping, TimeReport
-from firmware_protocol.packets.message import MessageKind
 from firmware_protocol.packets.profile import ReceivedCommand
 from firmware_protocol.packets.pus import Acknowledge
 from firmware_protocol.packets.telecommands import (
+    CommandRefused,
+    Failure,
+    FailureCode,
     Ping,
     RequestHousekeeping,
+    RequestId,
     SetBias,
     SetRateLimit,
     SetRegion,
     SetTick,
     SetTime,
+    Stage,
     Start,
     Stop,
     Telecommand,
+    Verification,
 )
-from firmware_protocol.packets.verification import CommandRefused, Failure, FailureCode, RequestId, Stage, Verification
 
-__all__ = ["Commanded", "TelecommandHandler"]
+__all__ = ["Answers", "Commanded", "TelecommandHandler"]
+
+
+_MOST_ANSWERS = 256
+
+
+class Answers:
+    """Queues what a telecommand asked for; a computer that asks faster than the line answers loses the oldest ones."""
+
+    def __init__(self, time: OwnTime) -> None:
+        self._time = time
+        self._waiting: deque[Message] = deque(maxlen=_MOST_ANSWERS)
+
+    def put(self, kind: MessageKind, payload: bytes) -> None:
+        """Queue an answer, with the camera's time now."""
+        self._waiting.append(Message(kind, payload, self._time.own_us))
+
+    def take(self) -> Message | None:
+        """Return the oldest answer; None when none waits."""
+        return self._waiting.popleft() if self._waiting else None
+
+    def clear(self) -> None:
+        """Drop all answers."""
+        self._waiting.clear()
+
 
 _MOST_EXECUTED = 256  # between two looks, each within a millisecond
 

@@ -24,9 +24,8 @@ from xml.sax.saxutils import escape
 import numpy as np
 import numpy.typing as npt
 
-from firmware_protocol.edges import EdgeKind, Edges
-from firmware_protocol.events import Events
-from firmware_protocol.network_streams.coder import ConnectionCoder, StreamFacts
+from firmware_protocol.events import EdgeKind, Edges, Events
+from firmware_protocol.network_streams.coders import ConnectionCoder, StreamFacts
 
 __all__ = ["DV_EVENT", "DvCoder", "DvTriggerCoder"]
 

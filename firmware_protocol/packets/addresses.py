@@ -1,10 +1,30 @@
-"""Who is who on the link: the numbers under which an instrument and the computer it serves know each other."""
+"""Who is who on the link: the numbers under which an instrument and the computer it serves know each other.
+
+What a receiver says of a packet that it does not take.
+
+What an instrument says, whichever standard carries it.
+
+Sequence counts: given out by a sender, followed by a receiver that says how many packets never came.
+"""
 
 from __future__ import annotations
 
+from collections import defaultdict
+from collections.abc import Hashable
 from dataclasses import dataclass
+from enum import Enum
 
-__all__ = ["DEFAULT_ADDRESSES", "Addresses"]
+__all__ = [
+    "DEFAULT_ADDRESSES",
+    "Addresses",
+    "Message",
+    "MessageKind",
+    "PacketError",
+    "Received",
+    "SequenceCounts",
+    "SequenceFollower",
+]
+
 
 _APIDS = range(1, 0x7FF)
 
@@ -40,3 +60,86 @@ class Addresses:
 
 
 DEFAULT_ADDRESSES = Addresses()
+
+
+class PacketError(ValueError):
+    """A packet is malformed or not for us. The message is the reason under which it is counted."""
+
+
+class MessageKind(Enum):
+    """The kinds of messages, and what their payload is."""
+
+    EVENTS = "events"
+    """One event block (firmware_protocol.telemetry)."""
+    EDGES = "edges"
+    """One block of edges (firmware_protocol.telemetry)."""
+    HOUSEKEEPING = "housekeeping"
+    """`Housekeeping`."""
+    VERIFICATION = "verification"
+    """`Verification`."""
+    TIME = "time"
+    """`TimeReport`."""
+    PONG = "pong"
+    """Nothing."""
+
+
+@dataclass(frozen=True)
+class Message:
+    """One message, with its time in microseconds since the start of the stream."""
+
+    kind: MessageKind
+    payload: bytes
+    t_us: int
+
+
+@dataclass(frozen=True)
+class Received:
+    """A message that came, and how many of its counter are missing before it."""
+
+    message: Message
+    missing: int = 0
+
+
+class SequenceCounts:
+    """One running number for each key, modulo `modulus`."""
+
+    def __init__(self, modulus: int) -> None:
+        self._modulus = modulus
+        self._next: defaultdict[Hashable, int] = defaultdict(int)
+
+    def take(self, key: Hashable) -> int:
+        """Return the next number of `key`."""
+        number = self._next[key]
+        self._next[key] = (number + 1) % self._modulus
+        return number
+
+
+class SequenceFollower:
+    """Compares the numbers that come with those that should.
+
+    A number less than half a turn ahead means that those between are missing; one behind (a repeat, packets out of
+    order, a sender that began anew) is counted in `disordered`, and counting goes on from it.
+
+    Attributes
+    ----------
+    missing
+        Packets that never came.
+    disordered
+        Packets whose number was behind the one expected.
+    """
+
+    def __init__(self, modulus: int) -> None:
+        self._modulus = modulus
+        self._expected: dict[Hashable, int] = {}
+        self.missing = 0
+        self.disordered = 0
+
+    def follow(self, key: Hashable, number: int) -> int:
+        """Take the number of a packet of `key`; return how many are missing before it."""
+        ahead = (number - self._expected.get(key, number)) % self._modulus
+        self._expected[key] = (number + 1) % self._modulus
+        if ahead >= self._modulus // 2:
+            self.disordered += 1
+            return 0
+        self.missing += ahead
+        return ahead

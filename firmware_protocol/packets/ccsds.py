@@ -10,6 +10,22 @@
           48..    data
 
 Source: CCSDS 133.0-B-2, section 4.1; checked against the spacepackets library.
+
+CCSDS unsegmented time code (CUC): whole seconds and binary fractions of a second since an epoch. Big-endian.
+
+    P-field, one octet, left out (implicit) where both sides know it
+        bit 7      another octet follows: 0 here
+        bits 6..4  001 epoch 1958-01-01 TAI, 010 an epoch of the agency's own
+        bits 3..2  octets of seconds less one
+        bits 1..0  octets of fraction
+    T-field
+        1..4 octets of seconds, 0..3 octets of fraction
+
+4 + 3 octets: P-field 0x1F (TAI) or 0x2F (own epoch), a step of 2^-24 s = 59.6 ns. All arithmetic is on integers; a
+time goes to the nearest step, halves up, and back to the nearest unit, so whole microseconds come back exactly from
+three octets of fraction (not from fewer). Nanoseconds come back within 30 ns.
+
+Source: CCSDS 301.0-B-4, section 3.2.
 """
 
 from __future__ import annotations
@@ -17,19 +33,24 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import IntEnum
 
-from firmware_protocol.packets.errors import PacketError
+from firmware_protocol.packets.addresses import PacketError
 from firmware_protocol.wire_layout import Field, Layout, choices_of
 
 __all__ = [
     "APID_IDLE",
+    "OWN_EPOCH_4_3",
     "PRIMARY_HEADER",
     "SEQUENCE_MODULUS",
+    "TAI_4_3",
+    "CucFormat",
+    "Epoch",
     "PacketType",
     "SequenceFlags",
     "SpacePacket",
     "idle_packet",
     "whole_packets",
 ]
+
 
 APID_IDLE = 0x7FF
 SEQUENCE_MODULUS = 1 << 14
@@ -150,3 +171,106 @@ def whole_packets(octets: bytes) -> list[bytes]:
         packets.append(octets[at : at + HEADER_BYTES + size])
         at += HEADER_BYTES + size
     return packets
+
+
+_US = 1_000_000
+_NS = 1_000_000_000
+
+
+class Epoch(IntEnum):
+    """Where time is zero."""
+
+    TAI_1958 = 1
+    OWN = 2
+
+
+def _check(what: str, value: int, lowest: int, highest: int) -> None:
+    if not lowest <= value <= highest:
+        raise ValueError(f"CUC {what}: {value} is not in {lowest}..{highest}")
+
+
+@dataclass(frozen=True)
+class CucFormat:
+    """How a time is written.
+
+    Attributes
+    ----------
+    seconds_octets, fraction_octets
+        1..4 and 0..3.
+    p_field
+        Whether the P-field stands in front of the time.
+    """
+
+    epoch: Epoch = Epoch.OWN
+    seconds_octets: int = 4
+    fraction_octets: int = 3
+    p_field: bool = False
+
+    def __post_init__(self) -> None:
+        _check("octets of seconds", self.seconds_octets, 1, 4)
+        _check("octets of fraction", self.fraction_octets, 0, 3)
+
+    @classmethod
+    def parse_p_field(cls, octet: int) -> CucFormat:
+        """Read a P-field of one octet. Raises PacketError for another time code or a longer P-field."""
+        if octet >> 7 or octet >> 4 & 7 not in (Epoch.TAI_1958, Epoch.OWN):
+            raise PacketError("time code")
+        return cls(Epoch(octet >> 4 & 7), (octet >> 2 & 3) + 1, octet & 3, p_field=True)
+
+    @property
+    def p_field_octet(self) -> int:
+        """The P-field."""
+        return self.epoch << 4 | self.seconds_octets - 1 << 2 | self.fraction_octets
+
+    @property
+    def octets(self) -> int:
+        """Length of an encoded time."""
+        return self.p_field + self.seconds_octets + self.fraction_octets
+
+    def layout(self, name: str, meaning: str) -> Layout:
+        """Return the fields of an encoded time: `name`_seconds and `name`_fraction."""
+        p_field = Field(f"{name}_p_field", 8, "CUC: which epoch, and how many octets", fixed=self.p_field_octet)
+        seconds = Field(f"{name}_seconds", 8 * self.seconds_octets, f"{meaning}, whole seconds", "s")
+        bits = 8 * self.fraction_octets
+        fraction = Field(f"{name}_fraction", bits, f"{meaning}, fraction of a second", "s", scale=2.0**-bits)
+        return Layout(*(p_field,) * self.p_field, seconds, *(fraction,) * bool(bits))
+
+    def encode_us(self, t_us: int) -> bytes:
+        """Write a time in microseconds since the epoch. Raises ValueError when it does not fit."""
+        return self._encode(t_us, _US)
+
+    def encode_ns(self, t_ns: int) -> bytes:
+        """Write a time in nanoseconds since the epoch. Raises ValueError when it does not fit."""
+        return self._encode(t_ns, _NS)
+
+    def parse_us(self, octets: bytes) -> int:
+        """Read a time, in microseconds since the epoch. Raises PacketError for a wrong length or P-field."""
+        return self._parse(octets, _US)
+
+    def parse_ns(self, octets: bytes) -> int:
+        """Read a time, in nanoseconds since the epoch. Raises PacketError for a wrong length or P-field."""
+        return self._parse(octets, _NS)
+
+    def _encode(self, time: int, per_second: int) -> bytes:
+        fraction_bits = 8 * self.fraction_octets
+        steps = ((time << fraction_bits) + per_second // 2) // per_second
+        if steps < 0 or steps >> fraction_bits >> 8 * self.seconds_octets:
+            raise ValueError(f"{time / per_second} s does not fit {self.seconds_octets} octets of seconds")
+        t_field = steps.to_bytes(self.seconds_octets + self.fraction_octets, "big")
+        return bytes([self.p_field_octet]) + t_field if self.p_field else t_field
+
+    def _parse(self, octets: bytes, per_second: int) -> int:
+        if len(octets) != self.octets:
+            raise PacketError("time length")
+        if self.p_field and octets[0] != self.p_field_octet:
+            raise PacketError("time code")
+        fraction_bits = 8 * self.fraction_octets
+        steps = int.from_bytes(octets[self.p_field :], "big")
+        return (steps * per_second + (1 << fraction_bits >> 1)) >> fraction_bits
+
+
+OWN_EPOCH_4_3 = CucFormat()
+"""Seven octets, P-field 0x2F implicit: the time of our packets, since the start of the stream."""
+
+TAI_4_3 = CucFormat(Epoch.TAI_1958)
+"""Seven octets, P-field 0x1F implicit."""

@@ -6,10 +6,9 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import ClassVar
 
-from firmware_protocol.packets.message import Message
+from firmware_protocol.packets.addresses import Message
 from firmware_protocol.packets.pus import Acknowledge
-from firmware_protocol.packets.telecommands import Telecommand
-from firmware_protocol.packets.verification import RequestId
+from firmware_protocol.packets.telecommands import RequestId, Telecommand
 
 __all__ = ["Decoded", "PacketCodec", "Request"]
 

@@ -33,8 +33,8 @@ from dataclasses import asdict, dataclass, field, fields
 from enum import IntEnum
 from typing import Any
 
-from firmware_protocol.packets.cuc import CucFormat
-from firmware_protocol.packets.errors import PacketError
+from firmware_protocol.packets.addresses import PacketError
+from firmware_protocol.packets.ccsds import CucFormat
 from firmware_protocol.wire_layout import Field, Layout, WrongLength, choices_of
 
 __all__ = [

@@ -25,17 +25,20 @@ from functools import partial
 
 from firmware_protocol.framing import cobs, datagram, fprime, kiss, slip
 from firmware_protocol.framing.deframer import DEFAULT_MAX_PAYLOAD, FrameCounters, StreamDeframer
-from firmware_protocol.packets.addresses import DEFAULT_ADDRESSES, Addresses
+from firmware_protocol.packets.addresses import (
+    DEFAULT_ADDRESSES,
+    Addresses,
+    Message,
+    PacketError,
+    Received,
+    SequenceFollower,
+)
 from firmware_protocol.packets.ccsds import SEQUENCE_MODULUS
 from firmware_protocol.packets.codec import PacketCodec, Request
-from firmware_protocol.packets.csp_messages import HEADER_OCTETS, CspCodec
-from firmware_protocol.packets.errors import PacketError
-from firmware_protocol.packets.message import Message, Received
+from firmware_protocol.packets.csp import HEADER_OCTETS, CspCodec
 from firmware_protocol.packets.pus import Acknowledge
 from firmware_protocol.packets.pus_messages import PusCodec
-from firmware_protocol.packets.sequence import SequenceFollower
-from firmware_protocol.packets.telecommands import Telecommand, parse_telecommand
-from firmware_protocol.packets.verification import CommandRefused, Failure, RequestId
+from firmware_protocol.packets.telecommands import CommandRefused, Failure, RequestId, Telecommand, parse_telecommand
 
 __all__ = ["PROFILES", "CommandUnwrapper", "Profile", "ReceivedCommand", "Unwrapper", "UnwrapperCounters"]
 

@@ -23,9 +23,8 @@ from dataclasses import dataclass
 from enum import IntFlag
 
 from firmware_protocol.framing.crc import crc16
-from firmware_protocol.packets.ccsds import PRIMARY_HEADER, PacketType, SequenceFlags, SpacePacket
-from firmware_protocol.packets.cuc import OWN_EPOCH_4_3
-from firmware_protocol.packets.errors import PacketError
+from firmware_protocol.packets.addresses import PacketError
+from firmware_protocol.packets.ccsds import OWN_EPOCH_4_3, PRIMARY_HEADER, PacketType, SequenceFlags, SpacePacket
 from firmware_protocol.wire_layout import Field, Layout
 
 __all__ = [

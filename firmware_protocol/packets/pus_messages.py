@@ -14,15 +14,11 @@ else. Sequence counts run modulo 16 384 under each APID.
 
 from __future__ import annotations
 
-from firmware_protocol.packets.addresses import Addresses
+from firmware_protocol.packets.addresses import Addresses, Message, MessageKind, PacketError, SequenceCounts
 from firmware_protocol.packets.ccsds import APID_IDLE, SEQUENCE_MODULUS, SpacePacket
 from firmware_protocol.packets.codec import Decoded, PacketCodec, Request
-from firmware_protocol.packets.errors import PacketError
-from firmware_protocol.packets.message import Message, MessageKind
 from firmware_protocol.packets.pus import TC_OVERHEAD, TM_OVERHEAD, Acknowledge, TcPacket, TmPacket
-from firmware_protocol.packets.sequence import SequenceCounts
-from firmware_protocol.packets.telecommands import Telecommand
-from firmware_protocol.packets.verification import RequestId, Verification
+from firmware_protocol.packets.telecommands import RequestId, Telecommand, Verification
 
 __all__ = ["MESSAGE_TYPES", "SCIENCE", "VERIFICATION_SERVICE", "PusCodec"]
 

@@ -14,19 +14,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from firmware_protocol.can_frames.canopen import ObjectError
-from firmware_protocol.can_frames.cfp import CfpReceiver
+from firmware_protocol.can_frames.dbc import Identifiers
 from firmware_protocol.can_frames.frame import Frame
-from firmware_protocol.can_frames.identifiers import Identifiers
-from firmware_protocol.can_frames.isotp import IsoTpReceiver, IsoTpSettings
-from firmware_protocol.can_frames.marks import unpack_mark
+from firmware_protocol.can_frames.raw_events import unpack_mark
 from firmware_protocol.can_frames.raw_stream import RawReceiver
-from firmware_protocol.edges import Edges
-from firmware_protocol.events import Events
+from firmware_protocol.can_frames.transport import CfpReceiver, IsoTpReceiver, IsoTpSettings
+from firmware_protocol.events import Edges, Events
 from firmware_protocol.packets.addresses import Addresses
 from firmware_protocol.packets.housekeeping import Housekeeping
 from firmware_protocol.packets.profile import Profile, Unwrapper
-from firmware_protocol.receiver.inbox import Inbox
-from firmware_protocol.receiver.messages import MessageReader
+from firmware_protocol.receiver.instrument import Inbox, MessageReader
 
 __all__ = ["CanReceiver", "CanReceiverSettings"]
 

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from firmware_protocol.edges import Edges, empty_edges
-from firmware_protocol.events import Events, empty_events
+from firmware_protocol.events import Edges, Events, empty_edges, empty_events
 
 __all__ = ["IMU", "Frame", "ImuRecords", "Part", "ten_bits"]
 

@@ -12,19 +12,132 @@ shows it, and ROS warns where reader and writer differ.
 
 Sources: ros-event-camera/event_camera_msgs, message and codecs; ros2/common_interfaces, sensor_msgs; REP 2011 for the
 hashes (computed by rosbags 0.11).
+
+CDR, the encoding of messages of ROS 2: little-endian, each number at a multiple of its own size.
+
+    0 1 0 0     plain CDR, little-endian; the offsets of all that follows are counted from here
+    string      u32 length with its final zero, text, zero
+    sequence    u32 number of elements, elements
+
+Source: OMG, "DDS Interoperability Wire Protocol" (DDSI-RTPS) 2.3, section 10; "Extended CDR", encoding version 1.
+
+Levels of the pictures of `sensor_msgs/Image`, by its encodings.
+
+    mono8 8UC1           a level each                 mono16 16UC1   likewise, 16 bits in the message's byte order
+    rgb8 8UC3 rgba8      luminance of three levels    bgr8 bgra8     the same, the other way round
+    32FC1                linear light
+
+Source: ros2/common_interfaces, sensor_msgs/image_encodings.hpp; luminance of Rec. 709.
 """
 
 from __future__ import annotations
 
+import struct
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from firmware_protocol.events import Events
-from firmware_protocol.ros2.cdr import CdrReader, CdrWriter, Octets
 
-__all__ = ["EVENT_PACKET", "IMAGE", "Header", "Image", "MessageType", "event_packet", "image_message", "mono_events",
-           "parse_image"]  # fmt: skip
+__all__ = [
+    "ENCODINGS",
+    "EVENT_PACKET",
+    "IMAGE",
+    "CdrError",
+    "CdrReader",
+    "CdrWriter",
+    "Header",
+    "Image",
+    "ImageError",
+    "MessageType",
+    "Octets",
+    "event_packet",
+    "image_message",
+    "levels_of",
+    "mono_events",
+    "parse_image",
+]
+
+
+Octets = bytes | bytearray | memoryview
+
+_LITTLE, _BIG = b"\0\1", b"\0\0"
+_HEAD_BYTES = 4
+
+
+class CdrError(ValueError):
+    """A message is not what its type says."""
+
+
+class CdrWriter:
+    """Writes one message."""
+
+    def __init__(self) -> None:
+        self._data = bytearray(_LITTLE + b"\0\0")
+
+    def number(self, form: str, value: int) -> None:
+        """Append a number of the `struct` format `form`."""
+        size = struct.calcsize(form)
+        self._align(size)
+        self._data += struct.pack("<" + form, value)
+
+    def text(self, text: str) -> None:
+        """Append a string."""
+        encoded = text.encode() + b"\0"
+        self.number("I", len(encoded))
+        self._data += encoded
+
+    def octets(self, data: Octets) -> None:
+        """Append a sequence of octets."""
+        view = memoryview(data).cast("B")
+        self.number("I", len(view))
+        self._data += view
+
+    def message(self) -> bytes:
+        """Return the message, filled up to a multiple of four bytes."""
+        self._align(4)
+        return bytes(self._data)
+
+    def _align(self, size: int) -> None:
+        self._data += bytes(-(len(self._data) - _HEAD_BYTES) % size)
+
+
+class CdrReader:
+    """Reads one message, of either byte order; raises CdrError for what is not there."""
+
+    def __init__(self, message: bytes) -> None:
+        if message[:2] not in (_LITTLE, _BIG) or len(message) < _HEAD_BYTES:
+            raise CdrError("a message is not plain CDR")
+        self._order = "<" if message[:2] == _LITTLE else ">"
+        self._data = memoryview(message)[_HEAD_BYTES:]
+        self._at = 0
+
+    def number(self, form: str) -> int:
+        """Return the next number, of the `struct` format `form`."""
+        size = struct.calcsize(form)
+        self._at += -self._at % size
+        value = struct.unpack(self._order + form, self._taken(size))[0]
+        return int(value)
+
+    def text(self) -> str:
+        """Return the next string."""
+        encoded = bytes(self._taken(self.number("I")))
+        if encoded[-1:] != b"\0":
+            raise CdrError("a string has no end")
+        return encoded[:-1].decode(errors="replace")
+
+    def octets(self) -> memoryview:
+        """Return the next sequence of octets, a part of the message."""
+        return self._taken(self.number("I"))
+
+    def _taken(self, size: int) -> memoryview:
+        if size > len(self._data) - self._at:
+            raise CdrError("a message is cut")
+        self._at += size
+        return self._data[self._at - size : self._at]
+
 
 _S_NS = 1_000_000_000
 _MOST_MONO_NS = (1 << 32) - 1
@@ -140,3 +253,49 @@ def _begun(header: Header, size: tuple[int, int]) -> CdrWriter:
     message.number("I", size[1])
     message.number("I", size[0])
     return message
+
+
+Levels = npt.NDArray[Any]
+
+_MOST_PX = 1 << 23
+_RGB = np.array([0.2126, 0.7152, 0.0722], np.float32)
+# name: type of a number, numbers of a pixel, whether blue comes first
+ENCODINGS = {
+    "mono8": ("u1", 1, False), "8UC1": ("u1", 1, False), "mono16": ("u2", 1, False), "16UC1": ("u2", 1, False),
+    "rgb8": ("u1", 3, False), "8UC3": ("u1", 3, False), "rgba8": ("u1", 4, False),
+    "bgr8": ("u1", 3, True), "bgra8": ("u1", 4, True), "32FC1": ("f4", 1, False),
+}  # fmt: skip
+"""Encodings that are read."""
+
+
+class ImageError(ValueError):
+    """A picture is not what its message says; the text is a kind of mistake, so that equal ones can be counted."""
+
+
+def levels_of(image: Image) -> Levels:
+    """Return (height, width) uint8, uint16 or float32 of a picture; raises ImageError."""
+    if image.encoding not in ENCODINGS:
+        raise ImageError("encoding not known")
+    form, channels, is_bgr = ENCODINGS[image.encoding]
+    pixels = _pixels(image, np.dtype(form).newbyteorder(">" if image.is_bigendian else "<"), channels)
+    if channels > 1:
+        rgb = pixels[:, :, 2::-1] if is_bgr else pixels[:, :, :3]
+        luminance: Levels = np.rint(rgb.astype(np.float32) @ _RGB).astype(np.uint8)
+        return luminance
+    levels = pixels[:, :, 0].astype(form)
+    if form == "f4" and not bool(np.all(np.isfinite(levels) & (levels >= 0))):
+        raise ImageError("light that is negative or not finite")
+    return levels
+
+
+def _pixels(image: Image, form: np.dtype[Any], channels: int) -> npt.NDArray[Any]:
+    """Return (height, width, channels), a view of the message."""
+    width, height = image.size
+    row = width * channels * form.itemsize
+    data = memoryview(image.data).cast("B")
+    if not 0 < width * height <= _MOST_PX:
+        raise ImageError("no pixels, or too many")
+    if image.step < row or image.step * height != len(data):
+        raise ImageError("size and data do not agree")
+    rows = np.frombuffer(data, np.uint8).reshape(height, image.step)[:, :row]
+    return np.ascontiguousarray(rows).view(form).reshape(height, width, channels)

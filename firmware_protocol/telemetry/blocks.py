@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from firmware_protocol.edges import EdgeKind, Edges, empty_edges
-from firmware_protocol.events import EVENT, Events, empty_events
+from firmware_protocol.events import EVENT, EdgeKind, Edges, Events, empty_edges, empty_events
 from firmware_protocol.telemetry.layout import EDGE_RECORD, HEADER_BYTES, LONGEST_US, BlockError, Header, Mode
 from firmware_protocol.telemetry.reading import read_events
 

@@ -14,6 +14,8 @@
           +-----------------------------------------------+
 
 Most significant bit and byte first. The whole format, payloads included, is drawn in docs/telemetry.md.
+
+How the loops of this folder are compiled: see `firmware_protocol.compiled`.
 """
 
 from __future__ import annotations
@@ -21,7 +23,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import IntEnum
 
-from firmware_protocol.edges import EdgeKind
+from firmware_protocol.compiled import entry_of, kernel
+from firmware_protocol.events import EdgeKind
 from firmware_protocol.wire_layout import Field, Layout, choices_of
 
 __all__ = [
@@ -41,7 +44,10 @@ __all__ = [
     "Mode",
     "Polarity",
     "crc8",
+    "entry",
+    "kernel",
 ]
+
 
 VERSION = 1
 HEADER_BYTES = 14
@@ -167,3 +173,6 @@ class Header:
             dropped=told["dropped"],
             size=(told["width_less_1"] + 1, told["height_less_1"] + 1),
         )
+
+
+entry = entry_of("firmware_protocol.telemetry")

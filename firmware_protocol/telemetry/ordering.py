@@ -11,8 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from firmware_protocol.telemetry.compiled import kernel
-from firmware_protocol.telemetry.layout import LONGEST_US
+from firmware_protocol.telemetry.layout import LONGEST_US, kernel
 
 __all__ = ["BACKWARDS", "OUTSIDE", "Form", "Scratch", "form_of", "load", "new_scratch", "sort"]
 

@@ -12,7 +12,6 @@ import numpy as np
 import numpy.typing as npt
 
 from firmware_protocol.events import Events, empty_events
-from firmware_protocol.telemetry.compiled import entry, kernel
 from firmware_protocol.telemetry.layout import (
     ESCAPE_ONES,
     HEADER_BYTES,
@@ -22,6 +21,8 @@ from firmware_protocol.telemetry.layout import (
     Header,
     Mode,
     Polarity,
+    entry,
+    kernel,
 )
 from firmware_protocol.telemetry.ordering import Form, form_of
 

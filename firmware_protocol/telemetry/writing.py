@@ -2,28 +2,227 @@
 
 How many events fit is guessed from the mean step, since a Rice code's length depends on little else, then tried and
 corrected: mostly once is enough.
+
+The smallest coding of a block, compiled: how many bits each mode takes, and with which parameters.
+
+Events to blocks.
 """
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from firmware_protocol.telemetry.coding import Plan, find_spans, flat_count, planned, same_polarity
-from firmware_protocol.telemetry.compiled import entry, kernel
-from firmware_protocol.telemetry.layout import ESCAPE_ONES, HEADER_BYTES, Mode, Polarity
-from firmware_protocol.telemetry.ordering import Form, Scratch, load
+from firmware_protocol.events import EdgeKind, Edges, Events, bytes_of
+from firmware_protocol.telemetry.layout import (
+    EDGE_RECORD,
+    ESCAPE_ONES,
+    HEADER_BYTES,
+    LONGEST_US,
+    MAX_COUNT,
+    MAX_K,
+    MAX_SIDE,
+    TICKS_US,
+    Header,
+    Mode,
+    Polarity,
+    entry,
+    kernel,
+)
+from firmware_protocol.telemetry.ordering import BACKWARDS, OUTSIDE, Form, Scratch, form_of, load, new_scratch, sort
 
-__all__ = ["Limits", "write_block"]
+__all__ = [
+    "BlockEncoder",
+    "BlockSettings",
+    "Limits",
+    "Plan",
+    "find_spans",
+    "flat_count",
+    "planned",
+    "same_polarity",
+    "write_block",
+]
 
-_Bytes = npt.NDArray[np.uint8]
+
 _Int64s = npt.NDArray[np.int64]
 
-_FLAT, _ROWS, _EACH = int(Mode.FLAT), int(Mode.ROWS), int(Polarity.EACH)
+# Enumerations as plain numbers, which is what compiled code holds.
+_FLAT, _ROWS, _BITMAP = int(Mode.FLAT), int(Mode.ROWS), int(Mode.BITMAP)
+_EACH, _ALL_OFF, _ALL_ON = int(Polarity.EACH), int(Polarity.ALL_OFF), int(Polarity.ALL_ON)
 _ONES = ESCAPE_ONES
+_NEVER = 1 << 40  # bits of what cannot be written
+_JOINED_STEP = 8  # nearer events share a span, unless only runs without gaps are wanted
+
+
+class Plan(NamedTuple):
+    """How to write `count` events, and how many bits it takes."""
+
+    mode: int
+    polarity: int
+    k: int
+    k_length: int
+    joined: int
+    bits: int
+
+
+@kernel
+def flat_count(ticks: _Int64s, count: int, form: Form) -> int:
+    """Return how many of `count` events lie within the time that a FLAT word holds."""
+    longest = 1 << 31 - form.bx - form.by
+    while ticks[count - 1] >= longest:
+        count -= 1
+    return count
+
+
+@kernel
+def planned(count: int, form: Form, only: int, room: Scratch) -> Plan:
+    """Put the first `count` events in order and find their smallest coding."""
+    sort(count, form, room)
+    for i in range(1, count):
+        room.steps[i] = (room.keys[i] >> 1) - (room.keys[i - 1] >> 1)
+    ons = 0
+    for i in range(count):
+        ons += room.keys[i] & 1
+    polarity = _ALL_OFF if ons == 0 else _ALL_ON if ons == count else _EACH
+    best = Plan(_FLAT, _EACH, 0, 0, 0, _NEVER)
+    if only in (-1, _FLAT) and room.ticks[count - 1] < 1 << 31 - form.bx - form.by:
+        best = Plan(_FLAT, _EACH, 0, 0, 0, 32 * count)
+    if only in (-1, _ROWS):
+        plan = _rows(count, form, polarity, room)
+        best = plan if plan.bits < best.bits else best
+    if only in (-1, _BITMAP):
+        plan = _bitmaps(count, form, polarity, room, only == _BITMAP)
+        best = plan if plan.bits < best.bits else best
+    return best
+
+
+@kernel
+def _rows(count: int, form: Form, polarity: int, room: Scratch) -> Plan:
+    escape = 31 + form.by + form.bx
+    k, bits = _best_k(room.steps, 1, count, 0, escape)
+    bits += 8 + form.by + form.bx + (count if polarity == _EACH else 0)
+    return Plan(_ROWS, polarity, k, 0, 0, bits)
+
+
+@kernel
+def _best_k(values: _Int64s, begin: int, end: int, least: int, escape: int) -> tuple[int, int]:
+    """Return a Rice parameter, at least `least`, that is good for `values`, and the bits that they take."""
+    if begin >= end:
+        return least, 0
+    mean = _sum(values, begin, end) // (end - begin)
+    k = least
+    while k < MAX_K and mean >> k > 1:
+        k += 1
+    bits = _rice_bits(values, begin, end, k, escape)
+    while k > least:
+        fewer = _rice_bits(values, begin, end, k - 1, escape)
+        if fewer > bits:
+            break
+        k, bits = k - 1, fewer
+    return k, bits
+
+
+@kernel
+def _sum(values: _Int64s, begin: int, end: int) -> int:
+    total = np.int64(0)
+    for i in range(begin, end):
+        total += values[i]
+    return int(total)
+
+
+@kernel
+def _rice_bits(values: _Int64s, begin: int, end: int, k: int, escape: int) -> int:
+    bits = 0
+    for i in range(begin, end):
+        q = values[i] >> k
+        bits += q + 1 + k if q < _ONES else _ONES + escape
+    return bits
+
+
+@kernel
+def _bitmaps(count: int, form: Form, polarity: int, room: Scratch, forced: bool) -> Plan:
+    """Try spans that have gaps, and where many events have none between them, spans without.
+
+    An event that joins a span saves the MAX_K + 1 bits of its step at most, and its polarity; every other one pays a
+    bit for a length. So few neighbours need no trial.
+    """
+    near, touching = 0, 0
+    for i in range(1, count):
+        if room.ticks[i] == room.ticks[i - 1] and 1 <= room.steps[i] <= _JOINED_STEP:
+            near += 1
+            touching += 1 if room.steps[i] == 1 else 0
+    if near * (MAX_K + 3) <= count and not forced:
+        return Plan(_BITMAP, polarity, 0, 0, 0, _NEVER)
+    best = _bitmap(count, form, polarity, _JOINED_STEP, room)
+    if 2 * touching > near:
+        plan = _bitmap(count, form, polarity, 1, room)
+        best = plan if plan.bits < best.bits else best
+    return best
+
+
+@kernel
+def _bitmap(count: int, form: Form, polarity: int, joined: int, room: Scratch) -> Plan:
+    spans = find_spans(count, form, joined, room)
+    longest, bits = np.int64(0), 16 + form.by + form.bx
+    for span in range(spans):
+        longest = max(longest, room.lengths[span])
+        begin, end = room.starts[span], room.starts[span + 1]
+        bits += _span_bits(begin, end, room.lengths[span] + 1, polarity, room.keys)
+    least = 0
+    while longest >> least >= _ONES:
+        least += 1
+    k_length, length_bits = _best_k(room.lengths, 0, spans, least, _NEVER)
+    k, step_bits = _best_k(room.span_steps, 1, spans, 0, 31 + form.by + form.bx)
+    return Plan(_BITMAP, polarity, k, k_length, joined, bits + length_bits + step_bits)
+
+
+@kernel
+def find_spans(count: int, form: Form, joined: int, room: Scratch) -> int:
+    """Group events of a tick that are at most `joined` pixels from the next into spans; returns how many."""
+    spans, begin = 0, 0
+    for i in range(1, count + 1):
+        if i < count and 1 <= room.steps[i] <= joined and room.ticks[i] == room.ticks[i - 1]:
+            continue
+        room.starts[spans] = begin
+        room.span_steps[spans] = room.steps[begin]
+        room.lengths[spans] = (room.keys[i - 1] >> 1) - (room.keys[begin] >> 1)
+        spans, begin = spans + 1, i
+    room.starts[spans] = count
+    return spans
+
+
+@kernel
+def same_polarity(begin: int, end: int, keys: _Int64s) -> bool:
+    """Whether the events from `begin` to before `end` are all ON or all OFF."""
+    ons = 0
+    for i in range(begin, end):
+        ons += keys[i] & 1
+    return ons == 0 or ons == end - begin
+
+
+@kernel
+def _span_bits(begin: int, end: int, length: int, polarity: int, keys: _Int64s) -> int:
+    """Return the bits of a span after its length."""
+    bits = 0
+    if length >= 3:
+        bits += 1 if end - begin == length else length - 1
+    if polarity == _EACH:
+        if length == 1:
+            bits += 1
+        else:
+            bits += 2 if same_polarity(begin, end, keys) else 1 + end - begin
+    return bits
+
+
+_Bytes = npt.NDArray[np.uint8]
+
+
+_FLAT_WRITING, _ROWS_WRITING, _EACH_WRITING = int(Mode.FLAT), int(Mode.ROWS), int(Polarity.EACH)
+
 _NEARLY = 15 / 16  # a block filled so far is full
 
 
@@ -56,7 +255,7 @@ def write_block(events: _Bytes, form: Form, limits: Limits, room: Scratch, out: 
     most = load(events, form, limits.events, room)
     if most < 0:
         return most, 0, 0, 0
-    if limits.mode == _FLAT:
+    if limits.mode == _FLAT_WRITING:
         most = flat_count(room.ticks, most, form)
     count, plan = _fitted(most, form, limits, room)
     return count, plan.mode, plan.polarity, _written(count, form, plan, room, out)
@@ -101,9 +300,9 @@ def _guess(room: Scratch, most: int, budget: int, form: Form) -> int:
 def _written(count: int, form: Form, plan: Plan, room: Scratch, out: _Bytes) -> int:
     """Write the payload; returns its bytes."""
     room.bits[0] = room.bits[1] = room.bits[2] = 0
-    if plan.mode == _FLAT:
+    if plan.mode == _FLAT_WRITING:
         _write_flat(count, form, room, out)
-    elif plan.mode == _ROWS:
+    elif plan.mode == _ROWS_WRITING:
         _write_rows(count, form, plan, room, out)
     else:
         _write_bitmap(count, form, plan, room, out)
@@ -160,7 +359,7 @@ def _write_flat(count: int, form: Form, room: Scratch, out: _Bytes) -> None:
 
 @kernel
 def _write_rows(count: int, form: Form, plan: Plan, room: Scratch, out: _Bytes) -> None:
-    polarity_bits = 1 if plan.polarity == _EACH else 0
+    polarity_bits = 1 if plan.polarity == _EACH_WRITING else 0
     _put(room.bits, out, plan.k, 8)
     _put_place(0, form, room, out)
     _put(room.bits, out, room.keys[0] & polarity_bits, polarity_bits)
@@ -192,7 +391,7 @@ def _write_span(begin: int, end: int, polarity: int, room: Scratch, out: _Bytes)
     solid = end - begin == length
     if length >= 3:
         _put(bits, out, 1 if solid else 0, 1)
-    each = polarity == _EACH
+    each = polarity == _EACH_WRITING
     if each and length >= 2:
         same = same_polarity(begin, end, keys)
         _put(bits, out, 2 | keys[begin] & 1 if same else 0, 2 if same else 1)
@@ -205,3 +404,105 @@ def _write_span(begin: int, end: int, polarity: int, room: Scratch, out: _Bytes)
                 _put(bits, out, 1, 1)
         if each:
             _put(bits, out, keys[i] & 1, 1)
+
+
+_LEAST_BYTES = 32
+_MOST_BYTES = 65535
+_MODES = {"smallest": -1, "flat": int(Mode.FLAT), "rows": int(Mode.ROWS), "bitmap": int(Mode.BITMAP)}
+_COMPLAINTS = {
+    OUTSIDE: "an event lies outside the sensor of {size[0]} x {size[1]} pixels",
+    BACKWARDS: "events go back in time: a block takes them sorted",
+}
+
+
+@dataclass(frozen=True)
+class BlockSettings:
+    """How blocks are made: the unit of time, the coding, and how large a block may get."""
+
+    tick_us: int = 1
+    mode: Literal["smallest", "flat", "rows", "bitmap"] = "smallest"
+    max_events: int = 2048
+    max_bytes: int = 1024
+
+    def __post_init__(self) -> None:
+        if self.tick_us not in TICKS_US:
+            raise ValueError(f"tick_us = {self.tick_us}: a block counts ticks of 1, 10, 100 or 1000 us")
+        if self.mode not in ("smallest", "flat", "rows", "bitmap"):
+            raise ValueError(f'mode = "{self.mode}": choose "smallest", "flat", "rows" or "bitmap"')
+        if not 1 <= self.max_events <= MAX_COUNT:
+            raise ValueError(f"max_events = {self.max_events}: a block holds 1 to {MAX_COUNT} events")
+        if not _LEAST_BYTES <= self.max_bytes <= _MOST_BYTES:
+            raise ValueError(f"max_bytes = {self.max_bytes}: a block may have {_LEAST_BYTES} to {_MOST_BYTES} bytes")
+
+
+class BlockEncoder:
+    """Makes blocks of a sensor of `size` = (width, height). Holds nothing between blocks but its settings."""
+
+    def __init__(self, size: tuple[int, int], settings: BlockSettings | None = None) -> None:
+        if not all(1 <= side <= MAX_SIDE for side in size):
+            raise ValueError(f"size = {size}: blocks carry sensors of 1 to {MAX_SIDE} pixels a side")
+        self.size = size
+        self.settings = settings or BlockSettings()
+        self._form = form_of(size, self.settings.tick_us)
+        self._limits = Limits(_MODES[self.settings.mode], self.settings.max_events, self.settings.max_bytes)
+        self._room = new_scratch(self.settings.max_events)
+        self._out = np.zeros(self.settings.max_bytes, np.uint8)
+
+    @property
+    def max_edges(self) -> int:
+        """How many edges a block of the set size holds."""
+        return (self.settings.max_bytes - HEADER_BYTES) // 8
+
+    def encode(self, events: Events, dropped: int = 0) -> tuple[bytes, int]:
+        """Make one block from the head of `events`.
+
+        Parameters
+        ----------
+        events
+            (n,) EVENT, sorted by time, in device time. None at all gives a block that only tells `dropped`.
+        dropped
+            How many events were dropped since the block before; what is above 65535 is told as that.
+
+        Returns
+        -------
+        block
+            Its bytes.
+        taken
+            How many events it holds: the first `taken` ones.
+
+        Raises
+        ------
+        ValueError
+            The first events go back in time or lie outside the sensor.
+        """
+        if not len(events):
+            return self._header(Mode.FLAT, Polarity.EACH, 0, 0, dropped), 0
+        first_us = int(events["t"][0])
+        head = bytes_of(events[: self.settings.max_events])
+        taken, mode, polarity, size = write_block(head, self._form, self._limits, self._room, self._out)
+        if taken < 0:
+            raise ValueError(_COMPLAINTS[taken].format(size=self.size))
+        start_us = first_us - first_us % self.settings.tick_us
+        header = self._header(Mode(mode), Polarity(polarity), taken, start_us, dropped)
+        return header + self._out[:size].tobytes(), taken
+
+    def encode_edges(self, edges: Edges, dropped: int = 0) -> bytes:
+        """Make one block of all `edges`, (n,) EDGE sorted by time; raises ValueError if they do not fit one."""
+        if not 1 <= len(edges) <= self.max_edges:
+            raise ValueError(
+                f"{len(edges)} edges: a block of {self.settings.max_bytes} bytes holds 1 to {self.max_edges}"
+            )
+        times = edges["t"].astype(np.int64)
+        since_us = times - times[0]
+        if (np.diff(times) < 0).any() or since_us[-1] > LONGEST_US or not np.isin(edges["kind"], list(EdgeKind)).all():
+            raise ValueError("edges go back in time, span more than 35 minutes, or are of unknown kind")
+        records = np.empty(len(edges), EDGE_RECORD)
+        records["t"] = since_us
+        for name in ("kind", "channel", "seq"):
+            records[name] = edges[name]
+        return self._header(Mode.EDGE, Polarity.EACH, len(edges), int(times[0]), dropped) + records.tobytes()
+
+    def _header(self, mode: Mode, polarity: Polarity, count: int, start_us: int, dropped: int) -> bytes:
+        tick_us = 1 if mode == Mode.EDGE else self.settings.tick_us
+        low = start_us & 0xFFFFFFFF
+        return Header(mode, tick_us, polarity, count, low, min(dropped, MAX_COUNT), self.size).pack()

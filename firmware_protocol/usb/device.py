@@ -18,10 +18,8 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import TYPE_CHECKING, ClassVar
 
-from firmware_protocol.edges import Edges, empty_edges
-from firmware_protocol.event_device import EventDevice
-from firmware_protocol.events import Events, empty_events
-from firmware_protocol.readings import Reading
+from firmware_protocol.device.event_device import EventDevice, Reading
+from firmware_protocol.events import Edges, Events, empty_edges, empty_events
 
 if TYPE_CHECKING:
     from firmware_protocol.usb.descriptors import DescriptorSet  # which knows speeds from here

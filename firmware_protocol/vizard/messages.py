@@ -3,15 +3,55 @@
 Field numbers and types: `vizMessage.proto` in the repository AVSLab/basilisk (develop of July 2026), compared with the
 messages that bsk 2.12.1 sends. Fields that are not named here are skipped. The description is made at run time, in a
 pool of its own: no generated code has to fit the installed library, and no other package's messages are in the way.
+
+One SIM_UPDATE of Basilisk: the time, and where spacecraft, celestial bodies and cameras are.
+
+Positions are in Basilisk's inertial frame N, metres; attitudes as they are on the wire. Values are checked when they
+are asked for, so what nobody looks at may be anything.
+
+Requests of Basilisk's vizInterface and what answers them; each is a list of parts of one ZeroMQ message.
+
+    request                                        reply
+    PING                                           PONG
+    SIM_UPDATE, "", "", VizMessage                 OK; Basilisk raises an error at anything else
+    REQUEST_INPUT             (live stream only)   VIZARD_INPUT, VizInput (here empty: nobody touches anything)
+    REQUEST_IMAGE_<cameraID>                       length as big-endian int32, that many bytes of an image file
+
+Basilisk stands still from each request to its reply. Source: `vizInterface.cpp` in AVSLab/basilisk (develop of July
+2026), and what bsk 2.12.1 sends.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
-__all__ = ["message_class"]
+__all__ = [
+    "INPUT_REPLY",
+    "NO_IMAGE",
+    "OK",
+    "PONG",
+    "CameraState",
+    "ImageRequest",
+    "InputRequest",
+    "Ping",
+    "Request",
+    "RequestError",
+    "SimUpdate",
+    "State",
+    "Update",
+    "UpdateError",
+    "image_reply",
+    "merged",
+    "message_class",
+    "parse_request",
+    "refusal",
+]
+
 
 _PACKAGE = "vizProtobufferMessage"
 
@@ -77,3 +117,230 @@ def _type(kind: str, description: Any) -> dict[str, Any]:
     if of in _FIELDS:
         return {"label": label, "type": description.TYPE_MESSAGE, "type_name": f".{_PACKAGE}.{of}"}
     return {"label": label, "type": getattr(description, f"TYPE_{of.upper()}")}
+
+
+_LATEST_NS = 1 << 53  # a double counts single nanoseconds up to here, 104 days
+_SHOWN_NAMES = 8
+_SHOWN_LETTERS = 40
+
+
+class UpdateError(ValueError):
+    """An update cannot be used; the text says what of it and why."""
+
+
+@dataclass(frozen=True)
+class State:
+    """Place and attitude of a spacecraft or a celestial body.
+
+    Attributes
+    ----------
+    position_m : three numbers, in N.
+    rotation
+        Spacecraft: three Modified Rodrigues Parameters sigma_BN. Celestial body: nine numbers, row by row, the matrix
+        that turns coordinates of N into those of the body.
+    """
+
+    position_m: tuple[float, ...]
+    rotation: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class CameraState:
+    """A camera as Basilisk describes it.
+
+    Attributes
+    ----------
+    parent : name of its spacecraft.
+    position_m : three numbers, in the spacecraft's frame.
+    direction : three Modified Rodrigues Parameters, the attitude with a third of a turn for Unity's axes added.
+    field_of_view_deg : along the picture's height.
+    size : (width, height), pixels.
+    """
+
+    parent: str
+    position_m: tuple[float, ...]
+    direction: tuple[float, ...]
+    field_of_view_deg: float
+    size: tuple[int, int]
+
+
+class Update:
+    """The state of a simulation at one instant.
+
+    Attributes
+    ----------
+    time_ns : simulated time.
+    frame : Basilisk's own count.
+
+    Raises
+    ------
+    UpdateError
+        The bytes are no VizMessage, or have no time.
+    """
+
+    def __init__(self, data: bytes) -> None:
+        self._message = _parsed(data)
+        time_ns = float(self._message.currentTime.simTimeElapsed)
+        if not 0 <= time_ns <= _LATEST_NS:  # NaN compares false
+            raise UpdateError(f"the update's time is {time_ns:g} ns: 0 to 2^53 can be used, 104 days")
+        self.time_ns = round(time_ns)
+        self.frame = int(self._message.currentTime.frameNumber)
+
+    @property
+    def camera_ids(self) -> tuple[int, ...]:
+        """Numbers of its cameras."""
+        return tuple(int(one.cameraID) for one in self._message.cameras)
+
+    def spacecraft(self, name: str) -> State:
+        """Return a spacecraft by its name; the first one for an empty name. Raises UpdateError."""
+        there = self._message.spacecraft
+        found = there[0] if there and not name else _named(there, "spacecraftName", name, "spacecraft")
+        return _state(found, 3, f"spacecraft {_shown(found.spacecraftName)}")
+
+    def body(self, name: str) -> State:
+        """Return a celestial body by its name; raises UpdateError."""
+        found = _named(self._message.celestialBodies, "bodyName", name, "celestial body")
+        return _state(found, 9, f"celestial body {_shown(name)}")
+
+    def camera(self, number: int) -> CameraState:
+        """Return a camera by its cameraID; raises UpdateError."""
+        found = next((one for one in self._message.cameras if one.cameraID == number), None)
+        if found is None:
+            raise UpdateError(f"there is no camera {number} in the update; there are: {_list(self.camera_ids)}")
+        what = f"camera {number}"
+        if len(found.resolution) != 2:
+            raise UpdateError(f"{what}: resolution has {len(found.resolution)} numbers, 2 are needed")
+        return CameraState(
+            found.parentName,
+            _numbers(found.cameraPos_B, 3, f"{what}: cameraPos_B"),
+            _numbers(found.cameraDir_B, 3, f"{what}: cameraDir_B"),
+            float(found.fieldOfView),
+            (int(found.resolution[0]), int(found.resolution[1])),
+        )
+
+
+def _parsed(data: bytes) -> Any:
+    from google.protobuf.message import DecodeError
+
+    message = message_class("VizMessage")()
+    try:
+        message.ParseFromString(data)
+    except DecodeError as error:
+        raise UpdateError(f"{len(data)} bytes are no VizMessage") from error
+    if not message.HasField("currentTime"):
+        raise UpdateError("the VizMessage has no currentTime")
+    return message
+
+
+def _named(there: Iterable[Any], field: str, name: str, what: str) -> Any:
+    found = next((one for one in there if getattr(one, field) == name), None)
+    if found is None:
+        names = _list([_shown(getattr(one, field)) for one in there])
+        raise UpdateError(f"there is no {what} {_shown(name)} in the update; there are: {names}")
+    return found
+
+
+def _state(found: Any, turns: int, what: str) -> State:
+    position_m = _numbers(found.position, 3, f"{what}: position")
+    return State(position_m, _numbers(found.rotation, turns, f"{what}: rotation"))
+
+
+def _numbers(values: Sequence[float], count: int, what: str) -> tuple[float, ...]:
+    if len(values) != count:
+        raise UpdateError(f"{what} has {len(values)} numbers, {count} are needed")
+    if not all(map(math.isfinite, values)):
+        raise UpdateError(f"{what} is {list(values)}: all must be finite")
+    return tuple(values)
+
+
+def _shown(name: str) -> str:
+    """Return a name for a message: a peer may send any length of anything."""
+    return repr(name if len(name) <= _SHOWN_LETTERS else f"{name[:_SHOWN_LETTERS]}...")
+
+
+def _list(names: Sequence[object]) -> str:
+    more = f" and {len(names) - _SHOWN_NAMES} more" if len(names) > _SHOWN_NAMES else ""
+    return ", ".join(map(str, names[:_SHOWN_NAMES])) + more if names else "none"
+
+
+Parts = list[bytes]
+
+PONG: Parts = [b"PONG"]
+OK: Parts = [b"OK"]
+INPUT_REPLY: Parts = [b"VIZARD_INPUT", b""]
+NO_IMAGE: Parts = [bytes(4), b""]
+"""Basilisk's image message is then not valid."""
+
+_IMAGE = re.compile(rb"REQUEST_IMAGE_(\d{1,18})")
+_MOST_IMAGE_BYTES = (1 << 31) - 1
+_SHOWN_BYTES = 40
+
+
+class RequestError(ValueError):
+    """The parts are no request; the text says why."""
+
+
+@dataclass(frozen=True)
+class Ping:
+    """Basilisk asks whether somebody is there."""
+
+
+@dataclass(frozen=True)
+class SimUpdate:
+    """The state of the simulation: a serialized VizMessage, which has not been looked at."""
+
+    data: bytes
+
+
+@dataclass(frozen=True)
+class InputRequest:
+    """Basilisk asks for what a user did."""
+
+
+@dataclass(frozen=True)
+class ImageRequest:
+    """Basilisk asks for the image of a camera, at the time of the last update."""
+
+    camera: int
+
+
+Request = Ping | SimUpdate | InputRequest | ImageRequest
+
+
+def parse_request(parts: Sequence[bytes]) -> Request:
+    """Return what the parts of a message ask for; raises RequestError."""
+    match list(parts):
+        case [b"PING"]:
+            return Ping()
+        case [b"SIM_UPDATE", _, _, data]:
+            return SimUpdate(data)
+        case [b"SIM_UPDATE", *rest]:
+            raise RequestError(f"a SIM_UPDATE has 4 parts, got {1 + len(rest)}")
+        case [b"REQUEST_INPUT"]:
+            return InputRequest()
+        case [first] if image := _IMAGE.fullmatch(first):
+            return ImageRequest(int(image[1]))
+        case [first, *rest]:
+            raise RequestError(f"{first[:_SHOWN_BYTES]!r} with {len(rest)} more parts is no request")
+        case _:
+            raise RequestError("a message without parts is no request")
+
+
+def image_reply(image: bytes) -> Parts:
+    """Return the reply that carries an image file; raises ValueError where it is too long."""
+    if len(image) > _MOST_IMAGE_BYTES:
+        raise ValueError(f"an image of {len(image)} bytes: the length has 31 bits")
+    return [len(image).to_bytes(4, "big"), image]
+
+
+def merged(ours: Parts, theirs: Parts) -> Parts:
+    """Return the reply to a request that two visualisers have answered.
+
+    Theirs, where we have no image and no input of a user to give, and where they refuse what we accept; else ours.
+    """
+    return theirs if ours in (OK, NO_IMAGE, INPUT_REPLY) else ours
+
+
+def refusal(reason: str) -> Parts:
+    """Return the reply to what cannot be used; Basilisk raises an error where it had sent a SIM_UPDATE."""
+    return [f"ERROR: {reason}".encode()]

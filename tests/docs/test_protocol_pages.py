@@ -11,7 +11,7 @@ import numpy as np
 from firmware_protocol.davis346.registers import Access, Layout, SystemInfo, registers
 from firmware_protocol.events import EVENT
 from firmware_protocol.usb import usbip
-from transports.link.digest import digest_of
+from transports.link.deliveries import digest_of
 
 DOCS = Path(__file__).parents[2] / "docs"
 CODES = {"u8": "B", "u16": "H", "u32": "I", "s32": "i", "u64": "Q"}

@@ -8,7 +8,7 @@ import pytest
 
 from firmware_protocol.can_frames.frame import Frame
 from firmware_protocol.receiver.can import CanReceiver
-from firmware_protocol.receiver.serial import SerialReceiver
+from firmware_protocol.receiver.instrument import SerialReceiver
 
 DOCS = Path(__file__).parents[2] / "docs"
 SCRIPT = runpy.run_path(str(DOCS / "make_traces.py"))

@@ -11,19 +11,19 @@ import numpy as np
 import pytest
 import serial
 
-from emulator.rig.link_kinds import LINKS
+from emulator.rig.kinds import LINKS
 from evstim.testing.link_contract import LinkContract, NoReader
 from firmware_protocol.instrument.settings import InstrumentSettings
 from firmware_protocol.receiver.can import CanReceiver
-from firmware_protocol.receiver.serial import SerialReceiver
-from transports.can_bus.listener import peer_of
-from transports.can_bus.parameters import CanParameters
-from transports.can_bus.python_can import PythonCanBus
-from transports.serial_line.parameters import SerialParameters
+from firmware_protocol.receiver.instrument import SerialReceiver
+from transports.can_bus.bus import PythonCanBus
+from transports.can_bus.kind import CanParameters
+from transports.can_bus.node import peer_of
+from transports.serial_line.kind import SerialParameters
 from transports.usb.davis_host import DavisHost
-from transports.usb.loopback_kind import LoopbackLink
+from transports.usb.loopback import LoopbackLink
 from transports.usb.usbip.client import UsbipHost
-from transports.usb.usbip.parameters import UsbipLink
+from transports.usb.usbip.kind import UsbipLink
 
 pytestmark = pytest.mark.socket
 

@@ -5,7 +5,7 @@ import numpy as np
 from hypothesis import strategies as st
 
 from firmware_protocol.events import EVENT
-from firmware_protocol.evt3.words import evt3_header
+from firmware_protocol.evt.words import evt3_header
 
 SIZE = (1280, 720)
 WRAP_US = 1 << 24

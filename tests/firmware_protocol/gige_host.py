@@ -7,12 +7,10 @@ import struct
 import numpy as np
 
 from firmware_protocol.events import EVENT
-from firmware_protocol.evt3.decoding import Evt3Decoder
-from firmware_protocol.gige.assembly import BlockAssembly
-from firmware_protocol.gige.bootstrap import Register
-from firmware_protocol.gige.evs_registers import ACQUISITION_START
+from firmware_protocol.evt.evt3 import Evt3Decoder
 from firmware_protocol.gige.gvcp import Command, request
-from firmware_protocol.gige.settings import GigeSettings
+from firmware_protocol.gige.gvsp import BlockAssembly
+from firmware_protocol.gige.registers import ACQUISITION_START, GigeSettings, Register
 from firmware_protocol.gige.triton2 import Triton2
 from firmware_protocol.gige.triton2_control import Triton2Control
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from firmware_protocol.edges import EDGE
-from firmware_protocol.events import EVENT
+from firmware_protocol.events import EDGE, EVENT
+from firmware_protocol.packets.addresses import Message, MessageKind
 from firmware_protocol.packets.housekeeping import (
     EdgeCounts,
     EventCounts,
@@ -18,20 +18,23 @@ from firmware_protocol.packets.housekeeping import (
     TimeReport,
     TimeStatus,
 )
-from firmware_protocol.packets.message import Message, MessageKind
 from firmware_protocol.packets.profile import Profile
 from firmware_protocol.packets.telecommands import (
+    Failure,
+    FailureCode,
     Ping,
     RequestHousekeeping,
+    RequestId,
     SetBias,
     SetRateLimit,
     SetRegion,
     SetTick,
     SetTime,
+    Stage,
     Start,
     Stop,
+    Verification,
 )
-from firmware_protocol.packets.verification import Failure, FailureCode, RequestId, Stage, Verification
 from firmware_protocol.telemetry import BlockEncoder, BlockSettings
 
 __all__ = ["COMMANDS", "SAMPLES", "Sample"]

@@ -11,19 +11,14 @@ from firmware_protocol.can_frames.canopen import (
     TimeOfDay,
     scet,
 )
-from firmware_protocol.can_frames.cfp import cfp_frames
-from firmware_protocol.can_frames.fd_events import pack_fd_events
-from firmware_protocol.can_frames.isotp import IsoTpReceiver, IsoTpSender, IsoTpSettings
-from firmware_protocol.can_frames.marks import pack_marks
-from firmware_protocol.can_frames.raw_events import Epoch, pack_clock, pack_events
-from firmware_protocol.can_frames.timing import FollowUp
-from firmware_protocol.edges import EDGE
-from firmware_protocol.events import EVENT
+from firmware_protocol.can_frames.frame import FollowUp
+from firmware_protocol.can_frames.raw_events import Epoch, pack_clock, pack_events, pack_fd_events, pack_marks
+from firmware_protocol.can_frames.transport import IsoTpReceiver, IsoTpSender, IsoTpSettings, cfp_frames
+from firmware_protocol.events import EDGE, EVENT
+from firmware_protocol.packets.addresses import Message, MessageKind
 from firmware_protocol.packets.housekeeping import EventCounts, Housekeeping, LinkCounts, Mode, TimeReport, TimeStatus
-from firmware_protocol.packets.message import Message, MessageKind
 from firmware_protocol.packets.profile import Profile
-from firmware_protocol.packets.telecommands import Ping, SetTick
-from firmware_protocol.packets.verification import RequestId, Stage, Verification
+from firmware_protocol.packets.telecommands import Ping, RequestId, SetTick, Stage, Verification
 from firmware_protocol.telemetry import BlockEncoder
 
 __all__ = ["EXAMPLES"]

@@ -2,11 +2,10 @@
 
 import numpy as np
 
-from firmware_protocol.edges import EDGE, EdgeKind
-from firmware_protocol.events import EVENT
-from firmware_protocol.packets.message import MessageKind
+from firmware_protocol.events import EDGE, EVENT, EdgeKind
+from firmware_protocol.packets.addresses import MessageKind
 from firmware_protocol.packets.profile import Profile
-from firmware_protocol.packets.verification import Verification
+from firmware_protocol.packets.telecommands import Verification
 from firmware_protocol.telemetry import decode_block
 
 SIZE = (346, 260)

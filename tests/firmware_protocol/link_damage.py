@@ -8,7 +8,7 @@ import sys
 from collections import Counter
 from itertools import islice
 
-from firmware_protocol.packets.message import Message, MessageKind
+from firmware_protocol.packets.addresses import Message, MessageKind
 from firmware_protocol.packets.profile import Profile
 
 MAX_PAYLOAD = 256

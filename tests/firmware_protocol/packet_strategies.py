@@ -4,20 +4,24 @@ from itertools import pairwise
 
 from hypothesis import strategies as st
 
-from firmware_protocol.packets.message import Message, MessageKind
+from firmware_protocol.packets.addresses import Message, MessageKind
 from firmware_protocol.packets.telecommands import (
     TICKS_US,
+    Failure,
+    FailureCode,
     Ping,
     RequestHousekeeping,
+    RequestId,
     SetBias,
     SetRateLimit,
     SetRegion,
     SetTick,
     SetTime,
+    Stage,
     Start,
     Stop,
+    Verification,
 )
-from firmware_protocol.packets.verification import Failure, FailureCode, RequestId, Stage, Verification
 
 # Bytes that mean something to a framing: delimiters, escapes, start words.
 AWKWARD = st.lists(st.sampled_from([0x00, 0x01, 0xC0, 0xDB, 0xDC, 0xDD, 0xDE, 0xAD, 0xBE, 0xEF, 0xFF])).map(bytes)

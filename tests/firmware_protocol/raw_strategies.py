@@ -3,7 +3,7 @@
 import numpy as np
 from hypothesis import strategies as st
 
-from firmware_protocol.can_frames.identifiers import Identifiers
+from firmware_protocol.can_frames.dbc import Identifiers
 from firmware_protocol.can_frames.raw_stream import RawSender, RawSettings
 from firmware_protocol.events import EVENT
 

@@ -15,10 +15,8 @@ from collections import deque
 
 import numpy as np
 
-from firmware_protocol.can_frames.cfp import cfp_frames
-from firmware_protocol.can_frames.isotp import IsoTpSender
-from firmware_protocol.edges import EDGE
-from firmware_protocol.events import EVENT
+from firmware_protocol.can_frames.transport import IsoTpSender, cfp_frames
+from firmware_protocol.events import EDGE, EVENT
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
 from firmware_protocol.packets.addresses import Addresses
@@ -35,9 +33,9 @@ from firmware_protocol.packets.telecommands import (
     Stop,
 )
 from firmware_protocol.receiver.can import CanReceiver
-from firmware_protocol.receiver.serial import SerialReceiver
+from firmware_protocol.receiver.instrument import SerialReceiver
 from transports.can_bus.carriage import sources
-from transports.can_bus.parameters import CanParameters
+from transports.can_bus.kind import CanParameters
 
 __all__ = ["CAN", "NAMES", "Fuzz", "main"]
 

@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_protocol.device_clock import ClockSettings, ClockStep, DeviceClock
-from firmware_protocol.keyed_draws import Draw, normal
+from firmware_protocol.device.clock import ClockSettings, ClockStep, DeviceClock, Draw, normal
 
 S = 1_000_000_000
 ALL = ClockSettings(

@@ -3,8 +3,7 @@
 import numpy as np
 from davis_host import steady
 
-from firmware_protocol.event_copies import copy_events, join_events
-from firmware_protocol.events import EVENT, empty_events
+from firmware_protocol.events import EVENT, copy_events, empty_events, join_events
 
 
 def test_a_copy_is_equal_and_apart():

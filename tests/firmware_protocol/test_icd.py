@@ -7,7 +7,7 @@ import pytest
 from icd_examples import EXAMPLES
 
 from firmware_protocol.davis346.biases import BIASES
-from firmware_protocol.packets.message import Message, MessageKind
+from firmware_protocol.packets.addresses import Message, MessageKind
 from firmware_protocol.packets.profile import Profile
 from firmware_protocol.packets.telecommands import TELECOMMANDS, Ping, SetBias, SetRegion, SetTick, SetTime
 

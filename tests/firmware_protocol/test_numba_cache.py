@@ -7,14 +7,14 @@ from pathlib import Path
 
 import pytest
 
-from firmware_protocol.numba_cache import checksum_of
+from firmware_protocol.compiled import checksum_of
 
 ROOT = Path(__file__).parents[2]
 
 MODULE = """
 from typing import NamedTuple
 from numba import njit
-from firmware_protocol.numba_cache import valid_for
+from firmware_protocol.compiled import valid_for
 
 class {name}(NamedTuple):
     x: float

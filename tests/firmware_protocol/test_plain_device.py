@@ -5,14 +5,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_protocol.edges import EDGE
-from firmware_protocol.events import EVENT
-from firmware_protocol.evt3.decoding import Evt3Decoder
-from firmware_protocol.evt3.encoding import Evt3Encoder
-from firmware_protocol.frame_lines import line_record
+from firmware_protocol.device.event_device import ReadingCounters, ReadingKind
+from firmware_protocol.device.plain_device import PlainDevice
+from firmware_protocol.events import EDGE, EVENT
+from firmware_protocol.evt.evt3 import Evt3Decoder, Evt3Encoder
+from firmware_protocol.frames import line_record
 from firmware_protocol.imu_samples import no_samples
-from firmware_protocol.plain_device import PlainDevice
-from firmware_protocol.readings import ReadingCounters, ReadingKind
 
 
 def events_at(times):

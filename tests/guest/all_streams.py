@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from firmware_protocol.edges import EdgeKind
-from firmware_protocol.events import Events
+from firmware_protocol.events import EdgeKind, Events
 from tests.guest.comparison import assert_same
 from tests.guest.environments import Driver
 from tests.guest.running_rig import Delivered

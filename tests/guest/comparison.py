@@ -6,8 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from firmware_protocol.edges import Edges, empty_edges
-from firmware_protocol.events import EVENT, Events
+from firmware_protocol.events import EVENT, Edges, Events, empty_edges
 
 __all__ = ["assert_same", "load_frames", "load_imu", "load_seen", "load_triggers"]
 

@@ -15,8 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from firmware_protocol.edges import Edges
-from firmware_protocol.events import Events
+from firmware_protocol.events import Edges, Events
 from transports.recording.record import load_edges, load_frames, load_imu, load_record
 
 __all__ = ["Delivered", "RunningRig"]

@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from firmware_protocol.edges import Edges
-from firmware_protocol.events import Events
+from firmware_protocol.events import Edges, Events
 from tests.guest.comparison import load_frames, load_imu, load_seen, load_triggers
 from tests.guest.environments import Driver
 from tests.guest.machine import Finished, Guest, Job

@@ -18,17 +18,16 @@ from typing import Any
 import numpy as np
 import pytest
 
+from firmware_protocol.can_frames.dbc import Identifiers
 from firmware_protocol.can_frames.frame import Frame
-from firmware_protocol.can_frames.identifiers import Identifiers
 from firmware_protocol.can_frames.raw_stream import RawReceiver
 from firmware_protocol.events import EVENT, Events, empty_events
-from firmware_protocol.packets.message import Message, MessageKind
+from firmware_protocol.packets.addresses import Message, MessageKind
 from firmware_protocol.packets.profile import Profile
-from firmware_protocol.packets.telecommands import Ping, Stop
-from firmware_protocol.packets.verification import RequestId, Stage, Verification
+from firmware_protocol.packets.telecommands import Ping, RequestId, Stage, Stop, Verification
 from firmware_protocol.telemetry import as_received, decode_block
 from tests.guest.machine import Guest
-from transports.link.digest import digest_of
+from transports.link.deliveries import digest_of
 
 pytestmark = [pytest.mark.guest, pytest.mark.socket, pytest.mark.timeout(1200)]
 

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from emulator.run.free_ports import free_loopback_address
+from emulator.run.machine import free_loopback_address
 from firmware_protocol.gige.gvcp import GVCP_PORT
 from tests.guest.comparison import assert_same, load_seen
 from tests.guest.gige_run import GigeRun, looped_1280x720

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from emulator.run.free_ports import free_loopback_address
+from emulator.run.machine import free_loopback_address
 from firmware_protocol.gige.gvcp import GVCP_PORT
 from tests.guest.gige_run import RigRun
 from tests.guest.known_ramp import apart_us, expected_us, save_frames

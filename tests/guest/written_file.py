@@ -15,7 +15,7 @@ import dv_processing
 import numpy as np
 from faery.extension import aedat
 
-from firmware_protocol.edges import EdgeKind
+from firmware_protocol.events import EdgeKind
 from tests.guest.streaming import Seen
 
 __all__ = ["assert_same_file"]

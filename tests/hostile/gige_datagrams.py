@@ -6,9 +6,17 @@ import struct
 
 import numpy as np
 
-from firmware_protocol.gige.bootstrap import Register
-from firmware_protocol.gige.evs_registers import ACQUISITION_START, ACQUISITION_STOP, BIASES, COLUMNS, ROWS, Erc, Evs
 from firmware_protocol.gige.gvcp import Command, request
+from firmware_protocol.gige.registers import (
+    ACQUISITION_START,
+    ACQUISITION_STOP,
+    BIASES,
+    COLUMNS,
+    ROWS,
+    Erc,
+    Evs,
+    Register,
+)
 
 __all__ = ["answer_limit", "hostile_datagram", "valid_request"]
 

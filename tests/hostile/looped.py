@@ -10,8 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from firmware_protocol.event_copies import copy_events, join_events
-from firmware_protocol.events import EVENT, Events
+from firmware_protocol.events import EVENT, Events, copy_events, join_events
 from transports.recording.record import save_record
 
 __all__ = ["Follower", "Looped"]

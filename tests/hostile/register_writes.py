@@ -19,18 +19,16 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from emulator.sensor.aps.parameters import FrameParameters
-from emulator.sensor.aps.source import FrameSource
-from emulator.sensor.imu.gravity import EARTH_IN_THE_PICTURE
+from emulator.sensor.aps.frames import FrameSource
+from emulator.sensor.aps.row_kicks import FrameParameters
 from emulator.sensor.imu.parameters import ImuParameters
-from emulator.sensor.imu.source import ImuSource
-from emulator.sensor.imu.unit import Carried, ImuUnit
+from emulator.sensor.imu.unit import EARTH_IN_THE_PICTURE, Carried, ImuSource, ImuUnit
+from emulator.trajectory.motion import Timescale
 from emulator.trajectory.pose import Fixed
-from emulator.trajectory.timescale import Timescale
 from firmware_protocol.davis346 import Access, Davis346, Davis346Settings, Decoder, Layout, SystemInfo, registers
-from firmware_protocol.edges import EDGE, EdgeKind
-from firmware_protocol.frame_lines import LineKind
-from firmware_protocol.readings import ReadingKind
+from firmware_protocol.device.event_device import ReadingKind
+from firmware_protocol.events import EDGE, EdgeKind
+from firmware_protocol.frames import LineKind
 from firmware_protocol.usb.device import Stall
 from tests.firmware_protocol.davis_host import OUT, RUN, SENSORS, STOP, Host, steady
 from tests.firmware_protocol.davis_registers import kept

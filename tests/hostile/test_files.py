@@ -25,11 +25,11 @@ from emulator.scene.bodies.mesh import load_mesh
 from emulator.scene.foreign_file import answer
 from emulator.scene.terrain.heightmap import load_heightmap
 from emulator.scene.terrain.table import Heightmap
-from emulator.scene.video.stacking import MOST_BYTES
+from emulator.scene.video.frames import MOST_BYTES
 from emulator.scene.video.video import Video, VideoParameters
+from emulator.trajectory.building import read_path
 from emulator.trajectory.parameters import FilePath
 from emulator.trajectory.pose import TrajectoryError
-from emulator.trajectory.recorded import read_path
 from firmware_protocol.events import EVENT
 from tests.hostile.mutation import damaged_archive, damaged_array, damaged_bytes, damaged_text
 from transports.recording.record import save_record

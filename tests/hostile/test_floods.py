@@ -16,7 +16,7 @@ import pytest
 from emulator.run.control import ControlSocket, ask
 from firmware_protocol.can_frames.frame import Frame
 from firmware_protocol.usb.usbip import DeviceListRequest
-from transports.can_bus.parameters import CanParameters
+from transports.can_bus.kind import CanParameters
 from transports.can_bus.served import ServedBus
 from transports.link.pacing import MonotonicClock
 from transports.usb.usbip.server import UsbipServer

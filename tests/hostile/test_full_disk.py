@@ -8,8 +8,7 @@ import sys
 import numpy as np
 import pytest
 
-from emulator.cli.output import Failure
-from emulator.cli.output_paths import check_output
+from emulator.cli.output import Failure, check_output
 from firmware_protocol.events import EVENT
 from transports.faults.kinds import BitFlips
 from transports.faults.script import FaultPlan, Faults

@@ -18,19 +18,16 @@ from emulator.rig.loading import parse_rig
 from emulator.run.assembly import link_setups
 from emulator.run.link_process import LinkProcess
 from firmware_protocol.events import EVENT
-from firmware_protocol.gige.bootstrap import Register
-from firmware_protocol.gige.evs_registers import ACQUISITION_START
+from firmware_protocol.gige.control import DeviceTime
 from firmware_protocol.gige.gvcp import Command, request
-from firmware_protocol.gige.orders import DeviceTime
-from firmware_protocol.gige.settings import GigeSettings
+from firmware_protocol.gige.registers import ACQUISITION_START, GigeSettings, Register
 from firmware_protocol.gige.triton2 import Triton2
 from firmware_protocol.gige.triton2_control import Triton2Control
 from tests.hostile.gige_datagrams import answer_limit, hostile_datagram, valid_request
-from transports.gige.answering import ControlSetup
-from transports.gige.control_process import ControlProcess
+from transports.gige.answering import ControlProcess, ControlSetup
 from transports.gige.host import GigeHost
 from transports.link.pacing import MonotonicClock
-from transports.link.ring import FREE_RUNNING, EventRing
+from transports.link.rings import FREE_RUNNING, EventRing
 
 COUNT = int(float(os.environ.get("EVSTIM_HOSTILE_DATAGRAMS", "20000")))
 PARTS = 50

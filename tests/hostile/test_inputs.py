@@ -11,15 +11,21 @@ import struct
 
 import pytest
 
-from emulator.rig.fault_tables import known_faults
+from emulator.rig.kinds import known_faults
 from emulator.rig.loading import parse_rig
-from emulator.run.control import _answered
-from emulator.run.fault_injection import FaultInjection
-from emulator.run.lateness import Lateness
+from emulator.run.control import FaultInjection, _answered
 from emulator.run.outcome import RunStatus
+from emulator.run.pacing import Lateness
 from firmware_protocol.can_frames.socketcand import SocketcandSession
-from firmware_protocol.usb.usbip import DeviceListRequest, ImportRequest, Submit, Unlink, UsbipError
-from firmware_protocol.usb.usbip_parser import Limits, ServerParser
+from firmware_protocol.usb.usbip import (
+    DeviceListRequest,
+    ImportRequest,
+    Limits,
+    ServerParser,
+    Submit,
+    Unlink,
+    UsbipError,
+)
 
 COUNT = int(os.environ.get("EVSTIM_HOSTILE_INPUTS", "1000"))
 OUT_BYTES = 1024

@@ -23,7 +23,7 @@ from pathlib import Path
 
 from tests.hostile.looped import Follower, Looped
 from tests.hostile.memory import MemoryLog
-from transports.link.digest import digest_of
+from transports.link.deliveries import digest_of
 from transports.usb.davis_host import DavisHost
 from transports.usb.usbip.client import UsbipHost
 

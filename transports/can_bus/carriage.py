@@ -14,20 +14,22 @@ from dataclasses import replace
 
 import numpy as np
 
-from firmware_protocol.can_frames.cfp import CfpReceiver, cfp_frames
 from firmware_protocol.can_frames.frame import Frame
-from firmware_protocol.can_frames.isotp import IsoTpFailure, IsoTpReceiver, IsoTpSender, IsoTpSettings
-from firmware_protocol.can_frames.marks import pack_marks
+from firmware_protocol.can_frames.raw_events import pack_marks
 from firmware_protocol.can_frames.raw_stream import Packed, RawSender
-from firmware_protocol.edges import Edges, empty_edges
-from firmware_protocol.event_copies import copy_events
-from firmware_protocol.events import empty_events
-from firmware_protocol.instrument.instrument import Instrument
-from firmware_protocol.instrument.outgoing import Outgoing
-from firmware_protocol.packets.addresses import Addresses
-from firmware_protocol.packets.message import Received
+from firmware_protocol.can_frames.transport import (
+    CfpReceiver,
+    IsoTpFailure,
+    IsoTpReceiver,
+    IsoTpSender,
+    IsoTpSettings,
+    cfp_frames,
+)
+from firmware_protocol.events import Edges, copy_events, empty_edges, empty_events
+from firmware_protocol.instrument.instrument import Instrument, Outgoing
+from firmware_protocol.packets.addresses import Addresses, Received
 from firmware_protocol.packets.profile import CommandUnwrapper, Profile
-from transports.can_bus.parameters import CanParameters
+from transports.can_bus.kind import CanParameters
 from transports.faults.tracker import Load, Tracker
 from transports.link.deliveries import Deliveries
 

@@ -14,25 +14,22 @@ from functools import partial
 
 from firmware_protocol.can_frames.bus_time import BusShare
 from firmware_protocol.can_frames.frame import Frame
-from firmware_protocol.can_frames.marks import pack_marks
-from firmware_protocol.edges import Edges
-from firmware_protocol.instrument.instrument import Instrument
-from firmware_protocol.instrument.outgoing import Outgoing
-from transports.can_bus.bus import BusDown, CanBus
+from firmware_protocol.can_frames.raw_events import pack_marks
+from firmware_protocol.events import Edges
+from firmware_protocol.instrument.instrument import Instrument, Outgoing
+from transports.can_bus.bus import BusDown, CanBus, PythonCanBus
 from transports.can_bus.carriage import FrameSource, sources
 from transports.can_bus.faulty_bus import BusFaults, FaultyBus
+from transports.can_bus.kind import CanParameters
 from transports.can_bus.node import EdgeSink, Node
-from transports.can_bus.parameters import CanParameters
-from transports.can_bus.python_can import PythonCanBus
 from transports.can_bus.served import ServedBus
 from transports.faults.bus import QueuedFrame
 from transports.faults.kinds import Fault
 from transports.faults.script import FaultPlan, FaultRecord
 from transports.faults.tracker import Tracker
 from transports.link.deliveries import Deliveries
-from transports.link.endpoint import Endpoint, EndpointFactory, LineUse
+from transports.link.endpoint import Endpoint, EndpointFactory, LineUse, Reopening
 from transports.link.pacing import Clock
-from transports.link.reopening import Reopening
 
 __all__ = ["CanEndpoint", "CanFactory"]
 

@@ -1,20 +1,192 @@
-"""The record of CAN links."""
+"""The record of CAN links.
+
+What a rig says of a CAN link.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar, Literal
 
-from firmware_protocol.can_frames.identifiers import Identifiers
+from firmware_protocol.can_frames.bus_time import BitRates
+from firmware_protocol.can_frames.canopen import SelectorSettings
+from firmware_protocol.can_frames.dbc import Identifiers
 from firmware_protocol.can_frames.raw_events import RAW_LIMIT_PX
-from transports.can_bus.parameters import CanParameters
-from transports.faults.can_kinds import CAN_FAULTS, ErrorFrames
+from firmware_protocol.can_frames.raw_stream import RawSettings
+from firmware_protocol.can_frames.transport import IsoTpSettings
+from firmware_protocol.instrument.settings import InstrumentSettings
+from firmware_protocol.receiver.can import CanReceiverSettings
+from transports.faults.bus import CAN_FAULTS, ErrorFrames
 from transports.faults.kinds import Fault
 from transports.link.endpoint import EndpointFactory
 from transports.link.kind import CameraFacts, LinkKind, Listener, Unsuitable, Wiring, check_region
 from transports.needs import Need, network_interface
+from transports.network.datagrams import check_allow
 
-__all__ = ["CAN"]
+__all__ = ["CAN", "CanParameters", "Option"]
+
+
+Option = str | int | float | bool
+
+
+@dataclass(frozen=True)
+class CanParameters:
+    """A bus, or two, and how the camera behaves on it.
+
+    Attributes
+    ----------
+    interface
+        "served": evstim is the bus, and others join it by TCP in the protocol of socketcand; or an interface of
+        python-can: socketcan, slcan, gs_usb, pcan, kvaser, udp_multicast, virtual, socketcand ...
+    channel
+        Which bus: can0, /dev/ttyACM0, 239.74.163.2 ...
+    channel_b
+        The redundant bus; "" for none. The master's heartbeat says which one is in use.
+    host, port
+        Where the bus is served, with interface = "served".
+    allow
+        Addresses and networks that may join a served bus; needed where `host` can be reached from other machines.
+    bitrate
+        Bits a second of classic frames, and of the arbitration of CAN FD frames: 1000 to 1 000 000. A served bus sends
+        at this rate, and adapters are set to it (slcan, gs_usb, pcan, kvaser ...); a bus of the kernel (socketcan), of
+        a socketcand or of programs (virtual, udp_multicast) has its own. `share` counts frames by it on every bus.
+    data_bitrate
+        Bits a second of the data of CAN FD frames, `bitrate` to 20 000 000. With fd = true adapters are set to it,
+        where python-can sets them, and `share` counts by it; without, and on a served bus, it has no effect.
+    fd
+        CAN FD frames.
+    share
+        Most of the bus's time that frames may take, ours and others' together; above it our events wait.
+    carriage
+        How events are carried: "raw" (frames that stand alone), "isotp" (blocks by ISO-TP) or "cfp" (blocks in CSP
+        packets).
+    flow_control
+        With ISO-TP: wait for the peer's flow control. Without it nobody has to answer.
+    answer_ms
+        With ISO-TP: how long to wait for the peer.
+    epoch_ms
+        Time between two epoch frames, with raw frames.
+    node
+        Our node number for NMT, 1 to 127; the defaults of the identifiers follow it.
+    heartbeat_ms
+        Between two of our heartbeats; 0 for none.
+    sync_ms
+        Between two SYNCs that we send as the bus's master; 0 for none.
+    sync_counter
+        Whether our SYNC carries its counter.
+    time_ms
+        Between two SCETs that we send as the bus's master; 0 for none.
+    follow_time
+        Set the camera's time by the SCET or TIME of the bus's master.
+    csp_address, csp_peer
+        CSP addresses of camera and computer, with CFP.
+    options
+        More for python-can's interface, by its own names.
+    identifiers
+        Of all frames.
+    redundancy
+        When to change buses.
+    instrument
+        What the camera says, and how much of it.
+    name
+        What this rig calls the link: in reports, and where faults and triggers name it.
+    """
+
+    kind: ClassVar[str] = "can"
+    interface: str = "served"
+    channel: str = "can0"
+    channel_b: str = ""
+    host: str = "127.0.0.1"
+    port: int = 29536
+    allow: tuple[str, ...] = ()
+    bitrate: int = 1_000_000
+    data_bitrate: int = 5_000_000
+    fd: bool = False
+    share: float = 0.9
+    carriage: Literal["raw", "isotp", "cfp"] = "raw"
+    flow_control: bool = True
+    answer_ms: int = 1000
+    epoch_ms: float = 10.0
+    node: int = 0x22
+    heartbeat_ms: int = 500
+    sync_ms: int = 0
+    sync_counter: bool = True
+    time_ms: int = 0
+    follow_time: bool = False
+    csp_address: int = 10
+    csp_peer: int = 1
+    options: dict[str, Option] = field(default_factory=dict)
+    identifiers: Identifiers = field(default_factory=Identifiers)
+    redundancy: SelectorSettings = field(default_factory=SelectorSettings)
+    instrument: InstrumentSettings = field(default_factory=InstrumentSettings)
+    name: str = "can"
+
+    def __post_init__(self) -> None:
+        self._check_bus()
+        if not 0.01 <= self.share <= 1:
+            raise ValueError(f"share must be 0.01 to 1, got {self.share}")
+        if not 1 <= self.node <= 127:
+            raise ValueError(f"node must be 1 to 127, got {self.node}")
+        if not 0.1 <= self.epoch_ms <= 1000:
+            raise ValueError(f"epoch_ms must be 0.1 to 1000, got {self.epoch_ms}")
+        if not 1 <= self.answer_ms <= 60_000:
+            raise ValueError(f"answer_ms must be 1 to 60000, got {self.answer_ms}")
+        for name in ("heartbeat_ms", "sync_ms", "time_ms"):
+            if not 0 <= getattr(self, name) <= 65_535:
+                raise ValueError(f"{name} must be 0 (none) to 65535, got {getattr(self, name)}")
+        for name in ("csp_address", "csp_peer"):
+            if not 0 <= getattr(self, name) < 0x3FFF:
+                raise ValueError(f"{name} must be 0 to 16382, got {getattr(self, name)}")
+        try:
+            BitRates(self.bitrate, self.data_bitrate)
+        except ValueError as error:
+            raise ValueError(f"bitrate: {error}") from error
+
+    def _check_bus(self) -> None:
+        if not self.interface or not self.channel:
+            raise ValueError('interface and channel must not be empty; "served" and "can0" need nothing of the machine')
+        if self.channel_b and self.interface == "served":
+            raise ValueError('channel_b: a served bus is one bus; two need interface = "socketcan" or another')
+        if self.channel_b == self.channel:
+            raise ValueError("channel_b is the same bus as channel; leave it out, or name another")
+        if self.fd and self.interface in ("served", "socketcand"):
+            raise ValueError('fd: socketcand\'s protocol has classic frames only; use "udp_multicast" or "socketcan"')
+        if self.fd and self.carriage == "cfp":
+            raise ValueError("fd: CSP's fragmentation protocol has classic frames only")
+        if not 0 <= self.port <= 65535:
+            raise ValueError(f"port must be 0 (any free one) to 65535, got {self.port}")
+        if self.interface == "served":
+            check_allow(self.host, self.allow)
+
+    @property
+    def rates(self) -> BitRates:
+        """Of the bus."""
+        return BitRates(self.bitrate, self.data_bitrate)
+
+    @property
+    def isotp(self) -> IsoTpSettings:
+        """Our ISO-TP channel."""
+        peer = self.peer_isotp
+        return replace(peer, send=peer.receive, receive=peer.send)
+
+    @property
+    def peer_isotp(self) -> IsoTpSettings:
+        """The same channel as the peer sees it."""
+        return self.receiver.isotp
+
+    @property
+    def receiver(self) -> CanReceiverSettings:
+        """What the computer has to know of this link."""
+        return CanReceiverSettings(
+            self.identifiers, self.fd, self.flow_control, self.answer_ms, self.csp_address, self.csp_peer
+        )
+
+    def raw(self, tick_us: int) -> RawSettings:
+        """Return how raw frames are made at a tick."""
+        ids = self.identifiers
+        return RawSettings(ids.events, ids.epoch, tick_us, round(self.epoch_ms * 1000), self.fd, clock=ids.clock)
+
 
 _OWN_BUSES = ("served", "virtual")
 """Interfaces that carry an error frame that is given to them; a controller makes its own."""

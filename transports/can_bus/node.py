@@ -1,14 +1,19 @@
-"""The camera as a node of a CANopen-like network: heartbeat, NMT, SYNC, TIME, SCET, EMCY, and which bus is in use."""
+"""The camera as a node of a CANopen-like network: heartbeat, NMT, SYNC, TIME, SCET, EMCY, and which bus is in use.
+
+A computer on a CAN bus: hears a camera until told to stop, counts, and answers what has to be answered.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
+from dataclasses import dataclass, field, replace
 
 from firmware_protocol.can_frames.canopen import (
     EMCY_NO_ERROR,
     EMCY_OVERRUN,
+    BusSelector,
     Emergency,
     NmtCommand,
     NmtOrder,
@@ -21,14 +26,18 @@ from firmware_protocol.can_frames.canopen import (
     parse_sync,
     scet,
 )
-from firmware_protocol.can_frames.frame import Frame
-from firmware_protocol.can_frames.redundancy import BusSelector
-from firmware_protocol.can_frames.timing import FollowUp
+from firmware_protocol.can_frames.frame import FollowUp, Frame
 from firmware_protocol.instrument.instrument import Instrument
-from transports.can_bus.parameters import CanParameters
-from transports.link.deliveries import Deliveries
+from firmware_protocol.receiver.can import CanReceiver
+from transports.can_bus.bus import BusDown, PythonCanBus
+from transports.can_bus.kind import CanParameters
+from transports.link.deliveries import Deliveries, LatencySummary
+from transports.link.pacing import Clock
+from transports.link.reception import Arrivals
+from transports.recording.record import Recorder
 
-__all__ = ["EdgeSink", "Node"]
+__all__ = ["CanReception", "EdgeSink", "Node", "listen_can", "peer_of"]
+
 
 EdgeSink = Callable[[int, int], None]
 """Takes the time of a trigger (CLOCK_MONOTONIC, ns) and its number."""
@@ -188,3 +197,102 @@ class Node:
         period_ns = period_ms * _MS
         self._next_ns[what] = due_ns + period_ns * (1 + (now_ns - due_ns) // period_ns)
         return True
+
+
+_LOOK_PERIOD_S = 0.1
+
+
+@dataclass(frozen=True)
+class CanReception:
+    """What has come so far.
+
+    Attributes
+    ----------
+    seconds
+        Wall time since the bus was joined.
+    last_t_us
+        Time of the newest event; None before the first.
+    digest
+        Of all events, see `digest_of`.
+    faults
+        Things that a sound link never shows.
+    counts
+        Everything else by name.
+    jitter_us
+        How much later than the quickest frame each came, by the bus's stamps: the camera's own clock is not known.
+    gone
+        True when the bus went away.
+    ended
+        Whether the newest heartbeat said that the camera had stopped, as it does at the end of its run.
+    """
+
+    events: int = 0
+    edges: int = 0
+    seconds: float = 0.0
+    last_t_us: int | None = None
+    digest: int = 0
+    faults: int = 0
+    counts: Mapping[str, int] = field(default_factory=dict)
+    jitter_us: LatencySummary = field(default_factory=LatencySummary)
+    gone: bool = False
+    ended: bool = False
+
+
+def peer_of(parameters: CanParameters) -> CanParameters:
+    """Return how the other side joins the bus of a rig's link."""
+    return replace(parameters, interface="socketcand") if parameters.interface == "served" else parameters
+
+
+class _Listening:
+    """One visit to the bus."""
+
+    def __init__(self, parameters: CanParameters, clock: Clock, recorder: Recorder | None) -> None:
+        self._receiver = CanReceiver(parameters.receiver)
+        self._arrivals = Arrivals(clock, recorder)
+        self._heartbeat = parameters.identifiers.heartbeat
+        self._ended = False
+
+    @property
+    def now(self) -> CanReception:
+        """What has come so far, without what is known at the end alone."""
+        a = self._arrivals
+        return CanReception(a.events, a.edges, a.seconds, a.last_t_us, a.digest)
+
+    def take(self, bus: PythonCanBus) -> None:
+        """Hear all that has come; raises BusDown when the bus is gone."""
+        for heard in bus.take():
+            self._receiver.push(heard.frame, heard.t_ns)
+            if heard.frame.identifier == self._heartbeat and not heard.frame.extended:
+                self._ended = heard.frame.data == bytes([NodeState.STOPPED])
+            for reply in self._receiver.take_replies():
+                with suppress(BusDown):  # the next look says so, after all that was heard before
+                    bus.send(reply)
+            self._arrivals.add(self._receiver.take_events(), self._receiver.take_edges(), heard.t_ns)
+
+    def finish(self, *, gone: bool) -> CanReception:
+        """Return everything."""
+        receiver, jitter = self._receiver, self._arrivals.jitter()
+        known = replace(self.now, faults=receiver.faults, counts=receiver.counts, jitter_us=jitter)
+        return replace(known, gone=gone, ended=self._ended)
+
+
+async def listen_can(
+    parameters: CanParameters, goes_on: Callable[[CanReception], bool], clock: Clock, recorder: Recorder | None = None
+) -> CanReception:
+    """Join the bus of `parameters` and hear it while `goes_on` says so, which is asked whenever something has come.
+
+    Raises BusDown when it cannot be joined; a bus that goes away later ends the visit.
+    """
+    bus = PythonCanBus(parameters, parameters.channel)
+    await bus.open()
+    listening = _Listening(parameters, clock, recorder)
+    gone = False
+    try:
+        while goes_on(listening.now):
+            listening.take(bus)
+            await bus.wait(_LOOK_PERIOD_S)
+    except BusDown:
+        gone = True
+    finally:
+        await bus.close()
+    return listening.finish(gone=gone)

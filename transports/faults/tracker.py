@@ -11,12 +11,11 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 from firmware_protocol.can_frames.frame import Frame
-from firmware_protocol.edges import Edges, empty_edges
-from firmware_protocol.events import Events, empty_events
-from firmware_protocol.instrument.outgoing import Outgoing
-from firmware_protocol.packets.message import Received
+from firmware_protocol.events import Edges, Events, empty_edges, empty_events
+from firmware_protocol.instrument.instrument import Outgoing
+from firmware_protocol.packets.addresses import Received
 from transports.faults.bus import QueuedMessage
-from transports.faults.reference_receiver import ReferenceReceiver
+from transports.faults.line import ReferenceReceiver
 
 __all__ = ["Callbacks", "FrameTracker", "Load", "MessageTracker", "Tracker"]
 

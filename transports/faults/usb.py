@@ -6,25 +6,246 @@
 
 Events and edges whose words do not arrive as they were sent are taken out of the Transfer that the host's side counts,
 and told of in the fault's record; the device hears that it has sent them all, as a real one believes.
+
+Faults at work on a device on USB: its endpoints, its control requests, and whether it is there at all.
+
+Answers of a camera on USB that faults have changed: who it is, its versions, and bits of its registers.
+
+GET_DESCRIPTOR device     bytes 12, 13: bcdDevice; its low byte is the firmware version
+GET_DESCRIPTOR string 3   the serial number: length, type 3, UTF-16
+0xBF IN, 4 bytes          a register of a DAVIS346, big-endian; see `davis346.device`
 """
 
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import partial
+from typing import Protocol
 
+import numpy as np
+
+from firmware_protocol.davis346.device import REGISTER
+from firmware_protocol.davis346.registers import Module
 from firmware_protocol.usb.control import Feature, Recipient, StandardRequest
-from firmware_protocol.usb.device import Identity, RequestKind, SetupPacket, Stall, Transfer, UsbCamera, UsbDevice
-from transports.faults.davis_kinds import RegisterFlip, WrongVersion
-from transports.faults.false_answers import FalseAnswers, flip_register
-from transports.faults.kinds import Fault
+from firmware_protocol.usb.device import (
+    Identity,
+    NotReady,
+    RequestKind,
+    SetupPacket,
+    Stall,
+    Transfer,
+    UsbCamera,
+    UsbDevice,
+)
+from transports.faults.kinds import Fault, Places
 from transports.faults.script import FaultPlan, FaultRecord, Faults, Stage
-from transports.faults.usb_kinds import UsbUnplugged
-from transports.faults.usb_stages import ControlStage, UsbStage, usb_stage
-from transports.faults.word_path import WordPath
-from transports.faults.word_stages import WordStage
+from transports.faults.usb_kinds import (
+    ControlStall,
+    EmptyTransfers,
+    FifoOverflow,
+    RegisterFlip,
+    ShortTransfers,
+    SlowControl,
+    UsbSilence,
+    UsbStall,
+    UsbUnplugged,
+    WrongVersion,
+)
+from transports.faults.words import WordPath, WordStage, word_stage
 
-__all__ = ["FaultyDevice"]
+__all__ = ["ControlStage", "FalseAnswers", "FaultyDevice", "UsbStage", "flip_register", "usb_stage"]
+
+
+@dataclass
+class UsbStage:
+    """One fault at work on one IN endpoint, or on the whole device when it is `gone`; see `script.Stage`.
+
+    Attributes
+    ----------
+    fault
+        What was asked for.
+    endpoint
+        Number of the IN endpoint; that of the data where the camera's FIFO is to overflow.
+    empty
+        Which transfers come empty.
+    overflow
+        Events that the camera is to drop.
+    """
+
+    fault: Fault
+    endpoint: int = 0
+    silent: bool = False
+    stalls: int = 0
+    most_bytes: int = 0
+    gone: bool = False
+    empty: Places | None = None
+    overflow: int = 0
+    hits: int = 0
+    touched: int = 0
+    over: bool = False
+
+
+class ControlStage(Protocol):
+    """One fault at work on vendor requests; see `script.Stage` for the attributes."""
+
+    hits: int
+    touched: int
+    over: bool
+
+    def ask(self, setup: SetupPacket, now_us: int) -> None:
+        """Raise Stall or NotReady for a vendor request that is to be refused, or answered later."""
+
+
+class _Refusal:
+    def __init__(self, fault: ControlStall) -> None:
+        self._request, self._left = fault.request, fault.count
+        self.hits = self.touched = 0
+        self.over = False
+
+    def ask(self, setup: SetupPacket, now_us: int) -> None:
+        if self.over or self._request not in (-1, setup.request):
+            return
+        self._left -= 1
+        self.hits += 1
+        self.over = not self._left
+        raise Stall(f"{setup} is refused, by a fault")
+
+
+class _Slowness:
+    def __init__(self, fault: SlowControl) -> None:
+        self._delay_us = round(fault.delay_ms * 1000)
+        self._asked: SetupPacket | None = None
+        self._due_us = 0
+        self.hits = self.touched = 0
+        self.over = False
+
+    def ask(self, setup: SetupPacket, now_us: int) -> None:
+        if setup is not self._asked:  # the same bytes again, after a time-out, are another request
+            self._asked, self._due_us = setup, now_us + self._delay_us
+            self.hits += 1
+        if now_us < self._due_us:
+            raise NotReady
+        self._asked = None
+
+
+def usb_stage(
+    fault: Fault, random: np.random.Generator, dropped: Callable[[], int] = lambda: 0
+) -> UsbStage | WordStage | _Refusal | _Slowness:
+    """Return what this fault does to a device on USB; raises ValueError for one that USB does not have.
+
+    `dropped` gives the events that the camera has dropped for want of room.
+    """
+    words = word_stage(fault, random)
+    if words is not None:
+        return words
+    match fault:
+        case ControlStall():
+            return _Refusal(fault)
+        case SlowControl():
+            return _Slowness(fault)
+        case FifoOverflow():
+            return UsbStage(fault, silent=True, overflow=dropped() + fault.events)
+    return _endpoint_stage(fault, random)
+
+
+def _endpoint_stage(fault: Fault, random: np.random.Generator) -> UsbStage:
+    match fault:
+        case UsbSilence():
+            return UsbStage(fault, fault.endpoint, silent=True)
+        case UsbStall():
+            return UsbStage(fault, fault.endpoint, stalls=fault.count)
+        case ShortTransfers():
+            return UsbStage(fault, fault.endpoint, most_bytes=fault.most_bytes)
+        case EmptyTransfers():
+            return UsbStage(fault, fault.endpoint, empty=Places(fault, random))
+        case UsbUnplugged():
+            return UsbStage(fault, gone=True, hits=1)
+        case WrongVersion():
+            return UsbStage(fault, hits=1)
+        case RegisterFlip():
+            return UsbStage(fault)
+    raise ValueError(f"{fault.kind!r} is no fault of a USB link")
+
+
+_DEVICE, _SERIAL = 0x0100, 0x0303
+_STRING_TYPE = 3
+_OUT, _IN = 0x40, 0xC0
+_Address = tuple[int, int]
+_LOGIC, _CHIP, _PATCH = (Module.SYSTEM, 0), (Module.SYSTEM, 1), (Module.SYSTEM, 7)
+
+
+class FalseAnswers:
+    """What the camera says in place of the truth.
+
+    Attributes
+    ----------
+    serial
+        Its serial number; empty: its own.
+    versions
+        The faults that change its versions; the last one counts.
+    """
+
+    def __init__(self) -> None:
+        self.serial = ""
+        self.versions: list[WrongVersion] = []
+        self._flipped: dict[_Address, int] = {}
+
+    def power_on(self) -> None:
+        """Forget the flips of registers."""
+        self._flipped.clear()
+
+    def flip(self, address: _Address, bit: int) -> None:
+        """Let a register that nobody can write read with one bit turned over."""
+        self._flipped[address] = self._flipped.get(address, 0) ^ 1 << bit
+
+    def identity(self, true: Identity) -> Identity:
+        """Return what a host's bus lists."""
+        return replace(true, bcd_device=self._firmware(true.bcd_device))
+
+    def answer(self, setup: SetupPacket, true: bytes) -> bytes:
+        """Return what a host gets for the answer to one IN request."""
+        if setup.kind is RequestKind.STANDARD and setup.request == StandardRequest.GET_DESCRIPTOR:
+            return self._descriptor(setup, true)
+        if setup.kind is RequestKind.VENDOR and setup.request == REGISTER and len(true) == 4:
+            address = setup.value, setup.index
+            value = self._version(address, int.from_bytes(true, "big")) ^ self._flipped.get(address, 0)
+            return value.to_bytes(4, "big")
+        return true
+
+    def _descriptor(self, setup: SetupPacket, true: bytes) -> bytes:
+        if setup.value == _DEVICE and len(true) >= 14:
+            firmware = self._firmware(int.from_bytes(true[12:14], "little"))
+            return true[:12] + firmware.to_bytes(2, "little") + true[14:]
+        if setup.value == _SERIAL and self.serial:
+            text = self.serial.encode("utf-16-le")
+            return (bytes((len(text) + 2, _STRING_TYPE)) + text)[: setup.length]
+        return true
+
+    def _firmware(self, true: int) -> int:
+        told = [one.firmware for one in self.versions if one.firmware >= 0]
+        return true & 0xFF00 | told[-1] if told else true
+
+    def _version(self, address: _Address, true: int) -> int:
+        values = {_LOGIC: "logic_version", _CHIP: "chip", _PATCH: "logic_patch"}
+        name = values.get((Module(address[0]), address[1])) if address[0] == Module.SYSTEM else None
+        told = [getattr(one, name) for one in self.versions if getattr(one, name) >= 0] if name else []
+        return told[-1] if told else true
+
+
+def flip_register(device: UsbDevice, false: FalseAnswers, flip: RegisterFlip) -> bool:
+    """Turn over one bit of a register of `device`; False where it has no such register requests."""
+    ask = SetupPacket(_IN, REGISTER, flip.module, flip.parameter, 4)
+    tell = SetupPacket(_OUT, REGISTER, flip.module, flip.parameter, 4)
+    try:
+        value = int.from_bytes(device.control(ask, b""), "big") ^ 1 << flip.bit
+        device.control(tell, value.to_bytes(4, "big"))
+        if int.from_bytes(device.control(ask, b""), "big") != value:
+            false.flip((flip.module, flip.parameter), flip.bit)
+    except Stall:
+        return False
+    return True
 
 
 class FaultyDevice(UsbDevice):

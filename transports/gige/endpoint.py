@@ -4,6 +4,14 @@
     Triton2.next_block --packets--> faults --> StreamSocket --> the host that has control
 
 UDP has no back-pressure: a block counts as delivered when the kernel has taken all its packets.
+
+What became of blocks that were sent, when faults on the way took packets from them and hosts asked for these again.
+
+    block left --> whole? --> arrived, in order
+                   packets missing --> sent again in time --> arrived
+                                       not ---------------> destroyed by the fault
+
+A host gets blocks in order: those behind a block with missing packets wait for its fate.
 """
 
 from __future__ import annotations
@@ -11,7 +19,7 @@ from __future__ import annotations
 import ipaddress
 import logging
 from collections import Counter, deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 
@@ -20,18 +28,62 @@ from firmware_protocol.gige.outflow import Outgoing
 from firmware_protocol.gige.triton2 import Triton2
 from transports.faults.kinds import Fault
 from transports.faults.script import FaultPlan, FaultRecord
-from transports.gige.answering import ControlSetup, Move, Mute, Release
-from transports.gige.control_process import ControlProcess
-from transports.gige.fates import BlockFates
+from transports.gige.answering import ControlProcess, ControlSetup, Move, Mute, Release
+from transports.gige.kind import GigeLink
 from transports.gige.packet_faults import FaultyPackets, Packet
-from transports.gige.parameters import GigeLink
 from transports.gige.sockets import StreamSocket
 from transports.link.deliveries import Deliveries
 from transports.link.endpoint import Endpoint, EndpointFactory
-from transports.network.allow import AllowList
-from transports.network.datagrams import ByteBudget
+from transports.network.datagrams import AllowList, ByteBudget
 
-__all__ = ["GigeEndpoint", "GigeFactory"]
+__all__ = ["BlockFates", "GigeEndpoint", "GigeFactory"]
+
+
+_PATIENCE_NS = 200_000_000  # Aravis gives a block up 100 ms after its last packet
+
+
+@dataclass
+class _Left:
+    outgoing: Outgoing
+    at_ns: int
+    missing: set[int] = field(default_factory=set)
+
+
+class BlockFates:
+    """Tells `arrived` and `destroyed` of each block once, in the order in which they left."""
+
+    def __init__(self, arrived: Callable[[Outgoing], None], destroyed: Callable[[Outgoing], None]) -> None:
+        self._arrived = arrived
+        self._destroyed = destroyed
+        self._waiting: deque[_Left] = deque()
+        self._missing: dict[int, set[int]] = {}
+
+    def missed(self, block: int, packet: int) -> None:
+        """Say that a packet was taken away, before or after its block has left."""
+        self._missing.setdefault(block, set()).add(packet)
+
+    def came(self, block: int, packet: int) -> None:
+        """Say that a packet arrived after all."""
+        self._missing.get(block, set()).discard(packet)
+
+    def left(self, outgoing: Outgoing, now_ns: int) -> None:
+        """Say that all packets of a block have left the camera."""
+        missing = self._missing.get(outgoing.block.number)
+        if not missing and not self._waiting:
+            self._arrived(outgoing)
+        else:
+            self._waiting.append(_Left(outgoing, now_ns, missing or set()))
+
+    def settle(self, now_ns: int, *, final: bool = False) -> None:
+        """Tell the fates that are known by now; at the end, all of them."""
+        while self._waiting:
+            first = self._waiting[0]
+            if first.missing and not final and now_ns - first.at_ns < _PATIENCE_NS:
+                return
+            self._waiting.popleft()
+            self._missing.pop(first.outgoing.block.number, None)
+            (self._destroyed if first.missing else self._arrived)(first.outgoing)
+
 
 log = logging.getLogger(__name__)
 

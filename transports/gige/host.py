@@ -1,7 +1,11 @@
-"""A host of a GigE Vision event camera: finds it, takes control, and reads its stream, without a driver."""
+"""A host of a GigE Vision event camera: finds it, takes control, and reads its stream, without a driver.
+
+A reader of a GigE Vision event camera that counts, digests and records what arrives, until told to stop.
+"""
 
 from __future__ import annotations
 
+import dataclasses
 import ipaddress
 import socket
 import struct
@@ -11,16 +15,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from firmware_protocol.edges import Edges, empty_edges
-from firmware_protocol.events import Events, empty_events
-from firmware_protocol.evt3.decoding import Evt3Decoder
-from firmware_protocol.gige.assembly import BlockAssembly
-from firmware_protocol.gige.bootstrap import DISCOVERY_OCTETS, Privilege, Register
-from firmware_protocol.gige.evs_registers import ACQUISITION_START, ACQUISITION_STOP
+from firmware_protocol.events import Edges, Events, empty_edges, empty_events
+from firmware_protocol.evt.evt3 import Evt3Decoder
 from firmware_protocol.gige.gvcp import GVCP_PORT, Command, Flag, Resend, Status, request
-from firmware_protocol.gige.standard_rules import DO_NOT_FRAGMENT
+from firmware_protocol.gige.gvsp import BlockAssembly
+from firmware_protocol.gige.registers import ACQUISITION_START, ACQUISITION_STOP, DISCOVERY_OCTETS, Privilege, Register
+from firmware_protocol.gige.triton2_registers import DO_NOT_FRAGMENT
+from transports.link.deliveries import digest_of
+from transports.link.pacing import Clock
+from transports.recording.part import Part
+from transports.recording.record import Recorder
 
-__all__ = ["CameraGone", "GigeHost", "GigeHostError", "Identity"]
+__all__ = ["CameraGone", "GigeHost", "GigeHostError", "GigeReception", "Identity", "receive"]
+
 
 _TIMEOUT_S = 0.5
 _ATTEMPTS = 5
@@ -221,3 +228,92 @@ def _told(status: int) -> str:
     except ValueError:
         return f"status {status:#06x}"
     return f"{name}; another host has control" if status == Status.ACCESS_DENIED else name
+
+
+_READ_TIMEOUT_S = 0.1
+
+
+@dataclass(frozen=True)
+class GigeReception:
+    """What has arrived so far.
+
+    Attributes
+    ----------
+    seconds
+        Wall time since the stream was started.
+    last_t_us
+        Device time of the newest event; None before the first.
+    digest
+        Of all events, see `digest_of`.
+    edges
+        Triggers.
+    blocks_lost
+        Blocks that did not come whole.
+    packets_asked, packets_repeated
+        Packets that were asked for again, and that came more than once.
+    gone
+        True when the camera went away.
+    """
+
+    events: int = 0
+    seconds: float = 0.0
+    last_t_us: int | None = None
+    digest: int = 0
+    edges: int = 0
+    blocks_lost: int = 0
+    packets_asked: int = 0
+    packets_repeated: int = 0
+    gone: bool = False
+
+    def with_events(self, events: Events) -> GigeReception:
+        """Return this and `events`, (n,) EVENT in device time."""
+        if not len(events):
+            return self
+        return dataclasses.replace(
+            self,
+            events=self.events + len(events),
+            last_t_us=int(events["t"][-1]),
+            digest=digest_of(events, self.digest),
+        )
+
+
+def receive(
+    camera: GigeHost,
+    packet_size: int,
+    goes_on: Callable[[GigeReception], bool],
+    clock: Clock,
+    recorder: Recorder | None = None,
+) -> GigeReception:
+    """Start the camera and read it while `goes_on` says so; then stop it.
+
+    A camera that goes away ends it too. Raises GigeHostError when the camera cannot be started.
+    """
+    reception = GigeReception()
+    camera.start(packet_size)
+    start_ns = clock.now_ns()
+    try:
+        while goes_on(reception):
+            reception = _turn(camera, reception, recorder)
+            reception = dataclasses.replace(reception, seconds=(clock.now_ns() - start_ns) * 1e-9)
+        camera.stop()
+        before = -1
+        while reception.events > before or camera.assembly.waiting:
+            before, reception = reception.events, _turn(camera, reception, recorder)
+    except CameraGone:
+        return dataclasses.replace(reception, gone=True)
+    return reception
+
+
+def _turn(camera: GigeHost, reception: GigeReception, recorder: Recorder | None) -> GigeReception:
+    """Return the reception with what has come since the last turn."""
+    events = camera.read(_READ_TIMEOUT_S)
+    edges = camera.take_edges()
+    if recorder is not None and (len(events) or len(edges)):
+        recorder.append(Part(events, edges))
+    return dataclasses.replace(
+        reception.with_events(events),
+        edges=reception.edges + len(edges),
+        blocks_lost=camera.assembly.lost,
+        packets_asked=camera.assembly.asked,
+        packets_repeated=camera.assembly.repeated,
+    )

@@ -1,15 +1,72 @@
-"""The record of GigE Vision links."""
+"""The record of GigE Vision links.
+
+What a rig says of a GigE Vision link.
+"""
 
 from __future__ import annotations
 
-from typing import Any
+import ipaddress
+from dataclasses import dataclass
+from typing import Any, ClassVar
 
+from firmware_protocol.gige.gvcp import GVCP_PORT
 from transports.gige.packet_faults import PACKET_FAULTS
-from transports.gige.parameters import GigeLink
 from transports.link.endpoint import EndpointFactory
 from transports.link.kind import CameraFacts, LinkKind, Listener, Unsuitable, Wiring
+from transports.network.datagrams import check_allow
 
-__all__ = ["GIGE"]
+__all__ = ["GIGE", "GigeLink"]
+
+
+@dataclass(frozen=True)
+class GigeLink:
+    """The camera as a GigE Vision device on a network: drivers find it and read it over UDP.
+
+    Attributes
+    ----------
+    host
+        IPv4 address of the camera. Several cameras on one machine need several: 127.0.0.1, 127.0.0.2, ...
+    port
+        Of the control channel: 3956, where all drivers look; another one, or 0 for any free one, suits tests alone.
+    allow
+        Addresses and networks that may find, control and receive; needed where `host` can be reached from other
+        machines.
+    mbit_s
+        Most that the stream takes, in Mbit/s: UDP has no back-pressure, and hosts lose what comes faster than they
+        read. 1000 as the real camera's cable.
+    segmentation
+        Whether whole blocks are given to the kernel, which cuts them into packets, or has the network card do it (UDP
+        segmentation): less work for each packet. On loopback and veth, programs that read raw sockets see the blocks
+        uncut; Aravis does where root runs it.
+    block_us
+        Age at which a block is closed and sent, if it was not full before.
+    name
+        What this rig calls the link: in reports, and where faults and triggers name it.
+    """
+
+    kind: ClassVar[str] = "gige"
+    host: str = "127.0.0.1"
+    port: int = GVCP_PORT
+    allow: tuple[str, ...] = ()
+    mbit_s: float = 1000.0
+    segmentation: bool = False
+    block_us: int = 1000
+    name: str = "gige"
+
+    def __post_init__(self) -> None:
+        try:
+            ipaddress.IPv4Address(self.host)
+        except ValueError as error:
+            raise ValueError(f"host must be an IPv4 address of this machine, got {self.host!r}") from error
+        if ipaddress.IPv4Address(self.host).is_unspecified:
+            raise ValueError("host 0.0.0.0 is no address that a camera can tell: give one address of this machine")
+        if not 0 <= self.port <= 65535:
+            raise ValueError(f"port must be 0 (any free one) to 65535, got {self.port}")
+        if not 1 <= self.mbit_s <= 100_000:
+            raise ValueError(f"mbit_s must be 1 to 100000, got {self.mbit_s}")
+        if not 1 <= self.block_us <= 1_000_000:
+            raise ValueError(f"block_us must be 1 to 1000000, got {self.block_us}")
+        check_allow(self.host, self.allow)
 
 
 def _endpoint(link: GigeLink, wiring: Wiring) -> EndpointFactory[Any]:

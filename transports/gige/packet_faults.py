@@ -8,12 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from firmware_protocol.gige.gvsp import removed
-from transports.faults.datagram_kinds import LateDatagrams, LostDatagrams, RepeatedDatagrams
-from transports.faults.datagram_stages import DatagramStage, Loss, datagram_stage
-from transports.faults.gige_kinds import IpChange, LinkDown, LostHeartbeat, RefusedResends
-from transports.faults.hit_places import Places
-from transports.faults.kinds import Fault
+from transports.faults.datagrams import (
+    DatagramStage,
+    LateDatagrams,
+    Loss,
+    LostDatagrams,
+    RepeatedDatagrams,
+    datagram_stage,
+)
+from transports.faults.kinds import Fault, Places
 from transports.faults.script import FaultPlan, FaultRecord, Faults
+from transports.faults.usb_kinds import IpChange, LinkDown, LostHeartbeat, RefusedResends
 
 __all__ = ["PACKET_FAULTS", "FaultyPackets", "Packet"]
 

@@ -7,10 +7,9 @@ import struct
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
 
-from firmware_protocol.gige.control import Datagram
+from firmware_protocol.gige.control import Datagram, Peer
 from firmware_protocol.gige.gvsp import HEADER_OCTETS, Block
-from firmware_protocol.gige.orders import Peer
-from transports.network.allow import AllowList
+from transports.network.datagrams import AllowList
 
 __all__ = ["ControlSockets", "StreamSocket"]
 

@@ -14,7 +14,7 @@ from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from firmware_protocol.event_device import EventDevice
+from firmware_protocol.device.event_device import EventDevice
 
 __all__ = ["CameraSettings", "ChangeWatch", "Occurrence"]
 

@@ -1,26 +1,189 @@
-"""What a link delivered, seen from outside the camera: how late events left, their digest, and their record."""
+"""What a link delivered, seen from outside the camera: how late events left, their digest, and their record.
+
+Latency of events: a histogram with a fixed size, whatever the length of the run and of the latencies.
+
+Below 0.2 s a bin is 10 us wide, above that each is 1 % wider than the one before, up to a year.
+
+A checksum of a stream of events: equal digests on both ends mean that every event arrived as it was sent.
+
+Parts of a recording, in the time of the camera's clock, from what a link delivered.
+
+Count of the events that a link delivered, in memory that outlives its process.
+
+A process that is killed sends no last report. This count is written after every tick, so the ledger of a run knows what
+had left the camera before its link died.
+"""
 
 from __future__ import annotations
 
+import math
+import multiprocessing
 import time
+import zlib
 from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from firmware_protocol.device_clock import DeviceClock
-from firmware_protocol.edges import Edges, empty_edges
-from firmware_protocol.events import Events
-from firmware_protocol.readings import Reading
-from transports.link.delivered_parts import Delivered, DeliveredParts
-from transports.link.digest import digest_of
-from transports.link.latency import LatencyHistogram
+from firmware_protocol.device.clock import DeviceClock
+from firmware_protocol.device.event_device import Reading, ReadingKind
+from firmware_protocol.events import Edges, Events, copy_events, empty_edges, empty_events
+from firmware_protocol.frames import FrameAssembler, WholeFrame
+from firmware_protocol.imu_samples import ImuSamples, no_samples, physical
 from transports.link.pacing import Clock
-from transports.link.ring import FREE_RUNNING, EventRing
-from transports.recording.opening import AnyRecorder
-from transports.recording.part import Part, counts_of
+from transports.link.rings import FREE_RUNNING, EventRing
+from transports.recording.live import AnyRecorder
+from transports.recording.part import IMU, Frame, Part, counts_of
 from transports.recording.summary import RecordingSummary
 
-__all__ = ["Deliveries"]
+__all__ = [
+    "Delivered",
+    "DeliveredParts",
+    "Deliveries",
+    "DeliveryTally",
+    "LatencyHistogram",
+    "LatencySummary",
+    "digest_of",
+    "recorded_imu",
+]
+
+
+_BIN_US = 10
+_EVEN_BINS = 20_000
+_EVEN_US = float(_BIN_US * _EVEN_BINS)
+_RATIO = 1.01
+_YEAR_US = 3.2e13  # the longest run
+_BINS = _EVEN_BINS + math.ceil(math.log(_YEAR_US / _EVEN_US, _RATIO))
+
+
+@dataclass(frozen=True)
+class LatencySummary:
+    """Latency from an event's own time to its bytes leaving, us; None where nothing was measured."""
+
+    p50: float | None = None
+    p99: float | None = None
+    max: float | None = None
+
+
+class LatencyHistogram:
+    """Latencies in bins of 10 us up to 0.2 s, and of 1 % above; the largest is kept exactly."""
+
+    def __init__(self) -> None:
+        self._counts = np.zeros(_BINS, np.int64)
+        self._max_us: float | None = None
+
+    def add(self, latency_us: npt.NDArray[np.floating[Any]]) -> None:
+        """Count latencies, shape (n,), us; an event that leaves before its own time counts as 0."""
+        if not len(latency_us):
+            return
+        bins = _bins(latency_us)
+        first = int(bins.min())
+        counts = np.bincount(bins - first)
+        self._counts[first : first + len(counts)] += counts
+        self._max_us = max(self._max_us or 0.0, float(latency_us.max()))
+
+    def summary(self) -> LatencySummary:
+        """Return median, 99th percentile (upper edge of the bin, never above the maximum) and maximum."""
+        if self._max_us is None:
+            return LatencySummary()
+        return LatencySummary(self._quantile_us(0.5), self._quantile_us(0.99), self._max_us)
+
+    def _quantile_us(self, share: float) -> float:
+        cumulative = np.cumsum(self._counts)
+        index = int(np.searchsorted(cumulative, share * cumulative[-1]))
+        return min(_upper_edge_us(index), self._max_us or 0.0)
+
+
+def _bins(latency_us: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.int64]:
+    """Return the bin of each latency."""
+    bins = np.clip(latency_us / _BIN_US, 0, _EVEN_BINS - 1).astype(np.int64)
+    long = latency_us >= _EVEN_US
+    if long.any():
+        above = np.log(latency_us[long] / _EVEN_US) / math.log(_RATIO)
+        bins[long] = np.minimum(_EVEN_BINS + above.astype(np.int64), _BINS - 1)
+    return bins
+
+
+def _upper_edge_us(index: int) -> float:
+    if index < _EVEN_BINS:
+        return float((index + 1) * _BIN_US)
+    return math.inf if index == _BINS - 1 else _EVEN_US * _RATIO ** (index + 1 - _EVEN_BINS)
+
+
+def digest_of(events: Events, before: int = 0) -> int:
+    """Return the CRC-32 of EVENT records (n,) that follow those with the digest `before`."""
+    return zlib.crc32(np.ascontiguousarray(events).data, before) if len(events) else before
+
+
+@dataclass(frozen=True)
+class Delivered:
+    """Events (n,) EVENT, edges (m,) EDGE and readings that left together, in the time told to the device."""
+
+    events: Events = field(default_factory=empty_events)
+    edges: Edges = field(default_factory=empty_edges)
+    readings: Sequence[Reading] = ()
+
+
+class DeliveredParts:
+    """Makes parts, and frames of their lines.
+
+    Parameters
+    ----------
+    imu_unit
+        Type of the inertial unit, for its temperature.
+
+    Attributes
+    ----------
+    frame_records
+        How many readings each frame was made of, in the order in which they were complete.
+    """
+
+    def __init__(self, imu_unit: int) -> None:
+        self._imu_unit = imu_unit
+        self._frames = FrameAssembler()
+        self.frame_records: list[int] = []
+
+    def part(self, delivered: Delivered, epoch_us: int) -> Part:
+        """Return copies of what was delivered, less `epoch_us`, at which the device's clock was zero.
+
+        `epoch_us` is negative where that was before the run.
+        """
+        imu = recorded_imu(_imu_of(delivered.readings), self._imu_unit)
+        events, edges = copy_events(delivered.events), delivered.edges.copy()
+        for records in (events, edges, imu):
+            if len(records):
+                records["t"] -= np.uint64(epoch_us % (1 << 64))
+        frames = self._frames.add(tuple(delivered.readings))
+        self.frame_records += [frame.records for frame in frames]
+        return Part(events, edges, imu, tuple(_frame(frame, epoch_us) for frame in frames))
+
+
+def recorded_imu(samples: ImuSamples, unit: int) -> npt.NDArray[np.void]:
+    """Return samples, (n,) IMU_SAMPLE of a unit (1 or 2), as recordings have them, (n,) IMU."""
+    out = np.zeros(len(samples), IMU)
+    if not len(samples):
+        return out
+    in_units = physical(samples, unit)
+    out["t"], out["temperature"] = in_units["t"], in_units["temperature_c"]
+    for k, axis in enumerate("xyz"):
+        out[f"accelerometer_{axis}"] = in_units["acceleration_g"][:, k]
+        out[f"gyroscope_{axis}"] = in_units["rate_deg_s"][:, k]
+    return out
+
+
+def _imu_of(readings: Sequence[Reading]) -> ImuSamples:
+    return np.concatenate([no_samples(), *(one.record for one in readings if one.kind is ReadingKind.IMU)])
+
+
+def _frame(frame: WholeFrame, epoch_us: int) -> Frame:
+    """Return a frame for a recording: dated by the start of its exposure, as drivers do, and not before time zero.
+
+    The clock may have started anew during the exposure.
+    """
+    begin_us, end_us = (max(0, t_us - epoch_us) for t_us in (frame.exposure_start_us, frame.exposure_end_us))
+    return Frame(begin_us, begin_us, end_us, frame.pixels, (frame.first_column, frame.first_row))
 
 
 class Deliveries:
@@ -134,3 +297,23 @@ class Deliveries:
             unix_us = self.unix_us(epoch_us) if restarted else self._unix_us
             self._unix_us = unix_us
             self._recorder.append(part, restarted=restarted, unix_us=unix_us)
+
+
+class DeliveryTally:
+    """Events delivered so far by one link process: one writer, any number of readers.
+
+    Pass it as an argument to a process started by the spawn method.
+    """
+
+    def __init__(self) -> None:
+        # One aligned 8-byte store is atomic; a lock could stay taken for ever by a process that was killed.
+        self._value: Any = multiprocessing.get_context("spawn").RawValue("q", 0)
+
+    @property
+    def delivered(self) -> int:
+        """Events that left the camera and were not lost on the link."""
+        return int(self._value.value)
+
+    @delivered.setter
+    def delivered(self, count: int) -> None:
+        self._value.value = count

@@ -1,20 +1,26 @@
-"""The far side of a camera's plug: what a transport implements for a link, and what makes it in the link's process."""
+"""The far side of a camera's plug: what a transport implements for a link, and what makes it in the link's process.
+
+Attempts to open again what was lost: one at a time, a period apart, by a clock that is passed in.
+"""
 
 from __future__ import annotations
 
+import asyncio
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Coroutine, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
-from firmware_protocol.edges import Edges
+from firmware_protocol.events import Edges
 from transports.faults.kinds import Fault
 from transports.faults.script import FaultRecord
 from transports.link.deliveries import Deliveries
+from transports.link.pacing import Clock
 from transports.recording.summary import RecordingSummary
 
-__all__ = ["Endpoint", "EndpointFactory", "LineUse", "LinkBroken"]
+__all__ = ["Endpoint", "EndpointFactory", "LineUse", "LinkBroken", "Reopening"]
+
 
 _Served = TypeVar("_Served", contravariant=True)  # an endpoint for any camera on USB serves a Davis346 too
 
@@ -135,3 +141,57 @@ class EndpointFactory(ABC, Generic[_Served]):
     def traced(self, path: Path) -> EndpointFactory[_Served] | None:
         """Return the same with a trace of its cable in PATH.txt and PATH.pcap; None where there is no such cable."""
         return None
+
+
+T = TypeVar("T")
+
+
+class Reopening(Generic[T]):
+    """Opens a port or a bus again, beside the link's ticks.
+
+    Parameters
+    ----------
+    attempt
+        Opens it and returns what was opened; an exception means that this attempt failed.
+    period_ns
+        From a loss, or from the end of an attempt that failed, to the next attempt.
+
+    Attributes
+    ----------
+    why
+        What the last attempt that failed said.
+    """
+
+    def __init__(self, clock: Clock, period_ns: int, attempt: Callable[[], Coroutine[Any, Any, T]]) -> None:
+        self._clock = clock
+        self._period_ns = period_ns
+        self._attempt = attempt
+        self._next_ns = 0
+        self._running: asyncio.Task[T] | None = None
+        self.why = ""
+
+    def lost(self, why: str = "") -> None:
+        """Say that it was lost just now."""
+        self.why = why
+        self._next_ns = self._clock.now_ns() + self._period_ns
+
+    def poll(self) -> T | None:
+        """Return what was opened since the last call, or None; starts an attempt when one is due."""
+        if self._running is None:
+            if self._clock.now_ns() >= self._next_ns:
+                self._running = asyncio.get_running_loop().create_task(self._attempt())
+            return None
+        if not self._running.done():
+            return None
+        done, self._running = self._running, None
+        failure = done.exception()
+        if failure is None:
+            return done.result()
+        self.lost(str(failure))
+        return None
+
+    async def close(self) -> None:
+        """Give up the attempt under way."""
+        if self._running is not None:
+            self._running.cancel()
+            await asyncio.gather(self._running, return_exceptions=True)

@@ -28,22 +28,19 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from firmware_protocol.edges import EdgeKind
-from firmware_protocol.event_device import EventDevice
+from firmware_protocol.device.event_device import EventDevice
+from firmware_protocol.events import EdgeKind
 from transports.faults.kinds import Fault
 from transports.faults.script import FaultRecord
 from transports.link.background_log import log_in_background
 from transports.link.changes import CameraSettings, ChangeWatch, Occurrence
-from transports.link.deliveries import Deliveries
+from transports.link.deliveries import Deliveries, DeliveryTally
 from transports.link.endpoint import Endpoint, EndpointFactory, LinkBroken
 from transports.link.feed import ClockReport, ClockTruth, Feed, Timing
-from transports.link.pacing import Clock, MonotonicClock
-from transports.link.reading_ring import ReadingRing
+from transports.link.pacing import Clock, FineSelector, MonotonicClock
 from transports.link.report import LinkReport
-from transports.link.ring import FREE_RUNNING, EventRing
-from transports.link.selector import FineSelector
-from transports.link.tally import DeliveryTally
-from transports.recording.opening import open_recorder
+from transports.link.rings import FREE_RUNNING, EventRing, ReadingRing
+from transports.recording.live import open_recorder
 from transports.recording.part import Facts
 
 __all__ = ["STOP_SIGNALS", "Happen", "InjectFault", "Link", "LinkSetup", "Stop", "run_link"]

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from firmware_protocol.event_device import CameraCounters
+from firmware_protocol.device.event_device import CameraCounters
 from transports.faults.script import FaultRecord
+from transports.link.deliveries import LatencySummary
 from transports.link.endpoint import LineUse
-from transports.link.feed import ClockReport, EdgeReport
-from transports.link.latency import LatencySummary
-from transports.link.reading_feed import ReadingReport
+from transports.link.feed import ClockReport, EdgeReport, ReadingReport
 from transports.recording.summary import RecordingSummary
 
 __all__ = ["LinkReport"]

@@ -1,15 +1,103 @@
-"""Datagrams out to one address, no faster than a rate, and datagrams in from those who may send them."""
+"""Datagrams out to one address, no faster than a rate, and datagrams in from those who may send them.
+
+The addresses that may connect to a port: single addresses and networks, written as in a rig.
+
+    host = "127.0.0.1"                                             only programs on this machine: no list needed
+    host = "192.168.1.7", allow = ["10.0.0.5", "192.168.1.0/24"]   reachable from elsewhere: the list is required
+
+Nothing here authenticates a peer. A list keeps out other machines of a network that is otherwise trusted.
+
+Which connections a server keeps: a list of allowed addresses, a total, a share for each address.
+
+    idle      connected, and has not asked for anything yet; closed when a newer one needs its place, the oldest of the
+              address with the most idle connections first
+    settled   uses what is served; never closed for another one
+
+A flood from one address therefore leaves the connections of the others alone, and never touches a settled one.
+"""
 
 from __future__ import annotations
 
+import ipaddress
 import socket
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import chain
 from typing import Any
 
-from transports.network.allow import AllowList
+__all__ = [
+    "LOOPBACK",
+    "Admission",
+    "AllowList",
+    "ByteBudget",
+    "DatagramInlet",
+    "DatagramOutlet",
+    "Places",
+    "Seat",
+    "check_allow",
+    "is_loopback",
+]
 
-__all__ = ["ByteBudget", "DatagramInlet", "DatagramOutlet"]
+
+LOOPBACK = ("127.0.0.0/8", "::1/128")
+"""Who may connect where a rig gives no list."""
+
+_Address = ipaddress.IPv4Address | ipaddress.IPv6Address
+
+
+class AllowList:
+    """Addresses and networks; raises ValueError for a text that is neither. An empty list stands for `LOOPBACK`."""
+
+    def __init__(self, entries: Iterable[str] = ()) -> None:
+        self._networks = tuple(_network(entry) for entry in tuple(entries) or LOOPBACK)
+
+    def permits(self, address: str) -> bool:
+        """Say whether a peer at a numeric address may connect; an IPv4 address inside IPv6 counts as itself."""
+        try:
+            peer = _plain(address)
+        except ValueError:
+            return False
+        return any(peer in network for network in self._networks)
+
+
+def is_loopback(host: str) -> bool:
+    """Say whether an address to listen on is certain to be out of reach for other machines."""
+    if host == "localhost":
+        return True
+    try:
+        return _plain(host).is_loopback
+    except ValueError:
+        return False
+
+
+def check_allow(host: str, allow: Sequence[str], key: str = "host") -> None:
+    """Check a rig's `host` and `allow`; raises ValueError when others reach the host and nobody says who may."""
+    try:
+        AllowList(allow)
+    except ValueError as error:
+        raise ValueError(f"allow: {error}") from error
+    if not allow and not is_loopback(host):
+        where = repr(host) if host else "'', which means every address of this machine,"
+        raise ValueError(
+            f'{key} {where} can be reached from other machines: say who may connect, for example allow = ["10.0.0.5", '
+            f'"192.168.1.0/24"], or use {key} = "127.0.0.1"'
+        )
+
+
+def _network(entry: str) -> ipaddress.IPv4Network | ipaddress.IPv6Network:
+    try:
+        return ipaddress.ip_network(entry)
+    except ValueError as error:
+        raise ValueError(f'{entry!r} is neither an address nor a network such as "192.168.1.0/24" ({error})') from error
+
+
+def _plain(address: str) -> _Address:
+    """Return an address without its zone, and an IPv4 address that is written as IPv6 as IPv4."""
+    plain = ipaddress.ip_address(address.partition("%")[0])
+    mapped = plain.ipv4_mapped if isinstance(plain, ipaddress.IPv6Address) else None
+    return mapped or plain
+
 
 _BURST_NS = 4_000_000
 _LEAST_BURST_BYTES = 1500
@@ -145,3 +233,92 @@ def _resolved(host: str, port: int) -> tuple[int, Any]:
     found = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)
     family, _, _, _, address = min(found, key=lambda one: one[0] != socket.AF_INET)  # localhost is 127.0.0.1
     return family, address
+
+
+@dataclass(frozen=True)
+class Places:
+    """Most connections at once.
+
+    Attributes
+    ----------
+    total
+        Of all addresses together.
+    per_address
+        Of one address.
+    """
+
+    total: int = 64
+    per_address: int = 16
+
+
+@dataclass(eq=False)
+class Seat:
+    """One connection that was admitted; `evict` closes it at once."""
+
+    address: str
+    evict: Callable[[], None]
+
+
+class Admission:
+    """The connections of one server.
+
+    Attributes
+    ----------
+    counts
+        Connections that were refused or closed for another one, by the words of the summary.
+    """
+
+    def __init__(self, allowed: AllowList, places: Places = Places()) -> None:
+        self._allowed = allowed
+        self._places = places
+        self._idle: dict[Seat, None] = {}  # oldest first
+        self._settled: set[Seat] = set()
+        self.counts: Counter[str] = Counter()
+
+    def __len__(self) -> int:
+        return len(self._idle) + len(self._settled)
+
+    def permits(self, address: str) -> bool:
+        """Say whether an address may connect; a refusal is counted."""
+        permitted = self._allowed.permits(address)
+        self.counts["connections refused: address not allowed"] += not permitted
+        return permitted
+
+    def admit(self, address: str, evict: Callable[[], None]) -> Seat | None:
+        """Give a newcomer a place, if need be that of an idle connection; None (counted) when there is none."""
+        if not self._make_place(address):
+            self.counts["connections refused: too many"] += 1
+            return None
+        seat = Seat(address, evict)
+        self._idle[seat] = None
+        return seat
+
+    def settle(self, seat: Seat) -> None:
+        """Keep a connection from now on: it uses what is served."""
+        if seat in self._idle:
+            del self._idle[seat]
+            self._settled.add(seat)
+
+    def leave(self, seat: Seat) -> None:
+        """Forget a connection that is over."""
+        self._idle.pop(seat, None)
+        self._settled.discard(seat)
+
+    def _make_place(self, address: str) -> bool:
+        mine = sum(seat.address == address for seat in chain(self._idle, self._settled))
+        if mine >= self._places.per_address:
+            return self._evict(address)
+        if len(self) < self._places.total:
+            return True
+        idle = Counter(seat.address for seat in self._idle)
+        return bool(idle) and self._evict(idle.most_common(1)[0][0])
+
+    def _evict(self, address: str) -> bool:
+        """Close the oldest idle connection of an address; False when it has none."""
+        seat = next((seat for seat in self._idle if seat.address == address), None)
+        if seat is None:
+            return False
+        self.leave(seat)
+        self.counts["idle connections closed for newer ones"] += 1
+        seat.evict()
+        return True

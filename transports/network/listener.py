@@ -11,7 +11,7 @@ import asyncio
 import socket
 from collections.abc import Callable
 
-from transports.network.admission import Admission, Seat
+from transports.network.datagrams import Admission, Seat
 
 __all__ = ["Listener"]
 

@@ -1,23 +1,136 @@
-"""The records of streams on a network."""
+"""The records of streams on a network.
+
+What a rig says of streams on a network.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar, Literal
 
-from firmware_protocol.network_streams.caer import CaerConnectionCoder, CaerDatagramCoder
-from firmware_protocol.network_streams.coder import ConnectionCoder, DatagramCoder, StreamFacts
+from firmware_protocol.network_streams.coders import (
+    CaerConnectionCoder,
+    CaerDatagramCoder,
+    ConnectionCoder,
+    DatagramCoder,
+    FaeryLongCoder,
+    FaeryShortCoder,
+    JaerCoder,
+    PictureSettings,
+    SpifCoder,
+    StreamFacts,
+)
 from firmware_protocol.network_streams.dv import DvCoder, DvTriggerCoder
-from firmware_protocol.network_streams.jaer import JaerCoder
 from firmware_protocol.network_streams.pictures import DisplayCoder, EventImageCoder
-from firmware_protocol.network_streams.plain_datagrams import FaeryLongCoder, FaeryShortCoder, SpifCoder
 from transports.link.endpoint import EndpointFactory
 from transports.link.kind import CameraFacts, LinkKind, Unsuitable, Wiring
 from transports.needs import package
-from transports.network_streams.parameters import TcpStream, UdpStream
+from transports.network.datagrams import check_allow, is_loopback
 
-__all__ = ["TCP", "UDP"]
+__all__ = ["TCP", "UDP", "TcpStream", "UdpStream"]
+
+
+@dataclass(frozen=True)
+class TcpStream:
+    """A server that sends events to all who connect: the DV viewer, `dv_processing.io.NetworkReader`, clients of cAER.
+
+    Attributes
+    ----------
+    format
+        "dv": AEDAT 4.0 packets of dv-processing. "caer": AEDAT 3.1 packets of cAER. "event_image": numpy
+        arrays. "display": coloured pictures (PPM). See docs/streams.md.
+    host, port
+        Address to listen on; port 0 takes a free one. There is no authentication: whoever may connect has the events.
+    allow
+        Addresses and networks that may connect; needed where `host` can be reached from other machines.
+    buffer_mib
+        What waits for one client at most. A paced run drops what a slow client has no room for, and goes on.
+    compression
+        Of the format dv: "none", or "lz4" (`pip install '.[files]'`).
+    trigger_port
+        With the format dv: port of a second server, for the camera's triggers, as dv-processing takes one stream from a
+        connection; 0 takes a free one. Left out: none.
+    frame_ms
+        Stream time of an event image or a picture of the display.
+    pictures
+        What these show.
+    camera
+        Name of the camera that clients are told; "" for the model's and the rig's serial number.
+    name
+        What this rig calls the link: in reports, and where triggers name it.
+    """
+
+    kind: ClassVar[str] = "tcp"
+    format: Literal["dv", "caer", "event_image", "display"] = "dv"
+    host: str = "127.0.0.1"
+    port: int = 7777
+    allow: tuple[str, ...] = ()
+    buffer_mib: float = 8.0
+    compression: Literal["none", "lz4"] = "none"
+    trigger_port: int | None = None
+    frame_ms: float = 20.0
+    pictures: PictureSettings = field(default_factory=PictureSettings)
+    camera: str = ""
+    name: str = "tcp"
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.port <= 65535:
+            raise ValueError(f"port must be 0 (any free one) to 65535, got {self.port}")
+        if not 0.0625 <= self.buffer_mib <= 1024:
+            raise ValueError(f"buffer_mib must be 0.0625 to 1024, got {self.buffer_mib}")
+        if not 0.1 <= self.frame_ms <= 60_000:
+            raise ValueError(f"frame_ms must be 0.1 to 60000, got {self.frame_ms}")
+        if self.format != "dv" and (self.compression != "none" or self.trigger_port is not None):
+            key = "compression" if self.compression != "none" else "trigger_port"
+            raise ValueError(f'{key} is of the format "dv"; {self.format} has none')
+        if self.trigger_port is not None and not 0 <= self.trigger_port <= 65535:
+            raise ValueError(f"trigger_port must be 0 (any free one) to 65535, got {self.trigger_port}")
+        if self.port and self.trigger_port == self.port:
+            raise ValueError("trigger_port is that of the events: give it another one")
+        if self.pictures != PictureSettings() and self.format not in ("event_image", "display"):
+            raise ValueError(f'pictures is of the formats "event_image" and "display"; {self.format} shows none')
+        check_allow(self.host, self.allow)
+
+
+@dataclass(frozen=True)
+class UdpStream:
+    """Datagrams of events to one address: jAER, cAER, AEStream, faery.
+
+    Attributes
+    ----------
+    format
+        "jaer", "caer", "spif" (AEStream), or faery's "t64_x16_y16_on8" or "t32_x16_y15_on1". See docs/streams.md.
+    host, port
+        Where they are sent. jAER listens on 8991.
+    elsewhere
+        Must be true where `host` is not on this machine: whoever has that address gets the events, asked or not.
+    mbit_s
+        Most that is sent, in Mbit/s of payload: receivers lose what comes faster than they read. 8 bytes an event and
+        200 Mbit/s are 3.1 million events a second.
+    name
+        What this rig calls the link: in reports, and where triggers name it.
+    """
+
+    kind: ClassVar[str] = "udp"
+    format: Literal["jaer", "caer", "spif", "t64_x16_y16_on8", "t32_x16_y15_on1"] = "jaer"
+    host: str = "127.0.0.1"
+    port: int = 8991
+    elsewhere: bool = False
+    mbit_s: float = 200.0
+    name: str = "udp"
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.port <= 65535:
+            raise ValueError(f"port must be 1 to 65535, got {self.port}")
+        if not 0.1 <= self.mbit_s <= 100_000:
+            raise ValueError(f"mbit_s must be 0.1 to 100000, got {self.mbit_s}")
+        if not self.host:
+            raise ValueError("host is empty: say where to send, for example 127.0.0.1")
+        if not (self.elsewhere or is_loopback(self.host)):
+            raise ValueError(f"host {self.host!r} is another machine: say elsewhere = true if that is meant")
+
 
 _CONNECTION_CODERS: Mapping[str, type[ConnectionCoder]] = {
     "dv": DvCoder,

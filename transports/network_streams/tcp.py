@@ -5,27 +5,294 @@
 
 In a paced run a batch is taken when any client has room; those that have none miss it. In a run that is not paced it is
 taken when all have room, but for those that have stopped reading, so that a run that nobody hurries loses nothing.
+
+One client of a TCP stream: what waits for it, within a bound, and what it has missed.
+
+The clients of one port, who all get the same bytes from the moment they connect.
 """
 
 from __future__ import annotations
 
-from collections import Counter
+import asyncio
+import socket
+from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec
 
-from firmware_protocol.edges import empty_edges
-from firmware_protocol.events import empty_events
-from firmware_protocol.network_streams.coder import ConnectionCoder
-from firmware_protocol.plain_device import PlainDevice, Taken, own_time
+from firmware_protocol.device.plain_device import PlainDevice, Taken, own_time
+from firmware_protocol.events import empty_edges, empty_events
+from firmware_protocol.network_streams.coders import ConnectionCoder
 from transports.link.deliveries import Deliveries
 from transports.link.endpoint import Endpoint, EndpointFactory
+from transports.link.pacing import Clock
 from transports.needs import install_command
-from transports.network_streams.audience import Audience
-from transports.network_streams.fates import Fates
-from transports.network_streams.parameters import TcpStream
+from transports.network.datagrams import Admission, AllowList, Seat
+from transports.network.listener import Listener
+from transports.network_streams.kind import TcpStream
+from transports.network_streams.udp import Batch, Fates
 
-__all__ = ["TcpEndpoint", "TcpFactory"]
+__all__ = ["Audience", "Client", "ClientTerms", "TcpEndpoint", "TcpFactory"]
+
+
+_MOST_HEARD = 1 << 16  # bytes that a client may say: these protocols have no requests
+_STALLED_NS = 2_000_000_000
+
+
+@dataclass(frozen=True)
+class ClientTerms:
+    """What all clients of a stream have in common.
+
+    Attributes
+    ----------
+    greeting
+        What each gets first.
+    most_bytes
+        What waits for one at most; one batch more may be on its way.
+    """
+
+    greeting: bytes
+    most_bytes: int
+
+
+class Client(asyncio.Protocol):
+    """A connection that only takes.
+
+    Attributes
+    ----------
+    missed
+        Events that it had no room for.
+    talked
+        Whether it was closed because it said too much.
+    """
+
+    def __init__(
+        self, terms: ClientTerms, fates: Fates, clock: Clock, joined: Callable[[Client], None],
+        left: Callable[[Client], None],
+    ) -> None:  # fmt: skip
+        self._terms = terms
+        self._fates = fates
+        self._clock = clock
+        self._joined = joined
+        self._left = left
+        self._transport: asyncio.Transport | None = None
+        self._queue: deque[Batch] = deque()
+        self._sending: Batch | None = None
+        self._paused = False
+        self._waiting_bytes = self._heard = 0
+        self._progress_ns = clock.now_ns()
+        self.missed = 0
+        self.talked = False
+
+    @property
+    def has_room(self) -> bool:
+        """Whether it can be given a batch now."""
+        return self._waiting_bytes < self._terms.most_bytes
+
+    @property
+    def stalled(self) -> bool:
+        """Whether something waits for it, and it has taken nothing for two seconds."""
+        return self._waiting_bytes > 0 and self._clock.now_ns() - self._progress_ns > _STALLED_NS
+
+    def holds(self, batch: Batch) -> bool:
+        """Say whether a batch waits for it, first of all."""
+        return batch is self._sending or (bool(self._queue) and batch is self._queue[0])
+
+    def offer(self, batch: Batch) -> None:
+        """Give it a batch, of which it is a holder; it is sent by `send_on`."""
+        if not self._waiting_bytes:
+            self._progress_ns = self._clock.now_ns()
+        self._queue.append(batch)
+        self._waiting_bytes += len(batch.data)
+
+    def send_on(self) -> None:
+        """Send as much as its socket takes."""
+        while self._queue and not self._paused and self._transport is not None and not self._transport.is_closing():
+            self._sending = self._queue.popleft()
+            self._transport.write(self._sending.data)
+            if not self._paused and not self._transport.is_closing():
+                self._written()
+
+    def hang_up(self) -> None:
+        """Close when what is on its way has gone; what waits behind it is not sent."""
+        if self._transport is not None:
+            self._transport.close()
+
+    def abort(self) -> None:
+        """Close at once."""
+        if self._transport is not None:
+            self._transport.abort()
+
+    # What asyncio calls.
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Greet."""
+        assert isinstance(transport, asyncio.Transport)
+        self._transport = transport
+        transport.set_write_buffer_limits(high=0)  # so that "not paused" means that the socket has taken everything
+        _keep_alive(transport.get_extra_info("socket"))
+        transport.write(self._terms.greeting)
+        self._joined(self)
+
+    def data_received(self, data: bytes) -> None:
+        """Ignore what it says, up to a bound."""
+        self._heard += len(data)
+        if self._heard > _MOST_HEARD:
+            self.talked = True
+            self.abort()
+
+    def pause_writing(self) -> None:
+        """The socket is full."""
+        self._paused = True
+
+    def resume_writing(self) -> None:
+        """The socket has taken what was on its way."""
+        self._paused = False
+        if self._sending is not None:
+            self._written()
+        self.send_on()
+
+    def connection_lost(self, error: Exception | None) -> None:
+        """Give up what waits."""
+        waiting = [*([self._sending] if self._sending is not None else []), *self._queue]
+        self._queue.clear()
+        self._sending = None
+        self._transport = None
+        for batch in waiting:
+            self._fates.dropped(batch)
+        self._left(self)
+
+    def _written(self) -> None:
+        batch, self._sending = self._sending, None
+        assert batch is not None
+        self._waiting_bytes -= len(batch.data)
+        self._progress_ns = self._clock.now_ns()
+        self._fates.written(batch)
+
+
+def _keep_alive(sock: socket.socket) -> None:
+    """Let the kernel find out when the client's machine has gone without a word."""
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    for option, value in (("TCP_KEEPIDLE", 30), ("TCP_KEEPINTVL", 10), ("TCP_KEEPCNT", 3)):
+        if hasattr(socket, option):
+            sock.setsockopt(socket.IPPROTO_TCP, getattr(socket, option), value)
+
+
+_LINGER_S = 1.0
+
+
+class Audience:
+    """A server's clients.
+
+    Parameters
+    ----------
+    coder
+        Makes the greeting; told to begin anew when the last client has gone.
+    changed
+        Called with True when the first client has come, with False when the last one has gone.
+    """
+
+    def __init__(
+        self, link: TcpStream, coder: ConnectionCoder, fates: Fates, clock: Clock, changed: Callable[[bool], None]
+    ) -> None:
+        self._host, self._coder, self._fates, self._clock = link.host, coder, fates, clock
+        self._changed = changed
+        self._terms = ClientTerms(coder.greeting, round(link.buffer_mib * (1 << 20)))
+        self._admission = Admission(AllowList(link.allow))
+        self._listener = Listener(self._admission, self._connect)
+        self._clients: dict[Client, Seat] = {}
+        self._counts: Counter[str] = Counter()
+        self._empty = asyncio.Event()
+        self._empty.set()
+
+    def __len__(self) -> int:
+        """Return how many clients there are."""
+        return len(self._clients)
+
+    def open(self, port: int) -> None:
+        """Listen; raises OSError, with what to do, when the port cannot be had."""
+        try:
+            self._listener.open(self._host, port)
+        except OSError as error:
+            raise OSError(
+                error.errno,
+                f"cannot listen on {self._host} port {port}: {error.strerror or error}; another program may hold "
+                "it: stop that one, or give this link another port (0 takes a free one)",
+            ) from error
+
+    @property
+    def address(self) -> str | None:
+        """Host and port that it listens on."""
+        at = self._listener.address
+        return None if at is None else f"{at[0]}:{at[1]}"
+
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """Clients so far, and what single ones missed."""
+        missed = sum(client.missed for client in self._clients)
+        missed_by_slow = Counter({"events that single clients missed": missed})
+        return +(self._counts + missed_by_slow + self._admission.counts)
+
+    def has_room(self, *, paced: bool) -> bool:
+        """Say whether a batch may come: any client has room for it, or, in a run that is not paced, all that read."""
+        reading = [client for client in self._clients if not client.stalled]
+        if paced:
+            return any(client.has_room for client in reading)
+        return bool(reading) and all(client.has_room for client in reading)
+
+    def spread(self, taken: Taken, data: bytes | bytearray) -> None:
+        """Give bytes to the clients that have room."""
+        if not data and not len(taken.events) and not len(taken.edges):
+            return
+        having_room = [client for client in self._clients if client.has_room]
+        for client in self._clients.keys() - having_room:
+            client.missed += len(taken.events)
+        batch = Batch(taken, data, len(having_room))
+        self._fates.begin(batch)
+        for client in having_room:
+            client.offer(batch)
+            client.send_on()
+
+    def give_up(self, batch: Batch) -> None:
+        """Close the clients that a batch waits for."""
+        for client in tuple(self._clients):
+            if client.holds(batch):
+                self._counts["clients closed: too slow"] += 1
+                client.abort()
+
+    async def close(self) -> None:
+        """Let the clients take what is on its way to them, and close."""
+        await self._listener.close()
+        if self._clients:
+            self.spread(Taken(empty_events(), empty_edges(), 0), self._coder.finish())
+        for client in tuple(self._clients):
+            client.hang_up()
+        try:
+            await asyncio.wait_for(self._empty.wait(), _LINGER_S)
+        except TimeoutError:
+            for client in tuple(self._clients):
+                client.abort()
+            await self._empty.wait()
+
+    def _connect(self, seat: Seat) -> Client:
+        def joined(client: Client) -> None:
+            self._admission.settle(seat)
+            self._clients[client] = seat
+            self._counts["clients"] += 1
+            self._empty.clear()
+            self._changed(True)
+
+        return Client(self._terms, self._fates, self._clock, joined, self._forget)
+
+    def _forget(self, client: Client) -> None:
+        self._admission.leave(self._clients.pop(client))
+        self._counts["events that single clients missed"] += client.missed
+        self._counts["clients closed: sent data"] += client.talked
+        if not self._clients:
+            self._changed(False)
+            self._coder.restart()  # what it holds was for them
+            self._empty.set()
+
 
 _MOST_EVENTS = 1 << 14  # of a batch
 

@@ -6,26 +6,31 @@ so each goes through a small file of its own, see `_Frames`.
 Times in a file are Unix microseconds, and `tsOffset` tells the one of t = 0. Readers go by the names `events`,
 `frames`, `imu` and `triggers`. While it is written, the header says that there is no table of packets, and so a file
 that was never closed is read up to its last whole packet.
+
+What can be saved of a recording that was cut: whole packets of AEDAT 4.0, and the raw events of an `.npz` record.
+
+A finished AEDAT 4.0 file that was cut is refused by all readers, as its header tells of a table that is not there. The
+copy says that there is none, as a file does while it is written, and ends with the last whole packet.
 """
 
 from __future__ import annotations
 
 import struct
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from faery.extension import aedat
 
-from firmware_protocol.edges import EDGE, EdgeKind, Edges
-from firmware_protocol.events import EVENT
-from firmware_protocol.recordings.aedat4_frame import Aedat4Head
-from firmware_protocol.recordings.aedat4_picture import aedat4_picture
+from firmware_protocol.events import EDGE, EVENT, EdgeKind, Edges
+from firmware_protocol.recordings.aedat4 import MAGIC, Aedat4Head, aedat4_picture, packet_at
 from transports.recording.part import IMU, Facts, Frame, Part, RecordingError
 
-__all__ = ["Aedat4Reader", "Aedat4Writer"]
+__all__ = ["Aedat4Reader", "Aedat4Writer", "RawEvents", "Saved", "recover_aedat4"]
+
 
 _TRIGGER = np.dtype([("t", "<u8"), ("source", "u1")])
 _SOURCES = {EdgeKind.RISING: 1, EdgeKind.FALLING: 2, EdgeKind.PULSE: 3}
@@ -195,3 +200,66 @@ def _edges(triggers: Any) -> Edges:
     for source, kind in kinds.items():
         edges["kind"][known["source"] == source] = kind
     return edges
+
+
+_MOST_HEADER = 1 << 24
+_PIECE_BYTES = 1 << 20
+
+
+@dataclass(frozen=True)
+class Saved:
+    """What a recovery saved: packets, their bytes, and bytes that were left out at the end."""
+
+    packets: int
+    kept_bytes: int
+    left_bytes: int
+
+
+def recover_aedat4(source: Path, target: Path) -> Saved:
+    """Copy the whole packets of an AEDAT 4.0 file; raises RecordingError where the header is damaged, or OSError."""
+    with source.open("rb") as file:
+        try:
+            head = Aedat4Head(file.read(len(MAGIC) + 4 + _MOST_HEADER))
+        except ValueError as error:
+            raise RecordingError(str(error)) from error
+        size = source.stat().st_size
+        end = head.table_at if head.packets_at <= head.table_at <= size else size
+        file.seek(head.packets_at)
+        with target.open("wb") as copy:
+            copy.write(head.unfinished())
+            packets, kept = _copied(file, copy, end - head.packets_at)
+    return Saved(packets, kept, end - head.packets_at - kept)
+
+
+def _copied(file: BinaryIO, copy: BinaryIO, left: int) -> tuple[int, int]:
+    packets = kept = 0
+    while size := packet_at(head := file.read(8), left - kept):
+        copy.write(head)
+        for start in range(8, size, _PIECE_BYTES):
+            copy.write(file.read(min(_PIECE_BYTES, size - start)))
+        packets += 1
+        kept += size
+    return packets, kept
+
+
+class RawEvents:
+    """Reads the `.part` file that stays of an `.npz` record whose run was killed, from the last clock on."""
+
+    def __init__(self, path: Path, size: tuple[int, int] | None) -> None:
+        self.facts = Facts(size, "record", streams=frozenset())
+        self._path = path
+
+    def parts(self) -> Iterator[Part]:
+        """Yield the whole events; where time goes back, the clock began anew, and what was before is left out."""
+        count = self._path.stat().st_size // EVENT.itemsize
+        if not count:
+            return
+        events = np.memmap(self._path, EVENT, "r", shape=(count,))
+        step = _PIECE_BYTES // EVENT.itemsize
+        back = [
+            int(k) + start + 1
+            for start in range(0, count, step)
+            for k in np.flatnonzero(np.diff(events["t"][start : start + step + 1].astype(np.int64)) < 0)
+        ]
+        for start in range(back[-1] if back else 0, count, step):
+            yield Part(np.array(events[start : start + step]))

@@ -9,11 +9,9 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-from firmware_protocol.evt3.decoding import Evt3Decoder
-from firmware_protocol.evt3.encoding import Evt3Encoder
-from firmware_protocol.evt3.evt2 import Evt2Decoder, Evt2Encoder
-from firmware_protocol.evt3.evt2_words import Form, evt2_header
-from firmware_protocol.evt3.words import evt3_header
+from firmware_protocol.evt.evt2 import Evt2Decoder, Evt2Encoder, Form, evt2_header
+from firmware_protocol.evt.evt3 import Evt3Decoder, Evt3Encoder
+from firmware_protocol.evt.words import evt3_header
 from transports.recording.part import Facts, Part, RecordingError
 
 __all__ = ["Evt2Writer", "Evt3Writer", "EvtReader"]

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from firmware_protocol.event_copies import join_events
-from firmware_protocol.events import EVENT
+from firmware_protocol.events import EVENT, join_events
 from transports.recording.part import Frame
 
 __all__ = ["HeldFrames", "HeldRecords"]

@@ -7,24 +7,22 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TypeVar
 
-from firmware_protocol.recordings.aedat2 import (
+from firmware_protocol.recordings.aedat import (
     Aedat2Decoder,
+    Aedat31Decoder,
     aedat2_header,
+    aedat31_header,
     edge_words,
+    encode_aedat31,
+    encode_frame,
+    encode_imu,
     event_words,
     guarded_start,
     packed,
     parse_aedat2_header,
-)
-from firmware_protocol.recordings.aedat2_readings import Words, frame_words, imu_words
-from firmware_protocol.recordings.aedat31 import (
-    Aedat31Decoder,
-    aedat31_header,
-    encode_aedat31,
-    encode_frame,
-    encode_imu,
     parse_aedat31_header,
 )
+from firmware_protocol.recordings.aedat2_readings import Words, frame_words, imu_words
 from transports.recording.part import Facts, Part, RecordingError
 
 __all__ = ["Aedat2Reader", "Aedat2Writer", "Aedat31Reader", "Aedat31Writer"]

@@ -4,12 +4,23 @@
 
 The queue is bounded. In a run that is not paced `append` waits for room; in one that is, events that find none are left
 out of the file and counted.
+
+The process that writes a live recording: parts in from a pipe, one file out, a report at the end.
+
+    stdin   parts (see `parts_pipe`), until its end
+    stdout  a line of JSON when the file is open, or cannot be; another one when it is closed
+
+It ends with its input, so that the file is finished also when the process that feeds it is killed. Signals to the whole
+group are for the session, which then ends its input.
+
+A recorder for a file of any format: `.npz` in the calling process, all others in one of their own.
 """
 
 from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 import threading
@@ -20,20 +31,33 @@ from pathlib import Path
 from typing import Any
 
 from firmware_protocol.events import EVENT
-from transports.recording.format import Format
-from transports.recording.part import Facts, Part, counts_of
-from transports.recording.parts_pipe import encoded_part, encoded_reached, encoded_restart
+from transports.recording.format import FORMATS, Format, format_to_write, reason
+from transports.recording.part import (
+    Facts,
+    Part,
+    PipeReader,
+    Reached,
+    RecordingError,
+    Restart,
+    counts_of,
+    encoded_part,
+    encoded_reached,
+    encoded_restart,
+    facts_of,
+)
+from transports.recording.record import Recorder
 from transports.recording.summary import RecordingSummary, named
+from transports.recording.writing import RecordingFile
 
-__all__ = ["LiveRecorder"]
+__all__ = ["AnyRecorder", "LiveRecorder", "main", "open_recorder"]
+
 
 _CAPACITY_BYTES = 1 << 27
 _PIPE_BYTES = 1 << 20
 _REACH_US = 50_000  # between two messages of the time reached
 _CLOSE_S = 8.0  # a session waits 10 s for a link's last report
 _START = (
-    "import json, sys; sys.path[:] = json.loads(sys.argv.pop()); "
-    "from transports.recording.writer_process import main; main()"
+    "import json, sys; sys.path[:] = json.loads(sys.argv.pop()); from transports.recording.live import main; main()"
 )
 
 
@@ -203,3 +227,71 @@ def _write(descriptor: int, data: bytes) -> None:
     view = memoryview(data)
     while view:
         view = view[os.write(descriptor, view) :]
+
+
+_READ_BYTES = 1 << 20
+
+
+def main() -> None:
+    """Write what comes on stdin to the file of the order, the first argument."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
+    order = json.loads(sys.argv[1])
+    try:
+        file = RecordingFile(Path(order["path"]), FORMATS[order["format"]], facts_of(order["facts"]))
+    except BaseException as error:  # noqa: BLE001 a panic of Rust is no Exception
+        _tell(error=reason(error))
+        return
+    _tell(opened=True)
+    trouble = _written(file)
+    paths = [str(path) for path in file.paths]
+    _tell(written=file.written, left_out=+file.left_out, late=+file.late, trouble=trouble, paths=paths)
+
+
+def _written(file: RecordingFile) -> str:
+    """Write all that comes; return why the file is not whole, "" where it is."""
+    try:
+        _write_all(file)
+    except BaseException as error:  # noqa: BLE001
+        trouble = reason(error)
+        with suppress(BaseException):  # the first reason is reported
+            file.close()
+        return trouble
+    return ""
+
+
+def _write_all(file: RecordingFile) -> None:
+    messages = PipeReader()
+    while data := os.read(0, _READ_BYTES):
+        for message in messages.feed(data):
+            if isinstance(message, Restart):
+                file.restart(int(message))
+            elif isinstance(message, Reached):
+                file.reach(int(message))
+            elif isinstance(message, Part):
+                file.write(message)
+    file.close()
+
+
+def _tell(**told: Any) -> None:
+    try:
+        os.write(1, json.dumps(told).encode() + b"\n")
+    except OSError:  # nobody is there to hear it
+        return
+
+
+if __name__ == "__main__":
+    main()
+
+
+AnyRecorder = Recorder | LiveRecorder
+"""What appends events and edges while a run lasts."""
+
+
+def open_recorder(path: Path, facts: Facts) -> AnyRecorder:
+    """Return a recorder in the format of the file's suffix; raises OSError where it cannot be opened."""
+    try:
+        form = format_to_write(path)
+    except RecordingError as error:
+        raise OSError(0, str(error), str(path)) from error
+    return Recorder(path, facts.size) if form.name == "npz" else LiveRecorder(path, form, facts)

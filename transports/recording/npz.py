@@ -11,11 +11,9 @@ import numpy as np
 import numpy.typing as npt
 from numpy.lib import format as npy
 
-from firmware_protocol.edges import EDGE
-from firmware_protocol.events import EVENT
-from transports.recording.array_file import ArrayFileError, load_arrays
+from firmware_protocol.events import EDGE, EVENT
 from transports.recording.part import IMU, Facts, Frame, Part, RecordingError
-from transports.recording.record import Recorder, frame_record
+from transports.recording.record import ArrayFileError, Recorder, frame_record, load_arrays
 
 __all__ = ["NpzReader", "NpzWriter"]
 

@@ -1,15 +1,45 @@
-"""What recordings hold, piece by piece: events, edges, frames and samples of an inertial unit; facts of the whole."""
+"""What recordings hold, piece by piece: events, edges, frames and samples of an inertial unit; facts of the whole.
+
+Parts of recordings on a pipe between two processes of ours: a letter, a length, and bytes.
+
+E events   X edges   I IMU samples   F a frame: JSON head, newline, pixels
+R a restart of the clock: i64 Unix us   T a time that was reached: i64 us   H facts, Z the end: JSON
+"""
 
 from __future__ import annotations
 
+import dataclasses
+import json
+import struct
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
+import numpy as np
+
+from firmware_protocol.events import EDGE, EVENT
 from firmware_protocol.recordings.part import IMU, Frame, Part
 
-__all__ = ["IMU", "Facts", "Frame", "Part", "Reader", "RecordingError", "Writer", "counts_of"]
+__all__ = [
+    "IMU",
+    "Facts",
+    "Frame",
+    "Part",
+    "PipeReader",
+    "Reached",
+    "Reader",
+    "RecordingError",
+    "Restart",
+    "Writer",
+    "counts_of",
+    "encoded_end",
+    "encoded_facts",
+    "encoded_part",
+    "encoded_reached",
+    "encoded_restart",
+    "facts_of",
+]
 
 
 class RecordingError(Exception):
@@ -70,3 +100,122 @@ class Reader(Protocol):
     def parts(self) -> Iterator[Part]:
         """Yield pieces of bounded size; raises RecordingError, OSError, or what its library raises."""
         ...
+
+
+_HEAD = struct.Struct("<cI")
+_MOST_BYTES = 1 << 30
+_FOREIGN = "the other process sends what is no part of a recording"
+
+
+class Restart(int):
+    """A restart of the camera's clock: the Unix time, us, at which it is zero."""
+
+
+class Reached(int):
+    """A time of the camera's clock, us, before which no event will come any more."""
+
+
+def encoded_part(part: Part) -> list[bytes]:
+    """Return the messages of a part; what is empty has none."""
+    arrays = ((b"E", part.events), (b"X", part.edges), (b"I", part.imu))
+    pieces = [(letter, records.tobytes()) for letter, records in arrays if len(records)]
+    pieces += [(b"F", _frame_bytes(frame)) for frame in part.frames]
+    last = len(pieces) - 1
+    return [
+        data
+        for k, (letter, payload) in enumerate(pieces)
+        for data in _message(letter if k == last else letter.lower(), payload)
+    ]
+
+
+def _frame_bytes(frame: Frame) -> bytes:
+    times = frame.t_us, frame.exposure_begin_us, frame.exposure_end_us
+    head = [*times, frame.pixels.dtype.str, frame.pixels.shape, frame.origin]
+    return json.dumps(head).encode() + b"\n" + frame.pixels.tobytes()
+
+
+def encoded_restart(unix_us: int) -> list[bytes]:
+    """Return the message of a restart."""
+    return _message(b"R", struct.pack("<q", unix_us))
+
+
+def encoded_reached(t_us: int) -> list[bytes]:
+    """Return the message of a time that was reached."""
+    return _message(b"T", struct.pack("<q", t_us))
+
+
+def encoded_facts(facts: Facts, **more: Any) -> list[bytes]:
+    """Return the message of facts, and of what else is known."""
+    known = {"size": facts.size, "camera": facts.camera, "unix_us": facts.unix_us, "streams": sorted(facts.streams)}
+    return _message(b"H", json.dumps(known | more).encode())
+
+
+def encoded_end(**told: Any) -> list[bytes]:
+    """Return the message that ends a stream."""
+    return _message(b"Z", json.dumps(told).encode())
+
+
+def facts_of(told: dict[str, Any]) -> Facts:
+    """Return the facts of an H message."""
+    size = told["size"] and (int(told["size"][0]), int(told["size"][1]))
+    return Facts(size, told["camera"], told["unix_us"], frozenset(told["streams"]))
+
+
+def _message(letter: bytes, data: bytes) -> list[bytes]:
+    return [_HEAD.pack(letter, len(data)), data]
+
+
+class PipeReader:
+    """Takes messages out of the bytes of a pipe, and puts parts together again."""
+
+    def __init__(self) -> None:
+        self._data = bytearray()
+        self._part = Part()
+
+    def feed(self, data: bytes) -> Iterator[Part | Restart | Reached | dict[str, Any]]:
+        """Yield what is complete with the next bytes; raises ValueError for what is none of ours."""
+        self._data += data
+        start = 0
+        while len(self._data) - start >= _HEAD.size:
+            letter, size = _HEAD.unpack_from(self._data, start)
+            if size > _MOST_BYTES:
+                raise ValueError(_FOREIGN)
+            end = start + _HEAD.size + size
+            if end > len(self._data):
+                break
+            payload = bytes(memoryview(self._data)[start + _HEAD.size : end])
+            start = end
+            if letter in b"HRTZ":
+                yield _told(letter, payload)
+                continue
+            self._part = _with(self._part, letter.upper(), payload)
+            if letter.isupper():
+                yield self._part
+                self._part = Part()
+        del self._data[:start]
+
+
+def _told(letter: bytes, data: bytes) -> Restart | Reached | dict[str, Any]:
+    if letter in b"RT":
+        return (Restart if letter == b"R" else Reached)(struct.unpack("<q", data)[0])
+    told: dict[str, Any] = json.loads(data)
+    return {"kind": letter.decode(), **told}
+
+
+def _with(part: Part, letter: bytes, data: bytes) -> Part:
+    """Return the part with what a message brings."""
+    if letter == b"E":
+        return dataclasses.replace(part, events=np.frombuffer(data, EVENT))
+    if letter == b"X":
+        return dataclasses.replace(part, edges=np.frombuffer(data, EDGE))
+    if letter == b"I":
+        return dataclasses.replace(part, imu=np.frombuffer(data, IMU))
+    if letter == b"F":
+        return dataclasses.replace(part, frames=(*part.frames, _frame(data)))
+    raise ValueError(_FOREIGN)
+
+
+def _frame(data: bytes) -> Frame:
+    head, _, pixels = data.partition(b"\n")
+    t_us, begin_us, end_us, dtype, shape, (column, row) = json.loads(head)
+    return Frame(t_us, begin_us, end_us, np.frombuffer(pixels, dtype).reshape(shape), (column, row))

@@ -4,11 +4,28 @@ Of `event_camera_msgs`, packets of the encodings "evt3" and "mono" are read, and
 begins with its time and row, so that a reader may start anywhere. Its times are those of the camera; the stamp of its
 header is Unix time. The times of `dvs_msgs` are Unix time themselves. Frames and samples of the inertial unit have
 topics of their own beside that of the events.
+
+Messages of ROS with events: `event_camera_msgs/EventPacket`, and `dvs_msgs/EventArray` as bytes.
+
+An EventArray holds a record for each event, which rosbags would make of as many Python objects. Its bytes are made and
+read here at once: 13 bytes an event in ROS 1. CDR (ROS 2) aligns times to 4 bytes, so that the first event takes 13
+bytes, and each one after it 1 byte of padding, x, y, 2 bytes of padding, the time and the polarity.
+
+Sources: ros-event-camera/event_camera_msgs, uzh-rpg/rpg_dvs_ros; OMG, "DDSI-RTPS", 10.2 (CDR).
+
+Frames and samples of an inertial unit as messages of ROS: `sensor_msgs/Image` (mono8) and `sensor_msgs/Imu`.
+
+An image is the whole array, 0 outside of the region that was read. Messages have no place for the end of an exposure
+and for the temperature of the unit.
+
+Source: REP 103 (units: m/s^2, rad/s), ros2/common_interfaces, sensor_msgs.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import math
+import struct
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import ExitStack
@@ -22,13 +39,163 @@ from rosbags.rosbag2 import Writer as Bag2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from firmware_protocol.events import EVENT, Events
-from firmware_protocol.evt3.decoding import Evt3Decoder
-from firmware_protocol.evt3.encoding import Evt3Encoder
+from firmware_protocol.evt.evt3 import Evt3Decoder, Evt3Encoder
+from firmware_protocol.recordings.part import IMU, Frame, ImuRecords, ten_bits
 from transports.recording.part import Facts, Part, RecordingError
-from transports.recording.ros_messages import DVS_EVENT, EVENT_ARRAY, EVENT_PACKET, array_events, event_array
-from transports.recording.ros_readings import IMAGE, SAMPLE, frame_of, image_of, imu_of, sample_of
 
-__all__ = ["BagReader", "Ros1DvsWriter", "Ros1Writer", "Ros2DvsWriter", "Ros2Writer"]
+__all__ = [
+    "DVS_EVENT",
+    "EVENT_ARRAY",
+    "EVENT_PACKET",
+    "IMAGE",
+    "SAMPLE",
+    "BagReader",
+    "Ros1DvsWriter",
+    "Ros1Writer",
+    "Ros2DvsWriter",
+    "Ros2Writer",
+    "array_events",
+    "event_array",
+    "frame_of",
+    "image_of",
+    "imu_of",
+    "sample_of",
+]
+
+
+_HEADER = "std_msgs/Header header\nuint32 height\nuint32 width\n"
+EVENT_PACKET = f"{_HEADER}uint64 seq\nuint64 time_base\nstring encoding\nbool is_bigendian\nuint8[] events\n"
+"""Definition of event_camera_msgs/msg/EventPacket."""
+EVENT_ARRAY = f"{_HEADER}dvs_msgs/Event[] events\n"
+"""Definition of dvs_msgs/msg/EventArray."""
+DVS_EVENT = "uint16 x\nuint16 y\ntime ts\nbool polarity\n"
+"""Definition of dvs_msgs/msg/Event."""
+
+_PACKED = np.dtype([("x", "<u2"), ("y", "<u2"), ("s", "<u4"), ("ns", "<u4"), ("on", "u1")])
+_ALIGNED = np.dtype(
+    {
+        "names": ["x", "y", "s", "ns", "on"],
+        "formats": ["<u2", "<u2", "<u4", "<u4", "u1"],
+        "offsets": [1, 3, 7, 11, 15],
+        "itemsize": 16,
+    }
+)
+_CDR = b"\0\1\0\0"  # little-endian
+
+
+def event_array(events: Events, size: tuple[int, int], unix_us: int, seq: int, *, cdr: bool) -> bytes:
+    """Return a message of events (n > 0,) EVENT at `unix_us` + t, for ROS 2 (`cdr`) or ROS 1."""
+    t_us = events["t"].astype(np.int64) + unix_us
+    stamp = divmod(int(t_us[0]), 1_000_000)
+    head = struct.pack("<II", stamp[0], stamp[1] * 1000)
+    frame = struct.pack("<I6s", 6, b"camera")
+    if not cdr:
+        body = _filled(np.zeros(len(events), _PACKED), events, t_us).tobytes()
+        return struct.pack("<I", seq) + head + frame + struct.pack("<III", size[1], size[0], len(events)) + body
+    named = struct.pack("<I7sx", 7, b"camera\0")
+    aligned = _filled(np.zeros(len(events), _ALIGNED), events, t_us).tobytes()
+    first = aligned[1:5] + aligned[7:16]
+    return _CDR + head + named + struct.pack("<III", size[1], size[0], len(events)) + first + aligned[16:]
+
+
+def _filled(records: np.ndarray, events: Events, t_us: np.ndarray) -> np.ndarray:
+    records["x"], records["y"], records["on"] = events["x"], events["y"], events["on"]
+    records["s"], records["ns"] = t_us // 1_000_000, t_us % 1_000_000 * 1000
+    return records
+
+
+def array_events(message: bytes, *, cdr: bool) -> tuple[Events, tuple[int, int]]:
+    """Return the events (n,) EVENT of a message, in Unix time, us, and (width, height); raises ValueError."""
+    try:
+        return _cdr_events(message) if cdr else _ros1_events(message)
+    except struct.error as error:
+        raise ValueError("a message of events is cut") from error
+
+
+def _ros1_events(message: bytes) -> tuple[Events, tuple[int, int]]:
+    (name,) = struct.unpack_from("<12xI", message)
+    height, width, count = struct.unpack_from("<III", message, 16 + name)
+    start = 28 + name
+    if count * _PACKED.itemsize > len(message) - start:
+        raise ValueError("a message of events is cut")
+    return _events(np.frombuffer(message, _PACKED, count, start)), (width, height)
+
+
+def _cdr_events(message: bytes) -> tuple[Events, tuple[int, int]]:
+    if message[1:2] != b"\1":
+        raise ValueError("a message of events is big-endian")
+    (name,) = struct.unpack_from("<12xI", message)
+    at = 16 + -(-name // 4) * 4
+    height, width, count = struct.unpack_from("<III", message, at)
+    body = message[at + 12 :]
+    if not count:
+        return np.zeros(0, EVENT), (width, height)
+    if 16 * count - 3 > len(body):
+        raise ValueError("a message of events is cut")
+    padded = b"\0" + body[:4] + b"\0\0" + body[4 : 16 * count - 3]
+    return _events(np.frombuffer(padded, _ALIGNED, count)), (width, height)
+
+
+def _events(records: np.ndarray) -> Events:
+    events = np.zeros(len(records), EVENT)
+    events["x"], events["y"], events["on"] = records["x"], records["y"], records["on"] != 0
+    events["t"] = records["s"].astype(np.uint64) * np.uint64(1_000_000) + records["ns"] // np.uint32(1000)
+    return events
+
+
+IMAGE, SAMPLE = "sensor_msgs/msg/Image", "sensor_msgs/msg/Imu"
+_G, _DEGREE = 9.80665, math.pi / 180
+_BITS = {"mono8": "u1", "8UC1": "u1", "mono16": "u2", "16UC1": "u2"}
+
+
+def image_of(frame: Frame, size: tuple[int, int], header: Any, types: Any) -> Any:
+    """Return the message of a frame of a sensor of `size` = (width, height)."""
+    array = np.zeros(size[::-1], np.uint8)
+    (column, row), (rows, columns) = frame.origin, frame.pixels.shape[:2]
+    array[row : row + rows, column : column + columns] = ten_bits(frame) >> 2
+    return types[IMAGE](
+        header=header, height=size[1], width=size[0], encoding="mono8", is_bigendian=0, step=size[0], data=array.ravel()
+    )
+
+
+def frame_of(message: Any, t_us: int) -> Frame | None:
+    """Return the frame of a message, without an exposure; None where it is not grey or larger than its data."""
+    bits = _BITS.get(message.encoding)
+    if bits is None:
+        return None
+    dtype = np.dtype((">" if message.is_bigendian else "<") + bits)
+    width, height, step = message.width, message.height, message.step
+    data = np.ascontiguousarray(message.data, np.uint8)
+    if min(width, height) < 1 or step < width * dtype.itemsize or len(data) < step * height:
+        return None
+    rows = data[: step * height].reshape(height, step)[:, : width * dtype.itemsize]
+    pixels = np.ascontiguousarray(rows).view(dtype).astype(dtype.newbyteorder("="))
+    return Frame(t_us, t_us, t_us, pixels)
+
+
+def sample_of(sample: np.void, header: Any, types: Any) -> Any:
+    """Return the message of a sample, a record of IMU; it has no orientation."""
+    vector, none = types["geometry_msgs/msg/Vector3"], np.zeros(9)
+    return types[SAMPLE](
+        header=header,
+        orientation=types["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0),
+        orientation_covariance=np.array([-1.0, *none[1:]]),
+        angular_velocity=vector(**{axis: float(sample[f"gyroscope_{axis}"]) * _DEGREE for axis in "xyz"}),
+        angular_velocity_covariance=none,
+        linear_acceleration=vector(**{axis: float(sample[f"accelerometer_{axis}"]) * _G for axis in "xyz"}),
+        linear_acceleration_covariance=none,
+    )
+
+
+def imu_of(message: Any, t_us: int) -> ImuRecords:
+    """Return the sample of a message, (1,) IMU, of an unknown temperature, 0."""
+    imu = np.zeros(1, IMU)
+    imu["t"] = t_us
+    for axis in "xyz":
+        imu[f"accelerometer_{axis}"] = getattr(message.linear_acceleration, axis) / _G
+        imu[f"gyroscope_{axis}"] = getattr(message.angular_velocity, axis) / _DEGREE
+    return imu
+
 
 _PACKET, _ARRAY = "event_camera_msgs/msg/EventPacket", "dvs_msgs/msg/EventArray"
 _DEFINITIONS = ((_PACKET, EVENT_PACKET), (_ARRAY, EVENT_ARRAY), ("dvs_msgs/msg/Event", DVS_EVENT))

@@ -21,8 +21,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from firmware_protocol.edges import EDGE
-from firmware_protocol.events import EVENT, Events
+from firmware_protocol.events import EDGE, EVENT, Events
 from transports.recording.format import Format, with_addition
 from transports.recording.held import HeldFrames, HeldRecords
 from transports.recording.part import IMU, Facts, Frame, Part, RecordingError, Writer, counts_of

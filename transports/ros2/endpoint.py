@@ -6,30 +6,175 @@
 A writer never waits: DDS keeps the last `depth` messages for readers that have to be sent some again. In a run that is
 not paced, no more than half of that many are under way, so that a run that nobody hurries loses nothing; a reader that
 has acknowledged nothing for two seconds is not waited for.
+
+Messages of a link: packets of events, and pictures of them, each with Unix time.
+
+Events that wait for others of their message.
+
+How many messages may be under way where none is to be lost.
 """
 
 from __future__ import annotations
 
 import asyncio
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from firmware_protocol.plain_device import PlainDevice, Taken, own_time
-from firmware_protocol.ros2.messages import EVENT_PACKET, IMAGE
+import numpy as np
+
+from firmware_protocol.device.plain_device import PlainDevice, Taken, own_time
+from firmware_protocol.events import Edges, Events
+from firmware_protocol.evt.evt3 import Evt3Encoder
+from firmware_protocol.network_streams.pictures import Image as EventImage
+from firmware_protocol.network_streams.pictures import chosen, coloured, frames_for
+from firmware_protocol.ros2.messages import EVENT_PACKET, IMAGE, Header, Image, event_packet, image_message, mono_events
 from transports.link.deliveries import Deliveries
 from transports.link.endpoint import Endpoint, EndpointFactory
 from transports.needs import install_command
-from transports.ros2.coding import PacketCoder, PictureCoder
-from transports.ros2.gathering import Gathering
-from transports.ros2.parameters import Ros2Topics
-from transports.ros2.window import Window
+from transports.ros2.kind import Ros2Topics
 
 if TYPE_CHECKING:
     from transports.ros2.dds import DdsParticipant, TopicWriter
 
-__all__ = ["Ros2Endpoint", "Ros2Factory"]
+__all__ = ["Gathering", "PacketCoder", "PictureCoder", "Ros2Endpoint", "Ros2Factory", "Window"]
+
+
+class PacketCoder:
+    """Codes packets of events of a sensor of `size` = (width, height), as `link` says."""
+
+    def __init__(self, link: Ros2Topics, size: tuple[int, int]) -> None:
+        self._link, self._size = link, size
+        self._evt3 = Evt3Encoder(standalone=True, width=self._size[0])
+        self._seq = 0
+
+    @property
+    def has_edges(self) -> bool:
+        """Whether edges are part of the messages."""
+        return self._link.encoding == "evt3"
+
+    def restart(self) -> None:
+        """Begin anew: the camera's clock did."""
+        self._evt3 = Evt3Encoder(standalone=True, width=self._size[0])
+
+    def packet(self, events: Events, edges: Edges, unix_us: int) -> bytes:
+        """Return the message of events (n,) EVENT and edges (m,) EDGE, n + m > 0, whose clock was zero at `unix_us`."""
+        first_us = min(int(t[0]) for t in (events["t"], edges["t"]) if len(t))
+        header = Header((unix_us + first_us) * 1000, self._link.frame_id)
+        words, base_ns = (self._evt3.encode(events, edges), 0) if self.has_edges else mono_events(events)
+        self._seq += 1
+        return event_packet(header, self._size, self._seq - 1, self._link.encoding, words, base_ns)
+
+
+class PictureCoder:
+    """Codes pictures of the events of equal stretches of time."""
+
+    def __init__(self, link: Ros2Topics, size: tuple[int, int]) -> None:
+        self._link, self._size = link, size
+        self._frames = frames_for(size, round(link.frame_ms * 1000), link.pictures)
+
+    def restart(self) -> None:
+        """Begin anew: the camera's clock did."""
+        self._frames.restart()
+
+    def add(self, events: Events, unix_us: int) -> Iterator[bytes]:
+        """Take events (n,) EVENT, whose clock was zero at `unix_us`; yield the messages that these complete."""
+        for t_us, image in self._frames.add(events):
+            yield self._message(unix_us + t_us, image)
+
+    def advance(self, t_us: int, unix_us: int) -> Iterator[bytes]:
+        """Yield the messages that are complete by the camera's time `t_us`."""
+        for end_us, image in self._frames.reach(t_us):
+            yield self._message(unix_us + end_us, image)
+
+    def _message(self, unix_us: int, image: EventImage) -> bytes:
+        header, (width, _) = Header(unix_us * 1000, self._link.frame_id), self._size
+        if self._link.image == "display":
+            return image_message(
+                Image(header, self._size, "rgb8", 3 * width, coloured(image, self._link.pictures).tobytes())
+            )
+        pixels = np.ascontiguousarray(np.moveaxis(chosen(image, self._link.pictures), 0, 2), "<f4")
+        channels = pixels.shape[2]
+        return image_message(Image(header, self._size, f"32FC{channels}", 4 * channels * width, pixels.tobytes()))
+
+
+class Gathering:
+    """Joins what is taken from a device until there is enough, or the first has waited `longest_ns`.
+
+    Parameters
+    ----------
+    most_events
+        After which a message is full.
+    """
+
+    def __init__(self, most_events: int, longest_ns: int) -> None:
+        self._most, self._longest_ns = most_events, longest_ns
+        self._parts: list[Taken] = []
+        self._since_ns = 0
+
+    @property
+    def room(self) -> int:
+        """Events that still fit."""
+        return self._most - sum(len(part.events) for part in self._parts)
+
+    @property
+    def holds(self) -> bool:
+        """Whether something waits here."""
+        return bool(self._parts)
+
+    def add(self, taken: Taken, now_ns: int) -> None:
+        """Take a part, of the same clock as those before."""
+        if not self._parts:
+            self._since_ns = now_ns
+        self._parts.append(taken)
+
+    def fits(self, epoch_us: int) -> bool:
+        """Say whether a part of a clock that was zero at `epoch_us` may join."""
+        return not self._parts or self._parts[0].epoch_us == epoch_us
+
+    def due(self, now_ns: int) -> bool:
+        """Say whether what is here is to leave now."""
+        return bool(self._parts) and (self.room <= 0 or now_ns - self._since_ns >= self._longest_ns)
+
+    def taken(self) -> Taken | None:
+        """Return all that is here, and forget it; None where nothing is."""
+        if not self._parts:
+            return None
+        parts, self._parts = self._parts, []
+        events = np.concatenate([part.events for part in parts])
+        edges = np.concatenate([part.edges for part in parts])
+        return Taken(events, edges, parts[0].epoch_us)
+
+
+_STALLED_NS = 2_000_000_000
+
+
+class Window:
+    """Lets `size` messages go until all are acknowledged; readers that do not for two seconds are not waited for."""
+
+    def __init__(self, size: int) -> None:
+        self._size = size
+        self._under_way = 0
+        self._since_ns: int | None = None
+        self._stalled = False
+
+    def written(self) -> None:
+        """A message went."""
+        self._under_way += 1
+
+    def open(self, now_ns: int, acknowledged: Callable[[], bool]) -> bool:
+        """Say whether the next one may go."""
+        if self._under_way < self._size and not self._stalled:
+            return True
+        if acknowledged():
+            self._under_way, self._since_ns, self._stalled = 0, None, False
+            return True
+        if self._since_ns is None:
+            self._since_ns = now_ns
+        self._stalled = now_ns - self._since_ns > _STALLED_NS
+        return self._stalled
+
 
 _MOST_EVENTS = 1 << 14  # of a message
 _LINGER_NS = 1_000_000_000

@@ -1,16 +1,182 @@
-"""The record of topics of ROS 2."""
+"""The record of topics of ROS 2.
+
+Where topics of ROS 2 are exchanged: the domain, the network interfaces, and the machines that are asked.
+
+Without interfaces only the loopback interface is used, and only this machine is asked, by unicast. ROS 2 does the same
+with ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST.
+
+Sources: cyclonedds.io, "Configuration guide"; ros2/rmw_cyclonedds, rmw_node.cpp.
+
+What a rig says of topics of ROS 2.
+"""
 
 from __future__ import annotations
 
-from typing import Any
+import re
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Literal
+from xml.sax.saxutils import quoteattr
 
-from firmware_protocol.evt3.words import LIMIT_PX
+from firmware_protocol.evt.words import LIMIT_PX
+from firmware_protocol.network_streams.coders import PictureSettings
 from transports.link.endpoint import EndpointFactory
 from transports.link.kind import CameraFacts, LinkKind, Unsuitable, Wiring
 from transports.needs import Need, package
-from transports.ros2.parameters import Ros2Topics
+from transports.network.datagrams import is_loopback
 
-__all__ = ["ROS2"]
+__all__ = ["ROS2", "DdsNetwork", "Ros2Topics", "check_topic"]
+
+
+_LOOPBACK = "127.0.0.1"
+_MOST_DOMAIN = 232  # beyond it DDS has no ports left
+_MOST_PROCESSES = 32  # of this machine and domain: as rmw_cyclonedds
+_MOST_MESSAGE = "64 MiB"
+_NAME = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
+
+
+@dataclass(frozen=True)
+class DdsNetwork:
+    """Where topics are exchanged; raises ValueError for what cannot be.
+
+    Attributes
+    ----------
+    domain
+        ROS_DOMAIN_ID.
+    interfaces
+        Names or addresses of network interfaces; empty: the loopback interface.
+    peers
+        Machines that are asked by unicast, beside this one.
+    multicast
+        Whether machines on the interfaces find each other by multicast, as ROS 2 does by default.
+    """
+
+    domain: int = 0
+    interfaces: tuple[str, ...] = ()
+    peers: tuple[str, ...] = ()
+    multicast: bool = False
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.domain <= _MOST_DOMAIN:
+            raise ValueError(f"domain must be 0 to {_MOST_DOMAIN}, as ROS_DOMAIN_ID, got {self.domain}")
+        elsewhere = [peer for peer in self.peers if not is_loopback(peer)]
+        if not self.interfaces and (elsewhere or self.multicast):
+            what = f"peers name {elsewhere[0]}" if elsewhere else "multicast is true"
+            raise ValueError(
+                f'interfaces is empty, which keeps all on this machine, but {what}: name the network interface, for '
+                'example interfaces = ["eth0"]'
+            )  # fmt: skip
+
+    @property
+    def configuration(self) -> str:
+        """CycloneDDS's configuration: large datagrams on the loopback interface, bounds on what others may send."""
+        names = self.interfaces or (_LOOPBACK,)
+        interfaces = "".join(_interface(name) for name in names)
+        peers = "".join(f"<Peer address={quoteattr(peer)}/>" for peer in (_LOOPBACK, *self.peers))
+        sizes = "" if self.interfaces else "<MaxMessageSize>65500B</MaxMessageSize><FragmentSize>60000B</FragmentSize>"
+        return (
+            f"<CycloneDDS><Domain><General><Interfaces>{interfaces}</Interfaces>"
+            f"<AllowMulticast>{'true' if self.multicast else 'false'}</AllowMulticast>{sizes}</General>"
+            f"<Discovery><ParticipantIndex>auto</ParticipantIndex>"
+            f"<MaxAutoParticipantIndex>{_MOST_PROCESSES}</MaxAutoParticipantIndex><Peers>{peers}</Peers></Discovery>"
+            # A writer never waits: what its readers have not acknowledged is bounded by the depth of its history.
+            "<Internal><Watermarks><WhcHigh>1 GiB</WhcHigh></Watermarks>"
+            '<HeartbeatInterval min="2 ms" minsched="4 ms" max="1 s">5 ms</HeartbeatInterval>'
+            f"<MaxSampleSize>{_MOST_MESSAGE}</MaxSampleSize></Internal>"
+            "<Tracing><Verbosity>none</Verbosity></Tracing></Domain></CycloneDDS>"
+        )
+
+
+def check_topic(key: str, topic: str) -> None:
+    """Raise ValueError for what is no absolute name of a topic."""
+    if not _NAME.fullmatch(topic):
+        raise ValueError(
+            f'{key} is {topic!r}: a topic begins with "/" and has letters, digits, "_" and "/", such as '
+            '"/event_camera/events"'
+        )  # fmt: skip
+
+
+def _interface(name: str) -> str:
+    key = "address" if name[:1].isdigit() or ":" in name else "name"
+    return f"<NetworkInterface {key}={quoteattr(name)}/>"
+
+
+@dataclass(frozen=True)
+class Ros2Topics:
+    """Topics of ROS 2, without ROS (`pip install '.[ros2]'`): packets of events, and pictures of them.
+
+    Attributes
+    ----------
+    topic
+        Topic of `event_camera_msgs/msg/EventPacket`.
+    encoding
+        Of the events: "evt3" (4 bytes an event, and triggers) or "mono" (8 bytes an event).
+    image_topic
+        Topic of `sensor_msgs/msg/Image`; "": none.
+    image
+        "display": coloured ("rgb8"). "event_image": channels ("32FC5" for five). See docs/streams.md.
+    frame_ms
+        Stream time of a picture.
+    pictures
+        What a picture shows.
+    message_ms
+        Longest time that an event waits for others of its message.
+    frame_id
+        Name of the camera's frame in the header of each message.
+    reliable
+        Whether a message that is lost on its way is sent again. Readers of either kind match a reliable writer.
+    depth
+        Messages of each topic that are kept to be sent again; a slow reader misses older ones.
+    domain
+        ROS_DOMAIN_ID.
+    interfaces
+        Names or addresses of network interfaces to use; empty: only programs on this machine. There is no
+        authentication: whoever is in reach has the events.
+    peers
+        Machines that are asked by unicast.
+    multicast
+        Whether machines on `interfaces` find each other by multicast, as ROS 2 does by default.
+    name
+        What this rig calls the link: in reports, and where triggers name it.
+    """
+
+    kind: ClassVar[str] = "ros2"
+    topic: str = "/event_camera/events"
+    encoding: Literal["evt3", "mono"] = "evt3"
+    image_topic: str = ""
+    image: Literal["display", "event_image"] = "display"
+    frame_ms: float = 20.0
+    pictures: PictureSettings = field(default_factory=PictureSettings)
+    message_ms: float = 1.0
+    frame_id: str = "event_camera"
+    reliable: bool = True
+    depth: int = 128
+    domain: int = 0
+    interfaces: tuple[str, ...] = ()
+    peers: tuple[str, ...] = ()
+    multicast: bool = False
+    name: str = "ros2"
+
+    def __post_init__(self) -> None:
+        check_topic("topic", self.topic)
+        if self.image_topic:
+            check_topic("image_topic", self.image_topic)
+        if self.pictures != PictureSettings() and not self.image_topic:
+            raise ValueError("pictures needs image_topic: without one no picture is published")
+        if self.image_topic == self.topic:
+            raise ValueError("image_topic is that of the events: give it a name of its own")
+        bounds = {"frame_ms": (0.1, 60_000), "message_ms": (0.1, 1000), "depth": (2, 10_000)}
+        for name, (low, high) in bounds.items():
+            if not low <= getattr(self, name) <= high:
+                raise ValueError(f"{name} must be {low:g} to {high:g}, got {getattr(self, name)}")
+        if not self.frame_id.isprintable() or len(self.frame_id) > 255:
+            raise ValueError("frame_id must be at most 255 printable characters")
+        _ = self.network
+
+    @property
+    def network(self) -> DdsNetwork:
+        """Where the topics are exchanged."""
+        return DdsNetwork(self.domain, self.interfaces, self.peers, self.multicast)
+
 
 _MONO_LIMIT_PX = 1 << 15
 

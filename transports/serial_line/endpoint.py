@@ -5,34 +5,226 @@
 
 A port that goes away takes what was on its way with it, which is counted as lost; the instrument then counts what comes
 as not running until the port is back. The tick never waits for the port: what blocks is done in a thread.
+
+The baud rate, kept by ourselves: a pty takes bytes as fast as they are written, whatever rate it is set to.
+
+    character   start bit, 5 to 8 data bits, parity bit or none, 1 to 2 stop bits       8N1: 10 bits a byte
+
+A byte is on the line for its bits' time, one after the other. What is due is counted from an absolute start, so a late
+tick sends what a real port's FIFO would have sent meanwhile, and the rate is exact however the ticks fall. A line that
+had nothing to send starts afresh: it cannot make up for idle time.
+
+Bytes on their way into a serial port: pulled as late as possible, released at the baud rate, never waiting.
+
+    source --frames--> [ f f f | part of f ] --bytes that are due--> port.write
+
+A frame is pulled when the line would otherwise run dry before the next tick. What the port does not take stays here and
+is counted as held; the line then stands still, as one with hardware flow control does.
 """
 
 from __future__ import annotations
 
 import asyncio
-from collections import Counter
-from collections.abc import Mapping
+from collections import Counter, deque
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Generic, TypeVar
 
-from firmware_protocol.instrument.instrument import Instrument
-from firmware_protocol.instrument.outgoing import Outgoing
+from firmware_protocol.instrument.instrument import Instrument, Outgoing
 from firmware_protocol.packets.profile import Profile
-from transports.faults.faulty_line import FaultyLine
 from transports.faults.kinds import Fault
+from transports.faults.line import FaultyLine
 from transports.faults.script import FaultPlan, FaultRecord
 from transports.link.deliveries import Deliveries
-from transports.link.endpoint import Endpoint, EndpointFactory, LineUse
-from transports.link.reopening import Reopening
-from transports.serial_line.opening import open_port
-from transports.serial_line.pacing import BaudClock
-from transports.serial_line.parameters import SerialParameters
-from transports.serial_line.port import Port
-from transports.serial_line.pty_symlink import remove_abandoned
-from transports.serial_line.transmitter import Frame, Transmitter
+from transports.link.endpoint import Endpoint, EndpointFactory, LineUse, Reopening
+from transports.serial_line.kind import SerialParameters
+from transports.serial_line.port import Port, open_port, remove_abandoned
 
-__all__ = ["SerialEndpoint", "SerialFactory"]
+__all__ = ["BaudClock", "Frame", "SerialEndpoint", "SerialFactory", "Transmitter"]
+
+
+_BEHIND_NS = 50_000_000  # the most that a late tick may catch up: what a driver's transmit buffer holds
+
+
+class BaudClock:
+    """When each byte has left, at `baud` bits a second and `bits` a byte.
+
+    Parameters
+    ----------
+    bits
+        Bits of a character on the line; may be half of one (1.5 stop bits).
+    """
+
+    def __init__(self, baud: int, bits: float) -> None:
+        self._baud2 = 2 * baud
+        self._half_bits = round(2 * bits)
+        self._start_ns = 0
+        self._sent = 0  # bytes since _start_ns
+        self._began_ns: int | None = None
+        self._carried = 0
+        self._second = 0
+        self._in_second = 0
+        self._busiest = 0
+
+    @property
+    def bytes_per_s(self) -> float:
+        """The line's capacity."""
+        return self._baud2 / self._half_bits
+
+    @property
+    def carried(self) -> int:
+        """Bytes that have left."""
+        return self._carried
+
+    @property
+    def busiest_share(self) -> float:
+        """Share of the line's time in the busiest whole second, 0 to 1."""
+        return min(1.0, self._busiest / self.bytes_per_s)
+
+    def share(self, now_ns: int) -> float:
+        """Share of the line's time used since the first byte, 0 to 1."""
+        if self._began_ns is None or now_ns <= self._began_ns:
+            return 0.0
+        return min(1.0, self._carried / self.bytes_per_s / ((now_ns - self._began_ns) * 1e-9))
+
+    def free_ns(self) -> int:
+        """When the line is free for the next byte."""
+        return self._start_ns + self.duration_ns(self._sent)
+
+    def duration_ns(self, count: int) -> int:
+        """How long `count` bytes take, ns."""
+        return count * self._half_bits * 1_000_000_000 // self._baud2
+
+    def due(self, now_ns: int) -> int:
+        """Bytes that may have left by now."""
+        if now_ns - self.free_ns() > _BEHIND_NS:
+            self.restart(now_ns - _BEHIND_NS)
+        return max(0, (now_ns - self._start_ns) * self._baud2 // (self._half_bits * 1_000_000_000) - self._sent)
+
+    def leave(self, count: int, now_ns: int) -> None:
+        """Count `count` bytes, which were due, as having left."""
+        if self._began_ns is None:
+            self._began_ns = self.free_ns()
+        self._sent += count
+        self._carried += count
+        second = now_ns // 1_000_000_000
+        if second != self._second:
+            self._second, self._in_second = second, 0
+        self._in_second += count
+        self._busiest = max(self._busiest, self._in_second)
+
+    def restart(self, now_ns: int) -> None:
+        """Say that the line stood still until now: it had nothing to send, or was held."""
+        if now_ns > self.free_ns():
+            self._start_ns, self._sent = now_ns, 0
+
+
+_Tag = TypeVar("_Tag")
+
+
+@dataclass(frozen=True)
+class Frame(Generic[_Tag]):
+    """Bytes that go together, and what they stand for."""
+
+    data: bytes
+    tag: _Tag
+
+
+class Transmitter(Generic[_Tag]):
+    """Sends frames through `write`, which returns how many of the bytes it took.
+
+    Parameters
+    ----------
+    pull
+        Gives the next frame, or None when there is nothing to say.
+    left
+        Is told of each frame whose last byte has left.
+    ahead_ns
+        How long before the line falls silent the next frame is pulled: a little more than a tick.
+    """
+
+    def __init__(
+        self,
+        clock: BaudClock,
+        pull: Callable[[], Frame[_Tag] | None],
+        left: Callable[[_Tag], None],
+        ahead_ns: int,
+    ) -> None:
+        self._clock = clock
+        self._pull = pull
+        self._left = left
+        self._ahead_ns = ahead_ns
+        self._frames: deque[Frame[_Tag]] = deque()
+        self._gone = 0  # bytes of the first frame that have left
+        self._waiting = 0
+        self.held = 0
+
+    @property
+    def waiting(self) -> int:
+        """Bytes that have been pulled and not sent."""
+        return self._waiting
+
+    @property
+    def begun(self) -> bytes:
+        """What has left of the frame that is on the line."""
+        return self._frames[0].data[: self._gone] if self._frames else b""
+
+    def pump(self, write: Callable[[bytes], int], now_ns: int) -> None:
+        """Send what is due, and pull what will be next."""
+        while self._fill(now_ns):
+            due = self._clock.due(now_ns)
+            if not due:
+                return
+            if not self._send(write, due, now_ns):
+                return
+
+    def drop(self) -> list[_Tag]:
+        """Forget all frames, the one on the line too, and return what they stand for."""
+        tags = [frame.tag for frame in self._frames]
+        self._frames.clear()
+        self._gone = self._waiting = 0
+        return tags
+
+    def _fill(self, now_ns: int) -> bool:
+        """Pull until the line has enough for the time to come; say whether there is anything to send."""
+        while self._clock.free_ns() + self._clock.duration_ns(self._waiting) < now_ns + self._ahead_ns:
+            frame = self._pull()
+            if frame is None:
+                break
+            self._frames.append(frame)
+            self._waiting += len(frame.data)
+        if not self._frames:
+            self._clock.restart(now_ns)
+        return bool(self._frames)
+
+    def _send(self, write: Callable[[bytes], int], due: int, now_ns: int) -> bool:
+        """Write up to `due` bytes; say whether the port took them all."""
+        data = self._next_bytes(due)
+        taken = write(data)
+        self._clock.leave(taken, now_ns)
+        self._waiting -= taken
+        self._gone += taken
+        while self._frames and self._gone >= len(self._frames[0].data):
+            frame = self._frames.popleft()
+            self._gone -= len(frame.data)
+            self._left(frame.tag)
+        if taken < len(data):
+            self.held += 1
+            self._clock.restart(now_ns)
+            return False
+        return True
+
+    def _next_bytes(self, count: int) -> bytes:
+        parts, have = [], -self._gone
+        for frame in self._frames:
+            parts.append(frame.data)
+            have += len(frame.data)
+            if have >= count:
+                break
+        return b"".join(parts)[self._gone : self._gone + count]
+
 
 _AHEAD_NS = 600_000  # a little more than a tick of the link
 _RETRY_NS = 500_000_000

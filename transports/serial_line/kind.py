@@ -1,15 +1,81 @@
-"""The record of serial lines."""
+"""The record of serial lines.
+
+What a rig says of a serial line.
+"""
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Literal
 
+from firmware_protocol.instrument.settings import InstrumentSettings
 from transports.faults.kinds import SERIAL_FAULTS
 from transports.link.endpoint import EndpointFactory
 from transports.link.kind import LinkKind, Listener, Wiring, check_region
-from transports.serial_line.parameters import SerialParameters
 
-__all__ = ["SERIAL"]
+__all__ = ["SERIAL", "SerialParameters"]
+
+
+_PARITY_BITS = {"none": 0, "even": 1, "odd": 1, "mark": 1, "space": 1}
+
+
+@dataclass(frozen=True)
+class SerialParameters:
+    """Event telemetry on a serial line: UART, RS-422, RS-485, or a pty for a program on this machine.
+
+    Attributes
+    ----------
+    port
+        "pty": a pair made for this run, whose other side is told; or a device such as /dev/ttyUSB0; or any URL of
+        pyserial (`socket://HOST:PORT`, `rfc2217://HOST:PORT`, `loop://`).
+    symlink
+        With "pty": a path that leads to the other side, the same for each run; "" for none.
+    baud
+        Bits a second; kept by our own pacing where the port keeps none.
+    data_bits, parity, stop_bits
+        The character. Fewer than 8 data bits garble the telemetry: for tests of how a receiver takes that.
+    flow
+        "none" or "rts_cts", where the port has it.
+    rs485
+        Drive RTS as the transmitter's enable, where the port can.
+    break_ms
+        Length of a break sent before the first byte, where the port can; 0 for none.
+    profile
+        Packets and framing: "ccsds-cobs", "ccsds-slip", "ccsds-kiss", "csp-kiss" or "fprime".
+    name
+        What this rig calls the link: in reports, and where faults and triggers name it.
+    """
+
+    kind: ClassVar[str] = "serial"
+    port: str = "pty"
+    symlink: str = ""
+    baud: int = 921_600
+    data_bits: Literal[5, 6, 7, 8] = 8
+    parity: Literal["none", "even", "odd", "mark", "space"] = "none"
+    stop_bits: float = 1.0
+    flow: Literal["none", "rts_cts"] = "none"
+    rs485: bool = False
+    break_ms: float = 0.0
+    profile: Literal["ccsds-cobs", "ccsds-slip", "ccsds-kiss", "csp-kiss", "fprime"] = "ccsds-cobs"
+    name: str = "serial"
+    instrument: InstrumentSettings = field(default_factory=InstrumentSettings)
+
+    def __post_init__(self) -> None:
+        if not self.port:
+            raise ValueError('port is empty; give "pty", a device such as /dev/ttyUSB0, or a URL')
+        if not 50 <= self.baud <= 50_000_000:
+            raise ValueError(f"baud must be 50 to 50000000, got {self.baud}")
+        if self.stop_bits not in (1, 1.5, 2):
+            raise ValueError(f"stop_bits must be 1, 1.5 or 2, got {self.stop_bits}")
+        if not 0 <= self.break_ms <= 1000:
+            raise ValueError(f"break_ms must be 0 (none) to 1000, got {self.break_ms}")
+        if self.symlink and self.port != "pty":
+            raise ValueError(f'symlink is for port = "pty"; {self.port} has its own path')
+
+    @property
+    def bits(self) -> float:
+        """Bits of a character on the line: start, data, parity, stop."""
+        return 1 + self.data_bits + _PARITY_BITS[self.parity] + self.stop_bits
 
 
 def _endpoint(line: SerialParameters, wiring: Wiring) -> EndpointFactory[Any]:
@@ -23,6 +89,6 @@ SERIAL = LinkKind(
     serves="instrument",
     endpoint=_endpoint,
     faults=SERIAL_FAULTS,
-    listener=Listener("serial", "Read a camera on a serial line.", "emulator.cli.listen.serial:serial"),
+    listener=Listener("serial", "Read a camera on a serial line.", "emulator.cli.listen.packets:serial"),
     check=check_region,
 )

@@ -7,11 +7,26 @@
 pyserial's own `write` with a timeout of 0 spins for ever on a full port (pyserial 3.5, serialposix.py: EAGAIN is
 swallowed and the loop has no other end), so ports with a file descriptor are written without it. The others
 (rfc2217://, loop://) block in `write`; a thread of their own does that for them.
+
+The symbolic link that leads to a pty, and whose it is.
+
+A process that is killed leaves its link behind, and the kernel gives the number of its pty to the next terminal that is
+opened: the link may then lead to a terminal of somebody else. Where it leads therefore does not show whether it is in
+use. Each process that makes a link holds a Unix socket in the kernel's abstract name space, named after the path; the
+kernel frees that name with the process, however this ends, and no file is left.
+
+A pty pair of our own: the port of a machine that has none.
+
+Opening a serial port, and what to do when that fails.
+
+A computer on a serial line: reads an instrument until told to stop or the line is gone; may tell it something.
 """
 
 from __future__ import annotations
 
+import errno
 import fcntl
+import hashlib
 import os
 import queue
 import select
@@ -19,12 +34,34 @@ import socket
 import sys
 import termios
 import threading
+import tty
 from abc import ABC, abstractmethod
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
 
 import serial
+from serial.rs485 import RS485Settings
 
-__all__ = ["Descriptor", "DescriptorPort", "Port", "ThreadedPort", "count_of"]
+from firmware_protocol.packets.telecommands import Telecommand
+from transports.link.pacing import Clock
+from transports.link.reception import Receiving, Reception
+from transports.recording.record import Recorder
+from transports.serial_line.kind import SerialParameters
+
+__all__ = [
+    "Descriptor",
+    "DescriptorPort",
+    "Port",
+    "PtyPort",
+    "PtySymlink",
+    "ThreadedPort",
+    "count_of",
+    "listen_serial",
+    "open_port",
+    "remove_abandoned",
+]
+
 
 _READ_BYTES = 4096
 _THREAD_BYTES = 4096  # what may wait for a port that blocks: as much as a kernel's transmit buffer
@@ -188,3 +225,232 @@ class ThreadedPort(Port):
                 return
             with self._lock:
                 self._waiting -= len(piece)
+
+
+_DEVICES = "/dev/pts/"
+
+
+class PtySymlink:
+    """A symbolic link at `path` to `target`, held until `close`.
+
+    Raises
+    ------
+    OSError
+        A running link has this path, something that is no link lies there, or the folder cannot be written.
+    """
+
+    def __init__(self, path: Path, target: str) -> None:
+        self._path, self._target = path, target
+        self._claim = _claimed(path)
+        try:
+            if path.is_symlink():
+                path.unlink()
+            path.symlink_to(target)
+        except OSError as error:
+            self._claim.close()
+            raise OSError(_refusal(path, error.strerror or str(error))) from error
+
+    def close(self) -> None:
+        """Remove the link, unless another one lies there now, and give up the path."""
+        if self._path.is_symlink() and os.readlink(self._path) == self._target:
+            self._path.unlink()
+        self._claim.close()
+
+
+def remove_abandoned(path: Path) -> None:
+    """Remove a link to a pty whose process has ended; that of a running process stays, and so does any other file."""
+    with suppress(OSError), _claimed(path):
+        if path.is_symlink() and os.readlink(path).startswith(_DEVICES):
+            path.unlink()
+
+
+def _claimed(path: Path) -> socket.socket:
+    """Return the socket that stands for `path`; raises OSError while another process, or this one, has it."""
+    place = os.path.join(os.path.realpath(path.parent), path.name)
+    name = f"evstim-pty-{hashlib.sha256(os.fsencode(place)).hexdigest()}"
+    claim = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    try:
+        claim.bind(f"\0{name}")
+    except OSError as error:
+        claim.close()
+        in_use = error.errno == errno.EADDRINUSE
+        raise OSError(_refusal(path, "a running link has it" if in_use else str(error.strerror))) from error
+    return claim
+
+
+def _refusal(path: Path, why: str) -> str:
+    return f"symlink = {str(path)!r}: {why}; give a path that is free, in a folder that exists"
+
+
+class PtyPort(Port):
+    """A pty pair: we hold one side, the other is a path that a reader opens like any serial port.
+
+    It models no modem lines, no parity, no break, and the kernel ignores its baud rate. What a reader left unread when
+    it closed the path is gone, as on a wire.
+    """
+
+    def __init__(self, symlink: str = "") -> None:
+        master, other = os.openpty()
+        tty.setraw(other)
+        self._path = os.ttyname(other)
+        os.close(other)  # so that poll tells whether a reader has it open
+        self._side = Descriptor(master)
+        self._was_heard = False
+        try:
+            self._link = PtySymlink(Path(symlink), self._path) if symlink else None
+        except OSError:
+            os.close(master)
+            raise
+        self._address = symlink or self._path
+
+    @property
+    def address(self) -> str:
+        """Path of the other side."""
+        return self._address
+
+    @property
+    def heard(self) -> bool:
+        """True while a reader has the other side open."""
+        heard = not self._side.events() & select.POLLHUP
+        if self._was_heard and not heard:
+            self._forget()
+        self._was_heard = heard
+        return heard
+
+    def write(self, data: bytes) -> int:
+        """See `Port.write`."""
+        return self._side.write(data)
+
+    def read(self) -> bytes:
+        """See `Port.read`; b"" also while no reader is there, when the kernel says EIO."""
+        return self._side.read() if self._was_heard else b""
+
+    def close(self) -> None:
+        """Close our side; a reader sees its port hang up."""
+        if self._link is not None:
+            self._link.close()
+        os.close(self._side.fd)
+
+    @property
+    def unsent(self) -> int:
+        """Bytes that the reader has not taken yet; 0 where it keeps the path to itself."""
+        with suppress(OSError), _opened(self._path) as other:
+            return count_of(other, termios.FIONREAD)
+        return 0
+
+    def _forget(self) -> None:
+        """Empty the kernel's buffers, so that the next reader does not get the last one's bytes."""
+        with suppress(OSError, termios.error), _opened(self._path) as other:
+            termios.tcflush(other, termios.TCIOFLUSH)
+
+
+@contextmanager
+def _opened(path: str) -> Iterator[int]:
+    fd = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    try:
+        yield fd
+    finally:
+        os.close(fd)
+
+
+_STOP_BITS = {1.0: serial.STOPBITS_ONE, 1.5: serial.STOPBITS_ONE_POINT_FIVE, 2.0: serial.STOPBITS_TWO}
+_CURES = (
+    (
+        ("Permission denied",),
+        "join the group that owns it (ls -l {port}; usually: sudo usermod -aG dialout $USER) and log in again",
+    ),
+    (("No such file",), "is it plugged in? `python -m serial.tools.list_ports` lists what there is"),
+    (("lock", "busy"), "another program has it; `fuser -v {port}` tells which"),
+    (
+        ("Connection refused", "timed out", "Name or service"),
+        "start what listens there first, and check host and port",
+    ),
+    (
+        ("Invalid argument", "Inappropriate ioctl"),
+        "the port cannot do these settings (no pty drives RS-485): leave rs485, parity, stop_bits at the default",
+    ),
+)
+"""What to do, by what the complaint holds; pyserial wraps most errors, so that only their text is left."""
+
+
+def open_port(line: SerialParameters) -> Port:
+    """Open a port; blocks while a network port connects.
+
+    Raises
+    ------
+    OSError
+        It cannot be had; the message says why and what to do.
+    """
+    if line.port == "pty":
+        return PtyPort(line.symlink)
+    try:
+        opened = _open(line)
+    except (OSError, ValueError, termios.error) as error:
+        raise OSError(_advice(line.port, error)) from error
+    with suppress(OSError):
+        opened.fileno()
+        return DescriptorPort(opened)
+    return ThreadedPort(opened)
+
+
+def _open(line: SerialParameters) -> serial.SerialBase:
+    """Open and set up by pyserial; raises OSError, ValueError or termios.error."""
+    opened = serial.serial_for_url(line.port, do_not_open=True)
+    opened.baudrate = line.baud
+    opened.bytesize, opened.parity, opened.stopbits = line.data_bits, line.parity[0].upper(), _STOP_BITS[line.stop_bits]
+    opened.rtscts = line.flow == "rts_cts"
+    opened.timeout = 0
+    opened.write_timeout = None
+    if "://" not in line.port:
+        opened.exclusive = True
+    opened.open()
+    if line.rs485:
+        opened.rs485_mode = RS485Settings()
+    if line.break_ms:
+        opened.send_break(line.break_ms * 1e-3)
+    return opened
+
+
+def _advice(port: str, error: Exception) -> str:
+    """Say what to do about a port that does not open."""
+    text = str(error)
+    cures = [cure for signs, cure in _CURES if any(sign in text for sign in signs)]
+    cure = cures[0] if cures else "check the port's name and its settings"
+    return f"cannot open {port}: {text}; {cure.format(port=port)}"
+
+
+_LOOK_PERIOD_NS = 500_000
+
+
+def listen_serial(
+    line: SerialParameters,
+    goes_on: Callable[[Reception], bool],
+    clock: Clock,
+    recorder: Recorder | None = None,
+    commands: Sequence[Telecommand] = (),
+) -> Reception:
+    """Open the port, tell `commands`, and read while `goes_on` says so, which is asked after each look.
+
+    Raises OSError when the port cannot be had; one that goes away later ends the visit.
+    """
+    listening = Receiving(line.profile, clock, recorder)
+    port = open_port(line)
+    unsent = b"".join(listening.receiver.wrap(command) for command in commands)
+    gone = False
+    try:
+        while goes_on(listening.now):
+            unsent = unsent[port.write(unsent) :] if unsent else b""
+            listening.take(_all_there(port))
+            clock.sleep_until(clock.now_ns() + _LOOK_PERIOD_NS)
+    except OSError:
+        gone = True
+    finally:
+        port.close()
+    return listening.finish(gone=gone)
+
+
+def _all_there(port: Port) -> bytes:
+    parts = []
+    while data := port.read():
+        parts.append(data)
+    return b"".join(parts)

@@ -23,11 +23,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from firmware_protocol.davis346.decoder import Decoded, Decoder, WordFaults
-from firmware_protocol.davis346.frame_reader import FrameRead
+from firmware_protocol.davis346.decoder import Decoded, Decoder, FrameRead, WordFaults
 from firmware_protocol.davis346.registers import Layout, Module, SystemInfo, registers
-from firmware_protocol.edges import Edges, empty_edges
-from firmware_protocol.events import Events, empty_events
+from firmware_protocol.events import Edges, Events, empty_edges, empty_events
 from firmware_protocol.imu_samples import ImuSamples, no_samples
 from firmware_protocol.usb.device import SetupPacket
 from transports.usb.host import BulkReader, StallError, TransferTimeout, UnsuitableDevice, UsbHost, UsbHostError

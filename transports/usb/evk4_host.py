@@ -13,11 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from firmware_protocol.davis346.decoder import WordFaults
-from firmware_protocol.edges import Edges, empty_edges
-from firmware_protocol.events import Events, empty_events
-from firmware_protocol.evk4.settings import ANSWER_ENDPOINT, DATA_ENDPOINT, PRODUCT_ID, REQUEST_ENDPOINT, VENDOR_ID
+from firmware_protocol.events import Edges, Events, empty_edges, empty_events
+from firmware_protocol.evk4.device import ANSWER_ENDPOINT, DATA_ENDPOINT, PRODUCT_ID, REQUEST_ENDPOINT, VENDOR_ID
 from firmware_protocol.evk4.treuzell import FAILED, MOST_ANSWER_BYTES, UNKNOWN, Frame, Property
-from firmware_protocol.evt3.decoding import Evt3Decoder
+from firmware_protocol.evt.evt3 import Evt3Decoder
 from firmware_protocol.imx636.registers import SIZE, Address
 from transports.usb.davis_host import StreamSettings
 from transports.usb.host import BulkReader, PeerBroken, UnsuitableDevice, UsbHost, UsbHostError

@@ -5,28 +5,93 @@ does and compares every event and frame that it decodes with what the camera say
 
 What it does not model: time on a wire, packets, other traffic, a host that is slow or goes away. Transfers are never
 lost and have no latency.
+
+A USB device whose deliveries are noted, without its knowing.
+
+The table and the record of loopback links: a host in the link's own process.
+
+Whether a rig's camera has a USB device.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import numpy as np
 
-from firmware_protocol.davis346.frame_reader import FrameRead
-from firmware_protocol.edges import Edges
-from firmware_protocol.events import Events
-from firmware_protocol.frame_assembly import FrameAssembler
+from firmware_protocol.davis346.decoder import FrameRead
+from firmware_protocol.device.event_device import ReadingKind
+from firmware_protocol.events import Edges, Events
+from firmware_protocol.frames import FrameAssembler
 from firmware_protocol.imu_samples import ImuSamples, no_samples
-from firmware_protocol.readings import ReadingKind
 from firmware_protocol.usb.device import Identity, NotReady, SetupPacket, Stall, Transfer, UsbCamera, UsbDevice
 from transports.link.deliveries import Deliveries
 from transports.link.endpoint import Endpoint, EndpointFactory, LinkBroken
+from transports.link.kind import CameraFacts, LinkKind, LinkParameters, Unsuitable, Wiring
 from transports.usb.davis_host import DavisHost, StreamSettings
 from transports.usb.host import StallError, TransferTimeout
-from transports.usb.observed import Observed
 
-__all__ = ["DirectHost", "DirectReader", "LoopbackEndpoint", "LoopbackFactory"]
+__all__ = [
+    "LOOPBACK",
+    "DirectHost",
+    "DirectReader",
+    "LoopbackEndpoint",
+    "LoopbackFactory",
+    "LoopbackLink",
+    "Observed",
+    "check_model",
+]
+
+
+class Observed(UsbDevice):
+    """Passes everything on to a device, and to `deliveries` what was sent."""
+
+    def __init__(self, device: UsbDevice, deliveries: Deliveries) -> None:
+        self._device = device
+        self._deliveries = deliveries
+
+    @property
+    def identity(self) -> Identity:
+        """The device's own."""
+        return self._device.identity
+
+    def attached(self) -> None:
+        """Pass on."""
+        self._device.attached()
+
+    def detached(self) -> None:
+        """Pass on."""
+        self._device.detached()
+
+    def control(self, setup: SetupPacket, data: bytes) -> bytes:
+        """Pass on."""
+        return self._device.control(setup, data)
+
+    def read(self, endpoint: int, max_bytes: int) -> Transfer | None:
+        """Pass on."""
+        return self._device.read(endpoint, max_bytes)
+
+    def accepts(self, setup: SetupPacket) -> bool:
+        """Pass on."""
+        return self._device.accepts(setup)
+
+    def flushes(self, endpoint: int) -> int:
+        """Pass on."""
+        return self._device.flushes(endpoint)
+
+    def write(self, endpoint: int, data: bytes) -> None:
+        """Pass on."""
+        self._device.write(endpoint, data)
+
+    def sent(self, transfer: Transfer) -> None:
+        """Note what left, and pass on."""
+        self._deliveries.add(transfer.events, transfer.epoch_us, transfer.edges, transfer.readings)
+        self._device.sent(transfer)
+
+    def lost(self, transfer: Transfer) -> None:
+        """Pass on."""
+        self._device.lost(transfer)
 
 
 class DirectReader:
@@ -198,3 +263,39 @@ def _compare(received: Events, edges: Edges, imu: ImuSamples, transfer: Transfer
         sent["t"] -= np.uint64(transfer.epoch_us)
         if not np.array_equal(got, sent):
             raise LinkBroken(f"loopback: {len(sent)} {what} were sent and {len(got)} others received")
+
+
+@dataclass(frozen=True)
+class LoopbackLink:
+    """A host inside the link's own process that starts the camera, decodes every byte and compares: no USB anywhere.
+
+    Attributes
+    ----------
+    name
+        What this rig calls the link: in reports, and where faults and triggers name it.
+    """
+
+    kind: ClassVar[str] = "loopback"
+    name: str = "loopback"
+
+
+def _endpoint(link: LoopbackLink, wiring: Wiring) -> EndpointFactory[Any]:
+    from transports.usb.loopback import LoopbackFactory
+
+    return LoopbackFactory()
+
+
+# Its host reads a DAVIS346, of any size, and never loses its way at the start, so the camera need not wait.
+LOOPBACK = LinkKind(LoopbackLink, serves="usb", endpoint=_endpoint, usb_model="davis346", start_delay=False)
+
+
+def check_model(link: LinkParameters, camera: CameraFacts) -> None:
+    """Raise Unsuitable for a camera without a USB device."""
+    if camera.usb_models.get(camera.model) == camera.size:
+        return
+    cures = " or ".join(f'model = "{name}" with its {w}x{h} pixels' for name, (w, h) in camera.usb_models.items())
+    raise Unsuitable(
+        f"there is no USB model for a {camera.model} of {camera.size[0]}x{camera.size[1]} pixels yet; use {cures}, "
+        'or kind = "loopback"',
+        "kind",
+    )

@@ -9,17 +9,15 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from emulator.cli.failures import failures
-from emulator.cli.listen.limits import Limits, told, until
-from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, console, print_json, status
-from emulator.cli.preparing import prepared
-from emulator.cli.run_output.latency import quantile_text
+from emulator.cli.listen.reception import Limits, told, until
+from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, console, failures, prepared, print_json, status
+from emulator.cli.run_summary import quantile_text
 from emulator.rig.loading import Rig, load_rig
 from emulator.run.kernels import DECODER
 from firmware_protocol.can_frames.dbc import dbc_text
 from transports.can_bus.bus import BusDown
-from transports.can_bus.listener import CanReception, listen_can, peer_of
-from transports.can_bus.parameters import CanParameters
+from transports.can_bus.kind import CanParameters
+from transports.can_bus.node import CanReception, listen_can, peer_of
 from transports.link.pacing import MonotonicClock
 
 __all__ = ["can", "dbc"]

@@ -7,11 +7,10 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from emulator.cli.listen.limits import Limits, told, until
+from emulator.cli.listen.reception import Limits, told, until
 from emulator.cli.output import LACKING, WRONG_USE, Failure, console, print_json, status
 from firmware_protocol.gige.gvsp import LEAST_PACKET, MOST_PACKET
-from transports.gige.host import GigeHost, GigeHostError
-from transports.gige.receiver import GigeReception, receive
+from transports.gige.host import GigeHost, GigeHostError, GigeReception, receive
 from transports.link.pacing import MonotonicClock
 
 __all__ = ["gige"]

@@ -7,12 +7,11 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from emulator.cli.listen.limits import Limits, told, until
+from emulator.cli.listen.reception import Limits, told, until
 from emulator.cli.output import LACKING, WRONG_USE, Failure, console, print_json, status
 from transports.link.pacing import MonotonicClock
-from transports.usb.cameras import CameraHost, driver_of, first_on_the_bus
+from transports.usb.cameras import CameraHost, Reception, driver_of, first_on_the_bus, receive
 from transports.usb.host import UsbHost, UsbHostError
-from transports.usb.receiver import Reception, receive
 from transports.usb.usbip.client import UsbipHost
 
 __all__ = ["listen"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from cyclopts import App
 
 from emulator.cli.listen.usb import listen
-from emulator.rig.link_kinds import LINKS
+from emulator.rig.kinds import LINKS
 from transports.link.kind import Listener
 
 __all__ = ["verbs"]

@@ -5,28 +5,43 @@
     scene ----> poses, depth, flow, labels ------------+
 
 The run sees a source of events like any other: without truth nothing of this exists.
+
+Whether there can be truth of a run; asked before anything is opened.
+
+`--truth FILE.h5`: from a rig to its truth file.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Any
+import time
+from functools import partial
+from importlib.metadata import version
+from importlib.util import find_spec
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
 
-from emulator.geometry.seen import SceneGeometry, Seen
-from emulator.light import PixelLight, Region
-from emulator.run.truth.recorder import TruthRecorder
-from emulator.sensor.chip.temperature import at_temperature
+from emulator.geometry.camera import SceneGeometry, Seen
+from emulator.light import PixelLight, Region, Scene
+from emulator.rig.kinds import SCENES
+from emulator.rig.loading import Rig
+from emulator.run.truth.file import About, TruthRecorder
+from emulator.sensor.chip.defects import at_temperature
+from emulator.sensor.event_source import EventSource
 from emulator.sensor.origins import TracedSensor
+from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.presets import PRESETS, SensorParameters
 from emulator.sensor.sensor import Sensor
-from firmware_protocol.event_copies import join_events
-from firmware_protocol.events import Events
+from firmware_protocol.events import Events, join_events
+from transports.needs import install_command
 
-__all__ = ["TruthSource", "ideal_of"]
+__all__ = ["SUFFIXES", "TruthFile", "TruthRefused", "TruthSource", "check_truth", "ideal_of"]
+
 
 _Float32s = npt.NDArray[np.float32]
 _CLEAN = ("threshold_on", "threshold_off")  # what may change while the clean sensor runs
@@ -220,3 +235,97 @@ class _Queue:
             rows[f"{group}/label"] = np.where(events["t"] < middle_us, before[place], after[place])
         self._events, self._origins = [], []
         return rows
+
+
+SUFFIXES = (".h5", ".hdf5")
+
+
+class TruthRefused(ValueError):
+    """There can be no truth of this run; the message says why."""
+
+
+def check_truth(rig: Rig, path: Path, every: int = 1) -> None:
+    """Raise TruthRefused where no truth of the rig can be written to `path`, ImportError where h5py is missing."""
+    if path.suffix not in SUFFIXES:
+        raise TruthRefused(f"{path} must end in {' or '.join(SUFFIXES)}")
+    if every < 1:
+        raise TruthRefused(f"every {every}th picture: it must be 1 or more")
+    if SCENES[rig.scene.kind].events:
+        raise TruthRefused(f"a {rig.scene.kind} plays events that exist already: nothing is known of what raised them")
+    if find_spec("h5py") is None:
+        raise ImportError(f"it needs h5py: {install_command('files')}")
+
+
+_ABSENT = {
+    "checkerboard": "depth and poses: a pattern on the chip has no distance and no place",
+    "video": "depth, flow, labels and poses: a video does not tell them",
+}
+
+
+class TruthFile:
+    """The truth file of one run; a context manager.
+
+    Parameters
+    ----------
+    every : depth, flow, labels and light are written of every n-th picture.
+
+    Attributes
+    ----------
+    trouble : why the file is not whole, for people; "" where it is. Known after `close`.
+    """
+
+    def __init__(self, rig: Rig, path: Path, every: int = 1) -> None:
+        check_truth(rig, path, every)
+        self._rig, self._path, self._every = rig, path, every
+        self._recorder: TruthRecorder | None = None
+        self.trouble = ""
+
+    def source(self, sensor: EventSource, scene: Scene) -> TruthSource:
+        """Return the sensor, one of `TracedSensor`, with truth beside it; raises OSError where the file cannot be."""
+        if not isinstance(sensor, TracedSensor):
+            raise TypeError("truth needs a sensor that traces its events")
+        run, geometry = self._rig.run, scene.geometry()
+        self._recorder = TruthRecorder(self._path, _about(self._rig, geometry), waits=run.pace != "realtime")
+        clean = Sensor(ideal_of(sensor.parameters), run.seed, partial(PixelArray, threads=run.threads))
+        return TruthSource(sensor, clean, geometry, self._recorder, self._every)
+
+    def close(self) -> None:
+        """Finish the file; a second call does nothing."""
+        if self._recorder is not None:
+            self._recorder.close()
+            self.trouble = self._recorder.trouble
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def _about(rig: Rig, geometry: SceneGeometry | None) -> About:
+    """Return what the file says of the run."""
+    camera, paced = rig.camera, rig.run.pace == "realtime"
+    width, height = camera.size
+    facts: dict[str, Any] = {
+        "evstim": version("evstim"), "rig": rig.name, "title": rig.title, "seed": rig.run.seed, "camera": camera.model,
+        "width": width, "height": height, "unix_us": int(time.time() * 1e6) if paced else 0,
+        "light_unit": "relative to the sensor's reference", "absent": _ABSENT.get(rig.scene.kind, ""),
+        **_lens_facts(rig),
+    }  # fmt: skip
+    if geometry is None:
+        return About(camera.size, facts=facts | {"absent": facts["absent"] or "depth, flow, labels and poses"})
+    return About(camera.size, geometry.names, sorted(geometry.gives), facts)
+
+
+def _lens_facts(rig: Rig) -> dict[str, Any]:
+    if SCENES[rig.scene.kind].lens == "none":
+        return {}
+    lens, (width, height) = rig.camera.lens, rig.camera.size
+    return {
+        "focal_px": lens.pinhole((width, height)).focal_px,
+        "centre_px": [width / 2, height / 2],
+        "distortion": [lens.k1, lens.k2, lens.p1, lens.p2, lens.k3],
+        "radiance_per_light": 1 / lens.light_per_radiance,
+    }

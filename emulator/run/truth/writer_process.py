@@ -20,9 +20,8 @@ from typing import Any, NoReturn
 
 import h5py
 
-from emulator.run.truth.layout import About, create
-from emulator.run.truth.messages import decoded
-from transports.recording.reasons import reason
+from emulator.run.truth.file import About, create, decoded
+from transports.recording.format import reason
 
 __all__ = ["main"]
 

@@ -10,27 +10,248 @@ where `ambient` stands for light from all around (earthshine, light from other g
 
 The shadow map is asked at the vertices where facets are about as small as its texels or as pixels, and their answers
 interpolated, which is as sharp and costs a fraction; for larger facets it is asked at every fragment.
+
+Facets that turn their backs are half of any closed body: not asking for them saves half of the work.
+
+Facets are sorted by the direction of their normals into the cells of a cube's faces, so that one test answers for some
+hundred of them. A cell is skipped when no facet in it can face the eye: with the cone of its normals (axis a,
+half-angle c), the ball around its vertices (centre m, radius r) and the eye at e,
+
+    angle(a, e - m) > 90 degrees + c + asin(r / |e - m|)
+
+The picture is the same to the last bit; GL would have thrown these facets away one by one.
+
+Source of the idea: backface culling by cones of normals, Shirman and Abi-Ezzi 1993.
+
+Shadows of bodies on themselves and on one another: a map of depths as the Sun sees them.
+
+Along the Sun's rays the map is a parallel projection of a sphere around all that throws shadows:
+
+    x, y    0 to 1 over the sphere's diameter        z    metres behind the sphere's sunward side
+
+A point is in the dark when the map holds a smaller depth than its own. Four neighbours are asked and their answers
+weighted bilinearly, so an edge is a ramp of one texel rather than a step; a texel is at most a pixel, or the sphere's
+diameter / 1024. That stands for the Sun's penumbra (its half-degree disc), which is as wide as 1 / 1024 where a shadow
+falls from 0.1 of the diameter away at 1 au.
+
+Only the sides away from the Sun are drawn into the map. They lie in the dark anyway, so a lit surface cannot throw a
+shadow on itself by rounding, and what throws may be coarser than what is seen (by cells of eight texels). What is left
+of that trouble, near the terminator, is lifted off along the normal by a texel and a half.
+
+Left out: penumbras much wider than a texel, and those of one body on another far away.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
+from emulator.geometry.attitude import Matrix, Vector, unit
 from emulator.photometry.reflectance import Reflectance
-from emulator.scene.bodies.culling import Cells, draw
 from emulator.scene.bodies.mesh import Mesh
-from emulator.scene.bodies.shadows import SUNLIT_GLSL, ShadowMap
 
 if TYPE_CHECKING:
     import moderngl
 
-__all__ = ["Facets", "Frame"]
+__all__ = ["SUNLIT_GLSL", "Cells", "Facets", "Frame", "ShadowMap", "Thrower", "draw"]
+
+
+_CELLS_A_SIDE = 4  # of each of the cube's six faces: 96 cells
+
+Floats = npt.NDArray[np.float64]
+
+
+class Cells:
+    """The facets of a mesh by the direction that they face.
+
+    Attributes
+    ----------
+    faces : (m, 3) int32, the mesh's facets, sorted by cell.
+    """
+
+    def __init__(self, mesh: Mesh) -> None:
+        normals = _facet_normals(mesh)
+        cell = _cube_cell(normals)
+        order = np.argsort(cell, kind="stable")
+        self.faces = np.ascontiguousarray(mesh.faces[order])
+        _, first, count = np.unique(cell[order], return_index=True, return_counts=True)
+        self._commands = np.zeros((len(first), 5), np.uint32)  # count, instances, first index, base vertex, instance
+        self._commands[:, 0], self._commands[:, 1], self._commands[:, 2] = 3 * count, 1, 3 * first
+        groups = [slice(f, f + n) for f, n in zip(first, count, strict=True)]
+        sorted_normals = normals[order]
+        self._axes = np.array([_unit(sorted_normals[g].sum(axis=0)) for g in groups])
+        self._cones = np.array(
+            [math.acos(min(1.0, float((sorted_normals[g] @ a).min()))) for g, a in zip(groups, self._axes, strict=True)]
+        )
+        corners = [mesh.vertices[np.unique(self.faces[g])] for g in groups]
+        self._middles = np.array([(c.min(axis=0) + c.max(axis=0)) / 2 for c in corners])
+        self._radii = np.array(
+            [np.linalg.norm(c - m, axis=1).max() for c, m in zip(corners, self._middles, strict=True)]
+        )
+
+    @property
+    def buffer_bytes(self) -> int:
+        """Room that all drawing commands need."""
+        return self._commands.nbytes
+
+    def seen_from(self, eye_m: Floats) -> npt.NDArray[np.uint32]:
+        """Return the drawing commands, (n, 5), of cells that may face an eye at (3,), in the body's frame."""
+        towards = eye_m - self._middles
+        distance = np.linalg.norm(towards, axis=1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            spread = np.where(distance > self._radii, np.arcsin(np.minimum(1.0, self._radii / distance)), math.pi)
+            angle = np.arccos(np.clip((self._axes * towards).sum(axis=1) / distance, -1, 1))
+        return np.asarray(self._commands[~(angle > math.pi / 2 + self._cones + spread + 1e-3)])
+
+    def turned_from(self, direction: Floats) -> npt.NDArray[np.uint32]:
+        """Return the drawing commands, (n, 5), of cells that may turn their backs to a far `direction`, (3,)."""
+        angle = np.arccos(np.clip(self._axes @ direction, -1, 1))
+        return np.asarray(self._commands[~(angle < math.pi / 2 - self._cones - 1e-3)])
+
+
+def draw(array: moderngl.VertexArray, commands: npt.NDArray[np.uint32], buffer: moderngl.Buffer) -> None:
+    """Draw the cells of `commands`."""
+    if len(commands):
+        buffer.write(np.ascontiguousarray(commands))
+        array.render_indirect(buffer, count=len(commands))
+
+
+def _facet_normals(mesh: Mesh) -> Floats:
+    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
+    return _unit(np.cross(b - a, c - a))
+
+
+def _unit(vectors: Floats) -> Floats:
+    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-300))
+
+
+def _cube_cell(directions: Floats) -> npt.NDArray[np.int64]:
+    """Return the cell of the cube around the origin through which each direction, (n, 3), goes."""
+    axis = np.abs(directions).argmax(axis=1)
+    rows = np.arange(len(directions))
+    major = directions[rows, axis]
+    side = 2 * axis + (major < 0)
+    u, v = (directions[rows, (axis + k) % 3] / np.abs(major) for k in (1, 2))
+    across, down = (np.clip(((w + 1) / 2 * _CELLS_A_SIDE).astype(np.int64), 0, _CELLS_A_SIDE - 1) for w in (u, v))
+    return np.asarray((side * _CELLS_A_SIDE + down) * _CELLS_A_SIDE + across)
+
+
+_LEAST_TEXELS, _MOST_TEXELS = 256, 1024
+_LIFT_TEXELS = 1.5
+_COARSE_TEXELS = 8
 
 _VERTEX = """
+#version 430
+uniform mat4 shadow_from_body;
+uniform float range_m;
+in vec3 position;
+void main() {
+    vec3 s = (shadow_from_body * vec4(position, 1.0)).xyz;
+    gl_Position = vec4(s.xy * 2.0 - 1.0, s.z / range_m * 2.0 - 1.0, 1.0);
+}
+"""
+_FRAGMENT = "#version 430\nvoid main() {}\n"
+
+SUNLIT_GLSL = """
+uniform sampler2D depths;
+uniform float range_m;
+float sunlit(vec3 s) {
+    vec2 at = s.xy * float(textureSize(depths, 0).x) - 0.5;
+    vec2 part = fract(at);
+    vec4 free = step(vec4(s.z / range_m), textureGather(depths, (floor(at) + 1.0) / float(textureSize(depths, 0).x)));
+    vec2 across = mix(free.wx, free.zy, part.x);   // lower and upper row
+    return mix(across.x, across.y, part.y);
+}
+"""
+"""`float sunlit(vec3 in_shadow_map)`: the share of the Sun that a point sees."""
+
+
+class Thrower:
+    """A mesh that throws shadows, as coarse as the map can show."""
+
+    def __init__(self, context: moderngl.Context, program: moderngl.Program, mesh: Mesh) -> None:
+        self._cells = Cells(mesh)
+        self._array = context.vertex_array(
+            program,
+            [(context.buffer(mesh.vertices.astype(np.float32)), "3f", "position")],
+            index_buffer=context.buffer(self._cells.faces),
+        )
+        self._commands = context.buffer(reserve=self._cells.buffer_bytes)
+
+    def render(self, sun: Vector) -> None:
+        """Draw the sides away from the Sun, which is at `sun` (3,) in the body's frame, into the map."""
+        draw(self._array, self._cells.turned_from(sun), self._commands)
+
+
+class ShadowMap:
+    """The map of one stage.
+
+    Parameters
+    ----------
+    radius_m : of the sphere around all that throws shadows.
+    pixel_m : what a pixel spans at the closest range: finer texels would not be seen.
+
+    Attributes
+    ----------
+    lift_m : how far points are to be lifted along their normals before they are looked up.
+    coarse_m : how coarse what throws shadows may be.
+    """
+
+    def __init__(self, context: moderngl.Context, radius_m: float, pixel_m: float) -> None:
+        self._context, self._range_m = context, 2 * radius_m
+        wanted = 2 ** math.ceil(math.log2(max(1.0, self._range_m / pixel_m)))
+        texels = min(max(wanted, _LEAST_TEXELS), _MOST_TEXELS)
+        self._depths = context.depth_texture((texels, texels))
+        self._depths.compare_func = ""
+        self._depths.repeat_x = self._depths.repeat_y = False
+        self._target = context.framebuffer(depth_attachment=self._depths)
+        self._program = context.program(vertex_shader=_VERTEX, fragment_shader=_FRAGMENT)
+        self._program["range_m"] = self._range_m
+        self.texel_m = self._range_m / texels
+        self.lift_m = _LIFT_TEXELS * self.texel_m
+        self.coarse_m = _COARSE_TEXELS * self.texel_m
+
+    @property
+    def range_m(self) -> float:
+        """Depth of the map."""
+        return self._range_m
+
+    def thrower(self, mesh: Mesh) -> Thrower:
+        """Take a mesh into the context's memory."""
+        return Thrower(self._context, self._program, mesh)
+
+    def from_world(self, sun: Vector, centre_m: Vector) -> Matrix:
+        """Return shadow_from_world, (4, 4), for a Sun in the direction (3,) and the sphere's centre (3,)."""
+        z = -unit(sun)
+        x = unit(np.cross(z, np.eye(3)[int(np.argmin(np.abs(z)))]))
+        axes = np.vstack([x / self._range_m, np.cross(z, x) / self._range_m, z])
+        matrix = np.eye(4)
+        matrix[:3, :3] = axes
+        matrix[:3, 3] = np.array([0.5, 0.5, self._range_m / 2]) - axes @ centre_m
+        return matrix
+
+    def render(self, throwers: Iterable[tuple[Thrower, npt.NDArray[np.float64]]]) -> None:
+        """Draw the map anew: each thrower with its shadow_from_body, (4, 4)."""
+        gl = self._context
+        self._target.use()
+        self._target.clear()
+        gl.enable_only(gl.DEPTH_TEST | gl.CULL_FACE)
+        gl.front_face, gl.cull_face = "cw", "front"
+        for thrower, shadow_from_body in throwers:
+            self._program["shadow_from_body"] = tuple(shadow_from_body.T.ravel())
+            thrower.render(unit(-shadow_from_body[2, :3]))  # the map's third axis goes away from the Sun
+
+    def use(self) -> None:
+        """Put the map where shaders look for it."""
+        self._depths.use(0)
+
+
+_VERTEX_FACETS = """
 #version 430
 uniform mat3 camera_from_body;
 uniform vec3 place;          // of the body's origin, camera axes, m
@@ -59,7 +280,7 @@ void main() {
 }
 """
 
-_FRAGMENT = """
+_FRAGMENT_FACETS = """
 #version 430
 uniform float irradiance, ambient;
 in vec4 angles;
@@ -132,9 +353,9 @@ class Facets:
         lift = repr(float(shadows.lift_m if shadows else 0.0))
         law_text, answer, share = law.glsl(), asked["answer"], asked["share"]
         self._program = context.program(
-            vertex_shader=_VERTEX
+            vertex_shader=_VERTEX_FACETS
             % {"reflectance": law_text, "sunlit": asked["vertex"], "lift": lift, "answer": answer},
-            fragment_shader=_FRAGMENT % {"reflectance": law_text, "sunlit": asked["fragment"], "share": share},
+            fragment_shader=_FRAGMENT_FACETS % {"reflectance": law_text, "sunlit": asked["fragment"], "share": share},
         )
         if shadows:
             self._program["range_m"] = shadows.range_m

@@ -7,11 +7,16 @@ law of reflection; all is drawn relative to the camera, subtracted in float64.
 Detail: a mesh whose facets would be smaller than `detail_px` even at the closest approach is gathered into vertices
 that far apart, with the normals of the fine one (see `detail`). What throws shadows is as coarse as the map (see
 `shadows`). Left out: light from one surface onto another, but for an even `ambient_w_m2`.
+
+The part of a picture that bodies can reach: where the boxes around them are seen.
+
+The box has its sides along the body's own axes. While all of its corners are before the camera, what is in the box is
+seen between the corners; with corners before and behind, it may be anywhere.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
@@ -20,28 +25,53 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.geometry.attitude import unit
-from emulator.geometry.pinhole import Pinhole
-from emulator.geometry.seen import Rays
-from emulator.gl.painter import QUICK_LOOK, Painter
-from emulator.gl.render_target import Stage, depth_terms
+from emulator.geometry.camera import Pinhole, Rays
+from emulator.gl.context import QUICK_LOOK, Painter
+from emulator.gl.render_target import Rectangle, Stage, depth_terms
 from emulator.light import Light, Scene
-from emulator.scene.bodies.arrangement import middle
-from emulator.scene.bodies.detail import coarser, facet_size_m, flat
-from emulator.scene.bodies.facets import Facets, Frame
+from emulator.scene.bodies.facets import Facets, Frame, ShadowMap, Thrower
 from emulator.scene.bodies.mesh import Mesh
-from emulator.scene.bodies.shadows import ShadowMap, Thrower
+from emulator.scene.bodies.raster_bodies import BodiesGeometry
+from emulator.scene.bodies.regolith import coarser, facet_size_m, flat
 from emulator.scene.bodies.table import BodiesParameters
-from emulator.scene.bodies.touched_region import box_corners, reach
-from emulator.scene.bodies.truth import BodiesGeometry
-from emulator.scene.bodies.world import BodyWorld
-from emulator.trajectory.pose import Pose
+from emulator.scene.bodies.world import BodyWorld, middle
+from emulator.trajectory.motion import Timescale
+from emulator.trajectory.pose import Pose, Trajectory
 
 if TYPE_CHECKING:
     import moderngl
-from emulator.trajectory.pose import Trajectory
-from emulator.trajectory.timescale import Timescale
 
-__all__ = ["GlBodies"]
+__all__ = ["GlBodies", "box_corners", "reach"]
+
+
+_BLACK = Rectangle(0, 0, 1, 1)
+_ROUNDING_PX = 1  # what float32 and GL's rounding may add
+
+Floats = npt.NDArray[np.float64]
+
+
+def box_corners(points: Floats) -> Floats:
+    """Return the corners, (8, 3), of the box around points, (n, 3)."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    return np.asarray([np.where([k & 1, k & 2, k & 4], high, low) for k in range(8)])
+
+
+def reach(boxes: Iterable[Floats], pinhole: Pinhole) -> Rectangle:
+    """Return a rectangle around all that is seen of `boxes`, each the corners of one, (8, 3), in the camera's axes."""
+    whole = Rectangle(0, 0, *pinhole.size)
+    before = [corners for corners in boxes if (corners[:, 2] > 0).any()]
+    if not before:
+        return _BLACK
+    corners = np.concatenate(before)
+    if (corners[:, 2] <= 0).any():
+        return whole
+    size = np.array(pinhole.size)
+    with np.errstate(over="ignore"):
+        seen = pinhole.focal_px * corners[:, :2] / corners[:, 2:] + size / 2
+    first = np.clip(np.floor(seen.min(axis=0)) - _ROUNDING_PX, 0, size - 1).astype(int)
+    last = np.clip(np.ceil(seen.max(axis=0)) + _ROUNDING_PX, first + 1, size).astype(int)
+    return Rectangle(*map(int, first), *map(int, last - first))
+
 
 _FINE = 2.0  # pixels or texels: facets as small as this answer for shadows at their corners
 _APART = 100.0  # bodies that begin so many times as far as all nearer ones end have depths of their own

@@ -26,10 +26,8 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.scene.array_cache import Progress, kept
-from emulator.scene.bodies.cast_shadow import Arrays, Frame, axes_around, covered
+from emulator.scene.bodies.cast_shadow import Arrays, Frame, TriangleTree, after, axes_around, covered, seen_above
 from emulator.scene.bodies.compiled import entry
-from emulator.scene.bodies.solar_disc import seen_above
-from emulator.scene.bodies.triangle_tree import TriangleTree, after
 
 __all__ = ["AZIMUTHS", "Horizons", "dim_below", "horizon_table", "lost_light"]
 

@@ -12,6 +12,8 @@ vertices are joined again.
     facets without area                         dropped, counted in `Mesh.dropped_facets`
     inside out                                  turned, `Mesh.was_inside_out`
     holes                                       kept, counted in `Mesh.open_edges`; dark sky is seen through them
+
+Surfaces of formats that trimesh reads (STL, PLY, GLB, ...); for a child process, see `foreign_file`.
 """
 
 from __future__ import annotations
@@ -19,17 +21,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import trimesh
 
 from emulator.light import SceneError
-from emulator.scene.bodies.plates import PlateTableError, parse_plates
-from emulator.scene.bodies.wavefront import parse_wavefront
+from emulator.scene.bodies.mesh_files import PlateTableError, parse_plates, parse_wavefront
 from emulator.scene.foreign_file import read_in_child
-from emulator.tables.text_file import TextFileError, read_text
+from emulator.tables.toml_text import TextFileError, read_text, shortened
 
-__all__ = ["SHAPES", "Mesh", "build_mesh", "facet_vectors", "find_shape", "load_mesh", "vertex_normals"]
+__all__ = ["SHAPES", "Mesh", "build_mesh", "facet_vectors", "find_shape", "load_mesh", "read_surface", "vertex_normals"]
+
 
 SHAPES = Path(__file__).parent / "shapes"
 """The folder of the shape models that come with the program; its SOURCES.md tells where each is from."""
@@ -159,7 +163,7 @@ def _read(path: Path) -> tuple[_Points, npt.NDArray[np.int64], _Points | None]:
     """Return vertices, facets and their albedo: two formats by own readers, any other by trimesh in a child process."""
     parse = {".tab": parse_plates, ".obj": parse_wavefront}.get(path.suffix.lower())
     if parse is None:
-        found = read_in_child("emulator.scene.bodies.foreign_surface:read_surface", path)
+        found = read_in_child("emulator.scene.bodies.mesh:read_surface", path)
         return found["vertices"], found["faces"], None
     try:
         table = parse(read_text(path, _MOST_BYTES))
@@ -245,3 +249,16 @@ def vertex_normals(points: _Points, corners: _Faces) -> _Points:
             sums[corner[lost[corner]]] = facets[lost[corner]]
         length = np.linalg.norm(sums, axis=1)
     return np.asarray(sums / length[:, None])
+
+
+def read_surface(path: Path) -> dict[str, npt.NDArray[Any]]:
+    """Return `vertices` (n, 3) float64 in the file's unit and `faces` (m, 3) int64; textures are ignored."""
+    with path.open("rb") as file:
+        try:
+            loaded = trimesh.load_mesh(file, file_type=path.suffix[1:].lower(), process=False, skip_materials=True)
+            vertices, faces = np.asarray(loaded.vertices, np.float64), np.asarray(loaded.faces, np.int64)
+        except (MemoryError, ImportError):
+            raise
+        except Exception as error:  # its readers answer a broken file with whatever the parsing ran into
+            raise SceneError(f"trimesh cannot read it as a surface ({shortened(error)})") from error
+    return {"vertices": vertices, "faces": faces}

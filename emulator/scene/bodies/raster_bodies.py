@@ -11,40 +11,143 @@ Light is linear over a facet. Large facets are divided:
 A lobe cos^m of half the angle between view and mirror has the second derivative m / 4 of its height, and the straight
 line over a length h is wrong by m h^2 / 32: h is an angle seen from the camera, so larger pictures need no more facets.
 Facets too small to be seen are gathered (see `BodyWorld.as_seen`).
+
+Depth, optical flow and labels of bodies, from their shapes and poses alone.
+
+Compiled loop that brings points of moving bodies into the camera's axes, with their velocities.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from emulator.geometry.pinhole import Pinhole
-from emulator.geometry.seen import Rays
+from emulator.geometry.camera import Given, Pinhole, Placed, Rays, SceneGeometry, Seen
 from emulator.light import Light, PixelLight, Region, Scene, SceneError
 from emulator.photometry.reflectance import Glossy, Lambert
 from emulator.raster import Box, Patches, Renderer, Screen, View, join, prepare
+from emulator.scene.bodies.compiled import entry
 from emulator.scene.bodies.lighting import Lighting, Motion, Poses, motion_at
 from emulator.scene.bodies.lit_surface import Surface, lit_surface, subdivide
-from emulator.scene.bodies.moving_points import move
-from emulator.scene.bodies.rigid_groups import rigid_groups
-from emulator.scene.bodies.sharp_shadows import with_narrow_penumbras
-from emulator.scene.bodies.table import BodiesParameters
-from emulator.scene.bodies.truth import BodiesGeometry
-from emulator.scene.bodies.world import BodyWorld
+from emulator.scene.bodies.shadow_polygons import with_narrow_penumbras
+from emulator.scene.bodies.table import BodiesParameters, BodyTable
+from emulator.scene.bodies.world import BodyWorld, rigid_groups
 from emulator.threads import available_threads
-from emulator.trajectory.pose import Trajectory
-from emulator.trajectory.timescale import Timescale
+from emulator.trajectory.motion import Timescale
+from emulator.trajectory.pose import Pose, Trajectory
+from emulator.truth.surfaces import NearestSurface, motion_of, write_depth_and_flow
 
-__all__ = ["LINEAR_WITHIN", "LONGEST_PX", "RasterBodies", "build_bodies"]
+__all__ = ["LINEAR_WITHIN", "LONGEST_PX", "BodiesGeometry", "RasterBodies", "build_bodies", "move"]
+
+
+_NEAREST_SHARE = 1e-6  # of the range to the nearest body: facets are cut this near the camera
+
+
+class BodiesGeometry(SceneGeometry):
+    """The geometry of a world of bodies; shapes have the detail that is drawn."""
+
+    gives: frozenset[Given] = frozenset({"poses", "depth", "flow", "labels"})
+
+    def __init__(self, world: BodyWorld, rays: Rays | None = None) -> None:
+        self._world, self._rays = world, rays or Rays.straight(world.pinhole)
+        self.names = _names(world.parameters.bodies)
+        self._meshes = [world.as_seen(k) for k in range(len(world.meshes))]
+        surfaces = [(mesh.faces, len(mesh.vertices), mesh.open_edges > 0) for mesh in self._meshes]
+        self._surfaces = NearestSurface(surfaces, world.pinhole, _NEAREST_SHARE * world.arrangement.distance_m)
+        self._inverse_depth = np.zeros_like(self._rays.columns)
+
+    def look(self, t_ns: int, out: Seen) -> None:
+        """Write depth, flow and labels at `t_ns`."""
+        motion = self._motion(t_ns)
+        self._surfaces.look(self._vertices(motion), self._rays, out.labels, self._inverse_depth)
+        write_depth_and_flow(self._inverse_depth, _motions(motion), self._world.pinhole, self._rays, out)
+
+    def places(self, t_ns: int) -> Placed:
+        """Return the poses at `t_ns`."""
+        scene_ns = self._world.time.scene_ns(t_ns)
+        camera, bodies = self._world.camera.pose(scene_ns), self._world.arrangement.poses(scene_ns)
+        return Placed(
+            camera.position_m,
+            camera.q_world_from_body,
+            np.array([pose.position_m for pose in bodies]),
+            np.array([pose.q_world_from_body for pose in bodies]),
+        )
+
+    def _motion(self, t_ns: int) -> Motion:
+        world = self._world
+        return motion_at(t_ns, world.camera, world.arrangement.poses, world.time)
+
+    def _vertices(self, motion: Motion) -> np.ndarray:
+        eye, camera_from_world = motion.now.camera.position_m, motion.now.camera.world_from_body.T
+        return np.concatenate(
+            [
+                mesh.vertices @ (camera_from_world @ pose.world_from_body).T
+                + camera_from_world @ (pose.position_m - eye)
+                for mesh, pose in zip(self._meshes, _in_order(motion.now), strict=True)
+            ]
+        )
+
+
+def _motions(motion: Motion) -> np.ndarray:
+    """Return M and c of the sky and of each body, (bodies + 1, 3, 4)."""
+    now, before, after = motion.now, motion.before, motion.after
+    camera = now.camera, before.camera, after.camera
+    bodies = [None, *zip(_in_order(now), _in_order(before), _in_order(after), strict=True)]
+    return np.array([motion_of(camera, body, motion.between_s) for body in bodies])
+
+
+def _in_order(poses: Poses) -> list[Pose]:
+    """Return the poses of all bodies."""
+    return [poses.bodies[k] for k in range(len(poses.bodies))]
+
+
+def _names(bodies: Sequence[BodyTable]) -> tuple[str, ...]:
+    """Return a name of its own for each body: that of the rig, else that of its shape."""
+    names: list[str] = []
+    for body in bodies:
+        name = body.name or Path(str(body.shape)).stem
+        same = sum(other == name or other.startswith(f"{name} ") for other in names)
+        names.append(f"{name} {same + 1}" if same else name)
+    return tuple(names)
+
+
+Floats = npt.NDArray[np.float64]
+
+
+@entry
+def move(points: Floats, turns: Floats, shifts: Floats, scale: float, first: int, out: tuple[Floats, Floats]) -> int:
+    """Write places and velocities from row `first` on; return the row after the last.
+
+    Parameters
+    ----------
+    points : (n, 3) m, fixed in a frame, or (n, 6) with velocities in it, m/s.
+    turns, shifts : (2, 3, 3) and (2, 3), camera from frame, m, and their rates, a second.
+    scale : of what is written.
+    out : (rows, 3) m and (rows, 3) m/s.
+    """
+    places, velocities = out
+    drifts = points.shape[1] == 6
+    for k in range(len(points)):
+        x, y, z = points[k, 0], points[k, 1], points[k, 2]
+        for j in range(3):
+            a, b, c = turns[0, j, 0], turns[0, j, 1], turns[0, j, 2]
+            speed = turns[1, j, 0] * x + turns[1, j, 1] * y + turns[1, j, 2] * z + shifts[1, j]
+            if drifts:
+                speed += a * points[k, 3] + b * points[k, 4] + c * points[k, 5]
+            places[first + k, j] = scale * (a * x + b * y + c * z + shifts[0, j])
+            velocities[first + k, j] = scale * speed
+    return first + len(points)
+
 
 LONGEST_PX = 12.0
 LINEAR_WITHIN = 0.01
 _MOST_DIVIDED = 8000  # facets of one body: a large side near the camera is divided no further
 _LIFT = 1e-6  # of its distance: how much nearer to the camera than its facet a shadow is drawn
-_NEAREST_SHARE = 1e-6  # of the range to the nearest body: facets are cut this near the camera
+
 _THREADS_FROM_PX = 50_000  # smaller light frames are drawn sooner than a second thread is awake
 
 _Floats = npt.NDArray[np.float64]

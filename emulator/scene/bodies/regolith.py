@@ -9,28 +9,196 @@ Facets are divided under a boulder or crater until their sides are a third of it
 costs nothing; where facets are large in the picture all are cut in four. Roughness is patchy. Left out: boulders that
 overhang, ponds and slides, secondary craters, and any link of boulders or albedo to slopes; the real places of features
 (the shape model has the large ones).
+
+Boulders and craters on a body: how many of each size, and where.
+
+Boulders      N(> D) = n (D / 5 m)^-p per km2: n = 949, p = 3.1 on Itokawa, where 373 are larger than 5 m on 0.393 km2
+              (Michikami et al. 2008, Earth Planets Space 60, 13); Eros has 6760 larger than 15 m (Thomas et al. 2001,
+              Nature 413, 394) and p = 3.25 (Michikami and Hagermann 2021, Icarus 357, 114282)
+Craters       N(> D) = c D^-2 per m2, the steady state (Moore et al. 1980)
+
+Sizes are drawn octave by octave, 2^k to 2^(k+1) m, each with a generator of its own, and places evenly by area over the
+shape model. So an octave is the same for a seed whatever others are made. The smallest ones fade in with `smallest_m`:
+their height is a share of the full one that rises from 0 at `smallest_m` to 1 at FADED times that.
+
+A mesh with as much detail as is seen.
+
+Facets smaller than the eye resolves cost as much as large ones. Here vertices are gathered in cells of a grid: each
+cell keeps one vertex, at the mean place of its own and with the mean of their *fine* normals, so shading keeps the
+slopes that the fine model has at the scale of the cell; facets whose corners fall together vanish. With cells of half a
+pixel nothing is lost that a pixel's mean would show.
+
+Source of the method: vertex clustering, Rossignac and Borrel 1993, Multi-resolution 3D approximations.
+
+A shape model with what its rig makes up on it, as fine as the camera sees it at its closest.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import math
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from emulator.scene.bodies.detail import facet_size_m
-from emulator.scene.bodies.detail_table import Regolith
-from emulator.scene.bodies.features import Features, Law, features, number_above
+from emulator.scene.bodies.clouds import clouded, fractal_noise, with_albedo
 from emulator.scene.bodies.lit_surface import split_sides
 from emulator.scene.bodies.mesh import Mesh, facet_vectors, vertex_normals
-from emulator.scene.bodies.surface_noise import fractal_noise
-from emulator.scene.bodies.tint import with_albedo
+from emulator.scene.bodies.table import Clouds, Detail, Regolith
 
-__all__ = ["smallest_feature_m", "weathered"]
+__all__ = [
+    "FADED",
+    "Features",
+    "Law",
+    "coarser",
+    "detailed",
+    "facet_size_m",
+    "faded",
+    "features",
+    "flat",
+    "number_above",
+    "smallest_feature_m",
+    "weathered",
+]
+
 
 Floats = npt.NDArray[np.float64]
+
+FADED = 1.5
+_PER_FEATURE = 8  # numbers between 0 and 1 that shape one of them
+
+
+@dataclass(frozen=True)
+class Law:
+    """N(> D) = number D^-power per m2, D in m; `kind` keeps the lots of boulders and craters apart."""
+
+    kind: int
+    number: float
+    power: float
+
+
+@dataclass(frozen=True, eq=False)
+class Features:
+    """Boulders or craters of a body, in its frame.
+
+    Attributes
+    ----------
+    places, normals : (n, 3) m and unit, on the shape model.
+    diameters_m : (n,), the largest first.
+    weights : (n,), 0 to 1, how far they have faded in.
+    lots : (n, 8), even between 0 and 1, for their shape.
+    """
+
+    places: Floats
+    normals: Floats
+    diameters_m: Floats
+    weights: Floats
+    lots: Floats
+
+
+def number_above(law: Law, diameter_m: float) -> float:
+    """Return how many are larger on a square metre."""
+    return float(law.number * diameter_m**-law.power)
+
+
+def faded(diameters_m: Floats, smallest_m: float) -> Floats:
+    """Return the share of their height, 0 to 1, that features have when `smallest_m` is the smallest there is."""
+    x = np.clip((diameters_m / smallest_m - 1) / (FADED - 1), 0, 1)
+    return np.asarray(x * x * (3 - 2 * x))
+
+
+def features(mesh: Mesh, law: Law, seed: int, smallest_m: float, largest_m: float) -> Features:
+    """Return those between two sizes on a body."""
+    first, last = math.floor(math.log2(smallest_m)), math.ceil(math.log2(max(largest_m, smallest_m)))
+    octaves = [_octave(mesh, law, seed, k) for k in reversed(range(first, last))] if law.number > 0 else []
+    if not octaves:
+        octaves = [(np.empty((0, 3)), np.empty((0, 3)), np.empty(0), np.empty((0, _PER_FEATURE)))]
+    places, normals, sizes, lots = (np.concatenate(parts) for parts in zip(*octaves, strict=True))
+    wanted = np.flatnonzero((sizes > smallest_m) & (sizes <= largest_m))
+    wanted = wanted[np.argsort(-sizes[wanted], kind="stable")]
+    return Features(places[wanted], normals[wanted], sizes[wanted], faded(sizes[wanted], smallest_m), lots[wanted])
+
+
+def _octave(mesh: Mesh, law: Law, seed: int, k: int) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return places, normals, diameters and lots of those of 2^k to 2^(k + 1) m."""
+    rng = np.random.default_rng([seed, law.kind, k + 1024])
+    low_m, high_m = 2.0**k, 2.0 ** (k + 1)
+    count = rng.poisson((number_above(law, low_m) - number_above(law, high_m)) * mesh.area_m2)
+    u = rng.random(count)
+    sizes = low_m * (1 - u * (1 - (low_m / high_m) ** law.power)) ** (-1 / law.power)
+    places, normals = _places(mesh, rng.random((count, 3)))
+    return places, normals, sizes, rng.random((count, _PER_FEATURE))
+
+
+def _places(mesh: Mesh, lots: Floats) -> tuple[Floats, Floats]:
+    """Return places and normals, (n, 3) each, even by area; lots (n, 3) between 0 and 1."""
+    corners = mesh.vertices[mesh.faces]
+    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    upto = np.cumsum(areas)
+    facet = np.minimum(np.searchsorted(upto, lots[:, 0] * upto[-1], side="right"), len(areas) - 1)
+    s, t = np.sqrt(lots[:, 1]), lots[:, 2]
+    shares = np.stack([1 - s, s * (1 - t), s * t], axis=1)[:, :, None]
+    normals = (shares * mesh.normals[mesh.faces[facet]]).sum(axis=1)
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = np.where(length > 1e-6, normals / np.maximum(length, 1e-6), mesh.normals[mesh.faces[facet, 0]])
+    return (shares * corners[facet]).sum(axis=1), normals
+
+
+def facet_size_m(mesh: Mesh) -> float:
+    """Return the side of a square as large as the mean facet, m."""
+    return float(np.sqrt(mesh.area_m2 / len(mesh.faces)))
+
+
+def coarser(mesh: Mesh, cell_m: float) -> Mesh:
+    """Return the mesh with one vertex a cell of `cell_m`; the mesh itself where that spares less than a tenth."""
+    cells = np.floor(mesh.vertices / cell_m).astype(np.int64)
+    cells -= cells.min(axis=0)
+    extent = cells.max(axis=0) + 1
+    key = (cells[:, 0] * extent[1] + cells[:, 1]) * extent[2] + cells[:, 2]
+    _, first, cell, count = np.unique(key, return_index=True, return_inverse=True, return_counts=True)
+    corners = cell[mesh.faces]
+    a, b, c = corners.T
+    kept = _distinct(corners[(a != b) & (b != c) & (c != a)])
+    albedo = None if mesh.albedo is None else _mean(mesh.vertex_albedo[:, None], cell, count)[kept, 0]
+    if len(kept) > 0.9 * len(mesh.faces) or not len(kept):
+        return mesh
+    vertices = _mean(mesh.vertices, cell, count)
+    normals = _mean(mesh.normals, cell, count)
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    cancelled = length < 1e-6  # both sides of a thin sheet in one cell: any of its normals will do
+    normals = np.where(cancelled, mesh.normals[first], normals) / np.where(cancelled, 1.0, np.maximum(length, 1e-6))
+    facets = kept.astype(np.int32)
+    return Mesh(vertices, facets, normals, mesh.dropped_facets, mesh.open_edges, mesh.was_inside_out, albedo)
+
+
+def flat(mesh: Mesh) -> Mesh:
+    """Return the mesh with corners of its own for each facet, their normals the facet's."""
+    corners = mesh.vertices[mesh.faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    faces = np.arange(3 * len(corners), dtype=np.int32).reshape(-1, 3)
+    vertices = corners.reshape(-1, 3)
+    normals = np.repeat(normals, 3, axis=0)
+    return Mesh(vertices, faces, normals, mesh.dropped_facets, mesh.open_edges, mesh.was_inside_out, mesh.albedo)
+
+
+def _mean(
+    values: npt.NDArray[np.float64], cell: npt.NDArray[np.intp], count: npt.NDArray[np.intp]
+) -> npt.NDArray[np.float64]:
+    sums = np.column_stack([np.bincount(cell, column, len(count)) for column in values.T])
+    return np.asarray(sums / count[:, None])
+
+
+def _distinct(corners: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
+    """Return the facets without repetitions; which corner comes first does not matter."""
+    turn = corners.argmin(axis=1)
+    rows = np.arange(len(corners))
+    turned = np.column_stack([corners[rows, (turn + k) % 3] for k in range(3)])
+    return np.asarray(np.unique(turned, axis=0))
+
+
 Numbers = npt.NDArray[np.int64]
 
 _BOULDER, _CRATER = range(2)
@@ -189,3 +357,13 @@ def _boulder(x: Floats, y: Floats, lots: Floats, _: Regolith) -> tuple[Floats, F
         height = np.minimum(height, steep * (1 - along * np.cos(azimuth) - across * np.sin(azimuth)))
     bright = _UNLIKE * math.sqrt(12) * (lots[:, 6] - 0.5)
     return np.maximum(height, 0), np.where(height > 0, bright, 0.0)
+
+
+def detailed(mesh: Mesh, detail: Detail, pixel_m: float) -> Mesh:
+    """Return the mesh with `detail`, for a camera whose pixel spans `pixel_m` on the body at its closest."""
+    match detail:
+        case Regolith():
+            return weathered(mesh, detail, pixel_m)
+        case Clouds():
+            return clouded(mesh, detail, detail.facet_px * pixel_m)
+    return mesh

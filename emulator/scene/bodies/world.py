@@ -1,26 +1,157 @@
-"""The bodies of a scene and its camera: shapes, paths, and what is known of them before anything is drawn."""
+"""The bodies of a scene and its camera: shapes, paths, and what is known of them before anything is drawn.
+
+Where bodies are at every instant, and what is known beforehand of how near they come and how fast they seem to go.
+
+A body goes along its path in the world, or in the frame of an earlier one that it is fixed to. Ranges are looked at
+beforehand, about once a second of the first minute.
+
+Bodies that never move against each other: they throw shadows on each other as one, from one tree of triangles.
+
+A body belongs to the group of the one that it is fixed to where its own path stands still; bodies that stand still in
+the world are one group too. A group's frame is that of its first body.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from emulator.geometry.pinhole import Pinhole
+from emulator.geometry.attitude import Vector
+from emulator.geometry.camera import Pinhole
 from emulator.light import SceneError
-from emulator.scene.bodies.arrangement import Arrangement, Placed
-from emulator.scene.bodies.detail import coarser, facet_size_m
-from emulator.scene.bodies.detailed import detailed
 from emulator.scene.bodies.mesh import Mesh, find_shape, load_mesh
+from emulator.scene.bodies.regolith import coarser, detailed, facet_size_m
 from emulator.scene.bodies.table import BodiesParameters, BodyTable
-from emulator.trajectory.building import build_trajectories
-from emulator.trajectory.pose import Trajectory, TrajectoryError
+from emulator.trajectory.building import build_trajectories, build_trajectory
+from emulator.trajectory.motion import Timescale
+from emulator.trajectory.parameters import FixedPath
+from emulator.trajectory.pose import STILL, Pose, Trajectory, TrajectoryError
 from emulator.trajectory.pose_receiver import close_receivers, live_counts
-from emulator.trajectory.timescale import Timescale
 
-__all__ = ["BodyWorld"]
+__all__ = ["Arrangement", "BodyWorld", "Placed", "RigidGroup", "middle", "rigid_groups"]
+
+
+_LOOKS = 64
+_LOOK_S = 60.0
+
+
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """A body's path, which of the bodies it is fixed to (None: the world), and how far it reaches from its origin."""
+
+    path: Trajectory
+    parent: int | None
+    radius_m: float
+
+
+class Arrangement:
+    """A camera and the bodies before it.
+
+    Attributes
+    ----------
+    ranges_m : (bodies,), each body's closest range to the camera, from origin to origin.
+    """
+
+    def __init__(self, camera: Trajectory, bodies: Sequence[Placed], time: Timescale) -> None:
+        self._camera, self._bodies = camera, bodies
+        times = [time.scene_ns(round(k * _LOOK_S / _LOOKS * 1e9)) for k in range(_LOOKS)]
+        own = [[body.path.pose(t) for body in bodies] for t in times]
+        self._looks = [self._in_world(poses) for poses in own]
+        self._eyes = np.array([camera.pose(t).position_m for t in times])
+        self.ranges_m = _norms(_places(self._looks) - self._eyes[:, None]).min(axis=0)
+        self._offsets_m = _norms(_places(own)).max(axis=0)
+
+    def poses(self, scene_ns: int) -> list[Pose]:
+        """Return each body's pose in the world."""
+        return self._in_world([body.path.pose(scene_ns) for body in self._bodies])
+
+    def poses_of(self, which: Collection[int]) -> Callable[[int], Mapping[int, Pose]]:
+        """Return what gives the poses in the world of some bodies, by number, at a scene time in ns."""
+        asked = sorted({j for k in which for j in self._ancestry(k)})
+
+        def poses(scene_ns: int) -> Mapping[int, Pose]:
+            found: dict[int, Pose] = {}
+            for k in asked:
+                body = self._bodies[k]
+                own = body.path.pose(scene_ns)
+                found[k] = own if body.parent is None else found[body.parent].after(own)
+            return found
+
+        return poses
+
+    @property
+    def distance_m(self) -> float:
+        """The closest range of any body, less its radius."""
+        return max(float(np.min(self.ranges_m - [body.radius_m for body in self._bodies])), 1e-3)
+
+    def nearest_m(self, k: int, low: Vector, high: Vector) -> float:
+        """Return how near the camera comes to a box in the frame of body k, between two of its corners, m."""
+        poses = [look[k] for look in self._looks]
+        own = [(eye - p.position_m) @ p.world_from_body for eye, p in zip(self._eyes, poses, strict=True)]
+        beside = np.maximum(np.maximum(low - own, own - high), 0.0)
+        return float(_norms(beside).min())
+
+    @property
+    def turn_bound_rad_s(self) -> float:
+        """No point of a body is seen to change its direction faster, at the closest ranges."""
+        return self._camera.turn_bound_rad_s + max(
+            (self._camera.speed_bound_m_s + self._speed_bound_m_s(k)) / self._room_m(k)
+            for k in range(len(self._bodies))
+        )
+
+    def radius_m(self, which: Sequence[int]) -> float:
+        """Return the radius of a sphere about the middle of some bodies and around them all, at all looks."""
+        return max(
+            max(float(np.linalg.norm(pose.position_m - centre)) + radius_m for pose, radius_m in spheres)
+            for spheres in ([(poses[k], self._bodies[k].radius_m) for k in which] for poses in self._looks)
+            for centre in [middle(spheres)]
+        )
+
+    def _in_world(self, own: Sequence[Pose]) -> list[Pose]:
+        """Return poses in the world, of poses each in the frame that the body is fixed to."""
+        poses: list[Pose] = []
+        for body, pose in zip(self._bodies, own, strict=True):
+            poses.append(pose if body.parent is None else poses[body.parent].after(pose))
+        return poses
+
+    def _room_m(self, k: int) -> float:
+        radius_m = self._bodies[k].radius_m
+        return max(float(self.ranges_m[k]) - radius_m, 0.01 * radius_m)
+
+    def _speed_bound_m_s(self, k: int) -> float:
+        """Return a bound of the speeds of a body's points: each frame it stands in goes, and swings it around."""
+        speed, arm_m = 0.0, self._bodies[k].radius_m
+        for j in self._ancestry(k):
+            path = self._bodies[j].path
+            speed += path.speed_bound_m_s + path.turn_bound_rad_s * arm_m
+            arm_m += float(self._offsets_m[j])
+        return speed
+
+    def _ancestry(self, k: int | None) -> Iterator[int]:
+        """Yield a body and those that it is fixed to, one after another."""
+        while k is not None:
+            yield k
+            k = self._bodies[k].parent
+
+
+def middle(spheres: Sequence[tuple[Pose, float]]) -> Vector:
+    """Return the middle of the box around spheres, each a pose and a radius in metres."""
+    low = np.min([pose.position_m - radius for pose, radius in spheres], axis=0)
+    high = np.max([pose.position_m + radius for pose, radius in spheres], axis=0)
+    return np.asarray((low + high) / 2)
+
+
+def _places(looks: Sequence[Sequence[Pose]]) -> npt.NDArray[np.float64]:
+    """Return positions, (looks, bodies, 3)."""
+    return np.array([[pose.position_m for pose in poses] for poses in looks])
+
+
+def _norms(vectors: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    return np.asarray(np.linalg.norm(vectors, axis=-1))
 
 
 class BodyWorld:
@@ -131,3 +262,44 @@ class BodyWorld:
                 f"the largest body is {across_px:.2g} px across at its closest and would be lost "
                 "between samples: go nearer, take a longer lens, or look at units_m"
             )
+
+
+@dataclass(frozen=True, eq=False)
+class RigidGroup:
+    """Bodies, by number, and where each is in the frame of the first.
+
+    Attributes
+    ----------
+    members : numbers of the bodies, ascending.
+    poses : of each member, in the frame of the first.
+    """
+
+    members: tuple[int, ...]
+    poses: tuple[Pose, ...]
+
+
+def rigid_groups(bodies: Sequence[BodyTable]) -> list[RigidGroup]:
+    """Return the groups; each body is in one."""
+    anchors: list[tuple[int, Pose]] = []  # of each body, the moving one it stands on (-1: the world), its pose there
+    for k, body in enumerate(bodies):
+        anchors.append(_anchor(k, body, bodies, anchors))
+    numbers = [anchor for anchor, _ in anchors]
+    return [_group([k for k, n in enumerate(numbers) if n == one], anchors) for one in dict.fromkeys(numbers)]
+
+
+def _anchor(
+    k: int, body: BodyTable, bodies: Sequence[BodyTable], anchors: Sequence[tuple[int, Pose]]
+) -> tuple[int, Pose]:
+    if not isinstance(body.path, FixedPath):
+        return k, STILL
+    pose = build_trajectory(body.path).pose(0)
+    if not body.fixed_to:
+        return -1, pose
+    names = [other.name for other in bodies]
+    anchor, parent = anchors[names.index(body.fixed_to)]
+    return anchor, parent.after(pose)
+
+
+def _group(members: Sequence[int], anchors: Sequence[tuple[int, Pose]]) -> RigidGroup:
+    first = anchors[members[0]][1].inverse()
+    return RigidGroup(tuple(members), tuple(first.after(anchors[k][1]) for k in members))

@@ -16,6 +16,8 @@ the ends of the box, which gives the time derivative of the light.
 With the board along the pixel rows this is exact. For a turned board the pixel's square is turned with it: the same
 area at the same place, which keeps the mean light and costs 0.5 % extra events and 1.6 % missed ones beside a fine
 supersampling (10:1 contrast, 7 degrees, 12.3 px squares).
+
+Optical flow of a checkerboard: the motion of the board. A pattern on the chip has no distance: there is no depth.
 """
 
 from __future__ import annotations
@@ -27,14 +29,28 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from emulator.geometry.cycle import Cycle
-from emulator.geometry.seen import Rays
+from emulator.geometry.camera import Cycle, Given, Rays, SceneGeometry, Seen
 from emulator.light import Light, PixelLight, Region, Scene
 from emulator.scene.checkerboard.table import CheckerboardParameters
-from emulator.scene.checkerboard.truth import BoardGeometry
 from firmware_protocol.compiled import entry_of
 
-__all__ = ["Checkerboard"]
+__all__ = ["BoardGeometry", "Checkerboard"]
+
+
+class BoardGeometry(SceneGeometry):
+    """The motion of a board, px/s to the right and down."""
+
+    names = ("board",)
+    gives: frozenset[Given] = frozenset({"flow", "labels"})
+
+    def __init__(self, right_px_s: float, down_px_s: float) -> None:
+        self._flow = right_px_s, down_px_s
+
+    def look(self, t_ns: int, out: Seen) -> None:
+        """Write flow and labels, the same everywhere at all times."""
+        out.flow[:] = self._flow
+        out.labels.fill(1)
+
 
 _entry = entry_of(__name__, error_model="python")
 

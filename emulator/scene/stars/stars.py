@@ -9,32 +9,97 @@ cos^3 / f^2), spread over pixels by the lens's blur. A moving body of radius R a
 with its geometric albedo p and phase angle a. Light and its time derivative are closed forms; only pixels that a point
 reaches are computed. Distortion is applied to directions and so costs nothing; a body more than a pixel across, or one
 behind another, is beyond this scene.
+
+Optical flow of the sky, and where moving points are in it.
+
+Stars are infinitely far and turn with the camera. A moving point covers no pixel; those whose middles lie within two
+standard deviations of its blur, or within a pixel, have its label, its depth and its flow.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from emulator.geometry.attitude import unit
-from emulator.geometry.seen import Rays
+from emulator.geometry.camera import Given, Pinhole, Placed, Rays, SceneGeometry, Seen
 from emulator.light import Light, Region, Scene, SceneError
-from emulator.optics.distortion import Distortion, bent_rays, straight_columns_and_rows
-from emulator.optics.lens import Chip, LensParameters
-from emulator.scene.stars.catalogue import irradiance_w_m2, load_stars
-from emulator.scene.stars.splats import Boxes, boxes_of, clear, splat
+from emulator.optics.lens import Chip, Distortion, LensParameters, bent_rays, straight_columns_and_rows
+from emulator.scene.stars.catalogue import Boxes, boxes_of, clear, irradiance_w_m2, load_stars, splat
 from emulator.scene.stars.table import StarsParameters
-from emulator.scene.stars.truth import Sky, StarsGeometry
 from emulator.trajectory.building import build_trajectories
+from emulator.trajectory.motion import Timescale
 from emulator.trajectory.parameters import BasiliskPath, LivePath
 from emulator.trajectory.pose import Pose, Trajectory, TrajectoryError
 from emulator.trajectory.pose_receiver import close_receivers, live_counts
-from emulator.trajectory.timescale import Timescale
+from emulator.truth.surfaces import Instants, instants, motion_of, write_depth_and_flow
 
-__all__ = ["StarField"]
+__all__ = ["Sky", "StarField", "StarsGeometry"]
+
+
+_REACH = 2.0  # standard deviations
+
+
+@dataclass(frozen=True, eq=False)
+class Sky:
+    """The camera's path and those of the moving points."""
+
+    camera: Trajectory
+    points: Sequence[Trajectory]
+    time: Timescale
+
+
+class StarsGeometry(SceneGeometry):
+    """The geometry of a sky; label k is the k-th moving point.
+
+    Parameters
+    ----------
+    sigma_px : standard deviation of the blur.
+    """
+
+    gives: frozenset[Given] = frozenset({"poses", "depth", "flow", "labels"})
+
+    def __init__(self, sky: Sky, camera: Pinhole, sigma_px: float, rays: Rays) -> None:
+        self._sky, self._camera, self._rays = sky, camera, rays
+        self.names = tuple(f"point {k + 1}" for k in range(len(sky.points)))
+        self._reach_px = max(1.0, _REACH * sigma_px)
+        self._inverse_depth = np.zeros_like(rays.columns)
+
+    def look(self, t_ns: int, out: Seen) -> None:
+        """Write depth, flow and labels at `t_ns`."""
+        (camera, *points), between_s = instants(t_ns, [self._sky.camera, *self._sky.points], self._sky.time)
+        out.labels.fill(0)
+        for k, point in enumerate(points):
+            self._mark(k + 1, camera, point, out)
+        motions = np.array([motion_of(camera, body, between_s) for body in (None, *points)])
+        write_depth_and_flow(self._inverse_depth, motions, self._camera, self._rays, out)
+
+    def _mark(self, label: int, camera: Instants, point: Instants, out: Seen) -> None:
+        """Write label and 1 / depth of the pixels near a point, where nothing nearer is."""
+        own = camera[0].world_from_body.T @ (point[0].position_m - camera[0].position_m)
+        if own[2] <= 0:
+            return
+        focal, (width, height) = self._camera.focal_px, self._camera.size
+        column, row = width / 2 + focal * own[0] / own[2], height / 2 + focal * own[1] / own[2]
+        near = np.hypot(self._rays.columns - column, self._rays.rows - row) <= self._reach_px
+        near &= (out.labels == 0) | (self._inverse_depth < 1 / own[2])
+        out.labels[near], self._inverse_depth[near] = label, 1 / own[2]
+
+    def places(self, t_ns: int) -> Placed:
+        """Return the poses at `t_ns`."""
+        scene_ns = self._sky.time.scene_ns(t_ns)
+        camera, points = self._sky.camera.pose(scene_ns), [path.pose(scene_ns) for path in self._sky.points]
+        return Placed(
+            camera.position_m,
+            camera.q_world_from_body,
+            np.array([pose.position_m for pose in points]).reshape(-1, 3),
+            np.array([pose.q_world_from_body for pose in points]).reshape(-1, 4),
+        )
+
 
 _SHARPEST_PX = 0.3  # no lens is sharper; a blur of nothing would make light jump from pixel to pixel
 _APART_NS = 1_000_000  # poses from which velocities are taken

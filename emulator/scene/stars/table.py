@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import ClassVar
 
-from emulator.photometry.sun import Sun
+from emulator.photometry.reflectance import Sun
 from emulator.scene.kind import SceneKind
 from emulator.scene.stars.catalogue import FAINTEST_V
 from emulator.trajectory.parameters import FixedPath, TrajectoryParameters

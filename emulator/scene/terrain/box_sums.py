@@ -33,7 +33,7 @@ from emulator.scene.terrain.compiled_vectors import (
     spread,
     within,
 )
-from emulator.scene.terrain.pyramid import FIELDS
+from emulator.scene.terrain.ground import FIELDS
 
 __all__ = ["POSTS", "box_sums"]
 

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.scene.terrain.box_sums import POSTS, box_sums
-from emulator.scene.terrain.pyramid import FIELDS, Pyramid
+from emulator.scene.terrain.ground import FIELDS, Pyramid
 from emulator.sensor.numerics.compiled import lane
 
 __all__ = ["POSTS", "Posts", "Table", "level_for", "means", "padded", "shorter_side"]

@@ -7,18 +7,35 @@
 Where a finer grid lies in a coarser one, its posts and the coarser one's agree to the last bit: so the same place has
 one height on all grids, and meshes over them fit together. A map from a file is one grid. Rows go north (+y), columns
 east (+x); the site's height is 0.
+
+Heights and light of the ground's posts, level by level: what vertices of blocks of any level are made of.
+
+Level l has the posts whose lattice places are whole multiples of 2^l, l as in `Quadtree`. A post has
+
+    height      of the ground, the same on all levels
+    b           cosine of incidence x share of the Sun seen
+    b p, b q    slopes east and north, weighted by b: the dark send no light
+
+On the finest level that has a post these are the ground's own: slopes are differences over two posts. On coarser levels
+they are filtered by (-1, 2, 6, 2, -1) / 8 along both axes at each halving, the low pass of the 5/3 wavelet (Le Gall and
+Tabatabai 1988): it keeps means, and what is linear between the coarse posts stays as close as such a short filter can
+to the fine map. A mean over a square would blur it by as much again.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import itertools
+import math
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Ground", "nested"]
+from emulator.scene.terrain.compiled import map_entry
+
+__all__ = ["FIELDS", "Ground", "Pyramid", "build_pyramid", "nested"]
+
 
 Heights = npt.NDArray[np.float32]
 
@@ -107,3 +124,101 @@ def nested(
         top, left = (rows - 1) // 4, (columns - 1) // 4
         coarser[top : top + len(inner), left : left + inner.shape[1]] = inner
     return Ground(unit_m, heights, notes)
+
+
+FIELDS = 4
+
+Posts = npt.NDArray[np.float32]
+Ints = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Pyramid:
+    """All levels.
+
+    Attributes
+    ----------
+    posts : (n, 4) float32: height in metres, b p, b q, b; level by level, row by row.
+    levels : (levels, 9): offset in `posts`, rows, columns; lattice place x, y of the first post, and of the last one
+        less that; rows and columns by which half a post's numbers differ from its numbers on the next level.
+    """
+
+    posts: Posts
+    levels: Ints
+
+
+def build_pyramid(
+    ground: Ground, sunlit: npt.NDArray[np.float32], sun: npt.NDArray[np.float64], levels: int
+) -> Pyramid:
+    """Return `levels` levels of `ground`.
+
+    Parameters
+    ----------
+    sunlit : (grids, rows, columns), share of the Sun's disc that each post sees.
+    sun : (3,) unit, towards it.
+    """
+    parts: list[Posts] = []
+    for level in range(levels):
+        if level < ground.grids:
+            part = _own(ground.heights_m[level], sunlit[level], ground.post_m(level), sun)
+            if parts:
+                top, left = ((n - 1) // 4 for n in ground.shape)
+                _coarsen(parts[-1], part[top:, left:], (len(parts[-1]) + 1) // 2, (parts[-1].shape[1] + 1) // 2, 1)
+        else:
+            rows, columns = (n // 2 + 1 for n in parts[-1].shape[:2])
+            part = np.empty((rows, columns, FIELDS), np.float32)
+            _coarsen(parts[-1], part, rows, columns, 0)
+        parts.append(part)
+    return Pyramid(np.concatenate([part.reshape(-1, FIELDS) for part in parts]), _table(ground, parts))
+
+
+def _table(ground: Ground, parts: list[Posts]) -> Ints:
+    rows, columns = ground.shape
+    table = np.zeros((len(parts), 9), np.int64)
+    offset = 0
+    for level, part in enumerate(parts):
+        grid = min(level, ground.grids - 1)
+        inner = level + 1 < ground.grids
+        shift = ((rows - 1) // 4, (columns - 1) // 4) if inner else (0, 0)
+        spans = (columns - 1) << grid, (rows - 1) << grid
+        table[level] = offset, *part.shape[:2], *ground.first(grid), *spans, *shift
+        offset += part.shape[0] * part.shape[1]
+    return table
+
+
+@map_entry
+def _own(
+    heights: npt.NDArray[np.float32], sunlit: npt.NDArray[np.float32], post_m: float, sun: npt.NDArray[np.float64]
+) -> Posts:
+    """Return the posts of a grid, (rows, columns, 4)."""
+    rows, columns = heights.shape
+    out = np.empty((rows, columns, 4), np.float32)
+    for i in range(rows):
+        above, below = max(i - 1, 0), min(i + 1, rows - 1)
+        for j in range(columns):
+            left, right = max(j - 1, 0), min(j + 1, columns - 1)
+            east = (heights[i, left] - heights[i, right]) / (post_m * max(right - left, 1))
+            north = (heights[above, j] - heights[below, j]) / (post_m * max(below - above, 1))
+            length = math.sqrt(1.0 + east * east + north * north)
+            incidence = (east * sun[0] + north * sun[1] + sun[2]) / length
+            lit = max(incidence, 0.0) * sunlit[i, j]
+            out[i, j, 0] = heights[i, j]
+            out[i, j, 1], out[i, j, 2], out[i, j, 3] = -east * lit, -north * lit, lit
+    return out
+
+
+@map_entry
+def _coarsen(fine: Posts, coarse: Posts, rows: int, columns: int, border: int) -> None:
+    """Write the first `rows` x `columns` coarse posts, but for `border` ones at each side, from the fine ones."""
+    weights = np.array([-0.125, 0.25, 0.75, 0.25, -0.125])
+    last_row, last_column = fine.shape[0] - 1, fine.shape[1] - 1
+    for i in range(border, rows - border):
+        for j in range(border, columns - border):
+            coarse[i, j, 0] = fine[min(2 * i, last_row), min(2 * j, last_column), 0]
+            for k in range(1, 4):
+                total = 0.0
+                for a in range(5):
+                    row = min(max(2 * i + a - 2, 0), last_row)
+                    for b in range(5):
+                        total += weights[a] * weights[b] * fine[row, min(max(2 * j + b - 2, 0), last_column), k]
+                coarse[i, j, k] = total

@@ -10,25 +10,33 @@ A GeoTIFF is read in a child process, see `geotiff`.
 
 The plane of a polar stereographic projection is stretched: at a distance rho from the pole by 1 + (rho / 2 R)^2, which
 is 0.12 % at 86 degrees; with the map's middle known its posts are brought nearer by as much.
+
+Heights and tags of a GeoTIFF by pillow; for a child process, see `foreign_file`.
+
+Pillow knows the common compressions, also LZW, for which tifffile would need the large package imagecodecs.
 """
 
 from __future__ import annotations
 
 import math
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from PIL import Image, UnidentifiedImageError
 
 from emulator.light import SceneError
 from emulator.scene.foreign_file import read_in_child
 from emulator.scene.terrain.ground import Ground, nested
 from emulator.scene.terrain.table import Heightmap
-from transports.recording.array_file import ArrayFileError, load_array
+from emulator.tables.toml_text import shortened
+from transports.recording.record import ArrayFileError, load_array
 
-__all__ = ["filled", "load_heightmap"]
+__all__ = ["filled", "load_heightmap", "read_geotiff"]
+
 
 Floats = npt.NDArray[np.float64]
 
@@ -109,7 +117,7 @@ def _read(path: Path) -> dict[str, npt.NDArray[Any]]:
         case ".npy":
             return {"heights": _array(path)}
         case ".tif" | ".tiff":
-            return read_in_child("emulator.scene.terrain.geotiff:read_geotiff", path)
+            return read_in_child("emulator.scene.terrain.heightmap:read_geotiff", path)
     raise SceneError(f"{path}: which format this is cannot be told: name it .npy or .tif")
 
 
@@ -196,3 +204,26 @@ def _require_slopes(heights: Floats, post_m: float) -> None:
         raise SceneError(
             f"its slopes are {typical:.0f} degrees, root mean square: look at units_m and post_m ({post_m:g} m)"
         )
+
+
+_NUMBER_TAGS = {"scale": 33550, "tie": 33922}
+_NODATA = 42113
+
+
+def read_geotiff(path: Path) -> dict[str, npt.NDArray[Any]]:
+    """Return `heights`, `scale` and `tie` (empty where the file has none), and `nodata`, a text."""
+    try:
+        with warnings.catch_warnings(action="error"), Image.open(path) as image:
+            tags = dict(getattr(image, "tag_v2", {}))
+            found = {name: _numbers_geotiff(tags.get(tag)) for name, tag in _NUMBER_TAGS.items()}
+            return found | {"heights": np.array(image), "nodata": np.array(str(tags.get(_NODATA, ""))[:100])}
+    except UnidentifiedImageError as error:
+        raise SceneError("is not a TIFF that pillow reads") from error
+    except (MemoryError, ImportError):
+        raise
+    except Exception as error:  # pillow answers a damaged file with whatever it ran into
+        raise SceneError(f"is damaged, or too large: {shortened(error)}") from error
+
+
+def _numbers_geotiff(tag: object) -> npt.NDArray[np.float64]:
+    return np.array(tag if isinstance(tag, tuple) else (), np.float64)

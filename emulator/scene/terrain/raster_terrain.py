@@ -9,6 +9,12 @@ not modelled: light from slope to slope, and what lies beyond the map, where the
 derivative: that of the shading was measured, and made more wrong events than a straight line. Nor is there light of
 single pixels between pictures: undersampled pixels are found by the derivative, and pictures at an eighth of the step
 made as many wrong events (docs/accuracy.md).
+
+Depth, optical flow and labels of terrain, from the facets of its picture.
+
+Their corners are posts of the map, as fine as they are seen; between them the ground is taken for flat, as it is drawn.
+
+The camera's place and attitude at an instant, and their rates from poses shortly before and after.
 """
 
 from __future__ import annotations
@@ -16,29 +22,100 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from emulator.geometry.pinhole import Pinhole
-from emulator.geometry.seen import Rays
+from emulator.geometry.camera import Given, Pinhole, Placed, Rays, SceneGeometry, Seen
 from emulator.light import Light, Region, Scene
 from emulator.photometry.reflection_kernels import law_of
 from emulator.raster import Box, Owners, Renderer, Screen, Topology, View, join, prepare
 from emulator.scene.terrain.block_vertices import CORNERS, block_vertices
-from emulator.scene.terrain.camera_motion import CameraMotion, camera_motion
 from emulator.scene.terrain.footprint import padded
+from emulator.scene.terrain.ground import build_pyramid
 from emulator.scene.terrain.pixel_shading import ROW_FIELDS, shade_rows
-from emulator.scene.terrain.pyramid import build_pyramid
 from emulator.scene.terrain.quadtree import LEAST_REACH, Quadtree, block_facets
 from emulator.scene.terrain.table import TerrainParameters
-from emulator.scene.terrain.truth import TerrainGeometry
 from emulator.scene.terrain.world import TerrainWorld
 from emulator.threads import available_threads
-from emulator.trajectory.pose import Trajectory
-from emulator.trajectory.timescale import Timescale
+from emulator.trajectory.motion import Timescale
+from emulator.trajectory.pose import STILL, Pose, Trajectory
+from emulator.truth.surfaces import instants, motion_of, nearest_along, write_depth_and_flow
 
-__all__ = ["RasterTerrain", "build_terrain"]
+__all__ = ["CameraMotion", "RasterTerrain", "TerrainGeometry", "build_terrain", "camera_motion"]
+
+
+Facets = Callable[[int], tuple[npt.NDArray[np.int32], npt.NDArray[np.float64]]]
+"""Gives, for a stream time, the facet at each pixel of the straight picture and the facets, see `nearest_along`."""
+
+
+class TerrainGeometry(SceneGeometry):
+    """The geometry of a ground that stands still, label 1."""
+
+    names = ("ground",)
+    gives: frozenset[Given] = frozenset({"poses", "depth", "flow", "labels"})
+
+    def __init__(self, world: TerrainWorld, facets_at: Facets, rays: Rays | None = None) -> None:
+        self._world, self._facets_at = world, facets_at
+        self._rays = rays or Rays.straight(world.pinhole)
+        self._inverse_depth = np.zeros_like(self._rays.columns)
+
+    def look(self, t_ns: int, out: Seen) -> None:
+        """Write depth, flow and labels at `t_ns`."""
+        world = self._world
+        nearest, facets = self._facets_at(t_ns)
+        nearest_along(nearest, facets, np.ones(len(facets), np.uint16), self._rays, (out.labels, self._inverse_depth))
+        (camera,), between_s = instants(t_ns, [world.camera], world.time)
+        motions = np.array([motion_of(camera, body, between_s) for body in (None, (STILL, STILL, STILL))])
+        write_depth_and_flow(self._inverse_depth, motions, world.pinhole, self._rays, out)
+
+    def places(self, t_ns: int) -> Placed:
+        """Return the camera's pose at `t_ns`; the ground's frame is the world."""
+        camera = self._world.camera.pose(self._world.time.scene_ns(t_ns))
+        return Placed(
+            camera.position_m, camera.q_world_from_body, STILL.position_m[None], STILL.q_world_from_body[None]
+        )
+
+
+_SIDE_NS = 1_000_000  # of scene time, between the poses for rates
+
+Floats = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class CameraMotion:
+    """A pose and its rates, a second of stream time.
+
+    Attributes
+    ----------
+    velocity_m_s : (3,) in the world.
+    turn, turning : camera_from_world, (3, 3), and its rate.
+    """
+
+    pose: Pose
+    velocity_m_s: Floats
+    turn: Floats
+    turning: Floats
+
+    @property
+    def figures(self) -> tuple[Floats, Floats, Floats, Floats]:
+        """Place, velocity, turn and turning, as kernels take them."""
+        return np.asarray(self.pose.position_m, np.float64), self.velocity_m_s, self.turn, self.turning
+
+
+def camera_motion(t_ns: int, camera: Trajectory, time: Timescale) -> CameraMotion:
+    """Return the motion at stream time `t_ns`; at the start, where a path may begin, from poses after it only."""
+    now_ns = time.scene_ns(t_ns)
+    first_ns, last_ns = max(now_ns - _SIDE_NS, min(now_ns, time.scene_ns(0))), now_ns + _SIDE_NS
+    now, before, after = camera.pose(now_ns), camera.pose(first_ns), camera.pose(last_ns)
+    between_s = (last_ns - first_ns) / (1e9 * time.factor)
+    turn, turning = (
+        np.ascontiguousarray(m.T)
+        for m in (now.world_from_body, (after.world_from_body - before.world_from_body) / between_s)
+    )
+    return CameraMotion(now, (after.position_m - before.position_m) / between_s, turn, turning)
+
 
 _NEAREST_SHARE = 1e-3  # of the least height of the camera: facets are cut this near
 _FIRST_BLOCKS = 256

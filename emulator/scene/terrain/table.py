@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import ClassVar
 
-from emulator.photometry.reflectance import LunarLambert, Reflectance
-from emulator.photometry.sun import EARTHLIGHT_W_M2
+from emulator.photometry.reflectance import EARTHLIGHT_W_M2, LunarLambert, Reflectance
 from emulator.scene.kind import SceneKind
-from emulator.tables.files import NO_FILE, RigFile
+from emulator.tables.typed_table import NO_FILE, RigFile
 from emulator.trajectory.parameters import DescentPath, TrajectoryParameters
 from transports.needs import Need, package
 

@@ -8,28 +8,71 @@
 Pillow and PyAV read in a child process, see `foreign_file`.
 Colours become luminance (Rec. 709). Levels are taken from 0 to 1 and decoded by the sRGB curve unless told to be
 linear.
+
+Frames one after the other as one array, within a bound of memory.
+
+Frames of images by pillow; for a child process, see `foreign_file`.
+
+Frames of a video by PyAV (FFmpeg); for a child process, see `foreign_file`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import av
 import numpy as np
 import numpy.typing as npt
+from PIL import Image, ImageSequence
 
 from emulator.light import SceneError
 from emulator.scene.foreign_file import Limits, read_in_child
-from emulator.scene.video.stacking import MOST_BYTES
-from transports.recording.array_file import ArrayFileError, load_array
+from emulator.tables.toml_text import shortened
+from transports.recording.record import ArrayFileError, load_array
 
-__all__ = ["VIDEO_SUFFIXES", "Frames", "linear_light", "read_frames"]
+__all__ = [
+    "MOST_BYTES",
+    "VIDEO_SUFFIXES",
+    "Frames",
+    "Levels",
+    "linear_light",
+    "read_frames",
+    "read_images",
+    "read_video",
+    "stacked",
+]
+
+
+MOST_BYTES = 1 << 31
+"""Of all frames together."""
+
+Levels = npt.NDArray[Any]
+
+
+def stacked(frames: Iterator[tuple[str, Levels]]) -> Levels:
+    """Return all frames as one array; raises SceneError where they are not alike, too large, or none."""
+    kept: list[Levels] = []
+    room = MOST_BYTES
+    for name, levels in frames:
+        if kept and (levels.shape != kept[0].shape or levels.dtype != kept[0].dtype):
+            raise SceneError(
+                f"{name} is {levels.shape[1]} x {levels.shape[0]} {levels.dtype}, the first frame "
+                f"{kept[0].shape[1]} x {kept[0].shape[0]} {kept[0].dtype}: all must be alike"
+            )
+        room -= levels.nbytes
+        if room < 0:
+            raise SceneError(f"more than {MOST_BYTES >> 30} GiB of frames; cut it or make it smaller")
+        kept.append(levels)
+    if not kept:
+        raise SceneError("holds no frames")
+    return np.stack(kept)
+
 
 _LIMITS = Limits(memory_bytes=3 * MOST_BYTES, cpu_s=600)  # a video of one MiB may well hold a GiB of frames
 VIDEO_SUFFIXES = (".mp4", ".mkv", ".avi", ".mov", ".webm", ".m4v")
-
-Levels = npt.NDArray[Any]
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,3 +129,57 @@ def _array(path: Path) -> Levels:
     elif levels.dtype not in (np.uint8, np.uint16):
         raise SceneError(f"{path}: is {levels.dtype}; uint8, uint16 or floats are needed")
     return np.asarray(levels)
+
+
+def read_images(path: Path) -> dict[str, npt.NDArray[Any]]:
+    """Return `levels` (n, height, width) of a file, or of a folder's files in the order of their names, no times."""
+    files = sorted(p for p in path.iterdir() if p.is_file()) if path.is_dir() else [path]
+    return {"levels": stacked(_frames(files)), "times_s": np.zeros(0)}
+
+
+def _frames(paths: list[Path]) -> Iterator[tuple[str, Levels]]:
+    """Yield name and levels of every frame of every file."""
+    for path in paths:
+        try:
+            with Image.open(path) as image:
+                for k, frame in enumerate(ImageSequence.Iterator(image)):
+                    yield f"{path.name}, frame {k}", _grey(frame)
+        except (MemoryError, ImportError, SceneError):
+            raise
+        except Exception as error:  # pillow answers a damaged file with whatever it ran into
+            raise SceneError(f"{path.name}: cannot be read as an image: {shortened(error)}") from error
+
+
+def _grey(frame: Any) -> Levels:
+    """Return the luminance of a pillow image, in its own depth."""
+    if frame.mode in ("I;16", "I;16L", "I;16B"):
+        return np.asarray(frame).astype(np.uint16)
+    if frame.mode == "F":
+        return np.asarray(frame, np.float32)
+    if frame.mode == "L":
+        return np.asarray(frame, np.uint8)
+    return _luminance(np.asarray(frame.convert("RGB"), np.float32))
+
+
+def _luminance(rgb: npt.NDArray[np.float32]) -> npt.NDArray[np.uint8]:
+    return np.rint(rgb @ np.array([0.2126, 0.7152, 0.0722], np.float32)).astype(np.uint8)
+
+
+def read_video(path: Path) -> dict[str, npt.NDArray[Any]]:
+    """Return `levels` (n, height, width), and `times_s` (n,) from 0, empty where the file gives none that increase."""
+    times: list[float] = []
+
+    def frames() -> Iterator[tuple[str, Levels]]:
+        with av.open(str(path)) as container:
+            for k, frame in enumerate(container.decode(video=0)):
+                times.append(float(frame.time) if frame.time is not None else float("nan"))
+                yield f"frame {k}", frame.to_ndarray(format="gray")
+
+    try:
+        levels = stacked(frames())
+    except (MemoryError, SceneError):
+        raise
+    except Exception as error:  # FFmpeg's own errors, and what PyAV runs into
+        raise SceneError(f"frame {len(times)} cannot be read: {shortened(error)}") from error
+    has_times = len(times) > 1 and bool(np.all(np.diff(times) > 0))
+    return {"levels": levels, "times_s": np.array(times) - times[0] if has_times else np.zeros(0)}

@@ -24,7 +24,7 @@ import numpy.typing as npt
 from emulator.light import Light, Scene, SceneError
 from emulator.scene.kind import SceneKind
 from emulator.scene.video.frames import VIDEO_SUFFIXES, Frames, linear_light, read_frames
-from emulator.tables.files import NO_FILE, RigFile
+from emulator.tables.typed_table import NO_FILE, RigFile
 from transports.needs import Need, package
 
 __all__ = ["VIDEO", "Video", "VideoParameters", "coarsest_level", "resampled"]

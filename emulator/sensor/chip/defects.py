@@ -2,19 +2,30 @@
 
 Both are drawn by key from a share, or listed in the rig. A dose of radiation makes more pixels hot: each has a dose at
 which it turns, drawn from an exponential law, so a hot pixel stays hot, and a higher share or dose only adds pixels.
+
+Leak that changes while the array runs: pixels that a dose turns hot, and jitter between stretches of time.
+
+The leak of a pixel is constant over each stretch of 2^33 ns (8.6 s, the epochs of `array`): the pixel's usual leak
+times 1 + share times a keyed normal number, never below 0. It changes at fixed stream times, which `Sensor` makes the
+ends of steps, so the result does not depend on the steps.
+
+Effect of the chip's temperature on a sensor's figures: leak and dark current double every so many kelvin.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.numerics.keyed import Purpose, normal, uniform
+from emulator.sensor.numerics.keyed import Purpose, normal, normals, root_of, streams, uniform
+from emulator.sensor.pixels.state import PixelFaults
 from emulator.sensor.presets import SensorParameters
 
-__all__ = ["Defects", "draw_defects"]
+__all__ = ["LEAST_DARK", "MOST_DARK", "MOST_HZ", "NEVER_NS", "Defects", "Leaks", "at_temperature", "draw_defects"]
+
 
 _DAY_NS = 86_400 * 10**9
 _NEVER_NS = (1 << 63) - 1
@@ -76,3 +87,92 @@ def draw_defects(p: SensorParameters, seed: int) -> Defects:
     hot = hot[np.argsort(turns[hot], kind="stable")]
     hot_hz = p.defects.hot_hz * np.exp(p.defects.hot_spread * normal(seed, Purpose.HOT_RATE, hot))
     return Defects(np.flatnonzero(dead), hot, hot_hz, turns[hot])
+
+
+NEVER_NS = (1 << 63) - 1
+_STRETCH_BITS = 33
+
+
+class Leaks:
+    """The changing leak of an array.
+
+    Parameters
+    ----------
+    pixels : PixelFaults
+        The array's pixels; their present leak is the usual one.
+    seed : int
+        Keys the jitter.
+    share : float
+        Relative standard deviation of a pixel's leak between stretches.
+    defects : Defects
+        Pixels that are or turn hot.
+
+    Attributes
+    ----------
+    next_ns : int
+        Time of the next change; NEVER_NS if there is none.
+    """
+
+    def __init__(self, pixels: PixelFaults, seed: int, share: float, defects: Defects) -> None:
+        self._pixels, self._share, self._defects = pixels, share, defects
+        self._usual_hz = pixels.leak_hz()
+        self._streams = streams(root_of(seed, Purpose.LEAK_JITTER), self._usual_hz.size) if share else None
+        self.next_ns = NEVER_NS
+
+    def follow(self, t_ns: int) -> None:
+        """Set the leak that holds from `t_ns`, the array's time, until `next_ns`."""
+        d, hz = self._defects, self._usual_hz.copy()
+        turned = int(np.searchsorted(d.hot_from_ns, t_ns, side="right"))
+        hz[d.hot[:turned]] = d.hot_hz[:turned]
+        next_ns = int(d.hot_from_ns[turned]) if turned < d.hot.size else NEVER_NS
+        if self._streams is not None:
+            stretch = t_ns >> _STRETCH_BITS
+            hz *= np.maximum(1 + self._share * normals(self._streams, stretch), 0)
+            next_ns = min(next_ns, (stretch + 1) << _STRETCH_BITS)
+        self._pixels.set_leak(hz)
+        self.next_ns = next_ns
+
+
+MOST_HZ = 10_000.0
+"""Leak rate of any pixel, as in `defects`."""
+
+LEAST_DARK, MOST_DARK = 1e-30, 1e6
+"""Bounds of dark current over photocurrent at the reference light, for the float32 of the pixels."""
+
+
+def at_temperature(p: SensorParameters) -> SensorParameters:
+    """Return the sensor's figures at `temperature.celsius`, from those at the reference temperature.
+
+    Hot pixels leak through a junction too, so their rate follows the leak's.
+
+    Raises
+    ------
+    ValueError
+        The pixels, hot ones where there are any, would leak at more than `MOST_HZ`, or the dark current would not lie
+        between `LEAST_DARK` and `MOST_DARK`.
+    """
+    t = p.temperature
+    warmer_k = t.celsius - t.reference_celsius
+    leak = 2 ** (warmer_k / t.leak_doubles_every_k)
+    hot_hz = p.defects.hot_hz * leak if _may_have_hot_pixels(p) else p.defects.hot_hz
+    dark = p.dark_current_relative * 2 ** (warmer_k / t.dark_doubles_every_k)
+    if warmer_k and max(p.leak_hz * leak, hot_hz) > MOST_HZ:
+        raise ValueError(
+            f"temperature.celsius = {t.celsius:g}: pixels would leak at {max(p.leak_hz * leak, hot_hz):.3g} Hz, and "
+            f"{MOST_HZ:g} is the most; lower it, or leak_hz and defects.hot_hz"
+        )
+    if warmer_k and not LEAST_DARK <= dark <= MOST_DARK:
+        raise ValueError(
+            f"temperature.celsius = {t.celsius:g}: the dark current would be {dark:.3g} of the reference light"
+        )
+    return dataclasses.replace(
+        p,
+        leak_hz=p.leak_hz * leak,
+        defects=dataclasses.replace(p.defects, hot_hz=hot_hz),
+        dark_current_relative=dark,
+        temperature=dataclasses.replace(t, reference_celsius=t.celsius),
+    )
+
+
+def _may_have_hot_pixels(p: SensorParameters) -> bool:
+    return bool(p.defects.hot_share or p.defects.hot_pixels or p.radiation.dose_krad or p.radiation.dose_krad_per_day)

@@ -32,8 +32,7 @@ from emulator.light import PixelLight
 from emulator.sensor.numerics.cached import cached_entry
 from emulator.sensor.numerics.compiled import vector_kernel
 from emulator.sensor.numerics.elementary import decay, natural_log
-from emulator.sensor.numerics.keyed import Purpose, normal, root_of
-from emulator.sensor.numerics.keyed_kernels import normals, streams
+from emulator.sensor.numerics.keyed import Purpose, normal, normals, root_of, streams
 from emulator.sensor.presets import SensorParameters
 
 __all__ = ["Imager", "part_of_the_way"]

@@ -26,8 +26,7 @@ from emulator.gl.context import open_context, renderer_name
 from emulator.light import MachineLacks, PixelLight
 from emulator.sensor.gpu.step import COUNTS, CROSSINGS, GROUP, NOT_KNOWN, PIXEL, QUIET, THRESHOLDS
 from emulator.sensor.pixels.array import Crossings
-from emulator.sensor.pixels.mismatch import draw
-from emulator.sensor.pixels.state import light_constants
+from emulator.sensor.pixels.state import draw, light_constants
 from emulator.sensor.presets import SensorParameters
 
 if TYPE_CHECKING:

@@ -7,8 +7,8 @@ march; a faster way for smooth steps is not needed, because a graphics card has 
 from __future__ import annotations
 
 from emulator.sensor.gpu.arithmetic import constant
-from emulator.sensor.pixels.interpolation import LARGEST_CHANGE, UNSEEN_SHARE, WORTH_BENDING
-from emulator.sensor.pixels.packed_crossings import MOST_EVENTS
+from emulator.sensor.pixels.curve import LARGEST_CHANGE, UNSEEN_SHARE, WORTH_BENDING
+from emulator.sensor.pixels.state import MOST_EVENTS
 
 __all__ = ["INTERPOLATION", "MARCH"]
 

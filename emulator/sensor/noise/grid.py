@@ -27,17 +27,14 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.light import PixelLight
-from emulator.sensor.chip.slots import Pending, new_pending, reserve
+from emulator.sensor.chip.sources import Pending, new_pending, reserve
 from emulator.sensor.noise.law import bandwidth_hz, fixed_corner_hz
 from emulator.sensor.numerics.cached import cached_entry
 from emulator.sensor.numerics.compiled import kernel, kernel_that_allocates
-from emulator.sensor.numerics.keyed import Purpose, normal, root_of
-from emulator.sensor.numerics.keyed_kernels import high, low, normal_of, stream, unit, word
+from emulator.sensor.numerics.keyed import Purpose, high, low, normal, normal_from, root_of, stream, unit, word
 from emulator.sensor.pixels.array import Crossings
-from emulator.sensor.pixels.faults import DEAD_THRESHOLD
 from emulator.sensor.pixels.merging import NO_CROSSINGS, unpacked
-from emulator.sensor.pixels.mismatch import draw
-from emulator.sensor.pixels.packed_crossings import levels_passed
+from emulator.sensor.pixels.state import DEAD_THRESHOLD, draw, levels_passed
 from emulator.sensor.presets import SensorParameters
 
 __all__ = ["NoisyPixels", "grid_ns"]
@@ -173,7 +170,7 @@ def _bridge(at: float, to: float, seen: float, end: float, move: _Move) -> float
     """Return x - r at `to`, on the way from `seen` at `at` to `end` at 1."""
     share = (to - at) / (1 - at)
     deviation = math.sqrt(max(move.variance * (1 - at) * share * (1 - share), 0.0))
-    return float(seen + share * (end - seen) + deviation * normal_of(word(move.base, move.draw + 2)))
+    return float(seen + share * (end - seen) + deviation * normal_from(word(move.base, move.draw + 2)))
 
 
 @kernel
@@ -235,7 +232,7 @@ def _advance(
             w = _behind_second_pole(s.v[pixel], v, s.w[pixel], m)
             sigma, delta = _noise_figures(s.u[pixel], m)
             decay = math.exp(-delta)
-            noise = s.n[pixel] * decay + sigma * math.sqrt(-math.expm1(-2 * delta)) * normal_of(word(voltage, grid))
+            noise = s.n[pixel] * decay + sigma * math.sqrt(-math.expm1(-2 * delta)) * normal_from(word(voltage, grid))
             change = w - s.w[pixel] + noise - s.n[pixel] + _leaked(s.u[pixel], u, pixel, m)
             start_ns, variance = (grid - 1) * m.delta_ns, 2 * sigma * sigma * delta
             move = _Move(pixel, start_ns, change, variance, bridge, grid * _DRAWS)

@@ -17,7 +17,7 @@ __all__ = ["cached_entry", "cached_kernel"]
 
 _Decorator = Callable[[Callable[..., Any]], Any]
 
-_SOURCES = ("emulator.sensor", "firmware_protocol.keyed_draws")
+_SOURCES = ("emulator.sensor", "firmware_protocol.device.clock")
 
 cached_entry: _Decorator = entry_of(*_SOURCES)
 """Compiles a function as an entry."""

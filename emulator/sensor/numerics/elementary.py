@@ -11,21 +11,30 @@ lanes wide. Two traps shaped them, both measured:
 Sources: `natural_log` is Cephes `logf` (S. L. Moshier), split constant of ln 2 included; `decay` is 1 - e^-s from the
 Taylor polynomial of 2^f - 1 on |f| <= 1/2. Against float64: log within 3e-7 relative or 6e-8 absolute, decay
 within 3e-7 relative for s from 1e-12 to 80, so a step of nanoseconds still moves the filter by the right amount.
+
+What vector loops need to run at full width: arrays that begin at a cache line, and 512-bit vectors where they pay.
+
+Both were measured on a Xeon of the Granite Rapids class, on the quiet pass of 346 x 260 pixels: 249 us as numpy and
+LLVM have it, 227 us with aligned arrays, 192 us with both. Without alignment wide vectors gain half of that, because
+each of their accesses crosses a cache line.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any, cast
 
 import numpy as np
+import numpy.typing as npt
 from llvmlite import ir
-from numba import float32, uint64
+from numba import float32, types, uint64
 from numba.extending import intrinsic
 
 from emulator.sensor.numerics.compiled import lane
 
-__all__ = ["decay", "exponential", "lowest_bit", "natural_log"]
+__all__ = ["aligned_zeros", "decay", "exponential", "lowest_bit", "natural_log", "use_widest_vectors"]
+
 
 _SQRT_HALF_BITS = 0x3F3504F3
 _MANTISSA_BITS = 23
@@ -139,3 +148,34 @@ def exponential(x: np.float32) -> np.float32:
     scale, less_one = _two_to_the(max(min(x, _DEEPEST), -_DEEPEST) * _LOG2_E)
     result: np.float32 = scale + scale * less_one
     return result
+
+
+_CACHE_LINE = 64
+_WIDE_WITHOUT_SLOWING = "+avx512vbmi2"
+"""LLVM uses 256 bits on all Intel processors, because the first with AVX-512 (Skylake, Cascade Lake) lowered their
+clock for wider vectors. Those since Ice Lake hardly do, and have this feature."""
+_ATTRIBUTE = '"prefer-vector-width"="512"'
+
+
+def aligned_zeros(shape: int | tuple[int, ...], dtype: npt.DTypeLike = np.float32) -> Any:
+    """Return an array of zeros that begins at a cache line."""
+    kind = np.dtype(dtype)
+    needed = math.prod(np.atleast_1d(shape).tolist()) * kind.itemsize
+    memory = np.zeros(needed + _CACHE_LINE, np.uint8)
+    begin = -memory.ctypes.data % _CACHE_LINE
+    return memory[begin : begin + needed].view(kind).reshape(shape)
+
+
+def _use_widest(typing_context: Any) -> tuple[Any, Any]:
+    """Let LLVM use 512-bit vectors in the function that calls this, on processors that do not slow down for them."""
+
+    def code(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
+        features = context.codegen().magic_tuple()[2]  # numba keys its cache with the same ones
+        if _WIDE_WITHOUT_SLOWING in features.split(","):
+            set.add(builder.function.attributes, _ATTRIBUTE)  # llvmlite writes it out, and only its own add() refuses
+        return context.get_dummy_value()
+
+    return types.none(), code
+
+
+use_widest_vectors = cast(Callable[[], None], intrinsic(_use_widest))

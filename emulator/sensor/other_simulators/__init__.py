@@ -4,11 +4,7 @@ from __future__ import annotations
 
 from types import MappingProxyType
 
-from emulator.sensor.other_simulators.counting import V2e, V2eExactFilter
-from emulator.sensor.other_simulators.difference import FrameDifference
-from emulator.sensor.other_simulators.pangu import Pangu
-from emulator.sensor.other_simulators.rule import Rule
-from emulator.sensor.other_simulators.straight import Esim, Sikorski
+from emulator.sensor.methods.other_simulators import Esim, FrameDifference, Pangu, Rule, Sikorski, V2e, V2eExactFilter
 
 __all__ = ["OTHER_SIMULATORS", "Rule"]
 

@@ -15,30 +15,29 @@ import numpy.typing as npt
 
 from emulator.light import PixelLight, Region
 from emulator.sensor.numerics.compiled import log_compilation
+from emulator.sensor.numerics.elementary import aligned_zeros
 from emulator.sensor.numerics.keyed import Purpose, normal, uniform
-from emulator.sensor.numerics.vectors import aligned_zeros
-from emulator.sensor.pixels.event_buffers import EventBuffers
-from emulator.sensor.pixels.faults import ArrayFaults
+from emulator.sensor.pixels.curve import UNSEEN_SHARE
 from emulator.sensor.pixels.idle import wake
-from emulator.sensor.pixels.interpolation import UNSEEN_SHARE
-from emulator.sensor.pixels.mismatch import draw
 from emulator.sensor.pixels.refinement import SHORTEST_NS, Refinement
 from emulator.sensor.pixels.state import (
     BLOCK,
     EPOCH_BITS,
     FIELDS,
     PARTS,
+    ArrayFaults,
     Field,
     Pixels,
     PixelState,
     StepConstants,
+    draw,
     light_constants,
     put_field,
     take_field,
 )
 from emulator.sensor.pixels.step import Share, Tally, advance, compile_parts, replace_light
 from emulator.sensor.pixels.touched import Touched, touch
-from emulator.sensor.pixels.workers import Workers
+from emulator.sensor.pixels.workers import EventBuffers, Workers
 from emulator.sensor.presets import SensorParameters
 
 __all__ = ["Crossings", "PixelArray", "PixelState"]

@@ -18,16 +18,25 @@ import numpy.typing as npt
 
 from emulator.sensor.numerics.cached import cached_entry
 from emulator.sensor.numerics.compiled import NONE, inlined, kernel, lane, vector_kernel
-from emulator.sensor.numerics.elementary import exponential
-from emulator.sensor.numerics.vectors import aligned_zeros, use_widest_vectors
-from emulator.sensor.pixels.cubic_roots import SETTLED, Bracket, Cubic, bisect, newton, value
-from emulator.sensor.pixels.interpolation import is_smooth
-from emulator.sensor.pixels.lowpass import Course, missed_by_cubic, photocurrent, transient
-from emulator.sensor.pixels.march import march_through
+from emulator.sensor.numerics.elementary import aligned_zeros, exponential, use_widest_vectors
+from emulator.sensor.pixels.curve import Course, is_smooth, missed_by_cubic, photocurrent, transient
+from emulator.sensor.pixels.march import SETTLED, Bracket, Cubic, bisect, march_through, newton, value
 from emulator.sensor.pixels.march_table import CAPACITY, March, Start, enter, new_march
-from emulator.sensor.pixels.packed_crossings import MOST_EVENTS, Keys, levels_passed, pack, reserve
-from emulator.sensor.pixels.packs import pixel_at
-from emulator.sensor.pixels.state import BEFORE_ROWS, BLOCK, Field, Pixels, StepConstants, slot, whole_vectors
+from emulator.sensor.pixels.state import (
+    BEFORE_ROWS,
+    BLOCK,
+    MOST_EVENTS,
+    Field,
+    Keys,
+    Pixels,
+    StepConstants,
+    levels_passed,
+    pack,
+    reserve,
+    slot,
+    whole_vectors,
+)
+from emulator.sensor.pixels.subset import pixel_at
 
 __all__ = ["BATCH", "Table", "gather", "new_table", "select", "solve"]
 

@@ -4,30 +4,114 @@ The turning points of a cubic are known in closed form. Between them the compara
 at the ends decide whether a level is met, and no crossing is missed. A round takes every column over one substep (see
 `substeps`), and within it from event to event: Newton iterations for all columns together, bisection for the few that
 do not settle.
+
+Roots of a monotone cubic inside a bracket: a fixed number of Newton iterations, and bisection.
+
+Both ways of finding crossings use it: `candidates`, one cubic a step, and `march`, one cubic a substep. A loop over the
+columns of a table calls `newton` for every column, because a fixed number of iterations becomes vectors; columns whose
+last correction exceeds `SETTLED` are listed and bisected afterwards, so that the others pay nothing for them.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 import emulator.sensor.pixels.march_table as row
-from emulator.sensor.numerics.compiled import NONE, kernel, kernel_that_allocates, lane, vector_kernel
-from emulator.sensor.pixels.cubic_roots import SETTLED, Bracket, Cubic, bisect, newton, value
-from emulator.sensor.pixels.lowpass import photocurrent
+from emulator.sensor.numerics.compiled import NONE, Real, kernel, kernel_that_allocates, lane, vector_kernel
+from emulator.sensor.pixels.curve import photocurrent
 from emulator.sensor.pixels.march_table import March
-from emulator.sensor.pixels.packed_crossings import MOST_EVENTS, Keys, levels_passed, pack, reserve
-from emulator.sensor.pixels.state import BLOCK, Field, Pixels, StepConstants, slot, whole_vectors
+from emulator.sensor.pixels.state import (
+    BLOCK,
+    MOST_EVENTS,
+    Field,
+    Keys,
+    Pixels,
+    StepConstants,
+    levels_passed,
+    pack,
+    reserve,
+    slot,
+    whole_vectors,
+)
 from emulator.sensor.pixels.substeps import begin, begin_substep
 
-__all__ = ["march_through"]
+__all__ = ["SETTLED", "Bracket", "Cubic", "bisect", "march_through", "newton", "value"]
+
+
+SETTLED = np.float32(3e-5)
+"""Largest last Newton correction of a root that is accepted; the error is of the order of its square."""
+
+_NEWTON_TURNS = 4
+_BISECTIONS = 25
+_ZERO, _ONE, _TWO, _THREE, _HALF = (np.float32(x) for x in (0, 1, 2, 3, 0.5))
+
+
+class Cubic(NamedTuple):
+    """The polynomial d0 + c1 x + c2 x^2 + c3 x^3."""
+
+    d0: Real
+    c1: Real
+    c2: Real
+    c3: Real
+
+
+class Bracket(NamedTuple):
+    """An interval in which a monotone cubic meets `level`, and whether it rises there."""
+
+    low: Real
+    high: Real
+    level: Real
+    rising: Real
+
+
+@lane
+def value(g: Cubic, x: Real) -> Real:
+    """Return the cubic at x."""
+    return ((g.c3 * x + g.c2) * x + g.c1) * x + g.d0
+
+
+@lane
+def newton(g: Cubic, at: Bracket, x: Real) -> tuple[Real, Real]:
+    """Return the root found from the first guess x, and the size of the last correction.
+
+    The bracket shrinks with each iteration; a correction that leaves it is replaced by its middle.
+    """
+    low, high, step = at.low, at.high, _ONE
+    sign = _ONE if at.rising else -_ONE
+    for _ in range(_NEWTON_TURNS):
+        beyond = sign * (value(g, x) - at.level)
+        slope = sign * ((_THREE * g.c3 * x + _TWO * g.c2) * x + g.c1)
+        low = low if beyond > _ZERO else x
+        high = x if beyond > _ZERO else high
+        corrected = x - beyond / slope
+        better = corrected if (corrected >= low) & (corrected <= high) else _HALF * (low + high)
+        step = better - x
+        x = better
+    return x, abs(step)
+
+
+@kernel
+def bisect(g: Cubic, at: Bracket) -> Real:
+    """Return the root found by bisection."""
+    low, high = at.low, at.high
+    for _ in range(_BISECTIONS):
+        x = _HALF * (low + high)
+        if (value(g, x) > at.level) == at.rising:
+            high = x
+        else:
+            low = x
+    return high
+
 
 _Float32s = npt.NDArray[np.float32]
 
 _U, _V, _, _, _REF, _, _, _, _W, _P = (int(f) * BLOCK for f in Field)
 
 _NAN = np.float32(np.nan)
-_ZERO, _ONE = np.float32(0), np.float32(1)
+_ZERO_MARCH, _ONE_MARCH = np.float32(0), np.float32(1)
 _BEHIND = np.float32(2)  # the substep, which ends at 1
 
 
@@ -51,24 +135,24 @@ def _find_firing_part(rows: _Float32s, n: int) -> None:
         on, off, level, x = rows[row.ON + j], rows[row.OFF + j], rows[row.LEVEL + j], rows[row.X + j]
         g = _cubic(rows, j)
         wait = rows[row.RE_ARMED + j] - rows[row.Z + j]
-        opens = wait / rows[row.SPAN + j] if wait > _ZERO else _ZERO
+        opens = wait / rows[row.SPAN + j] if wait > _ZERO_MARCH else _ZERO_MARCH
         refractory = level != level
         x = max(x, opens) if refractory else x
-        armed = x <= _ONE
+        armed = x <= _ONE_MARCH
         level = value(g, x) if refractory & armed else level
         turn, turn2 = max(rows[row.TURN + j], x), max(rows[row.TURN2 + j], x)
         g0, g1 = value(g, x) - level, value(g, turn) - level
-        g2, g3 = value(g, turn2) - level, value(g, _ONE) - level
+        g2, g3 = value(g, turn2) - level, value(g, _ONE_MARCH) - level
         at_once, by1 = (g0 >= on) | (g0 <= -off), (g1 >= on) | (g1 <= -off)
         by2, by3 = (g2 >= on) | (g2 <= -off), (g3 >= on) | (g3 <= -off)
-        end = x if at_once else (turn if by1 else (turn2 if by2 else _ONE))
+        end = x if at_once else (turn if by1 else (turn2 if by2 else _ONE_MARCH))
         there = g0 if at_once else (g1 if by1 else (g2 if by2 else g3))
         rows[row.LEVEL + j] = level
         rows[row.X + j] = x if armed else rows[row.X + j]
-        rows[row.FIRES + j] = _ONE if armed & (at_once | by1 | by2 | by3) else _ZERO
+        rows[row.FIRES + j] = _ONE_MARCH if armed & (at_once | by1 | by2 | by3) else _ZERO_MARCH
         rows[row.LOW + j] = x if at_once | by1 else (turn if by2 else turn2)
         rows[row.HIGH + j] = end
-        rows[row.TO + j] = level + (on if there > _ZERO else -off)
+        rows[row.TO + j] = level + (on if there > _ZERO_MARCH else -off)
 
 
 @vector_kernel
@@ -88,7 +172,7 @@ def _bisect_unsettled(march: March, n: int) -> None:
     rows, unsettled = march.rows, 0
     for j in range(n):
         march.unsettled[unsettled] = j
-        unsettled += (rows[row.FIRES + j] != _ZERO) & (rows[row.MISS + j] > SETTLED)
+        unsettled += (rows[row.FIRES + j] != _ZERO_MARCH) & (rows[row.MISS + j] > SETTLED)
     for k in range(unsettled):
         j = march.unsettled[k]
         rows[row.HIT + j] = bisect(_cubic(rows, j), _bracket(rows, j))
@@ -109,7 +193,7 @@ def _pass_over(rows: _Float32s, j: int) -> int:
     if passed == 0 and to != level:
         rows[row.LEVEL + j], passed = to, 1
     elif passed == 0:
-        end = value(_cubic(rows, j), _ONE)
+        end = value(_cubic(rows, j), _ONE_MARCH)
         passed, _ = levels_passed(level, end, threshold)
         rows[row.X + j], rows[row.LEVEL + j] = _BEHIND, end
     return int(passed)
@@ -121,7 +205,7 @@ def _fire(pixels: Pixels, march: March, n: int, keys: Keys, n_keys: int, c: Step
     rows = march.rows
     fired = lost = NONE
     for j in range(n):
-        if rows[row.FIRES + j] == _ZERO:
+        if rows[row.FIRES + j] == _ZERO_MARCH:
             continue
         fired += 1
         pixel, to = march.pixels[j], rows[row.TO + j]
@@ -135,9 +219,9 @@ def _fire(pixels: Pixels, march: March, n: int, keys: Keys, n_keys: int, c: Step
             continue
         else:
             lost += 1
-        rows[row.COUNT + j] += _ONE
+        rows[row.COUNT + j] += _ONE_MARCH
         rows[row.X + j], rows[row.LEVEL + j] = rows[row.HIT + j], to
-        if c.refractory > _ZERO:
+        if c.refractory > _ZERO_MARCH:
             rows[row.LEVEL + j], rows[row.RE_ARMED + j] = _NAN, z + c.refractory
             pixels.refractory_until_ns[pixel] = c.t0_ns + dt_ns + c.refractory_ns
     return n_keys, fired, lost
@@ -147,7 +231,7 @@ def _fire(pixels: Pixels, march: March, n: int, keys: Keys, n_keys: int, c: Step
 def _last_reference(rows: _Float32s, j: int, c: StepConstants) -> np.float32:
     """Return the reference of a column that fired too often: near its comparator, however large its leak has become."""
     on, off = rows[row.ON + j], rows[row.OFF + j]
-    rest = min(max(value(_cubic(rows, j), _ONE) - rows[row.LEVEL + j], -off), on)
+    rest = min(max(value(_cubic(rows, j), _ONE_MARCH) - rows[row.LEVEL + j], -off), on)
     reference: np.float32 = rows[row.W1 + j] + rows[row.LEAK + j] * c.since_epoch_1 - rest
     return reference
 
@@ -156,18 +240,18 @@ def _last_reference(rows: _Float32s, j: int, c: StepConstants) -> np.float32:
 def _store(pixels: Pixels, march: March, j: int, c: StepConstants) -> None:
     """Write the state of a column that has reached the end of the step."""
     rows, here = march.rows, slot(march.pixels[j])
-    level, leaked = rows[row.LEVEL + j], _ZERO
+    level, leaked = rows[row.LEVEL + j], _ZERO_MARCH
     pixels.fields[here + _V] = rows[row.V1 + j]
-    if c.second > _ZERO:
+    if c.second > _ZERO_MARCH:
         pixels.fields[here + _W] = rows[row.W1 + j]
-    if c.parasitic > _ZERO:
+    if c.parasitic > _ZERO_MARCH:
         leaked = rows[row.P1 + j]
         leaks = c.parasitic * rows[row.ON + j] * photocurrent(pixels.fields[here + _U])
-        pixels.fields[here + _P] = (leaked if level == _ZERO else _ZERO) - leaks * c.since_epoch_1
+        pixels.fields[here + _P] = (leaked if level == _ZERO_MARCH else _ZERO_MARCH) - leaks * c.since_epoch_1
     if (rows[row.COUNT + j] >= MOST_EVENTS) & (c.refractory_ns == 0):
         pixels.fields[here + _REF] = _last_reference(rows, j, c)
         return
-    moved = level - leaked if level != _ZERO else _ZERO
+    moved = level - leaked if level != _ZERO_MARCH else _ZERO_MARCH
     pixels.fields[here + _REF] = rows[row.BASE + j] + moved
 
 
@@ -176,7 +260,7 @@ def _end_substep(pixels: Pixels, march: March, n: int, c: StepConstants) -> int:
     """Store the columns that have reached the end of the step, compact the others; return how many remain."""
     rows, remaining = march.rows, 0
     for j in range(n):
-        if rows[row.Z1 + j] >= _ONE:
+        if rows[row.Z1 + j] >= _ONE_MARCH:
             _store(pixels, march, j, c)
             continue
         rows[row.V + j], rows[row.W + j], rows[row.P + j] = rows[row.V1 + j], rows[row.W1 + j], rows[row.P1 + j]
@@ -203,7 +287,7 @@ def march_through(
     begin(march.rows, whole_vectors(n), c)
     undersampled = lost = NONE
     for j in range(n):
-        undersampled += march.rows[row.UNDERSAMPLED + j] != _ZERO
+        undersampled += march.rows[row.UNDERSAMPLED + j] != _ZERO_MARCH
     while n > 0:
         begin_substep(march.rows, whole_vectors(n), c)
         fired = n

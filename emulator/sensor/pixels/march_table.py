@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.sensor.numerics.compiled import Real, kernel
-from emulator.sensor.numerics.vectors import aligned_zeros
+from emulator.sensor.numerics.elementary import aligned_zeros
 from emulator.sensor.pixels.state import BLOCK
 
 __all__ = ["CAPACITY", "STEP_ROWS", "March", "Start", "enter", "new_march"]

@@ -39,12 +39,11 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.sensor.numerics.compiled import Real, kernel, lane, vector_kernel
-from emulator.sensor.numerics.elementary import decay, lowest_bit, natural_log
-from emulator.sensor.numerics.vectors import use_widest_vectors
-from emulator.sensor.pixels.interpolation import is_smooth
-from emulator.sensor.pixels.lowpass import (
+from emulator.sensor.numerics.elementary import decay, lowest_bit, natural_log, use_widest_vectors
+from emulator.sensor.pixels.curve import (
     Course,
     Filtered,
+    is_smooth,
     photocurrent,
     rise_behind_second_pole,
     rise_of_filter,

@@ -1,35 +1,69 @@
-"""Memory layout of the pixels' state, and the constants of a step."""
+"""Memory layout of the pixels' state, and the constants of a step.
+
+Thresholds, leak rates and leak phases of each pixel: the numbers of `PixelArray`, in float64.
+
+All methods and the truth draw them here, so that with one seed all have the same pixels.
+
+Faults of an array's pixels: dead ones, and a leak that changes while the array runs.
+
+The reference is stored with leak times the time since the epoch added (see `array`). When the leak changes, the
+reference moves by the change of leak times that time, and the level that the comparator sees stays where it was.
+
+How far the comparators of some pixels are from their references, and firing a pixel from outside.
+
+level = signal + leak - reference, ln units: an ON event where it reaches the ON threshold
+
+Packed events of one step, one number each, so that sorting the numbers sorts the events; and lost ones, counted.
+
+A pixel without a refractory period may cross any number of thresholds in a step, as under light with parasitic leak.
+Beyond MOST_EVENTS they are not found one by one: on a monotone curve their number is the way over the threshold.
+"""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.numerics.compiled import kernel
+from emulator.sensor.numerics.cached import cached_entry
+from emulator.sensor.numerics.compiled import kernel, kernel_that_allocates
+from emulator.sensor.numerics.keyed import Purpose, normal, uniform
 from emulator.sensor.presets import SensorParameters
 
 __all__ = [
     "BEFORE_ROWS",
     "BLOCK",
+    "DEAD_THRESHOLD",
     "EPOCH_BITS",
     "FIELDS",
+    "MOST_EVENTS",
+    "MOST_LOST",
     "PART",
     "PARTS",
+    "ArrayFaults",
+    "Drawn",
     "Field",
+    "Keys",
+    "Levels",
+    "PixelFaults",
     "PixelState",
     "Pixels",
     "StepConstants",
+    "draw",
+    "levels_passed",
     "light_constants",
+    "pack",
     "put_field",
+    "reserve",
     "slot",
     "take_field",
     "whole_vectors",
 ]
+
 
 BLOCK = 512
 """Pixels of a block. The speed depends on it, the arithmetic of a pixel does not."""
@@ -162,3 +196,227 @@ def light_constants(p: SensorParameters) -> tuple[np.float32, np.float32, np.flo
         else (2 * math.pi * hz for hz in (p.corner_hz_at_reference, p.corner_min_hz, min(p.corner_max_hz, _HIGHEST_HZ)))
     )
     return np.float32(p.dark_current_relative), np.float32(at_reference), np.float32(least), np.float32(most)
+
+
+_LEAST_THRESHOLD = 0.1  # of the nominal one, however far the mismatch would go
+
+_Float64s = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Drawn:
+    """Figures drawn once for each pixel.
+
+    Attributes
+    ----------
+    on, off : (pixels,) float64
+        Thresholds, ln units.
+    leak : (pixels,) float64
+        Leak, ln units per second.
+    phase : (pixels,) float64
+        Share of the ON threshold by which the first reference lies below the first light; 0 without `random_start`.
+    """
+
+    on: _Float64s
+    off: _Float64s
+    leak: _Float64s
+    phase: _Float64s
+
+
+def draw(parameters: SensorParameters, seed: int) -> Drawn:
+    """Return the figures of a sensor's pixels for a seed."""
+    pixel = np.arange(parameters.width * parameters.height)
+    on, off = (
+        nominal * np.maximum(1 + parameters.mismatch * normal(seed, purpose, pixel), _LEAST_THRESHOLD)
+        for purpose, nominal in (
+            (Purpose.THRESHOLD_ON, parameters.threshold_on),
+            (Purpose.THRESHOLD_OFF, parameters.threshold_off),
+        )
+    )
+    sigma = parameters.leak_spread
+    rate_hz = parameters.leak_hz * np.exp(sigma * normal(seed, Purpose.LEAK_RATE, pixel) - sigma**2 / 2)
+    phase = uniform(seed, Purpose.LEAK_PHASE, pixel) if parameters.random_start else np.zeros(pixel.size)
+    return Drawn(on, off, rate_hz * on, phase)
+
+
+DEAD_THRESHOLD = 1e6
+"""Thresholds of a dead pixel, ln units: no light has a million e-folds, and float32 does arithmetic with it."""
+
+_Int64s = npt.NDArray[np.int64]
+_Floats = npt.NDArray[np.float64]
+
+
+class PixelFaults(Protocol):
+    """Access to pixels that can be dead, and whose leak can change while they run."""
+
+    def kill(self, pixel: _Int64s) -> None:
+        """Make pixels, (n,), dead; before they are reset."""
+
+    def leak_hz(self) -> _Floats:
+        """Return the leak rate of all pixels, (pixels,), without the parasitic leak."""
+
+    def set_leak(self, leak_hz: _Floats) -> None:
+        """Set the leak rate of all pixels, (pixels,), from now on."""
+
+
+class _HasState(Protocol):
+    """An array with its state; the state may be replaced by another one."""
+
+    state: PixelState
+
+    def wake(self) -> None:
+        """Look at all pixels again in the next step."""
+
+
+class ArrayFaults:
+    """The faults of a `PixelArray` of some number of pixels; see `PixelFaults`."""
+
+    def __init__(self, array: _HasState, pixels: int) -> None:
+        self._array = array
+        self._all = np.arange(pixels)
+
+    def kill(self, pixel: _Int64s) -> None:
+        """Make pixels, (n,), dead; before the array is reset.
+
+        A dead pixel leaks in units of its threshold, so the parasitic leak still fires it; the caller must discard its
+        crossings.
+        """
+        flat = self._array.state.fields.reshape(-1)
+        flat[_at(pixel, Field.ON)] = flat[_at(pixel, Field.OFF)] = DEAD_THRESHOLD
+        flat[_at(pixel, Field.LEAK)] = 0
+        self._array.wake()
+
+    def leak_hz(self) -> _Floats:
+        """Return the leak rate of all pixels, (pixels,), without the parasitic leak."""
+        flat, pixel = self._array.state.fields.reshape(-1), self._all
+        return np.asarray(flat[_at(pixel, Field.LEAK)] / flat[_at(pixel, Field.ON)].astype(np.float64))
+
+    def set_leak(self, leak_hz: _Floats) -> None:
+        """Set the leak rate of all pixels, (pixels,), from the array's time on."""
+        state, pixel = self._array.state, self._all
+        flat = state.fields.reshape(-1)
+        leak = (leak_hz * flat[_at(pixel, Field.ON)]).astype(np.float32)
+        since_epoch_s = np.float32((state.t_ns - state.epoch_ns) * 1e-9)
+        flat[_at(pixel, Field.REFERENCE)] += (leak - flat[_at(pixel, Field.LEAK)]) * since_epoch_s
+        flat[_at(pixel, Field.LEAK)] = leak
+        self._array.wake()
+
+
+def _at(pixel: _Int64s, which: Field) -> _Int64s:
+    """Return the indices of a field of some pixels in the flat state."""
+    return np.asarray((pixel // BLOCK) * (FIELDS * BLOCK) + int(which) * BLOCK + pixel % BLOCK)
+
+
+_Float32s = npt.NDArray[np.float32]
+
+_U, _V, _, _, _REF, _ON, _, _LEAK, _W, _P = (int(f) * BLOCK for f in Field)
+
+
+@cached_entry
+def _levels(pixels: Pixels, which: _Int64s, since_epoch_s: float, parasitic: float, second: bool) -> _Float32s:
+    out = np.empty(which.size, np.float32)
+    for k in range(which.size):
+        at = slot(which[k])
+        compared = pixels.fields[at + (_W if second else _V)] + pixels.fields[at + _LEAK] * since_epoch_s
+        if parasitic > 0:
+            light = np.exp(pixels.fields[at + _U])
+            compared += pixels.fields[at + _P] + parasitic * pixels.fields[at + _ON] * light * since_epoch_s
+        out[k] = compared - pixels.fields[at + _REF]
+    return out
+
+
+@cached_entry
+def _thresholds(pixels: Pixels, which: _Int64s, row: int) -> _Float32s:
+    out = np.empty(which.size, np.float32)
+    for k in range(which.size):
+        out[k] = pixels.fields[slot(which[k]) + row]
+    return out
+
+
+@cached_entry
+def _fire(pixels: Pixels, which: _Int64s) -> None:
+    for k in range(which.size):
+        at = slot(which[k])
+        pixels.fields[at + _REF] += pixels.fields[at + _ON]
+
+
+class _Array(Protocol):
+    """A `PixelArray`."""
+
+    parameters: SensorParameters
+    state: PixelState
+
+    def wake(self) -> None:
+        """Look at all pixels again in the next step."""
+
+
+class Levels:
+    """The levels of an array's pixels at its present time."""
+
+    def __init__(self, array: _Array) -> None:
+        self._array = array
+
+    @property
+    def _pixels(self) -> Pixels:
+        state = self._array.state
+        return Pixels(state.fields.reshape(-1), state.refractory_until_ns)
+
+    def of(self, pixel: _Int64s) -> _Float32s:
+        """Return the levels of pixels (n,); NaN in the refractory period."""
+        state, p = self._array.state, self._array.parameters
+        since_epoch_s = (state.t_ns - state.epoch_ns) * 1e-9
+        second = p.source_follower_hz > 0
+        levels: _Float32s = _levels(self._pixels, pixel, since_epoch_s, float(p.parasitic_hz_at_reference), second)
+        return levels
+
+    def thresholds(self, pixel: _Int64s) -> tuple[_Float32s, _Float32s]:
+        """Return the ON and OFF thresholds of pixels (n,)."""
+        on, off = (_thresholds(self._pixels, pixel, int(which) * BLOCK) for which in (Field.ON, Field.OFF))
+        return on, off
+
+    def fire(self, pixel: _Int64s) -> None:
+        """Move the references of pixels (n,), each named once, by an ON event."""
+        if len(pixel):
+            _fire(self._pixels, pixel)
+            self._array.wake()
+
+
+Keys = npt.NDArray[np.uint64]
+
+MOST_EVENTS = 64
+"""Most events of a pixel in a step; further crossings are counted as lost in the pixel."""
+
+MOST_LOST = 1 << 32
+"""Most lost crossings of a pixel that are counted for a monotone part of its curve; a count that no int64 holds."""
+
+
+@kernel
+def levels_passed(level: float, end: float, threshold: float) -> tuple[int, float]:
+    """Return how many thresholds lie between a level and the end of a monotone curve, and what is left of the way.
+
+    The rest is below a threshold; 0 where the numbers are too large to have one.
+    """
+    way, step = np.float64(end) - np.float64(level), np.float64(threshold)
+    passed = np.floor(abs(way) / step)
+    rest = abs(way) - passed * step
+    if not (rest >= 0) & (rest < step):
+        rest = 0.0
+    count = MOST_LOST if passed >= MOST_LOST else int(passed)
+    return count, rest if way > 0 else -rest
+
+
+@kernel
+def pack(dt_ns: int, pixel: int, on: int, pixel_bits: int) -> np.uint64:
+    """Pack an event so that sorting the numbers sorts by (time, pixel): [dt_ns | pixel | on]."""
+    return (np.uint64(dt_ns) << np.uint64(pixel_bits + 1)) | (np.uint64(pixel) << np.uint64(1)) | np.uint64(on)
+
+
+@kernel_that_allocates
+def reserve(keys: Keys, needed: int) -> Keys:
+    """Return `keys`, or a longer copy if it holds fewer than `needed`."""
+    if needed <= keys.size:
+        return keys
+    longer = np.empty(max(2 * keys.size, needed), np.uint64)
+    for k in range(keys.size):  # a slice would take seconds to compile
+        longer[k] = keys[k]
+    return longer

@@ -16,13 +16,20 @@ import numpy.typing as npt
 
 from emulator.sensor.numerics.cached import cached_entry, cached_kernel
 from emulator.sensor.numerics.compiled import NONE, inlined, kernel
-from emulator.sensor.numerics.vectors import aligned_zeros
+from emulator.sensor.numerics.elementary import aligned_zeros
 from emulator.sensor.pixels.candidates import BATCH, Table, gather, gather_rare, select, solve
 from emulator.sensor.pixels.idle import Idle, is_same, mark, may_rest
-from emulator.sensor.pixels.packs import MOST_PACKED, gather_parts, list_active, list_all, scatter_parts
 from emulator.sensor.pixels.quiet_pass import list_flags, move_quietly, replace_light_of_block
 from emulator.sensor.pixels.state import BEFORE_ROWS, BLOCK, FIELDS, PART, PARTS, Pixels, StepConstants
-from emulator.sensor.pixels.subset import Subset, gather_undersampled
+from emulator.sensor.pixels.subset import (
+    MOST_PACKED,
+    Subset,
+    gather_parts,
+    gather_undersampled,
+    list_active,
+    list_all,
+    scatter_parts,
+)
 from emulator.sensor.pixels.touched import Touched, block_is_touched
 
 __all__ = [

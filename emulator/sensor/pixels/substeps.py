@@ -21,16 +21,19 @@ import numpy.typing as npt
 import emulator.sensor.pixels.march_table as row
 from emulator.sensor.numerics.compiled import Real, kernel, lane, vector_kernel
 from emulator.sensor.numerics.elementary import decay, exponential
-from emulator.sensor.pixels.interpolation import (
+from emulator.sensor.pixels.curve import (
     LARGEST_CHANGE,
+    Course,
     bend_width,
     capped,
     completed,
     is_jump,
     is_undersampled,
     limit,
+    rise_of_filter,
+    transient,
+    warped_time,
 )
-from emulator.sensor.pixels.lowpass import Course, rise_of_filter, transient, warped_time
 from emulator.sensor.pixels.state import StepConstants
 
 __all__ = ["begin", "begin_substep"]

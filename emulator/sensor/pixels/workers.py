@@ -1,12 +1,15 @@
 """The threads of an array's step: each moves a share of the blocks, and the events are merged.
 
 How many work on a step follows from what the last step moved: counts, no clock. Bit for bit the result is that of one.
+
+Buffers of a step's events, which grow on demand and are used again.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
@@ -14,12 +17,13 @@ import numpy.typing as npt
 from emulator.sensor.pixels.candidates import new_table
 from emulator.sensor.pixels.idle import new_idle
 from emulator.sensor.pixels.state import Pixels, StepConstants
-from emulator.sensor.pixels.step import RUN, Buffers, Share, Tally, advance, new_scratch
+from emulator.sensor.pixels.step import RUN, Buffers, Share, Tally, advance, new_scratch, unpack, unpack_both
 from emulator.sensor.pixels.subset import new_subset
 from emulator.sensor.pixels.touched import Touched
 from emulator.threads import available_threads
 
-__all__ = ["Workers"]
+__all__ = ["EventBuffers", "Workers"]
+
 
 _Keys = npt.NDArray[np.uint64]
 _Frame = tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]
@@ -106,3 +110,37 @@ def _merged(shares: list[tuple[_Keys, Tally]]) -> tuple[list[_Keys], Tally]:
         for part in lists:
             part.sort(kind="stable")  # merges the sorted parts
     return lists, Tally(*(sum(column) for column in zip(*(tally for _, tally in shares), strict=True)))
+
+
+@dataclass(slots=True)
+class EventBuffers:
+    """Packed events, and times, pixels and polarities of unpacked ones."""
+
+    keys: npt.NDArray[np.uint64] = field(default_factory=lambda: np.empty(4096, np.uint64))
+    t_ns: npt.NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
+    pixel: npt.NDArray[np.uint32] = field(default_factory=lambda: np.empty(0, np.uint32))
+    on: npt.NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, np.bool_))
+
+    def add(self, lists: list[npt.NDArray[np.uint64]], packed: tuple[int, int], n: int) -> int:
+        """Add the events of one or two sorted lists to the first n, and return the new number.
+
+        `packed`: the time from which they count, ns, and the bits of a pixel's number.
+        """
+        found = sum(keys.size for keys in lists)
+        if not found:
+            return n
+        self._reserve(n + found)
+        out = self.t_ns[n:], self.pixel[n:], self.on[n:]
+        if len(lists) == 1:
+            unpack(lists[0], *packed, out)
+        else:
+            unpack_both((lists[0], lists[1]), *packed, out)
+        return n + found
+
+    def _reserve(self, n: int) -> None:
+        """Provide space for n events; the present ones stay."""
+        if n > self.t_ns.size:
+            more = max(n, 2 * self.t_ns.size) - self.t_ns.size
+            self.t_ns = np.concatenate([self.t_ns, np.empty(more, np.int64)])
+            self.pixel = np.concatenate([self.pixel, np.empty(more, np.uint32)])
+            self.on = np.concatenate([self.on, np.empty(more, np.bool_)])

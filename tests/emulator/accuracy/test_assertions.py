@@ -9,13 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from emulator.accuracy.harness import SEED, Case, events, methods, score, truth
-from emulator.accuracy.light import BlurredCheckerboard, ClosedLight, Flash, MovingEdge, SineGrating
-from emulator.accuracy.metrics import compare
-from emulator.accuracy.stability import smooth_case
-from emulator.accuracy.truth import true_events
+from emulator.evaluation.accuracy.harness import SEED, Case, events, methods, score, truth
+from emulator.evaluation.accuracy.scenes import BlurredCheckerboard, ClosedLight, Flash, MovingEdge, SineGrating
+from emulator.evaluation.accuracy.scores import compare
+from emulator.evaluation.accuracy.stability import smooth_case
+from emulator.evaluation.accuracy.truth import true_events
 from emulator.sensor.pixels.array import PixelArray
-from emulator.sensor.pixels.mismatch import draw
+from emulator.sensor.pixels.state import draw
 from tests.emulator.accuracy.rows import row
 
 BY_NAME = {method.name: method for method in methods()}

@@ -4,8 +4,8 @@ import functools
 
 import pytest
 
-from emulator.accuracy.cases import CASES
-from emulator.accuracy.closed_loop import control
+from emulator.evaluation.accuracy.harness import CASES
+from emulator.evaluation.accuracy.sweeps import control
 from emulator.plan.step_control import Limits
 
 BY_NAME = {swept.case.name: swept.case for swept in CASES}

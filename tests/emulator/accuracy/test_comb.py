@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from emulator.accuracy.comb import comb_of
+from emulator.evaluation.accuracy.rendering import comb_of
 
 STEP_US = 1000.0
 

@@ -5,18 +5,20 @@ import math
 import numpy as np
 import pytest
 
-from emulator.accuracy.light import (
+from emulator.evaluation.accuracy.scenes import (
     BlurredCheckerboard,
     Dark,
     DriftingStar,
     Flash,
     Flicker,
     MovingEdge,
+    ShadedEdge,
     SineGrating,
     SlowRamp,
     TexturedDisc,
+    ThinLine,
+    TurningBody,
 )
-from emulator.accuracy.profiles import ShadedEdge, ThinLine, TurningBody
 
 SMOOTH = [
     ShadedEdge(profile="blurred"),

@@ -7,8 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from emulator.accuracy.metrics import compare, mean_square_error, reconstruct, same_time_share, structural_similarity
-from emulator.accuracy.stream import Stream
+from emulator.evaluation.accuracy.scores import (
+    Stream,
+    compare,
+    mean_square_error,
+    reconstruct,
+    same_time_share,
+    structural_similarity,
+)
 from firmware_protocol.events import EVENT
 
 TRUTH = Stream.of([10, 20, 30, 15], [0, 0, 0, 1], [True, True, False, True], 3)

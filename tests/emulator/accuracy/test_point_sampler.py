@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from emulator.accuracy.point_sampler import PointSampler, clipped
+from emulator.evaluation.accuracy.sampled_scenes import PointSampler, clipped
 
 SIZE = (8, 6)
 

@@ -4,9 +4,9 @@ import dataclasses
 
 import pytest
 
-from emulator.accuracy import rendering
-from emulator.accuracy.rendering import SETTINGS, Drawn, Setting, Stretch, fits, rendering_rows, rows_of
-from emulator.accuracy.report import reading_of_rendering, write_rendering
+from emulator.evaluation.accuracy import rendering
+from emulator.evaluation.accuracy.rendering import SETTINGS, Drawn, Setting, Stretch, fits, rendering_rows, rows_of
+from emulator.evaluation.accuracy.report import reading_of_rendering, write_rendering
 from emulator.rig.loading import load_rig
 
 

@@ -5,12 +5,17 @@ import math
 import numpy as np
 import pytest
 
+from emulator.sensor.methods.other_simulators import (
+    MOST_EVENTS,
+    RAW_CHANNELS,
+    Esim,
+    FrameDifference,
+    Pangu,
+    Sikorski,
+    V2e,
+    V2eExactFilter,
+)
 from emulator.sensor.other_simulators import OTHER_SIMULATORS
-from emulator.sensor.other_simulators.counting import V2e, V2eExactFilter
-from emulator.sensor.other_simulators.difference import FrameDifference
-from emulator.sensor.other_simulators.pangu import RAW_CHANNELS, Pangu
-from emulator.sensor.other_simulators.rule import MOST_EVENTS
-from emulator.sensor.other_simulators.straight import Esim, Sikorski
 from tests.emulator.accuracy.rows import row
 
 MS = 1_000_000

@@ -9,19 +9,14 @@ import math
 import numpy as np
 import pytest
 
-from emulator.accuracy.harness import Case, Method, events, methods, score, truth
-from emulator.accuracy.light import BlurredCheckerboard, Dark, Flash, SineGrating, SlowRamp
-from emulator.accuracy.metrics import compare
-from emulator.accuracy.stability import SWEEPS, cells
-from emulator.accuracy.stream import Stream
+from emulator.evaluation.accuracy.harness import Case, Method, events, methods, score, truth
+from emulator.evaluation.accuracy.scenes import BlurredCheckerboard, Dark, Flash, SineGrating, SlowRamp
+from emulator.evaluation.accuracy.scores import Stream, compare
+from emulator.evaluation.accuracy.stability import SWEEPS, cells
+from emulator.sensor.methods.other_simulators import Esim, Fired, FrameDifference, Sikorski, V2e, V2eExactFilter
 from emulator.sensor.other_simulators import OTHER_SIMULATORS
-from emulator.sensor.other_simulators.counting import V2e, V2eExactFilter
-from emulator.sensor.other_simulators.difference import FrameDifference
-from emulator.sensor.other_simulators.rule import Fired
-from emulator.sensor.other_simulators.straight import Esim, Sikorski
 from emulator.sensor.pixels.array import PixelArray
-from emulator.sensor.pixels.mismatch import draw
-from emulator.sensor.pixels.state import Field
+from emulator.sensor.pixels.state import Field, draw
 from tests.emulator.accuracy.rows import row
 
 OURS = methods()[0]

@@ -7,12 +7,11 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-from emulator.accuracy.light import Dark, Flash, SineGrating, SlowRamp
-from emulator.accuracy.metrics import compare
-from emulator.accuracy.truth import true_events
+from emulator.evaluation.accuracy.scenes import Dark, Flash, SineGrating, SlowRamp
+from emulator.evaluation.accuracy.scores import compare
+from emulator.evaluation.accuracy.truth import true_events
 from emulator.sensor.pixels.array import PixelArray
-from emulator.sensor.pixels.mismatch import draw
-from emulator.sensor.pixels.state import Field
+from emulator.sensor.pixels.state import Field, draw
 from tests.emulator.accuracy.rows import row
 
 SEED = 3

@@ -8,19 +8,36 @@ import math
 import numpy as np
 import pytest
 
-from emulator.accuracy import charts
-from emulator.accuracy.cases import CASES, Swept
-from emulator.accuracy.effects import EFFECTS, QUICK_EFFECTS, effect_rows
-from emulator.accuracy.harness import SEED, Case, Method, events, methods, score, step_cost_us, truth
-from emulator.accuracy.light import BlurredCheckerboard, SineGrating
-from emulator.accuracy.metrics import Scores, mean_square_error, reconstruct
-from emulator.accuracy.report import reading, write_stability, write_work_precision
-from emulator.accuracy.stability import SWEEPS, boundary, cells
-from emulator.accuracy.work_precision import Point, frames_needed, settings, sweep
 from emulator.cli.accuracy import accuracy
 from emulator.cli.output import LACKING, WRONG_USE, Failure
+from emulator.evaluation.accuracy import report as charts
+from emulator.evaluation.accuracy.harness import (
+    CASES,
+    SEED,
+    Case,
+    Method,
+    Swept,
+    events,
+    methods,
+    score,
+    step_cost_us,
+    truth,
+)
+from emulator.evaluation.accuracy.report import reading, write_stability, write_work_precision
+from emulator.evaluation.accuracy.scenes import BlurredCheckerboard, SineGrating
+from emulator.evaluation.accuracy.scores import Scores, mean_square_error, reconstruct
+from emulator.evaluation.accuracy.stability import SWEEPS, boundary, cells
+from emulator.evaluation.accuracy.sweeps import (
+    EFFECTS,
+    QUICK_EFFECTS,
+    Point,
+    effect_rows,
+    frames_needed,
+    settings,
+    sweep,
+)
 from emulator.sensor.pixels.array import PixelArray
-from emulator.sensor.pixels.mismatch import draw
+from emulator.sensor.pixels.state import draw
 from tests.emulator.accuracy.rows import row
 
 SMALL = Case("sine", SineGrating(pixels=8), row(8), 0.05)

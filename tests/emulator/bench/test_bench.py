@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from emulator.bench import scenes_alike
-from emulator.bench.noise import NoiseLoad, noisy_sensor
-from emulator.bench.scenes_alike import ScenesAlike
-from emulator.sensor.noise.point_process import NoiseEvents
+from emulator.evaluation.bench import scenes as scenes_alike
+from emulator.evaluation.bench.pixels import NoiseLoad, noisy_sensor
+from emulator.evaluation.bench.scenes import ScenesAlike
+from emulator.sensor.noise.points import NoiseEvents
 
 
 @pytest.mark.parametrize("events_hz", [0.1, 1.0, 10.0])
@@ -20,7 +20,7 @@ def test_a_load_of_noise_has_its_rate(events_hz):
 
 def test_a_load_takes_some_time(monkeypatch):
     for name, less in (("_STEPS", 20), ("_BLOCKS", 3)):
-        monkeypatch.setattr(f"emulator.bench.noise.{name}", less)
+        monkeypatch.setattr(f"emulator.evaluation.bench.pixels.{name}", less)
     assert 0 < NoiseLoad(10.0)() < 1e5
     assert abs(NoiseLoad(10.0, with_readout=True)()) < 1e5  # a difference, which a busy machine may turn round
 

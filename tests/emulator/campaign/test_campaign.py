@@ -5,8 +5,7 @@ import dataclasses
 import pytest
 
 from emulator.campaign.campaign import Campaign
-from emulator.campaign.loading import CampaignError, load_source
-from emulator.campaign.rig_keys import laid_over, path_of, with_value, with_worker
+from emulator.campaign.loading import CampaignError, laid_over, load_source, path_of, with_value, with_worker
 from emulator.tables.typed_table import TableError
 
 

@@ -5,8 +5,8 @@ import json
 import pytest
 
 from emulator.campaign.campaign import Campaign
-from emulator.campaign.folder import FolderError, begin_folder, working_in
 from emulator.campaign.loading import load_source
+from emulator.campaign.table import FolderError, begin_folder, working_in
 
 
 def test_the_same_campaign_goes_on(campaign, tmp_path):

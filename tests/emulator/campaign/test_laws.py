@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import loguniform, truncnorm
 
-from emulator.campaign.laws import LAWS, Integers, LogUniform, Normal, OneOf, Uniform
+from emulator.campaign.sampling import LAWS, Integers, LogUniform, Normal, OneOf, Uniform
 
 SHARES = np.linspace(0.0, 0.999, 41)
 

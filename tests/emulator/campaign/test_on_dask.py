@@ -8,12 +8,11 @@ from types import SimpleNamespace
 import pytest
 
 from emulator.campaign.campaign import Campaign
-from emulator.campaign.folder import begin_folder, rows_folder
 from emulator.campaign.loading import load_source
 from emulator.campaign.on_dask import DaskWorkers
 from emulator.campaign.one_run import CampaignStopped, Place, run_row
-from emulator.campaign.running import run_campaign
-from emulator.campaign.table import read_rows
+from emulator.campaign.table import begin_folder, read_rows, rows_folder
+from emulator.campaign.workers import run_campaign
 
 pytestmark = pytest.mark.socket
 

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from emulator.campaign.placeholders import addresses_as_placeholders, filled
-from emulator.campaign.program import RunningProgram, end_leftover, result_of
-from emulator.campaign.tables import Program
+from emulator.campaign.campaign import addresses_as_placeholders, filled
+from emulator.campaign.loading import Program
+from emulator.campaign.one_run import RunningProgram, end_leftover, result_of
 from tests.emulator.campaign.processes import gone
 
 

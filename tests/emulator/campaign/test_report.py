@@ -8,14 +8,11 @@ import pytest
 from SALib.analyze import pawn as salib_pawn
 from scipy.stats import ks_2samp
 
-from emulator.campaign.laws import OneOf, Uniform
-from emulator.campaign.proportion import proportion
-from emulator.campaign.report import sensitivity as module
-from emulator.campaign.report.page import quantiles, worst_runs, write_report
-from emulator.campaign.report.pawn import pawn, slices_of
-from emulator.campaign.report.sensitivity import sensitivity
-from emulator.campaign.sampling import unit_points
-from emulator.report.figures import ChartsLacking
+from emulator.campaign import report as module
+from emulator.campaign.report import pawn, quantiles, sensitivity, slices_of, worst_runs, write_report
+from emulator.campaign.sampling import OneOf, Uniform, unit_points
+from emulator.campaign.success import proportion
+from emulator.report.page import ChartsLacking
 
 
 def wilson(successes, runs, z=1.959963984540054):
@@ -169,7 +166,7 @@ def test_a_page_without_matplotlib_has_its_tables(campaign, rows, tmp_path, monk
     def lacking():
         raise ChartsLacking("charts need matplotlib")
 
-    monkeypatch.setattr("emulator.campaign.report.charts.pyplot", lacking)
+    monkeypatch.setattr("emulator.campaign.report.pyplot", lacking)
     page = write_report(campaign(count=48), rows, tmp_path).read_text()
     assert "No charts: charts need matplotlib" in page
     assert "Worst runs" in page

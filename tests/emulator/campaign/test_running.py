@@ -9,13 +9,10 @@ import time
 import pytest
 
 from emulator.campaign.campaign import Campaign
-from emulator.campaign.folder import begin_folder, rows_folder
 from emulator.campaign.loading import load_source
-from emulator.campaign.local import LocalWorkers
 from emulator.campaign.one_run import CampaignStopped, Place, run_row
-from emulator.campaign.running import Part, part_of, remaining, run_campaign
-from emulator.campaign.table import read_rows
-from emulator.campaign.warm_worker import WarmWorker
+from emulator.campaign.table import begin_folder, read_rows, rows_folder
+from emulator.campaign.workers import LocalWorkers, Part, WarmWorker, part_of, remaining, run_campaign
 from tests.emulator.campaign.processes import gone
 
 pytestmark = pytest.mark.system

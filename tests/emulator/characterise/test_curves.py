@@ -7,12 +7,21 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from emulator.characterise.curves import leak_light, leak_spread, leak_temperature, s_curve, spread
-from emulator.characterise.stimuli import Bench, lags_s, log_current, on_the_bench, settled, without_readout
-from emulator.characterise.timing import burst, flicker, latency, noise_law, noise_light
+from emulator.evaluation.characterise.measurements import (
+    burst,
+    flicker,
+    latency,
+    leak_light,
+    leak_spread,
+    leak_temperature,
+    noise_law,
+    noise_light,
+    s_curve,
+    spread,
+)
+from emulator.evaluation.characterise.stimuli import Bench, lags_s, log_current, on_the_bench, settled, without_readout
 from emulator.sensor.effects import NoiseParameters
-from emulator.sensor.noise.first_passage import statistics
-from emulator.sensor.noise.law import noise_events
+from emulator.sensor.noise.law import noise_events, statistics
 from emulator.sensor.presets import PRESETS
 
 ALPHA = 1e-4

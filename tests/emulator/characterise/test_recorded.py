@@ -10,9 +10,15 @@ import faery
 import numpy as np
 import pytest
 
-from emulator.characterise.activity import activity, distances, still_pixels
-from emulator.characterise.fitting import fit, toml
-from emulator.characterise.recorded import compare, write_comparison
+from emulator.evaluation.characterise.recordings import (
+    activity,
+    compare,
+    distances,
+    fit,
+    still_pixels,
+    toml,
+    write_comparison,
+)
 from emulator.sensor.effects import BackgroundParameters
 from emulator.sensor.presets import SensorParameters
 from evstim.sensor import sensor_parameters

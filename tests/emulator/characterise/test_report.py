@@ -9,15 +9,12 @@ import numpy as np
 import pytest
 
 import emulator.cli.characterise as verb
-from emulator.characterise.curves import leak_light, s_curve
-from emulator.characterise.measurements import figures, measurements
-from emulator.characterise.points import CURVES, FIGURE, Point
-from emulator.characterise.published import PUBLISHED
-from emulator.characterise.report import comparisons, reading
-from emulator.characterise.stimuli import on_the_bench
-from emulator.characterise.timing import burst, latency
 from emulator.cli.output import LACKING, WRONG_USE, Failure
-from emulator.report import figures as drawing
+from emulator.evaluation.characterise.measurements import burst, figures, latency, leak_light, measurements, s_curve
+from emulator.evaluation.characterise.published import PUBLISHED
+from emulator.evaluation.characterise.report import comparisons, reading
+from emulator.evaluation.characterise.stimuli import CURVES, FIGURE, Point, on_the_bench
+from emulator.report import page as drawing
 from emulator.sensor.effects import DefectParameters
 from emulator.sensor.presets import PRESETS
 

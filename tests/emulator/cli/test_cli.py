@@ -15,7 +15,7 @@ import trimesh
 from emulator.cli.app import _main
 from emulator.scene.bodies.mesh import load_mesh
 from firmware_protocol.events import EVENT
-from transports.link.digest import digest_of
+from transports.link.deliveries import digest_of
 
 EVSTIM = [sys.executable, "-c", "from emulator.cli import main; main()"]
 DEMO = """

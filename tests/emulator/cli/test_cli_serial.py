@@ -12,13 +12,13 @@ from emulator.cli.app import _main
 from firmware_protocol.events import EVENT
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
-from transports.link.digest import digest_of
+from transports.link.deliveries import digest_of
 from transports.link.pacing import MonotonicClock
 from transports.link.process import Link, LinkSetup
-from transports.link.ring import FREE_RUNNING, EventRing
+from transports.link.rings import FREE_RUNNING, EventRing
 from transports.recording.record import load_record
 from transports.serial_line.endpoint import SerialFactory
-from transports.serial_line.parameters import SerialParameters
+from transports.serial_line.kind import SerialParameters
 
 
 def stream(count):

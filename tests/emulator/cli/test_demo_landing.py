@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from emulator.cli import demo_landing
+from emulator.cli import demo as demo_landing
 from emulator.cli.output import Failure
 
 SOFT = {"soft": True, "touched": True, "t_s": 31.2, "vertical_m_s": 0.55, "error_median": 0.008, "why": []}

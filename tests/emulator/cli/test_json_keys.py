@@ -4,9 +4,8 @@ import pytest
 
 from emulator.cli.run import summary
 from emulator.rig.loading import load_rig
-from emulator.run.lateness import Lateness
-from emulator.run.ledger import Ledger
-from emulator.run.outcome import RunResult
+from emulator.run.outcome import Ledger, RunResult
+from emulator.run.pacing import Lateness
 
 
 @pytest.mark.parametrize("share", [0.25, 0.0, None])

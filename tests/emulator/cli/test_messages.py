@@ -11,7 +11,7 @@ from emulator.cli import fault as fault_verb
 from emulator.cli.app import _main, app
 from emulator.cli.output import status
 from emulator.cli.picture import look
-from emulator.cli.run_output.latency import quantile_text
+from emulator.cli.run_summary import quantile_text
 from emulator.rig.loading import load_rig, parse_rig
 from emulator.rig.remarks import remarks
 from firmware_protocol.events import EVENT

@@ -4,8 +4,7 @@ import os
 
 import pytest
 
-from emulator.cli.output import Failure
-from emulator.cli.output_paths import check_output
+from emulator.cli.output import Failure, check_output
 
 
 def test_a_new_file_does_not_appear_while_it_is_checked(tmp_path, monkeypatch):

@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from emulator.cli.output import LACKING, Failure
-from emulator.cli.result_stream import ResultFile
+from emulator.cli.streams import ResultFile
 
 EVSTIM = [sys.executable, "-c", "from emulator.cli import main; main()"]
 REASONS = {"full": "No space left on device", "broken": "Broken pipe", "closed": "stdout is closed"}

@@ -97,7 +97,7 @@ def test_an_interrupted_command_says_so_with_the_exit_code_of_the_rules(monkeypa
         interrupt_on_stop_signals()
         signal.raise_signal(signal.SIGINT)
 
-    monkeypatch.setattr("emulator.cli.check.load_rig", interrupted)
+    monkeypatch.setattr("emulator.cli.rigs.load_rig", interrupted)
     assert _main(["check", "loopback", "--json"]) == 1
     told = capsys.readouterr()
     assert json.loads(told.out.splitlines()[-1]) == {"error": "interrupted", "exit_code": 1}

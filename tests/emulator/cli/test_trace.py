@@ -3,13 +3,13 @@
 import pytest
 
 from emulator.cli.output import Failure
-from emulator.cli.run_output.tracing import begin_trace
+from emulator.cli.run_summary import begin_trace
+from emulator.rig.kinds import SCENES
 from emulator.rig.loading import Rig
-from emulator.rig.scene_kinds import SCENES
 from emulator.rig.tables import Camera
 from emulator.run.assembly import link_setups
-from transports.usb.loopback_kind import LoopbackLink
-from transports.usb.usbip.parameters import UsbipLink
+from transports.usb.loopback import LoopbackLink
+from transports.usb.usbip.kind import UsbipLink
 
 
 def setups(*links):

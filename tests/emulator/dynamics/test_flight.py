@@ -4,9 +4,7 @@ import math
 
 import pytest
 
-from emulator.dynamics.failures import FlightEnded
-from emulator.dynamics.flight import Pace, fly
-from emulator.dynamics.mapping import Mapping
+from emulator.dynamics.flight import FlightEnded, Mapping, Pace, fly
 from firmware_protocol.pose_message import NOW, PoseMessage
 
 

@@ -8,9 +8,8 @@ import zipfile
 import pytest
 
 from emulator.dynamics import fmu
-from emulator.dynamics.failures import DynamicsError, FlightEnded
+from emulator.dynamics.flight import DynamicsError, FlightEnded, Mapping
 from emulator.dynamics.fmu import Fmu
-from emulator.dynamics.mapping import Mapping
 
 pytestmark = pytest.mark.system
 

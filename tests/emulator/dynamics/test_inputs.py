@@ -5,9 +5,7 @@ import struct
 import can
 import pytest
 
-from emulator.dynamics.failures import DynamicsError
-from emulator.dynamics.inputs import FileInputs, opened_inputs
-from emulator.dynamics.mapping import Bus, Mapping, Signal
+from emulator.dynamics.flight import Bus, DynamicsError, FileInputs, Mapping, Signal, opened_inputs
 
 
 @pytest.fixture

@@ -2,8 +2,7 @@
 
 import pytest
 
-from emulator.dynamics.failures import DynamicsError
-from emulator.dynamics.mapping import Signal, load_mapping
+from emulator.dynamics.flight import DynamicsError, Signal, load_mapping
 
 WHOLE = """
 position_m = [0.0, "y", "height_m"]

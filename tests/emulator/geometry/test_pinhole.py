@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from emulator.geometry.pinhole import Pinhole
+from emulator.geometry.camera import Pinhole
 
 
 def test_the_field_of_view_comes_back():

@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 
-from emulator.geometry.pinhole import Pinhole
+from emulator.geometry.camera import Pinhole
 from emulator.gl import context as gl_module
 from emulator.gl.context import PACKAGES, WANTED, open_context, probe, renderer_name, renderers
 from emulator.light import MachineLacks, SceneError
@@ -85,7 +85,7 @@ def test_closed_forms_need_no_gl(monkeypatch):
 
 def test_scenes_can_be_imported_without_loading_gl_or_trimesh():
     program = (
-        "import sys, emulator.scene.bodies.gl_bodies, emulator.scene.bodies.raster_bodies, emulator.report.preview\n"
+        "import sys, emulator.scene.bodies.gl_bodies, emulator.scene.bodies.raster_bodies, emulator.report.pictures\n"
         "assert not {'moderngl', 'glcontext', 'trimesh', 'PIL'} & set(sys.modules)"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=300)

@@ -10,8 +10,8 @@ from emulator.cli.run import print_summary, run_rig, summary
 from emulator.gl import context
 from emulator.gl.context import WANTED, open_context, probe, renderer_name
 from emulator.rig.loading import LoopbackLink, RigError, load_rig, parse_rig
+from emulator.run.assembly import build_scene
 from emulator.run.kernels import parts_of
-from emulator.run.scene_assembly import build_scene
 
 SIZE = (64, 48)
 

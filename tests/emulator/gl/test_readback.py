@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
-from emulator.geometry.pinhole import Pinhole
-from emulator.gl.readback import READBACK, UNDER_WAY, strategy_for
-from emulator.gl.render_target import Rectangle, Stage
+from emulator.geometry.camera import Pinhole
+from emulator.gl.render_target import READBACK, UNDER_WAY, Rectangle, Stage, strategy_for
 from emulator.light import SceneError
-from emulator.photometry.sun import Sun
+from emulator.photometry.reflectance import Sun
 from emulator.scene.bodies.gl_bodies import GlBodies
 from emulator.scene.bodies.table import BodiesParameters, BodyTable
 from emulator.trajectory.parameters import FixedPath, SpinPath

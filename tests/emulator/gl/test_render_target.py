@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from emulator.gl.readback import UNDER_WAY
-from emulator.gl.render_target import Rectangle, Stage, depth_terms
+from emulator.gl.render_target import UNDER_WAY, Rectangle, Stage, depth_terms
 from emulator.light import SceneError
 
 pytestmark = pytest.mark.gl

@@ -2,7 +2,7 @@
 
 import pytest
 
-from emulator.live_page.address import Access, Address, parse_address
+from emulator.live_page.messages import Access, Address, parse_address
 
 
 @pytest.mark.parametrize(

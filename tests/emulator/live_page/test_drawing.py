@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from emulator.live_page.drawing import Canvas, reduction
+from emulator.live_page.process import Canvas, reduction
 from firmware_protocol.events import EVENT
 
 

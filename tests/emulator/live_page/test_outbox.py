@@ -4,7 +4,7 @@ import multiprocessing
 
 import pytest
 
-from emulator.live_page.outbox import Outbox
+from emulator.live_page.page import Outbox
 
 
 @pytest.fixture

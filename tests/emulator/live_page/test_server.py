@@ -15,13 +15,9 @@ import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
-from emulator.live_page.address import Access
-from emulator.live_page.drawing import Canvas
-from emulator.live_page.messages import decode_picture
-from emulator.live_page.process import PageProcess, PageSetup
-from emulator.live_page.server import BAD_MESSAGE, FULL, REFUSED
-from emulator.live_page.shared_view import SharedView
-from emulator.live_page.viewers import MOST_VIEWERS
+from emulator.live_page.messages import Access, decode_picture
+from emulator.live_page.process import Canvas, PageProcess, PageSetup, SharedView
+from emulator.live_page.server import BAD_MESSAGE, FULL, MOST_VIEWERS, REFUSED
 from firmware_protocol.events import EVENT
 
 pytestmark = pytest.mark.socket
@@ -229,7 +225,7 @@ def test_a_flood_of_messages_ends_the_connection_and_nothing_else():
 def test_one_that_never_reads_is_dropped_and_holds_nothing_up(monkeypatch):
     with served() as page, page.viewer() as other, page.viewer() as client:
         assert _picture(page, other).events
-        monkeypatch.setattr("emulator.live_page.viewers.STALLED_S", 0.5)
+        monkeypatch.setattr("emulator.live_page.server.STALLED_S", 0.5)
         page.until(lambda: len(page.process._viewers) == 0)  # neither reads any more
         assert _closed_with(client) is None  # cut off, not asked to go
 

@@ -3,9 +3,9 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from emulator.live_page.status_table import Rates, ledger_table, status_table
-from emulator.run.lateness import Lateness
+from emulator.live_page.page import Rates, ledger_table, status_table
 from emulator.run.outcome import RunStatus
+from emulator.run.pacing import Lateness
 from transports.link.report import LinkReport
 
 _count = st.integers(0, 10**12)

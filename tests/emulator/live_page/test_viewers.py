@@ -3,7 +3,7 @@
 import pytest
 
 from emulator.live_page.messages import BadMessage
-from emulator.live_page.viewers import MOST_VIEWERS, STALLED_S, Viewer, Viewers
+from emulator.live_page.server import MOST_VIEWERS, STALLED_S, Viewer, Viewers
 
 
 class _Clock:

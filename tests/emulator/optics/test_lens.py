@@ -8,14 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter1d
 
-from emulator.geometry.pinhole import Pinhole
+from emulator.geometry.camera import Pinhole
 from emulator.light import Scene, SceneError
-from emulator.optics.blur_workers import BlurWorkers
-from emulator.optics.distortion import Distortion, DistortionError
-from emulator.optics.lens import CHIPS, LensParameters
+from emulator.optics.lens import CHIPS, Distortion, DistortionError, LensParameters
 from emulator.optics.passes import Bilinear, bend, blur, gaussian_taps, scale
-from emulator.optics.through import Through
-from emulator.photometry.sun import LUMENS_A_WATT, SUN_W_M2
+from emulator.optics.through import BlurWorkers, Through
+from emulator.photometry.reflectance import LUMENS_A_WATT, SUN_W_M2
 
 CHIP = CHIPS["davis346"]
 

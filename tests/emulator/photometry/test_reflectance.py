@@ -6,8 +6,16 @@ import numpy as np
 import pytest
 
 from emulator.gl.context import open_context
-from emulator.photometry.reflectance import Glossy, Hapke, Lambert, LommelSeeliger, LunarLambert, henyey_greenstein
-from emulator.photometry.sun import LUMENS_A_WATT, Sun
+from emulator.photometry.reflectance import (
+    LUMENS_A_WATT,
+    Glossy,
+    Hapke,
+    Lambert,
+    LommelSeeliger,
+    LunarLambert,
+    Sun,
+    henyey_greenstein,
+)
 
 LAWS = [
     Lambert(0.7),

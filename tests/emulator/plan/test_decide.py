@@ -5,7 +5,7 @@ import math
 
 import pytest
 
-from emulator.plan.decide import Tolerance, decide, without
+from emulator.plan.plan import Tolerance, decide, without
 from emulator.plan.scene_probe import Probe
 from emulator.sensor.effects import (
     DefectParameters,

@@ -8,8 +8,7 @@ import pytest
 from PIL import Image
 
 from emulator.light import MachineLacks, SceneError
-from emulator.report.movie import save_movie
-from emulator.report.preview import OFF_RGB, ON_RGB, captioned, event_picture, save_png, scaled, white_of
+from emulator.report.pictures import OFF_RGB, ON_RGB, captioned, event_picture, save_movie, save_png, scaled, white_of
 from firmware_protocol.events import EVENT, empty_events
 
 LIGHT = np.array([[0.0, 0.5, 1.0], [2.0, 0.25, 0.0]], np.float32)

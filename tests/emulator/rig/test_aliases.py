@@ -4,8 +4,7 @@ import logging
 
 import pytest
 
-from emulator.rig.aliases import VALUES
-from emulator.rig.loading import RigError, load_rig, parse_rig
+from emulator.rig.loading import VALUES, RigError, load_rig, parse_rig
 
 RIG = '[scene]\nkind = "checkerboard"\n[run]\nmethod = "{}"\n'
 RENAMED = VALUES["run", "method"]

@@ -10,15 +10,21 @@ from dataclasses import replace
 import pytest
 
 from emulator.cli.app import _main
-from emulator.rig.fault_tables import known_faults
+from emulator.rig.kinds import known_faults
 from emulator.rig.loading import RigError, parse_rig
-from emulator.run.assembly import build_session, link_setups, schedule
-from emulator.run.control import ControlSocket, NoAnswer, ask, runtime_directory, sockets
-from emulator.run.fault_injection import FaultInjection, fault_injection
-from emulator.run.lateness import Lateness
+from emulator.run.assembly import build_scene, build_session, link_setups, schedule
+from emulator.run.control import (
+    ControlSocket,
+    FaultInjection,
+    NoAnswer,
+    ask,
+    fault_injection,
+    runtime_directory,
+    sockets,
+)
 from emulator.run.outcome import RunStatus
-from emulator.run.scene_assembly import build_scene
-from transports.faults.can_kinds import DeadBus
+from emulator.run.pacing import Lateness
+from transports.faults.bus import DeadBus
 from transports.faults.kinds import BitFlips
 from transports.faults.script import FaultRecord
 from transports.link.pacing import MonotonicClock

@@ -5,7 +5,7 @@ import json
 
 import pytest
 
-from emulator.rig.link_kinds import LINKS
+from emulator.rig.kinds import LINKS, SCENES
 from emulator.rig.loading import (
     LoopbackLink,
     RigError,
@@ -15,7 +15,6 @@ from emulator.rig.loading import (
     parse_rig,
     shipped_rigs,
 )
-from emulator.rig.scene_kinds import SCENES
 from emulator.rig.schema import rig_schema
 from emulator.sensor.presets import PRESETS
 

@@ -5,8 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from emulator.rig.loading import parse_rig
-from emulator.rig.options import with_options
+from emulator.rig.loading import parse_rig, with_options
 
 LOOPING = '[scene]\nkind = "recording"\npath = "r.npz"\n'
 

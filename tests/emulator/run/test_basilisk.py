@@ -12,18 +12,16 @@ from emulator.light import Scene
 from emulator.plan.step_control import FixedSteps
 from emulator.rig.loading import RigError, parse_rig
 from emulator.rig.remarks import remarks
-from emulator.run.basilisk import BasiliskRun
-from emulator.run.connected import camera_differs, connected
-from emulator.run.frames import Pictures
+from emulator.run.basilisk import BasiliskRun, camera_differs, connected
+from emulator.run.readings import Pictures
 from emulator.run.session import Schedule, Session
 from emulator.sensor.effects import NoiseParameters
 from emulator.sensor.presets import PRESETS
 from emulator.sensor.sensor import Sensor
-from emulator.trajectory.basilisk import ConnectedPath
+from emulator.trajectory.basilisk import ConnectedPath, SimulatedPath
 from emulator.trajectory.pose import STILL
-from emulator.trajectory.simulated import SimulatedPath
 from firmware_protocol.events import EVENT
-from firmware_protocol.vizard.update import CameraState
+from firmware_protocol.vizard.messages import CameraState
 from transports.link.pacing import FakeClock
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "firmware_protocol" / "vizard"))

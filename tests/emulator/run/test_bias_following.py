@@ -8,13 +8,11 @@ import pytest
 
 from emulator.rig.loading import parse_rig
 from emulator.run.assembly import link_setups
-from emulator.run.bias_following import BiasFollowing
-from emulator.run.changes import Change, Changes
+from emulator.run.changes import BiasFollowing, Change, Changes
 from emulator.sensor.presets import PRESETS
 from emulator.sensor.sensor import Sensor
-from firmware_protocol.davis346.bias_effects import sensor_factors
-from firmware_protocol.davis346.biases import BIASES, CoarseFine
-from firmware_protocol.imx636.bias_effects import BiasModel
+from firmware_protocol.davis346.biases import BIASES, CoarseFine, sensor_factors
+from firmware_protocol.imx636.registers import BiasModel
 from transports.link.changes import CameraSettings
 
 ADDRESSES = {bias.name: bias.address for bias in BIASES}

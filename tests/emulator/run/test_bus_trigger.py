@@ -8,7 +8,7 @@ import time
 import pytest
 
 from emulator.cli.app import _main
-from firmware_protocol.edges import EdgeKind
+from firmware_protocol.events import EdgeKind
 from tests.free_ports import free_port
 from transports.recording.record import load_edges
 

@@ -11,31 +11,29 @@ import pytest
 
 from emulator.light import Scene
 from emulator.plan.step_control import FixedSteps
-from emulator.rig.trigger_table import Trigger
+from emulator.rig.tables import Trigger
+from emulator.run.assembly import TriggerPaths
 from emulator.run.changes import Change, Changes
-from emulator.run.frames import Pictures
-from emulator.run.readings import ReadingSources
+from emulator.run.readings import Pictures, ReadingSources
 from emulator.run.session import Schedule, Session
 from emulator.run.stereo import SecondView
-from emulator.run.triggers import TriggerPaths
 from emulator.sensor.effects import NoiseParameters
 from emulator.sensor.presets import PRESETS
 from emulator.sensor.sensor import Sensor
 from firmware_protocol.davis346 import Davis346, Davis346Settings
 from firmware_protocol.davis346.biases import BIASES, CoarseFine
 from firmware_protocol.davis346.registers import Module
-from firmware_protocol.edges import EdgeKind
+from firmware_protocol.events import EdgeKind
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.packets.profile import ReceivedCommand
 from firmware_protocol.packets.pus import Acknowledge
-from firmware_protocol.packets.telecommands import SetBias, SetRegion
-from firmware_protocol.packets.verification import RequestId
+from firmware_protocol.packets.telecommands import RequestId, SetBias, SetRegion
 from firmware_protocol.usb.device import SetupPacket
 from transports.faults.kinds import Fault
 from transports.link.endpoint import Endpoint, EndpointFactory
 from transports.link.pacing import MonotonicClock
 from transports.link.process import LinkSetup
-from transports.link.ring import EventRing
+from transports.link.rings import EventRing
 
 MS = 1_000_000
 SIZE = (24, 16)

@@ -6,11 +6,11 @@ from pathlib import Path
 import pytest
 
 from emulator.rig.loading import parse_rig
-from emulator.run.fault_injection import FaultInjection
+from emulator.run.control import FaultInjection
 from firmware_protocol.davis346 import Davis346, Davis346Settings
-from firmware_protocol.edges import EdgeKind
+from firmware_protocol.events import EdgeKind
 from transports.link.feed import Feed, Timing
-from transports.link.ring import EventRing
+from transports.link.rings import EventRing
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "firmware_protocol"))
 from davis_host import RUN, Host

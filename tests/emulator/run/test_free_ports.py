@@ -1,7 +1,7 @@
 """Ports that others cannot have taken, and ports that belong to somebody else."""
 
 from emulator.rig.loading import parse_rig
-from emulator.run.free_ports import on_a_free_pose_port, on_free_ports, pose_port
+from emulator.run.machine import on_a_free_pose_port, on_free_ports, pose_port
 
 RIG = """
 [scene]

@@ -5,12 +5,11 @@ import dataclasses
 import pytest
 
 from emulator.cli import demo
-from emulator.cli.run_output.lateness import lateness_lines
+from emulator.cli.run_summary import lateness_lines
 from emulator.plan.step_control import FixedSteps
 from emulator.rig.loading import load_rig
-from emulator.run.lateness import LONGEST_STRETCH, Lateness, StepRule
-from emulator.run.ledger import Ledger
-from emulator.run.outcome import RunResult
+from emulator.run.outcome import Ledger, RunResult
+from emulator.run.pacing import LONGEST_STRETCH, Lateness, StepRule
 
 
 def test_a_run_in_time_keeps_its_step():

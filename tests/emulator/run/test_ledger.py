@@ -1,6 +1,6 @@
 """The ledger's sums."""
 
-from emulator.run.ledger import Ledger, LinkLedger
+from emulator.run.outcome import Ledger, LinkLedger
 
 
 def test_a_sound_run_balances():

@@ -18,9 +18,9 @@ from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
 from transports.link.pacing import MonotonicClock
 from transports.link.process import LinkSetup
-from transports.link.ring import FREE_RUNNING, EventRing
+from transports.link.rings import FREE_RUNNING, EventRing
 from transports.serial_line.endpoint import SerialFactory
-from transports.serial_line.parameters import SerialParameters
+from transports.serial_line.kind import SerialParameters
 from transports.usb.loopback import LoopbackFactory
 
 pytestmark = pytest.mark.socket

@@ -10,10 +10,10 @@ from evstim.testing.link_contract import event_stream
 from firmware_protocol.davis346 import Davis346, Davis346Settings
 from transports.link.pacing import MonotonicClock
 from transports.link.process import LinkSetup
-from transports.link.ring import FREE_RUNNING, EventRing
+from transports.link.rings import FREE_RUNNING, EventRing
 from transports.usb.davis_host import DavisHost
 from transports.usb.usbip.client import UsbipHost
-from transports.usb.usbip.endpoint import UsbipFactory
+from transports.usb.usbip.server import UsbipFactory
 
 
 def attached(link):

@@ -8,20 +8,20 @@ import pytest
 
 from emulator.light import Scene
 from emulator.plan.step_control import FixedSteps
-from emulator.rig.trigger_table import Trigger
-from emulator.run.frames import Pictures
-from emulator.run.lockstep import Lockstep
+from emulator.rig.tables import Trigger
+from emulator.run.assembly import TriggerPaths
+from emulator.run.pacing import Lockstep
+from emulator.run.readings import Pictures
 from emulator.run.session import Schedule, Session
-from emulator.run.triggers import TriggerPaths
 from emulator.sensor.effects import NoiseParameters
 from emulator.sensor.presets import PRESETS
 from emulator.sensor.sensor import Sensor
 from firmware_protocol.davis346 import Davis346, Davis346Settings
-from firmware_protocol.edges import EdgeKind
+from firmware_protocol.events import EdgeKind
 from transports.link.edges import EdgeRing, EdgeSink, EdgeTiming
 from transports.link.pacing import FakeClock, MonotonicClock
 from transports.link.process import LinkSetup
-from transports.link.ring import FREE_RUNNING, EventRing
+from transports.link.rings import FREE_RUNNING, EventRing
 from transports.recording.record import load_edges
 from transports.usb.loopback import LoopbackFactory
 

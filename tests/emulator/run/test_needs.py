@@ -11,7 +11,7 @@ import pytest
 from emulator.cli.app import _main
 from emulator.gl.context import WANTED
 from emulator.rig.loading import load_rig, parse_rig, shipped_rigs
-from emulator.run.needs import needs_of
+from emulator.run.machine import needs_of
 from transports import needs
 
 ROOT = Path(__file__).parents[3]

@@ -10,9 +10,8 @@ from functools import partial
 import pytest
 
 from emulator.rig.loading import load_rig, shipped_rigs
-from emulator.run import preparation
-from emulator.run.kernels import ACTIVITY_FILTER, DECODER, EVT, Part, parts_of
-from emulator.run.preparation import cold, prepare
+from emulator.run import kernels as preparation
+from emulator.run.kernels import ACTIVITY_FILTER, DECODER, EVT, Part, cold, parts_of, prepare
 
 
 @pytest.fixture
@@ -77,7 +76,7 @@ import json, sys
 from numba.core import event
 from emulator.rig.loading import load_rig
 from emulator.run.kernels import CODER, DECODER, EVT, parts_of
-from emulator.run.preparation import cold, prepare
+from emulator.run.kernels import cold, prepare
 
 if __name__ == "__main__":
     rig = load_rig(sys.argv[1])
@@ -91,7 +90,7 @@ if __name__ == "__main__":
             pass
     event.register("numba:compile", Listener())
     from emulator.run.assembly import build_pictures, build_sensor
-    from emulator.run.scene_assembly import build_scene
+    from emulator.run.assembly import build_scene
     with build_scene(rig) as scene:
         pictures, sensor = build_pictures(rig, scene), build_sensor(rig, rig.camera.sensor)
         sensor.warm_up()

@@ -5,7 +5,7 @@ import os
 import socket
 from pathlib import Path
 
-from emulator.run.ready import ReadySignal
+from emulator.run.control import ReadySignal
 
 
 def test_the_file_names_the_links_and_is_written_once(tmp_path, monkeypatch):

@@ -9,7 +9,7 @@ import pytest
 from emulator.cli.signals import stop_on_signals
 from emulator.light import Scene
 from emulator.plan.step_control import FixedSteps
-from emulator.run.frames import Pictures
+from emulator.run.readings import Pictures
 from emulator.run.session import Schedule, Session
 from emulator.scene.checkerboard.checkerboard import Checkerboard
 from emulator.scene.checkerboard.table import CheckerboardParameters

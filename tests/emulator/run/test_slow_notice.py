@@ -3,7 +3,7 @@
 import logging
 import threading
 
-from emulator.run.slow_notice import said_if_slow
+from emulator.run.session import said_if_slow
 
 
 def test_what_is_quick_is_not_talked_about(caplog):
@@ -20,7 +20,7 @@ def test_what_is_slow_is_said_while_it_lasts(caplog):
             messages.append(record.getMessage())
             said.set()
 
-    logger = logging.getLogger("emulator.run.slow_notice")
+    logger = logging.getLogger("emulator.run.session")
     logger.addHandler(listener := Listener())
     with caplog.at_level(logging.INFO), said_if_slow("compiling", after_s=0.01):
         assert said.wait(60.0)

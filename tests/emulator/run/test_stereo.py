@@ -8,12 +8,11 @@ import pytest
 
 from emulator.cli.app import _main
 from emulator.rig.loading import RigError, load_rig, parse_rig
-from emulator.rig.second_camera import SecondCamera
+from emulator.rig.tables import SecondCamera
 from emulator.run.readings import ReadingSources
 from emulator.run.stereo import SecondView, second_rig
-from emulator.trajectory.building import build_trajectory
+from emulator.trajectory.building import OffsetPath, build_trajectory
 from emulator.trajectory.motion import differences
-from emulator.trajectory.offset import OffsetPath
 from emulator.trajectory.parameters import SpinPath
 from transports.link.changes import CameraSettings
 from transports.recording.record import load_record

@@ -7,12 +7,12 @@ import pytest
 
 from emulator.cli.app import _main
 from emulator.rig.loading import RigError, parse_rig
-from emulator.rig.trigger_table import Trigger
-from emulator.run.triggers import TriggerPaths
-from firmware_protocol.device_clock import ClockSettings, ClockStep
-from firmware_protocol.edges import EdgeKind
+from emulator.rig.tables import Trigger
+from emulator.run.assembly import TriggerPaths
+from firmware_protocol.device.clock import ClockSettings, ClockStep
+from firmware_protocol.events import EdgeKind
 from transports.link.edges import EdgeRing, PeriodicEdges
-from transports.link.ring import EventRing
+from transports.link.rings import EventRing
 from transports.recording.record import load_edges, load_record
 
 SCENE = '[scene]\nkind = "checkerboard"\nspeed_px_s = 20.0\n'

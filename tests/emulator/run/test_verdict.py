@@ -6,13 +6,11 @@ import numpy as np
 import pytest
 
 from emulator.rig.loading import RigError, parse_rig
-from emulator.rig.verdict_table import Verdict
-from emulator.run.lateness import Lateness
-from emulator.run.ledger import Ledger, LinkLedger
-from emulator.run.outcome import RunResult
-from emulator.run.verdict import good, judge
-from firmware_protocol.event_device import CameraCounters
-from transports.link.latency import LatencyHistogram, LatencySummary
+from emulator.rig.tables import Verdict
+from emulator.run.outcome import Ledger, LinkLedger, RunResult, good, judge
+from emulator.run.pacing import Lateness
+from firmware_protocol.device.event_device import CameraCounters
+from transports.link.deliveries import LatencyHistogram, LatencySummary
 from transports.link.report import LinkReport
 
 CAMERA = CameraCounters(offered=1000, not_running=100, dropped_fifo=30, delivered=870)

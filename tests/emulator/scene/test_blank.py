@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from emulator.scene.blank import Blank
+from emulator.scene.kind import Blank
 
 
 def test_arrays_are_cleared_once_and_nothing_changes_from_then_on():

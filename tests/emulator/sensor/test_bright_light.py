@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from emulator.sensor.effects import NoiseParameters
+from emulator.sensor.methods.large_signal import LargeSignalPixels
+from emulator.sensor.methods.other_simulators import Pangu
 from emulator.sensor.noise.grid import NoisyPixels
-from emulator.sensor.other_simulators.pangu import Pangu
-from emulator.sensor.photoreceptor.array import LargeSignalPixels
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.presets import PRESETS
 from emulator.sensor.sensor import Sensor

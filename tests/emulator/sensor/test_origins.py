@@ -8,8 +8,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from emulator.sensor.origin_codes import Origin
-from emulator.sensor.origins import TracedSensor
+from emulator.sensor.origins import Origin, TracedSensor
 from emulator.sensor.other_simulators import OTHER_SIMULATORS
 from emulator.sensor.presets import PRESETS
 from emulator.sensor.sensor import Sensor

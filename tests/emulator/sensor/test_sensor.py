@@ -12,9 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from emulator.sensor.chip.defects import draw_defects
+from emulator.sensor.chip.defects import at_temperature, draw_defects
 from emulator.sensor.chip.readout import ReadOut
-from emulator.sensor.chip.temperature import at_temperature
 from emulator.sensor.effects import (
     DefectParameters,
     ImagerParameters,
@@ -23,7 +22,7 @@ from emulator.sensor.effects import (
     RadiationParameters,
     TemperatureParameters,
 )
-from emulator.sensor.other_simulators.pangu import Pangu
+from emulator.sensor.methods.other_simulators import Pangu
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.pixels.state import Field
 from emulator.sensor.presets import ReadoutParameters, SensorParameters

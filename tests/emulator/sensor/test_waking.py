@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from emulator.sensor.effects import JitterParameters, NoiseParameters, TemperatureParameters
-from emulator.sensor.pixels.adjustment import ADJUSTABLE
+from emulator.sensor.parts import ADJUSTABLE
 from emulator.sensor.presets import PRESETS
 from emulator.sensor.sensor import Sensor
 

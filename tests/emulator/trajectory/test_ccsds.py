@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from emulator.trajectory.building import build_trajectory
-from emulator.trajectory.ccsds_file import parse_aem, parse_oem
-from emulator.trajectory.epochs import epoch_ns
+from emulator.trajectory.ccsds_file import epoch_ns, parse_aem, parse_oem
 from emulator.trajectory.parameters import FilePath
 from emulator.trajectory.pose import TrajectoryError
 

@@ -5,13 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from emulator.geometry.attitude import matrix_of
-from emulator.trajectory.conventions import (
-    CAMERA_FROM_MSI,
-    from_basilisk,
-    from_opengl,
-    from_scalar_last,
-    from_spice,
-)
+from emulator.trajectory.pose import CAMERA_FROM_MSI, from_basilisk, from_opengl, from_scalar_last, from_spice
 
 TURN = Rotation.from_euler("ZYX", [0.3, -0.7, 1.1])
 

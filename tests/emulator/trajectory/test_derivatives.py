@@ -7,19 +7,16 @@ import numpy as np
 import pytest
 
 from emulator.geometry.attitude import quaternion_of_vector
-from emulator.geometry.cycle import Cycle
-from emulator.trajectory.composed import Mounted, PlaceAndAttitude
+from emulator.geometry.camera import Cycle
+from emulator.trajectory.basilisk import SimulatedPath
+from emulator.trajectory.ccsds_file import PolynomialPath, Segment, Segmented
 from emulator.trajectory.descent import Descent
 from emulator.trajectory.keyframes import Keyframes
 from emulator.trajectory.live import LivePoses, known_motion
-from emulator.trajectory.looking import Looking
 from emulator.trajectory.motion import differences
+from emulator.trajectory.mounting import Looking, Mounted, PlaceAndAttitude, Spinning, Tilt
 from emulator.trajectory.orbit import Elements, Orbit
-from emulator.trajectory.polynomial import PolynomialPath
 from emulator.trajectory.pose import STILL, Fixed, Pose, Trajectory
-from emulator.trajectory.segments import Segment, Segmented
-from emulator.trajectory.simulated import SimulatedPath
-from emulator.trajectory.spinning import Spinning, Tilt
 
 SECOND = 1_000_000_000
 TURNED = quaternion_of_vector([0.3, -0.2, 0.5])

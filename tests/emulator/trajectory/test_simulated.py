@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from emulator.trajectory.basilisk import SimulatedPath
 from emulator.trajectory.pose import STILL, Pose, TrajectoryError
-from emulator.trajectory.simulated import SimulatedPath
 
 TURNED = np.array([np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)])  # 90 degrees about z
 

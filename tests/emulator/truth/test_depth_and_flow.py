@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from emulator.geometry.pinhole import Pinhole
-from emulator.geometry.seen import Rays, Seen
+from emulator.geometry.camera import Pinhole, Rays, Seen
 from emulator.optics.lens import CHIPS, LensParameters
 from emulator.optics.through import Through
 from emulator.scene.bodies.gl_bodies import GlBodies

@@ -7,18 +7,17 @@ import numpy as np
 import pytest
 import usb.core
 
-from evstim.testing.fake_can import FakeCanBus
-from evstim.testing.fake_serial import FakeSerialPort
 from evstim.testing.fake_usb import FakeCamera
+from evstim.testing.fakes import FakeCanBus, FakeSerialPort
 from firmware_protocol.can_frames.canopen import NmtCommand, NmtOrder
 from firmware_protocol.events import EVENT
 from firmware_protocol.instrument.settings import InstrumentSettings
 from firmware_protocol.packets.profile import Profile
 from firmware_protocol.packets.telecommands import Ping, Stop
 from firmware_protocol.receiver.can import CanReceiver
-from firmware_protocol.receiver.serial import SerialReceiver
-from transports.can_bus.parameters import CanParameters
-from transports.can_bus.python_can import from_message
+from firmware_protocol.receiver.instrument import SerialReceiver
+from transports.can_bus.bus import from_message
+from transports.can_bus.kind import CanParameters
 from transports.usb.davis_host import DavisHost, StreamSettings
 from transports.usb.pyusb_host import PyusbHost
 

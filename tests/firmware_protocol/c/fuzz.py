@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from firmware_protocol.events import EVENT
-from firmware_protocol.packets.message import Message, MessageKind
+from firmware_protocol.packets.addresses import Message, MessageKind
 from firmware_protocol.packets.profile import Profile
 from firmware_protocol.telemetry import BlockEncoder, BlockSettings, decode_block
 from tests.firmware_protocol.c.toolchain import Driver, build_driver

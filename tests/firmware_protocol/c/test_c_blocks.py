@@ -10,7 +10,7 @@ from block_strategies import TICKS, blocks_of, stream, streams
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from firmware_protocol.edges import EDGE
+from firmware_protocol.events import EDGE
 from firmware_protocol.telemetry import BlockEncoder, BlockError, BlockSettings, decode_block
 
 VECTORS = Path(__file__).parent.parent / "telemetry/vectors"

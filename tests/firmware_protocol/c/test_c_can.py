@@ -8,12 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from raw_strategies import frames_of, jumping_streams
 
+from firmware_protocol.can_frames.dbc import Identifiers
 from firmware_protocol.can_frames.frame import FD_LENGTHS, Frame
-from firmware_protocol.can_frames.identifiers import Identifiers
-from firmware_protocol.can_frames.marks import pack_marks
+from firmware_protocol.can_frames.raw_events import pack_marks
 from firmware_protocol.can_frames.raw_stream import RawReceiver, RawSender, RawSettings
-from firmware_protocol.edges import EDGE
-from firmware_protocol.events import EVENT, empty_events
+from firmware_protocol.events import EDGE, EVENT, empty_events
 
 IDS = Identifiers.of_node(0x22)
 EVENTS, EPOCH = IDS.events, IDS.epoch

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from firmware_protocol.davis346 import Decoder
 from firmware_protocol.davis346.words import Special, WordEncoder
-from firmware_protocol.edges import EdgeKind
+from firmware_protocol.events import EdgeKind
 
 KINDS = {
     Special.INPUT_RISING: EdgeKind.RISING,

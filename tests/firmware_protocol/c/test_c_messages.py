@@ -8,16 +8,15 @@ from block_strategies import stream
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from firmware_protocol.can_frames.cfp import CfpReceiver, cfp_frames
 from firmware_protocol.can_frames.frame import FD_LENGTHS, Frame
-from firmware_protocol.can_frames.isotp import IsoTpReceiver, IsoTpSender, IsoTpSettings
+from firmware_protocol.can_frames.transport import CfpReceiver, IsoTpReceiver, IsoTpSender, IsoTpSettings, cfp_frames
 from firmware_protocol.events import empty_events
 from firmware_protocol.instrument.instrument import Instrument
-from firmware_protocol.packets.message import Message, MessageKind
+from firmware_protocol.packets.addresses import Message, MessageKind
 from firmware_protocol.packets.profile import Profile
 from firmware_protocol.telemetry import BlockEncoder, decode_block
 from transports.can_bus.carriage import sources
-from transports.can_bus.parameters import CanParameters
+from transports.can_bus.kind import CanParameters
 
 SIZE = (346, 260)
 TELEMETRY, TELECOMMAND, CAPACITY = 0x4A2, 0x522, 1050

@@ -9,10 +9,9 @@ from block_strategies import stream
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from firmware_protocol.edges import empty_edges
-from firmware_protocol.events import empty_events
+from firmware_protocol.events import empty_edges, empty_events
 from firmware_protocol.framing import kiss
-from firmware_protocol.packets.message import Message, MessageKind
+from firmware_protocol.packets.addresses import Message, MessageKind
 from firmware_protocol.packets.profile import Profile
 from firmware_protocol.telemetry import BlockEncoder, BlockError, decode_block
 

@@ -5,12 +5,12 @@ import pytest
 from block_strategies import stream
 
 from firmware_protocol.davis346.words import WordEncoder
-from firmware_protocol.edges import EDGE
-from firmware_protocol.packets.message import Message, MessageKind
+from firmware_protocol.events import EDGE
+from firmware_protocol.packets.addresses import Message, MessageKind
 from firmware_protocol.packets.profile import Profile
 from firmware_protocol.telemetry import BlockEncoder, as_received
 from tests.firmware_protocol.c.board import Board, build_firmware
-from transports.link.digest import digest_of
+from transports.link.deliveries import digest_of
 
 pytestmark = [pytest.mark.arm, pytest.mark.socket]
 

@@ -14,8 +14,7 @@ import numpy as np
 import pytest
 
 from firmware_protocol.c import FOLDER, sources
-from firmware_protocol.edges import EDGE
-from firmware_protocol.events import EVENT
+from firmware_protocol.events import EDGE, EVENT
 
 HERE = Path(__file__).parent
 STRICT = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion", "-Wshadow", "-ffreestanding"]

@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from firmware_protocol.can_frames.cfp import CfpReceiver, cfp_frames
 from firmware_protocol.can_frames.frame import Frame
+from firmware_protocol.can_frames.transport import CfpReceiver, cfp_frames
 
 
 def crc32c(data):

@@ -6,7 +6,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from firmware_protocol.can_frames.frame import Frame
-from firmware_protocol.can_frames.isotp import IsoTpFailure, IsoTpReceiver, IsoTpSender, IsoTpSettings, separation_ns
+from firmware_protocol.can_frames.transport import (
+    IsoTpFailure,
+    IsoTpReceiver,
+    IsoTpSender,
+    IsoTpSettings,
+    separation_ns,
+)
 
 OURS, THEIRS = 0x4A2, 0x522
 

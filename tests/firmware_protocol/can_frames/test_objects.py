@@ -23,14 +23,17 @@ from firmware_protocol.can_frames.canopen import (
     parse_sync,
     scet,
 )
-from firmware_protocol.can_frames.dbc import dbc_text
-from firmware_protocol.can_frames.fd_events import pack_fd_events
-from firmware_protocol.can_frames.identifiers import Identifiers
-from firmware_protocol.can_frames.marks import pack_marks, unpack_mark
-from firmware_protocol.can_frames.raw_events import Epoch, pack_clock, pack_events
-from firmware_protocol.can_frames.timing import FollowUp
-from firmware_protocol.edges import EDGE
-from firmware_protocol.events import EVENT
+from firmware_protocol.can_frames.dbc import Identifiers, dbc_text
+from firmware_protocol.can_frames.frame import FollowUp
+from firmware_protocol.can_frames.raw_events import (
+    Epoch,
+    pack_clock,
+    pack_events,
+    pack_fd_events,
+    pack_marks,
+    unpack_mark,
+)
+from firmware_protocol.events import EDGE, EVENT
 
 
 def database(**more):

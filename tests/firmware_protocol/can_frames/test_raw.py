@@ -7,9 +7,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from firmware_protocol.can_frames.fd_events import pack_fd_events, unpack_fd_events
 from firmware_protocol.can_frames.frame import Frame
-from firmware_protocol.can_frames.raw_events import Epoch, RawError, pack_events, unpack_events, unwrapped
+from firmware_protocol.can_frames.raw_events import (
+    Epoch,
+    RawError,
+    pack_events,
+    pack_fd_events,
+    unpack_events,
+    unpack_fd_events,
+    unwrapped,
+)
 from firmware_protocol.can_frames.raw_stream import RawReceiver, RawSender, RawSettings
 from firmware_protocol.events import EVENT
 

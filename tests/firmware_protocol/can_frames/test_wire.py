@@ -6,9 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.can_frames.bus_time import BitRates, frame_bits
+from firmware_protocol.can_frames.canopen import BusSelector, SelectorSettings
 from firmware_protocol.can_frames.frame import Frame
-from firmware_protocol.can_frames.redundancy import BusSelector, SelectorSettings
-from firmware_protocol.can_frames.wire import Wire
+from firmware_protocol.can_frames.socketcand import Wire
 
 RATES = BitRates(1_000_000)
 MS = 1_000_000

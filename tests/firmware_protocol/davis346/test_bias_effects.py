@@ -6,8 +6,7 @@ import pytest
 from davis_host import Host
 
 from firmware_protocol.davis346 import Davis346
-from firmware_protocol.davis346.bias_effects import LEAST_FACTOR, MOST_FACTOR, sensor_factors
-from firmware_protocol.davis346.biases import BIASES, CoarseFine
+from firmware_protocol.davis346.biases import BIASES, LEAST_FACTOR, MOST_FACTOR, CoarseFine, sensor_factors
 from firmware_protocol.davis346.registers import Module
 
 ADDRESSES = {bias.name: bias.address for bias in BIASES}

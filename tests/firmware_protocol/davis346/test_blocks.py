@@ -9,8 +9,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from firmware_protocol.davis346 import Davis346, Davis346Settings, Layout
-from firmware_protocol.frame_lines import FrameSettings, LineKind, line_record
-from firmware_protocol.readings import ReadingCounters, ReadingKind
+from firmware_protocol.device.event_device import ReadingCounters, ReadingKind
+from firmware_protocol.frames import FrameSettings, LineKind, line_record
 
 FRAMES = ReadingKind.FRAMES
 APS_RUN = (2, 4, 1)

@@ -7,7 +7,7 @@ import pytest
 from davis_host import OUT, RUN, STOP, Host, events_of, steady
 
 from firmware_protocol.davis346 import Davis346, Davis346Settings, Layout, WordEncoder
-from firmware_protocol.event_device import CameraCounters
+from firmware_protocol.device.event_device import CameraCounters
 
 PROMPT = Davis346Settings(start_delay_us=0)
 

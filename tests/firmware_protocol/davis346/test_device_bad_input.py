@@ -6,7 +6,7 @@ import pytest
 from davis_host import IN, OUT, RUN, Host, events_of, steady
 
 from firmware_protocol.davis346 import Davis346, Davis346Settings
-from firmware_protocol.event_device import CameraCounters
+from firmware_protocol.device.event_device import CameraCounters
 from firmware_protocol.events import empty_events
 from firmware_protocol.usb.device import Stall
 

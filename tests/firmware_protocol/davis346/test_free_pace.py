@@ -5,9 +5,9 @@ import pytest
 from davis_host import RUN, Host, steady
 
 from firmware_protocol.davis346 import Davis346, Davis346Settings
-from firmware_protocol.device_clock import ClockSettings
+from firmware_protocol.device.clock import ClockSettings
 from transports.link.feed import Feed, Timing
-from transports.link.ring import FREE_RUNNING, EventRing
+from transports.link.rings import FREE_RUNNING, EventRing
 
 LIMIT = 1 << 17
 

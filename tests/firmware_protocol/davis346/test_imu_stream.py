@@ -8,8 +8,8 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
 from firmware_protocol.davis346 import Davis346, Davis346Settings, Layout
+from firmware_protocol.device.event_device import ReadingKind
 from firmware_protocol.imu_samples import ImuSettings, no_samples
-from firmware_protocol.readings import ReadingKind
 
 IMU = ReadingKind.IMU
 MEASURE = [(3, 2, 1), (3, 3, 1), (3, 4, 1)]

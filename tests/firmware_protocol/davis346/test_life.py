@@ -9,11 +9,10 @@ from hypothesis import settings, stateful
 from hypothesis import strategies as st
 
 from firmware_protocol.davis346 import Davis346, Davis346Settings, Decoder
-from firmware_protocol.edges import EDGE
-from firmware_protocol.events import EVENT
-from firmware_protocol.frame_lines import LineKind, line_record
+from firmware_protocol.device.event_device import ReadingKind
+from firmware_protocol.events import EDGE, EVENT
+from firmware_protocol.frames import LineKind, line_record
 from firmware_protocol.imu_samples import no_samples
-from firmware_protocol.readings import ReadingKind
 
 FRAMES, IMU = ReadingKind.FRAMES, ReadingKind.IMU
 STREAMS = [(1, 3), (2, 4), (3, 2), (3, 3), (3, 4), (4, 0)]

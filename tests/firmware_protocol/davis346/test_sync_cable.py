@@ -7,7 +7,7 @@ from davis_host import RUN, Host, steady
 from firmware_protocol.davis346 import Davis346, Davis346Settings, SystemInfo
 from transports.link.edges import EdgeRing
 from transports.link.feed import Feed, Timing
-from transports.link.ring import EventRing
+from transports.link.rings import EventRing
 
 
 class Side:

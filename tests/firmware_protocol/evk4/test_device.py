@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from evk4_requests import DATA, START, STOP, Host, events_of
 
-from firmware_protocol.edges import EDGE, EdgeKind
-from firmware_protocol.event_device import CameraCounters
+from firmware_protocol.device.event_device import CameraCounters
+from firmware_protocol.events import EDGE, EdgeKind
 from firmware_protocol.evk4 import Evk4, Evk4Settings
 from firmware_protocol.usb.device import SetupPacket, Speed, Stall
 

@@ -6,10 +6,8 @@ from evt3_streams import by_evt3, streams
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_protocol.edges import EDGE, EdgeKind
-from firmware_protocol.events import EVENT
-from firmware_protocol.evt3.decoding import Evt3Decoder
-from firmware_protocol.evt3.encoding import Evt3Encoder
+from firmware_protocol.events import EDGE, EVENT, EdgeKind
+from firmware_protocol.evt.evt3 import Evt3Decoder, Evt3Encoder
 
 
 def as_bytes(*words):

@@ -12,11 +12,9 @@ from evt3_streams import SIZE, WRAP_US, as_events, by_evt3, long_steps_us, strea
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from firmware_protocol.edges import EDGE, EdgeKind
-from firmware_protocol.events import EVENT
-from firmware_protocol.evt3.decoding import Evt3Decoder
-from firmware_protocol.evt3.encoding import Evt3Encoder
-from firmware_protocol.evt3.words import evt3_header
+from firmware_protocol.events import EDGE, EVENT, EdgeKind
+from firmware_protocol.evt.evt3 import Evt3Decoder, Evt3Encoder
+from firmware_protocol.evt.words import evt3_header
 
 
 def group(t, y, on, columns):

@@ -9,10 +9,8 @@ from evt3_streams import SIZE, as_events, streams
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_protocol.edges import EDGE, EdgeKind
-from firmware_protocol.events import EVENT
-from firmware_protocol.evt3.evt2 import Evt2Decoder, Evt2Encoder
-from firmware_protocol.evt3.evt2_words import evt2_header
+from firmware_protocol.events import EDGE, EVENT, EdgeKind
+from firmware_protocol.evt.evt2 import Evt2Decoder, Evt2Encoder, evt2_header
 
 FORMS = ["evt2", "evt21", "evt21-legacy"]
 WRAP_US = 1 << 34

@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 from gige_host import PEER, STRANGER, Host
 
-from firmware_protocol.gige.bootstrap import Register
-from firmware_protocol.gige.evs_registers import ACQUISITION_START, ACQUISITION_STOP, BIASES, TEMPERATURE
 from firmware_protocol.gige.gvcp import Command, Status, request
+from firmware_protocol.gige.registers import ACQUISITION_START, ACQUISITION_STOP, BIASES, TEMPERATURE, Register
 
 SECOND_NS = 1_000_000_000
 

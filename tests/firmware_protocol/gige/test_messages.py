@@ -5,10 +5,9 @@ import struct
 import pytest
 from gige_host import Host
 
-from firmware_protocol.edges import EdgeKind, empty_edges
-from firmware_protocol.gige.bootstrap import Register
-from firmware_protocol.gige.evs_registers import Evs
-from firmware_protocol.gige.messages import Messages, MessageSettings
+from firmware_protocol.events import EdgeKind, empty_edges
+from firmware_protocol.gige.control import Messages, MessageSettings
+from firmware_protocol.gige.registers import Evs, Register
 
 MS = 1_000_000
 

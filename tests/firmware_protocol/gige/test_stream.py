@@ -6,11 +6,10 @@ from gige_host import Host, steady
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from firmware_protocol.edges import EdgeKind, empty_edges
-from firmware_protocol.gige.assembly import BlockAssembly
-from firmware_protocol.gige.evs_registers import ACQUISITION_STOP, COLUMNS, INVERTED, ROWS, Erc
+from firmware_protocol.events import EdgeKind, empty_edges
 from firmware_protocol.gige.gvcp import Command, Resend
-from firmware_protocol.gige.gvsp import BLOCK_OCTETS, Block, removed
+from firmware_protocol.gige.gvsp import BLOCK_OCTETS, Block, BlockAssembly, removed
+from firmware_protocol.gige.registers import ACQUISITION_STOP, COLUMNS, INVERTED, ROWS, Erc
 
 
 def test_golden_octets_of_a_block():

@@ -12,9 +12,8 @@ from icd_examples import EDGES as CAN_EDGES
 from icd_examples import EVENTS as CAN_EVENTS
 from icd_examples import EXAMPLES
 
-from firmware_protocol.can_frames.dbc import can_messages
-from firmware_protocol.can_frames.identifiers import Identifiers
-from firmware_protocol.can_frames.isotp import IsoTpReceiver, IsoTpSender, IsoTpSettings
+from firmware_protocol.can_frames.dbc import Identifiers, can_messages
+from firmware_protocol.can_frames.transport import IsoTpReceiver, IsoTpSender, IsoTpSettings
 from firmware_protocol.ground.description import instrument_packets
 from firmware_protocol.ground.wireshark import wireshark_text
 

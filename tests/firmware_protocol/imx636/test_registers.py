@@ -4,8 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_protocol.imx636.bias_effects import BiasModel, BiasSlopes
-from firmware_protocol.imx636.registers import NoRegister, Registers, Surroundings
+from firmware_protocol.imx636.registers import BiasModel, BiasSlopes, NoRegister, Registers, Surroundings
 
 
 def test_the_thermometer_answers_when_it_is_started():

@@ -1,8 +1,8 @@
 """Answers in order, with the time of their making, the oldest lost beyond 256."""
 
-from firmware_protocol.instrument.answers import Answers
-from firmware_protocol.instrument.own_time import OwnTime
-from firmware_protocol.packets.message import Message, MessageKind
+from firmware_protocol.instrument.queue import OwnTime
+from firmware_protocol.instrument.telecommand_handler import Answers
+from firmware_protocol.packets.addresses import Message, MessageKind
 
 
 def test_answers_come_in_order_with_their_time():

@@ -3,9 +3,9 @@
 import pytest
 
 from firmware_protocol.davis346.biases import BIASES as DAVIS_BIASES
-from firmware_protocol.imx636.bias_effects import BiasModel
-from firmware_protocol.instrument.biases import DavisBiases, Imx636Biases
+from firmware_protocol.imx636.registers import BiasModel
 from firmware_protocol.instrument.instrument import Instrument
+from firmware_protocol.instrument.settings import DavisBiases, Imx636Biases
 
 FACTORY = {0: 0x7C, 1: 0x53, 3: 0, 4: 0x66, 5: 0x4D, 6: 0x49, 7: 0x5B, 8: 0x14, 16: 0x8C, 17: 0x7C, 18: 0x94}
 

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from instrument_ground import SIZE, Ground, edges, stream
 
-from firmware_protocol.event_device import CameraCounters
+from firmware_protocol.device.event_device import CameraCounters
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
+from firmware_protocol.packets.addresses import MessageKind
 from firmware_protocol.packets.housekeeping import Housekeeping, Mode, TimeReport, TimeStatus
-from firmware_protocol.packets.message import MessageKind
 from firmware_protocol.packets.telecommands import (
+    FailureCode,
     Ping,
     RequestHousekeeping,
     SetBias,
@@ -19,10 +20,10 @@ from firmware_protocol.packets.telecommands import (
     SetRegion,
     SetTick,
     SetTime,
+    Stage,
     Start,
     Stop,
 )
-from firmware_protocol.packets.verification import FailureCode, Stage
 from firmware_protocol.telemetry import as_received
 
 GOOD = [(Stage.ACCEPTANCE, None), (Stage.COMPLETION, None)]

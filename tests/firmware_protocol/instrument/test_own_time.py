@@ -2,7 +2,7 @@
 
 import pytest
 
-from firmware_protocol.instrument.own_time import OwnTime
+from firmware_protocol.instrument.queue import OwnTime
 from firmware_protocol.packets.housekeeping import TimeStatus
 
 YEAR_US = 366 * 86_400 * 1_000_000

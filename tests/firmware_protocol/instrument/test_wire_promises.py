@@ -3,13 +3,12 @@
 import numpy as np
 from instrument_ground import SIZE, Ground, stream
 
-from firmware_protocol.edges import EDGE
+from firmware_protocol.events import EDGE
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
+from firmware_protocol.packets.addresses import MessageKind
 from firmware_protocol.packets.housekeeping import Housekeeping, TimeStatus
-from firmware_protocol.packets.message import MessageKind
-from firmware_protocol.packets.telecommands import RequestHousekeeping, SetRegion, SetTick, SetTime, Stop
-from firmware_protocol.packets.verification import Stage
+from firmware_protocol.packets.telecommands import RequestHousekeeping, SetRegion, SetTick, SetTime, Stage, Stop
 
 QUIET = {"housekeeping_s": 0}
 

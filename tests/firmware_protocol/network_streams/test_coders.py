@@ -7,13 +7,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_protocol.edges import EDGE, EdgeKind, empty_edges
-from firmware_protocol.events import EVENT
-from firmware_protocol.network_streams.caer import CaerConnectionCoder, CaerDatagramCoder
-from firmware_protocol.network_streams.coder import StreamFacts
+from firmware_protocol.events import EDGE, EVENT, EdgeKind, empty_edges
+from firmware_protocol.network_streams.coders import (
+    CaerConnectionCoder,
+    CaerDatagramCoder,
+    FaeryLongCoder,
+    FaeryShortCoder,
+    JaerCoder,
+    SpifCoder,
+    StreamFacts,
+)
 from firmware_protocol.network_streams.dv import DvCoder
-from firmware_protocol.network_streams.jaer import JaerCoder
-from firmware_protocol.network_streams.plain_datagrams import FaeryLongCoder, FaeryShortCoder, SpifCoder
 from tests.transports.network_streams.stream_readers import (
     CaerDatagrams,
     JaerDecoder,

@@ -6,9 +6,8 @@ import lz4.frame
 import numpy as np
 import pytest
 
-from firmware_protocol.edges import EDGE, EdgeKind
-from firmware_protocol.events import empty_events
-from firmware_protocol.network_streams.coder import StreamFacts
+from firmware_protocol.events import EDGE, EdgeKind, empty_events
+from firmware_protocol.network_streams.coders import StreamFacts
 from firmware_protocol.network_streams.dv import DvTriggerCoder
 
 

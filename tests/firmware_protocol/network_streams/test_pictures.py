@@ -6,12 +6,9 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from firmware_protocol.edges import empty_edges
-from firmware_protocol.events import EVENT
-from firmware_protocol.network_streams.coder import StreamFacts
-from firmware_protocol.network_streams.frames import EventFrames
-from firmware_protocol.network_streams.picture_settings import PictureSettings
-from firmware_protocol.network_streams.pictures import DisplayCoder, EventImageCoder
+from firmware_protocol.events import EVENT, empty_edges
+from firmware_protocol.network_streams.coders import PictureSettings, StreamFacts
+from firmware_protocol.network_streams.pictures import DisplayCoder, EventFrames, EventImageCoder
 
 SIZE = (7, 5)
 FRAME_US = 100

@@ -10,9 +10,15 @@ from spacepackets.ecss.tc import PusTc
 from spacepackets.ecss.tm import MiscParams, PusTm
 
 from firmware_protocol.framing.crc import crc16
-from firmware_protocol.packets.ccsds import APID_IDLE, PacketType, SequenceFlags, SpacePacket, idle_packet
-from firmware_protocol.packets.cuc import OWN_EPOCH_4_3
-from firmware_protocol.packets.errors import PacketError
+from firmware_protocol.packets.addresses import PacketError
+from firmware_protocol.packets.ccsds import (
+    APID_IDLE,
+    OWN_EPOCH_4_3,
+    PacketType,
+    SequenceFlags,
+    SpacePacket,
+    idle_packet,
+)
 from firmware_protocol.packets.pus import TC_OVERHEAD, TM_OVERHEAD, Acknowledge, TcPacket, TmPacket
 
 APIDS = st.integers(0, 0x7FF)

@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from firmware_protocol.packets.addresses import PacketError
 from firmware_protocol.packets.csp import CspPacket, CspVersion, Priority
-from firmware_protocol.packets.errors import PacketError
 
 
 def packets(version):

@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_protocol.packets.cuc import OWN_EPOCH_4_3, TAI_4_3, CucFormat, Epoch
-from firmware_protocol.packets.errors import PacketError
+from firmware_protocol.packets.addresses import PacketError
+from firmware_protocol.packets.ccsds import OWN_EPOCH_4_3, TAI_4_3, CucFormat, Epoch
 
 FORMATS = st.builds(CucFormat, st.sampled_from(Epoch), st.integers(1, 4), st.integers(0, 3), st.booleans())
 

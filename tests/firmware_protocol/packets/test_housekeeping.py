@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_protocol.packets.errors import PacketError
+from firmware_protocol.packets.addresses import PacketError
 from firmware_protocol.packets.housekeeping import (
     EdgeCounts,
     EventCounts,

@@ -9,15 +9,12 @@ from packet_strategies import MESSAGES, TELECOMMANDS, pieces
 from spacepackets.ecss.tm import PusTm
 
 from firmware_protocol.framing import cobs, datagram, kiss
-from firmware_protocol.packets.addresses import Addresses
+from firmware_protocol.packets.addresses import Addresses, Message, MessageKind, Received, SequenceFollower
 from firmware_protocol.packets.ccsds import PacketType, SpacePacket, idle_packet
 from firmware_protocol.packets.csp import CspPacket
-from firmware_protocol.packets.message import Message, MessageKind, Received
 from firmware_protocol.packets.profile import PROFILES, Profile
 from firmware_protocol.packets.pus import Acknowledge, TcPacket, TmPacket
-from firmware_protocol.packets.sequence import SequenceFollower
-from firmware_protocol.packets.telecommands import Ping, SetTick, Start
-from firmware_protocol.packets.verification import FailureCode, RequestId, Stage, Verification
+from firmware_protocol.packets.telecommands import FailureCode, Ping, RequestId, SetTick, Stage, Start, Verification
 
 STREAMS = [name for name in PROFILES if name not in ("ccsds", "csp")]
 EVENTS = Message(MessageKind.EVENTS, b"a block", 1_500_000)

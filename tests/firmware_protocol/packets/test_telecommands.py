@@ -9,28 +9,26 @@ from spacepackets.ecss.pus_1_verification import FailureNotice, MessageSubtype, 
 from spacepackets.ecss.pus_1_verification import RequestId as OracleRequest
 from spacepackets.ecss.tc import PusTc
 
-from firmware_protocol.packets.errors import PacketError
+from firmware_protocol.packets.addresses import PacketError
 from firmware_protocol.packets.pus import TcPacket
 from firmware_protocol.packets.telecommands import TELECOMMANDS as KINDS
 from firmware_protocol.packets.telecommands import (
+    CommandRefused,
+    Failure,
+    FailureCode,
     Ping,
     RequestHousekeeping,
+    RequestId,
     SetBias,
     SetRateLimit,
     SetRegion,
     SetTick,
     SetTime,
+    Stage,
     Start,
     Stop,
-    parse_telecommand,
-)
-from firmware_protocol.packets.verification import (
-    CommandRefused,
-    Failure,
-    FailureCode,
-    RequestId,
-    Stage,
     Verification,
+    parse_telecommand,
 )
 
 

@@ -2,13 +2,13 @@
 
 import numpy as np
 
+from firmware_protocol.can_frames.dbc import Identifiers
 from firmware_protocol.can_frames.frame import Frame
-from firmware_protocol.can_frames.identifiers import Identifiers
-from firmware_protocol.can_frames.isotp import IsoTpSender
-from firmware_protocol.can_frames.marks import pack_marks
-from firmware_protocol.edges import EDGE
+from firmware_protocol.can_frames.raw_events import pack_marks
+from firmware_protocol.can_frames.transport import IsoTpSender
+from firmware_protocol.events import EDGE
+from firmware_protocol.packets.addresses import Message, MessageKind
 from firmware_protocol.packets.housekeeping import Housekeeping
-from firmware_protocol.packets.message import Message, MessageKind
 from firmware_protocol.packets.profile import Profile
 from firmware_protocol.receiver.can import CanReceiver, CanReceiverSettings
 

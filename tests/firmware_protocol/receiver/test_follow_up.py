@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.can_frames.canopen import ObjectError
-from firmware_protocol.can_frames.timing import FollowUp
+from firmware_protocol.can_frames.frame import FollowUp
 
 
 def test_golden_bytes():

@@ -4,9 +4,8 @@ import hypothesis.strategies as st
 import numpy as np
 from hypothesis import given
 
-from firmware_protocol.edges import EDGE
-from firmware_protocol.events import EVENT
-from firmware_protocol.receiver.inbox import Inbox
+from firmware_protocol.events import EDGE, EVENT
+from firmware_protocol.receiver.instrument import Inbox
 
 
 def numbered(dtype, first, count):

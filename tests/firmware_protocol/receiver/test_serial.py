@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from firmware_protocol.events import EVENT
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
-from firmware_protocol.packets.message import Message, MessageKind
+from firmware_protocol.packets.addresses import Message, MessageKind
 from firmware_protocol.packets.profile import PROFILES, Profile
 from firmware_protocol.packets.telecommands import Ping, SetRegion, Start
-from firmware_protocol.receiver.serial import SerialReceiver
+from firmware_protocol.receiver.instrument import SerialReceiver
 
 LINES = [name for name in PROFILES if "-" in name or name == "fprime"]
 SIZE = (346, 260)

@@ -7,9 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_protocol.edges import EDGE, EdgeKind
-from firmware_protocol.events import EVENT
-from firmware_protocol.recordings.aedat2 import (
+from firmware_protocol.events import EDGE, EVENT, EdgeKind
+from firmware_protocol.recordings.aedat import (
     Aedat2Decoder,
     aedat2_header,
     encode_aedat2,

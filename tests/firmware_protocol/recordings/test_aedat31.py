@@ -7,9 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_protocol.edges import EDGE
-from firmware_protocol.events import EVENT
-from firmware_protocol.recordings.aedat31 import (
+from firmware_protocol.events import EDGE, EVENT
+from firmware_protocol.recordings.aedat import (
     Aedat31Decoder,
     aedat31_header,
     encode_aedat31,

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_protocol.recordings.aedat4_frame import MAGIC, Aedat4Head, packet_at
+from firmware_protocol.recordings.aedat4 import MAGIC, Aedat4Head, packet_at
 from tests.transports.recording.samples import sample_events, write
 
 

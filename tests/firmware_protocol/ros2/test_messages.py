@@ -7,18 +7,21 @@ from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from firmware_protocol.events import EVENT
-from firmware_protocol.ros2.cdr import CdrError, CdrReader
 from firmware_protocol.ros2.messages import (
+    ENCODINGS,
     EVENT_PACKET,
     IMAGE,
+    CdrError,
+    CdrReader,
     Header,
     Image,
+    ImageError,
     event_packet,
     image_message,
+    levels_of,
     mono_events,
     parse_image,
 )
-from firmware_protocol.ros2.pixels import ENCODINGS, ImageError, levels_of
 
 # Of ros-event-camera/event_camera_msgs.
 DEFINITION = """

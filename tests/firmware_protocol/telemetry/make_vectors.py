@@ -12,8 +12,7 @@ from pathlib import Path
 import numpy as np
 from block_strategies import events_of, stream
 
-from firmware_protocol.edges import EDGE
-from firmware_protocol.events import empty_events
+from firmware_protocol.events import EDGE, empty_events
 from firmware_protocol.telemetry import BlockEncoder, BlockSettings, decode_block
 from firmware_protocol.telemetry.layout import crc8
 

@@ -7,8 +7,7 @@ from block_strategies import SIZES, TICKS, blocks_of, events_of, in_order, strea
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from firmware_protocol.edges import EDGE, empty_edges
-from firmware_protocol.events import empty_events
+from firmware_protocol.events import EDGE, empty_edges, empty_events
 from firmware_protocol.telemetry import BlockEncoder, BlockSettings, Mode, as_received, decode_block
 from firmware_protocol.telemetry.writing import write_block
 

@@ -15,15 +15,17 @@ from firmware_protocol.usb.usbip import (
     DeviceListReply,
     DeviceListRequest,
     DeviceRecord,
+    HostParser,
     ImportReply,
     ImportRequest,
+    Limits,
+    ServerParser,
     Submit,
     Submitted,
     Unlink,
     Unlinked,
     UsbipError,
 )
-from firmware_protocol.usb.usbip_parser import HostParser, Limits, ServerParser
 
 DAVIS = Identity(0x152A, 0x841A, 0x0206, Speed.SUPER)
 RECORD = DeviceRecord("1-1", 1, 2, DAVIS, "/sys/devices/evstim/usb1/1-1")

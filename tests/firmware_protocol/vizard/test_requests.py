@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_protocol.vizard.requests import (
+from firmware_protocol.vizard.messages import (
     INPUT_REPLY,
     NO_IMAGE,
     OK,

@@ -11,15 +11,15 @@ from pathlib import Path
 
 import numpy as np
 
-from firmware_protocol.can_frames.isotp import IsoTpSender
+from firmware_protocol.can_frames.transport import IsoTpSender
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
+from transports.can_bus.bus import PythonCanBus
 from transports.can_bus.endpoint import CanFactory
-from transports.can_bus.parameters import CanParameters
-from transports.can_bus.python_can import PythonCanBus
+from transports.can_bus.kind import CanParameters
 from transports.link.pacing import MonotonicClock
 from transports.link.process import Link, LinkSetup
-from transports.link.ring import EventRing
+from transports.link.rings import EventRing
 
 
 async def main(channel, carriage, events_file, report_file, seconds):

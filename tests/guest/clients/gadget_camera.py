@@ -24,14 +24,13 @@ import numpy as np
 from looped_streams import SIZE, frames, samples
 
 from firmware_protocol.davis346 import Davis346, Davis346Settings
+from firmware_protocol.device.event_device import ReadingKind
 from firmware_protocol.evk4 import Evk4, Evk4Settings
-from firmware_protocol.readings import ReadingKind
 from firmware_protocol.usb.device import Speed
 from transports.link.edges import EdgeTiming, PeriodicEdges
 from transports.link.feed import Timing
 from transports.link.process import LinkSetup, Stop, run_link
-from transports.link.reading_ring import ReadingRing
-from transports.link.ring import EventRing
+from transports.link.rings import EventRing, ReadingRing
 from transports.recording.part import Facts
 from transports.usb.functionfs.endpoint import GadgetFactory
 

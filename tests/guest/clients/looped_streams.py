@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from firmware_protocol.frame_lines import LineKind, line_record
+from firmware_protocol.frames import LineKind, line_record
 from firmware_protocol.imu_samples import IMU_SAMPLE
 
 SIZE = COLUMNS, ROWS = 346, 260

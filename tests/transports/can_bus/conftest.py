@@ -11,6 +11,6 @@ def stamped_by(monkeypatch):
 
     def stamp(clock):
         module = SimpleNamespace(monotonic_ns=clock.now_ns, time=lambda: 0.0)  # the age of a message is not known then
-        monkeypatch.setattr("transports.can_bus.python_can.time", module)
+        monkeypatch.setattr("transports.can_bus.bus.time", module)
 
     return stamp

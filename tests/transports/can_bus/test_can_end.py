@@ -7,11 +7,10 @@ import pytest
 
 from firmware_protocol.can_frames.canopen import NodeState
 from firmware_protocol.can_frames.frame import Frame
-from firmware_protocol.can_frames.isotp import IsoTpSender
-from transports.can_bus.bus import BusDown, Heard
-from transports.can_bus.listener import _Listening, peer_of
-from transports.can_bus.parameters import CanParameters
-from transports.can_bus.python_can import PythonCanBus
+from firmware_protocol.can_frames.transport import IsoTpSender
+from transports.can_bus.bus import BusDown, Heard, PythonCanBus
+from transports.can_bus.kind import CanParameters
+from transports.can_bus.node import _Listening, peer_of
 from transports.can_bus.served import ServedBus
 from transports.link.pacing import FakeClock, MonotonicClock
 

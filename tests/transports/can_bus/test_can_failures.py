@@ -8,9 +8,8 @@ import can
 import pytest
 
 from firmware_protocol.can_frames.frame import Frame
-from transports.can_bus.bus import BusDown
-from transports.can_bus.parameters import CanParameters
-from transports.can_bus.python_can import PythonCanBus, from_message, to_message
+from transports.can_bus.bus import BusDown, PythonCanBus, from_message, to_message
+from transports.can_bus.kind import CanParameters
 
 CHANNELS = itertools.count()
 

@@ -8,18 +8,17 @@ import can
 import numpy as np
 import pytest
 
-from firmware_protocol.can_frames.canopen import NodeState
+from firmware_protocol.can_frames.canopen import NodeState, SelectorSettings
 from firmware_protocol.can_frames.frame import Frame
-from firmware_protocol.can_frames.redundancy import SelectorSettings
 from firmware_protocol.events import EVENT
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
 from firmware_protocol.receiver.can import CanReceiver
+from transports.can_bus.bus import from_message, to_message
 from transports.can_bus.endpoint import CanFactory
-from transports.can_bus.parameters import CanParameters
-from transports.can_bus.python_can import from_message, to_message
+from transports.can_bus.kind import CanParameters
 from transports.can_bus.served import ServedBus
-from transports.faults.can_kinds import (
+from transports.faults.bus import (
     BabblingIdiot,
     BusOff,
     ChangedFrames,
@@ -30,10 +29,10 @@ from transports.faults.can_kinds import (
     RepeatedFrames,
 )
 from transports.faults.script import FaultPlan
-from transports.link.digest import digest_of
+from transports.link.deliveries import digest_of
 from transports.link.pacing import FakeClock
 from transports.link.process import Link, LinkSetup
-from transports.link.ring import EventRing
+from transports.link.rings import EventRing
 
 ORIGIN_NS = 1_000_000_000
 TICK_NS = 500_000

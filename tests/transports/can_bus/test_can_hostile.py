@@ -12,15 +12,14 @@ from firmware_protocol.can_frames.frame import Frame
 from firmware_protocol.events import EVENT
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
-from transports.can_bus.bus import BusDown, Heard
+from transports.can_bus.bus import BusDown, Heard, PythonCanBus
 from transports.can_bus.endpoint import CanFactory
-from transports.can_bus.listener import listen_can, peer_of
-from transports.can_bus.parameters import CanParameters
-from transports.can_bus.python_can import PythonCanBus
+from transports.can_bus.kind import CanParameters
+from transports.can_bus.node import listen_can, peer_of
 from transports.can_bus.served import ServedBus
 from transports.link.pacing import FakeClock, MonotonicClock
 from transports.link.process import Link, LinkSetup
-from transports.link.ring import FREE_RUNNING, EventRing
+from transports.link.rings import FREE_RUNNING, EventRing
 
 pytestmark = pytest.mark.socket
 PARAMETERS = CanParameters(port=0)
@@ -224,7 +223,7 @@ def test_a_client_that_asks_and_does_not_read_is_sent_off_and_counted():
 
 def test_a_client_that_does_not_read_misses_frames_and_the_bus_closes(monkeypatch):
     monkeypatch.setattr("transports.can_bus.served._CLOSE_TURNS", 50)
-    monkeypatch.setattr("transports.can_bus.served_client._MOST_UNSENT_BYTES", 4096)
+    monkeypatch.setattr("transports.can_bus.served._MOST_UNSENT_BYTES", 4096)
     clock = FakeClock(10**9)
     seen = []
 

@@ -10,25 +10,22 @@ import can
 import numpy as np
 import pytest
 
-from firmware_protocol.can_frames.canopen import Emergency, NmtCommand, NmtOrder, NodeState, scet
+from firmware_protocol.can_frames.canopen import Emergency, NmtCommand, NmtOrder, NodeState, SelectorSettings, scet
 from firmware_protocol.can_frames.frame import Frame
-from firmware_protocol.can_frames.isotp import IsoTpSender
-from firmware_protocol.can_frames.redundancy import SelectorSettings
-from firmware_protocol.edges import EDGE
-from firmware_protocol.events import EVENT
+from firmware_protocol.can_frames.transport import IsoTpSender
+from firmware_protocol.events import EDGE, EVENT
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
 from firmware_protocol.packets.profile import Profile
 from firmware_protocol.packets.telecommands import Ping
 from firmware_protocol.receiver.can import CanReceiver
 from tests.free_ports import free_port
-from transports.can_bus.bus import BusDown
+from transports.can_bus.bus import BusDown, PythonCanBus, from_message, to_message
 from transports.can_bus.endpoint import CanFactory
-from transports.can_bus.parameters import CanParameters
-from transports.can_bus.python_can import PythonCanBus, from_message, to_message
+from transports.can_bus.kind import CanParameters
 from transports.link.pacing import FakeClock, MonotonicClock
 from transports.link.process import Link, LinkSetup
-from transports.link.ring import FREE_RUNNING, EventRing
+from transports.link.rings import FREE_RUNNING, EventRing
 
 SIZE = (346, 260)
 CHANNELS = itertools.count()

@@ -16,15 +16,14 @@ from firmware_protocol.can_frames.socketcand import SocketcandSession, frame_lin
 from firmware_protocol.events import EVENT
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
-from transports.can_bus.bus import BusDown
+from transports.can_bus.bus import BusDown, PythonCanBus, from_message, to_message
 from transports.can_bus.endpoint import CanFactory
-from transports.can_bus.listener import listen_can, peer_of
-from transports.can_bus.parameters import CanParameters
-from transports.can_bus.python_can import PythonCanBus, from_message, to_message
+from transports.can_bus.kind import CanParameters
+from transports.can_bus.node import listen_can, peer_of
 from transports.can_bus.served import ServedBus
 from transports.link.pacing import FakeClock, MonotonicClock
 from transports.link.process import Link, LinkSetup
-from transports.link.ring import EventRing
+from transports.link.rings import EventRing
 from transports.recording.record import Recorder, load_record
 
 

@@ -7,16 +7,14 @@ import pytest
 
 from firmware_protocol.can_frames.bus_time import BitRates
 from firmware_protocol.can_frames.frame import Frame
-from firmware_protocol.edges import empty_edges
-from firmware_protocol.events import EVENT
-from firmware_protocol.instrument.outgoing import Outgoing
-from firmware_protocol.packets.message import Message, MessageKind
+from firmware_protocol.events import EVENT, empty_edges
+from firmware_protocol.instrument.instrument import Outgoing
+from firmware_protocol.packets.addresses import Message, MessageKind
 from transports.can_bus.bus import BusDown, CanBus, Heard
 from transports.can_bus.faulty_bus import BusFaults, FaultyBus
-from transports.faults.bus import QueuedFrame
-from transports.faults.can_kinds import BabblingIdiot, BusOff, DeadBus, RepeatedFrames
-from transports.faults.faulty_line import FaultyLine
+from transports.faults.bus import BabblingIdiot, BusOff, DeadBus, QueuedFrame, RepeatedFrames
 from transports.faults.kinds import LostBytes, Stall, WrongBaud
+from transports.faults.line import FaultyLine
 from transports.faults.script import FaultPlan
 from transports.faults.tracker import Callbacks, FrameTracker, Load
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from transports.faults.can_kinds import LostFrames
+from transports.faults.bus import LostFrames
 from transports.faults.kinds import (
     SERIAL_FAULTS,
     BitFlips,

@@ -6,8 +6,12 @@ import pytest
 from firmware_protocol.davis346 import Davis346, Davis346Settings
 from firmware_protocol.davis346.decoder import Decoder
 from firmware_protocol.events import EVENT
-from transports.faults.davis_kinds import (
+from transports.faults.script import FaultPlan
+from transports.faults.usb import FaultyDevice
+from transports.faults.usb_kinds import (
+    FifoOverflow,
     MissedWraps,
+    OddBytes,
     RegisterFlip,
     RepeatedEvents,
     StaleData,
@@ -16,9 +20,6 @@ from transports.faults.davis_kinds import (
     TimeFrozen,
     WrongVersion,
 )
-from transports.faults.script import FaultPlan
-from transports.faults.usb import FaultyDevice
-from transports.faults.usb_kinds import FifoOverflow, OddBytes
 from transports.usb.davis_host import DavisHost, StreamSettings
 from transports.usb.loopback import DirectHost
 

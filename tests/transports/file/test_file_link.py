@@ -13,14 +13,14 @@ from emulator.rig.loading import RigError, parse_rig
 from emulator.run.assembly import link_setups
 from emulator.run.link_process import LinkFailed, LinkProcess
 from evstim.testing.link_contract import LinkContract, NoReader, event_stream
-from firmware_protocol.edges import EDGE
+from firmware_protocol.events import EDGE
 from tests.transports.recording.test_files import read_all, read_until_damage
 from tests.transports.recording.test_live import waited
 from transports.file.kind import FileLink
 from transports.link.edges import EdgeRing
 from transports.link.feed import Timing
 from transports.link.pacing import MonotonicClock
-from transports.link.ring import FREE_RUNNING
+from transports.link.rings import FREE_RUNNING
 
 pytestmark = pytest.mark.system
 

@@ -18,13 +18,12 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from emulator.rig.loading import parse_rig
 from emulator.run.assembly import link_setups
-from emulator.sensor.aps.parameters import FrameParameters
-from emulator.sensor.aps.source import FrameSource
-from firmware_protocol.edges import EdgeKind
-from firmware_protocol.events import EVENT
-from firmware_protocol.evt3.words import evt3_header
+from emulator.sensor.aps.frames import FrameSource
+from emulator.sensor.aps.row_kicks import FrameParameters
+from firmware_protocol.device.event_device import ReadingKind
+from firmware_protocol.events import EVENT, EdgeKind
+from firmware_protocol.evt.words import evt3_header
 from firmware_protocol.imu_samples import ImuScale, no_samples, physical
-from firmware_protocol.readings import ReadingKind
 from tests.transports.recording.test_other_readers import (
     as_events,
     by_aedat,
@@ -37,11 +36,11 @@ from tests.transports.recording.test_other_readers import (
 )
 from transports.link.pacing import FakeClock
 from transports.link.process import Link
-from transports.link.ring import FREE_RUNNING
+from transports.link.rings import FREE_RUNNING
 from transports.recording.format import FORMATS
 from transports.recording.guarded import OpenRecording
 from transports.recording.record import load_edges, load_frames, load_imu, load_record
-from transports.recording.ros_messages import EVENT_PACKET
+from transports.recording.rosbag import EVENT_PACKET
 
 with warnings.catch_warnings(action="ignore"):  # it uses Python's old `imp`
     import dv
@@ -165,7 +164,7 @@ def pictures(sent):
 @pytest.fixture(autouse=True)
 def pieces(monkeypatch):
     """A step of a busy sensor has more events than are handed over at once."""
-    monkeypatch.setattr("transports.file.endpoint._MOST_EVENTS", 4096)
+    monkeypatch.setattr("transports.file.kind._MOST_EVENTS", 4096)
 
 
 @pytest.mark.parametrize("step_us", STEPS_US)

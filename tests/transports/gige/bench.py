@@ -6,16 +6,15 @@ from functools import partial
 import numpy as np
 
 from firmware_protocol.events import EVENT
-from firmware_protocol.gige.bootstrap import Register
-from firmware_protocol.gige.settings import GigeSettings
+from firmware_protocol.gige.registers import GigeSettings, Register
 from firmware_protocol.gige.triton2 import Triton2
 from transports.faults.script import FaultPlan
 from transports.gige.endpoint import GigeFactory
 from transports.gige.host import GigeHost
-from transports.gige.parameters import GigeLink
+from transports.gige.kind import GigeLink
 from transports.link.pacing import FakeClock
 from transports.link.process import Link, LinkSetup
-from transports.link.ring import FREE_RUNNING, EventRing
+from transports.link.rings import FREE_RUNNING, EventRing
 
 TICK_NS = 500_000
 GAP_US = 10

@@ -5,7 +5,7 @@ import pytest
 
 from evstim.testing.link_contract import LinkContract
 from transports.gige.host import GigeHost
-from transports.gige.parameters import GigeLink
+from transports.gige.kind import GigeLink
 from transports.link.pacing import MonotonicClock
 
 pytestmark = [pytest.mark.system, pytest.mark.socket]

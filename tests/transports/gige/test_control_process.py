@@ -12,22 +12,19 @@ from pathlib import Path
 
 import pytest
 
-from firmware_protocol.gige.bootstrap import Register
-from firmware_protocol.gige.evs_registers import ACQUISITION_START
+from firmware_protocol.gige.control import DeviceTime, Owner, Write
 from firmware_protocol.gige.gvcp import Command, Status, request
-from firmware_protocol.gige.orders import DeviceTime, Owner, Write
-from firmware_protocol.gige.settings import GigeSettings
-from transports.gige.answering import ControlSetup
-from transports.gige.control_process import ControlProcess
+from firmware_protocol.gige.registers import ACQUISITION_START, GigeSettings, Register
+from transports.gige.answering import ControlProcess, ControlSetup
 from transports.link.endpoint import LinkBroken
 
 pytestmark = pytest.mark.socket
 SETUP = ControlSetup("127.0.0.1", 0, (), GigeSettings(), 4567)
 LONELY = """
 import sys, time
-from firmware_protocol.gige.settings import GigeSettings
+from firmware_protocol.gige.registers import GigeSettings
 from transports.gige.answering import ControlSetup
-from transports.gige.control_process import ControlProcess
+from transports.gige.answering import ControlProcess
 process = ControlProcess(ControlSetup("127.0.0.1", 0, (), GigeSettings(), 1))
 print(process.pid, flush=True)
 sys.stdin.read()

@@ -8,19 +8,18 @@ import numpy as np
 import pytest
 
 from emulator.rig.loading import RigError, parse_rig
-from firmware_protocol.edges import EdgeKind
-from firmware_protocol.gige.bootstrap import Register
-from firmware_protocol.gige.evs_registers import COLUMNS, ROWS, Erc, Evs
+from firmware_protocol.events import EdgeKind
 from firmware_protocol.gige.gvcp import Command, request
+from firmware_protocol.gige.registers import COLUMNS, ROWS, Erc, Evs, Register
 from firmware_protocol.gige.triton2 import Triton2
 from tests.transports.gige.bench import GAP_US, Refusing, stream
 from transports.gige.endpoint import GigeFactory
 from transports.gige.host import CameraGone, GigeHost, GigeHostError
-from transports.gige.parameters import GigeLink
-from transports.link.digest import digest_of
+from transports.gige.kind import GigeLink
+from transports.link.deliveries import digest_of
 from transports.link.pacing import FakeClock
 from transports.link.process import Link, LinkSetup
-from transports.link.ring import FREE_RUNNING, EventRing
+from transports.link.rings import FREE_RUNNING, EventRing
 
 pytestmark = pytest.mark.socket
 

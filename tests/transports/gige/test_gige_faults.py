@@ -6,15 +6,15 @@ import time
 import numpy as np
 import pytest
 
-from firmware_protocol.gige.bootstrap import Register
 from firmware_protocol.gige.gvcp import Command, request
+from firmware_protocol.gige.registers import Register
 from tests.transports.gige.bench import stream
-from transports.faults.datagram_kinds import LateDatagrams, LostDatagrams, RepeatedDatagrams
-from transports.faults.gige_kinds import IpChange, LinkDown, LostHeartbeat, RefusedResends
+from transports.faults.datagrams import LateDatagrams, LostDatagrams, RepeatedDatagrams
+from transports.faults.usb_kinds import IpChange, LinkDown, LostHeartbeat, RefusedResends
 from transports.gige.host import CameraGone
-from transports.link.digest import digest_of
+from transports.link.deliveries import digest_of
 from transports.link.endpoint import LinkBroken
-from transports.link.ring import FREE_RUNNING
+from transports.link.rings import FREE_RUNNING
 
 pytestmark = pytest.mark.socket
 

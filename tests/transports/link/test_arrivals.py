@@ -2,12 +2,10 @@
 
 import numpy as np
 
-from firmware_protocol.edges import empty_edges
-from firmware_protocol.events import EVENT
-from transports.link.arrivals import Arrivals
-from transports.link.digest import digest_of
-from transports.link.latency import LatencySummary
+from firmware_protocol.events import EVENT, empty_edges
+from transports.link.deliveries import LatencySummary, digest_of
 from transports.link.pacing import FakeClock
+from transports.link.reception import Arrivals
 from transports.recording.record import Recorder, load_record
 
 

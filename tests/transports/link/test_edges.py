@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_protocol.edges import EdgeKind
+from firmware_protocol.events import EdgeKind
 from transports.link.edges import EdgeRing, EdgeSink, EdgeTiming, PeriodicEdges
-from transports.link.ring import FREE_RUNNING, EventRing
+from transports.link.rings import FREE_RUNNING, EventRing
 
 ORIGIN_NS = 5_000_000_123
 FOREVER_US = 1 << 60

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from transports.link.latency import LatencyHistogram, LatencySummary
+from transports.link.deliveries import LatencyHistogram, LatencySummary
 
 
 def test_quantiles_are_within_a_bin():

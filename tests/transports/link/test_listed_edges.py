@@ -4,8 +4,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_protocol.edges import EdgeKind
-from transports.link.listed_edges import EdgeTrain, ListedEdges
+from firmware_protocol.events import EdgeKind
+from transports.link.edges import EdgeTrain, ListedEdges
 
 TRAINS = [
     EdgeTrain(EdgeKind.RISING, 100),

@@ -8,7 +8,7 @@ import pytest
 
 from firmware_protocol.davis346 import Davis346, Davis346Settings
 from transports.link.process import LinkSetup, Stop, run_link
-from transports.link.ring import EventRing
+from transports.link.rings import EventRing
 from transports.usb.loopback import LoopbackFactory
 
 

@@ -10,11 +10,11 @@ import pytest
 from firmware_protocol.davis346 import Davis346, Davis346Settings
 from firmware_protocol.events import EVENT
 from firmware_protocol.usb.device import SetupPacket, Transfer
-from transports.link.digest import digest_of
+from transports.link.deliveries import digest_of
 from transports.link.endpoint import LinkBroken
 from transports.link.pacing import FakeClock
 from transports.link.process import Link, LinkSetup, Stop, _is_read, _tick_until_stopped
-from transports.link.ring import FREE_RUNNING, EventRing
+from transports.link.rings import FREE_RUNNING, EventRing
 from transports.recording.record import load_record
 from transports.usb.host import StallError
 from transports.usb.loopback import DirectHost, LoopbackEndpoint, LoopbackFactory

@@ -7,14 +7,13 @@ import numpy as np
 import pytest
 
 from firmware_protocol.davis346 import Davis346, Davis346Settings
-from firmware_protocol.frame_lines import FrameSettings, LineKind, line_record
-from firmware_protocol.plain_device import PlainDevice
-from firmware_protocol.readings import ReadingKind
+from firmware_protocol.device.event_device import ReadingKind
+from firmware_protocol.device.plain_device import PlainDevice
+from firmware_protocol.frames import FrameSettings, LineKind, line_record
+from transports.link.feed import ReadingReport
 from transports.link.pacing import FakeClock
 from transports.link.process import Link, LinkSetup
-from transports.link.reading_feed import ReadingReport
-from transports.link.reading_ring import ReadingRing
-from transports.link.ring import FREE_RUNNING, EventRing
+from transports.link.rings import FREE_RUNNING, EventRing, ReadingRing
 from transports.usb.loopback import LoopbackFactory
 
 RECORD = np.dtype([("t", "<u8"), ("value", "<i2", (3,))])

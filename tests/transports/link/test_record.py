@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from firmware_protocol.edges import empty_edges
-from firmware_protocol.events import EVENT, empty_events
+from firmware_protocol.events import EVENT, empty_edges, empty_events
 from transports.recording.part import Frame, Part
 from transports.recording.record import Recorder, load_edges, load_record
 

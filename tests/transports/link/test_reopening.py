@@ -3,8 +3,8 @@
 import asyncio
 import itertools
 
+from transports.link.endpoint import Reopening
 from transports.link.pacing import FakeClock
-from transports.link.reopening import Reopening
 
 PERIOD_NS = 1000
 

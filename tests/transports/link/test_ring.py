@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.events import EVENT
-from transports.link.ring import EventRing
+from transports.link.rings import EventRing
 
 
 def events_at(times):

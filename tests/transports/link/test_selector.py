@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from transports.link.selector import FineSelector
+from transports.link.pacing import FineSelector
 
 
 @pytest.fixture

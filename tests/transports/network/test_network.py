@@ -6,10 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from transports.can_bus.parameters import CanParameters
-from transports.network.admission import Admission, Places
-from transports.network.allow import AllowList, check_allow, is_loopback
-from transports.usb.usbip.parameters import UsbipLink
+from transports.can_bus.kind import CanParameters
+from transports.network.datagrams import Admission, AllowList, Places, check_allow, is_loopback
+from transports.usb.usbip.kind import UsbipLink
 
 
 @pytest.mark.parametrize(

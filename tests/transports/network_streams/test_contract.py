@@ -13,7 +13,7 @@ from tests.transports.network_streams.stream_readers import (
     short_events,
     udp_port,
 )
-from transports.network_streams.parameters import TcpStream, UdpStream
+from transports.network_streams.kind import TcpStream, UdpStream
 
 pytestmark = [pytest.mark.system, pytest.mark.socket]
 

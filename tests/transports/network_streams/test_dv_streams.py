@@ -14,13 +14,13 @@ from emulator.rig.loading import RigError, parse_rig
 from emulator.run.assembly import link_setups
 from emulator.run.link_process import LinkProcess
 from evstim.testing.link_contract import LinkContract, event_stream
-from firmware_protocol.plain_device import PlainDevice
+from firmware_protocol.device.plain_device import PlainDevice
 from tests.free_ports import free_port
 from tests.transports.network_streams.stream_readers import DvReader
 from transports.link.deliveries import Deliveries
 from transports.link.pacing import MonotonicClock
-from transports.link.ring import FREE_RUNNING, EventRing
-from transports.network_streams.parameters import TcpStream
+from transports.link.rings import FREE_RUNNING, EventRing
+from transports.network_streams.kind import TcpStream
 
 pytestmark = pytest.mark.socket
 

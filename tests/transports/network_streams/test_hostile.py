@@ -17,7 +17,7 @@ from emulator.run.link_process import LinkFailed, LinkProcess
 from evstim.testing.link_contract import event_stream
 from tests.transports.network_streams.stream_readers import CaerReader, DvReader, udp_port
 from transports.link.pacing import MonotonicClock
-from transports.link.ring import FREE_RUNNING, EventRing
+from transports.link.rings import FREE_RUNNING, EventRing
 
 pytestmark = [pytest.mark.system, pytest.mark.socket]
 

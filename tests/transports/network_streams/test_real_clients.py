@@ -20,7 +20,7 @@ from evstim.testing.link_contract import event_stream
 from tests.free_ports import free_port
 from tests.transports.network_streams.stream_readers import DvReader
 from transports.link.pacing import MonotonicClock
-from transports.link.ring import FREE_RUNNING, EventRing
+from transports.link.rings import FREE_RUNNING, EventRing
 
 pytestmark = [pytest.mark.system, pytest.mark.socket]
 

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from firmware_protocol.edges import EDGE, EdgeKind
-from firmware_protocol.events import EVENT
+from firmware_protocol.events import EDGE, EVENT, EdgeKind
 from transports.recording.format import FORMATS
 from transports.recording.part import Facts, Part
 from transports.recording.writing import RecordingFile

@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from firmware_protocol.evt3.encoding import Evt3Encoder
-from firmware_protocol.evt3.evt2 import Evt2Encoder
-from firmware_protocol.evt3.evt2_words import evt2_header
-from firmware_protocol.evt3.words import evt3_header
+from firmware_protocol.evt.evt2 import Evt2Encoder, evt2_header
+from firmware_protocol.evt.evt3 import Evt3Encoder
+from firmware_protocol.evt.words import evt3_header
 from tests.transports.recording.samples import SIZE, sample_edges, sample_events
 from transports.recording.evt_file import EvtReader
 

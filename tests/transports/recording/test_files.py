@@ -5,8 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from firmware_protocol.edges import EDGE
-from firmware_protocol.events import EVENT
+from firmware_protocol.events import EDGE, EVENT
 from tests.transports.recording.samples import SIZE, UNIX_US, sample_edges, sample_events, write
 from transports.recording.format import FORMATS, format_to_write, with_addition
 from transports.recording.guarded import OpenRecording

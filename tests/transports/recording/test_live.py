@@ -13,8 +13,7 @@ from firmware_protocol.events import EVENT
 from tests.transports.recording.samples import SIZE, sample_edges, sample_events
 from tests.transports.recording.test_files import DATED, read_all, read_until_damage
 from transports.recording.format import FORMATS
-from transports.recording.live import LiveRecorder
-from transports.recording.opening import open_recorder
+from transports.recording.live import LiveRecorder, open_recorder
 from transports.recording.part import Facts, Part
 from transports.recording.record import Recorder
 
@@ -118,7 +117,7 @@ def test_a_killed_feeder_leaves_a_finished_file(tmp_path):
     path = tmp_path / "a.aedat4"
     done = subprocess.run([sys.executable, "-c", FEEDER, path], cwd=os.getcwd(), check=False, timeout=60)
     assert done.returncode == -signal.SIGKILL
-    finished = FORMATS["aedat4"].imported("firmware_protocol.recordings.aedat4_frame:Aedat4Head")
+    finished = FORMATS["aedat4"].imported("firmware_protocol.recordings.aedat4:Aedat4Head")
     assert waited(lambda: path.stat().st_size > 0)
     assert waited(lambda: finished(path.read_bytes()).table_at > 0)
     assert read_all(path)[1]["t"].tolist() == list(range(5000))

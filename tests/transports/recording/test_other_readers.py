@@ -16,11 +16,10 @@ import tonic.io
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from firmware_protocol.edges import EdgeKind
-from firmware_protocol.events import EVENT
-from firmware_protocol.evt3.words import evt3_header
+from firmware_protocol.events import EVENT, EdgeKind
+from firmware_protocol.evt.words import evt3_header
 from tests.transports.recording.samples import SIZE, UNIX_US, sample_edges, sample_events, write
-from transports.recording.ros_messages import DVS_EVENT, EVENT_ARRAY, EVENT_PACKET
+from transports.recording.rosbag import DVS_EVENT, EVENT_ARRAY, EVENT_PACKET
 
 with warnings.catch_warnings(action="ignore"):  # it uses Python's old `imp`
     import dv

@@ -5,10 +5,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_protocol.edges import EDGE
-from firmware_protocol.events import EVENT
-from transports.recording.part import IMU, Facts, Frame, Part
-from transports.recording.parts_pipe import (
+from firmware_protocol.events import EDGE, EVENT
+from transports.recording.part import (
+    IMU,
+    Facts,
+    Frame,
+    Part,
     PipeReader,
     Restart,
     encoded_end,

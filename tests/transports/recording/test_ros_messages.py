@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.transports.recording.samples import SIZE, sample_events
-from transports.recording.ros_messages import array_events, event_array
+from transports.recording.rosbag import array_events, event_array
 
 
 @given(st.integers(1, 40), st.booleans())

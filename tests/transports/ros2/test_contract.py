@@ -6,7 +6,7 @@ pytest.importorskip("cyclonedds", reason="the `ros2` extra is not installed")
 
 from evstim.testing.link_contract import LinkContract
 from tests.transports.ros2.ros_readers import DOMAIN, EventReader, own_topic
-from transports.ros2.parameters import Ros2Topics
+from transports.ros2.kind import Ros2Topics
 
 pytestmark = [pytest.mark.system, pytest.mark.socket]
 

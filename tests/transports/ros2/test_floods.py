@@ -20,7 +20,7 @@ from tests.hostile.memory import MIB, resident_bytes
 from tests.transports.ros2.ros_readers import DOMAIN, PEER, EventReader, own_topic
 from tests.transports.ros2.test_image_scene import Writer, image
 from tests.transports.ros2.test_topics import balanced, opened, wait_until
-from transports.link.ring import FREE_RUNNING
+from transports.link.rings import FREE_RUNNING
 
 pytestmark = [pytest.mark.system, pytest.mark.socket]
 

@@ -20,7 +20,7 @@ from emulator.run.link_process import LinkFailed, LinkProcess
 from evstim.testing.link_contract import event_stream
 from tests.transports.ros2.ros_readers import DOMAIN, EventReader, Peer, decoded, own_topic, typestore
 from transports.link.pacing import MonotonicClock
-from transports.link.ring import FREE_RUNNING, EventRing
+from transports.link.rings import FREE_RUNNING, EventRing
 
 pytestmark = [pytest.mark.system, pytest.mark.socket]
 

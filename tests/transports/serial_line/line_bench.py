@@ -10,13 +10,13 @@ import serial
 from firmware_protocol.events import EVENT
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
-from firmware_protocol.receiver.serial import SerialReceiver
+from firmware_protocol.receiver.instrument import SerialReceiver
 from transports.faults.script import FaultPlan
 from transports.link.pacing import FakeClock
 from transports.link.process import Link, LinkSetup
-from transports.link.ring import EventRing
+from transports.link.rings import EventRing
 from transports.serial_line.endpoint import SerialFactory
-from transports.serial_line.parameters import SerialParameters
+from transports.serial_line.kind import SerialParameters
 
 ORIGIN_NS = 1_000_000_000
 TICK_NS = 500_000

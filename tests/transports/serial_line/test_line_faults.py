@@ -23,7 +23,7 @@ from transports.faults.kinds import (
     WrongBaud,
 )
 from transports.faults.script import FaultPlan
-from transports.link.digest import digest_of
+from transports.link.deliveries import digest_of
 from transports.recording.record import load_record
 
 PROFILES = ["ccsds-cobs", "ccsds-slip", "ccsds-kiss", "csp-kiss", "fprime"]

@@ -11,8 +11,8 @@ from line_bench import ORIGIN_NS, PATIENCE_S, TICK_NS, Bench, stream
 
 from firmware_protocol.instrument.settings import InstrumentSettings
 from firmware_protocol.packets.telecommands import Ping, SetTick, Start, Stop
-from transports.link.digest import digest_of
-from transports.link.ring import FREE_RUNNING
+from transports.link.deliveries import digest_of
+from transports.link.rings import FREE_RUNNING
 from transports.recording.record import load_record
 
 PROFILES = ["ccsds-cobs", "ccsds-slip", "ccsds-kiss", "csp-kiss", "fprime"]

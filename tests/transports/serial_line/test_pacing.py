@@ -6,8 +6,7 @@ import hypothesis.strategies as st
 import pytest
 from hypothesis import given, settings
 
-from transports.serial_line.pacing import BaudClock
-from transports.serial_line.transmitter import Frame, Transmitter
+from transports.serial_line.endpoint import BaudClock, Frame, Transmitter
 
 SECOND_NS = 1_000_000_000
 TICK_NS = 500_000

@@ -10,11 +10,8 @@ import time
 import pytest
 import serial
 
-from transports.serial_line.opening import open_port
-from transports.serial_line.parameters import SerialParameters
-from transports.serial_line.port import DescriptorPort, ThreadedPort
-from transports.serial_line.pty_pair import PtyPort
-from transports.serial_line.pty_symlink import remove_abandoned
+from transports.serial_line.kind import SerialParameters
+from transports.serial_line.port import DescriptorPort, PtyPort, ThreadedPort, open_port, remove_abandoned
 
 PATIENCE_S = 120.0
 
@@ -114,8 +111,8 @@ def test_the_link_of_a_running_port_is_neither_replaced_nor_removed(tmp_path):
 
 KILLED = """
 import os, sys
-from transports.serial_line.opening import open_port
-from transports.serial_line.parameters import SerialParameters
+from transports.serial_line.port import open_port
+from transports.serial_line.kind import SerialParameters
 port = open_port(SerialParameters(symlink=sys.argv[1]))
 os.kill(os.getpid(), 9)
 """

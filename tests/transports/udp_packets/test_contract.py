@@ -7,7 +7,7 @@ from evstim.testing.link_contract import LinkContract
 from firmware_protocol.instrument.settings import InstrumentSettings
 from firmware_protocol.telemetry import decode_block
 from tests.transports.network_streams.stream_readers import DatagramReader, udp_port
-from transports.udp_packets.parameters import UdpPackets
+from transports.udp_packets.kind import UdpPackets
 
 pytestmark = [pytest.mark.system, pytest.mark.socket]
 

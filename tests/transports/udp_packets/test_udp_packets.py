@@ -14,19 +14,17 @@ from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
 from firmware_protocol.packets.profile import Profile
 from firmware_protocol.packets.telecommands import Ping, SetTick, Stop
-from firmware_protocol.receiver.serial import SerialReceiver
+from firmware_protocol.receiver.instrument import SerialReceiver
 from tests.transports.network_streams.stream_readers import udp_port
-from transports.faults.datagram_kinds import DATAGRAM_FAULTS, LateDatagrams, LostDatagrams, RepeatedDatagrams
+from transports.faults.datagrams import DATAGRAM_FAULTS, LateDatagrams, LostDatagrams, RepeatedDatagrams
 from transports.faults.kinds import BitFlips, Stall
 from transports.faults.script import FaultPlan
 from transports.link.pacing import FakeClock
 from transports.link.process import Link, LinkSetup
-from transports.link.ring import FREE_RUNNING, EventRing
-from transports.network.allow import AllowList
-from transports.network.datagrams import DatagramInlet
-from transports.udp_packets.endpoint import UdpPacketFactory
-from transports.udp_packets.listener import Ports, listen_udp
-from transports.udp_packets.parameters import UdpPackets
+from transports.link.rings import FREE_RUNNING, EventRing
+from transports.network.datagrams import AllowList, DatagramInlet
+from transports.udp_packets.endpoint import Ports, UdpPacketFactory, listen_udp
+from transports.udp_packets.kind import UdpPackets
 
 pytestmark = pytest.mark.socket
 

@@ -18,10 +18,10 @@ import time
 import zlib
 from multiprocessing.connection import Connection
 
-from emulator.bench.davis_streams import endless_davis_batches
+from emulator.evaluation.bench.streams import endless_davis_batches
 from firmware_protocol.davis346 import Davis346, Davis346Settings, WordEncoder
-from firmware_protocol.edges import EdgeKind, empty_edges
-from firmware_protocol.readings import ReadingKind
+from firmware_protocol.device.event_device import ReadingKind
+from firmware_protocol.events import EdgeKind, empty_edges
 from firmware_protocol.usb.device import SetupPacket, Transfer
 from transports.usb.usbip.client import UsbipHost
 from transports.usb.usbip.server import UsbipServer

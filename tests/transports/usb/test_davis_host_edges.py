@@ -3,11 +3,11 @@
 import numpy as np
 
 from firmware_protocol.davis346 import Davis346, Davis346Settings
-from firmware_protocol.edges import EDGE, EdgeKind
+from firmware_protocol.events import EDGE, EdgeKind
 from transports.link.pacing import FakeClock
+from transports.usb.cameras import receive
 from transports.usb.davis_host import DavisHost, StreamSettings
 from transports.usb.loopback import DirectHost
-from transports.usb.receiver import receive
 
 
 def edges(*times):

@@ -1,7 +1,7 @@
 """Unlinks whose URBs are still to come: which are kept, across the end of the sequence numbers, and how many."""
 
 from firmware_protocol.usb.usbip import Unlink
-from transports.usb.usbip.early_unlinks import EarlyUnlinks
+from transports.usb.usbip.connection import EarlyUnlinks
 
 
 def unlink(victim):

@@ -20,7 +20,7 @@ from tests.transports.usb.raw_host import (
     read_urb,
     submit,
 )
-from transports.network.admission import Places
+from transports.network.datagrams import Places
 from transports.network.listener import Listener
 from transports.usb.host import PeerGone
 from transports.usb.usbip.client import UsbipHost

@@ -13,10 +13,10 @@ from transports.faults.script import FaultPlan
 from transports.faults.usb_kinds import FifoOverflow, UsbSilence
 from transports.link.pacing import MonotonicClock
 from transports.link.process import Link, LinkSetup
-from transports.link.ring import FREE_RUNNING, EventRing
+from transports.link.rings import FREE_RUNNING, EventRing
 from transports.usb.cameras import driver_of
 from transports.usb.usbip.client import UsbipHost
-from transports.usb.usbip.endpoint import UsbipFactory
+from transports.usb.usbip.server import UsbipFactory
 
 pytestmark = pytest.mark.socket
 

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from firmware_protocol.davis346 import Davis346, Davis346Settings
-from firmware_protocol.usb.usbip import Submit, Unlink
-from firmware_protocol.usb.usbmon import UrbRecord
+from firmware_protocol.usb.usbip import Submit, Unlink, UrbRecord
 from tests.transports.usb.raw_host import attached, read_urb, submit
 from transports.faults.script import FaultPlan
 from transports.faults.usb import FaultyDevice
@@ -17,7 +16,7 @@ from transports.faults.usb_kinds import ControlStall
 from transports.usb.davis_host import DavisHost, StreamSettings
 from transports.usb.host import StallError
 from transports.usb.usbip.client import UsbipHost
-from transports.usb.usbip.early_unlinks import Found
+from transports.usb.usbip.connection import Found
 from transports.usb.usbip.trace import UrbTrace, transfer_types
 
 BEGUN_NS = 1_700_000_000_000_000_000

@@ -8,10 +8,9 @@ import pytest
 
 from firmware_protocol.davis346 import Davis346, Davis346Settings
 from firmware_protocol.usb.device import NotReady, SetupPacket, Stall
-from transports.faults.davis_kinds import WrongVersion
 from transports.faults.kinds import LostBytes
 from transports.faults.script import FaultPlan
-from transports.faults.usb import FaultyDevice
+from transports.faults.usb import FaultyDevice, usb_stage
 from transports.faults.usb_kinds import (
     USB_FAULTS,
     ControlStall,
@@ -21,15 +20,15 @@ from transports.faults.usb_kinds import (
     UsbSilence,
     UsbStall,
     UsbUnplugged,
+    WrongVersion,
 )
-from transports.faults.usb_stages import usb_stage
 from transports.link.pacing import FakeClock
 from transports.link.process import Link, LinkSetup
-from transports.link.ring import EventRing
+from transports.link.rings import EventRing
 from transports.usb.davis_host import DavisHost
 from transports.usb.host import DeviceAbsent, StallError, TransferTimeout, UsbHostError
 from transports.usb.usbip.client import UsbipHost
-from transports.usb.usbip.endpoint import UsbipFactory
+from transports.usb.usbip.server import UsbipFactory
 
 
 @pytest.fixture

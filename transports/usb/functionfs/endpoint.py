@@ -15,10 +15,9 @@ from transports.faults.usb import FaultyDevice
 from transports.link.deliveries import Deliveries
 from transports.link.endpoint import Endpoint, EndpointFactory, LinkBroken
 from transports.usb.functionfs.cable import Cable
-from transports.usb.functionfs.files import WAKE_SIGNAL, FunctionFiles
+from transports.usb.functionfs.files import WAKE_SIGNAL, FunctionFiles, with_spares
 from transports.usb.functionfs.gadget import Gadget, GadgetError, Places, controller_of
-from transports.usb.functionfs.numbering import with_spares
-from transports.usb.observed import Observed
+from transports.usb.loopback import Observed
 
 __all__ = ["GadgetEndpoint", "GadgetFactory"]
 

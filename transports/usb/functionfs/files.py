@@ -10,6 +10,18 @@ Calls go to libc: `os.write` would start again by itself after a signal.
     ep0, OUT request    read: data stage, or acknowledge    write: stall
     endpoint            a call in the wrong direction halts it
     ioctl 0x82          the endpoint's descriptor in use (9 bytes), linux/usb/functionfs.h
+
+What the kernel's FunctionFS is to the camera's side of it: one control pipe and one pipe for each endpoint.
+
+`transports.usb.functionfs.files` has the real ones. Calls block; each pipe is used by a thread of its own.
+
+Which endpoint numbers a USB device controller gives, and how a camera gets the ones that its drivers know.
+
+Drivers of cameras name endpoints by number; the controller chooses the numbers itself, in the order in which endpoints
+are declared. Most count 1, 2, 3 ... in each direction. Where a number comes too early, an unused endpoint takes it:
+
+    dummy_udc   IN 1 6 11 2    DAVIS346: 0x81, unused 0x86, unused 0x8B, 0x82
+    others      IN 1 2         DAVIS346: 0x81, 0x82
 """
 
 from __future__ import annotations
@@ -23,11 +35,24 @@ import select
 import signal
 import threading
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Protocol
 
+from firmware_protocol.usb.descriptors import Endpoint, Interface, TransferType
 from firmware_protocol.usb.functionfs import EVENT_BYTES, Event
 
-__all__ = ["WAKE_SIGNAL", "ControlFile", "EndpointFile", "FunctionFiles"]
+__all__ = [
+    "WAKE_SIGNAL",
+    "ControlFile",
+    "ControlPipe",
+    "DataPipe",
+    "EndpointFile",
+    "Function",
+    "FunctionFiles",
+    "with_spares",
+]
+
 
 WAKE_SIGNAL = signal.SIGUSR2
 """Ends a blocked call of an endpoint; the process needs a handler for it, which may do nothing."""
@@ -232,3 +257,91 @@ class FunctionFiles:
         for pipe in self.pipes:
             pipe.close()
         self.control.close()
+
+
+class ControlPipe(Protocol):
+    """Endpoint 0."""
+
+    def next_event(self) -> Event | None:
+        """Wait for the next event; None after `wake`."""
+
+    def wake(self) -> None:
+        """End the waiting of `next_event`, from another thread."""
+
+    def send(self, data: bytes) -> None:
+        """Do the data stage of an IN request; raises OSError when the host gave up."""
+
+    def receive(self, length: int) -> bytes:
+        """Do the data stage of an OUT request, or acknowledge one without; raises OSError when the host gave up."""
+
+    def refuse(self, *, is_in: bool) -> None:
+        """Stall the request, before its data stage; raises OSError when the host gave up."""
+
+
+class DataPipe(Protocol):
+    """One endpoint but 0."""
+
+    @property
+    def number(self) -> int:
+        """Number of the camera's endpoint, without the direction bit."""
+
+    @property
+    def is_in(self) -> bool:
+        """True where data go to the host."""
+
+    def packet_bytes(self) -> int:
+        """Length of a full packet at the speed of the moment."""
+
+    def write(self, data: bytes) -> None:
+        """Give data to the host; returns when it has them. Raises OSError."""
+
+    def read(self, most_bytes: int) -> bytes:
+        """Take one transfer of the host. Raises OSError."""
+
+    def halt(self) -> None:
+        """Let the host's transfers fail until it clears the halt. Raises OSError."""
+
+    def interrupt(self) -> None:
+        """End the call that blocks now in another thread, with InterruptedError; one that begins later goes on."""
+
+
+class Function(Protocol):
+    """An interface at a USB device controller."""
+
+    @property
+    def control(self) -> ControlPipe:
+        """Endpoint 0."""
+
+    @property
+    def pipes(self) -> Sequence[DataPipe]:
+        """The other endpoints that the camera uses."""
+
+
+_IN_ORDER = tuple(range(1, 16))
+_BY_DRIVER = {"dummy_udc": ((1, 6, 11, 2), (2, 7, 12, 1))}  # bulk endpoints of dummy_hcd.c: IN, OUT
+
+
+def with_spares(interface: Interface, controller: str) -> Interface:
+    """Return an interface whose endpoints get their addresses at a controller, named as in /sys/class/udc.
+
+    Raises ValueError where the controller cannot give one of them.
+    """
+    in_order, out_order = _BY_DRIVER.get(controller.partition(".")[0], (_IN_ORDER, _IN_ORDER))
+    ins = _declared(interface.endpoints, [_IN | number for number in in_order], controller)
+    outs = _declared(interface.endpoints, out_order, controller)
+    return replace(interface, endpoints=(*ins, *outs))
+
+
+def _declared(endpoints: Sequence[Endpoint], given: Sequence[int], controller: str) -> Iterator[Endpoint]:
+    """Yield the endpoints of one direction in the order of the addresses that will be given, and unused ones."""
+    wanted = {one.address: one for one in endpoints if one.address & _IN == given[0] & _IN}
+    if missing := wanted.keys() - set(given):
+        told = ", ".join(f"0x{address:02X}" for address in sorted(missing))
+        raise ValueError(
+            f"the USB device controller {controller} has no endpoint {told}, which drivers of this camera use"
+        )
+    packet = max(one.max_packet for one in endpoints)
+    for address in given:
+        if not wanted:
+            return
+        yield wanted.pop(address) if address in wanted else Endpoint(address, TransferType.BULK, packet)

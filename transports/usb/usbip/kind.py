@@ -1,21 +1,57 @@
-"""The record of USB/IP links."""
+"""The record of USB/IP links.
+
+What a rig says of a USB/IP link.
+"""
 
 from __future__ import annotations
 
-from typing import Any
+import re
+from dataclasses import dataclass
+from typing import Any, ClassVar
 
 from transports.faults.usb_kinds import USB_FAULTS
 from transports.link.endpoint import EndpointFactory
 from transports.link.kind import LinkKind, Listener, Wiring
 from transports.needs import VHCI
-from transports.usb.models import check_model
-from transports.usb.usbip.parameters import UsbipLink
+from transports.network.datagrams import check_allow
+from transports.usb.loopback import check_model
 
-__all__ = ["USBIP"]
+__all__ = ["USBIP", "UsbipLink"]
+
+
+@dataclass(frozen=True)
+class UsbipLink:
+    """The camera as a USB device over USB/IP: `usbip attach -r HOST -b BUSID` on a Linux machine.
+
+    Attributes
+    ----------
+    host, port
+        Address to listen on. USB/IP has no authentication: leave it on 127.0.0.1 or a network of your own.
+    allow
+        Addresses and networks that may connect; needed where `host` can be reached from other machines.
+    busid
+        Bus id under which the camera is exported.
+    name
+        What this rig calls the link: in reports, and where faults and triggers name it.
+    """
+
+    kind: ClassVar[str] = "usbip"
+    host: str = "127.0.0.1"
+    port: int = 3240
+    busid: str = "1-1"
+    name: str = "usbip"
+    allow: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.port <= 65535:
+            raise ValueError(f"port must be 0 (any free one) to 65535, got {self.port}")
+        if not re.fullmatch(r"[1-9]\d{0,2}-[1-9]\d{0,2}", self.busid):
+            raise ValueError(f"busid must be a bus and a port such as '1-1', got {self.busid!r}")
+        check_allow(self.host, self.allow)
 
 
 def _endpoint(link: UsbipLink, wiring: Wiring) -> EndpointFactory[Any]:
-    from transports.usb.usbip.endpoint import UsbipFactory
+    from transports.usb.usbip.server import UsbipFactory
 
     return UsbipFactory(link.host, link.port, link.busid, wiring.faults, link.allow)
 

@@ -9,6 +9,8 @@ unlinks.
 The connection only puts what it has into a queue. Where the disk is slower than the cable, URBs are left out and both
 files go on behind them; the text says how many are missing. Where a file cannot be written any more, it ends there and
 the other goes on.
+
+The two files of a USB trace.
 """
 
 from __future__ import annotations
@@ -17,19 +19,33 @@ import threading
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 
-from firmware_protocol.davis346.request_names import name_answer, name_davis_request
+from firmware_protocol.davis346.device import name_answer, name_davis_request
 from firmware_protocol.davis346.settings import PRODUCT_ID, VENDOR_ID
+from firmware_protocol.usb.control import name_request
 from firmware_protocol.usb.device import Identity, SetupPacket, UsbDevice
-from firmware_protocol.usb.request_names import name_request
-from firmware_protocol.usb.usbip import Submit, Unlink, UrbStatus
-from firmware_protocol.usb.usbmon import FILE_HEADER, IN_PROGRESS, UrbRecord
+from firmware_protocol.usb.usbip import FILE_HEADER, IN_PROGRESS, Submit, Unlink, UrbRecord, UrbStatus
 from transports.output_file import OutputFile
-from transports.usb.usbip.early_unlinks import Found
-from transports.usb.usbip.trace_paths import trace_paths
+from transports.usb.usbip.connection import Found
 
-__all__ = ["UrbTrace", "transfer_types"]
+__all__ = ["UrbTrace", "both_files", "trace_paths", "transfer_types"]
+
+
+def both_files(path: Path) -> tuple[Path, Path]:
+    """Return PATH.txt and PATH.pcap."""
+    return path.with_name(f"{path.name}.txt"), path.with_name(f"{path.name}.pcap")
+
+
+def trace_paths(path: Path) -> tuple[Path, Path]:
+    """Return the files to write: those of `path`, or of PATH-restart1 and so on where they hold something already."""
+    for restart in count():
+        files = both_files(path if not restart else path.with_name(f"{path.name}-restart{restart}"))
+        if not any(file.exists() and file.stat().st_size for file in files):
+            return files
+    raise AssertionError  # count() does not end
+
 
 _CAPACITY_BYTES = 32 << 20
 _CAPACITY_URBS = 100_000

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from emulator.run.report.observation import INTERVAL_EDGES_US, Observation, RateSeries
+from emulator.run.report import INTERVAL_EDGES_US, Observation, RateSeries
 from firmware_protocol.events import EVENT
 
 SIZE = (20, 10)

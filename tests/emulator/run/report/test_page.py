@@ -6,12 +6,9 @@ import pytest
 
 from emulator.cli.run import print_summary
 from emulator.rig.loading import load_rig
-from emulator.run.lateness import Lateness
-from emulator.run.ledger import Ledger
-from emulator.run.outcome import RunResult
-from emulator.run.report.observation import Observation
-from emulator.run.report.page import Reported, write_report
-from emulator.run.verdict import judge
+from emulator.run.outcome import Ledger, RunResult, judge
+from emulator.run.pacing import Lateness
+from emulator.run.report import Observation, Reported, write_report
 
 RESULT = RunResult(1.0, 1.0, 101, 100, Ledger(0, 0, 0, 0), Lateness())
 

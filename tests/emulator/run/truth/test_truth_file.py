@@ -16,14 +16,10 @@ import pytest
 
 import evstim
 from emulator.rig.loading import RigError, load_rig, parse_rig
-from emulator.run.scene_assembly import build_scene
-from emulator.run.truth import recorder as recorder_module
-from emulator.run.truth.layout import About
-from emulator.run.truth.messages import decoded, encoded
-from emulator.run.truth.recorder import TruthRecorder
-from emulator.run.truth.refusal import TruthRefused
-from emulator.run.truth.source import ideal_of
-from emulator.run.truth.survey import truth_in
+from emulator.run.assembly import build_scene
+from emulator.run.truth import file as recorder_module
+from emulator.run.truth.file import About, TruthRecorder, decoded, encoded, truth_in
+from emulator.run.truth.source import TruthRefused, ideal_of
 from emulator.sensor.sensor import Sensor
 from tests.emulator.campaign.processes import gone
 

@@ -5,17 +5,16 @@ import dataclasses
 import numpy as np
 import pytest
 
-from emulator.accuracy.sampled_bodies import SampledBodies
-from emulator.geometry.pinhole import Pinhole
+from emulator.evaluation.accuracy.sampled_scenes import SampledBodies
+from emulator.geometry.camera import Pinhole
 from emulator.photometry.reflectance import Lambert
-from emulator.scene.bodies.detail import coarser, flat
 from emulator.scene.bodies.lit_surface import lit_surface, subdivide
 from emulator.scene.bodies.mesh import build_mesh, find_shape, load_mesh
-from emulator.scene.bodies.plates import PlateTableError
+from emulator.scene.bodies.mesh_files import PlateTableError, parse_wavefront
 from emulator.scene.bodies.raster_bodies import RasterBodies
+from emulator.scene.bodies.regolith import coarser, flat
 from emulator.scene.bodies.table import BodiesParameters, BodyTable
-from emulator.scene.bodies.wavefront import parse_wavefront
-from emulator.tables.files import RigFile
+from emulator.tables.typed_table import RigFile
 from emulator.trajectory.parameters import FixedPath
 
 # A box of 2 m with its front, at z = -1, in two halves along x; the right one is a quarter as bright.

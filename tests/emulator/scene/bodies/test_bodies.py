@@ -7,16 +7,15 @@ import numpy as np
 import pytest
 import trimesh
 
-from emulator.geometry.pinhole import Pinhole
-from emulator.gl.painter import QUICK_LOOK
+from emulator.geometry.camera import Pinhole
+from emulator.gl.context import QUICK_LOOK
 from emulator.light import SceneError
-from emulator.photometry.reflectance import Lambert, LommelSeeliger
-from emulator.photometry.sun import SUN_W_M2, Sun
-from emulator.scene.bodies.culling import Cells
-from emulator.scene.bodies.detail import coarser, facet_size_m
+from emulator.photometry.reflectance import SUN_W_M2, Lambert, LommelSeeliger, Sun
+from emulator.scene.bodies.facets import Cells
 from emulator.scene.bodies.gl_bodies import GlBodies
 from emulator.scene.bodies.mesh import build_mesh
 from emulator.scene.bodies.raster_bodies import RasterBodies
+from emulator.scene.bodies.regolith import coarser, facet_size_m
 from emulator.scene.bodies.table import BodiesParameters, BodyTable
 from emulator.trajectory.parameters import FixedPath, Keyframe, KeyframePath, SpinPath
 

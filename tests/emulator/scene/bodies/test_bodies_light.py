@@ -9,11 +9,10 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from emulator.geometry.attitude import spin, unit
-from emulator.geometry.pinhole import Pinhole
+from emulator.geometry.camera import Pinhole
 from emulator.gl.render_target import Rectangle
 from emulator.light import SceneError
-from emulator.photometry.reflectance import LommelSeeliger, henyey_greenstein
-from emulator.photometry.sun import SUN_W_M2, Sun
+from emulator.photometry.reflectance import SUN_W_M2, LommelSeeliger, Sun, henyey_greenstein
 from emulator.scene.bodies import gl_bodies as bodies_module
 from emulator.scene.bodies import world as world_module
 from emulator.scene.bodies.gl_bodies import GlBodies

@@ -6,11 +6,18 @@ import numpy as np
 import pytest
 import trimesh
 
-from emulator.scene.bodies.cast_shadow import MIXED, blank_memory, covered, dim, dim_remembering
+from emulator.scene.bodies.cast_shadow import (
+    MIXED,
+    blank_memory,
+    build_tree,
+    covered,
+    dim,
+    dim_remembering,
+    edge_area,
+    seen_above,
+)
 from emulator.scene.bodies.lit_surface import lit_surface, shadow_triangles, subdivide
 from emulator.scene.bodies.mesh import build_mesh, find_shape, load_mesh
-from emulator.scene.bodies.solar_disc import edge_area, seen_above
-from emulator.scene.bodies.triangle_tree import build_tree
 
 RADIUS = math.radians(0.2666)
 TANGENT = math.tan(RADIUS)

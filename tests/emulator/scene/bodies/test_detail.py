@@ -7,12 +7,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from emulator.scene.bodies.clouds import clouded
-from emulator.scene.bodies.detail_table import Clouds, Regolith
-from emulator.scene.bodies.features import Law, faded, features
+from emulator.scene.bodies.clouds import clouded, fractal_noise
 from emulator.scene.bodies.mesh import build_mesh, facet_vectors
-from emulator.scene.bodies.regolith import smallest_feature_m, weathered
-from emulator.scene.bodies.surface_noise import fractal_noise
+from emulator.scene.bodies.regolith import Law, faded, features, smallest_feature_m, weathered
+from emulator.scene.bodies.table import Clouds, Regolith
 
 PLAIN = Regolith(seed=5, craters=0.02, boulders_km2=2000.0, slope_deg=0.0, albedo_rms=0.1)
 

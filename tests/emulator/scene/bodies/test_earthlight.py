@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from emulator.photometry.sun import EARTHLIGHT_W_M2
+from emulator.photometry.reflectance import EARTHLIGHT_W_M2
 from emulator.rig.loading import load_rig
 
 RADIUS_M, MOON_M = 6_371_000.0, 384_400_000.0

@@ -7,12 +7,11 @@ import pytest
 import trimesh
 
 from emulator.scene.bodies import horizon_table as tables
+from emulator.scene.bodies.cast_shadow import build_tree, seen_above
 from emulator.scene.bodies.horizon_table import AZIMUTHS, dim_below, horizon_table, lost_light
 from emulator.scene.bodies.lighting import LOST_AT_MOST
 from emulator.scene.bodies.lit_surface import lit_surface, shadow_triangles
 from emulator.scene.bodies.mesh import build_mesh, find_shape, load_mesh
-from emulator.scene.bodies.solar_disc import seen_above
-from emulator.scene.bodies.triangle_tree import build_tree
 
 RADIUS = math.radians(0.2666)
 UP = np.array([[0.0, 0.0, 1.0]])

@@ -6,17 +6,16 @@ import numpy as np
 import pytest
 import trimesh
 
-from emulator.photometry.reflectance import Glossy, Hapke, Lambert, LommelSeeliger, LunarLambert
-from emulator.photometry.sun import Sun
+from emulator.photometry.reflectance import Glossy, Hapke, Lambert, LommelSeeliger, LunarLambert, Sun
 from emulator.scene.bodies.lighting import Lighting, Motion, Poses, motion_at
 from emulator.scene.bodies.lit_surface import lit_surface, subdivide
 from emulator.scene.bodies.mesh import Mesh, build_mesh
-from emulator.scene.bodies.rigid_groups import rigid_groups
 from emulator.scene.bodies.table import BodiesParameters, BodyTable
+from emulator.scene.bodies.world import rigid_groups
 from emulator.trajectory.building import build_trajectory
+from emulator.trajectory.motion import Timescale
 from emulator.trajectory.parameters import FixedPath, Keyframe, KeyframePath, SpinPath
 from emulator.trajectory.pose import Pose
-from emulator.trajectory.timescale import Timescale
 
 RADIUS = Sun().radius_rad
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from emulator.light import SceneError
 from emulator.scene.bodies.mesh import build_mesh, find_shape, load_mesh
-from emulator.scene.bodies.plates import PlateTableError, parse_plates
+from emulator.scene.bodies.mesh_files import PlateTableError, parse_plates
 
 # a tetrahedron, counter-clockwise from outside, volume 1/6
 POINTS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], float)

@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from emulator.accuracy.sampled_bodies import SampledBodies
-from emulator.geometry.pinhole import Pinhole
+from emulator.evaluation.accuracy.sampled_scenes import SampledBodies
+from emulator.geometry.camera import Pinhole
 from emulator.optics.lens import LensParameters
 from emulator.optics.through import Through
-from emulator.photometry.reflectance import Glossy, Lambert, LommelSeeliger
-from emulator.photometry.sun import Sun
+from emulator.photometry.reflectance import Glossy, Lambert, LommelSeeliger, Sun
 from emulator.rig.camera_models import CAMERA_MODELS
 from emulator.rig.loading import load_rig
 from emulator.scene.bodies.raster_bodies import RasterBodies

@@ -8,18 +8,16 @@ import numpy as np
 import pytest
 import trimesh
 
-from emulator.geometry.pinhole import Pinhole
-from emulator.photometry.reflectance import Glossy, Lambert
-from emulator.photometry.sun import Sun
-from emulator.scene.bodies import sharp_shadows
+from emulator.geometry.camera import Pinhole
+from emulator.photometry.reflectance import Glossy, Lambert, Sun
+from emulator.scene.bodies import shadow_polygons as sharp_shadows
+from emulator.scene.bodies.cast_shadow import build_tree
 from emulator.scene.bodies.lit_surface import lit_surface, subdivide
 from emulator.scene.bodies.mesh import load_mesh
 from emulator.scene.bodies.polygons import cut_around, double_area, without_short_sides
 from emulator.scene.bodies.raster_bodies import RasterBodies
-from emulator.scene.bodies.shadow_polygons import blank_room
-from emulator.scene.bodies.sharp_shadows import SharpShadows, receivers_of, with_narrow_penumbras
+from emulator.scene.bodies.shadow_polygons import SharpShadows, blank_room, receivers_of, with_narrow_penumbras
 from emulator.scene.bodies.table import BodiesParameters, BodyTable
-from emulator.scene.bodies.triangle_tree import build_tree
 from emulator.threads import Crew
 from emulator.trajectory.building import build_trajectory
 from emulator.trajectory.parameters import FixedPath, SpinPath
@@ -152,8 +150,8 @@ def test_threads_and_parts_change_no_bit(shapes, monkeypatch, threads, parts):
     plate = receivers_of(lit_surface(fine, smooth=False), STILL)
     dark, around = (np.linspace(1, 2, 4000), np.zeros(4000)), (unit(0.2, 0.1, 1.0), np.array([1e-3, 0, 0]), EYE)
     one = SharpShadows(0, tree, [plate, plate], 1e-7).cast([dark, dark], around)
-    monkeypatch.setattr("emulator.scene.bodies.sharp_shadows._MOST_PARTS", parts)
-    monkeypatch.setattr("emulator.scene.bodies.sharp_shadows._FIRST_ROWS", 16)  # less than there is to write
+    monkeypatch.setattr("emulator.scene.bodies.shadow_polygons._MOST_PARTS", parts)
+    monkeypatch.setattr("emulator.scene.bodies.shadow_polygons._FIRST_ROWS", 16)  # less than there is to write
     crew = Crew(threads)
     found = SharpShadows(0, tree, [plate, plate], 1e-7, crew).cast([dark, dark], around)
     crew.close()

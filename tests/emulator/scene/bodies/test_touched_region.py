@@ -4,9 +4,9 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from emulator.geometry.pinhole import Pinhole
+from emulator.geometry.camera import Pinhole
 from emulator.gl.render_target import Rectangle
-from emulator.scene.bodies.touched_region import box_corners, reach
+from emulator.scene.bodies.gl_bodies import box_corners, reach
 
 CAMERA = Pinhole.of_field((64, 48), 60.0)
 CUBE = box_corners(np.array([[-1.0, -1, -1], [1, 1, 1]]))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from emulator.optics.lens import CHIPS, LensParameters
-from emulator.photometry.sun import Sun
+from emulator.photometry.reflectance import Sun
 from emulator.scene.stars.stars import StarField
 from emulator.scene.stars.table import MovingPoint, StarsParameters
 from emulator.sensor.presets import PRESETS

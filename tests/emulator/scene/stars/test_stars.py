@@ -12,12 +12,11 @@ from hypothesis import strategies as st
 from emulator.geometry.attitude import quaternion_of
 from emulator.light import SceneError
 from emulator.optics.lens import CHIPS, LensParameters
-from emulator.photometry.sun import SUN_W_M2, Sun
-from emulator.scene.stars.catalogue import SUN_V, irradiance_w_m2, load_stars
-from emulator.scene.stars.splats import splat
+from emulator.photometry.reflectance import SUN_W_M2, Sun
+from emulator.scene.stars.catalogue import SUN_V, irradiance_w_m2, load_stars, splat
 from emulator.scene.stars.stars import StarField
 from emulator.scene.stars.table import MovingPoint, StarsParameters
-from emulator.trajectory.looking import looking_along
+from emulator.trajectory.mounting import looking_along
 from emulator.trajectory.parameters import FixedPath, Keyframe, KeyframePath, LivePath, SpinPath
 from firmware_protocol.pose_message import NOW, PoseMessage
 

@@ -7,9 +7,9 @@ import pytest
 import trimesh
 
 from emulator.scene.terrain.ground import nested
-from emulator.scene.terrain.horizon import horizon_slopes, sunlit_share
 from emulator.scene.terrain.relief import make_ridge
 from emulator.scene.terrain.table import Ridge
+from emulator.scene.terrain.world import horizon_slopes, sunlit_share
 
 POSTS = 65
 

@@ -5,10 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from emulator.accuracy.sampled_terrain import SampledTerrain
-from emulator.geometry.pinhole import Pinhole
+from emulator.evaluation.accuracy.sampled_scenes import SampledTerrain
+from emulator.geometry.camera import Pinhole
 from emulator.photometry.reflectance import Hapke, Lambert
-from emulator.scene.terrain.pyramid import build_pyramid
+from emulator.scene.terrain.ground import build_pyramid
 from emulator.scene.terrain.raster_terrain import RasterTerrain
 from emulator.scene.terrain.relief import make_ridge
 from emulator.scene.terrain.table import Heightmap, Ridge, TerrainParameters

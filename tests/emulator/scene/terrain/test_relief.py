@@ -8,24 +8,27 @@ import numpy as np
 import pytest
 from scipy import integrate, special
 
-from emulator.geometry.pinhole import Pinhole
+from emulator.geometry.camera import Pinhole
 from emulator.scene import array_cache
 from emulator.scene.array_cache import Progress, kept
 from emulator.scene.terrain.ground import nested
-from emulator.scene.terrain.landforms import (
+from emulator.scene.terrain.relief import (
     DEPTH,
+    HURST,
     REACH,
     RIM,
     boulder_sizes,
     crater_places,
     crater_shapes,
     crater_sizes,
+    fractal,
     height_of_boulder,
     height_of_crater,
+    make_albedo,
+    make_ridge,
     raise_boulders,
     sink_craters,
 )
-from emulator.scene.terrain.relief import HURST, fractal, make_albedo, make_ridge
 from emulator.scene.terrain.table import Ridge, TerrainParameters
 from emulator.scene.terrain.world import TerrainWorld
 

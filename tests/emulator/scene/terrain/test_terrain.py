@@ -7,13 +7,11 @@ import math
 import numpy as np
 import pytest
 
-from emulator.geometry.pinhole import Pinhole
+from emulator.geometry.camera import Pinhole
 from emulator.light import SceneError
-from emulator.photometry.reflectance import Hapke, Lambert, LommelSeeliger, LunarLambert
-from emulator.photometry.sun import SUN_W_M2
-from emulator.scene.terrain.gl_terrain import GlTerrain
+from emulator.photometry.reflectance import SUN_W_M2, Hapke, Lambert, LommelSeeliger, LunarLambert
+from emulator.scene.terrain.gl_terrain import GlTerrain, shading
 from emulator.scene.terrain.ground import nested
-from emulator.scene.terrain.ground_mesh import shading
 from emulator.scene.terrain.quadtree import BLOCK, Quadtree
 from emulator.scene.terrain.raster_terrain import RasterTerrain
 from emulator.scene.terrain.relief import make_ridge

@@ -5,10 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from emulator.sensor.aps.parameters import FrameParameters
-from emulator.sensor.aps.source import FrameSource
-from emulator.sensor.aps.timeline import frame_times
-from firmware_protocol.frame_lines import FrameSettings, LineKind
+from emulator.sensor.aps.frames import FrameSource, frame_times
+from emulator.sensor.aps.row_kicks import FrameParameters
+from firmware_protocol.frames import FrameSettings, LineKind
 
 SIZE = (346, 260)
 QUIET = FrameParameters(

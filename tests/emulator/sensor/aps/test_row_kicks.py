@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 from scipy.stats import ks_2samp, kstest
 
-from emulator.sensor.aps.parameters import FrameParameters, KickParameters
-from emulator.sensor.aps.source import FrameSource
-from emulator.sensor.aps.timeline import frame_times
+from emulator.sensor.aps.frames import FrameSource, frame_times
+from emulator.sensor.aps.row_kicks import FrameParameters, KickParameters
 from emulator.sensor.effects import DefectParameters, JitterParameters
 from emulator.sensor.presets import PRESETS, ReadoutParameters
 from emulator.sensor.sensor import Sensor
-from firmware_protocol.frame_lines import FrameSettings
+from firmware_protocol.frames import FrameSettings
 
 WIDTH, HEIGHT = 64, 32
 THRESHOLD = 0.2

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from emulator.sensor.chip.jitter import Jitter
+from emulator.sensor.chip.readout import Jitter
 from emulator.sensor.effects import JitterParameters
 from emulator.sensor.pixels.array import Crossings
 from emulator.sensor.pixels.merging import NO_CROSSINGS, joined

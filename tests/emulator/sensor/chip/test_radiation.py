@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from emulator.sensor.chip.radiation import Particles, _Track, hits_per_second, path
+from emulator.sensor.chip.sources import Particles, _Track, hits_per_second, path
 from emulator.sensor.effects import RadiationParameters
 from emulator.sensor.pixels.merging import joined
 from emulator.sensor.presets import SensorParameters

@@ -6,10 +6,9 @@ import math
 import numpy as np
 import pytest
 
-from emulator.accuracy.cases import CASES as ACCURACY_CASES
-from emulator.accuracy.harness import Method, score
-from emulator.accuracy.metrics import compare
-from emulator.accuracy.stream import Stream
+from emulator.evaluation.accuracy.harness import CASES as ACCURACY_CASES
+from emulator.evaluation.accuracy.harness import Method, score
+from emulator.evaluation.accuracy.scores import Stream, compare
 from emulator.gl.context import open_context
 from emulator.gl.render_target import Stage
 from emulator.light import MachineLacks

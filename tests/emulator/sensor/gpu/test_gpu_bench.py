@@ -1,11 +1,11 @@
 """That the benches of the card do what they say."""
 
 import pytest
-
 from emulator.bench import gpu
-from emulator.bench.gpu import Drawing, PixelSteps, Reading
-from emulator.bench.measures import MEASURES
+
 from emulator.cli.bench import bench
+from emulator.evaluation.bench.gpu import Drawing, PixelSteps, Reading
+from emulator.evaluation.bench.measures import MEASURES
 
 
 @pytest.fixture

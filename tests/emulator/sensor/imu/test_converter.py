@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from emulator.sensor.imu.converter import Converter
-from emulator.sensor.imu.motion import no_motion
-from firmware_protocol.davis346.imu_registers import imu_settings
-from firmware_protocol.davis346.registers import Access, Module, Register, RegisterFile
+from emulator.sensor.imu.unit import Converter, no_motion
+from firmware_protocol.davis346.registers import Access, Module, Register, RegisterFile, imu_settings
 from firmware_protocol.imu_samples import ImuScale, physical
 
 G = 9.80665

@@ -9,17 +9,15 @@ import numpy as np
 import pytest
 
 from emulator.geometry.attitude import quaternion_of_vector
-from emulator.geometry.cycle import Cycle
-from emulator.sensor.imu.gravity import EARTH_IN_THE_PICTURE, MOON_BELOW, WEIGHTLESS, Gravity
+from emulator.geometry.camera import Cycle
 from emulator.sensor.imu.parameters import ImuParameters
-from emulator.sensor.imu.unit import Carried, ImuUnit
+from emulator.sensor.imu.unit import EARTH_IN_THE_PICTURE, MOON_BELOW, WEIGHTLESS, Carried, Gravity, ImuUnit
 from emulator.trajectory.keyframes import Keyframes
 from emulator.trajectory.live import LivePoses
-from emulator.trajectory.looking import Looking
+from emulator.trajectory.motion import Timescale
+from emulator.trajectory.mounting import Looking, Spinning
 from emulator.trajectory.orbit import Elements, Orbit
 from emulator.trajectory.pose import STILL, Fixed, Pose
-from emulator.trajectory.spinning import Spinning
-from emulator.trajectory.timescale import Timescale
 from firmware_protocol.pose_message import PoseMessage
 
 SECOND = 1_000_000_000

@@ -11,9 +11,18 @@ import pytest
 from scipy import stats
 
 from emulator.sensor.effects import NoiseParameters
-from emulator.sensor.noise.first_passage import DIFFERENCE, REFRACTORY, TABLE, A, statistics
-from emulator.sensor.noise.law import bandwidth_hz, corner_hz, noise_events, of_array
-from emulator.sensor.noise.point_process import NoiseEvents
+from emulator.sensor.noise.law import (
+    DIFFERENCE,
+    REFRACTORY,
+    TABLE,
+    A,
+    bandwidth_hz,
+    corner_hz,
+    noise_events,
+    of_array,
+    statistics,
+)
+from emulator.sensor.noise.points import NoiseEvents
 from emulator.sensor.pixels.merging import joined
 from emulator.sensor.presets import SensorParameters
 from tests.emulator.sensor.noise.ornstein_uhlenbeck import passages

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from emulator.plan.pixel_costs import noise_shift
+from emulator.plan.costs import noise_shift
 from emulator.sensor.effects import NoiseParameters
 from emulator.sensor.noise.grid import NoisyPixels
-from emulator.sensor.pixels.mismatch import draw
+from emulator.sensor.pixels.state import draw
 from emulator.sensor.presets import SensorParameters
 from emulator.sensor.sensor import Sensor
 

@@ -5,7 +5,7 @@ import pytest
 from numba import njit
 from numba.core.registry import cpu_target
 
-from emulator.sensor.numerics.vectors import aligned_zeros, use_widest_vectors
+from emulator.sensor.numerics.elementary import aligned_zeros, use_widest_vectors
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.presets import PRESETS
 

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from emulator.sensor.photoreceptor.array import LargeSignalPixels
-from emulator.sensor.photoreceptor.circuit import Circuit, Light, State, rosenbrock
+from emulator.sensor.methods.large_signal import Circuit, LargeSignalPixels, Light, State, rosenbrock
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.pixels.merging import joined
 from emulator.sensor.presets import SensorParameters

@@ -6,13 +6,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from emulator.accuracy.metrics import compare
-from emulator.accuracy.stream import Stream
+from emulator.evaluation.accuracy.scores import Stream, compare
 from emulator.scene.checkerboard.checkerboard import Checkerboard
 from emulator.scene.checkerboard.table import CheckerboardParameters
 from emulator.sensor.pixels import array as pixels
 from emulator.sensor.pixels.array import PixelArray
-from emulator.sensor.pixels.interpolation import REFINED_UNSEEN_SHARE
+from emulator.sensor.pixels.curve import REFINED_UNSEEN_SHARE
 from emulator.sensor.presets import PRESETS
 
 MS = 1_000_000

@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from emulator.accuracy.harness import SEED, Case, Method, events, truth
-from emulator.accuracy.light import Flash, SineGrating
-from emulator.accuracy.metrics import compare
+from emulator.evaluation.accuracy.harness import SEED, Case, Method, events, truth
+from emulator.evaluation.accuracy.scenes import Flash, SineGrating
+from emulator.evaluation.accuracy.scores import compare
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.pixels.state import BLOCK, Field
 from emulator.sensor.presets import PRESETS, SensorParameters

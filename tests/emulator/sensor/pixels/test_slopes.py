@@ -10,9 +10,9 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from emulator.accuracy.light import BlurredCheckerboard, Flash, Flicker, MovingEdge, SineGrating
-from emulator.accuracy.stream import Stream
-from emulator.accuracy.truth import true_events
+from emulator.evaluation.accuracy.scenes import BlurredCheckerboard, Flash, Flicker, MovingEdge, SineGrating
+from emulator.evaluation.accuracy.scores import Stream
+from emulator.evaluation.accuracy.truth import true_events
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.pixels.state import BLOCK, Field
 from emulator.sensor.presets import SensorParameters

@@ -1,1 +1,0 @@
-"""The speeds that the docs quote, measured on this machine."""

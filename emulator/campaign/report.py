@@ -1,0 +1,442 @@
+"""The report of a campaign: one page that needs no network.
+
+The PAWN index: how much a parameter matters for a column, from any sample.
+
+The runs are cut into slices of like values of the parameter. In each the column has a distribution; the index is the
+median over the slices of the greatest distance between its cumulative distribution and that of all runs (the statistic
+of Kolmogorov and Smirnov): 0 when the parameter says nothing, towards 1 when it says all.
+
+Pianosi and Wagener, "Distribution-based sensitivity analysis from a generic input-output sample", 2018.
+
+Which parameters a column of the table depends on.
+
+    Sobol indices      from a Saltelli design (sampling = "saltelli"): shares of the column's variance
+    PAWN               from any sample: how much the column's distribution changes when the parameter is known
+    rank correlation   from any sample, Spearman's: direction and strength of what only rises or only falls
+
+Sobol indices are computed by SALib, PAWN by `pawn`.
+
+The charts of a campaign's report, as <svg> and <img> elements that hold their own data.
+"""
+
+from __future__ import annotations
+
+import base64
+import html
+import importlib
+import io
+import math
+import warnings
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import spearmanr
+
+from emulator.campaign.campaign import Campaign, Row
+from emulator.campaign.sampling import Law
+from emulator.campaign.success import SuccessRule, proportion
+from emulator.report.page import ChartsLacking, pyplot, table, write_page
+
+__all__ = [
+    "Sensitivity",
+    "histograms",
+    "numbers",
+    "parameter_numbers",
+    "pawn",
+    "pawn_of_chance",
+    "quantiles",
+    "scatter",
+    "sensitivity",
+    "slices_of",
+    "success_by_parameter",
+    "worst_runs",
+    "write_report",
+]
+
+
+_MOST_SLICES = 10
+_FEWEST_IN_SLICE = 10
+_DRAWS = 40
+_Floats = npt.NDArray[np.float64]
+_Slices = Sequence[npt.NDArray[np.intp]]
+
+
+def slices_of(x: _Floats) -> _Slices:
+    """Return the indices of the runs of each slice of a parameter: of each value where there are few, else of ranks."""
+    values, which = np.unique(x, return_inverse=True)
+    if len(values) <= _MOST_SLICES:
+        return [np.flatnonzero(which == k) for k in range(len(values))]
+    count = min(_MOST_SLICES, max(2, len(x) // _FEWEST_IN_SLICE))
+    return np.array_split(np.argsort(x, kind="stable"), count)
+
+
+def pawn(y: _Floats, slices: _Slices) -> float:
+    """Return the index of a parameter with these slices for the values `y` (n,) of a column."""
+    whole = np.sort(y)
+    return _index(y, whole, _cumulative(whole, whole), slices)
+
+
+def pawn_of_chance(y: _Floats, slices: _Slices) -> float:
+    """Return what the index of a parameter without any influence stays below in 95 % of samples like this one."""
+    draw, whole = np.random.default_rng(1), np.sort(y)
+    of_all = _cumulative(whole, whole)
+    found = [_index(draw.permutation(y), whole, of_all, slices) for _ in range(_DRAWS)]
+    return float(np.quantile(found, 0.95))
+
+
+def _index(y: _Floats, whole: _Floats, of_all: _Floats, slices: _Slices) -> float:
+    distances = [np.abs(_cumulative(np.sort(y[one]), whole) - of_all).max() for one in slices]
+    return float(np.median(distances))
+
+
+def _cumulative(values: _Floats, at: _Floats) -> _Floats:
+    """Return the share of sorted values that are not above each of `at`."""
+    return np.searchsorted(values, at, side="right") / len(values)
+
+
+_FEWEST = 20  # rows below which no figure says anything
+
+
+@dataclass(frozen=True)
+class Sensitivity:
+    """How one column depends on the parameters.
+
+    Attributes
+    ----------
+    method : what was computed, and of which rows; or why nothing was.
+    rows : a row of figures for each parameter.
+    """
+
+    column: str
+    method: str
+    rows: list[dict[str, Any]]
+
+
+def numbers(rows: Sequence[Row], column: str) -> _Floats:
+    """Return a column as floats (n,): true is 1, and what is missing or no number is NaN."""
+    values = [row.get(column) for row in rows]
+    return np.array([float(v) if isinstance(v, int | float) else math.nan for v in values])
+
+
+def parameter_numbers(rows: Sequence[Row], law: Law) -> _Floats:
+    """Return a parameter as floats (n,): texts and tables as their place in the list of values."""
+    found = numbers(rows, law.key)
+    if not np.isnan(found).any():
+        return found
+    known: dict[Any, int] = {}
+    return np.array([float(known.setdefault(row.get(law.key), len(known))) for row in rows])
+
+
+def sensitivity(rows: Sequence[Row], laws: Sequence[Law], column: str, base_points: int) -> Sensitivity:
+    """Return how a column depends on the parameters; `base_points` is that of a Saltelli design, else 0."""
+    y = numbers(rows, column)
+    there = ~np.isnan(y)
+    y_there = y[there]
+    if len(y_there) < _FEWEST or np.ptp(y_there) == 0:
+        why = f"fewer than {_FEWEST} runs have a value" if len(y_there) < _FEWEST else "all runs have the same value"
+        return Sensitivity(column, f"nothing can be told: {why}", [])
+    if base_points and _salib() and there.all() and len(y) == base_points * (len(laws) + 2):
+        return Sensitivity(column, _SOBOL.format(base_points), _sobol(y, laws))
+    x = np.stack([parameter_numbers(rows, law)[there] for law in laws], axis=1)
+    found = [
+        {"parameter": law.key, **_influence(one, y_there), **_rank(one, y_there)}
+        for law, one in zip(laws, x.T, strict=True)
+    ]
+    method = f"PAWN index and rank correlation of {len(y_there)} runs as sampled"
+    if base_points:
+        method += "; no Sobol indices, because the design is not whole, or SALib is not installed"
+    return Sensitivity(column, method, found)
+
+
+_SOBOL = "Sobol indices (Saltelli's design, {} base points) with 95 % confidence: share of the variance"
+
+
+def _salib() -> bool:
+    try:
+        importlib.import_module("SALib.analyze.pawn")
+    except ImportError:
+        return False
+    return True
+
+
+def _problem(dimensions: int) -> dict[str, Any]:
+    names = [str(k) for k in range(dimensions)]
+    return {"num_vars": dimensions, "names": names, "bounds": [[0.0, 1.0]] * dimensions}
+
+
+def _sobol(y: _Floats, laws: Sequence[Law]) -> list[dict[str, Any]]:
+    analyze = importlib.import_module("SALib.analyze.sobol").analyze
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        found = analyze(_problem(len(laws)), y, calc_second_order=False, seed=1)
+    return [
+        {
+            "parameter": law.key,
+            "alone (S1)": float(found["S1"][k]),
+            "± S1": float(found["S1_conf"][k]),
+            "with all others (ST)": float(found["ST"][k]),
+            "± ST": float(found["ST_conf"][k]),
+        }
+        for k, law in enumerate(laws)
+    ]
+
+
+def _rank(x: _Floats, y: _Floats) -> dict[str, float]:
+    rho = spearmanr(x, y) if np.ptp(x) > 0 else None
+    return {"rank correlation": float(rho.statistic) if rho else math.nan, "p": float(rho.pvalue) if rho else math.nan}
+
+
+def _influence(x: _Floats, y: _Floats) -> dict[str, float]:
+    slices = slices_of(x)
+    return {"PAWN": pawn(y, slices), "PAWN, 95 % of chance": pawn_of_chance(y, slices)}
+
+
+_GOOD, _BAD, _INK = "#0072b2", "#d55e00", "#333333"  # told apart by colour-blind people too
+_BINS = 8
+_ACROSS = 4
+_FEW = 8  # values that get a tick each
+_FAR = 2.0  # from the values, in their span: a limit that is farther off is not drawn
+
+_Labels = Mapping[str, str]
+
+
+def success_by_parameter(rows: Sequence[Row], laws: Sequence[Law], labels: _Labels) -> str:
+    """Return the share of successes over the values of each parameter, with Wilson intervals."""
+    figure, panels = _panels(len(laws))
+    success = numbers(rows, "success")
+    for axes, law in zip(panels, laws, strict=True):
+        x = parameter_numbers(rows, law)
+        centres, shares, low, high = _binned(x, success)
+        axes.errorbar(centres, shares, yerr=[shares - low, high - shares], fmt="o", color=_INK, capsize=3)
+        axes.set(ylim=(-0.03, 1.03))
+        _scale(axes, law, rows, labels)
+    panels[0].set_ylabel("share of successes, 95 %")
+    return _svg(figure)
+
+
+def _binned(x: _Floats, success: _Floats) -> tuple[_Floats, _Floats, _Floats, _Floats]:
+    """Return for bins of about equal counts: mean of x, share, and the ends of its interval."""
+    values = np.unique(x)
+    edges = np.quantile(x, np.linspace(0, 1, _BINS + 1))
+    which = np.searchsorted(values, x) if len(values) <= _BINS else np.clip(np.searchsorted(edges, x) - 1, 0, _BINS - 1)
+    found = []
+    for k in np.unique(which):
+        mine = which == k
+        known = proportion(int(success[mine].sum()), int(mine.sum()))
+        found.append((float(x[mine].mean()), known.share, known.low, known.high))
+    return tuple(np.array(column) for column in zip(*found, strict=True))  # type: ignore[return-value]
+
+
+def scatter(rows: Sequence[Row], laws: Sequence[Law], column: str, labels: _Labels) -> str:
+    """Return a column over each parameter, a point for each run, as an image."""
+    figure, panels = _panels(len(laws))
+    y, success = numbers(rows, column), numbers(rows, "success") > 0
+    for axes, law in zip(panels, laws, strict=True):
+        x = parameter_numbers(rows, law)
+        for which, colour, name in ((success, _GOOD, "success"), (~success, _BAD, "no success")):
+            if which.any():
+                axes.plot(x[which], y[which], ".", markersize=5, alpha=0.6, color=colour, label=name)
+        _scale(axes, law, rows, labels)
+    panels[0].set_ylabel(labels.get(column, column))
+    if not success.all():
+        panels[-1].legend(fontsize=8)
+    return _image(figure, f"{column} over the parameters")
+
+
+def histograms(rows: Sequence[Row], columns: Sequence[str], labels: _Labels, rules: Sequence[SuccessRule]) -> str:
+    """Return the distribution of some columns, with the limits of the rules; at least one column has numbers."""
+    shown = [(column, values) for column in columns if len(values := _there(numbers(rows, column)))]
+    figure, panels = _panels(len(shown))
+    for axes, (column, values) in zip(panels, shown, strict=True):
+        axes.hist(values, bins=min(40, max(5, int(np.sqrt(len(values))))), color=_INK, histtype="step")
+        axes.set(xlabel=labels.get(column, column))
+        axes.yaxis.get_major_locator().set_params(integer=True)
+        for limit in _limits(rules, column, values):
+            axes.axvline(limit, color=_BAD, linestyle="--")
+    panels[0].set_ylabel("runs")
+    return _svg(figure)
+
+
+def _limits(rules: Sequence[SuccessRule], column: str, values: _Floats) -> list[float]:
+    """Return the limits of a column that are not far from its values."""
+    span = float(np.ptp(values))
+    numbers = [float(rule.value) for rule in rules if rule.column == column and not isinstance(rule.value, str)]
+    return [one for one in numbers if values.min() - _FAR * span <= one <= values.max() + _FAR * span]
+
+
+def _there(values: _Floats) -> _Floats:
+    return values[np.isfinite(values)]
+
+
+def _scale(axes: Any, law: Law, rows: Sequence[Row], labels: _Labels) -> None:
+    """Name the axis of a parameter; a logarithmic law has a logarithmic one, few values a tick each, texts names."""
+    axes.set(xlabel=labels.get(law.key, law.key))
+    if law.kind == "log-uniform":
+        axes.set_xscale("log")
+        axes.xaxis.set_minor_formatter(lambda *_: "")
+    texts = list(dict.fromkeys(str(row[law.key]) for row in rows if isinstance(row.get(law.key), str)))
+    values = np.unique(parameter_numbers(rows, law))
+    if texts:
+        axes.set_xticks(range(len(texts)), [text[:16] for text in texts], fontsize=8)
+    elif law.kind in ("list", "integers") and len(values) <= _FEW:
+        axes.set_xticks(values)
+
+
+def _panels(count: int) -> tuple[Any, list[Any]]:
+    down = -(-count // _ACROSS)
+    across = -(-count // down)
+    figure, axes = pyplot().subplots(down, across, figsize=(12, 2.8 * down), squeeze=False, layout="constrained")
+    every = list(axes.flat)
+    for unused in every[count:]:
+        unused.set_visible(False)
+    return figure, every[:count]
+
+
+def _svg(figure: Any) -> str:
+    text = io.StringIO()
+    figure.savefig(text, format="svg")
+    pyplot().close(figure)
+    return text.getvalue()[text.getvalue().index("<svg") :]
+
+
+def _image(figure: Any, told: str) -> str:
+    data = io.BytesIO()
+    figure.savefig(data, format="png", dpi=100)
+    pyplot().close(figure)
+    text = base64.b64encode(data.getvalue()).decode()
+    return f'<img alt="{told}" style="width:100%" src="data:image/png;base64,{text}">'
+
+
+_MOST_COLUMNS = 6
+_MOST_WORST = 10
+_MOST_TEXT = 120
+
+
+def write_report(campaign: Campaign, rows: Sequence[Row], folder: Path) -> Path:
+    """Write report.html into a folder, which is made, and return its path; at least one row. Raises OSError."""
+    folder.mkdir(parents=True, exist_ok=True)
+    sections = [*_share(campaign, rows), *_plots(campaign, rows), *_sensitivities(campaign, rows)]
+    sections += [*_worst(campaign, rows), *_told(campaign, rows)]
+    return write_page(campaign.settings.title or campaign.name, sections, folder / "report.html")
+
+
+def _share(campaign: Campaign, rows: Sequence[Row]) -> Iterator[str]:
+    known = proportion(sum(bool(row["success"]) for row in rows), len(rows))
+    whole = "" if len(rows) == campaign.runs else f" {campaign.runs - len(rows)} of {campaign.runs} runs are missing."
+    yield f"<p><b>Success: {html.escape(str(known))}.</b> The interval is Wilson's.{whole}</p>"
+    rules = [rule.told for rule in campaign.settings.success] or ["verdict"]
+    kept = [{"rule": one.told, "kept": _kept(one, rows)} for one in campaign.settings.success]
+    yield table(kept) if kept else f"<p>A run is a success when its {rules[0]} is good.</p>"
+    outcomes = Counter(str(row["outcome"]) for row in rows)
+    if set(outcomes) != {"ok"}:
+        yield table([{"outcome": outcome, "runs": count} for outcome, count in outcomes.most_common()])
+
+
+def _kept(rule: Any, rows: Sequence[Row]) -> str:
+    return str(proportion(sum(row["outcome"] == "ok" and rule.kept_by(row) for row in rows), len(rows)))
+
+
+def _shown(campaign: Campaign, rows: Sequence[Row]) -> list[str]:
+    """Return the columns that the report is about; those without a number are left out."""
+    asked = list(campaign.settings.report.columns)
+    given = [name for name in dict.fromkeys(name for row in rows for name in row) if name.startswith("result.")]
+    wanted = asked or ["margin", "events.rate_hz", *given]
+    return [name for name in wanted if np.isfinite(numbers(rows, name)).any()][:_MOST_COLUMNS]
+
+
+def _plots(campaign: Campaign, rows: Sequence[Row]) -> Iterator[str]:
+    settings, shown = campaign.settings, _shown(campaign, rows)
+    laws, labels = settings.parameters, settings.report.labels
+    if shown:
+        yield "<h2>Distributions</h2>"
+        yield table([{"column": labels.get(name, name), **quantiles(rows, name)} for name in shown])
+    try:
+        if shown:
+            yield histograms(rows, shown, labels, settings.success)
+        if laws:
+            yield "<h2>Success by parameter</h2>"
+            yield success_by_parameter(rows, laws, labels)
+        for column in shown if laws else ():
+            yield f"<h3>{_name(campaign, column)}</h3>"
+            yield scatter(rows, laws, column, labels)
+    except ChartsLacking as error:
+        yield f"<p>No charts: {html.escape(str(error))}</p>"
+
+
+def quantiles(rows: Sequence[Row], column: str) -> Row:
+    """Return how the numbers of a column are distributed."""
+    values = numbers(rows, column)
+    found = np.quantile(values[np.isfinite(values)], [0.0, 0.1, 0.5, 0.9, 1.0]).tolist()
+    return dict(zip(("least", "10 %", "median", "90 %", "most"), found, strict=True))
+
+
+def _name(campaign: Campaign, column: str) -> str:
+    return html.escape(campaign.settings.report.labels.get(column, column))
+
+
+def _sensitivities(campaign: Campaign, rows: Sequence[Row]) -> Iterator[str]:
+    settings = campaign.settings
+    if not settings.parameters:
+        return
+    yield "<h2>Sensitivity</h2>"
+    designed = settings.sampling == "saltelli" and settings.repeats == 1
+    for column in ["success", *_shown(campaign, rows)]:
+        found = sensitivity(rows, settings.parameters, column, settings.count if designed else 0)
+        yield f"<h3>{_name(campaign, column)}</h3><p>{html.escape(found.method)}</p>"
+        if found.rows:
+            labels = settings.report.labels
+            yield table([row | {"parameter": labels.get(row["parameter"], row["parameter"])} for row in found.rows])
+
+
+def worst_runs(campaign: Campaign, rows: Sequence[Row]) -> list[Row]:
+    """Return the ten worst runs: first those that did not go to their end, then by the column that the report names."""
+    shown = campaign.settings.report
+    sign = 1.0 if shown.worst_is == "lowest" else -1.0
+
+    def badness(row: Row) -> tuple[bool, bool, bool, float, int]:
+        value = row.get(shown.worst)
+        known = isinstance(value, int | float)
+        return (row["outcome"] == "ok", bool(row["success"]), not known, sign * float(value or 0.0), int(row["index"]))
+
+    return sorted(rows, key=badness)[:_MOST_WORST]
+
+
+def _worst(campaign: Campaign, rows: Sequence[Row]) -> Iterator[str]:
+    file = Path(campaign.source.file).name
+    yield "<h2>Worst runs</h2>"
+    command = html.escape(f"evstim campaign again {file} INDEX --record run.npz")
+    yield f"<p>One of them again, recorded: <code>{command}</code></p>"
+    keys = [law.key for law in campaign.settings.parameters]
+    names = ["index", "outcome", "success", "margin", *keys, *_shown(campaign, rows), "broken", "error"]
+    names = list(dict.fromkeys([*names, campaign.settings.report.worst]))
+    worst = worst_runs(campaign, rows)
+    names = [name for name in names if any(row.get(name) not in (None, "") for row in worst)]
+    labels = campaign.settings.report.labels
+    yield table([{labels.get(name, name): _short(row.get(name)) for name in names} for row in worst])
+
+
+def _short(value: Any) -> Any:
+    return value if not isinstance(value, str) or len(value) <= _MOST_TEXT else f"{value[:_MOST_TEXT]} ..."
+
+
+def _told(campaign: Campaign, rows: Sequence[Row]) -> Iterator[str]:
+    yield "<h2>Campaign</h2>"
+    settings = campaign.settings
+    wall_s = numbers(rows, "machine.wall_s")
+    told = {
+        "file": Path(campaign.source.file).name,
+        "rig": Path(campaign.source.rig_file).name,
+        "id": campaign.id,
+        "sampling": settings.sampling,
+        "runs": f"{len(rows)} of {campaign.runs}",
+        "time of all runs": f"{np.nansum(wall_s):.1f} s",
+        "time of a run": f"{np.nanmedian(wall_s):.3f} s (median)" if np.isfinite(wall_s).any() else None,
+        "hosts": ", ".join(sorted({str(row["machine.host"]) for row in rows if row.get("machine.host")})),
+        "evstim": ", ".join(sorted({str(row["machine.version"]) for row in rows if row.get("machine.version")})),
+    }
+    yield table([{"what": key, "value": value} for key, value in told.items()])

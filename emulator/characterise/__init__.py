@@ -1,1 +1,0 @@
-"""Characterises a simulated sensor as a laboratory characterises a real one."""

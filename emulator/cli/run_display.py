@@ -1,0 +1,251 @@
+"""Live table of a run: rates, lateness, and the state and counts of each link.
+
+`--report DIR`: what is observed of a run, and written when it has ended.
+
+`--serve [HOST:PORT]`: the live page of a run.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from importlib.metadata import version
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self
+
+from rich.console import Console
+from rich.live import Live
+from rich.table import Table
+
+from emulator.cli.output import LACKING, WRONG_USE, Failure, console, status
+from emulator.cli.run_summary import quantile_text
+from emulator.light import MachineLacks
+from emulator.live_page.messages import Address, parse_address
+from emulator.report.page import ChartsLacking, check
+from emulator.rig.loading import Rig
+from emulator.run.changes import Operator
+from emulator.run.control import FaultInjection
+from emulator.run.outcome import RunResult, RunStatus, judge
+from emulator.run.report import Observation, Reported, write_report
+from emulator.run.session import Session
+from firmware_protocol.events import Events
+from transports.link.edges import EdgeSink
+from transports.link.process import LinkSetup
+
+if TYPE_CHECKING:
+    from emulator.live_page.page import LivePage
+
+__all__ = ["LiveTable", "Reporting", "Serving", "ShownRun", "begin_report", "check_serving"]
+
+
+_PLAIN_PERIOD_S = 5.0
+_RATE_WINDOW = 10  # status reports over which rates are averaged
+
+
+class LiveTable:
+    """Shows RunStatus: a table on a terminal; otherwise a line every 5 s."""
+
+    def __init__(self, rig: Rig, console: Console) -> None:
+        self._title = f"{rig.name}: {rig.title}"
+        self._console = console
+        self._live = Live(console=console, auto_refresh=False, transient=True) if console.is_terminal else None
+        self._past: deque[RunStatus] = deque(maxlen=_RATE_WINDOW)
+        self._next_line_s = 0.0
+
+    def __enter__(self) -> Self:
+        self._console.print(self._title)
+        if self._live:
+            self._live.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._live:
+            self._live.stop()
+
+    def update(self, status: RunStatus) -> None:
+        """Show a newer status."""
+        self._past.append(status)
+        if self._live:
+            self._live.update(self._table(status), refresh=True)
+        elif status.wall_seconds >= self._next_line_s:
+            self._next_line_s = status.wall_seconds + _PLAIN_PERIOD_S
+            self._console.print(self._line(status))
+
+    def _line(self, status: RunStatus) -> str:
+        links = ", ".join(f"{name} {r.state} {r.delivered} delivered" for name, r in status.links.items())
+        return f"{status.sim_seconds:8.2f} s  {self._rate():.3f} Mev/s  x{self._factor():.2f} real time  {links}"
+
+    def _table(self, status: RunStatus) -> Table:
+        table = Table(box=None, pad_edge=False)
+        for column in ("link", "state", "delivered", "dropped", "in device", "latency p50/p99 us"):
+            table.add_column(column, justify="left" if column in ("link", "state") else "right")
+        for name, r in status.links.items():
+            latency = f"{quantile_text(r.latency.p50)}/{quantile_text(r.latency.p99)}"
+            table.add_row(name, r.state, str(r.delivered), str(r.dropped), str(r.dropped_in_device), latency)
+        late = status.lateness
+        table.title = (
+            f"{status.sim_seconds:.1f} s   {self._rate():.3f} Mev/s   x{self._factor():.2f} real time   "
+            f"{status.frames} frames   late {late.frames_late}, worst {late.worst_gap_us / 1000:.1f} ms"
+        )
+        table.title_justify = "left"
+        return table
+
+    def _rate(self) -> float:
+        """Events read out per second of stream time over the window, Mev/s."""
+        first, last = self._past[0], self._past[-1]
+        return (last.read_out - first.read_out) / max(last.sim_seconds - first.sim_seconds, 1e-9) * 1e-6
+
+    def _factor(self) -> float:
+        """Stream seconds per wall second over the window."""
+        first, last = self._past[0], self._past[-1]
+        return (last.sim_seconds - first.sim_seconds) / max(last.wall_seconds - first.wall_seconds, 1e-9)
+
+
+class Reporting:
+    """Takes what a run shows; writes nothing where no folder was asked for."""
+
+    def __init__(self, rig: Rig, folder: Path | None) -> None:
+        self._rig = rig
+        self._folder = folder
+        self._seen = Observation(rig.camera.size) if folder is not None else None
+
+    def take(self, events: Events) -> None:
+        """Count the events of a step."""
+        if self._seen is not None:
+            self._seen.take(events)
+
+    def renew(self, status: RunStatus) -> None:
+        """Take note of how the run stands."""
+        if self._seen is not None:
+            self._seen.renew(status)
+
+    def write(self, result: RunResult, summary: Mapping[str, Any]) -> None:
+        """Write the report and name it; where that fails the run's own result still stands."""
+        if self._folder is None or self._seen is None:
+            return
+        judgements = judge(self._rig.verdict, result)
+        reported = Reported(self._rig, result, self._seen, judgements, summary, version("evstim"))
+        try:
+            paths = write_report(reported, self._folder)
+        except OSError as error:
+            console.print(
+                f"--report: {error.strerror or error} ({self._folder}): the report is not whole", markup=False
+            )
+        else:
+            console.print(f"report: {paths[0]}", markup=False)
+
+
+def begin_report(rig: Rig, folder: Path | None) -> Reporting:
+    """Make the folder, which may exist already; raises Failure where that, or a chart, is not possible."""
+    if folder is None:
+        return Reporting(rig, None)
+    try:
+        check()
+        folder.mkdir(parents=True, exist_ok=True)
+        probe = folder / "report.html"
+        probe.open("ab").close()
+    except ChartsLacking as error:
+        raise Failure(f"--report: {error}", LACKING) from error
+    except OSError as error:
+        raise Failure(f"--report: {folder}: {error.strerror or error}", WRONG_USE) from error
+    return Reporting(rig, folder)
+
+
+class ShownRun:
+    """Shows a session on its page; does nothing without one."""
+
+    def __init__(self, session: Session, page: LivePage | None) -> None:
+        self._session, self._page = session, page
+
+    def take(self, events: Events) -> None:
+        """Show the events of a step."""
+        if self._page is not None:
+            self._page.show(events, self._session.light, self._session.t_ns // 1000)
+
+    def renew(self, status: RunStatus) -> None:
+        """Show how the run stands."""
+        if self._page is not None:
+            self._page.renew(status)
+
+
+class Serving:
+    """The page that was asked for, or none."""
+
+    def __init__(self, rig: Rig, asked: str | bool | None) -> None:
+        self._rig = rig
+        self._address = _address(asked)
+        self._trigger: EdgeSink | None = None
+
+    def wired(self, setups: Sequence[LinkSetup[Any]]) -> list[LinkSetup[Any]]:
+        """Return the links, with their inputs wired to the page's button where nothing else is."""
+        if self._address is None or self._rig.trigger is not None:
+            return list(setups)
+        from emulator.live_page.page import with_trigger_button
+
+        wired, self._trigger = with_trigger_button(setups)
+        return wired
+
+    @contextmanager
+    def page(self, session: Session) -> Iterator[ShownRun]:
+        """Serve the page; raises Failure where it cannot listen there."""
+        if self._address is None:
+            yield ShownRun(session, None)
+            return
+        from emulator.live_page.messages import Orders
+        from emulator.live_page.page import LivePage
+
+        run = self._rig.run
+        can_pause = run.pace == "free" and not run.lockstep_us
+        viewer = Operator(session, "live page")
+        inject = FaultInjection(self._rig, viewer, None).answer
+        orders = Orders(viewer, inject, self._button(viewer), can_pause=can_pause)
+        try:
+            page = LivePage(self._rig, self._address, orders)
+        except OSError as error:
+            raise Failure(f"--serve: {_shown(self._address)}: {error.strerror or error}", LACKING) from error
+        with page:
+            status.print(f"live page: {page.url}", markup=False, soft_wrap=True)
+            yield ShownRun(session, page)
+
+    def _button(self, viewer: Operator) -> Callable[[int, int], None] | None:
+        """Return the trigger, which records its edges; None where there is none."""
+        trigger = self._trigger
+        if trigger is None:
+            return None
+
+        def press(bus_t_ns: int, number: int) -> None:
+            early = trigger.heard_early
+            trigger(bus_t_ns, number)
+            if trigger.heard_early == early:
+                viewer.record(trigger.last_us, "trigger pulse")
+
+        return press
+
+
+def check_serving(asked: str | bool | None) -> None:
+    """Raise Failure where a page is asked for that cannot be."""
+    if _address(asked) is None:
+        return
+    from emulator.live_page.page import check_ui
+
+    try:
+        check_ui()
+    except MachineLacks as error:
+        raise Failure(str(error), LACKING) from error
+
+
+def _address(asked: str | bool | None) -> Address | None:
+    if asked is None or asked is False:
+        return None
+    try:
+        return Address() if asked is True else parse_address(asked)
+    except ValueError as error:
+        raise Failure(f"--serve: {error}", WRONG_USE) from error
+
+
+def _shown(address: Address) -> str:
+    return f"{address.host}:{address.port}"

@@ -1,1 +1,0 @@
-"""The live table and the summary of a run."""

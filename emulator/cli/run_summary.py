@@ -1,0 +1,264 @@
+"""Delivery statistics of one link, for the summary of a run.
+
+Latencies in words.
+
+Summary lines about lateness: whether the run kept up with the clock, and what to change when it did not.
+
+Statistics of triggers, of the camera's clock, and of frames and samples, for the summary of a run.
+
+`--truth FILE`: a .csv for the camera's clock, an .h5 for the scene and the sensor; by the suffix.
+
+The files of `evstim run --trace`.
+
+Summary lines about what changed a run from outside.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from pathlib import Path
+from typing import Any
+
+from emulator.cli.output import LACKING, WRONG_USE, Failure, check_output, console
+from emulator.rig.loading import Rig
+from emulator.run.kernels import TRUTH, Part
+from emulator.run.link_process import traced
+from emulator.run.outcome import LinkLedger, RunResult
+from emulator.run.truth.source import SUFFIXES, TruthRefused, check_truth
+from firmware_protocol.device.event_device import ReadingCounters
+from transports.faults.script import FaultRecord
+from transports.link.process import LinkSetup
+from transports.link.report import LinkReport
+from transports.usb.usbip.trace import both_files
+
+__all__ = [
+    "Truth",
+    "begin_trace",
+    "changes_lines",
+    "fault_line",
+    "lateness_lines",
+    "link_json",
+    "link_lines",
+    "quantile_text",
+    "timing_json",
+    "timing_lines",
+]
+
+
+_CAUSES = {
+    "not_running": "no host was streaming",
+    "not_selected": "not selected",
+    "dropped_background": "background activity",
+    "dropped_refractory": "within the refractory period",
+    "dropped_rate": "over the rate limit",
+    "dropped_late": "too late",
+    "dropped_fifo": "FIFO full",
+    "flushed": "flushed at a stop",
+}
+
+
+def link_json(report: LinkReport) -> dict[str, object]:
+    """Return the drop causes, line use, counts, faults and recordings of a link, for `run --json`."""
+    camera = report.camera
+    dropped = {} if camera is None else {cause: getattr(camera, cause) for cause in _CAUSES}
+    return {
+        "dropped_in_device": dropped,
+        "use": None if report.use is None else dataclasses.asdict(report.use),
+        "counts": dict(report.counts),
+        "faults": [dataclasses.asdict(fault) for fault in report.faults],
+        "recordings": [dataclasses.asdict(one) for one in report.recordings],
+    }
+
+
+def link_lines(link: LinkLedger, report: LinkReport) -> list[str]:
+    """Return the summary lines on a link's events, the use of its line, its faults and its recordings."""
+    lines = [
+        f"{link.name}: {link.delivered} delivered (digest {report.digest:08x}), {link.dropped} dropped, "
+        f"{link.dropped_in_device} dropped in the device{_causes(report)}"
+    ]
+    if (use := report.use) is not None:
+        lines.append(f"{link.name}: line used {use.share:.1%}, {use.busiest:.1%} in the busiest second")
+    told = [f"{count} {name.replace('_', ' ')}" for name, count in report.counts.items() if count]
+    if told:
+        lines.append(f"{link.name}: {', '.join(told)}")
+    lines += [f"{link.name}: {fault_line(fault)}" for fault in report.faults]
+    lines += [f"{link.name}: {line}" for recording in report.recordings for line in recording.lines]
+    return lines
+
+
+def fault_line(fault: FaultRecord) -> str:
+    """Return a line on a fault: its time, hits and losses."""
+    ended = "the end" if fault.ended_us is None else f"{fault.ended_us * 1e-6:.3f} s"
+    edges = f" and {fault.edges_lost} edges" if fault.edges_lost else ""
+    return (
+        f"fault {fault.number}, {fault.kind}, {fault.began_us * 1e-6:.3f} s to {ended}: {fault.hits} hits, "
+        f"{fault.touched} units affected, {fault.events_lost} events{edges} lost"
+    )
+
+
+def _causes(report: LinkReport) -> str:
+    told = [f"{count} {why}" for cause, why in _CAUSES.items() if (count := getattr(report.camera, cause, 0))]
+    return f" ({', '.join(told)})" if told else ""
+
+
+def quantile_text(value_us: float | None) -> str:
+    """Return a quantile of latencies, us; "-" where nothing was measured."""
+    return "-" if value_us is None else f"{value_us:.0f}"
+
+
+_STRETCHED_SHARE = 0.01  # fewer longer steps than this change no result
+_WORTH_SAYING_US = 1000.0
+
+
+def lateness_lines(rig: Rig, result: RunResult) -> list[str]:
+    """Return nothing for a run that kept up, else what happened and what to change."""
+    late = result.lateness
+    if result.too_late:
+        return [f"NOT IN REAL TIME: {_broken(rig, result)}. {_remedies(rig)}"]
+    if late.worst_gap_us > _WORTH_SAYING_US or late.steps_stretched > _STRETCHED_SHARE * result.steps:
+        return [
+            f"late: {late.frames_late} of {result.steps} steps, the worst by {late.worst_gap_us:.0f} us; "
+            f"{late.steps_stretched} steps made longer to keep up"
+        ]
+    return []
+
+
+def _broken(rig: Rig, result: RunResult) -> str:
+    """Return which limits the run has broken, and by how much."""
+    late, told = result.lateness, []
+    if result.step_too_late:
+        worst = f"the worst step was {late.worst_gap_us / 1e6:.3g} s late"
+        told.append(f"{worst}, and run.max_late_ms is {rig.run.max_late_ms:g}")
+    if result.late_too_often:
+        often = f"{late.frames_late} of {result.steps} steps ({result.late_share:.1%}) were late"
+        told.append(f"{often}, and run.max_late_share is {rig.run.max_late_share:g}")
+    return "; ".join(told)
+
+
+def _remedies(rig: Rig) -> str:
+    return (
+        f"Take a longer run.step_us (now {rig.run.step_us}) or run.lead_us (now {rig.run.lead_us}), fewer "
+        "scene.samples, or a smaller camera; `evstim plan` shows what each costs"
+    )
+
+
+def timing_json(report: LinkReport) -> dict[str, object]:
+    """Return the `edges`, `clock` and `readings` of a link for the JSON summary."""
+    on_the_way = dataclasses.asdict(report.edges)
+    fates = {} if report.camera is None else dataclasses.asdict(report.camera.edges)
+    return {
+        "edges": {**on_the_way, **fates, "balanced": report.edges_balanced},
+        "clock": None if report.clock is None else dataclasses.asdict(report.clock),
+        "readings": {kind: _reading_json(report, kind) for kind in report.readings},
+    }
+
+
+def _reading_json(report: LinkReport, kind: str) -> dict[str, object]:
+    counted = {} if report.camera is None else report.camera.readings
+    fates = dataclasses.asdict(counted.get(kind, ReadingCounters()))
+    return {**dataclasses.asdict(report.readings[kind]), **fates, "balanced": report.readings_balanced}
+
+
+def timing_lines(name: str, report: LinkReport) -> Iterator[str]:
+    """Yield a line on the edges, if there were any, and one on the clock, if the camera has its own."""
+    if report.camera is not None and report.camera.edges.offered + report.camera.edges.added + report.edges.left:
+        e = report.camera.edges
+        late = f", {report.edges.late} late by up to {report.edges.worst_late_us} us" if report.edges.late else ""
+        left = f", {report.edges.left} came too late for the run" if report.edges.left else ""
+        lost = f", {e.lost_on_link} lost on the link" if e.lost_on_link else ""
+        yield (
+            f"{name}: {e.offered} edges, {e.added} added = {e.delivered} delivered, {e.ignored} not enabled, "
+            f"{e.dropped} dropped{lost}{late}{left}"
+        )
+    if report.edges.marks:
+        yield f"{name}: {report.edges.marks} own marks of the camera, {report.edges.marks_sent} sent"
+    for kind, fates in () if report.camera is None else report.camera.readings.items():
+        gone = fates.dropped + fates.flushed + fates.lost_on_link
+        unasked = f"{fates.not_running} not asked for"
+        yield f"{name}: {kind}: {fates.offered} readings = {fates.delivered} delivered, {gone} lost, {unasked}"
+    if report.clock is not None:
+        c = report.clock
+        yield f"{name}: camera clock offset {c.offset_us:+.1f} us at {c.t_us * 1e-6:.3f} s, drift {c.ppm:+.3f} ppm"
+
+
+class Truth:
+    """The truth files of a run, checked; raises Failure.
+
+    Attributes
+    ----------
+    clock : the file for the error of the camera's clock.
+    """
+
+    def __init__(self, rig: Rig, path: Path | None, every: int) -> None:
+        is_scene = path is not None and path.suffix in SUFFIXES
+        self.clock = None if is_scene else path
+        self._file: Any = None
+        if path is None:
+            return
+        if is_scene:
+            self._file = _truth_file(rig, path, every)
+        elif rig.camera.clock is None or not rig.links:
+            raise Failure(
+                "--truth: give an .h5 file for the truth of scene and sensor; any other file is for the error of the "
+                "camera's clock: this rig needs a [camera.clock] table and a link that carries its times",
+                WRONG_USE,
+            )
+        check_output("--truth", path)
+
+    @property
+    def parts(self) -> list[Part]:
+        """What is compiled for it beside the rig's own parts."""
+        return [] if self._file is None else [TRUTH]
+
+    @property
+    def trouble(self) -> str:
+        """Why the file is not whole; "" where it is, or none was asked for."""
+        return "" if self._file is None else self._file.trouble
+
+    def begin(self) -> AbstractContextManager[Any]:
+        """Return what finishes the file at its end, as `build_session` wants it; None in it where there is none."""
+        return nullcontext() if self._file is None else self._file
+
+    def tell(self) -> None:
+        """Print what went wrong."""
+        if self.trouble:
+            console.print(f"--truth: {self.trouble}", markup=False)
+
+
+def _truth_file(rig: Rig, path: Path, every: int) -> Any:
+    try:
+        check_truth(rig, path, every)
+    except TruthRefused as error:
+        raise Failure(f"--truth: {error}", WRONG_USE) from error
+    except ImportError as error:
+        raise Failure(f"--truth: {error}", LACKING) from error
+    from emulator.run.truth.source import TruthFile
+
+    return TruthFile(rig, path, every)
+
+
+def begin_trace(setups: Sequence[LinkSetup[Any]], path: Path | None) -> list[LinkSetup[Any]]:
+    """Return the links, with a trace of their USB cables in new files; raises Failure."""
+    links, traces = traced(setups, path)
+    if path is not None and not traces:
+        raise Failure("--trace: this rig has no link of kind usbip, so there is no USB cable to trace", WRONG_USE)
+    for file in [file for trace in traces for file in both_files(trace)]:
+        check_output("--trace", file)
+        if file.is_file():
+            file.write_bytes(b"")
+    return links
+
+
+_MOST = 20
+
+
+def changes_lines(result: RunResult) -> list[str]:
+    """Return nothing for a run that follows from its rig and seed alone, else who changed what, and when."""
+    count = len(result.changes) + result.changes_beyond
+    if not count:
+        return []
+    lines = [f"changed from outside {count} times; the rig and its seed alone do not repeat this run:"]
+    lines += [f"  {change.told}" for change in result.changes[:_MOST]]
+    return lines if count <= _MOST else [*lines, f"  and {count - _MOST} more: --json and --report list them"]

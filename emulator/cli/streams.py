@@ -1,0 +1,106 @@
+"""Line breaks for people at a terminal, and none for programs: what goes to a file or a pipe has whole lines.
+
+Standard output of a command: whatever it cannot take is a failure of the command, with its exit code.
+
+    print, rich, json -> TextIOWrapper -> BufferedWriter -> ResultFile -> descriptor 1
+
+A full disk or a reader that has gone shows at some flush, in code that knows nothing of it. `ResultFile` raises Failure
+there, once; the rest of the output is then discarded, so that neither the message nor the interpreter's last flush
+fails again.
+"""
+
+from __future__ import annotations
+
+import io
+import logging
+import os
+import sys
+from typing import TYPE_CHECKING, cast
+
+from cyclopts import App
+from rich.console import Console
+from rich.logging import RichHandler
+
+from emulator.cli.output import LACKING, Failure, console, status
+
+if TYPE_CHECKING:
+    from _typeshed import ReadableBuffer
+
+__all__ = ["ResultFile", "break_lines", "guard_stdout", "help_console", "log_handler"]
+
+
+_UNBROKEN = 100_000  # columns
+
+
+class _WholeLines(logging.Handler):
+    """Prints each record of the log as one line on `status`."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        status.print(self.format(record), markup=False)
+
+
+def break_lines() -> bool:
+    """Let `status` break lines at a terminal, and nowhere else; return whether it does."""
+    status.soft_wrap = not status.is_terminal
+    return status.is_terminal
+
+
+def log_handler() -> logging.Handler:
+    """Return what prints the log on `status`."""
+    if status.is_terminal:
+        return RichHandler(console=status, show_path=False, show_time=False)
+    handler = _WholeLines()
+    handler.setFormatter(logging.Formatter("%(levelname)-8s %(message)s"))
+    return handler
+
+
+def help_console(app: App) -> Console | None:
+    """Set how `app` prints its help, and return where: None for its own console."""
+    if console.is_terminal:
+        app.help_formatter = "default"
+        return None
+    app.help_formatter = "plain"  # no boxes
+    return Console(width=_UNBROKEN)
+
+
+class ResultFile(io.RawIOBase):
+    """The writing end of a descriptor that raises Failure where the descriptor takes no more."""
+
+    def __init__(self, descriptor: int) -> None:
+        self._descriptor = descriptor
+        self._has_failed = False
+
+    def writable(self) -> bool:
+        """Return True."""
+        return True
+
+    def fileno(self) -> int:
+        """Return the descriptor."""
+        return self._descriptor
+
+    def isatty(self) -> bool:
+        """Return whether the descriptor is a terminal."""
+        return os.isatty(self._descriptor)
+
+    def write(self, data: ReadableBuffer) -> int:
+        """Write what the descriptor takes, and return its size in bytes; raises Failure once, then discards."""
+        if self._has_failed:
+            return memoryview(data).nbytes
+        try:
+            return os.write(self._descriptor, data)
+        except OSError as error:
+            self._has_failed = True
+            raise Failure(f"stdout: {error.strerror}: the result was not written in full", LACKING) from error
+
+
+def guard_stdout() -> None:
+    """Let `sys.stdout` raise Failure where it takes no more; one that was closed before the start stays None."""
+    if sys.stdout is None:
+        return
+    plain = cast(io.TextIOWrapper, sys.stdout)
+    sys.stdout = io.TextIOWrapper(
+        io.BufferedWriter(ResultFile(plain.fileno())),
+        encoding=plain.encoding,
+        errors=plain.errors,
+        line_buffering=plain.line_buffering,
+    )

@@ -1,0 +1,243 @@
+"""Measures of agreement between two event streams, and the light that a stream's events reconstruct.
+
+    right               share of the active pixels (those with events in either stream) whose whole sequence of
+                        polarities is the true one; hard: one slip in a hundred events fails a pixel
+    t50, t95            quantiles of |timestamp error| over all events of the right pixels, us
+    count               events over true events
+    wrong events        events that must be struck out or put in to make each pixel's sequence of polarities the true
+                        one, over the true events: 0 is perfect, a silent sensor has 1, an invented event adds to it
+    van Rossum          each event becomes a decaying exponential (van Rossum, Neural Computation 13, 2001), ON and OFF
+                        of a pixel apart; root of the integral of the squared difference, over the root of what it would
+                        be if the two streams had nothing in common: 0 the same, 1 nothing
+    earth mover         how far events must be moved in time on average, each pixel and polarity for itself as a
+                        distribution of mass one, weighted by its true events; trains that are empty on either side are
+                        left to the wrong events, us
+    same time           share of the events whose timestamp another event of the stream has too ("timestamp batching")
+
+The reconstruction adds thresholds up again, from a known start, and compares with the true log light.
+
+An event stream for comparison: times of any resolution, sorted by pixel and then by time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from emulator.evaluation.accuracy.sequences import PixelEvents, common_subsequences, moved_us, van_rossum_products
+from firmware_protocol.events import Events
+
+__all__ = [
+    "Scores",
+    "Stream",
+    "compare",
+    "mean_square_error",
+    "reconstruct",
+    "same_time_share",
+    "structural_similarity",
+]
+
+
+@dataclass(frozen=True, slots=True)
+class Stream:
+    """Events of `pixels` pixels, those of pixel k from `first[k]` to `first[k + 1]`, in the order of their times.
+
+    Attributes
+    ----------
+    t_us : (n,) float64
+        Times.
+    on : (n,) bool
+        True where the light increased.
+    first : (pixels + 1,) int64
+        Index of each pixel's first event.
+    """
+
+    t_us: npt.NDArray[np.float64]
+    on: npt.NDArray[np.bool_]
+    first: npt.NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return self.t_us.size
+
+    @property
+    def pixels(self) -> int:
+        """How many pixels there are, silent ones included."""
+        return self.first.size - 1
+
+    @property
+    def counts(self) -> npt.NDArray[np.int64]:
+        """Events of each pixel, (pixels,)."""
+        return np.diff(self.first)
+
+    @property
+    def pixel(self) -> npt.NDArray[np.int64]:
+        """Pixel of each event, (n,)."""
+        return np.repeat(np.arange(self.pixels), self.counts)
+
+    @classmethod
+    def of(cls, t_us: npt.ArrayLike, pixel: npt.ArrayLike, on: npt.ArrayLike, pixels: int) -> Stream:
+        """Sort events, (n,) each, by pixel and time; those of one pixel and time keep their order.
+
+        Raises
+        ------
+        ValueError
+            The lengths differ, a time is not finite, or a pixel is not in [0, pixels).
+        """
+        t, where, up = np.asarray(t_us, np.float64), np.asarray(pixel, np.int64), np.asarray(on, np.bool_)
+        if not t.shape == where.shape == up.shape or t.ndim != 1:
+            raise ValueError(f"t_us {t.shape}, pixel {where.shape}, on {up.shape}: must be of one length")
+        if not np.isfinite(t).all():
+            raise ValueError("t_us: times must be finite")
+        if where.size and (where.min() < 0 or where.max() >= pixels):
+            raise ValueError(f"pixel from {where.min()} to {where.max()}: must lie in [0, {pixels})")
+        order = np.lexsort((t, where))
+        first = np.concatenate([[0], np.cumsum(np.bincount(where, minlength=pixels))])
+        return cls(t[order], up[order], first.astype(np.int64))
+
+    @classmethod
+    def from_events(cls, events: Events, width: int, height: int) -> Stream:
+        """Return the stream of an EVENT array, (n,), of a sensor of that size."""
+        pixel = events["y"].astype(np.int64) * width + events["x"]
+        return cls.of(events["t"].astype(np.float64), pixel, events["on"], width * height)
+
+
+_Float64s = npt.NDArray[np.float64]
+_WINDOW = 7
+"""Side of the window of the structural similarity, pixels, as scikit-image has it by default."""
+
+
+@dataclass(frozen=True, slots=True)
+class Scores:
+    """Comparison of a stream with the truth, as the module docstring defines it; NaN where nothing can be compared.
+
+    Attributes
+    ----------
+    right, wrong_events, count, van_rossum, same_time : float
+        Ratios.
+    t50_us, t95_us, earth_mover_us : float
+        Times, us.
+    events, true_events : int
+        Numbers of events.
+    """
+
+    right: float
+    t50_us: float
+    t95_us: float
+    count: float
+    wrong_events: float
+    van_rossum: float
+    earth_mover_us: float
+    same_time: float
+    events: int
+    true_events: int
+
+
+def compare(stream: Stream, truth: Stream, tau_us: float = 1000.0) -> Scores:
+    """Compare a stream with the truth.
+
+    Parameters
+    ----------
+    stream, truth : Stream
+        Two streams of the same pixels.
+    tau_us : float
+        Time constant of van Rossum's distance, > 0.
+
+    Raises
+    ------
+    ValueError
+        They have different numbers of pixels, or `tau_us` is not positive.
+    """
+    if stream.pixels != truth.pixels:
+        raise ValueError(f"{stream.pixels} pixels against {truth.pixels}: streams must be of the same pixels")
+    if not tau_us > 0:
+        raise ValueError(f"tau_us = {tau_us}: must be above 0")
+    ours, known = (PixelEvents(s.t_us, s.on, s.first) for s in (stream, truth))
+    common = common_subsequences(ours, known)
+    active = (stream.counts > 0) | (truth.counts > 0)
+    right = active & (common == stream.counts) & (common == truth.counts)
+    errors = np.abs(stream.t_us[right[stream.pixel]] - truth.t_us[right[truth.pixel]])
+    t50, t95 = np.quantile(errors, [0.5, 0.95]) if errors.size else (np.nan, np.nan)
+    n, m = len(stream), len(truth)
+    moved, trains = moved_us(ours, known)
+    apart, whole = van_rossum_products(ours, known, float(tau_us))
+    return Scores(
+        right=_ratio(right.sum(), active.sum()),
+        t50_us=float(t50),
+        t95_us=float(t95),
+        count=_ratio(n, m),
+        wrong_events=_ratio(n + m - 2 * common.sum(), m),
+        van_rossum=float(np.sqrt(_ratio(apart, whole))),
+        earth_mover_us=_ratio(moved, trains),
+        same_time=same_time_share(stream.t_us),
+        events=n,
+        true_events=m,
+    )
+
+
+def same_time_share(t: npt.ArrayLike) -> float:
+    """Return the share of times, (n,), that another one equals."""
+    times = np.asarray(t)
+    _, counts = np.unique(times, return_counts=True)
+    return _ratio(counts[counts > 1].sum(), times.size)
+
+
+def reconstruct(stream: Stream, on: npt.ArrayLike, off: npt.ArrayLike, start: npt.ArrayLike, t_us: float) -> _Float64s:
+    """Return the log light at `t_us` that the events up to then tell, (pixels,).
+
+    Parameters
+    ----------
+    on, off : (pixels,) or scalar
+        Thresholds, ln units.
+    start : (pixels,)
+        Log light before the first event.
+    """
+    up = np.broadcast_to(np.asarray(on, np.float64), stream.pixels)
+    down = np.broadcast_to(np.asarray(off, np.float64), stream.pixels)
+    past, pixel = stream.t_us <= t_us, stream.pixel
+    steps = np.where(stream.on, up[pixel], -down[pixel]) * past
+    return np.asarray(start, np.float64) + np.bincount(pixel, steps, minlength=stream.pixels)
+
+
+def mean_square_error(picture: npt.ArrayLike, truth: npt.ArrayLike) -> float:
+    """Return the mean of the squared difference of two pictures of one shape."""
+    return float(np.mean((np.asarray(picture, np.float64) - np.asarray(truth, np.float64)) ** 2))
+
+
+def structural_similarity(picture: npt.ArrayLike, truth: npt.ArrayLike, span: float | None = None) -> float:
+    """Return SSIM (Wang et al., IEEE TIP 13, 2004) in windows of 7 x 7 pixels of equal weight; 1 is the same.
+
+    Parameters
+    ----------
+    picture, truth : (height, width)
+        At least 7 x 7.
+    span : float, optional
+        Range of the possible values; that of the truth where not given.
+
+    Raises
+    ------
+    ValueError
+        The shapes differ or are too small.
+    """
+    a, b = np.asarray(picture, np.float64), np.asarray(truth, np.float64)
+    if a.shape != b.shape or a.ndim != 2 or min(a.shape) < _WINDOW:
+        raise ValueError(f"pictures of {a.shape} and {b.shape}: must be of one shape, at least {_WINDOW} x {_WINDOW}")
+    whole = float(np.ptp(b)) if span is None else span
+    c1, c2 = (0.01 * whole) ** 2, (0.03 * whole) ** 2
+    mean_a, mean_b = _windows(a), _windows(b)
+    unbiased = _WINDOW**2 / (_WINDOW**2 - 1)
+    var_a, var_b, cov = (unbiased * (_windows(p * q) - _windows(p) * _windows(q)) for p, q in ((a, a), (b, b), (a, b)))
+    above = (2 * mean_a * mean_b + c1) * (2 * cov + c2)
+    below = (mean_a**2 + mean_b**2 + c1) * (var_a + var_b + c2)
+    return float(np.mean(np.where(below > 0, above / np.where(below > 0, below, 1), 1)))
+
+
+def _windows(picture: _Float64s) -> _Float64s:
+    """Return the mean of each whole window."""
+    views = np.lib.stride_tricks.sliding_window_view(picture, (_WINDOW, _WINDOW))
+    return np.asarray(views.mean(axis=(2, 3)))
+
+
+def _ratio(part: float, whole: float) -> float:
+    return float(part / whole) if whole else float("nan")

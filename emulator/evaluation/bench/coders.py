@@ -1,0 +1,336 @@
+"""DAVIS words per second: encoding and decoding the events of the checkerboard rig's read-out.
+
+One thread, one million events (about 1 Mev/s of stream, so nearly every microsecond has a timestamp word), in batches
+of 20 000 as a busy link sees them. Median of the repeats, in processor time.
+
+`words_encode_streams` has all that a DAVIS346 sends in its words: a saturated read-out's events (12.5 a microsecond),
+25 frames of 346 x 260 a second, samples of the inertial unit and edges, 1000 a second each. What readings cost to
+become words is counted too.
+
+EVT3 words per second: encoding and decoding.
+
+One thread, batches of 20 000 events and buffers of 128 KiB, as a busy link sees them. Two streams: a textured target,
+where pixels fire one by one at their own microsecond (see `sparse_streams`), and rows, where many pixels of a row fire
+at the same time, which vectors code. Median of the repeats; every event is decoded and compared once.
+
+Event blocks: speed of encoding and decoding, and bits per event on the line.
+
+One thread, blocks of 1024 bytes at most, streams of a sparse sky and of a textured target (see `sparse_streams`). As in
+a link, what one step of 1 ms brings is put in block order before blocks are cut from it; encoding includes that. Every
+block is decoded and compared. Bits are those of the default profile: CCSDS packet with time and CRC-16, in COBS.
+
+The C decoder for firmware, compiled by this machine's own compiler: events a second on one core.
+
+The sparse sky of `sparse_streams` at 1 us, each event counted and summed, and the sum compared; processor time, the
+median of the repeats. Where there is no C compiler there is nothing to measure.
+"""
+
+from __future__ import annotations
+
+import functools
+import shutil
+import statistics
+import struct
+import subprocess
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from emulator.evaluation.bench.streams import SIZE, BenchFailed, checkerboard_stream, davis_batches, stars, target
+from firmware_protocol.c import FOLDER, sources
+from firmware_protocol.davis346 import Decoder, WordEncoder
+from firmware_protocol.events import EVENT, Events, join_events
+from firmware_protocol.evt.evt3 import Evt3Decoder, Evt3Encoder
+from firmware_protocol.packets.addresses import Message, MessageKind
+from firmware_protocol.packets.profile import Profile
+from firmware_protocol.telemetry import BlockEncoder, BlockSettings, as_received, decode_block
+
+__all__ = [
+    "COMPILER",
+    "BlockBits",
+    "BlockDecoding",
+    "BlockEncoding",
+    "CDecoding",
+    "Evt3Bytes",
+    "Evt3Decoding",
+    "Evt3Encoding",
+    "Stream",
+    "words_decode",
+    "words_encode",
+    "words_encode_streams",
+]
+
+
+_EVENTS = 1_000_000
+_BATCH = 20_000
+_REPEATS = 9
+
+
+def words_encode() -> float:
+    """Mev/s of the word encoder."""
+    batches = np.array_split(checkerboard_stream(_EVENTS), _EVENTS // _BATCH)
+
+    def encode() -> None:
+        encoder = WordEncoder((346, 260))
+        for batch in batches:
+            encoder.encode(batch)
+
+    return _EVENTS / _median_s(encode) * 1e-6
+
+
+def words_decode() -> float:
+    """Mev/s of our own decoder, on 128 KiB transfers."""
+    encoder = WordEncoder((346, 260))
+    data = encoder.encode(checkerboard_stream(_EVENTS)).words.tobytes()
+    transfers = [data[i : i + 131_072] for i in range(0, len(data), 131_072)]
+
+    def decode() -> None:
+        decoder = Decoder((346, 260))
+        for transfer in transfers:
+            decoder.feed(transfer)
+
+    return _EVENTS / _median_s(decode) * 1e-6
+
+
+def words_encode_streams() -> float:
+    """Mev/s of the word encoder with frames, inertial samples and edges among the events."""
+    parts = davis_batches(_EVENTS, _BATCH)
+
+    def encode() -> None:
+        encoder = WordEncoder((346, 260))
+        for part in parts:
+            encoder.encode(part.events, 0, part.marks, part.blocks())
+
+    return _EVENTS / _median_s(encode) * 1e-6
+
+
+def _median_s(work: Callable[[], None]) -> float:
+    times = []
+    for _ in range(_REPEATS + 1):
+        start_s = time.process_time()
+        work()
+        times.append(time.process_time() - start_s)
+    return statistics.median(times[1:])
+
+
+_BUFFER = 131_072
+
+_WIDTH, _HEIGHT = 1280, 720
+
+Stream = Literal["target", "rows"]
+
+
+@dataclass(frozen=True)
+class Evt3Encoding:
+    """Mev/s from events to words."""
+
+    stream: Stream
+
+    def __call__(self) -> float:
+        """Measure."""
+        batches = _batches(self.stream)
+        return sum(map(len, batches)) / _median_s_evt3(lambda: _encoded(batches)) * 1e-6
+
+
+@dataclass(frozen=True)
+class Evt3Decoding:
+    """Mev/s from words to events."""
+
+    stream: Stream
+
+    def __call__(self) -> float:
+        """Measure, and compare every event."""
+        events, data = join_events(_batches(self.stream)), _encoded(_batches(self.stream))
+        buffers = [data[k : k + _BUFFER] for k in range(0, len(data), _BUFFER)]
+        if not np.array_equal(join_events(_decoded(buffers)), events):
+            raise BenchFailed(f"{len(events)} events went into EVT3 words, and did not come out of them")
+        return len(events) / _median_s_evt3(lambda: _decoded(buffers)) * 1e-6
+
+
+@dataclass(frozen=True)
+class Evt3Bytes:
+    """Bytes an event."""
+
+    stream: Stream
+
+    def __call__(self) -> float:
+        """Measure."""
+        batches = _batches(self.stream)
+        return len(_encoded(batches)) / sum(map(len, batches))
+
+
+@functools.cache
+def _batches(stream: Stream) -> tuple[Events, ...]:
+    events = target(0.1) if stream == "target" else _rows(20_000)
+    return tuple(events[k : k + _BATCH] for k in range(0, len(events), _BATCH))
+
+
+def _rows(count: int) -> Events:
+    """Return `count` bursts of 1 to 64 pixels of a row, neighbours or with gaps, of one time and polarity."""
+    rng = np.random.default_rng(636)
+    bursts = []
+    for k in range(count):
+        columns = rng.integers(0, _WIDTH) + np.cumsum(rng.integers(1, rng.integers(2, 6), rng.integers(1, 65)))
+        burst = np.zeros(int((columns < _WIDTH).sum()), EVENT)
+        burst["t"], burst["y"], burst["on"] = 2 * k, k % _HEIGHT, rng.random() < 0.5
+        burst["x"] = columns[columns < _WIDTH]
+        bursts.append(burst)
+    return join_events(bursts)
+
+
+def _encoded(batches: tuple[Events, ...]) -> bytes:
+    encoder = Evt3Encoder(width=_WIDTH)
+    return b"".join(encoder.encode(batch) for batch in batches)
+
+
+def _decoded(buffers: list[bytes]) -> list[Events]:
+    decoder = Evt3Decoder()
+    return [decoder.decode(buffer)[0] for buffer in buffers]
+
+
+def _median_s_evt3(work: Callable[[], object]) -> float:
+    times = []
+    for _ in range(_REPEATS + 1):
+        start_s = time.perf_counter()
+        work()
+        times.append(time.perf_counter() - start_s)
+    return statistics.median(times[1:])
+
+
+_STEP_US = 1000
+
+_Stream = Literal["stars", "target"]
+
+
+@dataclass(frozen=True)
+class BlockEncoding:
+    """Mev/s from a stream in time order to blocks."""
+
+    stream: _Stream
+    tick_us: int = 1
+
+    def __call__(self) -> float:
+        """Measure."""
+        batches = _batches_telemetry(self.stream)
+        seconds = _median_s_telemetry(lambda: _encoded_telemetry(batches, self.tick_us))
+        return sum(map(len, batches)) / seconds * 1e-6
+
+
+@dataclass(frozen=True)
+class BlockDecoding:
+    """Mev/s from blocks to events."""
+
+    stream: _Stream
+    tick_us: int = 1
+
+    def __call__(self) -> float:
+        """Measure."""
+        batches = _batches_telemetry(self.stream)
+        blocks = _encoded_telemetry(batches, self.tick_us)
+        seconds = _median_s_telemetry(lambda: [decode_block(block) for block in blocks])
+        return sum(map(len, batches)) / seconds * 1e-6
+
+
+@dataclass(frozen=True)
+class BlockBits:
+    """Bits an event, framed."""
+
+    stream: _Stream
+    tick_us: int
+
+    def __call__(self) -> float:
+        """Measure, and compare every event."""
+        batches = _batches_telemetry(self.stream)
+        blocks = _encoded_telemetry(batches, self.tick_us)
+        received = join_events([decode_block(block).events for block in blocks])
+        sent = as_received(join_events(batches), self.tick_us)
+        if not np.array_equal(as_received(received, self.tick_us), sent):
+            raise BenchFailed(f"{len(sent)} events went into blocks, and did not come out of them")
+        profile = Profile("ccsds-cobs")
+        line = b"".join(profile.wrap(Message(MessageKind.EVENTS, block, 0)) for block in blocks)
+        return 8 * len(line) / len(sent)
+
+
+@functools.cache
+def _batches_telemetry(stream: _Stream) -> tuple[Events, ...]:
+    """Return what each step brings."""
+    events = stars(0.2) if stream == "stars" else target(0.02)
+    steps = np.arange(_STEP_US, int(events["t"][-1]) + 1, _STEP_US)
+    return tuple(np.split(events, np.searchsorted(events["t"], steps)))
+
+
+def _encoded_telemetry(batches: tuple[Events, ...], tick_us: int) -> list[bytes]:
+    encoder = BlockEncoder(SIZE, BlockSettings(tick_us))
+    waiting = join_events([as_received(batch, tick_us) for batch in batches])
+    blocks = []
+    while len(waiting):
+        block, taken = encoder.encode(waiting)
+        blocks.append(block)
+        waiting = waiting[taken:]
+    return blocks
+
+
+def _median_s_telemetry(work: Callable[[], object]) -> float:
+    times = []
+    for _ in range(_REPEATS + 1):
+        start_s = time.perf_counter()
+        work()
+        times.append(time.perf_counter() - start_s)
+    return statistics.median(times[1:])
+
+
+COMPILER = shutil.which("cc")
+"""The compiler, None if there is none."""
+
+
+_MODES = {"blocks": "b", "line": "c", "kiss": "k", "csp": "x", "words": "d"}
+_PROFILES = {"line": "ccsds-cobs", "kiss": "ccsds-kiss", "csp": "csp-kiss"}
+_PROGRAM = Path(__file__).with_name("c_decoder.c")
+
+
+@dataclass(frozen=True)
+class CDecoding:
+    """Mev/s from blocks, from a serial line (ccsds-cobs, ccsds-kiss, csp-kiss), or from DAVIS words to events."""
+
+    form: Literal["blocks", "line", "kiss", "csp", "words"]
+
+    def __call__(self) -> float:
+        """Compile and measure; raises BenchFailed where there is no compiler or an event is wrong."""
+        if COMPILER is None:
+            raise BenchFailed("there is no C compiler (cc)")
+        events = stars(0.6)
+        with tempfile.TemporaryDirectory() as folder:
+            program, data = Path(folder, "c_decoder"), Path(folder, "data")
+            files: list[str | Path] = [_PROGRAM, *sources(), "-o", program]
+            subprocess.run([COMPILER, "-std=gnu99", "-O2", f"-I{FOLDER}", *files], check=True)
+            data.write_bytes(_encoded_c_decoder(events, self.form))
+            mode = _MODES[self.form]
+            done = subprocess.run([program, mode, data, str(_REPEATS)], check=True, capture_output=True, text=True)
+        first, *times_ns = done.stdout.splitlines()
+        if first != f"{len(events)} {_sum(events)}":
+            raise BenchFailed(f"of {len(events)} events with the sum {_sum(events)} came {first}")
+        return len(events) / statistics.median(map(int, times_ns)) * 1e3
+
+
+def _sum(events: Events) -> int:
+    t, x, y, on = (events[name].astype(np.uint64) for name in ("t", "x", "y", "on"))
+    return int((t * np.uint64(3) + x * np.uint64(5) + y * np.uint64(7) + on).sum())
+
+
+def _encoded_c_decoder(events: Events, form: str) -> bytes:
+    if form == "words":
+        return WordEncoder(SIZE).encode(events).words.tobytes()
+    encoder, profile, pieces = BlockEncoder(SIZE), Profile(_PROFILES.get(form, "ccsds-cobs")), []
+    while len(events):
+        block, taken = encoder.encode(events)
+        if form in _PROFILES:
+            pieces.append(profile.wrap(Message(MessageKind.EVENTS, block, int(events["t"][0]))))
+        else:
+            pieces.append(struct.pack("<I", len(block)) + block)
+        events = events[taken:]
+    return b"".join(pieces)

@@ -1,0 +1,153 @@
+"""The USB/IP link under load: sustained events per second, and latency of the events.
+
+Three processes, as in a run: this one feeds the ring; the link's own process holds the camera and the USB/IP server;
+a receiver attaches over TCP on the loopback interface, does what a driver does, decodes every word, and digests every
+event.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import multiprocessing
+from functools import partial
+from multiprocessing.connection import Connection
+from typing import Any
+
+from emulator.evaluation.bench.streams import BenchFailed, saturated_stream
+from emulator.rig.loading import UsbipLink, load_rig
+from emulator.run.assembly import build_scene, build_session, link_setups, schedule
+from emulator.run.link_process import LinkProcess
+from emulator.run.outcome import RunResult, RunStatus
+from emulator.scene.checkerboard.table import CheckerboardParameters
+from firmware_protocol.davis346 import Davis346, Davis346Settings
+from transports.link.pacing import MonotonicClock
+from transports.link.process import LinkSetup
+from transports.link.report import LinkReport
+from transports.link.rings import FREE_RUNNING, EventRing
+from transports.usb.cameras import Reception, receive
+from transports.usb.davis_host import DavisHost
+from transports.usb.usbip.client import UsbipHost
+from transports.usb.usbip.server import UsbipFactory
+
+__all__ = ["latency_p50", "latency_p99", "usbip_events"]
+
+_SUSTAINED_S = 10.0
+_BLOCK = 1_000_000
+_MEV_S_SPEED_PX_S = 60.0
+
+
+class _Receiver:
+    """A receiver in a process of its own."""
+
+    def __init__(self, address: str) -> None:
+        context = multiprocessing.get_context("spawn")
+        self._mine, theirs = context.Pipe()
+        self._total = context.Value("q", -1)
+        self._process = context.Process(target=_receive, args=(address, theirs, self._total), daemon=True)
+        self._process.start()
+
+    def wait_started(self) -> None:
+        """Return when the camera streams to the receiver."""
+        if not self._mine.poll(30.0) or self._mine.recv() != "started":
+            raise BenchFailed("the receiver did not start")
+
+    def finish(self, total: int) -> Reception:
+        """Return what arrived, once that is `total` events."""
+        self._total.value = total
+        if not self._mine.poll(60.0):
+            raise BenchFailed("the receiver did not get all events within a minute")
+        reception: Reception = self._mine.recv()
+        self._process.join(10.0)
+        return reception
+
+
+def _receive(address: str, control: Connection, total: Any) -> None:
+    host, _, port = address.rpartition(":")
+    camera = DavisHost(UsbipHost.attach(host, int(port), "1-1", timeout_s=10.0))
+    told = False
+
+    def goes_on(now: Reception) -> bool:
+        nonlocal told
+        if not told:
+            control.send("started")
+            told = True
+        wanted: int = total.value
+        return wanted < 0 or now.events < wanted
+
+    control.send(receive(camera, goes_on, MonotonicClock()))
+    camera.close()
+
+
+def usbip_events() -> float:
+    """Mev/s sustained for 10 s from the ring to the decoded event, every event compared by digest.
+
+    The stream is a saturated read-out's (12.5 events a microsecond, eight from each row), pushed as fast as the link
+    takes it.
+    """
+    clock = MonotonicClock()
+    camera = partial(Davis346, Davis346Settings(start_delay_us=0))
+    setup = LinkSetup("bench", EventRing(), camera, UsbipFactory("127.0.0.1", 0, "1-1"))
+    link = LinkProcess(setup, clock)
+    link.wait_ready()
+    receiver = _Receiver(link.report.address or "")
+    receiver.wait_started()
+    block = saturated_stream(_BLOCK)
+    span_us = int(block["t"][-1]) + 1
+    pushed, start_ns = 0, clock.now_ns()
+    link.start(FREE_RUNNING)
+    while clock.now_ns() - start_ns < _SUSTAINED_S * 1e9:
+        link.push_all(block, int(block["t"][-1]))
+        block["t"] += span_us
+        pushed += _BLOCK
+    reception = receiver.finish(pushed)
+    seconds = (clock.now_ns() - start_ns) * 1e-9
+    _check(pushed, reception, link.stop(1.0))
+    return pushed / seconds * 1e-6
+
+
+def _check(pushed: int, reception: Reception, report: LinkReport) -> None:
+    if report.delivered != pushed or report.dropped or report.dropped_in_device:
+        raise BenchFailed(f"{pushed} events pushed, {report}")
+    if (reception.events, reception.digest, reception.faults) != (pushed, report.digest, 0):
+        raise BenchFailed(f"sent {pushed} events with digest {report.digest:08x}, received {reception}")
+
+
+def latency_p50() -> float:
+    """Median time from an event's own time to its bytes leaving, us, at some 1.5 Mev/s and 1 kHz steps, paced."""
+    return _latency().p50 or 0.0
+
+
+def latency_p99() -> float:
+    """99th percentile of the same."""
+    return _latency().p99 or 0.0
+
+
+@functools.cache
+def _latency() -> Any:
+    result = _paced_run()
+    (report,) = result.links.values()
+    rate = report.delivered / result.sim_seconds * 1e-6
+    if not 0.5 < rate < 2.0 or report.dropped or report.camera is None or report.camera.dropped_fifo:
+        raise BenchFailed(f"{rate:.2f} Mev/s delivered, {report}")
+    return report.latency
+
+
+def _paced_run() -> RunResult:
+    """Run the checkerboard for 10 s with a receiver attached, at a speed that gives about 1.5 Mev/s."""
+    rig = load_rig("checkerboard")
+    if not isinstance(rig.scene, CheckerboardParameters):
+        raise TypeError("the shipped checkerboard rig shows no checkerboard")
+    scene_parameters = dataclasses.replace(rig.scene, speed_px_s=_MEV_S_SPEED_PX_S)
+    rig = dataclasses.replace(rig, scene=scene_parameters, links=(UsbipLink(port=0),))
+    plan = dataclasses.replace(schedule(rig), duration_ns=round(_SUSTAINED_S * 1e9))
+    receivers: list[_Receiver] = []
+
+    def attach(now: RunStatus) -> None:
+        address = now.links["usbip"].address
+        if not receivers and address is not None:
+            receivers.append(_Receiver(address))
+
+    with build_scene(rig) as scene:
+        session = build_session(rig, scene, link_setups(rig), MonotonicClock())
+        return session.run(plan, attach)

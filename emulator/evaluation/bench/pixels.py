@@ -1,0 +1,330 @@
+"""Speed of the pixel step: DAVIS346 without its source follower, one thread, 1 ms steps, sorted event list included.
+
+Timed is `PixelArray.step` alone, call by call; the frame is written into one buffer before each call, as a renderer
+would. The figure is the pixels of the sensor over the median time of a step. The light comes with its time derivative,
+as it does by default in a run: log light as a cubic; `line` is the same without, log light as a straight line.
+
+    quiet    still light, a different level at each pixel; nothing fires
+    5 pct    a sine grating in log light, oblique, 40 pixels to a period, drifting at the speed that makes 5 % of the
+             pixels fire in each step: every pixel's light changes in every step, rising, turning and falling
+    changing the same grating, moving so slowly that nothing fires in the steps that are timed
+    still    a black picture of 1280 x 720 that does not change: compared with the last one, or told to be unchanged
+    threads  1280 x 720 with a share of the pixels firing: how many times as fast two threads are as one
+    edges    the board of sharp edges at which a pixel's light changes several times over within a step: edges of 10:1,
+             blurred by 0.5 px, at 0.5 px a step; events a second of work
+
+Cost of point-process noise in a step of 346 x 260 pixels and 1 ms: microseconds, one thread.
+
+The light is still and dim, 0.05 of the reference, and all pixels leak a little; the noise has the rms at which it makes
+the wanted number of events. Each step of the noise is timed alone, right after the pixels' own, so that it finds the
+caches as in a run; a window of the noise spans 16 steps or so, hence figures are medians over means of 64 steps. With
+read-out it is whole sensors, with noise and without, step by step in turns.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import statistics
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from emulator.light import Region
+from emulator.sensor.effects import NoiseParameters
+from emulator.sensor.noise.law import corner_hz, of_array
+from emulator.sensor.noise.points import NoiseEvents
+from emulator.sensor.pixels.array import PixelArray
+from emulator.sensor.pixels.state import draw
+from emulator.sensor.presets import PRESETS, SensorParameters
+from emulator.sensor.sensor import Sensor
+
+__all__ = [
+    "FiringRun",
+    "NoiseLoad",
+    "NoiseShare",
+    "TwoThreads",
+    "firing",
+    "grating",
+    "noisy_sensor",
+    "pixel_5pct",
+    "pixel_5pct_line",
+    "pixel_changing",
+    "pixel_edges",
+    "pixel_quiet",
+    "pixel_quiet_line",
+    "pixel_still",
+    "pixel_still_compared",
+]
+
+
+_DAVIS = dataclasses.replace(
+    PRESETS["davis346"], source_follower_hz=0.0, parasitic_hz_at_reference=0.0, leak_hz=0.1
+)  # the sensor of all figures from the first on, for comparison: without its fixed pole
+
+_STEP_NS = 1_000_000
+_WARM_UP = 50
+_STEPS = 400
+_PERIOD_PX = 40.0
+_CONTRAST = 1.0  # amplitude of the grating, ln units
+
+_Light = npt.NDArray[np.float32]
+_Frame = tuple[_Light, _Light]
+"""Light and its time derivative, a second."""
+
+
+@dataclasses.dataclass(frozen=True)
+class FiringRun:
+    """Result of a workload: Mpixel/s and Mev/s of the median step, and the share of pixels that fired in a step."""
+
+    mpixel_s: float
+    mev_s: float
+    share: float
+
+
+def grating(parameters: SensorParameters, phase: float, phase_step: float) -> _Frame:
+    """Return the grating, its logarithm a sine around ln 0.5 that loses `phase_step` a step; (height, width) each."""
+    y, x = np.mgrid[: parameters.height, : parameters.width]
+    angle = 2 * np.pi * (x + 0.5 * y) / _PERIOD_PX + phase
+    light = 0.5 * np.exp(_CONTRAST * np.sin(angle))
+    rate = -light * _CONTRAST * np.cos(angle) * phase_step * 1e9 / _STEP_NS
+    return light.astype(np.float32), rate.astype(np.float32)
+
+
+def _edges(parameters: SensorParameters, k: int) -> _Frame:
+    """Return light and dark stripes of 20 px with blurred edges, k steps of 0.5 px along; (height, width) each."""
+    y, x = np.mgrid[: parameters.height, : parameters.width]
+    sigma_px, speed_px = 0.5, 0.5
+    place = (x + 0.2 * y - speed_px * k) % 40 - 10
+    light, slope = np.full(x.shape, 0.1), np.zeros(x.shape)
+    for edge, sign in ((0, 1), (20, -1)):
+        steep = 1.702 / sigma_px  # a logistic edge of the width of a Gaussian's
+        rise = 1 / (1 + np.exp(-np.clip(steep * (place - edge), -60, 60)))
+        light, slope = light + 0.9 * sign * rise, slope + 0.9 * sign * steep * rise * (1 - rise)
+    return light.astype(np.float32), (-slope * speed_px * 1e9 / _STEP_NS).astype(np.float32)
+
+
+def _timed(
+    array: PixelArray, picture: Callable[[int], _Frame], steps: int, *, line: bool, changed: Region | None = None
+) -> tuple[float, float]:
+    """Return the median seconds of a step and the mean number of events in one."""
+    light, rate = (values.copy() for values in picture(0))
+    array.reset(light, 0, None if line else rate)
+    seconds, events = [], 0
+    for k in range(1, _WARM_UP + steps + 1):
+        light[:], rate[:] = picture(k)
+        start = time.perf_counter()
+        crossings = array.step(light, k * _STEP_NS, None if line else rate, changed=changed)
+        if k > _WARM_UP:
+            seconds.append(time.perf_counter() - start)
+            events += len(crossings)
+    return statistics.median(seconds), events / steps
+
+
+def firing(
+    share: float,
+    parameters: SensorParameters = _DAVIS,
+    steps: int = _STEPS,
+    *,
+    line: bool = False,
+    threads: int = 1,
+) -> FiringRun:
+    """Run the drifting grating at which about `share` of the pixels fire in each step."""
+    threshold = (parameters.threshold_on + parameters.threshold_off) / 2
+    swing = 2 * _CONTRAST - threshold  # a threshold is spent at each turn before the first event of the other sign
+    phase_step = share * threshold / swing * np.pi  # two swings in 2 pi
+    count = max(2, round(2 * np.pi / phase_step))
+    step = 2 * np.pi / count
+    pictures = [grating(parameters, -step * k, step) for k in range(min(count, _WARM_UP + steps + 1))]
+    median_s, events = _timed(
+        PixelArray(parameters, 1, threads), lambda k: pictures[k % len(pictures)], steps, line=line
+    )
+    pixels = parameters.width * parameters.height
+    return FiringRun(pixels / median_s / 1e6, events / median_s / 1e6, events / pixels)
+
+
+def _quiet(*, line: bool) -> float:
+    parameters = dataclasses.replace(_DAVIS, leak_hz=0.0)
+    still = grating(parameters, 0.0, 0.0)
+    median_s, _ = _timed(PixelArray(parameters, 1, 1), lambda k: still, _STEPS, line=line)
+    return still[0].size / median_s / 1e6
+
+
+def pixel_changing() -> float:
+    """Return Mpixel/s of a step in which the light of all pixels changes and nothing fires, 346 x 260."""
+    parameters = dataclasses.replace(_DAVIS, leak_hz=0.0)
+    pictures = [grating(parameters, -1e-4 * k, 1e-4) for k in range(_WARM_UP + 100)]
+    median_s, _ = _timed(PixelArray(parameters, 1, 1), lambda k: pictures[k % len(pictures)], 99, line=False)
+    return pictures[0][0].size / median_s / 1e6
+
+
+def _still(changed: Region | None) -> float:
+    parameters = dataclasses.replace(_DAVIS, leak_hz=0.0, width=1280, height=720)
+    black = np.zeros((720, 1280), np.float32)
+    array = PixelArray(parameters, 1, 1)
+    array.reset(black, 0, black)
+    seconds = []
+    for k in range(1, _WARM_UP + _STEPS):
+        start = time.perf_counter()
+        array.step(black, k * _STEP_NS, black, changed=changed)
+        seconds.append(time.perf_counter() - start)
+    return black.size / statistics.median(seconds[_WARM_UP:]) / 1e6
+
+
+def pixel_still() -> float:
+    """Return Mpixel/s of a black picture that the caller tells to be unchanged, 1280 x 720, nothing leaks."""
+    return _still(Region(0, 0, 0, 0))
+
+
+def pixel_still_compared() -> float:
+    """Return Mpixel/s of the same picture where it must be compared with the last one."""
+    return _still(None)
+
+
+@dataclasses.dataclass(frozen=True)
+class TwoThreads:
+    """How many times as fast two threads are as one, with `share` of 1280 x 720 pixels firing in a step."""
+
+    share: float
+
+    def __call__(self) -> float:
+        """Return the ratio of the median times of a step."""
+        parameters = dataclasses.replace(_DAVIS, width=1280, height=720)
+        one, two = (firing(self.share, parameters, 40, threads=threads).mpixel_s for threads in (1, 2))
+        return two / one
+
+
+def pixel_quiet() -> float:
+    """Return Mpixel/s of a step in which nothing fires (no leak, so that nothing does), 346 x 260."""
+    return _quiet(line=False)
+
+
+def pixel_quiet_line() -> float:
+    """Return the same without time derivatives."""
+    return _quiet(line=True)
+
+
+def pixel_5pct() -> float:
+    """Return Mpixel/s of a step in which 5 % of the pixels fire, 346 x 260."""
+    return firing(0.05).mpixel_s
+
+
+def pixel_5pct_line() -> float:
+    """Return the same without time derivatives."""
+    return firing(0.05, line=True).mpixel_s
+
+
+def pixel_edges() -> float:
+    """Return Mev/s of steps with sharp edges moving by half a pixel, 346 x 260."""
+    parameters = _DAVIS
+    pictures = [_edges(parameters, k) for k in range(80)]
+    median_s, events = _timed(PixelArray(parameters, 1, 1), lambda k: pictures[k % 80], 150, line=False)
+    return events / median_s / 1e6
+
+
+_LIGHT = 0.05
+_STEPS_NOISE, _BLOCKS = 64, 25
+_SEED = 1
+
+
+def noisy_sensor(events_hz: float) -> SensorParameters:
+    """Return the DAVIS346 with noise that makes about `events_hz` events a pixel and second in the bench's light."""
+    low, high = 0.01, 0.3
+    while high / low > 1.001:
+        p = _with_rms(math.sqrt(low * high))
+        law = of_array(p, (p.threshold_on + p.threshold_off) / 2, corner_hz(p, _LIGHT))
+        made_hz = float(law.on + law.off)
+        low, high = (p.noise.rms, high) if made_hz < events_hz else (low, p.noise.rms)
+    return _with_rms(low)
+
+
+def _with_rms(noise_rms: float) -> SensorParameters:
+    return dataclasses.replace(PRESETS["davis346"], noise=NoiseParameters(rms=noise_rms), leak_hz=0.1)
+
+
+@dataclass(frozen=True)
+class NoiseLoad:
+    """Noise of about `events_hz` events a pixel and second; the time of its own, or with that of reading them out."""
+
+    events_hz: float
+    with_readout: bool = False
+
+    def __call__(self) -> float:
+        """Return microseconds that a step takes longer."""
+        step = _whole(self.events_hz) if self.with_readout else _alone(self.events_hz)
+        means = [statistics.fmean(step() for _ in range(_STEPS_NOISE)) for _ in range(_BLOCKS + 1)]
+        return statistics.median(means[1:]) * 1e6
+
+
+def _still_noise(p: SensorParameters) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
+    return np.full((p.height, p.width), _LIGHT, np.float32)
+
+
+def _alone(events_hz: float) -> Callable[[], float]:
+    """Return what takes a step of pixels and noise and returns the seconds of the latter."""
+    p = noisy_sensor(events_hz)
+    drawn, light = draw(p, _SEED), _still_noise(p)
+    pixels, noise = PixelArray(p, _SEED), NoiseEvents(p, _SEED, (drawn.on + drawn.off) / 2)
+    pixels.reset(light, 0)
+
+    def step() -> float:
+        t_ns = pixels.state.t_ns + _STEP_NS
+        crossings = pixels.step(light, t_ns)
+        begun = time.perf_counter()
+        noise.add_to(crossings, light.reshape(-1), t_ns)
+        return time.perf_counter() - begun
+
+    return step
+
+
+@dataclass(frozen=True)
+class NoiseShare:
+    """How many times as long a step of a whole sensor takes with noise of `events_hz` events a pixel and second.
+
+    The light of all pixels changes in each step, so that no pixel is skipped, and nothing fires but noise and leak.
+    """
+
+    events_hz: float
+
+    def __call__(self) -> float:
+        """Return the ratio of the medians of 25 means of 64 steps, taken in turns."""
+        step = _both(self.events_hz, moving=True)
+        pairs = [np.mean([step() for _ in range(_STEPS_NOISE)], axis=0) for _ in range(_BLOCKS + 1)]
+        noisy_s, quiet_s = np.median(pairs[1:], axis=0)
+        return float(noisy_s / quiet_s)
+
+
+def _whole(events_hz: float) -> Callable[[], float]:
+    """Return what takes a step of two sensors and returns by how many seconds the noisy one is slower."""
+    step = _both(events_hz)
+
+    def difference() -> float:
+        noisy_s, quiet_s = step()
+        return noisy_s - quiet_s
+
+    return difference
+
+
+def _both(events_hz: float, *, moving: bool = False) -> Callable[[], tuple[float, float]]:
+    """Return what takes a step of a noisy sensor and of a quiet one, and returns the seconds of each."""
+    p = noisy_sensor(events_hz)
+    light, t_ns = _still_noise(p), 0
+    noisy, quiet = Sensor(p, _SEED), Sensor(_with_rms(0.0), _SEED)
+    for sensor in (noisy, quiet):
+        sensor.reset(light, 0)
+
+    def step() -> tuple[float, float]:
+        nonlocal t_ns
+        t_ns += _STEP_NS
+        if moving:
+            light.fill(_LIGHT * (1 + 1e-4 * (t_ns // _STEP_NS % 2)))
+        begun = time.perf_counter()
+        noisy.expose(light, t_ns)
+        middle = time.perf_counter()
+        quiet.expose(light, t_ns)
+        return middle - begun, time.perf_counter() - middle
+
+    return step

@@ -1,0 +1,398 @@
+"""A decision about one effect, and the quantities from which costs of effects are computed (see `decide`).
+
+Cost of leaving out an effect of the pixel: a decision without its verdict; None where the effect is off.
+
+The shift of events by noise is that of a ramp through a threshold with one-pole noise on it, in units of rms over
+contrast rate A, against rho = A tau_n / rms; simulated, 4000 crossings a column, the same for thresholds of 3 to 15
+rms (`tests/emulator/sensor/noise/test_noise_shift.py` holds the pixels of the grid grade against it):
+
+    rho        0.1     0.3     1      3      10
+    mean      -1.87   -1.32   -.71   -.31   -.09
+    deviation   .58     .72    .86    .96   1.0
+
+Cost of leaving out an effect of the chip: temperature, imager, defects, radiation.
+
+Each cost is a decision without its verdict; None where the effect is off. `dim` is dark current over the photocurrent
+of the darkest active pixels: a change of the dark current, or of the light alone, by a share changes contrasts there by
+that share of `dim`, and time constants by that share.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from emulator.plan.scene_probe import Probe
+from emulator.sensor.chip.sources import hits_per_second
+from emulator.sensor.noise.law import bandwidth_hz, beyond_the_law, fixed_corner_hz, of_array, rms
+from emulator.sensor.presets import SensorParameters
+
+__all__ = [
+    "Decision",
+    "Tolerance",
+    "chip_costs",
+    "interval_s",
+    "least_current",
+    "noise_shift",
+    "over",
+    "pixel_costs",
+    "run_events",
+    "tau_us",
+    "threshold",
+]
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """Tolerated errors of a run: timestamps by `eps_us` (95 %), and a share of its events; it lasts `duration_s`."""
+
+    eps_us: float
+    wrong_share: float
+    duration_s: float
+
+
+@dataclass(frozen=True)
+class Decision:
+    """One effect, kept or dropped.
+
+    Attributes
+    ----------
+    bound
+        The compared quantity, in words.
+    cost_us, cost_share
+        Error accepted or avoided: of timestamps, us, and as a share of the events; None where it has none.
+    changes
+        Changes in SensorParameters that drop the effect; for a table, the changes in it.
+    choice
+        False for an effect that cannot be left out, which is kept at any cost, and for one that the method does not
+        have, which is left out.
+    kept
+        The verdict.
+    """
+
+    effect: str
+    bound: str
+    cost_us: float | None
+    cost_share: float | None
+    changes: dict[str, Any] = field(default_factory=dict)
+    choice: bool = True
+    kept: bool = True
+
+
+def threshold(p: SensorParameters) -> float:
+    """Return the mean of both thresholds."""
+    return (p.threshold_on + p.threshold_off) / 2
+
+
+def over(amount: float, scene: Probe) -> float:
+    """Return `amount` over the contrast rate; infinite in a still scene, where effects are the only events."""
+    return amount / scene.contrast_rate if scene.contrast_rate > 0 else math.inf
+
+
+def interval_s(p: SensorParameters, scene: Probe) -> float:
+    """Return the time between two events of a pixel, s."""
+    return over(threshold(p), scene)
+
+
+def run_events(p: SensorParameters, scene: Probe) -> float:
+    """Return the events of a monotone run from the darkest to the brightest of the active light; at least one."""
+    if not (math.isfinite(scene.least_current) and scene.least_current > 0):
+        return 1.0
+    return max(1.0, math.log(scene.largest_current / scene.least_current) / threshold(p))
+
+
+def least_current(p: SensorParameters, scene: Probe) -> float:
+    """Return the photocurrent of the darkest active pixels; in a still scene, that in the dark."""
+    return scene.least_current if math.isfinite(scene.least_current) else p.dark_current_relative
+
+
+def tau_us(p: SensorParameters, current: float) -> float:
+    """Return the photoreceptor's time constant at a photocurrent, us; 0 without a low-pass."""
+    if math.isinf(p.corner_hz_at_reference):
+        return 0.0
+    corner_hz = min(max(p.corner_hz_at_reference * current, p.corner_min_hz), p.corner_max_hz)
+    return 1e6 / (2 * math.pi * corner_hz)
+
+
+_RHO = (0.1, 0.3, 1.0, 3.0, 10.0)
+_EARLIER = (1.87, 1.32, 0.71, 0.31, 0.09)
+_DEVIATION = (0.58, 0.72, 0.86, 0.96, 1.0)
+_Q95 = 1.645
+_FASTEST_HZ = 1e6
+_LEAST_RHO = 0.3  # of a point process
+
+
+def pixel_costs(p: SensorParameters, scene: Probe, tolerance: Tolerance) -> list[Decision | None]:
+    """Return the cost of each effect of the pixel."""
+    return [
+        _low_pass(p, scene),
+        _bandwidth(p, scene),
+        _large_signals(p, scene),
+        _source_follower(p),
+        *_leaks(p, scene, tolerance),
+        _mismatch(p, scene),
+        _refractory(p, scene),
+        _noise(p, scene),
+        _shift(p, scene),
+        _jitter(p),
+    ]
+
+
+def noise_shift(rho: float) -> tuple[float, float]:
+    """Return the mean time by which noise makes events earlier, and its deviation, in rms over contrast rate."""
+    place = math.log(rho)
+    nodes = np.log(_RHO)
+    return float(np.interp(place, nodes, _EARLIER)), float(np.interp(place, nodes, _DEVIATION))
+
+
+def _low_pass(p: SensorParameters, scene: Probe) -> Decision | None:
+    if math.isinf(p.corner_hz_at_reference):
+        return None
+    lag_us = tau_us(p, least_current(p, scene))
+    if p.photoreceptor == "large_signal":
+        return Decision("low-pass", "longest time constant; of the circuit, kept", lag_us, None, choice=False)
+    limits_noise = p.noise.rms and math.isinf(fixed_corner_hz(p))
+    noise: dict[str, Any] = {"noise": {"corner_hz": min(p.corner_max_hz, _FASTEST_HZ)}} if limits_noise else {}
+    return Decision("low-pass", "longest time constant", lag_us, None, {**noise, "corner_hz_at_reference": math.inf})
+
+
+def _bandwidth(p: SensorParameters, scene: Probe) -> Decision | None:
+    if math.isinf(p.corner_hz_at_reference) or p.corner_min_hz == p.corner_max_hz:
+        return None
+    least, largest = least_current(p, scene), max(_largest(scene), least_current(p, scene))
+    longest_us, shortest_us = tau_us(p, least), tau_us(p, largest)
+    fixed_hz = 1e6 / (2 * math.pi * math.sqrt(longest_us * shortest_us))
+    frozen = {"corner_min_hz": fixed_hz, "corner_max_hz": fixed_hz}
+    bound = "time constants of the darkest and the brightest light"
+    return Decision("bandwidth following the light", bound, longest_us - shortest_us, None, frozen)
+
+
+def _large_signals(p: SensorParameters, scene: Probe) -> Decision | None:
+    """Return the cost of a one-pole photoreceptor: its second pole, and its slew over the scene's range of light."""
+    if math.isinf(p.corner_hz_at_reference) or math.isinf(p.corner_max_hz):
+        return None
+    least = least_current(p, scene)
+    range_ln = math.log(max(_largest(scene) / least, 1.0))
+    late_us = 1e6 * (1 + range_ln) / (2 * math.pi * p.corner_max_hz)
+    here = p.photoreceptor == "large_signal"
+    changes = {"photoreceptor": "one_pole"} if here else {}
+    return Decision("large signals", "second pole, and slew over the range", late_us, None, changes, here, here)
+
+
+def _source_follower(p: SensorParameters) -> Decision | None:
+    if not p.source_follower_hz:
+        return None
+    lag_us = 1e6 / (2 * math.pi * p.source_follower_hz)
+    noise: dict[str, Any] = {"noise": {"corner_hz": fixed_corner_hz(p)}} if p.noise.rms else {}  # which keeps its band
+    return Decision("source follower", "its time constant", lag_us, None, {**noise, "source_follower_hz": 0.0})
+
+
+def _leaks(p: SensorParameters, scene: Probe, tolerance: Tolerance) -> list[Decision | None]:
+    largest = _largest(scene) if math.isfinite(scene.largest_current) else 0.0
+    off: tuple[tuple[str, float, dict[str, Any]], ...] = (
+        ("leak", p.leak_hz, {"leak_hz": 0.0}),
+        ("leak spread", p.leak_hz * p.leak_spread, {"leak_spread": 0.0}),
+        ("leak jitter", p.leak_hz * p.jitter.leak_share, {"jitter": {"leak_share": 0.0}}),
+        ("parasitic", p.parasitic_hz_at_reference * largest, {"parasitic_hz_at_reference": 0.0}),
+    )
+    return [_leaking(name, rate_hz, changes, p, (scene, tolerance)) for name, rate_hz, changes in off]
+
+
+def _leaking(
+    name: str, rate_hz: float, changes: dict[str, Any], p: SensorParameters, given: tuple[Probe, Tolerance]
+) -> Decision | None:
+    if not rate_hz:
+        return None
+    scene, tolerance = given
+    drift_us = min(over(rate_hz * threshold(p) * tolerance.duration_s, scene), interval_s(p, scene)) * 1e6
+    share = over(rate_hz * threshold(p), scene)
+    return Decision(name, "drift of the stamps, and its share of the events", drift_us, share, changes)
+
+
+def _mismatch(p: SensorParameters, scene: Probe) -> Decision | None:
+    if not p.mismatch:
+        return None
+    off_us = over(run_events(p, scene) * p.mismatch * threshold(p), scene) * 1e6
+    return Decision("mismatch", "stamps at the end of a monotone run", off_us, None, {"mismatch": 0.0})
+
+
+def _refractory(p: SensorParameters, scene: Probe) -> Decision | None:
+    if not p.refractory_us:
+        return None
+    share = p.refractory_us * 1e-6 / interval_s(p, scene)
+    late_us = run_events(p, scene) * p.refractory_us
+    return Decision("refractory period", "stamps in a run, and events lost", late_us, share, {"refractory_us": 0.0})
+
+
+def _noise(p: SensorParameters, scene: Probe) -> Decision | None:
+    if not p.noise.rms:
+        return None
+    darkest, brightest = _corner_hz(p, p.dark_current_relative), _corner_hz(p, _largest(scene))
+    f = np.geomspace(darkest, brightest, 20) if math.isfinite(brightest) else np.full(1, math.inf)
+    rates = of_array(p, np.asarray(threshold(p)), f)
+    share = over(float((rates.on + rates.off).max()) * threshold(p), scene)
+    jitter_us = over(p.noise.rms, scene) * 1e6
+    return Decision("noise", "jitter of events, and noise events", jitter_us, share, {"noise": {"rms": 0.0}})
+
+
+def _shift(p: SensorParameters, scene: Probe) -> Decision | None:
+    """Return the cost of a noise without voltage in time: it would make real events earlier and scatter them."""
+    if not p.noise.rms:
+        return None
+    f = np.asarray(_corner_hz(p, least_current(p, scene)))
+    sigma, bandwidth = float(rms(p, f)), float(bandwidth_hz(p, f))
+    tau_s = 1 / (2 * math.pi * bandwidth)
+    rho = max(scene.contrast_rate * tau_s / sigma, 1e-9)
+    earlier, deviation = noise_shift(rho)
+    shift_us = over(sigma, scene) * (earlier + _Q95 * deviation) * 1e6
+    beyond = "noise decides whether" if rho < _LEAST_RHO else beyond_the_law(p, f)
+    share = math.inf if beyond else None
+    bound = f"beyond a point process: {beyond}" if beyond else "events brought forward by noise"
+    on_grid = p.noise.grade == "grid"
+    changes = {"noise": {"grade": "points"}} if on_grid else {}
+    return Decision("shift by noise", bound, shift_us, share, changes, choice=on_grid, kept=on_grid)
+
+
+def _jitter(p: SensorParameters) -> Decision | None:
+    if not p.jitter.latency_us:
+        return None
+    late_us = p.jitter.latency_us + 2 * p.jitter.deviation_us
+    off = {"jitter": {"latency_us": 0.0, "deviation_us": 0.0}}
+    return Decision("jitter", "latency and two deviations", late_us, None, off)
+
+
+def _largest(scene: Probe) -> float:
+    return scene.largest_current if math.isfinite(scene.largest_current) else 1.0
+
+
+def _corner_hz(p: SensorParameters, current: float) -> float:
+    tau = tau_us(p, current)
+    return 1e6 / (2 * math.pi * tau) if tau else math.inf
+
+
+def chip_costs(p: SensorParameters, scene: Probe, tolerance: Tolerance) -> list[Decision | None]:
+    """Return the cost of each effect of the chip."""
+    return [
+        _dark_current(p, scene),
+        _temperature(p, scene, tolerance),
+        *_efficiencies(p, scene),
+        _prnu(p, scene),
+        _dcnu(p, scene),
+        *_shot_noise(p, scene),
+        _hot_pixels(p, scene),
+        _dead_pixels(p),
+        _radiation(p, scene),
+        _dose(p, scene, tolerance),
+    ]
+
+
+def _dim(p: SensorParameters, scene: Probe) -> float:
+    return min(1.0, p.dark_current_relative / least_current(p, scene))
+
+
+def _dark_current(p: SensorParameters, scene: Probe) -> Decision:
+    return Decision(
+        "dark current", "its share of the darkest light; never left out", None, _dim(p, scene), choice=False
+    )
+
+
+def _temperature(p: SensorParameters, scene: Probe, tolerance: Tolerance) -> Decision | None:
+    t = p.temperature
+    warmer_k = t.celsius - t.reference_celsius
+    if not warmer_k:
+        return None
+    more_leak = abs(2 ** (warmer_k / t.leak_doubles_every_k) - 1) * p.leak_hz * threshold(p)
+    more_dark = abs(2 ** (warmer_k / t.dark_doubles_every_k) - 1)
+    drift_us = min(over(more_leak * tolerance.duration_s, scene), interval_s(p, scene)) * 1e6 if more_leak else 0.0
+    share = (over(more_leak, scene) if more_leak else 0.0) + more_dark * _dim(p, scene)
+    off = {"temperature": {"celsius": t.reference_celsius}}
+    return Decision("temperature", "change of leak and of dark current", drift_us, share, off)
+
+
+def _efficiencies(p: SensorParameters, scene: Probe) -> list[Decision | None]:
+    return [
+        _of_light("system efficiency", abs(1 / p.imager.system_efficiency - 1), {"system_efficiency": 1.0}, p, scene),
+        _of_light(
+            "quantum efficiency", abs(1 / p.imager.quantum_efficiency - 1), {"quantum_efficiency": 1.0}, p, scene
+        ),
+    ]
+
+
+def _prnu(p: SensorParameters, scene: Probe) -> Decision | None:
+    return _of_light("PRNU", 2 * p.imager.prnu, {"prnu": 0.0}, p, scene)
+
+
+def _dcnu(p: SensorParameters, scene: Probe) -> Decision | None:
+    return _of_light("DCNU", 2 * p.imager.dcnu, {"dcnu": 0.0}, p, scene, of_dark=True)
+
+
+def _of_light(
+    name: str, change: float, off: dict[str, Any], p: SensorParameters, scene: Probe, *, of_dark: bool = False
+) -> Decision | None:
+    """Return the cost of an effect that changes light, or dark current, by a share."""
+    if not change:
+        return None
+    dim = _dim(p, scene)
+    lag_us = tau_us(p, least_current(p, scene)) * change * (dim if of_dark else 1 - dim)
+    return Decision(name, "time constants and contrasts in the darkest light", lag_us, change * dim, {"imager": off})
+
+
+def _shot_noise(p: SensorParameters, scene: Probe) -> list[Decision | None]:
+    least = least_current(p, scene)
+    dark = min(p.dark_current_relative, least)
+    return [
+        _counting("photon shot noise", p.imager.photon_shot_noise, least - dark, p, scene),
+        _counting("dark shot noise", p.imager.dark_shot_noise, dark, p, scene),
+    ]
+
+
+def _counting(name: str, on: bool, counted: float, p: SensorParameters, scene: Probe) -> Decision | None:
+    if not on:
+        return None
+    grid_s = p.imager.shot_grid_us * 1e-6
+    deviation = math.sqrt(counted / (p.imager.electrons_per_s_at_reference * grid_s)) / least_current(p, scene)
+    events_hz = math.erfc(threshold(p) / (2 * deviation)) / grid_s if deviation else 0.0
+    jitter_us = over(deviation, scene) * 1e6 if deviation else 0.0
+    share = over(events_hz * threshold(p), scene) if events_hz else 0.0
+    off = {"imager": {name.replace(" ", "_"): False}}
+    return Decision(name, "jitter of events, and events of its own", jitter_us, share, off)
+
+
+def _hot_pixels(p: SensorParameters, scene: Probe) -> Decision | None:
+    count = p.defects.hot_share * p.width * p.height + len(p.defects.hot_pixels)
+    if not count:
+        return None
+    off = {"defects": {"hot_share": 0.0, "hot_pixels": ()}}
+    return Decision("hot pixels", "their share of the stream", None, _of_stream(count * p.defects.hot_hz, scene), off)
+
+
+def _dead_pixels(p: SensorParameters) -> Decision | None:
+    share = p.defects.dead_share + len(p.defects.dead_pixels) / (p.width * p.height)
+    off = {"defects": {"dead_share": 0.0, "dead_pixels": ()}}
+    return Decision("dead pixels", "their share of the pixels", None, share, off) if share else None
+
+
+def _radiation(p: SensorParameters, scene: Probe) -> Decision | None:
+    r = p.radiation
+    if not r.hits_per_cm2_s:
+        return None
+    pixels = 1 + 2 * r.depth_um / r.pixel_pitch_um  # mean length of an isotropic track, and the pixel it begins in
+    share = _of_stream(hits_per_second(p) * pixels * (1 + r.off_share), scene)
+    return Decision("radiation", "its share of the stream", None, share, {"radiation": {"hits_per_cm2_s": 0.0}})
+
+
+def _dose(p: SensorParameters, scene: Probe, tolerance: Tolerance) -> Decision | None:
+    r = p.radiation
+    dose_krad = r.dose_krad + r.dose_krad_per_day * tolerance.duration_s / 86_400
+    if not dose_krad * r.hot_share_per_krad:
+        return None
+    turned = -math.expm1(-dose_krad * r.hot_share_per_krad) * p.width * p.height
+    off = {"radiation": {"dose_krad": 0.0, "dose_krad_per_day": 0.0}}
+    return Decision("dose", "pixels it turns hot by the end", None, _of_stream(turned * p.defects.hot_hz, scene), off)
+
+
+def _of_stream(events_per_s: float, scene: Probe) -> float:
+    return events_per_s / max(scene.events_per_s, 1e-9)

@@ -1,0 +1,163 @@
+"""Keeping up with real time, in a planned way.
+
+A paced run computes each step one lead ahead of the moment its first event is due. When a step is ready after that
+moment it is late, and counted. A run that is behind takes longer steps (twice as long each time, up to eight times):
+the light is then sampled more coarsely, which costs accuracy in event times but keeps the run with the clock; when it
+has caught up the steps shrink again. What was done is in the summary: the run never just falls behind.
+
+The lead that a step needed is the time from when its computing was to begin until it was ready. A lead above all of
+them makes no step late; more than that only makes a closed loop slower, since light is drawn that far ahead.
+
+Time driven by a bus: each SYNC lets the run go on by one period, for targets too slow for real time.
+
+What lets a run go on where it is neither the machine's clock nor as fast as it can.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from emulator.light import Light
+from emulator.plan.step_control import StepSource
+from firmware_protocol.events import Events
+from transports.link.deliveries import LatencyHistogram, LatencySummary
+from transports.link.edges import EdgeRing
+from transports.link.pacing import Clock
+
+__all__ = ["Drive", "Lateness", "Lockstep", "Simulation", "StepRule"]
+
+
+LONGEST_STRETCH = 8
+_MEMORY = 0.9  # of the running mean of a length's load, a step
+
+
+@dataclass
+class Lateness:
+    """How far a paced run fell behind."""
+
+    frames_late: int = 0
+    worst_gap_us: float = 0.0
+    steps_stretched: int = 0
+    _leads: LatencyHistogram = field(default_factory=LatencyHistogram, repr=False, compare=False)
+
+    def add(self, gap_ns: int, stretch: int, lead_ns: int = 0) -> None:
+        """Count one step that was ready `gap_ns` after its first event was due (negative: in time).
+
+        Its computing was to begin `lead_ns` before that.
+        """
+        self._leads.add(np.array([(gap_ns + lead_ns) / 1000]))
+        self.steps_stretched += stretch > 1
+        if gap_ns > 0:
+            self.frames_late += 1
+            self.worst_gap_us = max(self.worst_gap_us, gap_ns / 1000)
+
+    @property
+    def lead_needed_us(self) -> LatencySummary:
+        """Lead that the steps needed, us."""
+        return self._leads.summary()
+
+    def as_json(self) -> dict[str, object]:
+        """The `lateness` object of `evstim run --json`."""
+        return {
+            "frames_late": self.frames_late,
+            "worst_gap_us": round(self.worst_gap_us, 1),
+            "steps_stretched": self.steps_stretched,
+            "lead_needed_us": asdict(self.lead_needed_us),
+        }
+
+
+class StepRule:
+    """How long the next step is: as planned while the run keeps up, longer while it does not and longer is cheaper.
+
+    Longer steps save pictures. They do not always save time: where many pixels change a lot within a step, each of them
+    costs more, so what a length costs for each second of stream is measured, and a dearer one is left again.
+    """
+
+    def __init__(self, steps: StepSource) -> None:
+        self._steps = steps
+        self._load: dict[int, float] = {}
+        self.stretch = 1
+
+    @property
+    def step_ns(self) -> int:
+        """Length of the next step, ns."""
+        return self._steps.step_ns * self.stretch
+
+    def follow(self, gap_ns: int, cost_ns: int) -> None:
+        """Adapt to the last step: `gap_ns` late (negative: in time), `cost_ns` of computing."""
+        load = cost_ns / max(self.step_ns, 1)
+        self._load[self.stretch] = load + _MEMORY * (self._load.get(self.stretch, load) - load)
+        if gap_ns > self._steps.step_ns:
+            self.stretch = self._cheaper()
+        elif gap_ns <= 0 and self.stretch > 1:
+            self.stretch //= 2
+
+    def _cheaper(self) -> int:
+        """Return the neighbouring length with the least load; one not tried yet is thought to be half as dear."""
+        shorter, longer = max(self.stretch // 2, 1), min(2 * self.stretch, LONGEST_STRETCH)
+        here = self._load[self.stretch]
+        expected = {shorter: self._load.get(shorter, here), longer: self._load.get(longer, here / 2)}
+        expected[self.stretch] = here
+        return min(expected, key=lambda stretch: expected[stretch])
+
+
+_POLL_NS = 200_000
+_FOREVER_US = 1 << 62
+
+
+class Lockstep:
+    """How far the SYNCs heard let the run go.
+
+    Parameters
+    ----------
+    syncs
+        Where they are heard.
+    period_ns
+        What each of them is worth.
+    """
+
+    def __init__(self, syncs: EdgeRing, period_ns: int, clock: Clock) -> None:
+        self._syncs = syncs
+        self._period_ns = period_ns
+        self._clock = clock
+        self.heard = 0
+
+    @property
+    def limit_ns(self) -> int:
+        """Stream time that the run may reach."""
+        self.heard += len(self._syncs.take(_FOREVER_US))
+        return self.heard * self._period_ns
+
+    def wait(self, t_ns: int, goes_on: Callable[[], bool]) -> int:
+        """Return the stream time that the run may reach as soon as it is beyond `t_ns`, or when `goes_on` says no."""
+        while (limit_ns := self.limit_ns) <= t_ns and goes_on():
+            self._clock.sleep_until(self._clock.now_ns() + _POLL_NS)
+        return limit_ns
+
+
+class Drive(Protocol):
+    """Tells how far in stream time a run may go."""
+
+    @property
+    def limit_ns(self) -> int:
+        """Stream time that the run may reach."""
+
+    def wait(self, t_ns: int, goes_on: Callable[[], bool]) -> int:
+        """Return how far the run may go: beyond `t_ns`, or not beyond it when it is to end.
+
+        All events up to `t_ns` have been handed to the links when this is called.
+        """
+
+
+class Simulation(Drive, Protocol):
+    """A drive that gives the poses too, so nothing can be drawn before it has begun."""
+
+    def begin(self, light: Callable[[], Light], goes_on: Callable[[], bool]) -> None:
+        """Return when the first picture can be drawn, or `goes_on` says no; `light` gives the last picture."""
+
+    def take(self, events: Events) -> None:
+        """Take note of events that have been handed to the links."""

@@ -1,0 +1,413 @@
+"""The layout of a truth file, HDF5, version 1.
+
+    /                   attributes    format "evstim-truth", version, evstim, rig, title, seed, camera, width, height,
+                                      unix_us, light_unit, absent, complete, missing_pictures, missing_events
+                                      and, where the scene is seen through a lens: focal_px, centre_px,
+                                      distortion (k1 k2 p1 p2 k3), radiance_per_light
+    /labels/name        (b + 1,) text               name of each label; 0 is "sky"
+    /poses/t            (m,) f8, us                 every picture of the run
+          /camera_position_m            (m, 3) f8         in the world
+          /camera_q_world_from_camera   (m, 4) f8         scalar first; camera axes x right, y down, z out
+          /bodies_position_m            (m, b, 3) f8      body k - 1 has label k
+          /bodies_q_world_from_body     (m, b, 4) f8
+    /pictures/t         (n,) f8, us                 every picture, or every n-th
+             /light     (n, height, width) f4       what the sensor gets, linear, 1 at the sensor's reference
+             /depth     (n, height, width) f4, m    along the boresight (z); inf: sky
+             /flow      (n, height, width, 2) f4    px/s to the right and down, of the point at the pixel's middle
+             /labels    (n, height, width) u2       what the pixel's middle shows
+    /events/t           (e,) u8, us                 as the sensor reads them out
+           /x  /y       (e,) u2                     column, row; (0, 0) is the upper left pixel
+           /p           (e,) u1                     1: brighter
+           /origin      (e,) u1, an HDF5 enum       what raised it: unknown, signal, leak, noise, background, particle
+           /label       (e,) u2                     of its pixel in the nearest of /pictures, before or after it
+    /clean_events/t  /x  /y  /p  /label             of an ideal sensor of the same thresholds on the same light
+
+All times are microseconds of stream time: the camera's own time where its clock has no error and nobody resets it.
+The world is right-handed, in metres; q_world_from_x turns coordinates along the axes of x into those along the world's.
+What a scene does not know has no data set, and `absent` tells why. While it is written, and after its writer was
+killed, the file opens as h5py.File(path, swmr=True).
+
+Arrays on the pipe to the process that writes a truth file: a length, a line of JSON with their shapes, their bytes.
+
+A message is a mapping of data sets to rows that are added to them; that of the length 0 ends the file in good order.
+
+A truth file as it is written: rows go through a pipe to a process that compresses them and waits for the disk.
+
+    run --put--> queue --thread--> pipe --> writer process --> file
+
+The queue is bounded. A run that is not paced waits for room; in one that is, rows that find none are left out of the
+file and counted.
+
+What a truth file holds, for `evstim info`: read by a child process with bounds on memory and time.
+
+HDF5 answers a damaged file with whatever it runs into, so it is not opened in the process that asks.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import os
+import resource
+import struct
+import subprocess
+import sys
+import threading
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import numpy.typing as npt
+
+from emulator.geometry.camera import Given
+from emulator.sensor.origins import Origin
+
+__all__ = [
+    "FORMAT",
+    "VERSION",
+    "About",
+    "Rows",
+    "TruthRecorder",
+    "create",
+    "decoded",
+    "encoded",
+    "is_hdf5",
+    "main",
+    "truth_in",
+]
+
+
+FORMAT, VERSION = "evstim-truth", 1
+
+_CHUNK_BYTES = 1 << 15
+_PACKED = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
+_EVENTS = {"t": "<u8", "x": "<u2", "y": "<u2", "p": "u1"}
+
+
+@dataclass(frozen=True)
+class About:
+    """What a truth file says of its run.
+
+    Attributes
+    ----------
+    size : (width, height).
+    names : of the labels from 1 on.
+    gives : which of "poses", "depth", "flow", "labels" the scene knows.
+    facts : attributes of the file.
+    """
+
+    size: tuple[int, int]
+    names: Sequence[str] = ()
+    gives: Sequence[Given] = ()
+    facts: Mapping[str, Any] = field(default_factory=dict)
+
+
+def create(path: Path, about: About) -> h5py.File:
+    """Return a new file with all its data sets, empty, which others may read while it grows; raises OSError."""
+    file = h5py.File(path, "w", libver="latest")
+    file.attrs.update(format=FORMAT, version=VERSION, **about.facts)
+    file.attrs.update(complete=False, missing_pictures=0, missing_events=0)
+    width, height = about.size
+    file["labels/name"] = np.array(["sky", *about.names], h5py.string_dtype())
+    bodies, picture = len(about.names), (height, width)
+    if "poses" in about.gives:
+        _poses(file, bodies)
+    _rows(file, "pictures/t", (), "<f8", unit="us")
+    _rows(file, "pictures/light", picture, "<f4", unit="1 at the sensor's reference, linear")
+    if "depth" in about.gives:
+        _rows(file, "pictures/depth", picture, "<f4", unit="m along the boresight; inf: sky")
+    if "flow" in about.gives:
+        _rows(file, "pictures/flow", (*picture, 2), "<f4", unit="px/s, to the right and down")
+    if "labels" in about.gives:
+        _rows(file, "pictures/labels", picture, "<u2")
+    _events(file, about)
+    file.swmr_mode = True
+    return file
+
+
+def _poses(file: h5py.File, bodies: int) -> None:
+    _rows(file, "poses/t", (), "<f8", unit="us")
+    _rows(file, "poses/camera_position_m", (3,), "<f8")
+    _rows(file, "poses/camera_q_world_from_camera", (4,), "<f8", unit="w x y z")
+    if bodies:
+        _rows(file, "poses/bodies_position_m", (bodies, 3), "<f8")
+        _rows(file, "poses/bodies_q_world_from_body", (bodies, 4), "<f8", unit="w x y z")
+
+
+def _events(file: h5py.File, about: About) -> None:
+    for group in ("events", "clean_events"):
+        for name, kind in _EVENTS.items():
+            _rows(file, f"{group}/{name}", (), kind)
+        if "labels" in about.gives:
+            _rows(file, f"{group}/label", (), "<u2")
+        file[group].attrs.update(width=about.size[0], height=about.size[1])
+    codes = {origin.name.lower(): int(origin) for origin in Origin}
+    _rows(file, "events/origin", (), h5py.enum_dtype(codes, basetype="u1"))
+
+
+def _rows(file: h5py.File, name: str, shape: tuple[int, ...], kind: Any, unit: str = "") -> None:
+    """Make a data set of rows of this shape that grows; a large picture is a chunk of its own."""
+    chunk = max(1, _CHUNK_BYTES // (math.prod(shape) * np.dtype(kind).itemsize))
+    data = file.create_dataset(name, (0, *shape), kind, maxshape=(None, *shape), chunks=(chunk, *shape), **_PACKED)
+    if unit:
+        data.attrs["unit"] = unit
+
+
+Rows = Mapping[str, npt.NDArray[Any]]
+"""Rows to add, by the path of their data set."""
+
+_HEAD = struct.Struct("<I")
+_MOST_HEAD_BYTES = 1 << 20
+
+
+def encoded(rows: Rows) -> bytes:
+    """Return the message; the arrays may change afterwards."""
+    head = json.dumps([[name, values.dtype.str, values.shape] for name, values in rows.items()]).encode()
+    return b"".join(
+        [_HEAD.pack(len(head)), head, *(np.ascontiguousarray(values).tobytes() for values in rows.values())]
+    )
+
+
+def decoded(read: Callable[[int], bytes]) -> dict[str, npt.NDArray[Any]] | None:
+    """Return the next message of `read`, which gives that many bytes; None at the end of its input.
+
+    Raises ValueError for what is no message.
+    """
+    head = read(_HEAD.size)
+    if len(head) < _HEAD.size:
+        return None
+    (length,) = _HEAD.unpack(head)
+    if length > _MOST_HEAD_BYTES:
+        raise ValueError("the other process sends what is no truth")
+    rows = {}
+    for name, kind, shape in json.loads(read(length)):
+        dtype = np.dtype(kind)
+        data = read(math.prod(shape) * dtype.itemsize)
+        if len(data) < math.prod(shape) * dtype.itemsize:
+            return None  # the process that feeds this one was killed
+        rows[name] = np.frombuffer(data, dtype).reshape(shape)
+    return rows
+
+
+_CAPACITY_BYTES = 1 << 28
+_CLOSE_S = 60.0  # a full queue is written in some seconds
+_START = (
+    "import json, sys; sys.path[:] = json.loads(sys.argv.pop()); "
+    "from emulator.run.truth.writer_process import main; main()"
+)
+
+
+class TruthRecorder:
+    """Writes rows to `path`; only the constructor raises OSError.
+
+    Parameters
+    ----------
+    waits : whether `put` waits for room.
+
+    Attributes
+    ----------
+    missing_pictures, missing_events : rows that found no room.
+    """
+
+    def __init__(self, path: Path, about: About, *, waits: bool) -> None:
+        self.path, self._waits = path, waits
+        self.missing_pictures = self.missing_events = 0
+        self._why = ""
+        self._waiting: deque[bytes] = deque()
+        self._waiting_bytes = 0
+        self._changed = threading.Condition()
+        self._ending = self._broken = False
+        self._process = _started(path, about)
+        told = self._hear()
+        if "opened" not in told:
+            self._let_go()
+            raise OSError(0, told.get("error", f"its writer ended (exit code {self._process.returncode})"), str(path))
+        self._thread = threading.Thread(target=self._send_all, name="truth", daemon=True)
+        self._thread.start()
+
+    @property
+    def trouble(self) -> str:
+        """Why the file is not whole, for people; empty where it is."""
+        if self._why:
+            return f"truth stopped: {self._why} ({self.path})"
+        if self.missing_pictures or self.missing_events:
+            lost = f"{self.missing_pictures} pictures and {self.missing_events} events"
+            return f"truth lacks {lost}: they came faster than they could be written ({self.path})"
+        return ""
+
+    def put(self, rows: Rows) -> None:
+        """Add rows."""
+        data = encoded(rows)
+        with self._changed:
+            if self._waits:
+                self._changed.wait_for(lambda: self._broken or self._has_room(len(data)))
+            if self._broken or not self._has_room(len(data)):
+                self.missing_pictures += len(rows.get("pictures/t", ()))
+                self.missing_events += len(rows.get("events/t", ()))
+                return
+            self._queue(data)
+
+    def close(self) -> None:
+        """Let the writer finish the file, and hear its report; a second call does nothing."""
+        if self._ending:
+            return
+        facts = {"missing_pictures": self.missing_pictures, "missing_events": self.missing_events}
+        whole = not any(facts.values())
+        with self._changed:
+            self._queue(encoded({f"@{k}": np.array([v]) for k, v in {**facts, "complete": whole}.items()}))
+            self._ending = True
+            self._changed.notify_all()
+        self._thread.join(_CLOSE_S)
+        if self._thread.is_alive():
+            self._why = f"still being written by process {self._process.pid}"
+
+    def _has_room(self, size: int) -> bool:
+        return not self._waiting_bytes or self._waiting_bytes + size <= _CAPACITY_BYTES
+
+    def _queue(self, data: bytes) -> None:
+        self._waiting.append(data)
+        self._waiting_bytes += len(data)
+        self._changed.notify_all()
+
+    def _send_all(self) -> None:
+        """Send what waits until the end, and then hear the report; in the thread."""
+        try:
+            while data := self._next():
+                _write(self._process.stdin.fileno(), data)  # type: ignore[union-attr]
+                with self._changed:
+                    self._waiting_bytes -= len(data)
+                    self._changed.notify_all()
+        except OSError:  # the writer has ended
+            pass
+        with suppress(OSError):
+            self._process.stdin.close()  # type: ignore[union-attr]
+        why = self._hear().get("trouble", "its writer was killed")
+        with self._changed:
+            self._broken, self._why = True, why
+            self._changed.notify_all()
+        self._let_go()
+
+    def _next(self) -> bytes:
+        with self._changed:
+            self._changed.wait_for(lambda: self._waiting or self._ending)
+            return self._waiting.popleft() if self._waiting else b""
+
+    def _hear(self) -> dict[str, Any]:
+        """Return the writer's next line, {} where it ended without one."""
+        line = self._process.stdout.readline() if self._process.stdout else b""
+        try:
+            told: dict[str, Any] = json.loads(line)
+        except ValueError:
+            return {}
+        return told
+
+    def _let_go(self) -> None:
+        with suppress(OSError):
+            self._process.stdin.close()  # type: ignore[union-attr]
+        self._process.stdout.close()  # type: ignore[union-attr]
+        self._process.wait()
+
+
+def _started(path: Path, about: About) -> subprocess.Popen[bytes]:
+    order = json.dumps({"path": str(path), **dataclasses.asdict(about)})
+    # A session of its own: a signal to the group of the run must not end it before its input does.
+    return subprocess.Popen(
+        [sys.executable, "-P", "-c", _START, order, json.dumps(sys.path)],
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, start_new_session=True,
+    )  # fmt: skip
+
+
+def _write(descriptor: int, data: bytes) -> None:
+    view = memoryview(data)
+    while view:
+        view = view[os.write(descriptor, view) :]
+
+
+_MAGIC = b"\x89HDF\r\n\x1a\n"
+_MEMORY_BYTES, _CPU_S = 1 << 31, 120
+_CHUNK = 1 << 20
+_START_SURVEY = (
+    "import json, sys; sys.path[:] = json.loads(sys.argv.pop()); from emulator.run.truth.file import main; main()"
+)
+
+
+def is_hdf5(path: Path) -> bool:
+    """Return whether a file begins as HDF5 does; False where it cannot be opened."""
+    try:
+        with path.open("rb") as file:
+            return file.read(len(_MAGIC)) == _MAGIC
+    except OSError:
+        return False
+
+
+def truth_in(path: Path) -> dict[str, Any] | None:
+    """Return what a truth file holds; None where it is none, or cannot be read."""
+    if not path.is_file() or not is_hdf5(path):
+        return None
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", _START_SURVEY, str(path), json.dumps(sys.path)], capture_output=True, check=False
+    )
+    try:
+        told: dict[str, Any] | None = json.loads(done.stdout)
+    except ValueError:
+        return None
+    return told
+
+
+def main() -> None:
+    """Print as JSON what the file of the first argument holds; null where it is no truth file."""
+    resource.setrlimit(resource.RLIMIT_AS, (_MEMORY_BYTES, _MEMORY_BYTES))
+    resource.setrlimit(resource.RLIMIT_CPU, (_CPU_S, _CPU_S))
+    sys.stdout.write(json.dumps(_survey(Path(sys.argv[1]))))
+
+
+def _survey(path: Path) -> dict[str, Any] | None:
+    import h5py
+
+    from emulator.run.truth.file import FORMAT
+
+    try:
+        file = h5py.File(path, "r")
+    except OSError:  # its writer still has it, or was killed
+        file = h5py.File(path, "r", swmr=True)
+    with file:
+        if file.attrs.get("format") != FORMAT:
+            return None
+        facts = {name: value.item() if hasattr(value, "item") else value for name, value in _plain(file.attrs).items()}
+        counts = {group: len(file[f"{group}/t"]) if group in file else 0 for group in ("events", "clean_events")}
+        return {
+            **facts,
+            **counts,
+            "poses": len(file["poses/t"]) if "poses" in file else 0,
+            "pictures": len(file["pictures/t"]),
+            "of_each_picture": sorted(set(file["pictures"]) - {"t"}),
+            "seconds": float(file["pictures/t"][-1]) * 1e-6 if len(file["pictures/t"]) else 0.0,
+            "names": [name.decode() for name in file["labels/name"][:]],
+            "origins": _counted(file["events/origin"]),
+        }
+
+
+def _plain(attributes: Any) -> dict[str, Any]:
+    return {name: value for name, value in attributes.items() if getattr(value, "ndim", 0) == 0}
+
+
+def _counted(codes: Any) -> dict[str, int]:
+    """Return how many events each origin has, of those that it has any."""
+    import h5py
+    import numpy as np
+
+    names = {code: name for name, code in h5py.check_enum_dtype(codes.dtype).items()}
+    counts = np.zeros(256, np.int64)
+    for start in range(0, len(codes), _CHUNK):
+        counts += np.bincount(codes[start : start + _CHUNK], minlength=256)
+    return {names.get(code, str(code)): int(counts[code]) for code in np.flatnonzero(counts)}
+
+
+if __name__ == "__main__":
+    main()

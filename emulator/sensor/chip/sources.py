@@ -1,0 +1,401 @@
+"""Background activity as it was counted on a recording: events at a constant rate, some in pairs, some pixels hot.
+
+Each pixel has a rate of its own, drawn once: log-normal around the mean, or that of a hot pixel. Primaries are drawn by
+slots of stream time, their pixel in proportion to its rate; a primary is followed by an event of the other polarity
+with a probability of its pixel, after an exponential time. Events do not depend on the light, and leave the pixel's
+level alone.
+
+Random events that are drawn by slots of stream time and released step by step, such as those of particles.
+
+The draws of a slot of 1024 us depend on the slot and the seed alone. An event may lie after its slot (the second of a
+pair, the OFF event after a particle), so drawn events stay pending until a step reaches them.
+
+Particles that cross the chip: straight tracks of events, at a rate per area and time.
+
+A particle meets the chip anywhere, at any time (a Poisson process, drawn by slots). Its direction is that of isotropic
+flux through a plane: the square of the cosine to the normal is uniform, the azimuth too. While it crosses the sensitive
+layer it moves sideways by depth times the tangent; each pixel under that line raises an ON event at that moment,
+because charge looks like light, and some raise an OFF event when the charge has drained, after an exponential time.
+
+The pixel's own level is left alone. Pixels that a dose turns hot are in `defects`.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from emulator.sensor.numerics.cached import cached_entry
+from emulator.sensor.numerics.compiled import kernel, kernel_that_allocates
+from emulator.sensor.numerics.keyed import Purpose, high, low, normal, root_of, stream, uniform, unit, word
+from emulator.sensor.pixels.array import Crossings
+from emulator.sensor.pixels.merging import NO_CROSSINGS, joined, merged, unpacked
+from emulator.sensor.presets import SensorParameters
+
+__all__ = [
+    "LONGEST_NS",
+    "SLOT_NS",
+    "BackgroundEvents",
+    "Particles",
+    "Pending",
+    "SlottedEvents",
+    "Window",
+    "hits_per_second",
+    "new_pending",
+    "path",
+    "primaries_hz",
+    "release",
+    "reserve",
+]
+
+
+SLOT_NS = 1_024_000
+"""Length of a slot, in which events are drawn."""
+
+LONGEST_NS = 1 << 33
+"""Longest interval whose events are sorted together: time and pixel share 64 bits."""
+
+
+class Pending(NamedTuple):
+    """Events that are drawn and not yet released: times, and pixel << 1 | on; with free space behind them."""
+
+    t_ns: npt.NDArray[np.int64]
+    key: npt.NDArray[np.uint64]
+
+
+class Window(NamedTuple):
+    """The first slot to draw, the start and end of the wanted interval, and the bits of a pixel's number."""
+
+    slot: int
+    t0_ns: int
+    t1_ns: int
+    pixel_bits: int
+
+
+def new_pending() -> Pending:
+    """Return an empty list of pending events."""
+    return Pending(np.empty(256, np.int64), np.empty(256, np.uint64))
+
+
+@kernel_that_allocates
+def reserve(pending: Pending, n: int, more: int) -> Pending:
+    """Return `pending`, a longer copy where there is no space for `more` behind its first n events."""
+    if n + more <= pending.t_ns.size:
+        return pending
+    t_ns, key = np.empty(2 * (n + more), np.int64), np.empty(2 * (n + more), np.uint64)
+    t_ns[:n], key[:n] = pending.t_ns[:n], pending.key[:n]
+    return Pending(t_ns, key)
+
+
+@kernel
+def release(window: Window, pending: Pending, n: int, keys: npt.NDArray[np.uint64]) -> tuple[int, int]:
+    """Pack the events of the window into `keys`, (n + 1,), and compact those after it; return both numbers."""
+    shift = np.uint64(window.pixel_bits + 1)
+    found = remaining = 0
+    for k in range(n):
+        t_ns, key = pending.t_ns[k], pending.key[k]
+        pending.t_ns[remaining], pending.key[remaining] = t_ns, key
+        remaining += t_ns >= window.t1_ns
+        keys[found] = np.uint64(t_ns - window.t0_ns) << shift | key
+        found += (t_ns < window.t1_ns) & (t_ns >= window.t0_ns)
+    return found, remaining
+
+
+class SlottedEvents(ABC):
+    """A source of random events for an array of `pixels` pixels."""
+
+    def __init__(self, pixels: int) -> None:
+        self._pixel_bits = max(1, (pixels - 1).bit_length())
+        self.reset(0)
+
+    def reset(self, t_ns: int) -> None:
+        """Start at `t_ns`; events that began before are left out."""
+        self._pending, self._known = new_pending(), 0
+        self._slot, self._t_ns = t_ns // SLOT_NS, t_ns
+
+    def add_to(self, crossings: Crossings, light: npt.NDArray[np.float32], t_ns: int) -> Crossings:
+        """Return a step's `crossings` with the events up to, and without, `t_ns` among them."""
+        return merged(crossings, self.step(light, t_ns))
+
+    def step(self, light: npt.NDArray[np.float32], t_ns: int) -> Crossings:
+        """Return the events from the last time up to, and without, `t_ns`, under `light`, (pixels,) float32."""
+        parts = []
+        while self._t_ns < t_ns:
+            parts.append(self._events_until(light, min(t_ns, self._t_ns + LONGEST_NS)))
+        return joined(parts) if parts else NO_CROSSINGS
+
+    def _events_until(self, light: npt.NDArray[np.float32], t_ns: int) -> Crossings:
+        window = Window(self._slot, self._t_ns, t_ns, self._pixel_bits)
+        pending, self._known, keys = self._advance(window, light, self._pending, self._known)
+        self._pending, self._slot, self._t_ns = Pending(*pending), -(-t_ns // SLOT_NS), t_ns
+        return unpacked(keys, window.t0_ns, self._pixel_bits)
+
+    @abstractmethod
+    def _advance(
+        self, window: Window, light: npt.NDArray[np.float32], pending: Pending, known: int
+    ) -> tuple[Pending, int, npt.NDArray[np.uint64]]:
+        """Draw the slots that begin before the window's end; return the pending and the packed events."""
+
+
+_ONE = np.uint64(1)
+
+_Floats = npt.NDArray[np.float64]
+
+
+class _Constants(NamedTuple):
+    """The stream, the mean gap between primaries as a share of a slot, the share of OFF, and the mean wait in ns."""
+
+    root: np.uint64
+    mean_gap: float
+    off_share: float
+    wait_ns: float
+
+
+def primaries_hz(p: SensorParameters, seed: int) -> tuple[_Floats, _Floats]:
+    """Return each pixel's rate of primaries, Hz, and the probability that a second event follows."""
+    b, pixel = p.background, np.arange(p.width * p.height)
+    hz = b.hz * np.exp(b.spread * normal(seed, Purpose.BACKGROUND_RATE, pixel) - b.spread**2 / 2)
+    hot = uniform(seed, Purpose.BACKGROUND_HOT, pixel) < b.hot_share
+    pair = np.where(hot, b.hot_pair_share, b.pair_share)
+    return np.where(hot, b.hot_hz, hz) / (1 + pair), pair
+
+
+@kernel_that_allocates
+def _draw_slot(
+    slot: int, c: _Constants, below: _Floats, pair: _Floats, pending: Pending, n: int
+) -> tuple[Pending, int]:
+    """Add the events that begin in a slot to `pending` from n on; `below` are sums of rates up to each pixel."""
+    base, t, k = stream(c.root, slot), 0.0, 0
+    while True:
+        gap, choice, rest = word(base, 3 * k), word(base, 3 * k + 1), word(base, 3 * k + 2)
+        t -= c.mean_gap * math.log(unit(high(gap)))
+        if t >= 1:
+            return pending, n
+        pixel = np.searchsorted(below, unit(high(choice)) * below[-1], side="right")
+        on = np.uint64(unit(low(gap)) >= c.off_share)
+        key, t_ns = np.uint64(pixel) << _ONE | on, slot * SLOT_NS + int(t * SLOT_NS)
+        pending = reserve(pending, n, 2)
+        pending.t_ns[n], pending.key[n] = t_ns, key
+        n += 1
+        if unit(low(choice)) < pair[pixel]:
+            pending.t_ns[n] = t_ns + 1 + int(-c.wait_ns * math.log(unit(high(rest))))
+            pending.key[n] = key ^ _ONE
+            n += 1
+        k += 1
+
+
+@cached_entry
+def _advance(
+    window: Window, c: _Constants, below: _Floats, pair: _Floats, pending: Pending, n: int
+) -> tuple[Pending, int, npt.NDArray[np.uint64]]:
+    """Draw the slots up to t1; return the events pending after t1, and the packed events before it, unsorted."""
+    for slot in range(window.slot, -(-window.t1_ns // SLOT_NS)):
+        pending, n = _draw_slot(slot, c, below, pair, pending, n)
+    keys = np.empty(n + 1, np.uint64)
+    found, remaining = release(window, pending, n, keys)
+    return pending, remaining, keys[:found]
+
+
+class BackgroundEvents(SlottedEvents):
+    """The background activity of a chip.
+
+    Parameters
+    ----------
+    parameters : SensorParameters
+        The sensor, with a `background` rate.
+    seed : int
+        Keys all random numbers.
+    dead : (n,) int64
+        Pixels that raise no events.
+    """
+
+    def __init__(self, parameters: SensorParameters, seed: int, dead: npt.NDArray[np.int64]) -> None:
+        p = parameters
+        super().__init__(p.width * p.height)
+        hz, self._pair = primaries_hz(p, seed)
+        hz[dead] = 0
+        self._below = np.cumsum(hz)
+        total_hz = max(float(self._below[-1]), 1e-12)
+        self._constants = _Constants(
+            root=root_of(seed, Purpose.BACKGROUND),
+            mean_gap=1 / (total_hz * SLOT_NS * 1e-9),
+            off_share=p.background.off_share,
+            wait_ns=p.background.pair_us * 1000,
+        )
+
+    def _advance(
+        self, window: Window, light: npt.NDArray[np.float32], pending: Pending, known: int
+    ) -> tuple[Pending, int, npt.NDArray[np.uint64]]:
+        result: tuple[Pending, int, npt.NDArray[np.uint64]] = _advance(
+            window, self._constants, self._below, self._pair, pending, known
+        )
+        return result
+
+
+_UM2_PER_CM2 = 1e8
+_PIXELS = 1 << 20  # first index of the numbers that a track's pixels draw
+
+
+class _Chip(NamedTuple):
+    """The constants of a chip."""
+
+    root: np.uint64
+    mean_gap: float  # between particles, as a share of a slot
+    width: int
+    height: int
+    depth_px: float
+    off_share: float
+    recovery_ns: float
+
+
+class _Track(NamedTuple):
+    """Path of a particle through the layer, in pixels, from its entry (share 0) to its exit (share 1)."""
+
+    x: float
+    y: float
+    along_x: float
+    along_y: float
+
+
+def hits_per_second(p: SensorParameters) -> float:
+    """Return the mean number of particles per second that cross a chip."""
+    return p.radiation.hits_per_cm2_s * p.width * p.height * p.radiation.pixel_pitch_um**2 / _UM2_PER_CM2
+
+
+@kernel
+def _until_next(at: float, along: float) -> tuple[float, float]:
+    """Return the share of a track at which it first leaves its row or column, and the share for a whole one."""
+    if along == 0:
+        return math.inf, math.inf
+    within = at - math.floor(at)
+    return (1 - within) / along if along > 0 else -within / along, abs(1 / along)
+
+
+@kernel
+def path(track: _Track, width: int, height: int, pixel: npt.NDArray[np.int64]) -> int:
+    """Write the pixels under a track into `pixel`, (width + height + 2,) int64, in order; return how many.
+
+    From pixel to pixel across the nearest border (Amanatides and Woo, 1987), until the track or the chip ends.
+    """
+    x, y = int(track.x), int(track.y)
+    next_x, every_x = _until_next(track.x, track.along_x)
+    next_y, every_y = _until_next(track.y, track.along_y)
+    n = 0
+    while 0 <= x < width and 0 <= y < height:
+        pixel[n] = y * width + x
+        n += 1
+        if min(next_x, next_y) >= 1:
+            break
+        if next_x < next_y:
+            x += 1 if track.along_x > 0 else -1
+            next_x += every_x
+        else:
+            y += 1 if track.along_y > 0 else -1
+            next_y += every_y
+    return n
+
+
+@kernel
+def _track(base: np.uint64, chip: _Chip) -> _Track:
+    where, direction = word(base, 1), word(base, 2)
+    cosine2, azimuth = unit(high(direction)), 2 * math.pi * unit(low(direction))
+    length = chip.depth_px * math.sqrt((1 - cosine2) / cosine2)
+    return _Track(
+        unit(high(where)) * chip.width,
+        unit(low(where)) * chip.height,
+        length * math.cos(azimuth),
+        length * math.sin(azimuth),
+    )
+
+
+@kernel
+def _strike(base: np.uint64, t_ns: int, pixel: npt.NDArray[np.int64], chip: _Chip, pending: Pending, n: int) -> int:
+    """Add the events of a track's pixels to `pending` from n on; return the new n."""
+    for k in range(pixel.size):
+        bits, key = word(base, _PIXELS + k), np.uint64(pixel[k]) << _ONE
+        pending.t_ns[n], pending.key[n] = t_ns, key | _ONE
+        n += 1
+        if unit(high(bits)) < chip.off_share:
+            pending.t_ns[n] = t_ns + 1 + int(-chip.recovery_ns * math.log(unit(low(bits))))
+            pending.key[n] = key
+            n += 1
+    return n
+
+
+@kernel_that_allocates
+def _draw_slot_radiation(
+    slot: int, chip: _Chip, pixel: npt.NDArray[np.int64], dead: npt.NDArray[np.bool_], pending: Pending, n: int
+) -> tuple[Pending, int]:
+    """Add the particles of a slot to `pending` from n on."""
+    slot_base, t, k = stream(chip.root, slot), 0.0, 0
+    while True:
+        base = stream(slot_base, k)
+        t -= chip.mean_gap * math.log(unit(high(word(base, 0))))
+        if t >= 1:
+            return pending, n
+        hit = path(_track(base, chip), chip.width, chip.height, pixel)
+        alive = 0
+        for j in range(hit):
+            pixel[alive] = pixel[j]
+            alive += not dead[pixel[j]]
+        pending = reserve(pending, n, 2 * alive)
+        n = _strike(base, slot * SLOT_NS + int(t * SLOT_NS), pixel[:alive], chip, pending, n)
+        k += 1
+
+
+@cached_entry
+def _advance_radiation(
+    window: Window,
+    chip: _Chip,
+    dead: npt.NDArray[np.bool_],
+    pending: Pending,
+    n: int,
+) -> tuple[Pending, int, npt.NDArray[np.uint64]]:
+    """Draw the slots up to t1; return the events pending after t1, and the packed events before it, unsorted."""
+    pixel = np.empty(chip.width + chip.height + 2, np.int64)
+    for slot in range(window.slot, -(-window.t1_ns // SLOT_NS)):
+        pending, n = _draw_slot_radiation(slot, chip, pixel, dead, pending, n)
+    keys = np.empty(n + 1, np.uint64)
+    found, remaining = release(window, pending, n, keys)
+    return pending, remaining, keys[:found]
+
+
+class Particles(SlottedEvents):
+    """The events that particles raise on a chip.
+
+    Parameters
+    ----------
+    parameters : SensorParameters
+        The sensor, with `radiation.hits_per_cm2_s` > 0.
+    seed : int
+        Keys the particles.
+    dead : (n,) int64
+        Pixels that raise no events.
+    """
+
+    def __init__(self, parameters: SensorParameters, seed: int, dead: npt.NDArray[np.int64]) -> None:
+        p, r = parameters, parameters.radiation
+        super().__init__(p.width * p.height)
+        self._dead = np.zeros(p.width * p.height, np.bool_)
+        self._dead[dead] = True
+        self._chip = _Chip(
+            root=root_of(seed, Purpose.PARTICLES),
+            mean_gap=1 / (hits_per_second(p) * SLOT_NS * 1e-9),
+            width=p.width,
+            height=p.height,
+            depth_px=r.depth_um / r.pixel_pitch_um,
+            off_share=r.off_share,
+            recovery_ns=r.recovery_us * 1000,
+        )
+
+    def _advance(
+        self, window: Window, light: npt.NDArray[np.float32], pending: Pending, known: int
+    ) -> tuple[Pending, int, npt.NDArray[np.uint64]]:
+        result: tuple[Pending, int, npt.NDArray[np.uint64]] = _advance_radiation(
+            window, self._chip, self._dead, pending, known
+        )
+        return result

@@ -1,0 +1,504 @@
+"""Pixels whose photoreceptor is a circuit with large signals: off unless a rig asks for it.
+
+The interface is that of `PixelArray`, in float64. Between two frames log light is a cubic, or a straight line without
+derivatives, as there. The circuit is solved pixel by pixel with steps of its own, each as long as an error of
+`_TOLERANCE` allows; between their ends the comparator's signal is the cubic through values and derivatives. A pixel at
+rest in light that does not change is not solved at all.
+
+The photoreceptor's circuit in large-signal form, and one step of its solution.
+
+In units of the thermal voltage, p is the photodiode's node above its rest, y the output, u = ln i the photocurrent. The
+feedback transistor carries e^(y - p); the amplifier has a bias current that limits how fast its output can rise, and a
+capacitance couples its output to the photodiode. Behind it lies the source follower w:
+
+    dp/dt = a (e^(y - p) - i) + dy/dt        a    = 2 pi corner_hz_at_reference
+    dy/dt = b (1 - e^p)                      b    = 2 pi corner_max_hz
+    dw/dt = c (y - w)                        c    = 2 pi source_follower_hz
+
+For small signals that is y'' + (a i + b) y' + a i b (y - u) = 0: two poles, at a i and at b, of which the slower one is
+that of the one-pole model. For large ones the output rises by at most b a second, and falls as slowly as the little
+light that is left allows. The circuit and its large-signal form: Graca and Delbruck, arXiv 2505.07386; here with ideal
+transistors, and with the coupling at which the circuit does not ring, not with their fitted figures.
+
+One step is Shampine's Rosenbrock method of order 4 with an error estimate of order 3 (Hairer and Wanner, Solving ODEs
+II, IV.7), with the exact Jacobian: it stays stable however stiff the circuit is.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from emulator.light import PixelLight
+from emulator.sensor.chip.sources import Pending, new_pending, reserve
+from emulator.sensor.numerics.cached import cached_entry
+from emulator.sensor.numerics.compiled import kernel, kernel_that_allocates
+from emulator.sensor.pixels.array import Crossings
+from emulator.sensor.pixels.merging import NO_CROSSINGS, unpacked
+from emulator.sensor.pixels.state import DEAD_THRESHOLD, draw, levels_passed
+from emulator.sensor.presets import SensorParameters
+
+__all__ = ["Circuit", "LargeSignalPixels", "Light", "State", "log_light", "rates", "rosenbrock"]
+
+
+_State = tuple[float, float, float]
+
+_LARGEST = 60.0  # of an exponent
+
+
+class Circuit(NamedTuple):
+    """The rates a, b and c of the equations, rad/s; c = 0: no source follower."""
+
+    a: float
+    b: float
+    c: float
+
+
+class State(NamedTuple):
+    """Photodiode, output and source follower."""
+
+    p: float
+    y: float
+    w: float
+
+
+class Light(NamedTuple):
+    """Log light in a step of h seconds: a cubic in the share of the step, by value and slope per step at both ends."""
+
+    u0: float
+    u1: float
+    a0: float
+    a1: float
+    h: float
+
+
+@kernel
+def log_light(light: Light, t: float) -> tuple[float, float]:
+    """Return log light and its time derivative, 1/s, at a time since the step's start."""
+    z, d = t / light.h, light.u1 - light.u0
+    second, third = 3 * d - 2 * light.a0 - light.a1, light.a0 + light.a1 - 2 * d
+    value = light.u0 + z * (light.a0 + z * (second + z * third))
+    return value, (light.a0 + z * (2 * second + z * 3 * third)) / light.h
+
+
+@kernel
+def _exp(x: float) -> float:
+    return math.exp(min(x, _LARGEST))
+
+
+@kernel
+def rates(s: State, u: float, c: Circuit) -> State:
+    """Return the time derivatives of the state in log light u."""
+    dy = c.b * (1 - _exp(s.p))
+    return State(c.a * (_exp(s.y - s.p) - math.exp(u)) + dy, dy, c.c * (s.y - s.w))
+
+
+@kernel
+def _plus(s: State, k1: State, f1: float, k2: State, f2: float) -> State:
+    return State(s.p + f1 * k1.p + f2 * k2.p, s.y + f1 * k1.y + f2 * k2.y, s.w + f1 * k1.w + f2 * k2.w)
+
+
+@kernel
+def rosenbrock(s: State, t: float, h: float, light: Light, c: Circuit) -> tuple[State, State]:
+    """Return the state after h from the time t of the step, and the error's estimate."""
+    u, du = log_light(light, t)
+    feedback, slew, i = c.a * _exp(s.y - s.p), c.b * _exp(s.p), math.exp(u)
+    # Jacobian: [[-feedback - slew, feedback], [-slew, 0]], and c (y - w) for the third; time enters the first alone.
+    by_time = -c.a * i * du * h
+    d = 2 / h
+    m11, m12, m21 = d + feedback + slew, -feedback, slew
+    determinant = m11 * d - m12 * m21
+    k = (State(0.0, 0.0, 0.0), State(0.0, 0.0, 0.0), State(0.0, 0.0, 0.0))
+    k1, k2, k3 = k
+    f = rates(s, u, c)
+    g = f.p + 0.5 * by_time, f.y, f.w
+    for stage in range(4):
+        p, y = (d * g[0] - m12 * g[1]) / determinant, (m11 * g[1] - m21 * g[0]) / determinant
+        now = State(p, y, (g[2] + c.c * y) / (d + c.c))
+        if stage == 0:
+            k1 = now
+            f = rates(_plus(s, k1, 2.0, k1, 0.0), log_light(light, t + h)[0], c)
+            g = f.p - 8 * k1.p / h - 1.5 * by_time, f.y - 8 * k1.y / h, f.w - 8 * k1.w / h
+        elif stage == 1:
+            k2 = now
+            f = rates(_plus(s, k1, 48 / 25, k2, 6 / 25), log_light(light, t + 0.6 * h)[0], c)
+            back = _plus(State(0.0, 0.0, 0.0), k1, 372 / 25 / h, k2, 12 / 5 / h)
+            g = f.p + back.p + 121 / 50 * by_time, f.y + back.y, f.w + back.w
+        elif stage == 2:
+            k3 = now
+            back = _plus(_plus(State(0.0, 0.0, 0.0), k1, -112 / 125 / h, k2, -54 / 125 / h), k3, -2 / 5 / h, k3, 0.0)
+            g = f.p + back.p + 29 / 250 * by_time, f.y + back.y, f.w + back.w
+    after = _plus(_plus(s, k1, 19 / 9, k2, 0.5), k3, 25 / 108, now, 125 / 108)
+    error = _plus(_plus(State(0.0, 0.0, 0.0), k1, 17 / 54, k2, 7 / 36), now, 125 / 108, now, 0.0)
+    return after, error
+
+
+_TOLERANCE = 2e-6  # ln units a substep
+_AT_REST = 1e-6  # ln units: less than the tolerance
+_MOST_EVENTS = 64
+_BRIGHTEST = 1e20  # light: more counts as this, for which the circuit's equations can be solved
+_LONGEST_NS = 1 << 33  # of a step, whose events are sorted together
+_SAFETY, _LEAST, _MOST = 0.9, 0.2, 4.0
+
+_Floats = npt.NDArray[np.float64]
+_Float32s = npt.NDArray[np.float32]
+
+
+class _Model(NamedTuple):
+    """Constants; thresholds, leak and parasitic leak at light 1 (ln units per second) are (pixels,)."""
+
+    on: _Floats
+    off: _Floats
+    leak: _Floats
+    parasitic: _Floats
+    circuit: Circuit
+    refractory_s: float
+
+
+class _Array(NamedTuple):
+    """State of the pixels, (pixels,) each: circuit, reference (leak added), end of the refractory period, a substep."""
+
+    p: _Floats
+    y: _Floats
+    w: _Floats
+    reference: _Floats
+    refractory_s: _Floats  # since the start of the step; 0 and below: over
+    substep_s: _Floats
+
+
+class _Piece(NamedTuple):
+    """The comparator's signal, leak included, in a substep: a cubic in the share of it; its start and length, s."""
+
+    s0: float
+    s1: float
+    a0: float
+    a1: float
+    t: float
+    h: float
+
+
+@kernel
+def _signal(piece: _Piece, z: float) -> float:
+    d = piece.s1 - piece.s0
+    return piece.s0 + z * (piece.a0 + z * (3 * d - 2 * piece.a0 - piece.a1 + z * (piece.a0 + piece.a1 - 2 * d)))
+
+
+@kernel
+def _extrema(piece: _Piece) -> tuple[float, float]:
+    """Return the shares at which the cubic turns, in order; 1 where it does not."""
+    d = piece.s1 - piece.s0
+    a, b, c = 3 * (piece.a0 + piece.a1 - 2 * d), 2 * (3 * d - 2 * piece.a0 - piece.a1), piece.a0
+    root = b * b - 4 * a * c
+    if root <= 0:
+        return 1.0, 1.0
+    q = -0.5 * (b + math.copysign(math.sqrt(root), b))
+    first = q / a if a != 0 else 1.0
+    second = c / q if q != 0 else 1.0
+    first, second = (first if 0 < first < 1 else 1.0), (second if 0 < second < 1 else 1.0)
+    return min(first, second), max(first, second)
+
+
+@kernel
+def _meet(piece: _Piece, level: float, low: float, high: float) -> float:
+    """Return where the signal, monotone from `low` to `high`, meets a level, by bisection."""
+    rising = _signal(piece, high) > _signal(piece, low)
+    for _ in range(45):
+        middle = 0.5 * (low + high)
+        if (_signal(piece, middle) < level) == rising:
+            low = middle
+        else:
+            high = middle
+    return high
+
+
+@kernel
+def _next(piece: _Piece, after: float, up: float, down: float) -> tuple[float, int]:
+    """Return the first share after `after` at which the signal meets a level, and 1 for `up`; 2 if there is none."""
+    turns = _extrema(piece)
+    low = after
+    for k in range(3):
+        high = turns[k] if k < 2 else 1.0
+        if high <= low:
+            continue
+        end = _signal(piece, high)
+        if end >= up:
+            return _meet(piece, up, low, high), 1
+        if end <= down:
+            return _meet(piece, down, low, high), 0
+        low = high
+    return 2.0, 0
+
+
+@kernel
+def _pass_over(piece: _Piece, z: float, reference: float, thresholds: tuple[float, float]) -> tuple[float, int]:
+    """Return the reference after all crossings of a substep from share z on, and how many they are."""
+    turns, lost = _extrema(piece), 0
+    for k in range(3):
+        high = turns[k] if k < 2 else 1.0
+        end = _signal(piece, high)
+        threshold = thresholds[0] if end > reference else thresholds[1]
+        if high > z and abs(end - reference) >= threshold:
+            passed, rest = levels_passed(reference, end, threshold)
+            reference, lost = end - rest, lost + passed
+    return reference, lost
+
+
+@kernel_that_allocates
+def _fire(
+    pixel: int, piece: _Piece, m: _Model, s: _Array, pending: Pending, at: tuple[int, int]
+) -> tuple[Pending, int, int]:
+    """Add the events of a substep to `pending`; return it, the number of its events, and how many are lost.
+
+    `at` are the numbers of events in it before this step of the pixel, and now.
+    """
+    (begun, n), lost, z = at, 0, 0.0
+    while True:
+        if s.refractory_s[pixel] > piece.t + z * piece.h:
+            z = (s.refractory_s[pixel] - piece.t) / piece.h
+            if z > 1:
+                return pending, n, lost
+            s.reference[pixel] = _signal(piece, z)
+        reference = s.reference[pixel]
+        z, on = _next(piece, z, reference + m.on[pixel], reference - m.off[pixel])
+        if z > 1:
+            return pending, n, lost
+        if n - begun < _MOST_EVENTS:
+            pending = reserve(pending, n, 1)
+            pending.t_ns[n] = np.int64((piece.t + z * piece.h) * 1e9)
+            pending.key[n] = np.uint64(pixel) << np.uint64(1) | np.uint64(on)
+            n += 1
+        elif m.refractory_s == 0:
+            s.reference[pixel], more = _pass_over(piece, z, reference, (m.on[pixel], m.off[pixel]))
+            return pending, n, lost + more
+        else:
+            lost += 1
+        s.reference[pixel] += m.on[pixel] if on else -m.off[pixel]
+        s.refractory_s[pixel] = piece.t + z * piece.h + m.refractory_s
+
+
+@kernel
+def _leak(m: _Model, pixel: int, u: float) -> float:
+    return float(m.leak[pixel] + (m.parasitic[pixel] * math.exp(u) if m.parasitic[pixel] > 0 else 0.0))
+
+
+@kernel
+def _substep(s: State, t: float, wanted: float, light: Light, c: Circuit) -> tuple[State, float, float]:
+    """Return the state after a substep within the tolerance, its length, and that wanted for the next one."""
+    h = min(wanted, light.h - t)
+    while True:
+        after, error = rosenbrock(s, t, h, light, c)
+        off = max(abs(error.y), abs(error.w), 0.1 * abs(error.p)) / _TOLERANCE
+        factor = min(max(_SAFETY * max(off, 1e-8) ** -0.25, _LEAST), _MOST)
+        if off <= 1 or h < 1e-10:
+            return after, h, max(h, min(wanted, h)) * factor if h < wanted else h * factor
+        h *= factor
+
+
+@kernel_that_allocates
+def _advance_pixel(
+    pixel: int, light: Light, m: _Model, s: _Array, pending: Pending, n: int
+) -> tuple[Pending, int, int]:
+    """Move one pixel over a step."""
+    c, lost, begun, t, leaked = m.circuit, 0, n, 0.0, 0.0
+    state = State(s.p[pixel], s.y[pixel], s.w[pixel])
+    still = light.u0 == light.u1 and light.a0 == 0 and light.a1 == 0
+    rests = still and max(abs(state.p), abs(state.y - light.u0), abs(state.w - light.u0)) < _AT_REST
+    while t < light.h * (1 - 1e-12):
+        if rests:
+            after, h = state, light.h
+        else:
+            after, h, s.substep_s[pixel] = _substep(state, t, s.substep_s[pixel], light, c)
+        u0, u1 = log_light(light, t)[0], log_light(light, min(t + h, light.h))[0]
+        l0, l1 = _leak(m, pixel, u0), _leak(m, pixel, u1)
+        d0, d1 = rates(state, u0, c), rates(after, u1, c)
+        slope0, slope1 = (d0.w, d1.w) if c.c > 0 else (d0.y, d1.y)
+        v0, v1 = (state.w, after.w) if c.c > 0 else (state.y, after.y)
+        more = leaked + h * (l0 + l1) / 2
+        piece = _Piece(v0 + leaked, v1 + more, h * (slope0 + l0), h * (slope1 + l1), t, h)
+        pending, n, gone = _fire(pixel, piece, m, s, pending, (begun, n))
+        state, t, leaked, lost = after, t + h, more, lost + gone
+    s.p[pixel], s.y[pixel], s.w[pixel] = state
+    if not c.c > 0:
+        s.w[pixel] = state.y
+    s.reference[pixel] -= leaked
+    s.refractory_s[pixel] -= light.h
+    return pending, n, lost
+
+
+@kernel
+def _limited(d: float, a0: float, a1: float) -> tuple[float, float]:
+    """Return slopes with which a monotone step stays monotone (Fritsch and Carlson)."""
+    size = a0 * a0 + a1 * a1
+    if a0 * d >= 0 and a1 * d >= 0 and a0 * a1 >= 0 and size > 9 * d * d:
+        less = 3 * abs(d) / math.sqrt(size)
+        return a0 * less, a1 * less
+    return a0, a1
+
+
+@kernel
+def _rests(pixel: int, light: Light, current: float, m: _Model, s: _Array) -> bool:
+    """Move a pixel at rest in still light whose leak does not fire it within the step; return whether it is one."""
+    if light.u0 != light.u1 or light.a0 != 0 or light.a1 != 0 or s.refractory_s[pixel] > 0:
+        return False
+    p, y, w = s.p[pixel], s.y[pixel], s.w[pixel]
+    if max(abs(p), abs(y - light.u0), abs(w - light.u0)) > _AT_REST:
+        return False
+    reference = s.reference[pixel] - (m.leak[pixel] + m.parasitic[pixel] * current) * light.h
+    if w - reference >= m.on[pixel] or w - s.reference[pixel] <= -m.off[pixel]:
+        return False
+    s.reference[pixel] = reference
+    return True
+
+
+@cached_entry
+def _advance(
+    u: tuple[_Floats, _Floats, _Floats],
+    slopes: tuple[_Floats, _Floats],
+    h_s: float,
+    m: _Model,
+    s: _Array,
+    pending: Pending,
+) -> tuple[Pending, int, int]:
+    """Move all pixels over a step.
+
+    `u` is log light of both frames and the later photocurrent, `slopes` its derivatives, 1/s; NaN: unknown.
+    """
+    n = lost = 0
+    for pixel in range(m.on.size):
+        u0, u1 = u[0][pixel], u[1][pixel]
+        d, a0, a1 = u1 - u0, slopes[0][pixel] * h_s, slopes[1][pixel] * h_s
+        if a0 != a0 or a1 != a1:
+            a0, a1 = d, d
+        a0, a1 = _limited(d, a0, a1)
+        light = Light(u0, u1, a0, a1, h_s)
+        if _rests(pixel, light, u[2][pixel], m, s):
+            continue
+        pending, n, gone = _advance_pixel(pixel, light, m, s, pending, n)
+        lost += gone
+    return pending, n, lost
+
+
+class LargeSignalPixels:
+    """An array of event pixels with the photoreceptor's circuit.
+
+    Parameters
+    ----------
+    parameters : SensorParameters
+        The sensor, with `photoreceptor = "large_signal"`.
+    seed : int
+        Keys the pixels, which are those of a `PixelArray` with that seed.
+
+    Attributes
+    ----------
+    lost_in_pixel : int
+        Crossings beyond 64 of a pixel in a step.
+    quiet_nan : int
+        Pixel-steps whose light was not finite; the last finite light of the pixel is used.
+    settled_ns : int
+        Stream time up to which all events have been returned.
+    renderer, undersampled_share : None
+        The processor computes; undersampling is unknown.
+    """
+
+    renderer: str | None = None
+    undersampled_share: float | None = None
+
+    def __init__(self, parameters: SensorParameters, seed: int) -> None:
+        p, drawn = parameters, draw(parameters, seed)
+        self.parameters = parameters
+        self.lost_in_pixel = self.quiet_nan = self.settled_ns = 0
+        hz = p.corner_hz_at_reference, p.corner_max_hz, p.source_follower_hz
+        self._model = _Model(
+            drawn.on, drawn.off, drawn.leak, p.parasitic_hz_at_reference * drawn.on,
+            Circuit(*(2 * math.pi * one for one in hz)), p.refractory_us * 1e-6,
+        )  # fmt: skip
+        self._phase = drawn.phase
+        self._u = np.full(drawn.on.size, math.log(p.dark_current_relative))
+        self._current = np.full(drawn.on.size, p.dark_current_relative)
+        self._light = np.zeros(drawn.on.size, np.float32)
+        self._slope = np.full(drawn.on.size, np.nan)
+
+    def faults(self) -> LargeSignalPixels:
+        """Return the access to defects and to the leak: these pixels themselves."""
+        return self
+
+    def kill(self, pixel: npt.NDArray[np.int64]) -> None:
+        """Make pixels, (n,), dead; before the array is reset."""
+        m = self._model
+        m.on[pixel] = m.off[pixel] = DEAD_THRESHOLD
+        m.leak[pixel] = m.parasitic[pixel] = self._phase[pixel] = 0
+
+    def leak_hz(self) -> _Floats:
+        """Return the leak rate of all pixels, (pixels,), without that of light."""
+        return np.asarray(self._model.leak / self._model.on)
+
+    def set_leak(self, leak_hz: _Floats) -> None:
+        """Set the leak rate of all pixels, (pixels,), from now on."""
+        self._model.leak[:] = leak_hz * self._model.on
+
+    def reset(self, light: _Float32s, t_ns: int, rate: _Float32s | None = None) -> None:
+        """Start at `t_ns` at rest on `light`, (height, width) float32, and with counters at zero."""
+        self._u, self.settled_ns = self._log(light), int(t_ns)
+        self._slope = self._slopes(rate)
+        u, m = self._u, self._model
+        shortest = np.full(u.size, 1e-4)
+        self._state = _Array(np.zeros(u.size), u.copy(), u.copy(), u - m.on * self._phase, np.zeros(u.size), shortest)
+        self.lost_in_pixel = self.quiet_nan = 0
+
+    def step(
+        self, light: _Float32s, t_ns: int, rate: _Float32s | None = None, at: PixelLight | None = None
+    ) -> Crossings:
+        """Move to `t_ns` and return the crossings on the way; see `PixelArray.step`. `at` is not used.
+
+        Raises
+        ------
+        ValueError
+            Time goes back, the step is longer than 8.6 s, or the frame does not have the sensor's size.
+        """
+        t0_ns, h_ns = self.settled_ns, int(t_ns) - self.settled_ns
+        if h_ns < 0:
+            raise ValueError(f"t_ns = {t_ns}: before the last step's {t0_ns}; time does not go back")
+        if h_ns > _LONGEST_NS:
+            raise ValueError(f"a step of {h_ns * 1e-9:.3g} s: a large-signal photoreceptor takes 8.6 s at most")
+        u = self._log(light)
+        slope = self._slopes(rate)
+        if h_ns == 0:
+            self._u, self._slope = u, slope
+            return NO_CROSSINGS
+        pending, n, lost = _advance(
+            (self._u, u, self._current), (self._slope, slope), h_ns * 1e-9, self._model, self._state, new_pending()
+        )
+        self._u, self._slope, self.settled_ns = u, slope, int(t_ns)
+        self.lost_in_pixel += lost
+        bits = max(1, (u.size - 1).bit_length())
+        keys = np.minimum(pending[0][:n], h_ns - 1).astype(np.uint64) << np.uint64(bits + 1) | pending[1][:n]
+        found = unpacked(keys, t0_ns, bits)
+        return Crossings(found.t_ns, found.pixel, found.on, lost)
+
+    def _slopes(self, rate: _Float32s | None) -> _Floats:
+        """Return the time derivative of log light, 1/s; NaN where unknown."""
+        if rate is None:
+            return np.full(self._u.size, np.nan)
+        slope = np.where(self._light > 0, rate.reshape(-1), 0) / self._current
+        return np.where(np.isfinite(slope), slope, np.nan)
+
+    def _log(self, light: _Float32s) -> _Floats:
+        """Return the log of the photocurrent, (pixels,); the last finite one where the light is not finite."""
+        size = (self.parameters.height, self.parameters.width)
+        if light.shape != size or light.dtype != np.float32:
+            raise ValueError(f"light is {light.shape} {light.dtype}: must be {size} float32")
+        flat = light.reshape(-1)
+        changed = np.flatnonzero(flat != self._light)
+        new = flat[changed]
+        readable = np.isfinite(new)
+        self.quiet_nan += int((~readable).sum())
+        changed, new = changed[readable], new[readable]
+        u = self._u.copy()
+        self._light[changed] = new
+        current = np.clip(new, 0, _BRIGHTEST).astype(np.float64)
+        self._current[changed] = current + self.parameters.dark_current_relative
+        u[changed] = np.log(self._current[changed])
+        return u

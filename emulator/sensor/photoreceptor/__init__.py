@@ -1,1 +1,0 @@
-"""The photoreceptor as a circuit, for large and dim signals."""

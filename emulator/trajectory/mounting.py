@@ -1,0 +1,222 @@
+"""A camera carried along a path, with its boresight on a target.
+
+Its +z axis (the boresight) points at the target, and its -y axis (up in the picture) lies as near to a given direction
+as that allows. Where the line of sight runs along that very direction the picture's turn is not defined; there any
+fixed turn is taken, and a path that passes through such a place turns the picture quickly.
+
+Rotating bodies: a steady spin, and the tumbling of a body with an axis of symmetry.
+
+A body free of torques whose moments of inertia about two of its axes are equal turns about its third, +Z, at a steady
+rate, while that axis goes round the (fixed) angular momentum at another steady rate and a steady tilt (Goldstein,
+Classical Mechanics, section 5.6). In matrices, with `spin` from `attitude`:
+
+    world_from_body = spin(momentum, precession) * Rx(tilt) * Rz(turned)
+
+Without a tilt it spins about the momentum. Phases are exact for as long as the stream lasts (see `cycle`).
+
+Trajectories made of others: places of one with attitudes of another, and a camera mounted on what moves.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from emulator.geometry.attitude import Matrix, Quaternion, Vector, cross, matrix_of, multiply, quaternion_of, spin, unit
+from emulator.geometry.camera import Cycle
+from emulator.trajectory.motion import Motion, rate_of_frame
+from emulator.trajectory.pose import Pose, Trajectory, TrajectoryError
+from emulator.trajectory.sampling import measured_bounds
+
+__all__ = ["Looking", "Mounted", "PlaceAndAttitude", "Spinning", "Tilt", "looking_along"]
+
+
+_ALONG = 1e-9
+
+
+class Looking(Trajectory):
+    """The path of `place`, with the boresight on `target_m`, (3,) in the world.
+
+    Parameters
+    ----------
+    up : (3,) direction in the world that is up in the picture.
+    times_ns : when its turning is measured, see `measured`.
+    """
+
+    def __init__(self, place: Trajectory, target_m: npt.ArrayLike, up: npt.ArrayLike, times_ns: Sequence[int]) -> None:
+        self._place = place
+        self._target_m = np.asarray(target_m, np.float64)
+        self._up = unit(up)
+        self._turn_rad_s = measured_bounds(self.pose, times_ns)[1]
+
+    def pose(self, t_ns: int) -> Pose:
+        """Return the pose; raises TrajectoryError when the camera is at the target itself."""
+        place = self._place.pose(t_ns).position_m
+        sight = self._target_m - place
+        if not sight.any():
+            raise TrajectoryError(f"at {t_ns * 1e-9:g} s the camera is at the very point that it looks at")
+        return Pose(place, quaternion_of(looking_along(sight, self._up)))
+
+    def motion(self, t_ns: int) -> Motion:
+        """Return the path's motion with the turning that keeps the boresight on the target."""
+        place, axes = self._place.motion(t_ns), self.pose(t_ns).world_from_body
+        x, _, z = axes.T
+        across = cross(z, self._up)
+        if np.linalg.norm(across) < _ALONG:
+            return Motion(place.velocity_m_s, place.acceleration_m_s2, super().motion(t_ns).turn_rad_s)
+        sight = self._target_m - self._place.pose(t_ns).position_m
+        z_rate = _turning(-place.velocity_m_s, z) / np.linalg.norm(sight)
+        x_rate = _turning(cross(z_rate, self._up), x) / np.linalg.norm(across)
+        y_rate = cross(z_rate, x) + cross(z, x_rate)
+        rates = np.column_stack([x_rate, y_rate, z_rate])
+        return Motion(place.velocity_m_s, place.acceleration_m_s2, rate_of_frame(axes, rates))
+
+    @property
+    def speed_bound_m_s(self) -> float:
+        """That of the path."""
+        return self._place.speed_bound_m_s
+
+    @property
+    def turn_bound_rad_s(self) -> float:
+        """Measured, see `measured`."""
+        return self._turn_rad_s
+
+
+def looking_along(sight: npt.ArrayLike, up: npt.ArrayLike) -> Matrix:
+    """Return world_from_camera of a camera with its boresight along `sight` and `up` up in its picture."""
+    z = unit(sight)
+    x = cross(z, unit(up))
+    if np.linalg.norm(x) < _ALONG:
+        x = cross(z, _any_other(z))
+    x = unit(x)
+    return np.column_stack([x, cross(z, x), z])
+
+
+def _turning(rate: Vector, direction: Vector) -> Vector:
+    """Return the part of `rate` that turns a vector along the unit vector `direction`, not the one that stretches."""
+    return np.asarray(rate - (rate @ direction) * direction)
+
+
+def _any_other(axis: Vector) -> Vector:
+    return np.asarray(np.eye(3)[int(np.argmin(np.abs(axis)))])
+
+
+@dataclass(frozen=True)
+class Tilt:
+    """Angle of the body's +Z axis to the momentum, and its precession."""
+
+    tilt_rad: float
+    precession: Cycle
+
+
+_UPRIGHT = Tilt(0.0, Cycle(0))
+
+
+class Spinning(Trajectory):
+    """A body at `position_m` (3,) turning about its +Z axis, which lies along `momentum` (3,) or precesses about it."""
+
+    def __init__(
+        self, position_m: npt.ArrayLike, momentum: npt.ArrayLike, turned: Cycle, tilt: Tilt = _UPRIGHT
+    ) -> None:
+        self._position_m = np.asarray(position_m, np.float64)
+        self._momentum = unit(momentum)
+        self._turned, self._tilt = turned, tilt
+
+    def pose(self, t_ns: int) -> Pose:
+        """Return the pose at `t_ns`."""
+        turning = spin(self._momentum, self._tilt.precession.turns(t_ns)) @ _about_x(self._tilt.tilt_rad)
+        return Pose(self._position_m, quaternion_of(turning @ _about_z(self._turned.turns(t_ns))))
+
+    def motion(self, t_ns: int) -> Motion:
+        """Return its rate: the spin along its own +Z and the precession along the momentum, added."""
+        spin_rad_s, precession_rad_s = (2 * math.pi * float(c.rate_hz) for c in (self._turned, self._tilt.precession))
+        momentum = self.pose(t_ns).world_from_body.T @ self._momentum
+        return Motion(np.zeros(3), np.zeros(3), precession_rad_s * momentum + [0.0, 0.0, spin_rad_s])
+
+    @property
+    def speed_bound_m_s(self) -> float:
+        """It stays."""
+        return 0.0
+
+    @property
+    def turn_bound_rad_s(self) -> float:
+        """Both rates added, which they are when the axes lie along each other."""
+        return 2 * math.pi * float(abs(self._turned.rate_hz) + abs(self._tilt.precession.rate_hz))
+
+
+def _about_x(angle: float) -> Matrix:
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array([[1.0, 0, 0], [0, c, -s], [0, s, c]])
+
+
+def _about_z(turns: float) -> Matrix:
+    c, s = math.cos(2 * math.pi * turns), math.sin(2 * math.pi * turns)
+    return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
+
+
+class PlaceAndAttitude(Trajectory):
+    """The places of one trajectory with the attitudes of another, each at its own times.
+
+    Parameters
+    ----------
+    places, attitudes : the two.
+    places_zero_ns, attitudes_zero_ns : the time on each that is time 0 here.
+    """
+
+    def __init__(
+        self, places: Trajectory, attitudes: Trajectory, places_zero_ns: int = 0, attitudes_zero_ns: int = 0
+    ) -> None:
+        self._places, self._attitudes = places, attitudes
+        self._places_zero_ns, self._attitudes_zero_ns = places_zero_ns, attitudes_zero_ns
+
+    def pose(self, t_ns: int) -> Pose:
+        """Return the place of one and the attitude of the other at `t_ns`."""
+        attitude = self._attitudes.pose(t_ns + self._attitudes_zero_ns).q_world_from_body
+        return Pose(self._places.pose(t_ns + self._places_zero_ns).position_m, attitude)
+
+    def motion(self, t_ns: int) -> Motion:
+        """Return how the place of one moves and the attitude of the other turns."""
+        place = self._places.motion(t_ns + self._places_zero_ns)
+        turn = self._attitudes.motion(t_ns + self._attitudes_zero_ns).turn_rad_s
+        return Motion(place.velocity_m_s, place.acceleration_m_s2, turn)
+
+    @property
+    def speed_bound_m_s(self) -> float:
+        """That of the places."""
+        return self._places.speed_bound_m_s
+
+    @property
+    def turn_bound_rad_s(self) -> float:
+        """That of the attitudes."""
+        return self._attitudes.turn_bound_rad_s
+
+
+class Mounted(Trajectory):
+    """Something at the place of `path`, turned against its axes by the fixed `q_path_from_body`."""
+
+    def __init__(self, path: Trajectory, q_path_from_body: Quaternion) -> None:
+        self._path, self._q = path, q_path_from_body
+
+    def pose(self, t_ns: int) -> Pose:
+        """Return the pose at `t_ns`."""
+        pose = self._path.pose(t_ns)
+        return Pose(pose.position_m, multiply(pose.q_world_from_body, self._q))
+
+    def motion(self, t_ns: int) -> Motion:
+        """Return the path's motion, its turning along the axes of what is mounted."""
+        path = self._path.motion(t_ns)
+        return Motion(path.velocity_m_s, path.acceleration_m_s2, matrix_of(self._q).T @ path.turn_rad_s)
+
+    @property
+    def speed_bound_m_s(self) -> float:
+        """That of the path."""
+        return self._path.speed_bound_m_s
+
+    @property
+    def turn_bound_rad_s(self) -> float:
+        """That of the path."""
+        return self._path.turn_bound_rad_s

@@ -1,0 +1,417 @@
+"""The external input of a DAVIS346: its signal, the detectors that watch it, and the generator beside it.
+
+Registers of module 4 (see `registers`), lengths in cycles of the logic clock:
+
+    0 run detector   1 rising edges   2 falling edges   3 pulses   4 pulse polarity   5 pulse length
+    11 run generator   12 polarity   13 interval   14 length   15, 16 tell of its rising, falling edges in the stream
+
+Source: the published logic (SeeBetterLogic: ExtInputStateMachine.vhd, PulseDetector.vhd, PulseGenerator.vhd). A pulse
+is told once the signal has been at the pulse's polarity for the length, not when it ends. Detectors watch the signal
+all the time; the run bit and the selections only decide what is told. There is no debouncing.
+
+An EDGE of kind RISING or FALLING sets the signal high or low. One of the level that the signal has already counts as an
+edge all the same: its source tells of one side only. PULSE is both, `pulse_us` apart.
+
+Readings on their way into the stream: they wait for their time, and for room where the camera waits on a stall.
+
+    offer -> [waits for its time] -> stream -> host
+                   ^-- no room --------+
+
+The registers say which kinds run. A frame whose start came while the camera did not run is left out as a whole, as the
+host could not read it.
+
+A frame's start, exposure and end always wait for room, and its lines do where the registers say so. As in the published
+logic (APSADCStateMachine: the next frame begins after the end of the one before), a frame whose start finds no room
+while parts of an earlier one wait is left out as a whole: a slow host gets fewer frames, not frames with gaps.
+"""
+
+from __future__ import annotations
+
+import bisect
+import heapq
+from collections import Counter, deque
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import astuple, dataclass, field, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from firmware_protocol.davis346.blocks import MARK, Block, Marks, blocks_of, join_marks, no_marks
+from firmware_protocol.davis346.registers import Module, RegisterFile, aps_waits_on_stall, frame_settings, imu_settings
+from firmware_protocol.davis346.settings import Davis346Settings
+from firmware_protocol.davis346.words import Special
+from firmware_protocol.device.event_device import ReadingCounters, ReadingKind, Readings
+from firmware_protocol.events import EdgeKind, Edges
+from firmware_protocol.frames import FrameSettings, LineKind
+from firmware_protocol.imu_samples import ImuSettings
+
+__all__ = ["BlockFates", "ExternalInput", "InputSettings", "ReadingInput"]
+
+
+@dataclass(frozen=True)
+class InputSettings:
+    """What the registers ask for.
+
+    Attributes
+    ----------
+    told_from_us
+        Stream time from which marks are told; None: the camera does not run.
+    rising, falling, pulses
+        What the detector tells.
+    active_high
+        Polarity of a pulse.
+    length_us
+        Time after which a level is a pulse.
+    generator
+        The generator's; None while it stands still.
+    """
+
+    told_from_us: int | None = None
+    rising: bool = False
+    falling: bool = False
+    pulses: bool = False
+    active_high: bool = True
+    length_us: int = 0
+    generator: GeneratorSettings | None = None
+
+    @classmethod
+    def of(cls, values: RegisterFile, told_from_us: int | None) -> InputSettings:
+        """Read the registers."""
+        run, rising, falling, pulses, active_high, cycles = (values.read(Module.EXTERNAL_INPUT, k) for k in range(6))
+        return cls(
+            told_from_us,
+            bool(run and rising),
+            bool(run and falling),
+            bool(run and pulses),
+            bool(active_high),
+            cycles // max(values.read(Module.SYSTEM, 3), 1),
+            GeneratorSettings.of(values),
+        )
+
+
+@dataclass(frozen=True)
+class GeneratorSettings:
+    """A running generator: lengths in cycles of `clock_mhz`, and which of its edges are told."""
+
+    clock_mhz: int
+    active_high: bool
+    interval: int
+    length: int
+    tell_rising: bool
+    tell_falling: bool
+
+    @classmethod
+    def of(cls, values: RegisterFile) -> GeneratorSettings | None:
+        """Read the registers; None for a generator that stands still or whose output never changes."""
+        run, high, interval, length, rising, falling = (values.read(Module.EXTERNAL_INPUT, k) for k in range(11, 17))
+        if not run or not 0 < length < interval:
+            return None
+        return cls(max(values.read(Module.SYSTEM, 3), 1), bool(high), interval, length, bool(rising), bool(falling))
+
+    def marks(self, since_us: int, after_us: int, until_us: int) -> Marks:
+        """Return what it tells of after `after_us` and up to `until_us`; it started at `since_us`."""
+        begins, ends = Special.GENERATOR_RISING, Special.GENERATOR_FALLING
+        tell_begin, tell_end = self.tell_rising, self.tell_falling
+        if not self.active_high:
+            begins, ends, tell_begin, tell_end = ends, begins, tell_end, tell_begin
+        parts = []
+        for code, told, offset in ((begins, tell_begin, 0), (ends, tell_end, self.length)):
+            if told:
+                times_us = self._times_us(offset, after_us - since_us, until_us - since_us)
+                parts.append(_marks_at(times_us + since_us, code))
+        return join_marks(parts)
+
+    def _times_us(self, offset: int, after_us: int, until_us: int) -> npt.NDArray[np.int64]:
+        """Return when pulses begin (offset 0) or end, us since the start, one in any microsecond at most."""
+        first = max(1, -(-((after_us + 1) * self.clock_mhz - offset) // self.interval))
+        last = (until_us * self.clock_mhz + self.clock_mhz - 1 - offset) // self.interval
+        if self.interval <= self.clock_mhz:  # one in each microsecond: a hundred cycles need not be looked at
+            first_us, last_us = ((k * self.interval + offset) // self.clock_mhz for k in (first, last))
+            return np.arange(first_us, last_us + 1, dtype=np.int64)
+        cycles = np.arange(first, last + 1, dtype=np.int64) * self.interval + offset
+        return cycles // self.clock_mhz
+
+
+@dataclass
+class _Cause:
+    """An edge that was offered: what of it is still to come, and how many marks it made."""
+
+    open: int
+    marks: int = 0
+
+
+class ExternalInput:
+    """The signal and its detectors. Edges go in by `offer`, marks come out by `marks` as time goes on.
+
+    Parameters
+    ----------
+    pulse_us
+        Length of an EDGE of kind PULSE.
+    """
+
+    def __init__(self, pulse_us: int) -> None:
+        self._pulse_us = pulse_us
+        self._changes: list[tuple[int, int, bool, _Cause]] = []
+        self._number = 0
+        self._level = False
+        self._level_since_us = 0
+        self._level_cause: _Cause | None = None
+        self._generator: tuple[GeneratorSettings, int] | None = None
+        self._told: list[tuple[int, int]] = []
+        self.offered = 0
+        self.ignored = 0
+        self.added = 0
+
+    @property
+    def pending(self) -> int:
+        """Edges that made no mark so far, and still may."""
+        unmarked = {id(cause) for _, _, _, cause in self._changes if not cause.marks}
+        if self._level_cause is not None and not self._level_cause.marks:
+            unmarked.add(id(self._level_cause))
+        return len(unmarked)
+
+    @property
+    def expected(self) -> int:
+        """Marks that the edges taken so far can still make."""
+        return 2 * len(self._changes) + (self._level_cause is not None)
+
+    def offer(self, edges: Edges, now_us: int) -> None:
+        """Take edges (n,) EDGE in stream time; those before `now_us` happen then."""
+        for t, kind in zip(np.maximum(edges["t"], now_us).tolist(), edges["kind"].tolist(), strict=True):
+            if kind == EdgeKind.PULSE:
+                cause = _Cause(2)
+                self._change(t, True, cause)
+                self._change(t + self._pulse_us, False, cause)
+            else:
+                self._change(t, kind == EdgeKind.RISING, _Cause(1))
+        self.offered += len(edges)
+
+    def _change(self, t: int, level: bool, cause: _Cause) -> None:
+        heapq.heappush(self._changes, (t, self._number, level, cause))
+        self._number += 1
+
+    def marks(self, after_us: int, until_us: int, settings: InputSettings) -> Marks:
+        """Return the marks up to `until_us`, (n,) MARK in stream time; those up to `after_us` have been told before."""
+        while self._happen(after_us, until_us, settings):
+            pass
+        told, self._told = np.array(self._told, MARK), []
+        return join_marks([told, self._generated(after_us, until_us, settings)])
+
+    def _happen(self, after_us: int, until_us: int, settings: InputSettings) -> bool:
+        """Do what happens next: a change of the signal, or its having been there for a pulse's length."""
+        change_us = self._changes[0][0] if self._changes else None
+        due_us = None if self._level_cause is None else self._level_since_us + settings.length_us
+        if due_us is not None and due_us <= until_us and (change_us is None or due_us <= change_us):
+            self._pulse(max(due_us, after_us), settings)
+        elif change_us is not None and change_us <= until_us:
+            _, _, level, cause = heapq.heappop(self._changes)
+            self._step(change_us, level, cause, settings)
+        else:
+            return False
+        return True
+
+    def _step(self, at_us: int, level: bool, cause: _Cause, settings: InputSettings) -> None:
+        self._close(self._level_cause)
+        self._level, self._level_since_us, self._level_cause = level, at_us, None
+        if settings.rising if level else settings.falling:
+            self._tell(at_us, Special.INPUT_RISING if level else Special.INPUT_FALLING, cause, settings)
+        if level == settings.active_high:
+            self._level_cause = cause
+        else:
+            self._close(cause)
+
+    def _pulse(self, at_us: int, settings: InputSettings) -> None:
+        cause, self._level_cause = self._level_cause, None
+        if settings.pulses and self._level == settings.active_high and cause is not None:
+            self._tell(at_us, Special.INPUT_PULSE, cause, settings)
+        self._close(cause)
+
+    def _tell(self, at_us: int, code: Special, cause: _Cause, settings: InputSettings) -> None:
+        if settings.told_from_us is None or at_us < settings.told_from_us:
+            return
+        self._told.append((at_us, int(code)))
+        self.added += cause.marks > 0
+        cause.marks += 1
+
+    def _close(self, cause: _Cause | None) -> None:
+        """Say that one of the things an edge could lead to is over."""
+        if cause is not None:
+            cause.open -= 1
+            self.ignored += cause.open == 0 and cause.marks == 0
+
+    def _generated(self, after_us: int, until_us: int, settings: InputSettings) -> Marks:
+        generator, told_from_us = settings.generator, settings.told_from_us
+        if generator is None or told_from_us is None:
+            self._generator = None
+            return no_marks()
+        if self._generator is None or self._generator[0] != generator:
+            self._generator = (generator, after_us)
+        marks = generator.marks(self._generator[1], max(after_us, told_from_us - 1), until_us)
+        self.added += len(marks)
+        return marks
+
+
+def _marks_at(times_us: npt.NDArray[np.int64], code: Special) -> Marks:
+    marks = no_marks(len(times_us))
+    marks["t"], marks["code"] = times_us, int(code)
+    return marks
+
+
+_MOST_SAMPLES = 16  # of the inertial unit, that wait for room
+_LINES = (LineKind.RESET, LineKind.SIGNAL)
+_IMU_WORDS = 1 + 17  # a timestamp, and a sample of all three groups
+
+
+@dataclass
+class BlockFates:
+    """How many blocks of each kind met which fate in the stream."""
+
+    flushed: Counter[ReadingKind] = field(default_factory=Counter)
+    delivered: Counter[ReadingKind] = field(default_factory=Counter)
+    lost: Counter[ReadingKind] = field(default_factory=Counter)
+    queued: Counter[ReadingKind] = field(default_factory=Counter)
+
+
+class ReadingInput:
+    """What was offered and is not in the stream yet, and what the registers ask for."""
+
+    def __init__(self, settings: Davis346Settings, registers: RegisterFile) -> None:
+        self._settings = settings
+        self._registers = registers
+        self._longest = {ReadingKind.FRAMES: max(settings.size) + 2, ReadingKind.IMU: _IMU_WORDS}
+        self._frames = FrameSettings()
+        self._imu = ImuSettings()
+        self._waiting: list[Block] = []
+        self._held: deque[Block] = deque()
+        self._in_frame = self._left_out = False
+        self._offered: Counter[ReadingKind] = Counter()
+        self._not_running: Counter[ReadingKind] = Counter()
+        self._dropped: Counter[ReadingKind] = Counter()
+        self._flushed: Counter[ReadingKind] = Counter()
+
+    def follow(self, *, words: bool) -> None:
+        """Read the registers again; `words`: whether the data path runs."""
+        self._frames = frame_settings(self._registers, self._settings.size, self._settings.layout, words=words)
+        self._imu = imu_settings(self._registers, words=words)
+
+    def settings_of(self, kind: ReadingKind) -> tuple[int, ...]:
+        """Return what the registers ask of a kind; see `EventDevice.reading_settings`."""
+        asked = self._frames if kind is ReadingKind.FRAMES else self._imu
+        return tuple(int(n) for n in astuple(asked)) if self.takes(kind) else ()
+
+    def takes(self, kind: ReadingKind) -> bool:
+        """Say whether the camera has this kind."""
+        return self._settings.frames if kind is ReadingKind.FRAMES else self._settings.imu_unit != 0
+
+    def runs(self, kind: ReadingKind) -> bool:
+        """Say whether readings of a kind would go to the host now."""
+        return self.takes(kind) and (self._frames.run if kind is ReadingKind.FRAMES else self._imu.run)
+
+    def reserved(self, free_words: int) -> int:
+        """Return how many free words are kept for readings in a run that is not paced: half, if any kind runs."""
+        return free_words // 2 if any(self.runs(kind) for kind in ReadingKind) else 0
+
+    def room(self, kind: ReadingKind, free_words: int) -> int:
+        """Return how many readings of a kind fit what is kept for them."""
+        waiting = sum(len(block.words) for block in (*self._held, *self._waiting))
+        kinds = sum(self.runs(one) for one in ReadingKind)
+        return max(0, (self.reserved(free_words) - waiting) // (self._longest[kind] * max(kinds, 1)))
+
+    def offer(self, kind: ReadingKind, readings: Readings, from_us: int) -> None:
+        """Take readings of a kind, (n,); those before `from_us` came while the camera did not run."""
+        wanted = readings[readings["t"] >= from_us] if self.runs(kind) else readings[:0]
+        blocks = blocks_of(kind, wanted)
+        if kind is ReadingKind.FRAMES:
+            self._in_frame = self._in_frame and len(blocks) == len(readings)
+            blocks = [block for block in blocks if self._is_read(block)]
+        self._offered[kind] += len(readings)
+        self._not_running[kind] += len(readings) - len(blocks)
+        self._waiting = sorted([*self._waiting, *blocks], key=_time_of)
+
+    def _is_read(self, block: Block) -> bool:
+        """Say whether a host can read this part of a frame: it has the frame's start, or will have."""
+        self._in_frame = self._in_frame or _line_kind(block) == LineKind.START
+        return self._in_frame
+
+    def due(self, now_us: int, until_us: int, free_words: int) -> list[Block]:
+        """Remove and return the blocks up to `until_us` that may fit `free_words`; the others are held.
+
+        Those that waited beyond their time have that of `now_us`.
+        """
+        count = bisect.bisect_right(self._waiting, until_us, key=_time_of)
+        new, self._waiting = self._waiting[:count], self._waiting[count:]
+        passed = deque(block for block in new if self._goes_on(block))
+        self._dropped[ReadingKind.FRAMES] += len(new) - len(passed)
+        due: list[Block] = []
+        for queue in (self._held, passed):
+            while queue and len(queue[0].words) <= free_words:
+                free_words -= len(queue[0].words)
+                due.append(queue.popleft())
+            if queue:
+                break
+        self._hold(passed)
+        return [block if block.t_us >= now_us else _dated(block, now_us) for block in due]
+
+    def _goes_on(self, block: Block) -> bool:
+        """Say whether this is no part of a frame that was left out."""
+        part = _line_kind(block)
+        self._left_out = self._left_out and part != LineKind.START
+        return part is None or not self._left_out
+
+    def put_back(self, blocks: Sequence[Block]) -> None:
+        """Let blocks that were due wait further."""
+        self._held.extendleft(reversed(blocks))
+
+    def hold(self, late: Sequence[Block]) -> None:
+        """Let blocks that found no room wait further, those that may; the others are dropped."""
+        if late:
+            blocks, self._held = [*late, *self._held], deque()
+            self._hold(blocks)
+
+    def _hold(self, blocks: Iterable[Block]) -> None:
+        """Hold blocks behind those that are held; of frames the parts of one, but for lines that may not wait."""
+        held = Counter(block.reading.kind for block in self._held) if blocks else Counter()
+        lines_wait, left_out = aps_waits_on_stall(self._registers), False
+        for block in blocks:
+            kind, part = block.reading.kind, _line_kind(block)
+            if part == LineKind.START:
+                left_out = held[kind] > 0
+                self._left_out = self._left_out or left_out
+            waits = held[kind] < _MOST_SAMPLES if part is None else not left_out and (lines_wait or part not in _LINES)
+            if waits:
+                self._held.append(block)
+            held[kind] += waits
+            self._dropped[kind] += not waits
+
+    def flush(self) -> None:
+        """Drop what waits."""
+        self._flushed.update(block.reading.kind for block in (*self._held, *self._waiting))
+        self._held, self._waiting = deque(), []
+        self._in_frame = False
+
+    def counters(self, fates: BlockFates) -> Mapping[str, ReadingCounters]:
+        """Return the fates of all that were offered, by kind; `fates` are those in the stream."""
+        waiting = Counter(block.reading.kind for block in (*self._held, *self._waiting))
+        return {
+            str(kind): ReadingCounters(
+                offered, self._not_running[kind], self._dropped[kind], self._flushed[kind] + fates.flushed[kind],
+                fates.delivered[kind], fates.lost[kind], fates.queued[kind] + waiting[kind],
+            )
+            for kind, offered in self._offered.items()
+        }  # fmt: skip
+
+
+def _time_of(block: Block) -> int:
+    return block.t_us
+
+
+def _line_kind(block: Block) -> int | None:
+    """Return the `LineKind` of a part of a frame; None of a sample."""
+    return int(block.reading.record["kind"][0]) if block.reading.kind is ReadingKind.FRAMES else None
+
+
+def _dated(block: Block, t_us: int) -> Block:
+    """Return a block whose words and reading are both of `t_us`: what is recorded is what the host reads."""
+    record = block.reading.record.copy()
+    record["t"] = t_us
+    return Block(t_us, block.words, replace(block.reading, record=record))

@@ -1,0 +1,352 @@
+"""An event camera without electronics: what goes in waits, as it is, for whoever takes it.
+
+    offer, offer_edges, offer_readings --> one queue for each clock --> take, carry: in the order of time
+
+A run offers the edges and readings of a stretch of time before its events, and a stretch may be long. They leave
+together with the events of their time, so that no receiver sees time go back.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections import Counter, deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from firmware_protocol.device.event_device import (
+    CameraCounters,
+    EdgeCounters,
+    EventDevice,
+    Reading,
+    ReadingCounters,
+    ReadingKind,
+    Readings,
+)
+from firmware_protocol.events import EVENT, Edges, Events, copy_events, empty_edges, empty_events
+
+__all__ = ["PlainDevice", "Taken", "own_time"]
+
+_CAPACITY = 1 << 21  # events; edges likewise
+_MOST_READINGS = 1 << 14  # of each kind: 30 frames of a DAVIS346, 16 s of an inertial unit
+_FOREVER_US = 1 << 62
+_NO_SETTINGS: Mapping[ReadingKind, tuple[int, ...]] = {}
+
+
+@dataclass(frozen=True)
+class Taken:
+    """What was taken together: nothing that is taken later is earlier.
+
+    Attributes
+    ----------
+    events, edges, readings
+        (n,) EVENT, (m,) EDGE, and readings, in the time told to the device.
+    epoch_us
+        When the device's own clock was zero.
+    """
+
+    events: Events
+    edges: Edges
+    epoch_us: int
+    readings: tuple[Reading, ...] = ()
+
+
+def own_time(records: Events | Edges, epoch_us: int) -> Events | Edges:
+    """Return (n,) EVENT or EDGE in the time of a device's own clock, which was zero at `epoch_us`."""
+    if not epoch_us or not len(records):
+        return records
+    own = copy_events(records) if records.dtype == EVENT else records.copy()
+    own["t"] -= np.uint64(epoch_us % (1 << 64))
+    return own
+
+
+class _Waiting:
+    """Events, edges and readings of one clock, which was zero at `epoch_us`; those up to `taken_us` have left."""
+
+    def __init__(self, epoch_us: int, taken_us: int) -> None:
+        self.epoch_us = epoch_us
+        self.events: deque[Events] = deque()
+        self.edges = empty_edges()
+        self.readings: list[Reading] = []
+        self.taken_us = taken_us
+
+    def __bool__(self) -> bool:
+        return bool(self.events or len(self.edges) or self.readings)
+
+    def add_edges(self, edges: Edges) -> None:
+        """Add edges; one that is earlier than what was taken already is dated as early as possible."""
+        edges = np.concatenate([self.edges, edges])
+        edges["t"] = np.maximum(edges["t"], np.uint64(self.taken_us))
+        self.edges = edges[np.argsort(edges["t"], kind="stable")]
+
+    def add_readings(self, readings: list[Reading]) -> None:
+        """Add readings of one kind, in the order of time."""
+        self.readings = sorted([*self.readings, *readings], key=_time_of) if readings else self.readings
+
+    def take(self, limit: int, now_us: int) -> Taken | None:
+        """Return what comes first, at most `limit` events; None where nothing that is certain to come first waits."""
+        events = self._take_events(limit)
+        if self.events:
+            until_us = int(events["t"][-1]) if len(events) else int(self.events[0]["t"][0]) - 1
+        else:
+            until_us = max(now_us, int(events["t"][-1]) if len(events) else 0)
+        edges, readings = self._take_edges(until_us), self._take_readings(until_us)
+        if not (len(events) or len(edges) or readings):
+            return None
+        times = [events["t"][-1:], edges["t"][-1:], *(one.record["t"][-1:] for one in readings[-1:])]
+        self.taken_us = max(self.taken_us, *(int(t[0]) for t in times if len(t)))
+        return Taken(events, edges, self.epoch_us, readings)
+
+    def _take_events(self, limit: int) -> Events:
+        if not self.events or limit < 1:
+            return empty_events()
+        first = self.events.popleft()
+        if len(first) > limit:
+            self.events.appendleft(first[limit:])
+        return first[:limit]
+
+    def _take_edges(self, until_us: int) -> Edges:
+        n = int(np.searchsorted(self.edges["t"], np.uint64(max(0, until_us)), "right"))
+        taken, self.edges = self.edges[:n], self.edges[n:]
+        return taken
+
+    def _take_readings(self, until_us: int) -> tuple[Reading, ...]:
+        n = bisect_right(self.readings, until_us, key=_time_of)
+        taken, self.readings = tuple(self.readings[:n]), self.readings[n:]
+        return taken
+
+
+def _time_of(reading: Reading) -> int:
+    return int(reading.record["t"][0])
+
+
+class PlainDevice(EventDevice):
+    """Keeps events, edges and readings until `take`; what finds it full is dropped and counted.
+
+    A link that cannot tell at once what becomes of them uses `carry`, and `arrived` or `failed` later.
+
+    Parameters
+    ----------
+    capacity
+        Events that it holds; edges likewise.
+    readings
+        What it asks of each kind of readings that it takes, as `EventDevice.reading_settings`; others are refused.
+
+    Attributes
+    ----------
+    takes_edges
+        Whether its link carries edges; where not, they are ignored.
+    """
+
+    def __init__(
+        self, capacity: int = _CAPACITY, readings: Mapping[ReadingKind, tuple[int, ...]] = _NO_SETTINGS
+    ) -> None:
+        self._capacity = capacity
+        self._settings = dict(readings)
+        self.takes_edges = True
+        self._running = True
+        self._not_running = self._flushed = self._edges_ignored = self._edges_lost = 0
+        self._waiting: deque[_Waiting] = deque([_Waiting(0, 0)])
+        self._now_us = 0
+        self._offered = self._queued = self._dropped = self._delivered = self._lost = 0
+        self._edges_offered = self._edges_queued = self._edges_dropped = self._edges_delivered = 0
+        self._readings = {kind: _ReadingFates() for kind in self._settings}
+
+    @property
+    def now_us(self) -> int:
+        """Stream time that it has reached."""
+        return self._now_us
+
+    @property
+    def streaming(self) -> bool:
+        """Unless its link says that nobody is there."""
+        return self._running
+
+    @property
+    def room_events(self) -> int:
+        """Events that fit now."""
+        return self._capacity - self._queued
+
+    @property
+    def epoch_us(self) -> int:
+        """Time at which its own clock was last zero."""
+        return self._waiting[-1].epoch_us
+
+    @property
+    def counters(self) -> CameraCounters:
+        """Fates of all events and edges so far."""
+        edges = EdgeCounters(
+            offered=self._edges_offered, dropped=self._edges_dropped, delivered=self._edges_delivered,
+            queued=self._edges_queued, ignored=self._edges_ignored, lost_on_link=self._edges_lost,
+        )  # fmt: skip
+        return CameraCounters(
+            offered=self._offered, dropped_fifo=self._dropped, delivered=self._delivered - self._lost,
+            lost_on_link=self._lost, queued=self._queued, not_running=self._not_running, flushed=self._flushed,
+            edges=edges, readings={str(kind): fates.counters for kind, fates in self._readings.items()},
+        )  # fmt: skip
+
+    def offer(self, events: Events) -> None:
+        """Take events (n,) EVENT, as many as fit; raises ValueError when they go back in time."""
+        if len(events) and (int(events["t"][0]) < self._now_us or bool((events["t"][1:] < events["t"][:-1]).any())):
+            raise ValueError("events go back in time")
+        if not self._running:
+            self._offered += len(events)
+            self._not_running += len(events)
+            return
+        fitting = min(len(events), self.room_events)
+        self._offered += len(events)
+        self._dropped += len(events) - fitting
+        self._queued += fitting
+        if fitting:
+            self._waiting[-1].events.append(copy_events(events[:fitting]))
+            self._now_us = int(events["t"][fitting - 1])
+
+    def offer_edges(self, edges: Edges) -> None:
+        """Take edges (n,) EDGE, as many as fit."""
+        if not (self._running and self.takes_edges):
+            self._edges_offered += len(edges)
+            self._edges_ignored += len(edges)
+            return
+        fitting = min(len(edges), self._capacity - self._edges_queued)
+        self._edges_offered += len(edges)
+        self._edges_dropped += len(edges) - fitting
+        self._edges_queued += fitting
+        if fitting:
+            self._waiting[-1].add_edges(edges[:fitting])
+
+    def reading_settings(self, kind: ReadingKind) -> tuple[int, ...]:
+        """What it asks of a kind of readings."""
+        return self._settings.get(kind, ())
+
+    def room_readings(self, kind: ReadingKind) -> int:
+        """Readings of a kind that fit now."""
+        return _MOST_READINGS - self._readings[kind].queued if kind in self._readings else _MOST_READINGS
+
+    def offer_readings(self, kind: ReadingKind, readings: Readings) -> bool:
+        """Take readings of a kind that it asks for, as many as fit; False for others."""
+        if kind not in self._readings:
+            return False
+        fitting = min(len(readings), self.room_readings(kind)) if self._running else 0
+        self._readings[kind].offer(len(readings), fitting, running=self._running)
+        taken = readings[:fitting].copy()
+        self._waiting[-1].add_readings([Reading(kind, taken[k : k + 1]) for k in range(fitting)])
+        return True
+
+    def advance(self, now_us: int) -> None:
+        """Say that stream time has reached `now_us`."""
+        self._now_us = max(self._now_us, now_us)
+
+    def restart_clock(self) -> bool:
+        """Start its own clock anew at zero, now."""
+        if not self._waiting[-1]:
+            self._waiting.pop()
+        self._waiting.append(_Waiting(self._now_us, self._now_us))
+        return True
+
+    def take(self, limit: int) -> Taken | None:
+        """Return what waits first, at most `limit` events of it, as delivered; None when nothing waits."""
+        taken = self.carry(limit)
+        if taken is not None:
+            self.arrived(len(taken.events), len(taken.edges))
+            for kind, count in Counter(one.kind for one in taken.readings).items():
+                self._readings[kind].deliver(count)
+        return taken
+
+    def carry(self, limit: int) -> Taken | None:
+        """Return what waits first, at most `limit` events of it; it counts as queued until it arrived or failed."""
+        while len(self._waiting) > 1 and not self._waiting[0]:
+            self._waiting.popleft()
+        return self._waiting[0].take(limit, self._now_us if len(self._waiting) == 1 else _FOREVER_US)
+
+    @property
+    def waiting(self) -> bool:
+        """Whether there is something to take or to carry."""
+        return any(self._waiting)
+
+    def arrived(self, events: int, edges: int = 0) -> None:
+        """Say that so many of those that are carried were delivered."""
+        self._queued -= events
+        self._delivered += events
+        self._edges_queued -= edges
+        self._edges_delivered += edges
+
+    def failed(self, events: int, edges: int = 0) -> None:
+        """Say that so many of those that are carried were lost on the link."""
+        self.arrived(events)
+        self._lost += events
+        self._edges_queued -= edges
+        self._edges_lost += edges
+
+    def run(self, running: bool) -> None:
+        """Say whether somebody is there; what waits when the last one goes is flushed."""
+        self._running = running
+        if not running:
+            self._flushed += self._empty()
+
+    def lost(self, count: int, edges: int = 0) -> None:
+        """Say that so many events and edges more of those that were taken did not arrive."""
+        self._lost += count
+        self._edges_delivered -= edges
+        self._edges_lost += edges
+
+    def lost_readings(self, kind: ReadingKind, count: int) -> None:
+        """Say that `count` readings of a kind more of those that were taken did not arrive."""
+        if count:
+            self._readings[kind].lose(count)
+
+    def drop_waiting(self) -> None:
+        """Drop all that waits: nobody will take it."""
+        self._dropped += self._empty()
+
+    def _empty(self) -> int:
+        """Forget what waits; return how many events that were. What is carried stays."""
+        events = sum(len(piece) for one in self._waiting for piece in one.events)
+        edges = sum(len(one.edges) for one in self._waiting)
+        for kind, count in Counter(reading.kind for one in self._waiting for reading in one.readings).items():
+            self._readings[kind].flush(count)
+        self._waiting = deque([_Waiting(self.epoch_us, self._waiting[-1].taken_us)])
+        self._queued -= events
+        self._edges_queued -= edges
+        self._edges_dropped += edges
+        return events
+
+
+class _ReadingFates:
+    """Counts of readings of one kind; see `ReadingCounters`."""
+
+    def __init__(self) -> None:
+        self._offered = self._not_running = self._dropped = self._flushed = self._delivered = self._lost = 0
+        self.queued = 0
+
+    def offer(self, count: int, fitting: int, *, running: bool) -> None:
+        """Count readings that were offered, of which the first `fitting` fit."""
+        self._offered += count
+        self.queued += fitting
+        if running:
+            self._dropped += count - fitting
+        else:
+            self._not_running += count - fitting
+
+    def deliver(self, count: int) -> None:
+        """Count readings that left."""
+        self.queued -= count
+        self._delivered += count
+
+    def lose(self, count: int) -> None:
+        """Count readings that left and did not arrive."""
+        self._delivered -= count
+        self._lost += count
+
+    def flush(self, count: int) -> None:
+        """Count readings that were removed."""
+        self.queued -= count
+        self._flushed += count
+
+    @property
+    def counters(self) -> ReadingCounters:
+        """All fates so far."""
+        return ReadingCounters(
+            offered=self._offered, not_running=self._not_running, dropped=self._dropped, flushed=self._flushed,
+            delivered=self._delivered, lost_on_link=self._lost, queued=self.queued,
+        )  # fmt: skip

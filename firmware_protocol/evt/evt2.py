@@ -1,0 +1,296 @@
+"""Events and edges to EVT2 and EVT2.1 words, and back.
+
+The words of EVT2 and EVT2.1, and the text before them in a file.
+
+An EVT2 word has 32 bits, little-endian:
+
+    31..28  27..22           21..11  10..0
+    0x0     time, bits 5..0  x       y                    one OFF event
+    0x1     time, bits 5..0  x       y                    one ON event
+    0x8     time, bits 33..6
+    0xA     time, bits 5..0  channel in bits 12..8, edge in bit 0 (1: rising)     external trigger
+
+A word of EVT2.1 has 64 bits: the upper half is the EVT2 word, with x a multiple of 32, and the lower half a bit for
+each column from x on. "evt21" is little-endian, as of the GenX320: the lower half comes first. "evt21-legacy" is what
+the IMX636 sends: two little-endian words of 32 bits, the upper half first.
+
+The time wraps every 2^34 us (4.8 h). OpenEB counts a wrap of EVT2.1 only from the last high part to 0, so both are
+written.
+
+Sources: docs.prophesee.ai, "EVT 2.0 Format" and "EVT 2.1 Format"; OpenEB 5.1.1, evt21_event_types.h.
+
+EVT2 and EVT2.1 words of events, compiled: one pass over the records, and nothing is allocated.
+
+Events of EVT2 and EVT2.1 words, compiled: one pass counts them, the next writes the records.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from firmware_protocol.events import EdgeKind, Edges, Events, empty_edges, empty_events
+from firmware_protocol.evt import evt2 as evt2_words
+from firmware_protocol.evt.evt3 import full_high, put_edge, put_event
+from firmware_protocol.evt.words import (
+    AT_EDGE,
+    AT_EVENT,
+    EDGE_BYTES,
+    EVENT_BYTES,
+    HIGH_TOLD,
+    LAST,
+    LIMIT_PX,
+    MUST_OPEN,
+    OUTSIDE,
+    WINDOW_PX,
+    Coder,
+    Words,
+    edge_is_next,
+    entry,
+    fault_of,
+    is_left,
+    kernel,
+    next_high,
+    next_time,
+    short_at,
+    window,
+)
+
+__all__ = [
+    "HIGH",
+    "HIGH_BITS",
+    "LOW_BITS",
+    "MASK_FIRST",
+    "MASK_LAST",
+    "NO_MASK",
+    "ON",
+    "TRIGGER",
+    "Evt2Decoder",
+    "Evt2Encoder",
+    "Form",
+    "count_evt2",
+    "evt2_header",
+    "read_evt2",
+    "write_evt2",
+]
+
+
+Form = Literal["evt2", "evt21", "evt21-legacy"]
+
+ON, HIGH, TRIGGER = 0x1, 0x8, 0xA
+LOW_BITS, HIGH_BITS = 6, 28
+
+
+def evt2_header(size: tuple[int, int], form: Form) -> bytes:
+    """Return the text before the words of a `.raw` file of a sensor of `size` = (width, height)."""
+    width, height = size
+    version, name = ("2.0", "EVT2") if form == "evt2" else ("2.1", "EVT21")
+    endianness = {"evt2": "", "evt21": ";endianness=little", "evt21-legacy": ";endianness=legacy"}[form]
+    lines = [f"evt {version}", f"format {name};width={width};height={height}{endianness}"]
+    lines += ["endianness legacy"] if form == "evt21-legacy" else []
+    lines += [f"geometry {width}x{height}", "end"]
+    return "".join(f"% {line}\n" for line in lines).encode("ascii")
+
+
+_Bytes = npt.NDArray[np.uint8]
+_Words = npt.NDArray[np.uint32]
+_State = npt.NDArray[np.int64]
+
+NO_MASK, MASK_FIRST, MASK_LAST = range(3)
+"""What goes with a word: nothing (EVT2), or a bit for each of 32 columns, before it (EVT2.1) or after it (legacy)."""
+
+_ON, _HIGH, _TRIGGER = evt2_words.ON << 28, evt2_words.HIGH << 28, evt2_words.TRIGGER << 28
+_LOW_BITS, _HIGH_BITS = evt2_words.LOW_BITS, evt2_words.HIGH_BITS
+_LIMIT_PX, _WINDOW_PX = LIMIT_PX, WINDOW_PX
+_RISING, _PULSE = int(EdgeKind.RISING), int(EdgeKind.PULSE)
+_MOST_WORDS = 6  # of one turn of the loop
+
+_next_high = kernel(next_high)
+
+
+@entry
+def write_evt2(events: _Bytes, edges: _Bytes, mask: int, state: _State, out: _Words) -> int:
+    """Write words until all events and edges are told or `out` is full.
+
+    As `write_words`, but for `mask`: NO_MASK, MASK_FIRST or MASK_LAST.
+    """
+    told = 0
+    while told <= len(out) - _MOST_WORDS and is_left(events, edges, state):
+        is_edge = edge_is_next(events, edges, state)
+        t = next_time(events, edges, is_edge, state)
+        fault = fault_of(t, state)
+        if fault:
+            return fault
+        high = t >> _LOW_BITS
+        if high != state[HIGH_TOLD] or state[MUST_OPEN]:
+            if high != state[HIGH_TOLD]:
+                state[HIGH_TOLD] = _next_high(state[HIGH_TOLD], high, _HIGH_BITS)
+            told = _put(out, told, mask, _HIGH | state[HIGH_TOLD] & 0xFFFFFFF, 0)
+            state[MUST_OPEN] = high != state[HIGH_TOLD]
+            continue
+        state[LAST] = t
+        low = (t & 0x3F) << 22
+        told = _put_edge(edges, mask, low, state, out, told) if is_edge else _put_event(
+            events, mask, low, state, out, told
+        )  # fmt: skip
+        if told < 0:
+            return OUTSIDE
+    return told
+
+
+@kernel
+def _put(out: _Words, told: int, mask: int, word: int, columns: int) -> int:
+    """Write a word and its columns; returns the place of the next word."""
+    if mask == NO_MASK:
+        out[np.uint64(told)] = word
+        return told + 1
+    out[np.uint64(told)] = columns if mask == MASK_FIRST else word
+    out[np.uint64(told + 1)] = word if mask == MASK_FIRST else columns
+    return told + 2
+
+
+@kernel
+def _put_edge(edges: _Bytes, mask: int, low: int, state: _State, out: _Words, told: int) -> int:
+    """Write an edge, or both edges of a pulse."""
+    at = state[AT_EDGE] * EDGE_BYTES
+    kind, word = edges[np.uint64(at + 8)], _TRIGGER | low | int(edges[np.uint64(at + 9)] & 0x1F) << 8
+    state[AT_EDGE] += 1
+    told = _put(out, told, mask, word | (kind in (_RISING, _PULSE)), 0)
+    return _put(out, told, mask, word, 0) if kind == _PULSE else told
+
+
+@kernel
+def _put_event(events: _Bytes, mask: int, low: int, state: _State, out: _Words, told: int) -> int:
+    """Write the next event, or all that one mask holds; returns a negative number for one outside."""
+    at = state[AT_EVENT] * EVENT_BYTES
+    x, y, on = short_at(events, at + 8), short_at(events, at + 10), events[np.uint64(at + 12)] != 0
+    if (x | y) >= _LIMIT_PX:
+        return OUTSIDE
+    bits, count, column = 0, 1, x
+    if mask != NO_MASK:
+        column = x - x % _WINDOW_PX
+        bits, count = window(events, at, column)
+    state[AT_EVENT] += count
+    return _put(out, told, mask, (_ON if on else 0) | low | column << 11 | y, bits)
+
+
+_ON_EVT2_READING, _HIGH_EVT2_READING, _TRIGGER_EVT2_READING = evt2_words.ON, evt2_words.HIGH, evt2_words.TRIGGER
+_HIGH_BITS_EVT2_READING = evt2_words.HIGH_BITS
+
+
+@kernel
+def _pair(words: _Words, i: int, mask: int) -> tuple[int, int]:
+    """Return word `i` and its columns; those of a word without a mask are its own one."""
+    if mask == NO_MASK:
+        return int(np.int64(words[i])), 1
+    first, second = int(np.int64(words[2 * i])), int(np.int64(words[2 * i + 1]))
+    return (second, first) if mask == MASK_FIRST else (first, second)
+
+
+@entry
+def count_evt2(words: _Words, mask: int, is_started: bool) -> tuple[int, int]:
+    """Return how many events and edges (n,) words hold, from the first high part on unless `is_started`."""
+    events, edges = 0, 0
+    for i in range(len(words) if mask == NO_MASK else len(words) // 2):
+        word, columns = _pair(words, i, mask)
+        kind = word >> 28
+        is_started = is_started or kind == _HIGH_EVT2_READING
+        if is_started and kind <= _ON_EVT2_READING:
+            while columns:
+                columns &= columns - 1
+                events += 1
+        edges += is_started and kind == _TRIGGER_EVT2_READING
+    return events, edges
+
+
+@entry
+def read_evt2(words: _Words, mask: int, state: _State, events: _Bytes, edges: _Bytes) -> None:
+    """Write the records of all (n,) words; `state` is (1,), the full high part, -1 before the first."""
+    at, at_edge = 0, 0
+    for i in range(len(words) if mask == NO_MASK else len(words) // 2):
+        word, columns = _pair(words, i, mask)
+        kind, t = word >> 28, state[0] << 6 | (word >> 22 & 0x3F)
+        if kind == _HIGH_EVT2_READING:
+            state[0] = full_high(state[0], word & 0xFFFFFFF, _HIGH_BITS_EVT2_READING)
+        elif state[0] < 0:
+            continue
+        elif kind <= _ON_EVT2_READING:
+            x = word >> 11 & 0x7FF
+            while columns:
+                if columns & 1:
+                    at = put_event(events, at, t, x, word & 0x7FF, kind)
+                columns >>= 1
+                x += 1
+        elif kind == _TRIGGER_EVT2_READING:
+            at_edge = put_edge(edges, at_edge, t, word >> 8 & 0x1F, word & 1)
+
+
+_MASKS = {"evt2": NO_MASK, "evt21": MASK_FIRST, "evt21-legacy": MASK_LAST}
+
+
+class Evt2Encoder:
+    """Makes words of events and edges; each call goes on where the last one ended.
+
+    Parameters
+    ----------
+    form : EVT2, EVT2.1, or EVT2.1 as the IMX636 sends it. In EVT2.1, events of a time, row and polarity whose columns
+        rise within 32 columns from a multiple of 32 share a word.
+    standalone : whether the words of each call begin with their time.
+    """
+
+    def __init__(self, form: Form, *, standalone: bool = False) -> None:
+        mask = _MASKS[form]
+        beside = {NO_MASK: (), MASK_FIRST: (0,), MASK_LAST: (0,)}[mask]
+
+        def high_words(high: int) -> list[int]:
+            word = HIGH << 28 | high & 0xFFFFFFF
+            return [*beside, word] if mask == MASK_FIRST else [word, *beside]
+
+        words = Words(
+            np.uint32, LOW_BITS, HIGH_BITS,
+            lambda events, edges, state, out: write_evt2(events, edges, mask, state, out), high_words,
+        )  # fmt: skip
+        self._coder = Coder(words, standalone=standalone)
+
+    def encode(self, events: Events, edges: Edges | None = None) -> bytes:
+        """Return the words of events (n,) EVENT and edges (m,) EDGE, each sorted and no earlier than what was told.
+
+        Edges come before events of the same time. Raises ValueError for a time that goes back, a gap of more than
+        38 hours, or a place beyond 2047; the encoder then is as it was before.
+        """
+        return self._coder.encode(events, edges)
+
+    def advance(self, t_us: int) -> bytes:
+        """Return the words that bring readers to `t_us`, where nothing happens; no event may be earlier afterwards.
+
+        Nothing where no high part is due (64 us each), or where a later time was told already. Raises ValueError for
+        a gap of more than 38 hours.
+        """
+        return self._coder.advance(t_us)
+
+
+class Evt2Decoder:
+    """Reads words of a form piece by piece. What comes before the first time is left out, as its time is unknown."""
+
+    def __init__(self, form: Form) -> None:
+        self._mask = _MASKS[form]
+        self._high = np.array([-1], np.int64)
+        self._rest = b""
+        self.decode(b"")  # compiles the kernels now, not when words wait
+
+    def decode(self, data: bytes) -> tuple[Events, Edges]:
+        """Return events (n,) EVENT and edges (m,) EDGE of the next bytes, which may end inside a word.
+
+        Any bytes are words: there is no error, and at most an event for every two bits.
+        """
+        data = self._rest + data
+        unit = 4 if self._mask == NO_MASK else 8
+        whole = len(data) - len(data) % unit
+        self._rest = data[whole:]
+        words = np.frombuffer(data[:whole], "<u4")
+        n_events, n_edges = count_evt2(words, self._mask, bool(self._high[0] >= 0))
+        events, edges = empty_events(n_events), empty_edges(n_edges)
+        read_evt2(words, self._mask, self._high, events.view(np.uint8), edges.view(np.uint8))
+        return events, edges

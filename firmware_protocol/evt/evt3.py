@@ -1,0 +1,357 @@
+"""Events and edges to EVT3 words.
+
+Events of the same time, row and polarity whose columns rise within one window of 32 columns, which begins at a
+multiple of 32, become four words (0x3, 0x4, 0x4, 0x5) where they are five or more. So no reader sees them in another
+order than they were given in.
+
+Words of events, compiled: one pass over the records, and nothing is allocated.
+
+What makes it fast: the low part of the time, the row and the column are always stored, and the place of the next word
+moves on only if they were needed. Where events are scattered, a branch for each would be guessed wrong about once an
+event, which costs more than all the rest. Whether a vector may begin is seen from one record: the fourth after this.
+
+Events of words, compiled: one pass counts them, the next writes the records into room of just that size.
+
+What makes it fast: counting is a sum without branches, so it costs little beside a buffer that grows; the second pass
+keeps all that words told in registers.
+
+EVT3 words to events and edges, also those of real sensors.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from firmware_protocol.events import EdgeKind, Edges, Events, empty_edges, empty_events
+from firmware_protocol.evt import words
+from firmware_protocol.evt import words as kinds
+from firmware_protocol.evt.words import (
+    AT_EDGE,
+    AT_EVENT,
+    EDGE_BYTES,
+    EVENT_BYTES,
+    HIGH,
+    HIGH_BITS,
+    HIGH_TOLD,
+    LAST,
+    LIMIT_PX,
+    MUST_OPEN,
+    OUTSIDE,
+    ROW_TOLD,
+    TIME_TOLD,
+    Coder,
+    Filled,
+    Words,
+    edge_is_next,
+    entry,
+    fault_of,
+    is_left,
+    kernel,
+    next_time,
+    put_short,
+    put_time,
+    same_group,
+    short_at,
+    window,
+)
+
+__all__ = [
+    "HIGH_READ",
+    "Evt3Decoder",
+    "Evt3Encoder",
+    "count_words",
+    "full_high",
+    "new_state",
+    "put_edge",
+    "put_event",
+    "read_words",
+    "write_words",
+]
+
+
+_Bytes = npt.NDArray[np.uint8]
+_Words = npt.NDArray[np.uint16]
+_State = npt.NDArray[np.int64]
+
+_HIGH, _LOW, _ROW, _SINGLE, _BASE, _TRIGGER = (
+    kind << 12 for kind in (words.HIGH, words.LOW, words.ROW, words.SINGLE, words.BASE, words.TRIGGER)
+)
+_VECTOR_12, _VECTOR_8 = words.VECTOR_12 << 12, words.VECTOR_8 << 12
+_BITS, _LIMIT_PX, _WINDOW_PX = words.HIGH_BITS, words.LIMIT_PX, words.WINDOW_PX
+_RISING, _PULSE = int(EdgeKind.RISING), int(EdgeKind.PULSE)
+_FEWEST = 5  # events of a vector: it takes four words
+_MOST_WORDS = 8  # of one turn of the loop
+
+_next_high = kernel(words.next_high)
+
+
+@entry
+def write_words(events: _Bytes, edges: _Bytes, width: int, state: _State, out: _Words) -> int:
+    """Write words until all events and edges are told or `out` is full.
+
+    Parameters
+    ----------
+    events, edges
+        (13 n,) and (12 m,) bytes of EVENT and EDGE records.
+    width
+        Columns of the sensor.
+    state
+        (8,) as `pending` draws it; where it stands when this returns.
+    out
+        (k,) room, k at least 8.
+
+    Returns
+    -------
+    int
+        How many words; negative: BACKWARDS, TOO_LATE or OUTSIDE, and `state` is of no use.
+    """
+    told = 0
+    while told <= len(out) - _MOST_WORDS and is_left(events, edges, state):
+        is_edge = edge_is_next(events, edges, state)
+        t = next_time(events, edges, is_edge, state)
+        fault = fault_of(t, state)
+        if fault:
+            return fault
+        high = t >> _BITS
+        if high != state[HIGH_TOLD] or state[MUST_OPEN]:
+            told = _put_high(high, state, out, told)
+            if high != state[HIGH_TOLD]:
+                continue
+        state[LAST] = t
+        out[np.uint64(told)] = _LOW | t & 0xFFF
+        told += t != state[TIME_TOLD]
+        state[TIME_TOLD] = t
+        told = _put_edge(edges, state, out, told) if is_edge else _put_events(events, width, state, out, told)
+        if told < 0:
+            return OUTSIDE
+    return told
+
+
+@kernel
+def _put_high(high: int, state: _State, out: _Words, told: int) -> int:
+    """Write one high part on the way to `high`, or `high` itself; returns the place of the next word."""
+    if high != state[HIGH_TOLD]:
+        state[HIGH_TOLD] = _next_high(state[HIGH_TOLD], high, _BITS)
+    out[np.uint64(told)] = _HIGH | state[HIGH_TOLD] & 0xFFF
+    state[MUST_OPEN] = state[MUST_OPEN] and high != state[HIGH_TOLD]
+    return told + 1
+
+
+@kernel
+def _put_edge(edges: _Bytes, state: _State, out: _Words, told: int) -> int:
+    """Write an edge, or both edges of a pulse."""
+    at = state[AT_EDGE] * EDGE_BYTES
+    kind, word = edges[np.uint64(at + 8)], _TRIGGER | int(edges[np.uint64(at + 9)] & 0xF) << 8
+    state[AT_EDGE] += 1
+    out[np.uint64(told)] = word | (kind in (_RISING, _PULSE))
+    out[np.uint64(told + 1)] = word
+    return told + (2 if kind == _PULSE else 1)
+
+
+@kernel
+def _put_events(events: _Bytes, width: int, state: _State, out: _Words, told: int) -> int:
+    """Write the next event, or as many as one vector holds; returns a negative number for one outside."""
+    at = state[AT_EVENT] * EVENT_BYTES
+    x, y, on = short_at(events, at + 8), short_at(events, at + 10), events[np.uint64(at + 12)] != 0
+    if (x | y) >= _LIMIT_PX:
+        return OUTSIDE
+    out[np.uint64(told)] = _ROW | y
+    told += y != state[ROW_TOLD]
+    state[ROW_TOLD] = y
+    base = x - x % _WINDOW_PX
+    if base + _WINDOW_PX <= width and same_group(events, at, at + (_FEWEST - 1) * EVENT_BYTES, base):
+        bits, count = window(events, at, base)
+        if count >= _FEWEST:
+            state[AT_EVENT] += count
+            return _put_vector(base, on, bits, out, told)
+    out[np.uint64(told)] = _SINGLE | on << 11 | x
+    state[AT_EVENT] += 1
+    return told + 1
+
+
+@kernel
+def _put_vector(base: int, on: bool, bits: int, out: _Words, told: int) -> int:
+    out[np.uint64(told)] = _BASE | on << 11 | base
+    out[np.uint64(told + 1)] = _VECTOR_12 | bits & 0xFFF
+    out[np.uint64(told + 2)] = _VECTOR_12 | bits >> 12 & 0xFFF
+    out[np.uint64(told + 3)] = _VECTOR_8 | bits >> 24
+    return told + 4
+
+
+_WORDS_AN_EVENT = 4  # high part, low part, row, column
+_WORDS_AT_MOST_BESIDE = 4  # high part 0 of the start; both sides of a wrap and a step of the high part
+
+
+class Evt3Encoder:
+    """Makes words of events and edges; each call goes on where the last one ended.
+
+    Parameters
+    ----------
+    standalone : whether the words of each call begin with their time and row, as messages and packets need it.
+    width : of the sensor; no vector passes its last column. The default suits widths that are multiples of 32.
+    origin_us : time of events and edges that is zero in the words; `advance` goes by the time of the words.
+    """
+
+    def __init__(self, *, standalone: bool = False, width: int = LIMIT_PX, origin_us: int = 0) -> None:
+        words = Words(
+            np.uint16, HIGH_BITS, HIGH_BITS,
+            lambda events, edges, state, out: write_words(events, edges, width, state, out),
+            lambda high: [HIGH << 12 | high & 0xFFF],
+        )  # fmt: skip
+        self._coder = Coder(words, standalone=standalone, origin_us=origin_us)
+
+    @staticmethod
+    def max_bytes(n_events: int) -> int:
+        """Return how many bytes `encode` gives at most for `n_events` events and edges together.
+
+        It holds while no time is more than 8.3 s after the newest one told before; `advance` through silences.
+        """
+        return 2 * (_WORDS_AN_EVENT * n_events + _WORDS_AT_MOST_BESIDE)
+
+    def encode(self, events: Events, edges: Edges | None = None) -> bytes:
+        """Return the words of events (n,) EVENT and edges (m,) EDGE, each sorted and no earlier than what was told.
+
+        Edges come before events of the same time. Raises ValueError for a time that goes back, a gap of more than
+        38 hours, or a place beyond 2047; the encoder then is as it was before.
+        """
+        return self._coder.encode(events, edges)
+
+    def fill(self, events: Events, edges: Edges, octets: int) -> Filled:
+        """Return the words of as many of the first events and edges as `octets` (64 to 65536) hold; as `encode`."""
+        return self._coder.fill(events, edges, octets)
+
+    def advance(self, t_us: int) -> bytes:
+        """Return the words that bring readers to `t_us`, where nothing happens; no event may be earlier afterwards.
+
+        Nothing where no high part is due (4096 us each), or where a later time was told already. Call it at least
+        every 4 s of silence. Raises ValueError for a gap of more than 38 hours.
+        """
+        return self._coder.advance(t_us)
+
+
+# What a state holds: full high part (-1: none yet), low part, row, column and polarity of the next vector.
+HIGH_READ, _LOW_READ, _ROW_READ, _COLUMN, _POLARITY = range(5)
+
+# Plain numbers are what compiled code holds.
+_ROW_READING, _SINGLE_READING, _BASE_READING, _LOW_READING, _HIGH_READING, _TRIGGER_READING = (
+    kinds.ROW, kinds.SINGLE, kinds.BASE, kinds.LOW, kinds.HIGH, kinds.TRIGGER,
+)  # fmt: skip
+_VECTOR_12_READING, _VECTOR_8_READING = kinds.VECTOR_12, kinds.VECTOR_8
+_RISING_READING, _FALLING = int(EdgeKind.RISING), int(EdgeKind.FALLING)
+_BITS_READING = kinds.HIGH_BITS
+
+
+def new_state() -> _State:
+    """Return the state before the first word."""
+    return np.array([-1, 0, 0, 0, 0], np.int64)
+
+
+@entry
+def count_words(words: _Words) -> tuple[int, int]:
+    """Return how many events and edges (n,) words hold."""
+    events, edges = 0, 0
+    for word in words:
+        kind = word >> 12
+        # The column bits of a vector, none of other words; then their number.
+        bits = np.int64(word & (0xFFF if kind == _VECTOR_12_READING else 0xFF if kind == _VECTOR_8_READING else 0))
+        bits -= bits >> 1 & 0x555
+        bits = (bits & 0x333) + (bits >> 2 & 0x333)
+        events += (bits & 0xF) + (bits >> 4 & 0xF) + (bits >> 8) + (kind == _SINGLE_READING)
+        edges += kind == _TRIGGER_READING
+    return events, edges
+
+
+@entry
+def read_words(words: _Words, state: _State, events: _Bytes, edges: _Bytes) -> None:
+    """Write the records of all (n,) words; `events` and `edges` are what `count_words` tells. The state goes on."""
+    high, low, row = state[HIGH_READ], state[_LOW_READ], state[_ROW_READ]
+    column, on, at, at_edge = state[_COLUMN], state[_POLARITY], 0, 0
+    for word in words:
+        kind, value = word >> 12, int(word & 0xFFF)
+        if kind == _SINGLE_READING:
+            at = put_event(events, at, high << 12 | low, value & 0x7FF, row, value >> 11)
+        elif kind == _ROW_READING:
+            row = value & 0x7FF
+        elif kind == _LOW_READING:
+            low = value
+        elif kind == _HIGH_READING:
+            high, low = full_high(high, value, _BITS_READING), 0  # a new high part begins at low part 0
+        elif kind == _BASE_READING:
+            column, on = value & 0x7FF, value >> 11
+        elif kind in (_VECTOR_12_READING, _VECTOR_8_READING):
+            length = 12 if kind == _VECTOR_12_READING else 8
+            at = _put_columns(events, at, high << 12 | low, value & (1 << length) - 1, (column, row, on))
+            column = column + length & 0xFFFF
+        elif kind == _TRIGGER_READING:
+            at_edge = put_edge(edges, at_edge, high << 12 | low, value >> 8, value & 1)
+    state[HIGH_READ], state[_LOW_READ], state[_ROW_READ] = high, low, row
+    state[_COLUMN], state[_POLARITY] = column, on
+
+
+@kernel
+def full_high(high: int, part: int, bits: int) -> int:
+    """Return the full high part that follows `high` (-1: none) and ends with the `bits` bits of `part`."""
+    if high < 0:
+        return part
+    wrap = 1 << bits
+    wraps = (high & wrap - 1) - part > wrap // 2
+    return (high & ~(wrap - 1)) + wrap * wraps + part
+
+
+@kernel
+def put_event(events: _Bytes, at: int, t: int, x: int, y: int, on: int) -> int:
+    """Write an EVENT record; returns the place of the next one."""
+    put_time(events, at, t)
+    put_short(events, at + 8, x)
+    put_short(events, at + 10, y)
+    events[np.uint64(at + 12)] = on
+    return at + EVENT_BYTES
+
+
+@kernel
+def _put_columns(events: _Bytes, at: int, t: int, bits: int, place: tuple[int, int, int]) -> int:
+    """Write an event for each bit; `place` is the column of the first, the row, the polarity."""
+    column, row, on = place
+    while bits:
+        if bits & 1:
+            at = put_event(events, at, t, column, row, on)
+        bits >>= 1
+        column += 1
+    return at
+
+
+@kernel
+def put_edge(edges: _Bytes, at: int, t: int, channel: int, is_rising: int) -> int:
+    """Write an EDGE record; returns the place of the next one."""
+    put_time(edges, at, t)
+    edges[np.uint64(at + 8)] = _RISING_READING if is_rising else _FALLING
+    edges[np.uint64(at + 9)] = channel
+    put_short(edges, at + 10, 0)
+    return at + EDGE_BYTES
+
+
+class Evt3Decoder:
+    """Reads words piece by piece. What comes before the first time is left out, as its time is unknown."""
+
+    def __init__(self) -> None:
+        self._state = new_state()
+        self._rest = b""
+        self.decode(b"")  # compiles the kernels now, not when words wait
+
+    def decode(self, data: bytes) -> tuple[Events, Edges]:
+        """Return events (n,) EVENT and edges (m,) EDGE of the next bytes, which may end inside a word.
+
+        Any bytes are words: there is no error, and at most 12 events a word.
+        """
+        data = self._rest + data
+        whole = len(data) & ~1
+        self._rest = data[whole:]
+        words = np.frombuffer(data[:whole], "<u2")
+        if self._state[HIGH_READ] < 0:
+            starts = np.flatnonzero(words >> 12 == HIGH)
+            words = words[starts[0] :] if len(starts) else words[:0]
+        n_events, n_edges = count_words(words)
+        events, edges = empty_events(n_events), empty_edges(n_edges)
+        read_words(words, self._state, events.view(np.uint8), edges.view(np.uint8))
+        return events, edges

@@ -1,0 +1,336 @@
+"""The words of EVT3, and the text before them in a file.
+
+A word has 16 bits, little-endian:
+
+    15..12  11         10..0
+    0x0     -          y                          row of the events that follow
+    0x2     polarity   x                          one event
+    0x3     polarity   x                          first column of the vectors that follow; no event by itself
+    0x4     12 columns, a bit each: bit i is column x + i. The next vector begins at x + 12
+    0x5     8 columns in bits 7..0. The next vector begins at x + 8
+    0x6     time, bits 11..0, us
+    0x8     time, bits 23..12
+    0xA     channel in bits 11..8, edge in bit 0 (1: rising)      external trigger
+    0xE     subtype: numbers of the sensor, with 0xF and 0x7 as their digits. Nothing to us
+
+Row, time and the place of vectors hold until a word changes them. The time wraps every 2^24 us (16.8 s): a reader
+counts a wrap when the high part goes back by more than half its range, so every step of it must be below 2048 (8.4 s).
+OpenEB wants both sides of a wrap, 0xFFF and 0x000, takes 0x4, 0x4, 0x5 as one unit of 32 columns, and by default drops
+a unit that passes the sensor's last column, even where no bit beyond it is set (hal, evt3_validator.h).
+
+Sources: docs.prophesee.ai, "EVT 3.0 Format"; OpenEB 5.1.1.
+
+How the loops of this folder are compiled: see `firmware_protocol.compiled`.
+
+EVENT and EDGE records as bytes, in compiled loops.
+
+Places are unsigned: numba then adds no test for an index from the end, and the compiler joins the bytes of a number
+into one load or store.
+
+Events and edges that wait to be coded, as compiled loops see them: which one is next, and which go together.
+
+The course of an encoder, whatever its words: records to bytes, and silences.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from firmware_protocol.compiled import entry_of, kernel
+from firmware_protocol.events import Edges, Events, bytes_of, empty_edges, empty_events
+
+__all__ = [
+    "AT_EDGE",
+    "AT_EVENT",
+    "BACKWARDS",
+    "BASE",
+    "EDGE_BYTES",
+    "EVENT_BYTES",
+    "HIGH",
+    "HIGH_BITS",
+    "HIGH_TOLD",
+    "LAST",
+    "LIMIT_PX",
+    "LONGEST_GAP_US",
+    "LOW",
+    "MUST_OPEN",
+    "ORIGIN",
+    "OUTSIDE",
+    "ROW",
+    "ROW_TOLD",
+    "SINGLE",
+    "TIME_TOLD",
+    "TOO_LATE",
+    "TRIGGER",
+    "VECTOR_8",
+    "VECTOR_12",
+    "WINDOW_PX",
+    "Coder",
+    "Filled",
+    "Words",
+    "edge_is_next",
+    "entry",
+    "evt3_header",
+    "fault_of",
+    "is_left",
+    "kernel",
+    "new_state",
+    "next_high",
+    "next_time",
+    "put_short",
+    "put_time",
+    "same_group",
+    "short_at",
+    "time_at",
+    "window",
+]
+
+
+ROW, SINGLE, BASE, VECTOR_12, VECTOR_8, LOW, HIGH, TRIGGER = 0x0, 0x2, 0x3, 0x4, 0x5, 0x6, 0x8, 0xA
+LIMIT_PX = 1 << 11
+WINDOW_PX = 32
+HIGH_BITS = 12  # of the time in a low word, and in a high word
+
+
+def evt3_header(size: tuple[int, int]) -> bytes:
+    """Return the text before the words of an EVT3 `.raw` file of a sensor of `size` = (width, height)."""
+    width, height = size
+    lines = ("evt 3.0", f"format EVT3;width={width};height={height}", f"geometry {width}x{height}", "end")
+    return "".join(f"% {line}\n" for line in lines).encode("ascii")
+
+
+def next_high(told: int, wanted: int, bits: int) -> int:
+    """Return which full high part of a time to write next after `told`, on the way to `wanted` > `told`.
+
+    A word holds `bits` bits of it. -1 is told before the first word, so every stream begins with high part 0.
+    """
+    wrap = 1 << bits
+    quarter = wrap // 4
+    if told >> bits == wanted >> bits and wanted - told < 2 * quarter:
+        return wanted
+    next_step = (told // quarter + 1) * quarter
+    end_of_wrap = told | wrap - 1
+    if end_of_wrap > told:
+        next_step = min(next_step, end_of_wrap)
+    return min(next_step, wanted)
+
+
+entry = entry_of("firmware_protocol.evt3", "firmware_protocol.events")
+
+
+_Bytes = npt.NDArray[np.uint8]
+
+EVENT_BYTES, EDGE_BYTES = 13, 12
+
+
+@kernel
+def time_at(data: _Bytes, at: int) -> int:
+    """Return the eight bytes from `at` on as a time; it is negative from 2**63 us on."""
+    place, t = np.uint64(at), np.int64(0)
+    for k in range(8):
+        t |= np.int64(data[place + np.uint64(k)]) << np.int64(8 * k)
+    return int(t)
+
+
+@kernel
+def short_at(data: _Bytes, at: int) -> int:
+    """Return the two bytes from `at` on."""
+    place = np.uint64(at)
+    return int(np.int64(data[place]) | np.int64(data[place + np.uint64(1)]) << np.int64(8))
+
+
+@kernel
+def put_time(data: _Bytes, at: int, t: int) -> None:
+    """Write eight bytes."""
+    place = np.uint64(at)
+    for k in range(8):
+        data[place + np.uint64(k)] = (t >> (8 * k)) & 255
+
+
+@kernel
+def put_short(data: _Bytes, at: int, value: int) -> None:
+    """Write the two low bytes of `value`."""
+    place = np.uint64(at)
+    data[place] = value & 255
+    data[place + np.uint64(1)] = (value >> 8) & 255
+
+
+_State = npt.NDArray[np.int64]
+
+# What a state holds: full high part, full time and row that words told (-1: none), the newest time given, the next
+# event and edge of this call, whether a high part must be written although it is known, and which time of the records
+# is zero in the words. All other times are those of the words.
+HIGH_TOLD, TIME_TOLD, ROW_TOLD, LAST, AT_EVENT, AT_EDGE, MUST_OPEN, ORIGIN = range(8)
+BACKWARDS, TOO_LATE, OUTSIDE = -1, -2, -3
+LONGEST_GAP_US = 1 << 37  # 38 hours: 41 000 words
+
+_WINDOW_PX = WINDOW_PX
+
+
+def new_state(origin_us: int = 0) -> _State:
+    """Return the state before the first word; records of the time `origin_us` have time zero."""
+    return np.array([-1, -1, -1, -1, 0, 0, 0, origin_us], np.int64)
+
+
+@kernel
+def is_left(events: _Bytes, edges: _Bytes, state: _State) -> bool:
+    """Whether any is left."""
+    return bool(state[AT_EVENT] * EVENT_BYTES < len(events) or state[AT_EDGE] * EDGE_BYTES < len(edges))
+
+
+@kernel
+def next_time(events: _Bytes, edges: _Bytes, is_edge: bool, state: _State) -> int:
+    """Return the time of the next edge or of the next event."""
+    if is_edge:
+        return int(time_at(edges, state[AT_EDGE] * EDGE_BYTES) - state[ORIGIN])
+    return int(time_at(events, state[AT_EVENT] * EVENT_BYTES) - state[ORIGIN])
+
+
+@kernel
+def fault_of(t: int, state: _State) -> int:
+    """Return BACKWARDS or TOO_LATE where time `t` cannot follow, else 0."""
+    if t < state[LAST]:
+        return BACKWARDS
+    return TOO_LATE if t - state[LAST] > LONGEST_GAP_US else 0
+
+
+@kernel
+def edge_is_next(events: _Bytes, edges: _Bytes, state: _State) -> bool:
+    """Whether an edge comes next: those of an event's time come before it."""
+    at = state[AT_EDGE] * EDGE_BYTES
+    if at >= len(edges):
+        return False
+    at_event = state[AT_EVENT] * EVENT_BYTES
+    return at_event >= len(events) or time_at(edges, at) <= time_at(events, at_event)
+
+
+@kernel
+def same_group(events: _Bytes, at: int, other: int, base: int) -> bool:
+    """Whether a record lies at `other`, with time, row and polarity of that at `at`, in the window from `base`."""
+    if other >= len(events):
+        return False
+    x, on = short_at(events, other + 8), (events[np.uint64(at + 12)] != 0) == (events[np.uint64(other + 12)] != 0)
+    same_row = short_at(events, other + 10) == short_at(events, at + 10)
+    return time_at(events, other) == time_at(events, at) and same_row and on and base <= x < base + _WINDOW_PX
+
+
+@kernel
+def window(events: _Bytes, at: int, base: int) -> tuple[int, int]:
+    """Return the columns of the window from `base`, a bit each, that the records from `at` on fill; and how many."""
+    bits, count, last, other = 0, 0, -1, at
+    while same_group(events, at, other, base) and short_at(events, other + 8) > last:
+        last = short_at(events, other + 8)
+        bits |= 1 << (last - base)
+        count += 1
+        other += EVENT_BYTES
+    return bits, count
+
+
+_ROOM_BYTES = 1 << 16
+_COMPLAINTS = {
+    BACKWARDS: "time goes back",
+    TOO_LATE: "nothing for more than 38 hours",
+    OUTSIDE: f"the words number {LIMIT_PX} columns and rows",
+}
+
+
+@dataclass(frozen=True)
+class Words:
+    """The words of a format.
+
+    Attributes
+    ----------
+    dtype
+        Of a word.
+    low_bits, high_bits
+        Of a time, in a low part and in a high part.
+    write
+        Writes the next words of events and edges, both as bytes; see `write_words`.
+    high_words
+        Gives the words of a high part.
+    """
+
+    dtype: type[np.unsignedinteger]
+    low_bits: int
+    high_bits: int
+    write: Callable[[_Bytes, _Bytes, _State, npt.NDArray[np.unsignedinteger]], int]
+    high_words: Callable[[int], list[int]]
+
+
+class Filled(NamedTuple):
+    """Words, and how many of the first events and edges they tell."""
+
+    words: bytes
+    events: int
+    edges: int
+
+
+class Coder:
+    """Makes words; each call goes on where the last one ended, or with `standalone` begins with time and row.
+
+    Its kernels are compiled, or read from the disk, when it is made: not when events wait.
+    """
+
+    def __init__(self, words: Words, *, standalone: bool, origin_us: int = 0) -> None:
+        self._words = words
+        self._standalone = standalone
+        self._state = new_state(origin_us)
+        self._out = np.empty(_ROOM_BYTES // np.dtype(words.dtype).itemsize, words.dtype)
+        self.encode(empty_events())
+
+    def encode(self, events: Events, edges: Edges | None = None) -> bytes:
+        """Return the words of events (n,) EVENT and edges (m,) EDGE; see the encoders. Raises ValueError."""
+        edges = empty_edges() if edges is None else edges
+        state = self._begun()
+        event_bytes, edge_bytes = bytes_of(events), bytes_of(edges)
+        parts = []
+        while True:
+            parts.append(self._written(event_bytes, edge_bytes, state, self._out))
+            if state[AT_EVENT] == len(events) and state[AT_EDGE] == len(edges):
+                break
+        if parts != [b""]:  # what has no words opens nothing
+            self._state = state
+        return b"".join(parts)
+
+    def fill(self, events: Events, edges: Edges, octets: int) -> Filled:
+        """Return the words of as many of the first events and edges as `octets` hold; see the encoders."""
+        state = self._begun()
+        room = self._out[: octets // self._out.itemsize]
+        words = self._written(bytes_of(events), bytes_of(edges), state, room)
+        if words:  # what has no words opens nothing
+            self._state = state
+        return Filled(words, int(state[AT_EVENT]), int(state[AT_EDGE]))
+
+    def advance(self, t_us: int) -> bytes:
+        """Return the words of a silence until `t_us`; see the encoders. Raises ValueError."""
+        state, format_ = self._state, self._words
+        if t_us - state[LAST] > LONGEST_GAP_US:
+            raise ValueError(_COMPLAINTS[TOO_LATE])
+        if t_us <= state[LAST]:
+            return b""
+        words, told, wanted = list[int](), int(state[HIGH_TOLD]), t_us >> format_.low_bits
+        while told < wanted:
+            told = next_high(told, wanted, format_.high_bits)
+            words += format_.high_words(told)
+        state[LAST] = t_us
+        state[HIGH_TOLD] = told
+        return np.array(words, format_.dtype).tobytes()
+
+    def _begun(self) -> _State:
+        """Return the state at the start of a call."""
+        state = self._state.copy()
+        state[AT_EVENT] = state[AT_EDGE] = 0
+        if self._standalone:
+            state[MUST_OPEN], state[TIME_TOLD], state[ROW_TOLD] = 1, -1, -1
+        return state
+
+    def _written(self, events: _Bytes, edges: _Bytes, state: _State, out: npt.NDArray[np.unsignedinteger]) -> bytes:
+        size = self._words.write(events, edges, state, out)
+        if size < 0:
+            raise ValueError(_COMPLAINTS[size])
+        return out[:size].tobytes()

@@ -1,0 +1,161 @@
+"""A frame as its chip reads it: a sequence of lines and moments, each with its time; and what a host asks of frames.
+
+    global shutter    START  RESET x n  EXPOSURE_START  EXPOSURE_END  SIGNAL x n  END
+    rolling shutter   START  RESET and SIGNAL lines by time, the exposure's two moments with the first line  END
+
+A record: t u64 us | kind u8 (LineKind) | line u16, in the user's frame | exposure u32, ADC cycles | global_shutter bool
+| by_column bool | roi u16[4], first column, first row, last column, last row | length u16 | samples u16[most], ADC
+values.
+
+Whole frames from the lines that were delivered, in the user's picture.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from firmware_protocol.device.event_device import Reading, ReadingKind, Readings
+
+__all__ = ["FrameAssembler", "FrameSettings", "LineKind", "WholeFrame", "line_record"]
+
+
+class LineKind(IntEnum):
+    """What a record tells of; lines have samples, moments have none."""
+
+    START = 0
+    RESET = 1
+    EXPOSURE_START = 2
+    EXPOSURE_END = 3
+    SIGNAL = 4
+    END = 5
+
+
+def line_record(most: int) -> np.dtype[Any]:
+    """Return the dtype of a line of at most `most` samples."""
+    return np.dtype(
+        [
+            ("t", "<u8"), ("kind", "u1"), ("line", "<u2"), ("exposure", "<u4"), ("global_shutter", "?"),
+            ("by_column", "?"), ("roi", "<u2", (4,)), ("length", "<u2"), ("samples", "<u2", (most,)),
+        ]
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class FrameSettings:
+    """What the host's registers ask of frames.
+
+    Attributes
+    ----------
+    run
+        Whether frames are wanted now.
+    global_shutter
+        Whether all pixels are exposed at the same time.
+    by_column
+        Whether a line of the read-out is a column of the user's picture; else a row.
+    exposure_cycles
+        As the register has it, for the stream.
+    exposure_ns, interval_ns
+        Stream time; the interval from one frame's start to the next, at least as long as a frame takes.
+    first_column, first_row, last_column, last_row
+        Region of interest in the user's frame, inclusive.
+    """
+
+    run: bool = False
+    global_shutter: bool = True
+    by_column: bool = False
+    exposure_cycles: int = 0
+    exposure_ns: int = 0
+    interval_ns: int = 0
+    first_column: int = 0
+    first_row: int = 0
+    last_column: int = 0
+    last_row: int = 0
+
+    @classmethod
+    def of(cls, numbers: tuple[int, ...]) -> FrameSettings:
+        """Return them from the numbers of `EventDevice.reading_settings`; no numbers: no frames."""
+        return cls(*(bool(n) for n in numbers[:3]), *numbers[3:]) if numbers else cls()
+
+    @property
+    def roi(self) -> tuple[int, int, int, int]:
+        """First column, first row, last column, last row."""
+        return self.first_column, self.first_row, self.last_column, self.last_row
+
+
+Samples = npt.NDArray[np.uint16]
+
+
+@dataclass(frozen=True)
+class WholeFrame:
+    """A frame that was delivered whole; times are stream time, us.
+
+    Attributes
+    ----------
+    first_column, first_row
+        Where its region begins in the array.
+    reset, signal
+        (rows, columns) uint16, ADC values.
+    records
+        Lines and moments that it was made of.
+    """
+
+    start_us: int
+    exposure_start_us: int
+    exposure_end_us: int
+    end_us: int
+    first_column: int
+    first_row: int
+    reset: Samples
+    signal: Samples
+    records: int = 0
+
+    @property
+    def pixels(self) -> Samples:
+        """(rows, columns) uint16, 0 to 1023: brightness; what is saturated is 1023, as hosts have it."""
+        value = np.clip(self.reset.astype(np.int32) - self.signal, 0, 1023)
+        return np.where((self.reset < 384) | (self.signal == 0), 1023, value).astype(np.uint16)
+
+
+class FrameAssembler:
+    """Takes readings in the order of delivery; those of other kinds are skipped, and so are frames with gaps."""
+
+    def __init__(self) -> None:
+        self._lines: list[Readings] = []
+
+    def add(self, readings: tuple[Reading, ...]) -> list[WholeFrame]:
+        """Return the frames that these readings complete."""
+        frames = []
+        for reading in readings:
+            if reading.kind is not ReadingKind.FRAMES:
+                continue
+            kind = int(reading.record["kind"][0])
+            self._lines = [] if kind == LineKind.START else self._lines
+            self._lines.append(reading.record)
+            if kind == LineKind.END:
+                frames += _whole(np.concatenate(self._lines))
+                self._lines = []
+        return frames
+
+
+def _whole(told: Readings) -> list[WholeFrame]:
+    """Return the frame of its lines and moments; none where one is missing."""
+    left, top, right, bottom = told["roi"][0].tolist()
+    rows, columns = bottom - top + 1, right - left + 1
+    by_kind = {kind: told[told["kind"] == kind] for kind in LineKind}
+    moments = [by_kind[kind] for kind in LineKind if kind not in (LineKind.RESET, LineKind.SIGNAL)]
+    lines = [by_kind[LineKind.RESET], by_kind[LineKind.SIGNAL]]
+    if any(len(one) != 1 for one in moments) or not all(len(one) in (rows, columns) for one in lines):
+        return []
+    length = int(lines[0]["length"][0])
+    reads = [one["samples"][:, :length] for one in lines]
+    if any(read.shape != reads[0].shape for read in reads) or reads[0].size != rows * columns:
+        return []
+    by_column = told["by_column"][0]
+    reset, signal = (np.ascontiguousarray(read.T if by_column else read) for read in reads)
+    start, opened, shut, end = (int(one["t"][0]) for one in moments)
+    return [WholeFrame(start, opened, shut, end, left, top, reset, signal, len(told))]

@@ -1,0 +1,385 @@
+"""What a coder of a stream is: events and edges in, bytes or datagrams out.
+
+A connection begins with a greeting, and from then on every client gets the same bytes. Datagrams have no beginning:
+each stands alone.
+
+What streams of pictures show: the channels of event images, and the colours of the display.
+
+The network stream of cAER and libcaer: AEDAT 3.1 packets behind a header of 20 bytes, little-endian.
+
+    i64 0x1D378BC90B9A6658   i64 number   i8 version 1   i8 format, 0: as they are   i16 source
+
+A connection begins with one such header, number 0, and goes on with bare packets. A datagram has its own: the number
+goes up by one each time, and its bit 63 marks the first datagram of a packet; at most 1452 bytes follow.
+
+Source: inivation docs, "AEDAT 3.1 network streaming"; libcaer, `network.h`.
+
+jAER's UDP stream ("AEUnicast"): a sequence number, then addresses and times as in AEDAT 2.0, big-endian.
+
+    i32 number (the first is 1)   (u32 address   i32 us) ...
+
+jAER tells its user of a gap in the numbers and goes on. Its settings for this stream are in docs/streams.md.
+
+Source: jAER, AEUnicastOutput.java, AEUnicastInput.java, AENetworkInterfaceConstants.java.
+
+Datagrams that are nothing but events, without a number: those of AEStream and of faery, little-endian.
+
+    spif                 u32: bit 31 = 1 no time, 30..16 x, 15 ON, 14..0 y      at most 128 in a datagram
+    t64_x16_y16_on8      u64 us   u16 x   u16 y   u8 ON                         at most 100
+    t32_x16_y15_on1      u32 us   u16 x   u16: bits 15..1 y, bit 0 ON           at most 100
+
+AEStream's receiver takes 512 bytes of a datagram, every four of them as an event, and leaves polarity out.
+
+Sources: aestream, `dvs_to_udp.cpp`, and aestream 0.6.4 as a receiver; faery 0.7.1 as a sender and a receiver.
+"""
+
+from __future__ import annotations
+
+import struct
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import ClassVar, Literal
+
+import numpy as np
+
+from firmware_protocol.events import EVENT, Edges, Events, empty_edges
+from firmware_protocol.recordings.aedat import encode_aedat2, encode_aedat31
+
+__all__ = [
+    "CHUNK_BYTES",
+    "FIRST",
+    "HEADER",
+    "MAGIC",
+    "RECORDS",
+    "CaerConnectionCoder",
+    "CaerDatagramCoder",
+    "Channel",
+    "Colour",
+    "ConnectionCoder",
+    "Datagram",
+    "DatagramCoder",
+    "FaeryLongCoder",
+    "FaeryShortCoder",
+    "JaerCoder",
+    "PictureSettings",
+    "SpifCoder",
+    "StreamFacts",
+    "reset_packet",
+]
+
+
+Channel = Literal["on", "off", "count", "first_us", "last_us", "level", "filtered"]
+Colour = tuple[int, int, int]
+
+
+@dataclass(frozen=True)
+class PictureSettings:
+    """What pictures of events show, of the formats "event_image" and "display".
+
+    Attributes
+    ----------
+    channels
+        Of an event image, in this order; see docs/streams.md.
+    filter_ms
+        Time constant of the low pass behind the channel "filtered" and behind the display's light.
+    on_colour, off_colour
+        Red, green, blue, 0 to 255, of pixels of the display with more ON, or more OFF events.
+    both_colour
+        Of pixels with as many of both.
+    background
+        Of pixels without an event, where no light is shown.
+    light_share
+        How much of the filtered level is shown as grey, 0 (none) to 1.
+    light_below_events
+        Whether it is also added to pixels that have events.
+    contrast
+        Log light that one event stands for, where the level is shown as grey.
+    """
+
+    channels: tuple[Channel, ...] = ("on", "off", "first_us", "last_us", "level")
+    filter_ms: float = 100.0
+    on_colour: Colour = (0, 255, 0)
+    off_colour: Colour = (255, 0, 0)
+    both_colour: Colour = (255, 255, 0)
+    background: Colour = (32, 32, 32)
+    light_share: float = 0.0
+    light_below_events: bool = False
+    contrast: float = 0.25
+
+    def __post_init__(self) -> None:
+        if not self.channels or len(set(self.channels)) != len(self.channels):
+            raise ValueError(f"channels must be one or more, each once, got {list(self.channels)}")
+        bounds = {"filter_ms": (0.1, 60_000), "light_share": (0, 1), "contrast": (0.001, 10)}
+        for name, (low, high) in bounds.items():
+            if not low <= getattr(self, name) <= high:
+                raise ValueError(f"{name} must be {low:g} to {high:g}, got {getattr(self, name)}")
+        for name in ("on_colour", "off_colour", "both_colour", "background"):
+            if not all(0 <= value <= 255 for value in getattr(self, name)):
+                raise ValueError(f"{name} must be red, green, blue from 0 to 255, got {list(getattr(self, name))}")
+
+    @property
+    def filter_us(self) -> float:
+        """Time constant of the low pass, us."""
+        return self.filter_ms * 1000
+
+    @property
+    def shows_light(self) -> bool:
+        """Whether the display shows grey behind the events."""
+        return self.light_share > 0
+
+
+@dataclass(frozen=True)
+class StreamFacts:
+    """What a stream tells of its camera.
+
+    Attributes
+    ----------
+    size
+        (width, height) of the sensor, pixels.
+    camera
+        Its name, such as "DAVIS346_00000001".
+    frame_us
+        Stream time of a picture, where the stream is one of pictures.
+    compression
+        "none" or "lz4", where the format has it.
+    pictures
+        What pictures show, where the stream is one of pictures.
+    """
+
+    size: tuple[int, int]
+    camera: str
+    frame_us: int = 20_000
+    compression: str = "none"
+    pictures: PictureSettings = field(default_factory=PictureSettings)
+
+
+@dataclass(frozen=True)
+class Datagram:
+    """One datagram, and the number of events of a batch that it ends: those up to `end` have left with it."""
+
+    data: bytes
+    end: int
+
+
+class ConnectionCoder(ABC):
+    """Codes a stream for a connection.
+
+    Attributes
+    ----------
+    limit_px
+        Columns and rows that the format can number.
+    has_edges
+        Whether it carries edges on the camera's external input.
+    """
+
+    limit_px: ClassVar[tuple[int, int]]
+    has_edges: ClassVar[bool] = False
+
+    def __init__(self, facts: StreamFacts) -> None:
+        self.facts = facts
+
+    @property
+    @abstractmethod
+    def greeting(self) -> bytes:
+        """What a client gets first."""
+
+    @abstractmethod
+    def encode(self, events: Events, edges: Edges) -> bytes | bytearray:
+        """Return whole packets of events (n,) EVENT and edges (m,) EDGE, each sorted, in the camera's own time."""
+
+    def advance(self, t_us: int) -> bytes:
+        """Return what is complete because there are no more events before `t_us`."""
+        return b""
+
+    def restart(self) -> bytes:
+        """Return what tells a client that the camera's clock starts anew; empty where the format has no word for it."""
+        return b""
+
+    def finish(self) -> bytes:
+        """Return what the coder still holds, at the end."""
+        return b""
+
+
+class DatagramCoder(ABC):
+    """Codes a stream for datagrams; see `ConnectionCoder` for the attributes."""
+
+    limit_px: ClassVar[tuple[int, int]]
+    has_edges: ClassVar[bool] = False
+
+    def __init__(self, facts: StreamFacts) -> None:
+        self.facts = facts
+
+    @abstractmethod
+    def encode(self, events: Events, edges: Edges) -> Iterator[Datagram]:
+        """Yield datagrams of events (n,) EVENT and edges (m,) EDGE, each sorted, in the camera's own time."""
+
+    def restart(self) -> Iterator[Datagram]:
+        """Yield what tells a receiver that the camera's clock starts anew."""
+        yield from ()
+
+
+MAGIC = 0x1D378BC90B9A6658
+HEADER = struct.Struct("<QQbbh")
+"""Magic, number, version, format, source."""
+FIRST = 1 << 63
+CHUNK_BYTES = 1452
+_VERSION, _RAW, _SOURCE = 1, 0, 1
+_PACKET_HEAD, _EVENT_BYTES = 28, 8
+_RESET = 1  # of special events
+
+
+def reset_packet() -> bytes:
+    """Return a packet with the special event that says: the clock starts anew, without it readers drop what follows."""
+    head = struct.pack("<hhiiiiii", 0, _SOURCE, _EVENT_BYTES, 4, 0, 1, 1, 1)
+    return head + struct.pack("<Ii", _RESET << 1 | 1, 0x7FFFFFFF)
+
+
+class CaerConnectionCoder(ConnectionCoder):
+    """Codes events and edges for a TCP client of cAER's kind."""
+
+    limit_px: ClassVar[tuple[int, int]] = (1 << 15, 1 << 15)
+    has_edges: ClassVar[bool] = True
+
+    @property
+    def greeting(self) -> bytes:
+        """The header, number 0."""
+        return HEADER.pack(MAGIC, 0, _VERSION, _RAW, _SOURCE)
+
+    def encode(self, events: Events, edges: Edges) -> bytes:
+        """Return packets: edges first, then events."""
+        return encode_aedat31(events, edges)
+
+    def restart(self) -> bytes:
+        """Return a packet with a time-stamp reset."""
+        return reset_packet()
+
+
+class CaerDatagramCoder(DatagramCoder):
+    """Codes events and edges for a UDP receiver of cAER's kind: a packet in pieces, one for each datagram."""
+
+    limit_px: ClassVar[tuple[int, int]] = (1 << 15, 1 << 15)
+    has_edges: ClassVar[bool] = True
+
+    def __init__(self, facts: StreamFacts) -> None:
+        super().__init__(facts)
+        self._number = 0
+
+    def encode(self, events: Events, edges: Edges) -> Iterator[Datagram]:
+        """Yield the pieces of the packets of edges, then of those of events."""
+        for packet in _single(encode_aedat31(events[:0], edges)):
+            yield from (Datagram(data, 0) for data, _ in self._pieces(packet))
+        before = 0
+        for packet in _single(encode_aedat31(events, empty_edges())):
+            for data, at in self._pieces(packet):
+                yield Datagram(data, before + (at - _PACKET_HEAD) // _EVENT_BYTES)
+            before += (len(packet) - _PACKET_HEAD) // _EVENT_BYTES
+
+    def restart(self) -> Iterator[Datagram]:
+        """Yield a time-stamp reset."""
+        yield from (Datagram(data, 0) for data, _ in self._pieces(reset_packet()))
+
+    def _pieces(self, packet: bytes) -> Iterator[tuple[bytes, int]]:
+        """Yield the datagrams of one packet, each with where its piece ends."""
+        for start in range(0, len(packet), CHUNK_BYTES):
+            piece = packet[start : start + CHUNK_BYTES]
+            number = self._number | (FIRST if start == 0 else 0)
+            self._number = (self._number + 1) % FIRST
+            yield HEADER.pack(MAGIC, number, _VERSION, _RAW, _SOURCE) + piece, start + len(piece)
+
+
+def _single(packets: bytes) -> Iterator[bytes]:
+    """Yield one packet after another."""
+    start = 0
+    while start < len(packets):
+        (number,) = struct.unpack_from("<i", packets, start + 20)
+        end = start + _PACKET_HEAD + number * _EVENT_BYTES
+        yield packets[start:end]
+        start = end
+
+
+RECORDS = 183
+"""Records of a datagram: 1468 bytes, which no network of 1500 bytes takes apart."""
+
+_NUMBER = struct.Struct(">i")
+_RECORD_BYTES = 8
+_LAST = (1 << 31) - 1
+
+
+class JaerCoder(DatagramCoder):
+    """Codes events and edges for jAER."""
+
+    limit_px: ClassVar[tuple[int, int]] = (1 << 10, 1 << 9)
+    has_edges: ClassVar[bool] = True
+
+    def __init__(self, facts: StreamFacts) -> None:
+        super().__init__(facts)
+        self._number = 1
+
+    def encode(self, events: Events, edges: Edges) -> Iterator[Datagram]:
+        """Yield datagrams; an edge stands before the events of its time."""
+        records = encode_aedat2(events, self.facts.size, edges)
+        ends = _events_before(events, edges)
+        count = len(records) // _RECORD_BYTES
+        for first in range(0, count, RECORDS):
+            end = min(first + RECORDS, count)
+            data = _NUMBER.pack(self._number) + records[first * _RECORD_BYTES : end * _RECORD_BYTES]
+            self._number = self._number + 1 if self._number < _LAST else 1
+            yield Datagram(data, end if ends is None else int(ends[end]))
+
+
+def _events_before(events: Events, edges: Edges) -> np.ndarray | None:
+    """Return how many of the first n records are events, (records + 1,); None where all are."""
+    if not len(edges):
+        return None
+    is_event = np.arange(len(edges) + len(events)) >= len(edges)
+    order = np.argsort(np.concatenate((edges["t"], events["t"])), kind="stable")
+    return np.concatenate(([0], np.cumsum(is_event[order])))
+
+
+_NO_TIME = np.uint32(1 << 31)
+_SHORT = np.dtype([("t", "<u4"), ("x", "<u2"), ("y_on", "<u2")])
+_SPIF_EVENTS = 128
+_FAERY_EVENTS = 100
+
+
+class SpifCoder(DatagramCoder):
+    """Codes events for AEStream, spiffer and SPIF boards; times are left out, an event counts when it comes."""
+
+    limit_px: ClassVar[tuple[int, int]] = (1 << 15, 1 << 15)
+
+    def encode(self, events: Events, edges: Edges) -> Iterator[Datagram]:
+        """Yield datagrams; edges have no place in them."""
+        words = (events["x"].astype("<u4") << 16) | (events["on"].astype("<u4") << 15) | events["y"] | _NO_TIME
+        yield from _cut(words.astype("<u4"), _SPIF_EVENTS)
+
+
+class FaeryLongCoder(DatagramCoder):
+    """Codes events as faery's `t64_x16_y16_on8`, which is the event record of this project."""
+
+    limit_px: ClassVar[tuple[int, int]] = (1 << 16, 1 << 16)
+
+    def encode(self, events: Events, edges: Edges) -> Iterator[Datagram]:
+        """Yield datagrams; edges have no place in them."""
+        yield from _cut(events.view(f"V{EVENT.itemsize}"), _FAERY_EVENTS)
+
+
+class FaeryShortCoder(DatagramCoder):
+    """Codes events as faery's `t32_x16_y15_on1`: times wrap after 71 minutes."""
+
+    limit_px: ClassVar[tuple[int, int]] = (1 << 16, 1 << 15)
+
+    def encode(self, events: Events, edges: Edges) -> Iterator[Datagram]:
+        """Yield datagrams; edges have no place in them."""
+        records = np.empty(len(events), _SHORT)
+        records["t"] = events["t"] & np.uint64(0xFFFFFFFF)
+        records["x"] = events["x"]
+        records["y_on"] = (events["y"] << 1) | events["on"]
+        yield from _cut(records, _FAERY_EVENTS)
+
+
+def _cut(records: np.ndarray, most: int) -> Iterator[Datagram]:
+    data, size = memoryview(records.tobytes()), records.dtype.itemsize
+    for first in range(0, len(records), most):
+        end = min(first + most, len(records))
+        yield Datagram(bytes(data[first * size : end * size]), end)

@@ -1,0 +1,287 @@
+"""The computer's side of a serial line: bytes in, events, edges and reports out. Knows no port and no clock.
+
+Use::
+
+receiver = SerialReceiver("ccsds-cobs")
+receiver.push(port.read())
+events = receiver.take_events()
+
+Bounded store of received events, edges and reports, until the caller takes them.
+
+What a receiver does with an instrument's messages: events and edges to the inbox, answers to reports.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Mapping
+
+import numpy as np
+
+from firmware_protocol.events import Edges, Events, empty_edges, empty_events, join_events
+from firmware_protocol.packets.addresses import Message, MessageKind, PacketError
+from firmware_protocol.packets.housekeeping import Housekeeping
+from firmware_protocol.packets.profile import Profile
+from firmware_protocol.packets.telecommands import RequestId, Telecommand, Verification
+from firmware_protocol.telemetry import BlockEncoder, BlockError, BlockSettings, decode_block
+
+__all__ = ["Inbox", "MessageReader", "SerialReceiver"]
+
+
+_MOST_EVENTS = 1 << 22
+_MOST_EDGES = 1 << 16
+_MOST_REPORTS = 1024
+
+
+class Inbox:
+    """Keeps what was received, and drops the oldest of each kind beyond a bound.
+
+    Parameters
+    ----------
+    most_events, most_edges
+        Most events and edges that wait to be taken.
+
+    Attributes
+    ----------
+    events_not_taken, edges_not_taken, reports_not_taken
+        Received, and dropped because nobody took them in time.
+    """
+
+    def __init__(self, most_events: int = _MOST_EVENTS, most_edges: int = _MOST_EDGES) -> None:
+        self._most = most_events, most_edges
+        self._events: deque[Events] = deque()
+        self._edges: deque[Edges] = deque()
+        self._reports: deque[str] = deque()
+        self._waiting_events = self._waiting_edges = 0
+        self.events_not_taken = self.edges_not_taken = self.reports_not_taken = 0
+
+    def put_events(self, events: Events) -> None:
+        """Keep events (n,), without a copy."""
+        if not len(events):
+            return
+        self._events.append(events)
+        dropped = _drop_oldest(self._events, self._waiting_events + len(events) - self._most[0])
+        self._waiting_events += len(events) - dropped
+        self.events_not_taken += dropped
+
+    def put_edges(self, edges: Edges) -> None:
+        """Keep edges (n,), without a copy."""
+        if not len(edges):
+            return
+        self._edges.append(edges)
+        dropped = _drop_oldest(self._edges, self._waiting_edges + len(edges) - self._most[1])
+        self._waiting_edges += len(edges) - dropped
+        self.edges_not_taken += dropped
+
+    def put_report(self, report: str) -> None:
+        """Keep a line of text for people."""
+        if len(self._reports) == _MOST_REPORTS:
+            self._reports.popleft()
+            self.reports_not_taken += 1
+        self._reports.append(report)
+
+    def take_events(self) -> Events:
+        """Return what was received since the last call, (n,) EVENT in the camera's time, in the order of arrival."""
+        taken = join_events(list(self._events))
+        self._events.clear()
+        self._waiting_events = 0
+        return taken
+
+    def take_edges(self) -> Edges:
+        """Return what was received since the last call, (n,) EDGE in the camera's time, in the order of arrival."""
+        taken = np.concatenate(list(self._edges)) if self._edges else empty_edges()
+        self._edges.clear()
+        self._waiting_edges = 0
+        return taken
+
+    def take_reports(self) -> tuple[str, ...]:
+        """Return the reports received since the last call."""
+        taken = tuple(self._reports)
+        self._reports.clear()
+        return taken
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """What was not taken in time, by name; only what is not zero."""
+        counts = {
+            "events not taken": self.events_not_taken,
+            "edges not taken": self.edges_not_taken,
+            "reports not taken": self.reports_not_taken,
+        }
+        return {name: count for name, count in counts.items() if count}
+
+
+def _drop_oldest(parts: deque[Events], excess: int) -> int:
+    """Drop `excess` records from the front of `parts`; return how many that were."""
+    left = excess = max(0, excess)
+    while left:
+        gone = min(left, len(parts[0]))
+        parts[0] = parts[0][gone:]
+        left -= gone
+        if not len(parts[0]):
+            parts.popleft()
+    return excess
+
+
+_MOST_REQUESTS = 1024
+
+
+class MessageReader:
+    """Reads messages, whichever packets carried them.
+
+    Attributes
+    ----------
+    counts
+        Messages by kind, `events_dropped` and `edges_dropped` as the blocks tell them, `bad_blocks`, `bad_answers`.
+    housekeeping
+        The newest report; None before the first.
+    """
+
+    def __init__(self, inbox: Inbox) -> None:
+        self._inbox = inbox
+        self._requests: dict[RequestId, str] = {}
+        self.counts: Counter[str] = Counter()
+        self.housekeeping: Housekeeping | None = None
+        _load_kernels()
+
+    def expect(self, request: RequestId, name: str) -> None:
+        """Name the telecommand that verifications of `request` belong to; the last 1024 are known."""
+        if len(self._requests) == _MOST_REQUESTS:
+            del self._requests[next(iter(self._requests))]
+        self._requests[request] = name
+
+    def read(self, message: Message) -> None:
+        """Take a message; one with a bad payload is counted."""
+        self.counts[message.kind.value] += 1
+        if message.kind in (MessageKind.EVENTS, MessageKind.EDGES):
+            self._block(message)
+        else:
+            self._answer(message)
+
+    @property
+    def bad(self) -> int:
+        """Messages in sound packets whose payload was wrong."""
+        return self.counts["bad_blocks"] + self.counts["bad_answers"]
+
+    def _block(self, message: Message) -> None:
+        try:
+            block = decode_block(message.payload, message.t_us)
+        except BlockError:
+            self.counts["bad_blocks"] += 1
+            return
+        self.counts["events_dropped" if message.kind is MessageKind.EVENTS else "edges_dropped"] += block.dropped
+        self._inbox.put_events(block.events)
+        self._inbox.put_edges(block.edges)
+
+    def _answer(self, message: Message) -> None:
+        try:
+            if message.kind is MessageKind.HOUSEKEEPING:
+                self.housekeeping = Housekeeping.parse(message.payload)
+            elif message.kind is MessageKind.VERIFICATION:
+                self._inbox.put_report(self._verified(Verification.parse(message.payload)))
+            else:
+                self._inbox.put_report(message.kind.value)
+        except PacketError:
+            self.counts["bad_answers"] += 1
+
+    def _verified(self, verification: Verification) -> str:
+        command = self._requests.get(verification.request, "a telecommand of somebody else")
+        stage = verification.stage.name.lower()
+        if verification.failure is None:
+            return f"{command}: {stage} good"
+        return f"{command}: {stage} failed: {verification.failure.text} (code {verification.failure.code.value})"
+
+
+def _load_kernels() -> None:
+    """Load the decoder's compiled code before a line waits for it: it takes a good part of a second."""
+    for mode in ("rows", "bitmap", "flat"):
+        block, _ = BlockEncoder((2, 2), BlockSettings(mode=mode)).encode(empty_events(2))
+        decode_block(block)
+
+
+class SerialReceiver:
+    """Decodes an instrument's bytes; wraps telecommands and follows their answers.
+
+    Parameters
+    ----------
+    profile
+        The name of one of `PROFILES`, or a profile with other addresses. Raises ValueError for an unknown name.
+    """
+
+    def __init__(self, profile: Profile | str = "ccsds-cobs") -> None:
+        self._profile = Profile(profile) if isinstance(profile, str) else profile
+        self._unwrapper = self._profile.unwrapper()
+        self._inbox = Inbox()
+        self._messages = MessageReader(self._inbox)
+        self._telecommands = self._resynchronised = 0
+        self._began = self._lost = False
+        self._damaged_at_start = 0
+        self._damaged = 0
+
+    def wrap(self, command: Telecommand) -> bytes:
+        """Return the bytes of a telecommand; its answers will come as reports."""
+        octets = self._profile.wrap_command(command)
+        if self._profile.last_request is not None:
+            self._messages.expect(self._profile.last_request, type(command).__name__)
+        self._telecommands += 1
+        return octets
+
+    def push(self, data: bytes) -> None:
+        """Take the next bytes, any number of them; never raises."""
+        received = self._unwrapper.push(data)
+        self._follow(bool(received))
+        for each in received:
+            self._messages.read(each.message)
+
+    def take_events(self) -> Events:
+        """See `Inbox.take_events`."""
+        return self._inbox.take_events()
+
+    def take_edges(self) -> Edges:
+        """See `Inbox.take_edges`."""
+        return self._inbox.take_edges()
+
+    def take_reports(self) -> tuple[str, ...]:
+        """Return what the instrument answered since the last call, in words for people."""
+        return self._inbox.take_reports()
+
+    @property
+    def housekeeping(self) -> Housekeeping | None:
+        """The newest report; None before the first."""
+        return self._messages.housekeeping
+
+    @property
+    def faults(self) -> int:
+        """Things that a sound line never shows: damage after the first good frame, gaps, blocks that are wrong."""
+        seen = self._unwrapper.counters
+        return self._damaged - self._damaged_at_start + seen.missing + seen.disordered + self._messages.bad
+
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """Everything by name."""
+        seen = self._unwrapper.counters
+        reasons = seen.frames.refused + seen.refused
+        counts = {
+            "bytes": seen.frames.bytes_received,
+            "bytes_skipped": seen.frames.bytes_skipped,
+            "frames": seen.frames.frames,
+            "messages_missing": seen.missing,
+            "messages_disordered": seen.disordered,
+            **{f"damaged: {reason}": count for reason, count in reasons.items()},
+            **self._messages.counts,
+            **self._inbox.counts,
+        }
+        more = {"telecommands": self._telecommands, "resynchronised": self._resynchronised}
+        return counts | {name: count for name, count in more.items() if count}
+
+    def _follow(self, good: bool) -> None:
+        """Count how often the stream was lost and found again; what was damaged before the first frame is no fault."""
+        seen = self._unwrapper.counters
+        damaged = sum(seen.frames.refused.values()) + sum(seen.refused.values())
+        self._lost |= self._began and damaged > self._damaged
+        self._damaged = damaged
+        if good and not self._began:
+            self._began, self._damaged_at_start = True, damaged
+        elif good and self._lost:
+            self._lost = False
+            self._resynchronised += 1

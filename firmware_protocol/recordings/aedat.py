@@ -1,0 +1,412 @@
+"""AEDAT 2.0, jAER's format for a DAVIS: text lines, then records of 8 bytes, big-endian: address, signed time in us.
+
+    address, bit 31 = 0:   30..22 y   21..12 x   11 polarity (1 = ON)   10 external event   9..0 zero, or pin edge
+    address, bit 31 = 1:   frames and samples of the inertial unit, see `aedat2_readings`
+
+jAER counts columns from the right and rows from the bottom: x = width - 1 - column, y = height - 1 - row. The 32 bits
+of time wrap to negative after 2147 s; readers count that.
+
+Sources: jAER, DavisChip.java and AEFileOutputStream.java; v2e, aedat2_output.py.
+
+AEDAT 3.1, the format of cAER: text lines, then packets of events of one kind, little-endian.
+
+    i16 kind   i16 source   i32 event size   i32 offset of the time   i32 wraps of 2^31 us
+    i32 capacity   i32 number   i32 valid ones   then the events:
+    0 special   u32: bit 0 valid, 7..1 what, 31..8 data     i32 us
+    1 polarity  u32: bit 0 valid, 1 ON, 16..2 y, 31..17 x   i32 us
+    2 frame     u32: bit 0 valid, 3..1 channels             i32 us of start, end, exposure start, exposure end
+                i32 columns, rows, first column, first row  u16 pixels, of 16 bits
+    3 IMU 6     u32: bit 0 valid   i32 us   f32 acceleration x, y, z, g; turning x, y, z, deg/s; degrees Celsius
+
+Row 0 is the upper one. Other kinds and frames with colours are left out.
+
+Sources: docs.inivation.com, "AEDAT 3.1"; libcaer, events/common.h, polarity.h, special.h, frame.h, imu6.h.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from firmware_protocol.events import EDGE, EVENT, EdgeKind, Edges, Events, empty_edges
+from firmware_protocol.recordings.aedat2_readings import WORD, FrameWords, ImuWords, Words
+from firmware_protocol.recordings.part import IMU, Frame, ImuRecords, Part, ten_bits
+
+__all__ = [
+    "CHIPS",
+    "Aedat2Decoder",
+    "Aedat31Decoder",
+    "aedat2_header",
+    "aedat31_header",
+    "edge_words",
+    "encode_aedat2",
+    "encode_aedat31",
+    "encode_frame",
+    "encode_imu",
+    "event_words",
+    "guarded_start",
+    "packed",
+    "parse_aedat2_header",
+    "parse_aedat31_header",
+]
+
+
+CHIPS: Mapping[tuple[int, int], str] = {
+    (346, 260): "eu.seebetter.ini.chips.davis.Davis346blue",
+    (240, 180): "eu.seebetter.ini.chips.davis.DAVIS240C",
+    (640, 480): "eu.seebetter.ini.chips.davis.Davis640",
+}
+"""jAER's class of a chip, by (width, height)."""
+
+LIMIT_PX = (1 << 10, 1 << 9)
+_RECORD = np.dtype([("address", ">u4"), ("t", ">i4")])
+_PINS = {EdgeKind.FALLING: 2, EdgeKind.RISING: 3, EdgeKind.PULSE: 4}
+_EXTERNAL = 1 << 10
+_WRAP_US = 1 << 32
+_NAMES = {b"davis346": (346, 260), b"davis240": (240, 180), b"davis640": (640, 480)}
+_NO_SAMPLE = 0x8000_0800  # bit 31, read cycle 2
+
+
+def aedat2_header(size: tuple[int, int], unix_us: int = 0) -> bytes:
+    """Return the text lines of a file from a sensor of `size` = (width, height), whose t = 0 is at that Unix time."""
+    lines = [
+        "!AER-DAT2.0",
+        " This is a raw AE data file - do not edit",
+        " Data format is int32 address, int32 timestamp (8 bytes total), repeated for each event",
+        " Timestamps tick is 1 us",
+        *([f" Creation time: System.currentTimeMillis() {unix_us // 1000}"] if unix_us else []),
+        f" AEChip: {CHIPS.get(size, 'of another size')}",
+        f" width {size[0]} height {size[1]}",
+        "End Of ASCII Header",
+    ]
+    return "".join(f"#{line}\r\n" for line in lines).encode("ascii")
+
+
+def event_words(events: Events, size: tuple[int, int]) -> Words:
+    """Return events (n,) EVENT of a sensor of `size`, (n,) WORD."""
+    words = np.empty(len(events), WORD)
+    x, y = np.uint32(size[0] - 1) - events["x"], np.uint32(size[1] - 1) - events["y"]
+    words["address"] = (y << np.uint32(22)) | (x << np.uint32(12)) | (events["on"].astype(np.uint32) << np.uint32(11))
+    words["t"] = events["t"]
+    return words
+
+
+def edge_words(edges: Edges) -> Words:
+    """Return edges (n,) EDGE, (n,) WORD."""
+    words = np.empty(len(edges), WORD)
+    pins = np.array([0, 0, *(_PINS[kind] for kind in (EdgeKind.RISING, EdgeKind.FALLING, EdgeKind.PULSE))])
+    words["address"], words["t"] = _EXTERNAL | pins[edges["kind"]], edges["t"]
+    return words
+
+
+def packed(parts: Sequence[Words]) -> bytes:
+    """Return the records of words, each part sorted, in the order of time; at one time, in the order of the parts."""
+    filled = [part for part in parts if len(part)]
+    words = np.concatenate([np.empty(0, WORD), *filled])
+    if len(filled) > 1:
+        words = words[np.argsort(words["t"], kind="stable")]
+    records = np.empty(len(words), _RECORD)
+    records["address"], records["t"] = words["address"], words["t"].astype(np.uint32).astype(np.int32)  # wraps
+    return records.tobytes()
+
+
+def encode_aedat2(events: Events, size: tuple[int, int], edges: Edges | None = None) -> bytes:
+    """Return the records of events (n,) EVENT and edges (m,) EDGE, each sorted, of a sensor of `size`."""
+    return packed([edge_words(empty_edges() if edges is None else edges), event_words(events, size)])
+
+
+def guarded_start(records: bytes) -> bytes:
+    """Return the first records of a file so that no reader takes them for one more line of text.
+
+    A reader that goes by the `#` of each line would swallow a record that begins with that byte (rows 140 to 143 from
+    the bottom). Before it stands a frame sample of the kind that jAER no longer uses, which all readers leave out.
+    """
+    if records[:1] != b"#":
+        return records
+    return struct.pack(">I4s", _NO_SAMPLE, records[4:8]) + records
+
+
+def parse_aedat2_header(head: bytes) -> tuple[int, tuple[int, int] | None, int]:
+    """Return where the records of a file begin, the sensor's size where its lines tell it, and the Unix time, us, or 0.
+
+    Raises ValueError for what is no AEDAT 2.0 file, or has no end of its lines within `head`.
+    """
+    if not head.startswith(b"#!AER-DAT2"):
+        raise ValueError("it is no AEDAT 2.0 file: it does not begin with #!AER-DAT2.0")
+    start, size, unix_us = 0, None, 0
+    while head[start : start + 1] == b"#":
+        end = head.find(b"\n", start)
+        if end < 0:
+            raise ValueError("its lines of text have no end")
+        line = head[start + 1 : end].strip()
+        size, start = _size_of(line) or size, end + 1
+        told = re.match(rb"Creation time: System.currentTimeMillis\(\) (\d{1,15})$", line)
+        unix_us = int(told[1]) * 1000 if told else unix_us
+        if line == b"End Of ASCII Header":
+            break
+    return start, size, unix_us
+
+
+def _size_of(line: bytes) -> tuple[int, int] | None:
+    words = line.split()
+    if len(words) == 4 and words[0] == b"width" and words[2] == b"height":
+        return (int(words[1]), int(words[3])) if words[1].isdigit() and words[3].isdigit() else None
+    if not line.startswith(b"AEChip"):
+        return None
+    return next((size for name, size in _NAMES.items() if name in line.lower()), None)
+
+
+class Aedat2Decoder:
+    """Reads records piece by piece, of a sensor of `size` = (width, height); counts what it leaves out.
+
+    Attributes
+    ----------
+    outside : events beyond the sensor so far.
+    """
+
+    def __init__(self, size: tuple[int, int]) -> None:
+        self._size = size
+        self._rest = b""
+        self._wraps_us = 0
+        self._last = 0
+        self._imu, self._frames = ImuWords(), FrameWords(size)
+        self.outside = 0
+
+    @property
+    def others(self) -> int:
+        """Records so far that belong to no whole sample or frame; those of the last ones may still wait for more."""
+        return self._imu.others + self._frames.others
+
+    def decode(self, data: bytes) -> Part:
+        """Return what is complete with the next bytes, which may end inside a record."""
+        data = self._rest + data
+        whole = len(data) & ~7
+        self._rest = data[whole:]
+        records = np.frombuffer(data[:whole], _RECORD)
+        address, t = records["address"].astype(np.int64), self._times(records["t"].astype(np.int64))
+        is_other, is_edge = address >> 31 != 0, (address >> 10) & 1 != 0
+        others = np.empty(int(np.count_nonzero(is_other)), WORD)
+        others["address"], others["t"] = address[is_other], t[is_other]
+        is_imu = (others["address"] >> 10) & 3 == 3
+        return Part(
+            self._events(address, t, ~is_other & ~is_edge),
+            _edges(address, t, ~is_other & is_edge),
+            self._imu.decode(others[is_imu]),
+            self._frames.decode(others[~is_imu]),
+        )
+
+    def _times(self, t: np.ndarray) -> np.ndarray:
+        """Return times that count the wraps of the 32 bits."""
+        steps = np.diff(t, prepend=self._last)
+        t_us = self._wraps_us + np.cumsum(_WRAP_US * (steps < -_WRAP_US // 2)) + t
+        if len(t):
+            self._wraps_us, self._last = int(t_us[-1] - t[-1]), int(t[-1])
+        times: np.ndarray = np.maximum(t_us, 0)
+        return times
+
+    def _events(self, address: np.ndarray, t: np.ndarray, which: np.ndarray) -> Events:
+        address, t = address[which], t[which]
+        x = self._size[0] - 1 - ((address >> 12) & 0x3FF)
+        y = self._size[1] - 1 - ((address >> 22) & 0x1FF)
+        inside = (x >= 0) & (y >= 0)
+        self.outside += int(np.count_nonzero(~inside))
+        events = np.zeros(int(np.count_nonzero(inside)), EVENT)
+        events["t"], events["x"], events["y"] = t[inside], x[inside], y[inside]
+        events["on"] = (address[inside] >> 11) & 1
+        return events
+
+
+def _edges(address: np.ndarray, t: np.ndarray, which: np.ndarray) -> Edges:
+    address, t = address[which], t[which]
+    edges = np.zeros(len(t), EDGE)
+    edges["t"] = t
+    pin = address & 0x3FF
+    edges["kind"] = np.select([pin == 2, pin == 3], [EdgeKind.FALLING, EdgeKind.RISING], EdgeKind.PULSE)
+    return edges
+
+
+LIMIT_PX_AEDAT31 = 1 << 15
+_HEAD = np.dtype(
+    [("kind", "<i2"), ("source", "<i2")]
+    + [(name, "<i4") for name in ("event_bytes", "time_at", "wraps", "capacity", "number", "valid")]
+)
+_EVENT = np.dtype([("data", "<u4"), ("t", "<i4")])
+_TIMES, _PLACE = ("start", "end", "exposure_start", "exposure_end"), ("columns", "rows", "left", "top")
+_FRAME = np.dtype([("data", "<u4"), *((name, "<i4") for name in (*_TIMES, *_PLACE))])
+_IMU_VALUES = (
+    *(f"{what}_{axis}" for what in ("accelerometer", "gyroscope") for axis in "xyz"), "temperature",
+)  # fmt: skip
+_IMU = np.dtype([("data", "<u4"), ("t", "<i4"), *((name, "<f4") for name in _IMU_VALUES)])
+_SPECIAL, _POLARITY, _FRAMES, _IMU6 = range(4)
+_SCALE_BITS = 6  # the 10 bits of a pixel are the upper ones of 16, as in libcaer
+_LISTS = ("events", "edges", "imu")
+_MOST_PACKET = 1 << 28  # bytes
+_END = b"#!END-HEADER\r\n"
+
+
+def aedat31_header(source: str, started: str = "1970-01-01 00:00:00 (TZ+0000)") -> bytes:
+    """Return the text lines of a file of the camera `source`, such as "DAVIS346"."""
+    lines = ("#!AER-DAT3.1", "#Format: RAW", f"#Source 1: {source}", f"#Start-Time: {started}")
+    return "".join(f"{line}\r\n" for line in lines).encode("ascii") + _END
+
+
+def encode_aedat31(events: Events, edges: Edges | None = None) -> bytes:
+    """Return the packets of events (n,) EVENT and edges (m,) EDGE, each sorted."""
+    edges = empty_edges() if edges is None else edges
+    polarity, special = np.empty(len(events), _EVENT), np.empty(len(edges), _EVENT)
+    x, y = events["x"].astype(np.uint32), events["y"].astype(np.uint32)
+    polarity["data"] = (x << 17) | (y << 2) | (events["on"].astype(np.uint32) << 1) | 1
+    special["data"] = (edges["kind"].astype(np.uint32) << 1) | 1
+    return _packets(_SPECIAL, special, edges["t"]) + _packets(_POLARITY, polarity, events["t"])
+
+
+def encode_imu(imu: ImuRecords) -> bytes:
+    """Return the packets of samples (n,) IMU, sorted; their magnetometer is left out."""
+    records = np.empty(len(imu), _IMU)
+    records["data"] = 1
+    for name in _IMU_VALUES:
+        records[name] = imu[name]
+    return _packets(_IMU6, records, imu["t"])
+
+
+def encode_frame(frame: Frame) -> bytes:
+    """Return the packet of a frame, grey; times before the clock's zero are written as zero."""
+    pixels, record = ten_bits(frame) << _SCALE_BITS, np.zeros(1, _FRAME)
+    wraps = max(0, frame.t_us) >> 31
+    times = (frame.t_us, frame.exposure_end_us, frame.exposure_begin_us, frame.exposure_end_us)
+    values = (*(min(max(0, t_us - (wraps << 31)), (1 << 31) - 1) for t_us in times), *pixels.shape[::-1], *frame.origin)
+    record["data"] = 1 | 1 << 1  # valid, one channel
+    for name, value in zip((*_TIMES, *_PLACE), values, strict=True):
+        record[name] = value
+    body = record.tobytes() + pixels.astype("<u2").tobytes()
+    return _head(_FRAMES, len(body), wraps, 1) + body
+
+
+def _packets(kind: int, records: np.ndarray, t: np.ndarray) -> bytes:
+    """Return packets of one kind, a new one where the 31 bits of time wrap; `t`, (n,) us, goes into the records."""
+    if not len(t):
+        return b""
+    wraps = (t >> np.uint64(31)).astype(np.int64)
+    starts = np.flatnonzero(np.diff(wraps, prepend=-1))
+    records["t"] = t & np.uint64(0x7FFFFFFF)
+    packets = []
+    for start, end in zip(starts, [*starts[1:], len(t)], strict=True):
+        packets += [_head(kind, records.itemsize, int(wraps[start]), end - start), records[start:end].tobytes()]
+    return b"".join(packets)
+
+
+def _head(kind: int, event_bytes: int, wraps: int, number: int) -> bytes:
+    return np.array([(kind, 1, event_bytes, 4, wraps, number, number, number)], _HEAD).tobytes()
+
+
+def parse_aedat31_header(head: bytes) -> tuple[int, str]:
+    """Return where the packets of a file begin, and the name of its first source; raises ValueError."""
+    if not head.startswith(b"#!AER-DAT3.1"):
+        raise ValueError("it is no AEDAT 3.1 file: it does not begin with #!AER-DAT3.1")
+    end = head.find(_END)
+    if end < 0:
+        raise ValueError("its lines of text have no end (#!END-HEADER)")
+    source = re.search(rb"#Source \d+: ([ -~]*)\r\n", head[:end])
+    return end + len(_END), source[1].decode("ascii") if source else ""
+
+
+class Aedat31Decoder:
+    """Reads packets piece by piece.
+
+    Attributes
+    ----------
+    others : events without meaning here so far.
+    """
+
+    def __init__(self) -> None:
+        self._rest = b""
+        self.others = 0
+
+    def decode(self, data: bytes) -> Part:
+        """Return what is in the packets that are complete with the next bytes.
+
+        Raises ValueError for a packet that cannot be one.
+        """
+        data = self._rest + data
+        parts, start = [Part()], 0
+        while len(data) - start >= _HEAD.itemsize:
+            head = np.frombuffer(data, _HEAD, 1, start)[0]
+            body_at = start + _HEAD.itemsize
+            end = body_at + _body_bytes(head)
+            if end > len(data):
+                break
+            parts.append((self._frames if head["kind"] == _FRAMES else self._part)(head, data[body_at:end]))
+            start = end
+        self._rest = data[start:]
+        events, edges, imu = (np.concatenate([getattr(one, name) for one in parts]) for name in _LISTS)
+        return Part(events, edges, imu, tuple(frame for one in parts for frame in one.frames))
+
+    def _part(self, head: np.void, body: bytes) -> Part:
+        """Return the records of a packet; what has no meaning here is counted."""
+        kind, number = int(head["kind"]), int(head["number"])
+        dtype = {_SPECIAL: _EVENT, _POLARITY: _EVENT, _IMU6: _IMU}.get(kind)
+        if dtype is None or head["event_bytes"] != dtype.itemsize:
+            self.others += number
+            return Part()
+        records = np.frombuffer(body, dtype, number)
+        records = records[records["data"] & 1 == 1]
+        t = (int(head["wraps"]) << 31) + records["t"].astype(np.int64)
+        if kind == _POLARITY:
+            return Part(_events(records["data"], t))
+        return Part(imu=_imu(records, t)) if kind == _IMU6 else Part(edges=self._edges(records["data"], t))
+
+    def _edges(self, data: np.ndarray, t: np.ndarray) -> Edges:
+        what = (data >> 1) & 0x7F
+        known = np.isin(what, [int(kind) for kind in EdgeKind])
+        edges = np.zeros(int(np.count_nonzero(known)), EDGE)
+        edges["t"], edges["kind"] = t[known], what[known]
+        self.others += len(what) - len(edges)
+        return edges
+
+    def _frames(self, head: np.void, body: bytes) -> Part:
+        size, wraps_us = int(head["event_bytes"]), int(head["wraps"]) << 31
+        frames = [_frame(body[at : at + size], wraps_us) for at in range(0, len(body), size)]
+        whole = tuple(frame for frame in frames if frame is not None)
+        self.others += len(frames) - len(whole)
+        return Part(frames=whole)
+
+
+def _body_bytes(head: np.void) -> int:
+    """Return the bytes of a packet's events; raises ValueError."""
+    number, event_bytes = int(head["number"]), int(head["event_bytes"])
+    capacity = max(int(head["capacity"]), number)
+    if not 0 <= head["kind"] <= 100 or number < 0 or not event_bytes > 0 or number * event_bytes > _MOST_PACKET:
+        raise ValueError(f"a packet of kind {head['kind']} with {number} events of {event_bytes} bytes")
+    return number * event_bytes if capacity >= 0 else 0
+
+
+def _events(data: np.ndarray, t: np.ndarray) -> Events:
+    events = np.zeros(len(t), EVENT)
+    events["t"], events["x"], events["y"] = t, data >> 17, (data >> 2) & 0x7FFF
+    events["on"] = (data >> 1) & 1
+    return events
+
+
+def _imu(records: np.ndarray, t: np.ndarray) -> ImuRecords:
+    imu = np.zeros(len(t), IMU)
+    imu["t"] = t
+    for name in _IMU_VALUES:
+        imu[name] = records[name]
+    return imu
+
+
+def _frame(body: bytes, wraps_us: int) -> Frame | None:
+    """Return the frame of an event; None where it is not valid, has colours, or is larger than its bytes."""
+    if len(body) < _FRAME.itemsize:
+        return None
+    record = np.frombuffer(body, _FRAME, 1)[0]
+    rows, columns, channels = int(record["rows"]), int(record["columns"]), int(record["data"]) >> 1 & 7
+    room = (len(body) - _FRAME.itemsize) // 2
+    if not record["data"] & 1 or channels > 1 or min(rows, columns) < 1 or rows * columns > room:
+        return None
+    pixels = np.frombuffer(body, "<u2", rows * columns, _FRAME.itemsize).reshape(rows, columns) >> _SCALE_BITS
+    start, _, begin, end = (wraps_us + int(record[name]) for name in _TIMES)
+    return Frame(start, begin, end, pixels.astype(np.uint16), (int(record["left"]), int(record["top"])))

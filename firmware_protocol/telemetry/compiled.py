@@ -1,7 +1,0 @@
-"""How the loops of this folder are compiled: see `firmware_protocol.compiled`."""
-
-from firmware_protocol.compiled import entry_of, kernel
-
-__all__ = ["entry", "kernel"]
-
-entry = entry_of("firmware_protocol.telemetry")

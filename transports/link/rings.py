@@ -1,0 +1,332 @@
+"""A ring of records in shared memory: one writer process, one reader process.
+
+    head   int64[3 + cells]   written | taken | refused | the owner's cells
+    body   record[capacity]
+
+`written` and `taken` count records since the start and never wrap (int64 lasts 24 000 years at 12 MHz); the
+slot is the count modulo the capacity. The writer stores records first and then `written`; the reader loads them in the
+opposite order, so what is counted is there. Both sides do aligned 8-byte loads and stores, which are atomic and ordered
+on x86-64 and ordered by the interpreter's own locks elsewhere.
+
+The ring of events from the sensor to one link, and where the run is in stream time.
+
+The writer pushes events first and publishes `now_us` after them; the reader loads `now_us` before the events, so
+whatever is older than `now_us` is there.
+
+The ring of readings of one kind from the session to one link, and the way back for what the device's host asks.
+
+    session --records--> ring --> link process: device.offer_readings
+            <--numbers-- cells <-- link process: device.reading_settings
+
+Nothing blocks: what finds no room is counted as refused, and of a frame either all or nothing: its start is refused
+where the whole frame might find no room, and its lines with it. The numbers are written between two versions of a
+counter, so that a reader that comes in between keeps what it had before.
+"""
+
+from __future__ import annotations
+
+import bisect
+import multiprocessing
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from firmware_protocol.device.event_device import ReadingKind, Readings
+from firmware_protocol.events import EVENT, Events
+from firmware_protocol.frames import LineKind
+
+__all__ = ["FREE_RUNNING", "MOST_NUMBERS", "EventRing", "ReadingRing", "SharedRing"]
+
+
+_WRITTEN, _TAKEN, _REFUSED, _CELLS = range(4)
+
+
+class SharedRing:
+    """Records with a time `t`, in time order, on their way to another process.
+
+    Pass it as an argument to a process started by the spawn method; the memory goes with the last that holds it.
+
+    Parameters
+    ----------
+    record
+        Their dtype, with a field `t`, us.
+    cells
+        Further numbers that the owner shares.
+
+    Attributes
+    ----------
+    cells
+        These numbers, (cells,) int64.
+    """
+
+    def __init__(self, record: np.dtype[Any], capacity: int, cells: int = 0) -> None:
+        if capacity < 1:
+            raise ValueError(f"a ring holds at least one record, got capacity {capacity}")
+        context = multiprocessing.get_context("spawn")
+        self._memory = (
+            context.RawArray("q", _CELLS + cells),
+            context.RawArray("B", capacity * record.itemsize),
+            record,
+        )
+        self._map()
+
+    def _map(self) -> None:
+        head, body, record = self._memory
+        self._record = record
+        # numpy copies these as bytes, and structured records field by field, 50 times slower
+        self._raw = np.dtype(f"V{record.itemsize}")
+        self._head = np.frombuffer(head, np.int64)
+        self._body = np.frombuffer(body, self._raw)
+        self.cells = self._head[_CELLS:]
+
+    def __getstate__(self) -> tuple[Any, ...]:
+        return self._memory
+
+    def __setstate__(self, memory: tuple[Any, Any, np.dtype[Any]]) -> None:
+        self._memory = memory
+        self._map()
+
+    @property
+    def capacity(self) -> int:
+        """Records that fit."""
+        return len(self._body)
+
+    @property
+    def written(self) -> int:
+        """Records written since the start."""
+        return int(self._head[_WRITTEN])
+
+    @property
+    def waiting(self) -> int:
+        """Records written and not yet taken."""
+        return self.written - int(self._head[_TAKEN])
+
+    @property
+    def room(self) -> int:
+        """Records that can be written now."""
+        return self.capacity - self.waiting
+
+    @property
+    def refused(self) -> int:
+        """Records that found no room, counted by the writer."""
+        return int(self._head[_REFUSED])
+
+    def push(self, records: npt.NDArray[Any]) -> int:
+        """Write what fits of `records`, in order, and return how many that were; the rest is counted as refused."""
+        n = min(len(records), self.room)
+        written = self.written
+        start = written % self.capacity
+        first = min(n, self.capacity - start)
+        raw = records.view(self._raw)
+        self._body[start : start + first] = raw[:first]
+        self._body[: n - first] = raw[first:n]
+        self._head[_WRITTEN] = written + n
+        self.refuse(len(records) - n)
+        return n
+
+    def refuse(self, count: int) -> None:
+        """Count records as refused."""
+        self._head[_REFUSED] += count
+
+    def take(self, until_us: int, limit: int | None = None) -> npt.NDArray[Any]:
+        """Take at most `limit` records with t <= `until_us`; returns a copy, shape (n,)."""
+        taken = int(self._head[_TAKEN])
+        there = self.written - taken
+        n = self._due(taken, there if limit is None else min(there, max(limit, 0)), until_us)
+        start = taken % self.capacity
+        first = min(n, self.capacity - start)
+        records = np.concatenate((self._body[start : start + first], self._body[: n - first])).view(self._record)
+        self._head[_TAKEN] = taken + n
+        return records
+
+    def time_of(self, index: int) -> int | None:
+        """Return `t` of the record that waits at `index`, us; None where there is none."""
+        if index >= self.waiting:
+            return None
+        place = (int(self._head[_TAKEN]) + index) % self.capacity
+        return int(self._body.view(self._record)["t"][place])
+
+    def _due(self, taken: int, there: int, until_us: int) -> int:
+        """Return how many of the next `there` records have t <= `until_us`."""
+        times = self._body.view(self._record)["t"]
+        return bisect.bisect_right(range(there), until_us, key=lambda i: int(times[(taken + i) % self.capacity]))
+
+
+FREE_RUNNING = -1
+"""The origin of a run that is not paced: events may leave as soon as they are there."""
+
+_NOW_US, _ORIGIN_NS, _CLOSED, _SETTLED_US, _CELLS_RING = range(5)
+
+
+class EventRing:
+    """Events on their way from the sensor to one link; pass it to a process started by the spawn method."""
+
+    def __init__(self, capacity: int = 1 << 20) -> None:
+        self._ring = SharedRing(EVENT, capacity, _CELLS_RING)
+
+    @property
+    def capacity(self) -> int:
+        """Events that fit."""
+        return self._ring.capacity
+
+    @property
+    def waiting(self) -> int:
+        """Events written and not yet taken."""
+        return self._ring.waiting
+
+    @property
+    def room(self) -> int:
+        """Events that can be written now."""
+        return self._ring.room
+
+    @property
+    def now_us(self) -> int:
+        """The stream time that the writer has reached, us."""
+        return int(self._ring.cells[_NOW_US])
+
+    @property
+    def settled_us(self) -> int:
+        """The stream time that the camera has reached, us; what its hosts changed before has been sent to the writer.
+
+        Written by the reader.
+        """
+        return int(self._ring.cells[_SETTLED_US])
+
+    @property
+    def origin_ns(self) -> int | None:
+        """Monotonic time at which stream time is zero, ns; FREE_RUNNING; None before the run starts."""
+        return int(self._ring.cells[_ORIGIN_NS]) or None
+
+    @property
+    def closed(self) -> bool:
+        """True when the writer will write no more."""
+        return bool(self._ring.cells[_CLOSED])
+
+    @property
+    def refused(self) -> int:
+        """Events that found no room, counted by the writer."""
+        return self._ring.refused
+
+    def start(self, origin_ns: int) -> None:
+        """Start the run: stream time zero is at monotonic time `origin_ns`, or FREE_RUNNING."""
+        self._ring.cells[_ORIGIN_NS] = origin_ns
+
+    def close(self) -> None:
+        """Say that nothing more will be written."""
+        self._ring.cells[_CLOSED] = 1
+
+    def push(self, events: Events) -> int:
+        """Write what fits of `events`, in order, and return how many that were; the rest is counted as refused."""
+        return self._ring.push(events)
+
+    def publish(self, now_us: int) -> None:
+        """Say that every event before `now_us` has been pushed."""
+        self._ring.cells[_NOW_US] = now_us
+
+    def settle(self, until_us: int) -> None:
+        """Store the stream time that the camera has reached, after what its hosts changed before has been sent."""
+        self._ring.cells[_SETTLED_US] = until_us
+
+    def take(self, until_us: int, limit: int | None = None) -> Events:
+        """Take at most `limit` events with t <= `until_us`; returns a copy, shape (n,)."""
+        return self._ring.take(until_us, limit)
+
+
+MOST_NUMBERS = 16
+"""Numbers that a device can tell of a kind."""
+
+_VERSION, _COUNT, _NUMBERS = range(3)
+_MOMENTS = 4  # of a frame, beside the two reads of each line
+
+
+class ReadingRing:
+    """Records in shared memory; pass it to a process started by the spawn method.
+
+    Parameters
+    ----------
+    record
+        The records' dtype, with a field `t`, us.
+    """
+
+    def __init__(self, kind: ReadingKind, record: np.dtype[Any], capacity: int) -> None:
+        self.kind = kind
+        self._ring = SharedRing(record, capacity, _NUMBERS + MOST_NUMBERS)
+        self._told: tuple[int, ...] = ()
+        self._longest = 2 * record["samples"].shape[0] + _MOMENTS if kind is ReadingKind.FRAMES else 0
+        if capacity < self._longest:
+            raise ValueError(f"a ring of frames holds at least one, {self._longest} records, got capacity {capacity}")
+        self._refusing = False
+
+    @property
+    def waiting(self) -> int:
+        """Records written and not yet taken."""
+        return self._ring.waiting
+
+    @property
+    def room(self) -> int:
+        """Records that can be written now."""
+        return self._ring.room
+
+    @property
+    def written(self) -> int:
+        """Records written since the start."""
+        return self._ring.written
+
+    @property
+    def refused(self) -> int:
+        """Records that found no room, counted by the writer."""
+        return self._ring.refused
+
+    def fits(self, records: Readings) -> bool:
+        """Say whether all of `records` can be written now."""
+        starts = self._starts(records)
+        return max(len(records), starts[-1] + self._longest if starts else 0) <= self.room
+
+    def push(self, records: Readings) -> int:
+        """Write what fits of `records`, in order, and return how many that were; the rest is counted as refused."""
+        return sum(self._push_part(part) for part in np.split(records, self._starts(records)) if len(part))
+
+    def _push_part(self, part: Readings) -> int:
+        """Write records of which only the first may be the start of a frame."""
+        if self._starts(part):
+            self._refusing = self.room < self._longest
+        if self._refusing:
+            self._ring.refuse(len(part))
+            return 0
+        return self._ring.push(part)
+
+    def _starts(self, records: Readings) -> list[int]:
+        """Return where frames start."""
+        return np.flatnonzero(records["kind"] == LineKind.START).tolist() if self._longest else []
+
+    def take(self, until_us: int) -> Readings:
+        """Take the records up to `until_us`, (n,); a copy."""
+        return self._ring.take(until_us)
+
+    def time_of(self, index: int) -> int | None:
+        """Return the time of the record that waits at `index`, us; None where there is none."""
+        return self._ring.time_of(index)
+
+    @property
+    def settings(self) -> tuple[int, ...]:
+        """What the link told last, as `EventDevice.reading_settings` gives it; empty before."""
+        cells = self._ring.cells
+        for _ in range(100):
+            version = int(cells[_VERSION])
+            told = tuple(int(n) for n in cells[_NUMBERS : _NUMBERS + int(cells[_COUNT])])
+            if version % 2 == 0 and int(cells[_VERSION]) == version:
+                self._told = told
+                break
+        return self._told
+
+    def tell(self, settings: tuple[int, ...]) -> None:
+        """Write what the device's host asks; for the link process alone, and for who makes the ring."""
+        if settings == self._told:
+            return
+        cells = self._ring.cells
+        cells[_VERSION] += 1
+        cells[_COUNT] = len(settings)
+        cells[_NUMBERS : _NUMBERS + len(settings)] = settings
+        cells[_VERSION] += 1
+        self._told = settings
