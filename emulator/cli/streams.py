@@ -19,7 +19,6 @@ from typing import TYPE_CHECKING, cast
 
 from cyclopts import App
 from rich.console import Console
-from rich.logging import RichHandler
 
 from emulator.cli.output import LACKING, Failure, console, status
 
@@ -48,6 +47,8 @@ def break_lines() -> bool:
 def log_handler() -> logging.Handler:
     """Return what prints the log on `status`."""
     if status.is_terminal:
+        from rich.logging import RichHandler  # loads a tenth of what the command line loads
+
         return RichHandler(console=status, show_path=False, show_time=False)
     handler = _WholeLines()
     handler.setFormatter(logging.Formatter("%(levelname)-8s %(message)s"))

@@ -30,7 +30,7 @@ def test_each_option_of_the_help_is_one_line(capsys):
     assert _main(["run", "--help"]) == 0
     lines = capsys.readouterr().out.splitlines()
     (record,) = (line for line in lines if line.strip().startswith("--record"))
-    assert record.endswith("see docs/recordings.md.")
+    assert record.endswith("follows (not .npz).")
     assert not any(line != line.rstrip() for line in lines)
 
 

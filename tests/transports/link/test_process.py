@@ -195,6 +195,10 @@ class Stalled:
 
     def __init__(self, clock, turns, turn_s):
         self.clock, self.left, self.turn_ns, self.ticks = clock, turns, int(turn_s * 1e9), 0
+        self.changes, self.settled = (), 0
+
+    def settle(self):
+        self.settled += 1
 
     def tick(self):
         self.ticks += 1
