@@ -118,7 +118,7 @@ def _walk(
     rows, columns = heights.shape[1], heights.shape[2]
     column, drift, length_m = line
     place, height = profile_room
-    kept = 0
+    on_hull = 0
     k = len(heights) - 1
     middle_row, middle_column = (rows - 1) // 2, (columns - 1) // 2
     y0, x0 = -(middle_row << grid), (column - middle_column) * (1 << grid)
@@ -133,13 +133,13 @@ def _walk(
         if _is_on(at, columns):
             t, z = -y * length_m, _height(heights, k, x, y)
             slope = -1e3
-            while kept:
-                slope = (height[kept - 1] - z) / (t - place[kept - 1])
-                if kept == 1 or (height[kept - 2] - z) / (t - place[kept - 2]) < slope:
+            while on_hull:
+                slope = (height[on_hull - 1] - z) / (t - place[on_hull - 1])
+                if on_hull == 1 or (height[on_hull - 2] - z) / (t - place[on_hull - 2]) < slope:
                     break
-                kept -= 1
-            place[kept], height[kept] = t, z
-            kept += 1
+                on_hull -= 1
+            place[on_hull], height[on_hull] = t, z
+            on_hull += 1
             if k == grid:
                 out[(y >> k) + middle_row] = slope
         elif k == grid:

@@ -1,9 +1,9 @@
 """That the benches of the card do what they say."""
 
 import pytest
-from emulator.evaluation.bench import gpu
 
 from emulator.cli.bench import bench
+from emulator.evaluation.bench import gpu
 from emulator.evaluation.bench.gpu import Drawing, PixelSteps, Reading
 from emulator.evaluation.bench.measures import MEASURES
 
