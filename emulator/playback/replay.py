@@ -35,7 +35,6 @@ class Replay:
     """
 
     undersampled_share: float | None = None
-    renderer: str | None = None
     lost_in_pixel = 0
 
     def __init__(

@@ -50,7 +50,6 @@ from emulator.scene.terrain.table import TerrainParameters
 from emulator.sensor.aps.frames import FrameSource
 from emulator.sensor.chip.defects import at_temperature
 from emulator.sensor.event_source import EventSource
-from emulator.sensor.gpu.array import GpuArray
 from emulator.sensor.imu.parameters import ImuParameters
 from emulator.sensor.imu.unit import EARTH_IN_THE_PICTURE, MOON_BELOW, WEIGHTLESS, Carried, Gravity, ImuSource, ImuUnit
 from emulator.sensor.other_simulators import OTHER_SIMULATORS
@@ -239,7 +238,7 @@ def build_session(
     if run.tolerance_us:
         parameters = make_plan(rig, probe(scene, parameters, run.step_us * 1000, run.seconds or 10.0)).sensor
         dark = at_temperature(parameters).dark_current_relative
-        refines = pictures.pixel_light is not None and run.pixels == "cpu"
+        refines = pictures.pixel_light is not None
         refinement = None if not refines else RefinementModel(min(parameters.threshold_on, parameters.threshold_off))
         steps = ControlledSteps(limits(rig, scene.motion_bound_px_s), dark, run.step_us * 1000, refinement)
     sensor = build_sensor(rig, parameters) if truth is None else _with_truth(rig, parameters, scene, truth)
@@ -312,13 +311,10 @@ def build_sensor(rig: Rig, parameters: SensorParameters, kind: type[Sensor] = Se
     try:
         return kind(parameters, rig.run.seed, _pixels(rig.run))
     except ValueError as error:
-        asked = f"method = {rig.run.method!r}" if rig.run.pixels == "cpu" else f"pixels = {rig.run.pixels!r}"
-        raise RigError(f"{rig.name}: run.{asked}: {error}") from error
+        raise RigError(f"{rig.name}: run.method = {rig.run.method!r}: {error}") from error
 
 
 def _pixels(run: Run) -> MakePixels:
-    if run.pixels == "gpu":
-        return GpuArray
     return OTHER_SIMULATORS.get(run.method) or partial(PixelArray, threads=run.threads)
 
 

@@ -226,7 +226,6 @@ class Session:
             scene_counts=self._pictures.scene.counts,
             painter=self._pictures.scene.painter,
             renderer=self._pictures.scene.renderer,
-            pixels_by=self._sensor.renderer,
             syncs=None if self._lockstep is None else self._lockstep.heard,
             max_late_us=schedule.max_late_us if schedule.paced else 0.0,
             max_late_share=schedule.max_late_share,

@@ -43,11 +43,6 @@ class EventSource(Protocol):
         """Share of the solved pixel-steps whose light changed unseen between two frames; None where unknown."""
         ...
 
-    @property
-    def renderer(self) -> str | None:
-        """The name of what computes the pixels, in GL's words; None for the processor."""
-        ...
-
     def warm_up(self) -> None:
         """Do the slow work of a first step, such as compiling kernels; what it returns later does not change."""
 

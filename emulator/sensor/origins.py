@@ -210,8 +210,6 @@ class TracedSensor(Sensor):
         """Return each pixel's leak rate, without the parasitic one; None where it cannot be told from other things."""
         if isinstance(self.pixels, NoisyPixels):
             return None
-        if self.pixels.renderer is not None:  # pixels on a graphics card
-            return np.asarray(self._drawn.leak / self._drawn.on)
         faults = self.pixels.faults()
         return None if faults is None else faults.leak_hz()
 

@@ -48,7 +48,7 @@ _Float32s = npt.NDArray[np.float32]
 
 
 class PixelMethod(Protocol):
-    """Pixels that turn light into crossings: `PixelArray`, `GpuArray`, `NoisyPixels`, or another simulator's rule.
+    """Pixels that turn light into crossings: `PixelArray`, `NoisyPixels`, or another simulator's rule.
 
     Attributes
     ----------
@@ -60,10 +60,6 @@ class PixelMethod(Protocol):
 
     lost_in_pixel: int
     quiet_nan: int
-
-    @property
-    def renderer(self) -> str | None:
-        """Name of the device that computes the pixels, in GL's words; None for the processor."""
 
     @property
     def settled_ns(self) -> int:
@@ -187,11 +183,6 @@ class Sensor:
         This is the measure of whether frames are close enough together.
         """
         return self.pixels.undersampled_share
-
-    @property
-    def renderer(self) -> str | None:
-        """Name of the device that computes the pixels, in GL's words; None for the processor."""
-        return self.pixels.renderer
 
     @property
     def quiet_nan(self) -> int:

@@ -114,11 +114,6 @@ class TruthSource:
         return self._sensor.undersampled_share
 
     @property
-    def renderer(self) -> str | None:
-        """Of the sensor."""
-        return self._sensor.renderer
-
-    @property
     def adjustable(self) -> dict[str, float]:
         """Of the sensor."""
         return self._sensor.adjustable

@@ -399,11 +399,10 @@ class LargeSignalPixels:
         Pixel-steps whose light was not finite; the last finite light of the pixel is used.
     settled_ns : int
         Stream time up to which all events have been returned.
-    renderer, undersampled_share : None
-        The processor computes; undersampling is unknown.
+    undersampled_share : None
+        Unknown.
     """
 
-    renderer: str | None = None
     undersampled_share: float | None = None
 
     def __init__(self, parameters: SensorParameters, seed: int) -> None:

@@ -156,7 +156,6 @@ class Rule(ABC):
         Pixel-steps since `reset` whose light was unreadable.
     """
 
-    renderer: str | None = None
     undersampled_share: float | None = None
 
     def __init__(self, parameters: SensorParameters, seed: int) -> None:

@@ -99,11 +99,7 @@ class PixelArray:
         in a way that the frames do not show (see `interpolation`; known only where the time derivative is given).
     refined : int
         Undersampled pixel-steps that were halved instead; each asked for one light of a pixel.
-    renderer : None
-        The processor computes the pixels.
     """
-
-    renderer: str | None = None
 
     def __init__(self, parameters: SensorParameters, seed: int, threads: int = 0) -> None:
         self.parameters = parameters
