@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
-import numpy as np
-import numpy.typing as npt
-
+from emulator.light import LightFrame
 from emulator.sensor.presets import SensorParameters
 from firmware_protocol.events import Events
 
@@ -46,18 +44,11 @@ class EventSource(Protocol):
     def warm_up(self) -> None:
         """Do the slow work of a first step, such as compiling kernels; what it returns later does not change."""
 
-    def reset(self, light: npt.NDArray[np.float32], t_ns: int) -> None:
-        """Start at `t_ns` at rest on `light`, (height, width) float32."""
+    def reset(self, frame: LightFrame) -> None:
+        """Start at rest on the light of `frame`, at its time."""
 
-    def expose(
-        self,
-        light: npt.NDArray[np.float32],
-        t_ns: int,
-        rate: npt.NDArray[np.float32] | None = None,
-        at: Any = None,
-        changed: Any = None,
-    ) -> Events:
-        """Move to `t_ns` and return the events that leave before it; see `Sensor.expose`."""
+    def expose(self, frame: LightFrame) -> Events:
+        """Move to the time of `frame` and return the events that leave before it; see `Sensor.expose`."""
         ...
 
     def finish(self) -> Events:

@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from emulator.light import LightFrame
 from emulator.sensor.chip.defects import at_temperature
 from emulator.sensor.chip.sources import BackgroundEvents, Particles
 from emulator.sensor.noise.grid import NoisyPixels
@@ -153,10 +154,10 @@ class TracedSensor(Sensor):
         self._constant_hz = self._leak_hz()
         self._make_twins()
 
-    def reset(self, light: _Float32s, t_ns: int) -> None:
+    def reset(self, frame: LightFrame) -> None:
         """Start as `Sensor.reset` does."""
-        super().reset(light, t_ns)
-        self._leak.reset(self._imager.see(light, int(t_ns)), int(t_ns))
+        super().reset(frame)
+        self._leak.reset(self._imager.see(frame).light, frame.t_ns)
         self._bits, self.origins = [], np.empty(0, np.uint8)
         self._make_twins()
 

@@ -18,7 +18,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from emulator.light import PixelLight, Region
+from emulator.light import LightFrame, Region
 from emulator.sensor.aps.row_kicks import KickParameters, LineReads, RowKicks
 from emulator.sensor.chip.defects import NEVER_NS, Defects, Leaks, at_temperature, draw_defects
 from emulator.sensor.chip.imager import Imager, part_of_the_way
@@ -73,16 +73,13 @@ class PixelMethod(Protocol):
     def faults(self) -> PixelFaults | None:
         """Return the access to defects and to the leak; None where the method has neither."""
 
-    def reset(self, light: _Float32s, t_ns: int, rate: _Float32s | None = None) -> None:
-        """Start at `t_ns` at rest on `light`, (height, width) float32; `rate` is its time derivative, if known."""
+    def reset(self, frame: LightFrame) -> None:
+        """Start at rest on the light of `frame`, at its time."""
 
-    def step(
-        self, light: _Float32s, t_ns: int, rate: _Float32s | None = None, at: PixelLight | None = None
-    ) -> Crossings:
-        """Move to `t_ns` and return the crossings on the way.
+    def step(self, frame: LightFrame) -> Crossings:
+        """Move to the time of `frame` and return the crossings on the way.
 
-        `light` and its time derivative `rate` hold at `t_ns`; `at` gives the light of single pixels in between. A
-        method ignores what it cannot use.
+        A method ignores the parts of a frame that it cannot use.
         """
         ...
 
@@ -122,7 +119,6 @@ class Sensor:
         self._imager = Imager(here, seed)
         own = dataclasses.replace(here, dark_current_relative=self._imager.dark_current_relative)
         self.pixels = _pixels(own, seed, make_pixels)
-        self._skips = isinstance(self.pixels, PixelArray) and not self._imager.grid_ns
         defects = draw_defects(own, seed)
         self._dead = dead_pixels(own, defects)
         self._leaks = _leaks(self.pixels, own, seed, defects)
@@ -193,47 +189,27 @@ class Sensor:
         """Compile the kernels, or load them from disk, by flashing a light at a few pixels like these."""
         few = dataclasses.replace(self.parameters, width=16, height=16, defects=DefectParameters())
         flashed = Sensor(few, 0)
-        flashed.reset(np.zeros((16, 16), np.float32), 0)
+        dark, bright = np.zeros((16, 16), np.float32), np.ones((16, 16), np.float32)
+        flashed.reset(LightFrame(0, dark))
         everything = Region(0, 16, 0, 16, np.array([[0, 16, 0, 16]]))
-        rate = np.zeros((16, 16), np.float32)
-        flashed.expose(np.ones((16, 16), np.float32), 1_000_000, rate, changed=everything)
+        flashed.expose(LightFrame(1_000_000, bright, dark, changed=everything))
         flashed.finish()
 
-    def reset(self, light: _Float32s, t_ns: int) -> None:
-        """Start at `t_ns`, at rest on `light`, (height, width) float32; nothing is pending, all counters are zero."""
+    def reset(self, frame: LightFrame) -> None:
+        """Start at rest on the light of `frame`, at its time; nothing is pending, all counters are zero."""
         self._readout = make_readout(self.parameters)
-        self._t_ns = int(t_ns)
+        self._t_ns = frame.t_ns
         if self._leaks is not None:
             self._leaks.follow(self._t_ns)
-        self.pixels.reset(self._imager.see(light, self._t_ns), self._t_ns)
+        self.pixels.reset(self._imager.see(LightFrame(frame.t_ns, frame.light)))  # at rest: no derivative
         for source in self._sources:
             source.reset(self._t_ns)
         if self._jitter is not None:
             self._jitter.reset(self._t_ns)
-        self._remember(light)
+        self._remember(frame.light)
 
-    def expose(
-        self,
-        light: _Float32s,
-        t_ns: int,
-        rate: _Float32s | None = None,
-        at: PixelLight | None = None,
-        changed: Region | None = None,
-    ) -> Events:
-        """Move to `t_ns` and return the events that leave before it.
-
-        Parameters
-        ----------
-        light : (height, width) float32
-            Light at `t_ns`, relative to the reference level; values below 0 count as 0.
-        t_ns : int
-            Stream time, not before the last one.
-        rate : (height, width) float32, optional
-            Time derivative of the light at `t_ns`, per second; None where unknown.
-        at : PixelLight, optional
-            Gives the light of single pixels in between; None where there is no such source.
-        changed : Region, optional
-            The part of light and rate that may differ from those of the last call; None: all of it.
+    def expose(self, frame: LightFrame) -> Events:
+        """Move to the time of `frame`, not before that of the last one, and return the events that leave until then.
 
         Returns
         -------
@@ -244,13 +220,13 @@ class Sensor:
         ValueError
             Time goes back, or the frame does not have the sensor's size.
         """
-        t_ns, parts = int(t_ns), []
-        t0_ns = self._t_ns
-        while (cut_ns := self._next_cut_ns()) < t_ns:
-            share = (cut_ns - t0_ns) / (t_ns - t0_ns)
-            parts.append(_copied(self._move(self._between(light, share), cut_ns, None, changed=changed)))
-        parts.append(self._move(light, t_ns, rate, at, changed))
-        self._remember(light)
+        parts, t0_ns = [], self._t_ns
+        while (cut_ns := self._next_cut_ns()) < frame.t_ns:
+            share = (cut_ns - t0_ns) / (frame.t_ns - t0_ns)
+            cut = LightFrame(cut_ns, self._between(frame.light, share), changed=frame.changed)
+            parts.append(_copied(self._move(cut)))
+        parts.append(self._move(frame))
+        self._remember(frame.light)
         return self._send(joined(parts), self.pixels.settled_ns)
 
     @property
@@ -287,29 +263,20 @@ class Sensor:
         shot_ns = (self._t_ns // grid_ns + 1) * grid_ns if grid_ns else NEVER_NS
         return min(shot_ns, self._leaks.next_ns) if self._leaks is not None else shot_ns
 
-    def _move(
-        self,
-        light: _Float32s,
-        t_ns: int,
-        rate: _Float32s | None,
-        at: PixelLight | None = None,
-        changed: Region | None = None,
-    ) -> Crossings:
-        """Move all parts to `t_ns`; no cut lies in between."""
+    def _move(self, frame: LightFrame) -> Crossings:
+        """Move all parts to the time of `frame`; no cut lies in between."""
         if self._leaks is not None and self._leaks.next_ns <= self._t_ns:
             self._leaks.follow(self._t_ns)
-        seen = self._imager.see(light, t_ns)
-        rate, at = self._imager.see_rate(rate), self._imager.see_pixels(at)
-        told = {} if changed is None or not self._skips else {"changed": changed}
-        if self._kicks is None:
-            crossings = self.pixels.step(seen, t_ns, rate, at, **told)
-        else:
-            groups = [] if self._reads is None else self._kicks.begin(self._reads.between(self._t_ns, t_ns))
-            crossings = self.pixels.step(seen, t_ns, rate, at, **told)
-            crossings = self._kicks.end(groups, crossings, self._t_ns, t_ns)
-        crossings = self._of_live_pixels(crossings)
-        self._t_ns = t_ns
-        return self._with_others(crossings, seen, self.pixels.settled_ns)
+        seen = self._imager.see(frame)
+        crossings = self._of_live_pixels(self.pixels.step(seen) if self._kicks is None else self._kicked(seen))
+        self._t_ns = frame.t_ns
+        return self._with_others(crossings, seen.light, self.pixels.settled_ns)
+
+    def _kicked(self, seen: LightFrame) -> Crossings:
+        """Return the pixels' crossings, disturbed by the reads of active pixels."""
+        assert self._kicks is not None
+        groups = [] if self._reads is None else self._kicks.begin(self._reads.between(self._t_ns, seen.t_ns))
+        return self._kicks.end(groups, self.pixels.step(seen), self._t_ns, seen.t_ns)
 
     def _with_others(self, crossings: Crossings, seen: _Float32s, settled_ns: int) -> Crossings:
         """Return the pixels' crossings as they are raised, delayed, with the events of other sources."""

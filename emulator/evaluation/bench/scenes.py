@@ -33,9 +33,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from emulator.light import LightFrame, SceneFrames
 from emulator.rig.loading import Rig, load_rig
 from emulator.run.assembly import build_scene
-from emulator.run.readings import Pictures
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.presets import PRESETS, SensorParameters
 from emulator.sensor.sensor import Sensor
@@ -66,16 +66,14 @@ def steps_per_second(rig: Rig, size: tuple[int, int], *, with_rate: bool) -> flo
     step_ns = rig.run.step_us * 1000
     rates: list[float] = []
     with build_scene(rig, size) as scene:
-        picture = Pictures(scene, with_rate=with_rate)
-        picture.draw(0)
-        sensor.reset(picture.light, 0)
+        frames = SceneFrames(scene, with_rate=with_rate)
+        sensor.reset(frames.draw(0))
         t_ns = 0
         for repeat in range(_REPEATS + 1):
             steps, start_s = 0, time.perf_counter()
             while time.perf_counter() - start_s < _REPEAT_S:
                 t_ns += step_ns
-                picture.draw(t_ns)
-                sensor.expose(picture.light, t_ns, picture.rate, None, picture.changed)
+                sensor.expose(frames.draw(t_ns))
                 steps += 1
             if repeat:  # the first one compiles and settles
                 rates.append(steps / (time.perf_counter() - start_s))
@@ -186,9 +184,9 @@ class ScenesAlike:
             for name, array in arrays.items():
                 light, rate = scenes[name][1](k)
                 if k == -_WARM_UP:
-                    array.reset(light, 0, rate)
+                    array.reset(LightFrame(0, light, rate))
                 begun = time.perf_counter()
-                crossings = array.step(light, (k + _WARM_UP) * _STEP_NS, rate)
+                crossings = array.step(LightFrame((k + _WARM_UP) * _STEP_NS, light, rate))
                 if k >= _SETTLED:
                     seconds[name].append(time.perf_counter() - begun)
                     found[name] += len(crossings)

@@ -27,7 +27,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.geometry.camera import SceneGeometry, Seen
-from emulator.light import PixelLight, Region, Scene
+from emulator.light import LightFrame, Scene
 from emulator.rig.kinds import SCENES
 from emulator.rig.loading import Rig
 from emulator.run.truth.file import About, TruthRecorder
@@ -43,7 +43,6 @@ from transports.needs import install_command
 __all__ = ["SUFFIXES", "TruthFile", "TruthRefused", "TruthSource", "check_truth", "ideal_of"]
 
 
-_Float32s = npt.NDArray[np.float32]
 _CLEAN = ("threshold_on", "threshold_off")  # what may change while the clean sensor runs
 
 
@@ -128,26 +127,19 @@ class TruthSource:
         """Compile the kernels."""
         self._sensor.warm_up()
 
-    def reset(self, light: _Float32s, t_ns: int) -> None:
-        """Start at `t_ns`."""
-        self._sensor.reset(light, t_ns)
-        self._clean.reset(light, t_ns)
+    def reset(self, frame: LightFrame) -> None:
+        """Start at the time of `frame`."""
+        self._sensor.reset(frame)
+        self._clean.reset(frame)
         self._count = 0
-        self._picture(light, t_ns)
+        self._record(frame)
 
-    def expose(
-        self,
-        light: _Float32s,
-        t_ns: int,
-        rate: _Float32s | None = None,
-        at: PixelLight | None = None,
-        changed: Region | None = None,
-    ) -> Events:
-        """Move to `t_ns` and return the sensor's events; see `Sensor.expose`."""
-        events = self._sensor.expose(light, t_ns, rate, at, changed)
+    def expose(self, frame: LightFrame) -> Events:
+        """Move to the time of `frame` and return the sensor's events; see `Sensor.expose`."""
+        events = self._sensor.expose(frame)
         self._events.add(events, self._sensor.origins)
-        self._clean_events.add(self._clean.expose(light, t_ns, rate, at, changed))
-        self._picture(light, t_ns)
+        self._clean_events.add(self._clean.expose(frame))
+        self._record(frame)
         return events
 
     def finish(self) -> Events:
@@ -158,11 +150,11 @@ class TruthSource:
         self._recorder.put(self._event_rows(math.inf, self._labels))
         return events
 
-    def _picture(self, light: _Float32s, t_ns: int) -> None:
-        """Write the poses of a picture, and of every n-th the rest with the events up to it."""
-        rows = self._pose_rows(t_ns)
+    def _record(self, frame: LightFrame) -> None:
+        """Record the poses of a frame, and of every n-th the rest with the events up to it."""
+        rows = self._pose_rows(frame.t_ns)
         if self._count % self._every == 0:
-            rows |= self._picture_rows(light, t_ns)
+            rows |= self._frame_rows(frame)
         self._count += 1
         if rows:
             self._recorder.put(rows)
@@ -181,8 +173,9 @@ class TruthSource:
             rows["poses/bodies_q_world_from_body"] = placed.q_world_from_bodies[None]
         return rows
 
-    def _picture_rows(self, light: _Float32s, t_ns: int) -> dict[str, Any]:
-        rows: dict[str, Any] = {"pictures/t": np.array([t_ns / 1000]), "pictures/light": light[None]}
+    def _frame_rows(self, frame: LightFrame) -> dict[str, Any]:
+        t_ns = frame.t_ns
+        rows: dict[str, Any] = {"pictures/t": np.array([t_ns / 1000]), "pictures/light": frame.light[None]}
         if self._geometry is not None:
             self._geometry.look(t_ns, self._seen)
         for name in sorted(self._gives - {"poses"}):

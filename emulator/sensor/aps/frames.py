@@ -34,7 +34,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from emulator.light import Light
+from emulator.light import Light, LightFrame
 from emulator.sensor.aps.row_kicks import FrameParameters, LineReads
 from emulator.sensor.numerics.keyed import Purpose, normal, normals, root_of, streams
 from firmware_protocol.device.event_device import ReadingKind, Readings
@@ -340,15 +340,16 @@ class FrameSource:
         self._frame: _Frame | None = None
         self._next_ns: int | None = None
 
-    def reset(self, light: Light, t_ns: int) -> None:
-        """Start at `t_ns` on `light`, (height, width) float32."""
+    def reset(self, frame: LightFrame) -> None:
+        """Start at the time of `frame`."""
         self._converter(by_column=False).reset(slice(0, 1), slice(0, 1), 0)  # compiles
-        self._before[:] = light
-        self._t_ns = self._before_ns = t_ns
+        self._before[:] = frame.light
+        self._t_ns = self._before_ns = frame.t_ns
         self._frame = self._next_ns = None
 
-    def read(self, light: Light, t_ns: int, settings: tuple[int, ...]) -> Readings:
-        """Move to `t_ns`, when the light is `light`; return the lines that were read until then."""
+    def read(self, frame: LightFrame, settings: tuple[int, ...]) -> Readings:
+        """Move to the time of `frame` and return the lines that were read until then."""
+        light, t_ns = frame.light, frame.t_ns
         asked = FrameSettings.of(settings)
         told = np.zeros(0, self.record)
         self._begun = []

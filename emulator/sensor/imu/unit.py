@@ -47,7 +47,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.geometry.attitude import Vector, matrix_of
-from emulator.light import Light
+from emulator.light import LightFrame
 from emulator.sensor.imu.parameters import ImuParameters
 from emulator.sensor.numerics.keyed import Purpose, normal
 from emulator.trajectory.motion import Timescale
@@ -345,16 +345,16 @@ class ImuSource:
         self._converter = Converter()
         self._t_ns = 0
 
-    def reset(self, light: Light, t_ns: int) -> None:
-        """Start at `t_ns`."""
-        self._t_ns = t_ns
+    def reset(self, frame: LightFrame) -> None:
+        """Start at the time of `frame`."""
+        self._t_ns = frame.t_ns
         self._converter = Converter()
 
-    def read(self, light: Light, t_ns: int, settings: tuple[int, ...]) -> ImuSamples:
-        """Move to `t_ns` and return the samples until then."""
+    def read(self, frame: LightFrame, settings: tuple[int, ...]) -> ImuSamples:
+        """Move to the time of `frame` and return the samples until then."""
         asked = ImuSettings(bool(settings[0]), *settings[1:]) if settings else ImuSettings()
-        since_ns, self._t_ns = self._t_ns, t_ns
+        since_ns, self._t_ns = self._t_ns, frame.t_ns
         if not asked.run:
             self._converter.stop()
             return no_samples()
-        return self._converter.samples(self._unit.between(since_ns, t_ns), asked)
+        return self._converter.samples(self._unit.between(since_ns, frame.t_ns), asked)

@@ -32,7 +32,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from emulator.light import PixelLight
+from emulator.light import LightFrame
 from emulator.sensor.chip.sources import Pending, new_pending, reserve
 from emulator.sensor.numerics.cached import cached_entry
 from emulator.sensor.numerics.compiled import kernel, kernel_that_allocates
@@ -438,39 +438,38 @@ class LargeSignalPixels:
         """Set the leak rate of all pixels, (pixels,), from now on."""
         self._model.leak[:] = leak_hz * self._model.on
 
-    def reset(self, light: _Float32s, t_ns: int, rate: _Float32s | None = None) -> None:
-        """Start at `t_ns` at rest on `light`, (height, width) float32, and with counters at zero."""
-        self._u, self.settled_ns = self._log(light), int(t_ns)
-        self._slope = self._slopes(rate)
+    def reset(self, frame: LightFrame) -> None:
+        """Start at rest on the light of `frame`, at its time, and with counters at zero."""
+        self._u, self.settled_ns = self._log(frame.light), int(frame.t_ns)
+        self._slope = self._slopes(frame.rate)
         u, m = self._u, self._model
         shortest = np.full(u.size, 1e-4)
         self._state = _Array(np.zeros(u.size), u.copy(), u.copy(), u - m.on * self._phase, np.zeros(u.size), shortest)
         self.lost_in_pixel = self.quiet_nan = 0
 
-    def step(
-        self, light: _Float32s, t_ns: int, rate: _Float32s | None = None, at: PixelLight | None = None
-    ) -> Crossings:
-        """Move to `t_ns` and return the crossings on the way; see `PixelArray.step`. `at` is not used.
+    def step(self, frame: LightFrame) -> Crossings:
+        """Move to the time of `frame` and return the crossings on the way; see `PixelArray.step`.
 
         Raises
         ------
         ValueError
             Time goes back, the step is longer than 8.6 s, or the frame does not have the sensor's size.
         """
-        t0_ns, h_ns = self.settled_ns, int(t_ns) - self.settled_ns
+        t0_ns, t_ns = self.settled_ns, int(frame.t_ns)
+        h_ns = t_ns - t0_ns
         if h_ns < 0:
             raise ValueError(f"t_ns = {t_ns}: before the last step's {t0_ns}; time does not go back")
         if h_ns > _LONGEST_NS:
             raise ValueError(f"a step of {h_ns * 1e-9:.3g} s: a large-signal photoreceptor takes 8.6 s at most")
-        u = self._log(light)
-        slope = self._slopes(rate)
+        u = self._log(frame.light)
+        slope = self._slopes(frame.rate)
         if h_ns == 0:
             self._u, self._slope = u, slope
             return NO_CROSSINGS
         pending, n, lost = _advance(
             (self._u, u, self._current), (self._slope, slope), h_ns * 1e-9, self._model, self._state, new_pending()
         )
-        self._u, self._slope, self.settled_ns = u, slope, int(t_ns)
+        self._u, self._slope, self.settled_ns = u, slope, t_ns
         self.lost_in_pixel += lost
         bits = max(1, (u.size - 1).bit_length())
         keys = np.minimum(pending[0][:n], h_ns - 1).astype(np.uint64) << np.uint64(bits + 1) | pending[1][:n]

@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from emulator.light import PixelLight
+from emulator.light import LightFrame
 from emulator.sensor.chip.sources import Pending, new_pending, reserve
 from emulator.sensor.noise.law import bandwidth_hz, fixed_corner_hz
 from emulator.sensor.numerics.cached import cached_entry
@@ -307,11 +307,11 @@ class NoisyPixels:
         """Set the leak rate of all pixels, (pixels,), from the last grid time on."""
         self._model.leak[:] = leak_hz * self._model.on
 
-    def reset(self, light: npt.NDArray[np.float32], t_ns: int, rate: npt.NDArray[np.float32] | None = None) -> None:
-        """Start at `t_ns`, at rest on `light`, (height, width) float32, with stationary noise."""
+    def reset(self, frame: LightFrame) -> None:
+        """Start at rest on the light of `frame`, at its time, with stationary noise."""
         m, pixels = self._model, self._u.size
         self._u[:] = np.log(self.parameters.dark_current_relative)
-        self._u, self._t_ns = self._log(light), int(t_ns)
+        self._u, self._t_ns = self._log(frame.light), int(frame.t_ns)
         self.lost_in_pixel = self.quiet_nan = 0
         first = -(-self._t_ns // m.delta_ns)
         self.settled_ns = first * m.delta_ns
@@ -321,27 +321,19 @@ class NoisyPixels:
         seen = m.on * self._phase + noise
         self._state = _State(self._u.copy(), self._u.copy(), self._u.copy(), noise, seen, np.zeros(pixels, np.int64))
 
-    def step(
-        self,
-        light: npt.NDArray[np.float32],
-        t_ns: int,
-        rate: npt.NDArray[np.float32] | None = None,
-        at: PixelLight | None = None,
-    ) -> Crossings:
-        """Move from the last frame to `light`, (height, width) float32, at `t_ns`; `rate` and `at` are not used.
-
-        A frame at the time of the last one takes its place.
+    def step(self, frame: LightFrame) -> Crossings:
+        """Move from the last frame to this one; a frame at the time of the last one takes its place.
 
         Returns
         -------
-        The crossings between the last `settled_ns` and the new one, the last grid time before `t_ns`.
+        The crossings between the last `settled_ns` and the new one, the last grid time before the frame.
 
         Raises
         ------
         ValueError
             Time goes back, or the frame does not have the sensor's size.
         """
-        t_ns, m = int(t_ns), self._model
+        light, t_ns, m = frame.light, int(frame.t_ns), self._model
         if t_ns < self._t_ns:
             raise ValueError(f"t_ns = {t_ns}: before the last step's {self._t_ns}; time does not go back")
         if t_ns == self._t_ns:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from emulator.light import PixelLight, Region
+from emulator.light import LightFrame, PixelLight, Region
 from emulator.sensor.numerics.compiled import log_compilation
 from emulator.sensor.numerics.elementary import aligned_zeros
 from emulator.sensor.numerics.keyed import Purpose, normal, uniform
@@ -175,13 +175,13 @@ class PixelArray:
         """Return a copy of one field of the state, (height, width) float32."""
         return take_field(self.state.fields, which, self._pixels).reshape(self.parameters.height, self.parameters.width)
 
-    def reset(self, light: _Float32s, t_ns: int, rate: _Float32s | None = None) -> None:
-        """Start at `t_ns` with the filter at rest on `light`, and counters at zero; `light` and `rate` as in `step`."""
+    def reset(self, frame: LightFrame) -> None:
+        """Start at the time of `frame` with the filter at rest on its light, and counters at zero."""
         log_compilation(advance, "the pixel step")
         state, p = self.state, self.parameters
-        flat, slope = self._flat(light), _NO_RATE if rate is None else self._flat(rate)
-        state.t_ns, state.epoch_ns = int(t_ns), (int(t_ns) >> EPOCH_BITS) << EPOCH_BITS
-        state.refractory_until_ns[:] = t_ns
+        flat, slope = self._flat(frame.light), _NO_RATE if frame.rate is None else self._flat(frame.rate)
+        state.t_ns, state.epoch_ns = int(frame.t_ns), (int(frame.t_ns) >> EPOCH_BITS) << EPOCH_BITS
+        state.refractory_until_ns[:] = frame.t_ns
         current = np.maximum(flat, 0) + np.float32(p.dark_current_relative)
         current[~np.isfinite(flat)] = np.nan
         log_light = np.log(current)
@@ -193,7 +193,7 @@ class PixelArray:
         since_epoch = (state.t_ns - state.epoch_ns) * 1e-9
         state.fields[:, Field.LEAKED] = 0
         self._move_parasitic(-since_epoch, log_light)
-        state.slopes_known = rate is not None
+        state.slopes_known = frame.rate is not None
         for which in (Field.LOG_LIGHT, Field.FILTERED, Field.SECOND):
             put_field(state.fields, which, log_light)
         put_field(state.fields, Field.RATE, filter_rate)
@@ -207,48 +207,31 @@ class PixelArray:
         self._replacing = None
         self.wake()
 
-    def step(
-        self,
-        light: _Float32s,
-        t_ns: int,
-        rate: _Float32s | None = None,
-        at: PixelLight | None = None,
-        changed: Region | None = None,
-    ) -> Crossings:
-        """Move from the last time to `t_ns`.
+    def step(self, frame: LightFrame) -> Crossings:
+        """Move from the last time to that of `frame`.
 
         Log light follows the cubic through its values and time derivatives at both ends; the parabola where only one
         derivative is known; the straight line without derivatives, or in steps longer than an epoch.
 
-        Parameters
-        ----------
-        light : (height, width) float32
-            Relative to the reference level; values below 0 count as 0.
-        t_ns : int
-            Stream time of that frame. If it equals the last time, the step is empty, and this frame takes the place of
-            the last one: the light jumps there, and the next step begins with it.
-        rate : (height, width) float32, optional
-            Time derivative of the light at `t_ns`, per second; not finite where unknown.
-        at : PixelLight, optional
-            Gives the light of single pixels in between. With it and `rate`, undersampled steps are refined.
-        changed : Region, optional
-            The part of light and rate that may differ from those of the last step or reset; None: all of it.
+        If its time equals the last one, the step is empty, and this frame takes the place of the last one: the light
+        jumps there, and the next step begins with it. With light between frames and the time derivative, undersampled
+        steps are refined.
 
         Raises
         ------
         ValueError
             Time goes back, or a frame does not have the sensor's size.
         """
-        flat, slope = self._flat(light), _NO_RATE if rate is None else self._flat(rate)
+        flat, slope = self._flat(frame.light), _NO_RATE if frame.rate is None else self._flat(frame.rate)
         state, lost_before = self.state, self.lost_in_pixel
-        t_ns = int(t_ns)
+        t_ns = int(frame.t_ns)
         if t_ns < state.t_ns:
             raise ValueError(f"t_ns = {t_ns}: before the last step's {state.t_ns}; time does not go back")
         n = 0
         if t_ns - state.t_ns > _EPOCH_NS:
             n, slope = self._whole_epochs(flat, t_ns), _NO_RATE
         if t_ns > state.t_ns:
-            n = self._advance((flat, slope), t_ns, n, at, changed)
+            n = self._advance((flat, slope), t_ns, n, frame.at, frame.changed)
         else:
             self._replacing = flat.copy(), slope.copy()
         found = self._buffers
