@@ -15,8 +15,9 @@ import numpy.typing as npt
 from emulator.light import LightFrame
 from emulator.playback.recording import RecordingParameters, load_recording
 from emulator.scene.kind import Blank
+from emulator.sensor.aps.row_kicks import KickParameters
 from emulator.sensor.chip.readout import ReadOut
-from emulator.sensor.pixels.array import Crossings
+from emulator.sensor.pixels.crossings import Crossings
 from emulator.sensor.presets import SensorParameters
 from firmware_protocol.events import EVENT, Events, copy_events, join_events
 
@@ -67,6 +68,9 @@ class Replay:
     def read_out(self) -> int:
         """Events returned so far."""
         return self.raised if self._readout is None else self._readout.read_out
+
+    def with_kicks(self, kicks: KickParameters) -> None:
+        """Return None: recorded events are not disturbed by the reading of frames."""
 
     def warm_up(self) -> None:
         """Nothing is compiled."""

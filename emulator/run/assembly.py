@@ -52,10 +52,11 @@ from emulator.sensor.chip.defects import at_temperature
 from emulator.sensor.event_source import EventSource
 from emulator.sensor.imu.parameters import ImuParameters
 from emulator.sensor.imu.unit import EARTH_IN_THE_PICTURE, MOON_BELOW, WEIGHTLESS, Carried, Gravity, ImuSource, ImuUnit
+from emulator.sensor.methods.base import MakePixels
 from emulator.sensor.other_simulators import OTHER_SIMULATORS
-from emulator.sensor.pixels.array import PixelArray
+from emulator.sensor.parts import own_pixels
 from emulator.sensor.presets import SensorParameters
-from emulator.sensor.sensor import MakePixels, Sensor
+from emulator.sensor.sensor import Sensor
 from emulator.tables.registry import imported
 from emulator.trajectory.building import HasCameraPath
 from emulator.trajectory.motion import Timescale
@@ -270,9 +271,8 @@ def _frame_sources(rig: Rig, sensor: EventSource | None = None) -> list[ReadingS
         return []
     disturb = None
     if frames.kicks.share and sensor is not None:
-        if isinstance(sensor, Sensor) and sensor.with_kicks(frames.kicks):
-            disturb = sensor.disturb
-        else:
+        disturb = sensor.with_kicks(frames.kicks)
+        if disturb is None:
             log.warning("row kicks are left out: this source of events cannot be disturbed by the reading of frames")
     return [FrameSource(frames, rig.run.seed, rig.camera.size, disturb)]
 
@@ -315,7 +315,7 @@ def build_sensor(rig: Rig, parameters: SensorParameters, kind: type[Sensor] = Se
 
 
 def _pixels(run: Run) -> MakePixels:
-    return OTHER_SIMULATORS.get(run.method) or partial(PixelArray, threads=run.threads)
+    return OTHER_SIMULATORS.get(run.method) or partial(own_pixels, threads=run.threads)
 
 
 def build_frames(rig: Rig, scene: Scene) -> SceneFrames:

@@ -136,7 +136,8 @@ def _lit(t_ns: int, pixels: npt.NDArray[np.int64]) -> tuple[_Float32s, _Float32s
 def _read_out(sensor: SensorParameters) -> None:
     """Let a sensor with these effects read out one event of each pixel."""
     from emulator.light import LightFrame
-    from emulator.sensor.pixels.array import Crossings, PixelArray
+    from emulator.sensor.pixels.array import PixelArray
+    from emulator.sensor.pixels.crossings import Crossings
     from emulator.sensor.sensor import Sensor
 
     class OneEvent(PixelArray):
@@ -146,7 +147,7 @@ def _read_out(sensor: SensorParameters) -> None:
             return Crossings(np.full(pixel.size, frame.t_ns - 1, np.int64), pixel, pixel < pixel.size // 2)
 
     is_grid = bool(sensor.noise.rms) and sensor.noise.grade == "grid"
-    one = Sensor(sensor, 0, PixelArray if is_grid else OneEvent)
+    one = Sensor(sensor, 0) if is_grid else Sensor(sensor, 0, OneEvent)
     light = np.full((_HEIGHT, _WIDTH), 0.02, np.float32)  # so dim that noise, where there is any, has events by the end
     one.reset(LightFrame(0, light))
     for t_ns in (1_000_000, 50_000_000, 5_000_000_000):
@@ -173,7 +174,7 @@ def _tell_truth() -> None:
     """Find the nearest facet of a small surface, its depth and flow; tell the leak's events of a few pixels."""
     from emulator.geometry.camera import Pinhole, Rays, Seen
     from emulator.sensor.origins import LeakShare
-    from emulator.sensor.pixels.merging import NO_CROSSINGS
+    from emulator.sensor.pixels.crossings import NO_CROSSINGS
     from emulator.truth.surfaces import NearestSurface, write_depth_and_flow
 
     camera, seen = Pinhole(_WIDTH, _HEIGHT, 20.0), Seen.of(_WIDTH, _HEIGHT)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Protocol, runtime_checkable
 
 from emulator.light import LightFrame
+from emulator.sensor.aps.row_kicks import KickParameters, LineReads
 from emulator.sensor.presets import SensorParameters
 from firmware_protocol.events import Events
 
@@ -40,6 +42,12 @@ class EventSource(Protocol):
     def undersampled_share(self) -> float | None:
         """Share of the solved pixel-steps whose light changed unseen between two frames; None where unknown."""
         ...
+
+    def with_kicks(self, kicks: KickParameters) -> Callable[[LineReads], None] | None:
+        """Return the receiver of reads of active pixels, which disturb the events from then on; None where they cannot.
+
+        Each call of the receiver gives the reads that begin in the next step.
+        """
 
     def warm_up(self) -> None:
         """Do the slow work of a first step, such as compiling kernels; what it returns later does not change."""

@@ -27,15 +27,14 @@ import numpy.typing as npt
 from emulator.light import LightFrame
 from emulator.sensor.chip.defects import at_temperature
 from emulator.sensor.chip.sources import BackgroundEvents, Particles
-from emulator.sensor.noise.grid import NoisyPixels
+from emulator.sensor.methods.base import MakePixels
 from emulator.sensor.noise.points import NoiseEvents
 from emulator.sensor.numerics.cached import cached_entry
-from emulator.sensor.parts import finished, make_jitter, make_readout
-from emulator.sensor.pixels.array import Crossings, PixelArray
-from emulator.sensor.pixels.merging import joined, merged
+from emulator.sensor.parts import finished, make_jitter, make_readout, own_pixels
+from emulator.sensor.pixels.crossings import Crossings, joined, merged
 from emulator.sensor.pixels.state import draw
 from emulator.sensor.presets import SensorParameters
-from emulator.sensor.sensor import MakePixels, Sensor
+from emulator.sensor.sensor import Sensor
 from firmware_protocol.events import Events
 
 __all__ = ["LeakShare", "Origin", "TracedSensor"]
@@ -143,7 +142,7 @@ class TracedSensor(Sensor):
     origins : (n,) uint8, `Origin` of each event that the last `expose` or `finish` returned.
     """
 
-    def __init__(self, parameters: SensorParameters, seed: int, make_pixels: MakePixels = PixelArray) -> None:
+    def __init__(self, parameters: SensorParameters, seed: int, make_pixels: MakePixels = own_pixels) -> None:
         super().__init__(parameters, seed, make_pixels)
         self.origins: _Codes = np.empty(0, np.uint8)
         here, self._seed = at_temperature(parameters), seed
@@ -208,11 +207,9 @@ class TracedSensor(Sensor):
         return np.where(leaks, np.uint8(Origin.LEAK), np.uint8(Origin.SIGNAL))
 
     def _leak_hz(self) -> npt.NDArray[np.float64] | None:
-        """Return each pixel's leak rate, without the parasitic one; None where it cannot be told from other things."""
-        if isinstance(self.pixels, NoisyPixels):
-            return None
-        faults = self.pixels.faults()
-        return None if faults is None else faults.leak_hz()
+        """Return each pixel's leak rate, without the parasitic one; None where unknown or inseparable from noise."""
+        capabilities = self.pixels.capabilities
+        return None if capabilities.has_grid_noise or not capabilities.has_faults else self.pixels.leak_hz()
 
 
 def _bits(crossings: Crossings, codes: _Codes) -> list[Crossings]:

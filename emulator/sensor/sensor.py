@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -23,69 +22,23 @@ from emulator.sensor.aps.row_kicks import KickParameters, LineReads, RowKicks
 from emulator.sensor.chip.defects import NEVER_NS, Defects, Leaks, at_temperature, draw_defects
 from emulator.sensor.chip.imager import Imager, part_of_the_way
 from emulator.sensor.effects import DefectParameters
-from emulator.sensor.methods.large_signal import LargeSignalPixels
-from emulator.sensor.noise.grid import NoisyPixels
+from emulator.sensor.methods.base import MakePixels, PixelMethod
 from emulator.sensor.parts import (
-    ADJUSTABLE,
-    adjust,
     dead_pixels,
     finished,
-    live_thresholds,
     make_jitter,
     make_noise,
     make_readout,
     make_sources,
+    own_pixels,
 )
-from emulator.sensor.pixels.array import Crossings, PixelArray
-from emulator.sensor.pixels.merging import NO_CROSSINGS, joined
-from emulator.sensor.pixels.state import PixelFaults
+from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings, joined
 from emulator.sensor.presets import SensorParameters
 from firmware_protocol.events import Events
 
-__all__ = ["MakePixels", "PixelMethod", "Sensor"]
+__all__ = ["Sensor"]
 
 _Float32s = npt.NDArray[np.float32]
-
-
-class PixelMethod(Protocol):
-    """Pixels that turn light into crossings: `PixelArray`, `NoisyPixels`, or another simulator's rule.
-
-    Attributes
-    ----------
-    lost_in_pixel : int
-        Crossings since `reset` beyond the most that a pixel can have in a step.
-    quiet_nan : int
-        Pixel-steps since `reset` whose light was NaN or infinite.
-    """
-
-    lost_in_pixel: int
-    quiet_nan: int
-
-    @property
-    def settled_ns(self) -> int:
-        """Stream time up to which all crossings have been returned."""
-        ...
-
-    @property
-    def undersampled_share(self) -> float | None:
-        """Undersampled pixel-steps over those that had to be solved; None where unknown."""
-
-    def faults(self) -> PixelFaults | None:
-        """Return the access to defects and to the leak; None where the method has neither."""
-
-    def reset(self, frame: LightFrame) -> None:
-        """Start at rest on the light of `frame`, at its time."""
-
-    def step(self, frame: LightFrame) -> Crossings:
-        """Move to the time of `frame` and return the crossings on the way.
-
-        A method ignores the parts of a frame that it cannot use.
-        """
-        ...
-
-
-MakePixels = Callable[[SensorParameters, int], PixelMethod]
-"""Factory of a sensor's pixels, from its parameters and a seed."""
 
 
 class Sensor:
@@ -113,12 +66,13 @@ class Sensor:
         The method of the pixels lacks an effect that the parameters switch on (defects, changing leak).
     """
 
-    def __init__(self, parameters: SensorParameters, seed: int, make_pixels: MakePixels = PixelArray) -> None:
+    def __init__(self, parameters: SensorParameters, seed: int, make_pixels: MakePixels = own_pixels) -> None:
         self.parameters = parameters
         here = at_temperature(parameters)
         self._imager = Imager(here, seed)
         own = dataclasses.replace(here, dark_current_relative=self._imager.dark_current_relative)
-        self.pixels = _pixels(own, seed, make_pixels)
+        self.pixels = make_pixels(own, seed)
+        self.pixels.capabilities.check(own)
         defects = draw_defects(own, seed)
         self._dead = dead_pixels(own, defects)
         self._leaks = _leaks(self.pixels, own, seed, defects)
@@ -133,15 +87,20 @@ class Sensor:
         self._kicks: RowKicks | None = None
         self._reads: LineReads | None = None
 
-    def with_kicks(self, kicks: KickParameters) -> bool:
-        """Let reads of active pixels disturb the events; False where the method of the pixels cannot."""
-        if type(self.pixels) is PixelArray:
-            self._kicks = RowKicks(kicks, self.parameters, self._seed, self.pixels)
-        return self._kicks is not None
+    def with_kicks(self, kicks: KickParameters) -> Callable[[LineReads], None] | None:
+        """Let reads of active pixels disturb the events; None where the method of the pixels cannot.
 
-    def disturb(self, reads: LineReads) -> None:
-        """Take note of the reads of active pixels that begin in the next step, from its start on, before its end."""
-        self._reads = reads if self._kicks is not None else None
+        Returns
+        -------
+        Receiver of the reads that begin in the next step, from its start on, before its end.
+        """
+        if not self.pixels.capabilities.takes_row_reads:
+            return None
+        self._kicks = RowKicks(kicks, self.parameters, self._seed, self.pixels.levels())
+        return self._disturb
+
+    def _disturb(self, reads: LineReads) -> None:
+        self._reads = reads
 
     @property
     def raised(self) -> int:
@@ -232,11 +191,8 @@ class Sensor:
     @property
     def adjustable(self) -> dict[str, float]:
         """Fields of `parameters` that `adjust` can change, with their present values; {} where the pixels cannot."""
-        if not isinstance(self.pixels, PixelArray):
-            return {}
         fixed = {"leak_hz"} if self._leaks is not None else set()  # it has its own course
-        fixed |= set() if self.pixels.parameters.source_follower_hz > 0 else {"source_follower_hz"}
-        return {name: float(getattr(self.pixels.parameters, name)) for name in ADJUSTABLE if name not in fixed}
+        return {name: value for name, value in self.pixels.adjustable.items() if name not in fixed}
 
     def adjust(self, name: str, value: float) -> None:
         """Set one of `adjustable` from now on; noise of the grade "points" follows from the same time on.
@@ -246,11 +202,11 @@ class Sensor:
         ValueError
             The field cannot be changed, or the value is not allowed.
         """
-        if name not in self.adjustable or not isinstance(self.pixels, PixelArray):
+        if name not in self.adjustable:
             raise ValueError(f"{name} cannot be changed while this sensor runs")
-        adjust(self.pixels, name, value)
+        self.pixels.adjust(name, value)
         if self._noise is not None:
-            self._noise.follow(self.pixels.parameters, live_thresholds(self.pixels))
+            self._noise.follow(self.pixels.parameters, self.pixels.live_thresholds())
 
     def finish(self) -> Events:
         """Return the events that have not left yet; the sensor cannot be exposed afterwards."""
@@ -318,27 +274,11 @@ def _copied(crossings: Crossings) -> Crossings:
     )
 
 
-def _pixels(p: SensorParameters, seed: int, make_pixels: MakePixels) -> PixelMethod:
-    """Return the pixels; with noise of the grid grade, those that contain it."""
-    on_grid = bool(p.noise.rms) and p.noise.grade == "grid"
-    own = getattr(make_pixels, "func", make_pixels) is PixelArray
-    if p.photoreceptor == "large_signal":
-        if not own or on_grid:
-            raise ValueError('photoreceptor = "large_signal" is a method of its own: leave it out, or the other method')
-        return LargeSignalPixels(p, seed)
-    if not on_grid:
-        return make_pixels(p, seed)
-    if not own:
-        raise ValueError('noise.grade = "grid" is a method of its own: leave it out, or the other method')
-    return NoisyPixels(p, seed)
-
-
 def _leaks(pixels: PixelMethod, p: SensorParameters, seed: int, defects: Defects) -> Leaks | None:
     """Apply the defects to the pixels; return the changing leak, None where it is constant."""
     if not (defects.hot.size or defects.dead.size or p.jitter.leak_share):
         return None
-    faults = pixels.faults()
-    if faults is None:
+    if not pixels.capabilities.has_faults:
         raise ValueError("defects, dose and jitter.leak_share need evstim's own pixels: leave them out, or the method")
-    faults.kill(defects.dead)
-    return Leaks(faults, seed, p.jitter.leak_share, defects)
+    pixels.kill(defects.dead)
+    return Leaks(pixels, seed, p.jitter.leak_share, defects)

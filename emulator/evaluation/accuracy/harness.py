@@ -48,10 +48,11 @@ from emulator.evaluation.accuracy.scenes import (
 from emulator.evaluation.accuracy.scores import Scores, Stream, compare
 from emulator.evaluation.accuracy.truth import true_events
 from emulator.light import LightFrame, PixelLight
+from emulator.sensor.methods.base import MakePixels
 from emulator.sensor.other_simulators import OTHER_SIMULATORS
-from emulator.sensor.pixels.array import Crossings, PixelArray
+from emulator.sensor.pixels.array import PixelArray
+from emulator.sensor.pixels.crossings import Crossings
 from emulator.sensor.presets import SensorParameters
-from emulator.sensor.sensor import MakePixels
 
 __all__ = [
     "CASES",

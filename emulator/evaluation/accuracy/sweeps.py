@@ -44,7 +44,8 @@ from emulator.evaluation.accuracy.scenes import Float64s, ShadedEdge, ThinLine, 
 from emulator.evaluation.accuracy.scores import Scores, Stream, compare
 from emulator.light import LightFrame
 from emulator.plan.step_control import ControlledSteps, Limits, RefinementModel
-from emulator.sensor.pixels.array import Crossings, PixelArray
+from emulator.sensor.pixels.array import PixelArray
+from emulator.sensor.pixels.crossings import Crossings
 from emulator.sensor.presets import ReadoutParameters, SensorParameters
 from emulator.sensor.sensor import Sensor
 

@@ -31,10 +31,11 @@ from emulator.light import LightFrame, Scene
 from emulator.rig.kinds import SCENES
 from emulator.rig.loading import Rig
 from emulator.run.truth.file import About, TruthRecorder
+from emulator.sensor.aps.row_kicks import KickParameters
 from emulator.sensor.chip.defects import at_temperature
 from emulator.sensor.event_source import EventSource
 from emulator.sensor.origins import TracedSensor
-from emulator.sensor.pixels.array import PixelArray
+from emulator.sensor.parts import own_pixels
 from emulator.sensor.presets import PRESETS, SensorParameters
 from emulator.sensor.sensor import Sensor
 from firmware_protocol.events import Events, join_events
@@ -122,6 +123,9 @@ class TruthSource:
         self._sensor.adjust(name, value)
         if name in _CLEAN:
             self._clean.adjust(name, value)
+
+    def with_kicks(self, kicks: KickParameters) -> None:
+        """Return None: the truth of disturbed events is not traced."""
 
     def warm_up(self) -> None:
         """Compile the kernels."""
@@ -274,7 +278,7 @@ class TruthFile:
             raise TypeError("truth needs a sensor that traces its events")
         run, geometry = self._rig.run, scene.geometry()
         self._recorder = TruthRecorder(self._path, _about(self._rig, geometry), waits=run.pace != "realtime")
-        clean = Sensor(ideal_of(sensor.parameters), run.seed, partial(PixelArray, threads=run.threads))
+        clean = Sensor(ideal_of(sensor.parameters), run.seed, partial(own_pixels, threads=run.threads))
         return TruthSource(sensor, clean, geometry, self._recorder, self._every)
 
     def close(self) -> None:

@@ -58,16 +58,17 @@ account"); Rebecq, Gehrig and Scaramuzza, CoRL 2018, event_simulator.cpp of rpg_
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from emulator.light import LightFrame
+from emulator.sensor.methods.base import PixelMethod, time_of
 from emulator.sensor.numerics.keyed import Purpose, normal, uniform
-from emulator.sensor.pixels.array import Crossings
-from emulator.sensor.pixels.state import MOST_LOST, PixelFaults, draw
+from emulator.sensor.pixels.crossings import Crossings
+from emulator.sensor.pixels.state import MOST_LOST, draw
 from emulator.sensor.presets import SensorParameters
 
 __all__ = [
@@ -138,8 +139,8 @@ def each(counts: _Int64s) -> tuple[_Int64s, _Int64s]:
     return np.repeat(active, many), k
 
 
-class Rule(ABC):
-    """An array of pixels under the rule of another simulator, with the interface of `PixelArray`.
+class Rule(PixelMethod):
+    """An array of pixels under the rule of another simulator.
 
     Parameters
     ----------
@@ -156,11 +157,8 @@ class Rule(ABC):
         Pixel-steps since `reset` whose light was unreadable.
     """
 
-    undersampled_share: float | None = None
-
     def __init__(self, parameters: SensorParameters, seed: int) -> None:
-        self.parameters, self.seed = parameters, seed
-        self.lost_in_pixel = self.quiet_nan = 0
+        super().__init__(parameters, seed)
         self._drawn = draw(parameters, seed)
         pixels = self._drawn.on.size
         self._u, self._v, self._r = (np.zeros(pixels) for _ in range(3))
@@ -184,9 +182,7 @@ class Rule(ABC):
         ValueError
             Time goes back, or the frame does not have the sensor's size.
         """
-        flat, t0_ns, t_ns = self._flat(frame.light), self._t_ns, int(frame.t_ns)
-        if t_ns < t0_ns:
-            raise ValueError(f"t_ns = {t_ns}: before the last step's {t0_ns}; time does not go back")
+        flat, t0_ns, t_ns = self._flat(frame.light), self._t_ns, time_of(frame, self._t_ns)
         if t_ns == t0_ns:
             return self._crossings(Fired(np.empty(0, np.int64), np.empty(0), np.empty(0, np.bool_)), t0_ns, 0)
         u1 = self._log(flat)
@@ -203,10 +199,6 @@ class Rule(ABC):
     def settled_ns(self) -> int:
         """Stream time up to which all crossings have been returned."""
         return self._t_ns
-
-    def faults(self) -> PixelFaults | None:
-        """Return None: the rules of other simulators have no defects and no changing leak."""
-        return None
 
     @abstractmethod
     def _fire(self, step: Step) -> Fired:
@@ -237,12 +229,6 @@ class Rule(ABC):
         current = np.maximum(flat.astype(np.float64), 0) + self.parameters.dark_current_relative
         current[~np.isfinite(current)] = np.nan
         return np.asarray(np.log(current))
-
-    def _flat(self, light: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-        size = (self.parameters.height, self.parameters.width)
-        if light.shape != size or light.dtype != np.float32:
-            raise ValueError(f"light is {light.shape} {light.dtype}: must be {size} float32")
-        return light.reshape(-1)
 
 
 _NEVER_NS = -(1 << 62)

@@ -30,9 +30,10 @@ def run(frames_s, kicks, slope_hz=0.0, leak_hz=0.0, step_ns=1_000_000, asked=ASK
     Rates with no simple ratio to the frames: else a pixel fires at the same phase in each, and they count as one.
     """
     sensor = Sensor(dataclasses.replace(IDEAL, leak_hz=leak_hz, leak_spread=0, **effects), 7)
-    assert sensor.with_kicks(kicks)
+    disturb = sensor.with_kicks(kicks)
+    assert disturb is not None
     parameters = FrameParameters(line_us=LINE_US, kicks=kicks)
-    source = FrameSource(parameters, 7, (WIDTH, HEIGHT), sensor.disturb)
+    source = FrameSource(parameters, 7, (WIDTH, HEIGHT), disturb)
     settings = tuple(int(n) for n in dataclasses.astuple(asked))
 
     def light(t_ns):

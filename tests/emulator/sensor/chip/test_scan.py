@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from emulator.light import LightFrame
 from emulator.sensor.chip.scan import ScanReadOut
-from emulator.sensor.pixels.array import Crossings
+from emulator.sensor.pixels.crossings import Crossings
 from emulator.sensor.presets import PRESETS, ReadoutParameters
 from emulator.sensor.sensor import Sensor
 

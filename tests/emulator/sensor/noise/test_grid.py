@@ -21,7 +21,7 @@ from emulator.sensor.methods.other_simulators import Pangu
 from emulator.sensor.noise.grid import NoisyPixels, grid_ns
 from emulator.sensor.noise.law import bandwidth_hz, corner_hz, noise_events, rms
 from emulator.sensor.pixels.array import PixelArray
-from emulator.sensor.pixels.merging import joined
+from emulator.sensor.pixels.crossings import joined
 from emulator.sensor.pixels.state import draw
 from emulator.sensor.presets import ReadoutParameters, SensorParameters
 from emulator.sensor.sensor import Sensor

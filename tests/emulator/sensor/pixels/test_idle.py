@@ -188,7 +188,7 @@ def test_a_change_of_leak_wakes_all_blocks():
     results = []
     for array, full in zip(arrays, (False, True), strict=True):
         run(array, black, steps("even"), full=full)
-        array.faults().set_leak(np.full(WIDTH * HEIGHT, 50.0))
+        array.set_leak(np.full(WIDTH * HEIGHT, 50.0))
         light = np.zeros((HEIGHT, WIDTH), np.float32)
         results.append([array.step(LightFrame((STEPS + k) * MS, light, light)).t_ns.copy() for k in range(1, 30)])
     assert sum(map(len, results[0])) > 1000

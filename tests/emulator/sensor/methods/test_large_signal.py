@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 from emulator.light import LightFrame
 from emulator.sensor.methods.large_signal import Circuit, LargeSignalPixels, Light, State, rosenbrock
 from emulator.sensor.pixels.array import PixelArray
-from emulator.sensor.pixels.merging import joined
+from emulator.sensor.pixels.crossings import joined
 from emulator.sensor.presets import SensorParameters
 from emulator.sensor.sensor import Sensor
 
