@@ -176,7 +176,7 @@ class RefinementModel:
     threshold: float
 
     def of(self, defect: Floats, turn: Floats) -> tuple[Floats, Floats]:
-        """Return the remaining share of each pixel's bend after refinement, and the number of lights it asks for.
+        """Return the remaining share of each pixel's bend after refinement, and the number of lights that it needs.
 
         A refinement divides a defect by 8, a turn by 4 and the bend by 16, where frames are close enough for this
         order. The last refinement is kept in reserve: pixels that would need it get no reduction.

@@ -1,4 +1,4 @@
-"""A sensor that tells of each of its events what raised it.
+"""A sensor that reports the origin of each of its events.
 
 The events are those of `Sensor`, to the last bit. The code of an origin has three bits, and each bit travels as the
 polarity of one more list of crossings, with the same times and pixels, through a delay and a read-out of its own: what
@@ -41,10 +41,10 @@ __all__ = ["LeakShare", "Origin", "TracedSensor"]
 
 
 class Origin(IntEnum):
-    """What raised an event.
+    """Origin of an event.
 
     UNKNOWN is an event of pixels in which noise and light move one comparator (noise of the grid grade) or which follow
-    another simulator's rule; SIGNAL and LEAK are told apart by the definition in `leak_share`.
+    another simulator's rule; SIGNAL and LEAK are distinguished by the definition in `leak_share`.
     """
 
     UNKNOWN = 0

@@ -65,7 +65,7 @@ class KickParameters:
 
 @dataclass(frozen=True, slots=True)
 class FrameParameters:
-    """The active pixels. When they are exposed, and for how long, the host's registers say.
+    """The active pixels. The host's registers hold the times and lengths of exposures.
 
     Attributes
     ----------
@@ -148,7 +148,7 @@ class _Before:
 
 
 class RowKicks:
-    """What reads do to the events of an array."""
+    """Effect of the reads of active pixels on the events of an array."""
 
     def __init__(self, kicks: KickParameters, sensor: SensorParameters, seed: int, levels: Levels) -> None:
         self._size = sensor.width, sensor.height

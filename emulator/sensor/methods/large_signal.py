@@ -1,6 +1,6 @@
-"""Pixels whose photoreceptor is a circuit with large signals: off unless a rig asks for it.
+"""Pixels whose photoreceptor is a circuit with large signals: off unless a rig selects it.
 
-The interface is that of `PixelArray`, in float64. Between two frames log light is a cubic, or a straight line without
+Arithmetic is float64. Between two frames log light is a cubic, or a straight line without
 derivatives, as there. The circuit is solved pixel by pixel with steps of its own, each as long as an error of
 `_TOLERANCE` allows; between their ends the comparator's signal is the cubic through values and derivatives. A pixel at
 rest in light that does not change is not solved at all.

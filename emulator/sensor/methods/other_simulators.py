@@ -34,7 +34,7 @@ PANGU's rule, after "Real-time event-based sensor simulation for space applicati
                  not counted
     event times  the step in N equal slots, each event a keyed uniform share of its slot after its start
 
-The paper does not tell where the reference is after a reset within the step; here it is on the even growth at the end
+The paper gives no reference after a reset within the step; here it is on the even growth at the end
 of the last reset, or v if that lies beyond the step. The *raw event image* is what PANGU's shader leaves of a pixel.
 
 A straight line in log light, no filter and no leak: Sikorski's rule and ESIM's.
@@ -51,7 +51,7 @@ The differences:
 
 In both, crossings within the refractory period of the last event ("latency") are lost, and the reference moves on.
 
-Sources: Sikorski, Izzo and Meoni, CVPRW 2021, as told by the PANGU paper ("linear interpolation ... taking latency into
+Sources: Sikorski, Izzo and Meoni, CVPRW 2021, as in the PANGU paper ("linear interpolation ... taking latency into
 account"); Rebecq, Gehrig and Scaramuzza, CoRL 2018, event_simulator.cpp of rpg_esim at commit 4cf0b89.
 """
 

@@ -78,7 +78,7 @@ class PixelArray(PixelMethod):
         Pixel-steps since `reset` that had to be solved for crossings, and those whose light changed between the frames
         in a way that the frames do not show (see `interpolation`; known only where the time derivative is given).
     refined : int
-        Undersampled pixel-steps that were halved instead; each asked for one light of a pixel.
+        Undersampled pixel-steps that were refined instead; each needed the light of a pixel once.
     """
 
     capabilities: ClassVar = Capabilities(
