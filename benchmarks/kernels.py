@@ -56,6 +56,7 @@ def measure_encoder() -> None:
 def measure_steps(what: str, phase: float) -> None:
     """Print what a step of 346 x 260 pixels costs in a grating that moves by `phase` rad a step."""
     from emulator.evaluation.bench.pixels import grating
+    from emulator.light import LightFrame
     from emulator.sensor.pixels.array import PixelArray
     from emulator.sensor.presets import PRESETS
 
@@ -63,10 +64,10 @@ def measure_steps(what: str, phase: float) -> None:
     sensor = dataclasses.replace(PRESETS["davis346"], **plain)
     pictures = [grating(sensor, -phase * k, phase) for k in range(STEPS + 1)]
     array, took_s, fired = PixelArray(sensor, 1, 1), [], 0
-    array.reset(pictures[0][0], 0, pictures[0][1])
+    array.reset(LightFrame(0, pictures[0][0], pictures[0][1]))
     for k, (light, rate) in enumerate(pictures[1:], 1):
         start_s = time.process_time()
-        fired += len(array.step(light, k * STEP_NS, rate))
+        fired += len(array.step(LightFrame(k * STEP_NS, light, rate)))
         took_s.append(time.process_time() - start_s)
     tell(f"first step, {what}", took_s[0])
     tell(f"step, {what} ({fired / STEPS / sensor.width / sensor.height:.1%} a step)", statistics.median(took_s[1:]))

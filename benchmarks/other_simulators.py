@@ -30,6 +30,7 @@ from typing import Any
 import numpy as np
 
 from emulator.evaluation.bench.pixels import grating
+from emulator.light import LightFrame
 from emulator.sensor.presets import PRESETS
 from emulator.sensor.sensor import Sensor
 
@@ -57,8 +58,8 @@ def frames(share: float) -> tuple[list[np.ndarray], list[np.ndarray]]:
 def evstim(lights: list[np.ndarray], rates: list[np.ndarray]) -> Step:
     """Return the step of the whole sensor, its light with its derivative."""
     sensor = Sensor(PRESETS["davis346"], 1)
-    sensor.reset(lights[0], 0)
-    return lambda k: len(sensor.expose(lights[k % len(lights)], k * 1_000_000, rates[k % len(rates)]))
+    sensor.reset(LightFrame(0, lights[0]))
+    return lambda k: len(sensor.expose(LightFrame(k * 1_000_000, lights[k % len(lights)], rates[k % len(rates)])))
 
 
 class _Nothing(types.ModuleType):

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from emulator.evaluation.bench.pixels import grating
-from emulator.light import Light, Region
+from emulator.light import Light, LightFrame, Region
 from emulator.report.page import pyplot, save
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.presets import PRESETS
@@ -42,13 +42,13 @@ def step_us(array: PixelArray, share: float, *, told: bool) -> float:
     rows = round(share * height)
     band = dataclasses.replace(array.parameters, height=REPEATS_ROWS)
     light, rate = np.zeros((height, width), np.float32), np.zeros((height, width), np.float32)
-    array.reset(light, 0, rate)
+    array.reset(LightFrame(0, light, rate))
     changed, taken = Region(0, rows, 0, width) if told else None, []
     for k in range(1, WARM_UP + STEPS + 1):
         if rows:
             repeat(grating(band, -0.01 * k, 0.01), light[:rows], rate[:rows])
         begun = time.thread_time()
-        array.step(light, k * STEP_NS, rate, changed=None if k < 4 else changed)
+        array.step(LightFrame(k * STEP_NS, light, rate, changed=None if k < 4 else changed))
         taken.append(time.thread_time() - begun)
     return min(taken[WARM_UP:]) * 1e6
 

@@ -1,4 +1,4 @@
-"""What a scene is to the sensor: light at any instant, and how fast the picture moves."""
+"""Light from scene to sensor: scenes, and the light frames that are drawn of them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from emulator.geometry.camera import Rays, SceneGeometry
 
-__all__ = ["Light", "MachineLacks", "PixelLight", "Region", "Scene", "SceneError"]
+__all__ = ["Light", "LightFrame", "MachineLacks", "PixelLight", "Region", "Scene", "SceneError", "SceneFrames"]
 
 Light = npt.NDArray[np.float32]
 """(height, width) float32, row 0 on top: radiance relative to the sensor's reference level, linear, >= 0."""
@@ -53,6 +53,34 @@ class Region:
             return self
         rows = max(0, self.first_row - by_px), min(size[1], self.last_row + by_px)
         return Region(*rows, max(0, self.first_column - by_px), min(size[0], self.last_column + by_px))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LightFrame:
+    """Light on all pixels at one time, as scene, optics and sensor hand it on.
+
+    The arrays belong to the code that made the frame, which may use them again: a frame is valid until the next one
+    is drawn (`SceneFrames`). A receiver does not write into them, and copies what it needs longer.
+
+    Attributes
+    ----------
+    t_ns : int
+        Stream time.
+    light : (height, width) float32
+        Light at `t_ns`, relative to the reference level; values below 0 count as 0.
+    rate : (height, width) float32, optional
+        Time derivative of the light at `t_ns`, per second, not finite where unknown; None where all is unknown.
+    at : PixelLight, optional
+        Light of single pixels between the last frame and this one; None where there is no such source.
+    changed : Region, optional
+        The part of light and rate that may differ from those of the last frame; None: all of it.
+    """
+
+    t_ns: int
+    light: Light
+    rate: Light | None = None
+    at: PixelLight | None = None
+    changed: Region | None = None
 
 
 class SceneError(Exception):
@@ -157,3 +185,43 @@ class Scene(ABC):
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+
+class SceneFrames:
+    """The light frames of a scene, drawn one after another into two arrays that this object owns and uses again.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene; the caller closes it.
+    with_rate : bool
+        Whether frames have the time derivative, where the scene has one.
+    with_pixel_light : bool
+        Whether frames that have the derivative also have the light of single pixels, where the scene has it.
+
+    Attributes
+    ----------
+    last : LightFrame
+        The frame that was drawn last; dark at time 0 before the first.
+    count : int
+        Frames drawn so far.
+    """
+
+    def __init__(self, scene: Scene, *, with_rate: bool, with_pixel_light: bool = False) -> None:
+        shape, with_rate = scene.size[::-1], with_rate and scene.has_rate
+        rate = np.zeros(shape, np.float32) if with_rate else None
+        at = scene.pixel_light if with_rate and with_pixel_light else None
+        self.scene = scene
+        self.last = LightFrame(0, np.zeros(shape, np.float32), rate, at)
+        self.count = 0
+
+    def draw(self, t_ns: int) -> LightFrame:
+        """Draw the frame of stream time `t_ns` over the last one, and return it."""
+        last = self.last
+        if last.rate is None:
+            self.scene.light(t_ns, last.light)
+        else:
+            self.scene.light_and_rate(t_ns, last.light, last.rate)
+        self.count += 1
+        self.last = LightFrame(t_ns, last.light, last.rate, last.at, self.scene.changed)
+        return self.last

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from emulator.light import LightFrame
 from emulator.sensor import sensor as simulation
 from emulator.sensor.presets import PRESETS, SensorParameters
 from emulator.tables.typed_table import TableError, convert, unknown
@@ -112,7 +113,7 @@ class Sensor:
         t_ns : stream time of this picture, ns, >= 0.
         """
         picture, at_ns = self._light(light), _time_ns(t_ns)
-        self._sensor.reset(picture, at_ns)
+        self._sensor.reset(LightFrame(at_ns, picture))
         self._t_ns = at_ns
 
     def expose(self, light: npt.ArrayLike, t_ns: int, rate: npt.ArrayLike | None = None) -> Events:
@@ -136,7 +137,7 @@ class Sensor:
         if at_ns <= self._t_ns:
             raise ValueError(f"t_ns is {at_ns}: it must be later than the picture before, {self._t_ns} ns")
         slope = None if rate is None else self._picture(rate, "rate")
-        events = self._sensor.expose(self._light(light), at_ns, slope)
+        events = self._sensor.expose(LightFrame(at_ns, self._light(light), slope))
         self._t_ns = at_ns
         return events
 

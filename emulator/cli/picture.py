@@ -15,7 +15,7 @@ from emulator.cli.output import GOOD, WRONG_USE, Failure, console, failures, pre
 from emulator.light import Light
 from emulator.report.pictures import MOVIES, Rgb, captioned, event_picture, save_movie, save_png, scaled, white_of
 from emulator.rig.loading import Rig, load_rig
-from emulator.run.assembly import build_pictures, build_scene, build_sensor
+from emulator.run.assembly import build_frames, build_scene, build_sensor
 from emulator.run.kernels import parts_of
 from firmware_protocol.events import Events, empty_events
 
@@ -146,15 +146,13 @@ def _looks(rig: Rig, show: Look, window_ms: float) -> Iterator[tuple[Light, Even
     start_ns = due_ns - steps * step_ns
     seen = empty_events()
     with build_scene(rig) as scene:
-        pictures = build_pictures(rig, scene)
-        pictures.draw(start_ns)
-        sensor.reset(pictures.light, start_ns)
+        frames = build_frames(rig, scene)
+        sensor.reset(frames.draw(start_ns))
         for t_ns in range(start_ns + step_ns, end_ns + step_ns + 1, step_ns):
             if t_ns > due_ns:
                 seen = seen[seen["t"] >= _begin_us(due_ns * 1e-9, window_ms)]
-                yield pictures.light.copy(), seen
+                yield frames.last.light.copy(), seen
                 due_ns += 10**9 // _FPS
             if due_ns > end_ns:
                 return
-            pictures.draw(t_ns)
-            seen = np.concatenate([seen, sensor.expose(pictures.light, t_ns, pictures.rate, pictures.pixel_light)])
+            seen = np.concatenate([seen, sensor.expose(frames.draw(t_ns))])

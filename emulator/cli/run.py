@@ -255,7 +255,6 @@ def summary(rig: Rig, result: RunResult) -> dict[str, object]:
         "scene": result.scene_counts,
         "painter": result.painter,
         "renderer": result.renderer,
-        "pixels_by": result.pixels_by,
         "syncs": result.syncs,
         "changes": [change.as_json() for change in result.changes],
         "changes_beyond": result.changes_beyond,
@@ -312,8 +311,6 @@ def print_summary(rig: Rig, result: RunResult) -> None:
         console.print(advice)
     if result.scene_counts:
         console.print(f"scene: {', '.join(f'{n} {name}' for name, n in result.scene_counts.items())}")
-    if result.pixels_by:
-        console.print(f"pixels computed by {result.pixels_by}")
     for line in changes_lines(result):
         console.print(line, markup=False)
     for line in lateness_lines(rig, result):

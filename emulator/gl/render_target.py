@@ -3,96 +3,57 @@
     fine target     R32F with depth, n x n samples a pixel
       -> mean       each pixel the mean of its n x n samples, in linear light; only in the reach of that picture
     picture         R32F, the sensor's size; outside the reach it is 0, the dark sky
-      -> out        (height, width) float32, row 0 on top, by one of the ways of `readback`
+      -> out        (height, width) float32, row 0 on top
 
 Camera axes are OpenCV's: x right, y down, z out. GL's rows run upward; the picture is drawn upside down there, so that
 its first row comes first when it is read, and facets that are counter-clockwise to us are clockwise to GL.
 
-How a picture comes from what draws it to the processor's memory.
-
-    direct   the picture's own pixels are copied when they are asked for. With a software renderer that is all there is
-             to do: the picture is in the processor's memory already
-    ring     the renderer is told at once to copy them into a buffer (a pixel-pack buffer), which is mapped when they
-             are asked for. A graphics card copies while the processor does something else; mapping waits for that copy
-             alone and so is the fence
-
-Both hold the same bits. There are as many places for pictures as may be under way at a time.
+There are as many places for pictures as may be under way at a time.
 """
 
 from __future__ import annotations
 
-import os
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from emulator.gl.context import is_software, open_context, renderer_name
+from emulator.gl.context import open_context, renderer_name
 from emulator.light import Light, SceneError
-from emulator.tables.typed_table import unknown
 
 if TYPE_CHECKING:
     import moderngl
 
-__all__ = ["READBACK", "UNDER_WAY", "Readback", "Rectangle", "Stage", "Strategy", "depth_terms", "strategy_for"]
+__all__ = ["UNDER_WAY", "Readback", "Rectangle", "Stage", "depth_terms"]
 
-
-Strategy = Literal["direct", "ring"]
-
-READBACK = "EVSTIM_READBACK"
-"""The environment's variable that chooses a strategy."""
 
 UNDER_WAY = 3
 """Pictures that can be drawn before the first of them is taken."""
 
 
-def strategy_for(renderer: str) -> Strategy:
-    """Return the strategy for a renderer of that name: the environment's, else what suits it.
-
-    Raises
-    ------
-    SceneError
-        The environment asks for one that is none.
-    """
-    by_name: dict[str, Strategy] = {name: name for name in get_args(Strategy)}
-    asked = os.environ.get(READBACK) or ("direct" if is_software(renderer) else "ring")
-    if asked not in by_name:
-        raise SceneError(f"{READBACK}: {unknown(asked, list(by_name))}")
-    return by_name[asked]
-
-
 class _Place:
-    """A picture of R32F pixels, and the buffer it is copied into if it is given one."""
+    """A picture of R32F pixels."""
 
-    def __init__(self, gl: moderngl.Context, size: tuple[int, int], strategy: Strategy) -> None:
-        self.texture = gl.texture(size, 1, dtype="f4")
-        self.target = gl.framebuffer([self.texture])
+    def __init__(self, gl: moderngl.Context, size: tuple[int, int]) -> None:
+        self.target = gl.framebuffer([gl.texture(size, 1, dtype="f4")])
         self.target.clear()
-        self._buffer = gl.buffer(reserve=4 * size[0] * size[1]) if strategy == "ring" else None
-
-    def send(self) -> None:
-        if self._buffer is not None:
-            self.target.read_into(self._buffer, components=1, dtype="f4")
 
     def receive(self, out: Light) -> None:
-        if not out.flags.c_contiguous:
+        if out.flags.c_contiguous:
+            self.target.read_into(out, components=1, dtype="f4")
+        else:
             whole = np.empty(out.shape, np.float32)
             self.receive(whole)
             out[:] = whole
-        elif self._buffer is not None:
-            self._buffer.read_into(out)
-        else:
-            self.target.read_into(out, components=1, dtype="f4")
 
 
 class Readback:
     """Places for pictures of `size` = (width, height) in the current context, used one after another."""
 
-    def __init__(self, gl: moderngl.Context, size: tuple[int, int], strategy: Strategy) -> None:
-        self.strategy = strategy
-        self._free = deque(_Place(gl, size, strategy) for _ in range(UNDER_WAY))
+    def __init__(self, gl: moderngl.Context, size: tuple[int, int]) -> None:
+        self._free = deque(_Place(gl, size) for _ in range(UNDER_WAY))
         self._sent: deque[_Place] = deque()
 
     @property
@@ -108,16 +69,9 @@ class Readback:
             raise SceneError(f"{UNDER_WAY} pictures are under way: take one before the next is drawn")
         return self._free[0].target
 
-    @property
-    def last(self) -> moderngl.Texture:
-        """The picture that was drawn last, R32F, its first row first; until the next one is drawn."""
-        return (self._sent or self._free)[-1].texture
-
     def send(self) -> None:
         """Let the picture on `target` come."""
-        place = self._free.popleft()
-        place.send()
-        self._sent.append(place)
+        self._sent.append(self._free.popleft())
 
     def receive(self, out: Light) -> None:
         """Write the picture that was sent first, of those under way, into `out`, (height, width) float32.
@@ -184,17 +138,13 @@ class Rectangle:
 class Stage:
     """A context of its own, in this thread, for pictures of `size` = (width, height), `samples` x `samples` a pixel.
 
-    Parameters
-    ----------
-    readback : how pictures come to memory; what suits the renderer unless given.
-
     Raises
     ------
     SceneError
         There is no GL, or the picture is too large for it.
     """
 
-    def __init__(self, size: tuple[int, int], samples: int, readback: Strategy | None = None) -> None:
+    def __init__(self, size: tuple[int, int], samples: int) -> None:
         self.size, self.samples = size, samples
         self._is_open = True
         self.context = open_context()
@@ -202,7 +152,7 @@ class Stage:
         try:
             with self.context:
                 _require_fits(self.context, size, (size[0] * samples, size[1] * samples))
-                self._build(readback or strategy_for(self.renderer))
+                self._build()
         except SceneError:
             self.close()
             raise
@@ -213,24 +163,14 @@ class Stage:
             self._is_open = False
             self.context.release()
 
-    def _build(self, strategy: Strategy) -> None:
+    def _build(self) -> None:
         gl, n = self.context, self.samples
         fine_size = (self.size[0] * n, self.size[1] * n)
         self._samples_texture = gl.texture(fine_size, 1, dtype="f4")
         self._fine = gl.framebuffer([self._samples_texture], gl.depth_renderbuffer(fine_size))
-        self._readback = Readback(gl, self.size, strategy)
+        self._readback = Readback(gl, self.size)
         self._mean = gl.program(vertex_shader=_CORNERS, fragment_shader=_MEAN % {"samples": n})
         self._cover = gl.vertex_array(self._mean, [])
-
-    @property
-    def readback(self) -> Strategy:
-        """How pictures come to memory."""
-        return self._readback.strategy
-
-    @property
-    def picture(self) -> moderngl.Texture:
-        """The last picture in the context's own memory, R32F, its first row first; until the next is drawn."""
-        return self._readback.last
 
     def draw(
         self,

@@ -73,7 +73,7 @@ CHIPS = {
     "dvxplorer_micro": Chip(9.0, 0.22, 0.24),
     "imx636": Chip(4.86, 0.77, 0.7),
 }
-"""Chips by camera model; the first lines of the module say how well they are known."""
+"""Chips by camera model; the first lines of the module give the sources."""
 
 
 @dataclass(frozen=True)
@@ -141,7 +141,7 @@ class LensParameters:
 
     @property
     def distorts(self) -> bool:
-        """Whether straight lines are bent."""
+        """True if straight lines are bent."""
         return any((self.k1, self.k2, self.k3, self.p1, self.p2))
 
     def chip_lux(self, light: float) -> float:

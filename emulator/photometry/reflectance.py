@@ -287,7 +287,7 @@ _RADIUS_DEG = 0.2666
 
 @dataclass(frozen=True)
 class Sun:
-    """Where the Sun stands, and how far.
+    """Direction and distance of the Sun.
 
     Attributes
     ----------

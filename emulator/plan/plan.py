@@ -1,6 +1,6 @@
 """The plan of a run, made before it starts: its steps, and each effect kept or dropped with the bound that decided.
 
-A rig without a tolerance fixes everything: steps of its own length, no effect dropped. The plan still tells the error
+A rig without a tolerance fixes everything: steps of its own length, no effect dropped. The plan still has the error
 of the step and the cost of each effect. A rig with a tolerance gets controlled steps (see `step_control`), and effects
 that change less than the tolerance are dropped (see `decide`).
 
@@ -13,7 +13,7 @@ tolerated share of wrong events, dim the share of dark current in the darkest ac
     effect              what dropping it costs                             dropped when
     low-pass            every stamp early by tau                           the longest tau < eps
     bandwidth           lags differ by those of darkest and brightest      that < eps
-    large signals       stamps early by (1 + ln range) / (2 pi f_max)      that < eps; off unless asked for
+    large signals       stamps early by (1 + ln range) / (2 pi f_max)      that < eps; off unless selected
     source follower     every stamp early by 1/lambda2                     1/lambda2 < eps
     leak                R T events a pixel; stamps drift by R theta T/A    R T < delta N, and the drift < eps
     its spread, jitter  the same, of the rate's deviation                  the same

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from emulator.light import Light, Scene
+from emulator.light import Light, LightFrame, Scene
 from emulator.plan.step_control import Sampled, error_us, sample, slips, weighted_quantile
 from emulator.sensor.chip.defects import at_temperature
 from emulator.sensor.presets import SensorParameters
@@ -89,7 +89,7 @@ def probe(scene: Scene, sensor: SensorParameters, step_ns: int, duration_s: floa
 def _look(scene: Scene, sensor: SensorParameters, t_ns: int) -> Sampled:
     light, rate = _buffers(scene)
     scene.light_and_rate(t_ns, light, rate)
-    return sample(light, rate if scene.has_rate else None, sensor.dark_current_relative, t_ns)
+    return sample(LightFrame(t_ns, light, rate if scene.has_rate else None), sensor.dark_current_relative)
 
 
 def _buffers(scene: Scene) -> tuple[Light, Light]:

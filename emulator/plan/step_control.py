@@ -34,7 +34,7 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from emulator.light import Light
+from emulator.light import LightFrame
 from emulator.sensor.pixels.curve import REFINED_UNSEEN_SHARE
 from emulator.sensor.pixels.refinement import LEVELS
 
@@ -77,8 +77,8 @@ class StepSource(Protocol):
         """Length of the next step, ns."""
         ...
 
-    def observe(self, light: Light, rate: Light | None, t_ns: int) -> None:
-        """Observe a frame and its time derivative (None where unknown) at `t_ns`."""
+    def observe(self, frame: LightFrame) -> None:
+        """Observe a frame."""
         ...
 
 
@@ -90,7 +90,7 @@ class FixedSteps:
             raise ValueError(f"a step lasts at least 1 ns, got {step_ns}")
         self.step_ns = step_ns
 
-    def observe(self, light: Light, rate: Light | None, t_ns: int) -> None:
+    def observe(self, frame: LightFrame) -> None:
         """Ignore the frame."""
 
 
@@ -138,13 +138,13 @@ class Limits:
         return min(self.longest_ns, pixels / self.motion_bound_px_s * 1e9)
 
 
-def sample(light: Light, rate: Light | None, dark: float, t_ns: int, pixels: int = _SAMPLE_PIXELS) -> Sampled:
-    """Return a sample of evenly spread pixels of a frame and its derivative."""
-    flat = light.reshape(-1)
+def sample(frame: LightFrame, dark: float, pixels: int = _SAMPLE_PIXELS) -> Sampled:
+    """Return a sample of evenly spread pixels of a frame."""
+    flat = frame.light.reshape(-1)
     every = max(1, flat.size // pixels) | 1  # odd, so that it does not lie on columns
     current = np.maximum(flat[::every].astype(np.float64), 0.0) + dark
-    slope = None if rate is None else rate.reshape(-1)[::every] / current
-    return Sampled(np.log(current), slope, t_ns)
+    slope = None if frame.rate is None else frame.rate.reshape(-1)[::every] / current
+    return Sampled(np.log(current), slope, frame.t_ns)
 
 
 def error_us(before: Sampled, middle: Sampled, after: Sampled) -> tuple[Floats, Floats]:
@@ -176,7 +176,7 @@ class RefinementModel:
     threshold: float
 
     def of(self, defect: Floats, turn: Floats) -> tuple[Floats, Floats]:
-        """Return the remaining share of each pixel's bend after refinement, and the number of lights it asks for.
+        """Return the remaining share of each pixel's bend after refinement, and the number of lights that it needs.
 
         A refinement divides a defect by 8, a turn by 4 and the bend by 16, where frames are close enough for this
         order. The last refinement is kept in reserve: pixels that would need it get no reduction.
@@ -292,12 +292,12 @@ class ControlledSteps:
         """Length of the next step, ns, in whole microseconds."""
         return max(1000, round(self._step_ns / 1000) * 1000)
 
-    def observe(self, light: Light, rate: Light | None, t_ns: int) -> None:
+    def observe(self, frame: LightFrame) -> None:
         """Observe a frame, and adapt the step once there are three."""
-        self._frames = [*self._frames[-2:], sample(light, rate, self._dark, t_ns, _CONTROL_PIXELS)]
+        self._frames = [*self._frames[-2:], sample(frame, self._dark, _CONTROL_PIXELS)]
         if len(self._frames) == 3:
             self._recent.append(_look(*self._frames))
-            last_ns, has_slopes, seen = self._recent[-1].dt_us * 1000, rate is not None, _together(self._recent)
+            last_ns, has_slopes, seen = self._recent[-1].dt_us * 1000, frame.rate is not None, _together(self._recent)
             longest_ns = self._limits.longest_step_ns(has_slopes)
             wanted = self._longest(seen, last_ns, longest_ns)
             self._step_ns = float(np.clip(wanted, self._limits.shortest_ns, longest_ns))

@@ -12,10 +12,12 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from emulator.light import LightFrame
 from emulator.playback.recording import RecordingParameters, load_recording
 from emulator.scene.kind import Blank
+from emulator.sensor.aps.row_kicks import KickParameters
 from emulator.sensor.chip.readout import ReadOut
-from emulator.sensor.pixels.array import Crossings
+from emulator.sensor.pixels.crossings import Crossings
 from emulator.sensor.presets import SensorParameters
 from firmware_protocol.events import EVENT, Events, copy_events, join_events
 
@@ -35,7 +37,6 @@ class Replay:
     """
 
     undersampled_share: float | None = None
-    renderer: str | None = None
     lost_in_pixel = 0
 
     def __init__(
@@ -68,32 +69,29 @@ class Replay:
         """Events returned so far."""
         return self.raised if self._readout is None else self._readout.read_out
 
+    def with_kicks(self, kicks: KickParameters) -> None:
+        """Return None: recorded events are not disturbed by the reading of frames."""
+
     def warm_up(self) -> None:
         """Nothing is compiled."""
 
-    def reset(self, light: npt.NDArray[np.float32], t_ns: int) -> None:
-        """Start at stream time `t_ns`; the light does not matter."""
-        self._next, self._start_ns, self.raised = 0, int(t_ns), 0
+    def reset(self, frame: LightFrame) -> None:
+        """Start at the time of `frame`; its light has no effect."""
+        self._next, self._start_ns, self.raised = 0, int(frame.t_ns), 0
 
-    def expose(
-        self,
-        light: npt.NDArray[np.float32],
-        t_ns: int,
-        rate: npt.NDArray[np.float32] | None = None,
-        at: object = None,
-        changed: object = None,
-    ) -> Events:
-        """Return the events up to `t_ns`; what is seen does not matter."""
-        pieces = [self._round(int(t_ns))]
+    def expose(self, frame: LightFrame) -> Events:
+        """Return the events up to the time of `frame`; its light has no effect."""
+        t_ns = int(frame.t_ns)
+        pieces = [self._round(t_ns)]
         while self._next == len(self._recording) and self._round_ns is not None:
             if self._start_ns + self._round_ns > t_ns:
                 break
             self._next, self._start_ns = 0, self._start_ns + self._round_ns
-            pieces.append(self._round(int(t_ns)))
+            pieces.append(self._round(t_ns))
         times = pieces[0][0] if len(pieces) == 1 else np.concatenate([t for t, _ in pieces])
         events = join_events([e for _, e in pieces])
         self.raised += len(events)
-        return self._leave(times, events, int(t_ns))
+        return self._leave(times, events, t_ns)
 
     def finish(self) -> Events:
         """Return what still waits at the arbiter."""

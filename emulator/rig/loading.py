@@ -67,7 +67,14 @@ VALUES: Mapping[tuple[str, str], Mapping[str, str]] = {
 
 
 def with_new_spellings(rig: dict[str, Any]) -> dict[str, Any]:
-    """Return a rig's tables with old values replaced by the new ones; the argument stays as it is."""
+    """Return a rig's tables with old values replaced by the new ones; the argument stays as it is.
+
+    Raises
+    ------
+    TableError
+        A removed key has a value that the remaining behaviour does not equal.
+    """
+    rig = _without_pixels(rig)
     for (name, key), renamed in VALUES.items():
         table = rig.get(name)
         old = table.get(key) if isinstance(table, dict) else None
@@ -75,6 +82,23 @@ def with_new_spellings(rig: dict[str, Any]) -> dict[str, Any]:
             _LOG.warning("%s.%s = %r is the old spelling of %r; please change the rig", name, key, old, renamed[old])
             rig = {**rig, name: {**rig[name], key: renamed[old]}}
     return rig
+
+
+def _without_pixels(rig: dict[str, Any]) -> dict[str, Any]:
+    """Return a rig's tables without `run.pixels`, raising TableError unless it is "cpu".
+
+    Removed in version 0.2; the version after refuses the key.
+    """
+    run = rig.get("run")
+    if not isinstance(run, dict) or "pixels" not in run:
+        return rig
+    if run["pixels"] != "cpu":
+        raise TableError(
+            f"{run['pixels']!r} is not available: the CPU solves the pixels of every rig; remove this key",
+            ("run", "pixels"),
+        )
+    _LOG.warning("run.pixels has no effect: the CPU solves the pixels of every rig; please remove this key")
+    return {**rig, "run": {key: value for key, value in run.items() if key != "pixels"}}
 
 
 _MOST_BYTES = 1 << 22  # the longest shipped rig has 4 KiB

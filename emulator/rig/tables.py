@@ -137,9 +137,6 @@ class Run:
         What draws bodies and terrain: "cpu", the exact mean light of each pixel and the same events on every machine;
         "gl", points in each pixel by OpenGL 4.3, for a quick look. The environment variable EVSTIM_RENDERER goes before
         this key.
-    pixels
-        Where they are solved: "cpu", or "gpu", a compute shader for large sensors with methods "hermite" and "line" and
-        without a second pole, parasitic leak, defects, and noise of grade "grid".
     threads
         Threads of the pixel step; the events are the same for any number. 0: as many as its work is worth, at most 4.
     tolerance_us
@@ -162,7 +159,6 @@ class Run:
     fifo_priority: int = 0
     method: Method = "hermite"
     painter: Literal["cpu", "gl"] = "cpu"
-    pixels: Literal["cpu", "gpu"] = "cpu"
     threads: int = 0
     tolerance_us: float = 0.0
     tolerated_wrong_share: float = 0.01
@@ -178,7 +174,8 @@ class Run:
             raise ValueError(f"lockstep_us must be 0 to 3600000000, got {self.lockstep_us}")
         if (self.pace == "lockstep") != bool(self.lockstep_us):
             raise ValueError('lockstep_us and pace = "lockstep" go together: give both or neither')
-        self._check_pixels()
+        if not 0 <= self.threads <= 64:
+            raise ValueError(f"threads must be 0 (chosen) to 64, got {self.threads}")
         if not 0 <= self.fifo_priority <= 99:
             raise ValueError(f"fifo_priority must be 0 (none) to 99, got {self.fifo_priority}")
         if not 0 <= self.max_late_ms <= 3.6e6:
@@ -191,14 +188,6 @@ class Run:
             raise ValueError(f"tolerance_us must be 0 (none) or 0.01 to 1e6, got {self.tolerance_us}")
         if not 0 <= self.tolerated_wrong_share <= 1:
             raise ValueError(f"tolerated_wrong_share must be 0 to 1, got {self.tolerated_wrong_share}")
-
-    def _check_pixels(self) -> None:
-        if not 0 <= self.threads <= 64:
-            raise ValueError(f"threads must be 0 (chosen) to 64, got {self.threads}")
-        if self.pixels == "gpu" and self.method not in ("hermite", "line"):
-            raise ValueError(f'pixels = "gpu" has methods "hermite" and "line", got method = {self.method!r}')
-        if self.pixels == "gpu" and self.step_us > 250_000:
-            raise ValueError(f'step_us must be at most 250000 with pixels = "gpu", got {self.step_us}')
 
 
 _LATEST_MS = 1e10

@@ -34,7 +34,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from emulator.gl.context import selected_painter
-from emulator.light import Scene
+from emulator.light import Scene, SceneFrames
 from emulator.optics.through import Through
 from emulator.plan.plan import limits, make_plan
 from emulator.plan.scene_probe import probe
@@ -43,20 +43,20 @@ from emulator.rig.camera_models import CAMERA_MODELS, IMU_UNITS, UsbSettings
 from emulator.rig.kinds import LINKS, SCENES
 from emulator.rig.loading import Rig, RigError, Run
 from emulator.rig.tables import Trigger
-from emulator.run.readings import Pictures, ReadingSource, ReadingSources
+from emulator.run.readings import ReadingSource, ReadingSources
 from emulator.run.session import Schedule, Session
 from emulator.run.stereo import SecondView, carries_second, second_rig, wired
 from emulator.scene.terrain.table import TerrainParameters
 from emulator.sensor.aps.frames import FrameSource
 from emulator.sensor.chip.defects import at_temperature
 from emulator.sensor.event_source import EventSource
-from emulator.sensor.gpu.array import GpuArray
 from emulator.sensor.imu.parameters import ImuParameters
 from emulator.sensor.imu.unit import EARTH_IN_THE_PICTURE, MOON_BELOW, WEIGHTLESS, Carried, Gravity, ImuSource, ImuUnit
+from emulator.sensor.methods.base import MakePixels
 from emulator.sensor.other_simulators import OTHER_SIMULATORS
-from emulator.sensor.pixels.array import PixelArray
+from emulator.sensor.parts import own_pixels
 from emulator.sensor.presets import SensorParameters
-from emulator.sensor.sensor import MakePixels, Sensor
+from emulator.sensor.sensor import Sensor
 from emulator.tables.registry import imported
 from emulator.trajectory.building import HasCameraPath
 from emulator.trajectory.motion import Timescale
@@ -89,7 +89,7 @@ if TYPE_CHECKING:
 __all__ = [
     "TriggerPaths",
     "asked_readings",
-    "build_pictures",
+    "build_frames",
     "build_scene",
     "build_sensor",
     "build_session",
@@ -234,18 +234,18 @@ def build_session(
     `truth` takes down what is true beside the events; raises OSError where its file cannot be written.
     """
     run, parameters = rig.run, rig.camera.sensor
-    pictures = build_pictures(rig, scene)
+    frames = build_frames(rig, scene)
     steps: StepSource = FixedSteps(run.step_us * 1000)
     if run.tolerance_us:
         parameters = make_plan(rig, probe(scene, parameters, run.step_us * 1000, run.seconds or 10.0)).sensor
         dark = at_temperature(parameters).dark_current_relative
-        refines = pictures.pixel_light is not None and run.pixels == "cpu"
-        refinement = None if not refines else RefinementModel(min(parameters.threshold_on, parameters.threshold_off))
+        threshold = min(parameters.threshold_on, parameters.threshold_off)
+        refinement = None if frames.last.at is None else RefinementModel(threshold)
         steps = ControlledSteps(limits(rig, scene.motion_bound_px_s), dark, run.step_us * 1000, refinement)
     sensor = build_sensor(rig, parameters) if truth is None else _with_truth(rig, parameters, scene, truth)
     own = [setup for setup in setups if not carries_second(rig, setup.name)]
     readings = ReadingSources(reading_sources(rig, scene, sensor), own)
-    session = Session(pictures, sensor, steps, setups, clock, readings)
+    session = Session(frames, sensor, steps, setups, clock, readings)
     if rig.second_camera is not None:
         session.join(_second_view(second_rig(rig), parameters, setups))
     return session
@@ -256,7 +256,7 @@ def _second_view(rig: Rig, parameters: SensorParameters, setups: Sequence[LinkSe
     scene, sensor = build_scene(rig), build_sensor(rig, parameters)
     own = [setup for setup in setups if setup.name in names]
     readings = ReadingSources(reading_sources(rig, scene, sensor), own)
-    return SecondView(build_pictures(rig, scene), sensor, readings, names)
+    return SecondView(build_frames(rig, scene), sensor, readings, names)
 
 
 def reading_sources(rig: Rig, scene: Scene, sensor: EventSource | None = None) -> list[ReadingSource]:
@@ -271,9 +271,8 @@ def _frame_sources(rig: Rig, sensor: EventSource | None = None) -> list[ReadingS
         return []
     disturb = None
     if frames.kicks.share and sensor is not None:
-        if isinstance(sensor, Sensor) and sensor.with_kicks(frames.kicks):
-            disturb = sensor.disturb
-        else:
+        disturb = sensor.with_kicks(frames.kicks)
+        if disturb is None:
             log.warning("row kicks are left out: this source of events cannot be disturbed by the reading of frames")
     return [FrameSource(frames, rig.run.seed, rig.camera.size, disturb)]
 
@@ -312,19 +311,16 @@ def build_sensor(rig: Rig, parameters: SensorParameters, kind: type[Sensor] = Se
     try:
         return kind(parameters, rig.run.seed, _pixels(rig.run))
     except ValueError as error:
-        asked = f"method = {rig.run.method!r}" if rig.run.pixels == "cpu" else f"pixels = {rig.run.pixels!r}"
-        raise RigError(f"{rig.name}: run.{asked}: {error}") from error
+        raise RigError(f"{rig.name}: run.method = {rig.run.method!r}: {error}") from error
 
 
 def _pixels(run: Run) -> MakePixels:
-    if run.pixels == "gpu":
-        return GpuArray
-    return OTHER_SIMULATORS.get(run.method) or partial(PixelArray, threads=run.threads)
+    return OTHER_SIMULATORS.get(run.method) or partial(own_pixels, threads=run.threads)
 
 
-def build_pictures(rig: Rig, scene: Scene) -> Pictures:
-    """Return the scene's pictures, as the rig's method wants them; undersampled steps are refined for a tolerance."""
-    return Pictures(scene, with_rate=rig.run.method == "hermite", halving=rig.run.tolerance_us > 0)
+def build_frames(rig: Rig, scene: Scene) -> SceneFrames:
+    """Return the scene's light frames with the parts that the rig's method uses; a tolerance refines single pixels."""
+    return SceneFrames(scene, with_rate=rig.run.method == "hermite", with_pixel_light=rig.run.tolerance_us > 0)
 
 
 def schedule(rig: Rig) -> Schedule:

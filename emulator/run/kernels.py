@@ -24,13 +24,13 @@ from functools import cache, partial
 from multiprocessing.connection import wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from numba import config
 
 from emulator.gl.context import selected_painter
+from emulator.light import LightFrame
 from emulator.rig.camera_models import CAMERA_MODELS
 from emulator.rig.kinds import LINKS, SCENES
 from emulator.rig.loading import Rig
@@ -117,15 +117,15 @@ def _of_the_step(which: str) -> None:
 
 def _step() -> None:
     """Move a few pixels over a step in which some fire, and some are refined; merge the events of two threads."""
-    from emulator.light import Region
+    from emulator.light import LightFrame, Region
     from emulator.sensor.pixels.array import PixelArray
     from emulator.sensor.pixels.workers import EventBuffers
 
     dark, bright = np.zeros((_HEIGHT, _WIDTH), np.float32), np.ones((_HEIGHT, _WIDTH), np.float32)
     pixels = PixelArray(_FEW, 0)
-    pixels.reset(dark, 0)
+    pixels.reset(LightFrame(0, dark))
     everything = Region(0, _HEIGHT, 0, _WIDTH, np.array([[0, _HEIGHT, 0, _WIDTH]]))
-    pixels.step(bright, 1_000_000, dark, _lit, everything)
+    pixels.step(LightFrame(1_000_000, bright, dark, _lit, everything))
     EventBuffers().add([np.zeros(1, np.uint64)] * 2, (0, 10), 0)
 
 
@@ -135,21 +135,23 @@ def _lit(t_ns: int, pixels: npt.NDArray[np.int64]) -> tuple[_Float32s, _Float32s
 
 def _read_out(sensor: SensorParameters) -> None:
     """Let a sensor with these effects read out one event of each pixel."""
-    from emulator.sensor.pixels.array import Crossings, PixelArray
+    from emulator.light import LightFrame
+    from emulator.sensor.pixels.array import PixelArray
+    from emulator.sensor.pixels.crossings import Crossings
     from emulator.sensor.sensor import Sensor
 
     class OneEvent(PixelArray):
-        def step(self, light: _Float32s, t_ns: int, *_: Any, **__: Any) -> Crossings:
-            self.state.t_ns = t_ns
-            pixel = np.arange(light.size, dtype=np.uint32)
-            return Crossings(np.full(light.size, t_ns - 1, np.int64), pixel, pixel < pixel.size // 2)
+        def step(self, frame: LightFrame) -> Crossings:
+            self.state.t_ns = frame.t_ns
+            pixel = np.arange(frame.light.size, dtype=np.uint32)
+            return Crossings(np.full(pixel.size, frame.t_ns - 1, np.int64), pixel, pixel < pixel.size // 2)
 
     is_grid = bool(sensor.noise.rms) and sensor.noise.grade == "grid"
-    one = Sensor(sensor, 0, PixelArray if is_grid else OneEvent)
+    one = Sensor(sensor, 0) if is_grid else Sensor(sensor, 0, OneEvent)
     light = np.full((_HEIGHT, _WIDTH), 0.02, np.float32)  # so dim that noise, where there is any, has events by the end
-    one.reset(light, 0)
+    one.reset(LightFrame(0, light))
     for t_ns in (1_000_000, 50_000_000, 5_000_000_000):
-        one.expose(light, t_ns, np.zeros_like(light))
+        one.expose(LightFrame(t_ns, light, np.zeros_like(light)))
     one.finish()
 
 
@@ -172,7 +174,7 @@ def _tell_truth() -> None:
     """Find the nearest facet of a small surface, its depth and flow; tell the leak's events of a few pixels."""
     from emulator.geometry.camera import Pinhole, Rays, Seen
     from emulator.sensor.origins import LeakShare
-    from emulator.sensor.pixels.merging import NO_CROSSINGS
+    from emulator.sensor.pixels.crossings import NO_CROSSINGS
     from emulator.truth.surfaces import NearestSurface, write_depth_and_flow
 
     camera, seen = Pinhole(_WIDTH, _HEIGHT, 20.0), Seen.of(_WIDTH, _HEIGHT)

@@ -77,7 +77,7 @@ def examine() -> list[Finding]:
 def egl() -> Finding:
     """Look for OpenGL by EGL."""
     report = probe()
-    wanted = 'run.painter = "gl" and run.pixels = "gpu"; nothing else needs GL'
+    wanted = 'run.painter = "gl"; nothing else needs GL'
     there = renderers()
     if report.available:
         others = f"; also there: {', '.join(_others(there, report.renderer))}" if len(there) > 1 else ""
@@ -217,13 +217,13 @@ def free_loopback_address(udp_port: int) -> str:
 
 
 GL = Need("OpenGL 4.3 by EGL", egl)
-"""What the GL painter, and pixels as a compute shader, draw with."""
+"""The need of the GL painter."""
 
 
 def needs_of(rig: Rig) -> tuple[Need, ...]:
     """Return what the scene, the links and the painter of a rig need, each once."""
     scene = SCENES[rig.scene.kind]
     found = [*scene.needs(rig.scene), *(need for link in rig.links for need in LINKS[link.kind].needs(link))]
-    if rig.run.pixels == "gpu" or (scene.gl and selected_painter(rig.run.painter) == "gl"):
+    if scene.gl and selected_painter(rig.run.painter) == "gl":
         found.append(GL)
     return tuple({need.name: need for need in found}.values())

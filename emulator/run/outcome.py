@@ -139,7 +139,6 @@ class RunResult:
     syncs: int | None = None
     painter: Literal["cpu", "gl"] = "cpu"
     renderer: str | None = None
-    pixels_by: str | None = None
     max_late_us: float = 0.0
     max_late_share: float = 1.0
     changes: tuple[Change, ...] = ()

@@ -1,14 +1,10 @@
-"""What a run's camera reads beside events, on its way to the links: frames, samples of an inertial unit.
+"""Readings of a run's camera beside events, on their way to the links: frames, samples of an inertial unit.
 
     ReadingSource --records--> a ReadingRing for each link --> device
                   <--settings-- of the first link whose host has switched this kind on
 
-There is one chip and one picture: where several links' hosts ask for different exposures, the first link decides, and
-the others get the frames that it asked for.
-
-The pictures of a scene, one after another, in buffers that are used again.
-
-The events and readings of one step of a run.
+There is one chip: where the hosts of several links request different exposures, the first link decides, and the others
+receive its frames.
 """
 
 from __future__ import annotations
@@ -19,13 +15,13 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from emulator.light import Light, PixelLight, Region, Scene
+from emulator.light import LightFrame
 from firmware_protocol.device.event_device import ReadingKind, Readings
 from firmware_protocol.events import Events
 from transports.link.process import LinkSetup
 from transports.link.rings import ReadingRing
 
-__all__ = ["Pictures", "ReadingSource", "ReadingSources", "StepOutput"]
+__all__ = ["ReadingSource", "ReadingSources", "StepOutput"]
 
 
 _CAPACITY = {ReadingKind.FRAMES: 4096, ReadingKind.IMU: 16384}
@@ -43,13 +39,13 @@ class ReadingSource(Protocol):
     kind: ReadingKind
     record: np.dtype[Any]
 
-    def reset(self, light: Light, t_ns: int) -> None:
-        """Start at `t_ns` on `light`, (height, width) float32."""
+    def reset(self, frame: LightFrame) -> None:
+        """Start at the time of `frame`."""
 
-    def read(self, light: Light, t_ns: int, settings: tuple[int, ...]) -> Readings:
-        """Move to `t_ns`, when the light is `light`, and return what was read until then, sorted.
+    def read(self, frame: LightFrame, settings: tuple[int, ...]) -> Readings:
+        """Move to the time of `frame` and return the readings until then, sorted.
 
-        `settings` are the numbers that the camera's registers ask for; empty: nobody has asked for anything yet.
+        `settings` are the numbers in the camera's registers; empty before a host has written any.
         """
         ...
 
@@ -75,62 +71,18 @@ class ReadingSources:
         """Return new rings for one link, one for each source."""
         return tuple(ReadingRing(source.kind, source.record, _CAPACITY[source.kind]) for source in sources)
 
-    def reset(self, light: Light, t_ns: int) -> None:
-        """Start all at `t_ns` on `light`."""
+    def reset(self, frame: LightFrame) -> None:
+        """Start all at the time of `frame`."""
         for source in self._sources:
-            source.reset(light, t_ns)
+            source.reset(frame)
 
-    def read(self, light: Light, t_ns: int) -> list[tuple[ReadingKind, Readings]]:
-        """Move all to `t_ns` and return what each has read."""
-        return [(one.kind, one.read(light, t_ns, self._asked(self._rings[one.kind]))) for one in self._sources]
+    def read(self, frame: LightFrame) -> list[tuple[ReadingKind, Readings]]:
+        """Move all to the time of `frame` and return the readings of each until then."""
+        return [(one.kind, one.read(frame, self._settings(self._rings[one.kind]))) for one in self._sources]
 
-    def _asked(self, rings: Sequence[ReadingRing]) -> tuple[int, ...]:
+    def _settings(self, rings: Sequence[ReadingRing]) -> tuple[int, ...]:
         """Return the settings of the first link whose first number, `run`, is not zero."""
-        return next((told for ring in rings if (told := ring.settings) and told[0]), ())
-
-
-class Pictures:
-    """Draws a scene's light, with its time derivative where the scene has it and the pixels' method uses it.
-
-    Attributes
-    ----------
-    light
-        (height, width) float32, the last picture.
-    rate
-        (height, width) float32, its derivative, per second; None where none is drawn.
-    frames
-        Pictures drawn so far.
-    pixel_light
-        The light of single pixels at any instant, for the refinement of undersampled steps; None where the scene cannot
-        give it, or it is not wanted.
-    """
-
-    def __init__(self, scene: Scene, *, with_rate: bool, halving: bool = False) -> None:
-        width, height = scene.size
-        self.scene = scene
-        self.light: Light = np.zeros((height, width), np.float32)
-        with_rate = with_rate and scene.has_rate
-        self.rate: Light | None = np.zeros((height, width), np.float32) if with_rate else None
-        self.pixel_light: PixelLight | None = scene.pixel_light if with_rate and halving else None
-        self.frames = 0
-
-    @property
-    def changed(self) -> Region | None:
-        """The part of the last picture that may differ from the one before it; None: anything."""
-        return self.scene.changed
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """(width, height) in pixels."""
-        return self.scene.size
-
-    def draw(self, t_ns: int) -> None:
-        """Draw the picture of stream time `t_ns`."""
-        if self.rate is None:
-            self.scene.light(t_ns, self.light)
-        else:
-            self.scene.light_and_rate(t_ns, self.light, self.rate)
-        self.frames += 1
+        return next((settings for ring in rings if (settings := ring.settings) and settings[0]), ())
 
 
 @dataclass(frozen=True)

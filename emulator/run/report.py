@@ -360,7 +360,6 @@ def _run_rows(of: Reported) -> list[dict[str, object]]:
         "late steps": f"{late.frames_late} of {of.result.steps}, worst {late.worst_gap_us:.0f} us",
         "undersampled": undersampled_text(of.result.undersampled_share),
         "drawn by": of.result.drawn_by,
-        "pixels computed by": of.result.pixels_by or "cpu",
         **_machine(of),
     }
     return [{"what": key, "value": html.unescape(str(value))} for key, value in told.items()]

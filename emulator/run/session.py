@@ -1,6 +1,6 @@
 """One run of one rig: scene, sensor and links wired together, paced, counted and stopped cleanly.
 
-    for each step [t, t1]:   picture(t1) -+-> sensor -> events -> a ring for each link
+    for each step [t, t1]:  light frame --+-> sensor -> events -> a ring for each link
                                           +-> frames, samples --> further rings, where a link has them
 
 Paced in real time, a step is computed `lead` ahead of the moment its first event is due, and each link lets every event
@@ -19,13 +19,13 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
-from emulator.light import Light
+from emulator.light import Light, SceneFrames
 from emulator.plan.step_control import StepSource
 from emulator.run.changes import BiasFollowing, Change, Changes
 from emulator.run.link_process import LinkProcess
 from emulator.run.outcome import Ledger, RunResult, RunStatus
 from emulator.run.pacing import Drive, Lateness, Lockstep, Simulation, StepRule
-from emulator.run.readings import Pictures, ReadingSources, StepOutput
+from emulator.run.readings import ReadingSources, StepOutput
 from emulator.run.stereo import SecondView, ledger_of
 from emulator.sensor.event_source import AdjustableSource, EventSource
 from firmware_protocol.device.event_device import ReadingKind, Readings
@@ -87,21 +87,21 @@ class Session:
 
     Parameters
     ----------
-    pictures
-        What the camera looks at; the caller closes the scene.
+    frames
+        Light frames of the camera's scene; the caller closes the scene.
     sensor
         From light to events.
     steps
-        How long each step is.
+        Length of each step.
     setups
         One for each link.
     readings
-        What the camera reads beside events.
+        Readings of the camera beside events.
     """
 
     def __init__(
         self,
-        pictures: Pictures,
+        frames: SceneFrames,
         sensor: EventSource,
         steps: StepSource,
         setups: Sequence[LinkSetup[Any]],
@@ -109,9 +109,9 @@ class Session:
         readings: ReadingSources | None = None,
     ) -> None:
         size = (sensor.parameters.width, sensor.parameters.height)
-        if pictures.size != size:
-            raise ValueError(f"the scene is {pictures.size} pixels, the sensor {size}")
-        self._pictures = pictures
+        if frames.scene.size != size:
+            raise ValueError(f"the scene is {frames.scene.size} pixels, the sensor {size}")
+        self._frames = frames
         self._sensor = sensor
         self._changes = Changes()
         self._biases = BiasFollowing(sensor, self._changes)
@@ -155,7 +155,7 @@ class Session:
     @property
     def light(self) -> Light:
         """The light that the sensor sees, (height, width) float32; the next step draws over it."""
-        return self._pictures.light
+        return self._frames.last.light
 
     @property
     def adjustable(self) -> dict[str, float]:
@@ -213,20 +213,19 @@ class Session:
             if self._second is not None:
                 self._hand_over(self._second.finish(), schedule, self._links_of(second=True))
             reports = self._stop_links(schedule.drain_s)
-        frames, ledger = self._pictures.frames, self._ledger(reports)
+        scene, ledger = self._frames.scene, self._ledger(reports)
         return RunResult(
             sim_seconds=self._t_ns * 1e-9,
             wall_seconds=wall_seconds,
-            frames=frames,
+            frames=self._frames.count,
             steps=self._steps,
             ledger=ledger,
             lateness=self._lateness,
             links=reports,
             undersampled_share=self._sensor.undersampled_share,
-            scene_counts=self._pictures.scene.counts,
-            painter=self._pictures.scene.painter,
-            renderer=self._pictures.scene.renderer,
-            pixels_by=self._sensor.renderer,
+            scene_counts=scene.counts,
+            painter=scene.painter,
+            renderer=scene.renderer,
             syncs=None if self._lockstep is None else self._lockstep.heard,
             max_late_us=schedule.max_late_us if schedule.paced else 0.0,
             max_late_share=schedule.max_late_share,
@@ -242,13 +241,13 @@ class Session:
                 log.info("%s: %s", link.name, link.report.state)
 
     def _warm_up(self) -> None:
-        """Do all slow first-time work before the clock runs: compile the kernels, draw the first picture."""
+        """Do all slow first-time work before the clock runs: compile the kernels, draw the first light frame."""
         with said_if_slow("compiling the kernels of the sensor: up to half a minute, once; they are kept on disk"):
             self._sensor.warm_up()
-        self._pictures.draw(0)
-        self._sensor.reset(self._pictures.light, 0)
-        self._readings.reset(self._pictures.light, 0)
-        self._step_source.observe(self._pictures.light, self._pictures.rate, 0)
+        frame = self._frames.draw(0)
+        self._sensor.reset(frame)
+        self._readings.reset(frame)
+        self._step_source.observe(frame)
         if self._second is not None:
             self._second.begin()
 
@@ -316,14 +315,13 @@ class Session:
             t1_ns = min(t1_ns, (self._t_ns // schedule.lockstep_ns + 1) * schedule.lockstep_ns)
         if schedule.duration_ns is not None:
             t1_ns = min(t1_ns, schedule.duration_ns)
-        picture = self._pictures
-        picture.draw(t1_ns)
+        frame = self._frames.draw(t1_ns)
         self._follow_cameras(schedule, goes_on)
-        readings = self._readings.read(picture.light, t1_ns)
+        readings = self._readings.read(frame)
         if schedule.paced:  # they may leave while the events are computed
             self._hand_over_readings(readings, self._links_of())
-        events = self._sensor.expose(picture.light, t1_ns, picture.rate, picture.pixel_light, picture.changed)
-        self._step_source.observe(picture.light, picture.rate, t1_ns)
+        events = self._sensor.expose(frame)
+        self._step_source.observe(frame)
         t0_ns, self._t_ns = self._t_ns, t1_ns
         self._steps += 1
         self._hand_over_step(StepOutput(events, () if schedule.paced else readings), t0_ns, schedule, self._links_of())
@@ -398,7 +396,7 @@ class Session:
         return RunStatus(
             self._t_ns * 1e-9,
             (self._clock.now_ns() - start_ns) * 1e-9,
-            self._pictures.frames,
+            self._frames.count,
             self._sensor.read_out,
             self._lateness,
             reports,

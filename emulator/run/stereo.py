@@ -9,11 +9,12 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar
 
+from emulator.light import SceneFrames
 from emulator.rig.loading import Rig, RigError
 from emulator.rig.tables import SecondCamera
 from emulator.run.changes import BiasFollowing, Changes
 from emulator.run.outcome import Ledger, LinkLedger
-from emulator.run.readings import Pictures, ReadingSources, StepOutput
+from emulator.run.readings import ReadingSources, StepOutput
 from emulator.scene.kind import SceneParameters
 from emulator.sensor.event_source import EventSource
 from emulator.trajectory.building import OffsetPath
@@ -59,31 +60,31 @@ def _moved(rig: Rig, second: SecondCamera) -> SceneParameters:
 
 
 class SecondView:
-    """What the second camera sees, step by step.
+    """The second camera of a run, step by step.
 
     Attributes
     ----------
     links : names of the links that carry it.
     """
 
-    def __init__(self, pictures: Pictures, sensor: EventSource, readings: ReadingSources, links: Sequence[str]) -> None:
-        self._pictures, self._sensor, self._readings = pictures, sensor, readings
+    def __init__(
+        self, frames: SceneFrames, sensor: EventSource, readings: ReadingSources, links: Sequence[str]
+    ) -> None:
+        self._frames, self._sensor, self._readings = frames, sensor, readings
         self._biases = BiasFollowing(sensor)
         self.links = frozenset(links)
 
     def begin(self) -> None:
-        """Draw the first picture."""
-        self._pictures.draw(0)
-        self._sensor.reset(self._pictures.light, 0)
-        self._readings.reset(self._pictures.light, 0)
+        """Draw the first light frame."""
+        frame = self._frames.draw(0)
+        self._sensor.reset(frame)
+        self._readings.reset(frame)
 
     def step(self, t_ns: int) -> StepOutput:
         """Move to `t_ns` and return the events and readings until then."""
-        picture = self._pictures
-        picture.draw(t_ns)
-        readings = self._readings.read(picture.light, t_ns)
-        events = self._sensor.expose(picture.light, t_ns, picture.rate, picture.pixel_light, picture.changed)
-        return StepOutput(events, readings)
+        frame = self._frames.draw(t_ns)
+        readings = self._readings.read(frame)
+        return StepOutput(self._sensor.expose(frame), readings)
 
     def finish(self) -> Events:
         """Return what the read-out still holds."""
@@ -106,7 +107,7 @@ class SecondView:
 
     def close(self) -> None:
         """Close its scene."""
-        self._pictures.scene.close()
+        self._frames.scene.close()
 
 
 def wired(slaves: Sequence[str], setups: Sequence[LinkSetup[Any]]) -> list[LinkSetup[Any]]:

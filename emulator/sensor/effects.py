@@ -182,7 +182,7 @@ class JitterParameters:
 
 @dataclass(frozen=True, slots=True)
 class ImagerParameters:
-    """What any imager does to light before it becomes a signal.
+    """Effects of any imager on light before it becomes a signal.
 
     Attributes
     ----------

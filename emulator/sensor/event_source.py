@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol, runtime_checkable
+from collections.abc import Callable
+from typing import Protocol, runtime_checkable
 
-import numpy as np
-import numpy.typing as npt
-
+from emulator.light import LightFrame
+from emulator.sensor.aps.row_kicks import KickParameters, LineReads
 from emulator.sensor.presets import SensorParameters
 from firmware_protocol.events import Events
 
@@ -43,26 +43,20 @@ class EventSource(Protocol):
         """Share of the solved pixel-steps whose light changed unseen between two frames; None where unknown."""
         ...
 
-    @property
-    def renderer(self) -> str | None:
-        """The name of what computes the pixels, in GL's words; None for the processor."""
-        ...
+    def with_kicks(self, kicks: KickParameters) -> Callable[[LineReads], None] | None:
+        """Return the receiver of reads of active pixels, which disturb the events from then on; None where they cannot.
+
+        Each call of the receiver gives the reads that begin in the next step.
+        """
 
     def warm_up(self) -> None:
         """Do the slow work of a first step, such as compiling kernels; what it returns later does not change."""
 
-    def reset(self, light: npt.NDArray[np.float32], t_ns: int) -> None:
-        """Start at `t_ns` at rest on `light`, (height, width) float32."""
+    def reset(self, frame: LightFrame) -> None:
+        """Start at rest on the light of `frame`, at its time."""
 
-    def expose(
-        self,
-        light: npt.NDArray[np.float32],
-        t_ns: int,
-        rate: npt.NDArray[np.float32] | None = None,
-        at: Any = None,
-        changed: Any = None,
-    ) -> Events:
-        """Move to `t_ns` and return the events that leave before it; see `Sensor.expose`."""
+    def expose(self, frame: LightFrame) -> Events:
+        """Move to the time of `frame` and return the events that leave before it; see `Sensor.expose`."""
         ...
 
     def finish(self) -> Events:

@@ -1,4 +1,4 @@
-"""A sensor that tells of each of its events what raised it.
+"""A sensor that reports the origin of each of its events.
 
 The events are those of `Sensor`, to the last bit. The code of an origin has three bits, and each bit travels as the
 polarity of one more list of crossings, with the same times and pixels, through a delay and a read-out of its own: what
@@ -24,27 +24,27 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from emulator.light import LightFrame
 from emulator.sensor.chip.defects import at_temperature
 from emulator.sensor.chip.sources import BackgroundEvents, Particles
-from emulator.sensor.noise.grid import NoisyPixels
+from emulator.sensor.methods.base import MakePixels
 from emulator.sensor.noise.points import NoiseEvents
 from emulator.sensor.numerics.cached import cached_entry
-from emulator.sensor.parts import finished, make_jitter, make_readout
-from emulator.sensor.pixels.array import Crossings, PixelArray
-from emulator.sensor.pixels.merging import joined, merged
+from emulator.sensor.parts import finished, make_jitter, make_readout, own_pixels
+from emulator.sensor.pixels.crossings import Crossings, joined, merged
 from emulator.sensor.pixels.state import draw
 from emulator.sensor.presets import SensorParameters
-from emulator.sensor.sensor import MakePixels, Sensor
+from emulator.sensor.sensor import Sensor
 from firmware_protocol.events import Events
 
 __all__ = ["LeakShare", "Origin", "TracedSensor"]
 
 
 class Origin(IntEnum):
-    """What raised an event.
+    """Origin of an event.
 
     UNKNOWN is an event of pixels in which noise and light move one comparator (noise of the grid grade) or which follow
-    another simulator's rule; SIGNAL and LEAK are told apart by the definition in `leak_share`.
+    another simulator's rule; SIGNAL and LEAK are distinguished by the definition in `leak_share`.
     """
 
     UNKNOWN = 0
@@ -142,7 +142,7 @@ class TracedSensor(Sensor):
     origins : (n,) uint8, `Origin` of each event that the last `expose` or `finish` returned.
     """
 
-    def __init__(self, parameters: SensorParameters, seed: int, make_pixels: MakePixels = PixelArray) -> None:
+    def __init__(self, parameters: SensorParameters, seed: int, make_pixels: MakePixels = own_pixels) -> None:
         super().__init__(parameters, seed, make_pixels)
         self.origins: _Codes = np.empty(0, np.uint8)
         here, self._seed = at_temperature(parameters), seed
@@ -153,10 +153,10 @@ class TracedSensor(Sensor):
         self._constant_hz = self._leak_hz()
         self._make_twins()
 
-    def reset(self, light: _Float32s, t_ns: int) -> None:
+    def reset(self, frame: LightFrame) -> None:
         """Start as `Sensor.reset` does."""
-        super().reset(light, t_ns)
-        self._leak.reset(self._imager.see(light, int(t_ns)), int(t_ns))
+        super().reset(frame)
+        self._leak.reset(self._imager.see(frame).light, frame.t_ns)
         self._bits, self.origins = [], np.empty(0, np.uint8)
         self._make_twins()
 
@@ -207,13 +207,9 @@ class TracedSensor(Sensor):
         return np.where(leaks, np.uint8(Origin.LEAK), np.uint8(Origin.SIGNAL))
 
     def _leak_hz(self) -> npt.NDArray[np.float64] | None:
-        """Return each pixel's leak rate, without the parasitic one; None where it cannot be told from other things."""
-        if isinstance(self.pixels, NoisyPixels):
-            return None
-        if self.pixels.renderer is not None:  # pixels on a graphics card
-            return np.asarray(self._drawn.leak / self._drawn.on)
-        faults = self.pixels.faults()
-        return None if faults is None else faults.leak_hz()
+        """Return each pixel's leak rate, without the parasitic one; None where unknown or inseparable from noise."""
+        capabilities = self.pixels.capabilities
+        return None if capabilities.has_grid_noise or not capabilities.has_faults else self.pixels.leak_hz()
 
 
 def _bits(crossings: Crossings, codes: _Codes) -> list[Crossings]:

@@ -1,4 +1,4 @@
-"""What a sensor is made of, and the sensors that we know.
+"""Parameters of a sensor, and the known sensors.
 
 Light is relative to the sensor's reference level: 1.0 is the light at which `corner_hz_at_reference` holds. Thresholds
 are in natural-log units of photocurrent.
@@ -26,7 +26,7 @@ recording of one camera, in unknown light.
 
     [1] libcaer, DAVIS346: 346 x 260.
     [2] Every published client (libcaer, dv-processing) is built for 640 x 480 on both DVXplorers. A paper on PANGU's
-        event sensor says 640 x 400; no source was found for that.
+        event sensor gives 640 x 400; no source was found for that.
     [3] Finateu et al., ISSCC 2020, 5.10, from memory: 1280 x 720, 1.066 Gev/s, nominal contrast 25 %.
     [4] jAER's formulas (it cites IEEE 7962235) with the bias words that all DAVIS346 drivers write by default:
         F ln(I_on/I_diff) with F = 0.0714; C V / I_refr with 20 fF, 0.8 V, 4.75 nA.
@@ -247,4 +247,4 @@ PRESETS: MappingProxyType[str, SensorParameters] = MappingProxyType(
         ),
     }
 )
-"""Sensors by name; the module's first lines tell the source of each figure."""
+"""Sensors by name; the module's first lines name the source of each value."""

@@ -13,86 +13,32 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from emulator.light import PixelLight, Region
+from emulator.light import LightFrame, Region
 from emulator.sensor.aps.row_kicks import KickParameters, LineReads, RowKicks
 from emulator.sensor.chip.defects import NEVER_NS, Defects, Leaks, at_temperature, draw_defects
 from emulator.sensor.chip.imager import Imager, part_of_the_way
 from emulator.sensor.effects import DefectParameters
-from emulator.sensor.methods.large_signal import LargeSignalPixels
-from emulator.sensor.noise.grid import NoisyPixels
+from emulator.sensor.methods.base import MakePixels, PixelMethod
 from emulator.sensor.parts import (
-    ADJUSTABLE,
-    adjust,
     dead_pixels,
     finished,
-    live_thresholds,
     make_jitter,
     make_noise,
     make_readout,
     make_sources,
+    own_pixels,
 )
-from emulator.sensor.pixels.array import Crossings, PixelArray
-from emulator.sensor.pixels.merging import NO_CROSSINGS, joined
-from emulator.sensor.pixels.state import PixelFaults
+from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings, joined
 from emulator.sensor.presets import SensorParameters
 from firmware_protocol.events import Events
 
-__all__ = ["MakePixels", "PixelMethod", "Sensor"]
+__all__ = ["Sensor"]
 
 _Float32s = npt.NDArray[np.float32]
-
-
-class PixelMethod(Protocol):
-    """Pixels that turn light into crossings: `PixelArray`, `GpuArray`, `NoisyPixels`, or another simulator's rule.
-
-    Attributes
-    ----------
-    lost_in_pixel : int
-        Crossings since `reset` beyond the most that a pixel can have in a step.
-    quiet_nan : int
-        Pixel-steps since `reset` whose light was NaN or infinite.
-    """
-
-    lost_in_pixel: int
-    quiet_nan: int
-
-    @property
-    def renderer(self) -> str | None:
-        """Name of the device that computes the pixels, in GL's words; None for the processor."""
-
-    @property
-    def settled_ns(self) -> int:
-        """Stream time up to which all crossings have been returned."""
-        ...
-
-    @property
-    def undersampled_share(self) -> float | None:
-        """Undersampled pixel-steps over those that had to be solved; None where unknown."""
-
-    def faults(self) -> PixelFaults | None:
-        """Return the access to defects and to the leak; None where the method has neither."""
-
-    def reset(self, light: _Float32s, t_ns: int, rate: _Float32s | None = None) -> None:
-        """Start at `t_ns` at rest on `light`, (height, width) float32; `rate` is its time derivative, if known."""
-
-    def step(
-        self, light: _Float32s, t_ns: int, rate: _Float32s | None = None, at: PixelLight | None = None
-    ) -> Crossings:
-        """Move to `t_ns` and return the crossings on the way.
-
-        `light` and its time derivative `rate` hold at `t_ns`; `at` gives the light of single pixels in between. A
-        method ignores what it cannot use.
-        """
-        ...
-
-
-MakePixels = Callable[[SensorParameters, int], PixelMethod]
-"""Factory of a sensor's pixels, from its parameters and a seed."""
 
 
 class Sensor:
@@ -120,13 +66,13 @@ class Sensor:
         The method of the pixels lacks an effect that the parameters switch on (defects, changing leak).
     """
 
-    def __init__(self, parameters: SensorParameters, seed: int, make_pixels: MakePixels = PixelArray) -> None:
+    def __init__(self, parameters: SensorParameters, seed: int, make_pixels: MakePixels = own_pixels) -> None:
         self.parameters = parameters
         here = at_temperature(parameters)
         self._imager = Imager(here, seed)
         own = dataclasses.replace(here, dark_current_relative=self._imager.dark_current_relative)
-        self.pixels = _pixels(own, seed, make_pixels)
-        self._skips = isinstance(self.pixels, PixelArray) and not self._imager.grid_ns
+        self.pixels = make_pixels(own, seed)
+        self.pixels.capabilities.check(own)
         defects = draw_defects(own, seed)
         self._dead = dead_pixels(own, defects)
         self._leaks = _leaks(self.pixels, own, seed, defects)
@@ -141,15 +87,20 @@ class Sensor:
         self._kicks: RowKicks | None = None
         self._reads: LineReads | None = None
 
-    def with_kicks(self, kicks: KickParameters) -> bool:
-        """Let reads of active pixels disturb the events; False where the method of the pixels cannot."""
-        if type(self.pixels) is PixelArray:
-            self._kicks = RowKicks(kicks, self.parameters, self._seed, self.pixels)
-        return self._kicks is not None
+    def with_kicks(self, kicks: KickParameters) -> Callable[[LineReads], None] | None:
+        """Let reads of active pixels disturb the events; None where the method of the pixels cannot.
 
-    def disturb(self, reads: LineReads) -> None:
-        """Take note of the reads of active pixels that begin in the next step, from its start on, before its end."""
-        self._reads = reads if self._kicks is not None else None
+        Returns
+        -------
+        Receiver of the reads that begin in the next step, from its start on, before its end.
+        """
+        if not self.pixels.capabilities.takes_row_reads:
+            return None
+        self._kicks = RowKicks(kicks, self.parameters, self._seed, self.pixels.levels())
+        return self._disturb
+
+    def _disturb(self, reads: LineReads) -> None:
+        self._reads = reads
 
     @property
     def raised(self) -> int:
@@ -189,11 +140,6 @@ class Sensor:
         return self.pixels.undersampled_share
 
     @property
-    def renderer(self) -> str | None:
-        """Name of the device that computes the pixels, in GL's words; None for the processor."""
-        return self.pixels.renderer
-
-    @property
     def quiet_nan(self) -> int:
         """Pixel-steps whose light was NaN or infinite."""
         return self.pixels.quiet_nan
@@ -202,47 +148,27 @@ class Sensor:
         """Compile the kernels, or load them from disk, by flashing a light at a few pixels like these."""
         few = dataclasses.replace(self.parameters, width=16, height=16, defects=DefectParameters())
         flashed = Sensor(few, 0)
-        flashed.reset(np.zeros((16, 16), np.float32), 0)
+        dark, bright = np.zeros((16, 16), np.float32), np.ones((16, 16), np.float32)
+        flashed.reset(LightFrame(0, dark))
         everything = Region(0, 16, 0, 16, np.array([[0, 16, 0, 16]]))
-        rate = np.zeros((16, 16), np.float32)
-        flashed.expose(np.ones((16, 16), np.float32), 1_000_000, rate, changed=everything)
+        flashed.expose(LightFrame(1_000_000, bright, dark, changed=everything))
         flashed.finish()
 
-    def reset(self, light: _Float32s, t_ns: int) -> None:
-        """Start at `t_ns`, at rest on `light`, (height, width) float32; nothing is pending, all counters are zero."""
+    def reset(self, frame: LightFrame) -> None:
+        """Start at rest on the light of `frame`, at its time; nothing is pending, all counters are zero."""
         self._readout = make_readout(self.parameters)
-        self._t_ns = int(t_ns)
+        self._t_ns = frame.t_ns
         if self._leaks is not None:
             self._leaks.follow(self._t_ns)
-        self.pixels.reset(self._imager.see(light, self._t_ns), self._t_ns)
+        self.pixels.reset(self._imager.see(LightFrame(frame.t_ns, frame.light)))  # at rest: no derivative
         for source in self._sources:
             source.reset(self._t_ns)
         if self._jitter is not None:
             self._jitter.reset(self._t_ns)
-        self._remember(light)
+        self._remember(frame.light)
 
-    def expose(
-        self,
-        light: _Float32s,
-        t_ns: int,
-        rate: _Float32s | None = None,
-        at: PixelLight | None = None,
-        changed: Region | None = None,
-    ) -> Events:
-        """Move to `t_ns` and return the events that leave before it.
-
-        Parameters
-        ----------
-        light : (height, width) float32
-            Light at `t_ns`, relative to the reference level; values below 0 count as 0.
-        t_ns : int
-            Stream time, not before the last one.
-        rate : (height, width) float32, optional
-            Time derivative of the light at `t_ns`, per second; None where unknown.
-        at : PixelLight, optional
-            Gives the light of single pixels in between; None where there is no such source.
-        changed : Region, optional
-            The part of light and rate that may differ from those of the last call; None: all of it.
+    def expose(self, frame: LightFrame) -> Events:
+        """Move to the time of `frame`, not before that of the last one, and return the events that leave until then.
 
         Returns
         -------
@@ -253,23 +179,20 @@ class Sensor:
         ValueError
             Time goes back, or the frame does not have the sensor's size.
         """
-        t_ns, parts = int(t_ns), []
-        t0_ns = self._t_ns
-        while (cut_ns := self._next_cut_ns()) < t_ns:
-            share = (cut_ns - t0_ns) / (t_ns - t0_ns)
-            parts.append(_copied(self._move(self._between(light, share), cut_ns, None, changed=changed)))
-        parts.append(self._move(light, t_ns, rate, at, changed))
-        self._remember(light)
+        parts, t0_ns = [], self._t_ns
+        while (cut_ns := self._next_cut_ns()) < frame.t_ns:
+            share = (cut_ns - t0_ns) / (frame.t_ns - t0_ns)
+            cut = LightFrame(cut_ns, self._between(frame.light, share), changed=frame.changed)
+            parts.append(_copied(self._move(cut)))
+        parts.append(self._move(frame))
+        self._remember(frame.light)
         return self._send(joined(parts), self.pixels.settled_ns)
 
     @property
     def adjustable(self) -> dict[str, float]:
         """Fields of `parameters` that `adjust` can change, with their present values; {} where the pixels cannot."""
-        if not isinstance(self.pixels, PixelArray):
-            return {}
         fixed = {"leak_hz"} if self._leaks is not None else set()  # it has its own course
-        fixed |= set() if self.pixels.parameters.source_follower_hz > 0 else {"source_follower_hz"}
-        return {name: float(getattr(self.pixels.parameters, name)) for name in ADJUSTABLE if name not in fixed}
+        return {name: value for name, value in self.pixels.adjustable.items() if name not in fixed}
 
     def adjust(self, name: str, value: float) -> None:
         """Set one of `adjustable` from now on; noise of the grade "points" follows from the same time on.
@@ -279,11 +202,11 @@ class Sensor:
         ValueError
             The field cannot be changed, or the value is not allowed.
         """
-        if name not in self.adjustable or not isinstance(self.pixels, PixelArray):
+        if name not in self.adjustable:
             raise ValueError(f"{name} cannot be changed while this sensor runs")
-        adjust(self.pixels, name, value)
+        self.pixels.adjust(name, value)
         if self._noise is not None:
-            self._noise.follow(self.pixels.parameters, live_thresholds(self.pixels))
+            self._noise.follow(self.pixels.parameters, self.pixels.live_thresholds())
 
     def finish(self) -> Events:
         """Return the events that have not left yet; the sensor cannot be exposed afterwards."""
@@ -296,29 +219,20 @@ class Sensor:
         shot_ns = (self._t_ns // grid_ns + 1) * grid_ns if grid_ns else NEVER_NS
         return min(shot_ns, self._leaks.next_ns) if self._leaks is not None else shot_ns
 
-    def _move(
-        self,
-        light: _Float32s,
-        t_ns: int,
-        rate: _Float32s | None,
-        at: PixelLight | None = None,
-        changed: Region | None = None,
-    ) -> Crossings:
-        """Move all parts to `t_ns`; no cut lies in between."""
+    def _move(self, frame: LightFrame) -> Crossings:
+        """Move all parts to the time of `frame`; no cut lies in between."""
         if self._leaks is not None and self._leaks.next_ns <= self._t_ns:
             self._leaks.follow(self._t_ns)
-        seen = self._imager.see(light, t_ns)
-        rate, at = self._imager.see_rate(rate), self._imager.see_pixels(at)
-        told = {} if changed is None or not self._skips else {"changed": changed}
-        if self._kicks is None:
-            crossings = self.pixels.step(seen, t_ns, rate, at, **told)
-        else:
-            groups = [] if self._reads is None else self._kicks.begin(self._reads.between(self._t_ns, t_ns))
-            crossings = self.pixels.step(seen, t_ns, rate, at, **told)
-            crossings = self._kicks.end(groups, crossings, self._t_ns, t_ns)
-        crossings = self._of_live_pixels(crossings)
-        self._t_ns = t_ns
-        return self._with_others(crossings, seen, self.pixels.settled_ns)
+        seen = self._imager.see(frame)
+        crossings = self._of_live_pixels(self.pixels.step(seen) if self._kicks is None else self._kicked(seen))
+        self._t_ns = frame.t_ns
+        return self._with_others(crossings, seen.light, self.pixels.settled_ns)
+
+    def _kicked(self, seen: LightFrame) -> Crossings:
+        """Return the pixels' crossings, disturbed by the reads of active pixels."""
+        assert self._kicks is not None
+        groups = [] if self._reads is None else self._kicks.begin(self._reads.between(self._t_ns, seen.t_ns))
+        return self._kicks.end(groups, self.pixels.step(seen), self._t_ns, seen.t_ns)
 
     def _with_others(self, crossings: Crossings, seen: _Float32s, settled_ns: int) -> Crossings:
         """Return the pixels' crossings as they are raised, delayed, with the events of other sources."""
@@ -360,27 +274,11 @@ def _copied(crossings: Crossings) -> Crossings:
     )
 
 
-def _pixels(p: SensorParameters, seed: int, make_pixels: MakePixels) -> PixelMethod:
-    """Return the pixels; with noise of the grid grade, those that contain it."""
-    on_grid = bool(p.noise.rms) and p.noise.grade == "grid"
-    own = getattr(make_pixels, "func", make_pixels) is PixelArray
-    if p.photoreceptor == "large_signal":
-        if not own or on_grid:
-            raise ValueError('photoreceptor = "large_signal" is a method of its own: leave it out, or the other method')
-        return LargeSignalPixels(p, seed)
-    if not on_grid:
-        return make_pixels(p, seed)
-    if not own:
-        raise ValueError('noise.grade = "grid" is a method of its own: leave it out, or the other method')
-    return NoisyPixels(p, seed)
-
-
 def _leaks(pixels: PixelMethod, p: SensorParameters, seed: int, defects: Defects) -> Leaks | None:
     """Apply the defects to the pixels; return the changing leak, None where it is constant."""
     if not (defects.hot.size or defects.dead.size or p.jitter.leak_share):
         return None
-    faults = pixels.faults()
-    if faults is None:
+    if not pixels.capabilities.has_faults:
         raise ValueError("defects, dose and jitter.leak_share need evstim's own pixels: leave them out, or the method")
-    faults.kill(defects.dead)
-    return Leaks(faults, seed, p.jitter.leak_share, defects)
+    pixels.kill(defects.dead)
+    return Leaks(pixels, seed, p.jitter.leak_share, defects)

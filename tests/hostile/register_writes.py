@@ -19,6 +19,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from emulator.light import LightFrame
 from emulator.sensor.aps.frames import FrameSource
 from emulator.sensor.aps.row_kicks import FrameParameters
 from emulator.sensor.imu.parameters import ImuParameters
@@ -91,7 +92,7 @@ class Campaign:
         unit = ImuUnit(ImuParameters(), Carried(Fixed(), EARTH_IN_THE_PICTURE, Timescale()), seed)
         self._sources = (FrameSource(FrameParameters(), seed, SIZE), ImuSource(unit))
         for source in self._sources:
-            source.reset(self._light, 0)
+            source.reset(LightFrame(0, self._light))
         self._transit = _FrameInTransit()
         self._epoch_us = 0
 
@@ -156,7 +157,7 @@ class Campaign:
         until_us = now_us + step_us
         for source in self._sources:
             settings = self.camera.reading_settings(source.kind)
-            self.camera.offer_readings(source.kind, source.read(self._light, until_us * 1000, settings))
+            self.camera.offer_readings(source.kind, source.read(LightFrame(until_us * 1000, self._light), settings))
         edges = np.zeros(4, EDGE)
         edges["t"] = np.linspace(now_us + 1, until_us, 4).astype(np.uint64)
         edges["kind"] = EdgeKind.RISING, EdgeKind.FALLING, EdgeKind.RISING, EdgeKind.FALLING

@@ -47,11 +47,12 @@ from emulator.evaluation.accuracy.scenes import (
 )
 from emulator.evaluation.accuracy.scores import Scores, Stream, compare
 from emulator.evaluation.accuracy.truth import true_events
-from emulator.light import PixelLight
+from emulator.light import LightFrame, PixelLight
+from emulator.sensor.methods.base import MakePixels
 from emulator.sensor.other_simulators import OTHER_SIMULATORS
-from emulator.sensor.pixels.array import Crossings, PixelArray
+from emulator.sensor.pixels.array import PixelArray
+from emulator.sensor.pixels.crossings import Crossings
 from emulator.sensor.presets import SensorParameters
-from emulator.sensor.sensor import MakePixels
 
 __all__ = [
     "CASES",
@@ -162,9 +163,9 @@ def events(
     rate = case.scene.rate(t_s).astype(np.float32)[:, None, :] if method.rate else None
     light = light if seen is None else seen(light)
     found: list[Crossings] = []
-    array.reset(light[0], case.start_ns, None if rate is None else rate[0])
+    array.reset(LightFrame(case.start_ns, light[0], None if rate is None else rate[0]))
     for k in range(1, steps + 1):
-        crossings = array.step(light[k], case.start_ns + k * h_ns, None if rate is None else rate[k], at)
+        crossings = array.step(LightFrame(case.start_ns + k * h_ns, light[k], None if rate is None else rate[k], at))
         found.append(Crossings(crossings.t_ns.copy(), crossings.pixel.copy(), crossings.on.copy()))
     t_ns, pixel, on = (np.concatenate([getattr(c, field) for c in found]) for field in ("t_ns", "pixel", "on"))
     return Stream.of((t_ns - case.start_ns) * 1e-3, pixel, on, case.scene.pixels), array.lost_in_pixel
@@ -198,12 +199,12 @@ def step_cost_us(method: Method, case: Case, step_s: float) -> float:
     rate = [_tiled(row, width, height) for row in case.scene.rate(t_s)] if method.rate else [None] * len(light)
     array = method.make(dataclasses.replace(case.parameters, width=width, height=height), SEED)
     at = pixel_light(dataclasses.replace(case, start_ns=0)) if method.refines else None
-    array.reset(light[0], 0, rate[0])
-    frames = [(light[k], k * h_ns, rate[k], at) for k in range(steps + 1)]
+    array.reset(LightFrame(0, light[0], rate[0]))
+    frames = [LightFrame(k * h_ns, light[k], rate[k], at) for k in range(steps + 1)]
     taken = []
     for k in range(1, steps + 1):
         begun = time.perf_counter()
-        array.step(*frames[k])
+        array.step(frames[k])
         taken.append(time.perf_counter() - begun)
         if k > _COST_WARM_UP and sum(taken) > _COST_BUDGET_S:
             break

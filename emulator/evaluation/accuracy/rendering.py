@@ -36,11 +36,10 @@ from emulator.evaluation.accuracy.sampled_scenes import SampledBodies, SampledTe
 from emulator.evaluation.accuracy.scores import Stream, compare
 from emulator.evaluation.accuracy.sequences import PixelEvents as Sequences
 from emulator.evaluation.accuracy.sequences import common_subsequences
-from emulator.light import Scene
+from emulator.light import LightFrame, Scene, SceneFrames
 from emulator.optics.through import Through
 from emulator.rig.camera_models import CAMERA_MODELS
 from emulator.rig.loading import Rig
-from emulator.run.readings import Pictures
 from emulator.scene.bodies.gl_bodies import GlBodies
 from emulator.scene.bodies.raster_bodies import RasterBodies
 from emulator.scene.bodies.table import BodiesParameters
@@ -220,15 +219,14 @@ class _Look:
     def events(self, scene: Scene, step_ns: int, *, with_rate: bool) -> tuple[Stream, float]:
         """Return the events of the stretch in steps of `step_ns`, and the least CPU milliseconds a picture."""
         sensor = Sensor(self._quiet(), self.rig.run.seed)
-        pictures, first_ns = Pictures(scene, with_rate=with_rate), round(self.stretch.start_s * 1e9)
-        pictures.draw(first_ns)
-        sensor.reset(pictures.light, 0)
+        frames, first_ns = SceneFrames(scene, with_rate=with_rate), round(self.stretch.start_s * 1e9)
+        sensor.reset(LightFrame(0, frames.draw(first_ns).light))
         events, spent_s = [empty_events()], []
         for t_ns in range(step_ns, self.stretch.steps * self.step_ns + 1, step_ns):
             start_s = time.process_time()
-            pictures.draw(first_ns + t_ns)
+            frame = frames.draw(first_ns + t_ns)
             spent_s.append(time.process_time() - start_s)
-            events.append(sensor.expose(pictures.light, t_ns, pictures.rate))
+            events.append(sensor.expose(LightFrame(t_ns, frame.light, frame.rate)))
         events.append(sensor.finish())
         return Stream.from_events(np.concatenate(events), *self.rig.camera.size), 1e3 * min(spent_s)
 

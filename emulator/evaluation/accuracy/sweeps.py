@@ -42,8 +42,10 @@ from emulator.evaluation.accuracy.harness import (
 )
 from emulator.evaluation.accuracy.scenes import Float64s, ShadedEdge, ThinLine, TurningBody
 from emulator.evaluation.accuracy.scores import Scores, Stream, compare
+from emulator.light import LightFrame
 from emulator.plan.step_control import ControlledSteps, Limits, RefinementModel
-from emulator.sensor.pixels.array import Crossings, PixelArray
+from emulator.sensor.pixels.array import PixelArray
+from emulator.sensor.pixels.crossings import Crossings
 from emulator.sensor.presets import ReadoutParameters, SensorParameters
 from emulator.sensor.sensor import Sensor
 
@@ -331,8 +333,8 @@ def _run(case: Case, parameters: SensorParameters, step_s: float) -> Stream:
     sensor, h_ns = Sensor(parameters, SEED), round(step_s * 1e9)
     t_s = np.arange(round(case.duration_s / step_s) + 1) * step_s
     light, rate = (f(t_s).astype(np.float32)[:, None, :] for f in (case.scene.value, case.scene.rate))
-    sensor.reset(light[0], 0)
-    parts = [sensor.expose(light[k], k * h_ns, rate[k]) for k in range(1, t_s.size)]
+    sensor.reset(LightFrame(0, light[0]))
+    parts = [sensor.expose(LightFrame(k * h_ns, light[k], rate[k])) for k in range(1, t_s.size)]
     return Stream.from_events(np.concatenate([*parts, sensor.finish()]), parameters.width, parameters.height)
 
 
@@ -345,11 +347,11 @@ def _cost_us(case: Case, parameters: SensorParameters, step_s: float) -> float:
         [np.resize(row.astype(np.float32), (height, width)) for row in f(t_s)]
         for f in (case.scene.value, case.scene.rate)
     )
-    sensor.reset(light[0], 0)
+    sensor.reset(LightFrame(0, light[0]))
     taken = []
     for k in range(1, _STEPS + 1):
         begun = time.perf_counter()
-        sensor.expose(light[k], k * round(step_s * 1e9), rate[k])
+        sensor.expose(LightFrame(k * round(step_s * 1e9), light[k], rate[k]))
         taken.append(time.perf_counter() - begun)
         if sum(taken) > _BUDGET_S:
             break
@@ -417,14 +419,15 @@ def control(case: Case, limits: Limits, *, with_rate: bool, refined: bool = Fals
     end_ns, t_ns, frames = round(case.duration_s * 1e9), 0, 0
     found: list[Crossings] = []
     light, rate = _frame(case, 0)
-    array.reset(light, 0)
-    steps.observe(light, rate if with_rate else None, 0)
+    array.reset(LightFrame(0, light))
+    steps.observe(LightFrame(0, light, rate if with_rate else None))
     while t_ns < end_ns:
         t_ns = min(t_ns + steps.step_ns, end_ns)
         light, rate = _frame(case, t_ns)
-        crossings = array.step(light, t_ns, rate, at) if with_rate else array.step(light, t_ns)
+        frame = LightFrame(t_ns, light, rate, at) if with_rate else LightFrame(t_ns, light)
+        crossings = array.step(frame)
         found.append(Crossings(crossings.t_ns.copy(), crossings.pixel.copy(), crossings.on.copy()))
-        steps.observe(light, rate if with_rate else None, t_ns)
+        steps.observe(frame)
         frames += 1
     t, pixel, on = (np.concatenate([getattr(c, name) for c in found]) for name in ("t_ns", "pixel", "on"))
     stream = Stream.of(t * 1e-3, pixel, on, case.scene.pixels)

@@ -20,9 +20,8 @@ from emulator.evaluation.bench.coders import (
     Evt3Decoding,
     Evt3Encoding,
 )
-from emulator.evaluation.bench.gpu import Drawing, PixelSteps, Reading
 from emulator.evaluation.bench.pixels import NoiseLoad, NoiseShare
-from emulator.evaluation.bench.scenes import ScenesAlike, Workload
+from emulator.evaluation.bench.scenes import Drawing, ScenesAlike, Workload
 
 __all__ = ["MEASURES", "Measure"]
 
@@ -71,22 +70,6 @@ def _of_a_rig(rig: str, small: float | None, large: float | None) -> tuple[Measu
     )
 
 
-def _of_the_card(size: tuple[int, int]) -> tuple[Measure, ...]:
-    """Return the measures of a graphics card beside the processor, at one size."""
-    at = f"{size[0]}x{size[1]}"
-    runs: tuple[tuple[str, Callable[[], float]], ...] = (
-        (f"gpu_pixels_quiet_{at}", PixelSteps(size, fires=False)),
-        (f"gpu_pixels_quiet_{at}_on_cpu", PixelSteps(size, fires=False, on_card=False)),
-        (f"gpu_pixels_20pct_{at}", PixelSteps(size, fires=True)),
-        (f"gpu_pixels_20pct_{at}_on_cpu", PixelSteps(size, fires=True, on_card=False)),
-        (f"gpu_frame_{at}", Drawing(size, with_rate=False)),
-        (f"gpu_frame_pair_{at}", Drawing(size, with_rate=True)),
-        (f"gpu_readback_direct_{at}", Reading(size, "direct")),
-        (f"gpu_readback_ring_{at}", Reading(size, "ring")),
-    )
-    return tuple(Measure(name, "ms", "lower", None, run) for name, run in runs)
-
-
 MEASURES = (
     Measure("pixel_quiet", "Mpixel/s", "higher", 1000, pixel.pixel_quiet),
     Measure("pixel_5pct", "Mpixel/s", "higher", 550, pixel.pixel_5pct),
@@ -124,8 +107,7 @@ MEASURES = (
     Measure("blocks_target_100us", "bits/ev", "lower", 10.5, BlockBits("target", 100)),
     *(_IN_C if COMPILER else ()),
     *(measure for rig in _RIGS for measure in _of_a_rig(*rig)),
-    *_of_the_card(SMALL),
-    *_of_the_card(LARGE),
+    *(Measure(f"gpu_frame_{w}x{h}", "ms", "lower", None, Drawing((w, h))) for w, h in (SMALL, LARGE)),
     Measure("serial_fill", "%", "higher", 98, serial_line.serial_fill),
     Measure("usbip_events", "Mev/s", "higher", 12, link.usbip_events),
     Measure("latency_p50", "us", "lower", 2000, link.latency_p50),

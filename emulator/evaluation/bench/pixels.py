@@ -33,7 +33,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from emulator.light import Region
+from emulator.light import LightFrame, Region
 from emulator.sensor.effects import NoiseParameters
 from emulator.sensor.noise.law import corner_hz, of_array
 from emulator.sensor.noise.points import NoiseEvents
@@ -112,12 +112,12 @@ def _timed(
 ) -> tuple[float, float]:
     """Return the median seconds of a step and the mean number of events in one."""
     light, rate = (values.copy() for values in picture(0))
-    array.reset(light, 0, None if line else rate)
+    array.reset(LightFrame(0, light, None if line else rate))
     seconds, events = [], 0
     for k in range(1, _WARM_UP + steps + 1):
         light[:], rate[:] = picture(k)
         start = time.perf_counter()
-        crossings = array.step(light, k * _STEP_NS, None if line else rate, changed=changed)
+        crossings = array.step(LightFrame(k * _STEP_NS, light, None if line else rate, changed=changed))
         if k > _WARM_UP:
             seconds.append(time.perf_counter() - start)
             events += len(crossings)
@@ -165,11 +165,11 @@ def _still(changed: Region | None) -> float:
     parameters = dataclasses.replace(_DAVIS, leak_hz=0.0, width=1280, height=720)
     black = np.zeros((720, 1280), np.float32)
     array = PixelArray(parameters, 1, 1)
-    array.reset(black, 0, black)
+    array.reset(LightFrame(0, black, black))
     seconds = []
     for k in range(1, _WARM_UP + _STEPS):
         start = time.perf_counter()
-        array.step(black, k * _STEP_NS, black, changed=changed)
+        array.step(LightFrame(k * _STEP_NS, black, black, changed=changed))
         seconds.append(time.perf_counter() - start)
     return black.size / statistics.median(seconds[_WARM_UP:]) / 1e6
 
@@ -268,11 +268,11 @@ def _alone(events_hz: float) -> Callable[[], float]:
     p = noisy_sensor(events_hz)
     drawn, light = draw(p, _SEED), _still_noise(p)
     pixels, noise = PixelArray(p, _SEED), NoiseEvents(p, _SEED, (drawn.on + drawn.off) / 2)
-    pixels.reset(light, 0)
+    pixels.reset(LightFrame(0, light))
 
     def step() -> float:
         t_ns = pixels.state.t_ns + _STEP_NS
-        crossings = pixels.step(light, t_ns)
+        crossings = pixels.step(LightFrame(t_ns, light))
         begun = time.perf_counter()
         noise.add_to(crossings, light.reshape(-1), t_ns)
         return time.perf_counter() - begun
@@ -314,7 +314,7 @@ def _both(events_hz: float, *, moving: bool = False) -> Callable[[], tuple[float
     light, t_ns = _still_noise(p), 0
     noisy, quiet = Sensor(p, _SEED), Sensor(_with_rms(0.0), _SEED)
     for sensor in (noisy, quiet):
-        sensor.reset(light, 0)
+        sensor.reset(LightFrame(0, light))
 
     def step() -> tuple[float, float]:
         nonlocal t_ns
@@ -322,9 +322,9 @@ def _both(events_hz: float, *, moving: bool = False) -> Callable[[], tuple[float
         if moving:
             light.fill(_LIGHT * (1 + 1e-4 * (t_ns // _STEP_NS % 2)))
         begun = time.perf_counter()
-        noisy.expose(light, t_ns)
+        noisy.expose(LightFrame(t_ns, light))
         middle = time.perf_counter()
-        quiet.expose(light, t_ns)
+        quiet.expose(LightFrame(t_ns, light))
         return middle - begun, time.perf_counter() - middle
 
     return step

@@ -6,6 +6,8 @@ pixels. Without slopes a step takes one frame, and interpolates log light linear
 several times fewer steps for the same accuracy. Each figure is the median of runs of about a second,
 after a warm-up that compiles and settles.
 
+A light frame drawn by GL (`Drawing`): what GL selects here, often a software renderer; `evstim doctor` lists them.
+
 Cost of a step in scenes with the same number of events, but other pixels that have them.
 
 Scenes of about the same number of events a step, on 346 x 260 pixels; each told with its time derivative, as runs have
@@ -31,14 +33,14 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from emulator.light import LightFrame, SceneFrames
 from emulator.rig.loading import Rig, load_rig
 from emulator.run.assembly import build_scene
-from emulator.run.readings import Pictures
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.presets import PRESETS, SensorParameters
 from emulator.sensor.sensor import Sensor
 
-__all__ = ["ScenesAlike", "Workload", "steps_per_second"]
+__all__ = ["Drawing", "ScenesAlike", "Workload", "steps_per_second"]
 
 
 _REPEATS = 5
@@ -64,20 +66,41 @@ def steps_per_second(rig: Rig, size: tuple[int, int], *, with_rate: bool) -> flo
     step_ns = rig.run.step_us * 1000
     rates: list[float] = []
     with build_scene(rig, size) as scene:
-        picture = Pictures(scene, with_rate=with_rate)
-        picture.draw(0)
-        sensor.reset(picture.light, 0)
+        frames = SceneFrames(scene, with_rate=with_rate)
+        sensor.reset(frames.draw(0))
         t_ns = 0
         for repeat in range(_REPEATS + 1):
             steps, start_s = 0, time.perf_counter()
             while time.perf_counter() - start_s < _REPEAT_S:
                 t_ns += step_ns
-                picture.draw(t_ns)
-                sensor.expose(picture.light, t_ns, picture.rate, None, picture.changed)
+                sensor.expose(frames.draw(t_ns))
                 steps += 1
             if repeat:  # the first one compiles and settles
                 rates.append(steps / (time.perf_counter() - start_s))
     return statistics.median(rates)
+
+
+_LEAST_FRAMES, _FIRST_FRAMES = 9, 3
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """Light frames of the rig itokawa at `size` = (width, height), drawn by GL, lens included."""
+
+    size: tuple[int, int]
+
+    def __call__(self) -> float:
+        """Return the median of ms a frame, over about a second."""
+        rig = load_rig("itokawa")
+        light, seconds = np.zeros(self.size[::-1], np.float32), list[float]()
+        with build_scene(dataclasses.replace(rig, run=dataclasses.replace(rig.run, painter="gl")), self.size) as scene:
+            for k in range(_FIRST_FRAMES):
+                scene.light(k * _STEP_NS, light)
+            while len(seconds) < _LEAST_FRAMES or sum(seconds) < _REPEAT_S:
+                start_s = time.perf_counter()
+                scene.light((_FIRST_FRAMES + len(seconds)) * _STEP_NS, light)
+                seconds.append(time.perf_counter() - start_s)
+        return statistics.median(seconds) * 1e3
 
 
 _STEP_NS = 1_000_000
@@ -161,9 +184,9 @@ class ScenesAlike:
             for name, array in arrays.items():
                 light, rate = scenes[name][1](k)
                 if k == -_WARM_UP:
-                    array.reset(light, 0, rate)
+                    array.reset(LightFrame(0, light, rate))
                 begun = time.perf_counter()
-                crossings = array.step(light, (k + _WARM_UP) * _STEP_NS, rate)
+                crossings = array.step(LightFrame((k + _WARM_UP) * _STEP_NS, light, rate))
                 if k >= _SETTLED:
                     seconds[name].append(time.perf_counter() - begun)
                     found[name] += len(crossings)

@@ -18,6 +18,7 @@ from itertools import count
 import numpy as np
 import numpy.typing as npt
 
+from emulator.light import LightFrame
 from emulator.rig.loading import load_rig
 from emulator.scene.checkerboard.checkerboard import Checkerboard
 from emulator.scene.checkerboard.table import CheckerboardParameters
@@ -68,12 +69,12 @@ def checkerboard_stream(count: int) -> Events:
     pixels, readout = PixelArray(sensor, rig.run.seed), ReadOut(sensor)
     light = np.zeros((sensor.height, sensor.width), np.float32)
     scene.light(0, light)
-    pixels.reset(light, 0)
+    pixels.reset(LightFrame(0, light))
     batches, filled, t_ns = [], 0, 0
     while filled < count:
         t_ns += rig.run.step_us * 1000
         scene.light(t_ns, light)
-        batches.append(readout.push(pixels.step(light, t_ns), t_ns).copy())
+        batches.append(readout.push(pixels.step(LightFrame(t_ns, light)), t_ns).copy())
         filled += len(batches[-1])
     return np.concatenate(batches)[:count]
 

@@ -29,6 +29,7 @@ import numpy.typing as npt
 from scipy import stats
 from scipy.ndimage import uniform_filter
 
+from emulator.light import LightFrame
 from emulator.playback.recording import read_events
 from emulator.report.page import sentences, table, write_csv, write_json, write_page
 from emulator.sensor.presets import SensorParameters
@@ -353,9 +354,9 @@ def _simulated(p: SensorParameters, light: float, seconds: float) -> Activity:
     """Return the statistics of the sensor in still light, at most `_MOST_S` of them."""
     seconds = min(seconds, _MOST_S)
     picture, sensor = np.full((p.height, p.width), light, np.float32), Sensor(p, 1)
-    sensor.reset(picture, 0)
+    sensor.reset(LightFrame(0, picture))
     ends = [min(k * _STEP_NS, round(seconds * 1e9)) for k in range(1, math.ceil(seconds * 1e9 / _STEP_NS) + 1)]
-    parts: list[Events] = [sensor.expose(picture, end) for end in ends]
+    parts: list[Events] = [sensor.expose(LightFrame(end, picture)) for end in ends]
     return activity(np.concatenate([*parts, sensor.finish()]), (p.width, p.height), seconds)
 
 

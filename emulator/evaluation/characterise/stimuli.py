@@ -20,6 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from emulator.light import LightFrame
 from emulator.sensor.chip.defects import at_temperature
 from emulator.sensor.noise.law import corner_hz
 from emulator.sensor.presets import ReadoutParameters, SensorParameters
@@ -105,7 +106,7 @@ class Bench:
         self.t_ns = 0
         self.light = self._picture(light)
         self._sent: list[Events] = []
-        self.sensor.reset(self.light.astype(np.float32), 0)
+        self.sensor.reset(LightFrame(0, self.light.astype(np.float32)))
 
     def _picture(self, light: npt.ArrayLike) -> _Floats:
         return np.broadcast_to(np.asarray(light, np.float64), (self.parameters.height, self.parameters.width))
@@ -114,7 +115,7 @@ class Bench:
         """Go to another light in `for_ns`, log current on a straight line; return what was sent meanwhile."""
         self.t_ns += for_ns
         self.light = self._picture(light)
-        events = self.sensor.expose(self.light.astype(np.float32), self.t_ns)
+        events = self.sensor.expose(LightFrame(self.t_ns, self.light.astype(np.float32)))
         self._sent.append(events)
         return events
 

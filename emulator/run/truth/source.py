@@ -27,14 +27,15 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.geometry.camera import SceneGeometry, Seen
-from emulator.light import PixelLight, Region, Scene
+from emulator.light import LightFrame, Scene
 from emulator.rig.kinds import SCENES
 from emulator.rig.loading import Rig
 from emulator.run.truth.file import About, TruthRecorder
+from emulator.sensor.aps.row_kicks import KickParameters
 from emulator.sensor.chip.defects import at_temperature
 from emulator.sensor.event_source import EventSource
 from emulator.sensor.origins import TracedSensor
-from emulator.sensor.pixels.array import PixelArray
+from emulator.sensor.parts import own_pixels
 from emulator.sensor.presets import PRESETS, SensorParameters
 from emulator.sensor.sensor import Sensor
 from firmware_protocol.events import Events, join_events
@@ -43,7 +44,6 @@ from transports.needs import install_command
 __all__ = ["SUFFIXES", "TruthFile", "TruthRefused", "TruthSource", "check_truth", "ideal_of"]
 
 
-_Float32s = npt.NDArray[np.float32]
 _CLEAN = ("threshold_on", "threshold_off")  # what may change while the clean sensor runs
 
 
@@ -114,11 +114,6 @@ class TruthSource:
         return self._sensor.undersampled_share
 
     @property
-    def renderer(self) -> str | None:
-        """Of the sensor."""
-        return self._sensor.renderer
-
-    @property
     def adjustable(self) -> dict[str, float]:
         """Of the sensor."""
         return self._sensor.adjustable
@@ -129,30 +124,26 @@ class TruthSource:
         if name in _CLEAN:
             self._clean.adjust(name, value)
 
+    def with_kicks(self, kicks: KickParameters) -> None:
+        """Return None: the truth of disturbed events is not traced."""
+
     def warm_up(self) -> None:
         """Compile the kernels."""
         self._sensor.warm_up()
 
-    def reset(self, light: _Float32s, t_ns: int) -> None:
-        """Start at `t_ns`."""
-        self._sensor.reset(light, t_ns)
-        self._clean.reset(light, t_ns)
+    def reset(self, frame: LightFrame) -> None:
+        """Start at the time of `frame`."""
+        self._sensor.reset(frame)
+        self._clean.reset(frame)
         self._count = 0
-        self._picture(light, t_ns)
+        self._record(frame)
 
-    def expose(
-        self,
-        light: _Float32s,
-        t_ns: int,
-        rate: _Float32s | None = None,
-        at: PixelLight | None = None,
-        changed: Region | None = None,
-    ) -> Events:
-        """Move to `t_ns` and return the sensor's events; see `Sensor.expose`."""
-        events = self._sensor.expose(light, t_ns, rate, at, changed)
+    def expose(self, frame: LightFrame) -> Events:
+        """Move to the time of `frame` and return the sensor's events; see `Sensor.expose`."""
+        events = self._sensor.expose(frame)
         self._events.add(events, self._sensor.origins)
-        self._clean_events.add(self._clean.expose(light, t_ns, rate, at, changed))
-        self._picture(light, t_ns)
+        self._clean_events.add(self._clean.expose(frame))
+        self._record(frame)
         return events
 
     def finish(self) -> Events:
@@ -163,11 +154,11 @@ class TruthSource:
         self._recorder.put(self._event_rows(math.inf, self._labels))
         return events
 
-    def _picture(self, light: _Float32s, t_ns: int) -> None:
-        """Write the poses of a picture, and of every n-th the rest with the events up to it."""
-        rows = self._pose_rows(t_ns)
+    def _record(self, frame: LightFrame) -> None:
+        """Record the poses of a frame, and of every n-th the rest with the events up to it."""
+        rows = self._pose_rows(frame.t_ns)
         if self._count % self._every == 0:
-            rows |= self._picture_rows(light, t_ns)
+            rows |= self._frame_rows(frame)
         self._count += 1
         if rows:
             self._recorder.put(rows)
@@ -186,8 +177,9 @@ class TruthSource:
             rows["poses/bodies_q_world_from_body"] = placed.q_world_from_bodies[None]
         return rows
 
-    def _picture_rows(self, light: _Float32s, t_ns: int) -> dict[str, Any]:
-        rows: dict[str, Any] = {"pictures/t": np.array([t_ns / 1000]), "pictures/light": light[None]}
+    def _frame_rows(self, frame: LightFrame) -> dict[str, Any]:
+        t_ns = frame.t_ns
+        rows: dict[str, Any] = {"pictures/t": np.array([t_ns / 1000]), "pictures/light": frame.light[None]}
         if self._geometry is not None:
             self._geometry.look(t_ns, self._seen)
         for name in sorted(self._gives - {"poses"}):
@@ -286,7 +278,7 @@ class TruthFile:
             raise TypeError("truth needs a sensor that traces its events")
         run, geometry = self._rig.run, scene.geometry()
         self._recorder = TruthRecorder(self._path, _about(self._rig, geometry), waits=run.pace != "realtime")
-        clean = Sensor(ideal_of(sensor.parameters), run.seed, partial(PixelArray, threads=run.threads))
+        clean = Sensor(ideal_of(sensor.parameters), run.seed, partial(own_pixels, threads=run.threads))
         return TruthSource(sensor, clean, geometry, self._recorder, self._every)
 
     def close(self) -> None:

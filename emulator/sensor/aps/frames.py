@@ -34,7 +34,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from emulator.light import Light
+from emulator.light import Light, LightFrame
 from emulator.sensor.aps.row_kicks import FrameParameters, LineReads
 from emulator.sensor.numerics.keyed import Purpose, normal, normals, root_of, streams
 from firmware_protocol.device.event_device import ReadingKind, Readings
@@ -195,13 +195,13 @@ class FrameTimes:
 
     @property
     def end_ns(self) -> int:
-        """When the last read is done."""
+        """End of the last read, ns."""
         return int(self.signal_ns[-1]) + self.line_ns
 
 
 @dataclass(frozen=True)
 class Schedule:
-    """A frame's lines and moments in the order in which they are told: times (n,) us, `LineKind` (n,), line (n,)."""
+    """A frame's lines and moments in the order of their readings: times (n,) us, `LineKind` (n,), line (n,)."""
 
     t_us: Times
     kind: npt.NDArray[np.uint8]
@@ -209,9 +209,9 @@ class Schedule:
 
     @classmethod
     def of(cls, times: FrameTimes) -> Schedule:
-        """Return that of a frame; a line is told when its read is done, in whole us from then on."""
+        """Return that of a frame; a line has its reading when its read is done, in whole us from then on."""
         lines = np.arange(len(times.reset_ns))
-        told = (
+        records = (
             (LineKind.START, [times.start_ns], [0]),
             (LineKind.RESET, times.reset_ns + times.line_ns, lines),
             (LineKind.EXPOSURE_START, times.open_ns[:1], [0]),
@@ -219,9 +219,9 @@ class Schedule:
             (LineKind.SIGNAL, times.signal_ns + times.line_ns, lines),
             (LineKind.END, [times.end_ns], [0]),
         )
-        t_ns = np.concatenate([np.asarray(t, np.int64) for _, t, _ in told])
-        kinds = np.concatenate([np.full(len(t), kind, np.uint8) for kind, t, _ in told])
-        line = np.concatenate([np.asarray(which, np.int64) for *_, which in told])
+        t_ns = np.concatenate([np.asarray(t, np.int64) for _, t, _ in records])
+        kinds = np.concatenate([np.full(len(t), kind, np.uint8) for kind, t, _ in records])
+        line = np.concatenate([np.asarray(which, np.int64) for *_, which in records])
         order = np.argsort(t_ns, kind="stable")
         return cls(-(-t_ns[order] // 1000), kinds[order], line[order])
 
@@ -246,7 +246,7 @@ def frame_times(start_ns: int, settings: FrameSettings, line_us: float) -> Frame
 
 
 _READ = "t_ns", "line", "signal"
-_LEAST_INTERVAL_NS = 1_000_000  # a host can ask for one pixel without exposure: that would be millions of frames
+_LEAST_INTERVAL_NS = 1_000_000  # a host can request one pixel without exposure: that would be millions of frames
 
 
 class _Frame:
@@ -256,7 +256,7 @@ class _Frame:
         self.settings = settings
         self.times = frame_times(start_ns, settings, line_us)
         self.schedule = Schedule.of(self.times)
-        self.told = 0
+        self.returned = 0
         left, top, right, bottom = settings.roi
         rows, columns = slice(top, bottom + 1), slice(left, right + 1)
         self.lines, self.samples = (columns, rows) if settings.by_column else (rows, columns)
@@ -266,8 +266,8 @@ class _Frame:
 
     @property
     def done(self) -> bool:
-        """Whether all of it was told."""
-        return self.told == len(self.schedule.t_us)
+        """All readings of the frame have been returned."""
+        return self.returned == len(self.schedule.t_us)
 
     @property
     def reads(self) -> LineReads:
@@ -284,30 +284,30 @@ class _Frame:
         self.exposure.add(first[part], t0_ns, second[part], t1_ns)
 
     def read(self, until_us: int, record: np.dtype[Any]) -> Readings:
-        """Return what is told until `until_us` and was not before."""
+        """Return the readings until `until_us` that were not returned before."""
         upto = int(np.searchsorted(self.schedule.t_us, until_us, side="right"))
-        part, self.told = slice(self.told, upto), upto
-        told = np.zeros(upto - part.start, record)
-        told["t"], told["kind"] = self.schedule.t_us[part], self.schedule.kind[part]
-        told["exposure"], told["global_shutter"] = self.settings.exposure_cycles, self.settings.global_shutter
-        told["by_column"], told["roi"] = self.settings.by_column, self.settings.roi
-        told["line"] = self.schedule.line[part] + self.lines.start
+        part, self.returned = slice(self.returned, upto), upto
+        records = np.zeros(upto - part.start, record)
+        records["t"], records["kind"] = self.schedule.t_us[part], self.schedule.kind[part]
+        records["exposure"], records["global_shutter"] = self.settings.exposure_cycles, self.settings.global_shutter
+        records["by_column"], records["roi"] = self.settings.by_column, self.settings.roi
+        records["line"] = self.schedule.line[part] + self.lines.start
         for kind in (LineKind.RESET, LineKind.SIGNAL):
-            self._convert(told, np.flatnonzero(told["kind"] == kind), kind)
-        return told
+            self._convert(records, np.flatnonzero(records["kind"] == kind), kind)
+        return records
 
-    def _convert(self, told: Readings, at: npt.NDArray[np.intp], kind: LineKind) -> None:
+    def _convert(self, records: Readings, at: npt.NDArray[np.intp], kind: LineKind) -> None:
         """Fill in the samples of the lines at `at`, of one kind: their numbers follow one another."""
         if not len(at):
             return
-        lines = slice(int(told["line"][at[0]]), int(told["line"][at[-1]]) + 1)
+        lines = slice(int(records["line"][at[0]]), int(records["line"][at[-1]]) + 1)
         if kind is LineKind.RESET:
             values = self._converter.reset(lines, self.samples, self._number)
         else:
             own = slice(lines.start - self.lines.start, lines.stop - self.lines.start)
             values = self._converter.signal(self.exposure.light_ms[own], lines, self.samples, self._number)
-        told["samples"][at, : values.shape[1]] = values
-        told["length"][at] = values.shape[1]
+        records["samples"][at, : values.shape[1]] = values
+        records["length"][at] = values.shape[1]
 
 
 class FrameSource:
@@ -316,7 +316,7 @@ class FrameSource:
     Parameters
     ----------
     disturb
-        Is told of the reads that begin in each step, before the events of that step are made; None: nobody is.
+        Receiver of the reads that begin in each step, before the events of that step are made; None: none.
     """
 
     kind = ReadingKind.FRAMES
@@ -340,39 +340,40 @@ class FrameSource:
         self._frame: _Frame | None = None
         self._next_ns: int | None = None
 
-    def reset(self, light: Light, t_ns: int) -> None:
-        """Start at `t_ns` on `light`, (height, width) float32."""
+    def reset(self, frame: LightFrame) -> None:
+        """Start at the time of `frame`."""
         self._converter(by_column=False).reset(slice(0, 1), slice(0, 1), 0)  # compiles
-        self._before[:] = light
-        self._t_ns = self._before_ns = t_ns
+        self._before[:] = frame.light
+        self._t_ns = self._before_ns = frame.t_ns
         self._frame = self._next_ns = None
 
-    def read(self, light: Light, t_ns: int, settings: tuple[int, ...]) -> Readings:
-        """Move to `t_ns`, when the light is `light`; return the lines that were read until then."""
+    def read(self, frame: LightFrame, settings: tuple[int, ...]) -> Readings:
+        """Move to the time of `frame` and return the lines that were read until then."""
+        light, t_ns = frame.light, frame.t_ns
         asked = FrameSettings.of(settings)
-        told = np.zeros(0, self.record)
+        records = np.zeros(0, self.record)
         self._begun = []
         if not asked.run:
             self._frame = self._next_ns = None
             self._t_ns = t_ns
-            return told
+            return records
         if self._next_ns is None:
             self._next_ns = self._t_ns if self._before_ns == self._t_ns else t_ns
-        told = np.concatenate([told, *self._frames(light, t_ns, asked)])
+        records = np.concatenate([records, *self._frames(light, t_ns, asked)])
         self._before[:] = light
-        self._tell_reads(t_ns)
+        self._report_reads(t_ns)
         self._t_ns = self._before_ns = t_ns
-        return told
+        return records
 
-    def _tell_reads(self, t_ns: int) -> None:
-        """Tell of the reads that begin in the step to `t_ns`."""
+    def _report_reads(self, t_ns: int) -> None:
+        """Report the reads that begin in the step to `t_ns`."""
         parts = [frame.reads.between(self._t_ns, t_ns) for frame in self._begun]
         if self._disturb is not None and parts:
             t, line, signal = (np.concatenate([getattr(one, name) for one in parts]) for name in _READ)
             self._disturb(LineReads(t, line, signal, parts[-1].by_column))
 
     def _frames(self, light: Light, t_ns: int, asked: FrameSettings) -> Iterator[Readings]:
-        """Yield what is told of each frame until `t_ns`."""
+        """Yield the readings of each frame until `t_ns`."""
         while self._frame is not None or (self._next_ns is not None and self._next_ns <= t_ns):
             if self._frame is None:
                 converter = self._converter(by_column=asked.by_column)

@@ -32,8 +32,7 @@ import numpy.typing as npt
 
 from emulator.sensor.checks import check, check_finite
 from emulator.sensor.numerics.keyed import Purpose, normal, uniform
-from emulator.sensor.pixels.array import Crossings, PixelArray
-from emulator.sensor.pixels.merging import NO_CROSSINGS, merged
+from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings, merged
 from emulator.sensor.pixels.state import Levels
 from emulator.sensor.presets import SensorParameters
 
@@ -66,7 +65,7 @@ class KickParameters:
 
 @dataclass(frozen=True, slots=True)
 class FrameParameters:
-    """The active pixels. When they are exposed, and for how long, the host's registers say.
+    """The active pixels. The host's registers hold the times and lengths of exposures.
 
     Attributes
     ----------
@@ -149,13 +148,13 @@ class _Before:
 
 
 class RowKicks:
-    """What reads do to the events of an array."""
+    """Effect of the reads of active pixels on the events of an array."""
 
-    def __init__(self, kicks: KickParameters, sensor: SensorParameters, seed: int, array: PixelArray) -> None:
+    def __init__(self, kicks: KickParameters, sensor: SensorParameters, seed: int, levels: Levels) -> None:
         self._size = sensor.width, sensor.height
         self._delay_ns = kicks.delay_us * 1000
         self._seed = seed
-        self._levels = Levels(array)
+        self._levels = levels
         pixels = np.arange(sensor.width * sensor.height)
         excess = kicks.signal_excess / 2
         self._added = [

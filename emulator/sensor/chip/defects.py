@@ -20,8 +20,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from emulator.sensor.methods.base import PixelMethod
 from emulator.sensor.numerics.keyed import Purpose, normal, normals, root_of, streams, uniform
-from emulator.sensor.pixels.state import PixelFaults
 from emulator.sensor.presets import SensorParameters
 
 __all__ = ["LEAST_DARK", "MOST_DARK", "MOST_HZ", "NEVER_NS", "Defects", "Leaks", "at_temperature", "draw_defects"]
@@ -98,8 +98,8 @@ class Leaks:
 
     Parameters
     ----------
-    pixels : PixelFaults
-        The array's pixels; their present leak is the usual one.
+    pixels : PixelMethod
+        Pixels that have faults; their present leak is the usual one.
     seed : int
         Keys the jitter.
     share : float
@@ -113,7 +113,7 @@ class Leaks:
         Time of the next change; NEVER_NS if there is none.
     """
 
-    def __init__(self, pixels: PixelFaults, seed: int, share: float, defects: Defects) -> None:
+    def __init__(self, pixels: PixelMethod, seed: int, share: float, defects: Defects) -> None:
         self._pixels, self._share, self._defects = pixels, share, defects
         self._usual_hz = pixels.leak_hz()
         self._streams = streams(root_of(seed, Purpose.LEAK_JITTER), self._usual_hz.size) if share else None

@@ -28,7 +28,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from emulator.light import PixelLight
+from emulator.light import LightFrame, PixelLight
 from emulator.sensor.numerics.cached import cached_entry
 from emulator.sensor.numerics.compiled import vector_kernel
 from emulator.sensor.numerics.elementary import decay, natural_log
@@ -174,28 +174,21 @@ class Imager:
             self._streams = streams(root_of(seed, Purpose.SHOT_NOISE), pixel.size)
             self._grid, self._drawn = -2, (np.empty(0, np.float32), np.empty(0, np.float32))
 
-    def see(self, light: _Float32s, t_ns: int) -> _Float32s:
-        """Return E' for `light`, (height, width) float32, at a time; valid until the next call."""
+    def see(self, frame: LightFrame) -> LightFrame:
+        """Return `frame` with E' in the place of light; valid until the next call.
+
+        Shot noise has no time derivative, no light between frames, and changes all pixels in each frame.
+        """
         if not self.works:
-            return light
-        flat, out = np.ascontiguousarray(light).reshape(-1), self._out.reshape(-1)
+            return frame
+        flat, out = np.ascontiguousarray(frame.light).reshape(-1), self._out.reshape(-1)
         if self.grid_ns:
-            _see_counted(flat, self._pattern, self._counting(t_ns), out)
-        else:
-            _see(flat, self._pattern, out)
-        return self._out
-
-    def see_rate(self, rate: _Float32s | None) -> _Float32s | None:
-        """Return the time derivative of E' for that of the light; None with shot noise, which has none."""
-        if not self.works or rate is None:
-            return rate
-        return None if self.grid_ns else rate * self._pattern.gain.reshape(rate.shape)
-
-    def see_pixels(self, at: PixelLight | None) -> PixelLight | None:
-        """Return the source of E' of single pixels for a source of their light; None with shot noise."""
-        if not self.works or at is None:
-            return at
-        return None if self.grid_ns else partial(_see_pixels, at, self._pattern)
+            _see_counted(flat, self._pattern, self._counting(frame.t_ns), out)
+            return LightFrame(frame.t_ns, self._out)
+        _see(flat, self._pattern, out)
+        rate = None if frame.rate is None else frame.rate * self._pattern.gain.reshape(frame.rate.shape)
+        at = None if frame.at is None else partial(_see_pixels, frame.at, self._pattern)
+        return LightFrame(frame.t_ns, self._out, rate, at, frame.changed)
 
     def _counting(self, t_ns: int) -> _Counting:
         p, grid = self._parameters, t_ns // self.grid_ns
@@ -209,7 +202,7 @@ class Imager:
 
 
 def _see_pixels(at: PixelLight, p: _Pattern, t_ns: int, pixels: npt.NDArray[np.int64]) -> tuple[_Float32s, _Float32s]:
-    """Return E' of single pixels and its time derivative, as `Imager.see` and `see_rate` do for a whole frame."""
+    """Return E' of single pixels and its time derivative, as `Imager.see` does for a whole frame."""
     light, rate = at(t_ns, pixels)
     pattern, seen = _Pattern(p.gain[pixels], p.dark[pixels], p.least), np.empty(pixels.size, np.float32)
     _see(light, pattern, seen)

@@ -38,8 +38,7 @@ from emulator.sensor.numerics.cached import cached_entry
 from emulator.sensor.numerics.compiled import NONE, kernel, log_compilation
 from emulator.sensor.numerics.elementary import lowest_bit
 from emulator.sensor.numerics.keyed import Purpose, normal_from, root_of, stream, word
-from emulator.sensor.pixels.array import Crossings
-from emulator.sensor.pixels.merging import joined, unpacked
+from emulator.sensor.pixels.crossings import Crossings, joined, unpacked
 from emulator.sensor.presets import SensorParameters
 from firmware_protocol.events import EVENT, Events
 

@@ -21,8 +21,7 @@ import numpy.typing as npt
 from emulator.sensor.chip.readout import check_order
 from emulator.sensor.numerics.cached import cached_entry
 from emulator.sensor.numerics.compiled import NONE, kernel, log_compilation
-from emulator.sensor.pixels.array import Crossings
-from emulator.sensor.pixels.merging import NO_CROSSINGS
+from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings
 from emulator.sensor.presets import SensorParameters
 from firmware_protocol.events import EVENT, Events
 

@@ -3,7 +3,7 @@
 Defaults, with their sources:
 
     noise density     0.007 deg/s, 160 ug a root of Hz   one recording of a DAVIS346: 0.10 deg/s and 2 to 3 mg rms
-                                                         behind the filters that drivers ask for by default
+                                                         behind the filters that drivers select by default
     bias              0.4 deg/s, 20 mg (spreads)         the same: up to 0.74 deg/s of the gyroscope; 20 mg: an estimate
     walk of the bias  2e-4 deg/s, 1e-5 g a root of s     estimates: no source was found for this unit
     clock             1500 ppm fast                      the same: periods of 998 and 999 us

@@ -1,4 +1,4 @@
-"""What an IMU on a camera's path feels, sample after sample of its own clock.
+"""Samples of an IMU on a camera's path, by its own clock.
 
     specific force    R^T (a - g)      R: world_from_imu, a: acceleration of the path, g: gravity at its place
     angular rate      along the unit's axes
@@ -13,7 +13,7 @@ Errors of an IMU's elements: bias, its random walk, and white noise, before any 
 
 A one-sided noise density n makes white samples of variance n^2 / (2 period); behind a filter of noise bandwidth B the
 variance is n^2 B, and the Allan deviation of the unfiltered samples is n / sqrt(2 tau). All draws are keyed by (seed,
-purpose, axis, sample), so a sample does not depend on when, or in what batches, it is asked for.
+purpose, axis, sample), so a sample does not depend on the time or the batch of its request.
 
 The record of what the elements of an IMU feel, before its filter and its converter.
 
@@ -25,17 +25,17 @@ temperature  f64     degrees Celsius
 
 Gravity at a place of the world: the same everywhere, or that of a point mass at the origin.
 
-From what the elements of an IMU feel to the counts of its converters, as the host's registers ask.
+From the elements of an IMU to the counts of its converters, with the settings of the host's registers.
 
     motion at 1 kHz -> low-pass -> every n-th sample -> rounded to whole counts, cut at 16 bits
 
 The low-pass is Butterworth's with two poles; the data sheet gives only bandwidths and delays. With the drivers' default
 white noise gets a correlation from sample to sample of 0.72 for the gyroscope and 0.65 for the accelerometer; a real
-DAVIS346 had 0.72 and 0.52. Its delay at low frequencies is 1.2 ms at 184 Hz; the data sheet tells 2.9 ms, so a part of
+DAVIS346 had 0.72 and 0.52. Its delay at low frequencies is 1.2 ms at 184 Hz; the data sheet gives 2.9 ms, so a part of
 the real delay is left out. Settings act from the next sample on; a filter that is changed or switched on starts
 settled.
 
-IMU samples of a run, step by step, as the camera's registers ask.
+IMU samples of a run, step by step, with the settings of the camera's registers.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.geometry.attitude import Vector, matrix_of
-from emulator.light import Light
+from emulator.light import LightFrame
 from emulator.sensor.imu.parameters import ImuParameters
 from emulator.sensor.numerics.keyed import Purpose, normal
 from emulator.trajectory.motion import Timescale
@@ -335,7 +335,7 @@ def _coefficients(bandwidth_hz: float) -> tuple[float, float, float]:
 
 
 class ImuSource:
-    """A source of readings: what the unit feels, in counts. While nobody has switched it on, it costs nothing."""
+    """Source of the samples of a unit, in counts. It costs nothing while it is switched off."""
 
     kind = ReadingKind.IMU
     record = IMU_SAMPLE
@@ -345,16 +345,16 @@ class ImuSource:
         self._converter = Converter()
         self._t_ns = 0
 
-    def reset(self, light: Light, t_ns: int) -> None:
-        """Start at `t_ns`."""
-        self._t_ns = t_ns
+    def reset(self, frame: LightFrame) -> None:
+        """Start at the time of `frame`."""
+        self._t_ns = frame.t_ns
         self._converter = Converter()
 
-    def read(self, light: Light, t_ns: int, settings: tuple[int, ...]) -> ImuSamples:
-        """Move to `t_ns` and return the samples until then."""
+    def read(self, frame: LightFrame, settings: tuple[int, ...]) -> ImuSamples:
+        """Move to the time of `frame` and return the samples until then."""
         asked = ImuSettings(bool(settings[0]), *settings[1:]) if settings else ImuSettings()
-        since_ns, self._t_ns = self._t_ns, t_ns
+        since_ns, self._t_ns = self._t_ns, frame.t_ns
         if not asked.run:
             self._converter.stop()
             return no_samples()
-        return self._converter.samples(self._unit.between(since_ns, t_ns), asked)
+        return self._converter.samples(self._unit.between(since_ns, frame.t_ns), asked)

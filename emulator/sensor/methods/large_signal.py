@@ -1,6 +1,6 @@
-"""Pixels whose photoreceptor is a circuit with large signals: off unless a rig asks for it.
+"""Pixels whose photoreceptor is a circuit with large signals: off unless a rig selects it.
 
-The interface is that of `PixelArray`, in float64. Between two frames log light is a cubic, or a straight line without
+Arithmetic is float64. Between two frames log light is a cubic, or a straight line without
 derivatives, as there. The circuit is solved pixel by pixel with steps of its own, each as long as an error of
 `_TOLERANCE` allows; between their ends the comparator's signal is the cubic through values and derivatives. A pixel at
 rest in light that does not change is not solved at all.
@@ -27,18 +27,18 @@ II, IV.7), with the exact Jacobian: it stays stable however stiff the circuit is
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from emulator.light import PixelLight
+from emulator.light import LightFrame
 from emulator.sensor.chip.sources import Pending, new_pending, reserve
+from emulator.sensor.methods.base import Capabilities, DrawnPixels, time_of
 from emulator.sensor.numerics.cached import cached_entry
 from emulator.sensor.numerics.compiled import kernel, kernel_that_allocates
-from emulator.sensor.pixels.array import Crossings
-from emulator.sensor.pixels.merging import NO_CROSSINGS, unpacked
-from emulator.sensor.pixels.state import DEAD_THRESHOLD, draw, levels_passed
+from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings, unpacked
+from emulator.sensor.pixels.state import draw, levels_passed
 from emulator.sensor.presets import SensorParameters
 
 __all__ = ["Circuit", "LargeSignalPixels", "Light", "State", "log_light", "rates", "rosenbrock"]
@@ -381,7 +381,7 @@ def _advance(
     return pending, n, lost
 
 
-class LargeSignalPixels:
+class LargeSignalPixels(DrawnPixels):
     """An array of event pixels with the photoreceptor's circuit.
 
     Parameters
@@ -397,19 +397,14 @@ class LargeSignalPixels:
         Crossings beyond 64 of a pixel in a step.
     quiet_nan : int
         Pixel-steps whose light was not finite; the last finite light of the pixel is used.
-    settled_ns : int
-        Stream time up to which all events have been returned.
-    renderer, undersampled_share : None
-        The processor computes; undersampling is unknown.
     """
 
-    renderer: str | None = None
-    undersampled_share: float | None = None
+    capabilities: ClassVar = Capabilities(uses_rate=True, has_faults=True, has_large_signal=True)
 
     def __init__(self, parameters: SensorParameters, seed: int) -> None:
         p, drawn = parameters, draw(parameters, seed)
-        self.parameters = parameters
-        self.lost_in_pixel = self.quiet_nan = self.settled_ns = 0
+        super().__init__(parameters, seed)
+        self._settled_ns = 0
         hz = p.corner_hz_at_reference, p.corner_max_hz, p.source_follower_hz
         self._model = _Model(
             drawn.on, drawn.off, drawn.leak, p.parasitic_hz_at_reference * drawn.on,
@@ -421,57 +416,41 @@ class LargeSignalPixels:
         self._light = np.zeros(drawn.on.size, np.float32)
         self._slope = np.full(drawn.on.size, np.nan)
 
-    def faults(self) -> LargeSignalPixels:
-        """Return the access to defects and to the leak: these pixels themselves."""
-        return self
+    @property
+    def settled_ns(self) -> int:
+        """Stream time up to which all crossings have been returned."""
+        return self._settled_ns
 
-    def kill(self, pixel: npt.NDArray[np.int64]) -> None:
-        """Make pixels, (n,), dead; before the array is reset."""
-        m = self._model
-        m.on[pixel] = m.off[pixel] = DEAD_THRESHOLD
-        m.leak[pixel] = m.parasitic[pixel] = self._phase[pixel] = 0
-
-    def leak_hz(self) -> _Floats:
-        """Return the leak rate of all pixels, (pixels,), without that of light."""
-        return np.asarray(self._model.leak / self._model.on)
-
-    def set_leak(self, leak_hz: _Floats) -> None:
-        """Set the leak rate of all pixels, (pixels,), from now on."""
-        self._model.leak[:] = leak_hz * self._model.on
-
-    def reset(self, light: _Float32s, t_ns: int, rate: _Float32s | None = None) -> None:
-        """Start at `t_ns` at rest on `light`, (height, width) float32, and with counters at zero."""
-        self._u, self.settled_ns = self._log(light), int(t_ns)
-        self._slope = self._slopes(rate)
+    def reset(self, frame: LightFrame) -> None:
+        """Start at rest on the light of `frame`, at its time, and with counters at zero."""
+        self._u, self._settled_ns = self._log(frame.light), int(frame.t_ns)
+        self._slope = self._slopes(frame.rate)
         u, m = self._u, self._model
         shortest = np.full(u.size, 1e-4)
         self._state = _Array(np.zeros(u.size), u.copy(), u.copy(), u - m.on * self._phase, np.zeros(u.size), shortest)
         self.lost_in_pixel = self.quiet_nan = 0
 
-    def step(
-        self, light: _Float32s, t_ns: int, rate: _Float32s | None = None, at: PixelLight | None = None
-    ) -> Crossings:
-        """Move to `t_ns` and return the crossings on the way; see `PixelArray.step`. `at` is not used.
+    def step(self, frame: LightFrame) -> Crossings:
+        """Move to the time of `frame` and return the crossings on the way; see `PixelArray.step`.
 
         Raises
         ------
         ValueError
             Time goes back, the step is longer than 8.6 s, or the frame does not have the sensor's size.
         """
-        t0_ns, h_ns = self.settled_ns, int(t_ns) - self.settled_ns
-        if h_ns < 0:
-            raise ValueError(f"t_ns = {t_ns}: before the last step's {t0_ns}; time does not go back")
+        t0_ns, t_ns = self.settled_ns, time_of(frame, self.settled_ns)
+        h_ns = t_ns - t0_ns
         if h_ns > _LONGEST_NS:
             raise ValueError(f"a step of {h_ns * 1e-9:.3g} s: a large-signal photoreceptor takes 8.6 s at most")
-        u = self._log(light)
-        slope = self._slopes(rate)
+        u = self._log(frame.light)
+        slope = self._slopes(frame.rate)
         if h_ns == 0:
             self._u, self._slope = u, slope
             return NO_CROSSINGS
         pending, n, lost = _advance(
             (self._u, u, self._current), (self._slope, slope), h_ns * 1e-9, self._model, self._state, new_pending()
         )
-        self._u, self._slope, self.settled_ns = u, slope, int(t_ns)
+        self._u, self._slope, self._settled_ns = u, slope, t_ns
         self.lost_in_pixel += lost
         bits = max(1, (u.size - 1).bit_length())
         keys = np.minimum(pending[0][:n], h_ns - 1).astype(np.uint64) << np.uint64(bits + 1) | pending[1][:n]
@@ -482,15 +461,12 @@ class LargeSignalPixels:
         """Return the time derivative of log light, 1/s; NaN where unknown."""
         if rate is None:
             return np.full(self._u.size, np.nan)
-        slope = np.where(self._light > 0, rate.reshape(-1), 0) / self._current
+        slope = np.where(self._light > 0, self._flat(rate), 0) / self._current
         return np.where(np.isfinite(slope), slope, np.nan)
 
     def _log(self, light: _Float32s) -> _Floats:
         """Return the log of the photocurrent, (pixels,); the last finite one where the light is not finite."""
-        size = (self.parameters.height, self.parameters.width)
-        if light.shape != size or light.dtype != np.float32:
-            raise ValueError(f"light is {light.shape} {light.dtype}: must be {size} float32")
-        flat = light.reshape(-1)
+        flat = self._flat(light)
         changed = np.flatnonzero(flat != self._light)
         new = flat[changed]
         readable = np.isfinite(new)

@@ -34,7 +34,7 @@ PANGU's rule, after "Real-time event-based sensor simulation for space applicati
                  not counted
     event times  the step in N equal slots, each event a keyed uniform share of its slot after its start
 
-The paper does not tell where the reference is after a reset within the step; here it is on the even growth at the end
+The paper gives no reference after a reset within the step; here it is on the even growth at the end
 of the last reset, or v if that lies beyond the step. The *raw event image* is what PANGU's shader leaves of a pixel.
 
 A straight line in log light, no filter and no leak: Sikorski's rule and ESIM's.
@@ -51,23 +51,24 @@ The differences:
 
 In both, crossings within the refractory period of the last event ("latency") are lost, and the reference moves on.
 
-Sources: Sikorski, Izzo and Meoni, CVPRW 2021, as told by the PANGU paper ("linear interpolation ... taking latency into
+Sources: Sikorski, Izzo and Meoni, CVPRW 2021, as in the PANGU paper ("linear interpolation ... taking latency into
 account"); Rebecq, Gehrig and Scaramuzza, CoRL 2018, event_simulator.cpp of rpg_esim at commit 4cf0b89.
 """
 
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from emulator.light import PixelLight
+from emulator.light import LightFrame
+from emulator.sensor.methods.base import PixelMethod, time_of
 from emulator.sensor.numerics.keyed import Purpose, normal, uniform
-from emulator.sensor.pixels.array import Crossings
-from emulator.sensor.pixels.state import MOST_LOST, PixelFaults, draw
+from emulator.sensor.pixels.crossings import Crossings
+from emulator.sensor.pixels.state import MOST_LOST, draw
 from emulator.sensor.presets import SensorParameters
 
 __all__ = [
@@ -75,11 +76,11 @@ __all__ = [
     "RAW_CHANNELS",
     "Esim",
     "Fired",
-    "Frame",
     "FrameDifference",
     "Pangu",
     "Rule",
     "Sikorski",
+    "Step",
     "V2e",
     "V2eExactFilter",
     "each",
@@ -95,7 +96,7 @@ _Bools = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)
-class Frame:
+class Step:
     """One step of a rule.
 
     Attributes
@@ -138,8 +139,8 @@ def each(counts: _Int64s) -> tuple[_Int64s, _Int64s]:
     return np.repeat(active, many), k
 
 
-class Rule(ABC):
-    """An array of pixels under the rule of another simulator, with the interface of `PixelArray`.
+class Rule(PixelMethod):
+    """An array of pixels under the rule of another simulator.
 
     Parameters
     ----------
@@ -156,53 +157,32 @@ class Rule(ABC):
         Pixel-steps since `reset` whose light was unreadable.
     """
 
-    renderer: str | None = None
-    undersampled_share: float | None = None
-
     def __init__(self, parameters: SensorParameters, seed: int) -> None:
-        self.parameters, self.seed = parameters, seed
-        self.lost_in_pixel = self.quiet_nan = 0
+        super().__init__(parameters, seed)
         self._drawn = draw(parameters, seed)
         pixels = self._drawn.on.size
         self._u, self._v, self._r = (np.zeros(pixels) for _ in range(3))
         self._refractory_until_ns = np.zeros(pixels, np.int64)
         self._t_ns = 0
 
-    def reset(self, light: npt.NDArray[np.float32], t_ns: int, rate: npt.NDArray[np.float32] | None = None) -> None:
-        """Start at `t_ns` at rest on `light`, (height, width) float32, and with counters at zero."""
-        self._t_ns = int(t_ns)
-        self._u = self._log(self._flat(light))
+    def reset(self, frame: LightFrame) -> None:
+        """Start at rest on the light of `frame`, at its time, and with counters at zero."""
+        self._t_ns = int(frame.t_ns)
+        self._u = self._log(self._flat(frame.light))
         self._v = self._u.copy()
         self._r = self._u - self._drawn.on * self._drawn.phase
         self._refractory_until_ns[:] = self._t_ns
         self.lost_in_pixel = self.quiet_nan = 0
 
-    def step(
-        self,
-        light: npt.NDArray[np.float32],
-        t_ns: int,
-        rate: npt.NDArray[np.float32] | None = None,
-        at: PixelLight | None = None,
-    ) -> Crossings:
-        """Move from the last frame to this one.
-
-        Parameters
-        ----------
-        light : (height, width) float32
-            Relative to the reference level; values below 0 count as 0.
-        t_ns : int
-            Stream time of that frame. If it equals the last time, the step is empty.
-        rate, at : optional
-            Time derivative, and light in between; no other simulator uses them.
+    def step(self, frame: LightFrame) -> Crossings:
+        """Move from the last frame to this one; a frame at the time of the last one has no effect.
 
         Raises
         ------
         ValueError
             Time goes back, or the frame does not have the sensor's size.
         """
-        flat, t0_ns, t_ns = self._flat(light), self._t_ns, int(t_ns)
-        if t_ns < t0_ns:
-            raise ValueError(f"t_ns = {t_ns}: before the last step's {t0_ns}; time does not go back")
+        flat, t0_ns, t_ns = self._flat(frame.light), self._t_ns, time_of(frame, self._t_ns)
         if t_ns == t0_ns:
             return self._crossings(Fired(np.empty(0, np.int64), np.empty(0), np.empty(0, np.bool_)), t0_ns, 0)
         u1 = self._log(flat)
@@ -211,7 +191,7 @@ class Rule(ABC):
         restarted = restarts & ~unreadable
         self._v[restarted] = u1[restarted]
         self._r[restarted & np.isnan(self._r)] = u1[restarted & np.isnan(self._r)]
-        fired = self._fire(Frame(t0_ns, t_ns - t0_ns, self._u, u1, ~(unreadable | restarts)))
+        fired = self._fire(Step(t0_ns, t_ns - t0_ns, self._u, u1, ~(unreadable | restarts)))
         self._u, self._t_ns = u1, t_ns
         return self._crossings(fired, t0_ns, t_ns - t0_ns)
 
@@ -220,12 +200,8 @@ class Rule(ABC):
         """Stream time up to which all crossings have been returned."""
         return self._t_ns
 
-    def faults(self) -> PixelFaults | None:
-        """Return None: the rules of other simulators have no defects and no changing leak."""
-        return None
-
     @abstractmethod
-    def _fire(self, frame: Frame) -> Fired:
+    def _fire(self, step: Step) -> Fired:
         """Return what fires in a step, in any order, and move the state; pixels that are not `readable` stay silent."""
 
     def _crossings(self, fired: Fired, t0_ns: int, h_ns: int) -> Crossings:
@@ -254,12 +230,6 @@ class Rule(ABC):
         current[~np.isfinite(current)] = np.nan
         return np.asarray(np.log(current))
 
-    def _flat(self, light: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-        size = (self.parameters.height, self.parameters.width)
-        if light.shape != size or light.dtype != np.float32:
-            raise ValueError(f"light is {light.shape} {light.dtype}: must be {size} float32")
-        return light.reshape(-1)
-
 
 _NEVER_NS = -(1 << 62)
 
@@ -267,25 +237,25 @@ _NEVER_NS = -(1 << 62)
 class V2e(Rule):
     """Clamped mixing factor, counts, even slots, deferred events."""
 
-    def reset(self, light: npt.NDArray[np.float32], t_ns: int, rate: npt.NDArray[np.float32] | None = None) -> None:
+    def reset(self, frame: LightFrame) -> None:
         """See `Rule`."""
-        super().reset(light, t_ns, rate)
+        super().reset(frame)
         self._refractory_until_ns[:] = _NEVER_NS
 
     def _mixing(self, rate: _Float64s, h_s: float) -> _Float64s:
         """Return the share of the new light in the filtered value."""
         return np.minimum(1.0, rate * h_s)
 
-    def _fire(self, frame: Frame) -> Fired:
-        u1 = np.where(frame.readable, frame.u1, self._v)
-        self._v = self._v + self._mixing(self._rate(u1), frame.h_s) * (u1 - self._v)
-        self._r = self._r - self._drawn.leak * frame.h_s
-        apart = np.where(frame.readable, self._v - self._r, 0.0)
+    def _fire(self, step: Step) -> Fired:
+        u1 = np.where(step.readable, step.u1, self._v)
+        self._v = self._v + self._mixing(self._rate(u1), step.h_s) * (u1 - self._v)
+        self._r = self._r - self._drawn.leak * step.h_s
+        apart = np.where(step.readable, self._v - self._r, 0.0)
         on, theta = apart > 0, np.where(apart > 0, self._drawn.on, self._drawn.off)
         counts = np.floor(np.abs(apart) / theta).astype(np.int64)
         pixel, k = each(counts)
         share = (k + 1) / counts[pixel]
-        emitted = self._pass(pixel, k, frame.t0_ns + (share * frame.h_ns).astype(np.int64))
+        emitted = self._pass(pixel, k, step.t0_ns + (share * step.h_ns).astype(np.int64))
         moved = np.bincount(pixel[emitted], minlength=counts.size)
         self._r = self._r + moved * np.where(on, theta, -theta)
         return Fired(pixel[emitted], share[emitted], on[pixel[emitted]])
@@ -315,8 +285,8 @@ class V2eExactFilter(V2e):
 class FrameDifference(Rule):
     """Events by the change of log light since the last frame, in thresholds."""
 
-    def _fire(self, frame: Frame) -> Fired:
-        change = np.where(frame.readable, frame.u1, 0) - np.where(frame.readable, frame.u0, 0)
+    def _fire(self, step: Step) -> Fired:
+        change = np.where(step.readable, step.u1, 0) - np.where(step.readable, step.u0, 0)
         on = change > 0
         counts = np.floor(np.abs(change) / np.where(on, self._drawn.on, self._drawn.off)).astype(np.int64)
         pixel, k = each(counts)
@@ -337,9 +307,9 @@ class Pangu(Rule):
         self._fired = np.zeros(self._drawn.on.size, np.int64)
         self._raw = np.zeros((parameters.height, parameters.width, len(RAW_CHANNELS)), np.float32)
 
-    def reset(self, light: npt.NDArray[np.float32], t_ns: int, rate: npt.NDArray[np.float32] | None = None) -> None:
+    def reset(self, frame: LightFrame) -> None:
         """See `Rule`."""
-        super().reset(light, t_ns, rate)
+        super().reset(frame)
         self._fired[:] = 0
         nothing = np.full(self._fired.size, np.nan)
         self._keep_raw(np.zeros(self._fired.size), nothing, nothing)
@@ -348,22 +318,22 @@ class Pangu(Rule):
         """Return the last step's raw event image, (height, width, 5) float32; see `RAW_CHANNELS`."""
         return self._raw.copy()
 
-    def _fire(self, frame: Frame) -> Fired:
-        u1 = np.where(frame.readable, frame.u1, self._v)
-        self._v = self._v + np.minimum(1.0, self._rate(u1) * frame.h_s) * (u1 - self._v)
-        self._r = self._r - (self._drawn.leak + self._by_light * np.exp(u1)) * frame.h_s
-        apart = np.where(frame.readable, self._v - self._r, 0.0)
+    def _fire(self, step: Step) -> Fired:
+        u1 = np.where(step.readable, step.u1, self._v)
+        self._v = self._v + np.minimum(1.0, self._rate(u1) * step.h_s) * (u1 - self._v)
+        self._r = self._r - (self._drawn.leak + self._by_light * np.exp(u1)) * step.h_s
+        apart = np.where(step.readable, self._v - self._r, 0.0)
         on, theta = apart > 0, np.where(apart > 0, self._drawn.on, self._drawn.off)
         refractory_ns = self._refractory_ns()
         if refractory_ns:
-            counts, first = self._with_reset(frame, apart, theta, refractory_ns)
+            counts, first = self._with_reset(step, apart, theta, refractory_ns)
         else:
             passed = np.floor(np.abs(apart) / theta)
             counts = np.minimum(passed, MOST_LOST).astype(np.int64)
             first = np.where(counts > 0, theta / np.where(counts > 0, np.abs(apart), 1), np.nan)
             self._r = self._r + passed * np.where(on, theta, -theta)
-        end_ns = np.where(self._refractory_until_ns > frame.t0_ns, self._refractory_until_ns - frame.t0_ns, np.nan)
-        self._keep_raw(np.where(on, counts, -counts), first * frame.h_ns, end_ns)
+        end_ns = np.where(self._refractory_until_ns > step.t0_ns, self._refractory_until_ns - step.t0_ns, np.nan)
+        self._keep_raw(np.where(on, counts, -counts), first * step.h_ns, end_ns)
         listed = np.minimum(counts, MOST_EVENTS)
         pixel, k = each(listed)
         jitter = uniform(self.seed, Purpose.SLOT, pixel, self._fired[pixel] + k)
@@ -371,11 +341,11 @@ class Pangu(Rule):
         return Fired(pixel, (k + jitter) / counts[pixel], on[pixel], int((counts - listed).sum()))
 
     def _with_reset(
-        self, frame: Frame, apart: _Float64s, theta: _Float64s, refractory_ns: int
+        self, step: Step, apart: _Float64s, theta: _Float64s, refractory_ns: int
     ) -> tuple[_Int64s, _Float64s]:
         """Return counts and the share of the step at which the first event is due (NaN: none); move the references."""
-        waits = np.clip((self._refractory_until_ns - frame.t0_ns) / frame.h_ns, 0, 1)
-        reset = refractory_ns / frame.h_ns
+        waits = np.clip((self._refractory_until_ns - step.t0_ns) / step.h_ns, 0, 1)
+        reset = refractory_ns / step.h_ns
         free = 1 - waits
         apart = apart * free
         fires = (np.abs(apart) >= theta) & (free > 0)
@@ -387,8 +357,8 @@ class Pangu(Rule):
         inside = fires & (last_end < 1)
         reference = np.where(inside, self._v - apart + grown, self._v)
         reference = np.where(fires | (waits >= 1), reference, self._v - apart)
-        self._r = np.where(frame.readable, reference, self._r)
-        ends_ns = frame.t0_ns + (last_end * frame.h_ns).astype(np.int64)
+        self._r = np.where(step.readable, reference, self._r)
+        ends_ns = step.t0_ns + (last_end * step.h_ns).astype(np.int64)
         self._refractory_until_ns = np.where(fires, ends_ns, self._refractory_until_ns)
         return counts, np.where(fires, waits + per_event, np.nan)
 
@@ -405,9 +375,9 @@ _LEAST_THRESHOLD = 0.01  # ESIM's, ln units
 class Sikorski(Rule):
     """Sikorski's rule: a straight line in log light; every level that it meets fires."""
 
-    def reset(self, light: npt.NDArray[np.float32], t_ns: int, rate: npt.NDArray[np.float32] | None = None) -> None:
+    def reset(self, frame: LightFrame) -> None:
         """See `Rule`."""
-        super().reset(light, t_ns, rate)
+        super().reset(frame)
         self._refractory_until_ns[:] = _NEVER_NS
 
     def _thresholds(self, on: _Bools) -> _Float64s:
@@ -420,19 +390,19 @@ class Sikorski(Rule):
         """Return whether each line meets its level; a level behind its start, as after unreadable light, counts."""
         return np.where(u1 > u0, level <= u1, level >= u1)
 
-    def _fire(self, frame: Frame) -> Fired:
+    def _fire(self, step: Step) -> Fired:
         """Proceed level by level, with the lines that met the last one."""
-        up = frame.u1 > frame.u0
+        up = step.u1 > step.u0
         theta = np.where(up, 1, -1) * self._thresholds(up)
-        pixel = np.flatnonzero(frame.readable & self._moves(frame.u0, frame.u1))
+        pixel = np.flatnonzero(step.readable & self._moves(step.u0, step.u1))
         met, shares = [pixel[:0]], [np.empty(0)]
         while pixel.size:
-            level, u0, u1 = self._r[pixel] + theta[pixel], frame.u0[pixel], frame.u1[pixel]
+            level, u0, u1 = self._r[pixel] + theta[pixel], step.u0[pixel], step.u1[pixel]
             meets = self._meets(level, u0, u1)
             pixel, level, u0, u1 = pixel[meets], level[meets], u0[meets], u1[meets]
             self._r[pixel] = level
             share = np.clip((level - u0) / (u1 - u0), 0, 1)
-            passes = self._pass(pixel, frame.t0_ns + (share * frame.h_ns).astype(np.int64))
+            passes = self._pass(pixel, step.t0_ns + (share * step.h_ns).astype(np.int64))
             met.append(pixel[passes])
             shares.append(share[passes])
         fired = np.concatenate(met)

@@ -2,7 +2,7 @@
 
 Its cost allows some thousand pixels.
 
-The method has the interface of `PixelArray`, in float64. The grid's step is a tenth of the shortest time constant of
+Arithmetic is float64. The grid's step is a tenth of the shortest time constant of
 the noise, rounded down to a power of two of 1 us, and its times are multiples of it since stream time zero. From one
 grid time to the next, with log light on a straight line between frames,
 
@@ -21,20 +21,20 @@ the result does not depend on the steps, and in moving light it does so only thr
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from emulator.light import PixelLight
+from emulator.light import LightFrame
 from emulator.sensor.chip.sources import Pending, new_pending, reserve
+from emulator.sensor.methods.base import Capabilities, DrawnPixels, time_of
 from emulator.sensor.noise.law import bandwidth_hz, fixed_corner_hz
 from emulator.sensor.numerics.cached import cached_entry
 from emulator.sensor.numerics.compiled import kernel, kernel_that_allocates
 from emulator.sensor.numerics.keyed import Purpose, high, low, normal, normal_from, root_of, stream, unit, word
-from emulator.sensor.pixels.array import Crossings
-from emulator.sensor.pixels.merging import NO_CROSSINGS, unpacked
-from emulator.sensor.pixels.state import DEAD_THRESHOLD, draw, levels_passed
+from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings, unpacked
+from emulator.sensor.pixels.state import draw, levels_passed
 from emulator.sensor.presets import SensorParameters
 
 __all__ = ["NoisyPixels", "grid_ns"]
@@ -242,7 +242,7 @@ def _advance(
     return pending, n, lost
 
 
-class NoisyPixels:
+class NoisyPixels(DrawnPixels):
     """An array of pixels whose noise is followed in time.
 
     Parameters
@@ -258,20 +258,16 @@ class NoisyPixels:
         Crossings beyond 16 of a pixel in a grid step.
     quiet_nan : int
         Pixel-steps whose light was not finite; the last finite light of the pixel is used.
-    settled_ns : int
-        Stream time up to which all events have been returned.
-    renderer, undersampled_share : None
-        The processor computes; undersampling is unknown.
     """
 
-    renderer: str | None = None
-    undersampled_share: float | None = None
+    capabilities: ClassVar = Capabilities(has_faults=True, has_grid_noise=True)
+    _model: _Model
 
     def __init__(self, parameters: SensorParameters, seed: int) -> None:
+        super().__init__(parameters, seed)
         p, drawn = parameters, draw(parameters, seed)
         noise_corner_hz = min(fixed_corner_hz(p), _NO_POLE_HZ)
-        self.parameters, self._seed = parameters, seed
-        self.lost_in_pixel = self.quiet_nan = self.settled_ns = 0
+        self._settled_ns = 0
         self._phase = drawn.phase
         no_low_pass = math.isinf(p.corner_hz_at_reference)
         self._model = _Model(
@@ -290,68 +286,45 @@ class NoisyPixels:
         self._u = np.zeros(drawn.on.size)
         self._t_ns = 0
 
-    def faults(self) -> NoisyPixels:
-        """Return the access to defects and to the leak: these pixels themselves."""
-        return self
+    @property
+    def settled_ns(self) -> int:
+        """Stream time of the last grid time, up to which all crossings have been returned."""
+        return self._settled_ns
 
-    def kill(self, pixel: npt.NDArray[np.int64]) -> None:
-        """Make pixels, (n,), dead; before the array is reset."""
-        m = self._model
-        m.on[pixel] = m.off[pixel] = DEAD_THRESHOLD
-        m.leak[pixel] = m.parasitic[pixel] = self._phase[pixel] = 0
-
-    def leak_hz(self) -> _Floats:
-        """Return the leak rate of all pixels, (pixels,), without that of light."""
-        return np.asarray(self._model.leak / self._model.on)
-
-    def set_leak(self, leak_hz: _Floats) -> None:
-        """Set the leak rate of all pixels, (pixels,), from the last grid time on."""
-        self._model.leak[:] = leak_hz * self._model.on
-
-    def reset(self, light: npt.NDArray[np.float32], t_ns: int, rate: npt.NDArray[np.float32] | None = None) -> None:
-        """Start at `t_ns`, at rest on `light`, (height, width) float32, with stationary noise."""
+    def reset(self, frame: LightFrame) -> None:
+        """Start at rest on the light of `frame`, at its time, with stationary noise."""
         m, pixels = self._model, self._u.size
         self._u[:] = np.log(self.parameters.dark_current_relative)
-        self._u, self._t_ns = self._log(light), int(t_ns)
+        self._u, self._t_ns = self._log(frame.light), int(frame.t_ns)
         self.lost_in_pixel = self.quiet_nan = 0
         first = -(-self._t_ns // m.delta_ns)
-        self.settled_ns = first * m.delta_ns
+        self._settled_ns = first * m.delta_ns
         hz = np.clip(m.hz_at_reference * np.exp(self._u), m.hz_min, m.hz_max)
         sigma = m.noise_rms * np.sqrt(m.noise_corner_hz / (m.noise_corner_hz + hz))
-        noise = sigma * normal(self._seed, Purpose.NOISE_VOLTAGE, np.arange(pixels), first)
+        noise = sigma * normal(self.seed, Purpose.NOISE_VOLTAGE, np.arange(pixels), first)
         seen = m.on * self._phase + noise
         self._state = _State(self._u.copy(), self._u.copy(), self._u.copy(), noise, seen, np.zeros(pixels, np.int64))
 
-    def step(
-        self,
-        light: npt.NDArray[np.float32],
-        t_ns: int,
-        rate: npt.NDArray[np.float32] | None = None,
-        at: PixelLight | None = None,
-    ) -> Crossings:
-        """Move from the last frame to `light`, (height, width) float32, at `t_ns`; `rate` and `at` are not used.
-
-        A frame at the time of the last one takes its place.
+    def step(self, frame: LightFrame) -> Crossings:
+        """Move from the last frame to this one; a frame at the time of the last one takes its place.
 
         Returns
         -------
-        The crossings between the last `settled_ns` and the new one, the last grid time before `t_ns`.
+        The crossings between the last `settled_ns` and the new one, the last grid time before the frame.
 
         Raises
         ------
         ValueError
             Time goes back, or the frame does not have the sensor's size.
         """
-        t_ns, m = int(t_ns), self._model
-        if t_ns < self._t_ns:
-            raise ValueError(f"t_ns = {t_ns}: before the last step's {self._t_ns}; time does not go back")
+        light, t_ns, m = frame.light, time_of(frame, self._t_ns), self._model
         if t_ns == self._t_ns:
             self._u = self._log(light)
             return NO_CROSSINGS
         u, settled = self._log(light), self.settled_ns
         span = _Span(settled // m.delta_ns, t_ns // m.delta_ns, self._t_ns, t_ns)
         pending, n, lost = _advance((self._u, u), span, m, self._state, new_pending())
-        self._u, self._t_ns, self.settled_ns = u, t_ns, max(span.last * m.delta_ns, settled)
+        self._u, self._t_ns, self._settled_ns = u, t_ns, max(span.last * m.delta_ns, settled)
         self.lost_in_pixel += lost
         bits = max(1, (u.size - 1).bit_length())
         keys = (pending[0][:n] - settled).astype(np.uint64) << np.uint64(bits + 1) | pending[1][:n]
@@ -360,10 +333,7 @@ class NoisyPixels:
 
     def _log(self, light: npt.NDArray[np.float32]) -> _Floats:
         """Return the log of the photocurrent, (pixels,); the last finite one where the light is not finite."""
-        size = (self.parameters.height, self.parameters.width)
-        if light.shape != size or light.dtype != np.float32:
-            raise ValueError(f"light is {light.shape} {light.dtype}: must be {size} float32")
-        flat = light.reshape(-1).astype(np.float64)
+        flat = self._flat(light).astype(np.float64)
         readable = np.isfinite(flat)
         self.quiet_nan += int((~readable).sum())
         current = np.maximum(np.where(readable, flat, 0), 0) + self.parameters.dark_current_relative

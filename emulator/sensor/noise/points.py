@@ -49,8 +49,7 @@ from emulator.sensor.noise.draws import (
 from emulator.sensor.noise.law import bandwidth_hz, of_array
 from emulator.sensor.numerics.cached import cached_entry
 from emulator.sensor.numerics.keyed import Purpose, root_of, uniform, words
-from emulator.sensor.pixels.array import Crossings
-from emulator.sensor.pixels.merging import NO_CROSSINGS, joined
+from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings, joined
 from emulator.sensor.presets import SensorParameters
 
 __all__ = ["NoiseEvents", "under_way"]

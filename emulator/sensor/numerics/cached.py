@@ -1,6 +1,6 @@
 """Decorators of the sensor's entries, which Python calls, cached on disk as long as no source of the sensor changes.
 
-An entry must not have an optional argument. numba tells one omitted number from another by identity: of several
+An entry must not have an optional argument. numba compares omitted numbers by identity: of several
 functions with such an argument, all but the first have their types resolved again in each call, 50 to 200 us each time
 (numba issue 6173).
 """

@@ -7,30 +7,35 @@ days into a stream equals the same step at its start.
 
 from __future__ import annotations
 
+import dataclasses
 import math
-from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
-from emulator.light import PixelLight, Region
+from emulator.light import LightFrame, PixelLight, Region
+from emulator.sensor.methods.base import Capabilities, PixelMethod, time_of
 from emulator.sensor.numerics.compiled import log_compilation
 from emulator.sensor.numerics.elementary import aligned_zeros
-from emulator.sensor.numerics.keyed import Purpose, normal, uniform
+from emulator.sensor.pixels.crossings import Crossings
 from emulator.sensor.pixels.curve import UNSEEN_SHARE
 from emulator.sensor.pixels.idle import wake
 from emulator.sensor.pixels.refinement import SHORTEST_NS, Refinement
 from emulator.sensor.pixels.state import (
     BLOCK,
+    DEAD_THRESHOLD,
     EPOCH_BITS,
     FIELDS,
     PARTS,
-    ArrayFaults,
     Field,
+    Levels,
     Pixels,
     PixelState,
     StepConstants,
     draw,
+    field_index,
+    leak_phase,
     light_constants,
     put_field,
     take_field,
@@ -40,7 +45,7 @@ from emulator.sensor.pixels.touched import Touched, touch
 from emulator.sensor.pixels.workers import EventBuffers, Workers
 from emulator.sensor.presets import SensorParameters
 
-__all__ = ["Crossings", "PixelArray", "PixelState"]
+__all__ = ["PixelArray", "PixelState"]
 
 _EPOCH_NS = 1 << EPOCH_BITS
 
@@ -49,32 +54,7 @@ _NO_RATE = np.empty(0, np.float32)
 _NO_UNITS = np.empty(0, np.uint8)
 
 
-@dataclass(frozen=True, slots=True)
-class Crossings:
-    """Threshold crossings of one step, sorted by (time, pixel); views, valid until the next step or reset.
-
-    Attributes
-    ----------
-    t_ns : (n,) int64
-        Stream time.
-    pixel : (n,) uint32
-        row * width + column.
-    on : (n,) bool
-        True where the light increased.
-    lost_in_pixel : int
-        Crossings of this step that are not listed, because their pixel had more than 64.
-    """
-
-    t_ns: npt.NDArray[np.int64]
-    pixel: npt.NDArray[np.uint32]
-    on: npt.NDArray[np.bool_]
-    lost_in_pixel: int = 0
-
-    def __len__(self) -> int:
-        return self.t_ns.size
-
-
-class PixelArray:
+class PixelArray(PixelMethod):
     """An array of event pixels.
 
     Parameters
@@ -98,18 +78,21 @@ class PixelArray:
         Pixel-steps since `reset` that had to be solved for crossings, and those whose light changed between the frames
         in a way that the frames do not show (see `interpolation`; known only where the time derivative is given).
     refined : int
-        Undersampled pixel-steps that were halved instead; each asked for one light of a pixel.
-    renderer : None
-        The processor computes the pixels.
+        Undersampled pixel-steps that were refined instead; each needed the light of a pixel once.
     """
 
-    renderer: str | None = None
+    capabilities: ClassVar = Capabilities(
+        uses_rate=True,
+        refines_pixels=True,
+        skips_unchanged=True,
+        is_adjustable=True,
+        takes_row_reads=True,
+        has_faults=True,
+    )
 
     def __init__(self, parameters: SensorParameters, seed: int, threads: int = 0) -> None:
-        self.parameters = parameters
-        self.seed = seed
+        super().__init__(parameters, seed)
         self._clear_counters()
-        self._size = (parameters.height, parameters.width)
         self._whole = Region(0, parameters.height, 0, parameters.width)
         self._pixels = parameters.width * parameters.height
         self._pixel_bits = max(1, (self._pixels - 1).bit_length())
@@ -124,16 +107,14 @@ class PixelArray:
         self._refinement: Refinement | None = None
 
     def _dark_state(self) -> PixelState:
-        """Return the state before the first light, with the fixed figures of each pixel drawn."""
+        """Return the state before the first light, with thresholds and leak of each pixel."""
         blocks = -(-self._pixels // BLOCK)
         fields, p = aligned_zeros((blocks, FIELDS, BLOCK)), self.parameters
         fields[:, Field.ON] = fields[:, Field.OFF] = np.inf
-        drawn, pixel = draw(p, self.seed), np.arange(self._pixels)
+        drawn = draw(p, self.seed)
         put_field(fields, Field.ON, drawn.on)
         put_field(fields, Field.OFF, drawn.off)
-        sigma = p.leak_spread
-        rate_hz = p.leak_hz * np.exp(sigma * normal(self.seed, Purpose.LEAK_RATE, pixel) - sigma**2 / 2)
-        put_field(fields, Field.LEAK, rate_hz * take_field(fields, Field.ON, self._pixels))
+        put_field(fields, Field.LEAK, drawn.leak_hz * take_field(fields, Field.ON, self._pixels))
         return PixelState(fields, np.zeros(blocks * BLOCK, np.int64), 0, 0, False)
 
     def _clear_counters(self) -> None:
@@ -150,18 +131,78 @@ class PixelArray:
         """Undersampled pixel-steps over those that had to be solved."""
         return self.undersampled / max(self.candidates, 1)
 
-    def faults(self) -> ArrayFaults:
-        """Return the access to defects and to the leak."""
-        return ArrayFaults(self, self._pixels)
+    def adjust(self, name: str, value: float) -> None:
+        """Set one of `adjustable` from the array's time on; raises ValueError where the value is not allowed.
 
-    def follow_parameters(self, constants: tuple[np.float32, np.float32, np.float32, np.float32]) -> None:
-        """Take over changed `parameters`, and thresholds or leak that changed with them; see `adjustment`.
-
-        Pixels rest while nothing can fire them, by the figures that were: after any change all are looked at again.
+        The comparators' levels do not jump: a new threshold is compared with the same stored level, and the reference
+        moves with the leak. A refractory period that has begun ends at its time. Resting pixels are computed again,
+        because a changed parameter may fire them.
         """
-        self._refractory_ns = round(self.parameters.refractory_us * 1000)
-        self._light_constants = constants
+        before = self.parameters
+        if name == "source_follower_hz" and not (before.source_follower_hz > 0 and value > 0):
+            raise ValueError("source_follower_hz can change between figures above 0: its pole is there or it is not")
+        changed: dict[str, Any] = {name: value}
+        after = dataclasses.replace(before, **changed)
+        if name == "threshold_on":
+            self._scale_threshold(Field.ON, after.threshold_on / before.threshold_on)
+            self._scale_leak(after.threshold_on / before.threshold_on)  # events a second stay as they were
+        elif name == "threshold_off":
+            self._scale_threshold(Field.OFF, after.threshold_off / before.threshold_off)
+        elif name == "leak_hz" and before.leak_hz:
+            self._scale_leak(after.leak_hz / before.leak_hz)
+        elif name == "leak_hz":
+            drawn = draw(after, self.seed)
+            self.set_leak(drawn.leak / drawn.on)
+        self.parameters, self._light_constants = after, light_constants(after)
+        self._refractory_ns = round(after.refractory_us * 1000)
         self._refinement = None
+        self.wake()
+
+    def _scale_threshold(self, which: Field, ratio: float) -> None:
+        """Multiply a threshold of all pixels that are not dead."""
+        values = self.state.fields[:, which]
+        values *= np.where(values < DEAD_THRESHOLD, np.float32(ratio), np.float32(1))
+
+    def _scale_leak(self, ratio: float) -> None:
+        """Multiply the leak of all pixels; the reference moves, so that the comparators' levels stay."""
+        state = self.state
+        leak, since_epoch_s = state.fields[:, Field.LEAK], np.float32((state.t_ns - state.epoch_ns) * 1e-9)
+        more = leak * np.float32(ratio) - leak
+        state.fields[:, Field.REFERENCE] += more * since_epoch_s
+        leak += more
+
+    def live_thresholds(self) -> npt.NDArray[np.float64]:
+        """See `PixelMethod`."""
+        on, off = (self.field(which).reshape(-1).astype(np.float64) for which in (Field.ON, Field.OFF))
+        return np.where(on < DEAD_THRESHOLD, (on + off) / 2, np.inf)
+
+    def levels(self) -> Levels:
+        """See `PixelMethod`."""
+        return Levels(self)
+
+    def kill(self, pixel: npt.NDArray[np.int64]) -> None:
+        """See `PixelMethod`.
+
+        A dead pixel leaks in units of its threshold, so the parasitic leak still fires it.
+        """
+        flat = self.state.fields.reshape(-1)
+        flat[field_index(pixel, Field.ON)] = flat[field_index(pixel, Field.OFF)] = DEAD_THRESHOLD
+        flat[field_index(pixel, Field.LEAK)] = 0
+        self.wake()
+
+    def leak_hz(self) -> npt.NDArray[np.float64]:
+        """See `PixelMethod`."""
+        leak, on = (take_field(self.state.fields, which, self._pixels) for which in (Field.LEAK, Field.ON))
+        return np.asarray(leak / on.astype(np.float64))
+
+    def set_leak(self, leak_hz: npt.NDArray[np.float64]) -> None:
+        """See `PixelMethod`; the reference moves, so that the comparators' levels stay."""
+        state, pixel = self.state, np.arange(self._pixels)
+        flat = state.fields.reshape(-1)
+        leak = (leak_hz * flat[field_index(pixel, Field.ON)]).astype(np.float32)
+        since_epoch_s = np.float32((state.t_ns - state.epoch_ns) * 1e-9)
+        flat[field_index(pixel, Field.REFERENCE)] += (leak - flat[field_index(pixel, Field.LEAK)]) * since_epoch_s
+        flat[field_index(pixel, Field.LEAK)] = leak
         self.wake()
 
     def compile_part(self, which: str) -> None:
@@ -179,25 +220,25 @@ class PixelArray:
         """Return a copy of one field of the state, (height, width) float32."""
         return take_field(self.state.fields, which, self._pixels).reshape(self.parameters.height, self.parameters.width)
 
-    def reset(self, light: _Float32s, t_ns: int, rate: _Float32s | None = None) -> None:
-        """Start at `t_ns` with the filter at rest on `light`, and counters at zero; `light` and `rate` as in `step`."""
+    def reset(self, frame: LightFrame) -> None:
+        """Start at the time of `frame` with the filter at rest on its light, and counters at zero."""
         log_compilation(advance, "the pixel step")
         state, p = self.state, self.parameters
-        flat, slope = self._flat(light), _NO_RATE if rate is None else self._flat(rate)
-        state.t_ns, state.epoch_ns = int(t_ns), (int(t_ns) >> EPOCH_BITS) << EPOCH_BITS
-        state.refractory_until_ns[:] = t_ns
+        flat, slope = self._flat(frame.light), _NO_RATE if frame.rate is None else self._flat(frame.rate)
+        state.t_ns, state.epoch_ns = int(frame.t_ns), (int(frame.t_ns) >> EPOCH_BITS) << EPOCH_BITS
+        state.refractory_until_ns[:] = frame.t_ns
         current = np.maximum(flat, 0) + np.float32(p.dark_current_relative)
         current[~np.isfinite(flat)] = np.nan
         log_light = np.log(current)
         _, at_reference, least, most = self._light_constants
         with np.errstate(over="ignore"):
             filter_rate = np.clip(at_reference * current, least, most)
-        phase = uniform(self.seed, Purpose.LEAK_PHASE, np.arange(self._pixels)) if p.random_start else np.float64(0)
+        phase = leak_phase(p, self.seed)
         on, leak = (take_field(state.fields, which, self._pixels) for which in (Field.ON, Field.LEAK))
         since_epoch = (state.t_ns - state.epoch_ns) * 1e-9
         state.fields[:, Field.LEAKED] = 0
         self._move_parasitic(-since_epoch, log_light)
-        state.slopes_known = rate is not None
+        state.slopes_known = frame.rate is not None
         for which in (Field.LOG_LIGHT, Field.FILTERED, Field.SECOND):
             put_field(state.fields, which, log_light)
         put_field(state.fields, Field.RATE, filter_rate)
@@ -211,48 +252,28 @@ class PixelArray:
         self._replacing = None
         self.wake()
 
-    def step(
-        self,
-        light: _Float32s,
-        t_ns: int,
-        rate: _Float32s | None = None,
-        at: PixelLight | None = None,
-        changed: Region | None = None,
-    ) -> Crossings:
-        """Move from the last time to `t_ns`.
+    def step(self, frame: LightFrame) -> Crossings:
+        """Move from the last time to that of `frame`.
 
         Log light follows the cubic through its values and time derivatives at both ends; the parabola where only one
         derivative is known; the straight line without derivatives, or in steps longer than an epoch.
 
-        Parameters
-        ----------
-        light : (height, width) float32
-            Relative to the reference level; values below 0 count as 0.
-        t_ns : int
-            Stream time of that frame. If it equals the last time, the step is empty, and this frame takes the place of
-            the last one: the light jumps there, and the next step begins with it.
-        rate : (height, width) float32, optional
-            Time derivative of the light at `t_ns`, per second; not finite where unknown.
-        at : PixelLight, optional
-            Gives the light of single pixels in between. With it and `rate`, undersampled steps are refined.
-        changed : Region, optional
-            The part of light and rate that may differ from those of the last step or reset; None: all of it.
+        If its time equals the last one, the step is empty, and this frame takes the place of the last one: the light
+        jumps there, and the next step begins with it. With light between frames and the time derivative, undersampled
+        steps are refined.
 
         Raises
         ------
         ValueError
             Time goes back, or a frame does not have the sensor's size.
         """
-        flat, slope = self._flat(light), _NO_RATE if rate is None else self._flat(rate)
+        flat, slope = self._flat(frame.light), _NO_RATE if frame.rate is None else self._flat(frame.rate)
         state, lost_before = self.state, self.lost_in_pixel
-        t_ns = int(t_ns)
-        if t_ns < state.t_ns:
-            raise ValueError(f"t_ns = {t_ns}: before the last step's {state.t_ns}; time does not go back")
-        n = 0
+        t_ns, n = time_of(frame, state.t_ns), 0
         if t_ns - state.t_ns > _EPOCH_NS:
             n, slope = self._whole_epochs(flat, t_ns), _NO_RATE
         if t_ns > state.t_ns:
-            n = self._advance((flat, slope), t_ns, n, at, changed)
+            n = self._advance((flat, slope), t_ns, n, frame.at, frame.changed)
         else:
             self._replacing = flat.copy(), slope.copy()
         found = self._buffers
@@ -392,8 +413,3 @@ class PixelArray:
             unseen_share=UNSEEN_SHARE,
             refine=False,
         )
-
-    def _flat(self, frame: _Float32s) -> _Float32s:
-        if frame.shape != self._size or frame.dtype != np.float32:
-            raise ValueError(f"light or rate is {frame.shape} {frame.dtype}: must be {self._size} float32")
-        return np.ascontiguousarray(frame).reshape(-1)

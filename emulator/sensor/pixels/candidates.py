@@ -5,7 +5,7 @@ values and derivatives at both ends of the step (the derivative is the rate time
 exponential in the filter's answer that this cubic misses is at most |B| E(S), E = min(S^4 / 384, 0.16 S + 0.2).
 
 Solved here are steps on smooth light where this error is below 1 % of a threshold and the cubic is monotone: its end
-values tell whether the pixel fires, and `cubic_roots` finds the crossing for all candidates of the table at once.
+values decide whether the pixel fires, and `cubic_roots` finds the crossing for all candidates of the table at once.
 Pixels that fire again in the same step stay in the table. All others march through the step in substeps (`march`).
 """
 

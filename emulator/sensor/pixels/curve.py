@@ -6,7 +6,7 @@ the contrast itself when an edge passed between the frames.
 
     smooth         the cubic is used as it is, in one piece
     undersampled   that error is more than a share of a threshold, or the light turns by more: the frames are too far
-                   apart here. The share is a half; a twentieth where `refinement` can ask for the light in between
+                   apart here. The share is a half; a twentieth where `refinement` has the light in between
     jump           undersampled, with small slopes at both ends: the change happened in between, and is put at mid-step
     limited        monotone with slopes that no monotone cubic has (Fritsch and Carlson): these are scaled down. Slopes
                    stay where the light turns: a turning point inside a step is real, and its slopes decide its events

@@ -2,7 +2,7 @@
 
 A part is idle from a step on in which nothing moved: light, its slopes and the filter are bit for bit what they were,
 and no pixel was a candidate. Repeating such a step changes nothing, until the light changes or the leak of one of its
-pixels comes near a threshold. Three figures tell when the part must be looked at again:
+pixels comes near a threshold. Three numbers decide when the part must be computed again:
 
     until_ns    a step that ends later may bring an event of leak; at most the end of the epoch, where references move
     longest     a longer step may move a filter that rests because its way to the light is lost in rounding

@@ -111,7 +111,6 @@ _Float32s = npt.NDArray[np.float32]
 _U, _V, _, _, _REF, _, _, _, _W, _P = (int(f) * BLOCK for f in Field)
 
 _NAN = np.float32(np.nan)
-_ZERO_MARCH, _ONE_MARCH = np.float32(0), np.float32(1)
 _BEHIND = np.float32(2)  # the substep, which ends at 1
 
 
@@ -135,24 +134,24 @@ def _find_firing_part(rows: _Float32s, n: int) -> None:
         on, off, level, x = rows[row.ON + j], rows[row.OFF + j], rows[row.LEVEL + j], rows[row.X + j]
         g = _cubic(rows, j)
         wait = rows[row.RE_ARMED + j] - rows[row.Z + j]
-        opens = wait / rows[row.SPAN + j] if wait > _ZERO_MARCH else _ZERO_MARCH
+        opens = wait / rows[row.SPAN + j] if wait > _ZERO else _ZERO
         refractory = level != level
         x = max(x, opens) if refractory else x
-        armed = x <= _ONE_MARCH
+        armed = x <= _ONE
         level = value(g, x) if refractory & armed else level
         turn, turn2 = max(rows[row.TURN + j], x), max(rows[row.TURN2 + j], x)
         g0, g1 = value(g, x) - level, value(g, turn) - level
-        g2, g3 = value(g, turn2) - level, value(g, _ONE_MARCH) - level
+        g2, g3 = value(g, turn2) - level, value(g, _ONE) - level
         at_once, by1 = (g0 >= on) | (g0 <= -off), (g1 >= on) | (g1 <= -off)
         by2, by3 = (g2 >= on) | (g2 <= -off), (g3 >= on) | (g3 <= -off)
-        end = x if at_once else (turn if by1 else (turn2 if by2 else _ONE_MARCH))
+        end = x if at_once else (turn if by1 else (turn2 if by2 else _ONE))
         there = g0 if at_once else (g1 if by1 else (g2 if by2 else g3))
         rows[row.LEVEL + j] = level
         rows[row.X + j] = x if armed else rows[row.X + j]
-        rows[row.FIRES + j] = _ONE_MARCH if armed & (at_once | by1 | by2 | by3) else _ZERO_MARCH
+        rows[row.FIRES + j] = _ONE if armed & (at_once | by1 | by2 | by3) else _ZERO
         rows[row.LOW + j] = x if at_once | by1 else (turn if by2 else turn2)
         rows[row.HIGH + j] = end
-        rows[row.TO + j] = level + (on if there > _ZERO_MARCH else -off)
+        rows[row.TO + j] = level + (on if there > _ZERO else -off)
 
 
 @vector_kernel
@@ -172,7 +171,7 @@ def _bisect_unsettled(march: March, n: int) -> None:
     rows, unsettled = march.rows, 0
     for j in range(n):
         march.unsettled[unsettled] = j
-        unsettled += (rows[row.FIRES + j] != _ZERO_MARCH) & (rows[row.MISS + j] > SETTLED)
+        unsettled += (rows[row.FIRES + j] != _ZERO) & (rows[row.MISS + j] > SETTLED)
     for k in range(unsettled):
         j = march.unsettled[k]
         rows[row.HIT + j] = bisect(_cubic(rows, j), _bracket(rows, j))
@@ -193,7 +192,7 @@ def _pass_over(rows: _Float32s, j: int) -> int:
     if passed == 0 and to != level:
         rows[row.LEVEL + j], passed = to, 1
     elif passed == 0:
-        end = value(_cubic(rows, j), _ONE_MARCH)
+        end = value(_cubic(rows, j), _ONE)
         passed, _ = levels_passed(level, end, threshold)
         rows[row.X + j], rows[row.LEVEL + j] = _BEHIND, end
     return int(passed)
@@ -205,7 +204,7 @@ def _fire(pixels: Pixels, march: March, n: int, keys: Keys, n_keys: int, c: Step
     rows = march.rows
     fired = lost = NONE
     for j in range(n):
-        if rows[row.FIRES + j] == _ZERO_MARCH:
+        if rows[row.FIRES + j] == _ZERO:
             continue
         fired += 1
         pixel, to = march.pixels[j], rows[row.TO + j]
@@ -219,9 +218,9 @@ def _fire(pixels: Pixels, march: March, n: int, keys: Keys, n_keys: int, c: Step
             continue
         else:
             lost += 1
-        rows[row.COUNT + j] += _ONE_MARCH
+        rows[row.COUNT + j] += _ONE
         rows[row.X + j], rows[row.LEVEL + j] = rows[row.HIT + j], to
-        if c.refractory > _ZERO_MARCH:
+        if c.refractory > _ZERO:
             rows[row.LEVEL + j], rows[row.RE_ARMED + j] = _NAN, z + c.refractory
             pixels.refractory_until_ns[pixel] = c.t0_ns + dt_ns + c.refractory_ns
     return n_keys, fired, lost
@@ -231,7 +230,7 @@ def _fire(pixels: Pixels, march: March, n: int, keys: Keys, n_keys: int, c: Step
 def _last_reference(rows: _Float32s, j: int, c: StepConstants) -> np.float32:
     """Return the reference of a column that fired too often: near its comparator, however large its leak has become."""
     on, off = rows[row.ON + j], rows[row.OFF + j]
-    rest = min(max(value(_cubic(rows, j), _ONE_MARCH) - rows[row.LEVEL + j], -off), on)
+    rest = min(max(value(_cubic(rows, j), _ONE) - rows[row.LEVEL + j], -off), on)
     reference: np.float32 = rows[row.W1 + j] + rows[row.LEAK + j] * c.since_epoch_1 - rest
     return reference
 
@@ -240,18 +239,18 @@ def _last_reference(rows: _Float32s, j: int, c: StepConstants) -> np.float32:
 def _store(pixels: Pixels, march: March, j: int, c: StepConstants) -> None:
     """Write the state of a column that has reached the end of the step."""
     rows, here = march.rows, slot(march.pixels[j])
-    level, leaked = rows[row.LEVEL + j], _ZERO_MARCH
+    level, leaked = rows[row.LEVEL + j], _ZERO
     pixels.fields[here + _V] = rows[row.V1 + j]
-    if c.second > _ZERO_MARCH:
+    if c.second > _ZERO:
         pixels.fields[here + _W] = rows[row.W1 + j]
-    if c.parasitic > _ZERO_MARCH:
+    if c.parasitic > _ZERO:
         leaked = rows[row.P1 + j]
         leaks = c.parasitic * rows[row.ON + j] * photocurrent(pixels.fields[here + _U])
-        pixels.fields[here + _P] = (leaked if level == _ZERO_MARCH else _ZERO_MARCH) - leaks * c.since_epoch_1
+        pixels.fields[here + _P] = (leaked if level == _ZERO else _ZERO) - leaks * c.since_epoch_1
     if (rows[row.COUNT + j] >= MOST_EVENTS) & (c.refractory_ns == 0):
         pixels.fields[here + _REF] = _last_reference(rows, j, c)
         return
-    moved = level - leaked if level != _ZERO_MARCH else _ZERO_MARCH
+    moved = level - leaked if level != _ZERO else _ZERO
     pixels.fields[here + _REF] = rows[row.BASE + j] + moved
 
 
@@ -260,7 +259,7 @@ def _end_substep(pixels: Pixels, march: March, n: int, c: StepConstants) -> int:
     """Store the columns that have reached the end of the step, compact the others; return how many remain."""
     rows, remaining = march.rows, 0
     for j in range(n):
-        if rows[row.Z1 + j] >= _ONE_MARCH:
+        if rows[row.Z1 + j] >= _ONE:
             _store(pixels, march, j, c)
             continue
         rows[row.V + j], rows[row.W + j], rows[row.P + j] = rows[row.V1 + j], rows[row.W1 + j], rows[row.P1 + j]
@@ -287,7 +286,7 @@ def march_through(
     begin(march.rows, whole_vectors(n), c)
     undersampled = lost = NONE
     for j in range(n):
-        undersampled += march.rows[row.UNDERSAMPLED + j] != _ZERO_MARCH
+        undersampled += march.rows[row.UNDERSAMPLED + j] != _ZERO
     while n > 0:
         begin_substep(march.rows, whole_vectors(n), c)
         fired = n

@@ -26,7 +26,7 @@ What makes it fast, all measured:
   depend on its place in the frame.
 - Short loops instead of one long: their constants stay in registers.
 - No integer arithmetic in vector loops (numba widens it to 64 bits); logarithm and exponential are polynomials
-  (`elementary`), and `compiled` tells which compiler options matter.
+  (`elementary`), and `compiled` lists the compiler options that matter.
 - Slopes are stored by warped time, which saves the divisions by the rate.
 - The second pole and parasitic leak, which few sensors have, are loops of their own, entered once a block or never.
 - The list of candidates is made without a branch, `found[k] = i; k += flag`, and only where a word of flags has any.

@@ -1,7 +1,7 @@
-"""Refinement of undersampled steps: the light of such a pixel is asked for between two frames, and its step is halved.
+"""Refinement of undersampled steps: they are solved in two halves, with the pixel's light between two frames.
 
     t0 ---------------- t1     a pixel is undersampled between two frames: its state is copied to a subset,
-    t0 ------ m ------- t1     its light at m is asked for, and the same kernels solve both halves;
+    t0 ------ m ------- t1     its light at m is computed, and the same kernels solve both halves;
          ... m' ...            a half that is still undersampled is halved again, up to three times
 
 All pixels of a subset form an array of their own. The arithmetic of a pixel is that of the whole array, and does not

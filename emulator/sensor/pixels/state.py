@@ -4,10 +4,8 @@ Thresholds, leak rates and leak phases of each pixel: the numbers of `PixelArray
 
 All methods and the truth draw them here, so that with one seed all have the same pixels.
 
-Faults of an array's pixels: dead ones, and a leak that changes while the array runs.
-
 The reference is stored with leak times the time since the epoch added (see `array`). When the leak changes, the
-reference moves by the change of leak times that time, and the level that the comparator sees stays where it was.
+reference moves by the change of leak times that time, and the comparator's level stays.
 
 How far the comparators of some pixels are from their references, and firing a pixel from outside.
 
@@ -44,16 +42,16 @@ __all__ = [
     "MOST_LOST",
     "PART",
     "PARTS",
-    "ArrayFaults",
     "Drawn",
     "Field",
     "Keys",
     "Levels",
-    "PixelFaults",
     "PixelState",
     "Pixels",
     "StepConstants",
     "draw",
+    "field_index",
+    "leak_phase",
     "levels_passed",
     "light_constants",
     "pack",
@@ -211,16 +209,21 @@ class Drawn:
     ----------
     on, off : (pixels,) float64
         Thresholds, ln units.
-    leak : (pixels,) float64
-        Leak, ln units per second.
+    leak_hz : (pixels,) float64
+        Leak, ON events per second.
     phase : (pixels,) float64
         Share of the ON threshold by which the first reference lies below the first light; 0 without `random_start`.
     """
 
     on: _Float64s
     off: _Float64s
-    leak: _Float64s
+    leak_hz: _Float64s
     phase: _Float64s
+
+    @property
+    def leak(self) -> _Float64s:
+        """Leak, (pixels,) float64, ln units per second."""
+        return self.leak_hz * self.on
 
 
 def draw(parameters: SensorParameters, seed: int) -> Drawn:
@@ -235,74 +238,22 @@ def draw(parameters: SensorParameters, seed: int) -> Drawn:
     )
     sigma = parameters.leak_spread
     rate_hz = parameters.leak_hz * np.exp(sigma * normal(seed, Purpose.LEAK_RATE, pixel) - sigma**2 / 2)
-    phase = uniform(seed, Purpose.LEAK_PHASE, pixel) if parameters.random_start else np.zeros(pixel.size)
-    return Drawn(on, off, rate_hz * on, phase)
+    return Drawn(on, off, rate_hz, leak_phase(parameters, seed))
+
+
+def leak_phase(parameters: SensorParameters, seed: int) -> _Float64s:
+    """Return the phases of the leak, (pixels,) float64; see `Drawn`."""
+    pixel = np.arange(parameters.width * parameters.height)
+    return uniform(seed, Purpose.LEAK_PHASE, pixel) if parameters.random_start else np.zeros(pixel.size)
 
 
 DEAD_THRESHOLD = 1e6
 """Thresholds of a dead pixel, ln units: no light has a million e-folds, and float32 does arithmetic with it."""
 
 _Int64s = npt.NDArray[np.int64]
-_Floats = npt.NDArray[np.float64]
 
 
-class PixelFaults(Protocol):
-    """Access to pixels that can be dead, and whose leak can change while they run."""
-
-    def kill(self, pixel: _Int64s) -> None:
-        """Make pixels, (n,), dead; before they are reset."""
-
-    def leak_hz(self) -> _Floats:
-        """Return the leak rate of all pixels, (pixels,), without the parasitic leak."""
-
-    def set_leak(self, leak_hz: _Floats) -> None:
-        """Set the leak rate of all pixels, (pixels,), from now on."""
-
-
-class _HasState(Protocol):
-    """An array with its state; the state may be replaced by another one."""
-
-    state: PixelState
-
-    def wake(self) -> None:
-        """Look at all pixels again in the next step."""
-
-
-class ArrayFaults:
-    """The faults of a `PixelArray` of some number of pixels; see `PixelFaults`."""
-
-    def __init__(self, array: _HasState, pixels: int) -> None:
-        self._array = array
-        self._all = np.arange(pixels)
-
-    def kill(self, pixel: _Int64s) -> None:
-        """Make pixels, (n,), dead; before the array is reset.
-
-        A dead pixel leaks in units of its threshold, so the parasitic leak still fires it; the caller must discard its
-        crossings.
-        """
-        flat = self._array.state.fields.reshape(-1)
-        flat[_at(pixel, Field.ON)] = flat[_at(pixel, Field.OFF)] = DEAD_THRESHOLD
-        flat[_at(pixel, Field.LEAK)] = 0
-        self._array.wake()
-
-    def leak_hz(self) -> _Floats:
-        """Return the leak rate of all pixels, (pixels,), without the parasitic leak."""
-        flat, pixel = self._array.state.fields.reshape(-1), self._all
-        return np.asarray(flat[_at(pixel, Field.LEAK)] / flat[_at(pixel, Field.ON)].astype(np.float64))
-
-    def set_leak(self, leak_hz: _Floats) -> None:
-        """Set the leak rate of all pixels, (pixels,), from the array's time on."""
-        state, pixel = self._array.state, self._all
-        flat = state.fields.reshape(-1)
-        leak = (leak_hz * flat[_at(pixel, Field.ON)]).astype(np.float32)
-        since_epoch_s = np.float32((state.t_ns - state.epoch_ns) * 1e-9)
-        flat[_at(pixel, Field.REFERENCE)] += (leak - flat[_at(pixel, Field.LEAK)]) * since_epoch_s
-        flat[_at(pixel, Field.LEAK)] = leak
-        self._array.wake()
-
-
-def _at(pixel: _Int64s, which: Field) -> _Int64s:
+def field_index(pixel: _Int64s, which: Field) -> _Int64s:
     """Return the indices of a field of some pixels in the flat state."""
     return np.asarray((pixel // BLOCK) * (FIELDS * BLOCK) + int(which) * BLOCK + pixel % BLOCK)
 

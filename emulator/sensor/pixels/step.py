@@ -1,6 +1,6 @@
 """A step of all pixels, or of a thread's share of them: block by block, then the candidates in batches.
 
-A block that is idle costs a comparison of its light, or none where the caller tells that it did not change (`idle`). Of
+A block that is idle costs a comparison of its light, or none outside the changed region (`idle`). Of
 a block of which little is active only the active parts are moved, together with those of others (`packs`).
 The arithmetic of a pixel does not depend on which blocks are moved with it, in what order, and by which thread, so the
 events are the same to the last bit.
@@ -109,7 +109,7 @@ class Scratch(NamedTuple):
 
 
 class Buffers(NamedTuple):
-    """What one thread needs: a table for the candidates, a subset for the undersampled pixels, and scratch."""
+    """Buffers of one thread: a table for the candidates, a subset for the undersampled pixels, and scratch."""
 
     table: Table
     subset: Subset
@@ -124,7 +124,7 @@ def new_scratch() -> Scratch:
 
 
 class Share(NamedTuple):
-    """What one of `of` threads moves: every `of`-th run of blocks; and what of it may be skipped."""
+    """Share of one of `of` threads: every `of`-th run of blocks; and the part of it that may be skipped."""
 
     number: int
     of: int

@@ -1,4 +1,4 @@
-"""The part of a picture that its scene says may have changed, as the blocks and parts of blocks that lie in it."""
+"""The changed region of a frame, as the blocks and parts of blocks that lie in it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _Bytes = npt.NDArray[np.uint8]
 class Touched(NamedTuple):
     """The part of a picture of `width` columns that may have changed; last row and column not included.
 
-    `units`, (blocks * (1 + PARTS),), tells it instead, with 1 where a block or part may have changed, blocks first. It
+    `units`, (blocks * (1 + PARTS),), gives it instead, with 1 where a block or part may have changed, blocks first. It
     is empty where it is not used. One array for both, because each costs time in every call.
     """
 

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from emulator.light import LightFrame
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.pixels.state import Field
 from emulator.sensor.presets import PRESETS
@@ -101,17 +102,17 @@ class Cell:
     def _drawn(self):
         """Return thresholds, leak and first reference of the product's pixels: these are given, not under test."""
         array = PixelArray(PARAMETERS, 3)
-        array.reset(self.frames[0][0], 0)
+        array.reset(LightFrame(0, self.frames[0][0]))
         fields = Field.ON, Field.OFF, Field.LEAK, Field.REFERENCE
         return np.array([array.field(which)[0] for which in fields], np.float64)
 
     def of_array(self, make=PixelArray, *, with_rate):
         """Score the product on this cell's frames."""
         array, light, rate = make(PARAMETERS, 3), self.frames[0], self.frames[1] * np.float32(1e9 / STEP_NS)
-        array.reset(light[0], 0, rate[0] if with_rate else None)
+        array.reset(LightFrame(0, light[0], rate[0] if with_rate else None))
         found = []
         for k in range(1, self.steps + 1):
-            crossings = array.step(light[k], k * STEP_NS, rate[k] if with_rate else None)
+            crossings = array.step(LightFrame(k * STEP_NS, light[k], rate[k] if with_rate else None))
             found.append((crossings.pixel.copy(), crossings.on.copy()))
         pixel, on = (np.concatenate(column) for column in zip(*found, strict=True))
         return score([on[pixel == j] for j in range(PIXELS)], self.true)

@@ -14,6 +14,7 @@ from emulator.evaluation.accuracy.scenes import BlurredCheckerboard, ClosedLight
 from emulator.evaluation.accuracy.scores import compare
 from emulator.evaluation.accuracy.stability import smooth_case
 from emulator.evaluation.accuracy.truth import true_events
+from emulator.light import LightFrame
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.pixels.state import draw
 from tests.emulator.accuracy.rows import row
@@ -136,10 +137,10 @@ def test_s14_leak_alone_for_thirty_days_in_jumps():
     p = row(8, leak_hz=0.05)
     d, array = draw(p, SEED), PixelArray(p, SEED)
     light, day_s = np.ones((1, 8), np.float32), 86400
-    array.reset(light, 0)
+    array.reset(LightFrame(0, light))
     last, count = np.zeros(8), np.zeros(8)
     for k in range(1, 30 * day_s // 600 + 1):
-        crossings = array.step(light, k * 600 * 10**9)
+        crossings = array.step(LightFrame(k * 600 * 10**9, light))
         assert crossings.on.all()
         last[crossings.pixel] = crossings.t_ns * 1e-9
         count += np.bincount(crossings.pixel, minlength=8)

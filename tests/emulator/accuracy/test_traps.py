@@ -13,6 +13,7 @@ from emulator.evaluation.accuracy.harness import Case, Method, events, methods, 
 from emulator.evaluation.accuracy.scenes import BlurredCheckerboard, Dark, Flash, SineGrating, SlowRamp
 from emulator.evaluation.accuracy.scores import Stream, compare
 from emulator.evaluation.accuracy.stability import SWEEPS, cells
+from emulator.light import LightFrame
 from emulator.sensor.methods.other_simulators import Esim, Fired, FrameDifference, Sikorski, V2e, V2eExactFilter
 from emulator.sensor.other_simulators import OTHER_SIMULATORS
 from emulator.sensor.pixels.array import PixelArray
@@ -58,10 +59,10 @@ def test_leak_under_a_strict_comparison_never_fires_and_deafens():
     heard = []
     for array in (strict, ours):
         light = np.ones((1, 20), np.float32)
-        array.reset(light, 0)
+        array.reset(LightFrame(0, light))
         for k in range(1, 1001):
-            array.step(light, k * MS)
-        heard.append(len(array.step(light * np.float32(1.8), 1001 * MS)))
+            array.step(LightFrame(k * MS, light))
+        heard.append(len(array.step(LightFrame(1001 * MS, light * np.float32(1.8)))))
     assert heard[0] == 0, "a level passed by leak is behind every line's start from then on"
     assert heard[1] > 20
 
@@ -73,9 +74,9 @@ def test_creeping_light_under_a_tolerance_is_never_seen():
     found = {}
     for rule in (Esim, Sikorski, PixelArray):
         array = rule(p, 3)
-        array.reset(np.array([[1.0]], np.float32), 0)
+        array.reset(LightFrame(0, np.array([[1.0]], np.float32)))
         found[rule] = sum(
-            len(array.step(np.array([[math.exp(creep * k)]], np.float32), k * MS)) for k in range(1, 4001)
+            len(array.step(LightFrame(k * MS, np.array([[math.exp(creep * k)]], np.float32)))) for k in range(1, 4001)
         )
     assert found[Esim] <= 1
     assert found[Sikorski] == found[PixelArray] == 8
@@ -85,14 +86,14 @@ def test_a_signal_that_comes_back_fires_as_often_down_as_up_and_rests_in_between
     """Levels are those stored, never recomputed from counts: what went up by n events comes down by n."""
     p = without_filter(20)
     ours, on, off = PixelArray(p, 3), 0, 0
-    ours.reset(np.ones((1, 20), np.float32), 0)
+    ours.reset(LightFrame(0, np.ones((1, 20), np.float32)))
     t_ns = 0
     for k in range(60):
         light = np.full((1, 20), 1.0 if k % 2 else 1.9, np.float32)
         for t_ms in (1, 5):
-            moved = ours.step(light, t_ns + t_ms * MS)
+            moved = ours.step(LightFrame(t_ns + t_ms * MS, light))
             on, off = on + int(moved.on.sum()), off + int((~moved.on).sum())
-        rest = ours.step(light, t_ns + 6 * MS)
+        rest = ours.step(LightFrame(t_ns + 6 * MS, light))
         assert len(rest) == 0
         t_ns += 6 * MS
     # Each pixel comes down to within a threshold of where it started.
@@ -123,8 +124,8 @@ def test_thresholds_drawn_anew_kill_pixels():
 class InStep(V2e):
     """Leak without a phase of each pixel's own."""
 
-    def reset(self, light, t_ns, rate=None):
-        super().reset(light, t_ns, rate)
+    def reset(self, frame):
+        super().reset(frame)
         self._r = self._u.copy()
 
 
@@ -152,11 +153,11 @@ def test_leak_off_a_float32_reference_in_every_step_gets_the_rate_wrong():
     light = np.full((1, 20), 1e-3, np.float32)
     rule, ours = FloatReference(p, 3), PixelArray(p, 3)
     for array in (rule, ours):
-        array.reset(light, 0)
+        array.reset(LightFrame(0, light))
     began, stored, silent = rule._r.copy(), ours.field(Field.REFERENCE)[0], np.ones(20, np.bool_)
     for k in range(1, steps + 1):
-        rule.step(light, k * h_ns)
-        silent[ours.step(light, k * h_ns).pixel] = False
+        rule.step(LightFrame(k * h_ns, light))
+        silent[ours.step(LightFrame(k * h_ns, light)).pixel] = False
     leaked = (began - rule._r)[silent] / (draw(p, 3).leak[silent] * steps * h_ns * 1e-9)
     assert silent.sum() > 10
     assert np.abs(leaked - 1).max() > 0.05
@@ -214,7 +215,7 @@ def test_a_clamped_filter_turns_itself_off():
         array = rule(p, 3)
         for k in range(40):
             light = np.full((1, 4), np.exp(slope * k * 1e-3) - p.dark_current_relative, np.float32)
-            array.reset(light, 0) if k == 0 else array.step(light, k * MS)
+            array.reset(LightFrame(0, light)) if k == 0 else array.step(LightFrame(k * MS, light))
         filtered = array.field(Field.FILTERED)[0] if rule is PixelArray else array._v
         lag_s[rule] = (slope * 0.039 - filtered[0]) / slope
     assert lag_s[V2e] == pytest.approx(0, abs=1e-6)
@@ -298,10 +299,10 @@ def test_the_dark_current_and_nothing_else_sets_the_count_from_black_to_white(da
         if method.name == "frame_difference":
             continue
         array = method.make(p, 3)
-        array.reset(np.zeros((1, 4), np.float32), 0)
-        crossings = array.step(np.ones((1, 4), np.float32), MS)
+        array.reset(LightFrame(0, np.zeros((1, 4), np.float32)))
+        crossings = array.step(LightFrame(MS, np.ones((1, 4), np.float32)))
         total = len(crossings) + crossings.lost_in_pixel
-        total += len(array.step(np.ones((1, 4), np.float32), 2 * MS))
+        total += len(array.step(LightFrame(2 * MS, np.ones((1, 4), np.float32))))
         assert total / 4 == pytest.approx(expected, abs=1)
 
 
@@ -309,8 +310,8 @@ def test_the_dark_current_and_nothing_else_sets_the_count_from_black_to_white(da
 def test_an_all_black_picture_is_no_trouble(name):
     array = (PixelArray if name == "ours" else OTHER_SIMULATORS[name])(row(9, leak_hz=0.0), 3)
     black = np.zeros((1, 9), np.float32)
-    array.reset(black, 0)
-    assert sum(len(array.step(black, k * MS)) for k in range(1, 20)) == 0
+    array.reset(LightFrame(0, black))
+    assert sum(len(array.step(LightFrame(k * MS, black))) for k in range(1, 20)) == 0
     assert array.quiet_nan == 0
 
 

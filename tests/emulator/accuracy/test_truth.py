@@ -10,6 +10,7 @@ from scipy.optimize import brentq
 from emulator.evaluation.accuracy.scenes import Dark, Flash, SineGrating, SlowRamp
 from emulator.evaluation.accuracy.scores import compare
 from emulator.evaluation.accuracy.truth import true_events
+from emulator.light import LightFrame
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.pixels.state import Field, draw
 from tests.emulator.accuracy.rows import row
@@ -121,7 +122,7 @@ def test_thresholds_leak_and_phase_are_those_of_the_array():
     np.testing.assert_allclose(array.field(Field.ON)[0], d.on, rtol=1e-6)
     np.testing.assert_allclose(array.field(Field.OFF)[0], d.off, rtol=1e-6)
     np.testing.assert_allclose(array.field(Field.LEAK)[0], d.leak, rtol=1e-6)
-    array.reset(np.ones((1, 50), np.float32), 0)
+    array.reset(LightFrame(0, np.ones((1, 50), np.float32)))
     u = math.log(1 + p.dark_current_relative)
     np.testing.assert_allclose(u - array.field(Field.REFERENCE)[0], d.on * d.phase, atol=1e-6)
 

@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 
+from emulator.cli.bench import bench
 from emulator.evaluation.bench import scenes as scenes_alike
+from emulator.evaluation.bench.measures import MEASURES
 from emulator.evaluation.bench.pixels import NoiseLoad, noisy_sensor
-from emulator.evaluation.bench.scenes import ScenesAlike
+from emulator.evaluation.bench.scenes import Drawing, ScenesAlike
 from emulator.sensor.noise.points import NoiseEvents
 
 
@@ -32,3 +34,20 @@ def test_scenes_alike_have_as_many_events(monkeypatch, events):
     assert found["grating"] == pytest.approx(events, rel=0.5)
     assert all(number == pytest.approx(events, rel=0.35) for name, number in found.items() if name != "grating")
     assert ScenesAlike(events)() >= 1
+
+
+@pytest.mark.gl
+@pytest.mark.usefixtures("gl")
+def test_a_frame_drawn_by_gl_takes_some_time(monkeypatch):
+    monkeypatch.setattr(scenes_alike, "_REPEAT_S", 0.01)
+    assert 0 < Drawing((32, 24))() < 1e4
+
+
+def test_a_pattern_selects_all_that_match(monkeypatch, capsys):
+    monkeypatch.setattr("emulator.cli.bench.MEASURES", [m for m in MEASURES if m.name.startswith(("gpu_", "words"))])
+    monkeypatch.setattr("emulator.cli.bench._value", lambda measure: 1.0)
+    assert bench(only=["gpu_*", "words_encode"]) == 0
+    printed = capsys.readouterr().out
+    assert printed.count("gpu_frame_") == 2
+    assert "words_encode" in printed
+    assert "words_decode" not in printed

@@ -1,10 +1,13 @@
 """Steps under error control, on light whose best step is known."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from emulator.light import LightFrame
 from emulator.plan.step_control import (
     ControlledSteps,
     FixedSteps,
@@ -25,14 +28,14 @@ def sine(t_ns, with_rate=True):
     angle = OMEGA * t_ns * 1e-9 + PHASES
     current = np.exp(0.85 * np.sin(angle))
     rate = (0.85 * OMEGA * np.cos(angle) * current).astype(np.float32)
-    return (current - DARK).astype(np.float32), rate if with_rate else None
+    return LightFrame(t_ns, (current - DARK).astype(np.float32), rate if with_rate else None)
 
 
 def settled(tolerance_us, with_rate, first_ns=1_000_000, limits=None):
     steps = ControlledSteps(limits or Limits(tolerance_us, wrong_share=1.0), DARK, first_ns)
     t_ns = 0
     for _ in range(40):
-        steps.observe(*sine(t_ns, with_rate), t_ns)
+        steps.observe(sine(t_ns, with_rate))
         t_ns += steps.step_ns
     return steps.step_ns * 1e-6
 
@@ -91,7 +94,7 @@ def test_halves_allow_longer_steps_until_they_cost_a_picture():
     for refinement in (None, RefinementModel(0.2)):
         steps, t_ns = ControlledSteps(limits, DARK, 1_000_000, refinement), 0
         for _ in range(60):
-            steps.observe(*sine(t_ns), t_ns)
+            steps.observe(sine(t_ns))
             t_ns += steps.step_ns
         lengths.append(steps.step_ns)
     assert 1.5 < lengths[1] / lengths[0] < 4
@@ -101,11 +104,11 @@ def test_one_glint_does_not_set_the_pace():
     def observe(glint):
         steps, t_ns, lengths = ControlledSteps(Limits(10.0, wrong_share=1.0), DARK, 1_000_000), 0, []
         while t_ns < 1_000_000_000:
-            light, rate = sine(t_ns)
+            frame = sine(t_ns)
             if glint:  # one of 900 pixels flashes 100:1, ten times a second
-                light[3, 3] = 50.0 if t_ns // 50_000_000 % 2 else 0.5
-                rate[3, 3] = 0.0
-            steps.observe(light, rate, t_ns)
+                frame.light[3, 3] = 50.0 if t_ns // 50_000_000 % 2 else 0.5
+                frame.rate[3, 3] = 0.0
+            steps.observe(frame)
             t_ns += steps.step_ns
             lengths.append(steps.step_ns)
         return np.mean(lengths)
@@ -117,17 +120,16 @@ def test_a_still_picture_takes_the_longest_steps():
     steps = ControlledSteps(Limits(1.0), DARK, 100_000)
     light, t_ns = np.full((8, 8), 0.3, np.float32), 0
     for _ in range(20):
-        steps.observe(light, np.zeros_like(light), t_ns)
+        steps.observe(LightFrame(t_ns, light, np.zeros_like(light)))
         t_ns += steps.step_ns
     assert steps.step_ns == 20_000_000
 
 
 def test_light_that_is_not_a_number_is_left_out():
-    light, rate = sine(0)
-    later, later_rate = sine(1_000_000)
-    light[0, 0] = later[0, 0] = np.nan
-    pictures = ((light, rate, 0), (later, later_rate, 10**6), (light, rate, 2 * 10**6))
-    a, b, c = (sample(picture, slope, DARK, t_ns) for picture, slope, t_ns in pictures)
+    first, later = sine(0), sine(1_000_000)
+    first.light[0, 0] = later.light[0, 0] = np.nan
+    frames = first, later, dataclasses.replace(first, t_ns=2_000_000)
+    a, b, c = (sample(frame, DARK) for frame in frames)
     error, weight = error_us(a, b, c)
     assert np.isfinite(error).all()
     assert weight[0] == 0
@@ -145,5 +147,5 @@ def test_a_weighted_quantile_has_that_much_weight_below_it(pairs, share):
 
 def test_fixed_steps_are_fixed():
     steps = FixedSteps(5)
-    steps.observe(*sine(0), 0)
+    steps.observe(sine(0))
     assert steps.step_ns == 5

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from emulator.light import SceneError
+from emulator.light import LightFrame, SceneError
 from emulator.playback.recording import RecordingParameters, load_recording
 from emulator.playback.replay import Replay
 from emulator.rig.loading import RigError, parse_rig
@@ -29,8 +29,8 @@ def recorded(times, seed=1):
 
 
 def played(replay, ends_ns):
-    replay.reset(DARK, 0)
-    return np.concatenate([replay.expose(DARK, t) for t in ends_ns] + [replay.finish()])
+    replay.reset(LightFrame(0, DARK))
+    return np.concatenate([replay.expose(LightFrame(t, DARK)) for t in ends_ns] + [replay.finish()])
 
 
 @given(st.lists(st.integers(0, 5000), min_size=1, max_size=60), st.lists(st.integers(1, 900), min_size=1, max_size=40))
@@ -57,8 +57,8 @@ def test_a_loop_does_not_depend_on_the_step(steps_us):
 
 def test_an_event_at_the_end_of_a_step_belongs_to_it():
     replay = Replay(SENSOR, recorded([0, 7]), loop=False)
-    replay.reset(DARK, 0)
-    assert [len(replay.expose(DARK, t)) for t in (0, 6_999, 7_000)] == [1, 0, 1]
+    replay.reset(LightFrame(0, DARK))
+    assert [len(replay.expose(LightFrame(t, DARK))) for t in (0, 6_999, 7_000)] == [1, 0, 1]
 
 
 def test_a_time_scale_plays_faster():

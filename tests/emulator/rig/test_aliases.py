@@ -1,4 +1,4 @@
-"""Old spellings in rig files: they load as the new ones, and the log says so."""
+"""Old spellings and removed keys in rig files: they load as the new ones with a warning, or are refused."""
 
 import logging
 
@@ -45,3 +45,17 @@ def test_other_values_are_refused_as_before(text, caplog):
 def test_a_run_that_is_no_table_is_refused_as_before(run):
     with pytest.raises(RigError, match="expected a table"):
         parse_rig(f'{run}\n[scene]\nkind = "checkerboard"\n', "a.toml", "a")
+
+
+def test_pixels_on_the_cpu_load_with_a_warning(caplog):
+    text = '[scene]\nkind = "checkerboard"\n[run]\npixels = "cpu"\nseed = 7\n'
+    with caplog.at_level(logging.WARNING):
+        assert parse_rig(text, "a.toml", "a") == parse_rig(text.replace('pixels = "cpu"\n', ""), "a.toml", "a")
+    (record,) = caplog.records
+    assert "run.pixels has no effect" in record.getMessage()
+
+
+@pytest.mark.parametrize("value", ['"gpu"', "3", '["cpu"]'])
+def test_pixels_elsewhere_are_refused(value):
+    with pytest.raises(RigError, match=r"a\.toml, line 4: run\.pixels: .*the CPU solves the pixels of every rig"):
+        parse_rig(f'[scene]\nkind = "checkerboard"\n[run]\npixels = {value}\n', "a.toml", "a")

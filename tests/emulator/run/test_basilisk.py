@@ -8,12 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from emulator.light import Scene
+from emulator.light import Scene, SceneFrames
 from emulator.plan.step_control import FixedSteps
 from emulator.rig.loading import RigError, parse_rig
 from emulator.rig.remarks import remarks
 from emulator.run.basilisk import BasiliskRun, camera_differs, connected
-from emulator.run.readings import Pictures
 from emulator.run.session import Schedule, Session
 from emulator.sensor.effects import NoiseParameters
 from emulator.sensor.presets import PRESETS
@@ -95,7 +94,7 @@ def run(peer, *, seconds=None, step_ms=10, stop_after=None):
     simulation = BasiliskRun(
         peer, [ConnectedPath(camera=1, flown=path)], lambda light: b"png" + bytes(light[0, :1]), clock
     )
-    session = Session(Pictures(scene, with_rate=False), Sensor(SENSOR, 1), FixedSteps(step_ms * MS), [], clock)
+    session = Session(SceneFrames(scene, with_rate=False), Sensor(SENSOR, 1), FixedSteps(step_ms * MS), [], clock)
 
     def look(_):
         if stop_after is not None and peer.looks >= stop_after:
@@ -132,7 +131,7 @@ def test_an_update_is_answered_when_its_last_picture_is_drawn():
     scene = Seen(path)
     peer.send = lambda parts: (drawn_at_reply.append(scene.drawn[-1][0]), send(parts))
     simulation = BasiliskRun(peer, [ConnectedPath(camera=1, flown=path)], lambda light: b"", clock)
-    session = Session(Pictures(scene, with_rate=False), Sensor(SENSOR, 1), FixedSteps(10 * MS), [], clock)
+    session = Session(SceneFrames(scene, with_rate=False), Sensor(SENSOR, 1), FixedSteps(10 * MS), [], clock)
     session.run(Schedule(paced=False, simulation=simulation))
     assert drawn_at_reply == [0, 30]
 

@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 
+from emulator.light import LightFrame
 from emulator.rig.loading import parse_rig
 from emulator.run.assembly import link_setups
 from emulator.run.changes import BiasFollowing, Change, Changes
@@ -45,7 +46,7 @@ def events_of_ramp(sensor, towards):
     count = 0
     for k in range(1, 201):
         level = np.full((4, 8), START[towards] * math.exp(towards * LN_RAMP * k / 200), np.float32)
-        events = sensor.expose(level, t0_ns + k * 5_000_000)
+        events = sensor.expose(LightFrame(t0_ns + k * 5_000_000, level))
         count += np.count_nonzero(events["on"] == (towards > 0))
     return count / 32
 
@@ -56,7 +57,7 @@ def events_of_ramp(sensor, towards):
 @pytest.mark.parametrize("towards", [1, -1])
 def test_thresholds_measured_from_events_follow_the_formula(name, value, towards):
     sensor = Sensor(IDEAL, 1)
-    sensor.reset(np.full((4, 8), START[towards], np.float32), 0)
+    sensor.reset(LightFrame(0, np.full((4, 8), START[towards], np.float32)))
     factors = sensor_factors({**DEFAULTS, ADDRESSES[name]: int(value)})
     BiasFollowing(sensor).follow({"usbip": report(**factors)})
     expected = (0.283 * factors["threshold_on"]) if towards > 0 else (0.262 * factors["threshold_off"])
@@ -150,7 +151,7 @@ def test_what_has_no_effect_is_told_once(caplog):
 def test_thresholds_of_an_imx636_measured_from_events_follow_the_slopes(bias, steps, towards):
     imx636 = dataclasses.replace(IDEAL, threshold_on=0.223, threshold_off=0.223)
     sensor, slope = Sensor(imx636, 1), 0.0063
-    sensor.reset(np.full((4, 8), START[towards], np.float32), 0)
+    sensor.reset(LightFrame(0, np.full((4, 8), START[towards], np.float32)))
     BiasFollowing(sensor).follow({"gige": report(**BiasModel().factors({bias: steps}))})
     assert LN_RAMP / events_of_ramp(sensor, towards) == pytest.approx(0.223 * (1 + slope * steps), rel=0.03)
 
@@ -161,11 +162,11 @@ def test_the_low_pass_of_an_imx636_follows_its_bias(steps):
     corner_hz, rise = 3000.0, 0.3
     imx636 = dataclasses.replace(IDEAL, threshold_on=0.2, corner_hz_at_reference=1e6, corner_max_hz=corner_hz)
     sensor = Sensor(imx636, 1)
-    sensor.reset(np.full((4, 8), 10.0, np.float32), 0)
+    sensor.reset(LightFrame(0, np.full((4, 8), 10.0, np.float32)))
     BiasFollowing(sensor).follow({"gige": report(**BiasModel().factors({"fo": steps}))})
-    sensor.expose(np.full((4, 8), 10.0, np.float32), 1_000_000)
-    sensor.expose(np.full((4, 8), 10.0 * math.exp(rise), np.float32), 1_000_001)
-    events = sensor.expose(np.full((4, 8), 10.0 * math.exp(rise), np.float32), 3_000_000)
+    sensor.expose(LightFrame(1_000_000, np.full((4, 8), 10.0, np.float32)))
+    sensor.expose(LightFrame(1_000_001, np.full((4, 8), 10.0 * math.exp(rise), np.float32)))
+    events = sensor.expose(LightFrame(3_000_000, np.full((4, 8), 10.0 * math.exp(rise), np.float32)))
     first_s = (events["t"].astype(float).mean() - 1000.5) * 1e-6  # stamps are whole microseconds, cut off
     assert len(events) == 32
     expected_s = math.log(rise / (rise - 0.2)) / (2 * math.pi * corner_hz * (1 + 0.012 * steps))
@@ -177,7 +178,7 @@ def test_the_refractory_period_of_an_imx636_follows_its_bias(steps, refractory_u
     """On a ramp, events of a pixel are threshold / slope + refractory period apart."""
     imx636 = dataclasses.replace(IDEAL, refractory_us=10_000.0)
     sensor = Sensor(imx636, 1)
-    sensor.reset(np.full((4, 8), START[1], np.float32), 0)
+    sensor.reset(LightFrame(0, np.full((4, 8), START[1], np.float32)))
     BiasFollowing(sensor).follow({"gige": report(**BiasModel().factors({"refr": steps}))})
     apart_us = 1e6 / events_of_ramp(sensor, 1)
     assert apart_us == pytest.approx(1e6 * 0.283 / LN_RAMP + refractory_us, rel=0.03)

@@ -9,12 +9,12 @@ from functools import partial
 import numpy as np
 import pytest
 
-from emulator.light import Scene
+from emulator.light import Scene, SceneFrames
 from emulator.plan.step_control import FixedSteps
 from emulator.rig.tables import Trigger
 from emulator.run.assembly import TriggerPaths
 from emulator.run.changes import Change, Changes
-from emulator.run.readings import Pictures, ReadingSources
+from emulator.run.readings import ReadingSources
 from emulator.run.session import Schedule, Session
 from emulator.run.stereo import SecondView
 from emulator.sensor.effects import NoiseParameters
@@ -118,13 +118,13 @@ class ListedSteps:
     def __init__(self, ends_ns):
         self._ends_ns = ends_ns
 
-    def observe(self, light, rate, t_ns):
-        self.step_ns = next((end - t_ns for end in self._ends_ns if end > t_ns), 1)
+    def observe(self, frame):
+        self.step_ns = next((end - frame.t_ns for end in self._ends_ns if end > frame.t_ns), 1)
 
 
 def session(setups, delay_s=0.0, steps=None):
-    pictures = Pictures(Flicker(delay_s), with_rate=False)
-    return Session(pictures, Sensor(SENSOR, 1), steps or FixedSteps(MS), setups, MonotonicClock())
+    frames = SceneFrames(Flicker(delay_s), with_rate=False)
+    return Session(frames, Sensor(SENSOR, 1), steps or FixedSteps(MS), setups, MonotonicClock())
 
 
 def events_of(running, schedule, **more):
@@ -235,7 +235,7 @@ def test_telecommands_and_several_links_are_recorded_with_their_links():
 def test_the_second_camera_follows_its_own_host_at_stated_times():
     def run(tick_us, delay_s):
         running = session([link("left", SCRIPT[:1]), link("right", SCRIPT[1:], tick_us=tick_us)], delay_s)
-        sensor, scene = Sensor(SENSOR, 2), Pictures(Flicker(), with_rate=False)
+        sensor, scene = Sensor(SENSOR, 2), SceneFrames(Flicker(), with_rate=False)
         running.join(SecondView(scene, sensor, ReadingSources((), ()), ["right"]))
         return *events_of(running, FREE), sensor
 

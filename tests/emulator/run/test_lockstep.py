@@ -6,12 +6,11 @@ from functools import partial
 
 import pytest
 
-from emulator.light import Scene
+from emulator.light import Scene, SceneFrames
 from emulator.plan.step_control import FixedSteps
 from emulator.rig.tables import Trigger
 from emulator.run.assembly import TriggerPaths
 from emulator.run.pacing import Lockstep
-from emulator.run.readings import Pictures
 from emulator.run.session import Schedule, Session
 from emulator.sensor.effects import NoiseParameters
 from emulator.sensor.presets import PRESETS
@@ -46,7 +45,7 @@ class Flashing(Scene):
 
 
 def session(setups, clock, step_ns=3_000_000):
-    return Session(Pictures(Flashing(), with_rate=False), Sensor(SENSOR, 1), FixedSteps(step_ns), setups, clock)
+    return Session(SceneFrames(Flashing(), with_rate=False), Sensor(SENSOR, 1), FixedSteps(step_ns), setups, clock)
 
 
 class SyncingClock(FakeClock):

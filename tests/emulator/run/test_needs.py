@@ -69,7 +69,6 @@ def test_the_needs_of_each_shipped_rig(name):
         (BOARD + '[[links]]\nkind = "tcp"\ncompression = "lz4"\n', ["extra files (lz4)"]),
         (BOARD + '[[links]]\nkind = "file"\npath = "a.aedat4"\n', ["extra files (faery)"]),
         (BOARD + '[[links]]\nkind = "file"\npath = "a.raw"\n', []),
-        (BOARD + '[run]\npixels = "gpu"\n', ["OpenGL 4.3 by EGL"]),
         (BOARD + '[[links]]\nkind = "usbip"\nname = "a"\n[[links]]\nkind = "usbip"\nport = 7\n', [VHCI]),
     ],
 )

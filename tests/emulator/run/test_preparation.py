@@ -89,16 +89,14 @@ if __name__ == "__main__":
         def on_end(self, e):
             pass
     event.register("numba:compile", Listener())
-    from emulator.run.assembly import build_pictures, build_sensor
+    from emulator.run.assembly import build_frames, build_sensor
     from emulator.run.assembly import build_scene
     with build_scene(rig) as scene:
-        pictures, sensor = build_pictures(rig, scene), build_sensor(rig, rig.camera.sensor)
+        frames, sensor = build_frames(rig, scene), build_sensor(rig, rig.camera.sensor)
         sensor.warm_up()
-        pictures.draw(0)
-        sensor.reset(pictures.light, 0)
+        sensor.reset(frames.draw(0))
         for k in range(1, 30):
-            pictures.draw(1_000_000 * k)
-            sensor.expose(pictures.light, 1_000_000 * k, pictures.rate, pictures.pixel_light)
+            sensor.expose(frames.draw(1_000_000 * k))
     DECODER.compile()
     CODER.compile()
     EVT.compile()

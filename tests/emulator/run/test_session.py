@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from emulator.cli.signals import stop_on_signals
-from emulator.light import Scene
+from emulator.light import Scene, SceneFrames
 from emulator.plan.step_control import FixedSteps
-from emulator.run.readings import Pictures
 from emulator.run.session import Schedule, Session
 from emulator.scene.checkerboard.checkerboard import Checkerboard
 from emulator.scene.checkerboard.table import CheckerboardParameters
@@ -51,7 +50,7 @@ class Flashing(Scene):
 
 
 def session(scene, clock, step_ns=STEP_NS):
-    return Session(Pictures(scene, with_rate=False), Sensor(SENSOR, 1), FixedSteps(step_ns), [], clock)
+    return Session(SceneFrames(scene, with_rate=False), Sensor(SENSOR, 1), FixedSteps(step_ns), [], clock)
 
 
 def test_a_free_run_draws_each_step_once_and_balances():
@@ -183,8 +182,8 @@ def test_frames_too_far_apart_show_as_undersampled():
 
     def share(step_ns):
         with Checkerboard(board, (64, 48)) as scene:
-            pictures = Pictures(scene, with_rate=True)
-            running = Session(pictures, Sensor(sensor, 1), FixedSteps(step_ns), [], FakeClock())
+            frames = SceneFrames(scene, with_rate=True)
+            running = Session(frames, Sensor(sensor, 1), FixedSteps(step_ns), [], FakeClock())
             return running.run(Schedule(duration_ns=100 * STEP_NS, paced=False)).undersampled_share
 
     close, apart = share(100_000), share(20_000_000)

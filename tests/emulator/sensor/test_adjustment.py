@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from emulator.light import LightFrame
 from emulator.sensor.effects import NoiseParameters
 from emulator.sensor.numerics.keyed import Purpose, uniform
 from emulator.sensor.presets import PRESETS, ReadoutParameters, SensorParameters
@@ -33,7 +34,7 @@ def _ramp(sensor: Sensor, growth: float, steps: int = 100, start: int = 0, first
     """Let ln of the light grow by `growth` from `first` in `steps`; return the events."""
     shares = (np.arange(steps) + 1) / steps
     parts = [
-        sensor.expose(_light(np.exp(first + growth * share)), (start + k + 1) * _STEP_NS)
+        sensor.expose(LightFrame((start + k + 1) * _STEP_NS, _light(np.exp(first + growth * share))))
         for k, share in enumerate(shares)
     ]
     return np.concatenate(parts)
@@ -42,7 +43,7 @@ def _ramp(sensor: Sensor, growth: float, steps: int = 100, start: int = 0, first
 @pytest.mark.parametrize("threshold", [0.12, 0.4, 1.1])
 def test_on_events_after_a_change_of_threshold_are_those_of_the_closed_form(threshold):
     sensor = Sensor(_PLAIN, 3)
-    sensor.reset(_light(1.0), 0)
+    sensor.reset(LightFrame(0, _light(1.0)))
     sensor.adjust("threshold_on", threshold)
     events = np.concatenate([_ramp(sensor, 1.7), sensor.finish()])
 
@@ -59,7 +60,7 @@ def test_on_events_after_a_change_of_threshold_are_those_of_the_closed_form(thre
 @pytest.mark.parametrize("off", [0.3, 0.15])
 def test_off_events_follow_their_own_threshold_and_on_events_do_not(off):
     sensor = Sensor(_PLAIN, 3)
-    sensor.reset(_light(1.0), 0)
+    sensor.reset(LightFrame(0, _light(1.0)))
     sensor.adjust("threshold_off", off)
     up = _ramp(sensor, 2.0)
     down = np.concatenate([_ramp(sensor, -2.0, start=100, first=2.0), sensor.finish()])
@@ -71,12 +72,14 @@ def test_off_events_follow_their_own_threshold_and_on_events_do_not(off):
 
 def test_a_changed_leak_has_its_rate_from_then_on_and_none_at_once():
     sensor = Sensor(dataclasses.replace(_PLAIN, leak_hz=1.0, leak_spread=0.0), 5)
-    sensor.reset(_light(1.0), 0)
+    sensor.reset(LightFrame(0, _light(1.0)))
     pixels = _PLAIN.width * _PLAIN.height
-    first = sum(len(sensor.expose(_light(1.0), (k + 1) * 10 * _STEP_NS)) for k in range(200))  # 2 s at 1 Hz
+    first = sum(len(sensor.expose(LightFrame((k + 1) * 10 * _STEP_NS, _light(1.0)))) for k in range(200))  # 2 s at 1 Hz
     sensor.adjust("leak_hz", 4.0)
-    at_once = len(sensor.expose(_light(1.0), 200 * 10 * _STEP_NS + 1000))
-    later = sum(len(sensor.expose(_light(1.0), (k + 201) * 10 * _STEP_NS)) for k in range(200))  # 2 s at 4 Hz
+    at_once = len(sensor.expose(LightFrame(200 * 10 * _STEP_NS + 1000, _light(1.0))))
+    later = sum(
+        len(sensor.expose(LightFrame((k + 201) * 10 * _STEP_NS, _light(1.0)))) for k in range(200)
+    )  # 2 s at 4 Hz
     assert first == pytest.approx(2 * pixels, rel=0.01)
     assert at_once <= 1
     assert later == pytest.approx(8 * pixels, rel=0.01)
@@ -84,26 +87,26 @@ def test_a_changed_leak_has_its_rate_from_then_on_and_none_at_once():
 
 def test_leak_can_be_switched_on():
     sensor = Sensor(dataclasses.replace(_PLAIN, leak_spread=0.0), 5)
-    sensor.reset(_light(1.0), 0)
-    assert len(sensor.expose(_light(1.0), 1_000 * _STEP_NS)) == 0
+    sensor.reset(LightFrame(0, _light(1.0)))
+    assert len(sensor.expose(LightFrame(1_000 * _STEP_NS, _light(1.0)))) == 0
     sensor.adjust("leak_hz", 3.0)
-    events = len(sensor.expose(_light(1.0), 3_000 * _STEP_NS))
+    events = len(sensor.expose(LightFrame(3_000 * _STEP_NS, _light(1.0))))
     assert events == pytest.approx(6 * _PLAIN.width * _PLAIN.height, rel=0.02)
 
 
 def test_a_new_on_threshold_keeps_the_rate_of_leak_events():
     sensor = Sensor(dataclasses.replace(_PLAIN, leak_hz=2.0, leak_spread=0.0), 5)
-    sensor.reset(_light(1.0), 0)
-    sensor.expose(_light(1.0), 1_000 * _STEP_NS)
+    sensor.reset(LightFrame(0, _light(1.0)))
+    sensor.expose(LightFrame(1_000 * _STEP_NS, _light(1.0)))
     sensor.adjust("threshold_on", 0.5)
-    sensor.expose(_light(1.0), 2_000 * _STEP_NS)
-    events = len(sensor.expose(_light(1.0), 4_000 * _STEP_NS))
+    sensor.expose(LightFrame(2_000 * _STEP_NS, _light(1.0)))
+    events = len(sensor.expose(LightFrame(4_000 * _STEP_NS, _light(1.0))))
     assert events == pytest.approx(4 * _PLAIN.width * _PLAIN.height, rel=0.01)
 
 
 def test_a_long_refractory_period_bounds_the_rate_of_a_pixel():
     sensor = Sensor(_PLAIN, 3)
-    sensor.reset(_light(1.0), 0)
+    sensor.reset(LightFrame(0, _light(1.0)))
     sensor.adjust("refractory_us", 30_000.0)
     events = _ramp(sensor, 3.0)  # 100 ms: 15 thresholds; with the pause one each 36.7 ms, the first before 6.7
     counted = np.bincount(events["y"].astype(int) * _PLAIN.width + events["x"])
@@ -112,11 +115,11 @@ def test_a_long_refractory_period_bounds_the_rate_of_a_pixel():
 
 def test_a_low_corner_delays_a_step_of_light_by_its_closed_form():
     sensor = Sensor(_PLAIN, 3)
-    sensor.reset(_light(1.0), 0)
+    sensor.reset(LightFrame(0, _light(1.0)))
     sensor.adjust("corner_max_hz", 10.0)
-    sensor.expose(_light(1.0), _STEP_NS)
-    sensor.expose(_light(np.e), _STEP_NS + 1000)  # at once
-    events = np.concatenate([sensor.expose(_light(np.e), (k + 2) * _STEP_NS) for k in range(300)])
+    sensor.expose(LightFrame(_STEP_NS, _light(1.0)))
+    sensor.expose(LightFrame(_STEP_NS + 1000, _light(np.e)))  # at once
+    events = np.concatenate([sensor.expose(LightFrame((k + 2) * _STEP_NS, _light(np.e))) for k in range(300)])
     phase = uniform(3, Purpose.LEAK_PHASE, np.arange(_PLAIN.width * _PLAIN.height))
     pixel = events["y"].astype(int) * _PLAIN.width + events["x"]
     _, first = np.unique(pixel, return_index=True)
@@ -145,14 +148,14 @@ _NOISY = dataclasses.replace(
 
 
 def _noise_events(sensor: Sensor, ends_ms: tuple[int, ...]) -> np.ndarray:
-    return np.concatenate([sensor.expose(_light(0.05), end * _STEP_NS) for end in ends_ms])
+    return np.concatenate([sensor.expose(LightFrame(end * _STEP_NS, _light(0.05))) for end in ends_ms])
 
 
 @pytest.mark.parametrize("off", [0.2, 0.35])
 def test_noise_follows_a_changed_threshold(off):
     changed, always = Sensor(_NOISY, 7), Sensor(dataclasses.replace(_NOISY, threshold_off=off), 7)
     for sensor in (changed, always):
-        sensor.reset(_light(0.05), 0)
+        sensor.reset(LightFrame(0, _light(0.05)))
     before = len(_noise_events(changed, (500, 1000, 1505)))  # in the middle of a window of noise
     changed.adjust("threshold_off", off)
     _noise_events(always, (1505,))
@@ -166,7 +169,7 @@ def test_noise_after_a_change_does_not_depend_on_the_steps():
     found = []
     for step_ms in (1, 5):
         sensor = Sensor(_NOISY, 7)
-        sensor.reset(_light(0.05), 0)
+        sensor.reset(LightFrame(0, _light(0.05)))
         parts = [_noise_events(sensor, tuple(range(step_ms, 101, step_ms)))]
         sensor.adjust("threshold_on", 0.22)
         parts += [_noise_events(sensor, tuple(range(100 + step_ms, 301, step_ms))), sensor.finish()]

@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from emulator.light import LightFrame
 from emulator.sensor.effects import NoiseParameters
 from emulator.sensor.methods.large_signal import LargeSignalPixels
 from emulator.sensor.methods.other_simulators import Pangu
@@ -38,10 +39,10 @@ def still(value):
 def test_a_step_ends_and_its_crossings_are_the_leak_times_the_light(method, light):
     make, parameters = METHODS[method]
     pixels = make(parameters, 1)
-    pixels.reset(still(light), 0)
-    pixels.step(still(light), MS)
+    pixels.reset(LightFrame(0, still(light)))
+    pixels.step(LightFrame(MS, still(light)))
     before = pixels.lost_in_pixel
-    listed = sum(len(pixels.step(still(light), k * MS)) for k in range(2, 6))
+    listed = sum(len(pixels.step(LightFrame(k * MS, still(light)))) for k in range(2, 6))
     crossings = PIXELS * 4e-3 * parameters.parasitic_hz_at_reference * light
     assert listed <= 4 * (64 if method != "grid" else 16 * 40) * PIXELS
     if light <= 1e12:
@@ -58,10 +59,10 @@ def test_a_pixel_that_a_flash_has_left_sees_as_before(method, bright):
     pixels = make(dataclasses.replace(parameters, parasitic_hz_at_reference=0.01, random_start=False), 1)
     flash = still(0.5)
     flash[:, ::2] = bright
-    pixels.reset(still(0.5), 0)
+    pixels.reset(LightFrame(0, still(0.5)))
     for t_ms, light in ((1, still(0.5)), (2, flash), (4, flash), (5, still(0.5)), (205, still(0.5)), (206, still(1.0))):
-        pixels.step(light, t_ms * MS)
-    later = [pixels.step(still(4.0), t_ms * MS) for t_ms in range(207, 260)]
+        pixels.step(LightFrame(t_ms * MS, light))
+    later = [pixels.step(LightFrame(t_ms * MS, still(4.0))) for t_ms in range(207, 260)]
     counted = sum(np.bincount(one.pixel, minlength=PIXELS) for one in later).reshape(HEIGHT, WIDTH)
     assert np.abs(counted - np.log(4.0) / 0.283).max() <= 1.5
     assert all(one.on.all() for one in later)
@@ -70,17 +71,17 @@ def test_a_pixel_that_a_flash_has_left_sees_as_before(method, bright):
 @pytest.mark.parametrize("leak_hz", [1e6, 1e9])
 def test_a_leak_of_any_rate_is_counted(leak_hz):
     pixels = PixelArray(dataclasses.replace(PLAIN, leak_hz=leak_hz, leak_spread=0.0), 1)
-    pixels.reset(still(1.0), 0)
-    listed = sum(len(pixels.step(still(1.0), k * MS)) for k in range(1, 11))
+    pixels.reset(LightFrame(0, still(1.0)))
+    listed = sum(len(pixels.step(LightFrame(k * MS, still(1.0)))) for k in range(1, 11))
     assert listed == 10 * 64 * PIXELS
     assert listed + pixels.lost_in_pixel == pytest.approx(PIXELS * 0.01 * leak_hz, rel=1e-3)
 
 
 def test_the_sums_of_a_sensor_hold_under_such_light():
     sensor = Sensor(PLAIN, 1)
-    sensor.reset(still(1.0), 0)
+    sensor.reset(LightFrame(0, still(1.0)))
     for k, light in enumerate((1.0, 1e30, 1e30, np.inf, 1e12, 0.0, 1.0, 1.0), 1):
-        sensor.expose(still(light), k * MS, np.zeros((HEIGHT, WIDTH), np.float32))
+        sensor.expose(LightFrame(k * MS, still(light), np.zeros((HEIGHT, WIDTH), np.float32)))
     sensor.finish()
     assert sensor.raised == sensor.lost_in_pixel + sensor.lost_at_readout + sensor.read_out
     assert sensor.lost_in_pixel > 2**32

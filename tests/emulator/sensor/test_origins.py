@@ -8,6 +8,7 @@ from functools import partial
 import numpy as np
 import pytest
 
+from emulator.light import LightFrame
 from emulator.sensor.origins import Origin, TracedSensor
 from emulator.sensor.other_simulators import OTHER_SIMULATORS
 from emulator.sensor.presets import PRESETS
@@ -43,10 +44,10 @@ def moving(k):
 
 def events_of(sensor, light_of=moving, steps=80, step_ns=10 * MS):
     """Events and, of a traced sensor, their origins."""
-    sensor.reset(light_of(0), 0)
+    sensor.reset(LightFrame(0, light_of(0)))
     events, origins = [], []
     for k in range(1, steps):
-        events.append(sensor.expose(light_of(k), k * step_ns))
+        events.append(sensor.expose(LightFrame(k * step_ns, light_of(k))))
         origins.append(getattr(sensor, "origins", None))
     events.append(sensor.finish())
     origins.append(getattr(sensor, "origins", None))
@@ -143,8 +144,8 @@ def test_an_off_event_is_never_the_leaks():
 def test_pixels_that_contain_their_noise_tell_nothing():
     p = dataclasses.replace(FEW, noise=GRID.noise, background=IDEAL.background, radiation=IDEAL.radiation)
     sensor = TracedSensor(p, 3)
-    sensor.reset(np.full((6, 8), 0.05, np.float32), 0)
-    assert len(sensor.expose(np.full((6, 8), 0.2, np.float32), 30 * MS)) > 20
+    sensor.reset(LightFrame(0, np.full((6, 8), 0.05, np.float32)))
+    assert len(sensor.expose(LightFrame(30 * MS, np.full((6, 8), 0.2, np.float32)))) > 20
     assert set(sensor.origins) == {Origin.UNKNOWN}
 
 

@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 
+from emulator.light import LightFrame
 from emulator.sensor.effects import NoiseParameters
 from emulator.sensor.noise.law import corner_hz, of_array
 from emulator.sensor.presets import PRESETS, ReadoutParameters, SensorParameters
@@ -38,8 +39,10 @@ def still(name, light, seconds, **figures):
     """Counts of the pixels, and share of ON events, of a preset in still light."""
     p = dataclasses.replace(PRESETS[name], **figures)
     sensor, picture = Sensor(p, 1), np.full((p.height, p.width), light, np.float32)
-    sensor.reset(picture, 0)
-    parts = [sensor.expose(picture, int(t * 1e9)) for t in np.linspace(0, seconds, 1 + round(seconds * 10))[1:]]
+    sensor.reset(LightFrame(0, picture))
+    parts = [
+        sensor.expose(LightFrame(int(t * 1e9), picture)) for t in np.linspace(0, seconds, 1 + round(seconds * 10))[1:]
+    ]
     events = np.concatenate([*parts, sensor.finish()])
     return np.bincount(events["y"] * np.int64(p.width) + events["x"], minlength=p.width * p.height), events
 
@@ -79,9 +82,9 @@ def test_an_ideal_sensor_fires_at_whole_thresholds_of_the_first_picture():
     sensor = Sensor(dataclasses.replace(PRESETS["ideal"], width=8, height=4), 1)
     dark = PRESETS["ideal"].dark_current_relative
     light = np.full((4, 8), 0.5, np.float32)
-    sensor.reset(light, 0)
+    sensor.reset(LightFrame(0, light))
     after = ((0.5 + dark) * np.exp(0.2 * 3.5) - dark) * np.ones_like(light)
-    events = np.concatenate([sensor.expose(after.astype(np.float32), 7_000_000), sensor.finish()])
+    events = np.concatenate([sensor.expose(LightFrame(7_000_000, after.astype(np.float32))), sensor.finish()])
     assert len(events) == 3 * 32
     assert events["on"].all()
     t = np.sort(events["t"].reshape(-1)).reshape(3, 32)  # 3.5 thresholds in 7 ms: one every 2 ms

@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
+from emulator.light import LightFrame
 from emulator.sensor.chip.defects import at_temperature, draw_defects
 from emulator.sensor.chip.readout import ReadOut
 from emulator.sensor.effects import (
@@ -56,9 +57,9 @@ def drifting(t_ns, p=PLAIN):
 def run(p=PLAIN, *, seed=1, step_ns=MS, end_ns=S, scene=None, start_ns=0, make_pixels=PixelArray):
     scene = scene or (lambda t_ns: still(p=p))
     sensor = Sensor(p, seed, make_pixels)
-    sensor.reset(scene(start_ns), start_ns)
+    sensor.reset(LightFrame(start_ns, scene(start_ns)))
     times = [*range(start_ns + step_ns, start_ns + end_ns, step_ns), start_ns + end_ns]
-    parts = [sensor.expose(scene(t), t) for t in times]
+    parts = [sensor.expose(LightFrame(t, scene(t))) for t in times]
     return np.concatenate([*parts, sensor.finish()]), sensor
 
 
@@ -75,8 +76,8 @@ def test_with_everything_off_it_is_pixels_and_read_out():
     p = with_(leak_hz=5.0)
     found, sensor = run(p, scene=drifting, end_ns=100 * MS)
     pixels, readout = PixelArray(p, 1), ReadOut(p)
-    pixels.reset(drifting(0), 0)
-    parts = [readout.push(pixels.step(drifting(t), t), t) for t in range(MS, 101 * MS, MS)]
+    pixels.reset(LightFrame(0, drifting(0)))
+    parts = [readout.push(pixels.step(LightFrame(t, drifting(t))), t) for t in range(MS, 101 * MS, MS)]
     assert len(found) > 10_000
     assert np.array_equal(found, np.concatenate([*parts, readout.finish()]))
     assert_balance(sensor)
@@ -88,16 +89,16 @@ def test_the_lights_slope_reaches_the_pixels():
 
     gains = with_(imager=ImagerParameters(system_efficiency=0.5))
     sensor, pixels = Sensor(gains, 1), PixelArray(PLAIN, 1)
-    sensor.reset(2 * drifting(0), 0)
-    pixels.reset(drifting(0), 0)
+    sensor.reset(LightFrame(0, 2 * drifting(0)))
+    pixels.reset(LightFrame(0, drifting(0)))
     for t in range(10 * MS, 50 * MS, 10 * MS):
-        events = sensor.expose(2 * drifting(t), t, 2 * slope(t))
-        crossings = pixels.step(drifting(t), t, slope(t))
+        events = sensor.expose(LightFrame(t, 2 * drifting(t), 2 * slope(t)))
+        crossings = pixels.step(LightFrame(t, drifting(t), slope(t)))
         assert len(events) == pytest.approx(len(crossings), rel=0.01)
         assert abs(np.median(events["t"]) - np.median(crossings.t_ns / 1000)) < 20
         straight = PixelArray(PLAIN, 1)
-        straight.reset(drifting(t - 10 * MS), t - 10 * MS)
-        assert len(straight.step(drifting(t), t)) > 500
+        straight.reset(LightFrame(t - 10 * MS, drifting(t - 10 * MS)))
+        assert len(straight.step(LightFrame(t, drifting(t)))) > 500
 
 
 @pytest.mark.parametrize(
@@ -210,12 +211,12 @@ def everything():
 def test_with_everything_on_the_books_balance_and_a_copy_goes_on_the_same():
     p = everything()
     sensor = Sensor(p, 3)
-    sensor.reset(drifting(0), 0)
+    sensor.reset(LightFrame(0, drifting(0)))
     for t in range(MS, 100 * MS, MS):
-        sensor.expose(drifting(t), t)
+        sensor.expose(LightFrame(t, drifting(t)))
     again = copy.deepcopy(sensor)
     for one in (sensor, again):
-        found = [one.expose(drifting(t), t) for t in range(100 * MS, 200 * MS, MS)]
+        found = [one.expose(LightFrame(t, drifting(t))) for t in range(100 * MS, 200 * MS, MS)]
         one.found = np.concatenate([*found, one.finish()])
         assert_balance(one)
     assert len(sensor.found) > 1000
@@ -226,12 +227,12 @@ def test_with_everything_on_the_books_balance_and_a_copy_goes_on_the_same():
 def test_a_restart_is_a_fresh_start():
     p = everything()
     used, fresh = Sensor(p, 3), Sensor(p, 3)
-    used.reset(drifting(0), 0)
+    used.reset(LightFrame(0, drifting(0)))
     for t in range(MS, 60 * MS, MS):
-        used.expose(drifting(t), t)
+        used.expose(LightFrame(t, drifting(t)))
     for one in (used, fresh):
-        one.reset(drifting(77 * MS), 77 * MS)
-        found = [one.expose(drifting(t), t) for t in range(78 * MS, 130 * MS, MS)]
+        one.reset(LightFrame(77 * MS, drifting(77 * MS)))
+        found = [one.expose(LightFrame(t, drifting(t))) for t in range(78 * MS, 130 * MS, MS)]
         one.found = np.concatenate([*found, one.finish()])
         assert_balance(one)
     assert len(fresh.found) > 1000
@@ -244,8 +245,8 @@ def test_a_cut_within_a_step_takes_the_light_part_of_the_way():
     found = []
     for share in (0.0, 1e-6):
         sensor = Sensor(with_(leak_hz=0.01, jitter=JitterParameters(leak_share=share)), 1)
-        sensor.reset(still(), begin_ns)
-        events = np.concatenate([sensor.expose(still(np.exp(0.5)), end_ns), sensor.finish()])
+        sensor.reset(LightFrame(begin_ns, still()))
+        events = np.concatenate([sensor.expose(LightFrame(end_ns, still(np.exp(0.5)))), sensor.finish()])
         found.append(events[np.lexsort([events["t"], pixel_of(events)])])
     assert len(found[0]) > PIXELS
     assert np.array_equal(found[0][["x", "y", "on"]], found[1][["x", "y", "on"]])
@@ -267,10 +268,10 @@ def test_pixels_turn_hot_within_a_stretch_of_leak_jitter():
     first_ns = int(defects.hot_from_ns[0])
     assert 0 < first_ns < EPOCH_NS
     sensor = Sensor(p, 1)
-    sensor.reset(still(), 0)
+    sensor.reset(LightFrame(0, still()))
     leaks = []
     for t_ns in (first_ns - 1, first_ns + 1):
-        sensor.expose(still(), t_ns)
+        sensor.expose(LightFrame(t_ns, still()))
         leaks.append(sensor.pixels.field(Field.LEAK).ravel()[defects.hot[0]])
     assert leaks[0] == 0 < leaks[1]
 
@@ -279,11 +280,11 @@ def test_pixels_turn_hot_within_a_stretch_of_leak_jitter():
 @given(steps=st.lists(st.integers(0, 40 * MS), min_size=1, max_size=12), seed=st.integers(0, 2**32))
 def test_every_event_has_one_fate(steps, seed):
     sensor = Sensor(everything(), seed)
-    sensor.reset(drifting(0), 0)
+    sensor.reset(LightFrame(0, drifting(0)))
     read, t = 0, 0
     for step in steps:
         t += step
-        read += len(sensor.expose(drifting(t), t))
+        read += len(sensor.expose(LightFrame(t, drifting(t))))
         assert sensor.raised == sensor.lost_in_pixel + sensor.lost_at_readout + sensor.read_out + sensor.pending
     read += len(sensor.finish())
     assert read == sensor.read_out
@@ -308,11 +309,11 @@ def test_seeds_differ_and_repeat():
 def test_leak_jitter_varies_a_pixels_intervals_and_keeps_the_rate():
     p = with_(leak_hz=0.5, leak_spread=0.0, jitter=JitterParameters(leak_share=0.2))
     sensor = Sensor(p, 1)
-    sensor.reset(still(), 0)
+    sensor.reset(LightFrame(0, still()))
     leaks = []
     for k in range(1, 31):
-        sensor.expose(still(), k * EPOCH_NS)
-        sensor.expose(still(), k * EPOCH_NS + 1)
+        sensor.expose(LightFrame(k * EPOCH_NS, still()))
+        sensor.expose(LightFrame(k * EPOCH_NS + 1, still()))
         leaks.append(sensor.pixels.field(Field.LEAK) / sensor.pixels.field(Field.ON))
     hz = np.array(leaks).reshape(30, -1)
     assert stats.kstest(hz.ravel() / 0.5, "norm", (1, 0.2)).pvalue > ALPHA
@@ -364,9 +365,9 @@ def test_other_methods_take_the_pixels_place_but_have_no_defects():
 
 def test_time_does_not_go_back_and_the_picture_must_fit():
     sensor = Sensor(PLAIN, 1)
-    sensor.reset(still(), 5 * MS)
+    sensor.reset(LightFrame(5 * MS, still()))
     with pytest.raises(ValueError, match="time does not go back"):
-        sensor.expose(still(), 4 * MS)
+        sensor.expose(LightFrame(4 * MS, still()))
     with pytest.raises(ValueError, match="must be"):
-        sensor.expose(np.ones((3, 3), np.float32), 6 * MS)
-    assert len(sensor.expose(still(), 5 * MS)) == 0
+        sensor.expose(LightFrame(6 * MS, np.ones((3, 3), np.float32)))
+    assert len(sensor.expose(LightFrame(5 * MS, still()))) == 0

@@ -5,8 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
+from emulator.light import LightFrame
 from emulator.sensor.effects import JitterParameters, NoiseParameters, TemperatureParameters
-from emulator.sensor.parts import ADJUSTABLE
+from emulator.sensor.methods.base import ADJUSTABLE
 from emulator.sensor.presets import PRESETS
 from emulator.sensor.sensor import Sensor
 
@@ -33,14 +34,15 @@ def sensor(model, **changes):
 
 def events(one, changes, *, full, begin_ms=0):
     """Return the events of steps of 1 ms in still light; `changes`: (name, value) at a step; `full`: skip nothing."""
-    one.reset(np.float32(1.15) * STILL, begin_ms * MS)  # then it falls: some levels lie below their references
+    # Brighter at first: then it falls, and some levels lie below their references.
+    one.reset(LightFrame(begin_ms * MS, np.float32(1.15) * STILL))
     found = []
     for k in range(1, STEPS):
         if full and hasattr(one.pixels, "wake"):
             one.pixels.wake()
         for name, value in changes.get(k, ()):
             one.adjust(name, value)
-        found.append(one.expose(STILL, (begin_ms + k) * MS, np.zeros_like(STILL)))
+        found.append(one.expose(LightFrame((begin_ms + k) * MS, STILL, np.zeros_like(STILL))))
     return np.concatenate([*found, one.finish()])
 
 

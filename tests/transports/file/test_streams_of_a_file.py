@@ -16,6 +16,7 @@ import pytest
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from emulator.light import LightFrame
 from emulator.rig.loading import parse_rig
 from emulator.run.assembly import link_setups
 from emulator.sensor.aps.frames import FrameSource
@@ -99,8 +100,10 @@ def lines_of_frames(settings):
     """Return the lines of the frames that the link asks for, of a still picture."""
     source = FrameSource(FrameParameters(), 3, SIZE)
     light = np.random.default_rng(7).random(SIZE[::-1]).astype(np.float32)
-    source.reset(light, 0)
-    return np.concatenate([source.read(light, t * 1000, settings) for t in range(10_000, LENGTH_US + 1, 10_000)])
+    source.reset(LightFrame(0, light))
+    return np.concatenate(
+        [source.read(LightFrame(t * 1000, light), settings) for t in range(10_000, LENGTH_US + 1, 10_000)]
+    )
 
 
 def between(records, t0, t1):

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 import evstim
+from emulator.light import LightFrame
 from emulator.rig.loading import RigError, load_rig, parse_rig
 from emulator.run.assembly import build_scene
 from emulator.run.truth import file as recorder_module
@@ -125,8 +126,8 @@ def test_clean_events_are_those_of_an_ideal_sensor_on_the_light_that_was_written
     _, rig, file = made
     ideal = Sensor(ideal_of(rig.camera.sensor), 99)  # nothing in it is random
     assert (ideal.parameters.threshold_on, ideal.parameters.leak_hz) == (rig.camera.sensor.threshold_on, 0)
-    ideal.reset(file["pictures/light"][0], 0)
-    events = [ideal.expose(file["pictures/light"][k], k * 10_000_000) for k in range(1, 61)]
+    ideal.reset(LightFrame(0, file["pictures/light"][0]))
+    events = [ideal.expose(LightFrame(k * 10_000_000, file["pictures/light"][k])) for k in range(1, 61)]
     events = np.concatenate([*events, ideal.finish()])
     assert len(events) > 500
     for name, field in (("t", "t"), ("x", "x"), ("y", "y"), ("p", "on")):

@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from emulator.light import LightFrame
 from emulator.optics.lens import CHIPS, LensParameters
 from emulator.photometry.reflectance import Sun
 from emulator.scene.stars.stars import StarField
@@ -90,13 +91,13 @@ def test_a_sensor_that_is_told_gives_the_events_of_the_full_pass(preset):
     arrays, scene = pictures(), StarField(sky, SIZE, LENS, CHIPS["davis346"])
     scene.light_and_rate(0, *arrays)
     for sensor in (told, full):
-        sensor.reset(arrays[0], 0)
+        sensor.reset(LightFrame(0, arrays[0]))
     events, skipped = 0, 0
     for k in range(1, 200):
         scene.light_and_rate(k * STEP_NS, *arrays)
         full.pixels.wake()
         found = [
-            sensor.expose(arrays[0], k * STEP_NS, arrays[1], None, changed)
+            sensor.expose(LightFrame(k * STEP_NS, arrays[0], arrays[1], None, changed))
             for sensor, changed in ((told, scene.changed), (full, None))
         ]
         assert np.array_equal(*found)

@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from emulator.light import LightFrame
 from emulator.sensor.aps.frames import FrameSource, frame_times
 from emulator.sensor.aps.row_kicks import FrameParameters
 from firmware_protocol.frames import FrameSettings, LineKind
@@ -24,9 +25,9 @@ def numbers(settings):
 def frames(parameters, light, settings=ASKED, until_ns=60_000_000, step_ns=1_000_000, seed=1):
     """All lines of a run, and the frames of them as (reset, signal), in the user's picture."""
     source = FrameSource(parameters, seed, SIZE)
-    source.reset(light(0).astype(np.float32), 0)
+    source.reset(LightFrame(0, light(0).astype(np.float32)))
     times = range(step_ns, until_ns + 1, step_ns)
-    told = np.concatenate([source.read(light(t).astype(np.float32), t, numbers(settings)) for t in times])
+    told = np.concatenate([source.read(LightFrame(t, light(t).astype(np.float32)), numbers(settings)) for t in times])
     return told, [picture(told, a, b, settings) for a, b in ends(told)]
 
 
@@ -180,14 +181,14 @@ def test_blur_of_an_edge_is_its_closed_form(step_ns, within):
 def test_switching_frames_off_ends_one_and_on_begins_another():
     source = FrameSource(QUIET, 1, SIZE)
     light = np.full(SIZE[::-1], 0.5, np.float32)
-    source.reset(light, 0)
-    assert len(source.read(light, 3_000_000, ())) == 0
-    first = source.read(light, 9_000_000, numbers(ASKED))
+    source.reset(LightFrame(0, light))
+    assert len(source.read(LightFrame(3_000_000, light), ())) == 0
+    first = source.read(LightFrame(9_000_000, light), numbers(ASKED))
     assert first["t"].tolist() == [9_000]
-    off = source.read(light, 10_000_000, numbers(dataclasses.replace(ASKED, run=False)))
+    off = source.read(LightFrame(10_000_000, light), numbers(dataclasses.replace(ASKED, run=False)))
     assert len(off) == 0
-    again = source.read(light, 20_000_000, numbers(ASKED))
+    again = source.read(LightFrame(20_000_000, light), numbers(ASKED))
     assert again["t"].tolist() == [20_000]
-    later = source.read(light, 50_000_000, numbers(ASKED))
+    later = source.read(LightFrame(50_000_000, light), numbers(ASKED))
     signal = later[later["kind"] == LineKind.SIGNAL]
     assert set(np.unique(signal["samples"])) == {700}

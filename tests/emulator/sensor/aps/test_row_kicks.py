@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import ks_2samp, kstest
 
+from emulator.light import LightFrame
 from emulator.sensor.aps.frames import FrameSource, frame_times
 from emulator.sensor.aps.row_kicks import FrameParameters, KickParameters
 from emulator.sensor.effects import DefectParameters, JitterParameters
@@ -29,20 +30,21 @@ def run(frames_s, kicks, slope_hz=0.0, leak_hz=0.0, step_ns=1_000_000, asked=ASK
     Rates with no simple ratio to the frames: else a pixel fires at the same phase in each, and they count as one.
     """
     sensor = Sensor(dataclasses.replace(IDEAL, leak_hz=leak_hz, leak_spread=0, **effects), 7)
-    assert sensor.with_kicks(kicks)
+    disturb = sensor.with_kicks(kicks)
+    assert disturb is not None
     parameters = FrameParameters(line_us=LINE_US, kicks=kicks)
-    source = FrameSource(parameters, 7, (WIDTH, HEIGHT), sensor.disturb)
+    source = FrameSource(parameters, 7, (WIDTH, HEIGHT), disturb)
     settings = tuple(int(n) for n in dataclasses.astuple(asked))
 
     def light(t_ns):
         return np.full((HEIGHT, WIDTH), 0.1 * np.exp(THRESHOLD * slope_hz * t_ns * 1e-9), np.float32)
 
-    sensor.reset(light(0), 0)
-    source.reset(light(0), 0)
+    sensor.reset(LightFrame(0, light(0)))
+    source.reset(LightFrame(0, light(0)))
     events = []
     for t_ns in range(step_ns, round(frames_s * 1e9) + 1, step_ns):
-        source.read(light(t_ns), t_ns, settings)
-        events.append(sensor.expose(light(t_ns), t_ns))
+        source.read(LightFrame(t_ns, light(t_ns)), settings)
+        events.append(sensor.expose(LightFrame(t_ns, light(t_ns))))
     events.append(sensor.finish())
     assert sensor.raised == sensor.read_out + sensor.lost_at_readout
     assert sensor.pending == 0

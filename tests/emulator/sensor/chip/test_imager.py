@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from emulator.light import LightFrame, Region
 from emulator.sensor.chip.imager import Imager, part_of_the_way
 from emulator.sensor.effects import ImagerParameters
 from emulator.sensor.pixels.state import Field
@@ -34,22 +35,21 @@ def still(level=1.0):
 
 def current(one, light, t_ns=0):
     """The photocurrent i' that the array makes of what the imager gives it."""
-    return one.see(light, t_ns).astype(float) + one.dark_current_relative
+    return one.see(LightFrame(t_ns, light)).light.astype(float) + one.dark_current_relative
 
 
 def test_by_default_the_light_passes_as_it_is():
-    light = still(0.3)
-    assert imager().see(light, 0) is light
+    frame = LightFrame(0, still(0.3), still(0.1))
+    assert imager().see(frame) is frame
     assert imager().dark_current_relative == 0.01
-    assert imager().see_rate(light) is light
 
 
 def test_efficiencies_scale_light_and_its_derivative_but_not_the_dark_current():
     one = imager(system_efficiency=0.5, quantum_efficiency=0.8)
     assert current(one, still(2.0)) == pytest.approx(0.81)
     assert current(one, still(0.0)) == pytest.approx(0.01)
-    assert one.see_rate(still(10.0)) == pytest.approx(4.0)
-    assert one.see_rate(None) is None
+    assert one.see(LightFrame(0, still(), still(10.0))).rate == pytest.approx(4.0)
+    assert one.see(LightFrame(0, still())).rate is None
 
 
 def test_gains_are_normal_and_fixed():
@@ -65,7 +65,7 @@ def test_dark_currents_are_log_normal_around_the_sensors():
     dark = current(imager(dcnu=0.5), still(0.0)).ravel()
     assert stats.kstest((np.log(dark / 0.01) + 0.125) / 0.5, "norm").pvalue > ALPHA
     assert dark.mean() == pytest.approx(0.01, rel=0.03)
-    assert imager(dcnu=0.5).see(still(-1.0), 0).min() >= 0
+    assert imager(dcnu=0.5).see(LightFrame(0, still(-1.0))).light.min() >= 0
 
 
 @pytest.mark.parametrize(("level", "photon", "dark"), [(1.0, True, True), (0.02, True, False), (0.02, False, True)])
@@ -94,8 +94,11 @@ def test_between_grid_times_the_log_goes_straight_and_the_mean_stays():
 
 
 def test_counted_light_has_no_derivative():
-    assert imager(photon_shot_noise=True).see_rate(still()) is None
-    assert imager(dark_shot_noise=True, system_efficiency=0.5).see_rate(still()) is None
+    frame = LightFrame(0, still(), still(), changed=Region(0, 1, 0, 1))
+    for figures in ({"photon_shot_noise": True}, {"dark_shot_noise": True, "system_efficiency": 0.5}):
+        seen = imager(**figures).see(frame)
+        assert seen.rate is None
+        assert seen.changed is None, "the counts of all pixels change"
 
 
 def test_neighbouring_grid_times_and_pixels_are_independent():
@@ -109,7 +112,7 @@ def test_light_that_is_not_finite_stays_so_and_none_becomes_negative():
     light = still(0.0)
     light[0, 0], light[0, 1], light[0, 2] = np.nan, np.inf, -3.0
     for figures in ({"prnu": 0.1, "dcnu": 1.0}, {"dark_shot_noise": True, "electrons_per_s_at_reference": 1e4}):
-        seen = imager(**figures).see(light, 0)
+        seen = imager(**figures).see(LightFrame(0, light)).light
         assert not np.isfinite(seen[0, :2]).any()
         assert seen.ravel()[2:].min() >= 0
 
@@ -119,7 +122,7 @@ def test_the_pixels_have_the_current_that_the_imager_means(counted):
     figures = ImagerParameters(dcnu=0.3, prnu=0.02, dark_shot_noise=counted, electrons_per_s_at_reference=1e7)
     p = dataclasses.replace(PLAIN, imager=figures)
     sensor = Sensor(p, 1)
-    sensor.reset(still(0.02), 0)
+    sensor.reset(LightFrame(0, still(0.02)))
     has = np.exp(sensor.pixels.field(Field.LOG_LIGHT))
     assert has == pytest.approx(current(Imager(p, 1), still(0.02)), rel=1e-5)
     assert has.mean() == pytest.approx(0.03, rel=0.01)
@@ -143,8 +146,8 @@ def counted_events(step_ns):
         PLAIN, imager=ImagerParameters(photon_shot_noise=True, electrons_per_s_at_reference=2e4), mismatch=0.0
     )
     sensor = Sensor(p, 1)
-    sensor.reset(still(), 0)
-    parts = [sensor.expose(still(), t) for t in range(step_ns, 400 * MS + 1, step_ns)]
+    sensor.reset(LightFrame(0, still()))
+    parts = [sensor.expose(LightFrame(t, still())) for t in range(step_ns, 400 * MS + 1, step_ns)]
     return np.concatenate([*parts, sensor.finish()])
 
 

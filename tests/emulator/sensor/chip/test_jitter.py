@@ -8,8 +8,7 @@ from scipy import stats
 
 from emulator.sensor.chip.readout import Jitter
 from emulator.sensor.effects import JitterParameters
-from emulator.sensor.pixels.array import Crossings
-from emulator.sensor.pixels.merging import NO_CROSSINGS, joined
+from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings, joined
 
 ALPHA = 1e-4
 US, MS = 1000, 1_000_000

@@ -11,7 +11,7 @@ from scipy import stats
 
 from emulator.sensor.chip.sources import Particles, _Track, hits_per_second, path
 from emulator.sensor.effects import RadiationParameters
-from emulator.sensor.pixels.merging import joined
+from emulator.sensor.pixels.crossings import joined
 from emulator.sensor.presets import SensorParameters
 
 ALPHA = 1e-4

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from emulator.sensor.chip.readout import ReadOut
-from emulator.sensor.pixels.array import Crossings
+from emulator.sensor.pixels.crossings import Crossings
 from emulator.sensor.presets import PRESETS, ReadoutParameters
 from firmware_protocol.events import EVENT
 

@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from emulator.light import LightFrame
 from emulator.sensor.chip.scan import ScanReadOut
-from emulator.sensor.pixels.array import Crossings
+from emulator.sensor.pixels.crossings import Crossings
 from emulator.sensor.presets import PRESETS, ReadoutParameters
 from emulator.sensor.sensor import Sensor
 
@@ -71,9 +72,11 @@ def test_intervals_are_whole_scans_and_columns_are_swept():
     pictures = [
         np.exp(np.tile(1.5 * np.sin(2 * np.pi * (x + 12e-9 * t)), (48, 1))) for t in range(0, 200_000_001, 10**6)
     ]
-    sensor.reset(pictures[0].astype(np.float32), 0)
+    sensor.reset(LightFrame(0, pictures[0].astype(np.float32)))
     times = range(10**6, 200_000_001, 10**6)
-    events = np.concatenate([sensor.expose(q.astype(np.float32), t) for q, t in zip(pictures[1:], times, strict=True)])
+    events = np.concatenate(
+        [sensor.expose(LightFrame(t, q.astype(np.float32))) for q, t in zip(pictures[1:], times, strict=True)]
+    )
     pixel = events["y"].astype(int) * 64 + events["x"]
     order = np.lexsort([events["t"], pixel])
     gaps = np.diff(events["t"][order].astype(float))[np.diff(pixel[order]) == 0] / 197.28

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from emulator.light import LightFrame
 from emulator.sensor.chip.defects import draw_defects
 from emulator.sensor.effects import (
     DefectParameters,
@@ -20,7 +21,7 @@ from emulator.sensor.methods.other_simulators import Pangu
 from emulator.sensor.noise.grid import NoisyPixels, grid_ns
 from emulator.sensor.noise.law import bandwidth_hz, corner_hz, noise_events, rms
 from emulator.sensor.pixels.array import PixelArray
-from emulator.sensor.pixels.merging import joined
+from emulator.sensor.pixels.crossings import joined
 from emulator.sensor.pixels.state import draw
 from emulator.sensor.presets import ReadoutParameters, SensorParameters
 from emulator.sensor.sensor import Sensor
@@ -48,8 +49,8 @@ def drifting(t_ns):
 
 def run(p, times, scene=lambda t: still(), seed=1, make=NoisyPixels):
     pixels = make(p, seed)
-    pixels.reset(scene(0), 0)
-    parts = [copy.deepcopy(pixels.step(scene(t), t)) for t in times]
+    pixels.reset(LightFrame(0, scene(0)))
+    parts = [copy.deepcopy(pixels.step(LightFrame(t, scene(t)))) for t in times]
     return joined(parts), pixels
 
 
@@ -110,8 +111,8 @@ def test_steps_do_not_matter(step_ns):
 def test_the_sensor_uses_it_and_reads_out_what_is_settled():
     p = noisy(3)
     sensor = Sensor(p, 1)
-    sensor.reset(still(), 12_345)
-    parts = [sensor.expose(still(), t) for t in range(MS, 200 * MS, MS)]
+    sensor.reset(LightFrame(12_345, still()))
+    parts = [sensor.expose(LightFrame(t, still())) for t in range(MS, 200 * MS, MS)]
     events = np.concatenate([*parts, sensor.finish()])
     assert isinstance(sensor.pixels, NoisyPixels)
     assert len(events) == sensor.read_out > 300
@@ -128,8 +129,8 @@ def test_hot_pixels_leak_at_their_rate_and_dead_ones_not_at_all():
     p = noisy(1000, leak_hz=1.0, leak_spread=0.0, parasitic_hz_at_reference=1.0,
               defects=DefectParameters(hot_share=0.3, hot_hz=20.0, dead_share=0.3))  # fmt: skip
     sensor, drawn = Sensor(p, 1), draw_defects(p, 1)
-    sensor.reset(still(), 0)
-    events = sensor.expose(still(), 5 * S)
+    sensor.reset(LightFrame(0, still()))
+    events = sensor.expose(LightFrame(5 * S, still()))
     counts = np.bincount(events["y"].astype(int) * 8 + events["x"], minlength=40)
     expected = np.full(40, 10.0)
     expected[drawn.hot], expected[drawn.dead] = 5 * (drawn.hot_hz + 1), 0
@@ -155,12 +156,12 @@ def everything():
 
 def test_with_every_other_effect_nothing_is_lost_and_a_copy_goes_on_the_same():
     sensor = Sensor(everything(), 3)
-    sensor.reset(drifting(0), 0)
-    parts = [sensor.expose(drifting(t), t) for t in range(333_333, 100 * MS, 333_333)]
+    sensor.reset(LightFrame(0, drifting(0)))
+    parts = [sensor.expose(LightFrame(t, drifting(t))) for t in range(333_333, 100 * MS, 333_333)]
     found = sum(map(len, parts))
     again = copy.deepcopy(sensor)
     for one in (sensor, again):
-        late = [one.expose(drifting(t), t) for t in range(100 * MS, 150 * MS, MS)]
+        late = [one.expose(LightFrame(t, drifting(t))) for t in range(100 * MS, 150 * MS, MS)]
         one.found = np.concatenate([*late, one.finish()])
         assert one.pending == 0
         assert one.raised == one.lost_in_pixel + one.lost_at_readout + one.read_out
@@ -175,8 +176,8 @@ def test_with_every_other_effect_steps_do_not_matter_in_still_light(step_ns):
 
     def events(step_ns):
         sensor = Sensor(dataclasses.replace(everything(), imager=imager), 1)
-        sensor.reset(still(), 0)
-        return np.concatenate([*(sensor.expose(still(), t) for t in range(step_ns, 200 * MS + 1, step_ns))])
+        sensor.reset(LightFrame(0, still()))
+        return np.concatenate([*(sensor.expose(LightFrame(t, still())) for t in range(step_ns, 200 * MS + 1, step_ns))])
 
     one, other = events(MS), events(step_ns)
     assert len(one) > 300
@@ -187,11 +188,11 @@ def test_unreadable_light_is_counted_and_time_does_not_go_back():
     light = still()
     light[0, 0], light[0, 1] = np.nan, np.inf
     pixels = NoisyPixels(noisy(4), 1)
-    pixels.reset(still(), 0)
-    pixels.step(light, MS)
+    pixels.reset(LightFrame(0, still()))
+    pixels.step(LightFrame(MS, light))
     assert pixels.quiet_nan == 2
     with pytest.raises(ValueError, match="time does not go back"):
-        pixels.step(still(), MS - 1)
+        pixels.step(LightFrame(MS - 1, still()))
     with pytest.raises(ValueError, match="must be"):
-        pixels.step(np.ones((2, 2), np.float32), 2 * MS)
-    assert len(pixels.step(still(), MS)) == 0
+        pixels.step(LightFrame(2 * MS, np.ones((2, 2), np.float32)))
+    assert len(pixels.step(LightFrame(MS, still()))) == 0

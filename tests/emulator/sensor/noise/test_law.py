@@ -23,7 +23,7 @@ from emulator.sensor.noise.law import (
     statistics,
 )
 from emulator.sensor.noise.points import NoiseEvents
-from emulator.sensor.pixels.merging import joined
+from emulator.sensor.pixels.crossings import joined
 from emulator.sensor.presets import SensorParameters
 from tests.emulator.sensor.noise.ornstein_uhlenbeck import passages
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from emulator.light import LightFrame
 from emulator.plan.costs import noise_shift
 from emulator.sensor.effects import NoiseParameters
 from emulator.sensor.noise.grid import NoisyPixels
@@ -42,8 +43,8 @@ def shifts(rho, events=1):
     def light(t_ns):
         return np.full((P.height, P.width), 1e-3 * np.exp(rate * t_ns * 1e-9), np.float32)
 
-    pixels.reset(light(0), 0)
-    found = pixels.step(light(end_ns), end_ns)
+    pixels.reset(LightFrame(0, light(0)))
+    found = pixels.step(LightFrame(end_ns, light(end_ns)))
     t_s = np.full((PHASE.size, events), np.nan)
     for pixel in np.flatnonzero(FAR):
         t_s[pixel] = found.t_ns[found.pixel == pixel][:events] * 1e-9
@@ -75,7 +76,7 @@ def test_a_point_process_leaves_them_where_they_are():
     times = []
     for one in (p, quiet):
         sensor = Sensor(one, 1)
-        sensor.reset(np.full((P.height, P.width), 1e-3, np.float32), 0)
-        sensor.expose(np.full((P.height, P.width), 1e-3 * np.exp(0.5), np.float32), 10_000_000)
+        sensor.reset(LightFrame(0, np.full((P.height, P.width), 1e-3, np.float32)))
+        sensor.expose(LightFrame(10_000_000, np.full((P.height, P.width), 1e-3 * np.exp(0.5), np.float32)))
         times.append(np.concatenate([sensor.finish()])["t"])
     assert np.array_equal(*times)

@@ -20,8 +20,7 @@ from emulator.sensor.noise.law import bandwidth_hz, corner_hz, of_array, rate_ov
 from emulator.sensor.noise.points import NoiseEvents
 from emulator.sensor.numerics import keyed as keyed_kernels
 from emulator.sensor.numerics.keyed import Purpose, normal, root_of, words
-from emulator.sensor.pixels.array import Crossings
-from emulator.sensor.pixels.merging import joined
+from emulator.sensor.pixels.crossings import Crossings, joined
 from emulator.sensor.presets import SensorParameters
 
 ALPHA = 1e-4

@@ -9,6 +9,7 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.optimize import brentq
 from scipy.special import erf
 
+from emulator.light import LightFrame
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.pixels.state import Field
 from emulator.sensor.presets import ReadoutParameters, SensorParameters
@@ -120,7 +121,7 @@ def kernel_events(light, array, t_end, dt):
     events = [[] for _ in range(PIXELS)]
     for k in range(1, round(t_end / dt) + 1):
         now = light(np.array([k * dt])).reshape(1, -1).astype(np.float32)
-        c = array.step(now, round(k * dt * 1e9))
+        c = array.step(LightFrame(round(k * dt * 1e9), now))
         for t, pixel, on in zip(c.t_ns, c.pixel, c.on, strict=True):
             events[pixel].append((t * 1e-9, bool(on)))
     return events
@@ -128,7 +129,7 @@ def kernel_events(light, array, t_end, dt):
 
 def started(parameters, light, seed=3):
     array = PixelArray(parameters, seed)
-    array.reset(light(np.array([0.0])).reshape(1, -1).astype(np.float32), 0)
+    array.reset(LightFrame(0, light(np.array([0.0])).reshape(1, -1).astype(np.float32)))
     return array
 
 
@@ -212,13 +213,13 @@ def test_a_filter_that_settles_fires_at_the_times_of_its_exponential(steps):
     parameters = sensor(corner_hz_at_reference=100.0, corner_min_hz=100.0, corner_max_hz=100.0, leak_hz=0.0)
     dark, bright = (np.full((1, PIXELS), x, np.float32) for x in (0.01, 1.0))
     array = PixelArray(parameters, 3)
-    array.reset(dark, -1)
+    array.reset(LightFrame(-1, dark))
     level, on = (array.field(f)[0].astype(float) for f in (Field.REFERENCE, Field.ON))
     u0, u1 = np.log(dark[0, 0] + 1e-4), np.log(bright[0, 0] + 1e-4)
-    array.step(bright, 0)
+    array.step(LightFrame(0, bright))
     ours = [[] for _ in range(PIXELS)]
     for k in range(1, steps + 1):
-        c = array.step(bright, k * 20_000_000 // steps)
+        c = array.step(LightFrame(k * 20_000_000 // steps, bright))
         for t, pixel in zip(c.t_ns, c.pixel, strict=True):
             ours[pixel].append(t)
     for pixel in range(PIXELS):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from emulator.light import LightFrame
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.pixels.state import BLOCK, Field
 from emulator.sensor.presets import PRESETS, SensorParameters
@@ -37,14 +38,14 @@ def run(array, times, light=wave):
     """Step through `times`; return all crossings as one (n, 3) array of t_ns, pixel, on."""
     parts = []
     for t in times:
-        c = array.step(light(array.parameters, t), t)
+        c = array.step(LightFrame(t, light(array.parameters, t)))
         parts.append(np.stack([c.t_ns, c.pixel.astype(np.int64), c.on.astype(np.int64)], axis=1))
     return np.concatenate(parts)
 
 
 def started(parameters, t_ns=0, seed=1, light=wave):
     array = PixelArray(parameters, seed)
-    array.reset(light(parameters, 0), t_ns)
+    array.reset(LightFrame(t_ns, light(parameters, 0)))
     return array
 
 
@@ -52,7 +53,7 @@ def test_crossings_are_sorted_by_time_and_pixel_and_lie_within_their_step():
     array = started(sensor(refractory_us=100.0))
     total = 0
     for t in range(5 * MS, 100 * MS, 5 * MS):
-        c = array.step(wave(array.parameters, t), t)
+        c = array.step(LightFrame(t, wave(array.parameters, t)))
         order = np.lexsort((c.pixel, c.t_ns))
         assert np.array_equal(order, np.arange(len(c)))
         assert np.all((c.t_ns >= t - 5 * MS) & (c.t_ns <= t))
@@ -68,9 +69,9 @@ def test_without_low_pass_a_ramp_fires_at_the_times_of_its_logarithm():
     )
     array = PixelArray(parameters, 5)
     start, end = flat(parameters, 0.01), flat(parameters, 5.0)
-    array.reset(start, 0)
+    array.reset(LightFrame(0, start))
     reference, on = array.field(Field.REFERENCE)[0].astype(float), array.field(Field.ON)[0].astype(float)
-    c = array.step(end, 10 * MS)
+    c = array.step(LightFrame(10 * MS, end))
     u0, u1 = np.log(np.float32(0.01) + 0.01), np.log(5.0 + 0.01)
     expected = []
     for pixel in range(700):
@@ -144,7 +145,7 @@ def test_leak_has_its_rate_and_its_phases_are_spread():
     )  # fmt: skip
     array = PixelArray(parameters, 7)
     still = flat(parameters, 0.3)
-    array.reset(still, 0)
+    array.reset(LightFrame(0, still))
     rates = array.field(Field.LEAK) / array.field(Field.ON)
     assert np.mean(rates) == pytest.approx(0.1, rel=0.004)
     assert np.std(np.log(rates)) == pytest.approx(0.3, rel=0.01)
@@ -161,7 +162,7 @@ def test_leak_keeps_its_rate_over_days_in_long_steps():
     parameters = sensor(width=4, height=4, leak_hz=0.1, leak_spread=0.3, mismatch=0.03)
     array = PixelArray(parameters, 3)
     still = flat(parameters, 1.0)
-    array.reset(still, 0)
+    array.reset(LightFrame(0, still))
     hours = 3600 * 1_000_000_000
     events = run(array, [6 * k * hours for k in range(1, 9)], lambda p, t: still)
     rates = (array.field(Field.LEAK).astype(float) / array.field(Field.ON)).reshape(-1)
@@ -179,7 +180,7 @@ def test_a_step_across_a_long_time_leaves_the_light_on_its_straight_line():
         return flat(p, 0.001 * np.exp(t * 1e-10))
 
     for array in (one, many):
-        array.reset(light(parameters, 0), 0)
+        array.reset(LightFrame(0, light(parameters, 0)))
     a = run(one, [60_000_000_000], light)
     b = run(many, [k * 1_000_000_000 for k in range(1, 61)], light)
     a, b = (e[np.lexsort((e[:, 0], e[:, 1]))] for e in (a, b))
@@ -193,12 +194,12 @@ def test_light_that_comes_back_to_a_level_again_and_again_fires_each_time():
     parameters = sensor(corner_hz_at_reference=np.inf, dark_current_relative=1e-6)
     array = PixelArray(parameters, 1)
     low, high = flat(parameters, 0.1), flat(parameters, 0.1 * np.exp(1.0))
-    array.reset(low, 0)
+    array.reset(LightFrame(0, low))
     array.state.fields[:, Field.REFERENCE] = array.state.fields[:, Field.FILTERED]
     counts = [
         (int(c.on.sum()), int((~c.on).sum()))
         for k in range(1, 41)
-        for c in [array.step(high if k % 2 else low, k * MS)]
+        for c in [array.step(LightFrame(k * MS, high if k % 2 else low))]
     ]
     pixels = parameters.width * parameters.height
     for up, down in zip(counts[0::2], counts[1::2], strict=True):
@@ -212,11 +213,11 @@ def test_a_signal_that_stays_on_a_level_fires_once():
     parameters = sensor(width=8, height=1, corner_hz_at_reference=np.inf)
     array = PixelArray(parameters, 1)
     light = flat(parameters, 0.5)
-    array.reset(light, 0)
+    array.reset(LightFrame(0, light))
     fields = array.state.fields[0, :, :8]
     fields[Field.REFERENCE] = fields[Field.FILTERED] - fields[Field.ON]
-    assert len(array.step(light, MS)) == 8
-    assert [len(array.step(light, k * MS)) for k in range(2, 10)] == [0] * 8
+    assert len(array.step(LightFrame(MS, light))) == 8
+    assert [len(array.step(LightFrame(k * MS, light))) for k in range(2, 10)] == [0] * 8
 
 
 @pytest.mark.parametrize("refractory_us", [0.0, 5.0])
@@ -231,20 +232,20 @@ def test_crossings_beyond_the_cap_are_counted_and_the_pixel_goes_on(refractory_u
         refractory_us=refractory_us,
     )
     array = PixelArray(parameters, 1)
-    array.reset(flat(parameters, 0.0), 0)
-    c = array.step(flat(parameters, 1.0), 1000 * MS)
+    array.reset(LightFrame(0, flat(parameters, 0.0)))
+    c = array.step(LightFrame(1000 * MS, flat(parameters, 1.0)))
     assert len(c) == 640
     all_of_them = np.log(1.01 / 0.01) / 0.02
     assert len(c) + c.lost_in_pixel == pytest.approx(10 * all_of_them, abs=10 * (1 if refractory_us == 0 else 3))
     assert array.lost_in_pixel == c.lost_in_pixel > 0
-    assert array.step(flat(parameters, 1.0), 1001 * MS).lost_in_pixel == 0
+    assert array.step(LightFrame(1001 * MS, flat(parameters, 1.0))).lost_in_pixel == 0
     assert np.all(np.abs(array.field(Field.FILTERED) - array.field(Field.REFERENCE)) <= 0.0201)
 
 
 def test_every_pixel_of_a_large_array_may_fire_at_once():
     parameters = sensor(width=640, height=480, mismatch=0.03)
     array = PixelArray(parameters, 1)
-    array.reset(flat(parameters, 0.01), 0)
+    array.reset(LightFrame(0, flat(parameters, 0.01)))
     events = run(array, [MS, 2 * MS, 50 * MS], lambda p, t: flat(p, 1.0))
     assert np.all(np.bincount(events[:, 1], minlength=640 * 480) >= 15)
 
@@ -255,11 +256,11 @@ def test_unreadable_light_makes_a_pixel_silent_and_is_counted(bad):
     array, twin = started(parameters), started(parameters)
     for k in range(1, 40):
         light = wave(parameters, k * MS)
-        twin_events = twin.step(light, k * MS)
+        twin_events = twin.step(LightFrame(k * MS, light))
         if k in (10, 11, 12):
             light = light.copy()
             light[5:8] = bad
-        c = array.step(light, k * MS)
+        c = array.step(LightFrame(k * MS, light))
         rows = c.pixel // parameters.width
         assert not (k in (10, 11, 12) and np.any((rows >= 5) & (rows < 8)))
         elsewhere = (twin_events.pixel // parameters.width < 5) | (twin_events.pixel // parameters.width >= 8)
@@ -273,7 +274,7 @@ def test_unreadable_light_makes_a_pixel_silent_and_is_counted(bad):
 def test_a_start_on_unreadable_light_is_a_start_at_the_first_readable():
     parameters = sensor()
     array = PixelArray(parameters, 1)
-    array.reset(flat(parameters, np.nan), 0)
+    array.reset(LightFrame(0, flat(parameters, np.nan)))
     events = run(array, [k * MS for k in range(1, 100)])
     assert np.unique(events[:, 1]).size == parameters.width * parameters.height
 
@@ -282,7 +283,7 @@ def test_a_start_on_unreadable_light_is_a_start_at_the_first_readable():
 def test_no_light_and_less_is_darkness(dark):
     parameters = sensor(dark_current_relative=0.01)
     array = PixelArray(parameters, 1)
-    array.reset(flat(parameters, 1.0), 0)
+    array.reset(LightFrame(0, flat(parameters, 1.0)))
     run(array, [1000 * MS, 4000 * MS], lambda p, t: flat(p, dark))
     assert array.field(Field.LOG_LIGHT) == pytest.approx(np.log(np.float32(0.01)), abs=1e-6)
     assert array.field(Field.FILTERED) == pytest.approx(np.log(np.float32(0.01)), abs=1e-4)
@@ -291,7 +292,7 @@ def test_no_light_and_less_is_darkness(dark):
 def test_the_brightest_finite_light_is_read():
     parameters = sensor()
     array = PixelArray(parameters, 1)
-    array.reset(flat(parameters, 1.0), 0)
+    array.reset(LightFrame(0, flat(parameters, 1.0)))
     run(array, [MS, 500 * MS], lambda p, t: flat(p, np.finfo(np.float32).max))
     assert array.quiet_nan == 0
     assert array.field(Field.LOG_LIGHT) == pytest.approx(np.log(float(np.finfo(np.float32).max)), rel=1e-6)
@@ -299,12 +300,12 @@ def test_the_brightest_finite_light_is_read():
 
 def test_no_time_is_no_step_and_time_does_not_go_back():
     array = started(sensor())
-    array.step(wave(array.parameters, MS), MS)
+    array.step(LightFrame(MS, wave(array.parameters, MS)))
     before = copy.deepcopy(array.state)
-    assert len(array.step(flat(array.parameters, 9.0), MS)) == 0
+    assert len(array.step(LightFrame(MS, flat(array.parameters, 9.0)))) == 0
     assert np.array_equal(before.fields, array.state.fields, equal_nan=True)
     with pytest.raises(ValueError, match="time does not go back"):
-        array.step(flat(array.parameters, 9.0), MS - 1)
+        array.step(LightFrame(MS - 1, flat(array.parameters, 9.0)))
 
 
 @pytest.mark.parametrize(
@@ -315,14 +316,14 @@ def test_no_time_is_no_step_and_time_does_not_go_back():
 def test_a_picture_of_another_shape_or_type_is_refused(light):
     array = started(sensor())
     with pytest.raises(ValueError, match=r"must be \(30, 40\) float32"):
-        array.step(light, MS)
+        array.step(LightFrame(MS, light))
 
 
 def test_a_picture_that_is_a_view_is_read_rightly():
     parameters = sensor()
     big = np.repeat(np.repeat(wave(parameters, MS), 2, axis=0), 2, axis=1)
     a, b = started(parameters), started(parameters)
-    c, d = a.step(big[::2, ::2], MS), b.step(wave(parameters, MS), MS)
+    c, d = a.step(LightFrame(MS, big[::2, ::2])), b.step(LightFrame(MS, wave(parameters, MS)))
     assert np.array_equal(c.t_ns, d.t_ns)
 
 
@@ -333,10 +334,10 @@ def test_light_that_jumps_at_once_passes_the_filter_alone():
         dark_current_relative=1e-9,
     )  # fmt: skip
     array = PixelArray(parameters, 1)
-    array.reset(flat(parameters, 1.0), 0)
-    array.step(flat(parameters, 1.0), MS)
-    assert len(array.step(flat(parameters, np.exp(0.5)), MS)) == 0
-    found = array.step(flat(parameters, np.exp(0.5)), 3 * MS)
+    array.reset(LightFrame(0, flat(parameters, 1.0)))
+    array.step(LightFrame(MS, flat(parameters, 1.0)))
+    assert len(array.step(LightFrame(MS, flat(parameters, np.exp(0.5))))) == 0
+    found = array.step(LightFrame(3 * MS, flat(parameters, np.exp(0.5))))
     expected_ns = MS - np.log(1 - 0.2 / 0.5) / (2 * np.pi * 50.0) * 1e9
     assert len(found) == parameters.width * parameters.height
     assert np.abs(found.t_ns - expected_ns).max() < 1000
@@ -347,19 +348,19 @@ def test_the_same_frame_again_at_the_same_time_changes_nothing(effects):
     once, again = (started(sensor(leak_hz=2.0, **effects)) for _ in range(2))
     for k in range(1, 30):
         light = wave(once.parameters, k * MS)
-        expected = once.step(light, k * MS)
+        expected = once.step(LightFrame(k * MS, light))
         events = [tuple(part.copy() for part in (expected.t_ns, expected.pixel, expected.on))]
-        found = again.step(light, k * MS)
+        found = again.step(LightFrame(k * MS, light))
         events.append((found.t_ns.copy(), found.pixel.copy(), found.on.copy()))
-        assert len(again.step(light, k * MS)) == 0
+        assert len(again.step(LightFrame(k * MS, light))) == 0
         assert all(np.array_equal(a, b) for a, b in zip(*events, strict=True))
 
 
 def test_unreadable_light_that_is_replaced_at_the_same_time_restarts_the_filter():
     array = started(sensor())
-    array.step(flat(array.parameters, np.nan), MS)
+    array.step(LightFrame(MS, flat(array.parameters, np.nan)))
     assert array.quiet_nan == array.parameters.width * array.parameters.height
-    array.step(flat(array.parameters, 2.0), MS)
-    array.step(flat(array.parameters, 2.0), 2 * MS)
+    array.step(LightFrame(MS, flat(array.parameters, 2.0)))
+    array.step(LightFrame(2 * MS, flat(array.parameters, 2.0)))
     assert array.quiet_nan == array.parameters.width * array.parameters.height
     assert array.field(Field.FILTERED) == pytest.approx(array.field(Field.LOG_LIGHT))

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from emulator.light import Region
+from emulator.light import LightFrame, Region
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.pixels.state import BLOCK, PART, Field
 from emulator.sensor.presets import PRESETS
@@ -98,7 +98,7 @@ def changed_region(before, after, told):
 def run(array, scene, steps_ns, *, slopes=True, told=False, full=False, begin_ns=0):
     """Return the events of all steps and the last state."""
     before = tuple(part.astype(np.float32) for part in scene(0))
-    array.reset(before[0], begin_ns, before[1] if slopes else None)
+    array.reset(LightFrame(begin_ns, before[0], before[1] if slopes else None))
     t_ns, found = begin_ns, []
     for k, h_ns in enumerate(steps_ns, 1):
         if full:
@@ -106,7 +106,7 @@ def run(array, scene, steps_ns, *, slopes=True, told=False, full=False, begin_ns
         t_ns += h_ns
         light, rate = (part.astype(np.float32) for part in scene(k))
         region = changed_region(before, (light, rate), told) if told else None
-        step = array.step(light, t_ns, rate if slopes else None, changed=region)
+        step = array.step(LightFrame(t_ns, light, rate if slopes else None, changed=region))
         found.append(np.rec.fromarrays([step.t_ns.copy(), step.pixel.copy(), step.on.copy()]))
         before = light, rate
     counts = array.candidates, array.undersampled, array.quiet_nan, array.lost_in_pixel
@@ -145,7 +145,9 @@ def test_only_parts_of_boxes_are_looked_at():
     boxes = np.array([[3, 4, 40, 60], [40, 41, 100, 101], [50, 50, 0, 9], [50, 51, 7, 7]])
     fired = set()
     for k in range(1, 9):
-        found = array.step(light, (STEPS + k) * MS, np.zeros_like(light), changed=Region(0, HEIGHT, 0, WIDTH, boxes))
+        found = array.step(
+            LightFrame((STEPS + k) * MS, light, np.zeros_like(light), changed=Region(0, HEIGHT, 0, WIDTH, boxes))
+        )
         fired |= set(found.pixel.tolist())
     assert fired == {*range(3 * WIDTH + 40, 3 * WIDTH + 60), 40 * WIDTH + 100}
 
@@ -174,7 +176,7 @@ def test_of_a_block_with_little_change_only_the_parts_that_changed_are_moved():
     for k in range(81, 85):
         before = array.candidates
         light, rate = (part.astype(np.float32) for part in sparks(k))
-        array.step(light, k * MS, rate)
+        array.step(LightFrame(k * MS, light, rate))
         counts.append(array._workers._last - 12 * (array.candidates - before))
     blocks = array.state.fields.shape[0]
     beyond = blocks * BLOCK // PART - -(-WIDTH * HEIGHT // PART)  # these settle slowly in the dark
@@ -186,9 +188,9 @@ def test_a_change_of_leak_wakes_all_blocks():
     results = []
     for array, full in zip(arrays, (False, True), strict=True):
         run(array, black, steps("even"), full=full)
-        array.faults().set_leak(np.full(WIDTH * HEIGHT, 50.0))
+        array.set_leak(np.full(WIDTH * HEIGHT, 50.0))
         light = np.zeros((HEIGHT, WIDTH), np.float32)
-        results.append([array.step(light, (STEPS + k) * MS, light).t_ns.copy() for k in range(1, 30)])
+        results.append([array.step(LightFrame((STEPS + k) * MS, light, light)).t_ns.copy() for k in range(1, 30)])
     assert sum(map(len, results[0])) > 1000
     assert all(np.array_equal(a, b) for a, b in zip(*results, strict=True))
 
@@ -215,7 +217,7 @@ def test_a_copied_state_is_looked_at_whole():
     other.state = dataclasses.replace(array.state, fields=array.state.fields.copy())
     light, rate = (part.astype(np.float32) for part in still(0))
     t_ns = (STEPS + 1) * MS
-    assert len(array.step(light, t_ns, rate)) == len(other.step(light, t_ns, rate)) > 0
+    assert len(array.step(LightFrame(t_ns, light, rate))) == len(other.step(LightFrame(t_ns, light, rate))) > 0
     assert np.array_equal(array.state.fields[:, Field.FILTERED], other.state.fields[:, Field.FILTERED], equal_nan=True)
 
 

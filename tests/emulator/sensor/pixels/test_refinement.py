@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from emulator.evaluation.accuracy.scores import Stream, compare
+from emulator.light import LightFrame
 from emulator.scene.checkerboard.checkerboard import Checkerboard
 from emulator.scene.checkerboard.table import CheckerboardParameters
 from emulator.sensor.pixels import array as pixels
@@ -43,13 +44,13 @@ def picture(t_ns, phase=PHASE):
 def run(times_ns, at=None, parameters=SMALL, phase=PHASE):
     array = PixelArray(parameters, 3)
     light, rate = picture(0, phase)
-    array.reset(light, 0, rate)
+    array.reset(LightFrame(0, light, rate))
     return array, [stepped(array, t_ns, at, phase) for t_ns in times_ns]
 
 
 def stepped(array, t_ns, at=None, phase=PHASE):
     light, rate = picture(t_ns, phase)
-    return copy.deepcopy(array.step(light, t_ns, rate, at))
+    return copy.deepcopy(array.step(LightFrame(t_ns, light, rate, at)))
 
 
 def joined(parts):
@@ -123,9 +124,9 @@ def test_what_a_pixel_does_does_not_depend_on_who_else_is_halved():
     array = PixelArray(SMALL, 3)
     pictures = [dark(t_ns, np.arange(1200)) for t_ns in (0, *times_ns)]
     shaped = [tuple(values.reshape(30, 40) for values in both) for both in pictures]
-    array.reset(shaped[0][0], 0, shaped[0][1])
+    array.reset(LightFrame(0, shaped[0][0], shaped[0][1]))
     parts = [
-        copy.deepcopy(array.step(light, t_ns, rate, dark))
+        copy.deepcopy(array.step(LightFrame(t_ns, light, rate, dark)))
         for t_ns, (light, rate) in zip(times_ns, shaped[1:], strict=True)
     ]
     for one, other in zip(among, of(parts, np.arange(100)), strict=True):
@@ -149,7 +150,7 @@ def test_nobody_is_asked_where_pictures_are_close_enough_or_come_without_a_deriv
     array, _ = run([k * MS // 10 for k in range(1, 20)], never)
     assert array.refined == 0 < array.candidates
     light, _ = picture(9 * MS)
-    array.step(light, 9 * MS, None, never)
+    array.step(LightFrame(9 * MS, light, None, never))
 
 
 def test_light_that_is_not_a_number_in_between_silences_the_pixel_and_is_counted():

@@ -8,6 +8,7 @@ import pytest
 from emulator.evaluation.accuracy.harness import SEED, Case, Method, events, truth
 from emulator.evaluation.accuracy.scenes import Flash, SineGrating
 from emulator.evaluation.accuracy.scores import compare
+from emulator.light import LightFrame
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.pixels.state import BLOCK, Field
 from emulator.sensor.presets import PRESETS, SensorParameters
@@ -29,14 +30,14 @@ def counts_after_a_jump(step_ns, jump_ns, contrast):
     p = dataclasses.replace(PRESETS["davis346"], width=64, height=48, leak_hz=0.0, source_follower_hz=286.0)
     array = PixelArray(p, SEED)
     light = np.ones((48, 64), np.float32)
-    array.reset(light, 0)
+    array.reset(LightFrame(0, light))
     t_ns = 5 * MS
-    n = len(array.step(light, t_ns).t_ns)
+    n = len(array.step(LightFrame(t_ns, light)).t_ns)
     t_ns += jump_ns
-    n += len(array.step(light * np.float32(contrast), t_ns).t_ns)
+    n += len(array.step(LightFrame(t_ns, light * np.float32(contrast))).t_ns)
     while t_ns < 40 * MS:
         t_ns += step_ns
-        n += len(array.step(light * np.float32(contrast), t_ns).t_ns)
+        n += len(array.step(LightFrame(t_ns, light * np.float32(contrast))).t_ns)
     return n
 
 
@@ -115,10 +116,10 @@ def test_a_quiet_step_from_far_away_ends_where_the_equation_does(tau_in_step, ra
     light = np.array([np.ones(n), np.exp(d)]).astype(np.float32)
     rate = np.array([(d + bend) / h, (d - bend) / h * light[1]]).astype(np.float32)
     array = PixelArray(p, SEED)
-    array.reset(light[:1], 0, rate[:1])
+    array.reset(LightFrame(0, light[:1], rate[:1]))
     fields = array.state.fields[0]
     fields[Field.FILTERED], fields[Field.SECOND], fields[Field.REFERENCE] = v, w, 0
-    crossings = array.step(light[1:], round(h * 1e9), rate[1:])
+    crossings = array.step(LightFrame(round(h * 1e9), light[1:], rate[1:]))
     there = array.state.fields[0, Field.SECOND]
     true = integrated(*(x.astype(np.float64) for x in (light, rate)), h, (v, w), (first, ratio * first))
     assert len(crossings.t_ns) == 0

@@ -13,6 +13,7 @@ import pytest
 from emulator.evaluation.accuracy.scenes import BlurredCheckerboard, Flash, Flicker, MovingEdge, SineGrating
 from emulator.evaluation.accuracy.scores import Stream
 from emulator.evaluation.accuracy.truth import true_events
+from emulator.light import LightFrame
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.pixels.state import BLOCK, Field
 from emulator.sensor.presets import SensorParameters
@@ -47,9 +48,9 @@ def ours(scene, parameters, dt_s):
     for k in range(round(DURATION_S / dt_s) + 1):
         light, rate = (f(k * dt_s).astype(np.float32) for f in (scene.value, scene.rate))
         if k == 0:
-            array.reset(light, 0, rate)
+            array.reset(LightFrame(0, light, rate))
             continue
-        c = array.step(light, round(k * dt_s * 1e9), rate)
+        c = array.step(LightFrame(round(k * dt_s * 1e9), light, rate))
         parts.append((c.t_ns / 1e3, c.pixel.astype(np.int64), c.on.copy()))
     return Stream.of(*(np.concatenate(field) for field in zip(*parts, strict=True)), PIXELS), array
 
@@ -139,7 +140,7 @@ def run(array, times, here=slice(None), since_ns=0):
     parts = []
     for t in times:
         light, rate = picture(t)
-        c = array.step(light[None, here].copy(), t + since_ns, rate[None, here].copy())
+        c = array.step(LightFrame(t + since_ns, light[None, here].copy(), rate[None, here].copy()))
         parts.append(np.stack([c.t_ns - since_ns, c.pixel.astype(np.int64), c.on.astype(np.int64)], axis=1))
     return np.concatenate(parts)
 
@@ -147,7 +148,7 @@ def run(array, times, here=slice(None), since_ns=0):
 def started(here=slice(None), since_ns=0, **changes):
     light, rate = picture(0)
     array = PixelArray(sensor(width=light[here].size, leak_hz=3.0, **changes), SEED)
-    array.reset(light[None, here].copy(), since_ns, rate[None, here].copy())
+    array.reset(LightFrame(since_ns, light[None, here].copy(), rate[None, here].copy()))
     return array
 
 
@@ -202,10 +203,10 @@ def test_a_slope_that_is_not_one_is_a_slope_that_is_not_known(bad):
 
 def test_slopes_that_contradict_the_light_end_and_stay_finite():
     array, rng = PixelArray(sensor(width=1000), SEED), np.random.default_rng(5)
-    array.reset(np.ones((1, 1000), np.float32), 0)
+    array.reset(LightFrame(0, np.ones((1, 1000), np.float32)))
     for k in range(1, 30):
         light = np.exp(rng.normal(0, 3, (1, 1000))).astype(np.float32)
-        c = array.step(light, k * MS, (rng.normal(0, 1e6, (1, 1000)) * light).astype(np.float32))
+        c = array.step(LightFrame(k * MS, light, (rng.normal(0, 1e6, (1, 1000)) * light).astype(np.float32)))
         assert np.all((c.t_ns >= (k - 1) * MS) & (c.t_ns <= k * MS))
     assert np.all(np.isfinite(array.field(Field.FILTERED)))
     assert array.undersampled > 10_000
@@ -214,23 +215,23 @@ def test_slopes_that_contradict_the_light_end_and_stay_finite():
 def test_black_light_has_no_slope():
     array = PixelArray(sensor(), SEED)
     black, rate = np.zeros((1, PIXELS), np.float32), np.full((1, PIXELS), 1e6, np.float32)
-    array.reset(black, 0, rate)
-    assert [len(array.step(black, k * MS, rate)) for k in range(1, 5)] == [0] * 4
+    array.reset(LightFrame(0, black, rate))
+    assert [len(array.step(LightFrame(k * MS, black, rate))) for k in range(1, 5)] == [0] * 4
 
 
 def test_with_and_without_slopes_in_turn():
     """Where a derivative is missing at one end, a parabola; the events stay near the truth."""
     array, parts = PixelArray(sensor(), SEED), []
-    array.reset(SINE.value(0.0).astype(np.float32), 0)
+    array.reset(LightFrame(0, SINE.value(0.0).astype(np.float32)))
     for k in range(1, 301):
         light, rate = (f(k * 1e-3).astype(np.float32) for f in (SINE.value, SINE.rate))
-        parts.append(len(array.step(light, k * MS, rate if k % 3 else None)))
+        parts.append(len(array.step(LightFrame(k * MS, light, rate if k % 3 else None))))
     assert sum(parts) == pytest.approx(truth(SINE, sensor()).counts.sum(), rel=0.01)
 
 
 def test_a_rate_of_another_shape_is_refused():
     array = PixelArray(sensor(), SEED)
     light = np.ones((1, PIXELS), np.float32)
-    array.reset(light, 0)
+    array.reset(LightFrame(0, light))
     with pytest.raises(ValueError, match=r"light or rate is \(40,\) float32"):
-        array.step(light, MS, light[0])
+        array.step(LightFrame(MS, light, light[0]))

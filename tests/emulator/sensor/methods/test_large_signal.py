@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from emulator.light import LightFrame
 from emulator.sensor.methods.large_signal import Circuit, LargeSignalPixels, Light, State, rosenbrock
 from emulator.sensor.pixels.array import PixelArray
-from emulator.sensor.pixels.merging import joined
+from emulator.sensor.pixels.crossings import joined
 from emulator.sensor.presets import SensorParameters
 from emulator.sensor.sensor import Sensor
 
@@ -51,10 +52,10 @@ def truth(log_light, end_s, p=P, tolerance=1e-10):
 def events(light, steps_ms, p=P, rate=None, make=LargeSignalPixels):
     pixels, parts, t_ns = make(p, 1), [], 0
     picture = lambda f, t: np.full((1, 1), f(t * 1e-9), np.float32)  # noqa: E731
-    pixels.reset(picture(light, 0), 0, None if rate is None else picture(rate, 0))
+    pixels.reset(LightFrame(0, picture(light, 0), None if rate is None else picture(rate, 0)))
     for step in steps_ms:
         t_ns += round(step * MS)
-        parts.append(pixels.step(picture(light, t_ns), t_ns, None if rate is None else picture(rate, t_ns)))
+        parts.append(pixels.step(LightFrame(t_ns, picture(light, t_ns), None if rate is None else picture(rate, t_ns))))
     found = joined(parts)
     return list(zip(found.t_ns * 1e-9, found.on.tolist(), strict=True))
 
@@ -147,8 +148,8 @@ def test_still_light_leaks_at_its_rate_and_a_sensor_uses_it():
         P, width=16, height=12, leak_hz=10.0, leak_spread=0.0, random_start=True, refractory_us=10.0
     )
     sensor, light = Sensor(p, 1), np.full((12, 16), 0.2, np.float32)
-    sensor.reset(light, 0)
-    found = np.concatenate([sensor.expose(light, k * 100 * MS) for k in range(1, 21)])
+    sensor.reset(LightFrame(0, light))
+    found = np.concatenate([sensor.expose(LightFrame(k * 100 * MS, light)) for k in range(1, 21)])
     assert isinstance(sensor.pixels, LargeSignalPixels)
     assert len(found) == pytest.approx(2 * 10 * 192, abs=192)
     assert found["on"].all()
@@ -160,6 +161,6 @@ def test_what_it_cannot_do_is_refused():
     with pytest.raises(ValueError, match="photoreceptor = 'two_poles'"):
         dataclasses.replace(P, photoreceptor="two_poles")
     pixels = LargeSignalPixels(P, 1)
-    pixels.reset(np.ones((1, 1), np.float32), 100)
+    pixels.reset(LightFrame(100, np.ones((1, 1), np.float32)))
     with pytest.raises(ValueError, match="time does not go back"):
-        pixels.step(np.ones((1, 1), np.float32), 99)
+        pixels.step(LightFrame(99, np.ones((1, 1), np.float32)))

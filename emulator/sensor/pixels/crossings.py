@@ -1,19 +1,45 @@
-"""Lists of crossings: made from packed keys, concatenated, or merged by time."""
+"""Threshold crossings: lists made from packed keys, concatenated, or merged by time."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from emulator.sensor.numerics.cached import cached_entry
-from emulator.sensor.pixels.array import Crossings
 from emulator.sensor.pixels.step import unpack
 
-__all__ = ["NO_CROSSINGS", "joined", "merged", "unpacked"]
+__all__ = ["NO_CROSSINGS", "Crossings", "joined", "merged", "unpacked"]
 
 _Arrays = tuple[npt.NDArray[np.int64], npt.NDArray[np.uint32], npt.NDArray[np.bool_]]
+
+
+@dataclass(frozen=True, slots=True)
+class Crossings:
+    """Threshold crossings of one step, sorted by (time, pixel); views, valid until the next step or reset.
+
+    Attributes
+    ----------
+    t_ns : (n,) int64
+        Stream time.
+    pixel : (n,) uint32
+        row * width + column.
+    on : (n,) bool
+        True where the light increased.
+    lost_in_pixel : int
+        Crossings of this step that are not listed, because their pixel had more than 64.
+    """
+
+    t_ns: npt.NDArray[np.int64]
+    pixel: npt.NDArray[np.uint32]
+    on: npt.NDArray[np.bool_]
+    lost_in_pixel: int = 0
+
+    def __len__(self) -> int:
+        return self.t_ns.size
+
 
 NO_CROSSINGS = Crossings(np.empty(0, np.int64), np.empty(0, np.uint32), np.empty(0, np.bool_))
 """The crossings of a step in which no pixel fires."""

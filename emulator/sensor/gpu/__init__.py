@@ -1,1 +1,0 @@
-"""The pixel step as a compute shader, for large sensors."""

@@ -1,0 +1,209 @@
+"""Base of the pixel methods: light frames in, threshold crossings out, and stated capabilities."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import ClassVar, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from emulator.light import LightFrame
+from emulator.sensor.pixels.crossings import Crossings
+from emulator.sensor.pixels.state import DEAD_THRESHOLD, Levels
+from emulator.sensor.presets import SensorParameters
+
+__all__ = ["ADJUSTABLE", "Capabilities", "DrawnPixels", "MakePixels", "PixelMethod", "time_of"]
+
+_Float32s = npt.NDArray[np.float32]
+_Floats = npt.NDArray[np.float64]
+_Int64s = npt.NDArray[np.int64]
+
+ADJUSTABLE = ("threshold_on", "threshold_off", "leak_hz", "refractory_us", "corner_max_hz", "source_follower_hz")
+"""Fields of SensorParameters that can change between two steps, where a method is adjustable."""
+
+
+@dataclass(frozen=True, slots=True)
+class Capabilities:
+    """Stated capabilities of a pixel method.
+
+    Attributes
+    ----------
+    uses_rate : bool
+        The time derivative of the light is used.
+    refines_pixels : bool
+        Undersampled pixel-steps are refined by the light of single pixels between frames.
+    skips_unchanged : bool
+        Resting pixels outside the changed region of a frame are skipped.
+    is_adjustable : bool
+        Parameters can change between two steps: `adjust`, `live_thresholds`.
+    takes_row_reads : bool
+        Reads of active pixels can disturb the pixels: `levels`.
+    has_faults : bool
+        Pixels can be dead, and their leak can change between two steps: `kill`, `leak_hz`, `set_leak`.
+    has_grid_noise, has_large_signal : bool
+        The method contains noise of the grade "grid", or the large-signal photoreceptor.
+    """
+
+    uses_rate: bool = False
+    refines_pixels: bool = False
+    skips_unchanged: bool = False
+    is_adjustable: bool = False
+    takes_row_reads: bool = False
+    has_faults: bool = False
+    has_grid_noise: bool = False
+    has_large_signal: bool = False
+
+    def check(self, parameters: SensorParameters) -> None:
+        """Raise ValueError if the parameters switch on an effect that needs another method."""
+        if parameters.photoreceptor == "large_signal" and not self.has_large_signal:
+            raise ValueError('photoreceptor = "large_signal" is a method of its own: leave it out, or the other method')
+        if parameters.noise.rms and parameters.noise.grade == "grid" and not self.has_grid_noise:
+            raise ValueError('noise.grade = "grid" is a method of its own: leave it out, or the other method')
+
+
+class PixelMethod(ABC):
+    """An array of pixels that turn light frames into crossings.
+
+    Parameters
+    ----------
+    parameters : SensorParameters
+        The sensor.
+    seed : int
+        Keys the pixels: all methods have the same thresholds, leak rates and leak phases for one seed.
+
+    Attributes
+    ----------
+    capabilities : Capabilities
+        Of the class. A method that lacks one raises NotImplementedError from the functions that it names.
+    lost_in_pixel : int
+        Crossings since `reset` beyond the most that a pixel can have in a step.
+    quiet_nan : int
+        Pixel-steps since `reset` whose light was NaN or infinite.
+    """
+
+    capabilities: ClassVar[Capabilities] = Capabilities()
+
+    def __init__(self, parameters: SensorParameters, seed: int) -> None:
+        self.parameters, self.seed = parameters, seed
+        self.lost_in_pixel = self.quiet_nan = 0
+
+    @property
+    @abstractmethod
+    def settled_ns(self) -> int:
+        """Stream time up to which all crossings have been returned."""
+
+    @property
+    def undersampled_share(self) -> float | None:
+        """Undersampled pixel-steps over those that had to be solved; None where unknown."""
+        return None
+
+    @abstractmethod
+    def reset(self, frame: LightFrame) -> None:
+        """Start at rest on the light of `frame`, at its time, with counters at zero."""
+
+    @abstractmethod
+    def step(self, frame: LightFrame) -> Crossings:
+        """Move from the last frame to this one and return the crossings on the way.
+
+        Parts of a frame for which the method states no capability are ignored.
+
+        Raises
+        ------
+        ValueError
+            Time goes back, or the frame does not have the sensor's size.
+        """
+
+    @property
+    def adjustable(self) -> dict[str, float]:
+        """Fields of `parameters` that `adjust` can change, with their present values; {} where there is none."""
+        if not self.capabilities.is_adjustable:
+            return {}
+        fixed = () if self.parameters.source_follower_hz > 0 else ("source_follower_hz",)
+        return {name: float(getattr(self.parameters, name)) for name in ADJUSTABLE if name not in fixed}
+
+    def adjust(self, name: str, value: float) -> None:
+        """Set one of `adjustable` from the present time on; raises ValueError where the value is not allowed."""
+        raise NotImplementedError
+
+    def live_thresholds(self) -> _Floats:
+        """Return the mean of each pixel's two thresholds, (pixels,), as they are now; infinite for dead pixels."""
+        raise NotImplementedError
+
+    def levels(self) -> Levels:
+        """Return the access to the comparators' levels."""
+        raise NotImplementedError
+
+    def kill(self, pixel: _Int64s) -> None:
+        """Make pixels, (n,), dead; before `reset`. The caller must discard their crossings."""
+        raise NotImplementedError
+
+    def leak_hz(self) -> _Floats:
+        """Return the leak rate of all pixels, (pixels,), without the parasitic leak."""
+        raise NotImplementedError
+
+    def set_leak(self, leak_hz: _Floats) -> None:
+        """Set the leak rate of all pixels, (pixels,), from the present time on."""
+        raise NotImplementedError
+
+    def _flat(self, values: _Float32s) -> _Float32s:
+        """Return light or its derivative, (height, width) float32, as (pixels,); raises ValueError for other arrays."""
+        size = (self.parameters.height, self.parameters.width)
+        if values.shape != size or values.dtype != np.float32:
+            raise ValueError(f"light or rate is {values.shape} {values.dtype}: must be {size} float32")
+        return np.ascontiguousarray(values).reshape(-1)
+
+
+def time_of(frame: LightFrame, last_ns: int) -> int:
+    """Return the time of a frame; raises ValueError if it is before the last frame's, `last_ns`."""
+    if frame.t_ns < last_ns:
+        raise ValueError(f"t_ns = {frame.t_ns}: before the last step's {last_ns}; time does not go back")
+    return int(frame.t_ns)
+
+
+MakePixels = Callable[[SensorParameters, int], PixelMethod]
+"""Factory of a sensor's pixels, from its parameters and a seed."""
+
+
+class _Model(Protocol):
+    """Constants of pixels, (pixels,) float64 each: thresholds, ln units; leak and parasitic leak, ln units a second."""
+
+    @property
+    def on(self) -> _Floats: ...
+    @property
+    def off(self) -> _Floats: ...
+    @property
+    def leak(self) -> _Floats: ...
+    @property
+    def parasitic(self) -> _Floats: ...
+
+
+class DrawnPixels(PixelMethod):
+    """A method in float64 whose faults are changes of its model's arrays.
+
+    Attributes
+    ----------
+    _model
+        Constants of the pixels.
+    _phase : (pixels,) float64
+        Share of the ON threshold by which the first reference lies below the first light.
+    """
+
+    _model: _Model
+    _phase: _Floats
+
+    def kill(self, pixel: _Int64s) -> None:
+        """See `PixelMethod`."""
+        m = self._model
+        m.on[pixel] = m.off[pixel] = DEAD_THRESHOLD
+        m.leak[pixel] = m.parasitic[pixel] = self._phase[pixel] = 0
+
+    def leak_hz(self) -> _Floats:
+        """See `PixelMethod`."""
+        return np.asarray(self._model.leak / self._model.on)
+
+    def set_leak(self, leak_hz: _Floats) -> None:
+        """See `PixelMethod`."""
+        self._model.leak[:] = leak_hz * self._model.on
