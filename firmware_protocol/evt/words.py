@@ -120,7 +120,7 @@ def next_high(told: int, wanted: int, bits: int) -> int:
     return min(next_step, wanted)
 
 
-entry = entry_of("firmware_protocol.evt3", "firmware_protocol.events")
+entry = entry_of("firmware_protocol.evt", "firmware_protocol.events")
 
 
 _Bytes = npt.NDArray[np.uint8]
