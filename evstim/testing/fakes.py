@@ -1,6 +1,6 @@
 """A CAN bus in memory with the methods of python-can's Bus, and a camera as its other node.
 
-    with FakeCanBus(CanParameters(carriage="raw")) as bus:
+    with FakeCanBus(CanLink(carriage="raw")) as bus:
         bus.show(events)                   # EVENT array, stream time
         while (message := bus.recv(0.1)) is not None:
             decoder_under_test(message)
@@ -41,7 +41,7 @@ from transports.can_bus.bus import CanBus, Heard, from_message, to_message
 from transports.can_bus.carriage import sources
 from transports.can_bus.endpoint import CanEndpoint
 from transports.can_bus.faulty_bus import BusFaults
-from transports.can_bus.kind import CanParameters
+from transports.can_bus.kind import CanLink
 from transports.can_bus.node import Node
 from transports.faults.script import FaultPlan
 from transports.link.deliveries import Deliveries
@@ -118,8 +118,8 @@ class FakeCanBus:
     instrument : the camera at the other side, with `counters`.
     """
 
-    def __init__(self, parameters: CanParameters | None = None, size: tuple[int, int] = (346, 260)) -> None:
-        p = replace(parameters or CanParameters(), interface="virtual")
+    def __init__(self, parameters: CanLink | None = None, size: tuple[int, int] = (346, 260)) -> None:
+        p = replace(parameters or CanLink(), interface="virtual")
         self.instrument = Instrument(size, p.instrument)
         self._clock = FakeClock()
         self._ring = EventRing(_RING_EVENTS)

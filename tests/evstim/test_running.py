@@ -82,7 +82,7 @@ def test_a_reader_that_is_slow_does_not_hold_back_real_time(monkeypatch):
 
 
 def test_a_rig_made_in_python():
-    scene = evstim.CheckerboardParameters(square_px=8.0, speed_px_s=200.0)
+    scene = evstim.CheckerboardScene(square_px=8.0, speed_px_s=200.0)
     sensor = evstim.Sensor("davis346", width=32, height=24).parameters
     rig = evstim.Rig("mine", "my rig", scene, evstim.Camera(sensor=sensor))
     with evstim.run(rig, seconds=0.05, pace="free") as run:
@@ -96,7 +96,7 @@ def test_what_cannot_run():
         evstim.run("lopback")
     with pytest.raises(ValueError, match="seconds must be"):
         evstim.run("loopback", seconds=-1)
-    rig = evstim.Rig("none", "no link", evstim.CheckerboardParameters())
+    rig = evstim.Rig("none", "no link", evstim.CheckerboardScene())
     with pytest.raises(ValueError, match="no link"):
         evstim.run(rig, record="x.npz")
     live = evstim.run("loopback", seconds=0.01)
@@ -109,7 +109,7 @@ def test_what_cannot_run():
 
 
 def test_what_fails_in_the_run_is_raised_in_the_reader(tmp_path):
-    video = evstim.VideoParameters(path=str(tmp_path / "none.mp4"))
+    video = evstim.VideoScene(path=str(tmp_path / "none.mp4"))
     rig = evstim.Rig("broken", "no video", video)
     with pytest.raises(evstim.SceneError, match="no such file"), evstim.run(rig, seconds=1) as run:
         list(run)
