@@ -70,6 +70,7 @@ if TYPE_CHECKING:
     from emulator.trajectory.pose import from_scalar_last as attitude_from_scalar_last
     from emulator.trajectory.pose import from_spice as attitude_from_spice
     from evstim.frames import events_from_frames, events_from_video, reconstruct
+    from evstim.recordings import iter_events, read_events
     from evstim.running import LiveRun, run
     from evstim.sensor import Sensor
     from firmware_protocol.can_frames.canopen import SelectorSettings
@@ -81,7 +82,8 @@ if TYPE_CHECKING:
     from firmware_protocol.network_streams.coders import PictureSettings
     from firmware_protocol.packets.profile import Profile
     from firmware_protocol.receiver.can import CanReceiver, CanReceiverSettings
-    from firmware_protocol.receiver.clock_estimator import ClockEstimate, ClockEstimator, DavisReceiver
+    from firmware_protocol.receiver.clock_estimator import ClockEstimate, ClockEstimator
+    from firmware_protocol.receiver.davis import DavisReceiver
     from firmware_protocol.receiver.instrument import SerialReceiver
     from transports.can_bus.kind import CanLink
     from transports.faults.bus import (
@@ -132,6 +134,7 @@ if TYPE_CHECKING:
     from transports.file.kind import FileLink
     from transports.gige.kind import GigeLink
     from transports.network_streams.kind import TcpLink, UdpLink
+    from transports.recording.part import RecordingError
     from transports.recording.record import load_record
     from transports.ros2.kind import Ros2Link
     from transports.serial_line.kind import SerialLink
@@ -217,6 +220,7 @@ __all__ = [
     "Profile",
     "RadiationParameters",
     "ReadoutParameters",
+    "RecordingError",
     "RecordingScene",
     "RefusedResends",
     "RegisterFlip",
@@ -276,9 +280,11 @@ __all__ = [
     "build_scene",
     "events_from_frames",
     "events_from_video",
+    "iter_events",
     "load_record",
     "load_rig",
     "parse_rig",
+    "read_events",
     "reconstruct",
     "run",
     "shipped_rigs",
@@ -321,6 +327,7 @@ _NAMES = {
         "SpinPath",
     ),
     "evstim.frames": ("events_from_frames", "events_from_video", "reconstruct"),
+    "evstim.recordings": ("iter_events", "read_events"),
     "evstim.running": ("LiveRun", "run"),
     "evstim.sensor": ("Sensor",),
     "firmware_protocol.can_frames.canopen": ("SelectorSettings",),
@@ -332,7 +339,8 @@ _NAMES = {
     "firmware_protocol.network_streams.coders": ("PictureSettings",),
     "firmware_protocol.packets.profile": ("Profile",),
     "firmware_protocol.receiver.can": ("CanReceiver", "CanReceiverSettings"),
-    "firmware_protocol.receiver.clock_estimator": ("ClockEstimate", "ClockEstimator", "DavisReceiver"),
+    "firmware_protocol.receiver.clock_estimator": ("ClockEstimate", "ClockEstimator"),
+    "firmware_protocol.receiver.davis": ("DavisReceiver",),
     "firmware_protocol.receiver.instrument": ("SerialReceiver",),
     "transports.can_bus.kind": ("CanLink",),
     "transports.faults.bus": (
@@ -383,6 +391,7 @@ _NAMES = {
     "transports.file.kind": ("FileLink",),
     "transports.gige.kind": ("GigeLink",),
     "transports.network_streams.kind": ("TcpLink", "UdpLink"),
+    "transports.recording.part": ("RecordingError",),
     "transports.recording.record": ("load_record",),
     "transports.ros2.kind": ("Ros2Link",),
     "transports.serial_line.kind": ("SerialLink",),
