@@ -69,6 +69,7 @@ if TYPE_CHECKING:
     from emulator.trajectory.pose import from_opengl as attitude_from_opengl
     from emulator.trajectory.pose import from_scalar_last as attitude_from_scalar_last
     from emulator.trajectory.pose import from_spice as attitude_from_spice
+    from evstim.deliveries import Delivery
     from evstim.frames import events_from_frames, events_from_video, reconstruct
     from evstim.recordings import iter_events, read_events
     from evstim.running import LiveRun, run
@@ -85,6 +86,7 @@ if TYPE_CHECKING:
     from firmware_protocol.receiver.clock_estimator import ClockEstimate, ClockEstimator
     from firmware_protocol.receiver.davis import DavisReceiver
     from firmware_protocol.receiver.instrument import SerialReceiver
+    from firmware_protocol.recordings.part import IMU, Frame
     from transports.can_bus.kind import CanLink
     from transports.faults.bus import (
         BabblingIdiot,
@@ -146,6 +148,7 @@ if TYPE_CHECKING:
 __all__ = [
     "EDGE",
     "EVENT",
+    "IMU",
     "PRESETS",
     "BabblingIdiot",
     "BackgroundParameters",
@@ -172,6 +175,7 @@ __all__ = [
     "DavisReceiver",
     "DeadBus",
     "DefectParameters",
+    "Delivery",
     "DescentPath",
     "EmptyTransfers",
     "ErrorFrames",
@@ -179,6 +183,7 @@ __all__ = [
     "FileLink",
     "FilePath",
     "FixedPath",
+    "Frame",
     "FrameParameters",
     "Gate",
     "GigeLink",
@@ -326,6 +331,7 @@ _NAMES = {
         "OrbitPath",
         "SpinPath",
     ),
+    "evstim.deliveries": ("Delivery",),
     "evstim.frames": ("events_from_frames", "events_from_video", "reconstruct"),
     "evstim.recordings": ("iter_events", "read_events"),
     "evstim.running": ("LiveRun", "run"),
@@ -342,6 +348,7 @@ _NAMES = {
     "firmware_protocol.receiver.clock_estimator": ("ClockEstimate", "ClockEstimator"),
     "firmware_protocol.receiver.davis": ("DavisReceiver",),
     "firmware_protocol.receiver.instrument": ("SerialReceiver",),
+    "firmware_protocol.recordings.part": ("Frame", "IMU"),
     "transports.can_bus.kind": ("CanLink",),
     "transports.faults.bus": (
         "BabblingIdiot",

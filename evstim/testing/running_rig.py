@@ -69,7 +69,7 @@ class RunningRig:
         self.rig = on_free_ports(loaded, folder)
         self.addresses: Mapping[str, str | None] = {}
         o = self._options
-        self._live: LiveRun = run(self.rig, seconds=o.seconds, seed=o.seed, pace=o.pace)
+        self._live: LiveRun[Events] = run(self.rig, seconds=o.seconds, seed=o.seed, pace=o.pace)
         self.seen = Observation(self.rig.camera.size)
         self._recent: deque[Events] = deque()
         self._recent_count = 0

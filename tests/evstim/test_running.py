@@ -63,7 +63,7 @@ def test_wait_goes_to_the_end():
 
 
 def test_a_reader_that_is_slow_holds_a_free_run_back_and_loses_nothing(monkeypatch):
-    monkeypatch.setattr(running, "_MOST_QUEUED", 500)
+    monkeypatch.setattr(running, "_MOST_QUEUED_BYTES", 6500)
     with evstim.run("loopback", seconds=0.02, pace="free") as run:
         first = next(iter(run))
         rest = list(run)
@@ -72,7 +72,7 @@ def test_a_reader_that_is_slow_holds_a_free_run_back_and_loses_nothing(monkeypat
 
 
 def test_a_reader_that_is_slow_does_not_hold_back_real_time(monkeypatch):
-    monkeypatch.setattr(running, "_MOST_QUEUED", 500)
+    monkeypatch.setattr(running, "_MOST_QUEUED_BYTES", 6500)
     with evstim.run(unhurried(), seconds=0.1, pace="realtime") as run:
         run._thread.join()
         read = sum(map(len, run))
