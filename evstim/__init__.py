@@ -73,7 +73,7 @@ if TYPE_CHECKING:
     from evstim.frames import events_from_frames, events_from_video, reconstruct
     from evstim.recordings import iter_events, read_events
     from evstim.running import LiveRun, run
-    from evstim.sensor import Sensor
+    from evstim.sensor import Sensor, SensorOptions
     from firmware_protocol.can_frames.canopen import SelectorSettings
     from firmware_protocol.can_frames.dbc import Identifiers
     from firmware_protocol.device.clock import ClockSettings, ClockStep
@@ -247,6 +247,7 @@ __all__ = [
     "SecondCamera",
     "SelectorSettings",
     "Sensor",
+    "SensorOptions",
     "SensorParameters",
     "SerialLink",
     "SerialReceiver",
@@ -335,7 +336,7 @@ _NAMES = {
     "evstim.frames": ("events_from_frames", "events_from_video", "reconstruct"),
     "evstim.recordings": ("iter_events", "read_events"),
     "evstim.running": ("LiveRun", "run"),
-    "evstim.sensor": ("Sensor",),
+    "evstim.sensor": ("Sensor", "SensorOptions"),
     "firmware_protocol.can_frames.canopen": ("SelectorSettings",),
     "firmware_protocol.can_frames.dbc": ("Identifiers",),
     "firmware_protocol.device.clock": ("ClockSettings", "ClockStep"),

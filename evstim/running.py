@@ -18,7 +18,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Generic, Literal, Protocol, Self, TypeVar, overload
 
-from emulator.rig.kinds import convert_fault
+from emulator.rig.kinds import assigned_fault, convert_fault
 from emulator.rig.loading import Rig, load_rig, with_options
 from emulator.run.assembly import build_scene, build_session, link_setups, schedule
 from emulator.run.outcome import RunResult, RunStatus
@@ -198,12 +198,22 @@ class LiveRun(Generic[Batch]):
             raise RuntimeError(f"the run of {self.rig.name!r} ended before it was ready")
         return {name: link.address for name, link in self._status.links.items()}
 
-    def inject(self, fault: Mapping[str, Any]) -> None:
-        """Begin a fault within a tenth of a second: a table as [[faults]] of a rig has it, without `at_s`.
+    def inject(self, fault: Fault | Mapping[str, Any]) -> None:
+        """Begin a fault within a tenth of a second; `at_s` has no meaning here.
 
-        Raises TableError for a fault that no link of this rig can have.
+        Parameters
+        ----------
+        fault : such as `evstim.BitFlips(rate=1e-3)`, or a table with the keys of [[faults]] of a rig.
+
+        Raises
+        ------
+        TableError
+            No link of this rig can have the fault, or several can and its `link` is not given.
         """
-        self._faults.append(convert_fault(dict(fault), self.rig.links, ()))
+        if isinstance(fault, Fault):
+            self._faults.append(assigned_fault(fault, self.rig.links))
+        else:
+            self._faults.append(convert_fault(dict(fault), self.rig.links, ()))
 
     def stop(self) -> None:
         """End the run after its present step."""

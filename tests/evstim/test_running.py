@@ -108,6 +108,18 @@ def test_what_cannot_run():
         pass
 
 
+def test_a_fault_is_an_object_or_a_table():
+    scene, links = evstim.CheckerboardScene(), (evstim.SerialLink(name="a"), evstim.SerialLink(name="b"))
+    live = evstim.run(evstim.Rig("serial", "one line", scene, links=links[:1]))
+    live.inject(evstim.BitFlips(rate=1e-3, count=5))
+    live.inject({"kind": "bit_flips", "rate": 1e-3, "count": 5})
+    assert list(live._faults) == [evstim.BitFlips("a", rate=1e-3, count=5)] * 2
+    with pytest.raises(Exception, match="no link of this rig can have a fault of kind 'bus_off'"):
+        live.inject(evstim.BusOff())
+    with pytest.raises(Exception, match="'link' is missing: a, b can all have 'bit_flips'"):
+        evstim.run(evstim.Rig("serial", "two lines", scene, links=links)).inject(evstim.BitFlips())
+
+
 def test_what_fails_in_the_run_is_raised_in_the_reader(tmp_path):
     video = evstim.VideoScene(path=str(tmp_path / "none.mp4"))
     rig = evstim.Rig("broken", "no video", video)
