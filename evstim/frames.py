@@ -249,13 +249,13 @@ def _light(values: npt.NDArray[Any], k: int, levels: Levels | None) -> npt.NDArr
 
 
 def _warn_of_levels(values: npt.NDArray[Any], k: int) -> bool:
-    """Return whether a frame of floats is far brighter than white, as levels are, and warn then."""
+    """Return True, and warn, for a frame of floats that is far brighter than white, as levels are."""
     brightest = float(values.max())
     if not brightest > _BRIGHT:
         return False
     warnings.warn(
         f"frame {k} reaches {brightest:g}: floats are linear light, 1.0 being white. For levels of 8 bits give uint8 "
-        'frames and levels="srgb" or "linear"; for light, write what white is: light_at_white=1.0',
+        'frames and levels="srgb" or "linear"; for light, write the light of white: light_at_white=1.0',
         stacklevel=6,
     )
     return True
@@ -316,14 +316,14 @@ def reconstruct(
     Raises
     ------
     ValueError
-        An event lies outside the picture, or a shape does not fit.
+        An event lies outside the array, or a shape does not fit.
     """
     start = np.asarray(log_light, np.float64)
     if start.ndim != 2:
         raise ValueError(f"log_light has the shape {start.shape}: (height, width) is needed")
     height, width = start.shape
     if len(events) and (events["x"].max() >= width or events["y"].max() >= height):
-        raise ValueError(f"there are events outside the {width} x {height} picture")
+        raise ValueError(f"there are events outside the {width} x {height} array")
     on, off = (np.broadcast_to(np.asarray(t, np.float64), start.shape).ravel() for t in (threshold_on, threshold_off))
     stream = Stream.from_events(events, width, height)
     return metrics.reconstruct(stream, on, off, start.ravel(), np.inf if t_us is None else t_us).reshape(start.shape)

@@ -173,7 +173,7 @@ class LiveRun(Generic[Batch]):
 
     @property
     def result(self) -> RunResult:
-        """Counts, ledger and link reports of the run, which has ended; raises RuntimeError before."""
+        """Counts, ledger and link reports of the run, which has ended; raises RuntimeError before the end."""
         if self._result is None:
             raise RuntimeError("the run has no result before the end of its `with` block (or of `wait`)")
         return self._result
@@ -186,7 +186,7 @@ class LiveRun(Generic[Batch]):
     def wait_until_ready(self, timeout_s: float = 300.0) -> Mapping[str, str | None]:
         """Wait until every link is open and stream time runs; return the address of each link by its name.
 
-        Raises TimeoutError after `timeout_s`, what went wrong where the run could not start, and RuntimeError where it
+        Raises TimeoutError after `timeout_s`, the run's own error where it could not start, and RuntimeError where it
         ended first.
         """
         with self._changed:
@@ -224,7 +224,7 @@ class LiveRun(Generic[Batch]):
             self._changed.notify_all()
 
     def wait(self) -> RunResult:
-        """Let the run go to its end, without reading what remains of its events, and return the result."""
+        """Let the run go to its end, without reading its further events, and return the result."""
         with self._changed:
             self._discard()
         self._join()
@@ -267,7 +267,7 @@ class LiveRun(Generic[Batch]):
             return batch
 
     def _join(self) -> None:
-        """Wait for the thread, and raise here what went wrong there."""
+        """Wait for the thread, and raise its error here."""
         if self._thread is not None:
             self._thread.join()
         if self._error is not None:
@@ -334,10 +334,10 @@ class LiveRun(Generic[Batch]):
                 self._queue(events, len(events), is_bounded=True)
 
     def _receive(self, delivery: Delivery) -> None:
-        """Queue what the link has delivered, in a thread that must not wait.
+        """Queue a delivery of the link, in a thread that must not wait.
 
-        With pace "free" this has no bound of its own: `_take` holds the session back, so that what is on its way
-        through the link is all that can still come.
+        With pace "free" the queue has no bound here: `_take` holds the session back, so that only the events that are
+        in the link at this moment can follow.
         """
         with self._changed:
             self._queue(delivery, len(delivery.events), is_bounded=self.rig.run.pace != "free")

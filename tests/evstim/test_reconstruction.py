@@ -20,7 +20,7 @@ def test_the_log_light_comes_back():
 def test_events_outside_are_refused():
     events = np.zeros(1, evstim.EVENT)
     events["x"] = 4
-    with pytest.raises(ValueError, match="outside the 4 x 3 picture"):
+    with pytest.raises(ValueError, match="outside the 4 x 3 array"):
         evstim.reconstruct(events, np.zeros((3, 4)), threshold_on=0.2, threshold_off=0.2)
     with pytest.raises(ValueError, match="log_light has the shape"):
         evstim.reconstruct(events, np.zeros(4), threshold_on=0.2, threshold_off=0.2)
