@@ -118,6 +118,21 @@ def test_a_receiver_needs_no_simulator():
     assert in_a_process(code).split() == ["False", "False"]
 
 
+EXTRAS = ("av", "PIL", "faery", "h5py", "rosbags", "cyclonedds", "matplotlib", "fmpy", "spiceypy", "pyarrow", "dask")
+
+
+def test_no_name_needs_an_extra():
+    """Each extra is imported by the function that uses it."""
+    code = f"""
+import sys
+for extra in {EXTRAS!r}:
+    sys.modules[extra] = None  # importing it raises ImportError
+import evstim
+print([name for name in evstim.__all__ if getattr(evstim, name) is None])
+"""
+    assert in_a_process(code).strip() == "[]"
+
+
 def test_python_dash_m():
     done = subprocess.run([sys.executable, "-m", "evstim", "rigs"], capture_output=True, text=True, timeout=300)
     assert done.returncode == 0
