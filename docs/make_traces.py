@@ -26,8 +26,8 @@ from firmware_protocol.packets.telecommands import Ping, Verification
 from firmware_protocol.receiver.can import CanReceiver
 from firmware_protocol.telemetry import decode_block
 from transports.can_bus.carriage import sources
-from transports.can_bus.kind import CanParameters
-from transports.serial_line.kind import SerialParameters
+from transports.can_bus.kind import CanLink
+from transports.serial_line.kind import SerialLink
 
 __all__ = ["EDGES", "EVENTS", "FOLDER", "files"]
 
@@ -86,8 +86,8 @@ def _message_said(message: Message) -> str:
 
 def _serial() -> Iterator[tuple[str, str]]:
     """Yield lines of the capture, and their rows of the decode."""
-    parameters = _link("serial-demo", SerialParameters)
-    assert isinstance(parameters, SerialParameters)
+    parameters = _link("serial-demo", SerialLink)
+    assert isinstance(parameters, SerialLink)
     instrument, profile = Instrument(SIZE, parameters.instrument), Profile(parameters.profile)
     computer, sent_us = Profile(parameters.profile), float(START_US + 20_000)
     _instrument(instrument)
@@ -123,7 +123,7 @@ def _isotp_said(receiver: CanReceiver, frame: Frame) -> str:
     return said if report is None else f"{said}, the last: HOUSEKEEPING, {_housekeeping_said(report)}"
 
 
-def _frame_said(p: CanParameters, receiver: CanReceiver, frame: Frame) -> tuple[str, str]:
+def _frame_said(p: CanLink, receiver: CanReceiver, frame: Frame) -> tuple[str, str]:
     """Return the name of a frame, and what it says."""
     name = {value: name for name, value in p.identifiers.by_name.items()}[frame.identifier]
     receiver.push(frame)
@@ -143,7 +143,7 @@ def _frame_said(p: CanParameters, receiver: CanReceiver, frame: Frame) -> tuple[
     return name, says[name]()
 
 
-def _on_the_bus(p: CanParameters) -> Iterator[Frame]:
+def _on_the_bus(p: CanLink) -> Iterator[Frame]:
     """Yield the frames: the camera's SYNC and heartbeat, the edge, housekeeping, events."""
     instrument = _instrument(Instrument(SIZE, p.instrument))
     receiver = CanReceiver(p.receiver)
@@ -166,8 +166,8 @@ def _on_the_bus(p: CanParameters) -> Iterator[Frame]:
 
 
 def _can() -> Iterator[tuple[str, str]]:
-    parameters = _link("can-demo", CanParameters)
-    assert isinstance(parameters, CanParameters)
+    parameters = _link("can-demo", CanLink)
+    assert isinstance(parameters, CanLink)
     receiver, sent_ns = CanReceiver(parameters.receiver), START_US * 1000 + 20_000_000
     for frame in _on_the_bus(parameters):
         sent_ns += parameters.rates.duration_ns(frame_bits(frame))

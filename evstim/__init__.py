@@ -1,10 +1,16 @@
 """Event cameras for space, simulated: light in, events out, over the links of a real camera.
 
-    evstim.Sensor                   numpy pictures in, events out
+    evstim.Sensor                   light frames in, events out
     evstim.events_from_frames       an array of frames in, events out, in one call
     evstim.run                      a whole rig: scene, sensor, camera and links; its events while it runs
+    evstim.read_events              a recording in any format that is written: its events
     evstim.SerialReceiver, ...      the ground side of a link: bytes in, events out
+    evstim.Rig                      a rig made in Python, of the parts below
     evstim.__version__              the version that is installed
+
+The parts of a rig have the names of their kinds: `UsbipLink`, `SerialLink` and `CanLink` for the kinds "usbip",
+"serial" and "can" of [[links]]; `BodiesScene` and `StarsScene` for those of [scene]; `BitFlips` and `UsbStall` for
+those of [[faults]]; `OrbitPath` and `SpinPath` for those of a path.
 
 Every name is imported on its first use, so `import evstim` alone loads neither numpy nor the compiled kernels.
 """
@@ -17,72 +23,262 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from emulator.light import MachineLacks, Scene, SceneError
     from emulator.optics.lens import LensParameters
-    from emulator.playback.recording import RecordingParameters
+    from emulator.photometry.reflectance import Glossy, Hapke, Lambert, LommelSeeliger, LunarLambert, Sun
+    from emulator.playback.recording import RecordingParameters as RecordingScene
     from emulator.rig.loading import Rig, RigError, load_rig, parse_rig, shipped_rigs
-    from emulator.rig.tables import Camera, Trigger
+    from emulator.rig.tables import Camera, SecondCamera, Trigger, TriggerEdges, Verdict
     from emulator.rig.tables import Run as RunParameters
     from emulator.run.assembly import build_scene
     from emulator.run.link_process import LinkFailed
-    from emulator.run.outcome import RunResult
-    from emulator.scene.bodies.table import BodiesParameters
-    from emulator.scene.checkerboard.table import CheckerboardParameters
-    from emulator.scene.stars.table import StarsParameters
-    from emulator.scene.terrain.table import TerrainParameters
-    from emulator.scene.video.video import VideoParameters
-    from emulator.sensor.presets import PRESETS, SensorParameters
+    from emulator.run.outcome import RunResult, RunStatus
+    from emulator.scene.bodies.table import Bare, Clouds, Regolith
+    from emulator.scene.bodies.table import BodiesParameters as BodiesScene
+    from emulator.scene.bodies.table import BodyTable as Body
+    from emulator.scene.checkerboard.table import CheckerboardParameters as CheckerboardScene
+    from emulator.scene.stars.table import MovingPoint
+    from emulator.scene.stars.table import StarsParameters as StarsScene
+    from emulator.scene.terrain.table import Heightmap, Ridge
+    from emulator.scene.terrain.table import TerrainParameters as TerrainScene
+    from emulator.scene.video.ros2_images import Ros2ImageParameters as Ros2Scene
+    from emulator.scene.video.video import VideoParameters as VideoScene
+    from emulator.sensor.aps.row_kicks import FrameParameters, KickParameters
+    from emulator.sensor.effects import (
+        BackgroundParameters,
+        DefectParameters,
+        ImagerParameters,
+        JitterParameters,
+        NoiseParameters,
+        RadiationParameters,
+        TemperatureParameters,
+    )
+    from emulator.sensor.imu.parameters import ImuParameters
+    from emulator.sensor.presets import PRESETS, ReadoutParameters, SensorParameters
+    from emulator.trajectory.descent import Gate
+    from emulator.trajectory.parameters import (
+        BasiliskPath,
+        DescentPath,
+        FilePath,
+        FixedPath,
+        Keyframe,
+        KeyframePath,
+        LivePath,
+        OrbitPath,
+        SpinPath,
+    )
     from emulator.trajectory.pose import from_basilisk as attitude_from_basilisk
     from emulator.trajectory.pose import from_opengl as attitude_from_opengl
     from emulator.trajectory.pose import from_scalar_last as attitude_from_scalar_last
     from emulator.trajectory.pose import from_spice as attitude_from_spice
+    from evstim.deliveries import Delivery
     from evstim.frames import events_from_frames, events_from_video, reconstruct
+    from evstim.recordings import iter_events, read_events
     from evstim.running import LiveRun, run
-    from evstim.sensor import Sensor
+    from evstim.sensor import Sensor, SensorOptions
+    from firmware_protocol.can_frames.canopen import SelectorSettings
+    from firmware_protocol.can_frames.dbc import Identifiers
+    from firmware_protocol.device.clock import ClockSettings, ClockStep
     from firmware_protocol.events import EDGE, EVENT
+    from firmware_protocol.imx636.registers import BiasSlopes
+    from firmware_protocol.instrument.settings import InstrumentSettings
+    from firmware_protocol.network_streams.coders import PictureSettings
     from firmware_protocol.packets.profile import Profile
     from firmware_protocol.receiver.can import CanReceiver, CanReceiverSettings
-    from firmware_protocol.receiver.clock_estimator import ClockEstimate, ClockEstimator, DavisReceiver
+    from firmware_protocol.receiver.clock_estimator import ClockEstimate, ClockEstimator
+    from firmware_protocol.receiver.davis import DavisReceiver
     from firmware_protocol.receiver.instrument import SerialReceiver
-    from transports.can_bus.kind import CanParameters
+    from firmware_protocol.recordings.part import IMU, Frame
+    from transports.can_bus.kind import CanLink
+    from transports.faults.bus import (
+        BabblingIdiot,
+        BusOff,
+        ChangedFrames,
+        DeadBus,
+        ErrorFrames,
+        LostFrames,
+        ReorderedFrames,
+        RepeatedFrames,
+    )
+    from transports.faults.datagrams import LateDatagrams, LostDatagrams, RepeatedDatagrams
+    from transports.faults.kinds import (
+        BitFlips,
+        Burst,
+        InsertedBytes,
+        LostBytes,
+        Overrun,
+        Stall,
+        StuckLine,
+        Unplugged,
+        WrongBaud,
+    )
+    from transports.faults.usb_kinds import (
+        ControlStall,
+        EmptyTransfers,
+        FifoOverflow,
+        IpChange,
+        LinkDown,
+        LostHeartbeat,
+        MissedWraps,
+        OddBytes,
+        RefusedResends,
+        RegisterFlip,
+        RepeatedEvents,
+        ShortTransfers,
+        SlowControl,
+        StaleData,
+        TimeAhead,
+        TimeBack,
+        TimeFrozen,
+        UsbSilence,
+        UsbStall,
+        UsbUnplugged,
+        WrongVersion,
+    )
+    from transports.file.kind import FileLink
+    from transports.gige.kind import GigeLink
+    from transports.network_streams.kind import TcpLink, UdpLink
+    from transports.recording.part import RecordingError
     from transports.recording.record import load_record
-    from transports.serial_line.kind import SerialParameters
+    from transports.ros2.kind import Ros2Link
+    from transports.serial_line.kind import SerialLink
+    from transports.udp_packets.kind import UdpPacketsLink
+    from transports.usb.functionfs.kind import UsbGadgetLink
     from transports.usb.loopback import LoopbackLink
     from transports.usb.usbip.kind import UsbipLink
 
 __all__ = [
     "EDGE",
     "EVENT",
+    "IMU",
     "PRESETS",
-    "BodiesParameters",
+    "BabblingIdiot",
+    "BackgroundParameters",
+    "Bare",
+    "BasiliskPath",
+    "BiasSlopes",
+    "BitFlips",
+    "BodiesScene",
+    "Body",
+    "Burst",
+    "BusOff",
     "Camera",
-    "CanParameters",
+    "CanLink",
     "CanReceiver",
     "CanReceiverSettings",
-    "CheckerboardParameters",
+    "ChangedFrames",
+    "CheckerboardScene",
     "ClockEstimate",
     "ClockEstimator",
+    "ClockSettings",
+    "ClockStep",
+    "Clouds",
+    "ControlStall",
     "DavisReceiver",
+    "DeadBus",
+    "DefectParameters",
+    "Delivery",
+    "DescentPath",
+    "EmptyTransfers",
+    "ErrorFrames",
+    "FifoOverflow",
+    "FileLink",
+    "FilePath",
+    "FixedPath",
+    "Frame",
+    "FrameParameters",
+    "Gate",
+    "GigeLink",
+    "Glossy",
+    "Hapke",
+    "Heightmap",
+    "Identifiers",
+    "ImagerParameters",
+    "ImuParameters",
+    "InsertedBytes",
+    "InstrumentSettings",
+    "IpChange",
+    "JitterParameters",
+    "Keyframe",
+    "KeyframePath",
+    "KickParameters",
+    "Lambert",
+    "LateDatagrams",
     "LensParameters",
+    "LinkDown",
     "LinkFailed",
+    "LivePath",
     "LiveRun",
+    "LommelSeeliger",
     "LoopbackLink",
+    "LostBytes",
+    "LostDatagrams",
+    "LostFrames",
+    "LostHeartbeat",
+    "LunarLambert",
     "MachineLacks",
+    "MissedWraps",
+    "MovingPoint",
+    "NoiseParameters",
+    "OddBytes",
+    "OrbitPath",
+    "Overrun",
+    "PictureSettings",
     "Profile",
-    "RecordingParameters",
+    "RadiationParameters",
+    "ReadoutParameters",
+    "RecordingError",
+    "RecordingScene",
+    "RefusedResends",
+    "RegisterFlip",
+    "Regolith",
+    "ReorderedFrames",
+    "RepeatedDatagrams",
+    "RepeatedEvents",
+    "RepeatedFrames",
+    "Ridge",
     "Rig",
     "RigError",
+    "Ros2Link",
+    "Ros2Scene",
     "RunParameters",
     "RunResult",
+    "RunStatus",
     "Scene",
     "SceneError",
+    "SecondCamera",
+    "SelectorSettings",
     "Sensor",
+    "SensorOptions",
     "SensorParameters",
-    "SerialParameters",
+    "SerialLink",
     "SerialReceiver",
-    "StarsParameters",
-    "TerrainParameters",
+    "ShortTransfers",
+    "SlowControl",
+    "SpinPath",
+    "StaleData",
+    "Stall",
+    "StarsScene",
+    "StuckLine",
+    "Sun",
+    "TcpLink",
+    "TemperatureParameters",
+    "TerrainScene",
+    "TimeAhead",
+    "TimeBack",
+    "TimeFrozen",
     "Trigger",
+    "TriggerEdges",
+    "UdpLink",
+    "UdpPacketsLink",
+    "Unplugged",
+    "UsbGadgetLink",
+    "UsbSilence",
+    "UsbStall",
+    "UsbUnplugged",
     "UsbipLink",
-    "VideoParameters",
+    "Verdict",
+    "VideoScene",
+    "WrongBaud",
+    "WrongVersion",
     "attitude_from_basilisk",
     "attitude_from_opengl",
     "attitude_from_scalar_last",
@@ -90,71 +286,172 @@ __all__ = [
     "build_scene",
     "events_from_frames",
     "events_from_video",
+    "iter_events",
     "load_record",
     "load_rig",
     "parse_rig",
+    "read_events",
     "reconstruct",
     "run",
     "shipped_rigs",
 ]
 
-_SOURCES = {
-    "EDGE": "firmware_protocol.events",
-    "EVENT": "firmware_protocol.events",
-    "PRESETS": "emulator.sensor.presets",
-    "BodiesParameters": "emulator.scene.bodies.table",
-    "Camera": "emulator.rig.tables",
-    "CanParameters": "transports.can_bus.kind",
-    "CanReceiver": "firmware_protocol.receiver.can",
-    "CanReceiverSettings": "firmware_protocol.receiver.can",
-    "CheckerboardParameters": "emulator.scene.checkerboard.table",
-    "ClockEstimate": "firmware_protocol.receiver.clock_estimator",
-    "ClockEstimator": "firmware_protocol.receiver.clock_estimator",
-    "DavisReceiver": "firmware_protocol.receiver.clock_estimator",
-    "LensParameters": "emulator.optics.lens",
-    "LinkFailed": "emulator.run.link_process",
-    "LiveRun": "evstim.running",
-    "LoopbackLink": "transports.usb.loopback",
-    "MachineLacks": "emulator.light",
-    "Profile": "firmware_protocol.packets.profile",
-    "RecordingParameters": "emulator.playback.recording",
-    "Rig": "emulator.rig.loading",
-    "RigError": "emulator.rig.loading",
+_NAMES = {
+    "emulator.light": ("MachineLacks", "Scene", "SceneError"),
+    "emulator.optics.lens": ("LensParameters",),
+    "emulator.photometry.reflectance": ("Glossy", "Hapke", "Lambert", "LommelSeeliger", "LunarLambert", "Sun"),
+    "emulator.rig.loading": ("Rig", "RigError", "load_rig", "parse_rig", "shipped_rigs"),
+    "emulator.rig.tables": ("Camera", "SecondCamera", "Trigger", "TriggerEdges", "Verdict"),
+    "emulator.run.assembly": ("build_scene",),
+    "emulator.run.link_process": ("LinkFailed",),
+    "emulator.run.outcome": ("RunResult", "RunStatus"),
+    "emulator.scene.bodies.table": ("Bare", "Clouds", "Regolith"),
+    "emulator.scene.stars.table": ("MovingPoint",),
+    "emulator.scene.terrain.table": ("Heightmap", "Ridge"),
+    "emulator.sensor.aps.row_kicks": ("FrameParameters", "KickParameters"),
+    "emulator.sensor.effects": (
+        "BackgroundParameters",
+        "DefectParameters",
+        "ImagerParameters",
+        "JitterParameters",
+        "NoiseParameters",
+        "RadiationParameters",
+        "TemperatureParameters",
+    ),
+    "emulator.sensor.imu.parameters": ("ImuParameters",),
+    "emulator.sensor.presets": ("PRESETS", "ReadoutParameters", "SensorParameters"),
+    "emulator.trajectory.descent": ("Gate",),
+    "emulator.trajectory.parameters": (
+        "BasiliskPath",
+        "DescentPath",
+        "FilePath",
+        "FixedPath",
+        "Keyframe",
+        "KeyframePath",
+        "LivePath",
+        "OrbitPath",
+        "SpinPath",
+    ),
+    "evstim.deliveries": ("Delivery",),
+    "evstim.frames": ("events_from_frames", "events_from_video", "reconstruct"),
+    "evstim.recordings": ("iter_events", "read_events"),
+    "evstim.running": ("LiveRun", "run"),
+    "evstim.sensor": ("Sensor", "SensorOptions"),
+    "firmware_protocol.can_frames.canopen": ("SelectorSettings",),
+    "firmware_protocol.can_frames.dbc": ("Identifiers",),
+    "firmware_protocol.device.clock": ("ClockSettings", "ClockStep"),
+    "firmware_protocol.events": ("EDGE", "EVENT"),
+    "firmware_protocol.imx636.registers": ("BiasSlopes",),
+    "firmware_protocol.instrument.settings": ("InstrumentSettings",),
+    "firmware_protocol.network_streams.coders": ("PictureSettings",),
+    "firmware_protocol.packets.profile": ("Profile",),
+    "firmware_protocol.receiver.can": ("CanReceiver", "CanReceiverSettings"),
+    "firmware_protocol.receiver.clock_estimator": ("ClockEstimate", "ClockEstimator"),
+    "firmware_protocol.receiver.davis": ("DavisReceiver",),
+    "firmware_protocol.receiver.instrument": ("SerialReceiver",),
+    "firmware_protocol.recordings.part": ("Frame", "IMU"),
+    "transports.can_bus.kind": ("CanLink",),
+    "transports.faults.bus": (
+        "BabblingIdiot",
+        "BusOff",
+        "ChangedFrames",
+        "DeadBus",
+        "ErrorFrames",
+        "LostFrames",
+        "ReorderedFrames",
+        "RepeatedFrames",
+    ),
+    "transports.faults.datagrams": ("LateDatagrams", "LostDatagrams", "RepeatedDatagrams"),
+    "transports.faults.kinds": (
+        "BitFlips",
+        "Burst",
+        "InsertedBytes",
+        "LostBytes",
+        "Overrun",
+        "Stall",
+        "StuckLine",
+        "Unplugged",
+        "WrongBaud",
+    ),
+    "transports.faults.usb_kinds": (
+        "ControlStall",
+        "EmptyTransfers",
+        "FifoOverflow",
+        "IpChange",
+        "LinkDown",
+        "LostHeartbeat",
+        "MissedWraps",
+        "OddBytes",
+        "RefusedResends",
+        "RegisterFlip",
+        "RepeatedEvents",
+        "ShortTransfers",
+        "SlowControl",
+        "StaleData",
+        "TimeAhead",
+        "TimeBack",
+        "TimeFrozen",
+        "UsbSilence",
+        "UsbStall",
+        "UsbUnplugged",
+        "WrongVersion",
+    ),
+    "transports.file.kind": ("FileLink",),
+    "transports.gige.kind": ("GigeLink",),
+    "transports.network_streams.kind": ("TcpLink", "UdpLink"),
+    "transports.recording.part": ("RecordingError",),
+    "transports.recording.record": ("load_record",),
+    "transports.ros2.kind": ("Ros2Link",),
+    "transports.serial_line.kind": ("SerialLink",),
+    "transports.udp_packets.kind": ("UdpPacketsLink",),
+    "transports.usb.functionfs.kind": ("UsbGadgetLink",),
+    "transports.usb.loopback": ("LoopbackLink",),
+    "transports.usb.usbip.kind": ("UsbipLink",),
+}
+"""Public names by the module that they come from."""
+
+_SOURCES = {name: module for module, names in _NAMES.items() for name in names} | {
+    "RecordingScene": "emulator.playback.recording:RecordingParameters",
     "RunParameters": "emulator.rig.tables:Run",
-    "RunResult": "emulator.run.outcome",
-    "Scene": "emulator.light",
-    "SceneError": "emulator.light",
-    "Sensor": "evstim.sensor",
-    "SensorParameters": "emulator.sensor.presets",
-    "SerialParameters": "transports.serial_line.kind",
-    "SerialReceiver": "firmware_protocol.receiver.instrument",
-    "StarsParameters": "emulator.scene.stars.table",
-    "TerrainParameters": "emulator.scene.terrain.table",
-    "Trigger": "emulator.rig.tables",
-    "UsbipLink": "transports.usb.usbip.kind",
-    "VideoParameters": "emulator.scene.video.video",
+    "Body": "emulator.scene.bodies.table:BodyTable",
+    "BodiesScene": "emulator.scene.bodies.table:BodiesParameters",
+    "CheckerboardScene": "emulator.scene.checkerboard.table:CheckerboardParameters",
+    "StarsScene": "emulator.scene.stars.table:StarsParameters",
+    "TerrainScene": "emulator.scene.terrain.table:TerrainParameters",
+    "Ros2Scene": "emulator.scene.video.ros2_images:Ros2ImageParameters",
+    "VideoScene": "emulator.scene.video.video:VideoParameters",
     "attitude_from_basilisk": "emulator.trajectory.pose:from_basilisk",
     "attitude_from_opengl": "emulator.trajectory.pose:from_opengl",
     "attitude_from_scalar_last": "emulator.trajectory.pose:from_scalar_last",
     "attitude_from_spice": "emulator.trajectory.pose:from_spice",
-    "build_scene": "emulator.run.assembly",
-    "events_from_frames": "evstim.frames",
-    "events_from_video": "evstim.frames",
-    "load_record": "transports.recording.record",
-    "load_rig": "emulator.rig.loading",
-    "parse_rig": "emulator.rig.loading",
-    "reconstruct": "evstim.frames",
-    "run": "evstim.running",
-    "shipped_rigs": "emulator.rig.loading",
 }
 """Public name -> "module", or "module:name there" where the two names differ."""
+
+_RENAMED = {
+    "BodiesParameters": "BodiesScene",
+    "CanParameters": "CanLink",
+    "CheckerboardParameters": "CheckerboardScene",
+    "RecordingParameters": "RecordingScene",
+    "SerialParameters": "SerialLink",
+    "StarsParameters": "StarsScene",
+    "TerrainParameters": "TerrainScene",
+    "VideoParameters": "VideoScene",
+}
+"""Old name -> new name. Renamed in version 0.2; to be removed in the version after."""
 
 __version__: str
 
 if not TYPE_CHECKING:  # else a type checker would take any name for one of ours
 
     def __getattr__(name: str) -> Any:
-        """Import a public name on its first use."""
+        """Import a public name on its first use; an old name with a DeprecationWarning, on every use."""
+        if name in _RENAMED:
+            import_module("warnings").warn(
+                f"evstim.{name} is now evstim.{_RENAMED[name]}; the old name goes with the next version",
+                DeprecationWarning,
+                stacklevel=2,
+            )
+            return getattr(import_module(__name__), _RENAMED[name])
         if name == "__version__":
             value = import_module("importlib.metadata").version("evstim")
         elif name in _SOURCES:

@@ -1,9 +1,10 @@
 """A rig that runs beside a Python program, which reads its events meanwhile.
 
     body of the `with` block:  for events in run  <--- bounded queue <--- thread: scene, sensor, links (Session)
+                                                            or       <--- thread: deliveries of one link
 
 The session has a thread of its own, so that a slow reader does not disturb the links. With pace "free" it waits for the
-reader and no event is lost; in real time and in lockstep it waits for nobody, and `run.unread` counts the events that
+reader and no event is lost; in real time and in lockstep it does not wait, and `run.unread` counts the events that
 found the queue full.
 """
 
@@ -11,59 +12,102 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Literal, Self
+from typing import TYPE_CHECKING, Any, Generic, Literal, Protocol, Self, TypeVar, overload
 
-from emulator.rig.kinds import convert_fault
+from emulator.rig.kinds import assigned_fault, convert_fault
 from emulator.rig.loading import Rig, load_rig, with_options
 from emulator.run.assembly import build_scene, build_session, link_setups, schedule
 from emulator.run.outcome import RunResult, RunStatus
 from emulator.run.session import Session
 from emulator.run.standard_descriptors import fill_standard_descriptors
 from emulator.run.truth.source import check_truth
+from evstim.deliveries import Delivery, forwarding
 from firmware_protocol.events import Events
 from transports.faults.kinds import Fault
 from transports.link.pacing import MonotonicClock
+from transports.link.process import LinkSetup
 
 if TYPE_CHECKING:
     from emulator.run.truth.source import TruthFile
 
 __all__ = ["LiveRun", "run"]
 
-_MOST_QUEUED = 4_000_000  # events, 52 MB
+_MOST_QUEUED_BYTES = 52_000_000  # 4 million events
+
+
+class _Sized(Protocol):
+    @property
+    def nbytes(self) -> int: ...
+
+
+Batch = TypeVar("Batch", bound=_Sized)
+Pace = Literal["realtime", "free"]
+
+
+@overload
+def run(
+    rig: str | Path | Rig,
+    *,
+    link: None = None,
+    seconds: float | None = None,
+    seed: int | None = None,
+    pace: Pace | None = None,
+    record: str | Path | None = None,
+    truth: str | Path | None = None,
+    truth_every: int = 1,
+) -> LiveRun[Events]: ...
+
+
+@overload
+def run(
+    rig: str | Path | Rig,
+    *,
+    link: str,
+    seconds: float | None = None,
+    seed: int | None = None,
+    pace: Pace | None = None,
+    record: str | Path | None = None,
+    truth: str | Path | None = None,
+    truth_every: int = 1,
+) -> LiveRun[Delivery]: ...
 
 
 def run(
     rig: str | Path | Rig,
     *,
+    link: str | None = None,
     seconds: float | None = None,
     seed: int | None = None,
-    pace: Literal["realtime", "free"] | None = None,
+    pace: Pace | None = None,
     record: str | Path | None = None,
     truth: str | Path | None = None,
     truth_every: int = 1,
-) -> LiveRun:
-    """Return a run of a rig: a context manager that starts it, and an iterator of its events.
+) -> LiveRun[Any]:
+    """Return a run of a rig: a context manager that starts it, and an iterator of its events or deliveries.
 
     Parameters
     ----------
     rig : path of a rig file, name of a shipped rig, or a Rig.
+    link : name of a link of the rig: iterating yields what this link delivers, as `Delivery` objects with events,
+        triggers, IMU samples and frames. By default it yields the events of the sensor, (n,) EVENT.
     seconds : stream time to run for; 0 means until the `with` block ends. By default the rig's own.
     seed : seed of everything random. By default the rig's own.
     pace : "realtime": every event leaves at its own time; "free": as fast as the machine can, losing nothing.
-    record : .npz file for the events that the link delivered; see `load_record`.
-    truth : .h5 file for what is true beside the events: light, depth, flow, labels, poses, origins; see docs/truth.md.
-    truth_every : light, depth, flow and labels go into it of every n-th picture.
+    record : file for what the links deliver, in the format of its suffix; see `read_events` and docs/recordings.md.
+    truth : .h5 file for the truth of the run: light, depth, flow, labels, poses, origins; see docs/truth.md.
+    truth_every : light, depth, flow and labels of every n-th light frame go into it.
 
     Raises
     ------
     RigError
         The rig cannot be used.
     ValueError
-        An option is out of its range, or there is nothing to record, or no truth of such a rig.
+        An option is out of its range, the rig has no link of that name or nothing to record, or no truth; or `link` is
+        given for a rig that starts its links again (`run.restart_links`).
     ImportError
         `truth` needs h5py.
     """
@@ -74,31 +118,51 @@ def run(
     loaded = with_options(loaded, seconds, seed, pace)
     if truth is not None:
         check_truth(loaded, Path(truth), truth_every)
+    _check_link(loaded, link)
     recorded, true = (None if path is None else Path(path) for path in (record, truth))
-    return LiveRun(loaded, recorded, true, truth_every)
+    return LiveRun(loaded, recorded, true, truth_every, link)
 
 
-class LiveRun:
+def _check_link(rig: Rig, link: str | None) -> None:
+    names = [one.name for one in rig.links]
+    if link is not None and link not in names:
+        raise ValueError(f"link: this rig has no link {link!r}; it has {', '.join(names) or 'none'}")
+    if link is not None and rig.run.restart_links:
+        raise ValueError(
+            "link: the deliveries of a link that is started again cannot be read; set restart_links to False"
+        )
+
+
+class LiveRun(Generic[Batch]):
     """A run that goes on while its `with` block does. Made by `run`.
 
-    Iterating over it gives (n,) EVENT arrays as the sensor reads them out, n > 0, and ends with the run. Leaving the
-    block, also by `break` or an exception, stops the run after its present step.
+    Iterating over it gives (n,) EVENT arrays as the sensor reads them out, n > 0, or the `Delivery` objects of one
+    link, and ends with the run. Leaving the block, also by `break` or an exception, stops the run after its present
+    step.
 
     Attributes
     ----------
-    rig : what runs.
+    rig : the rig of the run.
     unread : events that were not queued for the iterator, because the reader was too slow; 0 with pace "free".
-    truth_trouble : why the truth file is not whole; "" where it is, or none was asked for. Known at the end.
+    truth_trouble : why the truth file is not whole; "" where it is, or where there is none. Set at the end.
     """
 
-    def __init__(self, rig: Rig, record: Path | None = None, truth: Path | None = None, truth_every: int = 1) -> None:
+    def __init__(
+        self,
+        rig: Rig,
+        record: Path | None = None,
+        truth: Path | None = None,
+        truth_every: int = 1,
+        link: str | None = None,
+    ) -> None:
         self.rig = rig
+        self._link = link
         self.unread = 0
         self.truth_trouble = ""
         self._record, self._truth, self._truth_every = record, truth, truth_every
         self._changed = threading.Condition()
-        self._batches: deque[Events] = deque()
-        self._queued = 0
+        self._batches: deque[Any] = deque()
+        self._queued_bytes = 0
         self._thread: threading.Thread | None = None
         self._session: Session | None = None
         self._status: RunStatus | None = None
@@ -109,7 +173,7 @@ class LiveRun:
 
     @property
     def result(self) -> RunResult:
-        """Counts, ledger and link reports of the run, which has ended; raises RuntimeError before."""
+        """Counts, ledger and link reports of the run, which has ended; raises RuntimeError before the end."""
         if self._result is None:
             raise RuntimeError("the run has no result before the end of its `with` block (or of `wait`)")
         return self._result
@@ -122,7 +186,7 @@ class LiveRun:
     def wait_until_ready(self, timeout_s: float = 300.0) -> Mapping[str, str | None]:
         """Wait until every link is open and stream time runs; return the address of each link by its name.
 
-        Raises TimeoutError after `timeout_s`, what went wrong where the run could not start, and RuntimeError where it
+        Raises TimeoutError after `timeout_s`, the run's own error where it could not start, and RuntimeError where it
         ended first.
         """
         with self._changed:
@@ -134,12 +198,22 @@ class LiveRun:
             raise RuntimeError(f"the run of {self.rig.name!r} ended before it was ready")
         return {name: link.address for name, link in self._status.links.items()}
 
-    def inject(self, fault: Mapping[str, Any]) -> None:
-        """Begin a fault within a tenth of a second: a table as [[faults]] of a rig has it, without `at_s`.
+    def inject(self, fault: Fault | Mapping[str, Any]) -> None:
+        """Begin a fault within a tenth of a second; `at_s` has no meaning here.
 
-        Raises TableError for a fault that no link of this rig can have.
+        Parameters
+        ----------
+        fault : such as `evstim.BitFlips(rate=1e-3)`, or a table with the keys of [[faults]] of a rig.
+
+        Raises
+        ------
+        TableError
+            No link of this rig can have the fault, or several can and its `link` is not given.
         """
-        self._faults.append(convert_fault(dict(fault), self.rig.links, ()))
+        if isinstance(fault, Fault):
+            self._faults.append(assigned_fault(fault, self.rig.links))
+        else:
+            self._faults.append(convert_fault(dict(fault), self.rig.links, ()))
 
     def stop(self) -> None:
         """End the run after its present step."""
@@ -150,7 +224,7 @@ class LiveRun:
             self._changed.notify_all()
 
     def wait(self) -> RunResult:
-        """Let the run go to its end, without reading what remains of its events, and return the result."""
+        """Let the run go to its end, without reading its further events, and return the result."""
         with self._changed:
             self._discard()
         self._join()
@@ -175,25 +249,25 @@ class LiveRun:
             if own is not error:
                 error.add_note(f"the run failed as well: {own}")
 
-    def __iter__(self) -> Iterator[Events]:
+    def __iter__(self) -> Iterator[Batch]:
         if self._thread is None:
             raise RuntimeError("the run has not been started: use `with evstim.run(...) as run:`")
-        while (events := self._next()) is not None:
-            yield events
+        while (batch := self._next()) is not None:
+            yield batch
         self._join()
 
-    def _next(self) -> Events | None:
+    def _next(self) -> Batch | None:
         with self._changed:
             self._changed.wait_for(lambda: self._batches or self._ended)
             if not self._batches:
                 return None
-            events = self._batches.popleft()
-            self._queued -= len(events)
+            batch: Batch = self._batches.popleft()
+            self._queued_bytes -= batch.nbytes
             self._changed.notify_all()
-            return events
+            return batch
 
     def _join(self) -> None:
-        """Wait for the thread, and raise here what went wrong there."""
+        """Wait for the thread, and raise its error here."""
         if self._thread is not None:
             self._thread.join()
         if self._error is not None:
@@ -210,8 +284,13 @@ class LiveRun:
             self._changed.notify_all()
 
     def _run(self) -> None:
-        with build_scene(self.rig) as scene, self._opened_truth() as truth:
-            session = build_session(self.rig, scene, link_setups(self.rig, self._record), MonotonicClock(), truth)
+        setups = link_setups(self.rig, self._record)
+        with (
+            build_scene(self.rig) as scene,
+            self._opened_truth() as truth,
+            self._forwarding(setups) as links,
+        ):
+            session = build_session(self.rig, scene, links, MonotonicClock(), truth)
             with self._changed:
                 self._session = session
                 if self._stopping:
@@ -229,8 +308,16 @@ class LiveRun:
             yield truth
         self.truth_trouble = truth.trouble
 
+    @contextmanager
+    def _forwarding(self, setups: Sequence[LinkSetup[Any]]) -> Iterator[Sequence[LinkSetup[Any]]]:
+        if self._link is None:
+            yield setups
+            return
+        with forwarding(setups, self._link, self._receive, self._miss) as links:
+            yield links
+
     def _renew(self, status: RunStatus) -> None:
-        """Take the news of the session, in its thread, and hand over what was asked for meanwhile."""
+        """Take the session's status, in its thread, and begin the faults that were injected since the last one."""
         with self._changed:
             self._status = status
             self._changed.notify_all()
@@ -238,26 +325,42 @@ class LiveRun:
             self._session.inject(self._faults.popleft())
 
     def _take(self, events: Events) -> None:
-        """Queue the events of a step."""
-        if not len(events):
-            return
+        """Queue the events of a step, or wait until there is room for more deliveries; in the session's thread."""
         with self._changed:
             if self.rig.run.pace == "free":
-                self._changed.wait_for(lambda: self._has_space(events) or self._stopping or self._discarding)
-            if self._discarding or (self._stopping and not self._has_space(events)):
-                return
-            if not self._has_space(events):
-                self.unread += len(events)
-                return
-            self._batches.append(events)
-            self._queued += len(events)
-            self._changed.notify_all()
+                own_bytes = 0 if self._link else events.nbytes
+                self._changed.wait_for(lambda: self._has_room(own_bytes) or self._stopping or self._discarding)
+            if self._link is None and len(events):
+                self._queue(events, len(events), is_bounded=True)
 
-    def _has_space(self, events: Events) -> bool:
-        return not self._queued or self._queued + len(events) <= _MOST_QUEUED
+    def _receive(self, delivery: Delivery) -> None:
+        """Queue a delivery of the link, in a thread that must not wait.
+
+        With pace "free" the queue has no bound here: `_take` holds the session back, so that only the events that are
+        in the link at this moment can follow.
+        """
+        with self._changed:
+            self._queue(delivery, len(delivery.events), is_bounded=self.rig.run.pace != "free")
+
+    def _miss(self, events: int) -> None:
+        self.unread += events
+
+    def _queue(self, batch: Any, events: int, *, is_bounded: bool) -> None:
+        has_room = self._has_room(batch.nbytes) or not is_bounded
+        if self._discarding or (self._stopping and not has_room):
+            return
+        if not has_room:
+            self.unread += events
+            return
+        self._batches.append(batch)
+        self._queued_bytes += batch.nbytes
+        self._changed.notify_all()
+
+    def _has_room(self, more_bytes: int) -> bool:
+        return not self._queued_bytes or self._queued_bytes + more_bytes <= _MOST_QUEUED_BYTES
 
     def _discard(self) -> None:
         self._discarding = True
         self._batches.clear()
-        self._queued = 0
+        self._queued_bytes = 0
         self._changed.notify_all()

@@ -1,45 +1,89 @@
-"""An event sensor as a Python object: pictures of light in, events out."""
+"""An event sensor as a Python object: light frames in, events out."""
 
 from __future__ import annotations
 
 import dataclasses
 import operator
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, Literal, TypedDict, Unpack
 
 import numpy as np
 import numpy.typing as npt
 
 from emulator.light import LightFrame
 from emulator.sensor import sensor as simulation
-from emulator.sensor.presets import PRESETS, SensorParameters
+from emulator.sensor.effects import (
+    BackgroundParameters,
+    DefectParameters,
+    ImagerParameters,
+    JitterParameters,
+    NoiseParameters,
+    RadiationParameters,
+    TemperatureParameters,
+)
+from emulator.sensor.presets import PRESETS, ReadoutParameters, SensorParameters
 from emulator.tables.typed_table import TableError, convert, unknown
 from firmware_protocol.events import Events
 
-__all__ = ["Sensor", "sensor_parameters"]
+__all__ = ["Sensor", "SensorOptions", "sensor_parameters"]
 
 _Float32s = npt.NDArray[np.float32]
 _LAST_NS = 1 << 62
 
+_Part = Mapping[str, Any]
 
-def sensor_parameters(model: str | SensorParameters, **figures: Any) -> SensorParameters:
-    """Return a preset, or given parameters, with some of its figures changed.
+
+class SensorOptions(TypedDict, total=False):
+    """Fields of SensorParameters that differ from those of a preset; a part, such as `noise`, also as a mapping.
+
+    A mapping contains the fields of the part to change; the others keep the preset's values.
+    """
+
+    width: int
+    height: int
+    threshold_on: float
+    threshold_off: float
+    mismatch: float
+    dark_current_relative: float
+    corner_hz_at_reference: float
+    corner_min_hz: float
+    corner_max_hz: float
+    leak_hz: float
+    leak_spread: float
+    parasitic_hz_at_reference: float
+    source_follower_hz: float
+    refractory_us: float
+    random_start: bool
+    photoreceptor: Literal["one_pole", "large_signal"]
+    readout: ReadoutParameters | _Part
+    temperature: TemperatureParameters | _Part
+    defects: DefectParameters | _Part
+    noise: NoiseParameters | _Part
+    background: BackgroundParameters | _Part
+    jitter: JitterParameters | _Part
+    imager: ImagerParameters | _Part
+    radiation: RadiationParameters | _Part
+
+
+def sensor_parameters(model: str | SensorParameters, **parameters: Unpack[SensorOptions]) -> SensorParameters:
+    """Return a preset, or given parameters, with some fields changed.
 
     Parameters
     ----------
     model : name of a preset, or the parameters to start from.
-    figures : fields of SensorParameters; a part such as `noise` also as a dict of the fields to change in it.
+    parameters : fields to change, see `SensorOptions`.
 
     Raises
     ------
     ValueError
-        A name is not known or a value is not allowed; the message names it.
+        A name is unknown or a value is not allowed; the message names it.
     """
     if isinstance(model, str) and model not in PRESETS:
         raise ValueError(f"sensor {unknown(model, list(PRESETS))}")
     table = dataclasses.asdict(PRESETS[model] if isinstance(model, str) else model)
-    for key, value in figures.items():
+    for key, value in parameters.items():
         part = dataclasses.asdict(value) if dataclasses.is_dataclass(value) and not isinstance(value, type) else value
-        table[key] = {**table[key], **part} if isinstance(part, dict) and isinstance(table.get(key), dict) else part
+        table[key] = {**table[key], **part} if isinstance(part, Mapping) and isinstance(table.get(key), dict) else part
     try:
         return convert(table, SensorParameters)
     except TableError as error:
@@ -50,14 +94,15 @@ class Sensor:
     """A simulated event sensor.
 
     Light is linear, as (height, width) arrays with row 0 on top: 1.0 is the sensor's reference level. Between two
-    pictures each pixel's photocurrent follows a straight line in its logarithm, so give pictures often enough that
-    nothing else happens between them.
+    frames each pixel's photocurrent follows a straight line in its logarithm, so give frames often enough that nothing
+    else happens between them.
 
     Parameters
     ----------
     model : name of a preset ("davis346", "dvxplorer_micro", "imx636", "ideal"), or SensorParameters.
-    seed : seed of everything random; the same seed and pictures give the same events.
-    figures : any field of SensorParameters, such as `threshold_on=0.2`, `width=64` or `noise={"rms": 0.05}`.
+    seed : seed of everything random; the same seed and frames give the same events.
+    parameters : fields of SensorParameters, such as `threshold_on=0.2`, `width=64` or `noise={"rms": 0.05}`; see
+        `SensorOptions`.
 
     Attributes
     ----------
@@ -66,11 +111,13 @@ class Sensor:
     Raises
     ------
     ValueError
-        The model or a field is not known, or a value is not allowed.
+        The model or a field is unknown, or a value is not allowed.
     """
 
-    def __init__(self, model: str | SensorParameters = "davis346", *, seed: int = 0, **figures: Any) -> None:
-        self.parameters = sensor_parameters(model, **figures)
+    def __init__(
+        self, model: str | SensorParameters = "davis346", *, seed: int = 0, **parameters: Unpack[SensorOptions]
+    ) -> None:
+        self.parameters = sensor_parameters(model, **parameters)
         self._sensor = simulation.Sensor(self.parameters, _seed(seed))
         self._t_ns: int | None = None
 
@@ -91,7 +138,7 @@ class Sensor:
 
     @property
     def lost_at_readout(self) -> int:
-        """Events lost because their pixel still waited for the read-out."""
+        """Events lost because an earlier event of their pixel was still waiting for the read-out."""
         return self._sensor.lost_at_readout
 
     @property
@@ -110,33 +157,33 @@ class Sensor:
         Parameters
         ----------
         light : (height, width), linear, >= 0.
-        t_ns : stream time of this picture, ns, >= 0.
+        t_ns : stream time of this frame, ns, >= 0.
         """
-        picture, at_ns = self._light(light), _time_ns(t_ns)
-        self._sensor.reset(LightFrame(at_ns, picture))
+        frame, at_ns = self._light(light), _time_ns(t_ns)
+        self._sensor.reset(LightFrame(at_ns, frame))
         self._t_ns = at_ns
 
     def expose(self, light: npt.ArrayLike, t_ns: int, rate: npt.ArrayLike | None = None) -> Events:
-        """Move on to the picture `light` at `t_ns` and return the events that leave the sensor until then.
+        """Move on to the frame `light` at `t_ns` and return the events that leave the sensor until then.
 
         Parameters
         ----------
         light : (height, width), linear, >= 0, at `t_ns`.
-        t_ns : stream time of this picture, ns; later than the one before.
+        t_ns : stream time of this frame, ns; later than the one before.
         rate : (height, width), time derivative of the light at `t_ns`, per second, where it is known; the light
-            between two pictures is then a cubic, for pictures that move smoothly.
+            between two frames is then a cubic, for scenes that move smoothly.
 
         Returns
         -------
-        (n,) EVENT: t in us of stream time, x, y, on; sorted by t. An event that the read-out has not sent by `t_ns`
-        comes with a later call, or with `finish`.
+        (n,) EVENT: t in us of stream time, x, y, on; sorted by t. A later call, or `finish`, returns an event that the
+        read-out has not sent by `t_ns`.
         """
         if self._t_ns is None:
-            raise RuntimeError("the sensor has no first picture yet: call reset(light, t_ns) before expose")
+            raise RuntimeError("the sensor has no first frame yet: call reset(light, t_ns) before expose")
         at_ns = _time_ns(t_ns)
         if at_ns <= self._t_ns:
-            raise ValueError(f"t_ns is {at_ns}: it must be later than the picture before, {self._t_ns} ns")
-        slope = None if rate is None else self._picture(rate, "rate")
+            raise ValueError(f"t_ns is {at_ns}: it must be later than the frame before, {self._t_ns} ns")
+        slope = None if rate is None else self._frame(rate, "rate")
         events = self._sensor.expose(LightFrame(at_ns, self._light(light), slope))
         self._t_ns = at_ns
         return events
@@ -149,14 +196,14 @@ class Sensor:
         return self._sensor.finish()
 
     def _light(self, light: npt.ArrayLike) -> _Float32s:
-        picture = self._picture(light, "light")
-        if picture.min() < 0:
-            row, column = np.unravel_index(int(picture.argmin()), picture.shape)
-            raise ValueError(f"light is {picture[row, column]:g} at x = {column}, y = {row}: it must be 0 or more")
-        return picture
+        frame = self._frame(light, "light")
+        if frame.min() < 0:
+            row, column = np.unravel_index(int(frame.argmin()), frame.shape)
+            raise ValueError(f"light is {frame[row, column]:g} at x = {column}, y = {row}: it must be 0 or more")
+        return frame
 
-    def _picture(self, values: npt.ArrayLike, name: str) -> _Float32s:
-        """Return a picture as the kernels take it; raises TypeError or ValueError that says what is wrong."""
+    def _frame(self, values: npt.ArrayLike, name: str) -> _Float32s:
+        """Return a frame as the kernels take it; raises TypeError or ValueError with the fault and its place."""
         given, shape = np.asarray(values), (self.parameters.height, self.parameters.width)
         if given.dtype.kind != "f":
             raise TypeError(
@@ -166,15 +213,15 @@ class Sensor:
         if given.shape != shape:
             raise ValueError(f"{name} has the shape {given.shape}: (height, width) = {shape} is needed")
         with np.errstate(over="ignore"):
-            picture = np.ascontiguousarray(given, np.float32)
-        if not np.isfinite(picture).all():
-            row, column = np.argwhere(~np.isfinite(picture))[0]
+            frame = np.ascontiguousarray(given, np.float32)
+        if not np.isfinite(frame).all():
+            row, column = np.argwhere(~np.isfinite(frame))[0]
             raise ValueError(f"{name} is {given[row, column]} at x = {column}, y = {row}: it must be finite")
-        return picture
+        return frame
 
 
 def _time_ns(t_ns: int) -> int:
-    """Return a stream time; raises TypeError or ValueError where it is none."""
+    """Return a stream time; raises TypeError or ValueError for any other value."""
     try:
         at_ns = operator.index(t_ns)
     except TypeError:

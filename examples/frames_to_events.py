@@ -34,7 +34,7 @@ def main(path: str | None = None) -> int:
         events = evstim.events_from_video(path, seed=1)
     else:
         frames = disc()
-        events = evstim.events_from_frames(frames, times_us=np.arange(len(frames)) * 1000, sensor="davis346", seed=1)
+        events = evstim.events_from_frames(frames, t_us=np.arange(len(frames)) * 1000, sensor="davis346", seed=1)
     np.savez_compressed("events.npz", events=events)
     print(f"{len(events)} events, {events['on'].mean():.0%} of them ON, written to events.npz")
     return len(events)

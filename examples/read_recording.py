@@ -1,7 +1,7 @@
-"""Read a recording and tell its rates: `python read_recording.py FILE.npz`.
+"""Read a recording and print its rates: `python read_recording.py FILE`.
 
-FILE is what `evstim run RIG --record FILE.npz` or `evstim listen --record FILE.npz` wrote. Without one, a tenth of a
-second of the rig 'loopback' is recorded first.
+FILE is what `evstim run RIG --record FILE` or `evstim listen --record FILE` wrote, in any format. Without one, a tenth
+of a second of the rig 'loopback' is recorded first.
 """
 
 from __future__ import annotations
@@ -16,14 +16,12 @@ __all__ = ["main"]
 
 
 def main(path: str | None = None) -> float:
-    """Print what the recording holds; return its mean event rate, events/s."""
+    """Print the contents of the recording; return its mean event rate, events/s."""
     if path is None:
         path = "recording.npz"
         with evstim.run("loopback", seconds=0.1, pace="free", record=path) as run:
             run.wait()
-    events, resets = evstim.load_record(path)
-    if resets:
-        events = events[resets[-1] :]  # since the camera's clock last started anew
+    events = evstim.read_events(path)
     if len(events) < 2:
         print(f"{path}: {len(events)} events")
         return 0.0

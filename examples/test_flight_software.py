@@ -44,7 +44,7 @@ def test_a_scene_that_moves_slowly_raises_no_alarm() -> None:
 def test_a_flash_raises_the_alarm() -> None:
     """The thruster fires: everything becomes eight times brighter within a millisecond."""
     still, flash = np.full((260, 346), 0.1), np.full((260, 346), 0.8)
-    events = evstim.events_from_frames([still, still, flash, flash], times_us=[0, 20_000, 21_000, 40_000], seed=1)
+    events = evstim.events_from_frames([still, still, flash, flash], t_us=[0, 20_000, 21_000, 40_000], seed=1)
     monitor = RateMonitor(limit=40_000)
     monitor.take(events)
     assert monitor.alarm

@@ -18,9 +18,9 @@ from firmware_protocol.ground.description import Packet, instrument_packets
 from firmware_protocol.ground.fprime import fprime_text
 from firmware_protocol.ground.wireshark import wireshark_text
 from firmware_protocol.ground.xtce import xtce_text
-from transports.can_bus.kind import CanParameters
+from transports.can_bus.kind import CanLink
 from transports.link.kind import LinkParameters
-from transports.udp_packets.kind import UdpPackets
+from transports.udp_packets.kind import UdpPacketsLink
 
 __all__ = ["export"]
 
@@ -30,7 +30,7 @@ class _Wanted:
     """What the definitions are about: the packets, the UDP ports that carry them, the frames of a CAN bus."""
 
     packets: tuple[Packet, ...]
-    udp: UdpPackets
+    udp: UdpPacketsLink
     frames: tuple[tuple[int, CanMessage], ...]
 
 
@@ -88,17 +88,17 @@ def _wanted(rig: str | None) -> _Wanted:
     if rig is not None:
         with failures():
             links = tuple(load_rig(rig).links)
-    udp = next((one for one in links if isinstance(one, UdpPackets)), UdpPackets())
-    can = next((one for one in links if isinstance(one, CanParameters)), None)
+    udp = next((one for one in links if isinstance(one, UdpPacketsLink)), UdpPacketsLink())
+    can = next((one for one in links if isinstance(one, CanLink)), None)
     return _Wanted(instrument_packets(), udp, () if can is None else _frames(can))
 
 
-def _frames(can: CanParameters) -> tuple[tuple[int, CanMessage], ...]:
+def _frames(can: CanLink) -> tuple[tuple[int, CanMessage], ...]:
     ids = can.identifiers.by_name
     return tuple((ids[one.name], one) for one in can_messages(fd=can.fd, carriage=can.carriage))
 
 
-def _cosmos_ports(udp: UdpPackets) -> CosmosPorts:
+def _cosmos_ports(udp: UdpPacketsLink) -> CosmosPorts:
     return CosmosPorts(udp.command_host, udp.command_port, udp.port)
 
 

@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
-import faery
 import numpy as np
 import numpy.typing as npt
 
@@ -155,6 +154,8 @@ def read_recording(path: Path) -> dict[str, npt.NDArray[Any]]:
 
     A damaged file may end the process: faery panics, which is no Exception.
     """
+    import faery
+
     stream = faery.events_stream_from_file(path)
     packets = [packet.astype(EVENT) for packet in stream]
     events = np.concatenate(packets) if packets else np.empty(0, EVENT)

@@ -17,7 +17,7 @@ from emulator.tables.typed_table import KeyPath, TableError, convert_kind, unkno
 from transports.faults.kinds import Fault
 from transports.link.kind import LinkKind, LinkParameters
 
-__all__ = ["LINKS", "SCENES", "convert_fault", "faults_of", "known_faults"]
+__all__ = ["LINKS", "SCENES", "assigned_fault", "convert_fault", "faults_of", "known_faults"]
 
 
 LINKS: Registry[LinkKind[Any]] = Registry(
@@ -68,7 +68,11 @@ def faults_of(link: LinkParameters) -> Mapping[str, type[Fault]]:
 
 def convert_fault(table: object, links: Sequence[LinkParameters], path: KeyPath) -> Fault:
     """Return a table as a fault of one of `links`, whose name it then has; raises TableError."""
-    fault = convert_kind(table, known_faults(), path)
+    return assigned_fault(convert_kind(table, known_faults(), path), links, path)
+
+
+def assigned_fault(fault: Fault, links: Sequence[LinkParameters], path: KeyPath = ()) -> Fault:
+    """Return a fault with the name of the link of `links` that has it; raises TableError, at `path`."""
     able = [link.name for link in links if fault.kind in faults_of(link)]
     if not fault.link and len(able) == 1:
         return dataclasses.replace(fault, link=able[0])

@@ -9,7 +9,7 @@
 `FakeUsbBus` is a backend of pyusb that has one device on its bus. Requests that fail, fail as on a real bus:
 `break_with(errno.ENODEV)` is a cable that was pulled.
 
-What it does not model: time on a wire, packets, other devices. A read returns what the camera has within its timeout,
+Not modelled: time on a wire, packets, other devices. A read returns what the camera has within its timeout,
 one transfer at a time. Faults (`transports.faults.usb.FaultyDevice`) and another camera go in by
 `FakeUsbBus(device, descriptors)`; it keeps the contract of `evstim.testing.usb_contract`, as the USB/IP server does.
 """
@@ -63,7 +63,7 @@ class FakeUsbBus(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has no ty
             self.fault = number
             self.changed.notify_all()
 
-    # --- what pyusb asks of a backend, by its names (usb/backend/__init__.py)
+    # --- the methods of a backend, by pyusb's names (usb/backend/__init__.py)
 
     def enumerate_devices(self) -> list[str]:
         """See `usb.backend.IBackend`."""

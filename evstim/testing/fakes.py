@@ -1,23 +1,26 @@
-"""A CAN bus in memory with the methods of python-can's Bus, and a camera as its other node.
+"""Fakes in memory: a CAN bus with a camera as its other node, and a serial port with an instrument at its other side.
 
-    with FakeCanBus(CanParameters(carriage="raw")) as bus:
+The CAN bus has the methods of python-can's Bus:
+
+    with FakeCanBus(CanLink(node=34)) as bus:
         bus.show(events)                   # EVENT array, stream time
         while (message := bus.recv(0.1)) is not None:
             decoder_under_test(message)
 
-The camera is the real node: heartbeat, SYNC, NMT, ISO-TP and CFP as in a run. Its clock moves
-with `show`, and with `recv` by the timeout at most: a test takes no longer than its computation.
+The camera is the real node: heartbeat, SYNC, NMT, ISO-TP and CFP as in a run. Its clock moves with `show`, and with
+`recv` by the timeout at most: a test takes no longer than its computation.
 
-Stream time in short moments: an instrument that is given a second of events at once would find them all too old.
-
-A serial port in memory with the methods of pyserial's Serial, and an instrument at its other side.
+The serial port has the methods of pyserial's Serial:
 
     with FakeSerialPort("ccsds-cobs") as port:
         port.show(events)                  # EVENT array, stream time
         decoder_under_test(port.read(4096))
 
 Telecommands that the program under test writes reach the instrument, and its answers come back. The line is as fast as
-the program reads: a `read` returns at once with what there is, whatever the timeout. `damage` flips bits on the way.
+the program reads: a `read` returns the waiting bytes at once, whatever the timeout. `damage` changes bytes on the way.
+
+Events are offered in moments of a millisecond: an instrument that receives a second of events at once finds most of
+them too old.
 """
 
 from __future__ import annotations
@@ -41,7 +44,7 @@ from transports.can_bus.bus import CanBus, Heard, from_message, to_message
 from transports.can_bus.carriage import sources
 from transports.can_bus.endpoint import CanEndpoint
 from transports.can_bus.faulty_bus import BusFaults
-from transports.can_bus.kind import CanParameters
+from transports.can_bus.kind import CanLink
 from transports.can_bus.node import Node
 from transports.faults.script import FaultPlan
 from transports.link.deliveries import Deliveries
@@ -118,8 +121,8 @@ class FakeCanBus:
     instrument : the camera at the other side, with `counters`.
     """
 
-    def __init__(self, parameters: CanParameters | None = None, size: tuple[int, int] = (346, 260)) -> None:
-        p = replace(parameters or CanParameters(), interface="virtual")
+    def __init__(self, parameters: CanLink | None = None, size: tuple[int, int] = (346, 260)) -> None:
+        p = replace(parameters or CanLink(), interface="virtual")
         self.instrument = Instrument(size, p.instrument)
         self._clock = FakeClock()
         self._ring = EventRing(_RING_EVENTS)
@@ -197,7 +200,7 @@ class FakeSerialPort:
     Attributes
     ----------
     instrument : the camera at the other side, with `counters`.
-    damage : what happens to the bytes on their way to the computer; by default nothing.
+    damage : function that changes the bytes on their way to the computer; by default they arrive as they were sent.
     timeout, is_open, name : as in pyserial.
     """
 
@@ -257,7 +260,7 @@ class FakeSerialPort:
         self._check()
 
     def reset_input_buffer(self) -> None:
-        """Throw away what has come."""
+        """Discard the bytes that have arrived."""
         self._check()
         self._line.clear()
 
@@ -268,7 +271,7 @@ class FakeSerialPort:
             self.instrument.disconnected()
 
     def _send(self) -> None:
-        """Let everything leave that the instrument has to say."""
+        """Send every message that waits in the instrument."""
         while (outgoing := self.instrument.next_message()) is not None:
             self._line += self.damage(self._profile.wrap(outgoing.message))
             self.instrument.sent(outgoing)

@@ -73,7 +73,7 @@ def event_stream(count: int, start_us: int = 0) -> Events:
 
 
 class LinkContract:
-    """What every link promises.
+    """Behaviour that every link has.
 
     Attributes
     ----------
@@ -119,7 +119,7 @@ class LinkContract:
         assert pickle.loads(pickle.dumps(self.parameters)) == self.parameters
 
     def test_every_event_arrives_in_order(self, link: LinkProcess, connected: Reader) -> None:
-        """Nothing is lost where nothing forces it, and the digest is that of what was sent."""
+        """No event is lost without cause, and the digest is that of the events sent."""
         events = event_stream(self.many)
         link.start(FREE_RUNNING)
         link.push_all(events, self.many * _SPACING_US)
@@ -141,7 +141,7 @@ class LinkContract:
         assert report.latency.p50 >= 0
 
     def test_what_is_not_read_by_the_end_has_a_fate_too(self, link: LinkProcess) -> None:
-        """Events that nobody reads are counted."""
+        """Events that no reader takes are counted."""
         link.start(FREE_RUNNING)
         link.push(event_stream(5000), 15_000)
         report = link.stop(0.5)
@@ -149,7 +149,7 @@ class LinkContract:
         assert report.final
 
     def test_a_full_link_does_not_hold_up_a_run_that_is_to_stop(self, link: LinkProcess, connected: Reader) -> None:
-        """A session that stops does not wait for a ring that nobody empties."""
+        """A session that stops does not wait for a ring that no reader empties."""
         goes_on = iter([True] * 5 + [False] * 100)
         link.push_all(event_stream(50_000), 150_000, lambda: next(goes_on))  # not started, so it takes nothing
         report = link.stop(0.2)
@@ -157,7 +157,7 @@ class LinkContract:
         assert report.dropped > 0
 
     def test_every_fault_of_its_kind_begins_and_the_ledger_balances(self, link: LinkProcess, connected: Reader) -> None:
-        """Each fault that the kind names can be injected, and what it destroys is counted."""
+        """Each fault that the kind names can be injected, and the events that it destroys are counted."""
         kinds = LINKS[self.parameters.kind].possible_faults(self.parameters)
         link.start(FREE_RUNNING)
         for fault in kinds.values():

@@ -4,53 +4,29 @@
     def test_the_decoder(evstim_rig):
         port = serial.Serial(evstim_rig.address)
 
-`evstim_rig` starts the rig of the mark on free ports, and gives it when its links are open. After the test it stops the
-rig and asserts that the ledger balances and no link failed. Where the machine lacks what the rig needs the test is
-skipped with the reason, or fails with `--evstim-require`. Of a failed test the rig's last events and its counts are
-kept in the folder of `--evstim-artefacts`.
+`evstim_rig` starts the rig of the mark on free ports and returns it when its links are open. After the test it stops
+the rig and asserts that the ledger balances and no link failed. On a machine that cannot run the rig the test is
+skipped with the reason, or fails with `--evstim-require`. After a failed test the rig's last events and its counts are
+written into the folder of `--evstim-artefacts`.
 
 `evstim_camera` is a DAVIS346 in memory, without a rig or a link, that pyusb opens: see `evstim.testing.fake_usb`.
 
-Only pytest is imported here: this module is loaded in every pytest session of whoever has evstim installed.
-
-What remains of a failed test: the rig's last events, its counts and, where matplotlib is installed, its report.
-
-The events are AEDAT 4.0 where faery is installed, which most viewers open, else an .npz.
+Only pytest is imported here: every pytest session of a machine with evstim loads this module.
 """
 
 from __future__ import annotations
 
-import json
 from collections.abc import Generator
-from importlib.metadata import version
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import msgspec
 import pytest
-
-from emulator.cli.run import summary
-from emulator.report.page import ChartsLacking
-from emulator.run.outcome import judge
-from emulator.run.report import Reported, write_report
-from evstim.testing.running_rig import RunningRig
-from transports.recording.format import FORMATS
-from transports.recording.part import Facts, Part
-from transports.recording.writing import RecordingFile
 
 if TYPE_CHECKING:
     from evstim.testing.fake_usb import FakeCamera
+    from evstim.testing.running_rig import RunningRig
 
-__all__ = [
-    "evstim_camera",
-    "evstim_rig",
-    "pytest_addoption",
-    "pytest_configure",
-    "pytest_runtest_makereport",
-    "write_artefacts",
-]
-
+__all__ = ["evstim_camera", "evstim_rig", "pytest_addoption", "pytest_configure", "pytest_runtest_makereport"]
 
 _MARK = "rig(name, seconds=0, seed=None, pace=None, keep_s=2): the rig that the fixture evstim_rig runs"
 _failed: pytest.StashKey[bool] = pytest.StashKey()
@@ -60,7 +36,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     """Add the options of the plugin."""
     group = parser.getgroup("evstim", "emulated event cameras")
     group.addoption(
-        "--evstim-require", action="store_true", help="fail instead of skip where the machine lacks what a rig needs"
+        "--evstim-require", action="store_true", help="fail instead of skip on a machine that cannot run a rig"
     )
     group.addoption(
         "--evstim-artefacts",
@@ -86,7 +62,7 @@ def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestR
 
 @pytest.fixture
 def evstim_rig(request: pytest.FixtureRequest, tmp_path: Path) -> Generator[RunningRig]:
-    """Give the running rig that the test's mark `rig` names."""
+    """Run the rig that the test's mark `rig` names."""
     from evstim.testing.running_rig import RunningRig, faults_of_a_run
 
     mark = request.node.get_closest_marker("rig")
@@ -100,13 +76,13 @@ def evstim_rig(request: pytest.FixtureRequest, tmp_path: Path) -> Generator[Runn
         result = rig.stop()
         wrong = faults_of_a_run(result)
         if wrong or request.node.stash.get(_failed, False):
-            _keep(rig, request.node)
+            _write(rig, request.node)
     assert not wrong, "\n".join(wrong)
 
 
 @pytest.fixture
 def evstim_camera() -> Generator[FakeCamera]:
-    """Give a DAVIS346 that a test feeds with events and reads as a device of pyusb."""
+    """Make a DAVIS346 that a test feeds with events and reads as a device of pyusb."""
     from evstim.testing.fake_usb import FakeCamera
 
     with FakeCamera() as camera:
@@ -129,7 +105,7 @@ def _options(given: dict[str, Any]) -> Any:
 
 
 def _entered(rig: RunningRig, config: pytest.Config) -> None:
-    """Start the rig; skip the test, naming what is missing, where this machine cannot run it."""
+    """Start the rig; skip the test, with the reason, on a machine that cannot run it."""
     from emulator.light import MachineLacks
     from emulator.run.link_process import LinkFailed
 
@@ -141,9 +117,9 @@ def _entered(rig: RunningRig, config: pytest.Config) -> None:
         pytest.skip(f"rig {rig.rig.name!r} cannot run on this machine: {error}")
 
 
-def _keep(rig: RunningRig, item: pytest.Item) -> None:
-    """Write what the rig did into the artefacts' folder, and name it in the test's report."""
-    from evstim.testing.plugin import write_artefacts
+def _write(rig: RunningRig, item: pytest.Item) -> None:
+    """Write the rig's events and counts into the artefacts' folder, and name the files in the test's report."""
+    from evstim.testing.artefacts import write_artefacts
 
     base = item.config.getoption("evstim_artefacts")
     paths = write_artefacts(rig, item.config.invocation_params.dir / base / _as_path(item.nodeid))
@@ -153,25 +129,3 @@ def _keep(rig: RunningRig, item: pytest.Item) -> None:
 def _as_path(node: str) -> str:
     """Return a node's id as the name of a folder."""
     return "".join(c if c.isalnum() or c in "-_." else "_" for c in node)[-120:]
-
-
-def write_artefacts(rig: RunningRig, folder: Path) -> list[Path]:
-    """Write events, summary.json and the report of a rig that has been stopped; return their paths."""
-    folder.mkdir(parents=True, exist_ok=True)
-    events, counts = _write_events(rig, folder), folder / "summary.json"
-    told = msgspec.to_builtins(summary(rig.rig, rig.result))
-    counts.write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")
-    reported = Reported(rig.rig, rig.result, rig.seen, judge(rig.rig.verdict, rig.result), told, version("evstim"))
-    try:
-        return [events, counts, *write_report(reported, folder)]
-    except ChartsLacking:
-        return [events, counts]
-
-
-def _write_events(rig: RunningRig, folder: Path) -> Path:
-    form = FORMATS["aedat4" if find_spec("faery") else "npz"]
-    path = folder / f"events{form.suffixes[0]}"
-    file = RecordingFile(path, form, Facts(size=rig.rig.camera.size, camera=rig.rig.camera.model))
-    file.write(Part(events=rig.recent_events()))
-    file.close()
-    return path

@@ -60,16 +60,16 @@ class RobotKeywords:
         """Return where the other side of a link is."""
         return self._running().addresses[name]
 
-    def inject_fault(self, kind: str, **figures: Any) -> None:
-        """Begin a fault; figures are the keys of a rig's [[faults]] table."""
-        self._running().inject(kind, **_values(figures))
+    def inject_fault(self, kind: str, **keys: Any) -> None:
+        """Begin a fault; `keys` are those of a rig's [[faults]] table."""
+        self._running().inject(kind, **_values(keys))
 
     def events_read_out(self) -> int:
         """Return how many events the sensor has read out so far."""
         return self._running().status.read_out
 
     def end_test(self, data: object, result: object) -> None:
-        """Stop what still runs at the end of a test case: Robot Framework calls this."""
+        """Stop a rig that is running at the end of a test case: Robot Framework calls this."""
         if self._rig is not None:
             self._rig.stop()
             self._forget()

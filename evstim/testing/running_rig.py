@@ -1,6 +1,6 @@
-"""A rig that runs beside a test: on free ports, ready when the test gets it, its last events kept for a failure.
+"""A rig that runs beside a test, on free ports; its last events are held for the report of a failure.
 
-    RunningRig   starts a run, waits until its links are open, stops it, and says what is wrong with its end
+    RunningRig   starts a run, waits until its links are open, stops it, and lists the faults of its end
 
 The pytest fixture `evstim_rig` and the keywords for Robot Framework are both made of it.
 """
@@ -37,7 +37,7 @@ class RigOptions:
     seconds : stream time to run for; 0 means until the test ends; None means the rig's own.
     seed : seed of everything random; None means the rig's own.
     pace : "realtime" or "free"; None means the rig's own.
-    keep_s : stream time of which the last events are kept, for `recent_events`.
+    keep_s : stream time that `recent_events` covers.
     ready_s : how long the links may take to open: the first run on a machine compiles.
     """
 
@@ -58,9 +58,9 @@ class RunningRig:
 
     Attributes
     ----------
-    rig : what runs, with the ports that it was given.
-    addresses : where the other side of each link is, by the link's name.
-    seen : what a report shows of its events; complete when the run has ended.
+    rig : the rig, with the free ports that it has.
+    addresses : address of the other side of each link, by the link's name.
+    seen : statistics of its events for a report; complete when the run has ended.
     """
 
     def __init__(self, rig: str | Path | Rig, folder: Path, options: RigOptions | None = None) -> None:
@@ -69,7 +69,7 @@ class RunningRig:
         self.rig = on_free_ports(loaded, folder)
         self.addresses: Mapping[str, str | None] = {}
         o = self._options
-        self._live: LiveRun = run(self.rig, seconds=o.seconds, seed=o.seed, pace=o.pace)
+        self._live: LiveRun[Events] = run(self.rig, seconds=o.seconds, seed=o.seed, pace=o.pace)
         self.seen = Observation(self.rig.camera.size)
         self._recent: deque[Events] = deque()
         self._recent_count = 0
@@ -108,9 +108,9 @@ class RunningRig:
         """Counts, ledger and link reports; raises RuntimeError before `stop`."""
         return self._live.result
 
-    def inject(self, kind: str, **figures: Any) -> None:
-        """Begin a fault within a tenth of a second; `figures` are the keys of a rig's [[faults]] table."""
-        self._live.inject({"kind": kind, **figures})
+    def inject(self, kind: str, **keys: Any) -> None:
+        """Begin a fault within a tenth of a second; `keys` are those of a rig's [[faults]] table."""
+        self._live.inject({"kind": kind, **keys})
 
     def recent_events(self) -> Events:
         """Return the last events of the sensor, (n,) EVENT; a failed test wants to see them."""
@@ -118,7 +118,7 @@ class RunningRig:
         return np.concatenate(batches) if batches else np.zeros(0, EVENT)
 
     def stop(self) -> RunResult:
-        """End the run, and return its result; raises what the run failed with."""
+        """End the run, and return its result; raises the error of a run that failed."""
         self._end()
         if self._error is not None:
             raise self._error
@@ -146,7 +146,7 @@ class RunningRig:
 
 
 def faults_of_a_run(result: RunResult) -> list[str]:
-    """Return what is wrong with the end of a run, a line each; lateness of a busy machine is not counted."""
+    """Return the faults of the end of a run, a line each; lateness of a busy machine is not counted."""
     wrong = [] if result.ledger.balanced else [f"the ledger is off by {result.ledger.imbalance} events"]
     for name, link in result.links.items():
         wrong += [f"{name}: {link.error}"] if link.error is not None else []

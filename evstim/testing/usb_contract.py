@@ -1,4 +1,4 @@
-"""The contract of a USB cable as tests: what a host gets of a camera, whatever lies between them.
+"""The contract of a USB cable as tests: a host receives the same data and answers over every cable.
 
 The USB/IP server, the bus in memory behind pyusb (`fake_usb`) and the loopback keep it, so that a program tested with
 one of them finds the same camera at the others. Subclass and let pytest collect the class:
@@ -59,7 +59,7 @@ class Plugged:
 
 
 class UsbContract:
-    """What every cable between a camera and its host promises."""
+    """Behaviour of every cable between a camera and its host."""
 
     def plug(self, device: UsbDevice, timeout_s: float) -> Plugged:
         """Return `device`, a DAVIS346, at a host whose control requests may take `timeout_s`.
@@ -78,7 +78,7 @@ class UsbContract:
         """Return the camera behind faults, none of which is at work yet."""
         return FaultyDevice(model, FaultPlan("usb"))
 
-    def test_it_says_who_it_is(self, model: Davis346) -> None:
+    def test_its_identity_is_read(self, model: Davis346) -> None:
         """Identity, descriptors and strings are the camera's own."""
         with closing(self.plug(model, _PATIENCE_S).host) as host:
             identity = host.identity
@@ -87,7 +87,7 @@ class UsbContract:
             serial = host.control_in(SetupPacket(0x80, 6, 0x0303, 0x0409, 255))
             assert serial[2:].decode("utf-16-le") == "00000042"
 
-    def test_an_answer_is_cut_to_what_was_asked_for(self, model: Davis346) -> None:
+    def test_an_answer_is_cut_to_the_length_of_the_request(self, model: Davis346) -> None:
         """WLength bounds the data stage."""
         with closing(self.plug(model, _PATIENCE_S).host) as host:
             assert host.control_in(SetupPacket(0x80, 6, 0x0100, 0, 8)) == host.control_in(_DEVICE_DESCRIPTOR)[:8]
@@ -175,7 +175,7 @@ class UsbContract:
             assert host.control_in(_LOGIC_VERSION)[-1] == 18
 
     def test_a_late_answer_is_a_timeout_and_not_that_of_the_next_request(self, faulty: FaultyDevice) -> None:
-        """A host that gives up asks anew."""
+        """A host that gives up sends a new request."""
         plugged = _in_time(lambda: self.plug(faulty, _IMPATIENCE_S))
         with closing(plugged.host) as host:
             plugged.call(faulty.inject, SlowControl(for_s=1.0))

@@ -14,28 +14,15 @@ hull is kept: `window_s` of it, so memory stays bounded (a hull of n random poin
 guards against the rest). All in integers of ns.
 
 What is left is the least delay itself, which no one-sided measurement sees: take it once, by a loopback, and subtract.
-
-The computer's side of a DAVIS346 on USB: bytes of bulk transfers in, events, edges and counts out. No USB.
-
-Use::
-
-receiver = DavisReceiver()
-receiver.push(bulk_in(0x82))
-events = receiver.take_events()
 """
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from itertools import pairwise
 
-from firmware_protocol.davis346.decoder import Decoder
-from firmware_protocol.events import Edges, Events
-from firmware_protocol.receiver.instrument import Inbox
-
-__all__ = ["ClockEstimate", "ClockEstimator", "DavisReceiver"]
+__all__ = ["ClockEstimate", "ClockEstimator"]
 
 
 _MOST_CORNERS = 512
@@ -130,55 +117,3 @@ class ClockEstimator:
 def _turns_down(a: tuple[int, int], b: tuple[int, int], c: tuple[int, int]) -> bool:
     """Return True where `b` lies on or above the line from `a` to `c`."""
     return (b[0] - a[0]) * (c[1] - a[1]) <= (b[1] - a[1]) * (c[0] - a[0])
-
-
-class DavisReceiver:
-    """Decodes the word stream of endpoint 0x82; times are device time, which a timestamp reset sets to zero.
-
-    Parameters
-    ----------
-    size
-        (width, height) in user coordinates.
-    turned
-        True where the invert bit of the orientation register is set.
-    """
-
-    def __init__(self, size: tuple[int, int] = (346, 260), turned: bool = False) -> None:
-        self._decoder = Decoder(size, turned)
-        self._inbox = Inbox()
-        self._bytes = self._events = self._edges = self._resets = 0
-
-    def push(self, data: bytes) -> None:
-        """Take the next bytes of the stream, any number of them; never raises."""
-        decoded = self._decoder.feed(data)
-        edges = decoded.edges
-        self._bytes += len(data)
-        self._events += len(decoded.events)
-        self._edges += len(edges)
-        self._resets += len(decoded.resets)
-        self._inbox.put_events(decoded.events)
-        self._inbox.put_edges(edges)
-
-    def take_events(self) -> Events:
-        """See `Inbox.take_events`."""
-        return self._inbox.take_events()
-
-    def take_edges(self) -> Edges:
-        """See `Inbox.take_edges`."""
-        return self._inbox.take_edges()
-
-    def take_reports(self) -> tuple[str, ...]:
-        """Return an empty tuple: the stream of a DAVIS346 holds no answers."""
-        return self._inbox.take_reports()
-
-    @property
-    def counts(self) -> Mapping[str, int]:
-        """Everything by name; only what is not zero."""
-        counts = {"bytes": self._bytes, "events": self._events, "edges": self._edges, "resets": self._resets}
-        counts |= asdict(self._decoder.faults) | self._inbox.counts
-        return {name: count for name, count in counts.items() if count}
-
-    @property
-    def faults(self) -> int:
-        """Words that a sound stream never holds."""
-        return self._decoder.faults.total

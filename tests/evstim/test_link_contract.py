@@ -17,9 +17,9 @@ from firmware_protocol.instrument.settings import InstrumentSettings
 from firmware_protocol.receiver.can import CanReceiver
 from firmware_protocol.receiver.instrument import SerialReceiver
 from transports.can_bus.bus import PythonCanBus
-from transports.can_bus.kind import CanParameters
+from transports.can_bus.kind import CanLink
 from transports.can_bus.node import peer_of
-from transports.serial_line.kind import SerialParameters
+from transports.serial_line.kind import SerialLink
 from transports.usb.davis_host import DavisHost
 from transports.usb.loopback import LoopbackLink
 from transports.usb.usbip.client import UsbipHost
@@ -139,7 +139,7 @@ class TestLoopback(LinkContract):
 
 @pytest.mark.system
 class TestSerial(LinkContract):
-    parameters = SerialParameters(baud=12_000_000, instrument=PATIENT)
+    parameters = SerialLink(baud=12_000_000, instrument=PATIENT)
 
     def reader(self, link):
         return SerialReader(link)
@@ -147,7 +147,7 @@ class TestSerial(LinkContract):
 
 @pytest.mark.system
 class TestCan(LinkContract):
-    parameters = CanParameters(port=0, instrument=PATIENT, share=1.0)
+    parameters = CanLink(port=0, instrument=PATIENT, share=1.0)
     many, some = 4000, 2000  # a bus at 1 Mbit/s carries some 15 000 events a second
 
     def reader(self, link):
@@ -155,7 +155,7 @@ class TestCan(LinkContract):
 
 
 class TestCanIsoTp(TestCan):
-    parameters = CanParameters(port=0, instrument=PATIENT, share=1.0, carriage="isotp", answer_ms=60_000)
+    parameters = CanLink(port=0, instrument=PATIENT, share=1.0, carriage="isotp", answer_ms=60_000)
 
 
 def test_every_built_in_kind_is_under_contract():

@@ -9,54 +9,27 @@ import pytest
 import evstim
 
 NAMES = [
-    "BodiesParameters",
-    "Camera",
-    "CanParameters",
-    "CanReceiver",
-    "CanReceiverSettings",
-    "CheckerboardParameters",
-    "ClockEstimate",
-    "ClockEstimator",
-    "DavisReceiver",
-    "EDGE",
-    "EVENT",
-    "LensParameters",
-    "LinkFailed",
-    "LiveRun",
-    "LoopbackLink",
-    "MachineLacks",
-    "PRESETS",
-    "Profile",
-    "RecordingParameters",
-    "Rig",
-    "RigError",
-    "RunParameters",
-    "RunResult",
-    "Scene",
-    "SceneError",
-    "Sensor",
-    "SensorParameters",
-    "SerialParameters",
-    "SerialReceiver",
-    "StarsParameters",
-    "TerrainParameters",
-    "Trigger",
-    "UsbipLink",
-    "VideoParameters",
-    "attitude_from_basilisk",
-    "attitude_from_opengl",
-    "attitude_from_scalar_last",
-    "attitude_from_spice",
-    "build_scene",
-    "events_from_frames",
-    "events_from_video",
-    "load_record",
-    "load_rig",
-    "parse_rig",
-    "reconstruct",
-    "run",
-    "shipped_rigs",
-]
+    "BabblingIdiot", "BackgroundParameters", "Bare", "BasiliskPath", "BiasSlopes", "BitFlips", "BodiesScene", "Body",
+    "Burst", "BusOff", "Camera", "CanLink", "CanReceiver", "CanReceiverSettings", "ChangedFrames", "CheckerboardScene",
+    "ClockEstimate", "ClockEstimator", "ClockSettings", "ClockStep", "Clouds", "ControlStall", "DavisReceiver",
+    "DeadBus", "DefectParameters", "Delivery", "DescentPath", "EDGE", "EVENT", "EmptyTransfers", "ErrorFrames",
+    "FifoOverflow", "FileLink", "FilePath", "FixedPath", "Frame", "FrameParameters", "Gate", "GigeLink", "Glossy",
+    "Hapke", "Heightmap", "IMU", "Identifiers", "ImagerParameters", "ImuParameters", "InsertedBytes",
+    "InstrumentSettings", "IpChange", "JitterParameters", "Keyframe", "KeyframePath", "KickParameters", "Lambert",
+    "LateDatagrams", "LensParameters", "LinkDown", "LinkFailed", "LivePath", "LiveRun", "LommelSeeliger",
+    "LoopbackLink", "LostBytes", "LostDatagrams", "LostFrames", "LostHeartbeat", "LunarLambert", "MachineLacks",
+    "MissedWraps", "MovingPoint", "NoiseParameters", "OddBytes", "OrbitPath", "Overrun", "PRESETS", "PictureSettings",
+    "Profile", "RadiationParameters", "ReadoutParameters", "RecordingError", "RecordingScene", "RefusedResends",
+    "RegisterFlip", "Regolith", "ReorderedFrames", "RepeatedDatagrams", "RepeatedEvents", "RepeatedFrames", "Ridge",
+    "Rig", "RigError", "Ros2Link", "Ros2Scene", "RunParameters", "RunResult", "RunStatus", "Scene", "SceneError",
+    "SecondCamera", "SelectorSettings", "Sensor", "SensorOptions", "SensorParameters", "SerialLink", "SerialReceiver",
+    "ShortTransfers", "SlowControl", "SpinPath", "StaleData", "Stall", "StarsScene", "StuckLine", "Sun", "TcpLink",
+    "TemperatureParameters", "TerrainScene", "TimeAhead", "TimeBack", "TimeFrozen", "Trigger", "TriggerEdges",
+    "UdpLink", "UdpPacketsLink", "Unplugged", "UsbGadgetLink", "UsbSilence", "UsbStall", "UsbUnplugged", "UsbipLink",
+    "Verdict", "VideoScene", "WrongBaud", "WrongVersion", "attitude_from_basilisk", "attitude_from_opengl",
+    "attitude_from_scalar_last", "attitude_from_spice", "build_scene", "events_from_frames", "events_from_video",
+    "iter_events", "load_record", "load_rig", "parse_rig", "read_events", "reconstruct", "run", "shipped_rigs",
+]  # fmt: skip
 
 HEAVY = ("numpy", "numba", "scipy", "moderngl", "trimesh", "can", "serial", "usb", "msgspec", "emulator", "matplotlib")
 
@@ -96,6 +69,15 @@ def test_type_checkers_see_the_same_names():
     sources = {name: at.split(":") if ":" in at else [at, name] for name, at in evstim._SOURCES.items()}
     assert told == {name: tuple(at) for name, at in sources.items()}
     assert sorted(evstim.__all__) == sorted(sources)
+
+
+@pytest.mark.parametrize(("old", "new"), sorted(evstim._RENAMED.items()))
+def test_an_old_name_works_with_a_warning_that_names_the_new_one(old, new):
+    for _ in range(2):
+        with pytest.warns(DeprecationWarning, match=rf"evstim\.{old} is now evstim\.{new};") as warned:
+            assert getattr(evstim, old) is getattr(evstim, new)
+        assert warned[0].filename == __file__
+    assert old not in dir(evstim)
 
 
 def test_a_name_that_is_not_there():
@@ -139,6 +121,21 @@ def test_a_receiver_needs_no_simulator():
     used = "evstim.EVENT, evstim.ClockEstimator"
     code = f"import sys, evstim; {used}; print('numba' in sys.modules, 'emulator' in sys.modules)"
     assert in_a_process(code).split() == ["False", "False"]
+
+
+EXTRAS = ("av", "PIL", "faery", "h5py", "rosbags", "cyclonedds", "matplotlib", "fmpy", "spiceypy", "pyarrow", "dask")
+
+
+def test_no_name_needs_an_extra():
+    """Each extra is imported by the function that uses it."""
+    code = f"""
+import sys
+for extra in {EXTRAS!r}:
+    sys.modules[extra] = None  # importing it raises ImportError
+import evstim
+print([name for name in evstim.__all__ if getattr(evstim, name) is None])
+"""
+    assert in_a_process(code).strip() == "[]"
 
 
 def test_python_dash_m():

@@ -1,4 +1,4 @@
-"""The picture that events tell, against the light that made them."""
+"""The log light after events, against the light that made them."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ def test_the_log_light_comes_back():
     end = start + np.linspace(-1, 1, 12).reshape(3, 4)
     plain = {"sensor": "ideal", "random_start": True, "dark_current_relative": 1e-9}
     thresholds = {"threshold_on": 0.1, "threshold_off": 0.15}
-    events = evstim.events_from_frames(np.exp([start, end]), [0, 1e4], **plain, **thresholds)
+    events = evstim.events_from_frames(np.exp([start, end]), [0, 10_000], **plain, **thresholds)
     found = evstim.reconstruct(events, start, **thresholds)
     assert np.abs(found - end).max() < 0.1 + 0.15, "the first reference lies anywhere between the two thresholds"
     assert np.array_equal(evstim.reconstruct(events, start, t_us=0, **thresholds), start)
@@ -20,7 +20,7 @@ def test_the_log_light_comes_back():
 def test_events_outside_are_refused():
     events = np.zeros(1, evstim.EVENT)
     events["x"] = 4
-    with pytest.raises(ValueError, match="outside the 4 x 3 picture"):
+    with pytest.raises(ValueError, match="outside the 4 x 3 array"):
         evstim.reconstruct(events, np.zeros((3, 4)), threshold_on=0.2, threshold_off=0.2)
     with pytest.raises(ValueError, match="log_light has the shape"):
         evstim.reconstruct(events, np.zeros(4), threshold_on=0.2, threshold_off=0.2)

@@ -63,7 +63,7 @@ def test_wait_goes_to_the_end():
 
 
 def test_a_reader_that_is_slow_holds_a_free_run_back_and_loses_nothing(monkeypatch):
-    monkeypatch.setattr(running, "_MOST_QUEUED", 500)
+    monkeypatch.setattr(running, "_MOST_QUEUED_BYTES", 6500)
     with evstim.run("loopback", seconds=0.02, pace="free") as run:
         first = next(iter(run))
         rest = list(run)
@@ -72,7 +72,7 @@ def test_a_reader_that_is_slow_holds_a_free_run_back_and_loses_nothing(monkeypat
 
 
 def test_a_reader_that_is_slow_does_not_hold_back_real_time(monkeypatch):
-    monkeypatch.setattr(running, "_MOST_QUEUED", 500)
+    monkeypatch.setattr(running, "_MOST_QUEUED_BYTES", 6500)
     with evstim.run(unhurried(), seconds=0.1, pace="realtime") as run:
         run._thread.join()
         read = sum(map(len, run))
@@ -82,7 +82,7 @@ def test_a_reader_that_is_slow_does_not_hold_back_real_time(monkeypatch):
 
 
 def test_a_rig_made_in_python():
-    scene = evstim.CheckerboardParameters(square_px=8.0, speed_px_s=200.0)
+    scene = evstim.CheckerboardScene(square_px=8.0, speed_px_s=200.0)
     sensor = evstim.Sensor("davis346", width=32, height=24).parameters
     rig = evstim.Rig("mine", "my rig", scene, evstim.Camera(sensor=sensor))
     with evstim.run(rig, seconds=0.05, pace="free") as run:
@@ -96,7 +96,7 @@ def test_what_cannot_run():
         evstim.run("lopback")
     with pytest.raises(ValueError, match="seconds must be"):
         evstim.run("loopback", seconds=-1)
-    rig = evstim.Rig("none", "no link", evstim.CheckerboardParameters())
+    rig = evstim.Rig("none", "no link", evstim.CheckerboardScene())
     with pytest.raises(ValueError, match="no link"):
         evstim.run(rig, record="x.npz")
     live = evstim.run("loopback", seconds=0.01)
@@ -108,8 +108,20 @@ def test_what_cannot_run():
         pass
 
 
+def test_a_fault_is_an_object_or_a_table():
+    scene, links = evstim.CheckerboardScene(), (evstim.SerialLink(name="a"), evstim.SerialLink(name="b"))
+    live = evstim.run(evstim.Rig("serial", "one line", scene, links=links[:1]))
+    live.inject(evstim.BitFlips(rate=1e-3, count=5))
+    live.inject({"kind": "bit_flips", "rate": 1e-3, "count": 5})
+    assert list(live._faults) == [evstim.BitFlips("a", rate=1e-3, count=5)] * 2
+    with pytest.raises(Exception, match="no link of this rig can have a fault of kind 'bus_off'"):
+        live.inject(evstim.BusOff())
+    with pytest.raises(Exception, match="'link' is missing: a, b can all have 'bit_flips'"):
+        evstim.run(evstim.Rig("serial", "two lines", scene, links=links)).inject(evstim.BitFlips())
+
+
 def test_what_fails_in_the_run_is_raised_in_the_reader(tmp_path):
-    video = evstim.VideoParameters(path=str(tmp_path / "none.mp4"))
+    video = evstim.VideoScene(path=str(tmp_path / "none.mp4"))
     rig = evstim.Rig("broken", "no video", video)
     with pytest.raises(evstim.SceneError, match="no such file"), evstim.run(rig, seconds=1) as run:
         list(run)

@@ -1,6 +1,9 @@
-"""The sensor facade: the events of the simulation, and messages for whoever gives it something else than light."""
+"""The sensor facade: the events of the simulation, and messages for arguments that are not light."""
 
 import dataclasses
+import typing
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,8 +16,8 @@ SMALL["corner_max_hz"] = float("inf")
 DARK = np.full((6, 8), 0.1)
 
 
-def small(**figures):
-    return evstim.Sensor("davis346", seed=1, **{**SMALL, **figures})
+def small(**parameters):
+    return evstim.Sensor("davis346", seed=1, **{**SMALL, **parameters})
 
 
 def test_a_step_of_light_has_the_events_of_its_logarithm():
@@ -53,7 +56,7 @@ def test_a_known_rate_bends_the_way_between_two_pictures():
     assert not np.array_equal(*t)
 
 
-def test_figures_go_over_the_preset_part_by_part():
+def test_parameters_go_over_the_preset_part_by_part():
     sensor = evstim.Sensor("dvxplorer_micro", threshold_on=0.4, noise={"rms": 0.01}, readout={"event_ns": 5.0})
     preset = evstim.PRESETS["dvxplorer_micro"]
     assert sensor.size == (640, 480)
@@ -117,7 +120,7 @@ def test_time_goes_on():
         sensor.reset(DARK, 1 << 70)
     sensor.reset(DARK, 5_000)
     for t_ns in (4_999, 5_000):
-        with pytest.raises(ValueError, match=f"t_ns is {t_ns}: it must be later than the picture before, 5000 ns"):
+        with pytest.raises(ValueError, match=f"t_ns is {t_ns}: it must be later than the frame before, 5000 ns"):
             sensor.expose(DARK, t_ns)
     with pytest.raises(TypeError, match="whole nanoseconds"):
         sensor.expose(DARK, 1e6)
@@ -134,3 +137,11 @@ def test_a_rate_may_be_negative_but_not_nan():
     sensor.expose(DARK, 1000, -DARK)
     with pytest.raises(ValueError, match="rate is nan"):
         sensor.expose(DARK, 2000, DARK * np.nan)
+
+
+def test_the_options_are_the_fields_of_the_parameters():
+    options, fields = (typing.get_type_hints(cls) for cls in (evstim.SensorOptions, evstim.SensorParameters))
+    assert list(options) == list(fields)
+    for name, annotation in fields.items():
+        is_part = dataclasses.is_dataclass(annotation)
+        assert options[name] == (annotation | Mapping[str, Any] if is_part else annotation), name

@@ -35,7 +35,7 @@ from firmware_protocol.packets.telecommands import (
 from firmware_protocol.receiver.can import CanReceiver
 from firmware_protocol.receiver.instrument import SerialReceiver
 from transports.can_bus.carriage import sources
-from transports.can_bus.kind import CanParameters
+from transports.can_bus.kind import CanLink
 
 __all__ = ["CAN", "NAMES", "Fuzz", "main"]
 
@@ -164,7 +164,7 @@ class Fuzz:
         )
         self.instrument = Instrument(SIZE, settings)
         if name in CAN:
-            self.way = CanWay(self.instrument, CanParameters(interface="virtual", instrument=settings, **CAN[name]))
+            self.way = CanWay(self.instrument, CanLink(interface="virtual", instrument=settings, **CAN[name]))
         else:
             self.way = SerialWay(self.instrument, name)
         self.may_lose = name not in ("can-raw", "can-fd")  # a lost frame there is a lost epoch, hence a time in doubt

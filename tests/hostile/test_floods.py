@@ -16,7 +16,7 @@ import pytest
 from emulator.run.control import ControlSocket, ask
 from firmware_protocol.can_frames.frame import Frame
 from firmware_protocol.usb.usbip import DeviceListRequest
-from transports.can_bus.kind import CanParameters
+from transports.can_bus.kind import CanLink
 from transports.can_bus.served import ServedBus
 from transports.link.pacing import MonotonicClock
 from transports.usb.usbip.server import UsbipServer
@@ -90,7 +90,7 @@ def test_a_served_bus_and_its_listener():
         got.extend(int(part.split()[1], 16) for part in data.split(b"< frame 1A2")[1:])
 
     async def run():
-        bus = ServedBus(CanParameters(port=0), MonotonicClock())
+        bus = ServedBus(CanLink(port=0), MonotonicClock())
         await bus.open()
         port = int(bus.address.rpartition(":")[2])
         with socket.create_connection(("127.0.0.1", port), 60) as sock:

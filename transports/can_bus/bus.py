@@ -23,7 +23,7 @@ from typing import Any
 import can
 
 from firmware_protocol.can_frames.frame import Frame
-from transports.can_bus.kind import CanParameters
+from transports.can_bus.kind import CanLink
 
 __all__ = ["BusDown", "CanBus", "Heard", "PythonCanBus", "from_message", "to_message"]
 
@@ -149,7 +149,7 @@ def from_message(message: can.Message) -> Frame | None:
 class PythonCanBus(CanBus):
     """A bus by its interface and channel."""
 
-    def __init__(self, parameters: CanParameters, channel: str) -> None:
+    def __init__(self, parameters: CanLink, channel: str) -> None:
         self._parameters = parameters
         self._channel = channel
         self._bus: can.BusABC | None = None
@@ -318,7 +318,7 @@ def _is_up(channel: str) -> bool:
     return not flags.exists() or bool(int(flags.read_text(), 16) & _IFF_UP)
 
 
-def _cure(p: CanParameters, channel: str, error: Exception) -> str:
+def _cure(p: CanLink, channel: str, error: Exception) -> str:
     """Say what to do about a bus that cannot be had."""
     code = getattr(error, "error_code", None) or getattr(error, "errno", None)
     kind = "" if channel.startswith("vcan") else f" type can bitrate {p.bitrate}"
@@ -343,7 +343,7 @@ _CURES: dict[int | None, str] = {
 }
 
 
-def _cure_by_text(p: CanParameters, text: str) -> str:
+def _cure_by_text(p: CanLink, text: str) -> str:
     """Say it for interfaces that put the cause into their message only."""
     driver = f"the maker's driver for {p.interface} is not installed"
     cures = {

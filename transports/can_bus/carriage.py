@@ -29,7 +29,7 @@ from firmware_protocol.events import Edges, copy_events, empty_edges, empty_even
 from firmware_protocol.instrument.instrument import Instrument, Outgoing
 from firmware_protocol.packets.addresses import Addresses, Received
 from firmware_protocol.packets.profile import CommandUnwrapper, Profile
-from transports.can_bus.kind import CanParameters
+from transports.can_bus.kind import CanLink
 from transports.faults.tracker import Load, Tracker
 from transports.link.deliveries import Deliveries
 
@@ -316,7 +316,7 @@ class CfpMail(FrameSource):
 
     label = "CFP"
 
-    def __init__(self, instrument: Instrument, deliveries: Deliveries, parameters: CanParameters) -> None:
+    def __init__(self, instrument: Instrument, deliveries: Deliveries, parameters: CanLink) -> None:
         super().__init__(instrument, deliveries)
         self._address, self._peer = parameters.csp_address, parameters.csp_peer
         self._profile = Profile("csp", Addresses(csp_node=parameters.csp_address, csp_peer=parameters.csp_peer))
@@ -360,7 +360,7 @@ class CfpMail(FrameSource):
         return None
 
 
-def sources(instrument: Instrument, deliveries: Deliveries, parameters: CanParameters) -> list[FrameSource]:
+def sources(instrument: Instrument, deliveries: Deliveries, parameters: CanLink) -> list[FrameSource]:
     """Return what a link sends, the more urgent first."""
     if parameters.carriage == "cfp":
         return [CfpMail(instrument, deliveries, parameters)]

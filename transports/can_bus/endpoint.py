@@ -20,7 +20,7 @@ from firmware_protocol.instrument.instrument import Instrument, Outgoing
 from transports.can_bus.bus import BusDown, CanBus, PythonCanBus
 from transports.can_bus.carriage import FrameSource, sources
 from transports.can_bus.faulty_bus import BusFaults, FaultyBus
-from transports.can_bus.kind import CanParameters
+from transports.can_bus.kind import CanLink
 from transports.can_bus.node import EdgeSink, Node
 from transports.can_bus.served import ServedBus
 from transports.faults.bus import QueuedFrame
@@ -45,7 +45,7 @@ _DRAIN_TURNS, _DRAIN_TURN_S = 1000, 0.001  # what waits on our side at the end h
 class CanFactory(EndpointFactory[Instrument]):
     """Puts an instrument on a CAN bus; `sink` takes the bus's SYNCs as triggers."""
 
-    parameters: CanParameters
+    parameters: CanLink
     sink: EdgeSink | None = None
     faults: FaultPlan = field(default_factory=FaultPlan)
 

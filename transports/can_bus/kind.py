@@ -24,14 +24,14 @@ from transports.link.kind import CameraFacts, LinkKind, Listener, Unsuitable, Wi
 from transports.needs import Need, network_interface
 from transports.network.datagrams import check_allow
 
-__all__ = ["CAN", "CanParameters", "Option"]
+__all__ = ["CAN", "CanLink", "Option"]
 
 
 Option = str | int | float | bool
 
 
 @dataclass(frozen=True)
-class CanParameters:
+class CanLink:
     """A bus, or two, and how the camera behaves on it.
 
     Attributes
@@ -192,26 +192,26 @@ _OWN_BUSES = ("served", "virtual")
 """Interfaces that carry an error frame that is given to them; a controller makes its own."""
 
 
-def _endpoint(parameters: CanParameters, wiring: Wiring) -> EndpointFactory[Any]:
+def _endpoint(parameters: CanLink, wiring: Wiring) -> EndpointFactory[Any]:
     from transports.can_bus.endpoint import CanFactory
 
     return CanFactory(parameters, wiring.sink, wiring.faults)
 
 
-def _faults_of(parameters: CanParameters) -> Mapping[str, type[Fault]]:
+def _faults_of(parameters: CanLink) -> Mapping[str, type[Fault]]:
     own = parameters.interface in _OWN_BUSES
     return {kind: fault for kind, fault in CAN_FAULTS.items() if own or fault is not ErrorFrames}
 
 
 def _with_identifiers(table: dict[str, Any]) -> dict[str, Any]:
     """Let the identifiers follow the node number where the rig does not give them."""
-    node, own = table.get("node", CanParameters.node), table.get("identifiers", {})
+    node, own = table.get("node", CanLink.node), table.get("identifiers", {})
     if not isinstance(node, int) or not 1 <= node <= 127 or not isinstance(own, dict):
         return table  # refused where its type is checked
     return {**table, "identifiers": {**Identifiers.of_node(node).by_name, **own}}
 
 
-def _check(parameters: CanParameters, camera: CameraFacts) -> None:
+def _check(parameters: CanLink, camera: CameraFacts) -> None:
     """Raise Unsuitable for a region beyond the sensor, or a sensor beyond what raw frames can number."""
     check_region(parameters, camera)
     if parameters.carriage == "raw" and max(camera.size) > RAW_LIMIT_PX:
@@ -222,19 +222,19 @@ def _check(parameters: CanParameters, camera: CameraFacts) -> None:
         )
 
 
-def _listens_on(parameters: CanParameters) -> tuple[str, int] | None:
+def _listens_on(parameters: CanLink) -> tuple[str, int] | None:
     served = parameters.interface == "served" and parameters.port
     return (parameters.host, parameters.port) if served else None
 
 
-def _needs(parameters: CanParameters) -> tuple[Need, ...]:
+def _needs(parameters: CanLink) -> tuple[Need, ...]:
     if parameters.interface != "socketcan":
         return ()
     return tuple(network_interface(name) for name in (parameters.channel, parameters.channel_b) if name)
 
 
 CAN = LinkKind(
-    CanParameters,
+    CanLink,
     serves="instrument",
     endpoint=_endpoint,
     has_sync=True,

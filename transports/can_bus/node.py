@@ -30,7 +30,7 @@ from firmware_protocol.can_frames.frame import FollowUp, Frame
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.receiver.can import CanReceiver
 from transports.can_bus.bus import BusDown, PythonCanBus
-from transports.can_bus.kind import CanParameters
+from transports.can_bus.kind import CanLink
 from transports.link.deliveries import Deliveries, LatencySummary
 from transports.link.pacing import Clock
 from transports.link.reception import Arrivals
@@ -50,7 +50,7 @@ class Node:
     """What the node does by the clock, and what it does when it hears something."""
 
     def __init__(
-        self, parameters: CanParameters, instrument: Instrument, deliveries: Deliveries, sink: EdgeSink | None
+        self, parameters: CanLink, instrument: Instrument, deliveries: Deliveries, sink: EdgeSink | None
     ) -> None:
         self.parameters = self._p = parameters
         self._ids = parameters.identifiers
@@ -238,7 +238,7 @@ class CanReception:
     ended: bool = False
 
 
-def peer_of(parameters: CanParameters) -> CanParameters:
+def peer_of(parameters: CanLink) -> CanLink:
     """Return how the other side joins the bus of a rig's link."""
     return replace(parameters, interface="socketcand") if parameters.interface == "served" else parameters
 
@@ -246,7 +246,7 @@ def peer_of(parameters: CanParameters) -> CanParameters:
 class _Listening:
     """One visit to the bus."""
 
-    def __init__(self, parameters: CanParameters, clock: Clock, recorder: Recorder | None) -> None:
+    def __init__(self, parameters: CanLink, clock: Clock, recorder: Recorder | None) -> None:
         self._receiver = CanReceiver(parameters.receiver)
         self._arrivals = Arrivals(clock, recorder)
         self._heartbeat = parameters.identifiers.heartbeat
@@ -277,7 +277,7 @@ class _Listening:
 
 
 async def listen_can(
-    parameters: CanParameters, goes_on: Callable[[CanReception], bool], clock: Clock, recorder: Recorder | None = None
+    parameters: CanLink, goes_on: Callable[[CanReception], bool], clock: Clock, recorder: Recorder | None = None
 ) -> CanReception:
     """Join the bus of `parameters` and hear it while `goes_on` says so, which is asked whenever something has come.
 

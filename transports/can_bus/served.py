@@ -28,7 +28,7 @@ from typing import Protocol
 from firmware_protocol.can_frames.frame import Frame
 from firmware_protocol.can_frames.socketcand import GREETING, Carried, SocketcandSession, Wire, frame_line
 from transports.can_bus.bus import BusDown, CanBus, Heard
-from transports.can_bus.kind import CanParameters
+from transports.can_bus.kind import CanLink
 from transports.link.pacing import Clock
 from transports.network.datagrams import Admission, AllowList, Places, Seat
 from transports.network.listener import Listener
@@ -190,7 +190,7 @@ class _Member:
 class ServedBus(CanBus):
     """The bus, and everybody on it."""
 
-    def __init__(self, parameters: CanParameters, clock: Clock) -> None:
+    def __init__(self, parameters: CanLink, clock: Clock) -> None:
         self._parameters = parameters
         self._clock = clock
         self._wire = Wire(parameters.rates)

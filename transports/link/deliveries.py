@@ -32,6 +32,7 @@ from firmware_protocol.device.event_device import Reading, ReadingKind
 from firmware_protocol.events import Edges, Events, copy_events, empty_edges, empty_events
 from firmware_protocol.frames import FrameAssembler, WholeFrame
 from firmware_protocol.imu_samples import ImuSamples, no_samples, physical
+from transports.link.forwarded import ForwardingRecorder
 from transports.link.pacing import Clock
 from transports.link.rings import FREE_RUNNING, EventRing
 from transports.recording.live import AnyRecorder
@@ -206,7 +207,7 @@ class Deliveries:
         self,
         ring: EventRing,
         clock: Clock,
-        recorder: AnyRecorder | None = None,
+        recorder: AnyRecorder | ForwardingRecorder | None = None,
         device_clock: DeviceClock | None = None,
         imu_unit: int = 2,
     ) -> None:

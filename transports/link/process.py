@@ -37,10 +37,11 @@ from transports.link.changes import CameraSettings, ChangeWatch, Occurrence
 from transports.link.deliveries import Deliveries, DeliveryTally
 from transports.link.endpoint import Endpoint, EndpointFactory, LinkBroken
 from transports.link.feed import ClockReport, ClockTruth, Feed, Timing
+from transports.link.forwarded import ForwardingRecorder
 from transports.link.pacing import Clock, FineSelector, MonotonicClock
 from transports.link.report import LinkReport
 from transports.link.rings import FREE_RUNNING, EventRing, ReadingRing
-from transports.recording.live import open_recorder
+from transports.recording.live import AnyRecorder, open_recorder
 from transports.recording.part import Facts
 
 __all__ = ["STOP_SIGNALS", "Happen", "InjectFault", "Link", "LinkSetup", "Stop", "run_link"]
@@ -107,6 +108,9 @@ class LinkSetup(Generic[_Device]):
         Count of delivered events that outlives the process.
     readings
         Rings of what the device reads beside events, one for each kind.
+    deliveries
+        Writing end of a pipe for what was delivered, beside the file; None: no process reads it. One start of the link
+        uses it up, so the link is not started again.
     """
 
     name: str
@@ -121,6 +125,7 @@ class LinkSetup(Generic[_Device]):
     restart: bool = False
     tally: DeliveryTally = field(default_factory=DeliveryTally)
     readings: tuple[ReadingRing, ...] = ()
+    deliveries: Connection | None = None
 
 
 class Link:
@@ -131,7 +136,7 @@ class Link:
         self._tally = setup.tally
         self._clock = clock
         self._device: EventDevice = setup.device()
-        recorder = None if setup.record is None else open_recorder(setup.record, setup.facts)
+        recorder = _recorder(setup)
         self._feed = Feed(self._device, setup.ring, setup.timing, setup.readings)
         self._watch = ChangeWatch(self._device)
         self._holdback_us = setup.timing.holdback_us
@@ -263,6 +268,11 @@ class Link:
         self._deliveries.close()
         if self._truth is not None:
             self._truth.close()
+
+
+def _recorder(setup: LinkSetup[Any]) -> AnyRecorder | ForwardingRecorder | None:
+    own = None if setup.record is None else open_recorder(setup.record, setup.facts)
+    return own if setup.deliveries is None else ForwardingRecorder(setup.deliveries, own)
 
 
 def run_link(setup: LinkSetup[Any], control: Connection) -> None:

@@ -29,11 +29,11 @@ from transports.link.kind import CameraFacts, LinkKind, Unsuitable, Wiring
 from transports.needs import package
 from transports.network.datagrams import check_allow, is_loopback
 
-__all__ = ["TCP", "UDP", "TcpStream", "UdpStream"]
+__all__ = ["TCP", "UDP", "TcpLink", "UdpLink"]
 
 
 @dataclass(frozen=True)
-class TcpStream:
+class TcpLink:
     """A server that sends events to all who connect: the DV viewer, `dv_processing.io.NetworkReader`, clients of cAER.
 
     Attributes
@@ -95,7 +95,7 @@ class TcpStream:
 
 
 @dataclass(frozen=True)
-class UdpStream:
+class UdpLink:
     """Datagrams of events to one address: jAER, cAER, AEStream, faery.
 
     Attributes
@@ -147,7 +147,7 @@ _DATAGRAM_CODERS: Mapping[str, type[DatagramCoder]] = {
 }
 
 
-def _tcp_endpoint(link: TcpStream, wiring: Wiring) -> EndpointFactory[Any]:
+def _tcp_endpoint(link: TcpLink, wiring: Wiring) -> EndpointFactory[Any]:
     from transports.network_streams.tcp import TcpFactory
 
     camera = link.camera or wiring.camera.model.upper()
@@ -156,18 +156,18 @@ def _tcp_endpoint(link: TcpStream, wiring: Wiring) -> EndpointFactory[Any]:
     return TcpFactory(link, partial(_CONNECTION_CODERS[link.format], facts), triggers)
 
 
-def _udp_endpoint(link: UdpStream, wiring: Wiring) -> EndpointFactory[Any]:
+def _udp_endpoint(link: UdpLink, wiring: Wiring) -> EndpointFactory[Any]:
     from transports.network_streams.udp import UdpFactory
 
     facts = StreamFacts(wiring.camera.size, wiring.camera.model.upper())
     return UdpFactory(link, partial(_DATAGRAM_CODERS[link.format], facts))
 
 
-def _check_tcp(link: TcpStream, camera: CameraFacts) -> None:
+def _check_tcp(link: TcpLink, camera: CameraFacts) -> None:
     _check_size(link.format, _CONNECTION_CODERS[link.format].limit_px, camera)
 
 
-def _check_udp(link: UdpStream, camera: CameraFacts) -> None:
+def _check_udp(link: UdpLink, camera: CameraFacts) -> None:
     _check_size(link.format, _DATAGRAM_CODERS[link.format].limit_px, camera)
 
 
@@ -179,7 +179,7 @@ def _check_size(form: str, limit_px: tuple[int, int], camera: CameraFacts) -> No
 
 
 TCP = LinkKind(
-    TcpStream,
+    TcpLink,
     serves="plain",
     endpoint=_tcp_endpoint,
     check=_check_tcp,
@@ -187,4 +187,4 @@ TCP = LinkKind(
     needs=lambda link: (package("lz4"),) if link.compression == "lz4" else (),
 )
 
-UDP = LinkKind(UdpStream, serves="plain", endpoint=_udp_endpoint, check=_check_udp)
+UDP = LinkKind(UdpLink, serves="plain", endpoint=_udp_endpoint, check=_check_udp)

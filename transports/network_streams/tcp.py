@@ -29,7 +29,7 @@ from transports.link.pacing import Clock
 from transports.needs import install_command
 from transports.network.datagrams import Admission, AllowList, Seat
 from transports.network.listener import Listener
-from transports.network_streams.kind import TcpStream
+from transports.network_streams.kind import TcpLink
 from transports.network_streams.udp import Batch, Fates
 
 __all__ = ["Audience", "Client", "ClientTerms", "TcpEndpoint", "TcpFactory"]
@@ -193,7 +193,7 @@ class Audience:
     """
 
     def __init__(
-        self, link: TcpStream, coder: ConnectionCoder, fates: Fates, clock: Clock, changed: Callable[[bool], None]
+        self, link: TcpLink, coder: ConnectionCoder, fates: Fates, clock: Clock, changed: Callable[[bool], None]
     ) -> None:
         self._host, self._coder, self._fates, self._clock = link.host, coder, fates, clock
         self._changed = changed
@@ -301,7 +301,7 @@ _MOST_EVENTS = 1 << 14  # of a batch
 class TcpFactory(EndpointFactory[PlainDevice]):
     """Serves a stream as `link` says, in the bytes of the coder that `coder` makes; `triggers` makes that of edges."""
 
-    link: TcpStream
+    link: TcpLink
     coder: Callable[[], ConnectionCoder]
     triggers: Callable[[], ConnectionCoder] | None = None
 

@@ -21,7 +21,7 @@ from firmware_protocol.network_streams.coders import Datagram, DatagramCoder
 from transports.link.deliveries import Deliveries
 from transports.link.endpoint import Endpoint, EndpointFactory
 from transports.network.datagrams import ByteBudget, DatagramOutlet
-from transports.network_streams.kind import UdpStream
+from transports.network_streams.kind import UdpLink
 
 __all__ = ["Batch", "Fates", "UdpEndpoint", "UdpFactory"]
 
@@ -33,7 +33,7 @@ _MOST_EVENTS = 1 << 14  # coded at once
 class UdpFactory(EndpointFactory[PlainDevice]):
     """Sends a stream as `link` says, in the datagrams of the coder that `coder` makes."""
 
-    link: UdpStream
+    link: UdpLink
     coder: Callable[[], DatagramCoder]
 
     def build(self, device: PlainDevice, deliveries: Deliveries) -> UdpEndpoint:

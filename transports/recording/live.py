@@ -24,7 +24,7 @@ import signal
 import subprocess
 import sys
 import threading
-from collections import Counter, deque
+from collections import Counter
 from contextlib import suppress
 from fcntl import F_SETPIPE_SZ, fcntl
 from pathlib import Path
@@ -45,6 +45,7 @@ from transports.recording.part import (
     encoded_restart,
     facts_of,
 )
+from transports.recording.pipe_queue import PipeQueue
 from transports.recording.record import Recorder
 from transports.recording.summary import RecordingSummary, named
 from transports.recording.writing import RecordingFile
@@ -75,10 +76,7 @@ class LiveRecorder:
         self._what = what
         self._process = _started(path, form, facts)
         self._opened()
-        self._waiting: deque[bytes] = deque()
-        self._waiting_bytes = 0
-        self._changed = threading.Condition()
-        self._ending = self._broken = False
+        self._messages = PipeQueue(_CAPACITY_BYTES)
         self._restart: list[bytes] | None = None  # the message of a restart that could not be sent; None: of the first
         self._form = form
         self._reached_us = 0
@@ -98,12 +96,12 @@ class LiveRecorder:
     @property
     def broken(self) -> bool:
         """Whether the writer has ended, so that nothing more is written."""
-        return self._broken or self._process.poll() is not None
+        return self._messages.broken or self._process.poll() is not None
 
     @property
     def room(self) -> int:
         """Events that `append` takes now."""
-        return 0 if self._broken else max(0, _CAPACITY_BYTES - self._waiting_bytes) // EVENT.itemsize
+        return self._messages.room_bytes // EVENT.itemsize
 
     @property
     def trouble(self) -> str:
@@ -133,7 +131,7 @@ class LiveRecorder:
             self._restart = encoded_restart(unix_us or 0)
         messages = [*(encoded_restart(unix_us or 0) if self._restart is None else self._restart), *encoded_part(part)]
         self._reached_us = 0 if restarted else self._reached_us
-        if self._queue(messages, wait=unix_us is None):
+        if self._messages.put(messages, wait=unix_us is None):
             self._restart = []
         else:
             self.missing.update(counts_of(part))
@@ -142,48 +140,22 @@ class LiveRecorder:
         """Take note that no event earlier than `t_us` of device time will come."""
         if t_us - self._reached_us >= _REACH_US:
             self._reached_us = t_us
-            self._queue(encoded_reached(t_us), wait=False)
-
-    def _queue(self, messages: list[bytes], *, wait: bool) -> bool:
-        """Let messages be sent; False where there is no room for them."""
-        size = sum(len(message) for message in messages)
-        with self._changed:
-            if wait:
-                self._changed.wait_for(lambda: self._broken or self._waiting_bytes + size <= _CAPACITY_BYTES)
-            if self._broken or self._waiting_bytes + size > _CAPACITY_BYTES:
-                return False
-            self._waiting.extend(messages)
-            self._waiting_bytes += size
-            self._changed.notify_all()
-        return True
+            self._messages.put(encoded_reached(t_us), wait=False)
 
     def close(self) -> None:
         """Let the writer finish the file, and receive its report; it goes on by itself where that takes long."""
-        with self._changed:
-            self._ending = True
-            self._changed.notify_all()
+        self._messages.end()
         self._thread.join(_CLOSE_S)
         if self._thread.is_alive():
             self.report = {"trouble": f"still being written by process {self._process.pid}"}
 
     def _send_all(self) -> None:
         """Send what waits until the end, and then hear the report; in the thread."""
-        try:
-            while data := self._next():
-                _write(self._process.stdin.fileno(), data)  # type: ignore[union-attr]
-                with self._changed:
-                    self._waiting_bytes -= len(data)
-                    self._changed.notify_all()
-        except OSError:  # the writer has ended
-            with self._changed:
-                self._broken = True
-                self._changed.notify_all()
+        self._messages.send_all(self._process.stdin.fileno())  # type: ignore[union-attr]
         with suppress(OSError):
             self._process.stdin.close()  # type: ignore[union-attr]
         self.report = self._hear() or {"trouble": "its writer was killed"}
-        with self._changed:
-            self._broken = True
-            self._changed.notify_all()
+        self._messages.stop()
         self._let_go()
 
     def _let_go(self) -> None:
@@ -192,13 +164,6 @@ class LiveRecorder:
             self._process.stdin.close()  # type: ignore[union-attr]
         self._process.stdout.close()  # type: ignore[union-attr]
         self._process.wait()
-
-    def _next(self) -> bytes:
-        with self._changed:
-            self._changed.wait_for(lambda: self._waiting or self._ending)
-            data = b"".join(self._waiting)
-            self._waiting.clear()
-            return data
 
     def _hear(self) -> dict[str, Any]:
         """Return the writer's next line, {} where it ended without one."""
@@ -221,12 +186,6 @@ def _started(path: Path, form: Format, facts: Facts) -> subprocess.Popen[bytes]:
     with suppress(OSError):  # a smaller pipe serves too
         fcntl(process.stdin, F_SETPIPE_SZ, _PIPE_BYTES)  # type: ignore[arg-type]
     return process
-
-
-def _write(descriptor: int, data: bytes) -> None:
-    view = memoryview(data)
-    while view:
-        view = view[os.write(descriptor, view) :]
 
 
 _READ_BYTES = 1 << 20

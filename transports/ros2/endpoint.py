@@ -33,7 +33,7 @@ from firmware_protocol.ros2.messages import EVENT_PACKET, IMAGE, Header, Image, 
 from transports.link.deliveries import Deliveries
 from transports.link.endpoint import Endpoint, EndpointFactory
 from transports.needs import install_command
-from transports.ros2.kind import Ros2Topics
+from transports.ros2.kind import Ros2Link
 
 if TYPE_CHECKING:
     from transports.ros2.dds import DdsParticipant, TopicWriter
@@ -44,7 +44,7 @@ __all__ = ["Gathering", "PacketCoder", "PictureCoder", "Ros2Endpoint", "Ros2Fact
 class PacketCoder:
     """Codes packets of events of a sensor of `size` = (width, height), as `link` says."""
 
-    def __init__(self, link: Ros2Topics, size: tuple[int, int]) -> None:
+    def __init__(self, link: Ros2Link, size: tuple[int, int]) -> None:
         self._link, self._size = link, size
         self._evt3 = Evt3Encoder(standalone=True, width=self._size[0])
         self._seq = 0
@@ -70,7 +70,7 @@ class PacketCoder:
 class PictureCoder:
     """Codes pictures of the events of equal stretches of time."""
 
-    def __init__(self, link: Ros2Topics, size: tuple[int, int]) -> None:
+    def __init__(self, link: Ros2Link, size: tuple[int, int]) -> None:
         self._link, self._size = link, size
         self._frames = frames_for(size, round(link.frame_ms * 1000), link.pictures)
 
@@ -185,7 +185,7 @@ _STEP_S = 0.001
 class Ros2Factory(EndpointFactory[PlainDevice]):
     """Publishes the events of a sensor of `size` = (width, height), as `link` says."""
 
-    link: Ros2Topics
+    link: Ros2Link
     size: tuple[int, int]
 
     def build(self, device: PlainDevice, deliveries: Deliveries) -> Ros2Endpoint:

@@ -24,7 +24,7 @@ from transports.link.kind import CameraFacts, LinkKind, Unsuitable, Wiring
 from transports.needs import Need, package
 from transports.network.datagrams import is_loopback
 
-__all__ = ["ROS2", "DdsNetwork", "Ros2Topics", "check_topic"]
+__all__ = ["ROS2", "DdsNetwork", "Ros2Link", "check_topic"]
 
 
 _LOOPBACK = "127.0.0.1"
@@ -101,7 +101,7 @@ def _interface(name: str) -> str:
 
 
 @dataclass(frozen=True)
-class Ros2Topics:
+class Ros2Link:
     """Topics of ROS 2, without ROS (`pip install '.[ros2]'`): packets of events, and pictures of them.
 
     Attributes
@@ -181,25 +181,25 @@ class Ros2Topics:
 _MONO_LIMIT_PX = 1 << 15
 
 
-def _endpoint(link: Ros2Topics, wiring: Wiring) -> EndpointFactory[Any]:
+def _endpoint(link: Ros2Link, wiring: Wiring) -> EndpointFactory[Any]:
     from transports.ros2.endpoint import Ros2Factory
 
     return Ros2Factory(link, wiring.camera.size)
 
 
-def _check(link: Ros2Topics, camera: CameraFacts) -> None:
+def _check(link: Ros2Link, camera: CameraFacts) -> None:
     limit = LIMIT_PX if link.encoding == "evt3" else _MONO_LIMIT_PX
     if max(camera.size) > limit:
         raise Unsuitable(f"{link.encoding} numbers {limit} columns and rows, not {camera.size[0]} x {camera.size[1]}",
                          "encoding")  # fmt: skip
 
 
-def _has_evt(link: Ros2Topics) -> bool:
+def _has_evt(link: Ros2Link) -> bool:
     return link.encoding == "evt3"
 
 
-def _needs(_: Ros2Topics) -> tuple[Need, ...]:
+def _needs(_: Ros2Link) -> tuple[Need, ...]:
     return (package("cyclonedds"),)
 
 
-ROS2 = LinkKind(Ros2Topics, serves="plain", endpoint=_endpoint, check=_check, has_evt=_has_evt, needs=_needs)
+ROS2 = LinkKind(Ros2Link, serves="plain", endpoint=_endpoint, check=_check, has_evt=_has_evt, needs=_needs)

@@ -39,7 +39,7 @@ from transports.faults.line import FaultyLine
 from transports.faults.script import FaultPlan, FaultRecord
 from transports.link.deliveries import Deliveries
 from transports.link.endpoint import Endpoint, EndpointFactory, LineUse, Reopening
-from transports.serial_line.kind import SerialParameters
+from transports.serial_line.kind import SerialLink
 from transports.serial_line.port import Port, open_port, remove_abandoned
 
 __all__ = ["BaudClock", "Frame", "SerialEndpoint", "SerialFactory", "Transmitter"]
@@ -239,7 +239,7 @@ _CLOSE_LOOKS = 4  # a pty hands bytes on in its own time: for a moment they are 
 class SerialFactory(EndpointFactory[Instrument]):
     """Puts an instrument on a line, in the packets and framing that it names."""
 
-    line: SerialParameters
+    line: SerialLink
     faults: FaultPlan = field(default_factory=FaultPlan)
 
     def build(self, device: Instrument, deliveries: Deliveries) -> SerialEndpoint:

@@ -13,14 +13,14 @@ from transports.faults.kinds import SERIAL_FAULTS
 from transports.link.endpoint import EndpointFactory
 from transports.link.kind import LinkKind, Listener, Wiring, check_region
 
-__all__ = ["SERIAL", "SerialParameters"]
+__all__ = ["SERIAL", "SerialLink"]
 
 
 _PARITY_BITS = {"none": 0, "even": 1, "odd": 1, "mark": 1, "space": 1}
 
 
 @dataclass(frozen=True)
-class SerialParameters:
+class SerialLink:
     """Event telemetry on a serial line: UART, RS-422, RS-485, or a pty for a program on this machine.
 
     Attributes
@@ -78,14 +78,14 @@ class SerialParameters:
         return 1 + self.data_bits + _PARITY_BITS[self.parity] + self.stop_bits
 
 
-def _endpoint(line: SerialParameters, wiring: Wiring) -> EndpointFactory[Any]:
+def _endpoint(line: SerialLink, wiring: Wiring) -> EndpointFactory[Any]:
     from transports.serial_line.endpoint import SerialFactory
 
     return SerialFactory(line, wiring.faults)
 
 
 SERIAL = LinkKind(
-    SerialParameters,
+    SerialLink,
     serves="instrument",
     endpoint=_endpoint,
     faults=SERIAL_FAULTS,

@@ -47,7 +47,7 @@ from firmware_protocol.packets.telecommands import Telecommand
 from transports.link.pacing import Clock
 from transports.link.reception import Receiving, Reception
 from transports.recording.record import Recorder
-from transports.serial_line.kind import SerialParameters
+from transports.serial_line.kind import SerialLink
 
 __all__ = [
     "Descriptor",
@@ -373,7 +373,7 @@ _CURES = (
 """What to do, by what the complaint holds; pyserial wraps most errors, so that only their text is left."""
 
 
-def open_port(line: SerialParameters) -> Port:
+def open_port(line: SerialLink) -> Port:
     """Open a port; blocks while a network port connects.
 
     Raises
@@ -393,7 +393,7 @@ def open_port(line: SerialParameters) -> Port:
     return ThreadedPort(opened)
 
 
-def _open(line: SerialParameters) -> serial.SerialBase:
+def _open(line: SerialLink) -> serial.SerialBase:
     """Open and set up by pyserial; raises OSError, ValueError or termios.error."""
     opened = serial.serial_for_url(line.port, do_not_open=True)
     opened.baudrate = line.baud
@@ -423,7 +423,7 @@ _LOOK_PERIOD_NS = 500_000
 
 
 def listen_serial(
-    line: SerialParameters,
+    line: SerialLink,
     goes_on: Callable[[Reception], bool],
     clock: Clock,
     recorder: Recorder | None = None,

@@ -28,7 +28,7 @@ from transports.link.pacing import Clock
 from transports.link.reception import Receiving, Reception
 from transports.network.datagrams import ByteBudget, DatagramInlet, DatagramOutlet
 from transports.recording.record import Recorder
-from transports.udp_packets.kind import UdpPackets
+from transports.udp_packets.kind import UdpPacketsLink
 
 __all__ = ["Ports", "UdpPacketEndpoint", "UdpPacketFactory", "listen_udp"]
 
@@ -40,7 +40,7 @@ _AT_A_TIME = 64
 class UdpPacketFactory(EndpointFactory[Instrument]):
     """Puts an instrument behind a pair of UDP ports."""
 
-    link: UdpPackets
+    link: UdpPacketsLink
     faults: FaultPlan = field(default_factory=FaultPlan)
 
     def build(self, device: Instrument, deliveries: Deliveries) -> UdpPacketEndpoint:

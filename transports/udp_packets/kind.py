@@ -14,11 +14,11 @@ from transports.link.endpoint import EndpointFactory
 from transports.link.kind import LinkKind, Listener, Wiring, check_region
 from transports.network.datagrams import check_allow, is_loopback
 
-__all__ = ["UDP_PACKETS", "UdpPackets"]
+__all__ = ["UDP_PACKETS", "UdpPacketsLink"]
 
 
 @dataclass(frozen=True)
-class UdpPackets:
+class UdpPacketsLink:
     """Event telemetry as space packets in UDP datagrams, and telecommands back: COSMOS, Yamcs, cFS.
 
     Attributes
@@ -67,14 +67,14 @@ class UdpPackets:
         check_allow(self.command_host, self.allow, "command_host")
 
 
-def _endpoint(link: UdpPackets, wiring: Wiring) -> EndpointFactory[Any]:
+def _endpoint(link: UdpPacketsLink, wiring: Wiring) -> EndpointFactory[Any]:
     from transports.udp_packets.endpoint import UdpPacketFactory
 
     return UdpPacketFactory(link, wiring.faults)
 
 
 UDP_PACKETS = LinkKind(
-    UdpPackets,
+    UdpPacketsLink,
     serves="instrument",
     endpoint=_endpoint,
     faults=DATAGRAM_FAULTS,

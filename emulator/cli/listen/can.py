@@ -16,7 +16,7 @@ from emulator.rig.loading import Rig, load_rig
 from emulator.run.kernels import DECODER
 from firmware_protocol.can_frames.dbc import dbc_text
 from transports.can_bus.bus import BusDown
-from transports.can_bus.kind import CanParameters
+from transports.can_bus.kind import CanLink
 from transports.can_bus.node import CanReception, listen_can, peer_of
 from transports.link.pacing import MonotonicClock
 
@@ -100,14 +100,14 @@ def dbc(
     return GOOD
 
 
-def _link(rig: Rig, name: str | None) -> CanParameters:
-    links = [one for one in rig.links if isinstance(one, CanParameters) and name in (None, one.name)]
+def _link(rig: Rig, name: str | None) -> CanLink:
+    links = [one for one in rig.links if isinstance(one, CanLink) and name in (None, one.name)]
     if not links:
         raise Failure(f"{rig.name} has no CAN link{f' {name!r}' if name else ''}", WRONG_USE)
     return links[0]
 
 
-def _listen(parameters: CanParameters, limits: Limits) -> tuple[CanReception, str]:
+def _listen(parameters: CanLink, limits: Limits) -> tuple[CanReception, str]:
     """Return what came, and why its record is not whole; empty where it is."""
     prepared([DECODER])
     status.print(f"CAN bus {parameters.channel} by {parameters.interface}, {parameters.bitrate} bit/s")

@@ -15,7 +15,7 @@ from emulator.cli.listen.reception import Limits, Orders, print_reception, recei
 from emulator.cli.output import WRONG_USE, Failure, print_json
 from transports.link.pacing import MonotonicClock
 from transports.network.datagrams import check_allow
-from transports.serial_line.kind import SerialParameters
+from transports.serial_line.kind import SerialLink
 from transports.serial_line.port import listen_serial
 from transports.udp_packets.endpoint import Ports, listen_udp
 
@@ -74,7 +74,7 @@ def serial(
     """
     limits.check()
     try:
-        parameters = SerialParameters(port=port, **dataclasses.asdict(line))
+        parameters = SerialLink(port=port, **dataclasses.asdict(line))
         telecommands = orders.telecommands()
     except ValueError as error:
         raise Failure(str(error), WRONG_USE) from error

@@ -21,7 +21,7 @@ from transports.link.reception import Reception
 from transports.link.report import LinkReport
 from transports.link.rings import FREE_RUNNING, EventRing
 from transports.serial_line.endpoint import SerialFactory
-from transports.serial_line.kind import SerialParameters
+from transports.serial_line.kind import SerialLink
 from transports.serial_line.port import listen_serial
 
 __all__ = ["serial_fill"]
@@ -39,7 +39,7 @@ def serial_fill() -> float:
     """
     clock = MonotonicClock()
     instrument = partial(Instrument, SIZE, InstrumentSettings(housekeeping_s=0))
-    setup = LinkSetup("bench", EventRing(), instrument, SerialFactory(SerialParameters(baud=_BAUD)))
+    setup = LinkSetup("bench", EventRing(), instrument, SerialFactory(SerialLink(baud=_BAUD)))
     link = LinkProcess(setup, clock)
     link.wait_ready()
     computer = _Computer(link.report.address or "")
@@ -88,6 +88,6 @@ class _Computer:
 
 def _listen(address: str, control: Connection) -> None:
     try:
-        control.send(listen_serial(SerialParameters(port=address, baud=_BAUD), lambda _: True, MonotonicClock()))
+        control.send(listen_serial(SerialLink(port=address, baud=_BAUD), lambda _: True, MonotonicClock()))
     except OSError as error:
         control.send(str(error))

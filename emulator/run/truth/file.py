@@ -59,14 +59,16 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import h5py
 import numpy as np
 import numpy.typing as npt
 
 from emulator.geometry.camera import Given
 from emulator.sensor.origins import Origin
+
+if TYPE_CHECKING:
+    import h5py
 
 __all__ = [
     "FORMAT",
@@ -110,6 +112,8 @@ class About:
 
 def create(path: Path, about: About) -> h5py.File:
     """Return a new file with all its data sets, empty, which others may read while it grows; raises OSError."""
+    import h5py
+
     file = h5py.File(path, "w", libver="latest")
     file.attrs.update(format=FORMAT, version=VERSION, **about.facts)
     file.attrs.update(complete=False, missing_pictures=0, missing_events=0)
@@ -141,6 +145,8 @@ def _poses(file: h5py.File, bodies: int) -> None:
 
 
 def _events(file: h5py.File, about: About) -> None:
+    import h5py
+
     for group in ("events", "clean_events"):
         for name, kind in _EVENTS.items():
             _rows(file, f"{group}/{name}", (), kind)

@@ -26,7 +26,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from PIL import Image, UnidentifiedImageError
 
 from emulator.light import SceneError
 from emulator.scene.foreign_file import read_in_child
@@ -212,6 +211,8 @@ _NODATA = 42113
 
 def read_geotiff(path: Path) -> dict[str, npt.NDArray[Any]]:
     """Return `heights`, `scale` and `tie` (empty where the file has none), and `nodata`, a text."""
+    from PIL import Image, UnidentifiedImageError
+
     try:
         with warnings.catch_warnings(action="error"), Image.open(path) as image:
             tags = dict(getattr(image, "tag_v2", {}))

@@ -23,10 +23,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import av
 import numpy as np
 import numpy.typing as npt
-from PIL import Image, ImageSequence
 
 from emulator.light import SceneError
 from emulator.scene.foreign_file import Limits, read_in_child
@@ -99,8 +97,8 @@ def read_frames(path: Path) -> Frames:
     if path.suffix == ".npy" and path.is_file():
         return Frames(_array(path))
     is_video = path.is_file() and path.suffix.lower() in VIDEO_SUFFIXES
-    reader = f"foreign_{'video:read_video' if is_video else 'images:read_images'}"
-    found = read_in_child(f"emulator.scene.video.{reader}", path, _LIMITS)
+    reader = "read_video" if is_video else "read_images"
+    found = read_in_child(f"emulator.scene.video.frames:{reader}", path, _LIMITS)
     return Frames(found["levels"], found["times_s"].tolist() if found["times_s"].size else None)
 
 
@@ -139,6 +137,8 @@ def read_images(path: Path) -> dict[str, npt.NDArray[Any]]:
 
 def _frames(paths: list[Path]) -> Iterator[tuple[str, Levels]]:
     """Yield name and levels of every frame of every file."""
+    from PIL import Image, ImageSequence
+
     for path in paths:
         try:
             with Image.open(path) as image:
@@ -167,6 +167,8 @@ def _luminance(rgb: npt.NDArray[np.float32]) -> npt.NDArray[np.uint8]:
 
 def read_video(path: Path) -> dict[str, npt.NDArray[Any]]:
     """Return `levels` (n, height, width), and `times_s` (n,) from 0, empty where the file gives none that increase."""
+    import av
+
     times: list[float] = []
 
     def frames() -> Iterator[tuple[str, Levels]]:

@@ -18,7 +18,7 @@ from transports.link.process import Link, LinkSetup
 from transports.link.rings import FREE_RUNNING, EventRing
 from transports.recording.record import load_record
 from transports.serial_line.endpoint import SerialFactory
-from transports.serial_line.kind import SerialParameters
+from transports.serial_line.kind import SerialLink
 
 
 def stream(count):
@@ -39,7 +39,7 @@ class Camera:
         ring = EventRing()
         device = partial(Instrument, (346, 260), InstrumentSettings(autostart=False, housekeeping_s=0))
         self._telecommands = telecommands
-        self._link = Link(LinkSetup("serial", ring, device, SerialFactory(SerialParameters())), MonotonicClock())
+        self._link = Link(LinkSetup("serial", ring, device, SerialFactory(SerialLink())), MonotonicClock())
         self._ring, self._events, self._ends = ring, events, False
         self._ready = threading.Event()
         self._thread = threading.Thread(target=lambda: asyncio.run(self._run()))

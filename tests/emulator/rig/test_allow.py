@@ -49,4 +49,4 @@ def test_check_refuses_it_too(tmp_path, capsys):
 def test_the_schema_knows_the_list(capsys):
     assert _main(["schema"]) == 0
     defined = json.loads(capsys.readouterr().out)["$defs"]
-    assert all("allow" in defined[name]["properties"] for name in ("UsbipLink", "CanParameters"))
+    assert all("allow" in defined[name]["properties"] for name in ("UsbipLink", "CanLink"))

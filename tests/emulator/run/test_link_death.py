@@ -20,7 +20,7 @@ from transports.link.pacing import MonotonicClock
 from transports.link.process import LinkSetup
 from transports.link.rings import FREE_RUNNING, EventRing
 from transports.serial_line.endpoint import SerialFactory
-from transports.serial_line.kind import SerialParameters
+from transports.serial_line.kind import SerialLink
 from transports.usb.loopback import LoopbackFactory
 
 pytestmark = pytest.mark.socket
@@ -82,7 +82,7 @@ def test_events_of_a_killed_link_are_delivered_or_dropped():
 
 def open_serial_link(symlink, **more):
     """Return a link on a pty that `symlink` leads to."""
-    factory = SerialFactory(SerialParameters(symlink=str(symlink)))
+    factory = SerialFactory(SerialLink(symlink=str(symlink)))
     device = partial(Instrument, (346, 260), InstrumentSettings())
     link = LinkProcess(LinkSetup("serial", EventRing(), device, factory, **more), MonotonicClock())
     link.wait_ready()

@@ -17,7 +17,7 @@ from firmware_protocol.packets.telecommands import Ping, Stop
 from firmware_protocol.receiver.can import CanReceiver
 from firmware_protocol.receiver.instrument import SerialReceiver
 from transports.can_bus.bus import from_message
-from transports.can_bus.kind import CanParameters
+from transports.can_bus.kind import CanLink
 from transports.usb.davis_host import DavisHost, StreamSettings
 from transports.usb.pyusb_host import PyusbHost
 
@@ -112,7 +112,7 @@ def test_damage_on_the_line_is_told_by_the_receiver_and_gives_no_false_event():
 
 @pytest.mark.parametrize("carriage", ["raw", "cfp"])
 def test_a_receiver_on_the_can_bus_reads_every_event(carriage):
-    p = CanParameters(carriage=carriage, instrument=PATIENT, share=1.0)
+    p = CanLink(carriage=carriage, instrument=PATIENT, share=1.0)
     sent, receiver = stream(500, gap_us=400), CanReceiver(p.receiver)
     with FakeCanBus(p, SIZE) as bus:
         bus.show(sent)
@@ -124,7 +124,7 @@ def test_a_receiver_on_the_can_bus_reads_every_event(carriage):
 
 
 def test_nmt_on_the_can_bus_stops_the_camera():
-    p = CanParameters(instrument=PATIENT)
+    p = CanLink(instrument=PATIENT)
     with FakeCanBus(p, SIZE) as bus:
         order = bytes(NmtOrder(NmtCommand.STOP, p.node))
         bus.send(can.Message(arbitration_id=p.identifiers.nmt, data=order, is_extended_id=False))

@@ -95,6 +95,14 @@ def test_it(evstim_rig):
     assert events["t"][-1] - events["t"][0] <= 60_000
 
 
+def test_the_plugin_loads_pytest_alone():
+    """Every pytest session of a machine with evstim loads it."""
+    heavy = ("numpy", "numba", "msgspec", "emulator", "transports", "firmware_protocol")
+    code = f"import sys, evstim.testing.plugin; print([m for m in {heavy!r} if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300, check=True)
+    assert done.stdout.strip() == "[]"
+
+
 def test_of_a_good_test_nothing_is_kept(project, tmp_path):
     project("""
 @pytest.mark.rig("small.toml", pace="free", seconds=0.02)

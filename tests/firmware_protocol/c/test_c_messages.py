@@ -16,7 +16,7 @@ from firmware_protocol.packets.addresses import Message, MessageKind
 from firmware_protocol.packets.profile import Profile
 from firmware_protocol.telemetry import BlockEncoder, decode_block
 from transports.can_bus.carriage import sources
-from transports.can_bus.kind import CanParameters
+from transports.can_bus.kind import CanLink
 
 SIZE = (346, 260)
 TELEMETRY, TELECOMMAND, CAPACITY = 0x4A2, 0x522, 1050
@@ -94,7 +94,7 @@ def test_messages_by_isotp_come_back(library, fd, block_size):
 
 @pytest.mark.parametrize(("carriage", "fd"), [("isotp", False), ("isotp", True), ("cfp", False)])
 def test_what_a_links_sources_send_is_read(library, carriage, fd):
-    parameters = CanParameters(interface="virtual", carriage=carriage, fd=fd, flow_control=False)
+    parameters = CanLink(interface="virtual", carriage=carriage, fd=fd, flow_control=False)
     instrument = Instrument(SIZE)
     events = stream(SIZE, 500, 3000, 5, 1000)
     instrument.offer(events)

@@ -16,7 +16,7 @@ from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
 from transports.can_bus.bus import PythonCanBus
 from transports.can_bus.endpoint import CanFactory
-from transports.can_bus.kind import CanParameters
+from transports.can_bus.kind import CanLink
 from transports.link.pacing import MonotonicClock
 from transports.link.process import Link, LinkSetup
 from transports.link.rings import EventRing
@@ -26,7 +26,7 @@ async def main(channel, carriage, events_file, report_file, seconds):
     events = np.load(events_file)
     clock, ring, syncs = MonotonicClock(), EventRing(), []
     device = partial(Instrument, (346, 260), InstrumentSettings(queue_ms=60_000, housekeeping_s=0))
-    parameters = CanParameters("socketcan", channel, heartbeat_ms=100, carriage=carriage, answer_ms=10_000)
+    parameters = CanLink("socketcan", channel, heartbeat_ms=100, carriage=carriage, answer_ms=10_000)
     link = Link(LinkSetup("can", ring, device, CanFactory(parameters, lambda *mark: syncs.append(mark))), clock)
     sent, packets = tapped_frames(), tapped_packets()
     await link.endpoint.start()

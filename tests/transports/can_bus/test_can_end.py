@@ -9,12 +9,12 @@ from firmware_protocol.can_frames.canopen import NodeState
 from firmware_protocol.can_frames.frame import Frame
 from firmware_protocol.can_frames.transport import IsoTpSender
 from transports.can_bus.bus import BusDown, Heard, PythonCanBus
-from transports.can_bus.kind import CanParameters
+from transports.can_bus.kind import CanLink
 from transports.can_bus.node import _Listening, peer_of
 from transports.can_bus.served import ServedBus
 from transports.link.pacing import FakeClock, MonotonicClock
 
-PARAMETERS = CanParameters(port=0)
+PARAMETERS = CanLink(port=0)
 FRAMES = 2000
 
 

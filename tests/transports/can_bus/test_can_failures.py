@@ -9,13 +9,13 @@ import pytest
 
 from firmware_protocol.can_frames.frame import Frame
 from transports.can_bus.bus import BusDown, PythonCanBus, from_message, to_message
-from transports.can_bus.kind import CanParameters
+from transports.can_bus.kind import CanLink
 
 CHANNELS = itertools.count()
 
 
 def parameters(**more):
-    return CanParameters(**{"interface": "virtual", "channel": f"test-{next(CHANNELS)}", "share": 1.0} | more)
+    return CanLink(**{"interface": "virtual", "channel": f"test-{next(CHANNELS)}", "share": 1.0} | more)
 
 
 @pytest.mark.parametrize(
@@ -28,7 +28,7 @@ def parameters(**more):
     ],
 )
 def test_a_bus_that_cannot_be_had_names_the_cure(more, cure):
-    p = CanParameters(**more)
+    p = CanLink(**more)
     with pytest.raises(BusDown, match=cure):
         asyncio.run(PythonCanBus(p, p.channel).open())
 
@@ -55,7 +55,7 @@ def test_messages_of_python_can_come_back():
 )
 def test_parameters_say_what_is_wrong(wrong, why):
     with pytest.raises(ValueError, match=why):
-        CanParameters(**wrong)
+        CanLink(**wrong)
 
 
 def with_virtual_bus(work, **more):

@@ -16,7 +16,7 @@ from firmware_protocol.instrument.settings import InstrumentSettings
 from firmware_protocol.receiver.can import CanReceiver
 from transports.can_bus.bus import from_message, to_message
 from transports.can_bus.endpoint import CanFactory
-from transports.can_bus.kind import CanParameters
+from transports.can_bus.kind import CanLink
 from transports.can_bus.served import ServedBus
 from transports.faults.bus import (
     BabblingIdiot,
@@ -54,7 +54,7 @@ class Bench:
     """A link on virtual buses, on a clock that the test moves, and a computer on each bus."""
 
     def __init__(self, faults, **more):
-        self.p = CanParameters(
+        self.p = CanLink(
             **{
                 "interface": "virtual",
                 "channel": f"faults-{next(CHANNELS)}",
@@ -243,7 +243,7 @@ def test_when_bus_a_dies_the_camera_turns_to_bus_b(stamped_by):
 @pytest.mark.parametrize(("identifier", "most_frames"), [(0x100, 1), (0x000, None)])
 def test_a_babbling_idiot_delays_our_sync_by_one_frame_unless_it_is_more_urgent(identifier, most_frames):
     clock = FakeClock(ORIGIN_NS)
-    p = CanParameters(sync_ms=10, heartbeat_ms=0, share=0.9)
+    p = CanLink(sync_ms=10, heartbeat_ms=0, share=0.9)
     syncs = []
     ring = EventRing(1 << 14)
     plan = FaultPlan("can", (BabblingIdiot(at_s=0.0, for_s=0.5, identifier=identifier),), 1)

@@ -14,7 +14,7 @@ from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
 from transports.can_bus.bus import BusDown, Heard, PythonCanBus
 from transports.can_bus.endpoint import CanFactory
-from transports.can_bus.kind import CanParameters
+from transports.can_bus.kind import CanLink
 from transports.can_bus.node import listen_can, peer_of
 from transports.can_bus.served import ServedBus
 from transports.link.pacing import FakeClock, MonotonicClock
@@ -22,7 +22,7 @@ from transports.link.process import Link, LinkSetup
 from transports.link.rings import FREE_RUNNING, EventRing
 
 pytestmark = pytest.mark.socket
-PARAMETERS = CanParameters(port=0)
+PARAMETERS = CanLink(port=0)
 HANDSHAKE = b"< open can0 >< rawmode >"
 
 
@@ -94,7 +94,7 @@ async def joined(bus, sockets):
 @pytest.mark.parametrize("bitrate", [1_000_000, 125_000])
 def test_at_the_end_of_a_run_what_counts_as_delivered_has_been_received(carriage, bitrate):
     """The link is closed while it is in full swing, without a drain by its process."""
-    parameters = CanParameters(port=0, carriage=carriage, bitrate=bitrate, share=1.0, answer_ms=60_000)
+    parameters = CanLink(port=0, carriage=carriage, bitrate=bitrate, share=1.0, answer_ms=60_000)
     n = 1000
 
     async def both():
@@ -137,7 +137,7 @@ def test_what_cannot_leave_in_time_is_counted_as_dropped(monkeypatch):
     async def run():
         clock = FakeClock(10**9)
         ring = EventRing(100)
-        parameters = CanParameters(port=0, share=1.0)
+        parameters = CanLink(port=0, share=1.0)
         device = partial(Instrument, (346, 260), InstrumentSettings())
         link = Link(LinkSetup("can", ring, device, CanFactory(parameters)), clock)
         await link.endpoint.start()
@@ -273,7 +273,7 @@ def test_a_peer_outside_the_list_is_refused_and_counted(sockets):
         stranger, friend = await connect(bus, sockets), await connect(bus, sockets, "127.0.0.9")
         return await read(stranger), await read(friend, 6), bus.counts
 
-    over, hello, counts = serving(strangers, CanParameters(port=0, allow=("127.0.0.8/30",)))
+    over, hello, counts = serving(strangers, CanLink(port=0, allow=("127.0.0.8/30",)))
     assert over == b""
     assert hello == b"< hi >"
     assert counts == {"connections refused: address not allowed": 1}
@@ -295,7 +295,7 @@ def test_answers_that_find_no_room_are_bounded_and_counted():
     async def run():
         ring = EventRing(100)
         device = partial(Instrument, (346, 260), InstrumentSettings())
-        parameters = CanParameters(port=0, carriage="isotp")
+        parameters = CanLink(port=0, carriage="isotp")
         link = Link(LinkSetup("can", ring, device, CanFactory(parameters)), clock)
         endpoint = link.endpoint
         first = Frame(parameters.isotp.receive, bytes([0x10, 20, 1, 2, 3, 4, 5, 6]))

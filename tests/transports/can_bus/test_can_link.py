@@ -22,7 +22,7 @@ from firmware_protocol.receiver.can import CanReceiver
 from tests.free_ports import free_port
 from transports.can_bus.bus import BusDown, PythonCanBus, from_message, to_message
 from transports.can_bus.endpoint import CanFactory
-from transports.can_bus.kind import CanParameters
+from transports.can_bus.kind import CanLink
 from transports.link.pacing import FakeClock, MonotonicClock
 from transports.link.process import Link, LinkSetup
 from transports.link.rings import FREE_RUNNING, EventRing
@@ -36,7 +36,7 @@ PATIENCE_S = 120.0
 
 def parameters(**more):
     usual = {"interface": "virtual", "channel": f"test-{next(CHANNELS)}", "share": 1.0, "answer_ms": ANSWER_MS}
-    return CanParameters(**usual | more)
+    return CanLink(**usual | more)
 
 
 def stream(n, gap_us=40, seed=1):

@@ -18,7 +18,7 @@ from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
 from transports.can_bus.bus import BusDown, PythonCanBus, from_message, to_message
 from transports.can_bus.endpoint import CanFactory
-from transports.can_bus.kind import CanParameters
+from transports.can_bus.kind import CanLink
 from transports.can_bus.node import listen_can, peer_of
 from transports.can_bus.served import ServedBus
 from transports.link.pacing import FakeClock, MonotonicClock
@@ -60,7 +60,7 @@ def test_foreign_bytes_hurt_nobody(pieces):
 
 
 def served():
-    return ServedBus(CanParameters(port=0, bitrate=1_000_000), MonotonicClock())
+    return ServedBus(CanLink(port=0, bitrate=1_000_000), MonotonicClock())
 
 
 @pytest.mark.socket
@@ -107,7 +107,7 @@ def test_our_reader_of_python_can_joins_it():
         bus = served()
         await bus.open()
         port = int(bus.address.rpartition(":")[2])
-        reader = PythonCanBus(CanParameters(interface="socketcand", port=port), "can0")
+        reader = PythonCanBus(CanLink(interface="socketcand", port=port), "can0")
         await reader.open()
         while not bus.heard:
             await asyncio.sleep(0.001)
@@ -134,7 +134,7 @@ def test_a_port_that_is_taken_is_named():
         await first.open()
         port = int(first.address.rpartition(":")[2])
         try:
-            await ServedBus(CanParameters(port=port), MonotonicClock()).open()
+            await ServedBus(CanLink(port=port), MonotonicClock()).open()
         finally:
             await first.close()
 
@@ -145,7 +145,7 @@ def test_a_port_that_is_taken_is_named():
 @pytest.mark.parametrize("at_us", range(0, 130, 13))
 def test_our_sync_waits_for_one_frame_at_most_on_a_full_bus(at_us):
     clock = FakeClock(10**9)
-    bus = ServedBus(CanParameters(), clock)
+    bus = ServedBus(CanLink(), clock)
     events = Frame(0x1A2, bytes(8))
     while bus.send(events):
         pass
@@ -164,7 +164,7 @@ def test_a_listener_gets_the_events_that_the_link_delivers(tmp_path, carriage):
     events = np.zeros(400, EVENT)
     events["t"] = np.cumsum(rng.exponential(200, 400)).astype(np.uint64)
     events["x"], events["y"] = rng.integers(0, 346, 400), rng.integers(0, 260, 400)
-    parameters = CanParameters(port=0, carriage=carriage, answer_ms=60_000)  # a busy machine answers late
+    parameters = CanLink(port=0, carriage=carriage, answer_ms=60_000)  # a busy machine answers late
 
     async def both():
         device = partial(Instrument, (346, 260), InstrumentSettings(queue_ms=60_000))
@@ -198,4 +198,4 @@ def test_a_listener_gets_the_events_that_the_link_delivers(tmp_path, carriage):
 @pytest.mark.socket
 def test_a_bus_that_nobody_serves_is_told_at_once():
     with pytest.raises(BusDown, match=r"nothing serves a bus on 127\.0\.0\.1 port 1:"):
-        asyncio.run(listen_can(CanParameters(interface="socketcand", port=1), lambda _: True, MonotonicClock()))
+        asyncio.run(listen_can(CanLink(interface="socketcand", port=1), lambda _: True, MonotonicClock()))

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from transports.can_bus.kind import CanParameters
+from transports.can_bus.kind import CanLink
 from transports.network.datagrams import Admission, AllowList, Places, check_allow, is_loopback
 from transports.usb.usbip.kind import UsbipLink
 
@@ -62,12 +62,12 @@ def test_an_entry_that_is_no_address_is_named(entry):
         check_allow("127.0.0.1", [entry])
 
 
-@pytest.mark.parametrize("link", [UsbipLink, CanParameters])
+@pytest.mark.parametrize("link", [UsbipLink, CanLink])
 def test_every_link_that_listens_checks_its_host(link):
     with pytest.raises(ValueError, match=r"^host '0\.0\.0\.0' can be reached"):
         link(host="0.0.0.0")
     assert link(host="0.0.0.0", allow=("10.0.0.0/8",)).allow == ("10.0.0.0/8",)
-    assert CanParameters(interface="socketcand", host="10.0.0.1").host == "10.0.0.1"  # joins, and does not listen
+    assert CanLink(interface="socketcand", host="10.0.0.1").host == "10.0.0.1"  # joins, and does not listen
 
 
 class Visits:

@@ -13,7 +13,7 @@ from tests.transports.network_streams.stream_readers import (
     short_events,
     udp_port,
 )
-from transports.network_streams.kind import TcpStream, UdpStream
+from transports.network_streams.kind import TcpLink, UdpLink
 
 pytestmark = [pytest.mark.system, pytest.mark.socket]
 
@@ -21,14 +21,14 @@ pytestmark = [pytest.mark.system, pytest.mark.socket]
 class TestDv(LinkContract):
     """dv_processing.io.NetworkReader 2.0.4."""
 
-    parameters = TcpStream(port=0)
+    parameters = TcpLink(port=0)
 
     def reader(self, link):
         return DvReader(link)
 
 
 class TestCaer(LinkContract):
-    parameters = TcpStream(port=0, format="caer")
+    parameters = TcpLink(port=0, format="caer")
 
     def reader(self, link):
         return CaerReader(link)
@@ -41,7 +41,7 @@ class TestJaerUdp(LinkContract):
     @pytest.fixture(autouse=True)
     def _receiver(self):
         self._socket = udp_port()
-        self.parameters = UdpStream(self.form, port=self._socket.getsockname()[1], mbit_s=20.0)
+        self.parameters = UdpLink(self.form, port=self._socket.getsockname()[1], mbit_s=20.0)
         yield
         self._socket.close()
 

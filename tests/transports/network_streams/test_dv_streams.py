@@ -20,13 +20,13 @@ from tests.transports.network_streams.stream_readers import DvReader
 from transports.link.deliveries import Deliveries
 from transports.link.pacing import MonotonicClock
 from transports.link.rings import FREE_RUNNING, EventRing
-from transports.network_streams.kind import TcpStream
+from transports.network_streams.kind import TcpLink
 
 pytestmark = pytest.mark.socket
 
 
 class TestDvLz4(LinkContract):
-    parameters = TcpStream(port=0, compression="lz4")
+    parameters = TcpLink(port=0, compression="lz4")
 
     def reader(self, link):
         return DvReader(link)

@@ -16,7 +16,7 @@ from transports.link.pacing import FakeClock
 from transports.link.process import Link, LinkSetup
 from transports.link.rings import EventRing
 from transports.serial_line.endpoint import SerialFactory
-from transports.serial_line.kind import SerialParameters
+from transports.serial_line.kind import SerialLink
 
 ORIGIN_NS = 1_000_000_000
 TICK_NS = 500_000
@@ -38,7 +38,7 @@ class Bench:
     def __init__(self, record=None, settings=None, faults=None, **line):
         self.clock = FakeClock(ORIGIN_NS)
         self.ring = EventRing(200_000)
-        parameters = SerialParameters(**{"baud": 3_000_000, **line})
+        parameters = SerialLink(**{"baud": 3_000_000, **line})
         device = partial(Instrument, (346, 260), settings or InstrumentSettings(housekeeping_s=0))
         self.link = Link(
             LinkSetup("serial", self.ring, device, SerialFactory(parameters, faults or FaultPlan()), record), self.clock

@@ -10,7 +10,7 @@ import time
 import pytest
 import serial
 
-from transports.serial_line.kind import SerialParameters
+from transports.serial_line.kind import SerialLink
 from transports.serial_line.port import DescriptorPort, PtyPort, ThreadedPort, open_port, remove_abandoned
 
 PATIENCE_S = 120.0
@@ -77,7 +77,7 @@ def test_a_new_reader_does_not_get_what_the_last_one_left(pty):
 
 def test_a_reader_sees_the_pty_hang_up():
     pty = PtyPort()
-    reader = open_port(SerialParameters(port=pty.address))
+    reader = open_port(SerialLink(port=pty.address))
     assert pty.heard
     pty.close()
     with pytest.raises(OSError, match=r"hung up|Input/output"):
@@ -88,7 +88,7 @@ def test_a_reader_sees_the_pty_hang_up():
 def test_a_link_leads_to_the_pty_and_goes_with_it(tmp_path):
     link = tmp_path / "camera"
     link.symlink_to("/nowhere")
-    port = open_port(SerialParameters(symlink=str(link)))
+    port = open_port(SerialLink(symlink=str(link)))
     assert port.address == str(link)
     assert stat.S_ISCHR(os.stat(link).st_mode)
     port.close()
@@ -97,14 +97,14 @@ def test_a_link_leads_to_the_pty_and_goes_with_it(tmp_path):
 
 def test_the_link_of_a_running_port_is_neither_replaced_nor_removed(tmp_path):
     link = tmp_path / "camera"
-    port = open_port(SerialParameters(symlink=str(link)))
+    port = open_port(SerialLink(symlink=str(link)))
     target = os.readlink(link)
     with pytest.raises(OSError, match="a running link has it"):
-        open_port(SerialParameters(symlink=str(link)))
+        open_port(SerialLink(symlink=str(link)))
     remove_abandoned(link)
     assert os.readlink(link) == target
     port.close()
-    again = open_port(SerialParameters(symlink=str(link)))
+    again = open_port(SerialLink(symlink=str(link)))
     again.close()
     assert not link.is_symlink()
 
@@ -112,8 +112,8 @@ def test_the_link_of_a_running_port_is_neither_replaced_nor_removed(tmp_path):
 KILLED = """
 import os, sys
 from transports.serial_line.port import open_port
-from transports.serial_line.kind import SerialParameters
-port = open_port(SerialParameters(symlink=sys.argv[1]))
+from transports.serial_line.kind import SerialLink
+port = open_port(SerialLink(symlink=sys.argv[1]))
 os.kill(os.getpid(), 9)
 """
 
@@ -143,13 +143,13 @@ def test_what_is_not_a_link_to_a_pty_stays(tmp_path):
 def test_a_link_replaces_nothing_that_is_no_link(tmp_path, name):
     (tmp_path / "taken").write_text("precious")
     with pytest.raises(OSError, match="give a path that is free"):
-        open_port(SerialParameters(symlink=str(tmp_path / name)))
+        open_port(SerialLink(symlink=str(tmp_path / name)))
     assert (tmp_path / "taken").read_text() == "precious"
 
 
 def test_a_port_that_is_not_there_says_so():
     with pytest.raises(OSError, match="is it plugged in"):
-        open_port(SerialParameters(port="/dev/ttyNOWHERE0"))
+        open_port(SerialLink(port="/dev/ttyNOWHERE0"))
 
 
 def test_a_port_without_permission_names_the_group(tmp_path, monkeypatch):
@@ -158,34 +158,34 @@ def test_a_port_without_permission_names_the_group(tmp_path, monkeypatch):
 
     monkeypatch.setattr(serial, "serial_for_url", refuse)
     with pytest.raises(OSError, match="usermod -aG dialout"):
-        open_port(SerialParameters(port="/dev/ttyS0"))
+        open_port(SerialLink(port="/dev/ttyS0"))
 
 
 def test_a_busy_port_says_who_has_it(pty):
     with serial.Serial(pty.address, exclusive=True), pytest.raises(OSError, match="another program has it; `fuser"):
-        open_port(SerialParameters(port=pty.address))
+        open_port(SerialLink(port=pty.address))
 
 
 def test_settings_that_a_port_lacks_are_told(pty):
     with pytest.raises(OSError, match="cannot do these settings"):
-        open_port(SerialParameters(port=pty.address, rs485=True))
+        open_port(SerialLink(port=pty.address, rs485=True))
 
 
 def test_what_a_pty_ignores_it_accepts(pty):
-    parameters = SerialParameters(port=pty.address, parity="even", stop_bits=2, break_ms=1, flow="rts_cts")
+    parameters = SerialLink(port=pty.address, parity="even", stop_bits=2, break_ms=1, flow="rts_cts")
     open_port(parameters).close()
     assert not pty.heard
 
 
 def test_an_unknown_url_is_told():
     with pytest.raises(OSError, match="cannot open nonsense://x"):
-        open_port(SerialParameters(port="nonsense://x"))
+        open_port(SerialLink(port="nonsense://x"))
 
 
 @pytest.mark.socket
 def test_a_socket_is_a_port_too():
     with socket.create_server(("127.0.0.1", 0)) as server:
-        port = open_port(SerialParameters(port=f"socket://127.0.0.1:{server.getsockname()[1]}"))
+        port = open_port(SerialLink(port=f"socket://127.0.0.1:{server.getsockname()[1]}"))
         peer, _ = server.accept()
         assert isinstance(port, DescriptorPort)
         assert port.write(b"out") == 3
@@ -203,11 +203,11 @@ def test_nobody_at_the_socket_is_told():
     with socket.create_server(("127.0.0.1", 0)) as server:
         free = server.getsockname()[1]
     with pytest.raises(OSError, match="start what listens there first"):
-        open_port(SerialParameters(port=f"socket://127.0.0.1:{free}"))
+        open_port(SerialLink(port=f"socket://127.0.0.1:{free}"))
 
 
 def test_a_port_that_blocks_has_a_thread_of_its_own():
-    port = open_port(SerialParameters(port="loop://", baud=1_000_000))
+    port = open_port(SerialLink(port="loop://", baud=1_000_000))
     assert isinstance(port, ThreadedPort)
     assert port.write(b"round and back") == 14
     got = b""
@@ -253,16 +253,16 @@ def test_a_failure_of_the_thread_is_raised_by_the_next_write():
 )
 def test_parameters_refuse_nonsense_by_the_key(field, value):
     with pytest.raises(ValueError, match=field):
-        SerialParameters(**{field: value})
+        SerialLink(**{field: value})
 
 
 def test_a_link_needs_a_pty():
     with pytest.raises(ValueError, match="symlink is for"):
-        SerialParameters(port="/dev/ttyS0", symlink="/tmp/x")
+        SerialLink(port="/dev/ttyS0", symlink="/tmp/x")
 
 
 @pytest.mark.parametrize(
     ("changes", "bits"), [({}, 10), ({"parity": "even"}, 11), ({"stop_bits": 2}, 11), ({"data_bits": 7}, 9)]
 )
 def test_the_character_has_its_bits(changes, bits):
-    assert SerialParameters(**changes).bits == bits
+    assert SerialLink(**changes).bits == bits

@@ -7,7 +7,7 @@ from evstim.testing.link_contract import LinkContract
 from firmware_protocol.instrument.settings import InstrumentSettings
 from firmware_protocol.telemetry import decode_block
 from tests.transports.network_streams.stream_readers import DatagramReader, udp_port
-from transports.udp_packets.kind import UdpPackets
+from transports.udp_packets.kind import UdpPacketsLink
 
 pytestmark = [pytest.mark.system, pytest.mark.socket]
 
@@ -29,7 +29,7 @@ class TestUdpPackets(LinkContract):
         self._socket = udp_port()
         port = self._socket.getsockname()[1]
         settings = InstrumentSettings(queue_ms=60_000.0)
-        self.parameters = UdpPackets(port=port, command_port=0, mbit_s=20.0, instrument=settings)
+        self.parameters = UdpPacketsLink(port=port, command_port=0, mbit_s=20.0, instrument=settings)
         yield
         self._socket.close()
 

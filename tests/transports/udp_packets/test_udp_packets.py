@@ -24,7 +24,7 @@ from transports.link.process import Link, LinkSetup
 from transports.link.rings import FREE_RUNNING, EventRing
 from transports.network.datagrams import AllowList, DatagramInlet
 from transports.udp_packets.endpoint import Ports, UdpPacketFactory, listen_udp
-from transports.udp_packets.kind import UdpPackets
+from transports.udp_packets.kind import UdpPacketsLink
 
 pytestmark = pytest.mark.socket
 
@@ -40,7 +40,7 @@ class Bench:
         self.ring = EventRing(100_000)
         self.socket = udp_port()
         self.socket.setblocking(False)
-        parameters = UdpPackets(**{"port": self.socket.getsockname()[1], "command_port": 0, **more})
+        parameters = UdpPacketsLink(**{"port": self.socket.getsockname()[1], "command_port": 0, **more})
         settings = InstrumentSettings(housekeeping_s=0, block_events=BLOCK_EVENTS)
         factory = UdpPacketFactory(parameters, FaultPlan("udp", scripted=tuple(faults), seed=1))
         self.link = Link(LinkSetup("udp", self.ring, partial(Instrument, (346, 260), settings), factory), self.clock)

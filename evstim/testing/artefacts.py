@@ -1,0 +1,47 @@
+"""Files of a failed test: the rig's last events, its counts and, where matplotlib is installed, its report.
+
+The events are AEDAT 4.0 where faery is installed, which most viewers open, else an .npz. This is a module of its own
+because it loads the emulator, which a pytest session without a failed rig does not need.
+"""
+
+from __future__ import annotations
+
+import json
+from importlib.metadata import version
+from importlib.util import find_spec
+from pathlib import Path
+
+import msgspec
+
+from emulator.cli.run import summary
+from emulator.report.page import ChartsLacking
+from emulator.run.outcome import judge
+from emulator.run.report import Reported, write_report
+from evstim.testing.running_rig import RunningRig
+from transports.recording.format import FORMATS
+from transports.recording.part import Facts, Part
+from transports.recording.writing import RecordingFile
+
+__all__ = ["write_artefacts"]
+
+
+def write_artefacts(rig: RunningRig, folder: Path) -> list[Path]:
+    """Write events, summary.json and the report of a rig that has been stopped; return their paths."""
+    folder.mkdir(parents=True, exist_ok=True)
+    events, counts = _write_events(rig, folder), folder / "summary.json"
+    results = msgspec.to_builtins(summary(rig.rig, rig.result))
+    counts.write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
+    reported = Reported(rig.rig, rig.result, rig.seen, judge(rig.rig.verdict, rig.result), results, version("evstim"))
+    try:
+        return [events, counts, *write_report(reported, folder)]
+    except ChartsLacking:
+        return [events, counts]
+
+
+def _write_events(rig: RunningRig, folder: Path) -> Path:
+    form = FORMATS["aedat4" if find_spec("faery") else "npz"]
+    path = folder / f"events{form.suffixes[0]}"
+    file = RecordingFile(path, form, Facts(size=rig.rig.camera.size, camera=rig.rig.camera.model))
+    file.write(Part(events=rig.recent_events()))
+    file.close()
+    return path

@@ -1,0 +1,71 @@
+"""The computer's side of a DAVIS346 on USB: bytes of bulk transfers in, events, edges and counts out. No USB.
+
+    receiver = DavisReceiver()
+    receiver.push(bulk_in(0x82))
+    events = receiver.take_events()
+
+A module of its own: the decoder loads numba, which a program with a `ClockEstimator` alone does not need.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+
+from firmware_protocol.davis346.decoder import Decoder
+from firmware_protocol.events import Edges, Events
+from firmware_protocol.receiver.instrument import Inbox
+
+__all__ = ["DavisReceiver"]
+
+
+class DavisReceiver:
+    """Decodes the word stream of endpoint 0x82; times are device time, which a timestamp reset sets to zero.
+
+    Parameters
+    ----------
+    size
+        (width, height) in user coordinates.
+    turned
+        True where the invert bit of the orientation register is set.
+    """
+
+    def __init__(self, size: tuple[int, int] = (346, 260), turned: bool = False) -> None:
+        self._decoder = Decoder(size, turned)
+        self._inbox = Inbox()
+        self._bytes = self._events = self._edges = self._resets = 0
+
+    def push(self, data: bytes) -> None:
+        """Take the next bytes of the stream, any number of them; never raises."""
+        decoded = self._decoder.feed(data)
+        edges = decoded.edges
+        self._bytes += len(data)
+        self._events += len(decoded.events)
+        self._edges += len(edges)
+        self._resets += len(decoded.resets)
+        self._inbox.put_events(decoded.events)
+        self._inbox.put_edges(edges)
+
+    def take_events(self) -> Events:
+        """See `Inbox.take_events`."""
+        return self._inbox.take_events()
+
+    def take_edges(self) -> Edges:
+        """See `Inbox.take_edges`."""
+        return self._inbox.take_edges()
+
+    def take_reports(self) -> tuple[str, ...]:
+        """Return an empty tuple: the stream of a DAVIS346 holds no answers."""
+        return self._inbox.take_reports()
+
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """Everything by name; only what is not zero."""
+        counts = {"bytes": self._bytes, "events": self._events, "edges": self._edges, "resets": self._resets}
+        counts |= asdict(self._decoder.faults) | self._inbox.counts
+        return {name: count for name, count in counts.items() if count}
+
+    @property
+    def faults(self) -> int:
+        """Words that a sound stream never holds."""
+        return self._decoder.faults.total

@@ -1,0 +1,69 @@
+"""Events read back from every format that is written."""
+
+import numpy as np
+import pytest
+
+import evstim
+from transports.recording.format import FORMATS
+from transports.recording.part import Facts, Part
+from transports.recording.writing import RecordingFile
+
+COUNT = 100_000  # more than one piece holds
+
+
+@pytest.fixture(scope="module")
+def events():
+    made = np.zeros(COUNT, evstim.EVENT)
+    made["t"] = np.arange(COUNT) * 3
+    made["x"], made["y"] = np.arange(COUNT) % 346, np.arange(COUNT) % 260
+    made["on"] = np.arange(COUNT) % 3 == 0
+    return made
+
+
+def written(path, form, events):
+    file = RecordingFile(path, form, Facts((346, 260)))
+    file.write(Part(events))
+    file.close()
+    return path
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_every_format_that_is_written_is_read(name, events, tmp_path):
+    path = written(tmp_path / f"recording{FORMATS[name].suffixes[0]}", FORMATS[name], events)
+    whole = evstim.read_events(path)
+    assert whole.dtype == evstim.EVENT
+    assert np.array_equal(np.sort(whole, order=["t", "x", "y"]), events)
+    whole["t"] += 1  # it belongs to the caller
+    pieces = list(evstim.iter_events(str(path)))
+    assert all(len(piece) for piece in pieces)
+    assert np.array_equal(np.sort(np.concatenate(pieces), order=["t", "x", "y"]), events)
+
+
+def test_an_iterator_that_is_closed_ends_its_process(events, tmp_path):
+    pieces = evstim.iter_events(written(tmp_path / "a.npz", FORMATS["npz"], events))
+    assert 0 < len(next(pieces)) < COUNT
+    pieces.close()
+    with pytest.raises(StopIteration):
+        next(pieces)
+
+
+def test_events_before_a_damage_come_first(events, tmp_path):
+    path = written(tmp_path / "a.csv", FORMATS["csv"], events)
+    path.write_bytes(path.read_bytes() + b"3,damaged\n")
+    pieces = []
+    with pytest.raises(evstim.RecordingError, match=r"a\.csv: "):
+        pieces.extend(evstim.iter_events(path))
+    assert np.array_equal(np.concatenate(pieces)[:1000], events[:1000])
+
+
+def test_what_is_no_recording(tmp_path):
+    with pytest.raises(FileNotFoundError):
+        evstim.read_events(tmp_path / "none.npz")
+    (tmp_path / "text.md").write_text("hello")
+    with pytest.raises(evstim.RecordingError, match=r"text\.md: it is none of the recordings that are read"):
+        evstim.read_events(tmp_path / "text.md")
+
+
+def test_a_recording_without_events(tmp_path):
+    path = written(tmp_path / "a.npz", FORMATS["npz"], np.zeros(0, evstim.EVENT))
+    assert evstim.read_events(path).shape == (0,)
