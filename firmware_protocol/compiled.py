@@ -1,17 +1,14 @@
-"""How numba compiles loops over events, pixels and bits: the one rule for all kernels that are cached on disk.
+"""Compilation of loops over events, pixels and bits by numba: one rule for all kernels that are cached on disk.
 
 kernel     a loop that other compiled code calls: arrays belong to the caller, so no reference is counted
 entry_of   the decorator of functions that Python calls, the only ones that are cached on disk. Its arguments are the
-           declared sources: every module of ours whose functions are called or whose constants are frozen in the code
+           declared sources: every module here whose functions are called or whose constants are frozen in the code
 
-numba by itself compares the module of an entry alone. A module that is missing in the declaration leaves stale code on
-disk when it changes; a test walks from every entry through what it uses and compares the two.
-
-Freshness of numba's cache on disk: code is valid as long as none of its declared sources changes.
-
-numba by itself looks at the module of a function only, not at the modules that the function calls. Here a checksum of
-all sources is part of the version that numba compares before it reads a cached index. An index of other sources is
-ignored unread, so it may name types that exist no more. `firmware_protocol.compiled` declares the sources.
+numba by itself compares only the module of a cached function, not the modules that the function calls. Here a checksum
+of all declared sources is part of the version that numba compares before it reads a cached index, so the code is valid
+as long as none of these sources changes. An index of other sources is ignored unread, so it may name types that no
+longer exist. A module that is missing in the declaration leaves stale code on disk when it changes; a test follows
+every entry through the names that it uses and compares them with the declaration.
 """
 
 from __future__ import annotations
@@ -28,7 +25,7 @@ __all__ = ["RULE", "cache_folder", "checksum_of", "entry_of", "kernel", "place_o
 
 
 def checksum_of(*places: Path) -> int:
-    """Return the checksum of Python sources: of modules, and of all in folders and below them."""
+    """Return the checksum of Python sources: of modules, and of all modules in and below folders."""
     files = {file for place in places for file in (place.rglob("*.py") if place.is_dir() else (place,))}
     return zlib.crc32(b"".join(file.read_bytes() for file in sorted(files)))
 
@@ -48,7 +45,7 @@ def valid_for(checksum: int, dispatcher: Any) -> Any:
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 RULE = (__name__, "firmware_protocol.compiled")
-"""Sources of every entry, which are not declared."""
+"""Sources of every entry, which need no declaration."""
 
 _ROOT = Path(__file__).parents[1]
 _COUNTED: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
@@ -64,7 +61,7 @@ def kernel(function: _Function) -> _Function:
 def entry_of(*sources: str, **options: Any) -> Callable[[_Function], _Function]:
     """Return the decorator that compiles functions for Python callers, and caches them on disk.
 
-    With NUMBA_DISABLE_JIT it leaves them as they are.
+    With NUMBA_DISABLE_JIT it returns them unchanged.
 
     Parameters
     ----------
@@ -75,7 +72,7 @@ def entry_of(*sources: str, **options: Any) -> Callable[[_Function], _Function]:
     Raises
     ------
     ValueError
-        There is no module or package of such a name.
+        There is no module or package with such a name.
     """
     checksum = _checksum(*sources, *RULE)
 

@@ -1,26 +1,24 @@
-"""The event record that every room shares.
+"""The EVENT and EDGE records that all packages share, and fast copies of them.
+
+The record of an event:
 
     t   u64   microseconds since the start of the stream
     x   u16   column, 0 on the left
     y   u16   row, 0 on top
     on  bool  True: it got brighter (ON), False: darker (OFF)
 
-The layout is packed (13 bytes) and is the one of `faery` and `neuromorphic_drivers`, so arrays pass between
-without a copy.
+The layout is packed (13 bytes) and is the one of `faery` and `neuromorphic_drivers`, so arrays pass between them
+without a copy. numpy copies a structured array field by field: 6 ns an event, where moving the 13 bytes takes 0.1 ns.
+Code that handles millions of events a second copies and joins them with the functions here, as raw bytes.
 
-Copies of EVENT arrays as raw bytes.
-
-numpy copies a structured array field by field: 6 ns an event, where moving the 13 bytes takes 0.1 ns. Whoever handles
-millions of events a second copies and joins with these.
-
-The record of an edge on a camera's external input, beside the event record.
+The record of an edge on a camera's external input:
 
     t        u64   microseconds since the start of the stream
     kind     u8    EdgeKind, numbered as the special events of libcaer (libcaer 3.3.15, events/special.h)
-    channel  u8    which input; the DAVIS346 has one, 0
+    channel  u8    number of the input; the DAVIS346 has one, 0
     seq      u16   number of the edge at its source (the SYNC counter of a CAN bus), 0 where the source counts none
 
-The layout is packed (12 bytes), as that of the events.
+The layout is packed (12 bytes), like that of the events.
 """
 
 from __future__ import annotations
@@ -75,7 +73,7 @@ def join_events(parts: Sequence[Events]) -> Events:
 def bytes_of(records: npt.NDArray[np.void]) -> npt.NDArray[np.uint8]:
     """Return the bytes of packed records, such as (n,) EVENT, for compiled code; (n * size,).
 
-    Records that are read-only or have gaps are copied: each kind of array would be compiled for anew.
+    Records that are read-only or have gaps are copied: compiled code has a version for each kind of array.
     """
     if not (records.flags.c_contiguous and records.flags.writeable):
         records = records.view(f"V{records.dtype.itemsize}").copy()
@@ -89,7 +87,7 @@ Edges = npt.NDArray[np.void]
 
 
 class EdgeKind(IntEnum):
-    """What happened on the input."""
+    """Kind of a change on the input."""
 
     RISING = 2
     FALLING = 3

@@ -1,13 +1,15 @@
-"""A frame as its chip reads it: a sequence of lines and moments, each with its time; and what a host asks of frames.
+"""Frames: records of a frame's lines and boundaries, the host's settings, and the assembly of whole frames.
+
+A chip reads a frame as a sequence of lines and moments, each with its time:
 
     global shutter    START  RESET x n  EXPOSURE_START  EXPOSURE_END  SIGNAL x n  END
     rolling shutter   START  RESET and SIGNAL lines by time, the exposure's two moments with the first line  END
 
-A record: t u64 us | kind u8 (LineKind) | line u16, in the user's frame | exposure u32, ADC cycles | global_shutter bool
-| by_column bool | roi u16[4], first column, first row, last column, last row | length u16 | samples u16[most], ADC
-values.
+A record: t u64 us | kind u8 (LineKind) | line u16, in the user's coordinates | exposure u32, ADC cycles |
+global_shutter bool | by_column bool | roi u16[4], first column, first row, last column, last row | length u16 |
+samples u16[most], ADC values.
 
-Whole frames from the lines that were delivered, in the user's picture.
+`FrameAssembler` makes whole frames, in the user's coordinates, of the lines that were delivered.
 """
 
 from __future__ import annotations
@@ -25,7 +27,7 @@ __all__ = ["FrameAssembler", "FrameSettings", "LineKind", "WholeFrame", "line_re
 
 
 class LineKind(IntEnum):
-    """What a record tells of; lines have samples, moments have none."""
+    """Kind of a record; lines have samples, moments have none."""
 
     START = 0
     RESET = 1
@@ -47,22 +49,22 @@ def line_record(most: int) -> np.dtype[Any]:
 
 @dataclass(frozen=True)
 class FrameSettings:
-    """What the host's registers ask of frames.
+    """Frame settings in the host's registers.
 
     Attributes
     ----------
     run
-        Whether frames are wanted now.
+        True if frames are requested now.
     global_shutter
-        Whether all pixels are exposed at the same time.
+        True if all pixels are exposed at the same time.
     by_column
-        Whether a line of the read-out is a column of the user's picture; else a row.
+        True if a line of the read-out is a column of the user's image; else a row.
     exposure_cycles
-        As the register has it, for the stream.
+        Value of the register, for the stream.
     exposure_ns, interval_ns
         Stream time; the interval from one frame's start to the next, at least as long as a frame takes.
     first_column, first_row, last_column, last_row
-        Region of interest in the user's frame, inclusive.
+        Region of interest in the user's coordinates, inclusive.
     """
 
     run: bool = False
@@ -78,7 +80,7 @@ class FrameSettings:
 
     @classmethod
     def of(cls, numbers: tuple[int, ...]) -> FrameSettings:
-        """Return them from the numbers of `EventDevice.reading_settings`; no numbers: no frames."""
+        """Return the settings from the numbers of `EventDevice.reading_settings`; no numbers: no frames."""
         return cls(*(bool(n) for n in numbers[:3]), *numbers[3:]) if numbers else cls()
 
     @property
@@ -92,16 +94,16 @@ Samples = npt.NDArray[np.uint16]
 
 @dataclass(frozen=True)
 class WholeFrame:
-    """A frame that was delivered whole; times are stream time, us.
+    """A frame that was delivered complete; times are stream time, us.
 
     Attributes
     ----------
     first_column, first_row
-        Where its region begins in the array.
+        First pixel of its region in the array.
     reset, signal
         (rows, columns) uint16, ADC values.
     records
-        Lines and moments that it was made of.
+        Number of its lines and moments.
     """
 
     start_us: int
@@ -116,13 +118,13 @@ class WholeFrame:
 
     @property
     def pixels(self) -> Samples:
-        """(rows, columns) uint16, 0 to 1023: brightness; what is saturated is 1023, as hosts have it."""
+        """(rows, columns) uint16, 0 to 1023: brightness; saturated pixels are 1023, as in hosts."""
         value = np.clip(self.reset.astype(np.int32) - self.signal, 0, 1023)
         return np.where((self.reset < 384) | (self.signal == 0), 1023, value).astype(np.uint16)
 
 
 class FrameAssembler:
-    """Takes readings in the order of delivery; those of other kinds are skipped, and so are frames with gaps."""
+    """Assembler of frames from readings in the order of delivery; it skips other kinds, and frames with gaps."""
 
     def __init__(self) -> None:
         self._lines: list[Readings] = []
@@ -142,11 +144,11 @@ class FrameAssembler:
         return frames
 
 
-def _whole(told: Readings) -> list[WholeFrame]:
-    """Return the frame of its lines and moments; none where one is missing."""
-    left, top, right, bottom = told["roi"][0].tolist()
+def _whole(records: Readings) -> list[WholeFrame]:
+    """Return the frame of its lines and moments; none if one is missing."""
+    left, top, right, bottom = records["roi"][0].tolist()
     rows, columns = bottom - top + 1, right - left + 1
-    by_kind = {kind: told[told["kind"] == kind] for kind in LineKind}
+    by_kind = {kind: records[records["kind"] == kind] for kind in LineKind}
     moments = [by_kind[kind] for kind in LineKind if kind not in (LineKind.RESET, LineKind.SIGNAL)]
     lines = [by_kind[LineKind.RESET], by_kind[LineKind.SIGNAL]]
     if any(len(one) != 1 for one in moments) or not all(len(one) in (rows, columns) for one in lines):
@@ -155,7 +157,7 @@ def _whole(told: Readings) -> list[WholeFrame]:
     reads = [one["samples"][:, :length] for one in lines]
     if any(read.shape != reads[0].shape for read in reads) or reads[0].size != rows * columns:
         return []
-    by_column = told["by_column"][0]
+    by_column = records["by_column"][0]
     reset, signal = (np.ascontiguousarray(read.T if by_column else read) for read in reads)
     start, opened, shut, end = (int(one["t"][0]) for one in moments)
-    return [WholeFrame(start, opened, shut, end, left, top, reset, signal, len(told))]
+    return [WholeFrame(start, opened, shut, end, left, top, reset, signal, len(records))]

@@ -1,4 +1,4 @@
-"""Samples of an inertial measurement unit as its converters count them, and what a host asks of the unit.
+"""Samples of an inertial measurement unit, as its converters count them, and the host's settings of the unit.
 
 acceleration, g       count * 4 * 2^range / 65536
 rate, deg/s           count * 500 * 2^range / 65536
@@ -18,7 +18,7 @@ THERMOMETERS = {1: (340.0, 35.0), 2: (333.87, 21.0)}
 """Counts a degree, and the temperature of count 0, by the unit."""
 
 IMU_SAMPLE = np.dtype([("t", "<u8"), ("scale", "u1"), ("counts", "<i2", 7)])
-"""Time in us, scale byte, counts of accelerometer x, y, z, temperature, gyroscope x, y, z; 0 for what is not there."""
+"""Time in us, scale byte, counts of accelerometer x, y, z, temperature, gyroscope x, y, z; 0 for an absent group."""
 
 PHYSICAL = np.dtype([("t", "<u8"), ("acceleration_g", "<f8", 3), ("temperature_c", "<f8"), ("rate_deg_s", "<f8", 3)])
 """Time in us; g, degrees Celsius, deg/s."""
@@ -29,7 +29,7 @@ ImuSamples = npt.NDArray[np.void]
 
 @dataclass(frozen=True)
 class ImuScale:
-    """The scale byte: which groups are there, and the ranges, 0 to 3."""
+    """The scale byte: the groups that are present, and the ranges, 0 to 3."""
 
     accelerometer: bool = True
     gyroscope: bool = True
@@ -64,16 +64,16 @@ def no_samples(n: int = 0) -> ImuSamples:
 
 @dataclass(frozen=True)
 class ImuSettings:
-    """What the host's registers ask of the unit, in whole numbers.
+    """Settings of the unit in the host's registers, in whole numbers.
 
     Attributes
     ----------
     run
-        Whether samples are wanted now.
+        True if samples are requested now.
     unit
         1: MPU-6050, 2: MPU-9250 or MPU-6500.
     scale
-        The scale byte: what runs, and the ranges.
+        The scale byte: the groups that run, and the ranges.
     accelerometer_mhz, gyroscope_mhz
         Bandwidths, thousandths of a hertz.
     per_ms
@@ -89,15 +89,15 @@ class ImuSettings:
     divider: int = 1
 
     def takes(self, index: int) -> bool:
-        """Say whether the unit gives a sample at millisecond `index`, at least 1, of its clock."""
+        """Return true if the unit delivers a sample at millisecond `index`, at least 1, of its clock."""
         return index * self.per_ms // self.divider > (index - 1) * self.per_ms // self.divider
 
 
 def physical(samples: ImuSamples, unit: int = 2) -> npt.NDArray[np.void]:
     """Return samples in g, degrees Celsius and deg/s, (n,) PHYSICAL, as a driver converts them; `unit` is its TYPE.
 
-    A group that its sample does not have is 0, the temperature too: a driver that starts the unit register by register
-    gets samples of the accelerometer alone first.
+    A group that is absent in its sample is 0, the temperature too: while a driver starts the unit register by register,
+    it first gets samples of the accelerometer alone.
     """
     out = np.zeros(len(samples), PHYSICAL)
     scale = samples["scale"].astype(np.int64)

@@ -4,7 +4,7 @@
      4  u16       version, 1
      6  u16       number: 0 the camera, 1 the first body, ...
      8  i64       stream time, ns; -1: now
-    16  f64[3]    place in the world, m, each within 1e15 (6700 au)
+    16  f64[3]    position in the world, m, each within 1e15 (6700 au)
     40  f64[4]    q_world_from_body, scalar first, unit within 0.1 %
     72  u32       counter of the sender, one more for each pose of this number; it starts anywhere and wraps
     76  u32       CRC-32 (zlib) of bytes 0 to 75
@@ -26,7 +26,7 @@ _CRC = struct.Struct("<I")
 _MAGIC = b"EVPO"
 _VERSION = 1
 _UNIT_WITHIN = 1e-3
-_FARTHEST_M = 1e15  # the motion between two such places can be carried on without overflow
+_FARTHEST_M = 1e15  # motion between two such positions can be extrapolated without overflow
 
 POSE_BYTES = _LAYOUT.size + _CRC.size
 NOW = -1
@@ -34,7 +34,7 @@ NOW = -1
 
 
 class PoseMessageError(ValueError):
-    """The bytes are no pose; the text says why."""
+    """The bytes are no pose; the message gives the reason."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class PoseMessage:
     Raises
     ------
     PoseMessageError
-        A value that cannot be sent, or that is no pose.
+        A value that cannot be sent, or that is not a pose.
     """
 
     t_ns: int

@@ -1,7 +1,7 @@
 """Layouts of packets: fields of whole bits in a row, most significant bit first, with their units and meanings.
 
-A layout packs and unpacks, and the definitions for ground systems (`firmware_protocol.ground`) are written from it. So
-what a ground system is told is what the code sends.
+A layout packs and unpacks, and the definitions for ground systems (`firmware_protocol.ground`) are generated from it.
+So these definitions agree with the packets that the code sends.
 
     HEADER = Layout(
         Field("version", 4, fixed=1), Field("mode", 4, choices=choices_of(Mode)), Field("t_base", 32, unit="us")
@@ -23,7 +23,7 @@ __all__ = ["Field", "Layout", "WrongLength", "choices_of"]
 
 
 class WrongLength(Exception):
-    """Octets are more or fewer than a layout has."""
+    """The number of octets is not that of the layout."""
 
 
 @dataclass(frozen=True)
@@ -35,19 +35,19 @@ class Field:
     bits
         Its width, 1 to 64.
     meaning
-        What it says, for people.
+        Meaning of the number, for people.
     unit
         Unit of the value, after `scale`; "" for none.
     scale
         Value of one step in `unit`.
     signed
-        Whether it is a number in two's complement.
+        True for a number in two's complement.
     fixed
-        The one value that it has; None where it varies.
+        Its only value; None if it varies.
     choices
-        Name of each value that it can have, where these are a list.
+        Name of each value that it can have, if these are a list.
     lowest, highest
-        Range of the number on the wire; None: all that the bits hold.
+        Range of the number on the wire; None: all values of the bits.
     """
 
     name: str
@@ -100,7 +100,7 @@ class Layout:
         self._places = [(one.name, self.bits - end, (1 << one.bits) - 1) for one, end in zip(fields, ends, strict=True)]
         self._signs = [(one.name, one.bits) for one in fields if one.signed]
         if len(self.by_name) != len(fields):
-            raise ValueError(f"a name stands twice: {', '.join(one.name for one in fields)}")
+            raise ValueError(f"a name is used twice: {', '.join(one.name for one in fields)}")
 
     def __add__(self, other: Layout) -> Layout:
         return Layout(*self.fields, *other.fields)
@@ -130,7 +130,7 @@ class Layout:
         return number.to_bytes(self.octets, "big")
 
     def unpack(self, octets: bytes) -> dict[str, int]:
-        """Return the values as they stand there, right or not. Raises WrongLength."""
+        """Return the values, valid or not. Raises WrongLength."""
         if len(octets) != self.octets:
             raise WrongLength(f"{len(octets)} octets, not {self.octets}")
         number = int.from_bytes(octets, "big")
@@ -140,7 +140,7 @@ class Layout:
         return values
 
     def holds(self, values: Mapping[str, int]) -> bool:
-        """Say whether every field has a value that it can have; other names are passed over."""
+        """Return true if every field has a value that it can have; other names are ignored."""
         try:
             for one in self.fields:
                 one.check(values[one.name])

@@ -95,7 +95,7 @@ def _wanted(rig: str | None) -> _Wanted:
 
 def _frames(can: CanLink) -> tuple[tuple[int, CanMessage], ...]:
     ids = can.identifiers.by_name
-    return tuple((ids[one.name], one) for one in can_messages(fd=can.fd, carriage=can.carriage))
+    return tuple((ids[one.name], one) for one in can_messages(fd=can.fd, transport=can.carriage))
 
 
 def _cosmos_ports(udp: UdpPacketsLink) -> CosmosPorts:

@@ -1,7 +1,7 @@
-"""The decoder for firmware, in C99: where its sources are, for whoever compiles them.
+"""The decoder for firmware, in C99: the location of its sources.
 
-The library itself is `evstim.h` and `evstim_*.c` in this folder; `mps2_an385/` holds a complete firmware around it for
-an emulated Cortex-M3 board. How to use them is told in docs/firmware.md.
+The library itself is `evstim.h` and `evstim_*.c` in this folder; `mps2_an385/` holds a complete firmware with it for an
+emulated Cortex-M3 board. docs/firmware.md describes their use.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-/* Event blocks, as docs/telemetry.md draws them.
+/* Event blocks, in the layout of docs/telemetry.md.
  *
- * A block is walked twice, straight from the receive buffer: first only to check, then to deliver. The first walk
- * refuses whatever is malformed, so the second cannot meet it. */
+ * A block is read twice, straight from the receive buffer: first only to check, then to deliver. The first pass refuses
+ * every malformed block, so the second needs no checks. */
 #include "evstim.h"
 #include "evstim_time.h"
 
@@ -47,7 +47,7 @@ static inline uint32_t divide(uint32_t value, uint32_t divisor, uint32_t recipro
 
 struct bits {
     const uint8_t *bytes;
-    uint32_t at, end; /* in bits; `at` may pass `end` by one number, which is then noticed */
+    uint32_t at, end; /* in bits; `at` may pass `end` by one number, which is then detected */
 };
 
 /* The next 32 bits; beyond the end they are zeros. */
@@ -78,7 +78,7 @@ static inline uint32_t take(struct bits *b, uint32_t width)
     return value;
 }
 
-/* How many of 32 bits are ones before the first zero, at most 16. */
+/* The number of ones among 32 bits before the first zero, at most 16. */
 static inline uint32_t ones_in_front(uint32_t bits)
 {
 #if defined(__GNUC__) && !defined(EVSTIM_NO_CLZ)
@@ -91,7 +91,7 @@ static inline uint32_t ones_in_front(uint32_t bits)
 #endif
 }
 
-/* A Rice-coded number with `k` bits of rest; false where the escape stands instead, which is passed over. */
+/* A Rice-coded number with `k` bits of rest; false if it is an escape, which is skipped. */
 static inline bool rice(struct bits *b, uint32_t k, uint32_t *value, uint32_t more, uint32_t *tail)
 {
     uint32_t window = peek(b), ones = ones_in_front(window), rest;
@@ -111,13 +111,13 @@ static inline bool rice(struct bits *b, uint32_t k, uint32_t *value, uint32_t mo
     return true;
 }
 
-/* Nothing but fewer than eight zero bits is left. */
+/* True if only fewer than eight zero bits are left. */
 static bool ended(const struct bits *b)
 {
     return b->at <= b->end && b->end - b->at < 8 && head(peek(b), b->end - b->at) == 0;
 }
 
-/* ---- The walk ---------------------------------------------------------------------------------------------------- */
+/* ---- Reading of the payload -------------------------------------------------------------------------------------- */
 
 struct walk {
     struct bits bits;
@@ -143,7 +143,7 @@ static inline void deliver(struct walk *w, bool on)
     w->sink->event(w->sink->context, &event);
 }
 
-/* Whether an event may stand here; delivers it when checking is over. */
+/* Return true if an event is valid here; deliver it in the second pass. */
 static inline bool event(struct walk *w, bool on)
 {
     if (w->left == 0 || w->bits.at > w->bits.end)
@@ -154,7 +154,7 @@ static inline bool event(struct walk *w, bool on)
     return true;
 }
 
-/* Go to a place written out, `later` ticks on; false if it is outside the array or goes back. */
+/* Go to an explicit address, `later` ticks on; false if it is outside the array or goes back. */
 static bool go_to_place(struct walk *w, uint32_t later)
 {
     const struct evstim_blocks *c = w->camera;
@@ -282,7 +282,7 @@ static bool walk_edges(struct walk *w)
     return true;
 }
 
-/* Walk a block whose header is good: without a sink to check it, with one to deliver it. */
+/* Read a block whose header is good: without a sink to check it, with one to deliver it. */
 static bool walk(const struct evstim_blocks *camera, const struct header *h, const uint8_t *bytes, size_t n,
                  const struct evstim_sink *sink, uint64_t base_us)
 {
@@ -332,7 +332,7 @@ static bool read_header(struct header *h, const uint8_t *b, size_t n)
            && (h->mode != EDGE || h->tick_code == 0) && (h->mode == FLAT || h->n != 0);
 }
 
-/* ---- What the header file promises ------------------------------------------------------------------------------- */
+/* ---- Functions of the header file -------------------------------------------------------------------------------- */
 
 static uint8_t bits_of(uint32_t value)
 {

@@ -1,4 +1,4 @@
-/* Raw CAN frames, as docs/can.md draws them: events that need no reassembly, little-endian.
+/* Raw CAN frames, in the layout of docs/can.md: events that need no reassembly, little-endian.
  *
  * Events, classic, 64 bits:  t 16 | seq 3 | dt 7 | x0 9 | y0 9 | on0 1 | x1 9 | y1 9 | on1 1   (lowest bits first)
  * Events, FD:                u32 t | u8 seq | u8 n | u8 dropped | n x u24 (x 9 | y 9 | on 1 | dt 5) | zeros
@@ -32,7 +32,7 @@ static uint32_t u24(const uint8_t *p)
     return (uint32_t)p[2] << 16 | (uint32_t)p[1] << 8 | p[0];
 }
 
-/* value / divisor, bit by bit: once for a clock frame, and where the tick changes. */
+/* value / divisor, bit by bit: once for a clock frame, and when the tick changes. */
 static uint64_t divided(uint64_t value, uint32_t divisor)
 {
     uint64_t quotient = 0, rest = 0;
@@ -79,7 +79,7 @@ static void deliver(struct evstim_can *c, uint64_t tick, uint32_t pixel)
         c->sink->event(c->sink->context, &event);
 }
 
-/* Whether a sound frame is new; follows the sequence count. */
+/* Return true if a valid frame is new; update the sequence count. */
 static bool is_new(struct evstim_can *c, const struct frame *f, const uint8_t *data, size_t n)
 {
     bool same = c->last_length == n;
@@ -158,7 +158,7 @@ static bool fd_events(struct evstim_can *c, const uint8_t *data, size_t n)
     return true;
 }
 
-/* `count` and `more`, or the bound of the counter that the sum lies beyond: an overflow is undefined in C. */
+/* `count` and `more`, or the bound of the counter if the sum exceeds it: an overflow is undefined in C. */
 static int32_t saturated(int32_t count, int64_t more)
 {
     int64_t sum = count + more;

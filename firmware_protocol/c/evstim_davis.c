@@ -3,7 +3,7 @@
  *   bits 15..12  meaning                                    bits 11..0
  *   1xxx         timestamp                                  low 15 bits: microseconds since the last wrap
  *   0000         special                                    code
- *   0001         row (Y), remembered until the next one     address
+ *   0001         row (Y), in force until the next one       address
  *   0010         column (X), OFF: an event                  address
  *   0011         column (X), ON: an event                   address
  *   0100         APS sample                                 ADC value
@@ -11,9 +11,9 @@
  *   0110         misc, 10 bits of data                      code 11..10, data 9..0
  *   0111         timestamp wrap                             number of steps of 32768 us
  *
- * The meaning is that of libcaer 3.3.15 (davis.c): a wrap sets the time too; a row outside the array leaves the old one
- * in force; a column outside is no event; a column before any row is in row 0; a time that does not increase is counted
- * and used. */
+ * The meaning is that of libcaer 3.3.15 (davis.c): a wrap sets the time too; a row outside the array leaves the
+ * previous one in force; a column outside is no event; a column before any row is in row 0; a time that does not
+ * increase is counted and used. */
 #include "evstim.h"
 
 enum { SPECIAL, ROW, COLUMN_OFF, COLUMN_ON, APS_SAMPLE, MISC8, MISC10, WRAP };

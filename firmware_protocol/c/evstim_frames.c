@@ -1,10 +1,10 @@
 /* COBS, SLIP (RFC 1055) and KISS as libcsp has it, a byte at a time.
  *
- * COBS: a code byte c stands before c - 1 bytes without a zero, and for a zero after them unless c is 0xFF or the frame
- * ends there; 0x00 ends the frame. SLIP: 0xC0 ends the frame; 0xDB 0xDC stands for 0xC0, 0xDB 0xDD for 0xDB. KISS: SLIP
- * with a byte 0x00 in front and the big-endian CRC-32C of the data behind them.
+ * COBS: a code byte c precedes c - 1 bytes without a zero, and represents a zero after them unless c is 0xFF or the
+ * frame ends there; 0x00 ends the frame. SLIP: 0xC0 ends the frame; 0xDB 0xDC represents 0xC0, 0xDB 0xDD represents
+ * 0xDB. KISS: SLIP with a byte 0x00 before the data and their big-endian CRC-32C after them.
  *
- * Whatever goes wrong, the next delimiter starts afresh. */
+ * After any error, decoding restarts at the next delimiter. */
 #include "evstim.h"
 
 enum { COBS_END = 0x00, COBS_FULL = 0xFF, SLIP_END = 0xC0, SLIP_ESC = 0xDB, SLIP_ESC_END = 0xDC, SLIP_ESC_ESC = 0xDD };
@@ -33,7 +33,7 @@ static void break_frame(struct evstim_deframer *d)
     }
 }
 
-/* A delimiter has come: return the length of the frame before it, 0 if there is none or it is broken. */
+/* At a delimiter: return the length of the frame before it, 0 if there is none or it is broken. */
 static size_t end_frame(struct evstim_deframer *d)
 {
     if (d->left != 0)

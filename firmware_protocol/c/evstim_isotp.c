@@ -3,7 +3,7 @@
  *   single       0L data                L = 1..7; more than 8 bytes: 00 LL data
  *   first        1L LL data             12 bits of length; above 4095: 10 00 and a big-endian u32
  *   consecutive  2n data                n counts 1..15, 0, 1 ... from the first frame on
- *   flow control 3s BS STmin            s: 0 go on, 2 overflow
+ *   flow control 3s BS STmin            s: 0 continue, 2 overflow
  *
  * Frames are padded with 0xCC. */
 #include "evstim.h"
@@ -26,14 +26,14 @@ static void answer(struct evstim_isotp *s, unsigned status)
     s->has_reply = true;
 }
 
-/* Keep what the message still needs of `n` bytes. */
+/* Store the part of `n` bytes that the message still needs. */
 static void keep(struct evstim_isotp *s, const uint8_t *bytes, size_t n)
 {
     for (size_t i = 0; i < n && s->at < s->length; i++)
         s->buffer[s->at++] = bytes[i];
 }
 
-/* A message begins: one that is under way never ends. */
+/* Begin a message: an open one is given up. */
 static void begin(struct evstim_isotp *s)
 {
     if (s->length != 0)

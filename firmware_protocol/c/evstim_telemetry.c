@@ -1,4 +1,4 @@
-/* Telemetry packets, as docs/packets.md draws them, big-endian. PUS-C in CCSDS space packets:
+/* Telemetry packets, in the layout of docs/packets.md, big-endian. PUS-C in CCSDS space packets:
  *
  *    0  u16  version 000, type 0, secondary header 1, APID (11 bits)
  *    2  u16  sequence flags 11, sequence count (14 bits)
@@ -53,7 +53,8 @@ void evstim_telemetry_init(struct evstim_telemetry *telemetry, enum evstim_frami
     evstim_blocks_init(&telemetry->blocks, width, height, sink);
 }
 
-/* A number less than half a turn ahead means that those between are missing; one behind is a repeat or a restart. */
+/* A count less than half the modulus ahead means that the packets between are missing; one behind is a repeat or a
+ * restart. */
 static void follow(struct evstim_telemetry *t, struct evstim_sequence *s, uint16_t count, uint16_t bits)
 {
     uint16_t ahead = (uint16_t)((count - s->expected) & bits);

@@ -1,4 +1,4 @@
-/* Times that come without their upper bits. For the library itself. */
+/* Times without their upper bits. For the library itself. */
 #ifndef EVSTIM_TIME_H
 #define EVSTIM_TIME_H
 

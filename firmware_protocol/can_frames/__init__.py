@@ -1,1 +1,1 @@
-"""CAN without a bus: frames, what is in them, how long they take, and who may send next."""
+"""CAN without I/O: frames and their contents, bit times, arbitration and transports."""

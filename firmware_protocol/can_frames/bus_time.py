@@ -1,4 +1,4 @@
-"""How long a frame keeps the bus busy, with its stuff bits, and a bucket that keeps the load below a share.
+"""Bus time of a frame, with its stuff bits, and a limit of the bus load to a share of the time.
 
 Bits of a classic frame with n data bytes (ISO 11898-1; the bits after the CRC are never stuffed):
 
@@ -6,16 +6,16 @@ Bits of a classic frame with n data bytes (ISO 11898-1; the bits after the CRC a
     extended   SOF 1 | identifier 11 | SRR 1 | IDE 1 | identifier 18 | RTR 1 | r1 r0 2 | DLC 4 | data | CRC   54 + 8n
     both       CRC delimiter 1 | ACK 1 | ACK delimiter 1 | end of frame 7 | intermission 3     fixed: 13
 
-After five equal bits the sender puts in one of the opposite kind, which counts as the first of the next five: at most
-floor((stuffed - 1) / 4) of them. CAN FD stuffs so up to the end of its data; then come, with a fixed stuff bit before
-the first and after every fourth bit, 4 bits of stuff count and 17 (up to 16 data bytes) or 21 bits of CRC:
+After five equal bits the sender inserts one of the opposite kind, which counts as the first of the next five: at most
+floor((stuffed - 1) / 4) of them. CAN FD does so up to the end of its data. Then follow 4 bits of stuff count and 17 (up
+to 16 data bytes) or 21 bits of CRC, with a fixed stuff bit before the first and after every fourth bit:
 
     standard   SOF 1 | identifier 11 | RRS 1 | IDE 1 | FDF 1 | res 1 | BRS 1      at the nominal rate
     extended   SOF 1 | identifier 11 | SRR 1 | IDE 1 | identifier 18 | RRS 1 | FDF 1 | res 1 | BRS 1
     both       ESI 1 | DLC 4 | data 8n | stuff count 4 | CRC 17 or 21 | fixed stuff 6 or 7     at the data rate with BRS
                CRC delimiter 1 | ACK 1 | ACK delimiter 1 | end of frame 7 | intermission 3     at the nominal rate
 
-An error frame is the flags of all nodes, 6 to 12 bits, a delimiter of 8 and the intermission of 3: 23 bits are counted.
+An error frame has the flags of all nodes, 6 to 12 bits, a delimiter of 8 and the intermission of 3; 23 bits count.
 
 Dynamic stuff bits of FD count at the rate of the part that they are in.
 """
@@ -57,11 +57,11 @@ class BitRates:
             raise ValueError(f"fast bit rate must be the nominal {self.nominal} to 20000000 bit/s, got {self.fast}")
 
     def duration_ns(self, bits: FrameBits) -> int:
-        """Return how long these bits take."""
+        """Return the duration of these bits."""
         return -(-bits.nominal * 1_000_000_000 // self.nominal) + -(-bits.fast * 1_000_000_000 // self.fast)
 
 
-@lru_cache(maxsize=64)  # a frame is asked for when it is handed over, and again when it is carried
+@lru_cache(maxsize=64)  # it is called when a frame is offered, and again when it is sent
 def frame_bits(frame: Frame) -> FrameBits:
     """Return the bits that `frame` takes on the bus, its own stuff bits counted exactly."""
     if frame.error:
@@ -101,7 +101,7 @@ def crc15(value: int, bits: int) -> int:
 
 
 def _classic_head(frame: Frame) -> tuple[int, int]:
-    """Return SOF to DLC as a number, and how many bits those are."""
+    """Return SOF to DLC as a number, and the number of these bits."""
     n = len(frame.data)
     if not frame.extended:
         return (frame.identifier << 7) | n, 19
@@ -135,7 +135,7 @@ _START = 5
 
 
 def _next_bit(state: int, bit: int) -> tuple[int, int]:
-    """Return the state after one more bit, and whether a stuff bit followed it."""
+    """Return the state after one more bit, and true if a stuff bit followed it."""
     last, run = divmod(state, _RUN)
     run = run + 2 if bit == last else 1
     # The stuff bit is the first of its own run.
@@ -171,7 +171,7 @@ _CRC_TABLE = _crc_table()
 
 
 def _stuff_bits(value: int, bits: int, state: int) -> tuple[int, int]:
-    """Return how many stuff bits the low `bits` of `value` need, first bit highest, and the state after them."""
+    """Return the number of stuff bits in the low `bits` of `value`, first bit highest, and the state after them."""
     stuffed = 0
     odd = bits % 8
     for shift in range(odd - 1, -1, -1):
@@ -187,17 +187,17 @@ class BusShare:
     """Keeps the load of a bus at or below a share of its time.
 
     A bucket of bus time: it fills at `share` of real time up to `depth_ns`, and every frame takes its duration out of
-    it. Ordinary frames may leave while it is not empty; urgent ones (SYNC, heartbeat) always may, and what they take is
-    missing for the ordinary ones. Over T the load is at most share + (depth_ns + one frame) / T.
+    it. Ordinary frames may leave while it is not empty. Urgent ones (SYNC, heartbeat) always may; the time that they
+    take is missing for the ordinary ones. Over T the load is at most share + (depth_ns + one frame) / T.
 
     Parameters
     ----------
     rates
-        Of the bus.
+        Bit rates of the bus.
     share
         0 to 1.
     depth_ns
-        Bus time that may be made up after a pause: covers the period at which the sender looks.
+        Bus time that may be made up after a pause; it covers the period at which the sender runs.
     """
 
     def __init__(self, rates: BitRates, share: float, depth_ns: int = 1_000_000) -> None:
@@ -214,12 +214,12 @@ class BusShare:
         self.busy_ns = 0
 
     def has_room(self, now_ns: int) -> bool:
-        """Say whether an ordinary frame may leave at `now_ns`, which never goes back."""
+        """Return true if an ordinary frame may leave at `now_ns`, which never goes back."""
         self._fill(now_ns)
         return self._level > 0
 
     def spend(self, frame: Frame, now_ns: int) -> int:
-        """Count a frame that leaves, or one of another node that was seen; return how long it takes, ns."""
+        """Count a frame that leaves, or one of another node that was received; return its duration, ns."""
         self._fill(now_ns)
         duration_ns = self._rates.duration_ns(frame_bits(frame))
         self._level -= duration_ns * 1_000_000

@@ -1,4 +1,4 @@
-"""The objects that CANopen, ECSS-E-ST-50-15C and SpaceCAN share: SYNC, TIME, NMT, heartbeat, EMCY, SCET.
+"""Objects of CANopen, ECSS-E-ST-50-15C and SpaceCAN (SYNC, TIME, NMT, heartbeat, EMCY, SCET), and bus selection.
 
 Multi-byte numbers of CANopen (CiA 301) are little-endian, spacecraft time is CUC and big-endian (CCSDS 301.0-B):
 
@@ -9,13 +9,12 @@ Multi-byte numbers of CANopen (CiA 301) are little-endian, spacecraft time is CU
     EMCY       u16 error code | u8 error register | 5 bytes of the maker's own: here u32 events dropped | u8 0
     SCET       u32 seconds | u24 fractions of 2^-24 s, 59.6 ns
 
-Which identifier each has is in `identifiers`.
+`dbc` lists the identifiers.
 
-Which of two buses to use: the master's heartbeat decides (ECSS-E-ST-50-15C, section 4.8; SpaceCAN).
-
-A camera starts on its default bus. When the master's heartbeat has been missing there for `heartbeat_ms`, it turns to
-the other one, and while it hears none, again every `toggle_ms`. After `toggles` turns in vain it goes back to its
-default bus and stays, until a heartbeat comes there; then all begins anew.
+Bus selection: the master's heartbeat selects one of two buses (ECSS-E-ST-50-15C, section 4.8; SpaceCAN). A camera
+starts on its default bus. When the master's heartbeat has been missing there for `heartbeat_ms`, it changes to the
+other bus, and then changes again every `toggle_ms` until it receives one. After `toggles` changes without a heartbeat
+it returns to its default bus and stays there; the next heartbeat on that bus restarts the procedure.
 """
 
 from __future__ import annotations
@@ -48,7 +47,7 @@ SYNC_LAST = 240
 """The SYNC counter goes from 1 to 240 and on from 1."""
 
 EMCY_NO_ERROR = 0x0000
-"""The error that was told is over."""
+"""The reported error is over."""
 
 EMCY_OVERRUN = 0x8110
 """CAN overrun, objects lost: here, events were dropped."""
@@ -57,11 +56,11 @@ _DAY_MS = 86_400_000
 
 
 class ObjectError(ValueError):
-    """The data of a frame are none of its object's; the message says why."""
+    """The data of a frame do not fit its object; the message gives the reason."""
 
 
 class NodeState(IntEnum):
-    """States of a node, as its heartbeat tells them."""
+    """States of a node, as in its heartbeat."""
 
     BOOT = 0x00
     STOPPED = 0x04
@@ -70,7 +69,7 @@ class NodeState(IntEnum):
 
 
 class NmtCommand(IntEnum):
-    """Orders of the network's master."""
+    """Commands of the network's master."""
 
     START = 0x01
     STOP = 0x02
@@ -81,7 +80,7 @@ class NmtCommand(IntEnum):
 
 @dataclass(frozen=True)
 class NmtOrder:
-    """An order to one node, or with node 0 to all."""
+    """A command to one node, or to all with node 0."""
 
     command: NmtCommand
     node: int = 0
@@ -98,7 +97,7 @@ class NmtOrder:
 
 
 def parse_sync(data: bytes) -> int | None:
-    """Return the counter of a SYNC, None when it carries none; raises ObjectError."""
+    """Return the counter of a SYNC, None if it has none; raises ObjectError."""
     if not data:
         return None
     if len(data) != 1 or not 1 <= data[0] <= SYNC_LAST:
@@ -112,7 +111,7 @@ def next_sync(counter: int) -> int:
 
 
 def parse_heartbeat(data: bytes) -> NodeState:
-    """Return the state that a heartbeat tells; raises ObjectError."""
+    """Return the state in a heartbeat; raises ObjectError."""
     if len(data) != 1 or data[0] & 0x7F not in NodeState.__members__.values():
         raise ObjectError(f"not a heartbeat: {data.hex(' ')}")
     return NodeState(data[0] & 0x7F)
@@ -162,7 +161,7 @@ class TimeOfDay:
 
 @dataclass(frozen=True)
 class Emergency:
-    """An EMCY of a camera: what is wrong, and how many events have been dropped since the start."""
+    """An EMCY of a camera: the error, and the number of events dropped since the start."""
 
     code: int
     dropped: int = 0
@@ -188,7 +187,7 @@ def scet(t_us: int) -> bytes:
 
 
 def parse_scet(data: bytes) -> int:
-    """Return the time of a CUC 4+3 in us, rounded up, so that `scet` comes back; raises ObjectError."""
+    """Return the time of a CUC 4+3 in us, rounded up, so that `scet` returns the same bytes; raises ObjectError."""
     if len(data) != 7:
         raise ObjectError(f"a SCET has 7 bytes, not {len(data)}")
     fraction = int.from_bytes(data[4:], "big")
@@ -197,18 +196,18 @@ def parse_scet(data: bytes) -> int:
 
 @dataclass(frozen=True)
 class SelectorSettings:
-    """When to change buses.
+    """Conditions for a change of buses.
 
     Attributes
     ----------
     default
         0 for bus A, 1 for bus B.
     heartbeat_ms
-        Consumer heartbeat time: how long the master may be silent.
+        Consumer heartbeat time: longest accepted silence of the master.
     toggle_ms
-        T_toggle: how long to listen on a bus while searching.
+        T_toggle: time on one bus during a search.
     toggles
-        N_toggle: turns in vain before resting on the default bus; 0: search without end.
+        N_toggle: changes without a heartbeat before it stays on the default bus; 0: search without end.
     """
 
     default: int = 0
@@ -224,7 +223,7 @@ class SelectorSettings:
 
 
 class BusSelector:
-    """Follows the master from bus to bus; `active` is 0 or 1."""
+    """Selects the bus on which the master is active; `active` is 0 or 1."""
 
     def __init__(self, settings: SelectorSettings, now_ns: int) -> None:
         self._settings = settings
@@ -235,17 +234,17 @@ class BusSelector:
 
     @property
     def resting(self) -> bool:
-        """True when the search was given up."""
+        """True if the search was given up."""
         return self._deadline_ns is None
 
     def heartbeat(self, bus: int, now_ns: int) -> None:
-        """Take a heartbeat of the master; on the bus that is not in use it goes unheard."""
+        """Process a heartbeat of the master; one on the bus that is not in use is ignored."""
         if bus == self.active:
             self._in_vain = 0
             self._deadline_ns = now_ns + self._settings.heartbeat_ms * 1_000_000
 
     def poll(self, now_ns: int) -> bool:
-        """Let time pass; returns True when this changed the bus in use."""
+        """Advance time; return True if this changed the bus in use."""
         if self._deadline_ns is None or now_ns < self._deadline_ns:
             return False
         before = self.active

@@ -1,17 +1,17 @@
-"""The identifier table and the frames' layouts as a DBC file, which most CAN tools read.
+"""The CAN identifiers of a camera, and a DBC file with the layouts of its frames, which most CAN tools read.
 
-Generated from the table that the link uses, so that it cannot say something else. Signals in Intel order (`@1`), but
-for spacecraft time, which is big-endian (`@0`, start bit = most significant).
+The file is generated from the table that the link uses, so both agree. Signals are in Intel order (`@1`), except
+spacecraft time, which is big-endian (`@0`, start bit = most significant).
 
-All identifiers of a CAN link in one table, so that a project can move any of them. Defaults for node N:
+All identifiers of a CAN link are in one table, so that a project can change any of them. Defaults for node N:
 
     0x000      NMT orders of the master            0x180+N   events frames
     0x080      SYNC                                0x280+N   epoch frames
     0x080+N    EMCY                                0x380+N   marks: the camera's own trigger and exposure
     0x100      TIME                                0x400+N   edges on the camera's external input
     0x101      follow-up of a SYNC                 0x300+N   clock frames
-                                                   0x480+N   telemetry (ISO-TP, ours)
-    0x180      SCET of the master                  0x500+N   telecommands (ISO-TP, the peer's)
+                                                   0x480+N   telemetry (ISO-TP, from the camera)
+    0x180      SCET of the master                  0x500+N   telecommands (ISO-TP, to the camera)
     0x700      heartbeat of the master             0x700+N   heartbeat
 
 CANopen's predefined connection set, with the masters' objects of SpaceCAN, where the master is node 0.
@@ -27,7 +27,7 @@ from typing import Literal
 from firmware_protocol.can_frames.canopen import NmtCommand, NodeState
 from firmware_protocol.can_frames.raw_events import FD_CELLS, TICKS_US
 
-__all__ = ["CanMessage", "Carriage", "Identifiers", "Signal", "can_messages", "dbc_text"]
+__all__ = ["CanMessage", "Identifiers", "Signal", "Transport", "can_messages", "dbc_text"]
 
 
 _LAST_STANDARD = 0x7FF
@@ -35,40 +35,40 @@ _LAST_STANDARD = 0x7FF
 
 @dataclass(frozen=True)
 class Identifiers:
-    """Identifiers (11 bits each) of what a camera sends and hears on a CAN bus. Two that are equal are refused.
+    """Identifiers (11 bits each) of the frames that a camera sends and receives on a CAN bus, all different.
 
     Attributes
     ----------
     nmt
-        Orders of the network's master: start, stop.
+        Commands of the network's master: start, stop.
     sync
         The bus's SYNC.
     emcy
-        Our emergency messages.
+        The camera's emergency messages.
     time
         Time of day, to the millisecond.
     follow_up
-        When a SYNC really left.
+        Transmission time of a SYNC.
     scet
         Spacecraft time, to 60 ns.
     events
-        Our events frames.
+        The camera's events frames.
     epoch
-        Our epoch frames, which belong to the events frames.
+        The camera's epoch frames, which belong to the events frames.
     clock
-        Our clock frames, with all bits of the time.
+        The camera's clock frames, with all bits of the time.
     marks
-        Our own trigger and exposure marks.
+        The camera's own trigger and exposure marks.
     edges
-        Edges on our external input, with raw frames.
+        Edges on the camera's external input, with raw frames.
     telemetry
-        Our ISO-TP messages.
+        ISO-TP messages of the camera.
     telecommand
-        ISO-TP messages to us.
+        ISO-TP messages to the camera.
     heartbeat
-        Our heartbeat.
+        The camera's heartbeat.
     master_heartbeat
-        The master's heartbeat, which says which bus is in use.
+        The master's heartbeat, which selects the bus in use.
     """
 
     nmt: int = 0x000
@@ -115,12 +115,12 @@ class Identifiers:
 
     @property
     def by_name(self) -> dict[str, int]:
-        """All of them."""
+        """All identifiers by name."""
         return dataclasses.asdict(self)
 
 
-Carriage = Literal["raw", "isotp", "cfp"]
-"""What carries the instrument's messages."""
+Transport = Literal["raw", "isotp", "cfp"]
+"""Transport of the instrument's messages."""
 
 CAMERA, MASTER, ANYONE = "CAMERA", "MASTER", "Vector__XXX"
 
@@ -137,7 +137,7 @@ _CFP_COMMENT = "Events, edges, answers and telecommands are CSP packets, in fram
 
 @dataclass(frozen=True)
 class Signal:
-    """A number in a frame, as a DBC file tells it; `start` is its lowest bit, in big-endian ones its highest."""
+    """A number in a frame, as a DBC file describes it; `start` is its lowest bit, in big-endian ones its highest."""
 
     name: str
     start: int
@@ -173,14 +173,14 @@ class CanMessage:
     signals: tuple[Signal, ...] = ()
 
 
-def dbc_text(identifiers: Identifiers, *, fd: bool = False, carriage: Carriage = "raw") -> str:
+def dbc_text(identifiers: Identifiers, *, fd: bool = False, transport: Transport = "raw") -> str:
     """Return the DBC file of a camera with these identifiers, in classic or in FD frames, for one transport."""
-    messages = can_messages(fd=fd, carriage=carriage)
+    messages = can_messages(fd=fd, transport=transport)
     ids = identifiers.by_name
     lines = ['VERSION ""', "", "NS_ :", "", "BS_:", "", f"BU_: {CAMERA} {MASTER}", ""]
     for m in messages:
         lines += [f"BO_ {ids[m.name]} {m.name}: {m.length} {m.sender}", *(s.line() for s in m.signals), ""]
-    lines += [f'CM_ "{_CFP_COMMENT}";'] if carriage == "cfp" else []
+    lines += [f'CM_ "{_CFP_COMMENT}";'] if transport == "cfp" else []
     lines += [f'CM_ BO_ {ids[m.name]} "{m.comment}";' for m in messages]
     if fd:
         lines += [
@@ -192,18 +192,18 @@ def dbc_text(identifiers: Identifiers, *, fd: bool = False, carriage: Carriage =
     return "\n".join(lines) + "\n"
 
 
-def can_messages(*, fd: bool = False, carriage: Carriage = "raw") -> list[CanMessage]:
+def can_messages(*, fd: bool = False, transport: Transport = "raw") -> list[CanMessage]:
     """Return the kinds of frames of a camera, in classic or in FD frames, for one transport."""
     messages = [*_network(), *_times(), *_carried(fd), *_heartbeats()]
-    return [message for message in messages if message.name not in _ABSENT[carriage]]
+    return [message for message in messages if message.name not in _ABSENT[transport]]
 
 
 def _network() -> list[CanMessage]:
     orders = (Signal("command", 0, 8, values=_values(NmtCommand)), Signal("node", 8, 8))
     overflow = (Signal("code", 0, 16), Signal("register", 16, 8), Signal("dropped", 24, 32, "events"))
     return [
-        CanMessage("nmt", 2, MASTER, "Orders to the camera", orders),
-        CanMessage("sync", 1, MASTER, "Trigger and beat; may come without its counter", (Signal("counter", 0, 8),)),
+        CanMessage("nmt", 2, MASTER, "Commands to the camera", orders),
+        CanMessage("sync", 1, MASTER, "Trigger and time base; counter is optional", (Signal("counter", 0, 8),)),
         CanMessage("emcy", 8, CAMERA, "8110: events were dropped; 0000: no more", overflow),
     ]
 
@@ -217,7 +217,7 @@ def _times() -> list[CanMessage]:
     return [
         CanMessage("time", 6, MASTER, "Since 1984-01-01", (Signal("ms", 0, 28, "ms"), Signal("days", 32, 16, "d"))),
         CanMessage("scet", 7, MASTER, "Spacecraft time, CUC 4+3", spacecraft),
-        CanMessage("follow_up", 8, CAMERA, "When the SYNC of this counter left", left),
+        CanMessage("follow_up", 8, CAMERA, "Transmission time of the SYNC with this counter", left),
     ]
 
 
@@ -230,7 +230,7 @@ def _carried(fd: bool) -> list[CanMessage]:
     )
     return [
         _fd_events() if fd else _events(),
-        CanMessage("epoch", 8, CAMERA, "Where the events' times lie, and how many events there have been", epoch),
+        CanMessage("epoch", 8, CAMERA, "Upper bits of the events' times, and counts of events", epoch),
         CanMessage("clock", 8, CAMERA, "All bits of the events' time", (Signal("t", 0, 64, "us"),)),
         CanMessage("marks", 8, CAMERA, "The camera's own trigger and exposure marks", _marks()),
         CanMessage("edges", 8, CAMERA, "Edges on the camera's external input", _marks()),
@@ -243,7 +243,7 @@ def _heartbeats() -> list[CanMessage]:
     state = (Signal("state", 0, 7, values=_values(NodeState)),)
     return [
         CanMessage("heartbeat", 1, CAMERA, "State of the camera", state),
-        CanMessage("master_heartbeat", 1, MASTER, "Says which bus is in use", state),
+        CanMessage("master_heartbeat", 1, MASTER, "Selects the bus in use", state),
     ]
 
 

@@ -1,4 +1,4 @@
-"""One frame of a CAN bus, written as `candump` and `cansend` of can-utils write it.
+"""One frame of a CAN bus, in the notation of `candump` and `cansend` of can-utils, and the follow-up of a SYNC.
 
     123#1122           classic, 11-bit identifier, two bytes
     00000123#          classic, 29-bit identifier (always eight digits), no data
@@ -8,14 +8,13 @@
 Source: can-utils `lib.c` (parse_canframe, fprint_canframe) and linux/can.h, linux/can/error.h. Remote frames are not
 modelled: CANopen advises against them and CAN FD has none.
 
-The follow-up of a SYNC: what the sender's clock showed when that SYNC was really on the bus.
-
-A SYNC has the highest priority and still waits for a frame that is being sent, up to 0.16 ms at 1 Mbit/s. Who sent it
-measures when it left, and says so in a frame of its own:
+The follow-up of a SYNC carries the sender's clock at the moment when that SYNC was on the bus. A SYNC has the highest
+priority and still waits for a frame that is being sent, up to 0.16 ms at 1 Mbit/s. The sender of the SYNC measures its
+transmission time and sends it in another frame:
 
     u8 counter of the SYNC it belongs to (0 where the bus counts none) | u56 ns of the sender's clock
 
-Little-endian, 8 bytes; 2^56 ns are 2.2 years. A receiver that stamped the SYNC takes the pair (its stamp, this time).
+Little-endian, 8 bytes; 2^56 ns are 2.2 years. A receiver pairs its own time of the SYNC with this one.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ _TEXT = re.compile(r"([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})#(?:#([0-9A-Fa-f]))?((?:[0-9
 
 
 class FrameError(ValueError):
-    """No CAN frame is like that."""
+    """Values that no CAN frame can have."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +56,7 @@ class Frame:
     brs
         The data are sent at the second, faster bit rate; only with `fd`.
     error
-        No frame of a node but a report of the controller: bus-off, error-passive and so on.
+        A report of the controller, not a frame of a node: bus-off, error-passive and so on.
     """
 
     identifier: int
@@ -81,14 +80,14 @@ class Frame:
 
     @cached_property
     def arbitration(self) -> tuple[int, bool, int]:
-        """Sorts frames by who wins the bus: the lower base identifier, then standard before extended, then the rest."""
+        """Sort key of arbitration: the lower base identifier first, then standard before extended, then the rest."""
         if self.extended:
             return self.identifier >> 18, True, self.identifier & 0x3FFFF
         return self.identifier, False, 0
 
     @classmethod
     def parse(cls, text: str) -> Frame:
-        """Read what `cansend` takes and `candump -L` prints; raises FrameError."""
+        """Read the notation that `cansend` reads and `candump -L` prints; raises FrameError."""
         found = _TEXT.fullmatch(text.strip())
         if found is None:
             raise FrameError(f"{text!r} is not a CAN frame such as 123#1122, 00000123#1122 or 123##1AABB")
@@ -128,7 +127,7 @@ class FollowUp:
     Attributes
     ----------
     counter
-        Of the SYNC, 0 to 255.
+        Counter of the SYNC, 0 to 255.
     sent_ns
         Sender's clock when the SYNC left, ns, 0 to 2^56 - 1.
     """

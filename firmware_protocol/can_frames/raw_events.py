@@ -1,4 +1,6 @@
-"""Events in classic CAN frames that each stand alone: two events in eight bytes, no reassembly, lowest latency.
+"""Raw CAN frames, each complete in itself: events in classic and in FD frames, epoch and clock frames, edges and marks.
+
+Classic CAN: two events in eight bytes, no reassembly, lowest latency.
 
 An events frame, one little-endian 64-bit number:
 
@@ -9,24 +11,25 @@ An events frame, one little-endian 64-bit number:
     seq   counts events frames, modulo 8
     dt    ticks from the first event to the second, 0..126; 127: there is no second event, and its bits are 0
 
-An epoch frame says where the 16 bits of time lie, and how many events there have been:
+An epoch frame gives the upper bits of these times, and the number of events so far:
 
     u32   bits 0..29 time in ticks, low 30 bits; bits 30..31 tick (0: 1 us, 1: 10 us, 2: 100 us, 3: 1000 us)
     u16   events sent since the start, modulo 65536
     u16   events dropped before they could be sent, modulo 65536
 
-A clock frame says all 64 bits of the time, in us, as a little-endian number; an epoch frame of the same time follows.
-Events frames and epoch frames hold low bits of one number, the time in whole ticks, so any two of them agree.
+A clock frame carries all 64 bits of the time, in us, as a little-endian number; an epoch frame of the same time
+follows. Events frames and epoch frames hold low bits of one number, the time in whole ticks, so any two of them agree.
+The time of a frame is the one nearest to the time of the frame before, of whatever kind. The sender puts an epoch frame
+before each event that is 2^15 ticks or more away from that time, and one every few milliseconds in any case; a clock
+frame once a second, and when the time changes by a second or more.
 
-The time of a frame is the one nearest to the time last told, by whichever frame. The sender puts an epoch frame before
-each event that lies 2^15 ticks or more from there, and one every few milliseconds in any case; a clock frame once a
-second, and where the time jumps by a second or more. A lost events frame
-loses its own two events; the receiver finds it by `seq`, and the exact number by the next epoch frame, whose counts
-tell also what was dropped. Eight lost in a row escape `seq`, not the counts.
+A lost events frame loses only its own two events. The receiver detects the loss by `seq`, and gets the exact number
+from the counts in the next epoch frame, which include dropped events. Eight frames lost in a row leave `seq` as it was;
+only the counts show them.
 
 Nine bits each for column and row: sensors of up to 512x512 pixels.
 
-Events in CAN FD frames that each stand alone: up to 19 events in 64 bytes.
+CAN FD: up to 19 events in 64 bytes.
 
     u32   time of the first event, in ticks, low 32 bits, little-endian
     u8    seq, counts events frames, modulo 256
@@ -36,10 +39,9 @@ Events in CAN FD frames that each stand alone: up to 19 events in 64 bytes.
     0..   zeros up to the next length that CAN FD has
 
 dt counts ticks since the event before, 0 to 30; the first is 0. A cell with dt = 31 holds no event: its bits 0..18 are
-ticks to add. Sensors of up to 512x512 pixels; the epoch frames of `raw_events` give the upper bits of time and exact
-counts.
+ticks to add. Sensors of up to 512x512 pixels; the epoch frames above give the upper bits of time and exact counts.
 
-Edges on a camera's external input, and its own marks, as frames: what the EDGE record says, in eight bytes.
+Edges on a camera's external input, and its own marks, are frames with an EDGE record in eight bytes:
 
     u32 time in us, low 32 bits | u8 kind | u8 channel | u16 seq
 
@@ -79,7 +81,7 @@ __all__ = [
 
 
 TICKS_US = (1, 10, 100, 1000)
-"""Ticks by their code."""
+"""Ticks, us, by their code."""
 
 RAW_LIMIT_PX = 512
 """Columns and rows that nine bits can number."""
@@ -90,19 +92,19 @@ _CLOCK = struct.Struct("<Q")
 
 
 class RawError(ValueError):
-    """A frame is none of these; the message says why."""
+    """Data that are none of these frames; the message gives the reason."""
 
 
 @dataclass(frozen=True)
 class Epoch:
-    """What an epoch frame says.
+    """Content of an epoch frame.
 
     Attributes
     ----------
     ticks
-        Low 30 bits of the time, in ticks: unwrap it near the time expected (`unwrapped`).
+        Low 30 bits of the time, in ticks: unwrap it near the expected time (`unwrapped`).
     tick_us
-        Of this time and of the events frames that follow.
+        Tick of this time and of the events frames that follow.
     sent, dropped
         Events since the start, modulo 65536.
     """
@@ -136,13 +138,13 @@ def unpack_clock(data: bytes) -> int:
         raise RawError(f"a clock frame has {_CLOCK.size} bytes, not {len(data)}")
     (t_us,) = _CLOCK.unpack(data)
     if t_us >> 63:
-        raise RawError(f"a clock frame says {t_us} us, which no camera reaches")
+        raise RawError(f"a clock frame contains {t_us} us, which no camera reaches")
     return int(t_us)
 
 
 @dataclass(frozen=True)
 class EventsFrame:
-    """What an events frame says; `events` carry the full time, in us."""
+    """Content of an events frame; `events` carry the full time, in us."""
 
     seq: int
     events: Events
@@ -151,8 +153,8 @@ class EventsFrame:
 def pack_events(events: Events, tick_us: int, seq: int) -> tuple[list[bytes], npt.NDArray[np.int64]]:
     """Pack events (n,), sorted, into the data of events frames; `seq` is that of the first.
 
-    Returns the data of each frame, and the index of its first event, shape (frames,). Raises RawError where a pixel
-    lies beyond nine bits.
+    Returns the data of each frame, and the index of its first event, shape (frames,). Raises RawError if a pixel is
+    beyond nine bits.
     """
     if not len(events):
         return [], np.zeros(0, np.int64)
@@ -188,7 +190,7 @@ def _pixel_bits(events: Events) -> npt.NDArray[np.uint64]:
 
 
 def unpack_events(data: bytes, tick_us: int, near_us: int) -> EventsFrame:
-    """Read an events frame, its time taken nearest to `near_us`; raises RawError on what no sender makes."""
+    """Read an events frame, its time taken nearest to `near_us`; raises RawError on data that no sender makes."""
     if len(data) != 8:
         raise RawError(f"an events frame has 8 bytes, not {len(data)}")
     word = int.from_bytes(data, "little")
@@ -210,7 +212,7 @@ def unwrapped(low: int, bits: int, near: int) -> int:
 
 
 FD_CELLS = 19
-"""Cells that fit into 64 bytes."""
+"""Most cells in 64 bytes."""
 
 _HEAD = struct.Struct("<IBBB")
 _CELL_BYTES = 3
@@ -220,7 +222,7 @@ _LONGEST_SKIP = (1 << 19) - 1
 
 @dataclass(frozen=True)
 class FdEventsFrame:
-    """What an FD events frame says; `events` carry the full time, in us."""
+    """Content of an FD events frame; `events` carry the full time, in us."""
 
     seq: int
     dropped: int
@@ -228,10 +230,10 @@ class FdEventsFrame:
 
 
 def pack_fd_events(events: Events, tick_us: int, seq: int, dropped: int = 0) -> list[tuple[bytes, int]]:
-    """Pack events (n,), sorted, into the data of FD events frames, and how many events each holds.
+    """Pack events (n,), sorted, into the data of FD events frames, each with its number of events.
 
-    `seq` is that of the first frame, which also tells of the `dropped` events. Raises RawError where a pixel lies
-    beyond nine bits.
+    `seq` is that of the first frame, which also reports the `dropped` events. Raises RawError if a pixel is beyond nine
+    bits.
     """
     if not len(events):
         return []
@@ -266,14 +268,14 @@ def _cells(events: Events, gaps: npt.NDArray[np.int64]) -> tuple[npt.NDArray[np.
 
 
 def _end_of_frame(first: int, cell_of: npt.NDArray[np.int64], gaps: npt.NDArray[np.int64]) -> int:
-    """Return the event after the last that fits into the frame that `first` begins."""
+    """Return the index after the last event that fits into the frame that `first` begins."""
     end = int(np.searchsorted(cell_of, cell_of[first] + FD_CELLS))
     too_far = np.flatnonzero(gaps[first + 1 : end] > _LONGEST_SKIP)
     return first + 1 + int(too_far[0]) if len(too_far) else end
 
 
 def unpack_fd_events(data: bytes, tick_us: int, near_us: int) -> FdEventsFrame:
-    """Read an FD events frame, its time taken nearest to `near_us`; raises RawError on what no sender makes."""
+    """Read an FD events frame, its time taken nearest to `near_us`; raises RawError on data that no sender makes."""
     if len(data) < _HEAD.size:
         raise RawError(f"an FD events frame has at least {_HEAD.size} bytes, not {len(data)}")
     low, seq, n, dropped = _HEAD.unpack_from(data)

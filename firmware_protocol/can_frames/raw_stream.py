@@ -1,6 +1,6 @@
-"""The two ends of a stream of raw frames: one keeps the epoch told, the other finds out what is missing.
+"""Sender and receiver of a stream of raw frames: the sender adds epoch frames, the receiver counts losses.
 
-Frames are those of `raw_events` (classic) and `fd_events` (FD); both use the same epoch frames.
+`raw_events` describes the frames, classic and FD; both use the same epoch frames.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _CLOCK_PERIOD_US = 1_000_000
 
 @dataclass(frozen=True)
 class RawSettings:
-    """How raw frames are made.
+    """Settings of raw frames.
 
     Attributes
     ----------
@@ -41,12 +41,12 @@ class RawSettings:
     tick_us
         1, 10, 100 or 1000.
     epoch_us
-        At most so long between two epoch frames; so many of them may be lost in a row before time is in doubt, as make
-        half the span of a frame's 16 bits: three of 10 ms at a tick of 1 us.
+        Longest time between two epoch frames. Half the span of a frame's 16 bits covers the epoch frames that may be
+        lost in a row before time is ambiguous: three of 10 ms at a tick of 1 us.
     fd, brs
-        CAN FD frames, and whether they switch to the faster bit rate.
+        CAN FD frames, and the faster bit rate for their data.
     clock
-        11-bit identifier of clock frames; None for none, where no receiver joins late and nobody sets the time.
+        11-bit identifier of clock frames; None for none, if no receiver starts later and the time is never set.
     """
 
     events: int
@@ -69,29 +69,29 @@ class RawSettings:
 
 @dataclass(frozen=True)
 class Packed:
-    """A frame to send, and the events that it carries (none in an epoch frame)."""
+    """A frame to send, and its events (none in an epoch frame)."""
 
     frame: Frame
     events: Events = field(default_factory=empty_events)
 
 
 class RawSender:
-    """Turns events into raw frames, with epoch frames where they are needed."""
+    """Encoder of events into raw frames, with epoch frames where they are needed."""
 
     def __init__(self, settings: RawSettings) -> None:
         self._settings = settings
         self._seq = 0
-        self._told_us: int | None = None
-        self._epoch_told_us = 0
-        self._clock_told_us: int | None = None
+        self._time_sent_us: int | None = None
+        self._epoch_sent_us = 0
+        self._clock_sent_us: int | None = None
         self._sent = 0
         self._dropped = 0
-        self._dropped_told = 0
+        self._dropped_sent = 0
 
     def pack(self, events: Events, dropped: int = 0) -> list[Packed]:
-        """Return the frames for events (n,), sorted; they are before those packed earlier only where time was set back.
+        """Return the frames for events (n,), sorted; they precede earlier ones only if time was set back.
 
-        `dropped` counts the events lost before they came here, since the start. Raises RawError for pixels beyond 511.
+        `dropped` counts the events lost before this encoder, since the start. Raises RawError for pixels beyond 511.
         """
         self._dropped = dropped
         frames: list[Packed] = []
@@ -100,28 +100,28 @@ class RawSender:
         return frames
 
     def epoch(self, now_us: int, dropped: int) -> list[Packed]:
-        """Return the epoch frame that is due at `now_us` when no earlier event waits, and its clock frame."""
-        if self._told_us is not None and abs(now_us - self._epoch_told_us) < self._settings.epoch_us:
+        """Return the epoch frame that is due at `now_us` if no earlier event waits, and its clock frame."""
+        if self._time_sent_us is not None and abs(now_us - self._epoch_sent_us) < self._settings.epoch_us:
             return []
         self._dropped = dropped
         return self._epoch(now_us)
 
     def time_frames(self, t_us: int) -> list[Packed]:
-        """Return what a frame with the low 32 bits of `t_us` needs before it, so that the upper bits are known."""
-        return [] if self._settings.clock is None or self._knows(t_us) else self._epoch(t_us)
+        """Return the frames that must precede a frame with the low 32 bits of `t_us`, for the upper bits."""
+        return [] if self._settings.clock is None or self._has_clock_near(t_us) else self._epoch(t_us)
 
     def forget(self) -> None:
-        """Tell the time anew before the next frame: frames that were made have not left."""
-        self._told_us = self._clock_told_us = None
+        """Send the time again before the next frame, because frames that were made have not left."""
+        self._time_sent_us = self._clock_sent_us = None
 
     def set_tick(self, tick_us: int) -> None:
-        """Count time in another unit from the next frame on, which is an epoch frame that tells so."""
+        """Count time in another unit from the next frame on; that frame is an epoch frame with the new unit."""
         quarter_us = _HALF_SPAN_TICKS * tick_us // 2
         self._settings = replace(self._settings, tick_us=tick_us, epoch_us=min(self._settings.epoch_us, quarter_us))
-        self._told_us = None
+        self._time_sent_us = None
 
     def _parts(self, events: Events) -> list[Events]:
-        """Cut the events where an epoch frame has to stand before them."""
+        """Split the events where an epoch frame has to precede them."""
         if not len(events):
             return []
         t = events["t"].astype(np.int64)
@@ -134,13 +134,13 @@ class RawSender:
         first_us = int(events["t"][0])
         frames: list[Packed] = []
         if (
-            self._told_us is None
-            or abs(first_us - self._told_us) >= (_HALF_SPAN_TICKS - 1) * self._settings.tick_us
-            or abs(first_us - self._epoch_told_us) >= self._settings.epoch_us
+            self._time_sent_us is None
+            or abs(first_us - self._time_sent_us) >= (_HALF_SPAN_TICKS - 1) * self._settings.tick_us
+            or abs(first_us - self._epoch_sent_us) >= self._settings.epoch_us
         ):
             frames += self._epoch(first_us)
         frames += self._packed_fd(events) if self._settings.fd else self._packed(events)
-        self._told_us = int(events["t"][-1])
+        self._time_sent_us = int(events["t"][-1])
         self._sent += len(events)
         return frames
 
@@ -152,8 +152,8 @@ class RawSender:
 
     def _packed_fd(self, events: Events) -> list[Packed]:
         s = self._settings
-        packed = pack_fd_events(events, s.tick_us, self._seq, self._dropped - self._dropped_told)
-        self._dropped_told = self._dropped
+        packed = pack_fd_events(events, s.tick_us, self._seq, self._dropped - self._dropped_sent)
+        self._dropped_sent = self._dropped
         self._seq = (self._seq + len(packed)) & 0xFF
         frames, at = [], 0
         for raw, n in packed:
@@ -162,43 +162,44 @@ class RawSender:
         return frames
 
     def _epoch(self, t_us: int) -> list[Packed]:
-        self._told_us = self._epoch_told_us = t_us
+        self._time_sent_us = self._epoch_sent_us = t_us
         tick_us = self._settings.tick_us
         epoch = Frame(self._settings.epoch, bytes(Epoch(t_us // tick_us, tick_us, self._sent, self._dropped)))
         return [*self._clock(t_us), Packed(epoch)]
 
-    def _knows(self, t_us: int) -> bool:
-        """Say whether the last clock frame is near enough to `t_us`."""
-        return self._clock_told_us is not None and abs(t_us - self._clock_told_us) < _CLOCK_PERIOD_US
+    def _has_clock_near(self, t_us: int) -> bool:
+        """Return true if the last clock frame is near enough to `t_us`."""
+        return self._clock_sent_us is not None and abs(t_us - self._clock_sent_us) < _CLOCK_PERIOD_US
 
     def _clock(self, t_us: int) -> list[Packed]:
-        """Return the clock frame that an epoch frame needs before it, if it does."""
-        if self._settings.clock is None or self._knows(t_us):
+        """Return the clock frame that an epoch frame needs before it, if any."""
+        if self._settings.clock is None or self._has_clock_near(t_us):
             return []
-        self._clock_told_us = t_us
+        self._clock_sent_us = t_us
         return [Packed(Frame(self._settings.clock, pack_clock(t_us)))]
 
 
 @dataclass(frozen=True)
 class RawCounters:
-    """What a receiver of raw frames has seen.
+    """Counts of a receiver of raw frames.
 
     Attributes
     ----------
     events
-        Received.
+        Events received.
     lost
-        Sent and not received, as the epoch frames' counts tell; below 0 while later frames came before earlier ones.
+        Events sent and not received, by the counts in the epoch frames; below 0 while later frames came before earlier
+        ones.
     dropped
-        Dropped before they were sent, as the epoch frames tell.
+        Events dropped before they were sent, by the epoch frames.
     gaps
-        Times that `seq` was not the next.
+        Number of frames whose `seq` was not the next.
     repeated
-        Frames that came twice in a row; taken once.
+        Frames that came twice in a row; used once.
     before_epoch
-        Events frames that came before any epoch frame, and so have no time; counted in no other place.
+        Events frames before any epoch frame, which therefore have no time; they are in no other count.
     before_clock
-        Events frames that came before any clock frame: their times are known modulo 2^30 ticks.
+        Events frames before any clock frame: their times are known modulo 2^30 ticks.
     malformed
         Frames that no sender makes.
     """
@@ -214,7 +215,7 @@ class RawCounters:
 
 
 class RawReceiver:
-    """Turns raw frames into events, and counts what is missing. The tick comes with the epoch frames."""
+    """Decoder of raw frames into events, with a count of losses. The epoch frames contain the tick."""
 
     def __init__(self, events: int, epoch: int, clock: int | None = None) -> None:
         self._events_id = events
@@ -230,11 +231,11 @@ class RawReceiver:
 
     @property
     def now_us(self) -> int | None:
-        """The time last told; None before the first epoch or clock frame."""
+        """Time of the last frame that had one; None before the first epoch or clock frame."""
         return self._near_us
 
     def push(self, frame: Frame) -> Events:
-        """Return the events of a frame, shape (n,), none of a frame of another kind."""
+        """Return the events of a frame, shape (n,); none of a frame of another kind."""
         if frame.error or frame.extended:
             return empty_events()
         try:

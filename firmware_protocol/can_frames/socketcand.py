@@ -1,4 +1,4 @@
-"""The server's side of the socketcand protocol, with which can-utils' daemon lends a CAN bus over TCP. Sans-I/O.
+"""The server's side of the socketcand protocol, CAN over TCP of can-utils' daemon, and a model of the bus. Sans-I/O.
 
     server                                  client
     < hi >                              ->
@@ -14,12 +14,11 @@
     < echo >                            ->
 
 Classic frames only. Source: github.com/linux-can/socketcand, doc/protocol.md (2025-05), and python-can's client
-(can.interfaces.socketcand 4.6), which wants each answer of the handshake by itself.
+(can.interfaces.socketcand 4.6), which needs each answer of the handshake in a segment of its own.
 
-A CAN bus as a wire: one frame at a time, the lowest identifier first, each as long as its bits take.
-
-Each node offers frames in order and competes with its first one, as a controller with one transmit buffer does. A frame
-that has begun is never interrupted. What is not modelled: errors, acknowledgement, propagation.
+`Wire` models the bus: one frame at a time, the lowest identifier first, each as long as its bits take. Each node offers
+frames in order and competes with its first one, as a controller with one transmit buffer does. A frame that has begun
+is never interrupted. Errors, acknowledgement and propagation are not modelled.
 """
 
 from __future__ import annotations
@@ -42,7 +41,7 @@ _COMMAND = re.compile(rb"<([^<>]*)>")
 
 
 def frame_line(frame: Frame, wall_us: int) -> bytes:
-    """Return the line that tells a client of a classic frame, or an error frame, received at `wall_us` since 1970."""
+    """Return the line that reports a classic frame, or an error frame, received at `wall_us` since 1970."""
     identifier = f"{frame.identifier:08X}" if frame.extended else f"{frame.identifier:03X}"
     seconds, us = divmod(wall_us, 1_000_000)
     if frame.error:
@@ -51,14 +50,14 @@ def frame_line(frame: Frame, wall_us: int) -> bytes:
 
 
 class SocketcandSession:
-    """What one client has said so far.
+    """State of one client's connection.
 
     Attributes
     ----------
     raw
-        True when the client wants to be told of every frame.
+        True if the client selected raw mode, which delivers every frame.
     refused
-        True when the client asked for a bus that is not here: it has to go.
+        True if the client requested a bus that does not exist here; the server has to close the connection.
     """
 
     def __init__(self, bus: str) -> None:
@@ -69,7 +68,7 @@ class SocketcandSession:
         self.refused = False
 
     def push(self, data: bytes) -> tuple[bytes, list[Frame]]:
-        """Take bytes of the client; return the answer and the frames that it wants to send."""
+        """Process bytes of the client; return the answer and the frames that it sends."""
         self._unread += data
         answers, frames = [], []
         at = 0
@@ -110,7 +109,7 @@ def _frame(identifier: str, length: str, octets: list[str]) -> Frame | None:
 
 @dataclass(frozen=True)
 class Carried:
-    """A frame that has gone over the wire: who sent it, and when its first bit began and its last one ended."""
+    """A frame that was sent on the bus: its node, and the times at which its first bit began and its last one ended."""
 
     frame: Frame
     node: int
@@ -119,7 +118,7 @@ class Carried:
 
 
 class Wire:
-    """The bus. Time is the caller's, never goes back, and has to be moved on by `advance`."""
+    """The bus. Its time is that of the caller, never goes back, and moves only by `advance`."""
 
     def __init__(self, rates: BitRates) -> None:
         self._rates = rates
@@ -129,24 +128,24 @@ class Wire:
         self.busy_ns = 0
 
     def waiting(self, node: int) -> int:
-        """Return how many frames of a node have not begun."""
+        """Return the number of frames of a node that have not begun."""
         return len(self._queues.get(node, ()))
 
     @property
     def busy(self) -> bool:
-        """True while a frame has begun whose last bit has not passed."""
+        """True while a frame is on the bus."""
         return self._current is not None
 
     def offer(self, node: int, frame: Frame, now_ns: int) -> None:
-        """A node wants to send a frame, at the latest time given to `advance` or later."""
+        """Queue a frame of a node, at the latest time given to `advance` or later."""
         self._queues.setdefault(node, deque()).append((now_ns, frame))
 
     def forget(self, node: int) -> None:
-        """A node has left: what it has not begun to send is gone."""
+        """Remove a node and the frames that it has not begun to send."""
         self._queues.pop(node, None)
 
     def advance(self, now_ns: int) -> list[Carried]:
-        """Let time pass; returns the frames whose last bit has passed by `now_ns`."""
+        """Advance time; return the frames whose last bit ended by `now_ns`."""
         done: list[Carried] = []
         while True:
             if self._current is None:
@@ -158,7 +157,7 @@ class Wire:
             self._current = None
 
     def _begin(self, now_ns: int) -> Carried | None:
-        """Let the nodes' first frames compete for the next moment at which the bus is free and one is there."""
+        """Decide the arbitration between the nodes' first frames when the bus is next free and a frame waits."""
         heads = {node: queue[0] for node, queue in self._queues.items() if queue}
         if not heads:
             return None

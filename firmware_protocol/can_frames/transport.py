@@ -1,32 +1,36 @@
-"""ISO-TP (ISO 15765-2): messages in CAN frames, with the receiver in control of the flow. Normal addressing.
+"""Transport of messages in CAN frames: ISO-TP (ISO 15765-2) and CFP 2 (fragmentation of CSP version 2).
+
+ISO-TP, normal addressing; the receiver controls the flow:
 
     single       0L data                L = 1..7; CAN FD, more than 8 bytes: 00 LL data, LL = 1..62
     first        1L LL data             12 bits of length, up to 4095; above: 10 00 and a big-endian u32
     consecutive  2n data                n counts 1..15, 0, 1 ... from the first frame on
-    flow control 3s BS STmin            s: 0 go on, 1 wait, 2 overflow; BS frames until the next one, 0: all;
+    flow control 3s BS STmin            s: 0 continue, 1 wait, 2 overflow; BS frames until the next one, 0: all;
                                         STmin between frames: 00..7F ms, F1..F9 100..900 us, others as 7F
 
 Frames are padded with 0xCC to eight bytes, and above eight to the next length that CAN FD has. Source: ISO 15765-2:2016
-as implemented by the kernel's can-isotp (net/can/isotp.c) and by the Python package can-isotp, the oracle of the tests.
+as implemented by the kernel's can-isotp (net/can/isotp.c) and by the Python package can-isotp, the reference of the
+tests.
 
-The CAN fragmentation protocol of CSP version 2 (CFP 2): CSP packets in classic CAN frames with 29-bit identifiers.
+CFP 2 carries CSP packets in classic CAN frames with 29-bit identifiers.
 
 Identifier:
 
     bit  28..27    26..13        12..7    6..5          4..2         1      0
          priority  destination   sender   packet count  frame count  begin  end
 
-The data of the first frame start with the rest of the CSP header, big-endian, then come up to four bytes of the packet:
+The data of the first frame start with the rest of the CSP header, big-endian, followed by up to four bytes of the
+packet:
 
     bit  31..18   17..12             11..6         5..0
          source   destination port   source port   flags
 
-All other frames carry eight bytes. Frame count is 0 in the first frame and counts modulo 8, packet count modulo 4: a
-hole of exactly eight frames goes unseen, so that only the CRC-32C at the end of a CSP packet finds it. Source: libcsp,
-`csp_if_can.h` and `csp_if_can.c` (csp_can2_tx, csp_can2_rx), October 2024; compared with what
-csp_can2_tx, compiled, sends.
+All other frames carry eight bytes. Frame count is 0 in the first frame and counts modulo 8, packet count modulo 4: the
+counts do not show a gap of exactly eight frames, only the CRC-32C at the end of a CSP packet does. Source: libcsp,
+`csp_if_can.h` and `csp_if_can.c` (csp_can2_tx, csp_can2_rx), October 2024; compared with the output of csp_can2_tx,
+compiled.
 
-Here a packet is its bytes as on other carriers: the six bytes of the CSP header, then the data, CRC included.
+A packet has the same bytes here as on other transports: the six bytes of the CSP header, then the data, CRC included.
 """
 
 from __future__ import annotations
@@ -55,11 +59,11 @@ _SHORT_LENGTH = 0xFFF
 
 
 class IsoTpFailure(Exception):
-    """A message could not be delivered; says what the peer did."""
+    """A message that could not be delivered; the text gives the peer's reaction."""
 
 
 class FlowStatus(IntEnum):
-    """What a receiver says in a flow-control frame."""
+    """Status in a flow-control frame of a receiver."""
 
     GO_ON = 0
     WAIT = 1
@@ -68,24 +72,24 @@ class FlowStatus(IntEnum):
 
 @dataclass(frozen=True)
 class IsoTpSettings:
-    """One channel.
+    """Settings of one channel.
 
     Attributes
     ----------
     send, receive
-        Identifiers of our frames and of the peer's.
+        Identifiers of this side's frames and of the peer's.
     extended
         29-bit identifiers.
     fd, brs
-        CAN FD frames of up to 64 bytes, and whether they switch to the faster bit rate.
+        CAN FD frames of up to 64 bytes, and the faster bit rate for their data.
     flow_control
-        Wait for the peer's flow control. False: send at the own pace, for peers that only listen.
+        True: wait for the peer's flow control. False: send at this side's own pace, for peers that only receive.
     block_size, separation
-        BS and STmin that we ask of the peer.
+        BS and STmin that this side requests of the peer.
     timeout_ns
-        N_Bs and N_Cr: how long to wait for flow control, and for the next consecutive frame.
+        N_Bs and N_Cr: longest wait for flow control, and for the next consecutive frame.
     waits
-        Times that the peer may say "wait" in a row.
+        Number of "wait" frames in a row that the peer may send.
     longest_bytes
         Longer messages are refused with an overflow.
     """
@@ -108,12 +112,12 @@ class IsoTpSettings:
         return 64 if self.fd else 8
 
     def frame(self, data: bytes) -> Frame:
-        """Return one of our frames, padded."""
+        """Return a frame of this side, padded."""
         padded = data.ljust(max(8, fd_length(len(data))), bytes([_PADDING]))
         return Frame(self.send, padded, extended=self.extended, fd=self.fd, brs=self.fd and self.brs)
 
     def is_ours(self, frame: Frame) -> bool:
-        """Say whether the peer sent this frame on this channel."""
+        """Return true if the frame comes from the peer on this channel."""
         return frame.identifier == self.receive and frame.extended == self.extended and not frame.error
 
 
@@ -125,7 +129,7 @@ def separation_ns(code: int) -> int:
 
 
 class IsoTpSender:
-    """Sends one message at a time: `start`, then `next_frame` until `busy` is over."""
+    """Sender of one message at a time: `start`, then `next_frame` until `busy` is over."""
 
     def __init__(self, settings: IsoTpSettings) -> None:
         self._settings = settings
@@ -134,18 +138,18 @@ class IsoTpSender:
         self._serial = 0
         self._begun = False
         self._waits = 0
-        self._may_send: int | None = None  # frames until the next flow control; None: as many as there are
+        self._may_send: int | None = None  # frames until the next flow control; None: no limit
         self._separation_ns = 0
         self._next_ns = 0
         self._deadline_ns: int | None = None
 
     @property
     def busy(self) -> bool:
-        """True while a message is under way."""
+        """True while a message is being sent."""
         return bool(self._message)
 
     def start(self, message: bytes) -> None:
-        """Begin with a message; the one before must be over."""
+        """Begin with a message; the previous one must be complete."""
         if self.busy:
             raise ValueError("a message is still under way")
         if not 0 < len(message) < 1 << 32:
@@ -154,7 +158,7 @@ class IsoTpSender:
         self._deadline_ns = None
 
     def next_frame(self, now_ns: int) -> Frame | None:
-        """Return the frame that may leave now, if there is one; raises IsoTpFailure when the peer is late."""
+        """Return the frame that may leave now, if there is one; raises IsoTpFailure if the peer is late."""
         if not self.busy:
             return None
         if not self._begun:
@@ -166,14 +170,14 @@ class IsoTpSender:
         return self._consecutive(now_ns)
 
     def flow_control(self, frame: Frame, now_ns: int) -> None:
-        """Take a flow-control frame of the peer; raises IsoTpFailure when it refuses the message."""
+        """Process a flow-control frame of the peer; raises IsoTpFailure if it refuses the message."""
         if self._deadline_ns is None or len(frame.data) < 3 or frame.data[0] >> 4 != 3:
             return
         status, block, code = frame.data[0] & 15, frame.data[1], frame.data[2]
         if status == FlowStatus.WAIT:
             self._waits += 1
             if self._waits > self._settings.waits:
-                raise self._failed("the peer only says wait")
+                raise self._failed("the peer sent too many wait frames")
             self._deadline_ns = now_ns + self._settings.timeout_ns
         elif status == FlowStatus.GO_ON:
             self._may_send = block or None
@@ -183,7 +187,7 @@ class IsoTpSender:
             raise self._failed("the peer has no room for it" if status == FlowStatus.OVERFLOW else "bad flow status")
 
     def abort(self) -> None:
-        """Drop the message that is under way."""
+        """Drop the message that is being sent."""
         self._message = b""
         self._deadline_ns = None
 
@@ -228,7 +232,7 @@ class IsoTpSender:
 
 
 class IsoTpReceiver:
-    """Puts messages together. `faults` counts what went wrong: by name, so that reports can print them."""
+    """Assembler of messages. `faults` counts errors by name, so that reports can print them."""
 
     def __init__(self, settings: IsoTpSettings) -> None:
         self._settings = settings
@@ -241,7 +245,7 @@ class IsoTpReceiver:
         self.reply: Frame | None = None
 
     def push(self, frame: Frame, now_ns: int) -> bytes | None:
-        """Take a frame; return the message that it completes. `reply` then holds the flow control to send, or None."""
+        """Process a frame; return the message that it completes. `reply` is then the flow control to send, or None."""
         self.reply = None
         if not self._settings.is_ours(frame) or not frame.data:
             return None
@@ -316,17 +320,17 @@ class IsoTpReceiver:
 
 
 CFP_HEADER_BYTES = 6
-"""Of the CSP version 2 header."""
+"""Bytes of the CSP version 2 header."""
 
 _FIRST_BYTES = 4
-_CONNECTION = 0x1FFF_FFFF & ~0x1F  # priority, destination, sender and packet count: one packet under way each
+_CONNECTION = 0x1FFF_FFFF & ~0x1F  # priority, destination, sender and packet count: one open packet for each
 _TIMEOUT_NS = 1_000_000_000  # PBUF_TIMEOUT_MS in csp_if_can_pbuf.c
 _LONGEST_BYTES = 4096
 _MOST_CONNECTIONS = 64
 
 
 def cfp_frames(packet: bytes, sender: int, packet_count: int) -> list[Frame]:
-    """Return the frames of a CSP packet, header first; `sender` is our address, of which six bits are told.
+    """Return the frames of a CSP packet, header first; `sender` is this side's address; six bits of it are sent.
 
     Raises ValueError for less than a header.
     """
@@ -349,12 +353,12 @@ class _Unfinished:
 
 
 class CfpReceiver:
-    """Puts CSP packets together, as libcsp does; `faults` counts what went wrong, by name.
+    """Assembler of CSP packets, as in libcsp; `faults` counts errors by name.
 
     Parameters
     ----------
     address
-        Take only packets for this CSP address and for the broadcast address 16383; None: take all.
+        CSP address whose packets are accepted, with those for the broadcast address 16383; None: all packets.
     """
 
     def __init__(self, address: int | None = None) -> None:
@@ -363,7 +367,7 @@ class CfpReceiver:
         self.faults: Counter[str] = Counter()
 
     def push(self, frame: Frame, now_ns: int) -> bytes | None:
-        """Take a frame; return the packet that it completes. Its CRC is yet to be checked: holes can hide."""
+        """Process a frame; return the packet that it completes. Check its CRC: gaps may be undetected."""
         if not frame.extended or frame.error or frame.fd:
             return None
         destination = frame.identifier >> 13 & 0x3FFF

@@ -1,4 +1,4 @@
-"""The DAVIS346 as its host sees it on USB."""
+"""Model of the DAVIS346: the USB device that a host sees."""
 
 from firmware_protocol.davis346.biases import BIASES, BiasDefinition, CoarseFine, ShiftedSource, Vdac
 from firmware_protocol.davis346.decoder import SPECIAL_EVENT, Decoded, Decoder, WordFaults

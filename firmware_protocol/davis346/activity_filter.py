@@ -1,11 +1,11 @@
-"""The filters of background activity and refractory period: how long ago was something heard here?
+"""The filters of background activity and refractory period, which use the time since the last event nearby.
 
-One memory serves both. It has a stamp of 18 bits for each cell of 4 x 4 pixels, all 0 at power-on:
+Both share one memory. It holds a stamp of 18 bits for each cell of 4 x 4 pixels, all 0 at power-on:
 
     clock                ticks of 250 us since one of the two was switched on; it wraps after 65.5 s
     each event           reads the clock and writes it into its own cell, whether it passes or not
     age of a cell        the clock minus the stamp that was there before, modulo 2^18
-    refractory           drops an event whose own cell is younger than register 34; it is asked first
+    refractory           drops an event whose own cell is younger than register 34; it is tested first
     background activity  drops an event if neither its own cell nor one that its pixel touches has an age of at most
                          register 32
 
@@ -16,17 +16,17 @@ One memory serves both. It has a stamp of 18 bits for each cell of 4 x 4 pixels,
     | c e e c |     beyond the border of the array there is none
     +---------+
 
-So the filters work on cells: an event in the same cell supports another, or is too soon after it, whatever its pixel
-and its polarity. All passes for the first register 32 ticks after the power came, because the stamps are 0 as the clock
-is. A stamp that is 65.5 s old looks new.
+So the filters work on cells: an event in the same cell supports another, or follows it too soon, whatever its pixel
+and its polarity. All events pass during the first register 32 ticks after power-on, because stamps and clock start
+at 0. A stamp that is 65.5 s old looks new, because the clock has wrapped.
 
-The layout makes no difference: to swap rows and columns swaps the sides of a cell. What passed is not seen in the
-memory, so it does not matter how events are cut into batches.
+The filters work the same in both layouts: a swap of rows and columns only swaps the sides of a cell. The memory does
+not depend on which events passed, so the result does not depend on how events are divided into batches.
 
 Source: DVSBAFilterStateMachine of the published logic (DAVIS FX3), the version with one memory. Its parameter
-BA_FILTER_SUBSAMPLE is a number of address bits, 2 where it is not set; what the shipped logic sets is not published.
+BA_FILTER_SUBSAMPLE is a number of address bits, 2 by default; the value in the shipped logic is not published.
 
-The loop over events of the activity filter, compiled; the rules: see `activity_filter`.
+The loop over events is a compiled kernel.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ __all__ = [
     "TOO_SOON",
     "ActivityFilter",
     "ActivityLimits",
-    "Judged",
+    "ActivityResult",
     "find_fates",
 ]
 
@@ -69,7 +69,7 @@ _UInt16s = npt.NDArray[np.uint16]
 def find_fates(
     ticks: _Int32s, x: _UInt16s, y: _UInt16s, limits: tuple[int, int], stamps: _Int32s, fates: npt.NDArray[np.uint8]
 ) -> None:
-    """Write what becomes of each event into `fates` (n,), and the tick of each into its cell of `stamps`.
+    """Write the fate of each event into `fates` (n,), and the tick of each into its cell of `stamps`.
 
     Parameters
     ----------
@@ -94,13 +94,13 @@ def find_fates(
             fates[i] = PASSES
         else:
             row_beside, column_beside = row + _side(y[i]), column + _side(x[i])
-            heard = (
-                _is_heard(stamps, row, column_beside, now, longest)
-                or _is_heard(stamps, row_beside, column, now, longest)
-                or _is_heard(stamps, row_beside, column_beside, now, longest)
+            supported = (
+                _supports(stamps, row, column_beside, now, longest)
+                or _supports(stamps, row_beside, column, now, longest)
+                or _supports(stamps, row_beside, column_beside, now, longest)
             )
-            fates[i] = PASSES if heard else ISOLATED
-        stamps[row, column] = now  # not before its neighbours were asked: where there is none, it is its own
+            fates[i] = PASSES if supported else ISOLATED
+        stamps[row, column] = now  # after its neighbours are read: a missing neighbour is replaced by the cell itself
 
 
 @kernel
@@ -111,8 +111,8 @@ def _side(place: np.uint16) -> int:
 
 
 @kernel
-def _is_heard(stamps: _Int32s, row: _Int, column: _Int, now: _Int, longest: int) -> bool:
-    """Say whether a cell supports an event."""
+def _supports(stamps: _Int32s, row: _Int, column: _Int, now: _Int, longest: int) -> bool:
+    """Return true if a cell supports an event."""
     rows, columns = stamps.shape
     is_inside = 0 <= row < rows and 0 <= column < columns
     return bool(is_inside and (now - stamps[row, column] & STAMP_MASK) <= longest)
@@ -123,7 +123,7 @@ _TICK_US = 250
 
 @dataclass(frozen=True)
 class ActivityLimits:
-    """What the registers ask for, in ticks.
+    """Limits that the registers set, in ticks.
 
     Attributes
     ----------
@@ -138,7 +138,7 @@ class ActivityLimits:
 
     @classmethod
     def of(cls, registers: RegisterFile) -> ActivityLimits | None:
-        """Return what the registers say; None: both filters are off."""
+        """Return the limits in the registers; None: both filters are off."""
         isolated, age, refractory, pause = (registers.read(Module.DVS, address) for address in (31, 32, 33, 34))
         if not isolated and not refractory:
             return None
@@ -146,8 +146,8 @@ class ActivityLimits:
 
 
 @dataclass(frozen=True)
-class Judged:
-    """Which of some events pass, how many were isolated and how many too soon, and the memory (cells) after them."""
+class ActivityResult:
+    """Result for a batch: mask of passing events, counts of isolated and early ones, memory (cells) after them."""
 
     passes: npt.NDArray[np.bool_]
     isolated: int
@@ -156,9 +156,9 @@ class Judged:
 
 
 class ActivityFilter:
-    """Both filters of a camera of `size` (width, height), with what they have counted since it was made.
+    """Both filters of a camera of `size` (width, height), with the counts since the filter was made.
 
-    The kernel is compiled, or read from the disk, when it is made: not when events wait.
+    The constructor compiles the kernel, or reads it from disk, so that no event has to wait for it.
 
     Attributes
     ----------
@@ -172,7 +172,7 @@ class ActivityFilter:
         self._since_us = 0
         self._on = False
         self.isolated = self.too_soon = 0
-        self._judged(empty_events(), ActivityLimits(0, STAMP_MASK))
+        self._result_for(empty_events(), ActivityLimits(0, STAMP_MASK))
 
     def power_on(self) -> None:
         """Empty the memory."""
@@ -186,27 +186,27 @@ class ActivityFilter:
             self._since_us = now_us
         self._on = on
 
-    def judged(self, events: Events, registers: RegisterFile) -> Judged | None:
-        """Return what becomes of events, (n,) EVENT in stream time; it counts when `take` hears of it.
+    def result_for(self, events: Events, registers: RegisterFile) -> ActivityResult | None:
+        """Return the fate of events, (n,) EVENT in stream time; `take` counts it.
 
-        None: both filters are off. Events outside the memory pass and leave no stamp: the encoder refuses them.
+        None: both filters are off. Events outside the array pass and leave no stamp: the encoder refuses them.
         """
         limits = ActivityLimits.of(registers)
-        return None if limits is None else self._judged(events, limits)
+        return None if limits is None else self._result_for(events, limits)
 
-    def take(self, judged: Judged) -> None:
-        """Count what was dropped, and remember what was heard."""
-        self.isolated += judged.isolated
-        self.too_soon += judged.too_soon
-        self._stamps = judged.stamps
+    def take(self, activity: ActivityResult) -> None:
+        """Count the dropped events, and store the stamps of the others."""
+        self.isolated += activity.isolated
+        self.too_soon += activity.too_soon
+        self._stamps = activity.stamps
 
-    def _judged(self, events: Events, limits: ActivityLimits) -> Judged:
+    def _result_for(self, events: Events, limits: ActivityLimits) -> ActivityResult:
         ticks = (events["t"].astype(np.int64) - self._since_us) // _TICK_US & STAMP_MASK
         x, y = np.ascontiguousarray(events["x"]), np.ascontiguousarray(events["y"])
         stamps, fates = self._stamps.copy(), np.empty(len(events), np.uint8)
         find_fates(ticks.astype(np.int32), x, y, (limits.shortest, limits.longest), stamps, fates)
         isolated, too_soon = np.count_nonzero(fates == ISOLATED), np.count_nonzero(fates == TOO_SOON)
-        return Judged(fates == PASSES, int(isolated), int(too_soon), stamps)
+        return ActivityResult(fates == PASSES, int(isolated), int(too_soon), stamps)
 
 
 def _cells(pixels: int) -> int:

@@ -1,4 +1,4 @@
-"""The DAVIS346's biases and chip parameters: what the 16-bit words in module 5 mean, and their defaults.
+"""The DAVIS346's biases and chip parameters: format of the 16-bit words in module 5, defaults, and effect on pixels.
 
     coarse-fine     14..12 coarse 0-7   11..4 fine 0-255   3 current level normal   2 type normal (0 = cascode)
                     1 sex N   0 enabled
@@ -6,9 +6,9 @@
     shifted source  15..10 reg   9..4 ref   3..2 voltage level   1..0 mode
 
 Sources: libcaer 3.3.15 (davis.h, encodings, defaults as its driver writes them, full-scale currents); jAER agrees
-within 0.5 %. What the biases do to the pixels is the sensor's affair; here they are values that print and parse.
+within 0.5 %.
 
-What bias words of the DAVIS346 do to its pixels, as factors on the figures that the default words give.
+The effect of bias words on the pixels is a set of factors on the parameters that the default words give:
 
     threshold_on          proportional to ln(I_OnBn / I_DiffBn)
     threshold_off         proportional to ln(I_DiffBn / I_OffBn)
@@ -16,10 +16,10 @@ What bias words of the DAVIS346 do to its pixels, as factors on the figures that
     corner_max_hz         proportional to I_PrBp       the photoreceptor in bright light
     source_follower_hz    proportional to I_PrSFBp
 
-At the default words all factors are 1, and the figures are those of the sensor's preset or of the rig. A word that
-would turn a comparator's threshold negative, or a current off, gives the end of the range of factors.
+At the default words all factors are 1, and the parameters are those of the sensor's preset or of the rig. A word that
+would make a comparator's threshold negative, or switch a current off, gives the end of the range of factors.
 
-Source: jAER's formulas for DAVIS biases, which cite IEEE 7962235; the currents are those of `biases`.
+Source: jAER's formulas for DAVIS biases, which cite IEEE 7962235; the currents are computed from the words above.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def _check(what: str, value: int, maximum: int) -> None:
 
 @dataclass(frozen=True)
 class CoarseFine:
-    """A current source: two stages of choice, transistor sex and type."""
+    """A current source: coarse and fine value, transistor sex and type."""
 
     BITS: ClassVar[int] = 15
 
@@ -216,7 +216,7 @@ _DEFAULTS = {bias.address: int(bias.default) for bias in BIASES}
 
 
 def sensor_factors(words: Mapping[int, int]) -> dict[str, float]:
-    """Return the factors by the names of the sensor's figures, for bias words by their number in module 5."""
+    """Return the factors by sensor parameter, for bias words by their number in module 5."""
     now, then = _figures(words), _figures(_DEFAULTS)
     return {name: min(max(now[name] / then[name], LEAST_FACTOR), MOST_FACTOR) for name in now}
 
@@ -238,7 +238,7 @@ def _current_a(words: Mapping[int, int], name: str) -> float:
 
 
 def _log_ratio(above: float, below: float) -> float:
-    """Return ln(above / below); without any current above, as low as can be, and as high without any below."""
+    """Return ln(above / below); the lowest value if `above` is zero, the highest if `below` is zero."""
     if above == 0:
         return -math.inf
     return math.inf if below == 0 else math.log(above / below)

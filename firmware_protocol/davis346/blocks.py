@@ -1,41 +1,43 @@
-"""Blocks: runs of words that belong to one time and stay together, among the events of the stream.
+"""Items of the word stream beside events: blocks, marks, and the words of frames and IMU samples.
+
+A block is a run of words that belong to one time and stay together among the events of the stream:
 
     frame start      special 8 or 9, exposure in three misc10 words, region of interest in eight misc8 words
     line             special 11 (reset) or 12 (signal), samples, special 13
     exposure, end    special 14, 15; special 10
-    IMU sample       special 5, scale, counts, special 7: see `imu_words`
+    IMU sample       special 5, scale, counts, special 7: see below
     misc8  0x5000 | code << 8 | data     misc10  0x6000 | code << 10 | data     sample  0x4000 | value
 
-The exposure register's 30 bits go as bits 9..0, 19..10, 29..20 (misc10 code 0). The region's four values go as start
-column, start row, end column, end row, each a high (misc8 code 1) and a low byte (code 2). Source: libcaer 3.3.15
-(davis.c); seen read by three drivers.
+The exposure register's 30 bits are sent as bits 9..0, 19..10, 29..20 (misc10 code 0). The region's four values are sent
+as start column, start row, end column, end row, each as a high (misc8 code 1) and a low byte (code 2). Source: libcaer
+3.3.15 (davis.c); verified with three drivers.
 
-The encoder treats a block as a mark with the word `PLACE`, and puts the block's words in its place at the end.
+The encoder treats a block as a mark with the word `PLACE`, and replaces that word with the block's words at the end.
 
-Marks: special words that tell of the external input and of the generator, and their place among the events.
+A mark is a special word that reports an edge of the external input or of the generator:
 
     t       u64   stream time, us
     code    u16   word of the stream: 2 falling edge, 3 rising edge, 4 pulse, 16 and 17 generator falls, rises
 
 The codes are those of the published logic (EventCodes.vhd: EXT_INPUT_FALLING 2, RISING 3, PULSE 4, INPUTGEN_FALLING 16,
 INPUTGEN_RISING 17). A host's library numbers them otherwise (libcaer, events/special.h: rising 2, falling 3, pulse 4,
-generator rising 12, falling 13), which is what `EDGE` records carry.
+generator rising 12, falling 13); `EDGE` records use those numbers.
 
-IMU samples in a DAVIS346's stream: counts of the converters to words, and back.
+IMU samples carry the counts of the converters:
 
     special 5        start
     misc8, code 3    scale   7 accelerometer, 6 gyroscope, 5 temperature is there
                              3..2 range of the accelerometer, 2 g * 2^n   1..0 of the gyroscope, 250 deg/s * 2^n
     misc8, code 0    upper and lower byte of each count, signed 16 bits: accelerometer x, y, z, temperature,
-                     gyroscope x, y, z; what is not there is left out
+                     gyroscope x, y, z; absent parts are left out
     special 7        end; its time is that of the sample
 
     acceleration, g       count * 4 * 2^range / 65536
     rate, deg/s           count * 500 * 2^range / 65536
     temperature, C        count / 340 + 35 (unit 1)    count / 333.87 + 21 (unit 2)
 
-Source: the parsers of libcaer 3.3.15 (davis.c) and neuromorphic-drivers 0.16.1. A sample whose bytes are not as many
-as its scale says is dropped by libcaer, and by this reader, which counts it.
+Source: the parsers of libcaer 3.3.15 (davis.c) and neuromorphic-drivers 0.16.1. libcaer drops a sample whose number of
+bytes does not agree with its scale; so does this reader, which counts it.
 """
 
 from __future__ import annotations
@@ -85,7 +87,7 @@ GENERATOR_RISING, GENERATOR_FALLING = 12, 13
 """Kinds of EDGE records beyond EdgeKind that only a DAVIS346's generator makes."""
 
 NO_ROW = 0xFFFF
-"""Row of a mark that comes before any event: above every address, so that the first event tells its own."""
+"""Row of a mark before any event: above every address, so that a row word is sent for the first event."""
 
 _COLUMN_OFF = 0x2000
 _KIND_OF_CODE = np.zeros(18, np.uint8)
@@ -117,7 +119,7 @@ def edges_of(times_us: npt.NDArray[np.uint64], codes: Words) -> Edges:
 
 @dataclass(frozen=True)
 class Items:
-    """What the stream tells, in order: device times (n,) us, the row in force (n,), and the word of each (n,)."""
+    """Items in stream order: device times (n,) us, the row in force (n,), and the word of each (n,)."""
 
     time_us: Times
     rows: Words
@@ -127,7 +129,7 @@ class Items:
         return Items(self.time_us[part], self.rows[part], self.words[part])
 
     def merged(self, time_us: Times, codes: Words, row: int) -> Items:
-        """Return these with marks at `time_us` (m,), each before the items of its own time.
+        """Return these items with marks at `time_us` (m,), each before the items of the same time.
 
         A mark has no row: it takes that of the item before it, `row` (-1: none) before the first, so that no row word
         is written for it.
@@ -139,14 +141,14 @@ class Items:
         old = np.ones(len(self.words) + len(at), np.bool_)
         old[at] = False
         return Items(
-            _woven(self.time_us, time_us, old, at),
-            _woven(self.rows, before, old, at),
-            _woven(self.words, codes, old, at),
+            _merged(self.time_us, time_us, old, at),
+            _merged(self.rows, before, old, at),
+            _merged(self.words, codes, old, at),
         )
 
 
-def _woven(items: Any, marks: Any, old: npt.NDArray[np.bool_], at: npt.NDArray[np.intp]) -> Any:
-    """Return `items` where `old` is true and `marks` at the places `at`; np.insert takes twice as long."""
+def _merged(items: Any, marks: Any, old: npt.NDArray[np.bool_], at: npt.NDArray[np.intp]) -> Any:
+    """Return `items` where `old` is true and `marks` at positions `at`; np.insert takes twice as long."""
     both = np.empty(len(old), items.dtype)
     both[old], both[at] = items, marks
     return both
@@ -187,19 +189,19 @@ def _present(scale: int) -> list[tuple[int, slice]]:
 
 
 def is_imu(words: Words) -> npt.NDArray[np.bool_]:
-    """Return which words tell of an IMU sample."""
+    """Return a mask of the words that belong to IMU samples."""
     kind = words & _HIGH_BYTE
     found: npt.NDArray[np.bool_] = (words == _START) | (words == _END) | (kind == _SCALE) | (kind == _DATA)
     return found
 
 
 class ImuReader:
-    """Reads the words of IMU samples, keeping what it has between pieces.
+    """Reader of the words of IMU samples; it keeps incomplete samples between pieces.
 
     Attributes
     ----------
     resets : timestamp resets seen so far.
-    broken : samples that ended too early or too late, or that another one began in.
+    broken : samples that were too short or too long, or were interrupted by the start of another.
     """
 
     def __init__(self) -> None:
@@ -233,7 +235,7 @@ class ImuReader:
         self._data.clear()
 
     def _ended(self, time_us: int) -> list[tuple[int, int, list[int]]]:
-        """Return the sample that ends now, if it is whole."""
+        """Return the sample that ends now, if it is complete."""
         scale, data, was_open = self._scale, bytes(self._data), self._open
         self._begin(False)
         if was_open and scale is not None:
@@ -253,7 +255,7 @@ def _counts(data: bytes, groups: list[slice]) -> list[int]:
 
 
 PLACE = 0x0FFF
-"""A special word that no stream holds."""
+"""A special code that no stream uses."""
 
 APS_SAMPLE, MISC8, MISC10 = 0x4000, 0x5000, 0x6000
 _ROI_HIGH, _ROI_LOW = 1, 2
@@ -266,7 +268,7 @@ _CODE = {LineKind.EXPOSURE_START: 14, LineKind.EXPOSURE_END: 15, LineKind.END: _
 
 @dataclass(frozen=True)
 class Block:
-    """Words of one time, us of stream time, and the reading that they tell."""
+    """Words of one time, us of stream time, and the reading that they carry."""
 
     t_us: int
     words: Words
@@ -274,7 +276,7 @@ class Block:
 
 
 def frame_words(lines: Readings) -> list[Words]:
-    """Return the words of lines and moments of frames, (n,) of `line_record`, those of each by themselves."""
+    """Return the words of frame lines and frame boundaries, (n,) of `line_record`, one array for each."""
     of_kind = lines["kind"].tolist()
     table = np.empty((len(lines), lines["samples"].shape[1] + 2), "<u2")
     table[:, 0] = _LINE_START[lines["kind"]]
@@ -310,7 +312,7 @@ def blocks_of(kind: ReadingKind, readings: Readings) -> list[Block]:
 
 
 def with_places(marks: Marks, blocks: Sequence[Block]) -> Marks:
-    """Return `marks`, (n,) MARK, and one mark for each block, in time order; marks come first at one time."""
+    """Return `marks`, (n,) MARK, with one mark added for each block, in time order; at one time marks come first."""
     if not blocks:
         return marks
     places = no_marks(len(blocks))
@@ -320,7 +322,7 @@ def with_places(marks: Marks, blocks: Sequence[Block]) -> Marks:
 
 
 def put_in_place(words: Words, blocks: Sequence[Block]) -> tuple[Words, npt.NDArray[np.int64]]:
-    """Return words with each block in its place, and (n_blocks,) where each ends: one past its last word."""
+    """Return words with each `PLACE` replaced by its block, and (n_blocks,) one past the last word of each block."""
     if not blocks:
         return words, np.empty(0, np.int64)
     pieces, ends, done, length = [], [], 0, 0

@@ -1,20 +1,19 @@
 """Decoder of DAVIS word streams: bytes in any pieces to events, specials, frames, IMU samples and a count of faults.
 
-The word layout is drawn in `words`. The meaning follows libcaer 3.3.15 (davis.c), as far as events are concerned:
+`words` describes the layout of the words. The meaning of events follows libcaer 3.3.15 (davis.c):
 
 - a wrap word adds its number of steps of 32768 us and sets the time to that multiple; time is unrolled in 64 bits;
-- a column before any row belongs to row 0; a row outside the array is ignored, leaving the old one in force; a
+- a column before any row belongs to row 0; a row outside the array is ignored and the previous one stays in force; a
   column outside the array is no event;
 - a reset sets the time to zero and leaves the row;
 - a timestamp that does not increase is counted and used all the same.
 
-APS samples and misc words are counted as not interpreted, and read as frames by `FrameReader`. Unlike libcaer, which
-drops the last byte of a buffer with an odd length, a split inside a word is harmless.
+APS samples and misc words are counted as not interpreted, and `FrameReader` reads frames from them. libcaer drops the
+last byte of a buffer with an odd length; this decoder accepts a split inside a word.
 
-Frames of a DAVIS346, read back from the words of its stream; the words are drawn in `blocks`.
-
-The meaning follows libcaer 3.3.15: a frame that lacks a line or a sample is no frame, and is counted; a timestamp reset
-ends one without a picture; what comes before a frame's start is skipped.
+`blocks` describes the words of frames. The meaning of frames follows libcaer 3.3.15 too: a frame that lacks a line or a
+sample is dropped and counted; a timestamp reset ends an open frame without an image; words before a frame's start are
+skipped.
 """
 
 from __future__ import annotations
@@ -71,7 +70,7 @@ class FrameRead:
     roi
         First column, first row, last column, last row.
     resets
-        Timestamp resets that the reader had seen before.
+        Timestamp resets that the reader had read before.
     reset, signal
         (rows, columns) uint16, the two reads of the region.
     """
@@ -96,7 +95,7 @@ class FrameRead:
 
 @dataclass
 class _Open:
-    """A frame in the making."""
+    """A frame that is not complete yet."""
 
     start_us: int
     global_shutter: bool
@@ -114,12 +113,12 @@ class FrameReader:
     Parameters
     ----------
     turned
-        True where a line of the stream is a row of the user's picture; else a column.
+        True if a line of the stream is a row of the image; else it is a column.
 
     Attributes
     ----------
     incomplete
-        Frames that began and were not whole.
+        Frames that began and did not become complete.
     resets
         Timestamp resets so far.
     """
@@ -130,7 +129,7 @@ class FrameReader:
         self.incomplete = self.resets = 0
 
     def feed(self, words: Words, times_us: Times) -> list[FrameRead]:
-        """Take words (n,) other than events, with the time in force at each; return the frames that they complete."""
+        """Read words (n,) other than events, with the time in force at each; return the frames that they complete."""
         frames: list[FrameRead] = []
         done = 0
         for at in np.flatnonzero(words < _SPECIAL_END).tolist():
@@ -172,7 +171,7 @@ class FrameReader:
             self._head(words)
 
     def _head(self, words: Words) -> None:
-        """Take in exposure and region, which come before the first line."""
+        """Read exposure and region, which come before the first line."""
         assert self._open is not None
         misc10 = words[words & 0xFC00 == _MISC10]
         self._open.exposure += (misc10 & 0x3FF).tolist()
@@ -204,7 +203,7 @@ class FrameReader:
 
 
 def _array(lines: list[Words], shape: tuple[int, int]) -> Words | None:
-    """Return lines as an array (lines, samples); None where they do not fill `shape`."""
+    """Return lines as an array (lines, samples); None if they do not fill `shape`."""
     if len(lines) != shape[0] or any(len(line) != shape[1] for line in lines):
         return None
     return np.stack(lines)
@@ -221,7 +220,7 @@ Mask = npt.NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Decoded:
-    """What a piece of stream held.
+    """Content of a piece of stream.
 
     Attributes
     ----------
@@ -230,9 +229,9 @@ class Decoded:
     specials
         (m,) SPECIAL_EVENT.
     frames
-        Those that were completed.
+        Frames that this piece completed.
     imu_read
-        (k,) IMU_READ: samples of the inertial unit; see `imu`.
+        (k,) IMU_READ: samples of the inertial unit; see `ImuReader`.
     resets_in_all
         Timestamp resets since the decoder was made.
     """
@@ -250,7 +249,7 @@ class Decoded:
         return index
 
     def since_reset(self) -> Decoded:
-        """Return what came after the last timestamp reset; all of it where there was none."""
+        """Return the part after the last timestamp reset; the whole if there was none."""
         at = np.flatnonzero(self.specials["code"] == _RESET_DECODER)
         if not len(at):
             return self
@@ -267,14 +266,14 @@ class Decoded:
 
     @property
     def edges(self) -> Edges:
-        """(k,) EDGE in device time: what the external input and the generator told of; see `marks`."""
-        told = self.specials[np.isin(self.specials["code"], _MARKS)]
-        return edges_of(told["t"], told["code"])
+        """(k,) EDGE in device time: edges that the external input and the generator reported; see `blocks`."""
+        marks = self.specials[np.isin(self.specials["code"], _MARKS)]
+        return edges_of(marks["t"], marks["code"])
 
 
 @dataclass(frozen=True)
 class WordFaults:
-    """Words that a healthy DVS stream does not hold, counted since the decoder was made."""
+    """Words that a correct DVS stream does not contain, counted since the decoder was made."""
 
     row_outside: int = 0
     column_outside: int = 0
@@ -288,21 +287,21 @@ class WordFaults:
 
     @property
     def total(self) -> int:
-        """All faults, without the words that are sound but not interpreted."""
+        """All faults; valid words that are not interpreted are not among them."""
         return (
             self.row_outside + self.column_outside + self.time_not_increasing + self.unknown_special + self.unknown_misc
         )
 
 
 class Decoder:
-    """Reads a stream of DAVIS words, keeping its state between pieces.
+    """Decoder of a stream of DAVIS words; it keeps its state between pieces.
 
     Parameters
     ----------
     size
         (width, height) in user coordinates.
     turned
-        True where row words carry x and column words y (invert bit of the orientation register).
+        True if row words carry x and column words y (invert bit of the orientation register).
     """
 
     def __init__(self, size: tuple[int, int] = (346, 260), turned: bool = False) -> None:
@@ -327,12 +326,12 @@ class Decoder:
 
     @property
     def frames_incomplete(self) -> int:
-        """Frames that began and were not whole."""
+        """Frames that began and did not become complete."""
         return self._frames.incomplete
 
     @property
     def imu_broken(self) -> int:
-        """IMU samples that were not whole."""
+        """IMU samples that were not complete."""
         return self._imu.broken
 
     def feed(self, data: bytes) -> Decoded:
@@ -387,7 +386,7 @@ class Decoder:
         return at, columns
 
     def _rowline(self, words: Words) -> tuple[Index, Words]:
-        """Return for each word the index of the row in force, and those rows, the carried one first."""
+        """Return for each word the index of the row in force, and those rows; the first is that of the last piece."""
         good = is_row(words)
         rows = np.compress(good, words) & MAX_ADDRESS
         outside = rows >= self._rows
@@ -398,7 +397,7 @@ class Decoder:
         return np.cumsum(good), np.concatenate([np.array([self._row], WORD), rows])
 
     def _timeline(self, words: Words, rare: Index) -> tuple[Index, Index]:
-        """Return for each word the index of the time in force, and those times (us), the carried one first."""
+        """Return for each word the index of the time in force, and those times (us), first that of the last piece."""
         moves = words >= TIMESTAMP
         kinds = words.take(rare)
         turns = rare[(kinds & KIND == WRAP) | (kinds == _RESET_DECODER)]
@@ -431,7 +430,7 @@ class Decoder:
         self.faults += WordFaults(time_not_increasing=_count(~steady & (stamps != _RESET_DECODER)))
 
     def _specials(self, words: Words, rare: Index, at: Index, time_us: Index) -> npt.NDArray[np.void]:
-        """Return the specials among `words`, found at `rare`; count what is unknown or not interpreted."""
+        """Return the specials among `words`, found at `rare`; count unknown words and words not interpreted."""
         special = words < ROW
         found = np.empty(_count(special), SPECIAL_EVENT)
         if len(words):

@@ -1,6 +1,6 @@
-"""A DAVIS346 as its host sees it: vendor requests, registers, run gate, and the data endpoint.
+"""USB device model of a DAVIS346: vendor requests and their names, registers, run gate, and the data endpoint.
 
-Vendor requests, recipient device, 32-bit values big-endian (source: libcaer 3.3.15, drivers' traffic):
+Vendor requests, recipient device, 32-bit values big-endian (source: libcaer 3.3.15, traffic of drivers):
 
     0xBF  OUT  wValue module, wIndex parameter   4 bytes              write a register
     0xBF  IN   wValue module, wIndex parameter   4 bytes              read a register
@@ -8,23 +8,21 @@ Vendor requests, recipient device, 32-bit values big-endian (source: libcaer 3.3
     0xB1  OUT  wValue level                      -                    log level, acknowledged
     0xC6  OUT                                    -                    flush the data path
 
-Data whose length is not exactly this stalls the request, and then nothing is written, not even the good entries of a
-multi-write. Other vendor requests (flash, FPGA load) stall.
+Data of any other length stalls the request and writes nothing, not even the valid entries of a multi-write. Other
+vendor requests (flash, FPGA load) stall.
 
-Run gate: words leave with MUX RUN, TIMESTAMP_RUN, USB RUN and RUN_CHIP at 1; events need DVS RUN as well. Closing it
-empties the FIFO. TIMESTAMP_RUN going to 1 starts device time at zero; TIMESTAMP_RESET going to 1 does so too, and puts
-the reset word into the stream.
+Run gate: words leave while MUX RUN, TIMESTAMP_RUN, USB RUN and RUN_CHIP are 1; events need DVS RUN as well. Closing the
+gate empties the FIFO. A change of TIMESTAMP_RUN to 1 starts device time at zero; a change of TIMESTAMP_RESET to 1 does
+so too, and puts the reset word into the stream.
 
 Edges offered to the external input go through its detectors and enter the stream in time order with the events. With
-DROP_EXTINPUT_ON_STALL at 0, marks that find no room wait in that input's own FIFO, 8 deep, and are stamped when they
+DROP_EXTINPUT_ON_STALL at 0, marks that find no room wait in that input's own FIFO, 8 deep, and get their time when they
 leave it, as the multiplexer of the published logic does.
 
 Readings (lines of frames, inertial samples) enter the stream likewise, each as a block of words. Lines that find no
-room wait for it while WAIT_ON_STALL of the APS is 1; they are then dated by when they leave.
+room wait for it while WAIT_ON_STALL of the APS is 1; their time is then the time at which they leave.
 
-One thread at a time may use a camera.
-
-Vendor requests of a DAVIS346 in words, with the names of modules and registers; see `device` for the requests.
+A camera is not safe for concurrent use: one thread at a time may call it.
 """
 
 from __future__ import annotations
@@ -61,11 +59,11 @@ FLUSH = 0xC6
 ENTRY = struct.Struct(">BBI")
 _IN = 0x80
 _INPUT_FIFO = 8
-_MOST_RESETS = 64  # told to nobody, where there is no second camera
+_MOST_RESETS = 64  # limit of the list, which nothing empties without a second camera
 
 
 class Davis346(UsbCamera):
-    """The camera. Events and the passing of stream time go in by `offer` and `advance`, USB by the rest."""
+    """The camera. `offer` takes events, `advance` the passing of stream time; the other methods are the USB side."""
 
     data_endpoint = DATA_ENDPOINT & 15
 
@@ -108,10 +106,10 @@ class Davis346(UsbCamera):
 
     @property
     def horizon_us(self) -> int:
-        """Stream time to which the FIFO has room for single wraps; in the silence after the start, its end.
+        """Stream time to which the FIFO has room for single wraps; during the silence after the start, its end.
 
-        A host in the middle of its start has started the clock and not yet the words: time then goes on as far as half
-        of the wraps that are to be made up, so that those of the silence fit too.
+        During its start a host may have started the clock and not yet the words: time then advances up to half of the
+        wraps that have to be made up for, so that those of the silence fit too.
         """
         if self._starting:
             return max(self._now_us, (self._stream.epoch_us + self._stream.room_until_us) // 2)
@@ -123,7 +121,7 @@ class Davis346(UsbCamera):
 
     @property
     def sensor_factors(self) -> Mapping[str, float]:
-        """What the bias words that the host wrote do to the pixels; empty while they are as at power-on."""
+        """Effect on the pixels of the bias words that the host wrote; empty while they have their power-on values."""
         return self._factors
 
     @property
@@ -156,26 +154,26 @@ class Davis346(UsbCamera):
         )
 
     def _edge_counters(self) -> EdgeCounters:
-        seen, told = self._input, self._stream.mark_counters
+        seen, reported = self._input, self._stream.mark_counters
         return EdgeCounters(
             seen.offered,
             seen.ignored,
-            told.dropped_fifo + told.flushed,
-            told.delivered,
-            told.queued + seen.pending + len(self._stalled),
-            told.lost_on_link,
+            reported.dropped_fifo + reported.flushed,
+            reported.delivered,
+            reported.queued + seen.pending + len(self._stalled),
+            reported.lost_on_link,
             seen.added,
         )
 
     def offer(self, events: Events) -> None:
-        """Give the camera what its array raised, (n,) EVENT in stream time, sorted, not before the time advanced to.
+        """Take the events of the array, (n,) EVENT in stream time, sorted, none before the time advanced to.
 
         The events are copied. Those that come while the camera does not stream are counted as not running.
 
         Raises
         ------
         ValueError
-            Events go back in time or lie outside the array; then none of them was taken.
+            Events go back in time or lie outside the array; then none of them is taken.
         """
         if not len(events):
             return
@@ -191,19 +189,19 @@ class Davis346(UsbCamera):
         self._now_us = until_us
 
     def offer_edges(self, edges: Edges) -> None:
-        """Let edges, (n,) EDGE in stream time, happen at the external input.
+        """Apply edges, (n,) EDGE in stream time, to the external input.
 
-        They enter the stream, as the registers of module 4 want it, when time reaches them; an edge before the time
-        advanced to happens now, for the camera stamps it itself.
+        They enter the stream, as the registers of module 4 select, when time reaches them; an edge before the time
+        advanced to is applied now, because the camera itself assigns its time.
         """
         self._input.offer(edges, self._now_us)
 
     def reading_settings(self, kind: ReadingKind) -> tuple[int, ...]:
-        """What the registers ask of a kind of readings: of frames, the numbers of `FrameSettings`."""
+        """Settings in the registers for a kind of readings; for frames, the numbers of `FrameSettings`."""
         return self._readings.settings_of(kind)
 
     def room_readings(self, kind: ReadingKind) -> int:
-        """Readings that fit half of what is free; the other half is for events."""
+        """Number of readings that fit half of the free room; the other half is for events."""
         if not self._readings.runs(kind):
             return super().room_readings(kind)
         return self._readings.room(kind, self._stream.free_words)
@@ -215,7 +213,7 @@ class Davis346(UsbCamera):
         return self._readings.takes(kind)
 
     def advance(self, now_us: int) -> None:
-        """Say that stream time has reached `now_us`; the clock never goes back."""
+        """Set stream time to `now_us`; the clock never goes back."""
         now_us = max(self._now_us, now_us)
         self._put(empty_events(), now_us)
         self._now_us = now_us
@@ -224,8 +222,8 @@ class Davis346(UsbCamera):
 
     def _put(self, events: Events, until_us: int) -> None:
         """Queue events, (n,) EVENT, the marks of the external input and the readings up to `until_us`."""
-        told_from_us = self._silent_until_us if self._gate.words else None
-        marks = self._input.marks(self._now_us, until_us, InputSettings.of(self._registers, told_from_us))
+        report_from_us = self._silent_until_us if self._gate.words else None
+        marks = self._input.marks(self._now_us, until_us, InputSettings.of(self._registers, report_from_us))
         if len(self._stalled):
             self._stalled["t"] = np.maximum(self._stalled["t"], self._now_us)
             marks, self._stalled = join_marks([self._stalled, marks]), no_marks()
@@ -242,7 +240,7 @@ class Davis346(UsbCamera):
         self._readings.hold(late_blocks)
 
     def _hold(self, marks: Marks) -> None:
-        """Keep or drop marks that found no room, as the registers say."""
+        """Hold or drop marks that found no room, as the registers select."""
         keep = 0 if self._registers.read(Module.MULTIPLEXER, 4) else _INPUT_FIFO
         self._stalled = marks[:keep]
         self._stream.drop_marks(len(marks[keep:]))
@@ -253,13 +251,16 @@ class Davis346(UsbCamera):
         return resets
 
     def follow_reset(self, at_us: int) -> None:
-        """Set device time to zero at `at_us`, as its master did then, and say so in the stream; a silence is over."""
+        """Set device time to zero at `at_us`, as its master did then, and put a reset word into the stream.
+
+        A silence after the start ends.
+        """
         if self._gate.words:
             self._stream.reset_time(min(at_us, self._now_us))
             self._silent_until_us = self._now_us
 
     def restart_clock(self) -> bool:
-        """Set device time to zero and say so in the stream, as a slave does when its master was reset."""
+        """Set device time to zero with a reset word in the stream, as a slave does when its master was reset."""
         if self._gate.words:
             self._stream.reset_time(self._now_us)
         else:
@@ -267,23 +268,23 @@ class Davis346(UsbCamera):
         return True
 
     def descriptors(self, speed: Speed) -> DescriptorSet:
-        """Return what GET_DESCRIPTOR gives at a speed."""
+        """Return the answers to GET_DESCRIPTOR at a speed."""
         return replace(self.settings, speed=speed).descriptors()
 
     def flushes(self, endpoint: int) -> int:
-        """How often the run gate was closed, or the power cut."""
+        """Number of times that the run gate was closed or the power was cut."""
         return self._flushes if endpoint | _IN == DATA_ENDPOINT else 0
 
     def attached(self) -> None:
-        """A host has taken the camera: power-on state."""
+        """Set the power-on state: a host has attached the camera."""
         self._power_on()
 
     def detached(self) -> None:
-        """The host is gone: the FIFO is emptied and counted, the camera stops."""
+        """Stop the camera: the host is gone. The FIFO is emptied and its content counted."""
         self._power_on()
 
     def control(self, setup: SetupPacket, data: bytes) -> bytes:
-        """Do one control transfer; see `UsbDevice.control` and the table above."""
+        """Execute one control transfer; see `UsbDevice.control` and the table above."""
         if setup.kind is RequestKind.STANDARD:
             return self._standard.control(setup, data)
         if setup.kind is not RequestKind.VENDOR or setup.recipient != Recipient.DEVICE:
@@ -325,7 +326,7 @@ class Davis346(UsbCamera):
         self._statistics.power_on()
 
     def accepts(self, setup: SetupPacket) -> bool:
-        """Say whether an OUT request is known and its data have the right length."""
+        """Return true if an OUT request is known and its data have the right length."""
         lengths = {REGISTER: 4, MULTI_WRITE: setup.value * ENTRY.size, FLUSH: 0, LOG_LEVEL: 0}
         return setup.kind is not RequestKind.VENDOR or setup.length == lengths.get(setup.request)
 
@@ -361,7 +362,7 @@ class Davis346(UsbCamera):
         self._filters.follow(self._registers, self._now_us)
 
     def _turn(self, before: RunGate, after: RunGate) -> None:
-        """Do what a change of the run bits asks for."""
+        """Apply a change of the run bits."""
         if before.words and not after.words:
             self._drop_stalled()
             self._stream.flush()
@@ -394,7 +395,7 @@ _MODULES = frozenset(map(int, Module))
 
 
 def name_davis_request(setup: SetupPacket, data: bytes) -> str:
-    """Return what a request asks of a DAVIS346; `data` are those of its OUT stage."""
+    """Return a request to a DAVIS346 in words; `data` are those of its OUT stage."""
     if setup.kind is not RequestKind.VENDOR:
         return name_request(setup, data)
     if setup.request == REGISTER and setup.is_in:
@@ -409,7 +410,7 @@ def name_davis_request(setup: SetupPacket, data: bytes) -> str:
 
 
 def name_answer(setup: SetupPacket, data: bytes) -> str:
-    """Return what the answer to a request says; empty where that has no name."""
+    """Return the answer to a request in words; empty if it has no name."""
     if setup.kind is not RequestKind.VENDOR or setup.request != REGISTER or len(data) != 4:
         return ""
     return f"{_name(setup.value, setup.index)} = {int.from_bytes(data, 'big')}"
@@ -421,8 +422,8 @@ def _entries(data: bytes) -> Iterator[str]:
 
 
 def _name(module: int, address: int) -> str:
-    where = Module(module).name.lower() if module in _MODULES else f"module {module}"
-    return f"{where}.{_names().get((module, address), 'parameter')} ({module}.{address})"
+    module_name = Module(module).name.lower() if module in _MODULES else f"module {module}"
+    return f"{module_name}.{_names().get((module, address), 'parameter')} ({module}.{address})"
 
 
 @cache

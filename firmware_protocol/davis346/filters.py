@@ -1,4 +1,4 @@
-"""The filters of the DVS module between the run gate and the encoder, in the order of the published logic.
+"""The DVS module's filters between run gate and encoder, in the order of the published logic, and its statistics.
 
     events -> polarity -> region of interest -> hot pixels -> background activity, refractory -> skip -> encoder
 
@@ -10,14 +10,14 @@
     31..34    see `activity_filter`, in a camera that has it
     51, 52    skip        1: N events pass, the next one is skipped, and so on; N is register 52
 
-Coordinates are the user's in both layouts: the logic swaps them itself. The count of the skip filter goes on through
-everything but power-on. Events that are filtered are counted as not selected, but those of background activity and
-refractory period have fates of their own; and those of these two and of hot pixels are counted in the statistics of the
-module, which has no counter for polarity, region and skip.
+Coordinates are the user's in both layouts: the logic swaps them itself. Only power-on resets the count of the skip
+filter. Filtered events are counted as not selected, except those of background activity and refractory period, which
+have their own fates. The statistics of the module count the events of these two filters and of the hot pixels; they
+have no counter for polarity, region and skip.
 
 Source: DVSAERFilters of the published logic (DAVIS FX3), libcaer 3.3.15 (davis.h).
 
-The counter registers of a DAVIS346: what has happened since power-on, by the counters of its parts.
+`Statistics` writes the counter registers: events since power-on, from the counters of the camera's parts.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from firmware_protocol.davis346.stream import EventStream
 from firmware_protocol.events import Events
 
 if TYPE_CHECKING:
-    from firmware_protocol.davis346.activity_filter import ActivityFilter, Judged
+    from firmware_protocol.davis346.activity_filter import ActivityFilter, ActivityResult
 
 __all__ = ["DvsFilters", "FilterSettings", "Passed", "Statistics"]
 
@@ -45,7 +45,7 @@ Mask = npt.NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class FilterSettings:
-    """What the registers ask of the filters.
+    """Filter settings in the registers.
 
     Attributes
     ----------
@@ -67,7 +67,7 @@ class FilterSettings:
 
     @classmethod
     def of(cls, registers: RegisterFile, size: tuple[int, int]) -> FilterSettings:
-        """Return what the registers of a camera of `size` (width, height) say."""
+        """Return the settings in the registers of a camera of `size` (width, height)."""
 
         def value(address: int) -> int:
             return registers.read(Module.DVS, address)
@@ -84,27 +84,27 @@ class FilterSettings:
 
 @dataclass(frozen=True)
 class Passed:
-    """Events that pass, and what to count of the others; the fields are what `DvsFilters.take` adds up.
+    """Events that pass, and the counts of the others; `DvsFilters.take` adds the fields up.
 
     Attributes
     ----------
     filtered, hot
-        How many were not selected, and how many of those were hot pixels'.
+        Numbers of events not selected, and of those among them at hot pixels.
     counted
-        How many came to the skip filter.
-    judged
-        What the activity filter made of them; None: it is off.
+        Number of events that reached the skip filter.
+    activity
+        Result of the activity filter; None: it is off.
     """
 
     events: Events
     filtered: int = 0
     hot: int = 0
     counted: int = 0
-    judged: Judged | None = None
+    activity: ActivityResult | None = None
 
 
 class DvsFilters:
-    """The filters of one camera, with what they have counted since it was made.
+    """The filters of one camera, with the counts since the object was made.
 
     Attributes
     ----------
@@ -130,63 +130,63 @@ class DvsFilters:
         return 0 if self._activity is None else self._activity.too_soon
 
     def power_on(self) -> None:
-        """Set the count of the skip filter to zero, and forget what was heard."""
+        """Set the count of the skip filter to zero, and clear the memory of the activity filter."""
         self._skip_count = 0
         if self._activity is not None:
             self._activity.power_on()
 
     def follow(self, registers: RegisterFile, now_us: int) -> None:
-        """Take notice that registers were written at `now_us`."""
+        """Apply registers that were written at `now_us`."""
         if self._activity is not None:
             self._activity.follow(registers, now_us)
 
     def passed(self, events: Events, registers: RegisterFile) -> Passed:
-        """Return what passes of `events`, (n,) EVENT, which may be changed; it counts when `take` hears of it."""
-        asked = FilterSettings.of(registers, self._size)
-        good = _of_polarity(events, asked) & self._in_region(events, asked)
-        cold = _cold(events, asked)
+        """Return the part of `events`, (n,) EVENT, that passes; `events` may be changed. `take` counts the result."""
+        settings = FilterSettings.of(registers, self._size)
+        good = _of_polarity(events, settings) & self._in_region(events, settings)
+        cold = _cold(events, settings)
         hot = int(np.count_nonzero(good & ~cold))
         good &= cold
-        judged = None if self._activity is None else self._activity.judged(events[good], registers)
-        if judged is not None:
-            good[good] = judged.passes
-        counted = 0 if asked.every is None else int(np.count_nonzero(good))
-        if asked.every is not None:
+        activity = None if self._activity is None else self._activity.result_for(events[good], registers)
+        if activity is not None:
+            good[good] = activity.passes
+        counted = 0 if settings.every is None else int(np.count_nonzero(good))
+        if settings.every is not None:
             places = self._skip_count + np.arange(counted)
-            good[np.flatnonzero(good)[places % (asked.every + 1) == asked.every]] = False
-        if asked.flatten:
+            good[np.flatnonzero(good)[places % (settings.every + 1) == settings.every]] = False
+        if settings.flatten:
             events["on"] = False
-        kept = events if good.all() else events[good]
-        dropped = 0 if judged is None else judged.isolated + judged.too_soon
-        return Passed(kept, len(events) - len(kept) - dropped, hot, counted, judged)
+        passing = events if good.all() else events[good]
+        dropped = 0 if activity is None else activity.isolated + activity.too_soon
+        return Passed(passing, len(events) - len(passing) - dropped, hot, counted, activity)
 
     def take(self, passed: Passed) -> None:
-        """Count what did not pass."""
-        if self._activity is not None and passed.judged is not None:
-            self._activity.take(passed.judged)
+        """Count the events that did not pass."""
+        if self._activity is not None and passed.activity is not None:
+            self._activity.take(passed.activity)
         self.filtered += passed.filtered
         self.hot += passed.hot
         self._skip_count += passed.counted
 
-    def _in_region(self, events: Events, asked: FilterSettings) -> Mask:
-        if asked.region == self._whole:  # so that events outside the array are still refused, and not filtered
+    def _in_region(self, events: Events, settings: FilterSettings) -> Mask:
+        if settings.region == self._whole:  # so that events outside the array are still refused, and not filtered
             return np.ones(len(events), np.bool_)
-        left, top, right, bottom = asked.region
+        left, top, right, bottom = settings.region
         x, y = events["x"], events["y"]
         inside: Mask = (x >= left) & (x <= right) & (y >= top) & (y <= bottom)
         return inside
 
 
-def _of_polarity(events: Events, asked: FilterSettings) -> Mask:
-    if asked.suppressed is None:
+def _of_polarity(events: Events, settings: FilterSettings) -> Mask:
+    if settings.suppressed is None:
         return np.ones(len(events), np.bool_)
-    others: Mask = events["on"] != asked.suppressed
+    others: Mask = events["on"] != settings.suppressed
     return others
 
 
-def _cold(events: Events, asked: FilterSettings) -> Mask:
+def _cold(events: Events, settings: FilterSettings) -> Mask:
     cold = np.ones(len(events), np.bool_)
-    for x, y in asked.hot:
+    for x, y in settings.hot:
         cold &= (events["x"] != x) | (events["y"] != y)
     return cold
 
@@ -198,9 +198,9 @@ def _activity_filter(size: tuple[int, int]) -> ActivityFilter:
 
 
 class Statistics:
-    """Brings the counter registers up to date when they are read.
+    """Updates the counter registers when they are read.
 
-    One FIFO stands in this model for the DVS module's and the USB buffers', so both dropped counters show its drops.
+    This model has one FIFO in place of the DVS module's and the USB buffers', so both dropped counters show its drops.
     """
 
     def __init__(self, stream: EventStream, filters: DvsFilters) -> None:
@@ -209,7 +209,7 @@ class Statistics:
         self.power_on()
 
     def power_on(self) -> None:
-        """Count from here."""
+        """Start the counts at zero."""
         self._before = self._counted()
 
     def refresh(self, registers: RegisterFile) -> None:
@@ -218,7 +218,7 @@ class Statistics:
             registers.count(statistic, count - self._before[statistic])
 
     def _counted(self) -> dict[Statistic, int]:
-        """Return what the parts have counted since they were made."""
+        """Return the counts of the parts since they were made."""
         events, filters = self._stream.counters, self._filters
         return {
             Statistic.DVS_ROWS: events.rows,

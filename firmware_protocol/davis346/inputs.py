@@ -1,28 +1,29 @@
-"""The external input of a DAVIS346: its signal, the detectors that watch it, and the generator beside it.
+"""Inputs of a DAVIS346 beside events: the external input with detectors and generator, and the queue of readings.
 
 Registers of module 4 (see `registers`), lengths in cycles of the logic clock:
 
     0 run detector   1 rising edges   2 falling edges   3 pulses   4 pulse polarity   5 pulse length
-    11 run generator   12 polarity   13 interval   14 length   15, 16 tell of its rising, falling edges in the stream
+    11 run generator   12 polarity   13 interval   14 length   15, 16 report its rising, falling edges in the stream
 
 Source: the published logic (SeeBetterLogic: ExtInputStateMachine.vhd, PulseDetector.vhd, PulseGenerator.vhd). A pulse
-is told once the signal has been at the pulse's polarity for the length, not when it ends. Detectors watch the signal
-all the time; the run bit and the selections only decide what is told. There is no debouncing.
+is reported once the signal has been at the pulse's polarity for the length, not when it ends. Detectors follow the
+signal all the time; the run bit and the selections only decide which edges are reported. There is no debouncing.
 
-An EDGE of kind RISING or FALLING sets the signal high or low. One of the level that the signal has already counts as an
-edge all the same: its source tells of one side only. PULSE is both, `pulse_us` apart.
+An EDGE of kind RISING or FALLING sets the signal high or low. If the signal already has that level, the edge still
+counts, because its source may report one side only. PULSE is both, `pulse_us` apart.
 
-Readings on their way into the stream: they wait for their time, and for room where the camera waits on a stall.
+Readings on their way into the stream wait for their time, and for room if the camera waits on a stall:
 
     offer -> [waits for its time] -> stream -> host
                    ^-- no room --------+
 
-The registers say which kinds run. A frame whose start came while the camera did not run is left out as a whole, as the
-host could not read it.
+The registers select the kinds that run. A frame whose start came while the camera did not run is left out as a whole,
+because the host could not read it.
 
-A frame's start, exposure and end always wait for room, and its lines do where the registers say so. As in the published
-logic (APSADCStateMachine: the next frame begins after the end of the one before), a frame whose start finds no room
-while parts of an earlier one wait is left out as a whole: a slow host gets fewer frames, not frames with gaps.
+A frame's start, exposure and end always wait for room; its lines wait if the registers select it. If a frame's start
+finds no room while parts of an earlier frame wait, the frame is left out as a whole, as in the published logic
+(APSADCStateMachine: the next frame begins after the end of the one before). A slow host gets fewer frames, not frames
+with gaps.
 """
 
 from __future__ import annotations
@@ -50,23 +51,23 @@ __all__ = ["BlockFates", "ExternalInput", "InputSettings", "ReadingInput"]
 
 @dataclass(frozen=True)
 class InputSettings:
-    """What the registers ask for.
+    """Settings in the registers of the external input.
 
     Attributes
     ----------
-    told_from_us
-        Stream time from which marks are told; None: the camera does not run.
+    report_from_us
+        Stream time from which marks are reported; None: the camera does not run.
     rising, falling, pulses
-        What the detector tells.
+        Edges that the detector reports.
     active_high
         Polarity of a pulse.
     length_us
         Time after which a level is a pulse.
     generator
-        The generator's; None while it stands still.
+        Settings of the generator; None while it is off.
     """
 
-    told_from_us: int | None = None
+    report_from_us: int | None = None
     rising: bool = False
     falling: bool = False
     pulses: bool = False
@@ -75,11 +76,11 @@ class InputSettings:
     generator: GeneratorSettings | None = None
 
     @classmethod
-    def of(cls, values: RegisterFile, told_from_us: int | None) -> InputSettings:
+    def of(cls, values: RegisterFile, report_from_us: int | None) -> InputSettings:
         """Read the registers."""
         run, rising, falling, pulses, active_high, cycles = (values.read(Module.EXTERNAL_INPUT, k) for k in range(6))
         return cls(
-            told_from_us,
+            report_from_us,
             bool(run and rising),
             bool(run and falling),
             bool(run and pulses),
@@ -91,41 +92,41 @@ class InputSettings:
 
 @dataclass(frozen=True)
 class GeneratorSettings:
-    """A running generator: lengths in cycles of `clock_mhz`, and which of its edges are told."""
+    """A running generator: lengths in cycles of `clock_mhz`, and a selection of its edges to report."""
 
     clock_mhz: int
     active_high: bool
     interval: int
     length: int
-    tell_rising: bool
-    tell_falling: bool
+    report_rising: bool
+    report_falling: bool
 
     @classmethod
     def of(cls, values: RegisterFile) -> GeneratorSettings | None:
-        """Read the registers; None for a generator that stands still or whose output never changes."""
+        """Read the registers; None if the generator is off or its output never changes."""
         run, high, interval, length, rising, falling = (values.read(Module.EXTERNAL_INPUT, k) for k in range(11, 17))
         if not run or not 0 < length < interval:
             return None
         return cls(max(values.read(Module.SYSTEM, 3), 1), bool(high), interval, length, bool(rising), bool(falling))
 
     def marks(self, since_us: int, after_us: int, until_us: int) -> Marks:
-        """Return what it tells of after `after_us` and up to `until_us`; it started at `since_us`."""
+        """Return the marks after `after_us` and up to `until_us`; the generator started at `since_us`."""
         begins, ends = Special.GENERATOR_RISING, Special.GENERATOR_FALLING
-        tell_begin, tell_end = self.tell_rising, self.tell_falling
+        report_begin, report_end = self.report_rising, self.report_falling
         if not self.active_high:
-            begins, ends, tell_begin, tell_end = ends, begins, tell_end, tell_begin
+            begins, ends, report_begin, report_end = ends, begins, report_end, report_begin
         parts = []
-        for code, told, offset in ((begins, tell_begin, 0), (ends, tell_end, self.length)):
-            if told:
+        for code, reported, offset in ((begins, report_begin, 0), (ends, report_end, self.length)):
+            if reported:
                 times_us = self._times_us(offset, after_us - since_us, until_us - since_us)
                 parts.append(_marks_at(times_us + since_us, code))
         return join_marks(parts)
 
     def _times_us(self, offset: int, after_us: int, until_us: int) -> npt.NDArray[np.int64]:
-        """Return when pulses begin (offset 0) or end, us since the start, one in any microsecond at most."""
+        """Return the start (offset 0) or end times of pulses, us since the start, one in a microsecond at most."""
         first = max(1, -(-((after_us + 1) * self.clock_mhz - offset) // self.interval))
         last = (until_us * self.clock_mhz + self.clock_mhz - 1 - offset) // self.interval
-        if self.interval <= self.clock_mhz:  # one in each microsecond: a hundred cycles need not be looked at
+        if self.interval <= self.clock_mhz:  # one in each microsecond: no need to compute a hundred cycles
             first_us, last_us = ((k * self.interval + offset) // self.clock_mhz for k in (first, last))
             return np.arange(first_us, last_us + 1, dtype=np.int64)
         cycles = np.arange(first, last + 1, dtype=np.int64) * self.interval + offset
@@ -134,14 +135,14 @@ class GeneratorSettings:
 
 @dataclass
 class _Cause:
-    """An edge that was offered: what of it is still to come, and how many marks it made."""
+    """An edge that was offered: number of marks it may still make, and of marks it made."""
 
     open: int
     marks: int = 0
 
 
 class ExternalInput:
-    """The signal and its detectors. Edges go in by `offer`, marks come out by `marks` as time goes on.
+    """The signal and its detectors: `offer` takes edges, `marks` returns the marks of an interval of time.
 
     Parameters
     ----------
@@ -157,14 +158,14 @@ class ExternalInput:
         self._level_since_us = 0
         self._level_cause: _Cause | None = None
         self._generator: tuple[GeneratorSettings, int] | None = None
-        self._told: list[tuple[int, int]] = []
+        self._reported: list[tuple[int, int]] = []
         self.offered = 0
         self.ignored = 0
         self.added = 0
 
     @property
     def pending(self) -> int:
-        """Edges that made no mark so far, and still may."""
+        """Edges that have made no mark yet, and still may."""
         unmarked = {id(cause) for _, _, _, cause in self._changes if not cause.marks}
         if self._level_cause is not None and not self._level_cause.marks:
             unmarked.add(id(self._level_cause))
@@ -172,11 +173,11 @@ class ExternalInput:
 
     @property
     def expected(self) -> int:
-        """Marks that the edges taken so far can still make."""
+        """Marks that the offered edges can still make."""
         return 2 * len(self._changes) + (self._level_cause is not None)
 
     def offer(self, edges: Edges, now_us: int) -> None:
-        """Take edges (n,) EDGE in stream time; those before `now_us` happen then."""
+        """Take edges (n,) EDGE in stream time; those before `now_us` are applied at `now_us`."""
         for t, kind in zip(np.maximum(edges["t"], now_us).tolist(), edges["kind"].tolist(), strict=True):
             if kind == EdgeKind.PULSE:
                 cause = _Cause(2)
@@ -191,14 +192,14 @@ class ExternalInput:
         self._number += 1
 
     def marks(self, after_us: int, until_us: int, settings: InputSettings) -> Marks:
-        """Return the marks up to `until_us`, (n,) MARK in stream time; those up to `after_us` have been told before."""
+        """Return the marks after `after_us` and up to `until_us`, (n,) MARK in stream time."""
         while self._happen(after_us, until_us, settings):
             pass
-        told, self._told = np.array(self._told, MARK), []
-        return join_marks([told, self._generated(after_us, until_us, settings)])
+        reported, self._reported = np.array(self._reported, MARK), []
+        return join_marks([reported, self._generated(after_us, until_us, settings)])
 
     def _happen(self, after_us: int, until_us: int, settings: InputSettings) -> bool:
-        """Do what happens next: a change of the signal, or its having been there for a pulse's length."""
+        """Apply the next change of the signal, or report a level that has lasted a pulse's length."""
         change_us = self._changes[0][0] if self._changes else None
         due_us = None if self._level_cause is None else self._level_since_us + settings.length_us
         if due_us is not None and due_us <= until_us and (change_us is None or due_us <= change_us):
@@ -214,7 +215,7 @@ class ExternalInput:
         self._close(self._level_cause)
         self._level, self._level_since_us, self._level_cause = level, at_us, None
         if settings.rising if level else settings.falling:
-            self._tell(at_us, Special.INPUT_RISING if level else Special.INPUT_FALLING, cause, settings)
+            self._report(at_us, Special.INPUT_RISING if level else Special.INPUT_FALLING, cause, settings)
         if level == settings.active_high:
             self._level_cause = cause
         else:
@@ -223,30 +224,30 @@ class ExternalInput:
     def _pulse(self, at_us: int, settings: InputSettings) -> None:
         cause, self._level_cause = self._level_cause, None
         if settings.pulses and self._level == settings.active_high and cause is not None:
-            self._tell(at_us, Special.INPUT_PULSE, cause, settings)
+            self._report(at_us, Special.INPUT_PULSE, cause, settings)
         self._close(cause)
 
-    def _tell(self, at_us: int, code: Special, cause: _Cause, settings: InputSettings) -> None:
-        if settings.told_from_us is None or at_us < settings.told_from_us:
+    def _report(self, at_us: int, code: Special, cause: _Cause, settings: InputSettings) -> None:
+        if settings.report_from_us is None or at_us < settings.report_from_us:
             return
-        self._told.append((at_us, int(code)))
+        self._reported.append((at_us, int(code)))
         self.added += cause.marks > 0
         cause.marks += 1
 
     def _close(self, cause: _Cause | None) -> None:
-        """Say that one of the things an edge could lead to is over."""
+        """Count one of the possible effects of an edge as over."""
         if cause is not None:
             cause.open -= 1
             self.ignored += cause.open == 0 and cause.marks == 0
 
     def _generated(self, after_us: int, until_us: int, settings: InputSettings) -> Marks:
-        generator, told_from_us = settings.generator, settings.told_from_us
-        if generator is None or told_from_us is None:
+        generator, report_from_us = settings.generator, settings.report_from_us
+        if generator is None or report_from_us is None:
             self._generator = None
             return no_marks()
         if self._generator is None or self._generator[0] != generator:
             self._generator = (generator, after_us)
-        marks = generator.marks(self._generator[1], max(after_us, told_from_us - 1), until_us)
+        marks = generator.marks(self._generator[1], max(after_us, report_from_us - 1), until_us)
         self.added += len(marks)
         return marks
 
@@ -257,14 +258,14 @@ def _marks_at(times_us: npt.NDArray[np.int64], code: Special) -> Marks:
     return marks
 
 
-_MOST_SAMPLES = 16  # of the inertial unit, that wait for room
+_MOST_SAMPLES = 16  # of the inertial unit, waiting for room
 _LINES = (LineKind.RESET, LineKind.SIGNAL)
 _IMU_WORDS = 1 + 17  # a timestamp, and a sample of all three groups
 
 
 @dataclass
 class BlockFates:
-    """How many blocks of each kind met which fate in the stream."""
+    """Numbers of blocks of each kind, by fate in the stream."""
 
     flushed: Counter[ReadingKind] = field(default_factory=Counter)
     delivered: Counter[ReadingKind] = field(default_factory=Counter)
@@ -273,7 +274,7 @@ class BlockFates:
 
 
 class ReadingInput:
-    """What was offered and is not in the stream yet, and what the registers ask for."""
+    """Readings that were offered and are not in the stream yet, and their settings in the registers."""
 
     def __init__(self, settings: Davis346Settings, registers: RegisterFile) -> None:
         self._settings = settings
@@ -290,29 +291,29 @@ class ReadingInput:
         self._flushed: Counter[ReadingKind] = Counter()
 
     def follow(self, *, words: bool) -> None:
-        """Read the registers again; `words`: whether the data path runs."""
+        """Read the registers again; `words`: true while the data path runs."""
         self._frames = frame_settings(self._registers, self._settings.size, self._settings.layout, words=words)
         self._imu = imu_settings(self._registers, words=words)
 
     def settings_of(self, kind: ReadingKind) -> tuple[int, ...]:
-        """Return what the registers ask of a kind; see `EventDevice.reading_settings`."""
-        asked = self._frames if kind is ReadingKind.FRAMES else self._imu
-        return tuple(int(n) for n in astuple(asked)) if self.takes(kind) else ()
+        """Return the settings of a kind; see `EventDevice.reading_settings`."""
+        settings = self._frames if kind is ReadingKind.FRAMES else self._imu
+        return tuple(int(n) for n in astuple(settings)) if self.takes(kind) else ()
 
     def takes(self, kind: ReadingKind) -> bool:
-        """Say whether the camera has this kind."""
+        """Return true if the camera has this kind."""
         return self._settings.frames if kind is ReadingKind.FRAMES else self._settings.imu_unit != 0
 
     def runs(self, kind: ReadingKind) -> bool:
-        """Say whether readings of a kind would go to the host now."""
+        """Return true if readings of a kind would go to the host now."""
         return self.takes(kind) and (self._frames.run if kind is ReadingKind.FRAMES else self._imu.run)
 
     def reserved(self, free_words: int) -> int:
-        """Return how many free words are kept for readings in a run that is not paced: half, if any kind runs."""
+        """Return the number of free words reserved for readings in a run that is not paced: half, if any kind runs."""
         return free_words // 2 if any(self.runs(kind) for kind in ReadingKind) else 0
 
     def room(self, kind: ReadingKind, free_words: int) -> int:
-        """Return how many readings of a kind fit what is kept for them."""
+        """Return the number of readings of a kind that fit the reserved words."""
         waiting = sum(len(block.words) for block in (*self._held, *self._waiting))
         kinds = sum(self.runs(one) for one in ReadingKind)
         return max(0, (self.reserved(free_words) - waiting) // (self._longest[kind] * max(kinds, 1)))
@@ -329,7 +330,7 @@ class ReadingInput:
         self._waiting = sorted([*self._waiting, *blocks], key=_time_of)
 
     def _is_read(self, block: Block) -> bool:
-        """Say whether a host can read this part of a frame: it has the frame's start, or will have."""
+        """Return true if a host can read this part of a frame: it has the frame's start, or will receive it."""
         self._in_frame = self._in_frame or _line_kind(block) == LineKind.START
         return self._in_frame
 
@@ -340,7 +341,7 @@ class ReadingInput:
         """
         count = bisect.bisect_right(self._waiting, until_us, key=_time_of)
         new, self._waiting = self._waiting[:count], self._waiting[count:]
-        passed = deque(block for block in new if self._goes_on(block))
+        passed = deque(block for block in new if self._is_included(block))
         self._dropped[ReadingKind.FRAMES] += len(new) - len(passed)
         due: list[Block] = []
         for queue in (self._held, passed):
@@ -352,24 +353,24 @@ class ReadingInput:
         self._hold(passed)
         return [block if block.t_us >= now_us else _dated(block, now_us) for block in due]
 
-    def _goes_on(self, block: Block) -> bool:
-        """Say whether this is no part of a frame that was left out."""
+    def _is_included(self, block: Block) -> bool:
+        """Return false for a part of a frame that was left out."""
         part = _line_kind(block)
         self._left_out = self._left_out and part != LineKind.START
         return part is None or not self._left_out
 
     def put_back(self, blocks: Sequence[Block]) -> None:
-        """Let blocks that were due wait further."""
+        """Put blocks that were due back into the queue."""
         self._held.extendleft(reversed(blocks))
 
     def hold(self, late: Sequence[Block]) -> None:
-        """Let blocks that found no room wait further, those that may; the others are dropped."""
+        """Put blocks that found no room back into the queue if they may wait; drop the others."""
         if late:
             blocks, self._held = [*late, *self._held], deque()
             self._hold(blocks)
 
     def _hold(self, blocks: Iterable[Block]) -> None:
-        """Hold blocks behind those that are held; of frames the parts of one, but for lines that may not wait."""
+        """Queue blocks behind those that wait: parts of one frame only, without lines that may not wait."""
         held = Counter(block.reading.kind for block in self._held) if blocks else Counter()
         lines_wait, left_out = aps_waits_on_stall(self._registers), False
         for block in blocks:
@@ -384,13 +385,13 @@ class ReadingInput:
             self._dropped[kind] += not waits
 
     def flush(self) -> None:
-        """Drop what waits."""
+        """Drop the blocks that wait."""
         self._flushed.update(block.reading.kind for block in (*self._held, *self._waiting))
         self._held, self._waiting = deque(), []
         self._in_frame = False
 
     def counters(self, fates: BlockFates) -> Mapping[str, ReadingCounters]:
-        """Return the fates of all that were offered, by kind; `fates` are those in the stream."""
+        """Return the fates of all readings offered, by kind; `fates` are those in the stream."""
         waiting = Counter(block.reading.kind for block in (*self._held, *self._waiting))
         return {
             str(kind): ReadingCounters(
@@ -406,12 +407,12 @@ def _time_of(block: Block) -> int:
 
 
 def _line_kind(block: Block) -> int | None:
-    """Return the `LineKind` of a part of a frame; None of a sample."""
+    """Return the `LineKind` of a part of a frame; None for a sample."""
     return int(block.reading.record["kind"][0]) if block.reading.kind is ReadingKind.FRAMES else None
 
 
 def _dated(block: Block, t_us: int) -> Block:
-    """Return a block whose words and reading are both of `t_us`: what is recorded is what the host reads."""
+    """Return a block whose words and reading are both of `t_us`: the record agrees with the stream."""
     record = block.reading.record.copy()
     record["t"] = t_us
     return Block(t_us, block.words, replace(block.reading, record=record))

@@ -1,25 +1,25 @@
-"""The DAVIS346's registers: 32-bit parameters in modules, as declared data, and the file that holds their values.
+"""The DAVIS346's registers: 32-bit parameters in modules, as declared data, and the settings that they hold.
 
     module  0 multiplexer   1 DVS   2 APS   3 IMU   4 external input   5 bias (0-127) and chip (128-255)
             6 system information   9 USB
 
 Source: libcaer 3.3.15 (davis.h), neuromorphic-drivers 0.16.1, register traffic of three drivers.
 
-What is not said there: the FPGA has no way to refuse. A write to a register that does not exist, or that can only be
-read, is ignored; a read of one that does not exist gives 0. A register keeps as many low bits of a written value as its
-part of the logic uses, one for a flag, and reads back those. Widths are those of the published logic's configuration
-records (DVSAER, APSADC, IMU, Multiplexer, FX3 and ChipBiasConfigRecords with these addresses; ExtInput of an older
-one): places 9 bits for this array, times in cycles 20 (exposure 22, frame interval 23) and as many as the clock's MHz
-take.
+Behaviour that these sources do not describe: the FPGA cannot refuse a request. A write to a register that does not
+exist, or that is read-only, is ignored; a read of one that does not exist gives 0. A register stores as many low bits
+of a written value as its part of the logic uses, one for a flag, and reads back those. Widths are those of the
+published logic's configuration records (DVSAER, APSADC, IMU, Multiplexer, FX3 and ChipBiasConfigRecords with these
+addresses; ExtInput of an older one): coordinates have 9 bits for this array, times 20 bits in cycles (exposure 22,
+frame interval 23) and as many more as the clock's MHz take.
 
-Capability registers tell the truth about this model. Whether it has the background activity filter is a setting
-(`Davis346Settings.activity_filter`): libcaer and neuromorphic_drivers switch that filter on wherever it exists, and
-isolated events are then missing from what they see. The APS size and shutter registers describe the chip, because
-drivers size their pictures by them, also where the camera takes no frames (`Davis346Settings.frames`).
+Capability registers describe this model. The presence of the background activity filter is a setting
+(`Davis346Settings.activity_filter`): libcaer and neuromorphic_drivers switch that filter on if it exists, and the host
+then does not get isolated events. The APS size and shutter registers describe the chip even if the camera takes no
+frames (`Davis346Settings.frames`), because drivers take their image size from them.
 
-What the registers of the APS module ask of frames: module 2, see `registers`; times in cycles of the ADC's clock.
+Frames: the registers of module 2; times in cycles of the ADC's clock.
 
-What module 3 asks of the inertial unit: which parts run, ranges, low-pass filters, sample rate.
+Inertial unit: the registers of module 3 select its parts, ranges, low-pass filters and sample rate.
 
     2, 3, 4 run accelerometer, gyroscope, temperature   5 divider of the sample rate
     6, 9 low-pass of accelerometer, gyroscope (unit 1: 6 is for both)   7, 10 range, 2 g and 250 deg/s * 2^n
@@ -31,10 +31,10 @@ What module 3 asks of the inertial unit: which parts run, ranges, low-pass filte
             gyroscope        250 *  184    92    41    20    10    5     3600 *
 
 Source: libcaer 3.3.15 (davis.h), which quotes InvenSense's register maps. The sample rate is 1 kHz / (1 + divider), and
-8 kHz / (1 + divider) at * but here never above 1 kHz; the bus to the real unit carries some 2 kHz at most. Value 7 of
-unit 1 is reserved, and taken as 0.
+8 kHz / (1 + divider) at *, but never above 1 kHz here; the bus to the real unit carries some 2 kHz at most. Value 7 of
+unit 1 is reserved, and read as 0.
 
-The run bits of a DAVIS346 as its data path sees them.
+Run gate: the run bits that control the data path.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ class Module(IntEnum):
 
 
 class Access(Enum):
-    """What a host may do."""
+    """Access that a host has."""
 
     READ_ONLY = "read"
     READ_WRITE = "read and write"
@@ -96,13 +96,13 @@ class Register:
     note: str = ""
     bits: int = 1
 
-    def kept(self, value: int) -> int:
-        """Return what the register keeps of a written value."""
+    def stored_bits(self, value: int) -> int:
+        """Return the bits of a written value that the register stores."""
         return value & (1 << self.bits) - 1
 
 
 class Layout(Enum):
-    """How the array's frame relates to the user's.
+    """Relation between the array's coordinates and the user's.
 
     UPRIGHT: the chip's frame is the user's. TURNED: as in the real chip, turned by 90 degrees, with the invert bit (2)
     of the orientation register set; row words carry the user's x, column words the user's y.
@@ -113,17 +113,17 @@ class Layout(Enum):
 
     @property
     def turned(self) -> bool:
-        """True where rows and columns are swapped."""
+        """True if rows and columns are swapped."""
         return self is Layout.TURNED
 
     def chip_size(self, width: int, height: int) -> tuple[int, int]:
-        """Return (columns, rows) of the chip for a user's picture of width x height."""
+        """Return (columns, rows) of the chip for an image of width x height in the user's coordinates."""
         return (height, width) if self.turned else (width, height)
 
 
 @dataclass(frozen=True)
 class SystemInfo:
-    """Module 6: what the logic says of itself. The clocks are exact here (deviation 1000 thousandths)."""
+    """Module 6: data of the logic. The clocks are exact here (deviation 1000 thousandths)."""
 
     logic_version: int = 18
     chip_id: int = 5
@@ -149,7 +149,7 @@ class Statistic(Enum):
 
 
 Rows = tuple[tuple[int, str, int] | tuple[int, str, int, int], ...]
-"""Address, name, power-on value, and the width in bits where it is not a flag."""
+"""Address, name, power-on value, and the width in bits unless it is a flag."""
 
 _MULTIPLEXER: Rows = (
     (0, "RUN", 0),
@@ -339,10 +339,10 @@ class RegisterFile:
         return self._values.get((module, address), 0)
 
     def write(self, module: int, address: int, value: int) -> None:
-        """Store what the register keeps of a value; ignored where it is read-only or does not exist."""
+        """Store the register's bits of a value; ignored if it is read-only or does not exist."""
         register = self._declared.get((module, address))
         if register is not None and register.access is Access.READ_WRITE:
-            self._values[module, address] = register.kept(value)
+            self._values[module, address] = register.stored_bits(value)
 
     def count(self, statistic: Statistic, value: int) -> None:
         """Set a 64-bit counter, as the logic does."""
@@ -355,7 +355,7 @@ _RUN, _WAIT, _GLOBAL_SHUTTER, _ROI, _EXPOSURE, _INTERVAL = 4, 5, 7, 8, 12, 13
 
 
 def frame_settings(values: RegisterFile, size: tuple[int, int], layout: Layout, *, words: bool) -> FrameSettings:
-    """Return what they ask now; `words`: whether the data path runs.
+    """Return the frame settings in the registers; `words`: true while the data path runs.
 
     The region of interest is cut to the array of `size` = (width, height); an empty one gives no frames.
     """
@@ -373,7 +373,7 @@ def frame_settings(values: RegisterFile, size: tuple[int, int], layout: Layout, 
 
 
 def aps_waits_on_stall(values: RegisterFile) -> bool:
-    """Return whether lines that find no room wait for it."""
+    """Return true if lines that find no room wait for it."""
     return bool(values.read(Module.APS, _WAIT))
 
 
@@ -392,7 +392,7 @@ _DRIVER_LOW_PASS = 1  # libcaer 3.3.15, davis.c
 
 
 def imu_settings(values: RegisterFile, *, words: bool) -> ImuSettings:
-    """Return what the registers ask; `words`: whether the data path runs."""
+    """Return the settings in the registers; `words`: true while the data path runs."""
     unit, _, accelerometer, gyroscope, temperature, divider, low_pass = (values.read(Module.IMU, k) for k in range(7))
     if unit not in _BANDWIDTHS_MHZ:
         return ImuSettings()
@@ -411,14 +411,14 @@ def imu_settings(values: RegisterFile, *, words: bool) -> ImuSettings:
 
 
 def driver_imu_settings(unit: int) -> ImuSettings:
-    """Return what drivers ask of unit 1 or 2 by default: all of it, 1 kHz, low-pass 1, 4 g and 500 deg/s."""
+    """Return the drivers' settings for unit 1 or 2: all parts, 1 kHz, low-pass 1, 4 g, 500 deg/s."""
     accelerometer_mhz, gyroscope_mhz = (bandwidths[_DRIVER_LOW_PASS] for bandwidths in _BANDWIDTHS_MHZ[unit])
     return ImuSettings(True, unit, int(ImuScale()), accelerometer_mhz, gyroscope_mhz)
 
 
 @dataclass(frozen=True)
 class RunGate:
-    """The run bits, as far as the data path cares."""
+    """The run bits that control the data path."""
 
     timestamps: bool
     reset: bool
@@ -427,7 +427,7 @@ class RunGate:
 
     @classmethod
     def of(cls, values: RegisterFile) -> RunGate:
-        """Return what the registers say."""
+        """Return the run bits in the registers."""
         run, timestamps, reset, chip = (bool(values.read(Module.MULTIPLEXER, k)) for k in range(4))
         words = run and timestamps and chip and bool(values.read(Module.USB, 0))
         return cls(timestamps, reset, words, words and bool(values.read(Module.DVS, 3)))

@@ -1,22 +1,22 @@
-"""What a DAVIS346 is before it runs: who it says it is, its array and its sizes; and the descriptors that follow.
+"""Settings of a DAVIS346: USB identity, array and sizes, and the USB descriptors that follow from them.
 
 Sources: USB identity from libcaer 3.3.15 and three drivers' checks; endpoints from the published FX3 firmware.
 
-Odd behaviour of drivers that the camera model allows for, each with its story.
+The model allows for two faults of drivers.
 
-**neuromorphic_drivers loses order when data flow at once.** Versions 0.16 to 0.18 start the sensor, then submit 32
-bulk transfers one after another, resubmit each as soon as it finishes, and take completions in ring order. If a
-transfer finishes while the others are still being submitted, buffers are swapped or lost: 6 of 16 openings lost or
+**neuromorphic_drivers loses the order of buffers if data flow at once.** Versions 0.16 to 0.18 start the sensor, then
+submit 32 bulk transfers one after another, resubmit each as soon as it finishes, and take completions in ring order. If
+a transfer finishes while the others are still being submitted, buffers are swapped or lost: 6 of 16 openings lost or
 reordered events of a 50 000-event stream in a slow guest; with data held back for 0.3 s, 16 of 16 were exact. A real
-camera races too, but nobody compares its events with a truth. So the model stays silent for START_DELAY_US of stream
-time after the run gate opens, and anew when the DVS is switched on, unless the host has read by then: in the middle of
-a stream the DVS can be switched off and on without a silence. A timestamp reset ends the silence at once:
-neuromorphic_drivers never sends one, and the drivers that do (libcaer, dv-processing) have all their transfers queued
-by then, the latter waiting 5 s for the reset.
+camera has the same race, but its events are not compared with a reference. So the model sends nothing for
+`start_delay_us` of stream time after the run gate opens, and again when the DVS is switched on, unless the host has
+read by then: in the middle of a stream the DVS can be switched off and on without a silence. A timestamp reset ends the
+silence at once: neuromorphic_drivers never sends one, and the drivers that do (libcaer, dv-processing) have queued all
+their transfers by then; dv-processing waits 5 s for the reset.
 
 **neuromorphic_drivers ignores the number of steps in a wrap word** and always adds 32 768 us (0.18.2). The encoder
 sends wraps one by one, and uses words of many steps only when the host has not read for so long that single ones do
-not fit; libcaer and dv-processing then keep the right time, neuromorphic_drivers falls behind, as it would with a real
+not fit. libcaer and dv-processing then keep the right time; neuromorphic_drivers falls behind, as it would with a real
 camera.
 """
 
@@ -54,7 +54,7 @@ _OTHER_SPEED = {Speed.HIGH: Speed.FULL, Speed.FULL: Speed.HIGH}
 
 @dataclass(frozen=True)
 class Davis346Settings:
-    """A camera's settings.
+    """Settings of a camera.
 
     Attributes
     ----------
@@ -63,23 +63,23 @@ class Davis346Settings:
     bcd_device
         Low byte: firmware version, 6 for all drivers. High byte: hardware, 2 "blue", 3 "red".
     size
-        (width, height) of the array. 346 x 260 is what neuromorphic_drivers takes for granted; other sensors may
-        send their events in DAVIS words where the receiver knows.
+        (width, height) of the array. neuromorphic_drivers assumes 346 x 260; other sensors may send their events in
+        DAVIS words if the receiver is configured for their size.
     layout
-        How rows and columns are sent.
+        Order in which rows and columns are sent.
     fifo_bytes
-        Room for words that wait for the host. 256 KiB is all that the FX3 can give to DMA buffers: its memory from
+        Room for words that wait for the host. 256 KiB is the most that the FX3 can give to DMA buffers: its memory from
         0x40040000 to 0x40080000 in the vendor's memory map (cyfxtx.c). At 12 Mev/s that lasts 4 to 10 ms.
     pulse_us
-        How long a pulse on the external input lasts (an EDGE of kind PULSE).
+        Length of a pulse on the external input (an EDGE of kind PULSE).
     imu_unit
         Its inertial unit: 0 none, 1 MPU-6050, 2 MPU-9250 or MPU-6500.
     frames
-        Whether it takes frames; where not, its host may ask and gets none.
+        True if it takes frames; if not, its host may request them and gets none.
     activity_filter
-        Whether it has the filters of background activity and refractory period.
+        True if it has the filters of background activity and refractory period.
     start_delay_us
-        Silence after the run gate opens, stream time; see `quirks`.
+        Silence after the run gate opens, stream time; see the module's description.
     """
 
     serial: str = "00000346"

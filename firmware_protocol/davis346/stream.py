@@ -1,11 +1,10 @@
 """The camera's data path after the gate: encoder, FIFO, device time, and the fate of every event, mark and block.
 
-The camera's FIFO: words that wait for the host, with the events that they will complete.
-
-Its size is stated in bytes of words. When it is full, the newest events, marks and blocks are dropped, always whole
-ones, so that what was taken in is a valid stream. The last 64 words are kept for wraps: through 2 s of a stalled host
-they still go in one by one, as neuromorphic_drivers needs them. One word beyond the size is kept for a timestamp reset:
-it always gets in.
+The FIFO holds words that wait for the host, with the events that they will complete. Its size is given in bytes of
+words. When it is full, the newest events, marks and blocks are dropped, always complete ones, so that its content is a
+valid stream. The last 64 words are reserved for wraps: if the host stalls for up to 2 s, wraps still enter one by one,
+as neuromorphic_drivers needs them. One more word beyond the size is reserved for a timestamp reset, which always
+enters.
 """
 
 from __future__ import annotations
@@ -43,7 +42,7 @@ _WRAP_RESERVE_WORDS = 64
 
 @dataclass(frozen=True)
 class Batch:
-    """Words that go into the FIFO, the events, marks and blocks they complete, and what a reader knows before them.
+    """Words that enter the FIFO, the events, marks and blocks they complete, and a reader's state before them.
 
     `epoch_us` is the stream time at which device time is zero for these words.
     """
@@ -64,7 +63,7 @@ class Batch:
 
 @dataclass
 class _Chunk:
-    """A batch in the queue, or the front of one; `words_taken` and so on have left."""
+    """A batch in the queue, or the front of one; `words_taken` and the other counts have left."""
 
     batch: Batch
     words: Words
@@ -93,7 +92,7 @@ class _Chunk:
 
 @dataclass(frozen=True)
 class Taken:
-    """What left the FIFO: bytes, the events, marks and readings they complete, and the epoch of all of them."""
+    """Content that left the FIFO: bytes, the events, marks and readings they complete, and their common epoch."""
 
     data: bytes
     events: Events
@@ -104,15 +103,15 @@ class Taken:
 
 @dataclass(frozen=True)
 class Flushed:
-    """What a flush dropped: events, marks, readings by kind, whether a reset was there, and what the reader knows now.
+    """Content that a flush dropped: events, marks, readings by kind, a reset if there was one, and the reader's state.
 
-    `known` is None when nothing was queued.
+    `reader_state` is None if nothing was queued.
     """
 
     events: int
     marks: int
     reset: bool
-    known: WordState | None
+    reader_state: WordState | None
     readings: Counter[ReadingKind]
 
 
@@ -136,31 +135,31 @@ class Fifo:
 
     @property
     def free_words(self) -> int:
-        """Words of events that fit now."""
+        """Free room for words of events."""
         return max(0, self.free_wrap_words - _WRAP_RESERVE_WORDS)
 
     @property
     def free_wrap_words(self) -> int:
-        """Wrap words that fit now."""
+        """Free room for wrap words."""
         return max(0, self._capacity - self._used)
 
     @property
     def queued_events(self) -> int:
-        """Events that wait for words of theirs to leave."""
+        """Events whose last word has not left."""
         return self._events
 
     @property
     def queued_marks(self) -> int:
-        """Marks that wait for words of theirs to leave."""
+        """Marks whose last word has not left."""
         return self._marks
 
     @property
     def queued_blocks(self) -> Counter[ReadingKind]:
-        """Blocks that wait for words of theirs to leave, by kind."""
+        """Blocks whose last word has not left, by kind."""
         return self._blocks
 
     def put(self, batch: Batch) -> int:
-        """Take in as many whole items from the front of `batch` as fit; return their words' number."""
+        """Append as many complete items from the front of `batch` as fit; return the number of their words."""
         words, events, marks = batch.encoded.words, batch.events, batch.marks
         if len(words) > self.free_words:
             ends = batch.encoded.ends
@@ -172,18 +171,18 @@ class Fifo:
         return len(words)
 
     def put_wraps(self, batch: Batch) -> None:
-        """Take in wraps, which the caller has made to fit into `free_wrap_words`."""
+        """Append wraps, which the caller has limited to `free_wrap_words`."""
         self._append(batch, batch.encoded.words, batch.events, batch.marks)
 
     def put_reset(self, batch: Batch) -> None:
-        """Take in a timestamp reset word, also when full; one directly after another adds nothing."""
+        """Append a timestamp reset word, even if the FIFO is full; one directly after another adds nothing."""
         if self._chunks and self._chunks[-1].batch.is_reset:
             self._chunks[-1].batch = batch
             return
         self._append(batch, batch.encoded.words, batch.events, batch.marks)
 
     def take(self, max_bytes: int) -> Taken | None:
-        """Remove up to `max_bytes` bytes of whole words, all of one epoch; None when there are none."""
+        """Remove up to `max_bytes` bytes of whole words, all of one epoch; None if there are none."""
         room = max_bytes // 2
         if not self._chunks or room < 1:
             return None
@@ -194,10 +193,10 @@ class Fifo:
         readings: list[Reading] = []
         while room and self._chunks and self._chunks[0].batch.epoch_us == epoch_us:
             chunk = self._chunks[0]
-            some, completed, told, blocks = chunk.take(room)
+            some, completed, completed_marks, blocks = chunk.take(room)
             words.append(some)
             events.append(completed)
-            marks.append(told)
+            marks.append(completed_marks)
             readings += [block.reading for block in blocks]
             room -= len(some)
             if chunk.words_taken == len(chunk.words):
@@ -211,13 +210,13 @@ class Fifo:
         return taken
 
     def flush(self) -> Flushed:
-        """Drop everything."""
+        """Drop the whole content."""
         events, marks, self._events, self._marks, self._used = self._events, self._marks, 0, 0, 0
         chunks, self._chunks = self._chunks, deque()
         reset = any(chunk.batch.is_reset for chunk in chunks)
-        known = chunks[0].batch.before.after(chunks[0].words[: chunks[0].words_taken]) if chunks else None
+        reader_state = chunks[0].batch.before.after(chunks[0].words[: chunks[0].words_taken]) if chunks else None
         blocks, self._blocks = self._blocks, Counter()
-        return Flushed(events, marks, reset, known, blocks)
+        return Flushed(events, marks, reset, reader_state, blocks)
 
     def _append(self, batch: Batch, words: Words, events: Events, marks: Marks) -> None:
         if not len(words):
@@ -231,14 +230,14 @@ class Fifo:
 
 
 _WRAP_SHARE = 8
-"""One word in eight of the free ones is for wraps when telling how much fits: events may be far apart."""
+"""One in eight of the free words is reserved for wraps in the computed room for events: they may be far apart."""
 
 _WORDS_PER_EVENT = 3
 
 
 @dataclass(frozen=True)
 class StreamCounters:
-    """Events that reached the stream, by fate. `queued` are in the FIFO or in a transfer without a known fate."""
+    """Events that reached the stream, by fate. `queued` are in the FIFO or in a transfer whose fate is open."""
 
     dropped_fifo: int = 0
     flushed: int = 0
@@ -249,13 +248,13 @@ class StreamCounters:
 
     @property
     def accepted(self) -> int:
-        """Events that found room in the FIFO."""
+        """Events that entered the FIFO."""
         return self.flushed + self.delivered + self.lost_on_link + self.queued
 
 
 @dataclass(frozen=True)
 class MarkCounters:
-    """Marks that reached the stream, by fate, as for events; `dropped_fifo` without those that were held back."""
+    """Marks that reached the stream, by fate, as for events; `dropped_fifo` does not include marks held back."""
 
     dropped_fifo: int = 0
     flushed: int = 0
@@ -265,7 +264,7 @@ class MarkCounters:
 
 
 class EventStream:
-    """Words in the making: turns events into FIFO content and FIFO content into transfers."""
+    """Stream of the camera: encodes events into the FIFO, and makes transfers of the FIFO's content."""
 
     def __init__(self, encoder: WordEncoder, fifo: Fifo) -> None:
         self._encoder = encoder
@@ -280,7 +279,7 @@ class EventStream:
 
     @property
     def counters(self) -> StreamCounters:
-        """The fates so far, and how many row words were queued."""
+        """The fates so far, and the number of row words queued."""
         queued = self._fifo.queued_events + self._in_flight
         return StreamCounters(self._dropped, self._flushed, self._delivered, self._lost, queued, self._rows)
 
@@ -297,7 +296,7 @@ class EventStream:
 
     @property
     def free_words(self) -> int:
-        """Words that fit now."""
+        """Free room for words of events."""
         return self._fifo.free_words
 
     @property
@@ -307,16 +306,16 @@ class EventStream:
 
     @property
     def room_events(self) -> int:
-        """Events that certainly fit now, if none is later than `room_until_us`."""
+        """Events that certainly fit now if none is later than `room_until_us`."""
         return self.room_beside(0)
 
     def room_beside(self, reserved_words: int) -> int:
-        """Return how many events certainly fit, as `room_events`, when so many words are kept for others."""
+        """Return the number of events that certainly fit, as `room_events`, beside `reserved_words`."""
         return max(0, (self._fifo.free_words - self._wraps_that_fit - reserved_words) // _WORDS_PER_EVENT)
 
     @property
     def room_until_us(self) -> int:
-        """Stream time up to which single wraps fit now, beside `room_events` events."""
+        """Stream time up to which single wraps fit now beside `room_events` events."""
         return self._epoch_us + ((self._encoder.state.time_us >> WRAP_BITS) + self._wraps_that_fit << WRAP_BITS)
 
     @property
@@ -324,13 +323,13 @@ class EventStream:
         return min(SINGLE_WRAPS, self._fifo.free_words // _WRAP_SHARE)
 
     def start_time(self, now_us: int) -> None:
-        """Begin device time at zero, for a reader that knows nothing; what is queued is dropped."""
+        """Begin device time at zero for a reader in its initial state; drop the queue."""
         self._empty()
         self._epoch_us = now_us
         self._encoder.reset()
 
     def reset_time(self, now_us: int) -> None:
-        """Begin device time at zero, and say so in the stream."""
+        """Begin device time at zero, with a reset word in the stream."""
         before = self._encoder.state
         words = self._encoder.reset()
         self._epoch_us = now_us
@@ -341,8 +340,8 @@ class EventStream:
     ) -> tuple[Marks, Sequence[Block]]:
         """Queue `events`, (n,) EVENT, `marks`, (m,) MARK, and `blocks`, in stream time and at least one in all.
 
-        Events that find no room are dropped and counted. Marks and blocks that find none are returned: whether they are
-        dropped is for the caller, who says so of marks by `drop_marks` and counts blocks.
+        Events that find no room are dropped and counted. Marks and blocks that find none are returned: the caller may
+        offer them again, or drop them; it then counts marks with `drop_marks`, and blocks itself.
         """
         marks = no_marks() if marks is None else marks
         at_start = self._encoder.state
@@ -356,33 +355,33 @@ class EventStream:
             raise
         self._fifo.put_wraps(self._batch(wraps, at_start))
         queued, queued_marks = self._fifo.queued_events, self._fifo.queued_marks
-        kept = encoded.words[: self._fifo.put(Batch(encoded, events, before, self._epoch_us, marks, blocks))]
-        if len(kept) < len(encoded.words):
-            self._encoder.state = before.after(kept)
+        fitting = encoded.words[: self._fifo.put(Batch(encoded, events, before, self._epoch_us, marks, blocks))]
+        if len(fitting) < len(encoded.words):
+            self._encoder.state = before.after(fitting)
             self._dropped += len(events) - (self._fifo.queued_events - queued)
-        self._rows += int(np.count_nonzero(is_row(kept)))
-        return marks[self._fifo.queued_marks - queued_marks :], blocks[encoded.blocks_in(len(kept)) :]
+        self._rows += int(np.count_nonzero(is_row(fitting)))
+        return marks[self._fifo.queued_marks - queued_marks :], blocks[encoded.blocks_in(len(fitting)) :]
 
     def drop_marks(self, count: int) -> None:
-        """Count `count` marks as dropped for want of room."""
+        """Count `count` marks as dropped for lack of room."""
         self._marks_dropped += count
 
     def advance(self, now_us: int) -> None:
-        """Queue the wraps due at stream time `now_us`, as far as there is room; the rest is made up for later."""
+        """Queue the wraps due at stream time `now_us` that fit; a later call makes up for the rest."""
         before = self._encoder.state
         words = self._encoder.advance(now_us - self._epoch_us, self._fifo.free_wrap_words)
         self._fifo.put_wraps(self._batch(words, before))
 
     def flush(self) -> None:
-        """Drop what is queued, but for a timestamp reset: without it the host would misread all times to come.
+        """Drop the queue, except a timestamp reset: without it the host would misread all later times.
 
         The encoder goes back to what the host has read, so that the stream stays valid.
         """
         flushed = self._empty()
         if flushed.reset:
             self.reset_time(self._epoch_us)
-        elif flushed.known is not None:
-            self._encoder.state = flushed.known
+        elif flushed.reader_state is not None:
+            self._encoder.state = flushed.reader_state
 
     def _empty(self) -> Flushed:
         flushed = self._fifo.flush()

@@ -3,7 +3,7 @@
     bits 15..12  meaning                                    bits 11..0
     1xxx         timestamp                                  low 15 bits: microseconds since the last wrap
     0000         special                                    code, see Special
-    0001         row (Y), remembered until the next one     address
+    0001         row (Y), in force until the next one       address
     0010         column (X), OFF: an event                  address
     0011         column (X), ON: an event                   address
     0100         APS sample                                 ADC value
@@ -11,19 +11,20 @@
     0110         misc, 10 bits of data                      code 11..10, data 9..0
     0111         timestamp wrap                             number of steps of 32768 us
 
-Little-endian; words, not USB packets, are the unit. Source: the parsers of libcaer 3.3.15 (davis.c) and
+Little-endian; the unit is the word, not the USB packet. Source: the parsers of libcaer 3.3.15 (davis.c) and
 neuromorphic-drivers 0.16.1, and runs against both and dv-processing 2.0.4.
 
-Rules that the encoder keeps because drivers depend on them:
+Rules that the encoder follows because drivers depend on them:
 
-- A timestamp word comes before the words it dates, only when the time has changed, and times strictly increase:
+- A timestamp word comes before the words of its time, only if the time has changed, and times strictly increase:
   dv-processing 2.0.4 stops reading for good at a repeated one. A wrap sets the time to its own multiple of 32768 us, so
   an event at exactly that time needs no timestamp word.
-- A mark (an edge seen by the external input, a pulse of the generator) is a special word, dated as an event is. Of one
-  microsecond it comes before the events, as in the multiplexer of the published logic, which asks that input first.
-- A block (part of a frame, an inertial sample) is dated as a mark is, and nothing comes between its words.
-- One wrap word of one step for each 32.768 ms, because neuromorphic_drivers ignores the number of steps
-  (see `quirks`), unless there are more than SINGLE_WRAPS to make up for.
+- A mark (an edge of the external input, a pulse of the generator) is a special word with a time, like an event. In the
+  same microsecond it comes before the events, as in the multiplexer of the published logic, which reads that input
+  first.
+- A block (part of a frame, an inertial sample) has one time, like a mark, and no other word comes between its words.
+- There is one wrap word of one step for each 32.768 ms, because neuromorphic_drivers ignores the number of steps (see
+  `settings`). Words of many steps are used if more than SINGLE_WRAPS wraps are due.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ Words = npt.NDArray[np.uint16]
 """Words in stream order, shape (n,), little-endian uint16."""
 
 WORD = np.dtype("<u2")
-# Plain ints, not an IntEnum: numpy takes an enum's member for an int64 and would widen every array it meets.
+# Plain ints, not an IntEnum: numpy reads an enum's member as an int64 and would widen every array it meets.
 ROW = 0x1000
 COLUMN_OFF = 0x2000
 COLUMN_ON = 0x3000
@@ -64,7 +65,7 @@ SINGLE_WRAPS = 4096
 """Wraps sent one by one at most: 134 s of silence. A longer gap uses words of many steps."""
 
 _PORTION = 16384
-"""Events worked on at once, so that all intermediate arrays stay in the second-level cache."""
+"""Events encoded at once, so that all intermediate arrays fit the second-level cache."""
 
 
 class Special(IntEnum):
@@ -89,26 +90,26 @@ class Special(IntEnum):
 
 
 def is_column(words: Words) -> npt.NDArray[np.bool_]:
-    """Return which words are columns, that is, complete an event."""
+    """Return a mask of the words that are columns, that is, complete an event."""
     columns: npt.NDArray[np.bool_] = (words & 0xE000) == COLUMN_OFF
     return columns
 
 
 def is_mark(words: Words) -> npt.NDArray[np.bool_]:
-    """Return which words are marks: specials of the external input and of the generator."""
+    """Return a mask of the words that are marks: specials of the external input and of the generator."""
     marks: npt.NDArray[np.bool_] = (words - 2 <= 2) | (words - 16 <= 1)  # words are unsigned: 0 - 2 is large
     return marks
 
 
 def is_row(words: Words) -> npt.NDArray[np.bool_]:
-    """Return which words are rows."""
+    """Return a mask of the words that are rows."""
     rows: npt.NDArray[np.bool_] = (words & KIND) == ROW
     return rows
 
 
 @dataclass(frozen=True)
 class WordState:
-    """What a reader of the stream knows: the device time of the last timestamp or wrap, and the row (-1: none yet)."""
+    """State of a reader of the stream: device time of the last timestamp or wrap, and the row (-1: none yet)."""
 
     time_us: int = 0
     row: int = -1
@@ -138,12 +139,12 @@ class Encoded:
         return np.sort(np.concatenate([ends, self.block_ends])) if len(self.block_ends) else ends
 
     def blocks_in(self, count: int) -> int:
-        """Return how many blocks the first `count` words complete."""
+        """Return the number of blocks that the first `count` words complete."""
         return int(np.searchsorted(self.block_ends, count, side="right"))
 
 
 def wrap_words(steps: int, room: int = SINGLE_WRAPS) -> Words | None:
-    """Return words that add `steps` wraps: one each where at most `room` words do it, else as few as possible.
+    """Return words that add `steps` wraps: single ones if at most `room` words are enough, else as few as possible.
 
     None if even these do not fit.
     """
@@ -159,14 +160,14 @@ def wrap_words(steps: int, room: int = SINGLE_WRAPS) -> Words | None:
 
 
 class WordEncoder:
-    """Turns events into words, remembering what the reader already knows.
+    """Encoder of events into words; it holds the state of the stream's reader.
 
     Parameters
     ----------
     size
         (width, height) of the array; events outside are refused.
     turned
-        True for the chip's own frame, turned by 90 degrees: the row word carries x, the column word y.
+        True for the chip's own coordinates, turned by 90 degrees: the row word carries x, the column word y.
     """
 
     def __init__(self, size: tuple[int, int] = (MAX_ADDRESS + 1, MAX_ADDRESS + 1), turned: bool = False) -> None:
@@ -178,14 +179,14 @@ class WordEncoder:
         self._make_tables(_PORTION)
 
     def reset(self) -> Words:
-        """Start time anew: a timestamp reset word, after which device time is zero and no row is known."""
+        """Restart time with a timestamp reset word; after it device time is zero and no row is in force."""
         self.state = WordState()
         return np.full(1, Special.TIMESTAMP_RESET, WORD)
 
     def advance(self, now_us: int, room: int = SINGLE_WRAPS) -> Words:
         """Return the wraps due up to device time `now_us`, in at most `room` words.
 
-        Where they do not fit, nothing is due yet: the state stays, and a later call makes up for it.
+        If they do not fit, none is returned and the state stays; a later call makes up for them.
         """
         steps = (now_us >> WRAP_BITS) - (self.state.time_us >> WRAP_BITS)
         if steps <= 0:
@@ -208,9 +209,9 @@ class WordEncoder:
         epoch_us
             Stream time at which device time is zero.
         marks
-            Marks in stream time, put between the events where their time is.
+            Marks in stream time, placed between the events by their time.
         blocks
-            Runs of words in stream time, likewise; at one time after marks and before events.
+            Runs of words in stream time, placed likewise; at one time after marks and before events.
 
         Raises
         ------
@@ -220,8 +221,8 @@ class WordEncoder:
         before = self.state
         pieces: list[Words] = []
         try:
-            told = with_places(no_marks() if marks is None else marks, blocks)
-            for some, between in _portions(events, told):
+            placed = with_places(no_marks() if marks is None else marks, blocks)
+            for some, between in _portions(events, placed):
                 pieces.extend(self._encode_portion(some, between, epoch_us))
         except ValueError:
             self.state = before
@@ -253,7 +254,7 @@ class WordEncoder:
         return words
 
     def _encode_run(self, items: Items) -> Words:
-        """Encode items of one wrap period: fill a table of (timestamp, row, column) words, keep the wanted ones."""
+        """Encode items of one wrap period: fill a table of (timestamp, row, column) words, return the needed ones."""
         n = len(items.time_us)
         if n > len(self._table):
             self._make_tables(n)
@@ -274,7 +275,7 @@ class WordEncoder:
         return np.compress(wanted.ravel(), table.ravel())
 
     def _addresses(self, events: Events) -> tuple[Words, Words]:
-        """Return contiguous (rows, columns) of `events` in the frame that is sent."""
+        """Return contiguous (rows, columns) of `events` in the coordinates that are sent."""
         x, y = events["x"].copy(), events["y"].copy()
         if len(x) and (x.max() >= self._size[0] or y.max() >= self._size[1]):
             raise ValueError(f"an event lies outside the {self._size[0]} x {self._size[1]} array")

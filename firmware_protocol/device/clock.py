@@ -1,20 +1,22 @@
-"""A device's own clock: what it shows while stream time goes on, in integers.
+"""A device's own clock: its reading as a function of stream time, in integers; and keyed random draws.
 
-    shown(t) = t + offset + phase(t) + the steps so far             all in ns; phase is kept in ps
+    shown(t) = t + offset + phase(t) + the steps so far             all in ns; phase is stored in ps
 
     rate of second k, in parts per 10^12:   rate_k = drift + ramp_k + walk_k
     phase at its start, in ps:              phase_k = rate_0 + ... + rate_(k-1)         (1 s x 10^-12 = 1 ps)
     within it:                              phase_k + rate_k * (t - k s) / 1 s
 
-`ramp_k` is how far a temperature ramp has gone in the middle of that second; `walk_k` a random walk of the frequency,
-one keyed normal step a second. The frequency is constant within a second: a quartz changes by its temperature, slowly.
+`ramp_k` is the part of a temperature ramp that has passed in the middle of that second; `walk_k` a random walk of the
+frequency, one keyed normal step a second. The frequency is constant within a second: a quartz changes slowly, by its
+temperature.
 
 A hardware counter never runs backward: at a step back it stands still until time has caught up. A restart sets it to
-zero; `shown` leaves that out, because a device does it (its host sees a timestamp reset), and `restarts_us` tells when.
+zero; `shown` ignores restarts, because the device executes them (its host gets a timestamp reset), and `restarts_us`
+lists them.
 
-Nothing depends on how the questions are cut. Rates and phases of the last hour are kept, no more.
+The result does not depend on the sequence of calls. Rates and phases of the last hour are stored, no more.
 
-Keyed draws: random numbers that are a function of (seed, purpose, index) only, not of the step, batch or restart.
+Keyed draws are random numbers that depend on (seed, purpose, index) only, not on the step, batch or restart.
 
 SplitMix64 (Steele, Lea and Flood, OOPSLA 2014; finaliser "variant 13" of D. Stafford):
 
@@ -24,8 +26,8 @@ SplitMix64 (Steele, Lea and Flood, OOPSLA 2014; finaliser "variant 13" of D. Sta
 A uniform number is (top 53 bits + 1/2) / 2^53, so it is never 0 nor 1. A normal number is Box-Muller on the two halves
 of one value, hence within 6.8 standard deviations.
 
-All functions take and return arrays of 64-bit words, and are the one source of the draws: the sensor's keyed numbers,
-with one stream for each pixel, are made of them.
+All functions take and return arrays of 64-bit words. They are the only source of draws: the sensor's keyed numbers,
+with one stream for each pixel, are built on them.
 """
 
 from __future__ import annotations
@@ -142,14 +144,14 @@ class ClockStep:
 
 @dataclass(frozen=True)
 class ClockSettings:
-    """How a camera's clock goes wrong.
+    """Errors of a camera's clock.
 
     Attributes
     ----------
     offset_us
-        What it shows at the start.
+        Its reading at the start.
     drift_ppm
-        How much too fast it runs; negative: too slow. A quartz: 10 to 50.
+        Frequency error, positive if too fast; a quartz has 10 to 50.
     walk_ppb
         Random walk of its frequency, standard deviation after one second; after n seconds sqrt(n) times that.
     ramp_ppm, ramp_from_s, ramp_seconds
@@ -157,7 +159,7 @@ class ClockSettings:
     steps
         Jumps. The clock of a camera never runs backward: at a jump back it stands still until time has caught up.
     restarts_s
-        When it starts anew at zero, as by a pulse on a DAVIS346's synchronisation input.
+        Stream times at which it restarts at zero, as by a pulse on a DAVIS346's synchronisation input.
     """
 
     offset_us: float = 0.0
@@ -186,7 +188,7 @@ class ClockSettings:
 
 
 class DeviceClock:
-    """A clock of `settings`, its walk drawn from `seed`. Questions may not go back more than an hour."""
+    """A clock with `settings`, its walk drawn from `seed`. Calls may go back by an hour at most."""
 
     def __init__(self, settings: ClockSettings, seed: int) -> None:
         self._settings = settings
@@ -204,11 +206,11 @@ class DeviceClock:
 
     @property
     def restarts_us(self) -> list[int]:
-        """When the device sets its clock to zero, stream time, us, in order."""
+        """Stream times at which the device sets its clock to zero, us, in order."""
         return sorted(round(at_s * 1e6) for at_s in self._settings.restarts_s)
 
     def shown_ns(self, stream_ns: npt.ArrayLike) -> Times:
-        """Return what the clock shows at `stream_ns` >= 0, (n,) ns, as if it never started anew."""
+        """Return the clock's reading at `stream_ns` >= 0, (n,) ns, without restarts."""
         t = np.atleast_1d(np.asarray(stream_ns, np.int64))
         if not len(t):
             return t.copy()
@@ -224,9 +226,10 @@ class DeviceClock:
         return self.shown_ns(np.atleast_1d(np.asarray(stream_us)).astype(np.int64) * 1000) // 1000
 
     def stream_us(self, shown_us: Times, near_us: int) -> npt.NDArray[np.float64]:
-        """Return when the clock showed `shown_us`, (n,) us, to about a microsecond; `near_us` is a stream time nearby.
+        """Return the time at which the clock showed `shown_us`, (n,) us, to about a microsecond.
 
-        Where it stood still any such time is right. For measuring latencies, not for stamping.
+        `near_us` is a stream time nearby. While the clock stands still, any time of that interval may be returned. For
+        the measurement of latencies, not for timestamps.
         """
         ahead = int(self.shown_us(near_us)[0]) - near_us
         t = np.maximum(shown_us.astype(np.int64) - ahead, 0)
@@ -235,7 +238,7 @@ class DeviceClock:
         return t.astype(np.float64)
 
     def ppm(self, stream_us: int) -> float:
-        """Return how much too fast the clock runs at `stream_us`."""
+        """Return the clock's frequency error at `stream_us`, ppm, positive if too fast."""
         second = stream_us // 1_000_000
         self._reach(second, second)
         return float(self._rates[second - self._first]) / _PPT_PER_PPM
@@ -246,18 +249,18 @@ class DeviceClock:
         self._reach(int(second.max()), earliest)
         at = second - self._first
         if earliest < self._first:
-            raise ValueError(f"the clock forgot what it showed before {self._first} s")
+            raise ValueError(f"the clock's readings before {self._first} s are no longer stored")
         within_ps = self._rates[at] * (t - second * _SECOND_NS) // _SECOND_NS
         phase_ns: Times = (self._phases[at] + within_ps) // 1000
         return phase_ns
 
     def _running_ns(self, t: Times, done: npt.NDArray[np.intp]) -> Times:
-        """Return what a clock would show that may run backward, `done` (n,) steps done."""
+        """Return the reading of a clock that may run backward, `done` (n,) steps done."""
         shown: Times = t + self._offset_ns + self._phase_ns(t) + self._stepped_ns[done]
         return shown
 
     def _pass_step(self, i: int) -> None:
-        """Take note of what the clock shows just before a step back: it will not show less."""
+        """Store the reading just before a step back: later readings are not less."""
         least = self._least_ns[i]
         if self._step_by_ns[i] < 0:
             before = np.maximum(self._step_at_ns[i : i + 1] - 1, 0)
@@ -265,11 +268,11 @@ class DeviceClock:
         self._least_ns.append(least)
 
     def _reach(self, second: int, earliest: int) -> None:
-        """Know the rates from `earliest` up to `second`, in one go with some more."""
-        known = self._first + len(self._rates)
-        if second < known:
+        """Compute the rates from `earliest` up to `second`, with some more in advance."""
+        computed = self._first + len(self._rates)
+        if second < computed:
             return
-        seconds = np.arange(known, second + 1 + _AHEAD_SECONDS, dtype=np.int64)
+        seconds = np.arange(computed, second + 1 + _AHEAD_SECONDS, dtype=np.int64)
         rates = self._rates_of(seconds)
         phases = self._phases[-1] + np.cumsum(rates)
         self._rates = np.concatenate([self._rates, rates])

@@ -1,16 +1,15 @@
-"""What any event camera is to the link that feeds it, whatever carries its bytes: USB, a serial line, a CAN bus.
+"""Interface of an event camera to the run that feeds it, for any link: USB, a serial line, a CAN bus.
 
     ring --events--> offer ---+
     bus  --edges---> offer_edges --> device --> its own way out: USB transfers, messages, frames
     run  --time----> advance -+
     ring --frames, samples--> offer_readings
 
-A device is sans-I/O. Events and edges go in with stream time; each gets exactly one fate, which `counters` tells.
+A device is sans-I/O. Events and edges go in with stream time; each gets exactly one fate, which `counters` reports.
 
-What a camera reads beside events: lines of a frame, samples of an inertial unit; and what became of each.
-
-A reading is one record of a structured array that has a field `t`, u64 microseconds of stream time. Its kind says
-which record that is: `frame_lines.line_record` for frames.
+Readings are the data of a camera beside events: lines of a frame, samples of an inertial unit. Each gets a fate too. A
+reading is one record of a structured array that has a field `t`, u64 microseconds of stream time. Its kind determines
+the record: `frames.line_record` for frames.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ Readings = npt.NDArray[Any]
 
 
 class ReadingKind(StrEnum):
-    """What was read."""
+    """Kind of a reading."""
 
     FRAMES = "frames"
     IMU = "imu"
@@ -54,13 +53,13 @@ class ReadingCounters:
     Attributes
     ----------
     not_running
-        Came while the host had not switched this kind on, or in the middle of a frame whose start it did not get.
+        Arrived while the host had not enabled this kind, or in the middle of a frame whose start it did not get.
     dropped
-        Found no room.
+        Dropped for lack of room.
     flushed
-        Waited when the buffer was emptied.
+        Were in the buffer when it was emptied.
     lost_on_link
-        Had left the camera when the link lost them.
+        Left the camera and were lost on the link.
     queued
         Still wait.
     """
@@ -75,7 +74,7 @@ class ReadingCounters:
 
     @property
     def accounted(self) -> int:
-        """Readings with a fate: as many as were offered, or something is wrong."""
+        """Readings with a fate; without an error as many as were offered."""
         return self.not_running + self.dropped + self.flushed + self.delivered + self.lost_on_link + self.queued
 
 
@@ -92,13 +91,13 @@ class EdgeCounters:
     Attributes
     ----------
     ignored
-        Seen by no detector: the camera was not running, or its registers leave this kind of edge out.
+        Not detected: the camera was not running, or its registers exclude this kind of edge.
     dropped
         Detected, and lost because a buffer was full or emptied.
     lost_on_link
-        Had left the camera when the link lost them.
+        Left the camera and were lost on the link.
     added
-        Made by the camera beyond one for each edge offered: a rising edge may be told again as the pulse that it
+        Made by the camera beyond one for each edge offered: a rising edge may be reported again as the pulse that it
         begins, and a generator makes its own.
     """
 
@@ -112,7 +111,7 @@ class EdgeCounters:
 
     @property
     def accounted(self) -> int:
-        """Edges with a fate: as many as were offered and added, or something is wrong."""
+        """Edges with a fate; without an error as many as were offered and added."""
         return self.ignored + self.dropped + self.delivered + self.lost_on_link + self.queued
 
 
@@ -123,27 +122,27 @@ class CameraCounters:
     Attributes
     ----------
     not_running
-        Came while no host had the camera running.
+        Arrived while no host had the camera running.
     dropped_fifo
         Found the camera's buffer full, in events or in bytes.
     flushed
         Were in the buffer when it was emptied, at a stop or when the host went away.
     lost_on_link
-        Had left the camera when the link lost them.
+        Left the camera and were lost on the link.
     queued
         Still wait.
     not_selected
-        Left out on purpose: outside the region of interest, or a pixel that sub-sampling skips.
+        Excluded on purpose: outside the region of interest, or a pixel that sub-sampling skips.
     dropped_background, dropped_refractory
-        Kept back by the camera's own filters of background activity and of the refractory period.
+        Dropped by the camera's own filters of background activity and of the refractory period.
     dropped_rate
-        Beyond the rate that the camera was told to keep.
+        Beyond the camera's rate limit.
     dropped_late
-        Waited longer than the camera keeps events.
+        Waited longer than the camera's age limit.
     edges
-        The same for the external input.
+        Counters of the external input.
     readings
-        The same for frames and the like, by `ReadingKind`; none for a camera that has no use for them.
+        Counters of frames and the like, by `ReadingKind`; empty for a camera that does not use them.
     """
 
     offered: int = 0
@@ -163,7 +162,7 @@ class CameraCounters:
 
     @property
     def dropped_for_room(self) -> int:
-        """Events that were to be sent and were dropped before they were; what links tell as `dropped`."""
+        """Events that were to be sent and were dropped before; links report them as `dropped`."""
         return self.dropped_fifo + self.flushed + self.dropped_rate + self.dropped_late
 
     @property
@@ -174,16 +173,16 @@ class CameraCounters:
 
     @property
     def accounted(self) -> int:
-        """Events with a fate: as many as were offered, or something is wrong."""
+        """Events with a fate; without an error as many as were offered."""
         return self.dropped_in_device + self.delivered + self.lost_on_link + self.queued
 
 
 class EventDevice(ABC):
-    """An event camera without its cable. One thread at a time may use it.
+    """An event camera without a transport. One thread at a time may use it.
 
     Attributes
     ----------
-    set_by : by what hosts set the biases of its sensor, "register" or "telecommand".
+    set_by : the way in which hosts set the biases of its sensor, "register" or "telecommand".
     """
 
     set_by: ClassVar[str] = "register"
@@ -205,27 +204,27 @@ class EventDevice(ABC):
 
     @property
     def horizon_us(self) -> int:
-        """Stream time to which it can be advanced now without dropping what waits, for runs that are not paced."""
+        """Stream time to which it can advance now without dropping events that wait, for runs that are not paced."""
         return _FOREVER_US
 
     @property
     def silent_until_us(self) -> int:
-        """Time, as it is told to the device, until which it sends nothing, because its host is not ready before."""
+        """Time, on the scale of `now_us`, until which it sends nothing, because its host is not ready before."""
         return 0
 
     @property
     def epoch_us(self) -> int:
-        """Time, as it is told to the device, at which the device's own clock was last zero."""
+        """Time, on the scale of `now_us`, at which the device's own clock was last zero."""
         return 0
 
     @property
     def sensor_factors(self) -> Mapping[str, float]:
-        """What its host's settings multiply figures of the sensor by, by their names; those not named stay."""
+        """Factors of the sensor's parameters by its host's settings, by name; parameters not named are unchanged."""
         return {}
 
     @property
     def without_effect(self) -> Mapping[str, str]:
-        """Settings that its host has moved and that change nothing in the simulated sensor, and why, by their names."""
+        """Settings that its host changed without an effect on the simulated sensor, by name, each with the reason."""
         return {}
 
     def take_commands(self) -> tuple[str, ...]:
@@ -239,22 +238,22 @@ class EventDevice(ABC):
 
     @abstractmethod
     def offer(self, events: Events) -> None:
-        """Give the camera what its array raised, (n,) EVENT in stream time, sorted, not before the time advanced to.
+        """Take the events of the array, (n,) EVENT in stream time, sorted, none before the time advanced to.
 
-        The events are copied. Raises ValueError when they go back in time or lie outside the array; then none is taken.
+        The events are copied. Raises ValueError if they go back in time or lie outside the array; then none is taken.
         """
 
     @abstractmethod
     def offer_edges(self, edges: Edges) -> None:
-        """Give the camera edges on its external input, (n,) EDGE in stream time, sorted; copied.
+        """Apply edges, (n,) EDGE in stream time, sorted, to the external input; they are copied.
 
-        An edge may be older than `now_us`: it was measured elsewhere and comes as soon as it can, with its own time;
-        where later events have left already, it may be dated as early as possible.
+        An edge may be older than `now_us`: it was measured elsewhere and arrives as soon as it can, with its own time.
+        If later events have left already, it may get the earliest possible time instead.
         A camera whose detector is off, or that has none, counts them as ignored.
         """
 
     def reading_settings(self, kind: ReadingKind) -> tuple[int, ...]:
-        """What its host asks of a kind of readings, in the order of that kind's settings; empty: it wants none."""
+        """Settings of its host for a kind of readings, in the order of that kind's settings; empty: none requested."""
         return ()
 
     def room_readings(self, kind: ReadingKind) -> int:
@@ -262,26 +261,26 @@ class EventDevice(ABC):
         return _NO_BOUND
 
     def offer_readings(self, kind: ReadingKind, readings: Readings) -> bool:
-        """Give the camera readings of one kind, (n,) in stream time, sorted; copied.
+        """Take readings of one kind, (n,) in stream time, sorted; they are copied.
 
-        False: it has no use for this kind, ever, and whoever offered them counts them as ignored.
+        False: it never uses this kind, and the caller counts them as ignored.
         """
         return False
 
     @abstractmethod
     def advance(self, now_us: int) -> None:
-        """Say that stream time has reached `now_us`; the clock never goes back."""
+        """Set stream time to `now_us`; the clock never goes back."""
 
     def take_resets(self) -> tuple[int, ...]:
-        """Return, in its own time, when its host has set its clock to zero since the last call: for a sync cable."""
+        """Return the times, on its own scale, at which its host set its clock to zero since the last call."""
         return ()
 
     def follow_reset(self, at_us: int) -> None:
-        """Set its clock to zero at `at_us` of its own time, which has been reached: its master was reset then."""
+        """Set its clock to zero at `at_us` of its own time, which is in the past: its master was reset then."""
         self.restart_clock()
 
     def restart_clock(self) -> bool:
-        """Start the device's own clock anew at zero, now, as a pulse on a synchronisation input does.
+        """Restart the device's own clock at zero, now, as a pulse on a synchronisation input does.
 
         False for a device that has no such input.
         """

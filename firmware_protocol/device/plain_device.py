@@ -1,4 +1,4 @@
-"""An event camera without electronics: what goes in waits, as it is, for whoever takes it.
+"""An event camera without electronics: its input waits, unchanged, for a receiver.
 
     offer, offer_edges, offer_readings --> one queue for each clock --> take, carry: in the order of time
 
@@ -36,14 +36,14 @@ _NO_SETTINGS: Mapping[ReadingKind, tuple[int, ...]] = {}
 
 @dataclass(frozen=True)
 class Taken:
-    """What was taken together: nothing that is taken later is earlier.
+    """Content taken in one call; nothing that is taken later is earlier.
 
     Attributes
     ----------
     events, edges, readings
-        (n,) EVENT, (m,) EDGE, and readings, in the time told to the device.
+        (n,) EVENT, (m,) EDGE, and readings, on the device's time scale.
     epoch_us
-        When the device's own clock was zero.
+        Time at which the device's own clock was zero.
     """
 
     events: Events
@@ -75,7 +75,7 @@ class _Waiting:
         return bool(self.events or len(self.edges) or self.readings)
 
     def add_edges(self, edges: Edges) -> None:
-        """Add edges; one that is earlier than what was taken already is dated as early as possible."""
+        """Add edges; one that is earlier than content already taken gets the earliest possible time."""
         edges = np.concatenate([self.edges, edges])
         edges["t"] = np.maximum(edges["t"], np.uint64(self.taken_us))
         self.edges = edges[np.argsort(edges["t"], kind="stable")]
@@ -85,7 +85,7 @@ class _Waiting:
         self.readings = sorted([*self.readings, *readings], key=_time_of) if readings else self.readings
 
     def take(self, limit: int, now_us: int) -> Taken | None:
-        """Return what comes first, at most `limit` events; None where nothing that is certain to come first waits."""
+        """Return the first content, at most `limit` events; None if nothing waits that is certain to be first."""
         events = self._take_events(limit)
         if self.events:
             until_us = int(events["t"][-1]) if len(events) else int(self.events[0]["t"][0]) - 1
@@ -122,21 +122,21 @@ def _time_of(reading: Reading) -> int:
 
 
 class PlainDevice(EventDevice):
-    """Keeps events, edges and readings until `take`; what finds it full is dropped and counted.
+    """Holds events, edges and readings until `take`; those that find it full are dropped and counted.
 
-    A link that cannot tell at once what becomes of them uses `carry`, and `arrived` or `failed` later.
+    A link that learns their fate later uses `carry`, and then `arrived` or `failed`.
 
     Parameters
     ----------
     capacity
-        Events that it holds; edges likewise.
+        Most events that it holds; edges likewise.
     readings
-        What it asks of each kind of readings that it takes, as `EventDevice.reading_settings`; others are refused.
+        Settings of each kind of readings that it takes, as `EventDevice.reading_settings`; others are refused.
 
     Attributes
     ----------
     takes_edges
-        Whether its link carries edges; where not, they are ignored.
+        True if its link carries edges; if not, they are ignored.
     """
 
     def __init__(
@@ -160,7 +160,7 @@ class PlainDevice(EventDevice):
 
     @property
     def streaming(self) -> bool:
-        """Unless its link says that nobody is there."""
+        """True unless its link has reported that no receiver is present."""
         return self._running
 
     @property
@@ -187,7 +187,7 @@ class PlainDevice(EventDevice):
         )  # fmt: skip
 
     def offer(self, events: Events) -> None:
-        """Take events (n,) EVENT, as many as fit; raises ValueError when they go back in time."""
+        """Queue events (n,) EVENT, as many as fit; raises ValueError if they go back in time."""
         if len(events) and (int(events["t"][0]) < self._now_us or bool((events["t"][1:] < events["t"][:-1]).any())):
             raise ValueError("events go back in time")
         if not self._running:
@@ -203,7 +203,7 @@ class PlainDevice(EventDevice):
             self._now_us = int(events["t"][fitting - 1])
 
     def offer_edges(self, edges: Edges) -> None:
-        """Take edges (n,) EDGE, as many as fit."""
+        """Queue edges (n,) EDGE, as many as fit."""
         if not (self._running and self.takes_edges):
             self._edges_offered += len(edges)
             self._edges_ignored += len(edges)
@@ -216,7 +216,7 @@ class PlainDevice(EventDevice):
             self._waiting[-1].add_edges(edges[:fitting])
 
     def reading_settings(self, kind: ReadingKind) -> tuple[int, ...]:
-        """What it asks of a kind of readings."""
+        """Settings of a kind of readings."""
         return self._settings.get(kind, ())
 
     def room_readings(self, kind: ReadingKind) -> int:
@@ -224,7 +224,7 @@ class PlainDevice(EventDevice):
         return _MOST_READINGS - self._readings[kind].queued if kind in self._readings else _MOST_READINGS
 
     def offer_readings(self, kind: ReadingKind, readings: Readings) -> bool:
-        """Take readings of a kind that it asks for, as many as fit; False for others."""
+        """Queue readings of a kind in its settings, as many as fit; False for others."""
         if kind not in self._readings:
             return False
         fitting = min(len(readings), self.room_readings(kind)) if self._running else 0
@@ -234,18 +234,18 @@ class PlainDevice(EventDevice):
         return True
 
     def advance(self, now_us: int) -> None:
-        """Say that stream time has reached `now_us`."""
+        """Set stream time to `now_us`."""
         self._now_us = max(self._now_us, now_us)
 
     def restart_clock(self) -> bool:
-        """Start its own clock anew at zero, now."""
+        """Restart its own clock at zero, now."""
         if not self._waiting[-1]:
             self._waiting.pop()
         self._waiting.append(_Waiting(self._now_us, self._now_us))
         return True
 
     def take(self, limit: int) -> Taken | None:
-        """Return what waits first, at most `limit` events of it, as delivered; None when nothing waits."""
+        """Return the first content, at most `limit` events of it, as delivered; None if nothing waits."""
         taken = self.carry(limit)
         if taken is not None:
             self.arrived(len(taken.events), len(taken.edges))
@@ -254,53 +254,53 @@ class PlainDevice(EventDevice):
         return taken
 
     def carry(self, limit: int) -> Taken | None:
-        """Return what waits first, at most `limit` events of it; it counts as queued until it arrived or failed."""
+        """Return the first content, at most `limit` events of it; it counts as queued until it arrived or failed."""
         while len(self._waiting) > 1 and not self._waiting[0]:
             self._waiting.popleft()
         return self._waiting[0].take(limit, self._now_us if len(self._waiting) == 1 else _FOREVER_US)
 
     @property
     def waiting(self) -> bool:
-        """Whether there is something to take or to carry."""
+        """True if there is content to take or to carry."""
         return any(self._waiting)
 
     def arrived(self, events: int, edges: int = 0) -> None:
-        """Say that so many of those that are carried were delivered."""
+        """Count events and edges returned by `carry` as delivered."""
         self._queued -= events
         self._delivered += events
         self._edges_queued -= edges
         self._edges_delivered += edges
 
     def failed(self, events: int, edges: int = 0) -> None:
-        """Say that so many of those that are carried were lost on the link."""
+        """Count events and edges returned by `carry` as lost on the link."""
         self.arrived(events)
         self._lost += events
         self._edges_queued -= edges
         self._edges_lost += edges
 
     def run(self, running: bool) -> None:
-        """Say whether somebody is there; what waits when the last one goes is flushed."""
+        """Set the presence of a receiver; the content that waits when the last one leaves is flushed."""
         self._running = running
         if not running:
             self._flushed += self._empty()
 
     def lost(self, count: int, edges: int = 0) -> None:
-        """Say that so many events and edges more of those that were taken did not arrive."""
+        """Count further events and edges that were taken as lost on the link."""
         self._lost += count
         self._edges_delivered -= edges
         self._edges_lost += edges
 
     def lost_readings(self, kind: ReadingKind, count: int) -> None:
-        """Say that `count` readings of a kind more of those that were taken did not arrive."""
+        """Count `count` further readings of a kind that were taken as lost on the link."""
         if count:
             self._readings[kind].lose(count)
 
     def drop_waiting(self) -> None:
-        """Drop all that waits: nobody will take it."""
+        """Drop everything that waits: no receiver will take it."""
         self._dropped += self._empty()
 
     def _empty(self) -> int:
-        """Forget what waits; return how many events that were. What is carried stays."""
+        """Empty the queues; return the number of events in them. Carried content stays."""
         events = sum(len(piece) for one in self._waiting for piece in one.events)
         edges = sum(len(one.edges) for one in self._waiting)
         for kind, count in Counter(reading.kind for one in self._waiting for reading in one.readings).items():

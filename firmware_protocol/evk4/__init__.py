@@ -1,4 +1,4 @@
-"""The Prophesee EVK4 HD as its host sees it on USB."""
+"""Model of the Prophesee EVK4 HD: the USB device that a host sees."""
 
 from firmware_protocol.evk4.device import ANSWER_ENDPOINT, DATA_ENDPOINT, REQUEST_ENDPOINT, Evk4, Evk4Settings
 

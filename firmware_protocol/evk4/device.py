@@ -1,29 +1,25 @@
-"""A Prophesee EVK4 HD (IMX636) as its host sees it: requests on one bulk endpoint, answers and events on two others.
+"""USB device model of a Prophesee EVK4 HD (IMX636): requests on one bulk endpoint, answers and events on two others.
 
     host --bulk 02--> write ----> Board --> Registers --> masks, rate control, run gate, biases
          <-bulk 82--- read 2 <--- answers
     array ----------> offer ----> Selection -> Outflow --bulk 81--> read 1: EVT3
 
-Run gate: events leave while the array runs (register 0004 bit 10), the output is not disabled (9028 bit 1) and time
-runs (9008 bit 0). Opening it begins a stream; closing it drops what waits. Device time is zero when time starts to run.
+Run gate: events leave while the array runs (register 0004 bit 10), the output is enabled (9028 bit 1 is 0) and time
+runs (9008 bit 0). Opening it begins a stream; closing it drops waiting events. Device time is zero when time starts.
 
-Biases act on the sensor by way of `sensor_factors`; see `imx636.bias_effects`.
+Biases act on the sensor through `sensor_factors`; see `imx636.registers`.
 
 Vendor request on endpoint 0, without which neuromorphic_drivers does not list the camera:
 
     C0  bRequest 72, wValue 0, wIndex 0     2 bytes, the first 31: the kind of board, an EVK4
 
-One thread at a time may use a camera.
+A camera is not safe for concurrent use: one thread at a time may call it.
 
-From events that wait to transfers of EVT3 words.
+EVT3 words are made when the host reads, so that events dropped while they wait leave no trace in the stream. During a
+silence, words carry the time every 4096 us: decoders lose it after 8.4 s.
 
-Words are made when the host asks for them, so that what is dropped while it waits leaves no trace in the stream. In a
-silence, words tell the time every 4096 us: decoders lose it after 8.4 s.
-
-What an EVK4 is before it runs: who it says it is and its sizes; and the descriptors that follow.
-
-Sources: what OpenEB 5.1.1 and neuromorphic_drivers check. Device version, release and build date of a shipped camera
-are not public: those here are new enough for both.
+Sources of identity and descriptors: the checks of OpenEB 5.1.1 and neuromorphic_drivers. Device version, release and
+build date of a shipped camera are not public: those here are new enough for both.
 """
 
 from __future__ import annotations
@@ -57,13 +53,13 @@ __all__ = ["ANSWER_ENDPOINT", "DATA_ENDPOINT", "REQUEST_ENDPOINT", "Evk4", "Evk4
 
 _SILENCE_US = 4096  # a high part of the time
 _LONGEST_GAP_US = 1_000_000  # between words, without time words of a silence in between
-_LONGEST_SILENCE_US = 3_600_000_000  # told in one transfer
-_FEWEST_EVENTS = 16  # made into words together, also for a host that asks for less
+_LONGEST_SILENCE_US = 3_600_000_000  # in one transfer
+_FEWEST_EVENTS = 16  # made into words together, also for a host that requests less
 _MOST_EDGES = 1024
 
 
 class Outflow:
-    """Events and edges of one run of the sensor on their way out.
+    """Outgoing events and edges of one run of the sensor.
 
     Attributes
     ----------
@@ -74,12 +70,12 @@ class Outflow:
     """
 
     def __init__(self, epoch_us: int, capacity: int) -> None:
-        self.epoch_us = self._told_us = epoch_us
+        self.epoch_us = self._reported_us = epoch_us
         self._capacity = capacity
         self._encoder = Evt3Encoder(width=SIZE[0])
         self._waiting: deque[Events] = deque()
         self._edges = empty_edges()
-        self._cut: Transfer | None = None  # what is left of words that the host asked too little for
+        self._cut: Transfer | None = None  # the rest of words beyond the length that the host requested
         self._queued = 0
 
     @property
@@ -98,7 +94,7 @@ class Outflow:
         return max(0, self._capacity - self.queued)
 
     def put(self, events: Events) -> int:
-        """Take as many of events (n,) EVENT, sorted, as fit, and return how many that are; they are copied."""
+        """Queue as many of events (n,) EVENT, sorted, as fit; return their number; they are copied."""
         fitting = events[: self.room]
         if len(fitting):
             self._waiting.append(copy_events(fitting))
@@ -106,13 +102,13 @@ class Outflow:
         return len(fitting)
 
     def put_edges(self, edges: Edges) -> int:
-        """Take as many of edges (n,) EDGE, sorted, as fit, and return how many; old ones get the time told last."""
+        """Queue as many of edges (n,) EDGE, sorted, as fit; return their number; old ones get the time sent last."""
         fitting = edges[: max(0, _MOST_EDGES - len(self._edges))]
         self._edges = np.concatenate([self._edges, fitting])
         return len(fitting)
 
     def take(self, now_us: int, max_bytes: int) -> Transfer | None:
-        """Remove up to `max_bytes` of words; None where there is nothing to tell yet."""
+        """Remove up to `max_bytes` of words; None if there is nothing to send yet."""
         if max_bytes < 2:
             return None
         whole = self._cut or self._next(now_us, max_bytes)
@@ -127,21 +123,21 @@ class Outflow:
         begin_us = self._first_us()
         if begin_us is None or begin_us > now_us:
             return self._silence(now_us)
-        if begin_us - self._told_us > _LONGEST_GAP_US:
+        if begin_us - self._reported_us > _LONGEST_GAP_US:
             return self._silence(begin_us)
         return self._words(begin_us, now_us, max_bytes)
 
     def _first_us(self) -> int | None:
         firsts = [int(self._waiting[0]["t"][0])] if self._waiting else []
         if len(self._edges):
-            firsts.append(max(int(self._edges["t"][0].astype(np.int64)), self._told_us))
+            firsts.append(max(int(self._edges["t"][0].astype(np.int64)), self._reported_us))
         return min(firsts, default=None)
 
     def _silence(self, until_us: int) -> Transfer | None:
-        if until_us - self._told_us < _SILENCE_US:
+        if until_us - self._reported_us < _SILENCE_US:
             return None
-        self._told_us = min(until_us, self._told_us + _LONGEST_SILENCE_US)
-        words = self._encoder.advance(self._told_us - self.epoch_us)
+        self._reported_us = min(until_us, self._reported_us + _LONGEST_SILENCE_US)
+        words = self._encoder.advance(self._reported_us - self.epoch_us)
         return Transfer(words, epoch_us=self.epoch_us) if words else None
 
     def _words(self, begin_us: int, now_us: int, max_bytes: int) -> Transfer:
@@ -152,7 +148,7 @@ class Outflow:
             until_us = int(events["t"][-1])
         edges = self._taken_edges(until_us)
         last_us = max(int(each["t"][-1]) for each in (events, edges) if len(each))
-        self._told_us = max(self._told_us, last_us)
+        self._reported_us = max(self._reported_us, last_us)
         words = self._encoder.encode(self._own(events), self._own(edges))
         return Transfer(words, events, self.epoch_us, edges)
 
@@ -174,8 +170,8 @@ class Outflow:
         return join_events(taken) if taken else empty_events()
 
     def _taken_edges(self, until_us: int) -> Edges:
-        """Return the edges that are not later than `until_us`; the sensor stamps those itself that come late."""
-        times = np.maximum.accumulate(np.maximum(self._edges["t"].astype(np.int64), self._told_us))
+        """Return the edges that are not later than `until_us`; the sensor itself assigns the time of late ones."""
+        times = np.maximum.accumulate(np.maximum(self._edges["t"].astype(np.int64), self._reported_us))
         due = times <= until_us
         edges = self._edges[due].copy()
         edges["t"] = times[due]
@@ -201,7 +197,7 @@ _OTHER_SPEED = {Speed.HIGH: Speed.FULL, Speed.FULL: Speed.HIGH}
 
 @dataclass(frozen=True)
 class Evk4Settings:
-    """A camera's settings.
+    """Settings of a camera.
 
     Attributes
     ----------
@@ -210,13 +206,13 @@ class Evk4Settings:
     fifo_bytes
         Room for events that wait for the host, at 6 bytes each: time, row and column.
     start_delay_us
-        Silence after the sensor starts, stream time; see `davis346.quirks`, the driver's race is the same.
+        Silence after the sensor starts, stream time; see `davis346.settings`, the fault of the driver is the same.
     release
         Firmware version, 0x00MMmmpp; OpenEB refuses below 0x030800.
     build_unix_s
-        When that was built.
+        Build time of the firmware.
     biases
-        What biases do to the sensor.
+        Effect of the biases on the sensor.
     """
 
     serial: str = "00000346"
@@ -259,7 +255,7 @@ class Evk4Settings:
 
 
 def _configuration(speed: Speed) -> Configuration:
-    """OpenEB wants these three endpoints in this order."""
+    """Return the configuration; OpenEB requires these three endpoints in this order."""
     addresses = (ANSWER_ENDPOINT, REQUEST_ENDPOINT, DATA_ENDPOINT)
     endpoints = tuple(Endpoint(each, TransferType.BULK, _BULK_PACKET[speed], burst=15) for each in addresses)
     return Configuration(speed, (Interface(endpoints, interface_class=_INTERFACE_CLASS),))
@@ -273,7 +269,7 @@ _FIFO_BYTES_PER_EVENT = 6
 
 
 class Evk4(UsbCamera):
-    """The camera. Events and the passing of stream time go in by `offer` and `advance`, USB by the rest."""
+    """The camera. `offer` takes events, `advance` the passing of stream time; the other methods are the USB side."""
 
     data_endpoint = DATA_ENDPOINT & 15
 
@@ -314,12 +310,12 @@ class Evk4(UsbCamera):
 
     @property
     def silent_until_us(self) -> int:
-        """End of the silence after the start; 0 while the sensor does not run."""
+        """End of the silence after the start; 0 while the sensor is stopped."""
         return self._silent_until_us if self._registers.running else 0
 
     @property
     def horizon_us(self) -> int:
-        """In the silence after the start its end; otherwise without limit."""
+        """During the silence after the start its end; otherwise without limit."""
         silent = self._now_us < self.silent_until_us
         return self._silent_until_us if silent else super().horizon_us
 
@@ -335,12 +331,12 @@ class Evk4(UsbCamera):
 
     @property
     def sensor_factors(self) -> Mapping[str, float]:
-        """What the biases that the host wrote do to the pixels; empty while they are the factory's."""
+        """Effect on the pixels of the biases that the host wrote; empty while they are the factory's."""
         return self._registers.sensor_factors
 
     @property
     def without_effect(self) -> Mapping[str, str]:
-        """Biases that the host moved and that change nothing here, and why."""
+        """Biases that the host changed without an effect here, each with the reason."""
         return self.settings.biases.without_effect(self._registers.bias_steps)
 
     @property
@@ -352,7 +348,7 @@ class Evk4(UsbCamera):
         return CameraCounters(**fates, queued=queued, edges=edges)
 
     def offer(self, events: Events) -> None:
-        """Take events (n,) EVENT; raises ValueError when they go back in time or lie outside the array."""
+        """Queue events (n,) EVENT; raises ValueError if they go back in time or lie outside the array."""
         if not len(events):
             return
         self._check(events)
@@ -369,7 +365,7 @@ class Evk4(UsbCamera):
         self._fates["dropped_fifo"] += len(selected.events) - fitting
 
     def offer_edges(self, edges: Edges) -> None:
-        """Take edges (n,) EDGE for the trigger input."""
+        """Apply edges (n,) EDGE to the trigger input."""
         self._edge_fates["offered"] += len(edges)
         if not (self.streaming and self._registers.has_trigger):
             self._edge_fates["ignored"] += len(edges)
@@ -377,27 +373,27 @@ class Evk4(UsbCamera):
         self._edge_fates["dropped"] += len(edges) - self._outflow.put_edges(edges)
 
     def advance(self, now_us: int) -> None:
-        """Say that stream time has reached `now_us`; the clock never goes back."""
+        """Set stream time to `now_us`; the clock never goes back."""
         self._now_us = max(self._now_us, now_us)
 
     def descriptors(self, speed: Speed) -> DescriptorSet:
-        """Return what GET_DESCRIPTOR gives at a speed."""
+        """Return the answers to GET_DESCRIPTOR at a speed."""
         return replace(self.settings, speed=speed).descriptors()
 
     def flushes(self, endpoint: int) -> int:
-        """How often the sensor was started, stopped, or without power."""
+        """Number of times that the sensor was started, stopped, or lost power."""
         return self._flushes if endpoint | _IN == DATA_ENDPOINT else 0
 
     def attached(self) -> None:
-        """A host has taken the camera: power-on state."""
+        """Set the power-on state: a host has attached the camera."""
         self._power_on()
 
     def detached(self) -> None:
-        """The host is gone: what waits is dropped and counted, the camera stops."""
+        """Stop the camera: the host is gone. Waiting events are dropped and counted."""
         self._power_on()
 
     def control(self, setup: SetupPacket, data: bytes) -> bytes:
-        """Do one control transfer; see `UsbDevice.control` and the module's first lines."""
+        """Execute one control transfer; see `UsbDevice.control` and the module's description."""
         if setup.kind is RequestKind.STANDARD:
             return self._standard.control(setup, data)
         wanted = (RequestKind.VENDOR, Recipient.DEVICE, True, _BOARD_KIND)
@@ -406,14 +402,14 @@ class Evk4(UsbCamera):
         return _KIND[: setup.length]
 
     def write(self, endpoint: int, data: bytes) -> None:
-        """Take a request; it stalls while 64 answers wait for a host that does not read them."""
+        """Process a request; it stalls while 64 answers wait for a host that does not read them."""
         self._standard.require(endpoint)
         if endpoint != REQUEST_ENDPOINT or len(self._answers) >= _MOST_ANSWERS:
             raise Stall
         self._answers.append(self._board.answer(data))
 
     def read(self, endpoint: int, max_bytes: int) -> Transfer | None:
-        """Take an answer from endpoint 2, or words from endpoint 1."""
+        """Return an answer from endpoint 2, or words from endpoint 1."""
         self._standard.require(endpoint | _IN)
         if endpoint | _IN == ANSWER_ENDPOINT:
             return self._answer(max_bytes)
@@ -435,11 +431,11 @@ class Evk4(UsbCamera):
         self._settle(transfer, "lost_on_link")
 
     def read_register(self, address: int) -> int:
-        """Return what a host reads from the sensor; raises LookupError where there is no register."""
+        """Return the value that a host reads from the sensor; raises LookupError if there is no register."""
         return self._registers.read(address)
 
     def write_register(self, address: int, value: int) -> None:
-        """Do what a host writes to the sensor; raises LookupError where there is no register."""
+        """Execute a host's write to the sensor; raises LookupError if there is no register."""
         had_time = self._registers.time_runs
         self._registers.write(address, value)
         self._selection.written(address)
@@ -473,7 +469,7 @@ class Evk4(UsbCamera):
         return Outflow(self._epoch_us, self.settings.fifo_bytes // _FIFO_BYTES_PER_EVENT)
 
     def _answer(self, max_bytes: int) -> Transfer | None:
-        """Return the oldest answer; of one that is too long, the beginning, and the rest next time."""
+        """Return the oldest answer; of one that is too long, the first part, and the rest next time."""
         if not self._answers or max_bytes < 1:
             return None
         answer = self._answers.popleft()

@@ -16,7 +16,7 @@ A frame, little-endian; an answer is at most 1024 bytes:
     10102  read registers    u32 device, address, n     u32 device, address, n x u32
     40010102  write them     u32 device, address, n x u32    u32 device, address
 
-Registers that failed: u32 device, address, errno. One request brings one answer, also a broken one: a frame without a
+Registers that failed: u32 device, address, errno. Each request gets one answer, also an invalid one: a frame without a
 header is answered as an unknown property. There is one device, 0, the sensor.
 
 Sources: OpenEB 5.1.1 (tz_control_frame, tz_libusb_board_command); neuromorphic_drivers, which reads one register at a
@@ -44,7 +44,7 @@ _MOST_WORDS = (MOST_ANSWER_BYTES - _HEADER.size) // 4 - 2
 
 
 class Property(IntEnum):
-    """Properties that are answered."""
+    """Properties that the board supports."""
 
     SERIAL = 0x72
     RELEASE = 0x79
@@ -57,10 +57,10 @@ class Property(IntEnum):
 
 
 class Failed(Exception):
-    """A request that the board understands and cannot do; `payload` is the answer's."""
+    """A request that the board understands and cannot execute; `payload` is the answer's."""
 
     def __init__(self, payload: bytes) -> None:
-        super().__init__("the request cannot be done")
+        super().__init__("the request cannot be executed")
         self.payload = payload
 
 
@@ -73,12 +73,12 @@ class Frame:
 
     @classmethod
     def parse(cls, data: bytes) -> Frame:
-        """Read a frame; raises ValueError where its size is not that of the transfer."""
+        """Read a frame; raises ValueError if its size is not that of the transfer."""
         if len(data) < _HEADER.size:
             raise ValueError(f"a frame has at least {_HEADER.size} bytes, got {len(data)}")
         name, size = _HEADER.unpack_from(data)
         if size != len(data) - _HEADER.size:
-            raise ValueError(f"the frame tells of {size} bytes of payload and has {len(data) - _HEADER.size}")
+            raise ValueError(f"the frame announces {size} bytes of payload and has {len(data) - _HEADER.size}")
         return cls(name, data[_HEADER.size :])
 
     def __bytes__(self) -> bytes:
@@ -89,15 +89,15 @@ class RegisterBus(Protocol):
     """The registers of the board's only device."""
 
     def read_register(self, address: int) -> int:
-        """Return a register's value; raises LookupError where there is none."""
+        """Return a register's value; raises LookupError if there is none."""
 
     def write_register(self, address: int, value: int) -> None:
-        """Write a register; raises LookupError where there is none."""
+        """Write a register; raises LookupError if there is none."""
 
 
 @dataclass(frozen=True)
 class BoardFacts:
-    """What the board tells of itself."""
+    """Identity data of the board."""
 
     serial: int
     release: int
@@ -107,7 +107,7 @@ class BoardFacts:
 
 
 class Board:
-    """Answers requests; it remembers nothing between two of them."""
+    """Answers requests; it has no state between two of them."""
 
     def __init__(self, facts: BoardFacts, bus: RegisterBus) -> None:
         self._bus = bus
@@ -125,7 +125,7 @@ class Board:
         }
 
     def answer(self, data: bytes) -> bytes:
-        """Do the request in a transfer's bytes and return the answer's."""
+        """Execute the request in a transfer's bytes and return the answer's."""
         try:
             request = Frame.parse(data)
         except ValueError:
@@ -169,7 +169,7 @@ def _nothing(payload: bytes, answer: bytes) -> bytes:
 
 
 def _device(payload: bytes) -> bytes:
-    """Return the device that a request names, if it is the only one there is."""
+    """Return the device that a request names, if it exists."""
     if payload != bytes(4):
         raise Failed(payload[:4])
     return payload

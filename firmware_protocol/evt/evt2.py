@@ -1,7 +1,5 @@
 """Events and edges to EVT2 and EVT2.1 words, and back.
 
-The words of EVT2 and EVT2.1, and the text before them in a file.
-
 An EVT2 word has 32 bits, little-endian:
 
     31..28  27..22           21..11  10..0
@@ -14,14 +12,13 @@ A word of EVT2.1 has 64 bits: the upper half is the EVT2 word, with x a multiple
 each column from x on. "evt21" is little-endian, as of the GenX320: the lower half comes first. "evt21-legacy" is what
 the IMX636 sends: two little-endian words of 32 bits, the upper half first.
 
-The time wraps every 2^34 us (4.8 h). OpenEB counts a wrap of EVT2.1 only from the last high part to 0, so both are
+The time wraps every 2^34 us (4.8 h). OpenEB counts a wrap of EVT2.1 only between the last high part and 0, so both are
 written.
 
 Sources: docs.prophesee.ai, "EVT 2.0 Format" and "EVT 2.1 Format"; OpenEB 5.1.1, evt21_event_types.h.
 
-EVT2 and EVT2.1 words of events, compiled: one pass over the records, and nothing is allocated.
-
-Events of EVT2 and EVT2.1 words, compiled: one pass counts them, the next writes the records.
+The kernels are compiled. The encoder makes one pass over the records and allocates nothing. The decoder makes one pass
+that counts events and edges, and one that writes the records.
 """
 
 from __future__ import annotations
@@ -39,7 +36,7 @@ from firmware_protocol.evt.words import (
     AT_EVENT,
     EDGE_BYTES,
     EVENT_BYTES,
-    HIGH_TOLD,
+    HIGH_SENT,
     LAST,
     LIMIT_PX,
     MUST_OPEN,
@@ -99,71 +96,71 @@ _Words = npt.NDArray[np.uint32]
 _State = npt.NDArray[np.int64]
 
 NO_MASK, MASK_FIRST, MASK_LAST = range(3)
-"""What goes with a word: nothing (EVT2), or a bit for each of 32 columns, before it (EVT2.1) or after it (legacy)."""
+"""Second half of a word: none (EVT2), or a bit for each of 32 columns, before it (EVT2.1) or after it (legacy)."""
 
 _ON, _HIGH, _TRIGGER = evt2_words.ON << 28, evt2_words.HIGH << 28, evt2_words.TRIGGER << 28
 _LOW_BITS, _HIGH_BITS = evt2_words.LOW_BITS, evt2_words.HIGH_BITS
 _LIMIT_PX, _WINDOW_PX = LIMIT_PX, WINDOW_PX
 _RISING, _PULSE = int(EdgeKind.RISING), int(EdgeKind.PULSE)
-_MOST_WORDS = 6  # of one turn of the loop
+_MOST_WORDS = 6  # of one iteration of the loop
 
 _next_high = kernel(next_high)
 
 
 @entry
 def write_evt2(events: _Bytes, edges: _Bytes, mask: int, state: _State, out: _Words) -> int:
-    """Write words until all events and edges are told or `out` is full.
+    """Write words until all events and edges are written or `out` is full.
 
-    As `write_words`, but for `mask`: NO_MASK, MASK_FIRST or MASK_LAST.
+    Like `write_words`, except for `mask`: NO_MASK, MASK_FIRST or MASK_LAST.
     """
-    told = 0
-    while told <= len(out) - _MOST_WORDS and is_left(events, edges, state):
+    written = 0
+    while written <= len(out) - _MOST_WORDS and is_left(events, edges, state):
         is_edge = edge_is_next(events, edges, state)
         t = next_time(events, edges, is_edge, state)
         fault = fault_of(t, state)
         if fault:
             return fault
         high = t >> _LOW_BITS
-        if high != state[HIGH_TOLD] or state[MUST_OPEN]:
-            if high != state[HIGH_TOLD]:
-                state[HIGH_TOLD] = _next_high(state[HIGH_TOLD], high, _HIGH_BITS)
-            told = _put(out, told, mask, _HIGH | state[HIGH_TOLD] & 0xFFFFFFF, 0)
-            state[MUST_OPEN] = high != state[HIGH_TOLD]
+        if high != state[HIGH_SENT] or state[MUST_OPEN]:
+            if high != state[HIGH_SENT]:
+                state[HIGH_SENT] = _next_high(state[HIGH_SENT], high, _HIGH_BITS)
+            written = _put(out, written, mask, _HIGH | state[HIGH_SENT] & 0xFFFFFFF, 0)
+            state[MUST_OPEN] = high != state[HIGH_SENT]
             continue
         state[LAST] = t
         low = (t & 0x3F) << 22
-        told = _put_edge(edges, mask, low, state, out, told) if is_edge else _put_event(
-            events, mask, low, state, out, told
+        written = _put_edge(edges, mask, low, state, out, written) if is_edge else _put_event(
+            events, mask, low, state, out, written
         )  # fmt: skip
-        if told < 0:
+        if written < 0:
             return OUTSIDE
-    return told
+    return written
 
 
 @kernel
-def _put(out: _Words, told: int, mask: int, word: int, columns: int) -> int:
-    """Write a word and its columns; returns the place of the next word."""
+def _put(out: _Words, written: int, mask: int, word: int, columns: int) -> int:
+    """Write a word and its columns; return the index of the next word."""
     if mask == NO_MASK:
-        out[np.uint64(told)] = word
-        return told + 1
-    out[np.uint64(told)] = columns if mask == MASK_FIRST else word
-    out[np.uint64(told + 1)] = word if mask == MASK_FIRST else columns
-    return told + 2
+        out[np.uint64(written)] = word
+        return written + 1
+    out[np.uint64(written)] = columns if mask == MASK_FIRST else word
+    out[np.uint64(written + 1)] = word if mask == MASK_FIRST else columns
+    return written + 2
 
 
 @kernel
-def _put_edge(edges: _Bytes, mask: int, low: int, state: _State, out: _Words, told: int) -> int:
+def _put_edge(edges: _Bytes, mask: int, low: int, state: _State, out: _Words, written: int) -> int:
     """Write an edge, or both edges of a pulse."""
     at = state[AT_EDGE] * EDGE_BYTES
     kind, word = edges[np.uint64(at + 8)], _TRIGGER | low | int(edges[np.uint64(at + 9)] & 0x1F) << 8
     state[AT_EDGE] += 1
-    told = _put(out, told, mask, word | (kind in (_RISING, _PULSE)), 0)
-    return _put(out, told, mask, word, 0) if kind == _PULSE else told
+    written = _put(out, written, mask, word | (kind in (_RISING, _PULSE)), 0)
+    return _put(out, written, mask, word, 0) if kind == _PULSE else written
 
 
 @kernel
-def _put_event(events: _Bytes, mask: int, low: int, state: _State, out: _Words, told: int) -> int:
-    """Write the next event, or all that one mask holds; returns a negative number for one outside."""
+def _put_event(events: _Bytes, mask: int, low: int, state: _State, out: _Words, written: int) -> int:
+    """Write the next event, or all events of one mask; return a negative number for one outside."""
     at = state[AT_EVENT] * EVENT_BYTES
     x, y, on = short_at(events, at + 8), short_at(events, at + 10), events[np.uint64(at + 12)] != 0
     if (x | y) >= _LIMIT_PX:
@@ -173,7 +170,7 @@ def _put_event(events: _Bytes, mask: int, low: int, state: _State, out: _Words, 
         column = x - x % _WINDOW_PX
         bits, count = window(events, at, column)
     state[AT_EVENT] += count
-    return _put(out, told, mask, (_ON if on else 0) | low | column << 11 | y, bits)
+    return _put(out, written, mask, (_ON if on else 0) | low | column << 11 | y, bits)
 
 
 _ON_EVT2_READING, _HIGH_EVT2_READING, _TRIGGER_EVT2_READING = evt2_words.ON, evt2_words.HIGH, evt2_words.TRIGGER
@@ -182,7 +179,7 @@ _HIGH_BITS_EVT2_READING = evt2_words.HIGH_BITS
 
 @kernel
 def _pair(words: _Words, i: int, mask: int) -> tuple[int, int]:
-    """Return word `i` and its columns; those of a word without a mask are its own one."""
+    """Return word `i` and its columns; a word without a mask has one column, its own."""
     if mask == NO_MASK:
         return int(np.int64(words[i])), 1
     first, second = int(np.int64(words[2 * i])), int(np.int64(words[2 * i + 1]))
@@ -191,7 +188,7 @@ def _pair(words: _Words, i: int, mask: int) -> tuple[int, int]:
 
 @entry
 def count_evt2(words: _Words, mask: int, is_started: bool) -> tuple[int, int]:
-    """Return how many events and edges (n,) words hold, from the first high part on unless `is_started`."""
+    """Return the numbers of events and edges in (n,) words, from the first high part on unless `is_started`."""
     events, edges = 0, 0
     for i in range(len(words) if mask == NO_MASK else len(words) // 2):
         word, columns = _pair(words, i, mask)
@@ -231,13 +228,13 @@ _MASKS = {"evt2": NO_MASK, "evt21": MASK_FIRST, "evt21-legacy": MASK_LAST}
 
 
 class Evt2Encoder:
-    """Makes words of events and edges; each call goes on where the last one ended.
+    """Encoder of events and edges into words; each call continues where the last one ended.
 
     Parameters
     ----------
     form : EVT2, EVT2.1, or EVT2.1 as the IMX636 sends it. In EVT2.1, events of a time, row and polarity whose columns
         rise within 32 columns from a multiple of 32 share a word.
-    standalone : whether the words of each call begin with their time.
+    standalone : true if the words of each call begin with their time.
     """
 
     def __init__(self, form: Form, *, standalone: bool = False) -> None:
@@ -255,7 +252,7 @@ class Evt2Encoder:
         self._coder = Coder(words, standalone=standalone)
 
     def encode(self, events: Events, edges: Edges | None = None) -> bytes:
-        """Return the words of events (n,) EVENT and edges (m,) EDGE, each sorted and no earlier than what was told.
+        """Return the words of events (n,) EVENT and edges (m,) EDGE, each sorted and not before the time already sent.
 
         Edges come before events of the same time. Raises ValueError for a time that goes back, a gap of more than
         38 hours, or a place beyond 2047; the encoder then is as it was before.
@@ -263,22 +260,22 @@ class Evt2Encoder:
         return self._coder.encode(events, edges)
 
     def advance(self, t_us: int) -> bytes:
-        """Return the words that bring readers to `t_us`, where nothing happens; no event may be earlier afterwards.
+        """Return the words that advance readers to `t_us` during a silence; no later event may be before `t_us`.
 
-        Nothing where no high part is due (64 us each), or where a later time was told already. Raises ValueError for
+        Empty if no high part is due (64 us each), or if a later time has been sent already. Raises ValueError for
         a gap of more than 38 hours.
         """
         return self._coder.advance(t_us)
 
 
 class Evt2Decoder:
-    """Reads words of a form piece by piece. What comes before the first time is left out, as its time is unknown."""
+    """Decoder of words in pieces. Words before the first time are skipped, as their time is unknown."""
 
     def __init__(self, form: Form) -> None:
         self._mask = _MASKS[form]
         self._high = np.array([-1], np.int64)
         self._rest = b""
-        self.decode(b"")  # compiles the kernels now, not when words wait
+        self.decode(b"")  # compiles the kernels now, not while words wait
 
     def decode(self, data: bytes) -> tuple[Events, Edges]:
         """Return events (n,) EVENT and edges (m,) EDGE of the next bytes, which may end inside a word.

@@ -1,21 +1,17 @@
-"""Events and edges to EVT3 words.
+"""Events and edges to EVT3 words, and back, also for the words of real sensors.
 
 Events of the same time, row and polarity whose columns rise within one window of 32 columns, which begins at a
-multiple of 32, become four words (0x3, 0x4, 0x4, 0x5) where they are five or more. So no reader sees them in another
-order than they were given in.
+multiple of 32, become four words (0x3, 0x4, 0x4, 0x5) if they are five or more. So every reader gets them in the order
+in which they were given.
 
-Words of events, compiled: one pass over the records, and nothing is allocated.
+The encoder is a compiled kernel: one pass over the records, without allocation. It is fast because the low part of the
+time, the row and the column are always stored, and the index of the next word advances only if they were needed. For
+scattered events, a branch for each would be mispredicted about once an event, which costs more than all the rest. One
+record decides whether a vector may begin: the fourth after the present one.
 
-What makes it fast: the low part of the time, the row and the column are always stored, and the place of the next word
-moves on only if they were needed. Where events are scattered, a branch for each would be guessed wrong about once an
-event, which costs more than all the rest. Whether a vector may begin is seen from one record: the fourth after this.
-
-Events of words, compiled: one pass counts them, the next writes the records into room of just that size.
-
-What makes it fast: counting is a sum without branches, so it costs little beside a buffer that grows; the second pass
-keeps all that words told in registers.
-
-EVT3 words to events and edges, also those of real sensors.
+The decoder is compiled too: one pass counts events and edges, the next writes the records into an array of exactly
+that size. Counting is a sum without branches, so it costs little compared with a buffer that grows; the second pass
+holds its whole state in processor registers.
 """
 
 from __future__ import annotations
@@ -33,13 +29,13 @@ from firmware_protocol.evt.words import (
     EVENT_BYTES,
     HIGH,
     HIGH_BITS,
-    HIGH_TOLD,
+    HIGH_SENT,
     LAST,
     LIMIT_PX,
     MUST_OPEN,
     OUTSIDE,
-    ROW_TOLD,
-    TIME_TOLD,
+    ROW_SENT,
+    TIME_SENT,
     Coder,
     Filled,
     Words,
@@ -81,14 +77,14 @@ _VECTOR_12, _VECTOR_8 = words.VECTOR_12 << 12, words.VECTOR_8 << 12
 _BITS, _LIMIT_PX, _WINDOW_PX = words.HIGH_BITS, words.LIMIT_PX, words.WINDOW_PX
 _RISING, _PULSE = int(EdgeKind.RISING), int(EdgeKind.PULSE)
 _FEWEST = 5  # events of a vector: it takes four words
-_MOST_WORDS = 8  # of one turn of the loop
+_MOST_WORDS = 8  # of one iteration of the loop
 
 _next_high = kernel(words.next_high)
 
 
 @entry
 def write_words(events: _Bytes, edges: _Bytes, width: int, state: _State, out: _Words) -> int:
-    """Write words until all events and edges are told or `out` is full.
+    """Write words until all events and edges are written or `out` is full.
 
     Parameters
     ----------
@@ -97,86 +93,86 @@ def write_words(events: _Bytes, edges: _Bytes, width: int, state: _State, out: _
     width
         Columns of the sensor.
     state
-        (8,) as `pending` draws it; where it stands when this returns.
+        (8,) with the layout in `words`; on return the state after the last word.
     out
         (k,) room, k at least 8.
 
     Returns
     -------
     int
-        How many words; negative: BACKWARDS, TOO_LATE or OUTSIDE, and `state` is of no use.
+        Number of words; negative: BACKWARDS, TOO_LATE or OUTSIDE, and `state` is invalid.
     """
-    told = 0
-    while told <= len(out) - _MOST_WORDS and is_left(events, edges, state):
+    written = 0
+    while written <= len(out) - _MOST_WORDS and is_left(events, edges, state):
         is_edge = edge_is_next(events, edges, state)
         t = next_time(events, edges, is_edge, state)
         fault = fault_of(t, state)
         if fault:
             return fault
         high = t >> _BITS
-        if high != state[HIGH_TOLD] or state[MUST_OPEN]:
-            told = _put_high(high, state, out, told)
-            if high != state[HIGH_TOLD]:
+        if high != state[HIGH_SENT] or state[MUST_OPEN]:
+            written = _put_high(high, state, out, written)
+            if high != state[HIGH_SENT]:
                 continue
         state[LAST] = t
-        out[np.uint64(told)] = _LOW | t & 0xFFF
-        told += t != state[TIME_TOLD]
-        state[TIME_TOLD] = t
-        told = _put_edge(edges, state, out, told) if is_edge else _put_events(events, width, state, out, told)
-        if told < 0:
+        out[np.uint64(written)] = _LOW | t & 0xFFF
+        written += t != state[TIME_SENT]
+        state[TIME_SENT] = t
+        written = _put_edge(edges, state, out, written) if is_edge else _put_events(events, width, state, out, written)
+        if written < 0:
             return OUTSIDE
-    return told
+    return written
 
 
 @kernel
-def _put_high(high: int, state: _State, out: _Words, told: int) -> int:
-    """Write one high part on the way to `high`, or `high` itself; returns the place of the next word."""
-    if high != state[HIGH_TOLD]:
-        state[HIGH_TOLD] = _next_high(state[HIGH_TOLD], high, _BITS)
-    out[np.uint64(told)] = _HIGH | state[HIGH_TOLD] & 0xFFF
-    state[MUST_OPEN] = state[MUST_OPEN] and high != state[HIGH_TOLD]
-    return told + 1
+def _put_high(high: int, state: _State, out: _Words, written: int) -> int:
+    """Write one high part on the way to `high`, or `high` itself; return the index of the next word."""
+    if high != state[HIGH_SENT]:
+        state[HIGH_SENT] = _next_high(state[HIGH_SENT], high, _BITS)
+    out[np.uint64(written)] = _HIGH | state[HIGH_SENT] & 0xFFF
+    state[MUST_OPEN] = state[MUST_OPEN] and high != state[HIGH_SENT]
+    return written + 1
 
 
 @kernel
-def _put_edge(edges: _Bytes, state: _State, out: _Words, told: int) -> int:
+def _put_edge(edges: _Bytes, state: _State, out: _Words, written: int) -> int:
     """Write an edge, or both edges of a pulse."""
     at = state[AT_EDGE] * EDGE_BYTES
     kind, word = edges[np.uint64(at + 8)], _TRIGGER | int(edges[np.uint64(at + 9)] & 0xF) << 8
     state[AT_EDGE] += 1
-    out[np.uint64(told)] = word | (kind in (_RISING, _PULSE))
-    out[np.uint64(told + 1)] = word
-    return told + (2 if kind == _PULSE else 1)
+    out[np.uint64(written)] = word | (kind in (_RISING, _PULSE))
+    out[np.uint64(written + 1)] = word
+    return written + (2 if kind == _PULSE else 1)
 
 
 @kernel
-def _put_events(events: _Bytes, width: int, state: _State, out: _Words, told: int) -> int:
-    """Write the next event, or as many as one vector holds; returns a negative number for one outside."""
+def _put_events(events: _Bytes, width: int, state: _State, out: _Words, written: int) -> int:
+    """Write the next event, or all events of one vector; return a negative number for one outside."""
     at = state[AT_EVENT] * EVENT_BYTES
     x, y, on = short_at(events, at + 8), short_at(events, at + 10), events[np.uint64(at + 12)] != 0
     if (x | y) >= _LIMIT_PX:
         return OUTSIDE
-    out[np.uint64(told)] = _ROW | y
-    told += y != state[ROW_TOLD]
-    state[ROW_TOLD] = y
+    out[np.uint64(written)] = _ROW | y
+    written += y != state[ROW_SENT]
+    state[ROW_SENT] = y
     base = x - x % _WINDOW_PX
     if base + _WINDOW_PX <= width and same_group(events, at, at + (_FEWEST - 1) * EVENT_BYTES, base):
         bits, count = window(events, at, base)
         if count >= _FEWEST:
             state[AT_EVENT] += count
-            return _put_vector(base, on, bits, out, told)
-    out[np.uint64(told)] = _SINGLE | on << 11 | x
+            return _put_vector(base, on, bits, out, written)
+    out[np.uint64(written)] = _SINGLE | on << 11 | x
     state[AT_EVENT] += 1
-    return told + 1
+    return written + 1
 
 
 @kernel
-def _put_vector(base: int, on: bool, bits: int, out: _Words, told: int) -> int:
-    out[np.uint64(told)] = _BASE | on << 11 | base
-    out[np.uint64(told + 1)] = _VECTOR_12 | bits & 0xFFF
-    out[np.uint64(told + 2)] = _VECTOR_12 | bits >> 12 & 0xFFF
-    out[np.uint64(told + 3)] = _VECTOR_8 | bits >> 24
-    return told + 4
+def _put_vector(base: int, on: bool, bits: int, out: _Words, written: int) -> int:
+    out[np.uint64(written)] = _BASE | on << 11 | base
+    out[np.uint64(written + 1)] = _VECTOR_12 | bits & 0xFFF
+    out[np.uint64(written + 2)] = _VECTOR_12 | bits >> 12 & 0xFFF
+    out[np.uint64(written + 3)] = _VECTOR_8 | bits >> 24
+    return written + 4
 
 
 _WORDS_AN_EVENT = 4  # high part, low part, row, column
@@ -184,13 +180,13 @@ _WORDS_AT_MOST_BESIDE = 4  # high part 0 of the start; both sides of a wrap and 
 
 
 class Evt3Encoder:
-    """Makes words of events and edges; each call goes on where the last one ended.
+    """Encoder of events and edges into words; each call continues where the last one ended.
 
     Parameters
     ----------
-    standalone : whether the words of each call begin with their time and row, as messages and packets need it.
+    standalone : true if the words of each call begin with their time and row, as messages and packets need it.
     width : of the sensor; no vector passes its last column. The default suits widths that are multiples of 32.
-    origin_us : time of events and edges that is zero in the words; `advance` goes by the time of the words.
+    origin_us : time of events and edges that is zero in the words; `advance` uses the time of the words.
     """
 
     def __init__(self, *, standalone: bool = False, width: int = LIMIT_PX, origin_us: int = 0) -> None:
@@ -203,14 +199,14 @@ class Evt3Encoder:
 
     @staticmethod
     def max_bytes(n_events: int) -> int:
-        """Return how many bytes `encode` gives at most for `n_events` events and edges together.
+        """Return the most bytes that `encode` returns for `n_events` events and edges together.
 
-        It holds while no time is more than 8.3 s after the newest one told before; `advance` through silences.
+        It holds while no time is more than 8.3 s after the newest one sent before; `advance` through silences.
         """
         return 2 * (_WORDS_AN_EVENT * n_events + _WORDS_AT_MOST_BESIDE)
 
     def encode(self, events: Events, edges: Edges | None = None) -> bytes:
-        """Return the words of events (n,) EVENT and edges (m,) EDGE, each sorted and no earlier than what was told.
+        """Return the words of events (n,) EVENT and edges (m,) EDGE, each sorted and not before the time already sent.
 
         Edges come before events of the same time. Raises ValueError for a time that goes back, a gap of more than
         38 hours, or a place beyond 2047; the encoder then is as it was before.
@@ -218,22 +214,22 @@ class Evt3Encoder:
         return self._coder.encode(events, edges)
 
     def fill(self, events: Events, edges: Edges, octets: int) -> Filled:
-        """Return the words of as many of the first events and edges as `octets` (64 to 65536) hold; as `encode`."""
+        """Return the words of as many of the first events and edges as fit `octets` (64 to 65536); see `encode`."""
         return self._coder.fill(events, edges, octets)
 
     def advance(self, t_us: int) -> bytes:
-        """Return the words that bring readers to `t_us`, where nothing happens; no event may be earlier afterwards.
+        """Return the words that advance readers to `t_us` during a silence; no later event may be before `t_us`.
 
-        Nothing where no high part is due (4096 us each), or where a later time was told already. Call it at least
+        Empty if no high part is due (4096 us each), or if a later time has been sent already. Call it at least
         every 4 s of silence. Raises ValueError for a gap of more than 38 hours.
         """
         return self._coder.advance(t_us)
 
 
-# What a state holds: full high part (-1: none yet), low part, row, column and polarity of the next vector.
+# Content of a state: full high part (-1: none yet), low part, row, column and polarity of the next vector.
 HIGH_READ, _LOW_READ, _ROW_READ, _COLUMN, _POLARITY = range(5)
 
-# Plain numbers are what compiled code holds.
+# Compiled code holds plain numbers.
 _ROW_READING, _SINGLE_READING, _BASE_READING, _LOW_READING, _HIGH_READING, _TRIGGER_READING = (
     kinds.ROW, kinds.SINGLE, kinds.BASE, kinds.LOW, kinds.HIGH, kinds.TRIGGER,
 )  # fmt: skip
@@ -249,11 +245,11 @@ def new_state() -> _State:
 
 @entry
 def count_words(words: _Words) -> tuple[int, int]:
-    """Return how many events and edges (n,) words hold."""
+    """Return the numbers of events and edges in (n,) words."""
     events, edges = 0, 0
     for word in words:
         kind = word >> 12
-        # The column bits of a vector, none of other words; then their number.
+        # The column bits of a vector, none for other words; then their number.
         bits = np.int64(word & (0xFFF if kind == _VECTOR_12_READING else 0xFF if kind == _VECTOR_8_READING else 0))
         bits -= bits >> 1 & 0x555
         bits = (bits & 0x333) + (bits >> 2 & 0x333)
@@ -264,7 +260,7 @@ def count_words(words: _Words) -> tuple[int, int]:
 
 @entry
 def read_words(words: _Words, state: _State, events: _Bytes, edges: _Bytes) -> None:
-    """Write the records of all (n,) words; `events` and `edges` are what `count_words` tells. The state goes on."""
+    """Write the records of all (n,) words to `events` and `edges`, sized by `count_words`, and update `state`."""
     high, low, row = state[HIGH_READ], state[_LOW_READ], state[_ROW_READ]
     column, on, at, at_edge = state[_COLUMN], state[_POLARITY], 0, 0
     for word in words:
@@ -301,7 +297,7 @@ def full_high(high: int, part: int, bits: int) -> int:
 
 @kernel
 def put_event(events: _Bytes, at: int, t: int, x: int, y: int, on: int) -> int:
-    """Write an EVENT record; returns the place of the next one."""
+    """Write an EVENT record; return the index of the next one."""
     put_time(events, at, t)
     put_short(events, at + 8, x)
     put_short(events, at + 10, y)
@@ -323,7 +319,7 @@ def _put_columns(events: _Bytes, at: int, t: int, bits: int, place: tuple[int, i
 
 @kernel
 def put_edge(edges: _Bytes, at: int, t: int, channel: int, is_rising: int) -> int:
-    """Write an EDGE record; returns the place of the next one."""
+    """Write an EDGE record; return the index of the next one."""
     put_time(edges, at, t)
     edges[np.uint64(at + 8)] = _RISING_READING if is_rising else _FALLING
     edges[np.uint64(at + 9)] = channel
@@ -332,12 +328,12 @@ def put_edge(edges: _Bytes, at: int, t: int, channel: int, is_rising: int) -> in
 
 
 class Evt3Decoder:
-    """Reads words piece by piece. What comes before the first time is left out, as its time is unknown."""
+    """Decoder of words in pieces. Words before the first time are skipped, as their time is unknown."""
 
     def __init__(self) -> None:
         self._state = new_state()
         self._rest = b""
-        self.decode(b"")  # compiles the kernels now, not when words wait
+        self.decode(b"")  # compiles the kernels now, not while words wait
 
     def decode(self, data: bytes) -> tuple[Events, Edges]:
         """Return events (n,) EVENT and edges (m,) EDGE of the next bytes, which may end inside a word.

@@ -1,4 +1,4 @@
-"""The words of EVT3, and the text before them in a file.
+"""The words of EVT3, headers of files, and the encoding loop that the EVT formats share.
 
 A word has 16 bits, little-endian:
 
@@ -11,25 +11,18 @@ A word has 16 bits, little-endian:
     0x6     time, bits 11..0, us
     0x8     time, bits 23..12
     0xA     channel in bits 11..8, edge in bit 0 (1: rising)      external trigger
-    0xE     subtype: numbers of the sensor, with 0xF and 0x7 as their digits. Nothing to us
+    0xE     subtype: numbers of the sensor, with 0xF and 0x7 as their digits. Not used here
 
-Row, time and the place of vectors hold until a word changes them. The time wraps every 2^24 us (16.8 s): a reader
+Row, time and the column of vectors hold until a word changes them. The time wraps every 2^24 us (16.8 s): a reader
 counts a wrap when the high part goes back by more than half its range, so every step of it must be below 2048 (8.4 s).
-OpenEB wants both sides of a wrap, 0xFFF and 0x000, takes 0x4, 0x4, 0x5 as one unit of 32 columns, and by default drops
-a unit that passes the sensor's last column, even where no bit beyond it is set (hal, evt3_validator.h).
+OpenEB requires both sides of a wrap, 0xFFF and 0x000, reads 0x4, 0x4, 0x5 as one unit of 32 columns, and by default
+drops a unit that passes the sensor's last column, even if no bit beyond it is set (hal, evt3_validator.h).
 
 Sources: docs.prophesee.ai, "EVT 3.0 Format"; OpenEB 5.1.1.
 
-How the loops of this folder are compiled: see `firmware_protocol.compiled`.
-
-EVENT and EDGE records as bytes, in compiled loops.
-
-Places are unsigned: numba then adds no test for an index from the end, and the compiler joins the bytes of a number
-into one load or store.
-
-Events and edges that wait to be coded, as compiled loops see them: which one is next, and which go together.
-
-The course of an encoder, whatever its words: records to bytes, and silences.
+The compiled loops (see `firmware_protocol.compiled`) read EVENT and EDGE records as bytes. Indices are unsigned: numba
+then adds no test for an index from the end, and the compiler joins the bytes of a number into one load or store. The
+loops find the next event or edge, and the events that share words; `Coder` runs them, whatever the format of the words.
 """
 
 from __future__ import annotations
@@ -53,7 +46,7 @@ __all__ = [
     "EVENT_BYTES",
     "HIGH",
     "HIGH_BITS",
-    "HIGH_TOLD",
+    "HIGH_SENT",
     "LAST",
     "LIMIT_PX",
     "LONGEST_GAP_US",
@@ -62,9 +55,9 @@ __all__ = [
     "ORIGIN",
     "OUTSIDE",
     "ROW",
-    "ROW_TOLD",
+    "ROW_SENT",
     "SINGLE",
-    "TIME_TOLD",
+    "TIME_SENT",
     "TOO_LATE",
     "TRIGGER",
     "VECTOR_8",
@@ -104,18 +97,18 @@ def evt3_header(size: tuple[int, int]) -> bytes:
     return "".join(f"% {line}\n" for line in lines).encode("ascii")
 
 
-def next_high(told: int, wanted: int, bits: int) -> int:
-    """Return which full high part of a time to write next after `told`, on the way to `wanted` > `told`.
+def next_high(written: int, wanted: int, bits: int) -> int:
+    """Return the full high part of a time to write next after `written`, on the way to `wanted` > `written`.
 
-    A word holds `bits` bits of it. -1 is told before the first word, so every stream begins with high part 0.
+    A word holds `bits` bits of it. -1 stands before the first word, so every stream begins with high part 0.
     """
     wrap = 1 << bits
     quarter = wrap // 4
-    if told >> bits == wanted >> bits and wanted - told < 2 * quarter:
+    if written >> bits == wanted >> bits and wanted - written < 2 * quarter:
         return wanted
-    next_step = (told // quarter + 1) * quarter
-    end_of_wrap = told | wrap - 1
-    if end_of_wrap > told:
+    next_step = (written // quarter + 1) * quarter
+    end_of_wrap = written | wrap - 1
+    if end_of_wrap > written:
         next_step = min(next_step, end_of_wrap)
     return min(next_step, wanted)
 
@@ -162,10 +155,10 @@ def put_short(data: _Bytes, at: int, value: int) -> None:
 
 _State = npt.NDArray[np.int64]
 
-# What a state holds: full high part, full time and row that words told (-1: none), the newest time given, the next
-# event and edge of this call, whether a high part must be written although it is known, and which time of the records
-# is zero in the words. All other times are those of the words.
-HIGH_TOLD, TIME_TOLD, ROW_TOLD, LAST, AT_EVENT, AT_EDGE, MUST_OPEN, ORIGIN = range(8)
+# Content of a state: full high part, full time and row in the words so far (-1: none), the newest time given, the next
+# event and edge of this call, a flag for a high part that must be written although readers have it, and the time of the
+# records that is zero in the words. All other times are those of the words.
+HIGH_SENT, TIME_SENT, ROW_SENT, LAST, AT_EVENT, AT_EDGE, MUST_OPEN, ORIGIN = range(8)
 BACKWARDS, TOO_LATE, OUTSIDE = -1, -2, -3
 LONGEST_GAP_US = 1 << 37  # 38 hours: 41 000 words
 
@@ -179,7 +172,7 @@ def new_state(origin_us: int = 0) -> _State:
 
 @kernel
 def is_left(events: _Bytes, edges: _Bytes, state: _State) -> bool:
-    """Whether any is left."""
+    """Return true if any event or edge is left."""
     return bool(state[AT_EVENT] * EVENT_BYTES < len(events) or state[AT_EDGE] * EDGE_BYTES < len(edges))
 
 
@@ -193,7 +186,7 @@ def next_time(events: _Bytes, edges: _Bytes, is_edge: bool, state: _State) -> in
 
 @kernel
 def fault_of(t: int, state: _State) -> int:
-    """Return BACKWARDS or TOO_LATE where time `t` cannot follow, else 0."""
+    """Return BACKWARDS or TOO_LATE if time `t` cannot follow, else 0."""
     if t < state[LAST]:
         return BACKWARDS
     return TOO_LATE if t - state[LAST] > LONGEST_GAP_US else 0
@@ -201,7 +194,7 @@ def fault_of(t: int, state: _State) -> int:
 
 @kernel
 def edge_is_next(events: _Bytes, edges: _Bytes, state: _State) -> bool:
-    """Whether an edge comes next: those of an event's time come before it."""
+    """Return true if an edge comes next: edges come before events of the same time."""
     at = state[AT_EDGE] * EDGE_BYTES
     if at >= len(edges):
         return False
@@ -211,7 +204,7 @@ def edge_is_next(events: _Bytes, edges: _Bytes, state: _State) -> bool:
 
 @kernel
 def same_group(events: _Bytes, at: int, other: int, base: int) -> bool:
-    """Whether a record lies at `other`, with time, row and polarity of that at `at`, in the window from `base`."""
+    """Return true if record `other` has the time, row and polarity of record `at`, in the window from `base`."""
     if other >= len(events):
         return False
     x, on = short_at(events, other + 8), (events[np.uint64(at + 12)] != 0) == (events[np.uint64(other + 12)] != 0)
@@ -221,7 +214,7 @@ def same_group(events: _Bytes, at: int, other: int, base: int) -> bool:
 
 @kernel
 def window(events: _Bytes, at: int, base: int) -> tuple[int, int]:
-    """Return the columns of the window from `base`, a bit each, that the records from `at` on fill; and how many."""
+    """Return the columns in the window from `base`, a bit each, that records from `at` on fill, and their number."""
     bits, count, last, other = 0, 0, -1, at
     while same_group(events, at, other, base) and short_at(events, other + 8) > last:
         last = short_at(events, other + 8)
@@ -241,18 +234,18 @@ _COMPLAINTS = {
 
 @dataclass(frozen=True)
 class Words:
-    """The words of a format.
+    """Properties of a word format.
 
     Attributes
     ----------
     dtype
-        Of a word.
+        Type of a word.
     low_bits, high_bits
-        Of a time, in a low part and in a high part.
+        Bits of a time, in a low part and in a high part.
     write
-        Writes the next words of events and edges, both as bytes; see `write_words`.
+        Kernel that writes the next words of events and edges, both as bytes; see `write_words`.
     high_words
-        Gives the words of a high part.
+        Function that returns the words of a high part.
     """
 
     dtype: type[np.unsignedinteger]
@@ -263,7 +256,7 @@ class Words:
 
 
 class Filled(NamedTuple):
-    """Words, and how many of the first events and edges they tell."""
+    """Words, and the numbers of the first events and edges in them."""
 
     words: bytes
     events: int
@@ -271,9 +264,9 @@ class Filled(NamedTuple):
 
 
 class Coder:
-    """Makes words; each call goes on where the last one ended, or with `standalone` begins with time and row.
+    """Encoder; each call continues where the last one ended, or with `standalone` begins with time and row.
 
-    Its kernels are compiled, or read from the disk, when it is made: not when events wait.
+    The constructor compiles the kernels, or reads them from disk, so that no event has to wait for it.
     """
 
     def __init__(self, words: Words, *, standalone: bool, origin_us: int = 0) -> None:
@@ -293,16 +286,16 @@ class Coder:
             parts.append(self._written(event_bytes, edge_bytes, state, self._out))
             if state[AT_EVENT] == len(events) and state[AT_EDGE] == len(edges):
                 break
-        if parts != [b""]:  # what has no words opens nothing
+        if parts != [b""]:  # a call without words starts no stream
             self._state = state
         return b"".join(parts)
 
     def fill(self, events: Events, edges: Edges, octets: int) -> Filled:
-        """Return the words of as many of the first events and edges as `octets` hold; see the encoders."""
+        """Return the words of as many of the first events and edges as fit `octets`; see the encoders."""
         state = self._begun()
         room = self._out[: octets // self._out.itemsize]
         words = self._written(bytes_of(events), bytes_of(edges), state, room)
-        if words:  # what has no words opens nothing
+        if words:  # a call without words starts no stream
             self._state = state
         return Filled(words, int(state[AT_EVENT]), int(state[AT_EDGE]))
 
@@ -313,12 +306,12 @@ class Coder:
             raise ValueError(_COMPLAINTS[TOO_LATE])
         if t_us <= state[LAST]:
             return b""
-        words, told, wanted = list[int](), int(state[HIGH_TOLD]), t_us >> format_.low_bits
-        while told < wanted:
-            told = next_high(told, wanted, format_.high_bits)
-            words += format_.high_words(told)
+        words, written, wanted = list[int](), int(state[HIGH_SENT]), t_us >> format_.low_bits
+        while written < wanted:
+            written = next_high(written, wanted, format_.high_bits)
+            words += format_.high_words(written)
         state[LAST] = t_us
-        state[HIGH_TOLD] = told
+        state[HIGH_SENT] = written
         return np.array(words, format_.dtype).tobytes()
 
     def _begun(self) -> _State:
@@ -326,7 +319,7 @@ class Coder:
         state = self._state.copy()
         state[AT_EVENT] = state[AT_EDGE] = 0
         if self._standalone:
-            state[MUST_OPEN], state[TIME_TOLD], state[ROW_TOLD] = 1, -1, -1
+            state[MUST_OPEN], state[TIME_SENT], state[ROW_SENT] = 1, -1, -1
         return state
 
     def _written(self, events: _Bytes, edges: _Bytes, state: _State, out: npt.NDArray[np.unsignedinteger]) -> bytes:

@@ -1,9 +1,9 @@
-"""Consistent Overhead Byte Stuffing: no zero inside a frame, one zero behind it.
+"""Consistent Overhead Byte Stuffing: no zero inside a frame, one zero after it.
 
     frame     group  group  ...  0x00
     group     u8 code (1..255), then code - 1 bytes that are not zero
 
-A group stands for its bytes and then a zero, but for code 255 (254 bytes and no zero) and for the last group of the
+A group represents its bytes and then a zero, except for code 255 (254 bytes and no zero) and for the last group of the
 frame. Cost: one byte, one more per 254 bytes without a zero, and the delimiter.
 
 Source: S. Cheshire and M. Baker, "Consistent Overhead Byte Stuffing", IEEE/ACM Trans. Networking 7(2), 1999.
@@ -21,7 +21,7 @@ _CODES = [bytes([code]) for code in range(256)]
 
 
 def longest(payload_bytes: int) -> int:
-    """Return the most bytes that a payload of that length takes on the line, without the delimiter."""
+    """Return the most bytes on the line for a payload of that length, without the delimiter."""
     return payload_bytes + payload_bytes // _LONGEST_RUN + 1
 
 
@@ -35,7 +35,7 @@ def encode(payload: bytes) -> bytes:
     """Return `payload` without zeros and without a delimiter."""
     runs = payload.split(b"\0")
     last = runs.pop()
-    # A full group says nothing of a zero, so a run that ends with one needs an empty group to say it.
+    # A full group represents no zero, so a run that ends with one needs an empty group for it.
     parts = [
         _CODES[len(run) + 1] + run if len(run) < _LONGEST_RUN else _groups(run) + b"\1" * (len(run) % _LONGEST_RUN == 0)
         for run in runs
@@ -45,7 +45,7 @@ def encode(payload: bytes) -> bytes:
 
 
 def decode(piece: bytes) -> bytes:
-    """Undo `encode`. Raises FrameError when a group reaches beyond the end or a zero stands inside."""
+    """Decode the result of `encode`. Raises FrameError if a group exceeds the piece or a zero is inside."""
     if b"\0" in piece:
         raise FrameError("zero inside")
     parts = []
@@ -67,7 +67,7 @@ def frame(payload: bytes) -> bytes:
 
 
 class Deframer(DelimitedDeframer):
-    """Gives the payloads of COBS frames of up to `max_payload` bytes. COBS checks little: the packet has a CRC."""
+    """Deframer of COBS frames of up to `max_payload` bytes. COBS detects few errors: the packet has a CRC."""
 
     def __init__(self, max_payload: int = DEFAULT_MAX_PAYLOAD) -> None:
         super().__init__(DELIMITER, longest(max_payload))

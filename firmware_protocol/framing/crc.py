@@ -1,6 +1,6 @@
 """The three checksums of the packet and framing standards, over whole byte strings.
 
-    name               polynomial   start        reflected  final xor   of "123456789"  who
+    name               polynomial   start        reflected  final xor   of "123456789"  used by
     CRC-16-CCITT-FALSE 0x1021       0xFFFF       no         0           0x29B1          CCSDS, PUS packet error control
     CRC-32             0x04C11DB7   0xFFFFFFFF   yes        0xFFFFFFFF  0xCBF43926      F Prime, Ethernet, zlib
     CRC-32C            0x1EDC6F41   0xFFFFFFFF   yes        0xFFFFFFFF  0xE3069283      libcsp (csp_crc32.c), iSCSI
@@ -45,7 +45,7 @@ def _byte_table() -> npt.NDArray[np.uint32]:
 
 
 def _place_tables() -> npt.NDArray[np.uint32]:
-    """Remainder of each byte at each place of a row, shape (_ROW, 256): place p has _ROW - 1 - p bytes behind it."""
+    """Remainder of each byte at each place of a row, shape (_ROW, 256): _ROW - 1 - p bytes follow place p."""
     tables = np.empty((_ROW, 256), np.uint32)
     tables[-1] = byte = _byte_table()
     for place in range(_ROW - 2, -1, -1):
@@ -71,7 +71,7 @@ def crc32c(data: bytes) -> int:
     """CRC-32C (Castagnoli) of `data`, as libcsp computes it."""
     if len(data) < 4:
         return _short(data)
-    # Zeros in front leave a register of zero as it is, so the start value goes into the first four bytes instead.
+    # Leading zeros leave a register of zero unchanged, so the start value goes into the first four bytes instead.
     padding = -len(data) % _ROW
     rows = np.zeros(padding + len(data), np.uint8)
     rows[padding:] = np.frombuffer(data, np.uint8)

@@ -1,4 +1,4 @@
-"""No framing: for carriers that keep packets apart themselves (ISO-TP, CFP on CAN, UDP). One push is one packet."""
+"""No framing, for transports that preserve packet boundaries (ISO-TP, CFP on CAN, UDP). One push is one packet."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ def frame(payload: bytes) -> bytes:
 
 
 def frame_sealed(payload: bytes) -> bytes:
-    """Return `payload` with its CRC-32C behind it, as CSP carries it on CAN."""
+    """Return `payload` followed by its CRC-32C, as CSP has it on CAN."""
     return sealed(payload)
 
 
 class Deframer(StreamDeframer):
-    """Takes one packet of up to `max_payload` bytes with each push."""
+    """Deframer for whole packets of up to `max_payload` bytes, one in each push."""
 
     def __init__(self, max_payload: int = DEFAULT_MAX_PAYLOAD) -> None:
         super().__init__()
         self._max_payload = max_payload
 
     def push(self, data: bytes) -> list[bytes]:
-        """Take one packet."""
+        """Process one packet."""
         self.counters.bytes_received += len(data)
         try:
             payload = self._decode(data)

@@ -1,7 +1,7 @@
-"""Finding frames in a stream of bytes that may be damaged: what all framings with a delimiter share.
+"""Detection of frames in a stream of bytes that may be damaged: the common part of all framings with a delimiter.
 
-A stream is cut at each delimiter; a piece between two delimiters is a frame, and an empty piece is nothing. Where the
-stream is cut into calls of `push` makes no difference to what comes out or is counted. Every byte has one fate:
+A stream is split at each delimiter; a piece between two delimiters is a frame, and an empty piece is ignored. The
+division of the stream into calls of `push` affects neither results nor counts. Every byte has one fate:
 
     received = in frames (with their delimiters, and idle delimiters) + skipped (in refused pieces) + pending
 
@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 __all__ = ["DEFAULT_MAX_PAYLOAD", "DelimitedDeframer", "FrameCounters", "FrameError", "StreamDeframer"]
 
 DEFAULT_MAX_PAYLOAD = 8192
-"""Longest payload of a frame in bytes, unless told otherwise: twice what CRC-16 protects well."""
+"""Longest payload of a frame in bytes, by default: twice the length that CRC-16 protects well."""
 
 
 class FrameError(ValueError):
@@ -26,7 +26,7 @@ class FrameError(ValueError):
 
 @dataclass
 class FrameCounters:
-    """What a deframer has seen.
+    """Counts of a deframer.
 
     Attributes
     ----------
@@ -65,25 +65,25 @@ class FrameCounters:
 
 
 class StreamDeframer(ABC):
-    """Takes bytes as they come and gives the payloads of whole, sound frames."""
+    """Receives bytes in any pieces and returns the payloads of complete, valid frames."""
 
     def __init__(self) -> None:
         self.counters = FrameCounters()
 
     @abstractmethod
     def push(self, data: bytes) -> list[bytes]:
-        """Take the next bytes of the stream; return the payloads of the frames that they complete, in order."""
+        """Process the next bytes of the stream; return the payloads of the frames that they complete, in order."""
 
 
 class DelimitedDeframer(StreamDeframer, ABC):
-    """Cuts the stream at one delimiter byte.
+    """Splits the stream at one delimiter byte.
 
     Parameters
     ----------
     delimiter
-        The byte that stands in no frame.
+        Byte that occurs in no frame.
     max_frame
-        Longest frame in bytes as it stands on the line, without delimiters.
+        Longest frame in bytes on the line, without delimiters.
     """
 
     def __init__(self, delimiter: int, max_frame: int) -> None:
@@ -95,10 +95,10 @@ class DelimitedDeframer(StreamDeframer, ABC):
 
     @abstractmethod
     def decode(self, piece: bytes) -> bytes:
-        """Return the payload of a piece between delimiters (not empty). Raises FrameError when it is damaged."""
+        """Return the payload of a piece between delimiters (not empty). Raises FrameError if it is damaged."""
 
     def push(self, data: bytes) -> list[bytes]:
-        """Take the next bytes of the stream; return the payloads of the frames that they complete, in order."""
+        """Process the next bytes of the stream; return the payloads of the frames that they complete, in order."""
         self.counters.bytes_received += len(data)
         pieces = data.split(self._delimiter)
         if len(pieces) == 1:
@@ -112,7 +112,7 @@ class DelimitedDeframer(StreamDeframer, ABC):
         return payloads
 
     def _begin(self, piece: bytes) -> None:
-        """Keep the head of a frame, or let it go when it has grown too long."""
+        """Store the head of a frame, or skip it when it has grown too long."""
         if not self._skipping and len(piece) > self._max_frame:
             self._skipping = True
             self.counters.refused["too long"] += 1
@@ -122,7 +122,7 @@ class DelimitedDeframer(StreamDeframer, ABC):
         self._begun = piece
 
     def _finish(self, piece: bytes) -> bytes | None:
-        """Judge a piece that a delimiter has ended."""
+        """Decode a piece that a delimiter has ended."""
         if self._skipping:
             self._skipping = False
             self.counters.bytes_skipped += len(piece) + 1

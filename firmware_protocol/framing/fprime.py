@@ -8,9 +8,9 @@
 Source: F Prime (nasa/fprime), Svc/FprimeProtocol/docs/sdd.md; byte order and checksum from Svc/FramingProtocol/
 FprimeProtocol.cpp and Utils/Hash/libcrc/CRC32.cpp of October 2024.
 
-The start word may stand in the data too: it counts only where a frame is looked for. When a frame turns out damaged
-the search goes on one byte behind its start word, so a broken length costs at most the frames that it spans, and a
-wait of at most one frame of the greatest length.
+The start word may occur in the data too: it is valid only at the start of a frame. When a frame is damaged, the search
+continues one byte after its start word, so a wrong length costs at most the frames that it spans, and a wait of at most
+one frame of the greatest length.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def frame(payload: bytes) -> bytes:
 
 
 class Deframer(StreamDeframer):
-    """Gives the checked payloads of F Prime frames of up to `max_payload` bytes."""
+    """Deframer of F Prime frames of up to `max_payload` bytes; it returns checked payloads."""
 
     def __init__(self, max_payload: int = DEFAULT_MAX_PAYLOAD) -> None:
         super().__init__()
@@ -42,24 +42,24 @@ class Deframer(StreamDeframer):
         self._held = b""
 
     def push(self, data: bytes) -> list[bytes]:
-        """Take the next bytes of the stream; return the payloads of the frames that they complete, in order."""
+        """Process the next bytes of the stream; return the payloads of the frames that they complete, in order."""
         self.counters.bytes_received += len(data)
         held = self._held + data
         payloads: list[bytes] = []
         at = 0
-        while (start := self._hunt(held, at)) is not None:
+        while (start := self._find_start(held, at)) is not None:
             at = start
             end = self._end(held, start)
             if end is None:
                 break
-            at = self._judge(held, start, end, payloads)
+            at = self._check(held, start, end, payloads)
         else:
             # Up to three bytes may be the beginning of a start word.
             at = self._skip(at, max(at, len(held) - len(_START) + 1))
         self._held = held[at:]
         return payloads
 
-    def _hunt(self, held: bytes, at: int) -> int | None:
+    def _find_start(self, held: bytes, at: int) -> int | None:
         """Skip to the next start word."""
         start = held.find(_START, at)
         if start < 0:
@@ -71,7 +71,7 @@ class Deframer(StreamDeframer):
         return to
 
     def _end(self, held: bytes, start: int) -> int | None:
-        """Where the frame at `start` ends; `start` itself if its length is absurd; None if it is not all here yet."""
+        """Return the end of the frame at `start`; `start` itself for an impossible length; None if it is incomplete."""
         if len(held) < start + _HEADER.size:
             return None
         length = _HEADER.unpack_from(held, start)[1]
@@ -80,8 +80,8 @@ class Deframer(StreamDeframer):
         end: int = start + _HEADER.size + length + _CRC_BYTES
         return end if len(held) >= end else None
 
-    def _judge(self, held: bytes, start: int, end: int, payloads: list[bytes]) -> int:
-        """Take or refuse the frame at `start`; return where to look on."""
+    def _check(self, held: bytes, start: int, end: int, payloads: list[bytes]) -> int:
+        """Accept or refuse the frame at `start`; return the offset at which the search continues."""
         if end == start:
             self.counters.bad("too long", 1)
             return start + 1

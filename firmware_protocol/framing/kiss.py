@@ -1,11 +1,12 @@
-"""KISS as libcsp puts it on a serial line: SLIP's escapes, a command byte, and a CRC-32C.
+"""KISS as libcsp uses it on a serial line: SLIP's escapes, a command byte, and a CRC-32C.
 
     frame     FEND  0x00  escaped( data, u32 BE CRC-32C of data )  FEND        FEND 0xC0, FESC 0xDB
 
 Source: libcsp 2 (csp_if_kiss.c, csp_crc32.c; both directions were run against its C code). `data` is the CSP packet
-with its header, and the checksum covers all of it, as libcsp writes it when built with CSP_21. Built without, libcsp
-leaves the header out; its receiver takes both, ours takes the second only where it is told how long the header is,
-since a flipped bit in such a header goes unseen. libcsp starts each frame at a FEND of its own, so each has two.
+with its header. The checksum covers all of it, as libcsp writes it when built with CSP_21; built without, libcsp leaves
+the header out. The receiver of libcsp accepts both. This one accepts the second only if it is given the length of the
+header, since a flipped bit in such a header is not detected. libcsp starts each frame at a FEND of its own, so each has
+two.
 """
 
 from __future__ import annotations
@@ -22,12 +23,12 @@ _CRC_BYTES = 4
 
 
 def sealed(data: bytes) -> bytes:
-    """Return `data` with its CRC-32C behind it."""
+    """Return `data` followed by its CRC-32C."""
     return data + crc32c(data).to_bytes(_CRC_BYTES, "big")
 
 
 def checked(sealed_data: bytes, header_bytes: int = 0) -> bytes:
-    """Undo `sealed`; a checksum that leaves out the first `header_bytes` will do. Raises FrameError when none fits."""
+    """Return the data of `sealed`; a checksum without the first `header_bytes` is valid too. Raises FrameError."""
     data, crc = sealed_data[:-_CRC_BYTES], sealed_data[-_CRC_BYTES:]
     if len(crc) < _CRC_BYTES:
         raise FrameError("short")
@@ -43,7 +44,7 @@ def frame(payload: bytes) -> bytes:
 
 
 class Deframer(DelimitedDeframer):
-    """Gives the checked payloads of KISS frames of up to `max_payload` bytes; for `header_bytes` see `checked`."""
+    """Deframer of KISS frames of up to `max_payload` bytes, checked; for `header_bytes` see `checked`."""
 
     def __init__(self, max_payload: int = DEFAULT_MAX_PAYLOAD, header_bytes: int = 0) -> None:
         super().__init__(FEND, 1 + 2 * (max_payload + _CRC_BYTES))
@@ -51,7 +52,7 @@ class Deframer(DelimitedDeframer):
         self._header_bytes = header_bytes
 
     def decode(self, piece: bytes) -> bytes:
-        """Undo the escapes of one piece and check it."""
+        """Remove the escapes of one piece and check it."""
         if piece[0] != _DATA:
             raise FrameError("command")
         payload = checked(unescape(piece[1:]), self._header_bytes)

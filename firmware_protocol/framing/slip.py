@@ -3,8 +3,8 @@
     frame     END data... END        END 0xC0, ESC 0xDB
     in data   END -> ESC 0xDC        ESC -> ESC 0xDD
 
-As in the RFC's sample, END also stands in front, so that noise on an idle line spoils no frame. An ESC before
-anything else is an error here (the RFC leaves it open): the frame is refused.
+As in the RFC's sample, END also comes first, so that noise on an idle line damages no frame. An ESC before any other
+byte is an error here (the RFC leaves it open): the frame is refused.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ _ESCAPED_END, _ESCAPED_ESC = b"\xdb\xdc", b"\xdb\xdd"
 
 
 def escape(data: bytes) -> bytes:
-    """Return `data` free of END."""
+    """Return `data` with END and ESC escaped."""
     return data.replace(_ESC, _ESCAPED_ESC).replace(_END, _ESCAPED_END)
 
 
 def unescape(piece: bytes) -> bytes:
-    """Undo `escape`. Raises FrameError for an ESC that is not followed by one of its two codes."""
+    """Return the data of `escape`. Raises FrameError for an ESC that is not followed by one of its two codes."""
     escapes = piece.count(_ESC)
     if not escapes:
         return piece
-    # Cut at ESC: each part but the first then starts with what was escaped.
+    # Split at ESC: each part but the first then starts with an escaped byte.
     first, *rest = piece.split(_ESC)
     if any(part[:1] not in (b"\xdc", b"\xdd") for part in rest):
         raise FrameError("escape")
@@ -41,14 +41,14 @@ def frame(payload: bytes) -> bytes:
 
 
 class Deframer(DelimitedDeframer):
-    """Gives the payloads of SLIP frames of up to `max_payload` bytes. SLIP checks nothing: the packet has a CRC."""
+    """Deframer of SLIP frames of up to `max_payload` bytes. SLIP detects no errors: the packet has a CRC."""
 
     def __init__(self, max_payload: int = DEFAULT_MAX_PAYLOAD) -> None:
         super().__init__(END, 2 * max_payload)
         self._max_payload = max_payload
 
     def decode(self, piece: bytes) -> bytes:
-        """Undo the escapes of one piece."""
+        """Remove the escapes of one piece."""
         payload = unescape(piece)
         if len(payload) > self._max_payload:
             raise FrameError("too long")

@@ -1,1 +1,1 @@
-"""GigE Vision as bytes: control (GVCP), stream (GVSP), registers, and the Triton2 EVS that is made of them."""
+"""GigE Vision as bytes: control (GVCP), stream (GVSP), registers, and a model of the Triton2 EVS built on them."""

@@ -1,28 +1,27 @@
-"""The control channel of a GigE Vision device: requests in, answers out, and who may write.
+"""The control channel of a GigE Vision device: requests, answers and write access; the message channel to its host.
 
-One host has control: it wrote PRIVILEGE, and keeps it as long as it sends any request within the heartbeat's time. All
-others may read (unless control is exclusive) and search; their writes are refused.
+One host has control: it wrote PRIVILEGE, and keeps control as long as it sends any request within the heartbeat's time.
+All others may read (unless control is exclusive) and search; their writes are refused.
 
-neuromorphic_drivers gives a request 25 ms, then sends the same with a new id and fails on a late answer to the first.
-So of requests that waited together, those that are followed by the same of the same host are not answered. A request
-that comes again to the bit is answered as before, without being done again.
+neuromorphic_drivers waits 25 ms for an answer, then sends the same request with a new id and fails on a late answer to
+the first. So if requests wait together, one that is followed by the same request of the same host is not answered. A
+request that arrives again, identical in all bits, gets the previous answer and is not executed again.
 
-An answer may be longer than its request, and the sender of a datagram can be forged: hosts without control get so many
-answers a second in all, and no more, so that a flood gives back less than it brings.
+An answer may be longer than its request, and the sender of a datagram can be forged. So the answers to hosts without
+control are limited to a number per second in all: a flood of requests cannot make a larger flood of answers.
 
-What the control channel of a camera hands on to its stream, in the order in which it was accepted.
+The control channel checks and answers a request; if the stream has to act, it passes an order on, and the stream
+executes the orders in the sequence in which they were accepted. So both may run in processes of their own: see
+`Triton2Control` and `Triton2`.
 
-The control channel has checked an order and answered it; the stream carries it out. So both may run in processes of
-their own: see `Triton2Control` and `Triton2`.
-
-The message channel: what a camera tells its host unasked.
+The message channel carries the camera's messages to its host:
 
     message   a GVCP request of the camera, EVENT: u16 0 | u16 event | u16 stream, 0xFFFF none | u16 block | u64 ns
               or EVENTDATA: the same, then the data; of an edge u32 its kind, as in `edges`
     answer    u16 status | u16 EVENT + 1, or EVENTDATA + 1 | u16 0 | u16 id
 
-Where the host has set a timeout, a message asks for an answer and is repeated until it comes, as often as the host has
-said; the next one waits meanwhile. Otherwise each is sent once.
+If the host has set a timeout, a message requires an answer, and is repeated until it arrives, at most as often as the
+host has set; the next message waits meanwhile. Otherwise each message is sent once.
 
 Source: GigE Vision 2.0 as implemented in the open by Wireshark's dissector; what viva-genicam answers.
 """
@@ -72,7 +71,7 @@ Peer = tuple[str, int]
 
 @dataclass(frozen=True)
 class Write:
-    """A host wrote a register."""
+    """Order: a host wrote a register."""
 
     address: int
     value: int
@@ -80,14 +79,14 @@ class Write:
 
 @dataclass(frozen=True)
 class Pulse:
-    """An action gives a pulse on the trigger input, at a time of the device's clock; None: now."""
+    """Order: an action gives a pulse on the trigger input, at a time of the device's clock; None: now."""
 
     time_ns: int | None = None
 
 
 @dataclass(frozen=True)
 class Owner:
-    """A host has control from now on; None: nobody has."""
+    """Order: a host has control from now on; None: no host has."""
 
     peer: Peer | None
 
@@ -96,7 +95,7 @@ Order = Write | Resend | Pulse | Owner
 
 
 class DeviceTime(NamedTuple):
-    """The device's clock since the last of so many starts of the acquisition."""
+    """The device's clock since the last start of the acquisition, and the number of starts."""
 
     starts: int
     ns: int
@@ -112,7 +111,7 @@ _NS_PER_MS = 1_000_000
 _LEAST_HEARTBEAT_MS = 500
 _HEARTBEAT_OFF = 1
 _READ = struct.Struct(">IHH")
-_STRANGERS_ANSWERS_S = 2000
+_OTHERS_ANSWERS_S = 2000
 _OF_THE_OWNER = (
     Register.PRIVILEGE, Register.PRIMARY_PORT, Register.PRIMARY_ADDRESS, Register.STREAM_PORT, Register.MESSAGE_PORT,
 )  # fmt: skip
@@ -120,47 +119,47 @@ _WRITES = (Command.WRITEREG, Command.WRITEMEM)
 
 
 class Controlled(Protocol):
-    """What the control channel moves beside registers."""
+    """Parts of the device that requests act on, beside its registers."""
 
     def check_room(self) -> None:
-        """Raise Refused where nothing more can be taken now."""
+        """Raise Refused if no further order can be accepted now."""
 
     def wrote(self, address: int, value: int) -> None:
-        """Do what a register written does beside remembering."""
+        """Apply the effect of a register that was written, beyond storing its value."""
 
     def taken(self, peer: Peer) -> None:
-        """A host has control from now on."""
+        """Note that a host has control from now on."""
 
-    def resend(self, asked: Resend) -> None:
+    def resend(self, request: Resend) -> None:
         """Send packets of a block once more."""
 
     def act(self, action: Action) -> Status:
-        """Do what an action for this device asks for."""
+        """Execute an action for this device."""
 
     def released(self) -> None:
-        """Nobody has control any more."""
+        """Note that no host has control any more."""
 
 
 class Control:
-    """Answers hosts.
+    """Server of the control channel: answers the requests of hosts.
 
     Attributes
     ----------
     owner
         The host that has control, or None.
     counts
-        Requests by what became of them.
+        Requests by outcome.
     """
 
     def __init__(self, memory: Memory, controlled: Controlled) -> None:
         self._memory = memory
         self._controlled = controlled
-        self._heard_ns = 0
+        self._last_request_ns = 0
         self._last: tuple[Peer, bytes, bytes | None] | None = None
-        self._for_strangers = _Allowance(_STRANGERS_ANSWERS_S)
+        self._for_others = _Allowance(_OTHERS_ANSWERS_S)
         self.owner: Peer | None = None
         self.counts: Counter[str] = Counter()
-        self._doing: dict[int, Callable[[Request, Peer], bytes | None]] = {
+        self._handlers: dict[int, Callable[[Request, Peer], bytes | None]] = {
             Command.DISCOVERY: self._discovery,
             Command.READREG: self._read_registers,
             Command.WRITEREG: self._write_registers,
@@ -172,28 +171,28 @@ class Control:
         }
 
     def take(self, datagrams: Sequence[Datagram], now_ns: int) -> list[Datagram]:
-        """Return the answers to what has come, in order."""
+        """Return the answers to the datagrams received, in order."""
         answers = []
         for place, (data, peer) in enumerate(datagrams):
             if place + 1 < len(datagrams) and _again(data, peer, *datagrams[place + 1]):
                 self.counts["requests answered with a later one"] += 1
                 continue
-            told = self._answer(data, peer, now_ns)
-            if told is not None:
-                answers.append((told, peer))
+            reply = self._answer(data, peer, now_ns)
+            if reply is not None:
+                answers.append((reply, peer))
         return answers
 
     def expire(self, now_ns: int) -> None:
-        """Take control away from a host that has been silent for longer than it said."""
+        """Withdraw control from a host that has been silent for longer than its heartbeat allows."""
         if self.owner is None or self._memory.get(Register.GVCP_CONFIGURATION) & _HEARTBEAT_OFF:
             return
         allowed_ms = max(_LEAST_HEARTBEAT_MS, self._memory.get(Register.HEARTBEAT_MS))
-        if now_ns - self._heard_ns > allowed_ms * _NS_PER_MS:
+        if now_ns - self._last_request_ns > allowed_ms * _NS_PER_MS:
             self.counts["heartbeats missed"] += 1
             self.release()
 
     def release(self) -> None:
-        """Take control away from whoever has it."""
+        """Withdraw control from the host that has it."""
         if self.owner is not None:
             self.owner = None
             for register in _OF_THE_OWNER:
@@ -201,57 +200,57 @@ class Control:
             self._controlled.released()
 
     def _answer(self, data: bytes, peer: Peer, now_ns: int) -> bytes | None:
-        asked = Request.of(data)
-        if asked is None:
+        request = Request.of(data)
+        if request is None:
             self.counts["datagrams that are no request"] += 1
             return None
         if peer == self.owner:
-            self._heard_ns = now_ns
-        elif asked.command != Command.PACKETRESEND and not self._for_strangers.take(now_ns):
+            self._last_request_ns = now_ns
+        elif request.command != Command.PACKETRESEND and not self._for_others.take(now_ns):
             self.counts["requests of hosts without control that were too many"] += 1
             return None
-        if asked.command in _WRITES and self._last is not None and self._last[:2] == (peer, data):
+        if request.command in _WRITES and self._last is not None and self._last[:2] == (peer, data):
             return self._last[2]
-        told = self._done(asked, peer, now_ns)
-        told = told if asked.wants_answer or asked.command == Command.DISCOVERY else None
-        self._last = peer, data, told
-        return told
+        reply = self._done(request, peer, now_ns)
+        reply = reply if request.wants_answer or request.command == Command.DISCOVERY else None
+        self._last = peer, data, reply
+        return reply
 
-    def _done(self, asked: Request, peer: Peer, now_ns: int) -> bytes | None:
-        """Do a request and return its answer; None where none is due."""
+    def _done(self, request: Request, peer: Peer, now_ns: int) -> bytes | None:
+        """Execute a request and return its answer; None if it has none."""
         try:
-            if not asked.whole:
+            if not request.whole:
                 raise Refused(Status.INVALID_HEADER)
-            doing = self._doing.get(asked.command)
-            if doing is None:
+            handler = self._handlers.get(request.command)
+            if handler is None:
                 raise Refused(Status.NOT_IMPLEMENTED)
             before = self.owner
-            told = doing(asked, peer)
-            self._heard_ns = self._heard_ns if self.owner is before else now_ns
+            reply = handler(request, peer)
+            self._last_request_ns = self._last_request_ns if self.owner is before else now_ns
         except Refused as refused:
             self.counts[f"requests refused: {refused.status.name.lower()}"] += 1
-            return answer(asked, status=refused.status)
+            return answer(request, status=refused.status)
         self.counts["requests done"] += 1
-        return told
+        return reply
 
-    def _discovery(self, asked: Request, peer: Peer) -> bytes:
-        return answer(asked, self._memory.read(0, DISCOVERY_OCTETS))
+    def _discovery(self, request: Request, peer: Peer) -> bytes:
+        return answer(request, self._memory.read(0, DISCOVERY_OCTETS))
 
-    def _read_registers(self, asked: Request, peer: Peer) -> bytes:
+    def _read_registers(self, request: Request, peer: Peer) -> bytes:
         self._check_read(peer)
-        return answer(asked, b"".join(self._memory.read(address, 4) for address in asked.numbers()))
+        return answer(request, b"".join(self._memory.read(address, 4) for address in request.numbers()))
 
-    def _read_memory(self, asked: Request, peer: Peer) -> bytes:
+    def _read_memory(self, request: Request, peer: Peer) -> bytes:
         self._check_read(peer)
-        if len(asked.payload) != _READ.size:
+        if len(request.payload) != _READ.size:
             raise Refused(Status.INVALID_PARAMETER)
-        address, _, count = _READ.unpack(asked.payload)
+        address, _, count = _READ.unpack(request.payload)
         if not 0 < count <= LONGEST_READ:
             raise Refused(Status.INVALID_PARAMETER)
-        return answer(asked, asked.payload[:4] + self._memory.read(address, count))
+        return answer(request, request.payload[:4] + self._memory.read(address, count))
 
-    def _write_registers(self, asked: Request, peer: Peer) -> bytes:
-        numbers = asked.numbers()
+    def _write_registers(self, request: Request, peer: Peer) -> bytes:
+        numbers = request.numbers()
         if len(numbers) % 2:
             raise Refused(Status.INVALID_PARAMETER)
         pairs = list(zip(numbers[::2], numbers[1::2], strict=True))
@@ -259,14 +258,14 @@ class Control:
             try:
                 self._write(address, value, peer)
             except Refused as refused:
-                return answer(asked, struct.pack(">HH", 0, done), refused.status)
-        return answer(asked, struct.pack(">HH", 0, len(pairs)))
+                return answer(request, struct.pack(">HH", 0, done), refused.status)
+        return answer(request, struct.pack(">HH", 0, len(pairs)))
 
-    def _write_memory(self, asked: Request, peer: Peer) -> bytes:
-        address, *values = asked.numbers()
+    def _write_memory(self, request: Request, peer: Peer) -> bytes:
+        address, *values = request.numbers()
         for place, value in enumerate(values):
             self._write(address + 4 * place, value, peer)
-        return answer(asked, struct.pack(">HH", 0, 4 * len(values)))
+        return answer(request, struct.pack(">HH", 0, 4 * len(values)))
 
     def _write(self, address: int, value: int, peer: Peer) -> None:
         if address == Register.PRIVILEGE:
@@ -297,28 +296,28 @@ class Control:
         if exclusive and peer != self.owner:
             raise Refused(Status.ACCESS_DENIED)
 
-    def _resend(self, asked: Request, peer: Peer) -> bytes:
-        """Hand on a request for packets, from the machine that has control alone: the packets go there."""
+    def _resend(self, request: Request, peer: Peer) -> bytes:
+        """Pass on a request for packets, only from the machine that has control: the packets go there."""
         if self.owner is None or peer[0] != self.owner[0]:
             raise Refused(Status.ACCESS_DENIED)
         self._controlled.check_room()
-        self._controlled.resend(Resend.of(asked))
-        return answer(asked)
+        self._controlled.resend(Resend.of(request))
+        return answer(request)
 
-    def _force_address(self, asked: Request, peer: Peer) -> bytes | None:
-        """Refuse another address than ours: it is the machine's; a device that is not meant says nothing."""
-        forced = ForcedAddress.of(asked)
+    def _force_address(self, request: Request, peer: Peer) -> bytes | None:
+        """Refuse any other address than the device's own, which the machine sets; ignore one for another device."""
+        forced = ForcedAddress.of(request)
         if forced.mac != self._memory.get(Register.MAC_HIGH) << 32 | self._memory.get(Register.MAC_LOW):
             return None
         if self.owner is not None:
             raise Refused(Status.ACCESS_DENIED)
         if forced.address != self._memory.get(Register.ADDRESS):
             raise Refused(Status.NOT_IMPLEMENTED)
-        return answer(asked)
+        return answer(request)
 
-    def _act(self, asked: Request, peer: Peer) -> bytes | None:
-        """Act where key and group are ours; a device that is not meant says nothing."""
-        action = Action.of(asked)
+    def _act(self, request: Request, peer: Peer) -> bytes | None:
+        """Execute an action if key and group are this device's; give no answer otherwise."""
+        action = Action.of(request)
         if action.device_key != self._memory.get(Register.ACTION_DEVICE_KEY):
             return None
         groups = (Register.ACTION_GROUP + 16 * k for k in range(ACTION_GROUPS))
@@ -326,18 +325,18 @@ class Control:
         if not any(key == action.group_key and mask & action.group_mask for key, mask in ours):
             return None
         self._controlled.check_room()
-        return answer(asked, status=self._controlled.act(action))
+        return answer(request, status=self._controlled.act(action))
 
 
 class _Allowance:
-    """So many of something each second; a second's worth may come at once."""
+    """Limit of a number per second; the number of one second may come at once."""
 
     def __init__(self, per_s: int) -> None:
         self._per_s = self._left = float(per_s)
         self._renewed_ns = 0
 
     def take(self, now_ns: int) -> bool:
-        """Take one; False when none is left."""
+        """Take one; False if none is left."""
         gained = (now_ns - self._renewed_ns) * 1e-9 * self._per_s
         self._left, self._renewed_ns = min(self._per_s, self._left + gained), now_ns
         if self._left < 1:
@@ -347,7 +346,7 @@ class _Allowance:
 
 
 def _again(data: bytes, peer: Peer, next_data: bytes, next_peer: Peer) -> bool:
-    """Tell whether a request is followed by the same one of the same host, but for its id."""
+    """Return true if the next request is the same one of the same host, except for its id."""
     return peer == next_peer and data[:6] == next_data[:6] and data[8:] == next_data[8:]
 
 
@@ -362,7 +361,7 @@ _ANSWER = struct.Struct(">HHHH")
 
 @dataclass(frozen=True)
 class MessageSettings:
-    """How long an answer may take, 0: none is asked for; and how often a message is repeated without one."""
+    """Time allowed for an answer, 0: no answer is requested; and how many times a message is repeated without one."""
 
     timeout_ns: int = 0
     retries: int = 0
@@ -378,12 +377,12 @@ class _Sent:
 
 
 class Messages:
-    """Messages on their way to a host.
+    """Queue of messages to a host.
 
     Attributes
     ----------
     counts
-        Messages by what became of them.
+        Messages by outcome.
     """
 
     def __init__(self) -> None:
@@ -392,8 +391,8 @@ class Messages:
         self._number = 0
         self.counts: Counter[str] = Counter()
 
-    def tell(self, event: int, time_ns: int, data: bytes = b"") -> None:
-        """Queue a message, an EVENTDATA where there are data; one that finds no room is counted as lost."""
+    def queue(self, event: int, time_ns: int, data: bytes = b"") -> None:
+        """Queue a message, an EVENTDATA if there are data; one that finds no room is counted as lost."""
         if len(self._waiting) == _MOST:
             self.counts["messages lost"] += 1
             return
@@ -401,7 +400,7 @@ class Messages:
         self._waiting.append((Command.EVENTDATA if data else Command.EVENT, payload))
 
     def next(self, now_ns: int, settings: MessageSettings) -> bytes | None:
-        """Return the next message to send, or one to send again; None while an answer may still come."""
+        """Return the next message to send, or one to send again; None while an answer may still arrive."""
         if self._sent is not None and now_ns < self._sent.again_ns:
             return None
         if self._sent is not None and self._sent.left == 0:
@@ -420,7 +419,7 @@ class Messages:
         return request(sent.command, sent.number, sent.payload, flags=int(settings.timeout_ns > 0))
 
     def answered(self, datagram: bytes) -> None:
-        """Take what came from the host: the answer to the message that was sent last, or nothing of meaning."""
+        """Process a datagram of the host: the answer to the last message; anything else is ignored."""
         if self._sent is None or len(datagram) != _ANSWER.size:
             return
         _, command, _, number = _ANSWER.unpack(datagram)
@@ -428,7 +427,7 @@ class Messages:
             self._sent = None
 
     def clear(self) -> None:
-        """Forget what waits; what was not sent is counted as lost."""
+        """Empty the queue; messages that were not sent are counted as lost."""
         self.counts["messages lost"] += len(self._waiting)
         self._waiting.clear()
         self._sent = None

@@ -1,11 +1,9 @@
-"""The GenICam description of the camera: XML, zipped, in the device's own memory.
+"""The GenICam description of the camera: features by name and their registers, as zipped XML in the device's memory.
 
     feature (Integer, Boolean, Command, Enumeration) --pValue--> register (IntReg, MaskedIntReg) --pPort--> Device
     text (StringReg) ------------------------------------------------------------------------------> Device
 
 Source: GenICam's GenApi schema 1.1, as Aravis and viva-genicam read it.
-
-The camera's features by name, as a GenICam host sees them, and the registers behind them.
 """
 
 from __future__ import annotations
@@ -23,8 +21,8 @@ from firmware_protocol.gige.registers import (
     ACQUISITION_START,
     ACQUISITION_STOP,
     BIASES,
+    NOTIFY_WITH_DATA,
     TEMPERATURE,
-    TOLD_WITH_DATA,
     Erc,
     Evs,
     Register,
@@ -38,12 +36,12 @@ Kind = Literal["integer", "boolean", "command", "enumeration", "text"]
 
 @dataclass(frozen=True)
 class Feature:
-    """A feature that stands for one register, or for a text in several.
+    """A feature backed by one register, or by a text in several.
 
     Attributes
     ----------
     bits
-        (first, last) bit of the register that it takes, bit 0 the lowest; None: all of them.
+        (first, last) bit of the register that it uses, bit 0 the lowest; None: all of them.
     limits
         (least, most) value; a negative least means a signed register.
     entries
@@ -51,7 +49,7 @@ class Feature:
     room
         Octets of a text, or of a register.
     order
-        What is written to carry out a command.
+        Value that a host writes to execute a command.
     """
 
     name: str
@@ -72,10 +70,10 @@ _ON_OFF = (0, 1)
 _BIAS_TIPS = {
     "diff_on": "Threshold of ON events: higher means fewer",
     "diff_off": "Threshold of OFF events: higher means fewer",
-    "diff": "Reference level of the comparators; leave it",
+    "diff": "Reference level of the comparators; do not change it",
     "refr": "Refractory period: higher means shorter",
     "fo": "Low-pass cut-off: higher means faster",
-    "hpf": "High-pass cut-off: higher means that slow changes are left out",
+    "hpf": "High-pass cut-off: higher means that slow changes are suppressed",
 }
 
 
@@ -116,8 +114,8 @@ def _picture(size: tuple[int, int]) -> list[Feature]:
 def _acquisition() -> list[Feature]:
     group = "AcquisitionControl"
     return [
-        Feature("TimestampLatch", "DeviceControl", "command", Register.TIME_CONTROL, "Takes the time", order=2),
-        Feature("TimestampLatchValue", "DeviceControl", "integer", Register.TIME_HIGH, "Time taken, ns", False, room=8),
+        Feature("TimestampLatch", "DeviceControl", "command", Register.TIME_CONTROL, "Latches the time", order=2),
+        Feature("TimestampLatchValue", "DeviceControl", "integer", Register.TIME_HIGH, "Latched time", False, room=8),
         Feature("AcquisitionMode", group, "enumeration", Evs.MODE, "Mode", entries={"Continuous": 0}),
         Feature("AcquisitionStart", group, "command", ACQUISITION_START, "Starts the stream; time begins at zero"),
         Feature("AcquisitionStop", group, "command", ACQUISITION_STOP, "Stops the stream"),
@@ -142,13 +140,13 @@ def _rate_control() -> list[Feature]:
 
 def _messages() -> list[Feature]:
     group = "EventControl"
-    states = {"Off": 0, "On": 1, "OnWithData": TOLD_WITH_DATA}
+    states = {"Off": 0, "On": 1, "OnWithData": NOTIFY_WITH_DATA}
     return [
         Feature(
-            "EventSelector", group, "enumeration", Evs.EVENT_SELECTOR, "Event that is meant",
+            "EventSelector", group, "enumeration", Evs.EVENT_SELECTOR, "Selected event",
             entries={"Line0AnyEdge": 0},
         ),
-        Feature("EventNotification", group, "enumeration", Evs.EVENT_NOTIFICATION, "Is told", entries=states),
+        Feature("EventNotification", group, "enumeration", Evs.EVENT_NOTIFICATION, "Notification", entries=states),
     ]  # fmt: skip
 
 
@@ -161,7 +159,7 @@ def _transport() -> list[Feature]:
             bits=(0, 15), limits=(LEAST_PACKET, MOST_PACKET), step=2,
         ),
         Feature(
-            "GevSCPSDoNotFragment", group, "boolean", Register.PACKET_SIZE, "Packets are not cut", bits=(30, 30),
+            "GevSCPSDoNotFragment", group, "boolean", Register.PACKET_SIZE, "Packets are not fragmented", bits=(30, 30),
             limits=_ON_OFF,
         ),
         Feature(
@@ -196,9 +194,9 @@ class Description:
     xml
         Its text.
     octets
-        The zipped file as it lies in memory at `address`, padded to a multiple of four.
+        The zipped file as it is stored at `address`, padded to a multiple of four.
     location
-        What registers XML_1 and XML_2 say.
+        Text of the registers XML_1 and XML_2.
     """
 
     def __init__(self, size: tuple[int, int]) -> None:

@@ -41,7 +41,7 @@ _FORCE_IP = struct.Struct(">HHI12xI12xI12xI")
 
 
 class Command(IntEnum):
-    """Requests; an answer carries the number plus one. EVENT, EVENTDATA go from the device to its host: `messages`."""
+    """Requests; an answer carries the number plus one. EVENT and EVENTDATA go from device to host: see `control`."""
 
     DISCOVERY = 0x0002
     FORCEIP = 0x0004
@@ -64,7 +64,7 @@ class Flag(IntFlag):
 
 
 class Status(IntEnum):
-    """What an answer, or a packet of the stream, says of itself."""
+    """Status of an answer or of a packet of the stream."""
 
     SUCCESS = 0x0000
     PACKET_RESENT = 0x0100
@@ -92,12 +92,12 @@ class Refused(Exception):
 
 @dataclass(frozen=True)
 class Request:
-    """A request as it came.
+    """A request as received.
 
     Attributes
     ----------
-    command : a `Command`, or a number that we do not know.
-    whole : whether the payload is as long as the header says.
+    command : a `Command`, or an unknown number.
+    whole : true if the payload is as long as the header states.
     """
 
     command: int
@@ -108,7 +108,7 @@ class Request:
 
     @classmethod
     def of(cls, datagram: bytes) -> Request | None:
-        """Return the request in a datagram; None where it is none that could be answered."""
+        """Return the request in a datagram; None if the datagram is no request that could be answered."""
         if len(datagram) < _HEADER.size:
             return None
         key, flags, command, length, number = _HEADER.unpack_from(datagram)
@@ -119,7 +119,7 @@ class Request:
 
     @property
     def wants_answer(self) -> bool:
-        """Whether the sender asks for an answer."""
+        """True if the sender requests an answer."""
         return bool(self.flags & Flag.ACKNOWLEDGE)
 
     def numbers(self) -> tuple[int, ...]:
@@ -131,23 +131,23 @@ class Request:
 
 @dataclass(frozen=True)
 class Resend:
-    """Packets `first` to `last`, both inclusive, of a block that a host asks for again."""
+    """Packets `first` to `last`, both inclusive, of a block that a host requests again."""
 
     block: int
     first: int
     last: int
 
     @classmethod
-    def of(cls, asked: Request) -> Resend:
-        """Return what a PACKETRESEND asks for; raises Refused for another length or range."""
-        extended = bool(asked.flags & EXTENDED_ID)
+    def of(cls, request: Request) -> Resend:
+        """Return the content of a PACKETRESEND; raises Refused for another length or range."""
+        extended = bool(request.flags & EXTENDED_ID)
         layout = _RESEND_EXTENDED if extended else _RESEND
-        if len(asked.payload) != layout.size:
+        if len(request.payload) != layout.size:
             raise Refused(Status.INVALID_PARAMETER)
         if extended:
-            _, first, last, block = layout.unpack(asked.payload)
+            _, first, last, block = layout.unpack(request.payload)
         else:
-            _, block, first, last = layout.unpack(asked.payload)
+            _, block, first, last = layout.unpack(request.payload)
         if last < first:
             raise Refused(Status.INVALID_PARAMETER)
         return cls(block, first, last)
@@ -163,29 +163,29 @@ class Action:
     time_ns: int | None = None
 
     @classmethod
-    def of(cls, asked: Request) -> Action:
-        """Return what an ACTION asks for; raises Refused for another length."""
-        scheduled = bool(asked.flags & ACTION_SCHEDULED)
-        if len(asked.payload) != _ACTION.size + 8 * scheduled:
+    def of(cls, request: Request) -> Action:
+        """Return the content of an ACTION; raises Refused for another length."""
+        scheduled = bool(request.flags & ACTION_SCHEDULED)
+        if len(request.payload) != _ACTION.size + 8 * scheduled:
             raise Refused(Status.INVALID_PARAMETER)
-        device_key, group_key, group_mask = _ACTION.unpack_from(asked.payload)
-        time_ns = int.from_bytes(asked.payload[_ACTION.size :], "big") if scheduled else None
+        device_key, group_key, group_mask = _ACTION.unpack_from(request.payload)
+        time_ns = int.from_bytes(request.payload[_ACTION.size :], "big") if scheduled else None
         return cls(device_key, group_key, group_mask, time_ns)
 
 
 @dataclass(frozen=True)
 class ForcedAddress:
-    """An address that a host gives to the device with this MAC, all as numbers; 0: configure yourself anew."""
+    """An address that a host assigns to the device with this MAC, all as numbers; 0: restart configuration."""
 
     mac: int
     address: int
 
     @classmethod
-    def of(cls, asked: Request) -> ForcedAddress:
-        """Return what a FORCEIP asks for; raises Refused for another length."""
-        if len(asked.payload) != _FORCE_IP.size:
+    def of(cls, request: Request) -> ForcedAddress:
+        """Return the content of a FORCEIP; raises Refused for another length."""
+        if len(request.payload) != _FORCE_IP.size:
             raise Refused(Status.INVALID_PARAMETER)
-        _, high, low, address, _, _ = _FORCE_IP.unpack(asked.payload)
+        _, high, low, address, _, _ = _FORCE_IP.unpack(request.payload)
         return cls(high << 32 | low, address)
 
 
@@ -194,6 +194,6 @@ def request(command: int, number: int, payload: bytes = b"", flags: int = Flag.A
     return _HEADER.pack(_KEY, flags, command, len(payload), number) + payload
 
 
-def answer(asked: Request, payload: bytes = b"", status: Status = Status.SUCCESS) -> bytes:
+def answer(request: Request, payload: bytes = b"", status: Status = Status.SUCCESS) -> bytes:
     """Return the device's answer to a request."""
-    return _ANSWER.pack(status, (asked.command + 1) & 0xFFFF, len(payload), asked.id) + payload
+    return _ANSWER.pack(status, (request.command + 1) & 0xFFFF, len(payload), request.id) + payload

@@ -1,4 +1,4 @@
-"""GVSP, the stream protocol of GigE Vision: a block of data as packets.
+"""GVSP, the stream protocol of GigE Vision: a block of data as packets, and the host's assembly of blocks.
 
     header    u16 status | u16 0 | u8 0x80 + format | u24 0 | u64 block | u32 packet         20 octets, big-endian
     leader    format 1, packet 0: u16 0 | u16 1 (image) | u64 time, ns | u32 pixel format | u32 width | u32 height |
@@ -6,16 +6,16 @@
     payload   format 3, packets 1 to n: data, every packet but the last one full
     trailer   format 2, packet n + 1: u16 0 | u16 1 | u32 octets of the block
 
-A packet size, as hosts set it, counts the headers of IP (20 octets) and UDP (8) too. The ids are the long ones, which
-neuromorphic_drivers needs. As the real camera: pixel format 0x81100E30 is EVT3, width 1, height 64000, the most that
-a block holds.
+A packet size, as hosts set it, includes the headers of IP (20 octets) and UDP (8). The ids are the long ones, which
+neuromorphic_drivers needs. As in the real camera, pixel format 0x81100E30 is EVT3, width 1, height 64000, the most
+that a block holds.
 
 Source: GigE Vision 2.0 as implemented in the open by Aravis; values from a published capture of a TRT009S-E.
 
-Blocks out of the packets of a stream, at the host's side: packets are put in order, missing ones asked for again.
+Assembly at the host: packets are put in order, and missing ones are requested again.
 
-packet --> its block --> all from leader to trailer there? --> data, in the order of blocks
-holes --> Resend, some times --> given up: the block is lost
+packet --> its block --> all from leader to trailer received? --> data, in the order of blocks
+missing --> Resend, several times --> given up: the block is lost
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class Block:
 
     @property
     def packets(self) -> int:
-        """Number of packets, leader and trailer with them."""
+        """Number of packets, leader and trailer included."""
         return -(-len(self.data) // self.room) + 2
 
     def packet(self, number: int, status: Status = Status.SUCCESS) -> bytes:
@@ -82,12 +82,12 @@ class Block:
 
 
 def removed(block: int, packet: int) -> bytes:
-    """Return what is sent instead of a packet that is asked for again and is not kept any more."""
+    """Return the reply to a request for a packet that is no longer stored."""
     return _header(Status.PACKET_REMOVED, _PAYLOAD, block, packet)
 
 
 def test_packet(packet_size: int) -> bytes:
-    """Return the datagram by which a host finds out whether packets of this size arrive."""
+    """Return the datagram with which a host tests whether packets of this size arrive."""
     return _header(Status.SUCCESS, _PAYLOAD, 0, 0).ljust(packet_size - _IP_UDP, b"\0")
 
 
@@ -96,18 +96,18 @@ def _header(status: Status, kind: int, block: int, packet: int) -> bytes:
 
 
 _LEADER, _TRAILER, _PAYLOAD = 1, 2, 3
-_ASK_AGAIN_NS = 20_000_000
-_FIRST_ASK_NS = 1_000_000
-_MOST_ASKS = 5
+_REQUEST_PERIOD_NS = 20_000_000
+_FIRST_REQUEST_NS = 1_000_000
+_MOST_REQUESTS = 5
 _MOST_OPEN = 256
 _MOST_PACKETS = 1 << 16  # of a block
-_FARTHEST = 1 << 12  # blocks ahead of the next one: what lies beyond is damaged
+_FARTHEST = 1 << 12  # blocks ahead of the next one: a number beyond is damaged
 _GOOD = (Status.SUCCESS, Status.PACKET_RESENT)
 
 
 @dataclass(frozen=True)
 class StreamPacket:
-    """A packet of the stream as it came."""
+    """A packet of the stream as received."""
 
     status: int
     kind: int
@@ -117,7 +117,7 @@ class StreamPacket:
 
     @classmethod
     def of(cls, datagram: bytes) -> StreamPacket | None:
-        """Return the packet in a datagram; None for one that is none, or without long ids."""
+        """Return the packet in a datagram; None if it is not a packet with long ids."""
         if len(datagram) < _HEADER.size:
             return None
         status, _, kind_and_number, block, number = _HEADER.unpack_from(datagram)
@@ -129,24 +129,24 @@ class StreamPacket:
 
 @dataclass
 class _Open:
-    ask_ns: int
-    asks: int = 0
+    request_ns: int
+    requests: int = 0
     parts: dict[int, bytes] = field(default_factory=dict)
     trailer: int = -1
     newest: int = 0
 
     @property
     def complete(self) -> bool:
-        """Whether all packets from the leader to the trailer are there."""
+        """True if all packets from the leader to the trailer have arrived."""
         return self.trailer > 0 and len(self.parts) == self.trailer + 1
 
     @property
     def data(self) -> bytes:
-        """What lies between leader and trailer."""
+        """Data between leader and trailer."""
         return b"".join(self.parts[number] for number in range(1, self.trailer))
 
     def holes(self, *, over: bool) -> list[tuple[int, int]]:
-        """Return (first, last) of packets that are missing below the newest one, and past it if the block is over."""
+        """Return (first, last) of missing packets below the newest one, and past it if the block is over."""
         end = self.trailer if self.trailer > 0 else self.newest + (1 if over else 0)
         missing = [number for number in range(end + 1) if number not in self.parts]
         holes: list[tuple[int, int]] = []
@@ -159,45 +159,45 @@ class _Open:
 
 
 class BlockAssembly:
-    """Puts blocks together.
+    """Assembler of blocks from packets.
 
     Attributes
     ----------
     lost
-        Blocks that were given up, or of which nothing came.
+        Blocks that were given up, or of which no packet arrived.
     repeated
-        Packets that came more than once.
-    asked
-        Packets that were asked for again.
-    strange
+        Packets that arrived more than once.
+    requested
+        Packets that were requested again.
+    invalid
         Datagrams that are no packets, and packets of blocks that are over.
     """
 
     def __init__(self) -> None:
         self._open: dict[int, _Open] = {}
         self._next: int | None = None
-        self.lost = self.repeated = self.asked = self.strange = 0
+        self.lost = self.repeated = self.requested = self.invalid = 0
 
     def push(self, datagram: bytes, now_ns: int) -> list[bytes]:
-        """Take a datagram; return the data of blocks that are complete by it, in order."""
+        """Process a datagram; return the data of the blocks that it completes, in order."""
         packet = StreamPacket.of(datagram)
         if packet is None or packet.kind not in (_LEADER, _TRAILER, _PAYLOAD):
-            self.strange += 1
+            self.invalid += 1
         elif packet.block:  # block 0 is a test packet
             self._take(packet, now_ns)
         return self.done(now_ns)
 
     def done(self, now_ns: int) -> list[bytes]:
-        """Return the data of blocks that are next; those that stay incomplete for too long are given up."""
+        """Return the data of the next complete blocks; those that stay incomplete for too long are given up."""
         data = []
         while self._open:
             first = min(self._open)
             if self._next is None:
                 self._next = first
             block = self._open[first]
-            hopeless = len(self._open) > _MOST_OPEN or (block.asks >= _MOST_ASKS and now_ns >= block.ask_ns)
+            hopeless = len(self._open) > _MOST_OPEN or (block.requests >= _MOST_REQUESTS and now_ns >= block.request_ns)
             if not hopeless and (first > self._next or not block.complete):
-                break  # what is missing may still come
+                break  # the missing packets may still arrive
             self.lost += first - self._next + (not block.complete)
             data += [block.data] if block.complete else []
             del self._open[first]
@@ -210,45 +210,45 @@ class BlockAssembly:
         return len(self._open)
 
     def missing(self, now_ns: int, *, over: bool = False) -> list[Resend]:
-        """Return what to ask for again now; `over`: nothing new comes, so the end of the last block is missing too."""
+        """Return the requests to send now; `over`: the stream has ended, so the last block's end is missing too."""
         wanted = []
         newest = max(self._open, default=0)
         for number, block in self._open.items():
-            if not block.complete and now_ns >= block.ask_ns and block.asks < _MOST_ASKS:
+            if not block.complete and now_ns >= block.request_ns and block.requests < _MOST_REQUESTS:
                 holes = block.holes(over=over or number < newest)
                 if holes:
-                    block.ask_ns = now_ns + _ASK_AGAIN_NS
-                    block.asks += 1
+                    block.request_ns = now_ns + _REQUEST_PERIOD_NS
+                    block.requests += 1
                 wanted += [Resend(number, first, last) for first, last in holes]
         wanted += self._whole_blocks(now_ns)
-        self.asked += sum(one.last - one.first + 1 for one in wanted)
+        self.requested += sum(one.last - one.first + 1 for one in wanted)
         return wanted
 
     def _whole_blocks(self, now_ns: int) -> list[Resend]:
-        """Return requests for the leaders of blocks of which nothing came: their answer opens them."""
+        """Return requests for the leaders of blocks without any packet: the replies open these blocks."""
         if self._next is None or not self._open:
             return []
         gone = range(self._next, min(min(self._open), self._next + 16))
         for number in gone:
-            self._open[number] = _Open(now_ns + _ASK_AGAIN_NS)
+            self._open[number] = _Open(now_ns + _REQUEST_PERIOD_NS)
         return [Resend(number, 0, 1) for number in gone]
 
     def _take(self, packet: StreamPacket, now_ns: int) -> None:
         expected = packet.block if self._next is None else self._next
         if not expected <= packet.block < expected + _FARTHEST or packet.number >= _MOST_PACKETS:
-            self.strange += 1
+            self.invalid += 1
             return
         if packet.status not in _GOOD and packet.block not in self._open:
-            self.strange += 1  # the answer to a request of somebody else
+            self.invalid += 1  # the reply to a request of another host
             return
-        block = self._open.setdefault(packet.block, _Open(now_ns + _FIRST_ASK_NS))
+        block = self._open.setdefault(packet.block, _Open(now_ns + _FIRST_REQUEST_NS))
         if packet.status not in _GOOD:
-            block.asks, block.ask_ns = _MOST_ASKS, now_ns
+            block.requests, block.request_ns = _MOST_REQUESTS, now_ns
             return
         if packet.number in block.parts:
             self.repeated += 1
         else:
-            block.asks = 0  # what comes is worth asking on
+            block.requests = 0  # packets still arrive, so further requests are worthwhile
         block.parts[packet.number] = packet.data
         block.newest = max(block.newest, packet.number)
         if packet.kind == _TRAILER:

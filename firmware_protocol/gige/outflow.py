@@ -1,9 +1,10 @@
-"""From events that wait to numbered blocks of EVT3 words; blocks are kept for a while, to be sent once more.
+"""From queued events to numbered blocks of EVT3 words, and the selection of the events that leave the sensor.
 
-Each block begins with its time and row, so that a block that is lost takes nothing with it. In a silence, blocks
-without events tell the time: decoders lose it after 8.4 s.
+Sent blocks are stored for a while, so that they can be sent again. Each block begins with its time and row, so that the
+loss of a block does not affect others. During a silence, blocks without events carry the time: decoders lose it after
+8.4 s.
 
-Which events leave the sensor: those in the ranges of rows and columns, and no more than the rate control lets by.
+The selection passes events in the ranges of rows and columns, at most as many as the rate control allows.
 """
 
 from __future__ import annotations
@@ -35,22 +36,22 @@ from firmware_protocol.imx636.selection import RateControl, Selected
 __all__ = ["Extra", "Outflow", "Outgoing", "Selection", "before"]
 
 
-_KEPT = 256
-_MOST_EVENTS = BLOCK_OCTETS // 4  # a row and a column each; those that need more octets go into the next block
+_SENT_BLOCKS = 256
+_MOST_EVENTS = BLOCK_OCTETS // 4  # a row and a column each; events that need more octets go into the next block
 _LONGEST_US = 1_000_000  # of device time in one block: no time words are needed in between
 _SILENCE_US = 1_000_000
-_LONGEST_SILENCE_US = 3_600_000_000  # told in one block
+_LONGEST_SILENCE_US = 3_600_000_000  # in one block
 
 
 def before(events: Events, until_us: int) -> int:
-    """Return how many of events (n,) EVENT, sorted, are older; numpy's own search copies all times first."""
+    """Return the number of events (n,) EVENT, sorted, that are older; numpy's own search copies all times first."""
     times = events["t"]
     return bisect_left(range(len(times)), until_us, key=lambda place: int(times[place]))
 
 
 @dataclass(frozen=True)
 class Outgoing:
-    """A block with what it carries, (n,) EVENT and (m,) EDGE, in the time told to the device."""
+    """A block with its content, (n,) EVENT and (m,) EDGE, in stream time."""
 
     block: Block
     events: Events
@@ -59,7 +60,7 @@ class Outgoing:
 
 @dataclass(frozen=True)
 class Extra:
-    """A datagram of the stream that a host asked for, and which packet of which block it is; block 0: of none."""
+    """A datagram of the stream that a host requested, with its block and packet number; block 0: none."""
 
     data: bytes
     block: int = 0
@@ -67,23 +68,23 @@ class Extra:
 
 
 class Outflow:
-    """Events and edges of one acquisition on their way out.
+    """Outgoing events and edges of one acquisition.
 
     Attributes
     ----------
     number
-        Of the last block.
+        Number of the last block.
     queued, edges_queued
         Events and edges that wait.
     """
 
     def __init__(self, epoch_us: int, block_us: int, width: int, number: int = 0) -> None:
-        self._epoch_us = self._told_us = epoch_us
+        self._epoch_us = self._reported_us = epoch_us
         self._block_us = block_us
         self._encoder = Evt3Encoder(standalone=True, width=width, origin_us=epoch_us)
         self._waiting: deque[Events] = deque()
         self._edges = empty_edges()
-        self._kept: deque[Block] = deque(maxlen=_KEPT)
+        self._sent_blocks: deque[Block] = deque(maxlen=_SENT_BLOCKS)
         self.number = number
         self.queued = 0
 
@@ -93,55 +94,55 @@ class Outflow:
         return len(self._edges)
 
     def put(self, events: Events) -> None:
-        """Take events (n,) EVENT, sorted; they are copied."""
+        """Queue events (n,) EVENT, sorted; they are copied."""
         if len(events):
             self._waiting.append(copy_events(events))
             self.queued += len(events)
 
     def put_edges(self, edges: Edges) -> None:
-        """Take edges (n,) EDGE, sorted; one that is older than what was told gets the time of that."""
+        """Queue edges (n,) EDGE, sorted; one older than the time already sent gets that time."""
         together = np.concatenate([self._edges, edges])
         self._edges = together[np.argsort(together["t"], kind="stable")]
 
     def next(self, now_us: int, packet_size: int, *, at_once: bool = False) -> Outgoing | None:
-        """Return the next block; None while it may still grow, unless `at_once`, and while it is empty."""
+        """Return the next block; None while it is empty, or may still grow and `at_once` is false."""
         begin_us = self._first_us()
         if begin_us is None or begin_us > now_us:
             return self._silence(now_us, packet_size)
-        if begin_us - self._told_us > _SILENCE_US:
+        if begin_us - self._reported_us > _SILENCE_US:
             return self._silence(begin_us, packet_size)
         if not at_once and self.queued < _MOST_EVENTS and now_us - begin_us < self._block_us:
             return None
         return self._block(begin_us, now_us, packet_size)
 
     def clear(self) -> None:
-        """Forget what waits."""
+        """Empty the queues."""
         self._waiting.clear()
         self._edges, self.queued = empty_edges(), 0
 
-    def kept(self, number: int) -> Block | None:
-        """Return a block that was sent; None where it is kept no more, or never was."""
-        return next((block for block in self._kept if block.number == number), None)
+    def sent_block(self, number: int) -> Block | None:
+        """Return a block that was sent; None if it is no longer stored, or never was."""
+        return next((block for block in self._sent_blocks if block.number == number), None)
 
     def _first_us(self) -> int | None:
         firsts = [int(self._waiting[0]["t"][0])] if self._waiting else []
         if len(self._edges):
-            firsts.append(max(int(self._edges["t"][0]), self._told_us))
+            firsts.append(max(int(self._edges["t"][0]), self._reported_us))
         return min(firsts, default=None)
 
     def _block(self, begin_us: int, now_us: int, packet_size: int) -> Outgoing:
         events = self._taken(begin_us + _LONGEST_US)
         until_us = int(events["t"][-1]) if len(events) == _MOST_EVENTS else min(now_us, begin_us + _LONGEST_US)
         due = int(np.count_nonzero(self._edges["t"] <= max(until_us, 0)))
-        words, told, told_edges = self._encoder.fill(events, self._late(self._edges[:due]), BLOCK_OCTETS)
-        self._put_back(events[told:])
-        events, edges, self._edges = events[:told], self._edges[:told_edges], self._edges[told_edges:]
+        words, used, used_edges = self._encoder.fill(events, self._late(self._edges[:due]), BLOCK_OCTETS)
+        self._put_back(events[used:])
+        events, edges, self._edges = events[:used], self._edges[:used_edges], self._edges[used_edges:]
         last_us = max([int(each["t"][-1]) for each in (events, edges) if len(each)])
-        self._told_us = max(self._told_us, last_us)
+        self._reported_us = max(self._reported_us, last_us)
         return Outgoing(self._numbered(words, begin_us, packet_size), events, edges)
 
     def _taken(self, until_us: int) -> Events:
-        """Return the events that go into one block: not too many, and not over too long a time."""
+        """Return the events of one block: limited in number and in length of time."""
         taken, room = [], _MOST_EVENTS
         while self._waiting and room and int(self._waiting[0]["t"][0]) < until_us:
             first = self._waiting.popleft()
@@ -154,28 +155,28 @@ class Outflow:
         return join_events(taken) if taken else empty_events()
 
     def _put_back(self, events: Events) -> None:
-        """Let events that found no room in a block wait for the next one."""
+        """Put events that found no room in a block back into the queue."""
         if len(events):
             self._waiting.appendleft(events)
             self.queued += len(events)
 
     def _late(self, edges: Edges) -> Edges:
         late = edges.copy()
-        late["t"] = np.maximum(late["t"], np.uint64(self._told_us))
+        late["t"] = np.maximum(late["t"], np.uint64(self._reported_us))
         return late
 
     def _silence(self, until_us: int, packet_size: int) -> Outgoing | None:
-        """Return a block that tells the time alone; None where the last block is not old."""
-        if until_us - self._told_us < _SILENCE_US:
+        """Return a block that carries only the time; None if the last block is recent."""
+        if until_us - self._reported_us < _SILENCE_US:
             return None
-        self._told_us = min(until_us, self._told_us + _LONGEST_SILENCE_US)
-        words = self._encoder.advance(self._told_us - self._epoch_us)
-        return Outgoing(self._numbered(words, self._told_us, packet_size), empty_events(), empty_edges())
+        self._reported_us = min(until_us, self._reported_us + _LONGEST_SILENCE_US)
+        words = self._encoder.advance(self._reported_us - self._epoch_us)
+        return Outgoing(self._numbered(words, self._reported_us, packet_size), empty_events(), empty_edges())
 
     def _numbered(self, words: bytes, time_us: int, packet_size: int) -> Block:
         self.number += 1
         block = Block(self.number, 1000 * (time_us - self._epoch_us), words, packet_size)
-        self._kept.append(block)
+        self._sent_blocks.append(block)
         return block
 
 
@@ -183,7 +184,7 @@ _Mask = npt.NDArray[np.bool_]
 
 
 class Selection:
-    """What hosts write to the registers of ranges and of the rate control, at work."""
+    """Registers of ranges and of the rate control, applied to events."""
 
     def __init__(self, size: tuple[int, int]) -> None:
         self._bounds = evs_rules(size)
@@ -192,7 +193,7 @@ class Selection:
         self._rate = RateControl(PERIOD_US)
 
     def rules(self) -> dict[int, Rule]:
-        """Return what writes to these registers do, by address."""
+        """Return the rules for writes to these registers, by address."""
         doing = self._doing(ROWS, self._rows) | self._doing(COLUMNS, self._columns)
         doing |= {
             INVERTED: self._invert,
@@ -203,7 +204,7 @@ class Selection:
         return {address: _followed(self._bounds[address], do) for address, do in doing.items()}
 
     def apply(self, events: Events, epoch_us: int) -> Selected:
-        """Return what passes of events (n,) EVENT, sorted, of a camera whose clock was zero at `epoch_us`."""
+        """Return the part that passes of events (n,) EVENT, sorted; the camera's clock was zero at `epoch_us`."""
         wanted = events
         if self._rows.on or self._columns.on:
             crossing = self._rows.mask[events["y"]] & self._columns.mask[events["x"]]
@@ -231,7 +232,7 @@ class _Ranges:
     Attributes
     ----------
     mask
-        Which rows or columns lie in a range, (pixels,) bool; all of them while the ranges are off.
+        Mask of the rows or columns in a range, (pixels,) bool; true for all while the ranges are off.
     """
 
     def __init__(self, pixels: int) -> None:
@@ -247,7 +248,7 @@ class _Ranges:
         self._draw()
 
     def select(self, number: int) -> None:
-        """Say which range is written next."""
+        """Select the range that is written next."""
         self._selected = number
 
     def resize(self, size: int) -> None:
@@ -256,12 +257,12 @@ class _Ranges:
         self._draw()
 
     def move(self, offset: int) -> None:
-        """Set where the selected range begins."""
+        """Set the start of the selected range."""
         self._offsets[self._selected] = offset
         self._draw()
 
     def use(self, count: int) -> None:
-        """Say how many ranges, from the first on, are used."""
+        """Set the number of ranges, from the first on, that are used."""
         self._used = count
         self._draw()
 
@@ -272,7 +273,7 @@ class _Ranges:
 
 
 def _followed(bounds: Rule, do: Callable[[int], None]) -> Rule:
-    """Return a rule that does something with a value that is within bounds."""
+    """Return a rule that calls `do` with a value that is within bounds."""
 
     def rule(value: int) -> int:
         done = bounds(value)

@@ -1,9 +1,9 @@
-"""What a GigE Vision camera is told when it is made.
+"""Settings and registers of a GigE Vision camera.
 
-The registers that every GigE Vision device has, by address.
+Registers of every GigE Vision device, by address:
 
     0x0000 version, mode, MAC, address, names       248 octets, which are also the answer to a discovery
-    0x0200, 0x0400   where the XML description is   text, 512 octets each
+    0x0200, 0x0400   location of the XML description   text, 512 octets each
     0x0600 interfaces, 0x0670 link speed
     0x0900 capabilities, heartbeat, time
     0x0A00 control privilege
@@ -13,25 +13,25 @@ The registers that every GigE Vision device has, by address.
 
 Source: GigE Vision 2.0 as implemented in the open by Aravis; names of the camera from published captures.
 
-The memory of a GigE Vision device: areas of octets that a host reads, registers of four octets that it writes.
+The memory of the device has areas of octets, which a host reads, and registers of four octets, which it writes:
 
 area       start --- octets ------- end       READREG, READMEM
-rule       at the address of a register       WRITEREG, WRITEMEM: value written -> value kept, or Refused
+rule       at the address of a register       WRITEREG, WRITEMEM: value written -> value stored, or Refused
 
-The registers of the Triton2 EVS beyond those of every GigE Vision device, by address.
+Further registers of the Triton2 EVS, by address:
 
     1010 0030               temperature, signed, 1/16 degree C
-    1030 0000 - 1030 0020   acquisition and picture: mode, start, stop, payload size, width, height, event format
-    1030 0024, 1030 0028    messages: which event is meant, whether it is told: 1 without data, 2 with data
+    1030 0000 - 1030 0020   acquisition and image: mode, start, stop, payload size, width, height, event format
+    1030 0024, 1030 0028    messages: selected event, notification: 0 off, 1 without data, 2 with data
     13F3 0000 + 14 k        bias k: value, least, most (signed offsets from the factory's value)
-    13F6 0000               rate control: on, 0004 period, us, 0018 events a period, 002C what is dropped
+    13F6 0000               rate control: on, 0004 period, us, 0018 events a period, 002C events that are dropped
     1040 1004 - 1040 1038   rows:    on, selector, size, offset, number of ranges
     1040 1050 - 1040 1084   columns: the same
     1040 108C               inverted: masks only where a row range and a column range cross
 
-Source: what neuromorphic_drivers writes and reads. Of the acquisition registers only start and stop are known; the
-others have addresses of our own, which a GenICam host learns from the description. Bounds of the biases are those
-recommended for the IMX636.
+Source: registers that neuromorphic_drivers writes and reads. Of the acquisition registers only start and stop are
+known; the others have addresses chosen here, which a GenICam host reads from the description. Bounds of the biases are
+those recommended for the IMX636.
 """
 
 from __future__ import annotations
@@ -55,11 +55,11 @@ __all__ = [
     "INVERTED",
     "LONGEST_READ",
     "MOST_RANGES",
+    "NOTIFY_WITH_DATA",
     "PERIOD_US",
     "ROWS",
     "TEMPERATURE",
     "TICK_HZ",
-    "TOLD_WITH_DATA",
     "Bias",
     "Capability",
     "Erc",
@@ -74,7 +74,7 @@ __all__ = [
     "bootstrap",
     "evs_areas",
     "evs_rules",
-    "kept",
+    "unchanged",
 ]
 
 
@@ -87,17 +87,17 @@ class GigeSettings:
     size
         (width, height) of the sensor, pixels.
     address
-        The camera's own IPv4 address, which it tells in its answer to a discovery.
+        The camera's own IPv4 address, which is in its answer to a discovery.
     serial, user_name
         At most 15 ASCII characters.
     start_delay_us
         Silence after AcquisitionStart: a host with the stock socket buffer begins to read some 0.1 s later.
     block_us
-        A block is closed when it is that old, or full.
+        Age at which a block is closed, unless it is full before.
     capacity
-        Events that wait at most; further ones are dropped and counted.
+        Most events that wait; further ones are dropped and counted.
     biases
-        What biases do to the sensor.
+        Effect of the biases on the sensor.
     """
 
     size: tuple[int, int] = (1280, 720)
@@ -183,7 +183,7 @@ class Register(IntEnum):
 
 
 class Capability(IntFlag):
-    """What the device can do beyond the least, as register CAPABILITY tells."""
+    """Optional functions of the device, as in register CAPABILITY."""
 
     USER_NAME = 1 << 31
     SERIAL = 1 << 30
@@ -199,14 +199,14 @@ class Capability(IntFlag):
 
 
 class Privilege(IntFlag):
-    """Register PRIVILEGE: who controls the device."""
+    """Register PRIVILEGE: the kind of control that a host has."""
 
     EXCLUSIVE = 1 << 0
     CONTROL = 1 << 1
 
 
 def bootstrap(settings: GigeSettings, xml_location: str) -> bytes:
-    """Return the registers from address 0 on, as they are at power-on."""
+    """Return the registers from address 0 on, at power-on."""
     octets = bytearray(_LENGTH)
     for address, number in _numbers(settings).items():
         octets[address : address + 4] = number.to_bytes(4, "big")
@@ -259,16 +259,16 @@ LONGEST_READ = 536
 """Octets of one READMEM: the answer fits into 576 octets, which every network carries."""
 
 Rule = Callable[[int], int]
-"""What a register does with a value written to it: returns the value to keep, or raises Refused."""
+"""Rule for writes to a register: returns the value to store, or raises Refused."""
 
 
-def kept(value: int) -> int:
-    """Return the value as it was written: the rule of a register that only remembers."""
+def unchanged(value: int) -> int:
+    """Return the value as it was written: the rule of a register that only stores it."""
     return value
 
 
 def between(least: int, most: int) -> Rule:
-    """Return the rule of a register that refuses numbers outside of these, signed where `least` is negative."""
+    """Return the rule of a register that refuses numbers outside these, signed if `least` is negative."""
 
     def rule(value: int) -> int:
         number = value - (1 << 32) if least < 0 and value >> 31 else value
@@ -280,7 +280,7 @@ def between(least: int, most: int) -> Rule:
 
 
 class Memory:
-    """Areas by the address that they begin at, and rules by the address of their register."""
+    """Memory of a device: areas by their first address, and rules by the address of their register."""
 
     def __init__(self, areas: Mapping[int, bytes], rules: Mapping[int, Rule]) -> None:
         self._starts = sorted(areas)
@@ -288,23 +288,23 @@ class Memory:
         self._rules = dict(rules)
 
     def read(self, address: int, count: int) -> bytes:
-        """Return `count` octets; raises Refused outside of the areas, and where four do not divide both numbers."""
+        """Return `count` octets; raises Refused outside the areas, and unless four divides both numbers."""
         if address % 4 or count % 4:
             raise Refused(Status.BAD_ALIGNMENT)
         area, offset = self._find(address, count)
         return bytes(area[offset : offset + count])
 
     def get(self, address: int) -> int:
-        """Return a register; raises Refused where there is none."""
+        """Return a register; raises Refused if there is none."""
         return int.from_bytes(self.read(address, 4), "big")
 
     def set(self, address: int, value: int) -> None:
-        """Change a register from the inside, without its rule."""
+        """Change a register from inside the device, without its rule."""
         area, offset = self._find(address, 4)
         area[offset : offset + 4] = (value & 0xFFFFFFFF).to_bytes(4, "big")
 
     def write(self, address: int, value: int) -> None:
-        """Write a register as a host does; raises Refused where it cannot be written, or not with this value."""
+        """Write a register for a host; raises Refused if it cannot be written, or not with this value."""
         if address % 4:
             raise Refused(Status.BAD_ALIGNMENT)
         rule = self._rules.get(address)
@@ -328,13 +328,13 @@ ACQUISITION_START = 0x1030_0004
 ACQUISITION_STOP = 0x1030_0008
 INVERTED = 0x1040_108C
 PERIOD_US = 200
-TOLD_WITH_DATA = 2
+NOTIFY_WITH_DATA = 2
 MOST_RANGES = 64
 _CELSIUS = 35
 
 
 class Evs(IntEnum):
-    """Acquisition and picture."""
+    """Acquisition and image."""
 
     MODE = 0x1030_0000
     PAYLOAD_SIZE = 0x1030_0010
@@ -392,7 +392,7 @@ COLUMNS = RangeRegisters(0x1040_1050, 0x1040_1054, 0x1040_105C, 0x1040_1070, 0x1
 
 
 def evs_areas(size: tuple[int, int], payload_octets: int) -> dict[int, bytes]:
-    """Return the areas of these registers as they are at power-on."""
+    """Return the areas of these registers at power-on."""
     biases = bytearray(0x14 * len(BIASES))
     for bias in BIASES.values():
         offset = bias.address - 0x13F3_0000
@@ -412,14 +412,14 @@ def evs_areas(size: tuple[int, int], payload_octets: int) -> dict[int, bytes]:
 
 
 def evs_rules(size: tuple[int, int]) -> dict[int, Rule]:
-    """Return what may be written to those of these registers that only remember."""
+    """Return the rules of those of these registers that only store a value."""
     rules = {bias.address: between(bias.least, bias.most) for bias in BIASES.values()}
     rules |= {Evs.MODE: between(0, 0), Evs.EVENT_FORMAT: between(0, 0), INVERTED: between(0, 1)}
     rules |= {Erc.ON: between(0, 1), Erc.PERIOD_US: between(1, 1 << 20), Erc.EVENTS: between(0, (1 << 31) - 1)}
     rules |= {
         Erc.DROP_MODE: between(0, 4),
         Evs.EVENT_SELECTOR: between(0, 0),
-        Evs.EVENT_NOTIFICATION: between(0, TOLD_WITH_DATA),
+        Evs.EVENT_NOTIFICATION: between(0, NOTIFY_WITH_DATA),
     }
     for registers, pixels in ((ROWS, size[1]), (COLUMNS, size[0])):
         rules |= {

@@ -1,4 +1,4 @@
-"""The stream of a LUCID Triton2 EVS (TRT009S-E, IMX636) without its cable: orders and events in, blocks out.
+"""The stream of a LUCID Triton2 EVS (TRT009S-E, IMX636), without I/O: orders and events in, blocks out.
 
     Triton2Control --orders--> obey --> Memory --rules--> acquisition, masks, rate control, biases
     array -------------------> offer -> selection --> Outflow --> next_block --> GVSP packets
@@ -33,7 +33,7 @@ from firmware_protocol.gige.registers import (
     ACQUISITION_START,
     ACQUISITION_STOP,
     BIASES,
-    TOLD_WITH_DATA,
+    NOTIFY_WITH_DATA,
     Evs,
     GigeSettings,
     Memory,
@@ -50,19 +50,19 @@ from firmware_protocol.gige.triton2_registers import (
 
 __all__ = ["Triton2"]
 
-_MOST_EXTRA = 4096  # datagrams that hosts asked for and that wait
+_MOST_EXTRA = 4096  # requested datagrams that wait
 _MOST_SCHEDULED = 256
 
 
 class Triton2(EventDevice):
-    """The camera. Events and the passing of stream time go in by `offer` and `advance`, orders by `obey`.
+    """The camera. `offer` takes events, `advance` the passing of stream time, `obey` orders.
 
     Attributes
     ----------
     owner
         The host that has control of it, or None.
     messages
-        What it tells its host of edges.
+        Its messages about edges to its host.
     """
 
     def __init__(self, settings: GigeSettings | None = None) -> None:
@@ -84,7 +84,7 @@ class Triton2(EventDevice):
         self.messages = Messages()
 
     def obey(self, order: Order) -> None:
-        """Carry out what the control channel has accepted."""
+        """Execute an order that the control channel has accepted."""
         match order:
             case Write(address, value):
                 self._memory.write(address, value)
@@ -116,30 +116,30 @@ class Triton2(EventDevice):
 
     @property
     def destination(self) -> tuple[int, int] | None:
-        """(address as a number, port) that the host gave for the stream; None while the channel is closed."""
+        """(address as a number, port) that the host set for the stream; None while the channel is closed."""
         port = self._memory.get(Register.STREAM_PORT) & 0xFFFF
         return (self._memory.get(Register.STREAM_ADDRESS), port) if port else None
 
     @property
     def message_destination(self) -> tuple[int, int] | None:
-        """(address as a number, port) that the host gave for messages; None while the channel is closed."""
+        """(address as a number, port) that the host set for messages; None while the channel is closed."""
         port = self._memory.get(Register.MESSAGE_PORT) & 0xFFFF
         return (self._memory.get(Register.MESSAGE_ADDRESS), port) if port else None
 
     @property
     def message_settings(self) -> MessageSettings:
-        """How long the host gives itself for an answer to a message, and how often it wants it repeated."""
+        """The host's timeout for its answer to a message, and its number of repetitions."""
         timeout_ms = self._memory.get(Register.MESSAGE_TIMEOUT)
         return MessageSettings(timeout_ms * 1_000_000, self._memory.get(Register.MESSAGE_RETRIES))
 
     @property
     def packet_delay_ns(self) -> int:
-        """Pause that the host wants between packets."""
+        """Pause between packets that the host set."""
         return self._memory.get(Register.PACKET_DELAY)
 
     @property
     def may_fragment(self) -> bool:
-        """Whether packets may be cut on the way."""
+        """True if packets may be fragmented."""
         return not self._memory.get(Register.PACKET_SIZE) & DO_NOT_FRAGMENT
 
     @property
@@ -150,12 +150,12 @@ class Triton2(EventDevice):
 
     @property
     def sensor_factors(self) -> Mapping[str, float]:
-        """What the biases that hosts wrote do to the pixels; empty while they are the factory's."""
+        """Effect on the pixels of the biases that hosts wrote; empty while they are the factory's."""
         return self.settings.biases.factors(self.biases)
 
     @property
     def without_effect(self) -> Mapping[str, str]:
-        """Biases that hosts moved and that change nothing here, and why."""
+        """Biases that hosts changed without an effect here, each with the reason."""
         return self.settings.biases.without_effect(self.biases)
 
     @property
@@ -165,7 +165,7 @@ class Triton2(EventDevice):
 
     @property
     def silent_until_us(self) -> int:
-        """End of the silence after the start; 0 while it does not run."""
+        """End of the silence after the start; 0 while the acquisition is stopped."""
         return self._silent_until_us if self.streaming else 0
 
     @property
@@ -180,7 +180,7 @@ class Triton2(EventDevice):
         return CameraCounters(**self._fates, queued=self._outflow.queued + self._carried, edges=edges, readings={})
 
     def offer(self, events: Events) -> None:
-        """Take events (n,) EVENT; raises ValueError when they go back in time or lie outside the array."""
+        """Queue events (n,) EVENT; raises ValueError if they go back in time or lie outside the array."""
         if not len(events):
             return
         self._check(events)
@@ -192,7 +192,7 @@ class Triton2(EventDevice):
             self._fates["not_running"] += len(events)
 
     def offer_edges(self, edges: Edges) -> None:
-        """Take edges (n,) EDGE for the trigger input."""
+        """Apply edges (n,) EDGE to the trigger input."""
         self._edge_fates["offered"] += len(edges)
         if self.streaming and self._now_us >= self._silent_until_us:
             self._put_edges(edges)
@@ -200,12 +200,12 @@ class Triton2(EventDevice):
             self._edge_fates["ignored"] += len(edges)
 
     def advance(self, now_us: int) -> None:
-        """Say that stream time has reached `now_us`."""
+        """Set stream time to `now_us`."""
         self._now_us = max(self._now_us, now_us)
         self._pulse()
 
     def next_block(self, *, at_once: bool = False) -> Outgoing | None:
-        """Return the next block for the stream, `at_once` also a young one; say `sent` or `lost` of it later."""
+        """Return the next block for the stream, `at_once` even a recent one; report `sent` or `lost` for it later."""
         if not self.streaming or self._now_us < self._silent_until_us:
             return None
         outgoing = self._outflow.next(self._now_us, self._memory.get(Register.PACKET_SIZE) & 0xFFFF, at_once=at_once)
@@ -215,12 +215,12 @@ class Triton2(EventDevice):
         return outgoing
 
     def next_extra(self) -> Extra | None:
-        """Return the next datagram that a host asked for beside the blocks: a test packet, or one sent again."""
+        """Return the next datagram that a host requested beside the blocks: a test packet, or a repeated one."""
         return self._extra.popleft() if self.waits_extra else None
 
     @property
     def waits_extra(self) -> bool:
-        """Whether `next_extra` has one."""
+        """True if `next_extra` has one."""
         return bool(self._extra) and self.destination is not None
 
     def sent(self, outgoing: Outgoing) -> None:
@@ -232,21 +232,21 @@ class Triton2(EventDevice):
         self._settle(outgoing, "lost_on_link")
 
     def disconnected(self) -> None:
-        """Say that the link is closed: nobody has control any more."""
+        """Note that the link is closed: no host has control any more."""
         self.obey(Owner(None))
 
-    def _resend(self, asked: Resend) -> None:
-        """Send packets of a block once more; what hosts ask for beyond what can wait is left out."""
-        block, room = self._outflow.kept(asked.block), _MOST_EXTRA - len(self._extra)
+    def _resend(self, request: Resend) -> None:
+        """Send packets of a block again; requests beyond the room of the queue are ignored."""
+        block, room = self._outflow.sent_block(request.block), _MOST_EXTRA - len(self._extra)
         if block is None:
-            self._extra.extend([Extra(removed(asked.block, asked.first))] * min(1, room))
+            self._extra.extend([Extra(removed(request.block, request.first))] * min(1, room))
             return
-        for number in range(asked.first, min(asked.last + 1, block.packets, asked.first + room)):
+        for number in range(request.first, min(request.last + 1, block.packets, request.first + room)):
             data = block.packet(number, Status.PACKET_RESENT)
-            self._extra.append(Extra(data, asked.block, number))
+            self._extra.append(Extra(data, request.block, number))
 
     def _schedule(self, time_ns: int | None) -> None:
-        """Have a pulse on the trigger input, now or later; one of a camera that does not stream is none."""
+        """Schedule a pulse on the trigger input, now or later; ignored while the camera does not stream."""
         if not self.streaming:
             return
         if len(self._scheduled_us) == _MOST_SCHEDULED:
@@ -258,7 +258,7 @@ class Triton2(EventDevice):
         self._pulse()
 
     def _pulse(self) -> None:
-        """Give the pulses that are due."""
+        """Apply the pulses that are due."""
         while self._scheduled_us and self._scheduled_us[0] <= self._now_us:
             pulse = empty_edges(1)
             pulse["t"], pulse["kind"] = heappop(self._scheduled_us), EdgeKind.PULSE
@@ -266,13 +266,13 @@ class Triton2(EventDevice):
             self._put_edges(pulse)
 
     def _put_edges(self, edges: Edges) -> None:
-        """Queue edges for the stream, and messages of them where the host wants these."""
+        """Queue edges for the stream, and messages of them if the host enabled these."""
         self._outflow.put_edges(edges)
-        told = self._memory.get(Evs.EVENT_NOTIFICATION)
-        if self.message_destination is not None and told:
+        notification = self._memory.get(Evs.EVENT_NOTIFICATION)
+        if self.message_destination is not None and notification:
             for time_us, kind in zip(edges["t"].tolist(), edges["kind"].tolist(), strict=True):
-                data = kind.to_bytes(4, "big") if told == TOLD_WITH_DATA else b""
-                self.messages.tell(EDGE_EVENT, 1000 * (time_us - self._epoch_us), data)
+                data = kind.to_bytes(4, "big") if notification == NOTIFY_WITH_DATA else b""
+                self.messages.queue(EDGE_EVENT, 1000 * (time_us - self._epoch_us), data)
 
     def _settle(self, outgoing: Outgoing, fate: str) -> None:
         self._carried -= len(outgoing.events)
@@ -288,7 +288,7 @@ class Triton2(EventDevice):
             raise ValueError(f"events outside the {width} x {height} array")
 
     def _put(self, events: Events) -> None:
-        """Queue events of a running camera, but for those that nobody wants or that find no room."""
+        """Queue events of a running camera, except those that are not selected or find no room."""
         begun = events[before(events, self._silent_until_us) :]
         selected = self._selection.apply(begun, self._epoch_us)
         fitting = selected.events[: self.room_events]
@@ -299,7 +299,7 @@ class Triton2(EventDevice):
         self._fates["dropped_fifo"] += len(selected.events) - len(fitting)
 
     def _own_rules(self) -> dict[int, Rule]:
-        """Return the rules of registers that do something beside remembering."""
+        """Return the rules of registers that do more than store a value."""
         return {
             ACQUISITION_START: self._on_start,
             ACQUISITION_STOP: self._on_stop,
@@ -321,7 +321,7 @@ class Triton2(EventDevice):
         return 0
 
     def _stop(self) -> None:
-        """End the acquisition; what waits is dropped. Blocks that were sent are kept for hosts that ask for them."""
+        """End the acquisition and drop the queue. Sent blocks stay available to hosts that request them again."""
         self._acquiring = False
         self._scheduled_us.clear()
         self.messages.clear()

@@ -1,10 +1,10 @@
-"""The control channel of a Triton2 EVS: requests in, answers out, and orders for what makes its stream.
+"""The control channel of a Triton2 EVS: requests in, answers out, and orders for the stream.
 
     host --GVCP--> Control --> Memory --> answer
                       |
                       +--> orders --> Triton2.obey
 
-It needs neither numpy nor the events, so that a small process can answer at once whatever else the machine does.
+It imports neither numpy nor the event code, so that a small process can answer at once under any load of the machine.
 """
 
 from __future__ import annotations
@@ -25,20 +25,20 @@ _MOST_ORDERS = 4096
 
 
 class Triton2Control:
-    """Answers hosts of one camera.
+    """Control channel of one camera: answers hosts and queues orders.
 
     Parameters
     ----------
     time
-        Gives the device's clock as the stream has it.
+        Source of the device's clock, as the stream has it.
     stream_port
-        Port that the stream is sent from.
+        Port from which the stream is sent.
 
     Attributes
     ----------
     orders
-        What the stream is to carry out next; the caller takes them from the left. When too many wait, further
-        requests that would give one are refused as busy.
+        Orders that the stream is to execute next; the caller takes them from the left. When the queue is full, further
+        requests that would give an order are refused as busy.
     """
 
     def __init__(self, settings: GigeSettings, time: TimeSource, stream_port: int = 0) -> None:
@@ -51,17 +51,17 @@ class Triton2Control:
         self.orders: deque[Order] = deque()
 
     def receive(self, datagrams: Sequence[Datagram], now_ns: int) -> list[Datagram]:
-        """Take what came to the control port and return the answers; `now_ns` counts the heartbeat."""
+        """Return the answers to datagrams of the control port; `now_ns` counts the heartbeat."""
         answers = self._control.take(datagrams, now_ns)
         self._control.expire(now_ns)
         return answers
 
     def release(self) -> None:
-        """Take control away from whoever has it, as when its heartbeat does not come."""
+        """Withdraw control from the host that has it, as after a missed heartbeat."""
         self._control.release()
 
     def move(self, address: str, stream_port: int) -> None:
-        """Tell another address from now on, and another port that the stream is sent from."""
+        """Report another address from now on, and another port from which the stream is sent."""
         self._memory.set(Register.ADDRESS, int(ipaddress.IPv4Address(address)))
         self._memory.set(Register.STREAM_SOURCE_PORT, stream_port)
 
@@ -72,7 +72,7 @@ class Triton2Control:
 
     @property
     def counts(self) -> Counter[str]:
-        """Requests by what became of them."""
+        """Requests by outcome."""
         return self._control.counts
 
     def check_room(self) -> None:
@@ -101,12 +101,12 @@ class Triton2Control:
         self._memory.set(Evs.EVENT_NOTIFICATION, 0)
         self.orders.append(Owner(None))
 
-    def resend(self, asked: Resend) -> None:
+    def resend(self, request: Resend) -> None:
         """See `Controlled.resend`."""
-        self.orders.append(asked)
+        self.orders.append(request)
 
     def act(self, action: Action) -> Status:
-        """See `Controlled.act`: an action is a pulse on the trigger input; one that comes too late is done at once."""
+        """See `Controlled.act`: an action is a pulse on the trigger input; one that is late is executed at once."""
         late = action.time_ns is not None and action.time_ns <= self._now_ns()
         self.orders.append(Pulse(None if late else action.time_ns))
         return Status.ACTION_LATE if late else Status.SUCCESS

@@ -1,7 +1,4 @@
-"""All registers of the Triton2 EVS as they are at power-on, and what hosts may write to them.
-
-What a host may write to the registers that every GigE Vision device has.
-"""
+"""Power-on values of all registers of the Triton2 EVS, and the rules for writes to them."""
 
 from __future__ import annotations
 
@@ -19,7 +16,7 @@ from firmware_protocol.gige.registers import (
     bootstrap,
     evs_areas,
     evs_rules,
-    kept,
+    unchanged,
 )
 
 __all__ = [
@@ -36,7 +33,7 @@ __all__ = [
 TEST_PACKET = 1 << 31
 DO_NOT_FRAGMENT = 1 << 30
 _PERSISTENT_ADDRESSES = (0x064C, 0x065C, 0x066C)
-_REMEMBERED = (
+_PLAIN = (
     Register.HEARTBEAT_MS, Register.GVCP_CONFIGURATION, Register.PENDING_MS, Register.GVSP_CONFIGURATION,
     Register.PACKET_DELAY, Register.STREAM_ADDRESS, Register.ACTION_DEVICE_KEY, *_PERSISTENT_ADDRESSES,
     Register.MESSAGE_ADDRESS,
@@ -44,10 +41,10 @@ _REMEMBERED = (
 
 
 def standard_rules() -> dict[int, Rule]:
-    """Return the rules, by address."""
-    rules: dict[int, Rule] = dict.fromkeys(_REMEMBERED, kept)
-    rules |= {Register.USER_NAME + 4 * k: kept for k in range(4)}
-    rules |= {Register.ACTION_GROUP + 16 * k + place: kept for k in range(ACTION_GROUPS) for place in (0, 4)}
+    """Return the rules of the registers that every GigE Vision device has, by address."""
+    rules: dict[int, Rule] = dict.fromkeys(_PLAIN, unchanged)
+    rules |= {Register.USER_NAME + 4 * k: unchanged for k in range(4)}
+    rules |= {Register.ACTION_GROUP + 16 * k + place: unchanged for k in range(ACTION_GROUPS) for place in (0, 4)}
     rules |= dict.fromkeys((Register.STREAM_PORT, Register.MESSAGE_PORT), between(0, 0xFFFF))
     rules |= {Register.MESSAGE_TIMEOUT: between(0, 60_000), Register.MESSAGE_RETRIES: between(0, 100)}
     return rules
@@ -59,9 +56,9 @@ def action_areas() -> dict[int, bytes]:
 
 
 def packet_size(value: int) -> int:
-    """Return what register PACKET_SIZE keeps; raises Refused for a size that no packet has.
+    """Return the value that register PACKET_SIZE stores; raises Refused for a size that no packet has.
 
-    Sizes must be even: neuromorphic_drivers loses the last octet of an odd payload, and with it all that follows.
+    Sizes must be even: neuromorphic_drivers loses the last octet of an odd payload, and then misreads all that follows.
     """
     size = value & 0xFFFF
     if not LEAST_PACKET <= size <= MOST_PACKET or size % 2:
@@ -77,7 +74,7 @@ def triton2_areas(settings: GigeSettings) -> dict[int, bytes]:
 
 
 def triton2_rules(size: tuple[int, int]) -> dict[int, Rule]:
-    """Return the rules; registers that order something keep zero."""
+    """Return the rules; registers that give an order store zero."""
     rules = {**standard_rules(), **evs_rules(size), Register.PACKET_SIZE: packet_size}
     return rules | dict.fromkeys((ACQUISITION_START, ACQUISITION_STOP, Register.TIME_CONTROL), _nothing)
 

@@ -1,1 +1,1 @@
-"""Definitions of the instrument's packets for ground systems, written from the types that the code packs and reads."""
+"""Definitions of the instrument's packets for ground systems, generated from the types that the code uses."""

@@ -1,6 +1,6 @@
 
--- Frames of the CAN bus, by their identifiers. Messages in several frames go by Wireshark's own dissector of ISO-TP to the
--- one above:  tshark -d can.subdissector,iso15765 -d iso15765.subdissector,evstim
+-- Frames of the CAN bus, by their identifiers. Wireshark's own dissector of ISO-TP passes messages of several frames to
+-- the one above:  tshark -d can.subdissector,iso15765 -d iso15765.subdissector,evstim
 
 local can = Proto("evstim_can", "evstim instrument on CAN")
 local can_fields, frames = {}, {}
@@ -18,7 +18,7 @@ end
 
 can.fields = can_fields
 
--- Numbers lie with their lowest bit at `at`, counted from the lowest bit of the first octet; big-endian ones fill octets.
+-- The lowest bit of a number is at `at`, counted from the lowest bit of the first octet; big-endian ones fill octets.
 local function can_value(range, one)
   if one.big then
     return range:uint()

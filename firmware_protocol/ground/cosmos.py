@@ -22,7 +22,7 @@ _HEX = frozenset({"apid", "error_control", "request_packet_id", "request_sequenc
 
 @dataclass(frozen=True)
 class CosmosPorts:
-    """Where the camera takes telecommands, and where COSMOS takes its packets, as COSMOS sees them."""
+    """Address to which COSMOS sends telecommands, and port on which it receives packets."""
 
     camera_host: str = "127.0.0.1"
     camera_port: int = 10_025

@@ -1,4 +1,4 @@
-"""What every packet of the instrument holds, for the writers of definitions: the code's own layouts, put together.
+"""Content of every packet of the instrument, for the writers of definitions, from the code's own layouts.
 
 A packet is its primary header, its secondary header, its body (fields of fixed width), its rest (the part of varying
 length), and the error control.
@@ -29,14 +29,14 @@ _NOTHING = Layout()
 
 @dataclass(frozen=True)
 class Rest:
-    """The part of a packet whose length varies: all that stands before the error control.
+    """The part of a packet whose length varies, up to the error control.
 
     Attributes
     ----------
     longest, shortest
         Its greatest and least length, octets.
     records
-        Layout of each of the records that it is made of; None where it is octets or text.
+        Layout of each of its records; None if it is octets or text.
     """
 
     name: str
@@ -57,9 +57,9 @@ class Placed:
     Attributes
     ----------
     at
-        Bits from the beginning of the packet to its first one.
+        Bits from the beginning of the packet to the first bit of the field.
     identifies
-        The one value that it has in this kind of packet; None where it varies.
+        Its only value in this kind of packet; None if it varies.
     """
 
     field: Field
@@ -68,7 +68,7 @@ class Placed:
 
     @property
     def preset(self) -> int:
-        """What a sender puts there who has nothing else to say: all acknowledgements are wanted."""
+        """Default value: all acknowledgements are requested, all else is the lowest value."""
         return self.identifies or (int(Acknowledge.ALL) if self.field.name == "acknowledge" else 0)
 
 
@@ -87,7 +87,7 @@ class Packet:
 
     @property
     def is_command(self) -> bool:
-        """Whether it is a telecommand."""
+        """True if it is a telecommand."""
         return self.type is PacketType.TELECOMMAND
 
     @property
@@ -119,16 +119,16 @@ class Packet:
         return tuple(one for one in self.fields if one.at >= self.header.bits)
 
     def _identifying(self, one: Field) -> int | None:
-        told = {"type": self.type, "apid": self.apid, "service": self.service, "subtype": self.subtype}
-        told |= {"secondary_header": 1, "sequence_flags": 3}
-        value = told.get(one.name, one.fixed)
+        identifying = {"type": self.type, "apid": self.apid, "service": self.service, "subtype": self.subtype}
+        identifying |= {"secondary_header": 1, "sequence_flags": 3}
+        value = identifying.get(one.name, one.fixed)
         return None if value is None else int(value)
 
 
 def instrument_packets(
     addresses: Addresses = DEFAULT_ADDRESSES, max_payload: int = DEFAULT_MAX_PAYLOAD
 ) -> tuple[Packet, ...]:
-    """Return all that an instrument says, then all that it can be told."""
+    """Return all messages of an instrument, then all its telecommands."""
     return (*_messages(addresses, max_payload), *_verifications(addresses), *_commands(addresses))
 
 
@@ -146,7 +146,7 @@ def _messages(addresses: Addresses, max_payload: int) -> Iterator[Packet]:
             Rest("edges", "records of edges", block, EDGE_LAYOUT.octets, "records", EDGE_LAYOUT),
         ),
         MessageKind.HOUSEKEEPING: ("State of the instrument", HOUSEKEEPING_LAYOUT, None),
-        MessageKind.TIME: ("What time it is for the instrument", TIME_LAYOUT, None),
+        MessageKind.TIME: ("The instrument's time", TIME_LAYOUT, None),
         MessageKind.PONG: ("Answer to a ping", _NOTHING, None),
     }
     for kind, (meaning, body, rest) in parts.items():
@@ -155,14 +155,14 @@ def _messages(addresses: Addresses, max_payload: int) -> Iterator[Packet]:
 
 
 def _verifications(addresses: Addresses) -> Iterator[Packet]:
-    text = Rest("failure_text", "what was wrong", LONGEST_TEXT, kind="text")
-    told: Sequence[tuple[str, str, int, Layout, Rest | None]] = (
+    text = Rest("failure_text", "description of the failure", LONGEST_TEXT, kind="text")
+    reports: Sequence[tuple[str, str, int, Layout, Rest | None]] = (
         ("ACCEPTED", "A telecommand was accepted", Stage.ACCEPTANCE, REQUEST_LAYOUT, None),
         ("NOT_ACCEPTED", "A telecommand was not accepted", Stage.ACCEPTANCE + 1, REQUEST_LAYOUT + FAILURE_LAYOUT, text),
         ("COMPLETED", "A telecommand was completed", Stage.COMPLETION, REQUEST_LAYOUT, None),
         ("NOT_COMPLETED", "A telecommand failed", Stage.COMPLETION + 1, REQUEST_LAYOUT + FAILURE_LAYOUT, text),
     )
-    for name, meaning, subtype, body, rest in told:
+    for name, meaning, subtype, body, rest in reports:
         yield Packet(
             f"VERIFICATION_{name}",
             meaning,

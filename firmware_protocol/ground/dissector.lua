@@ -12,7 +12,7 @@ local MAKERS = {
   {64, ProtoField.uint64, ProtoField.int64},
 }
 
--- A field: where it lies, how wide it is, and how it is shown. The same filter name is registered once.
+-- A field: its position, its width and its display. The same filter name is registered once.
 local known = {}
 local function field(abbr, label, at, bits, meaning, more)
   more = more or {}
@@ -54,7 +54,7 @@ local bad_length = ProtoExpert.new("evstim.bad_length", "the length is wrong", e
 local unknown = ProtoExpert.new("evstim.unknown", "no packet of this instrument", expert.group.UNDECODED, expert.severity.NOTE)
 proto.experts = {bad_crc, bad_length, unknown}
 
--- CRC-16-CCITT-FALSE; the operator is compiled where the language has it.
+-- CRC-16-CCITT-FALSE; the operator is compiled if the language has it.
 local bxor = (bit32 and bit32.bxor) or (bit and bit.bxor) or load("return function(a, b) return a ~ b end")()
 local crc_table = {}
 for byte = 0, 255 do

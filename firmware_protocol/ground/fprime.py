@@ -1,7 +1,7 @@
 """The packets as a dictionary of F Prime's ground system (JSON, specification 1.0.0).
 
-Each message of whole octets is a telemetry packet whose members are its fields, so the body of our packet is what F
-Prime's decoder expects behind its own id and time. Blocks of events and edges are not there: F Prime has no fields of
+Each message of whole octets is a telemetry packet whose members are its fields, so the body of a packet is what F
+Prime's decoder expects after its own id and time. Blocks of events and edges are left out: F Prime has no fields of
 single bits and no parts of varying length. A field of three octets is an array of three.
 """
 

@@ -1,7 +1,7 @@
-"""The packets as a Wireshark dissector in Lua: tables written from the description, in a program that reads them.
+"""The packets as a Wireshark dissector in Lua: tables generated from the description, in a program that reads them.
 
 Filters: `evstim.apid` and the other header fields, `evstim.housekeeping.temperature` for a field of a packet. Values
-are in the unit that the label tells.
+are in the unit of the label.
 """
 
 from __future__ import annotations
@@ -42,25 +42,25 @@ def _frames(frames: Sequence[tuple[int, CanMessage]]) -> Iterable[str]:
         yield f"frames[{id_}] = {{name = {_quoted(message.name)},"
         for one in message.signals:
             label = one.name + (f", {one.unit}" if one.unit else "")
-            told = [_quoted(f"evstim_can.{message.name}.{one.name}"), _quoted(label), str(_lowest(one)), str(one.bits)]
+            row = [_quoted(f"evstim_can.{message.name}.{one.name}"), _quoted(label), str(_lowest(one)), str(one.bits)]
             more = _signal_more(one)
-            yield f"  signal({', '.join(told)}{f', {{{more}}}' if more else ''}),"
+            yield f"  signal({', '.join(row)}{f', {{{more}}}' if more else ''}),"
         yield "}"
 
 
 def _lowest(one: Signal) -> int:
-    """Return the first bit that counts for the program: of big-endian numbers, the lowest of their first octet."""
+    """Return the first bit for the program: of big-endian numbers, the lowest of their first octet."""
     return one.start // 8 * 8 if one.big_endian else one.start
 
 
 def _signal_more(one: Signal) -> str:
     choices = ", ".join(f"[{value}] = {_quoted(text)}" for value, text in one.values)
-    told = {
+    options = {
         "scale": one.factor if one.factor != "1" else "",
         "big": "true" if one.big_endian else "",
         "choices": f"{{{choices}}}" if choices else "",
     }
-    return ", ".join(f"{name} = {value}" for name, value in told.items() if value)
+    return ", ".join(f"{name} = {value}" for name, value in options.items() if value)
 
 
 def _tables(packets: Iterable[Packet], udp_ports: Sequence[int]) -> Iterable[str]:
@@ -102,21 +102,21 @@ def _fields(prefix: str, layout: Layout, at: int) -> Iterable[str]:
     places = accumulate((one.bits for one in layout.fields), initial=at)
     for one, place in zip(layout.fields, places, strict=False):
         label = one.name.replace("_", " ") + (f", {one.unit}" if one.unit else "")
-        told = [_quoted(f"{prefix}.{one.name}"), _quoted(label), str(place), str(one.bits), _quoted(one.meaning)]
+        row = [_quoted(f"{prefix}.{one.name}"), _quoted(label), str(place), str(one.bits), _quoted(one.meaning)]
         more = _more(one)
-        yield f"    field({', '.join(told)}{f', {{{more}}}' if more else ''}),"
+        yield f"    field({', '.join(row)}{f', {{{more}}}' if more else ''}),"
 
 
 def _more(one: Field) -> str:
-    """Return what is said of few fields."""
+    """Return the properties that only some fields have."""
     choices = ", ".join(f"[{value}] = {_quoted(name)}" for value, name in one.choices.items())
-    told = {
+    options = {
         "scale": repr(one.scale) if one.scale != 1 else "",
         "signed": "true" if one.signed else "",
         "hex": "true" if one.name in _HEX else "",
         "choices": f"{{{choices}}}" if choices else "",
     }
-    return ", ".join(f"{name} = {value}" for name, value in told.items() if value)
+    return ", ".join(f"{name} = {value}" for name, value in options.items() if value)
 
 
 def _quoted(text: str) -> str:

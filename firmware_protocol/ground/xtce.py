@@ -2,10 +2,10 @@
 
     CCSDSPacket (abstract)       the primary header
       Telemetry (abstract)       the secondary header of telemetry
-        HOUSEKEEPING, ...        chosen by APID, service and subtype
-    MetaCommands                 one for each telecommand; count, length and checksum are filled in by the ground system
+        HOUSEKEEPING, ...        selected by APID, service and subtype
+    MetaCommands                 one for each telecommand; the ground system fills in count, length and checksum
 
-Parameters of a packet bear its name in front. A part of varying length takes its size from the packet's length.
+Parameters of a packet have its name as a prefix. A part of varying length takes its size from the packet's length.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _USUAL_NAMES = {
 
 @dataclass(frozen=True)
 class _Sets:
-    """Where the definitions of parameters or arguments go; `word` is how XTCE calls them."""
+    """Sets of definitions of parameters or arguments; `word` is their name in XTCE."""
 
     word: str
     types: Xml.Element
@@ -101,14 +101,14 @@ def _packet(parent: Xml.Element, sets: _Sets, packet: Packet) -> None:
     entries = Xml.SubElement(container, "EntryList")
     for name in (*names, *(one.name for one in ERROR_CONTROL.fields)):
         Xml.SubElement(entries, "ParameterRefEntry", parameterRef=name)
-    told = {"PKT_APID": packet.apid, "service": packet.service, "subtype": packet.subtype}
-    _extend(container, "Telemetry", {name: str(value) for name, value in told.items()})
+    identifying = {"PKT_APID": packet.apid, "service": packet.service, "subtype": packet.subtype}
+    _extend(container, "Telemetry", {name: str(value) for name, value in identifying.items()})
 
 
-def _extend(container: Xml.Element, base: str, told: dict[str, str]) -> None:
+def _extend(container: Xml.Element, base: str, values: dict[str, str]) -> None:
     criteria = Xml.SubElement(Xml.SubElement(container, "BaseContainer", containerRef=base), "RestrictionCriteria")
     comparisons = Xml.SubElement(criteria, "ComparisonList")
-    for name, value in told.items():
+    for name, value in values.items():
         Xml.SubElement(comparisons, "Comparison", parameterRef=name, value=value)
 
 
@@ -140,7 +140,7 @@ def _number_type(parent: Xml.Element, name: str, one: Field, word: str) -> str:
 
 
 def _rest_type(parent: Xml.Element, name: str, rest: Rest, before: int) -> str:
-    """Define the type of what lies between octet `before` and the error control; return its name."""
+    """Define the type of the part between octet `before` and the error control; return its name."""
     if rest.kind == "text":
         type_ = Xml.SubElement(parent, "StringParameterType", name=name)
         Xml.SubElement(type_, "UnitSet")
@@ -177,7 +177,7 @@ def _commands(parent: Xml.Element, packets: Iterable[Packet]) -> None:
 
 
 def _apart(sets: _Sets, packet: str) -> None:
-    """Give the type of the argument that was defined last the name of its packet: all types lie in one set."""
+    """Prefix the last argument's type with the name of its packet, because all types are in one set."""
     name = f"{packet}_{sets.types[-1].get('name')}"
     sets.types[-1].set("name", name)
     sets.names[-1].set("argumentTypeRef", name)

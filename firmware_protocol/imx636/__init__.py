@@ -1,1 +1,1 @@
-"""Sony and Prophesee's IMX636 as whoever writes its registers sees it, whatever carries the writes."""
+"""Sony and Prophesee's IMX636: its registers and their effects, for any link."""

@@ -1,6 +1,6 @@
 """The registers of the IMX636 that hosts use; 32 bits each, at byte addresses in steps of 4.
 
-    0004            array control: bit 1 masks on, 5 masks are taken over, 6 keep inside (0: mask where both masks
+    0004            array control: bit 1 masks on, 5 masks take effect, 6 pass inside (0: mask where both masks
                     cross), 10 pixels run
     000C, 0010      light meter: control (bit 0 on); status: bits 26..0 count (100 per us), 29 valid
     0014            chip, A0401806
@@ -17,31 +17,31 @@
     9100 + 4 i      64 words of masked pixels: column 10..0, row 25..16, bit 31 on
     00400000        bit 0 of 400004: reset
 
-Others only remember. Addresses from 0 to FFFC and from 400000 to 400FFC exist. Format 1 (EVT2.1) is not there: the bit
-reads back as 0. Rows count from the top, as in EVT3 and OpenEB; neuromorphic_drivers counts those of masks from the
-bottom.
+Other registers only store their value. Addresses from 0 to FFFC and from 400000 to 400FFC exist. Format 1 (EVT2.1) is
+not implemented: the bit reads back as 0. Rows count from the top, as in EVT3 and OpenEB; neuromorphic_drivers counts
+those of masks from the bottom.
 
-Sources: register map and drivers of OpenEB 5.1.1; what neuromorphic_drivers writes and reads. Factory values of the
-biases are those that neuromorphic_drivers names. What values other registers have at power-on is not public: 0 here.
+Sources: register map and drivers of OpenEB 5.1.1; registers that neuromorphic_drivers writes and reads. Factory values
+of the biases are those in neuromorphic_drivers. The power-on values of other registers are not public: 0 here.
 
-What biases of the IMX636 do to its pixels, as factors on the figures that the factory's biases give.
+The effect of the biases on the pixels is a set of factors on the parameters that the factory's biases give:
 
     threshold_on             1 + diff_on  x steps of diff_on
     threshold_off            1 + diff_off x steps of diff_off
     refractory_us       1 / (1 + refr     x steps of refr)
-    corner_max_hz            1 + fo       x steps of fo; where there is a source follower, source_follower_hz
+    corner_max_hz            1 + fo       x steps of fo; source_follower_hz if the sensor has a source follower
 
 `steps` are those away from the factory's value, and the slopes are those of `BiasSlopes`: at the factory's biases all
-factors are 1, and the figures are those of the sensor's preset or of the rig. Factors end at 0.1 and 1000.
+factors are 1, and the parameters are those of the sensor's preset or of the rig. Factors end at 0.1 and 1000.
 
-No formula is public, and no measurement of a threshold over a bias was found. What the model rests on:
+No formula is public, and no measurement of a threshold over a bias was found. Basis of the model:
 
-    directions      Prophesee's page "Biases": a higher diff_on, diff_off is a higher threshold, a higher fo lets faster
-                    changes by, a higher refr is a shorter dead time
+    directions      Prophesee's page "Biases": a higher diff_on, diff_off is a higher threshold, a higher fo passes
+                    faster changes, a higher refr is a shorter dead time
     straight lines  the same page of 2021 on the sensor before: contrast is the difference of two bias voltages
     fo, refr        registers are current DACs. The corner of a follower is proportional to its current and a dead time
                     inverse, as in jAER's formulas (IEEE 7962235); so a slope is one over the factory's value, 83 and 20
-                    (those that neuromorphic_drivers names). Assumed: current is proportional to the register
+                    (those in neuromorphic_drivers). Assumed: current is proportional to the register
     diff_on         assumed: the least recommended offset, -85, gives the least threshold that was published, 11 %
                     (Finateu et al., ISSCC 2020, from memory), where the factory's value gives 25 %
     diff_off        assumed as diff_on: the recommended ranges of both have 225 steps
@@ -76,13 +76,13 @@ __all__ = [
 LEAST_FACTOR, MOST_FACTOR = 0.1, 1000.0
 _WITHOUT_EFFECT = {
     "hpf": "the simulated pixel has no high-pass filter",
-    "diff": "the reference that both thresholds share is not modelled; Prophesee says to leave it alone",
+    "diff": "the reference that both thresholds share is not modelled; Prophesee advises not to change it",
 }
 
 
 @dataclass(frozen=True)
 class BiasSlopes:
-    """What one step of each bias is worth on the simulated IMX636, as a share of the figure at the factory's bias.
+    """Effect of one step of each bias on the simulated IMX636, as a share of the parameter at the factory's bias.
 
     Attributes
     ----------
@@ -113,7 +113,7 @@ class BiasModel:
     Attributes
     ----------
     low_pass
-        The figure that bias fo moves: the fixed pole behind the photoreceptor, or where the sensor has none, the
+        Parameter that bias fo changes: the fixed pole after the photoreceptor, or, if the sensor has none, the
         photoreceptor's corner frequency in bright light.
     """
 
@@ -121,7 +121,7 @@ class BiasModel:
     low_pass: Literal["corner_max_hz", "source_follower_hz"] = "corner_max_hz"
 
     def factors(self, steps: Mapping[str, int]) -> dict[str, float]:
-        """Return the factors that are not 1, by figure, for biases so many steps from the factory's, by name."""
+        """Return the factors that are not 1, by parameter, for biases by name in steps from the factory's value."""
         rise = {one.name: 1 + getattr(self.slopes, one.name) * steps.get(one.name, 0) for one in fields(self.slopes)}
         factors = {
             "threshold_on": rise["diff_on"],
@@ -129,11 +129,11 @@ class BiasModel:
             "refractory_us": 1 / rise["refr"] if rise["refr"] > 0 else MOST_FACTOR,
             self.low_pass: rise["fo"],
         }
-        kept = {name: min(max(factor, LEAST_FACTOR), MOST_FACTOR) for name, factor in factors.items()}
-        return {name: factor for name, factor in kept.items() if factor != 1}
+        limited = {name: min(max(factor, LEAST_FACTOR), MOST_FACTOR) for name, factor in factors.items()}
+        return {name: factor for name, factor in limited.items() if factor != 1}
 
     def without_effect(self, steps: Mapping[str, int]) -> dict[str, str]:
-        """Return the biases that were moved and that change nothing here, and why."""
+        """Return the biases that were changed without an effect here, each with the reason."""
         acting = {one.name for one in fields(self.slopes)}
         moved = sorted(name for name, offset in steps.items() if offset and name not in acting)
         return {name: _WITHOUT_EFFECT.get(name, "it is not modelled") for name in moved}
@@ -148,7 +148,7 @@ _READY, _VALID_LIGHT, _VALID_DEAD_TIME, _MEASURE_DEAD_TIME = 1 << 11, 1 << 29, 1
 
 
 class Address(IntEnum):
-    """Registers that do something, or that the camera looks at."""
+    """Registers that have an effect, or that the camera reads."""
 
     ARRAY = 0x0004
     LIGHT_CONTROL = 0x000C
@@ -199,14 +199,14 @@ class NoRegister(LookupError):
 
 @dataclass(frozen=True)
 class Surroundings:
-    """What the sensor's own instruments show.
+    """Readings of the sensor's own instruments.
 
     Attributes
     ----------
     celsius
         Temperature of the chip, -56 to 138.
     lux
-        Light on the chip; the scene's is not known here.
+        Light on the chip; the scene's light is not available here.
     dead_time_us
         Refractory period at the factory's biases.
     """
@@ -226,12 +226,12 @@ class Surroundings:
         return min(round(100.0 * 10**3.5 / (0.37 * self.lux)), (1 << 27) - 1)
 
     def dead_time_count(self, factor: float = 1.0) -> int:
-        """Two hundredths of a microsecond of the refractory period, where biases multiply it by `factor`."""
+        """Two hundredths of a microsecond of the refractory period, multiplied by `factor` by biases."""
         return min(round(200.0 * self.dead_time_us * factor), (1 << 28) - 1)
 
 
 def is_register(address: int) -> bool:
-    """Say whether a register lies at `address`."""
+    """Return true if a register exists at `address`."""
     return not address & 3 and (0 <= address < _LOW_END or _SYSTEM <= address < _SYSTEM_END)
 
 
@@ -245,7 +245,7 @@ class Registers:
         self.power_on()
 
     def power_on(self) -> None:
-        """Set every register to what it is after power-on."""
+        """Set every register to its power-on value."""
         self._words[:] = 0
         for address, current in BIASES.values():
             self._set(address, BIAS_FLAGS | current)
@@ -261,7 +261,7 @@ class Registers:
         return self[address]
 
     def write(self, address: int, value: int) -> None:
-        """Write a register, and do what it asks for within the sensor; raises NoRegister."""
+        """Write a register, and apply its effect within the sensor; raises NoRegister."""
         if address in (Address.CHIP, Address.ADC_STATUS):
             return
         self._set(address, value & ~2 if address == Address.FORMAT else value)
@@ -278,7 +278,7 @@ class Registers:
             self._set(address, value | 2)
 
     def __getitem__(self, address: int) -> int:
-        """Return what was written last; raises NoRegister."""
+        """Return the value written last; raises NoRegister."""
         return int(self._words[self._place(address)])
 
     def words(self, address: int, count: int) -> npt.NDArray[np.uint32]:
@@ -293,26 +293,26 @@ class Registers:
 
     @property
     def sensor_factors(self) -> dict[str, float]:
-        """What the biases multiply figures of the sensor by."""
+        """Factors of the sensor's parameters by the biases."""
         return self._biases.factors(self.bias_steps)
 
     @property
     def time_runs(self) -> bool:
-        """Whether the sensor's clock runs."""
+        """True if the sensor's clock runs."""
         return bool(self[Address.TIME] & 1)
 
     @property
     def running(self) -> bool:
-        """Whether events leave the sensor."""
+        """True if events leave the sensor."""
         return self.time_runs and bool(self[Address.ARRAY] & 1 << 10) and not self[Address.OUTPUT] & 2
 
     @property
     def has_trigger(self) -> bool:
-        """Whether the trigger input is on."""
+        """True if the trigger input is on."""
         return bool(self[Address.TRIGGER] & 1 << 10)
 
     def _write_window(self) -> None:
-        """Mask what lies outside the window, as far as the masks are concerned."""
+        """Set the masks to hide the pixels outside the window."""
         start, end = self[Address.WINDOW_START], self[Address.WINDOW_END]
         for address, pixels, shift in ((Address.COLUMNS, SIZE[0], 0), (Address.ROWS, SIZE[1], 16)):
             masked = np.ones(-(-pixels // 32) * 32, np.uint8)

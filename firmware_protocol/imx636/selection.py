@@ -1,6 +1,6 @@
-"""Which events leave the sensor: those that no mask hides, and no more than the rate control lets by.
+"""Selection of the events that leave the sensor: masks, and rate control.
 
-Row and column masks are taken over together when bit 5 of the array control is written; masked pixels hold at once.
+Row and column masks take effect together when bit 5 of the array control is written; masked pixels at once.
 
 Event rate control: the first events of each period of the sensor's clock leave it, the others do not.
 """
@@ -23,7 +23,7 @@ _Mask = npt.NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Selected:
-    """Events (n,) EVENT that pass, and how many others did not, by the reason."""
+    """Events (n,) EVENT that pass, and the numbers of the others, by reason."""
 
     events: Events
     outside: int
@@ -31,7 +31,7 @@ class Selected:
 
 
 class RateControl:
-    """Lets so many events by in each period of the device's clock, and no more."""
+    """Limit of the events in each period of the device's clock."""
 
     def __init__(self, period_us: int) -> None:
         self._period_us, self._most = period_us, 0
@@ -47,11 +47,11 @@ class RateControl:
         self._period_us = period_us
 
     def set_most(self, events: int) -> None:
-        """Set how many events a period lets by."""
+        """Set the number of events that pass in a period."""
         self._most = events
 
     def passing(self, events: Events, epoch_us: int) -> _Mask:
-        """Return which events (n,) EVENT, sorted, are let by, (n,) bool: the first ones of each period."""
+        """Return a mask of the events (n,) EVENT, sorted, that pass, (n,) bool: the first ones of each period."""
         if not len(events):
             return np.zeros(0, np.bool_)
         periods = (events["t"].astype(np.int64) - epoch_us) // self._period_us
@@ -67,21 +67,21 @@ _RATE = (Address.RATE_STATE, Address.RATE_PERIOD, Address.RATE_EVENTS, Address.R
 
 
 class Selection:
-    """The masks and the rate control of a register file at work."""
+    """The masks and the rate control of a register file, applied to events."""
 
     def __init__(self, registers: Registers) -> None:
         self._registers = registers
         self.reset()
 
     def reset(self) -> None:
-        """Begin anew, as at power-on."""
+        """Return to the power-on state."""
         self._columns, self._rows = (np.zeros(pixels, np.bool_) for pixels in SIZE)
         self._pixels = np.zeros(0, np.int64)
         self._rate = RateControl(self._registers[Address.RATE_PERIOD])
         self._hides = False
 
     def written(self, address: int) -> None:
-        """Do what a register that was just written asks for."""
+        """Apply the effect of a register that was just written."""
         if address == Address.RESET:
             self.reset()
         elif address == Address.ARRAY:
@@ -94,7 +94,7 @@ class Selection:
             self._set_rate()
 
     def apply(self, events: Events, epoch_us: int) -> Selected:
-        """Return what passes of events (n,) EVENT, sorted, of a sensor whose clock was zero at `epoch_us`."""
+        """Return the part that passes of events (n,) EVENT, sorted; the sensor's clock was zero at `epoch_us`."""
         wanted = events[~self._hidden(events)] if self._hides or len(self._pixels) else events
         let_by = wanted[self._rate.passing(wanted, epoch_us)] if self._rate.on else wanted
         return Selected(let_by, len(events) - len(wanted), len(wanted) - len(let_by))

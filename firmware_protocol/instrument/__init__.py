@@ -1,1 +1,1 @@
-"""An event camera without USB: what it is told, what it says, and how it keeps to a narrow line."""
+"""Model of an event camera on a narrow link: settings, telecommands, queues, messages and housekeeping."""

@@ -1,6 +1,6 @@
-"""The way of the events through an instrument: choice of pixels, queue, rate limit, block.
+"""Paths of events and edges through an instrument.
 
-The way of the edges on the external input through an instrument: a small queue, and blocks of edges.
+Events: selection of pixels, queue, rate limit, block. Edges of the external input: a small queue, blocks of edges.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ from firmware_protocol.telemetry.layout import LONGEST_US
 __all__ = ["EdgePath", "EventPath", "Fates", "Piece", "block_settings"]
 
 
-_MOST_TOLD = 0xFFFF  # of dropped events in one block's header; the rest is told by the next block
+_MOST_REPORTED = 0xFFFF  # dropped events in one block's header; the next block reports the rest
 _BURST_S = 0.02
 
 
 def block_settings(settings: InstrumentSettings) -> BlockSettings:
-    """Return how an instrument's blocks are made."""
+    """Return the block settings of an instrument."""
     return BlockSettings(settings.tick_us, settings.coding, settings.block_events, settings.block_bytes)
 
 
 @dataclass
 class Fates:
-    """Events offered, and what became of them; what is missing to the sum still waits."""
+    """Events offered, by fate; the difference to the sum still waits."""
 
     offered: int = 0
     not_running: int = 0
@@ -46,9 +46,9 @@ class Fates:
 
 @dataclass(frozen=True)
 class Piece:
-    """Events that leave together: their block, (n,) EVENT as a receiver will see them, how many are missing before.
+    """Events that leave together: block, (n,) EVENT as a receiver decodes them, number of missing ones before them.
 
-    The events are in stream time; the block is empty where the link packs them itself.
+    The events are in stream time; the block is empty if the link packs them itself.
     """
 
     block: bytes
@@ -57,14 +57,14 @@ class Piece:
 
 
 class EventPath:
-    """Takes events of an array of `size` = (width, height), gives blocks.
+    """Path of the events of an array of `size` = (width, height) to blocks.
 
     Attributes
     ----------
     fates
-        What became of all events so far.
+        All events so far by fate.
     in_flight
-        Events that have been handed out and are neither sent nor lost yet.
+        Events that were handed out and are neither sent nor lost yet.
     """
 
     def __init__(self, size: tuple[int, int], settings: InstrumentSettings) -> None:
@@ -77,7 +77,7 @@ class EventPath:
         self._encoder = BlockEncoder(size, block_settings(settings))
         self.select(settings.selection(size))
         self.limit(settings.rate_limit, 0)
-        self._encoder.encode(empty_events(2))  # loads the compiled code now: it takes a good part of a second
+        self._encoder.encode(empty_events(2))  # loads the compiled code now, which takes a good part of a second
 
     @property
     def waiting(self) -> int:
@@ -91,12 +91,12 @@ class EventPath:
 
     @property
     def patience_us(self) -> int | None:
-        """How long an event may wait for the line, us; None where a rate limit is what it waits for."""
+        """Longest time that an event may wait for the line, us; None if it waits for a rate limit."""
         return None if self.rate_limit else self._queue.bounds.age_us
 
     @property
     def oldest_us(self) -> int | None:
-        """Stream time of the event that waits longest; None when none waits."""
+        """Stream time of the event that waits longest; None if none waits."""
         return self._queue.oldest_us
 
     @property
@@ -110,28 +110,28 @@ class EventPath:
         return self._encoder.settings.tick_us
 
     def select(self, selection: Selection) -> None:
-        """Choose the pixels that are sent from now on; raises ValueError when they lie outside the array."""
+        """Select the pixels that are sent from now on; raises ValueError if they lie outside the array."""
         self.selection = selection.within(self.size)
         self._all = (selection.width, selection.height, selection.keep_every) == (*self.size, 1)
 
     def limit(self, per_second: int, now_us: int) -> None:
-        """Keep to a rate from now on; 0 for none."""
+        """Limit the rate from now on; 0 for no limit."""
         burst = max(self._encoder.settings.max_events, round(per_second * _BURST_S))
         self._bucket = TokenBucket(per_second, burst, now_us)
 
     def set_tick(self, tick_us: int) -> None:
-        """Count time in another unit from the next block on."""
+        """Set the unit of time from the next block on."""
         self._encoder = BlockEncoder(self.size, dataclasses.replace(self._encoder.settings, tick_us=tick_us))
 
     def check(self, events: Events) -> None:
-        """Raise ValueError when events lie outside the array or are not sorted."""
+        """Raise ValueError if events lie outside the array or are not sorted."""
         if (events["x"] >= self.size[0]).any() or (events["y"] >= self.size[1]).any():
             raise ValueError(f"an event lies outside the {self.size[0]}x{self.size[1]} pixels")
         if (events["t"][1:] < events["t"][:-1]).any():
             raise ValueError("events are not sorted by time")
 
     def put(self, events: Events, now_us: int, offset_us: int = 0) -> None:
-        """Take in events (n,), which are copied; the instrument's own time is `offset_us` ahead of stream time."""
+        """Queue events (n,), which are copied; the instrument's own time is `offset_us` ahead of stream time."""
         chosen = copy_events(events) if self._all else self.selection.of(events)
         self.fates.not_selected += len(events) - len(chosen)
         if self.tick_us > 1:
@@ -140,14 +140,14 @@ class EventPath:
         self._count(self._queue.put(chosen, now_us))
 
     def advance(self, now_us: int) -> None:
-        """Let stream time pass: the bucket fills, what waits gets older."""
+        """Advance stream time: the bucket fills, waiting events age."""
         self._bucket.advance(now_us)
         self._count(self._queue.trim(now_us))
 
     def next_block(self, offset_us: int) -> Piece | None:
-        """Make a block of what waits at the head, in the time that is `offset_us` ahead of stream time.
+        """Make a block of the events at the head, in the time that is `offset_us` ahead of stream time.
 
-        None while nothing waits or nothing may leave.
+        None if nothing waits or nothing may leave.
         """
         events = self._next(self._encoder.settings.max_events)
         if events is None:
@@ -155,7 +155,7 @@ class EventPath:
         shift = np.uint64(offset_us % (1 << 64))
         own = copy_events(events)
         own["t"] += shift
-        dropped = min(self._queue.dropped_before, _MOST_TOLD)
+        dropped = min(self._queue.dropped_before, _MOST_REPORTED)
         block, taken = self._encoder.encode(own, dropped)
         seen = as_received(own[:taken], self.tick_us)
         seen["t"] -= shift
@@ -169,24 +169,24 @@ class EventPath:
         return self._hand_out(Piece(b"", copy_events(events), self._queue.dropped_before))
 
     def sent(self, count: int) -> None:
-        """Say that so many of those handed out have left."""
+        """Count events handed out as sent."""
         self.in_flight -= count
         self.fates.delivered += count
 
     def lost(self, count: int) -> None:
-        """Say that so many of those handed out were lost by the link."""
+        """Count events handed out as lost by the link."""
         self.in_flight -= count
         self.fates.lost_on_link += count
 
     def clear(self) -> None:
-        """Drop what waits."""
+        """Drop the events that wait."""
         self.fates.flushed += self._queue.clear()
 
     def _in_block_order(self, events: Events, offset_us: int) -> Events:
-        """Cut times to the tick and put each tick in raster order, for smaller blocks where a tick fills several.
+        """Round times down to the tick and sort each tick in raster order, which makes blocks smaller.
 
-        The cut never leads before what was queued earlier: a tick may span two batches, may just have become coarser,
-        and may have begun before the stream did.
+        Rounding never goes back before events queued earlier: a tick may span two batches, may just have become
+        coarser, and may have begun before the stream did.
         """
         shift = np.uint64(offset_us % (1 << 64))
         own = copy_events(events)
@@ -197,7 +197,7 @@ class EventPath:
         return ordered
 
     def _next(self, limit: int) -> Events | None:
-        """Return what may leave from the head; None while nothing waits or the bucket is too empty for it."""
+        """Return the events at the head that may leave; None if none waits or the bucket is too empty."""
         count = min(limit, self._queue.waiting)
         self._held_by_rate = count > 0 and not self._bucket.holds(count)
         return None if self._held_by_rate or not count else self._queue.head(limit)
@@ -209,7 +209,7 @@ class EventPath:
         return piece
 
     def _count(self, dropped: Dropped) -> None:
-        """Count drops under their cause: the rate limit's while it is what holds the queue back."""
+        """Count drops under their cause: the rate limit while it holds the queue back, else the bound."""
         if self._held_by_rate:
             self.fates.dropped_rate += dropped.total
         else:
@@ -221,12 +221,12 @@ _MOST_WAITING = 4096
 
 
 class EdgePath:
-    """Takes edges, gives blocks."""
+    """Path of edges to blocks."""
 
     def __init__(self, encoder: BlockEncoder) -> None:
         self._encoder = encoder
         self._waiting = np.empty(0, EDGE)
-        self._untold = 0  # dropped since the last block
+        self._unreported = 0  # dropped since the last block
         self._offered = self._ignored = self._dropped = self._delivered = self._lost = self._in_flight = 0
 
     @property
@@ -243,7 +243,7 @@ class EdgePath:
 
     @property
     def oldest_us(self) -> int | None:
-        """Stream time of the earliest edge that waits; None when none waits."""
+        """Stream time of the earliest edge that waits; None if none waits."""
         return int(self._waiting["t"].min()) if len(self._waiting) else None
 
     def ignore(self, edges: Edges) -> None:
@@ -252,14 +252,14 @@ class EdgePath:
         self._ignored += len(edges)
 
     def put(self, edges: Edges) -> None:
-        """Take in edges (n,); what finds no room is dropped."""
+        """Queue edges (n,); those that find no room are dropped."""
         self._offered += len(edges)
         fitting = edges[: _MOST_WAITING - len(self._waiting)]
         self._drop(len(edges) - len(fitting))
         self._waiting = np.concatenate((self._waiting, fitting))
 
     def next_block(self, offset_us: int) -> tuple[bytes, Edges] | None:
-        """Make a block of what waits, in the time that is `offset_us` ahead of stream time; return it and its edges."""
+        """Make a block of the waiting edges, in the time `offset_us` ahead of stream time; return it and its edges."""
         if not len(self._waiting):
             return None
         ordered = self._waiting[np.argsort(self._waiting["t"], kind="stable")]
@@ -268,26 +268,26 @@ class EdgePath:
         edges, self._waiting = ordered[:count], ordered[count:]
         own = edges.copy()
         own["t"] += np.uint64(offset_us % (1 << 64))
-        told = min(self._untold, _MOST_TOLD)
-        self._untold -= told
+        reported = min(self._unreported, _MOST_REPORTED)
+        self._unreported -= reported
         self._in_flight += len(edges)
-        return self._encoder.encode_edges(own, told), edges
+        return self._encoder.encode_edges(own, reported), edges
 
     def sent(self, count: int) -> None:
-        """Say that so many of those handed out have left."""
+        """Count edges handed out as sent."""
         self._in_flight -= count
         self._delivered += count
 
     def lost(self, count: int) -> None:
-        """Say that so many of those handed out were lost by the link."""
+        """Count edges handed out as lost by the link."""
         self._in_flight -= count
         self._lost += count
 
     def clear(self) -> None:
-        """Drop what waits."""
+        """Drop the edges that wait."""
         self._drop(len(self._waiting))
         self._waiting = self._waiting[:0]
 
     def _drop(self, count: int) -> None:
         self._dropped += count
-        self._untold += count
+        self._unreported += count

@@ -1,18 +1,14 @@
-"""An event camera without USB: events and edges in, messages out, telecommands in. Sans-I/O.
+"""An event camera on a narrow link: events and edges in, messages out, telecommands in. Sans-I/O.
 
     offer -------> selection -> queue --+
     offer_edges -> edges ---------------+--> next_message --> Outgoing -+-> sent
     advance -----> housekeeping due ----+         ^                     +-> lost
     command -----> verification, pong, time report
 
-A message is formed when the line asks for it, as late as possible: a line that is wide takes small fresh blocks, a line
-that is full takes full ones. Answers go first, then edges, housekeeping, events.
+A message is formed when the link requests it, as late as possible: a link with spare capacity takes small recent
+blocks, a busy one takes full blocks. Answers are sent first, then edges, housekeeping, events.
 
-The camera's own time is stream time plus an offset that SetTime changes; all that leaves bears it.
-
-Housekeeping: when it is due, and what it says.
-
-What leaves an instrument.
+The camera's own time is stream time plus an offset that SetTime changes; all outgoing times are own times.
 """
 
 from __future__ import annotations
@@ -41,7 +37,7 @@ _MOST_HZ = 0xFFFF_FFFF
 
 @dataclass(frozen=True)
 class State:
-    """What an instrument has to tell of itself; `now_us` is stream time, `own_us` the camera's."""
+    """State of an instrument for housekeeping; `now_us` is stream time, `own_us` the camera's."""
 
     now_us: int
     own_us: int
@@ -56,7 +52,7 @@ class State:
 
 
 class Reporter:
-    """Makes housekeeping reports, one every `period_us` of stream time; with 0 only those that are asked for."""
+    """Source of housekeeping reports, one every `period_us` of stream time; with 0 only on request."""
 
     def __init__(self, period_us: int) -> None:
         self._period_us = period_us
@@ -64,7 +60,7 @@ class Reporter:
         self._last_us = self._offered = self._sent = 0
 
     def due(self, now_us: int) -> bool:
-        """Say whether the next report is due."""
+        """Return true if the next report is due."""
         return self._period_us > 0 and now_us >= self._next_us
 
     def report(self, state: State) -> Housekeeping:
@@ -111,18 +107,18 @@ def _events(c: CameraCounters) -> EventCounts:
 
 @dataclass(frozen=True)
 class Outgoing:
-    """A message, and what it carries as a receiver will see it.
+    """A message, and its content as a receiver decodes it.
 
     Attributes
     ----------
     message
-        What to send, with the instrument's own time. Its payload is empty where the link packs the events itself.
+        Message to send, with the instrument's own time. Its payload is empty if the link packs the events itself.
     events, edges
-        What it carries, in stream time: cut to the tick and in the order of the block.
+        Content, in stream time: rounded to the tick and in the order of the block.
     epoch_us
-        Stream time at which the instrument's own time is zero; negative where that is before the stream began.
+        Stream time at which the instrument's own time is zero; negative if that is before the stream began.
     dropped
-        Events dropped between these and those that left before.
+        Events dropped between these and those sent before.
     """
 
     message: Message
@@ -140,12 +136,12 @@ class Instrument(EventDevice):
     size
         (width, height) of the array.
     biases
-        Of its sensor; those of a DAVIS346 where none are given.
+        Biases of its sensor; by default those of a DAVIS346.
 
     Attributes
     ----------
     frames_refused
-        Damaged frames that the link has seen; the link sets it, housekeeping tells it.
+        Damaged frames that the link received; the link sets it, housekeeping reports it.
 
     Raises
     ------
@@ -186,7 +182,7 @@ class Instrument(EventDevice):
 
     @property
     def streaming(self) -> bool:
-        """True while events offered now would go to the line."""
+        """True while events offered now would be sent."""
         return self._started and self._connected
 
     @property
@@ -196,7 +192,7 @@ class Instrument(EventDevice):
 
     @property
     def horizon_us(self) -> int:
-        """Stream time to which it can be advanced now without an event's getting too old."""
+        """Stream time to which the camera can advance now before a waiting event reaches its age limit."""
         patience_us = self._path.patience_us if self.streaming else None
         if patience_us is None:
             return super().horizon_us
@@ -249,64 +245,64 @@ class Instrument(EventDevice):
 
     @property
     def sensor_factors(self) -> Mapping[str, float]:
-        """What the commanded biases do to the pixels; empty before the first."""
+        """Effect of the commanded biases on the pixels; empty before the first."""
         return self._biases.factors
 
     @property
     def without_effect(self) -> Mapping[str, str]:
-        """Commanded biases that change nothing in the sensor, and why."""
+        """Commanded biases without an effect on the sensor, each with the reason."""
         return self._biases.without_effect
 
     @property
     def biases(self) -> Mapping[int, int]:
-        """Biases by number, as commanded; see `instrument.biases`."""
+        """Biases by number, as commanded; see `settings`."""
         return self._biases.values
 
     def connected(self) -> None:
-        """Somebody listens on the line; so it is from the beginning, unless `disconnected` says otherwise."""
+        """Note that a receiver is present; so it is from the start, until `disconnected`."""
         self._connected = True
 
     def disconnected(self) -> None:
-        """Nobody listens: what waits is dropped, and what comes counts as not running."""
+        """Note that no receiver is present: drop what waits, and count new events as not running."""
         self._connected = False
         self._answers.clear()
         self._clear()
 
     def start(self) -> None:
-        """Let events flow."""
+        """Start the flow of events."""
         self._started = True
 
     def stop(self) -> None:
-        """Let no events flow, and drop what waits."""
+        """Stop the flow of events, and drop those that wait."""
         self._started = False
         self._clear()
 
     def set_time(self, t_us: int) -> None:
-        """Say that the camera's own time is now `t_us`; raises ValueError when that is too far in the future."""
+        """Set the camera's own time to `t_us`; raises ValueError if that is too far in the future."""
         self._time.set(t_us)
         self._drop_before_zero()
 
     @property
     def epoch_us(self) -> int:
-        """Stream time at which the camera's own time is zero; negative when it was set ahead."""
+        """Stream time at which the camera's own time is zero; negative if it was set ahead."""
         return self._time.epoch_us
 
     def restart_clock(self) -> bool:
-        """Set the camera's own time to zero, unasked; what waits is dropped, for its times would be negative."""
+        """Set the camera's own time to zero without a command; drop what waits, for its times would be negative."""
         self._time.restart()
         self._drop_before_zero()
         return True
 
     def set_tick(self, tick_us: int) -> None:
-        """Count time in another unit from the next block on."""
+        """Set the unit of time from the next block on."""
         self._path.set_tick(tick_us)
 
     def set_region(self, x: int, y: int, width: int, height: int) -> None:
-        """Send events of these pixels only from now on; raises ValueError when they lie outside the array."""
+        """Send events of these pixels only from now on; raises ValueError if they lie outside the array."""
         self._path.select(Selection(x, y, width, height, self._path.selection.keep_every))
 
     def set_rate_limit(self, events_per_s: int) -> None:
-        """Keep to a rate from now on; 0 for none."""
+        """Limit the rate from now on; 0 for no limit."""
         self._path.limit(events_per_s, self._time.now_us)
 
     def set_bias(self, bias: int, value: int) -> None:
@@ -314,7 +310,7 @@ class Instrument(EventDevice):
         self._biases.set(bias, value)
 
     def next_message(self, *, events: bool = True, edges: bool = True) -> Outgoing | None:
-        """Return what is to leave next, None when there is nothing; without what the link packs itself.
+        """Return the next message to send, None if there is none; without content that the link packs itself.
 
         `sent` or `lost` must follow for each, in the order of the calls.
         """
@@ -327,7 +323,7 @@ class Instrument(EventDevice):
         return self._outgoing(self._path.next_block(self._time.offset_us)) if events else None
 
     def next_edges(self) -> Outgoing | None:
-        """Hand out the edges that wait; otherwise as `next_message`."""
+        """Hand out the waiting edges; otherwise as `next_message`."""
         found = self._edges.next_block(self._time.offset_us)
         if found is None:
             return None
@@ -340,17 +336,17 @@ class Instrument(EventDevice):
         return self._outgoing(self._path.next_events(limit))
 
     def sent(self, outgoing: Outgoing) -> None:
-        """Say that this has left: its events count as delivered."""
+        """Count an outgoing message as sent: its events are delivered."""
         self._path.sent(len(outgoing.events))
         self._edges.sent(len(outgoing.edges))
 
     def lost(self, outgoing: Outgoing) -> None:
-        """Say that the link lost this."""
+        """Count an outgoing message as lost by the link."""
         self._path.lost(len(outgoing.events))
         self._edges.lost(len(outgoing.edges))
 
     def command(self, received: ReceivedCommand) -> None:
-        """Do what a telecommand says, and answer as PUS service 1 does."""
+        """Execute a telecommand, and answer as PUS service 1 does."""
         self._telecommands.handle(received)
 
     def take_commands(self) -> tuple[str, ...]:
@@ -381,7 +377,7 @@ class Instrument(EventDevice):
         return Outgoing(message, piece.events, epoch_us=self.epoch_us, dropped=piece.dropped)
 
     def _drop_before_zero(self) -> None:
-        """Drop all that waits if some of it would bear a negative time."""
+        """Drop everything that waits if a part of it would have a negative time."""
         waiting_us = [us for us in (self._path.oldest_us, self._edges.oldest_us) if us is not None]
         if min(waiting_us, default=self._time.now_us) < self._time.epoch_us:
             self._clear()

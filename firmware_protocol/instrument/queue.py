@@ -1,17 +1,18 @@
-"""Events that wait for a line narrower than the scene: bounded in number and in age, with gaps that are known.
+"""Queue of events for a line narrower than the scene, rate limit, selection of pixels, and the camera's own time.
+
+The queue is bounded in number and in age, and records its gaps:
 
     head                                                          tail
     [ before=0 | e e e e e ] [ before=120 | e e e ] [ before=0 | e ] ...        segments
 
-`before` says how many events were dropped just before a segment's first. A block is taken from the head and never spans
-a gap, so the count in its header stands exactly where the events are missing.
+`before` is the number of events dropped just before a segment's first. A block is taken from the head and never spans
+a gap, so the count in its header belongs exactly to the place of the missing events.
 
-What gives way when the queue is full is the policy: "drop_oldest" lets go at the head, so what is sent is fresh and the
-gap lies between two blocks; "drop_newest" refuses at the tail until there is room for a block again.
+A policy selects the events to drop when the queue is full: "drop_oldest" drops at the head, so the sent events are
+recent and the gap is between two blocks; "drop_newest" drops at the tail until there is room for a block again.
 
-What keeps a stream within a set rate: a token bucket in stream time, and a choice of pixels.
-
-The camera's own time: stream time plus an offset that SetTime, the bus or a synchronisation input changes.
+The rate limit is a token bucket in stream time. The camera's own time is stream time plus an offset that SetTime, the
+bus or a synchronisation input changes.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ __all__ = ["Dropped", "EventQueue", "OwnTime", "Policy", "QueueBounds", "Selecti
 
 
 class Policy(StrEnum):
-    """Which events give way when there are too many."""
+    """Selection of the events to drop when there are too many."""
 
     OLDEST = "drop_oldest"
     NEWEST = "drop_newest"
@@ -37,7 +38,7 @@ class Policy(StrEnum):
 
 @dataclass(frozen=True)
 class QueueBounds:
-    """How much may wait.
+    """Limits of the queue.
 
     Attributes
     ----------
@@ -46,7 +47,7 @@ class QueueBounds:
     age_us
         Longest that an event waits, us of stream time.
     block_events
-        Events of a full block: "drop_newest" takes events again once so many have room.
+        Events of a full block: "drop_newest" accepts events again once there is room for that many.
     """
 
     events: int
@@ -57,14 +58,14 @@ class QueueBounds:
 
 @dataclass(frozen=True)
 class Dropped:
-    """How many events a call dropped, by which bound."""
+    """Numbers of events that a call dropped, by bound."""
 
     full: int = 0
     late: int = 0
 
     @property
     def total(self) -> int:
-        """By either."""
+        """Sum of both."""
         return self.full + self.late
 
 
@@ -81,7 +82,7 @@ class EventQueue:
         self.bounds = bounds
         self._segments: deque[_Segment] = deque()
         self._before = 0  # dropped at the head since the last block
-        self._refused = 0  # dropped at the tail since the last event that was taken
+        self._refused = 0  # dropped at the tail since the last accepted event
         self._refusing = False
         self.waiting = 0
 
@@ -92,23 +93,23 @@ class EventQueue:
 
     @property
     def oldest_us(self) -> int | None:
-        """Stream time of the event at the head; None when nothing waits."""
+        """Stream time of the event at the head; None if the queue is empty."""
         return int(self._segments[0].events["t"][0]) if self._segments else None
 
     @property
     def dropped_before(self) -> int:
-        """Events dropped between the last block and the head; all of them when nothing waits."""
+        """Events dropped between the last block and the head; all dropped ones if the queue is empty."""
         return self._before if self._segments else self._before + self._refused
 
     def put(self, events: Events, now_us: int) -> Dropped:
-        """Append events (n,), which the queue keeps without copying; say what gave way."""
+        """Append events (n,), which the queue stores without a copy; return the numbers dropped."""
         if self.bounds.policy is Policy.NEWEST:
             return self._put_what_fits(events, now_us)
         self._append(events)
         return self.trim(now_us)
 
     def trim(self, now_us: int) -> Dropped:
-        """Drop what is too old or too much at the head, where the policy says so."""
+        """Drop events at the head that are too old or too many, if the policy drops there."""
         if self.bounds.policy is not Policy.OLDEST:
             return Dropped()
         full = self._drop(self.waiting - self.bounds.events)
@@ -127,15 +128,15 @@ class EventQueue:
         self._segments.appendleft(first)
         return first.events[:limit]
 
-    def remove(self, count: int, told: int) -> None:
-        """Take `count` events from the head for a block that told of `told` dropped ones before them."""
+    def remove(self, count: int, reported: int) -> None:
+        """Remove `count` events from the head for a block that reported `reported` dropped ones before them."""
         if not self._segments:
             self._before, self._refused = self.dropped_before, 0
-        self._before -= told
+        self._before -= reported
         self._leave(count)
 
     def clear(self) -> int:
-        """Drop everything and say how much that was."""
+        """Drop everything and return the number of events."""
         self._before, self._refused = self._before + self._refused, 0
         return self._drop(self.waiting)
 
@@ -177,7 +178,7 @@ class EventQueue:
         return count
 
     def _leave(self, count: int) -> None:
-        """Let `count` events go from the head; gaps that come to the head are told with the next block."""
+        """Remove `count` events from the head; gaps that reach the head are reported with the next block."""
         self.waiting -= count
         while count:
             first = self._segments[0]
@@ -190,11 +191,11 @@ class EventQueue:
                     self._before, self._segments[0].before = self._before + self._segments[0].before, 0
 
 
-_RECORD = f"V{EVENT.itemsize}"  # numpy picks these as bytes, and structured records field by field
+_RECORD = f"V{EVENT.itemsize}"  # numpy selects these as bytes, and structured records field by field
 
 
 class TokenBucket:
-    """Lets through `per_second` events on the average, at most `burst` at once; a rate of 0 lets everything through."""
+    """Rate limit of `per_second` events on average, at most `burst` at once; a rate of 0 sets no limit."""
 
     def __init__(self, per_second: float, burst: int, now_us: int = 0) -> None:
         self.per_second = per_second
@@ -203,31 +204,31 @@ class TokenBucket:
         self._now_us = now_us
 
     def advance(self, now_us: int) -> None:
-        """Let stream time pass."""
+        """Advance stream time."""
         gained = (now_us - self._now_us) * 1e-6 * self.per_second
         self._tokens = min(float(self._burst), self._tokens + gained)
         self._now_us = now_us
 
     def holds(self, count: int) -> bool:
-        """Say whether `count` events may go now."""
+        """Return true if `count` events may leave now."""
         return self.per_second == 0 or count <= self._tokens
 
     def spend(self, count: int) -> None:
-        """Let `count` events go."""
+        """Count `count` events as leaving."""
         if self.per_second:
             self._tokens -= count
 
 
 @dataclass(frozen=True)
 class Selection:
-    """Which pixels are sent.
+    """Selection of the pixels to send.
 
     Attributes
     ----------
     x, y, width, height
         The region of interest, pixels.
     keep_every
-        Of the region, only columns and rows that are a multiple of this, counted from the array's corner.
+        Of the region, only columns and rows that are a multiple of this, counted from the array's corner, are sent.
     """
 
     x: int
@@ -245,7 +246,7 @@ class Selection:
         return self
 
     def of(self, events: Events) -> Events:
-        """Return a copy of those events (n,) that are chosen."""
+        """Return a copy of the selected ones of events (n,)."""
         x, y = events["x"], events["y"]
         chosen = (x >= self.x) & (x < self.x + self.width) & (y >= self.y) & (y < self.y + self.height)
         if self.keep_every > 1:
@@ -258,16 +259,16 @@ _LATEST_US = ((1 << 32) - 366 * 86_400) * 1_000_000
 
 
 class OwnTime:
-    """Stream time reached, and the camera's time beside it.
+    """Stream time reached, and the camera's own time.
 
     Attributes
     ----------
     now_us
         Stream time.
     offset_us
-        What the camera's time is ahead of it.
+        The camera's time minus stream time.
     status
-        What the camera's time depends on.
+        Source of the camera's time.
     """
 
     def __init__(self) -> None:
@@ -281,7 +282,7 @@ class OwnTime:
 
     @property
     def epoch_us(self) -> int:
-        """Stream time at which the camera's own time is zero; negative when it was set ahead."""
+        """Stream time at which the camera's own time is zero; negative if it was set ahead."""
         return -self.offset_us
 
     def of(self, stream_us: int) -> int:
@@ -289,17 +290,17 @@ class OwnTime:
         return (stream_us + self.offset_us) % (1 << 64)
 
     def reach(self, now_us: int) -> None:
-        """Let stream time pass; it never goes back."""
+        """Set stream time; it never goes back."""
         self.now_us = max(self.now_us, now_us)
 
     def set(self, t_us: int) -> None:
-        """Make the camera's time `t_us` now; raises ValueError when that is negative or too far in the future."""
+        """Set the camera's time to `t_us` now; raises ValueError if that is negative or too far in the future."""
         if not 0 <= t_us <= _LATEST_US:
             raise ValueError(f"time {t_us} us leaves no year before 32 bits of seconds are full")
         self.offset_us = t_us - self.now_us
         self.status = TimeStatus.SET
 
     def restart(self) -> None:
-        """Make the camera's time zero now, unasked."""
+        """Set the camera's time to zero now, without a command."""
         self.set(0)
         self.status = TimeStatus.FREE_RUNNING

@@ -1,6 +1,6 @@
-"""What an instrument is before it is told anything.
+"""Settings of an instrument at its start, and the biases of its sensor.
 
-The biases of an instrument's sensor, as telecommands set them by number, and what they do to its pixels.
+Telecommands set biases by number:
 
 DAVIS346    number of the bias in module 5, value its word
 IMX636      number of its register after 1000, in steps of four octets: 1 fo, 3 hpf, 4 diff_on, 5 diff, 6 diff_off,
@@ -24,14 +24,14 @@ __all__ = ["DavisBiases", "Imx636Biases", "InstrumentSettings", "SensorBiases"]
 
 @dataclass(frozen=True)
 class InstrumentSettings:
-    """What the camera says on a line, and how much of it.
+    """Settings of the camera's messages: event format, selection, limits, housekeeping.
 
     Attributes
     ----------
     tick_us
         Unit of event times: 1, 10, 100 or 1000.
     coding
-        How blocks are coded: "smallest", "flat", "rows" or "bitmap".
+        Coding of blocks: "smallest", "flat", "rows" or "bitmap".
     block_events, block_bytes
         Largest block.
     region
@@ -41,15 +41,15 @@ class InstrumentSettings:
     rate_limit
         Most events a second on the average; 0 for no limit but the line's.
     when_full
-        What gives way when more comes than leaves: "drop_oldest" or "drop_newest".
+        Events to drop when more arrive than leave: "drop_oldest" or "drop_newest".
     queue_events, queue_ms
-        How much may wait, in events and in time.
+        Limits of the queue, in events and in time.
     housekeeping_s
-        Time between two housekeeping messages; 0 for none but those that are asked for.
+        Time between two housekeeping messages; 0 for none except on request.
     autostart
         Events flow without a start command.
     temperature_c
-        Told in housekeeping.
+        Temperature in housekeeping.
     """
 
     tick_us: Literal[1, 10, 100, 1000] = 1
@@ -89,11 +89,11 @@ class InstrumentSettings:
 
     @property
     def bounds(self) -> QueueBounds:
-        """How much may wait."""
+        """Limits of the queue."""
         return QueueBounds(self.queue_events, round(self.queue_ms * 1000), self.block_events, Policy(self.when_full))
 
     def selection(self, size: tuple[int, int]) -> Selection:
-        """Return which pixels of an array of `size` = (width, height) are sent; raises ValueError."""
+        """Return the selected pixels of an array of `size` = (width, height); raises ValueError."""
         x, y, width, height = self.region or (0, 0, *size)
         return Selection(x, y, width, height, self.keep_every).within(size)
 
@@ -103,12 +103,12 @@ _IMX_NUMBERS = {(address - _FIRST) // _STEP: name for name, (address, _) in IMX_
 
 
 class DavisBiases:
-    """Those of a DAVIS346.
+    """Biases of a DAVIS346.
 
     Attributes
     ----------
     values
-        As they are now, by number.
+        Present values, by number.
     factors, without_effect
         See `EventDevice.sensor_factors` and `EventDevice.without_effect`.
     """
@@ -119,7 +119,7 @@ class DavisBiases:
         self.without_effect: Mapping[str, str] = {}
 
     def set(self, number: int, value: int) -> None:
-        """Set one; raises ValueError for a number that there is not."""
+        """Set one; raises ValueError for an unknown number."""
         if number not in self.values:
             raise ValueError(f"there is no bias {number}")
         self.values[number] = value
@@ -127,14 +127,14 @@ class DavisBiases:
 
 
 class Imx636Biases:
-    """Those of an IMX636; attributes as `DavisBiases`."""
+    """Biases of an IMX636; attributes as `DavisBiases`."""
 
     def __init__(self, model: BiasModel) -> None:
         self._model = model
         self.values = {number: IMX_BIASES[name][1] for number, name in _IMX_NUMBERS.items()}
 
     def set(self, number: int, value: int) -> None:
-        """Set one; raises ValueError for a number or a value that there is not."""
+        """Set one; raises ValueError for an unknown number or a value out of range."""
         if number not in self.values:
             raise ValueError(f"there is no bias {number}")
         if value > _MOST:

@@ -1,6 +1,6 @@
-"""Telecommands carried out, and answered as PUS service 1 does.
+"""Execution of telecommands, with answers as in PUS service 1.
 
-Answers that wait for the line: a bounded queue of messages, the oldest lost first.
+Answers wait for the line in a bounded queue of messages; the oldest are dropped first.
 """
 
 from __future__ import annotations
@@ -39,18 +39,18 @@ _MOST_ANSWERS = 256
 
 
 class Answers:
-    """Queues what a telecommand asked for; a computer that asks faster than the line answers loses the oldest ones."""
+    """Queue of answers; if requests arrive faster than the line sends answers, the oldest answers are dropped."""
 
     def __init__(self, time: OwnTime) -> None:
         self._time = time
         self._waiting: deque[Message] = deque(maxlen=_MOST_ANSWERS)
 
     def put(self, kind: MessageKind, payload: bytes) -> None:
-        """Queue an answer, with the camera's time now."""
+        """Queue an answer, dated with the camera's time now."""
         self._waiting.append(Message(kind, payload, self._time.own_us))
 
     def take(self) -> Message | None:
-        """Return the oldest answer; None when none waits."""
+        """Return the oldest answer; None if none waits."""
         return self._waiting.popleft() if self._waiting else None
 
     def clear(self) -> None:
@@ -58,26 +58,26 @@ class Answers:
         self._waiting.clear()
 
 
-_MOST_EXECUTED = 256  # between two looks, each within a millisecond
+_MOST_EXECUTED = 256  # between two calls of take_executed, a millisecond apart at most
 
 
 class Commanded(Protocol):
-    """What telecommands act on; each method raises ValueError for a value that does not fit the device."""
+    """Device on which telecommands act; each method raises ValueError for a value that does not fit it."""
 
     def start(self) -> None:
-        """Let events flow."""
+        """Start the flow of events."""
 
     def stop(self) -> None:
-        """Let no events flow, and drop what waits."""
+        """Stop the flow of events, and drop those that wait."""
 
     def set_tick(self, tick_us: int) -> None:
-        """Count time in another unit."""
+        """Set the unit of time."""
 
     def set_region(self, x: int, y: int, width: int, height: int) -> None:
         """Send events of these pixels only."""
 
     def set_rate_limit(self, events_per_s: int) -> None:
-        """Keep to a rate; 0 for none."""
+        """Limit the rate; 0 for no limit."""
 
     def set_time(self, t_us: int) -> None:
         """Set the camera's own time."""
@@ -90,12 +90,12 @@ class Commanded(Protocol):
 
 
 class TelecommandHandler:
-    """Carries out telecommands one by one.
+    """Executes telecommands one by one.
 
     Attributes
     ----------
     taken, refused, missing
-        Telecommands so far.
+        Numbers of telecommands so far.
     """
 
     def __init__(self, device: Commanded, answers: Answers, time: OwnTime) -> None:
@@ -106,13 +106,13 @@ class TelecommandHandler:
         self._executed: deque[str] = deque(maxlen=_MOST_EXECUTED)
 
     def take_executed(self) -> tuple[str, ...]:
-        """Return the telecommands that set something since the last call, the oldest first; of very many, the last."""
+        """Return the telecommands that changed a setting since the last call, oldest first; of too many, the last."""
         executed = tuple(self._executed)
         self._executed.clear()
         return executed
 
     def handle(self, received: ReceivedCommand) -> None:
-        """Do what a telecommand says, and queue the answers."""
+        """Execute a telecommand, and queue the answers."""
         self.missing += received.missing
         if received.command is None:
             self._refuse(received.request, Stage.ACCEPTANCE, received.failure)
@@ -130,7 +130,7 @@ class TelecommandHandler:
         self._verify(received, Stage.COMPLETION, Acknowledge.COMPLETION)
 
     def _execute(self, command: Telecommand) -> None:
-        """Do it; raises ValueError when its values do not fit the device."""
+        """Execute it; raises ValueError if its values do not fit the device."""
         match command:
             case Start():
                 self._device.start()

@@ -1,1 +1,1 @@
-"""Event streams of programs that people use, as bytes for a TCP connection or as datagrams."""
+"""Event streams of common programs, as bytes for a TCP connection or as datagrams."""

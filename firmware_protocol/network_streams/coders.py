@@ -1,16 +1,14 @@
-"""What a coder of a stream is: events and edges in, bytes or datagrams out.
+"""Coders of event streams: events and edges in, bytes or datagrams out, and the settings of streams of images.
 
 A connection begins with a greeting, and from then on every client gets the same bytes. Datagrams have no beginning:
-each stands alone.
+each is complete in itself.
 
-What streams of pictures show: the channels of event images, and the colours of the display.
+cAER and libcaer: AEDAT 3.1 packets after a header of 20 bytes, little-endian.
 
-The network stream of cAER and libcaer: AEDAT 3.1 packets behind a header of 20 bytes, little-endian.
+    i64 0x1D378BC90B9A6658   i64 number   i8 version 1   i8 format, 0: uncompressed   i16 source
 
-    i64 0x1D378BC90B9A6658   i64 number   i8 version 1   i8 format, 0: as they are   i16 source
-
-A connection begins with one such header, number 0, and goes on with bare packets. A datagram has its own: the number
-goes up by one each time, and its bit 63 marks the first datagram of a packet; at most 1452 bytes follow.
+A connection begins with one such header, number 0, and continues with bare packets. A datagram has its own: the number
+increases by one each time, and its bit 63 marks the first datagram of a packet; at most 1452 bytes follow.
 
 Source: inivation docs, "AEDAT 3.1 network streaming"; libcaer, `network.h`.
 
@@ -18,17 +16,17 @@ jAER's UDP stream ("AEUnicast"): a sequence number, then addresses and times as 
 
     i32 number (the first is 1)   (u32 address   i32 us) ...
 
-jAER tells its user of a gap in the numbers and goes on. Its settings for this stream are in docs/streams.md.
+jAER reports a gap in the numbers to its user and continues. docs/streams.md lists its settings for this stream.
 
 Source: jAER, AEUnicastOutput.java, AEUnicastInput.java, AENetworkInterfaceConstants.java.
 
-Datagrams that are nothing but events, without a number: those of AEStream and of faery, little-endian.
+AEStream and faery: datagrams of events only, without a number, little-endian.
 
     spif                 u32: bit 31 = 1 no time, 30..16 x, 15 ON, 14..0 y      at most 128 in a datagram
     t64_x16_y16_on8      u64 us   u16 x   u16 y   u8 ON                         at most 100
     t32_x16_y15_on1      u32 us   u16 x   u16: bits 15..1 y, bit 0 ON           at most 100
 
-AEStream's receiver takes 512 bytes of a datagram, every four of them as an event, and leaves polarity out.
+AEStream's receiver reads 512 bytes of a datagram, every four of them as an event, and ignores polarity.
 
 Sources: aestream, `dvs_to_udp.cpp`, and aestream 0.6.4 as a receiver; faery 0.7.1 as a sender and a receiver.
 """
@@ -75,26 +73,26 @@ Colour = tuple[int, int, int]
 
 @dataclass(frozen=True)
 class PictureSettings:
-    """What pictures of events show, of the formats "event_image" and "display".
+    """Content of images of events, for the formats "event_image" and "display".
 
     Attributes
     ----------
     channels
         Of an event image, in this order; see docs/streams.md.
     filter_ms
-        Time constant of the low pass behind the channel "filtered" and behind the display's light.
+        Time constant of the low pass for the channel "filtered" and for the display's light.
     on_colour, off_colour
         Red, green, blue, 0 to 255, of pixels of the display with more ON, or more OFF events.
     both_colour
-        Of pixels with as many of both.
+        Colour of pixels with equal numbers of both.
     background
-        Of pixels without an event, where no light is shown.
+        Colour of pixels without an event, if no light is shown.
     light_share
-        How much of the filtered level is shown as grey, 0 (none) to 1.
+        Share of the filtered level that is shown as grey, 0 (none) to 1.
     light_below_events
-        Whether it is also added to pixels that have events.
+        True if it is also added to pixels that have events.
     contrast
-        Log light that one event stands for, where the level is shown as grey.
+        Change of log light for one event, if the level is shown as grey.
     """
 
     channels: tuple[Channel, ...] = ("on", "off", "first_us", "last_us", "level")
@@ -125,13 +123,13 @@ class PictureSettings:
 
     @property
     def shows_light(self) -> bool:
-        """Whether the display shows grey behind the events."""
+        """True if the display shows grey behind the events."""
         return self.light_share > 0
 
 
 @dataclass(frozen=True)
 class StreamFacts:
-    """What a stream tells of its camera.
+    """Properties of the camera and the stream.
 
     Attributes
     ----------
@@ -140,11 +138,11 @@ class StreamFacts:
     camera
         Its name, such as "DAVIS346_00000001".
     frame_us
-        Stream time of a picture, where the stream is one of pictures.
+        Stream time of an image, if the stream is one of images.
     compression
-        "none" or "lz4", where the format has it.
+        "none" or "lz4", if the format has it.
     pictures
-        What pictures show, where the stream is one of pictures.
+        Content of the images, if the stream is one of images.
     """
 
     size: tuple[int, int]
@@ -156,7 +154,7 @@ class StreamFacts:
 
 @dataclass(frozen=True)
 class Datagram:
-    """One datagram, and the number of events of a batch that it ends: those up to `end` have left with it."""
+    """One datagram, and the end of its events in the batch: those up to `end` have left with it."""
 
     data: bytes
     end: int
@@ -168,9 +166,9 @@ class ConnectionCoder(ABC):
     Attributes
     ----------
     limit_px
-        Columns and rows that the format can number.
+        Most columns and rows of the format.
     has_edges
-        Whether it carries edges on the camera's external input.
+        True if it carries edges on the camera's external input.
     """
 
     limit_px: ClassVar[tuple[int, int]]
@@ -182,22 +180,22 @@ class ConnectionCoder(ABC):
     @property
     @abstractmethod
     def greeting(self) -> bytes:
-        """What a client gets first."""
+        """Bytes that a client gets first."""
 
     @abstractmethod
     def encode(self, events: Events, edges: Edges) -> bytes | bytearray:
         """Return whole packets of events (n,) EVENT and edges (m,) EDGE, each sorted, in the camera's own time."""
 
     def advance(self, t_us: int) -> bytes:
-        """Return what is complete because there are no more events before `t_us`."""
+        """Return the packets that are complete because there are no more events before `t_us`."""
         return b""
 
     def restart(self) -> bytes:
-        """Return what tells a client that the camera's clock starts anew; empty where the format has no word for it."""
+        """Return the report of a restart of the camera's clock; empty if the format has none."""
         return b""
 
     def finish(self) -> bytes:
-        """Return what the coder still holds, at the end."""
+        """Return the rest that the coder holds at the end."""
         return b""
 
 
@@ -215,7 +213,7 @@ class DatagramCoder(ABC):
         """Yield datagrams of events (n,) EVENT and edges (m,) EDGE, each sorted, in the camera's own time."""
 
     def restart(self) -> Iterator[Datagram]:
-        """Yield what tells a receiver that the camera's clock starts anew."""
+        """Yield the report of a restart of the camera's clock."""
         yield from ()
 
 
@@ -230,7 +228,7 @@ _RESET = 1  # of special events
 
 
 def reset_packet() -> bytes:
-    """Return a packet with the special event that says: the clock starts anew, without it readers drop what follows."""
+    """Return a packet with the special event of a clock restart; without it readers drop all later events."""
     head = struct.pack("<hhiiiiii", 0, _SOURCE, _EVENT_BYTES, 4, 0, 1, 1, 1)
     return head + struct.pack("<Ii", _RESET << 1 | 1, 0x7FFFFFFF)
 
@@ -280,7 +278,7 @@ class CaerDatagramCoder(DatagramCoder):
         yield from (Datagram(data, 0) for data, _ in self._pieces(reset_packet()))
 
     def _pieces(self, packet: bytes) -> Iterator[tuple[bytes, int]]:
-        """Yield the datagrams of one packet, each with where its piece ends."""
+        """Yield the datagrams of one packet, each with the end of its piece."""
         for start in range(0, len(packet), CHUNK_BYTES):
             piece = packet[start : start + CHUNK_BYTES]
             number = self._number | (FIRST if start == 0 else 0)
@@ -299,7 +297,7 @@ def _single(packets: bytes) -> Iterator[bytes]:
 
 
 RECORDS = 183
-"""Records of a datagram: 1468 bytes, which no network of 1500 bytes takes apart."""
+"""Records of a datagram: 1468 bytes, which no network of 1500 bytes splits."""
 
 _NUMBER = struct.Struct(">i")
 _RECORD_BYTES = 8
@@ -317,7 +315,7 @@ class JaerCoder(DatagramCoder):
         self._number = 1
 
     def encode(self, events: Events, edges: Edges) -> Iterator[Datagram]:
-        """Yield datagrams; an edge stands before the events of its time."""
+        """Yield datagrams; an edge precedes the events of its time."""
         records = encode_aedat2(events, self.facts.size, edges)
         ends = _events_before(events, edges)
         count = len(records) // _RECORD_BYTES
@@ -329,7 +327,7 @@ class JaerCoder(DatagramCoder):
 
 
 def _events_before(events: Events, edges: Edges) -> np.ndarray | None:
-    """Return how many of the first n records are events, (records + 1,); None where all are."""
+    """Return the number of events among the first n records, (records + 1,); None if all are events."""
     if not len(edges):
         return None
     is_event = np.arange(len(edges) + len(events)) >= len(edges)
@@ -344,12 +342,12 @@ _FAERY_EVENTS = 100
 
 
 class SpifCoder(DatagramCoder):
-    """Codes events for AEStream, spiffer and SPIF boards; times are left out, an event counts when it comes."""
+    """Codes events for AEStream, spiffer and SPIF boards; times are left out: an event has its time of arrival."""
 
     limit_px: ClassVar[tuple[int, int]] = (1 << 15, 1 << 15)
 
     def encode(self, events: Events, edges: Edges) -> Iterator[Datagram]:
-        """Yield datagrams; edges have no place in them."""
+        """Yield datagrams of the events; edges are left out."""
         words = (events["x"].astype("<u4") << 16) | (events["on"].astype("<u4") << 15) | events["y"] | _NO_TIME
         yield from _cut(words.astype("<u4"), _SPIF_EVENTS)
 
@@ -360,7 +358,7 @@ class FaeryLongCoder(DatagramCoder):
     limit_px: ClassVar[tuple[int, int]] = (1 << 16, 1 << 16)
 
     def encode(self, events: Events, edges: Edges) -> Iterator[Datagram]:
-        """Yield datagrams; edges have no place in them."""
+        """Yield datagrams of the events; edges are left out."""
         yield from _cut(events.view(f"V{EVENT.itemsize}"), _FAERY_EVENTS)
 
 
@@ -370,7 +368,7 @@ class FaeryShortCoder(DatagramCoder):
     limit_px: ClassVar[tuple[int, int]] = (1 << 16, 1 << 15)
 
     def encode(self, events: Events, edges: Edges) -> Iterator[Datagram]:
-        """Yield datagrams; edges have no place in them."""
+        """Yield datagrams of the events; edges are left out."""
         records = np.empty(len(events), _SHORT)
         records["t"] = events["t"] & np.uint64(0xFFFFFFFF)
         records["x"] = events["x"]

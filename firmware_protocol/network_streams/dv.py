@@ -5,11 +5,11 @@
     event     i64 us   i16 x   i16 y   u8 ON   3 bytes of zero
     or        FlatBuffer "TRIG": vector of offsets of tables; table: i32 back to its offsets, i8 kind, i64 us
 
-With compression all of a packet after its size is one LZ4 frame.
+With compression, all bytes of a packet after its size are one LZ4 frame.
 
 A FlatBuffer begins with the offset of its table; the table begins with the distance back to the offsets of its fields.
-Both beginnings are constants here. A connection carries one stream: NetworkReader 2.0.4 takes each packet for one of
-the stream that it is asked for, and fails where a connection has two. The client says nothing.
+Both beginnings are constants here. A connection carries one stream: NetworkReader 2.0.4 reads each packet as one of
+the stream that it opened, and fails if a connection has two. The client sends nothing.
 
 Sources: dv-processing 2.0.4 as a reader; aedat 2.3.0, schemas of its source distribution; flatbuffers.dev, "FlatBuffer
 Internals".
@@ -42,9 +42,9 @@ _PACKET = struct.Struct("<ii")
 _EVENTS = struct.Struct("<II4s2xHHHiII")
 _EVENTS_AT = _PACKET.size + _EVENTS.size
 _TRIGGER = np.dtype([("back", "<i4"), ("zero", "V3"), ("kind", "i1"), ("t", "<i8")])
-_TRIGGER_FIELDS = struct.pack("<4H", 8, _TRIGGER.itemsize, 8, 7)  # their size, the table's, where time and kind are
+_TRIGGER_FIELDS = struct.pack("<4H", 8, _TRIGGER.itemsize, 8, 7)  # sizes of both, offsets of time and kind
 _OFFSETS_AT = 28  # in the FlatBuffer, of the first element of its vector
-# the same with three fields: compression, the string's place, where the table of packets is (-1: none)
+# the same with three fields: compression, offset of the string, offset of the table of packets (-1: none)
 _HEAD = struct.Struct("<I4s6xHHHHHiiIq4xI")
 
 
@@ -53,7 +53,7 @@ class _DvCoder(ConnectionCoder):
 
     limit_px: ClassVar[tuple[int, int]] = (1 << 15, 1 << 15)
     stream: ClassVar[tuple[str, str]]
-    """What its packets are, and the stream's name."""
+    """Kind of its packets, and the stream's name."""
 
     def __init__(self, facts: StreamFacts) -> None:
         super().__init__(facts)
@@ -126,7 +126,7 @@ class DvTriggerCoder(_DvCoder):
 
 
 def _description(facts: StreamFacts, kind: str, name: str) -> bytes:
-    """Return the XML by which readers go: what the stream is, and whose."""
+    """Return the XML that readers need: kind and source of the stream."""
     width, height = facts.size
     camera = escape(facts.camera)
     return (

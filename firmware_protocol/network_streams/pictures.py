@@ -1,13 +1,13 @@
-"""Streams of pictures: event images as numpy arrays, and a coloured display as PPM pictures.
+"""Streams of images of events: numpy arrays, or a coloured display in PPM format.
 
     event image   .npy arrays one after another, each (1,) of {t_us: i64, image: (channels, height, width) f32}
-    display       P6 pictures one after another, as ffmpeg's image2pipe reads them: colours of ON and OFF events, and
-                  between them (or below) a background or the light that the events tell of
+    display       P6 images one after another, as ffmpeg's image2pipe reads them: colours of ON and OFF events, and
+                  between them (or below) a background or the light computed from the events
 
 Sources: numpy, "A simple file format for NumPy arrays"; netpbm, ppm(5); the display's settings: "Real-time event-based
 sensor simulation for space applications"; E. Reinhard et al., "Photographic tone reproduction", 2002 (its curve).
 
-Pictures of the events of equal stretches of stream time, for streams of pictures instead of events.
+An image holds the events of one of equal intervals of stream time.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ __all__ = ["CHANNELS", "DisplayCoder", "EventFrames", "EventImageCoder", "Image"
 
 
 CHANNELS = ("on", "off", "first_us", "last_us", "level", "count", "filtered")
-"""Of an image: ON and OFF events of the frame, times of the pixel's first and last one after the frame's start, us (NaN
-where it had none), ON less OFF events since the first frame, ON less OFF events of the frame, and the level behind a
-low pass of the first order at the frame's end (0 without a filter)."""
+"""Channels of an image: ON and OFF events of the frame, times of the pixel's first and last one after the frame's
+start, us (NaN if it had none), ON less OFF events since the first frame, ON less OFF events of the frame, and the level
+after a first-order low pass at the frame's end (0 without a filter)."""
 
-_MOST_EMPTY = 8  # frames in a row without an event; of a longer silence only the last one is made
+_MOST_EMPTY = 8  # frames in a row without an event; of a longer silence only the last frame is made
 _ON, _OFF, _FIRST, _LAST, _LEVEL, _COUNT, _FILTERED = range(len(CHANNELS))
 
 Image = npt.NDArray[np.float32]
@@ -40,15 +40,15 @@ Image = npt.NDArray[np.float32]
 class EventFrames:
     """Gathers events into frames of `period_us`; frame k holds k * period_us <= t < (k + 1) * period_us.
 
-    The low pass of a level that events move in steps is the level less what each step has not passed on yet:
-    filtered(T) = level(T) - sum of +-exp(-(T - t) / filter_us) over the events. The sum is kept, so no sample is.
+    The low pass of a level that events change in steps is the level less the part of each step that has not passed yet:
+    filtered(T) = level(T) - sum of +-exp(-(T - t) / filter_us) over the events. Only this sum is stored, no samples.
 
     Parameters
     ----------
     size
         (width, height), pixels.
     filter_us
-        Time constant of the channel "filtered"; 0 where it is not needed.
+        Time constant of the channel "filtered"; 0 if it is not needed.
     """
 
     def __init__(self, size: tuple[int, int], period_us: int, filter_us: float = 0.0) -> None:
@@ -61,15 +61,15 @@ class EventFrames:
 
     @property
     def begun(self) -> bool:
-        """Whether there is a frame that is not complete."""
+        """True if there is an incomplete frame."""
         return self._frame is not None
 
     def restart(self) -> None:
-        """Begin anew: the camera's clock did."""
+        """Restart, because the camera's clock did."""
         self._frame = None
 
     def add(self, events: Events) -> Iterator[tuple[int, Image]]:
-        """Take events (n,) EVENT, sorted; yield (t_us, image) of each frame that these show to be complete.
+        """Add events (n,) EVENT, sorted; yield (t_us, image) of each frame that they complete.
 
         `t_us` is the end of the frame. The image is (channels, height, width), see `CHANNELS`, and changes with the
         next step of the iterator.
@@ -81,7 +81,7 @@ class EventFrames:
             self._count(events[start:end])
 
     def reach(self, t_us: int) -> Iterator[tuple[int, Image]]:
-        """Say that there are no more events before `t_us`; yield the frames that this completes."""
+        """Advance to `t_us`, before which there are no more events; yield the frames that this completes."""
         frame = t_us // self._period_us
         if self._frame is None:
             self._begin(frame)
@@ -91,7 +91,7 @@ class EventFrames:
             self._begin(self._frame + 1 if frame - self._frame < _MOST_EMPTY else frame)
 
     def cut(self) -> tuple[int, Image]:
-        """Return the frame as it is now."""
+        """Return the frame in its present state."""
         frame = self._frame or 0
         shape = (len(CHANNELS), self._height, self._width)
         np.subtract(self._image[_ON], self._image[_OFF], out=self._image[_COUNT])
@@ -115,7 +115,7 @@ class EventFrames:
         self._image[_LEVEL] += counts[:, 1].astype(np.float32) - counts[:, 0]
         t = (events["t"].astype(np.int64) - self._frame * self._period_us).astype(np.float32)
         fresh = np.isnan(self._image[_FIRST, pixel])
-        self._image[_FIRST, pixel[fresh][::-1]] = t[fresh][::-1]  # of equal places the last one stays: the earliest
+        self._image[_FIRST, pixel[fresh][::-1]] = t[fresh][::-1]  # of equal indices the last value stays: the earliest
         self._image[_LAST, pixel] = t
         if self._filter_us:
             left = np.exp((t.astype(np.float64) - self._period_us) / self._filter_us)
@@ -128,7 +128,7 @@ _WHITE = 255
 
 
 class _PictureCoder(ConnectionCoder):
-    """Codes a picture for each stretch of stream time."""
+    """Codes an image for each interval of stream time."""
 
     limit_px: ClassVar[tuple[int, int]] = (1 << 15, 1 << 15)
 
@@ -138,25 +138,25 @@ class _PictureCoder(ConnectionCoder):
 
     @property
     def greeting(self) -> bytes:
-        """Nothing: each picture stands alone."""
+        """Empty: each image is complete in itself."""
         return b""
 
     def encode(self, events: Events, edges: Edges) -> bytes:
-        """Return the pictures that these events complete."""
+        """Return the images that these events complete."""
         return self._joined(self._frames.add(events))
 
     def advance(self, t_us: int) -> bytes:
-        """Return the pictures that are complete by `t_us`."""
+        """Return the images that are complete by `t_us`."""
         return self._joined(self._frames.reach(t_us))
 
     def restart(self) -> bytes:
-        """Return the picture that the camera's clock has cut short."""
+        """Return the incomplete image at a restart of the camera's clock."""
         last = self.finish()
         self._frames.restart()
         return last
 
     def finish(self) -> bytes:
-        """Return the picture that is not complete."""
+        """Return the incomplete image."""
         return self._joined(iter([self._frames.cut()] if self._frames.begun else []))
 
     def _joined(self, frames: Iterator[tuple[int, Image]]) -> bytes:
@@ -164,11 +164,11 @@ class _PictureCoder(ConnectionCoder):
 
     @abstractmethod
     def _picture(self, t_us: int, image: Image) -> bytes:
-        """Return one picture."""
+        """Return one image."""
 
 
 class EventImageCoder(_PictureCoder):
-    """Codes event images with the channels that `facts.pictures` names."""
+    """Codes event images with the channels of `facts.pictures`."""
 
     def __init__(self, facts: StreamFacts) -> None:
         super().__init__(facts)
@@ -182,7 +182,7 @@ class EventImageCoder(_PictureCoder):
 
 
 class DisplayCoder(_PictureCoder):
-    """Codes what a person looks at."""
+    """Codes coloured images for people."""
 
     def __init__(self, facts: StreamFacts) -> None:
         super().__init__(facts)
@@ -194,13 +194,13 @@ class DisplayCoder(_PictureCoder):
 
 
 def frames_for(size: tuple[int, int], period_us: int, settings: PictureSettings) -> EventFrames:
-    """Return frames with all that pictures of these settings need."""
+    """Return frames with the data that images of these settings need."""
     filtered = "filtered" in settings.channels or settings.shows_light
     return EventFrames(size, period_us, settings.filter_us if filtered else 0.0)
 
 
 def chosen(image: Image, settings: PictureSettings) -> Image:
-    """Return the channels of an image that are asked for, (channels, height, width)."""
+    """Return the selected channels of an image, (channels, height, width)."""
     return image[[CHANNELS.index(name) for name in settings.channels]]
 
 

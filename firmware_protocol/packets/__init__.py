@@ -1,1 +1,1 @@
-"""Packets of the instrument's link: what it says, what it is told, and the standards that carry both."""
+"""Packets of the instrument's link: messages, telecommands, and the packet standards that carry both."""

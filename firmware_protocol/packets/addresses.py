@@ -1,10 +1,7 @@
-"""Who is who on the link: the numbers under which an instrument and the computer it serves know each other.
+"""Addresses of an instrument and its computer on the link, messages with their kinds, and sequence counts.
 
-What a receiver says of a packet that it does not take.
-
-What an instrument says, whichever standard carries it.
-
-Sequence counts: given out by a sender, followed by a receiver that says how many packets never came.
+A message is the same in every packet standard. A sender numbers its packets; a receiver compares the numbers with those
+it expects, and counts the packets that are missing. A packet that a receiver refuses raises PacketError.
 """
 
 from __future__ import annotations
@@ -36,7 +33,7 @@ class Addresses:
     Attributes
     ----------
     apid
-        Application process of the instrument: telecommands, and all that it says but events.
+        Application process of the instrument: telecommands, and all its messages except events.
     science_apid
         Application process of events and edges.
     csp_node, csp_peer
@@ -63,11 +60,11 @@ DEFAULT_ADDRESSES = Addresses()
 
 
 class PacketError(ValueError):
-    """A packet is malformed or not for us. The message is the reason under which it is counted."""
+    """A packet is malformed or for another receiver. The message is the reason under which it is counted."""
 
 
 class MessageKind(Enum):
-    """The kinds of messages, and what their payload is."""
+    """Kinds of messages, with their payloads."""
 
     EVENTS = "events"
     """One event block (firmware_protocol.telemetry)."""
@@ -94,7 +91,7 @@ class Message:
 
 @dataclass(frozen=True)
 class Received:
-    """A message that came, and how many of its counter are missing before it."""
+    """A received message, and the number of messages of its counter missing before it."""
 
     message: Message
     missing: int = 0
@@ -115,17 +112,17 @@ class SequenceCounts:
 
 
 class SequenceFollower:
-    """Compares the numbers that come with those that should.
+    """Compares received sequence counts with the expected ones.
 
-    A number less than half a turn ahead means that those between are missing; one behind (a repeat, packets out of
-    order, a sender that began anew) is counted in `disordered`, and counting goes on from it.
+    A count less than half the modulus ahead means that the packets between are missing. A count behind (a repeat,
+    packets out of order, a sender that restarted) is counted in `disordered`, and counting continues from it.
 
     Attributes
     ----------
     missing
-        Packets that never came.
+        Packets that never arrived.
     disordered
-        Packets whose number was behind the one expected.
+        Packets with a count behind the expected one.
     """
 
     def __init__(self, modulus: int) -> None:
@@ -135,7 +132,7 @@ class SequenceFollower:
         self.disordered = 0
 
     def follow(self, key: Hashable, number: int) -> int:
-        """Take the number of a packet of `key`; return how many are missing before it."""
+        """Process the count of a packet of `key`; return the number of packets missing before it."""
         ahead = (number - self._expected.get(key, number)) % self._modulus
         self._expected[key] = (number + 1) % self._modulus
         if ahead >= self._modulus // 2:

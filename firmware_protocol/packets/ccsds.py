@@ -1,4 +1,6 @@
-"""CCSDS space packets: six octets of primary header, then 1 to 65 536 octets of data. Big-endian.
+"""CCSDS space packets, and the CCSDS unsegmented time code (CUC) in them. Big-endian.
+
+Space packet: six octets of primary header, then 1 to 65 536 octets of data:
 
     bits  0..2    version number, 000
           3       type, 0 telemetry, 1 telecommand
@@ -11,9 +13,9 @@
 
 Source: CCSDS 133.0-B-2, section 4.1; checked against the spacepackets library.
 
-CCSDS unsegmented time code (CUC): whole seconds and binary fractions of a second since an epoch. Big-endian.
+CUC: whole seconds and binary fractions of a second since an epoch:
 
-    P-field, one octet, left out (implicit) where both sides know it
+    P-field, one octet, left out (implicit) if both sides have the same format
         bit 7      another octet follows: 0 here
         bits 6..4  001 epoch 1958-01-01 TAI, 010 an epoch of the agency's own
         bits 3..2  octets of seconds less one
@@ -21,9 +23,9 @@ CCSDS unsegmented time code (CUC): whole seconds and binary fractions of a secon
     T-field
         1..4 octets of seconds, 0..3 octets of fraction
 
-4 + 3 octets: P-field 0x1F (TAI) or 0x2F (own epoch), a step of 2^-24 s = 59.6 ns. All arithmetic is on integers; a
-time goes to the nearest step, halves up, and back to the nearest unit, so whole microseconds come back exactly from
-three octets of fraction (not from fewer). Nanoseconds come back within 30 ns.
+4 + 3 octets: P-field 0x1F (TAI) or 0x2F (own epoch), a step of 2^-24 s = 59.6 ns. All arithmetic is on integers; a time
+is rounded to the nearest step, halves up, and back to the nearest unit, so three octets of fraction (not fewer)
+preserve whole microseconds exactly. Nanoseconds are preserved within 30 ns.
 
 Source: CCSDS 301.0-B-4, section 3.2.
 """
@@ -58,14 +60,14 @@ _MOST_DATA = 1 << 16
 
 
 class PacketType(IntEnum):
-    """Which way a packet goes."""
+    """Direction of a packet."""
 
     TELEMETRY = 0
     TELECOMMAND = 1
 
 
 class SequenceFlags(IntEnum):
-    """Which part of a longer message a packet is."""
+    """Position of a packet in a longer message."""
 
     CONTINUATION = 0
     FIRST = 1
@@ -75,10 +77,10 @@ class SequenceFlags(IntEnum):
 
 PRIMARY_HEADER = Layout(
     Field("version", 3, "version of the space packet", fixed=0),
-    Field("type", 1, "which way the packet goes", choices=choices_of(PacketType)),
-    Field("secondary_header", 1, "whether a secondary header follows"),
+    Field("type", 1, "direction of the packet", choices=choices_of(PacketType)),
+    Field("secondary_header", 1, "1 if a secondary header follows"),
     Field("apid", 11, "application process identifier"),
-    Field("sequence_flags", 2, "which part of a longer message", choices=choices_of(SequenceFlags)),
+    Field("sequence_flags", 2, "position in a longer message", choices=choices_of(SequenceFlags)),
     Field("sequence_count", 14, "number of the packet under its APID"),
     Field("length", 16, "octets that follow this header, less one"),
 )
@@ -92,7 +94,7 @@ class SpacePacket:
     Attributes
     ----------
     data
-        Everything behind the primary header, 1..65536 octets.
+        Octets after the primary header, 1..65536.
     """
 
     type: PacketType
@@ -152,7 +154,7 @@ class SpacePacket:
 
 
 def idle_packet(data_octets: int, sequence_count: int = 0) -> SpacePacket:
-    """Return a packet that fills a line and says nothing; its data are 0x55."""
+    """Return a packet that fills a line and carries no information; its data are 0x55."""
     return SpacePacket(
         type=PacketType.TELEMETRY,
         apid=APID_IDLE,
@@ -163,7 +165,7 @@ def idle_packet(data_octets: int, sequence_count: int = 0) -> SpacePacket:
 
 
 def whole_packets(octets: bytes) -> list[bytes]:
-    """Cut octets into space packets, each as long as its header says; the last piece is what does not make one."""
+    """Split octets into space packets, each as long as its header states; the last piece is an incomplete rest."""
     packets, at = [], 0
     while at < len(octets):
         head = octets[at : at + HEADER_BYTES]
@@ -178,7 +180,7 @@ _NS = 1_000_000_000
 
 
 class Epoch(IntEnum):
-    """Where time is zero."""
+    """Zero of a time."""
 
     TAI_1958 = 1
     OWN = 2
@@ -191,14 +193,14 @@ def _check(what: str, value: int, lowest: int, highest: int) -> None:
 
 @dataclass(frozen=True)
 class CucFormat:
-    """How a time is written.
+    """Format of a time.
 
     Attributes
     ----------
     seconds_octets, fraction_octets
-        1..4 and 0..3.
+        Numbers of octets, 1..4 and 0..3.
     p_field
-        Whether the P-field stands in front of the time.
+        True if the P-field precedes the time.
     """
 
     epoch: Epoch = Epoch.OWN
@@ -229,18 +231,18 @@ class CucFormat:
 
     def layout(self, name: str, meaning: str) -> Layout:
         """Return the fields of an encoded time: `name`_seconds and `name`_fraction."""
-        p_field = Field(f"{name}_p_field", 8, "CUC: which epoch, and how many octets", fixed=self.p_field_octet)
+        p_field = Field(f"{name}_p_field", 8, "CUC: epoch and numbers of octets", fixed=self.p_field_octet)
         seconds = Field(f"{name}_seconds", 8 * self.seconds_octets, f"{meaning}, whole seconds", "s")
         bits = 8 * self.fraction_octets
         fraction = Field(f"{name}_fraction", bits, f"{meaning}, fraction of a second", "s", scale=2.0**-bits)
         return Layout(*(p_field,) * self.p_field, seconds, *(fraction,) * bool(bits))
 
     def encode_us(self, t_us: int) -> bytes:
-        """Write a time in microseconds since the epoch. Raises ValueError when it does not fit."""
+        """Return the octets of a time in microseconds since the epoch. Raises ValueError if it does not fit."""
         return self._encode(t_us, _US)
 
     def encode_ns(self, t_ns: int) -> bytes:
-        """Write a time in nanoseconds since the epoch. Raises ValueError when it does not fit."""
+        """Return the octets of a time in nanoseconds since the epoch. Raises ValueError if it does not fit."""
         return self._encode(t_ns, _NS)
 
     def parse_us(self, octets: bytes) -> int:
@@ -270,7 +272,7 @@ class CucFormat:
 
 
 OWN_EPOCH_4_3 = CucFormat()
-"""Seven octets, P-field 0x2F implicit: the time of our packets, since the start of the stream."""
+"""Seven octets, P-field 0x2F implicit: the time of the instrument's packets, since the start of the stream."""
 
 TAI_4_3 = CucFormat(Epoch.TAI_1958)
 """Seven octets, P-field 0x1F implicit."""

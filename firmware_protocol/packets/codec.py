@@ -1,4 +1,4 @@
-"""What a packet standard does for a profile: messages and telecommands to packets and back."""
+"""Interface of a packet standard to a profile: messages and telecommands to packets and back."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Decoded:
 
 @dataclass(frozen=True)
 class Request:
-    """A telecommand as it came, not yet understood."""
+    """A telecommand as received, not yet interpreted."""
 
     id: RequestId
     service: int
@@ -34,12 +34,12 @@ class Request:
 
 
 class PacketCodec(ABC):
-    """Writes and reads the packets of one instrument; keeps the counts of what it wrote."""
+    """Encodes and decodes the packets of one instrument; holds the sequence counts of the packets it encoded."""
 
     overhead_octets: ClassVar[int]
-    """Most octets that a packet has beside the payload."""
+    """Most octets of a packet beside the payload."""
     sequence_modulus: ClassVar[int]
-    """Where sequence counts begin anew."""
+    """Modulus of the sequence counts."""
 
     @abstractmethod
     def encode(self, message: Message) -> bytes:
@@ -47,7 +47,7 @@ class PacketCodec(ABC):
 
     @abstractmethod
     def decode(self, octets: bytes) -> Decoded | None:
-        """Read the packet of a message; None for a packet that says nothing. Raises PacketError for any other."""
+        """Read the packet of a message; None for a packet without information. Raises PacketError for any other."""
 
     @abstractmethod
     def encode_command(self, command: Telecommand, acknowledge: Acknowledge) -> tuple[bytes, RequestId]:
@@ -55,4 +55,4 @@ class PacketCodec(ABC):
 
     @abstractmethod
     def decode_command(self, octets: bytes) -> Request:
-        """Read the packet of a telecommand. Raises PacketError when it is damaged or not for us."""
+        """Read the packet of a telecommand. Raises PacketError if it is damaged or for another receiver."""

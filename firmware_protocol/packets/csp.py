@@ -1,29 +1,31 @@
-"""CubeSat Space Protocol packets, versions 2 and 1: a header, then data. Big-endian.
+"""CubeSat Space Protocol (CSP): packets of versions 2 and 1, and the instrument's messages in version 2. Big-endian.
+
+A packet is a header, then data:
 
     version 2, 6 octets   bits 47..46 priority   45..32 destination   31..18 source   17..12 destination port
                                11..6  source port   5..0 flags
     version 1, 4 octets   bits 31..30 priority   29..25 source   24..20 destination   19..14 destination port
                                13..8  source port   7..0 flags
 
-The checksum behind the data (CRC-32C of header and data) belongs to the interface (`framing/kiss.py`), as in libcsp.
+The checksum after the data (CRC-32C of header and data) belongs to the interface (`framing/kiss.py`), as in libcsp.
 
 Source: libcsp 2 (csp_id.c, csp_types.h).
 
-Messages and telecommands as CSP packets of version 2. Big-endian.
+Messages and telecommands in packets of version 2:
 
     message       from the instrument's port 8 to the computer's port, priority normal (events low)
         u16  count of the packets to this port, modulo 65 536
         7    time: CUC, 4 + 3 octets, since the start of the stream
         ...  payload of the message
     telecommand   from the computer to the instrument's port 8, priority high
-        u32  request id: 0x1800 | 0x2A0, then 0xC000 | count modulo 16 384, as a PUS telecommand would have it
-        u8   acknowledgements wanted, as in PUS-C
+        u32  request id: 0x1800 | 0x2A0, then 0xC000 | count modulo 16 384, as in a PUS telecommand
+        u8   acknowledgements requested, as in PUS-C
         u8   service    u8 subtype
         ...  application data
 
     port  9 EVENTS  10 EDGES  11 HOUSEKEEPING  12 VERIFICATION  13 TIME  14 PONG
 
-Ports to bind must lie below CSP_PORT_MAX_BIND of libcsp (16 by default), hence these. The checksum is the framing's.
+Ports to bind must be below CSP_PORT_MAX_BIND of libcsp (16 by default), hence these. The framing adds the checksum.
 """
 
 from __future__ import annotations
@@ -54,7 +56,7 @@ class Priority(IntEnum):
 
 
 class CspVersion(IntEnum):
-    """Which of the two headers."""
+    """Version of the header."""
 
     ONE = 1
     TWO = 2
@@ -78,7 +80,7 @@ _PLACES = {
 
 @dataclass(frozen=True)
 class CspPacket:
-    """One packet without its checksum. Raises ValueError for a field that its version has no room for."""
+    """One packet without its checksum. Raises ValueError for a field that does not fit its version's header."""
 
     source: int
     destination: int
@@ -101,7 +103,7 @@ class CspPacket:
 
     @classmethod
     def parse(cls, octets: bytes, version: CspVersion = CspVersion.TWO) -> CspPacket:
-        """Read one whole packet of a known version. Raises PacketError when it is shorter than a header."""
+        """Read one whole packet of a given version. Raises PacketError if it is shorter than a header."""
         length = version.header_octets
         if len(octets) < length:
             raise PacketError("short")
@@ -129,7 +131,7 @@ HEADER_OCTETS = 6
 
 
 class CspCodec(PacketCodec):
-    """Writes and reads the packets of one instrument."""
+    """Encodes and decodes the packets of one instrument."""
 
     overhead_octets = HEADER_OCTETS + max(_MESSAGE.size, _REQUEST.size)
     sequence_modulus = 1 << 16
@@ -183,7 +185,7 @@ class CspCodec(PacketCodec):
         return bytes(packet), request
 
     def decode_command(self, octets: bytes) -> Request:
-        """Read the packet of a telecommand. Raises PacketError when it is too short or not for us."""
+        """Read the packet of a telecommand. Raises PacketError if it is too short or for another receiver."""
         packet = CspPacket.parse(octets)
         if packet.destination != self._addresses.csp_node:
             raise PacketError("address")

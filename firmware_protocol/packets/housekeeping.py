@@ -13,10 +13,10 @@
      24  4 * u16  region of interest: x, y, width, height, px
      32  u32  rate limit, events per second, 0 none
      36  10 * u64  events since power-on: offered by the sensor, sent, waiting, and dropped because: not running, not
-              selected (region, sub-sampling), over the rate limit, too late, buffer full, flushed at a stop, lost on
+             selected (region, sub-sampling), over the rate limit, too late, buffer full, flushed at a stop, lost on
               the link. The first is the sum of the others.
     116  4 * u64  edges of the external input since power-on: offered, sent, ignored, dropped
-    148  u16  telecommands taken          u16  telecommands refused
+    148  u16  telecommands accepted      u16  telecommands refused
     152  u16  frames and packets refused  u16  telecommands missing in the count; all four modulo 65 536
 
     time report, 9 octets
@@ -53,14 +53,14 @@ _TIME = CucFormat(p_field=True)
 
 
 class Mode(IntEnum):
-    """Whether events flow."""
+    """State of the flow of events."""
 
     STOPPED = 0
     STREAMING = 1
 
 
 class TimeStatus(IntEnum):
-    """What the instrument's time hangs on."""
+    """Source of the instrument's time."""
 
     FREE_RUNNING = 0
     SET = 1
@@ -69,7 +69,7 @@ class TimeStatus(IntEnum):
 
 
 def _count(meaning: str) -> Any:
-    """Return a field of counts that says what it counts."""
+    """Return a field of counts with its meaning."""
     return field(default=0, metadata={"meaning": meaning})
 
 
@@ -101,23 +101,23 @@ class EdgeCounts:
 
 @dataclass(frozen=True)
 class LinkCounts:
-    """What came in on the link, modulo 65 536 on the wire."""
+    """Telecommands and frames received on the link, modulo 65 536 on the wire."""
 
-    commands_taken: int = _count("telecommands taken, modulo 65 536")
+    commands_taken: int = _count("telecommands accepted, modulo 65 536")
     commands_refused: int = _count("telecommands refused, modulo 65 536")
     frames_refused: int = _count("frames and packets refused, modulo 65 536")
     commands_missing: int = _count("telecommands missing in the count, modulo 65 536")
 
 
 def _counts(kind: type[Any], bits: int, prefix: str = "", what: str = "", unit: str = "") -> Layout:
-    told = ((f"{prefix}{one.name}", f"{what}{one.metadata['meaning']}") for one in fields(kind))
-    return Layout(*(Field(name, bits, meaning, unit) for name, meaning in told))
+    meanings = ((f"{prefix}{one.name}", f"{what}{one.metadata['meaning']}") for one in fields(kind))
+    return Layout(*(Field(name, bits, meaning, unit) for name, meaning in meanings))
 
 
-_STATUS = Field("time_status", 8, "what the camera's time hangs on", choices=choices_of(TimeStatus))
+_STATUS = Field("time_status", 8, "source of the camera's time", choices=choices_of(TimeStatus))
 _HEAD = Layout(
-    Field("structure", 8, "which housekeeping structure", fixed=1),
-    Field("mode", 8, "whether events flow", choices=choices_of(Mode)),
+    Field("structure", 8, "number of the housekeeping structure", fixed=1),
+    Field("mode", 8, "flow of events", choices=choices_of(Mode)),
     _STATUS,
     Field("reserved", 8, "reserved", fixed=0),
     Field("own_time", 64, "the camera's own time", "us"),
@@ -135,9 +135,9 @@ _EVENTS = _counts(EventCounts, 64, "events_", "events since power-on: ", "events
 _EDGES = _counts(EdgeCounts, 64, "edges_", "edges since power-on: ", "edges")
 _LINK = _counts(LinkCounts, 16)
 HOUSEKEEPING_LAYOUT = _HEAD + _EVENTS + _EDGES + _LINK
-"""The 156 octets drawn above."""
+"""Layout of the 156 octets above."""
 TIME_LAYOUT = _TIME.layout("now", "the camera's own time") + Layout(_STATUS)
-"""The 9 octets drawn above."""
+"""Layout of the 9 octets above."""
 
 
 @dataclass(frozen=True)
@@ -172,7 +172,7 @@ class Housekeeping:
     link: LinkCounts = LinkCounts()
 
     def encode(self) -> bytes:
-        """Return the 156 octets drawn above. Raises ValueError for a number that does not fit."""
+        """Return the 156 octets of the layout above. Raises ValueError for a number that does not fit."""
         x, y, width, height = self.region
         counts = {f"events_{name}": n for name, n in asdict(self.events).items()}
         counts |= {f"edges_{name}": n for name, n in asdict(self.edges).items()}
@@ -198,43 +198,43 @@ class Housekeeping:
 
     @classmethod
     def parse(cls, payload: bytes) -> Housekeeping:
-        """Undo `encode`. Raises PacketError for another length, structure, mode or time status."""
+        """Read the octets of `encode`. Raises PacketError for another length, structure, mode or time status."""
         try:
-            told = HOUSEKEEPING_LAYOUT.unpack(payload)
+            values = HOUSEKEEPING_LAYOUT.unpack(payload)
         except WrongLength as error:
             raise PacketError("length") from error
-        if not _HEAD.holds(told):
+        if not _HEAD.holds(values):
             raise PacketError("structure")
         return cls(
-            t_us=told["own_time"],
-            region=(told["region_x"], told["region_y"], told["region_width"], told["region_height"]),
-            mode=Mode(told["mode"]),
-            time_status=TimeStatus(told["time_status"]),
-            offered_hz=told["offered_rate"],
-            sent_hz=told["sent_rate"],
-            temperature_centi_c=told["temperature"],
-            tick_us=told["tick"],
-            rate_limit_hz=told["rate_limit"],
-            events=EventCounts(*(told[one.name] for one in _EVENTS.fields)),
-            edges=EdgeCounts(*(told[one.name] for one in _EDGES.fields)),
-            link=LinkCounts(*(told[one.name] for one in _LINK.fields)),
+            t_us=values["own_time"],
+            region=(values["region_x"], values["region_y"], values["region_width"], values["region_height"]),
+            mode=Mode(values["mode"]),
+            time_status=TimeStatus(values["time_status"]),
+            offered_hz=values["offered_rate"],
+            sent_hz=values["sent_rate"],
+            temperature_centi_c=values["temperature"],
+            tick_us=values["tick"],
+            rate_limit_hz=values["rate_limit"],
+            events=EventCounts(*(values[one.name] for one in _EVENTS.fields)),
+            edges=EdgeCounts(*(values[one.name] for one in _EDGES.fields)),
+            link=LinkCounts(*(values[one.name] for one in _LINK.fields)),
         )
 
 
 @dataclass(frozen=True)
 class TimeReport:
-    """What time it is for the instrument, in microseconds."""
+    """The instrument's time, in microseconds, and its status."""
 
     t_us: int
     status: TimeStatus = TimeStatus.FREE_RUNNING
 
     def encode(self) -> bytes:
-        """Return the 9 octets drawn above. Raises ValueError for a time that does not fit."""
+        """Return the 9 octets of the layout above. Raises ValueError for a time that does not fit."""
         return _TIME.encode_us(self.t_us) + bytes([self.status])
 
     @classmethod
     def parse(cls, payload: bytes) -> TimeReport:
-        """Undo `encode`. Raises PacketError for anything that it does not write."""
+        """Read the octets of `encode`. Raises PacketError for any others."""
         if len(payload) != TIME_LAYOUT.octets or payload[-1] not in tuple(TimeStatus):
             raise PacketError("time report")
         return cls(_TIME.parse_us(payload[:-1]), TimeStatus(payload[-1]))

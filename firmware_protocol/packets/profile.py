@@ -6,14 +6,14 @@
     ccsds-kiss    PUS-C             KISS with CRC-32C              serial lines
     csp-kiss      CSP version 2     KISS with CRC-32C              serial lines to libcsp
     fprime        PUS-C             F Prime, CRC-32                serial lines to F Prime
-    ccsds         PUS-C             none                           carriers of whole packets (ISO-TP)
-    csp           CSP version 2     CRC-32C behind each packet     carriers of whole packets (CFP on CAN)
+    ccsds         PUS-C             none                           transports of whole packets (ISO-TP)
+    csp           CSP version 2     CRC-32C after each packet      transports of whole packets (CFP on CAN)
 
-Telecommands by CSP may come with a checksum that leaves the header out, as libcsp writes it when built without CSP_21:
-their addresses are checked and the rest of the header says nothing that counts.
+Telecommands by CSP may have a checksum that does not cover the header, as libcsp writes it when built without CSP_21:
+their addresses are checked, and no other field of the header is used.
 
-An instrument wraps messages and unwraps telecommands, the computer the other way round. A `Profile` keeps the sequence
-counts of what was wrapped with it; each unwrapper keeps those of what it has seen.
+An instrument wraps messages and unwraps telecommands, the computer the other way round. A `Profile` holds the sequence
+counts of the packets that it wrapped; each unwrapper holds those of the packets that it received.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ __all__ = ["PROFILES", "CommandUnwrapper", "Profile", "ReceivedCommand", "Unwrap
 
 @dataclass(frozen=True)
 class _Make:
-    """What a profile is made of."""
+    """Parts of a profile."""
 
     codec: Callable[[Addresses], PacketCodec]
     frame: Callable[[bytes], bytes]
@@ -72,14 +72,14 @@ PROFILES: Mapping[str, _Make] = {
 
 @dataclass(frozen=True)
 class ReceivedCommand:
-    """A telecommand that came whole: understood, or refused with the failure to report.
+    """A complete telecommand: decoded, or refused with the failure to report.
 
     Attributes
     ----------
     request
-        What to name it by in a `Verification`.
+        Id that names it in a `Verification`.
     acknowledge
-        Which successes its sender wants to hear of.
+        Successes that its sender wants reported.
     command, failure
         One of them is None.
     missing
@@ -95,18 +95,18 @@ class ReceivedCommand:
 
 @dataclass
 class UnwrapperCounters:
-    """What a receiver has seen, frame by frame and packet by packet: frames.frames = packets + idle + sum of refused.
+    """Counts of a receiver, by frames and packets: frames.frames = packets + idle + sum of refused.
 
     Attributes
     ----------
     frames
-        Bytes and frames.
+        Bytes and frames received.
     packets
         Good packets.
     idle
         Packets that fill the line.
     refused
-        Packets of good frames that were not taken, by reason.
+        Refused packets of good frames, by reason.
     missing, disordered
         See SequenceFollower.
     """
@@ -120,7 +120,7 @@ class UnwrapperCounters:
 
 
 class _Receiver:
-    """What both directions share: bytes to packets, and following their counts."""
+    """Common part of both directions: bytes to packets, and a check of their counts."""
 
     def __init__(self, codec: PacketCodec, deframer: StreamDeframer, modulus: int) -> None:
         self._codec = codec
@@ -129,7 +129,7 @@ class _Receiver:
         self.counters = UnwrapperCounters(deframer.counters)
 
     def _follow(self, counter: int, number: int) -> int:
-        """Count a good packet; return how many are missing before it."""
+        """Count a good packet; return the number of packets missing before it."""
         missing = self._follower.follow(counter, number)
         self.counters.packets += 1
         self.counters.missing = self._follower.missing
@@ -138,10 +138,10 @@ class _Receiver:
 
 
 class Unwrapper(_Receiver):
-    """Takes the bytes of an instrument and gives its messages."""
+    """Receiver of an instrument's bytes; returns its messages."""
 
     def push(self, data: bytes) -> list[Received]:
-        """Take the next bytes; return the messages that they complete. Never raises; what was bad is in `counters`."""
+        """Process the next bytes; return the messages that they complete. Never raises; `counters` has the refused."""
         return list(self._messages(data))
 
     def _messages(self, data: bytes) -> Iterator[Received]:
@@ -158,13 +158,13 @@ class Unwrapper(_Receiver):
 
 
 class CommandUnwrapper(_Receiver):
-    """Takes the bytes of a computer and gives its telecommands."""
+    """Receiver of a computer's bytes; returns its telecommands."""
 
     def push(self, data: bytes) -> list[ReceivedCommand]:
-        """Take the next bytes; return the telecommands that they complete.
+        """Process the next bytes; return the telecommands that they complete.
 
-        Never raises: damaged packets and those for others are counted in `counters`, telecommands that are whole but
-        unknown or malformed come with the failure to report.
+        Never raises: damaged packets and those for other receivers are counted in `counters`; complete telecommands
+        that are unknown or malformed are returned with the failure to report.
         """
         return list(self._commands(data))
 
@@ -187,14 +187,14 @@ class CommandUnwrapper(_Receiver):
 
 
 class Profile:
-    """One side of a link: wraps what this side says, makes unwrappers for what the other says.
+    """One side of a link: wraps its messages or telecommands, and makes receivers for those of the other side.
 
     Parameters
     ----------
     name
         One of `PROFILES`. Raises ValueError for another.
     addresses
-        Who is who; the same on both sides.
+        Addresses of both sides; the same on both sides.
     max_payload
         Longest payload of a message in bytes; the same on both sides.
     """

@@ -1,12 +1,12 @@
 """PUS-C packets: the secondary headers and the checksum that ECSS-E-ST-70-41C puts into space packets. Big-endian.
 
-    telemetry   u8  PUS version 2 (bits 7..4), status of the time reference (bits 3..0, 0 = not told)
+    telemetry   u8  PUS version 2 (bits 7..4), status of the time reference (bits 3..0, 0 = not reported)
                 u8  service      u8  subtype
                 u16 count of messages of this type    u16 destination
                 7   time: CUC, 4 + 3 octets, own epoch, P-field implicit
                 ... source data
                 u16 packet error control: CRC-16-CCITT-FALSE of all octets before it
-    telecommand u8  PUS version 2 (bits 7..4), acknowledgements wanted (bit 0 acceptance, 1 start, 2 progress,
+    telecommand u8  PUS version 2 (bits 7..4), acknowledgements requested (bit 0 acceptance, 1 start, 2 progress,
                     3 completion)
                 u8  service      u8  subtype
                 u16 source
@@ -42,7 +42,7 @@ _VERSION = 2
 _TYPE = (Field("service", 8, "PUS service type"), Field("subtype", 8, "PUS message subtype"))
 _TM_HEAD = Layout(
     Field("pus_version", 4, "PUS version", fixed=_VERSION),
-    Field("time_reference", 4, "status of the time reference; 0 is not told"),
+    Field("time_reference", 4, "status of the time reference; 0 is not reported"),
     *_TYPE,
     Field("type_count", 16, "number of the message under its service and subtype"),
     Field("destination", 16, "destination of the report"),
@@ -51,13 +51,13 @@ TM_HEADER = _TM_HEAD + OWN_EPOCH_4_3.layout("time", "the camera's own time")
 """Secondary header of telemetry."""
 TC_HEADER = Layout(
     Field("pus_version", 4, "PUS version", fixed=_VERSION),
-    Field("acknowledge", 4, "successes to be told: 1 acceptance, 2 start, 4 progress, 8 completion"),
+    Field("acknowledge", 4, "successes to report: 1 acceptance, 2 start, 4 progress, 8 completion"),
     *_TYPE,
     Field("source", 16, "source of the telecommand"),
 )
 """Secondary header of telecommands."""
 ERROR_CONTROL = Layout(Field("error_control", 16, "CRC-16-CCITT-FALSE of all octets before it"))
-"""What ends each packet."""
+"""Last field of each packet."""
 _CRC_BYTES = ERROR_CONTROL.octets
 TM_OVERHEAD = PRIMARY_HEADER.octets + TM_HEADER.octets + _CRC_BYTES
 """Octets of a telemetry packet beside its source data."""
@@ -66,7 +66,7 @@ TC_OVERHEAD = PRIMARY_HEADER.octets + TC_HEADER.octets + _CRC_BYTES
 
 
 class Acknowledge(IntFlag):
-    """Which successes a telecommand wants to hear of; failures are always told."""
+    """Successes that the sender of a telecommand wants reported; failures are always reported."""
 
     NONE = 0
     ACCEPTANCE = 1
@@ -135,7 +135,7 @@ class TmPacket:
 
     @classmethod
     def parse(cls, octets: bytes) -> TmPacket:
-        """Read one whole packet. Raises PacketError when it is not a sound telemetry report."""
+        """Read one whole packet. Raises PacketError if it is not a valid telemetry report."""
         packet = _unsealed(octets, PacketType.TELEMETRY, TM_HEADER)
         header = _TM_HEAD.unpack(packet.data[: _TM_HEAD.octets])
         return cls(
@@ -171,7 +171,7 @@ class TcPacket:
 
     @classmethod
     def parse(cls, octets: bytes) -> TcPacket:
-        """Read one whole packet. Raises PacketError when it is not a sound telecommand."""
+        """Read one whole packet. Raises PacketError if it is not a valid telecommand."""
         packet = _unsealed(octets, PacketType.TELECOMMAND, TC_HEADER)
         header = TC_HEADER.unpack(packet.data[: TC_HEADER.octets])
         return cls(

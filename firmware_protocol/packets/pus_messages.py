@@ -8,8 +8,8 @@
     TIME           9, 2               the report
     PONG           17, 2              nothing
 
-Events and edges have an APID of their own, so that a hole in its sequence count is a hole in the events and nothing
-else. Sequence counts run modulo 16 384 under each APID.
+Events and edges have an APID of their own, so that a gap in its sequence count is a gap in the events and nothing else.
+Sequence counts run modulo 16 384 under each APID.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _TYPE_COUNTS = 1 << 16
 
 
 class PusCodec(PacketCodec):
-    """Writes and reads the packets of one instrument."""
+    """Encodes and decodes the packets of one instrument."""
 
     overhead_octets = max(TM_OVERHEAD, TC_OVERHEAD)
     sequence_modulus = SEQUENCE_MODULUS
@@ -91,7 +91,7 @@ class PusCodec(PacketCodec):
         return octets, RequestId.parse(octets[:4])
 
     def decode_command(self, octets: bytes) -> Request:
-        """Read the packet of a telecommand. Raises PacketError when it is damaged or for another APID."""
+        """Read the packet of a telecommand. Raises PacketError if it is damaged or for another APID."""
         packet = TcPacket.parse(octets)
         if packet.apid != self._addresses.apid:
             raise PacketError("apid")

@@ -1,32 +1,33 @@
-"""What an instrument can be told, and the octets of it. Big-endian; `(service, subtype)` as in PUS-C.
+"""Telecommands of an instrument and the reports of their execution. Big-endian; `(service, subtype)` as in PUS-C.
 
     Ping                  (17, 1)     nothing                                     answered by a PONG
-    RequestHousekeeping   (3, 27)     u8 1 (how many), u8 1 (which: 1)            answered by HOUSEKEEPING
+    RequestHousekeeping   (3, 27)     u8 1 (structures), u8 1 (structure id)      answered by HOUSEKEEPING
     SetTime               (9, 128)    7  CUC, 4 + 3 octets: time now              answered by a TIME report
     Start                 (128, 1)    nothing                                     events flow
-    Stop                  (128, 2)    nothing                                     events stop, what waits is dropped
+    Stop                  (128, 2)    nothing                                     events stop, waiting ones are dropped
     SetTick               (128, 3)    u16 tick, us: 1, 10, 100 or 1000
     SetRegion             (128, 4)    u16 x, y, width, height, px
     SetRateLimit          (128, 5)    u32 events per second, 0: no limit
-    SetBias               (128, 6)    u8 which, u16 value
+    SetBias               (128, 6)    u8 bias number, u16 value
 
 Services 3, 9 and 17 are those of ECSS-E-ST-70-41C (9 has no standard request that sets the time, so its subtype is
-from the mission's own range), 128 is private. Which biases there are, and what their values mean, is the device's
-affair; for a DAVIS346 `bias` is the parameter number in module 5 and `value` the register's 16-bit word.
+from the mission's own range), 128 is private. The device defines its biases and the meaning of their values; for a
+DAVIS346 `bias` is the parameter number in module 5 and `value` the register's 16-bit word.
 
-Service 1 of PUS-C: what became of a telecommand.
+Service 1 of PUS-C reports the result of a telecommand:
 
     u8   subtype: 1 accepted, 2 not accepted, 3 started, 4 not started, 7 completed, 8 not completed
-    u16  packet id of the telecommand          (its first four octets, as they came: version, type,
+    u16  packet id of the telecommand          (its first four octets, as received: version, type,
     u16  sequence control of the telecommand    flag, APID, sequence flags and count)
     failures only:
     u16  code, see `FailureCode`
-    ...  what was wrong, ASCII, at most 80 characters
+    ...  description of the failure, ASCII, at most 80 characters
 
-In a PUS packet the subtype is that of the packet, and the rest is its source data; elsewhere the octets stand as drawn.
+In a PUS packet the subtype is that of the packet, and the rest is its source data; in other packets the octets are as
+above.
 
 Source: ECSS-E-ST-70-41C, clause 8.1; failure codes 0 to 5 are those of ECSS-E-70-41A, clause 6 (41C leaves them to the
-mission), the others ours.
+mission), the others are this instrument's own.
 """
 
 from __future__ import annotations
@@ -67,11 +68,11 @@ __all__ = [
 
 
 LONGEST_TEXT = 80
-"""Most characters of what was wrong."""
+"""Most characters of a failure's description."""
 
 
 class Stage(IntEnum):
-    """How far a telecommand got; the value is the subtype of its success, one more that of its failure."""
+    """Stage that a telecommand reached; the value is the subtype of its success, one more that of its failure."""
 
     ACCEPTANCE = 1
     START = 3
@@ -79,7 +80,7 @@ class Stage(IntEnum):
 
 
 class FailureCode(IntEnum):
-    """Why a telecommand failed."""
+    """Reason of a telecommand's failure."""
 
     ILLEGAL_APID = 0
     LENGTH = 1
@@ -92,24 +93,24 @@ class FailureCode(IntEnum):
 
 
 REQUEST_LAYOUT = Layout(
-    Field("request_packet_id", 16, "version, type, flag and APID of the telecommand, as they came"),
-    Field("request_sequence_control", 16, "sequence flags and count of the telecommand, as they came"),
+    Field("request_packet_id", 16, "version, type, flag and APID of the telecommand, as received"),
+    Field("request_sequence_control", 16, "sequence flags and count of the telecommand, as received"),
 )
-"""Which telecommand."""
-FAILURE_LAYOUT = Layout(Field("failure_code", 16, "why the telecommand failed", choices=choices_of(FailureCode)))
-"""Why it failed; what was wrong follows as text."""
+"""Id of the telecommand."""
+FAILURE_LAYOUT = Layout(Field("failure_code", 16, "reason of the failure", choices=choices_of(FailureCode)))
+"""Reason of the failure; a description follows as text."""
 
 
 @dataclass(frozen=True)
 class Failure:
-    """Why a telecommand failed, as a number for programs and a text for people."""
+    """Reason of a failure, as a number for programs and a text for people."""
 
     code: FailureCode
     text: str = ""
 
 
 class CommandRefused(ValueError):
-    """A telecommand cannot be taken."""
+    """A telecommand cannot be accepted."""
 
     def __init__(self, code: FailureCode, text: str) -> None:
         super().__init__(text)
@@ -118,7 +119,7 @@ class CommandRefused(ValueError):
 
 @dataclass(frozen=True)
 class RequestId:
-    """Which telecommand: the first four octets of its packet."""
+    """Id of a telecommand: the first four octets of its packet."""
 
     packet_id: int
     sequence_control: int
@@ -147,7 +148,7 @@ class RequestId:
 
 @dataclass(frozen=True)
 class Verification:
-    """One report: the telecommand got through the stage, or failed there."""
+    """One report: the telecommand passed the stage, or failed there."""
 
     stage: Stage
     request: RequestId
@@ -159,7 +160,7 @@ class Verification:
         return self.stage + (self.failure is not None)
 
     def encode(self) -> bytes:
-        """Return the octets drawn above."""
+        """Return the octets of the layout above."""
         octets = bytes([self.subtype]) + bytes(self.request)
         if self.failure is None:
             return octets
@@ -168,7 +169,7 @@ class Verification:
 
     @classmethod
     def parse(cls, payload: bytes) -> Verification:
-        """Undo `encode`. Raises PacketError for anything that it does not write."""
+        """Read the octets of `encode`. Raises PacketError for any others."""
         if not payload or payload[0] not in _SUBTYPES:
             raise PacketError("subtype")
         stage, failed = _SUBTYPES[payload[0]]
@@ -197,7 +198,7 @@ TICKS_US = (1, 10, 100, 1000)
 
 
 class Telecommand(ABC):
-    """One thing to do. Values are checked when one is made: ValueError."""
+    """One command. The constructor checks the values and raises ValueError."""
 
     TYPE: ClassVar[tuple[int, int]]
     """Service and subtype."""
@@ -234,28 +235,28 @@ class _FixedLayout(Telecommand):
 
 @dataclass(frozen=True)
 class Ping(_FixedLayout):
-    """Say that you are there."""
+    """Request an answer, to test the connection."""
 
     TYPE = (17, 1)
 
 
 @dataclass(frozen=True)
 class Start(_FixedLayout):
-    """Let events flow."""
+    """Start the flow of events."""
 
     TYPE = (128, 1)
 
 
 @dataclass(frozen=True)
 class Stop(_FixedLayout):
-    """Let no events flow."""
+    """Stop the flow of events."""
 
     TYPE = (128, 2)
 
 
 @dataclass(frozen=True)
 class SetTick(_FixedLayout):
-    """Count the time of events in ticks of 1, 10, 100 or 1000 us."""
+    """Set the unit of the events' times: ticks of 1, 10, 100 or 1000 us."""
 
     TYPE = (128, 3)
     LAYOUT = Layout(
@@ -289,7 +290,7 @@ class SetRegion(_FixedLayout):
 
 @dataclass(frozen=True)
 class SetRateLimit(_FixedLayout):
-    """Send at most so many events per second; 0 lifts the limit."""
+    """Limit the events per second; 0 removes the limit."""
 
     TYPE = (128, 5)
     LAYOUT = Layout(Field("events_per_s", 32, "most events per second; 0 is no limit", "1/s"))
@@ -314,8 +315,8 @@ class RequestHousekeeping(Telecommand):
 
     TYPE = (3, 27)
     LAYOUT = Layout(
-        Field("structures", 8, "how many structures", fixed=1),
-        Field("structure", 8, "which housekeeping structure", fixed=1),
+        Field("structures", 8, "number of structures", fixed=1),
+        Field("structure", 8, "number of the housekeeping structure", fixed=1),
     )
 
     def encode(self) -> bytes:
@@ -332,7 +333,7 @@ class RequestHousekeeping(Telecommand):
 
 @dataclass(frozen=True)
 class SetTime(Telecommand):
-    """It is now so many microseconds since the epoch of the bus."""
+    """Set the time, in microseconds since the epoch of the bus."""
 
     TYPE = (9, 128)
     LAYOUT = OWN_EPOCH_4_3.layout("now", "time now, since the epoch of the bus")

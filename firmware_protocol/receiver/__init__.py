@@ -1,1 +1,1 @@
-"""The ground side: decoders of what a camera sends, and the estimate of its clock."""
+"""The ground side: decoders of a camera's output, and the estimate of its clock."""

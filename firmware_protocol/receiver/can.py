@@ -1,4 +1,4 @@
-"""The computer's side of a CAN link: frames in, events, edges and reports out. No bus: frames are pushed.
+"""The computer's side of a CAN link: frames in, events, edges and reports out. No I/O: the caller pushes frames.
 
 receiver = CanReceiver(CanReceiverSettings(Identifiers.of_node(0x22)))
 receiver.push(frame, now_ns)
@@ -32,12 +32,12 @@ _MOST_REPLIES = 64
 
 @dataclass(frozen=True)
 class CanReceiverSettings:
-    """What a computer has to know of a camera on a CAN bus to decode all that it sends.
+    """Settings that a computer needs to decode a camera on a CAN bus.
 
     Attributes
     ----------
     identifiers
-        Of all frames.
+        Identifiers of all frames.
     fd
         ISO-TP flow control goes in CAN FD frames.
     flow_control
@@ -65,12 +65,12 @@ class CanReceiverSettings:
 
     @property
     def addresses(self) -> Addresses:
-        """Who is who in CSP packets."""
+        """Addresses of both sides in CSP packets."""
         return Addresses(csp_node=self.csp_address, csp_peer=self.csp_peer)
 
 
 class CanReceiver:
-    """Decodes what a camera sends: raw frames, ISO-TP and CFP, whichever comes."""
+    """Decodes the frames of a camera: raw frames, ISO-TP and CFP, also mixed."""
 
     def __init__(self, settings: CanReceiverSettings | None = None) -> None:
         settings = settings or CanReceiverSettings()
@@ -85,12 +85,12 @@ class CanReceiver:
         self._inbox = Inbox()
         self._messages = MessageReader(self._inbox)
         self._replies: deque[Frame] = deque(maxlen=_MOST_REPLIES)
-        self._heard: Counter[str] = Counter()
+        self._frames: Counter[str] = Counter()
         self._missing = self._message_us = 0
 
     def push(self, frame: Frame, now_ns: int = 0) -> None:
-        """Take a frame that came at `now_ns`, which bounds pauses inside a message; never raises."""
-        self._heard["error frame" if frame.error else self._name(frame)] += 1
+        """Process a frame received at `now_ns`, which bounds pauses inside a message; never raises."""
+        self._frames["error frame" if frame.error else self._name(frame)] += 1
         self._inbox.put_events(self._raw.push(frame))
         if frame.identifier in self._edge_ids and not frame.extended:
             self._take_edge(frame)
@@ -114,7 +114,7 @@ class CanReceiver:
         return self._inbox.take_edges()
 
     def take_reports(self) -> tuple[str, ...]:
-        """Return what the camera answered since the last call, in words for people."""
+        """Return the camera's answers since the last call, in words for people."""
         return self._inbox.take_reports()
 
     @property
@@ -124,9 +124,9 @@ class CanReceiver:
 
     @property
     def counts(self) -> Mapping[str, int]:
-        """What has come, what is missing, and what was wrong, by name; only what is not zero."""
+        """Received, missing and faulty items by name; only those that are not zero."""
         raw, messages = self._raw.counters, self._messages.counts
-        kinds = {f"frames: {name}": n for name, n in self._heard.items()}
+        kinds = {f"frames: {name}": n for name, n in self._frames.items()}
         counts = {
             **kinds,
             **{f"messages: {name}": n for name, n in messages.items() if name not in _COUNTED_APART},
@@ -153,7 +153,7 @@ class CanReceiver:
 
     @property
     def faults(self) -> int:
-        """Things that a sound link never shows; a receiver that joins late is no fault."""
+        """Number of faults that never occur on a correct link; a late start of the receiver is no fault."""
         raw = self._raw.counters
         cut = sum(n for name, n in self._isotp.faults.items() if name != "without a beginning")
         cut += sum(n for name, n in self._cfp.faults.items() if name != "without a beginning")
@@ -163,11 +163,11 @@ class CanReceiver:
         try:
             self._inbox.put_edges(unpack_mark(frame.data, self._near_us))
         except ObjectError:
-            self._heard["edge frames malformed"] += 1
+            self._frames["edge frames malformed"] += 1
 
     @property
     def _near_us(self) -> int:
-        """The camera's newest time: of raw frames, or where there are none of messages."""
+        """The camera's newest time: of raw frames, or if there are none of messages."""
         return self._message_us if self._raw.now_us is None else self._raw.now_us
 
     def _name(self, frame: Frame) -> str:

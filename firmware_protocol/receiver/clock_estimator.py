@@ -1,19 +1,20 @@
-"""How wrong a camera's clock is, from pairs of stamps: a reference for what a client should do at least.
+"""Estimate of a camera's clock error from pairs of timestamps, a reference for clients; and a receiver of DAVIS words.
 
     y_i = host receive stamp - device stamp = offset + drift * (t_i - t_0) + delay_i,     delay_i >= the least delay
 
 The delay of a message is never less than some least value and often much more: interrupts, other frames on the bus, a
-busy host. A straight line through all points (least squares) takes the mean delay for part of the offset, and is pulled
-by the tail. The least delay is what holds still, so the line sought lies *below* all points: a line of the lower convex
+busy host. A straight line through all points (least squares) attributes the mean delay to the offset, and the tail of
+the delays pulls it. The least delay is constant, so the line sought is *below* all points: a line of the lower convex
 hull of (device stamp, y), namely the one that minimises the sum of distances, which is the hull's edge above the mean
 of the stamps. (S. Moon, P. Skelly and D. Towsley, INFOCOM 1999, take that line for the skew of two clocks; L. Zhang,
 Z. Liu and C. Xia, INFOCOM 2002, find it on the convex hull.)
 
-Points are added one by one, in the order of the stamps (Andrew's monotone chain, amortised constant time), and only the
-hull is kept: `window_s` of it, so memory stays bounded (a hull of n random points has some log n corners; a fixed limit
-guards against the rest). All in integers of ns.
+Points are added one by one, in the order of the stamps (Andrew's monotone chain, amortised constant time). Only the
+hull is stored: `window_s` of it, so memory is bounded (a hull of n random points has some log n corners; a fixed limit
+covers the rest). All in integers of ns.
 
-What is left is the least delay itself, which no one-sided measurement sees: take it once, by a loopback, and subtract.
+The least delay itself remains in the offset, because no one-sided measurement can determine it: measure it once, by a
+loopback, and subtract it.
 """
 
 from __future__ import annotations
@@ -30,14 +31,14 @@ _MOST_CORNERS = 512
 
 @dataclass(frozen=True)
 class ClockEstimate:
-    """What is known of a clock.
+    """Estimated state of a clock.
 
     Attributes
     ----------
     offset_ns
         Host stamp less device stamp at `at_ns` of device time, the least delay included.
     drift_ppm
-        How much the host's clock gains on the device's.
+        Rate of the host's clock less that of the device's.
     """
 
     at_ns: int
@@ -50,18 +51,18 @@ class ClockEstimate:
 
 
 class ClockEstimator:
-    """A line below all points, kept as they come.
+    """A line below all points, updated with each point.
 
     Parameters
     ----------
     period_ns
-        Time between two SYNCs as it should be.
+        Nominal time between two SYNCs.
     window_ns
-        Points older than this are forgotten: a quartz's frequency holds for a minute or two.
+        Age at which points are removed: a quartz's frequency is constant for a minute or two.
     alarm_periods
-        No SYNC for so many periods is an alarm.
+        Periods without a SYNC after which there is an alarm.
     least_delay_ns
-        What was measured once, by a loopback.
+        Least delay, measured once by a loopback.
     """
 
     def __init__(
@@ -82,11 +83,11 @@ class ClockEstimator:
 
     @property
     def corners(self) -> int:
-        """How many points are kept."""
+        """Number of points stored."""
         return len(self._hull)
 
     def add(self, device_ns: int, host_ns: int) -> None:
-        """Take a pair of stamps of one SYNC. A device stamp that does not grow is a clock that started anew."""
+        """Add a pair of stamps of one SYNC. If the device stamp does not increase, the clock has restarted."""
         if self._hull and device_ns <= self._hull[-1][0]:
             self._hull.clear()
             self.restarts += 1
@@ -99,7 +100,7 @@ class ClockEstimator:
             self._hull.popleft()
 
     def lost(self, host_ns: int) -> bool:
-        """Return True when no SYNC has come for too long, at host time `host_ns`; also before the first one."""
+        """Return True if no SYNC has arrived for too long, at host time `host_ns`; also before the first one."""
         return self._last_host_ns is None or host_ns - self._last_host_ns > self._alarm_ns
 
     @property
@@ -115,5 +116,5 @@ class ClockEstimator:
 
 
 def _turns_down(a: tuple[int, int], b: tuple[int, int], c: tuple[int, int]) -> bool:
-    """Return True where `b` lies on or above the line from `a` to `c`."""
+    """Return True if `b` is on or above the line from `a` to `c`."""
     return (b[0] - a[0]) * (c[1] - a[1]) <= (b[1] - a[1]) * (c[0] - a[0])

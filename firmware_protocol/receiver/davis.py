@@ -27,7 +27,7 @@ class DavisReceiver:
     size
         (width, height) in user coordinates.
     turned
-        True where the invert bit of the orientation register is set.
+        True if the invert bit of the orientation register is set.
     """
 
     def __init__(self, size: tuple[int, int] = (346, 260), turned: bool = False) -> None:
@@ -36,7 +36,7 @@ class DavisReceiver:
         self._bytes = self._events = self._edges = self._resets = 0
 
     def push(self, data: bytes) -> None:
-        """Take the next bytes of the stream, any number of them; never raises."""
+        """Process the next bytes of the stream, any number of them; never raises."""
         decoded = self._decoder.feed(data)
         edges = decoded.edges
         self._bytes += len(data)
@@ -60,12 +60,12 @@ class DavisReceiver:
 
     @property
     def counts(self) -> Mapping[str, int]:
-        """Everything by name; only what is not zero."""
+        """All counts by name; only those that are not zero."""
         counts = {"bytes": self._bytes, "events": self._events, "edges": self._edges, "resets": self._resets}
         counts |= asdict(self._decoder.faults) | self._inbox.counts
         return {name: count for name, count in counts.items() if count}
 
     @property
     def faults(self) -> int:
-        """Words that a sound stream never holds."""
+        """Number of words that never occur in a correct stream."""
         return self._decoder.faults.total

@@ -1,4 +1,4 @@
-"""The computer's side of a serial line: bytes in, events, edges and reports out. Knows no port and no clock.
+"""The computer's side of a serial line: bytes in, events, edges and reports out. No I/O and no clock.
 
 Use::
 
@@ -6,9 +6,8 @@ receiver = SerialReceiver("ccsds-cobs")
 receiver.push(port.read())
 events = receiver.take_events()
 
-Bounded store of received events, edges and reports, until the caller takes them.
-
-What a receiver does with an instrument's messages: events and edges to the inbox, answers to reports.
+`Inbox` stores received events, edges and reports, bounded, until the caller takes them. `MessageReader` reads an
+instrument's messages: events and edges go to the inbox, answers become reports.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ _MOST_REPORTS = 1024
 
 
 class Inbox:
-    """Keeps what was received, and drops the oldest of each kind beyond a bound.
+    """Stores received data, and drops the oldest of each kind beyond a limit.
 
     Parameters
     ----------
@@ -44,7 +43,7 @@ class Inbox:
     Attributes
     ----------
     events_not_taken, edges_not_taken, reports_not_taken
-        Received, and dropped because nobody took them in time.
+        Received, and dropped because they were not taken in time.
     """
 
     def __init__(self, most_events: int = _MOST_EVENTS, most_edges: int = _MOST_EDGES) -> None:
@@ -56,7 +55,7 @@ class Inbox:
         self.events_not_taken = self.edges_not_taken = self.reports_not_taken = 0
 
     def put_events(self, events: Events) -> None:
-        """Keep events (n,), without a copy."""
+        """Store events (n,), without a copy."""
         if not len(events):
             return
         self._events.append(events)
@@ -65,7 +64,7 @@ class Inbox:
         self.events_not_taken += dropped
 
     def put_edges(self, edges: Edges) -> None:
-        """Keep edges (n,), without a copy."""
+        """Store edges (n,), without a copy."""
         if not len(edges):
             return
         self._edges.append(edges)
@@ -74,21 +73,21 @@ class Inbox:
         self.edges_not_taken += dropped
 
     def put_report(self, report: str) -> None:
-        """Keep a line of text for people."""
+        """Store a line of text for people."""
         if len(self._reports) == _MOST_REPORTS:
             self._reports.popleft()
             self.reports_not_taken += 1
         self._reports.append(report)
 
     def take_events(self) -> Events:
-        """Return what was received since the last call, (n,) EVENT in the camera's time, in the order of arrival."""
+        """Return the events received since the last call, (n,) EVENT in the camera's time, in the order of arrival."""
         taken = join_events(list(self._events))
         self._events.clear()
         self._waiting_events = 0
         return taken
 
     def take_edges(self) -> Edges:
-        """Return what was received since the last call, (n,) EDGE in the camera's time, in the order of arrival."""
+        """Return the edges received since the last call, (n,) EDGE in the camera's time, in the order of arrival."""
         taken = np.concatenate(list(self._edges)) if self._edges else empty_edges()
         self._edges.clear()
         self._waiting_edges = 0
@@ -102,7 +101,7 @@ class Inbox:
 
     @property
     def counts(self) -> dict[str, int]:
-        """What was not taken in time, by name; only what is not zero."""
+        """Numbers of items not taken in time, by name; only those that are not zero."""
         counts = {
             "events not taken": self.events_not_taken,
             "edges not taken": self.edges_not_taken,
@@ -112,7 +111,7 @@ class Inbox:
 
 
 def _drop_oldest(parts: deque[Events], excess: int) -> int:
-    """Drop `excess` records from the front of `parts`; return how many that were."""
+    """Drop `excess` records from the front of `parts`; return their number."""
     left = excess = max(0, excess)
     while left:
         gone = min(left, len(parts[0]))
@@ -127,12 +126,12 @@ _MOST_REQUESTS = 1024
 
 
 class MessageReader:
-    """Reads messages, whichever packets carried them.
+    """Reads messages, from packets of any standard.
 
     Attributes
     ----------
     counts
-        Messages by kind, `events_dropped` and `edges_dropped` as the blocks tell them, `bad_blocks`, `bad_answers`.
+        Messages by kind, `events_dropped` and `edges_dropped` from the blocks, `bad_blocks`, `bad_answers`.
     housekeeping
         The newest report; None before the first.
     """
@@ -145,13 +144,13 @@ class MessageReader:
         _load_kernels()
 
     def expect(self, request: RequestId, name: str) -> None:
-        """Name the telecommand that verifications of `request` belong to; the last 1024 are known."""
+        """Store the name of a telecommand for the verifications of `request`; the last 1024 are stored."""
         if len(self._requests) == _MOST_REQUESTS:
             del self._requests[next(iter(self._requests))]
         self._requests[request] = name
 
     def read(self, message: Message) -> None:
-        """Take a message; one with a bad payload is counted."""
+        """Process a message; one with a bad payload is counted."""
         self.counts[message.kind.value] += 1
         if message.kind in (MessageKind.EVENTS, MessageKind.EDGES):
             self._block(message)
@@ -160,7 +159,7 @@ class MessageReader:
 
     @property
     def bad(self) -> int:
-        """Messages in sound packets whose payload was wrong."""
+        """Number of messages in valid packets whose payload was wrong."""
         return self.counts["bad_blocks"] + self.counts["bad_answers"]
 
     def _block(self, message: Message) -> None:
@@ -185,7 +184,7 @@ class MessageReader:
             self.counts["bad_answers"] += 1
 
     def _verified(self, verification: Verification) -> str:
-        command = self._requests.get(verification.request, "a telecommand of somebody else")
+        command = self._requests.get(verification.request, "a telecommand of another sender")
         stage = verification.stage.name.lower()
         if verification.failure is None:
             return f"{command}: {stage} good"
@@ -193,7 +192,7 @@ class MessageReader:
 
 
 def _load_kernels() -> None:
-    """Load the decoder's compiled code before a line waits for it: it takes a good part of a second."""
+    """Load the decoder's compiled code before data arrive: it takes a good part of a second."""
     for mode in ("rows", "bitmap", "flat"):
         block, _ = BlockEncoder((2, 2), BlockSettings(mode=mode)).encode(empty_events(2))
         decode_block(block)
@@ -219,7 +218,7 @@ class SerialReceiver:
         self._damaged = 0
 
     def wrap(self, command: Telecommand) -> bytes:
-        """Return the bytes of a telecommand; its answers will come as reports."""
+        """Return the bytes of a telecommand; its answers arrive as reports."""
         octets = self._profile.wrap_command(command)
         if self._profile.last_request is not None:
             self._messages.expect(self._profile.last_request, type(command).__name__)
@@ -227,7 +226,7 @@ class SerialReceiver:
         return octets
 
     def push(self, data: bytes) -> None:
-        """Take the next bytes, any number of them; never raises."""
+        """Process the next bytes, any number of them; never raises."""
         received = self._unwrapper.push(data)
         self._follow(bool(received))
         for each in received:
@@ -242,7 +241,7 @@ class SerialReceiver:
         return self._inbox.take_edges()
 
     def take_reports(self) -> tuple[str, ...]:
-        """Return what the instrument answered since the last call, in words for people."""
+        """Return the instrument's answers since the last call, in words for people."""
         return self._inbox.take_reports()
 
     @property
@@ -252,13 +251,13 @@ class SerialReceiver:
 
     @property
     def faults(self) -> int:
-        """Things that a sound line never shows: damage after the first good frame, gaps, blocks that are wrong."""
+        """Number of faults that never occur on a correct line: damage after the first good frame, gaps, bad blocks."""
         seen = self._unwrapper.counters
         return self._damaged - self._damaged_at_start + seen.missing + seen.disordered + self._messages.bad
 
     @property
     def counts(self) -> Mapping[str, int]:
-        """Everything by name."""
+        """All counts by name."""
         seen = self._unwrapper.counters
         reasons = seen.frames.refused + seen.refused
         counts = {
@@ -275,7 +274,7 @@ class SerialReceiver:
         return counts | {name: count for name, count in more.items() if count}
 
     def _follow(self, good: bool) -> None:
-        """Count how often the stream was lost and found again; what was damaged before the first frame is no fault."""
+        """Count losses and recoveries of the stream; damage before the first frame is no fault."""
         seen = self._unwrapper.counters
         damaged = sum(seen.frames.refused.values()) + sum(seen.refused.values())
         self._lost |= self._began and damaged > self._damaged

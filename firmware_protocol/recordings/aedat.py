@@ -1,4 +1,6 @@
-"""AEDAT 2.0, jAER's format for a DAVIS: text lines, then records of 8 bytes, big-endian: address, signed time in us.
+"""AEDAT 2.0 and AEDAT 3.1, as bytes.
+
+AEDAT 2.0, jAER's format for a DAVIS: text lines, then records of 8 bytes, big-endian: address, signed time in us.
 
     address, bit 31 = 0:   30..22 y   21..12 x   11 polarity (1 = ON)   10 external event   9..0 zero, or pin edge
     address, bit 31 = 1:   frames and samples of the inertial unit, see `aedat2_readings`
@@ -12,13 +14,13 @@ AEDAT 3.1, the format of cAER: text lines, then packets of events of one kind, l
 
     i16 kind   i16 source   i32 event size   i32 offset of the time   i32 wraps of 2^31 us
     i32 capacity   i32 number   i32 valid ones   then the events:
-    0 special   u32: bit 0 valid, 7..1 what, 31..8 data     i32 us
+    0 special   u32: bit 0 valid, 7..1 kind, 31..8 data    i32 us
     1 polarity  u32: bit 0 valid, 1 ON, 16..2 y, 31..17 x   i32 us
     2 frame     u32: bit 0 valid, 3..1 channels             i32 us of start, end, exposure start, exposure end
                 i32 columns, rows, first column, first row  u16 pixels, of 16 bits
     3 IMU 6     u32: bit 0 valid   i32 us   f32 acceleration x, y, z, g; turning x, y, z, deg/s; degrees Celsius
 
-Row 0 is the upper one. Other kinds and frames with colours are left out.
+Row 0 is the top row. Other kinds and frames with colours are left out.
 
 Sources: docs.inivation.com, "AEDAT 3.1"; libcaer, events/common.h, polarity.h, special.h, frame.h, imu6.h.
 """
@@ -119,10 +121,10 @@ def encode_aedat2(events: Events, size: tuple[int, int], edges: Edges | None = N
 
 
 def guarded_start(records: bytes) -> bytes:
-    """Return the first records of a file so that no reader takes them for one more line of text.
+    """Return the first records of a file in a form that no reader mistakes for another line of text.
 
-    A reader that goes by the `#` of each line would swallow a record that begins with that byte (rows 140 to 143 from
-    the bottom). Before it stands a frame sample of the kind that jAER no longer uses, which all readers leave out.
+    A reader that tests for the `#` of each line would skip a record that begins with that byte (rows 140 to 143 from
+    the bottom). So a frame sample precedes it, of the kind that jAER no longer uses, which all readers leave out.
     """
     if records[:1] != b"#":
         return records
@@ -130,9 +132,9 @@ def guarded_start(records: bytes) -> bytes:
 
 
 def parse_aedat2_header(head: bytes) -> tuple[int, tuple[int, int] | None, int]:
-    """Return where the records of a file begin, the sensor's size where its lines tell it, and the Unix time, us, or 0.
+    """Return the offset of a file's records, the sensor's size if the lines contain it, and the Unix time, us, or 0.
 
-    Raises ValueError for what is no AEDAT 2.0 file, or has no end of its lines within `head`.
+    Raises ValueError if it is no AEDAT 2.0 file, or if its lines do not end within `head`.
     """
     if not head.startswith(b"#!AER-DAT2"):
         raise ValueError("it is no AEDAT 2.0 file: it does not begin with #!AER-DAT2.0")
@@ -143,8 +145,8 @@ def parse_aedat2_header(head: bytes) -> tuple[int, tuple[int, int] | None, int]:
             raise ValueError("its lines of text have no end")
         line = head[start + 1 : end].strip()
         size, start = _size_of(line) or size, end + 1
-        told = re.match(rb"Creation time: System.currentTimeMillis\(\) (\d{1,15})$", line)
-        unix_us = int(told[1]) * 1000 if told else unix_us
+        created = re.match(rb"Creation time: System.currentTimeMillis\(\) (\d{1,15})$", line)
+        unix_us = int(created[1]) * 1000 if created else unix_us
         if line == b"End Of ASCII Header":
             break
     return start, size, unix_us
@@ -160,7 +162,7 @@ def _size_of(line: bytes) -> tuple[int, int] | None:
 
 
 class Aedat2Decoder:
-    """Reads records piece by piece, of a sensor of `size` = (width, height); counts what it leaves out.
+    """Decoder of records in pieces, of a sensor of `size` = (width, height); it counts the records left out.
 
     Attributes
     ----------
@@ -177,11 +179,11 @@ class Aedat2Decoder:
 
     @property
     def others(self) -> int:
-        """Records so far that belong to no whole sample or frame; those of the last ones may still wait for more."""
+        """Records so far that belong to no complete sample or frame; the last ones may still become complete."""
         return self._imu.others + self._frames.others
 
     def decode(self, data: bytes) -> Part:
-        """Return what is complete with the next bytes, which may end inside a record."""
+        """Return the content that the next bytes complete; they may end inside a record."""
         data = self._rest + data
         whole = len(data) & ~7
         self._rest = data[whole:]
@@ -199,7 +201,7 @@ class Aedat2Decoder:
         )
 
     def _times(self, t: np.ndarray) -> np.ndarray:
-        """Return times that count the wraps of the 32 bits."""
+        """Return times with the wraps of the 32 bits counted."""
         steps = np.diff(t, prepend=self._last)
         t_us = self._wraps_us + np.cumsum(_WRAP_US * (steps < -_WRAP_US // 2)) + t
         if len(t):
@@ -303,7 +305,7 @@ def _head(kind: int, event_bytes: int, wraps: int, number: int) -> bytes:
 
 
 def parse_aedat31_header(head: bytes) -> tuple[int, str]:
-    """Return where the packets of a file begin, and the name of its first source; raises ValueError."""
+    """Return the offset of a file's packets, and the name of its first source; raises ValueError."""
     if not head.startswith(b"#!AER-DAT3.1"):
         raise ValueError("it is no AEDAT 3.1 file: it does not begin with #!AER-DAT3.1")
     end = head.find(_END)
@@ -314,7 +316,7 @@ def parse_aedat31_header(head: bytes) -> tuple[int, str]:
 
 
 class Aedat31Decoder:
-    """Reads packets piece by piece.
+    """Decoder of packets in pieces.
 
     Attributes
     ----------
@@ -326,7 +328,7 @@ class Aedat31Decoder:
         self.others = 0
 
     def decode(self, data: bytes) -> Part:
-        """Return what is in the packets that are complete with the next bytes.
+        """Return the content of the packets that the next bytes complete.
 
         Raises ValueError for a packet that cannot be one.
         """
@@ -345,7 +347,7 @@ class Aedat31Decoder:
         return Part(events, edges, imu, tuple(frame for one in parts for frame in one.frames))
 
     def _part(self, head: np.void, body: bytes) -> Part:
-        """Return the records of a packet; what has no meaning here is counted."""
+        """Return the records of a packet; those without a meaning here are counted."""
         kind, number = int(head["kind"]), int(head["number"])
         dtype = {_SPECIAL: _EVENT, _POLARITY: _EVENT, _IMU6: _IMU}.get(kind)
         if dtype is None or head["event_bytes"] != dtype.itemsize:
@@ -399,7 +401,7 @@ def _imu(records: np.ndarray, t: np.ndarray) -> ImuRecords:
 
 
 def _frame(body: bytes, wraps_us: int) -> Frame | None:
-    """Return the frame of an event; None where it is not valid, has colours, or is larger than its bytes."""
+    """Return the frame of an event; None if it is not valid, has colours, or is larger than its bytes."""
     if len(body) < _FRAME.itemsize:
         return None
     record = np.frombuffer(body, _FRAME, 1)[0]

@@ -1,12 +1,13 @@
 """Frames and samples of an inertial unit as records of AEDAT 2.0.
 
     address of a read of a pixel:   31 = 1   30..22 y   21..12 x   11..10 read: 0 reset, 1 signal   9..0 ADC value
-    address of a sample's value:    31 = 1   30..28 which   27..12 the value, signed   11..10 = 3   9..0 zero
+    address of a sample's value:    31 = 1   30..28 index   27..12 the value, signed   11..10 = 3   9..0 zero
 
 A sample is seven records in a row: acceleration x, y, z (8192 a g), temperature (340 a degree, from 35 degrees on),
 rate of turning x, y, z (65.5 a degree per second). A frame is the reset reads of its pixels and their signal reads; a
-pixel's brightness is their difference. Its exposure begins with the last reset read, or with the first one where the
-reads take turns (rolling shutter), and ends with the first signal read. Columns count from the left here, unlike those
+pixel's brightness is their difference. Its exposure begins with the last reset read, or with the first one if reset and
+signal reads alternate (rolling shutter), and ends with the first signal read. Columns count from the left here, unlike
+those of events, rows from the bottom.
 of events, rows from the bottom.
 
 Sources: jAER, IMUSample.java, DavisBaseCamera.java (DavisEventExtractor); docs.inivation.com, "AEDAT 2.0".
@@ -36,7 +37,7 @@ _VALUES = (
 _PER_UNIT = np.array([8192.0] * 3 + [340.0] + [65.5] * 3)
 _OFFSET = np.array([0.0] * 3 + [35.0] + [0.0] * 3)
 _RESET_DN = 1023  # of every pixel: brightness is the difference alone
-_LEAST_RESET_DN = 384  # hosts take lower ones for saturated pixels
+_LEAST_RESET_DN = 384  # hosts treat lower ones as saturated pixels
 
 
 def imu_words(imu: ImuRecords) -> Words:
@@ -65,11 +66,11 @@ def frame_words(frame: Frame, height: int) -> tuple[Words, Words]:
 
 
 class ImuWords:
-    """Makes samples of words.
+    """Decoder of words into samples.
 
     Attributes
     ----------
-    others : words that belong to no whole sample.
+    others : words that belong to no complete sample.
     """
 
     def __init__(self) -> None:
@@ -77,7 +78,7 @@ class ImuWords:
         self.others = 0
 
     def decode(self, words: Words) -> ImuRecords:
-        """Return the samples (n,) IMU that are complete with the next words."""
+        """Return the samples (n,) IMU that the next words complete."""
         words = np.concatenate([self._rest, words])
         code = (words["address"].astype(np.int64) >> 28) & 7
         starts = np.flatnonzero(code == 0)
@@ -101,11 +102,11 @@ def _samples(words: Words) -> ImuRecords:
 
 
 class FrameWords:
-    """Makes frames of words, of a sensor of `size` = (width, height): of a whole frame or of a rectangle of it.
+    """Decoder of words into frames, of a sensor of `size` = (width, height): whole frames or rectangles of them.
 
     Attributes
     ----------
-    others : words that belong to no whole frame, and those of reads that are neither reset nor signal.
+    others : words that belong to no complete frame, and those of reads that are neither reset nor signal.
     """
 
     def __init__(self, size: tuple[int, int]) -> None:
@@ -114,7 +115,7 @@ class FrameWords:
         self.others = 0
 
     def decode(self, words: Words) -> tuple[Frame, ...]:
-        """Return the frames that are complete with the next words."""
+        """Return the frames that the next words complete."""
         read = (words["address"] >> 10) & 3
         self.others += int(np.count_nonzero(read > 1))
         return tuple(self._frames(words[read <= 1]))
@@ -139,7 +140,7 @@ class FrameWords:
         self._waiting = waiting
 
     def _frame(self, words: Words) -> Frame | None:
-        """Return the frame of its words; None where these are no rectangle within the sensor."""
+        """Return the frame of its words; None if these are no rectangle within the sensor."""
         address, signal = words["address"].astype(np.int64), _is_signal(words)
         x, y = (address >> 12) & 0x3FF, self._size[1] - 1 - ((address >> 22) & 0x1FF)
         left, top, right, bottom = int(x.min()), int(y.min()), int(x.max()), int(y.max())
@@ -163,7 +164,7 @@ def _is_signal(words: Words) -> npt.NDArray[np.bool_]:
 
 
 def _end_of_frame(words: Words) -> int:
-    """Return after how many words as many signal reads as reset reads have come; 0 where that is not so yet."""
+    """Return the number of words with as many signal reads as reset reads; 0 if there are not as many yet."""
     open_reads = np.cumsum(np.where(_is_signal(words), -1, 1))
     ends = np.flatnonzero(open_reads == 0)
     return int(ends[0]) + 1 if len(ends) else 0

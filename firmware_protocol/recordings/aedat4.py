@@ -1,22 +1,22 @@
-"""The frame of AEDAT 4.0 files, to recover one that was cut: where its header says the table is, and its whole packets.
+"""AEDAT 4.0: the structure of a file, to recover one that was cut, and the payload of a frame.
 
     14 bytes  #!AER-DAT4.0 CR LF
-    u32       size of the header, a FlatBuffer "IOHE": compression, i64 place of the table (-1: none), XML
+    u32       size of the header, a FlatBuffer "IOHE": compression, i64 offset of the table (-1: none), XML
     packets   i32 stream   i32 size   payload
     table     (compressed) "FTAB", in finished files
 
 Sources: docs.inivation.com, "AEDAT 4.0"; flatbuffers.dev, "FlatBuffer Internals".
 
-The payload of a frame in AEDAT 4.0: a FlatBuffer "FRME" with its size before it. All little-endian.
+The payload of a frame is a FlatBuffer "FRME" with its size before it. All little-endian.
 
-    u32 size of what follows   u32 place of the table   "FRME"
-    vtable   u16 own size, u16 size of the table, 11 x u16 place of a field in the table
+    u32 size of the rest   u32 offset of the table   "FRME"
+    vtable   u16 own size, u16 size of the table, 11 x u16 offset of a field in the table
     table    i32 back to the vtable   u8 format: 0 grey, 8 bits
              i64 t, start of frame, end of frame, start of exposure, end of exposure, us
              i16 columns, rows, first column, first row   u32 to the pixels
     pixels   u32 number   bytes, row after row
 
-Numbers lie at multiples of their size, counted from the first size on. Sources: docs.inivation.com, "AEDAT 4.0";
+Numbers are at multiples of their size, counted from the first size on. Sources: docs.inivation.com, "AEDAT 4.0";
 flatbuffers.dev, "FlatBuffer Internals"; read by faery 0.7.1.
 """
 
@@ -37,12 +37,12 @@ _STREAMS = 256
 
 
 class Aedat4Head:
-    """The header of a file, of its first bytes; raises ValueError where these are none, or not all of it.
+    """The header of a file, from its first bytes; raises ValueError if they are no header, or not all of it.
 
     Attributes
     ----------
-    packets_at : where the packets begin.
-    table_at : where the table begins; -1 for a file that was not finished.
+    packets_at : offset of the packets.
+    table_at : offset of the table; -1 for a file that was not finished.
     """
 
     def __init__(self, data: bytes) -> None:
@@ -61,14 +61,14 @@ class Aedat4Head:
             raise ValueError("its header is damaged") from error
 
     def unfinished(self) -> bytes:
-        """Return the header with no place of a table, as it is while a file is written."""
+        """Return the header without an offset of a table, as it is while a file is written."""
         if not self._place:
             return self._data
         return self._data[: self._place] + struct.pack("<q", -1) + self._data[self._place + 8 :]
 
 
 def _field_at(data: bytes, start: int, slot: int) -> int:
-    """Return where a field of the root table of a FlatBuffer at `start` lies; 0 where it has its default."""
+    """Return the offset of a field of the root table of a FlatBuffer at `start`; 0 if it has its default."""
     table = start + struct.unpack_from("<I", data, start)[0]
     offsets = table - struct.unpack_from("<i", data, table)[0]
     if not start <= offsets < len(data) - 4:
@@ -90,15 +90,15 @@ def packet_at(head: bytes, left: int) -> int:
 
 _PLACES = (8, 16, 24, 32, 40, 4, 48, 50, 52, 54, 56)
 _TABLE_BYTES = 60
-_HEAD_BYTES = 8  # place of the table and the name, in front of the vtable
+_HEAD_BYTES = 8  # offset of the table and the name, before the vtable
 
 
 def aedat4_picture(
     times_us: tuple[int, int, int, int, int], pixels: npt.NDArray[np.uint8], origin: tuple[int, int] = (0, 0)
 ) -> bytes:
-    """Return the payload of a grey picture, (rows, columns) uint8.
+    """Return the payload of a grey image, (rows, columns) uint8.
 
-    `times_us` are its own, those of the frame's start and end, and those of the exposure's; `origin` is the first
+    `times_us` are the image's own, those of the frame's start and end, and those of the exposure; `origin` is the first
     column and row of the array that it shows.
     """
     vtable = struct.pack(f"<{2 + len(_PLACES)}H", 2 * (2 + len(_PLACES)), _TABLE_BYTES, *_PLACES)

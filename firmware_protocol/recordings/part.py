@@ -22,7 +22,7 @@ ImuRecords = npt.NDArray[np.void]
 
 @dataclass(frozen=True)
 class Frame:
-    """A picture of the camera.
+    """An image of the camera.
 
     Attributes
     ----------
@@ -31,7 +31,7 @@ class Frame:
     pixels
         (height, width), row 0 on top: uint8, or uint16 with 10 bits as a DAVIS has them.
     origin
-        Column and row of the array at which it begins.
+        Column and row of its first pixel in the array.
     """
 
     t_us: int
@@ -52,7 +52,7 @@ class Part:
 
 
 def ten_bits(frame: Frame) -> npt.NDArray[np.uint16]:
-    """Return the brightness of a frame, (height, width) uint16, 0 to 1023; grey where it has colours."""
+    """Return the brightness of a frame, (height, width) uint16, 0 to 1023; grey if it has colours."""
     pixels = frame.pixels if frame.pixels.ndim == 2 else frame.pixels.mean(axis=2).astype(frame.pixels.dtype)
     grey: npt.NDArray[np.uint16] = pixels.astype(np.uint16)
     return np.left_shift(grey, 2) if pixels.dtype == np.uint8 else np.minimum(grey, np.uint16(1023))

@@ -1,1 +1,1 @@
-"""Messages of ROS 2 as bytes: packets of events, and pictures."""
+"""Messages of ROS 2 as bytes: packets of events, and images."""

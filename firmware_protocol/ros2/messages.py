@@ -7,8 +7,8 @@
 The events of the encoding "evt3" are Prophesee's words of 16 bits, whose times are the camera's own. Those of "mono"
 are words of 64 bits: 32 of time, ns after `time_base`; 16 of x, 15 of y; polarity.
 
-ROS 2 gives each type a hash over its definition (RIHS01), which a writer tells in its user data: `ros2 topic info -v`
-shows it, and ROS warns where reader and writer differ.
+ROS 2 gives each type a hash over its definition (RIHS01), which a writer sends in its user data: `ros2 topic info -v`
+shows it, and ROS warns if reader and writer differ.
 
 Sources: ros-event-camera/event_camera_msgs, message and codecs; ros2/common_interfaces, sensor_msgs; REP 2011 for the
 hashes (computed by rosbags 0.11).
@@ -21,10 +21,10 @@ CDR, the encoding of messages of ROS 2: little-endian, each number at a multiple
 
 Source: OMG, "DDS Interoperability Wire Protocol" (DDSI-RTPS) 2.3, section 10; "Extended CDR", encoding version 1.
 
-Levels of the pictures of `sensor_msgs/Image`, by its encodings.
+`levels_of` returns the levels of an image by its encoding:
 
     mono8 8UC1           a level each                 mono16 16UC1   likewise, 16 bits in the message's byte order
-    rgb8 8UC3 rgba8      luminance of three levels    bgr8 bgra8     the same, the other way round
+    rgb8 8UC3 rgba8      luminance of three levels    bgr8 bgra8     the same, in reverse order
     32FC1                linear light
 
 Source: ros2/common_interfaces, sensor_msgs/image_encodings.hpp; luminance of Rec. 709.
@@ -68,7 +68,7 @@ _HEAD_BYTES = 4
 
 
 class CdrError(ValueError):
-    """A message is not what its type says."""
+    """A message does not fit its type."""
 
 
 class CdrWriter:
@@ -96,7 +96,7 @@ class CdrWriter:
         self._data += view
 
     def message(self) -> bytes:
-        """Return the message, filled up to a multiple of four bytes."""
+        """Return the message, padded to a multiple of four bytes."""
         self._align(4)
         return bytes(self._data)
 
@@ -105,7 +105,7 @@ class CdrWriter:
 
 
 class CdrReader:
-    """Reads one message, of either byte order; raises CdrError for what is not there."""
+    """Reads one message, of either byte order; raises CdrError for missing data."""
 
     def __init__(self, message: bytes) -> None:
         if message[:2] not in (_LITTLE, _BIG) or len(message) < _HEAD_BYTES:
@@ -160,7 +160,7 @@ class MessageType:
 
     @property
     def user_data(self) -> bytes:
-        """What a writer or reader of ROS 2 tells of the type."""
+        """Description of the type in the user data of a writer or reader of ROS 2."""
         return f"typehash=RIHS01_{self.rihs01};".encode("ascii")
 
 
@@ -172,7 +172,7 @@ IMAGE = MessageType("sensor_msgs/msg/Image", "d31d41a9a4c4bc8eae9be757b0beed3065
 
 @dataclass(frozen=True)
 class Header:
-    """When and where: Unix time, ns, and the name of the camera's frame."""
+    """Time and source: Unix time, ns, and the name of the camera's frame."""
 
     stamp_ns: int
     frame_id: str
@@ -180,7 +180,7 @@ class Header:
 
 @dataclass(frozen=True, eq=False)
 class Image:
-    """A picture.
+    """An image.
 
     Attributes
     ----------
@@ -201,7 +201,7 @@ class Image:
 
 
 def event_packet(header: Header, size: tuple[int, int], seq: int, encoding: str, events: bytes, base_ns: int) -> bytes:
-    """Return a message of events that are coded as `encoding` says, of a sensor of `size` = (width, height)."""
+    """Return a message of events coded in `encoding`, of a sensor of `size` = (width, height)."""
     message = _begun(header, size)
     message.number("Q", seq)
     message.number("Q", base_ns)
@@ -225,7 +225,7 @@ def mono_events(events: Events) -> tuple[bytes, int]:
 
 
 def image_message(image: Image) -> bytes:
-    """Return the message of a picture."""
+    """Return the message of an image."""
     message = _begun(image.header, image.size)
     message.text(image.encoding)
     message.number("B", image.is_bigendian)
@@ -235,7 +235,7 @@ def image_message(image: Image) -> bytes:
 
 
 def parse_image(message: bytes) -> Image:
-    """Return the picture of a message, its data not copied and not checked; raises CdrError."""
+    """Return the image in a message, its data not copied and not checked; raises CdrError."""
     reader = CdrReader(message)
     stamp_ns = reader.number("i") * _S_NS + reader.number("I")
     header = Header(stamp_ns, reader.text())
@@ -259,21 +259,21 @@ Levels = npt.NDArray[Any]
 
 _MOST_PX = 1 << 23
 _RGB = np.array([0.2126, 0.7152, 0.0722], np.float32)
-# name: type of a number, numbers of a pixel, whether blue comes first
+# name: type of a number, numbers of a pixel, true if blue comes first
 ENCODINGS = {
     "mono8": ("u1", 1, False), "8UC1": ("u1", 1, False), "mono16": ("u2", 1, False), "16UC1": ("u2", 1, False),
     "rgb8": ("u1", 3, False), "8UC3": ("u1", 3, False), "rgba8": ("u1", 4, False),
     "bgr8": ("u1", 3, True), "bgra8": ("u1", 4, True), "32FC1": ("f4", 1, False),
 }  # fmt: skip
-"""Encodings that are read."""
+"""Encodings that can be read."""
 
 
 class ImageError(ValueError):
-    """A picture is not what its message says; the text is a kind of mistake, so that equal ones can be counted."""
+    """An image does not fit its message; the text is a kind of error, so that equal ones can be counted."""
 
 
 def levels_of(image: Image) -> Levels:
-    """Return (height, width) uint8, uint16 or float32 of a picture; raises ImageError."""
+    """Return (height, width) uint8, uint16 or float32 of an image; raises ImageError."""
     if image.encoding not in ENCODINGS:
         raise ImageError("encoding not known")
     form, channels, is_bgr = ENCODINGS[image.encoding]

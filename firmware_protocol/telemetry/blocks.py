@@ -23,7 +23,7 @@ class Block:
 
     @property
     def mode(self) -> Mode:
-        """How the block was coded."""
+        """Coding of the block."""
         return self.header.mode
 
     @property
@@ -38,7 +38,7 @@ class Block:
 
     @property
     def dropped(self) -> int:
-        """Events that the sender dropped between the block before and this one; 65535 stands for that many or more."""
+        """Events that the sender dropped between the previous block and this one; 65535 means that many or more."""
         return self.header.dropped
 
 
@@ -55,7 +55,7 @@ def decode_block(data: bytes, near_us: int = 0) -> Block:
     Raises
     ------
     BlockError
-        It is malformed in any way; nothing of it may be used.
+        The block is malformed; none of its content may be used.
     """
     header = Header.parse(data)
     start_us = _nearest(header.t_base, near_us)
@@ -65,9 +65,9 @@ def decode_block(data: bytes, near_us: int = 0) -> Block:
 
 
 def as_received(events: Events, tick_us: int) -> Events:
-    """Return what a receiver gets of a block of `events`: times cut to the tick, raster order inside each tick.
+    """Return a block of `events` as a receiver decodes it: times rounded down to the tick, raster order in each tick.
 
-    A sender that does this to what waits, before it cuts blocks from it, gets smaller blocks where a tick has more
+    A sender that applies this to waiting events, before it makes blocks of them, gets smaller blocks if a tick has more
     events than a block; the events and their times are the same.
 
     Parameters

@@ -1,4 +1,4 @@
-"""The header that every event block begins with, and the numbers of the format.
+"""The header of every event block, and the constants of the format.
 
      byte   7     6     5     4     3     2     1     0
           +-----+-----+-----+-----+-----+-----+-----+-----+
@@ -13,9 +13,9 @@
       13  |  CRC-8/AUTOSAR of bytes 0 to 12               |
           +-----------------------------------------------+
 
-Most significant bit and byte first. The whole format, payloads included, is drawn in docs/telemetry.md.
+Most significant bit and byte first. docs/telemetry.md describes the whole format, payloads included.
 
-How the loops of this folder are compiled: see `firmware_protocol.compiled`.
+`firmware_protocol.compiled` describes the compilation of the loops of this folder.
 """
 
 from __future__ import annotations
@@ -51,17 +51,17 @@ __all__ = [
 
 VERSION = 1
 HEADER_BYTES = 14
-MAX_COUNT = 65535  # events in a block, and what `dropped` saturates at
+MAX_COUNT = 65535  # events in a block, and the largest value of `dropped`
 MAX_SIDE = 4096
 LONGEST_US = (1 << 31) - 1  # from the first to the last time in a block
 MAX_K = 27  # Rice parameter; steps stay below 2**31
-ESCAPE_ONES = 16  # so many ones, and a Rice code has no value but is followed by an escape
+ESCAPE_ONES = 16  # after this number of ones a Rice code has no value but is followed by an escape
 TICKS_US = (1, 10, 100, 1000)
 
 EDGE_LAYOUT = Layout(
     Field("t", 32, "time after t_base", "us"),
-    Field("kind", 8, "what happened on the input", choices=choices_of(EdgeKind)),
-    Field("channel", 8, "which input"),
+    Field("kind", 8, "kind of the edge", choices=choices_of(EdgeKind)),
+    Field("channel", 8, "number of the input"),
     Field("seq", 16, "number of the edge at its source"),
 )
 """The record of an edge in a block: us since t_base, and as in the EDGE record."""
@@ -69,11 +69,11 @@ EDGE_RECORD = EDGE_LAYOUT.dtype
 
 
 class BlockError(ValueError):
-    """The bytes are no event block. Either the line damaged them, or the sender does not keep to the format."""
+    """The bytes are no event block: the line damaged them, or the sender violates the format."""
 
 
 class Mode(IntEnum):
-    """How the payload of a block is coded."""
+    """Coding of a block's payload."""
 
     FLAT = 0
     ROWS = 1
@@ -82,7 +82,7 @@ class Mode(IntEnum):
 
 
 class Polarity(IntEnum):
-    """Where the polarity of the events is written."""
+    """Position of the events' polarity in a block."""
 
     EACH = 0
     ALL_OFF = 2
@@ -93,7 +93,7 @@ HEADER_LAYOUT = Layout(
     Field("block_version", 4, "version of the block", fixed=VERSION),
     Field("mode", 4, "coding of the payload", choices=choices_of(Mode)),
     Field("tick_code", 2, "unit of time of the payload", choices={n: f"US_{us}" for n, us in enumerate(TICKS_US)}),
-    Field("polarity", 2, "where the polarity of the events is written", choices=choices_of(Polarity)),
+    Field("polarity", 2, "position of the events' polarity", choices=choices_of(Polarity)),
     Field("block_reserved", 4, "reserved", fixed=0),
     Field("count", 16, "events or edges in the block"),
     Field("t_base", 32, "low 32 bits of the time of the first one", "us"),
@@ -102,7 +102,7 @@ HEADER_LAYOUT = Layout(
     Field("height_less_1", 12, "height of the sensor less one", "px"),
     Field("crc8", 8, "CRC-8 of the octets of the block before it"),
 )
-"""The 14 bytes drawn above."""
+"""Layout of the 14 bytes above."""
 
 
 def _crc8_of(byte: int) -> int:
@@ -124,7 +124,7 @@ def crc8(data: bytes) -> int:
 
 @dataclass(frozen=True)
 class Header:
-    """What a block says of itself; `size` = (width, height), `t_base` the low 32 bits of its first time in us."""
+    """Header of a block; `size` = (width, height), `t_base` the low 32 bits of its first time in us."""
 
     mode: Mode
     tick_us: int
@@ -154,24 +154,24 @@ class Header:
         """Read the header of the block `data`; raises BlockError if it is damaged or is not one of this version."""
         if len(data) < HEADER_BYTES:
             raise BlockError(f"a block has at least {HEADER_BYTES} bytes, this has {len(data)}")
-        told = HEADER_LAYOUT.unpack(data[:HEADER_BYTES])
-        if crc8(data[: HEADER_BYTES - 1]) != told["crc8"]:
+        values = HEADER_LAYOUT.unpack(data[:HEADER_BYTES])
+        if crc8(data[: HEADER_BYTES - 1]) != values["crc8"]:
             raise BlockError("the CRC-8 of the header is wrong")
-        version, mode, polarity, count = (told[name] for name in ("block_version", "mode", "polarity", "count"))
+        version, mode, polarity, count = (values[name] for name in ("block_version", "mode", "polarity", "count"))
         if version != VERSION or mode > Mode.EDGE:
-            raise BlockError(f"version {version}, mode {mode}: this decoder knows version {VERSION}, modes 0 to 3")
-        if told["block_reserved"] or polarity == 1 or (polarity and mode in (Mode.FLAT, Mode.EDGE)):
+            raise BlockError(f"version {version}, mode {mode}: this decoder supports version {VERSION}, modes 0 to 3")
+        if values["block_reserved"] or polarity == 1 or (polarity and mode in (Mode.FLAT, Mode.EDGE)):
             raise BlockError(f"reserved bits or polarity are set: 0x{data[1]:02x} in mode {Mode(mode).name}")
-        if (not count and mode != Mode.FLAT) or (told["tick_code"] and mode == Mode.EDGE):
+        if (not count and mode != Mode.FLAT) or (values["tick_code"] and mode == Mode.EDGE):
             raise BlockError(f"a block of mode {Mode(mode).name} has no count {count} with tick code {data[1] >> 6}")
         return cls(
             mode=Mode(mode),
-            tick_us=TICKS_US[told["tick_code"]],
+            tick_us=TICKS_US[values["tick_code"]],
             polarity=Polarity(polarity),
             count=count,
-            t_base=told["t_base"],
-            dropped=told["dropped"],
-            size=(told["width_less_1"] + 1, told["height_less_1"] + 1),
+            t_base=values["t_base"],
+            dropped=values["dropped"],
+            size=(values["width_less_1"] + 1, values["height_less_1"] + 1),
         )
 
 

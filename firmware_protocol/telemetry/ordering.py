@@ -16,7 +16,7 @@ from firmware_protocol.telemetry.layout import LONGEST_US, kernel
 __all__ = ["BACKWARDS", "OUTSIDE", "Form", "Scratch", "form_of", "load", "new_scratch", "sort"]
 
 OUTSIDE, BACKWARDS = -1, -2
-"""What `load` returns instead of a count for events that are no events of this sensor."""
+"""Return value of `load`, in place of a count, for events that are not valid for this sensor."""
 
 _Bytes = npt.NDArray[np.uint8]
 _Int64s = npt.NDArray[np.int64]
@@ -44,16 +44,16 @@ def form_of(size: tuple[int, int], tick_us: int) -> Form:
 class Scratch(NamedTuple):
     """Room for one block; (max_events + 1,) each but the last two."""
 
-    given: _Int64s  # keys as they came
+    given: _Int64s  # keys in the order of arrival
     keys: _Int64s  # keys in order
     spare: _Int64s
     ticks: _Int64s
-    steps: _Int64s  # steps[i] leads from event i - 1 to event i
+    steps: _Int64s  # steps[i]: from event i - 1 to event i
     starts: _Int64s  # of spans: index of the first event
     span_steps: _Int64s
     lengths: _Int64s  # of spans: pixels - 1
     counts: _Int64s  # (2048,) of a radix sort
-    bits: _Int64s  # (3,) bits not yet written, how many, position in bytes
+    bits: _Int64s  # (3,) bits not yet written, their number, position in bytes
 
 
 def new_scratch(max_events: int) -> Scratch:
@@ -65,7 +65,7 @@ def new_scratch(max_events: int) -> Scratch:
 
 @kernel
 def load(events: _Bytes, form: Form, limit: int, room: Scratch) -> int:
-    """Make keys of the first events, as many as a block may span; returns how many, or what is wrong with them."""
+    """Make keys of the first events, as many as a block may span; return their number, or a fault code."""
     start, last = _time_of(events, 0), 0
     if start < 0:  # 2**63 us and more
         return BACKWARDS
@@ -101,7 +101,7 @@ def _time_of(events: _Bytes, at: int) -> int:
 
 @kernel
 def sort(count: int, form: Form, room: Scratch) -> None:
-    """Put the first `count` given keys in order, keeping the order of events of one pixel in one tick."""
+    """Sort the first `count` given keys, preserving the order of events of one pixel in one tick."""
     keys = room.keys
     for i in range(count):
         keys[i] = room.given[i]

@@ -1,7 +1,7 @@
-"""Payloads of events back to events, compiled. The format, and what is refused: docs/telemetry.md.
+"""Payloads of events back to events, compiled. docs/telemetry.md describes the format and the reasons of a refusal.
 
-The bytes may be anything. A reader looks at most some bytes beyond the payload's end, where `read_events` has put
-zeros, checks after each step that it has not passed the end, and writes no more events than the header announced.
+The bytes may have any values. A reader accesses at most some bytes beyond the payload's end, where `read_events` has
+put zeros, checks after each step that it has not passed the end, and writes no more events than the header announced.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ __all__ = ["read_block", "read_events"]
 _Bytes = npt.NDArray[np.uint8]
 _Int64s = npt.NDArray[np.int64]
 
-# Enumerations as plain numbers, which is what compiled code holds.
+# Enumerations as plain numbers, as compiled code holds them.
 _FLAT, _ROWS = int(Mode.FLAT), int(Mode.ROWS)
 _EACH, _ALL_ON = int(Polarity.EACH), int(Polarity.ALL_ON)
 _ONES = ESCAPE_ONES
@@ -49,12 +49,12 @@ _REASONS = (
     "a span passes the end of the array or of the block",
 )
 
-# Where the reader is: bit in the payload, ticks and address of the last event, how many events are read.
+# State of the reader: bit in the payload, ticks and address of the last event, number of events read.
 _AT, _TICKS, _ADDRESS, _READ = range(4)
 
 
-class _Told(NamedTuple):
-    """What the header says: mode, events, polarity, time of the start in us; and the bits of the payload."""
+class _Facts(NamedTuple):
+    """Data of the header: mode, events, polarity, time of the start in us; and the bits of the payload."""
 
     mode: int
     events: int
@@ -71,26 +71,26 @@ def read_events(data: bytes, header: Header, start_us: int) -> Events:
     payload = np.zeros(size + _BEYOND, np.uint8)
     payload[:size] = np.frombuffer(data, np.uint8, offset=HEADER_BYTES)
     events = empty_events(header.count)
-    told = _Told(int(header.mode), header.count, int(header.polarity), start_us, 8 * size)
-    fault = read_block(payload, form_of(header.size, header.tick_us), told, events.view(np.uint8))
+    facts = _Facts(int(header.mode), header.count, int(header.polarity), start_us, 8 * size)
+    fault = read_block(payload, form_of(header.size, header.tick_us), facts, events.view(np.uint8))
     if fault:
         raise BlockError(_REASONS[fault])
     return events
 
 
 @entry
-def read_block(data: _Bytes, form: Form, told: _Told, out: _Bytes) -> int:
-    """Fill `out`, (13 n,) bytes of EVENT; returns what is wrong with `data`, or 0."""
+def read_block(data: _Bytes, form: Form, facts: _Facts, out: _Bytes) -> int:
+    """Fill `out`, (13 n,) bytes of EVENT; return a fault code for `data`, or 0."""
     state = np.zeros(4, np.int64)
-    if told.mode == _FLAT:
-        fault = _read_flat(data, form, told, state, out)
-    elif told.mode == _ROWS:
-        fault = _read_rows(data, form, told, state, out)
+    if facts.mode == _FLAT:
+        fault = _read_flat(data, form, facts, state, out)
+    elif facts.mode == _ROWS:
+        fault = _read_rows(data, form, facts, state, out)
     else:
-        fault = _read_bitmap(data, form, told, state, out)
+        fault = _read_bitmap(data, form, facts, state, out)
     if fault:
         return fault
-    left = told.bits - state[_AT]
+    left = facts.bits - state[_AT]
     if left < 0:
         return _SHORT
     return _LONG if left > 7 or _take(data, state, left) else _GOOD
@@ -116,7 +116,7 @@ def _take(data: _Bytes, state: _Int64s, width: int) -> int:
 
 @kernel
 def _rice(data: _Bytes, state: _Int64s, k: int) -> int:
-    """Read a Rice code; returns -1 and stops behind the ones where an escape follows."""
+    """Read a Rice code; if an escape follows, return -1 and stop after the ones."""
     window, ones = _window(data, state[_AT]), 0
     while ones < _ONES and window >> 55 - ones & 1:
         ones += 1
@@ -136,7 +136,7 @@ def _place(data: _Bytes, form: Form, state: _Int64s) -> int:
 
 @kernel
 def _step(data: _Bytes, form: Form, state: _Int64s, k: int) -> int:
-    """Go to the next event."""
+    """Advance to the next event."""
     step, pixels = _rice(data, state, k), form.width * form.height
     if step >= 0:
         state[_ADDRESS] += step
@@ -155,9 +155,9 @@ def _step(data: _Bytes, form: Form, state: _Int64s, k: int) -> int:
 
 
 @kernel
-def _emit(out: _Bytes, form: Form, told: _Told, state: _Int64s, on: int) -> None:
-    """Write the event at the place where the reader is."""
-    time = told.start_us + state[_TICKS] * form.tick_us
+def _emit(out: _Bytes, form: Form, facts: _Facts, state: _Int64s, on: int) -> None:
+    """Write the event at the reader's position."""
+    time = facts.start_us + state[_TICKS] * form.tick_us
     y = state[_ADDRESS] // form.width
     x = state[_ADDRESS] - y * form.width
     record = out[13 * state[_READ] : 13 * state[_READ] + 13]
@@ -170,80 +170,80 @@ def _emit(out: _Bytes, form: Form, told: _Told, state: _Int64s, on: int) -> None
 
 
 @kernel
-def _polarity(data: _Bytes, told: _Told, state: _Int64s) -> int:
-    """Return the polarity of an event, read if each carries its own."""
-    if told.polarity == _EACH:
+def _polarity(data: _Bytes, facts: _Facts, state: _Int64s) -> int:
+    """Return the polarity of an event, read from the payload if each event has its own."""
+    if facts.polarity == _EACH:
         return _take(data, state, 1)
-    return 1 if told.polarity == _ALL_ON else 0
+    return 1 if facts.polarity == _ALL_ON else 0
 
 
 @kernel
-def _read_flat(data: _Bytes, form: Form, told: _Told, state: _Int64s, out: _Bytes) -> int:
-    for i in range(told.events):
+def _read_flat(data: _Bytes, form: Form, facts: _Facts, state: _Int64s, out: _Bytes) -> int:
+    for i in range(facts.events):
         ticks, address = _take(data, state, 31 - form.by - form.bx), _place(data, form, state)
         on = _take(data, state, 1)
-        if state[_AT] > told.bits:
+        if state[_AT] > facts.bits:
             return _SHORT
         if address < 0:
             return _OUTSIDE
         if (i == 0 and ticks) or ticks < state[_TICKS] or (ticks == state[_TICKS] and address < state[_ADDRESS]):
             return _BACK
         state[_TICKS], state[_ADDRESS] = ticks, address
-        _emit(out, form, told, state, on)
+        _emit(out, form, facts, state, on)
     return _GOOD
 
 
 @kernel
-def _read_rows(data: _Bytes, form: Form, told: _Told, state: _Int64s, out: _Bytes) -> int:
+def _read_rows(data: _Bytes, form: Form, facts: _Facts, state: _Int64s, out: _Bytes) -> int:
     k, state[_ADDRESS] = _take(data, state, 8), _place(data, form, state)
     if k > MAX_K:
         return _PARAMETER
     if state[_ADDRESS] < 0:
         return _OUTSIDE
-    _emit(out, form, told, state, _polarity(data, told, state))
-    for _ in range(1, told.events):
+    _emit(out, form, facts, state, _polarity(data, facts, state))
+    for _ in range(1, facts.events):
         fault = _step(data, form, state, k)
-        on = _polarity(data, told, state)
-        if state[_AT] > told.bits:
+        on = _polarity(data, facts, state)
+        if state[_AT] > facts.bits:
             return _SHORT
         if fault:
             return fault
-        _emit(out, form, told, state, on)
+        _emit(out, form, facts, state, on)
     return _GOOD
 
 
 @kernel
-def _read_bitmap(data: _Bytes, form: Form, told: _Told, state: _Int64s, out: _Bytes) -> int:
+def _read_bitmap(data: _Bytes, form: Form, facts: _Facts, state: _Int64s, out: _Bytes) -> int:
     k, k_length, state[_ADDRESS] = _take(data, state, 8), _take(data, state, 8), _place(data, form, state)
     if k > MAX_K or k_length > MAX_K:
         return _PARAMETER
     if state[_ADDRESS] < 0:
         return _OUTSIDE
-    fault = _read_span(data, form, told, state, k_length, out)
-    while fault == _GOOD and state[_READ] < told.events:
+    fault = _read_span(data, form, facts, state, k_length, out)
+    while fault == _GOOD and state[_READ] < facts.events:
         fault = _step(data, form, state, k)
         if fault == _GOOD:
-            fault = _read_span(data, form, told, state, k_length, out)
-    return _SHORT if state[_AT] > told.bits else fault
+            fault = _read_span(data, form, facts, state, k_length, out)
+    return _SHORT if state[_AT] > facts.bits else fault
 
 
 @kernel
-def _read_span(data: _Bytes, form: Form, told: _Told, state: _Int64s, k: int, out: _Bytes) -> int:
-    """Read the span that begins where the reader is, from its length on."""
+def _read_span(data: _Bytes, form: Form, facts: _Facts, state: _Int64s, k: int, out: _Bytes) -> int:
+    """Read the span at the reader's position, from its length on."""
     last = _rice(data, state, k)
     if last < 0 or state[_ADDRESS] + last >= form.width * form.height:
         return _SPAN
     solid = last < 2 or _take(data, state, 1)
-    same = told.polarity != _EACH or (last > 0 and _take(data, state, 1))
-    on = _polarity(data, told, state) if same else 0
+    same = facts.polarity != _EACH or (last > 0 and _take(data, state, 1))
+    on = _polarity(data, facts, state) if same else 0
     for i in range(last + 1):
         if i in (0, last) or solid or _take(data, state, 1):
-            if state[_READ] == told.events:
+            if state[_READ] == facts.events:
                 return _SPAN
             if not same:
                 on = _take(data, state, 1)
-            _emit(out, form, told, state, on)
-        if state[_AT] > told.bits:
+            _emit(out, form, facts, state, on)
+        if state[_AT] > facts.bits:
             return _SHORT
         if i < last:
             state[_ADDRESS] += 1

@@ -1,11 +1,8 @@
-"""Blocks as bits, compiled: how many events fill a block, and their payload. The format: docs/telemetry.md.
+"""Events to blocks, compiled: number of events in a block, its smallest coding, and its payload.
 
-How many events fit is guessed from the mean step, since a Rice code's length depends on little else, then tried and
-corrected: mostly once is enough.
-
-The smallest coding of a block, compiled: how many bits each mode takes, and with which parameters.
-
-Events to blocks.
+docs/telemetry.md describes the format. The number of events that fit is estimated from the mean step, since a Rice
+code's length depends on little else, then tried and corrected; mostly one trial is enough. The smallest coding is found
+from the number of bits that each mode takes, with its best parameters.
 """
 
 from __future__ import annotations
@@ -50,16 +47,16 @@ __all__ = [
 
 _Int64s = npt.NDArray[np.int64]
 
-# Enumerations as plain numbers, which is what compiled code holds.
+# Enumerations as plain numbers, as compiled code holds them.
 _FLAT, _ROWS, _BITMAP = int(Mode.FLAT), int(Mode.ROWS), int(Mode.BITMAP)
 _EACH, _ALL_OFF, _ALL_ON = int(Polarity.EACH), int(Polarity.ALL_OFF), int(Polarity.ALL_ON)
 _ONES = ESCAPE_ONES
-_NEVER = 1 << 40  # bits of what cannot be written
-_JOINED_STEP = 8  # nearer events share a span, unless only runs without gaps are wanted
+_NEVER = 1 << 40  # bits of a coding that is impossible
+_JOINED_STEP = 8  # nearer events share a span, unless only runs without gaps are allowed
 
 
 class Plan(NamedTuple):
-    """How to write `count` events, and how many bits it takes."""
+    """Coding of `count` events, and its number of bits."""
 
     mode: int
     polarity: int
@@ -71,7 +68,7 @@ class Plan(NamedTuple):
 
 @kernel
 def flat_count(ticks: _Int64s, count: int, form: Form) -> int:
-    """Return how many of `count` events lie within the time that a FLAT word holds."""
+    """Return the number of the first of `count` events that are within the time of a FLAT word."""
     longest = 1 << 31 - form.bx - form.by
     while ticks[count - 1] >= longest:
         count -= 1
@@ -80,7 +77,7 @@ def flat_count(ticks: _Int64s, count: int, form: Form) -> int:
 
 @kernel
 def planned(count: int, form: Form, only: int, room: Scratch) -> Plan:
-    """Put the first `count` events in order and find their smallest coding."""
+    """Sort the first `count` events and find their smallest coding."""
     sort(count, form, room)
     for i in range(1, count):
         room.steps[i] = (room.keys[i] >> 1) - (room.keys[i - 1] >> 1)
@@ -110,7 +107,7 @@ def _rows(count: int, form: Form, polarity: int, room: Scratch) -> Plan:
 
 @kernel
 def _best_k(values: _Int64s, begin: int, end: int, least: int, escape: int) -> tuple[int, int]:
-    """Return a Rice parameter, at least `least`, that is good for `values`, and the bits that they take."""
+    """Return a Rice parameter, at least `least`, that suits `values`, and the bits that they take."""
     if begin >= end:
         return least, 0
     mean = _sum(values, begin, end) // (end - begin)
@@ -145,10 +142,10 @@ def _rice_bits(values: _Int64s, begin: int, end: int, k: int, escape: int) -> in
 
 @kernel
 def _bitmaps(count: int, form: Form, polarity: int, room: Scratch, forced: bool) -> Plan:
-    """Try spans that have gaps, and where many events have none between them, spans without.
+    """Try spans that have gaps, and, if many events have none between them, spans without.
 
-    An event that joins a span saves the MAX_K + 1 bits of its step at most, and its polarity; every other one pays a
-    bit for a length. So few neighbours need no trial.
+    An event that joins a span saves the MAX_K + 1 bits of its step at most, and its polarity; every other one costs a
+    bit for a length. So a block with few neighbours needs no trial.
     """
     near, touching = 0, 0
     for i in range(1, count):
@@ -182,7 +179,7 @@ def _bitmap(count: int, form: Form, polarity: int, joined: int, room: Scratch) -
 
 @kernel
 def find_spans(count: int, form: Form, joined: int, room: Scratch) -> int:
-    """Group events of a tick that are at most `joined` pixels from the next into spans; returns how many."""
+    """Group events of a tick that are at most `joined` pixels from the next into spans; return their number."""
     spans, begin = 0, 0
     for i in range(1, count + 1):
         if i < count and 1 <= room.steps[i] <= joined and room.ticks[i] == room.ticks[i - 1]:
@@ -197,7 +194,7 @@ def find_spans(count: int, form: Form, joined: int, room: Scratch) -> int:
 
 @kernel
 def same_polarity(begin: int, end: int, keys: _Int64s) -> bool:
-    """Whether the events from `begin` to before `end` are all ON or all OFF."""
+    """Return true if the events from `begin` to before `end` are all ON or all OFF."""
     ons = 0
     for i in range(begin, end):
         ons += keys[i] & 1
@@ -227,7 +224,7 @@ _NEARLY = 15 / 16  # a block filled so far is full
 
 
 class Limits(NamedTuple):
-    """What a block may be: the only mode allowed, or -1; how many events; how many bytes."""
+    """Limits of a block: the only mode allowed, or -1; number of events; number of bytes."""
 
     mode: int
     events: int
@@ -243,14 +240,14 @@ def write_block(events: _Bytes, form: Form, limits: Limits, room: Scratch, out: 
     events
         (13 n,) bytes of EVENT records, n at least 1.
     form, limits, room
-        The sensor; what the block may be; (max_events,) scratch.
+        The sensor; the limits of the block; (max_events,) scratch.
     out
-        (size,) at least what `limits` allows.
+        (size,) at least as many bytes as `limits` allows.
 
     Returns
     -------
     taken, mode, polarity, size
-        How many events, the header's fields, and the payload's bytes; `taken` negative: see OUTSIDE and BACKWARDS.
+        Number of events, the header's fields, and the payload's bytes; `taken` negative: see OUTSIDE and BACKWARDS.
     """
     most = load(events, form, limits.events, room)
     if most < 0:
@@ -263,9 +260,9 @@ def write_block(events: _Bytes, form: Form, limits: Limits, room: Scratch, out: 
 
 @kernel
 def _fitted(most: int, form: Form, limits: Limits, room: Scratch) -> tuple[int, Plan]:
-    """Return how many of `most` events to take so that the block is about full, and how to write them.
+    """Return the number of `most` events that about fill the block, and their coding.
 
-    One event always fits. Between a number that does and one that does not, three trials in proportion, then halving.
+    One event always fits. Between a number that fits and one that does not: three interpolations, then bisection.
     """
     budget = 8 * (limits.size - HEADER_BYTES)
     fits, too_many, trials = 0, most + 1, 0
@@ -285,7 +282,7 @@ def _fitted(most: int, form: Form, limits: Limits, room: Scratch) -> tuple[int, 
 
 @kernel
 def _guess(room: Scratch, most: int, budget: int, form: Form) -> int:
-    """Return about how many events fill `budget` bits, if the steps between them are what they are on average."""
+    """Return the approximate number of events that fill `budget` bits, from the mean step between them."""
     count = most
     for _ in range(4):
         step = max(1.0, (room.given[count - 1] - room.given[0]) / (2.0 * count))
@@ -298,7 +295,7 @@ def _guess(room: Scratch, most: int, budget: int, form: Form) -> int:
 
 @kernel
 def _written(count: int, form: Form, plan: Plan, room: Scratch, out: _Bytes) -> int:
-    """Write the payload; returns its bytes."""
+    """Write the payload; return the number of its bytes."""
     room.bits[0] = room.bits[1] = room.bits[2] = 0
     if plan.mode == _FLAT_WRITING:
         _write_flat(count, form, room, out)
@@ -385,7 +382,7 @@ def _write_bitmap(count: int, form: Form, plan: Plan, room: Scratch, out: _Bytes
 
 @kernel
 def _write_span(begin: int, end: int, polarity: int, room: Scratch, out: _Bytes) -> None:
-    """Write what follows a span's length."""
+    """Write the part of a span after its length."""
     bits, keys = room.bits, room.keys
     length = (keys[end - 1] >> 1) - (keys[begin] >> 1) + 1
     solid = end - begin == length
@@ -411,13 +408,13 @@ _MOST_BYTES = 65535
 _MODES = {"smallest": -1, "flat": int(Mode.FLAT), "rows": int(Mode.ROWS), "bitmap": int(Mode.BITMAP)}
 _COMPLAINTS = {
     OUTSIDE: "an event lies outside the sensor of {size[0]} x {size[1]} pixels",
-    BACKWARDS: "events go back in time: a block takes them sorted",
+    BACKWARDS: "events go back in time: a block needs them sorted",
 }
 
 
 @dataclass(frozen=True)
 class BlockSettings:
-    """How blocks are made: the unit of time, the coding, and how large a block may get."""
+    """Settings of blocks: the unit of time, the coding, and the largest size."""
 
     tick_us: int = 1
     mode: Literal["smallest", "flat", "rows", "bitmap"] = "smallest"
@@ -436,7 +433,7 @@ class BlockSettings:
 
 
 class BlockEncoder:
-    """Makes blocks of a sensor of `size` = (width, height). Holds nothing between blocks but its settings."""
+    """Makes blocks of a sensor of `size` = (width, height). It has no state between blocks."""
 
     def __init__(self, size: tuple[int, int], settings: BlockSettings | None = None) -> None:
         if not all(1 <= side <= MAX_SIDE for side in size):
@@ -450,7 +447,7 @@ class BlockEncoder:
 
     @property
     def max_edges(self) -> int:
-        """How many edges a block of the set size holds."""
+        """Most edges in a block of the set size."""
         return (self.settings.max_bytes - HEADER_BYTES) // 8
 
     def encode(self, events: Events, dropped: int = 0) -> tuple[bytes, int]:
@@ -459,16 +456,16 @@ class BlockEncoder:
         Parameters
         ----------
         events
-            (n,) EVENT, sorted by time, in device time. None at all gives a block that only tells `dropped`.
+            (n,) EVENT, sorted by time, in device time. Without events the block only reports `dropped`.
         dropped
-            How many events were dropped since the block before; what is above 65535 is told as that.
+            Events dropped since the previous block; a number above 65535 is reported as 65535.
 
         Returns
         -------
         block
             Its bytes.
         taken
-            How many events it holds: the first `taken` ones.
+            Number of events in the block: the first `taken` ones.
 
         Raises
         ------

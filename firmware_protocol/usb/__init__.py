@@ -1,1 +1,1 @@
-"""What every USB camera shares: descriptors, control requests, and the USB/IP messages."""
+"""Common parts of USB cameras: descriptors, control requests, and the USB/IP messages."""

@@ -4,18 +4,18 @@
     0  GET_STATUS       IN         device interface endpoint  2 bytes
     1  CLEAR_FEATURE    OUT        device interface endpoint  -
     3  SET_FEATURE      OUT        device interface endpoint  -
-    5  SET_ADDRESS      OUT        device                     -        the host controller's affair: acknowledged
+    5     SET_ADDRESS      OUT        device                     -        done by the host controller: acknowledged
     6  GET_DESCRIPTOR   IN         device                     cut to wLength
     8  GET_CONFIGURATION IN        device                     1 byte
-    9  SET_CONFIGURATION OUT       device                     -
+    9     SET_CONFIGURATION OUT       device                     -
     10 GET_INTERFACE    IN         interface                  1 byte
     11 SET_INTERFACE    OUT        interface                  -        alternate setting 0 only
     0x30 SET_SEL        OUT        device                     6 bytes  SuperSpeed exit latencies, acknowledged
     0x31 SET_ISOCH_DELAY OUT       device                     -        SuperSpeed, acknowledged
 
-Everything else stalls. The language of a string request is not looked at: each device here speaks one.
+All other requests stall. The language of a string request is ignored: each device here has strings in one language.
 
-Control requests in words: those of chapter 9, and others by their numbers; see `control` for the requests.
+`name_request` gives control requests in words: those of chapter 9 by name, others by their numbers.
 """
 
 from __future__ import annotations
@@ -91,12 +91,12 @@ class StandardControl:
             raise Stall
 
     def control(self, setup: SetupPacket, data: bytes) -> bytes:
-        """Answer one standard request; raises Stall for what the device does not know."""
+        """Answer one standard request; raises Stall for an unknown one."""
         if setup.kind is not RequestKind.STANDARD or setup.recipient > Recipient.ENDPOINT:
             raise Stall
         if setup.is_in:
             return self._answer(setup)[: setup.length]
-        self._obey(setup, data)
+        self._execute(setup, data)
         return b""
 
     def _answer(self, setup: SetupPacket) -> bytes:
@@ -112,7 +112,7 @@ class StandardControl:
             return b"\0"
         raise Stall
 
-    def _obey(self, setup: SetupPacket, data: bytes) -> None:
+    def _execute(self, setup: SetupPacket, data: bytes) -> None:
         if setup.request == StandardRequest.SET_SEL:
             self._accept_latencies(setup, data)
             return
@@ -123,11 +123,11 @@ class StandardControl:
         elif setup.request == StandardRequest.SET_INTERFACE:
             self._set_interface(setup)
         elif setup.recipient == Recipient.DEVICE:
-            self._obey_device(setup)
+            self._execute_device(setup)
         else:
             raise Stall
 
-    def _obey_device(self, setup: SetupPacket) -> None:
+    def _execute_device(self, setup: SetupPacket) -> None:
         if setup.request == StandardRequest.SET_CONFIGURATION:
             self._set_configuration(setup.value)
         elif setup.request == StandardRequest.SET_ISOCH_DELAY:
@@ -154,8 +154,8 @@ class StandardControl:
         self._halted.clear()
 
     def _require_interface(self, setup: SetupPacket) -> None:
-        known = setup.recipient == Recipient.INTERFACE and setup.index in self._interfaces
-        if not known or not self.configured:
+        exists = setup.recipient == Recipient.INTERFACE and setup.index in self._interfaces
+        if not exists or not self.configured:
             raise Stall
 
     def _require_super_speed(self) -> None:
@@ -208,13 +208,13 @@ _DESCRIPTORS = frozenset(map(int, DescriptorType))
 
 
 def name_request(setup: SetupPacket, data: bytes) -> str:
-    """Return what a request asks; `data` are those of its OUT stage."""
+    """Return a request in words; `data` are those of its OUT stage."""
     if setup.kind is RequestKind.STANDARD and setup.request in _REQUESTS:
         return f"{StandardRequest(setup.request).name}{_object(setup)}"
     kind = setup.kind.name.lower()
     numbers = f"{kind} request {setup.request:#04x}, value {setup.value:#06x}, index {setup.index:#06x}"
-    told = f": {data[:_MOST_SHOWN].hex(' ')}{' ...' if len(data) > _MOST_SHOWN else ''}" if data else ""
-    return numbers + told
+    shown = f": {data[:_MOST_SHOWN].hex(' ')}{' ...' if len(data) > _MOST_SHOWN else ''}" if data else ""
+    return numbers + shown
 
 
 def _object(setup: SetupPacket) -> str:

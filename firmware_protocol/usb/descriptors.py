@@ -14,7 +14,7 @@ All integers little-endian. b = 1 byte, w = 2 bytes, in wire order:
       SuperSpeed           10 bType=16 3 bAttributes wSpeeds bFunctionality bU1Latency wU2Latency
     string (2 + 2n)        bLength bType=3 UTF-16LE text, or language identifiers for index 0
 
-What depends on the speed: bMaxPacket0 is an exponent (9) at SuperSpeed and a size below it, bMaxPower counts 8 mA at
+Differences by speed: bMaxPacket0 is an exponent (9) at SuperSpeed and a size below it, bMaxPower counts 8 mA at
 SuperSpeed and 2 mA below, and only SuperSpeed endpoints have companions.
 """
 
@@ -120,7 +120,7 @@ class Interface:
 
 @dataclass(frozen=True)
 class Configuration:
-    """One configuration at one speed, with all that belongs to it."""
+    """One configuration at one speed, with its interfaces and endpoints."""
 
     speed: Speed
     interfaces: tuple[Interface, ...]
@@ -130,7 +130,7 @@ class Configuration:
     string: int = 0
 
     def serialise(self, kind: DescriptorType = DescriptorType.CONFIGURATION) -> bytes:
-        """Return the whole block; `kind` is OTHER_SPEED_CONFIGURATION when asked for at another speed."""
+        """Return the whole block; `kind` is OTHER_SPEED_CONFIGURATION if requested at another speed."""
         tree = b"".join(interface.serialise(self.speed) for interface in self.interfaces)
         power = self.max_power_ma // (8 if self.speed is Speed.SUPER else 2)
         count = len(self.interfaces)
@@ -152,7 +152,7 @@ _MAX_PACKET_0 = {Speed.SUPER: 9, Speed.HIGH: 64, Speed.FULL: 64}
 
 @dataclass(frozen=True)
 class DeviceDescriptor:
-    """Who the device is. `strings` holds the string indices of manufacturer, product and serial number (0 = none)."""
+    """Device descriptor. `strings` holds the string indices of manufacturer, product and serial number (0 = none)."""
 
     speed: Speed
     vendor_id: int
@@ -172,7 +172,7 @@ class DeviceDescriptor:
 
     @property
     def qualifier(self) -> bytes:
-        """What a host asks of a USB 2 device: how it would look at the other of full and high speed."""
+        """Device qualifier of a USB 2 device: its properties at the other of full and high speed."""
         body = struct.pack("<H6B", _BCD_USB[Speed.HIGH], *self.device_class, _MAX_PACKET_0[Speed.HIGH], 1, 0)
         return _sized(DescriptorType.DEVICE_QUALIFIER, body)
 
@@ -204,14 +204,14 @@ def string_descriptor(text: str) -> bytes:
 
 
 def language_descriptor(*languages: int) -> bytes:
-    """Return string descriptor 0: the languages the other strings come in (US English unless told)."""
+    """Return string descriptor 0: the languages of the other strings (US English by default)."""
     chosen = languages or (ENGLISH_US,)
     return _sized(DescriptorType.STRING, struct.pack(f"<{len(chosen)}H", *chosen))
 
 
 @dataclass(frozen=True)
 class DescriptorSet:
-    """All that GET_DESCRIPTOR can be asked for, at the speed the device runs at.
+    """All descriptors that GET_DESCRIPTOR can request, at the present speed of the device.
 
     `other_speed` is the configuration at the other of full and high speed; None at SuperSpeed, where neither it nor a
     device qualifier exists.
@@ -228,7 +228,7 @@ class DescriptorSet:
             raise ValueError("the device and its configuration must be described at the same speed")
 
     def find(self, kind: int, index: int) -> bytes | None:
-        """Return the bytes of descriptor `kind`, `index`, or None where there is no such descriptor."""
+        """Return the bytes of descriptor `kind`, `index`; None if there is no such descriptor."""
         if kind == DescriptorType.STRING:
             return self._string(index)
         return self._only(kind) if index == 0 else None

@@ -1,7 +1,7 @@
-"""What a USB device is to whoever carries its bytes (USB/IP, FunctionFS, a test).
+"""Interface of a USB device to its transport (USB/IP, FunctionFS, a test).
 
-A device is sans-I/O: it answers control requests, hands out data when asked, and is told what became of it.
-It never waits; where a real device would answer NAK, `read` gives None.
+A device is sans-I/O: it answers control requests, returns data on request, and receives the outcome of each transfer.
+It never waits; where a real device would answer NAK, `read` returns None.
 
 Setup packet, 8 bytes, little-endian (USB 2.0, section 9.3):
 
@@ -22,17 +22,17 @@ from firmware_protocol.device.event_device import EventDevice, Reading
 from firmware_protocol.events import Edges, Events, empty_edges, empty_events
 
 if TYPE_CHECKING:
-    from firmware_protocol.usb.descriptors import DescriptorSet  # which knows speeds from here
+    from firmware_protocol.usb.descriptors import DescriptorSet  # it imports Speed from here
 
 __all__ = ["Identity", "NotReady", "RequestKind", "SetupPacket", "Speed", "Stall", "Transfer", "UsbCamera", "UsbDevice"]
 
 
 class Stall(Exception):
-    """The device refuses a request; the host sees a STALL handshake (EPIPE)."""
+    """The device refuses a request; the host gets a STALL handshake (EPIPE)."""
 
 
 class NotReady(Exception):
-    """The device has no answer yet (NAK): ask again, with the same SetupPacket object, which names the request."""
+    """The device has no answer yet (NAK): repeat the request with the same SetupPacket object, which identifies it."""
 
 
 class Speed(IntEnum):
@@ -91,7 +91,7 @@ class SetupPacket:
 
 @dataclass(frozen=True)
 class Identity:
-    """What a host learns of a device before it talks to it (the USB/IP device record)."""
+    """Identity of a device before any request (the USB/IP device record)."""
 
     vendor_id: int
     product_id: int
@@ -119,10 +119,10 @@ class Transfer:
 
 
 class UsbDevice(ABC):
-    """One USB device without its cable.
+    """One USB device, without a transport.
 
     Order of calls: `attached` when a host takes the device, then any number of `control`, `read` and `write`, then
-    `detached`. For each Transfer that `read` gave follows exactly one of `sent` and `lost`, in the order of the reads.
+    `detached`. Exactly one of `sent` and `lost` follows for each Transfer that `read` returned, in the same order.
     """
 
     @property
@@ -132,22 +132,22 @@ class UsbDevice(ABC):
 
     @abstractmethod
     def attached(self) -> None:
-        """A host has taken the device: power-on state."""
+        """Set the power-on state: a host has attached the device."""
 
     @abstractmethod
     def detached(self) -> None:
-        """The host is gone; what still waits for it is dropped and counted."""
+        """Drop and count the data that still wait: the host is gone."""
 
     @abstractmethod
     def control(self, setup: SetupPacket, data: bytes) -> bytes:
-        """Do one control transfer.
+        """Execute one control transfer.
 
         Parameters
         ----------
         setup
             The setup packet.
         data
-            The OUT data stage, empty for IN. May be shorter than `setup.length`: then the device decides.
+            The OUT data stage, empty for IN. If it is shorter than `setup.length`, the device decides.
 
         Returns
         -------
@@ -156,28 +156,28 @@ class UsbDevice(ABC):
         Raises
         ------
         Stall
-            The request is not known or its data do not fit.
+            The request is unknown or its data do not fit.
         NotReady
-            The answer takes time; only a device with faults says so.
+            The answer takes time; only a device with faults raises this.
         """
 
     @abstractmethod
     def read(self, endpoint: int, max_bytes: int) -> Transfer | None:
-        """Take up to `max_bytes` from an IN endpoint (number without the direction bit, 1..15).
+        """Return up to `max_bytes` from an IN endpoint (number without the direction bit, 1..15).
 
         Returns None while there is nothing to send. Raises Stall for an endpoint that does not exist or is halted.
         """
 
     def accepts(self, setup: SetupPacket) -> bool:
-        """Say whether the data of this OUT request may come; asked where they cannot be refused any more afterwards."""
+        """Return true if the data of this OUT request are accepted; for transports that cannot refuse them later."""
         return True
 
     def flushes(self, endpoint: int) -> int:
-        """How often the stream of an IN endpoint has ended: a transfer read before is not wanted any more."""
+        """Number of times that the stream of an IN endpoint has ended, which invalidates transfers read before."""
         return 0
 
     def write(self, endpoint: int, data: bytes) -> None:
-        """Take `data` that the host sends to an OUT endpoint (number 1..15).
+        """Process `data` that the host sends to an OUT endpoint (number 1..15).
 
         Raises Stall for an endpoint that does not exist or is halted: most cameras have none.
         """
@@ -185,24 +185,24 @@ class UsbDevice(ABC):
 
     @abstractmethod
     def sent(self, transfer: Transfer) -> None:
-        """Say that `transfer` has left for the host: its events count as delivered."""
+        """Note that `transfer` has left for the host: its events count as delivered."""
 
     @abstractmethod
     def lost(self, transfer: Transfer) -> None:
-        """Say that `transfer` was taken from the device and lost on the link: its events count as dropped there."""
+        """Note that `transfer` was taken from the device and lost on the link: its events count as dropped there."""
 
 
 class UsbCamera(UsbDevice, EventDevice):
-    """An event camera on USB: fed from one side, asked for bytes from the other.
+    """An event camera on USB: an event device with a USB side.
 
     Attributes
     ----------
     data_endpoint
-        Number of the IN endpoint that bears its events.
+        Number of the IN endpoint that carries its events.
     """
 
     data_endpoint: ClassVar[int]
 
     @abstractmethod
     def descriptors(self, speed: Speed) -> DescriptorSet:
-        """Return what GET_DESCRIPTOR gives at a speed, FULL, HIGH or SUPER."""
+        """Return the answers to GET_DESCRIPTOR at a speed, FULL, HIGH or SUPER."""

@@ -1,18 +1,18 @@
-"""What a FunctionFS program and the kernel tell each other on ep0: descriptors and strings at first, then events.
+"""Messages between a FunctionFS program and the kernel on ep0: descriptors and strings at first, then events.
 
 Source: linux/usb/functionfs.h. All integers little-endian, w = 4 bytes.
 
-    descriptors     wMagic=3 wLength wFlags wFullSpeed wHighSpeed wSuperSpeed (how many descriptors follow for each)
+    descriptors     wMagic=3 wLength wFlags wFullSpeed wHighSpeed wSuperSpeed (numbers of descriptors that follow)
                     interface, endpoints                        full speed
                     interface, endpoints                        high speed
                     interface, endpoints with companions        SuperSpeed
     strings         wMagic=2 wLength wStrings wLanguages
-                    for each language: its code (2), then each string in UTF-8 with a NUL behind it
-    event (12)      setup packet (8; meant only of SETUP) type (1) 0 0 0
+                    for each language: its code (2), then each string in UTF-8 with a NUL after it
+    event (12)      setup packet (8; valid only for SETUP) type (1) 0 0 0
 
 Lengths count the whole block. Endpoints must have the same addresses at all speeds; the controller replaces them.
-Flags: 1, 2, 4 there are descriptors of full speed, high speed, SuperSpeed; 64 control requests to all recipients
-come to us, also those to the device; 128 also before the host has chosen a configuration.
+Flags: 1, 2, 4 there are descriptors of full speed, high speed, SuperSpeed; 64 the program receives control requests to
+all recipients, also those to the device; 128 also before the host has selected a configuration.
 """
 
 from __future__ import annotations
@@ -59,14 +59,14 @@ class EventKind(IntEnum):
 
 @dataclass(frozen=True)
 class Event:
-    """Something that happened at the device's port; `setup` is there for a SETUP."""
+    """An event at the device's port; `setup` is present for a SETUP."""
 
     kind: EventKind
     setup: SetupPacket | None = None
 
     @classmethod
     def parse(cls, data: bytes) -> Event:
-        """Read the 12 bytes of an event; raises ValueError for others, and for a type that is not known."""
+        """Read the 12 bytes of an event; raises ValueError for another length, and for an unknown type."""
         if len(data) != EVENT_BYTES:
             raise ValueError(f"an event of FunctionFS has {EVENT_BYTES} bytes, got {len(data)}")
         kind = EventKind(data[8])
@@ -79,7 +79,7 @@ class Event:
 def descriptor_block(interfaces: Mapping[Speed, Interface]) -> bytes:
     """Return the descriptors of one interface at full speed, high speed and SuperSpeed.
 
-    Raises ValueError when its endpoints are not the same at all of them.
+    Raises ValueError if its endpoints are not the same at all of them.
     """
     addresses = {tuple(e.address for e in interfaces[speed].endpoints) for speed in _SPEEDS}
     if len(addresses) != 1:

@@ -1,19 +1,16 @@
-"""USB/IP messages, version 1.1.1: USB requests carried over a byte stream.
+"""USB/IP: messages of version 1.1.1, parsers for both ends, and records of URBs in the format of usbmon.
 
 Source: Linux, Documentation/usb/usbip_protocol.rst and tools/usb/usbip/src/usbip_network.h. All integers are
-big-endian except the eight setup bytes, which pass as they are on a cable.
+big-endian except the eight setup bytes, which stay as they are on a cable. docs/protocol.md shows the layouts.
 
-The layouts are drawn in docs/protocol.md.
+The parsers turn the bytes of a connection into messages, however the bytes were divided on the way. `receive` takes
+bytes; `next_message` returns a message, and None when more bytes are needed. A parser holds at most one unfinished
+message beyond the bytes that it received.
 
-Bytes of a USB/IP connection -> messages, for either end, however the bytes were cut on the way.
-
-The layouts are drawn in `firmware_protocol.usb.usbip`. A parser is fed with `receive` and asked with `next_message`
-until that gives None. It keeps no more than one unfinished message beyond what it was fed.
-
-URBs as Linux records them: records of usbmon in a pcap file, which Wireshark and tshark open.
+URB records have the form of Linux' usbmon, in a pcap file, which Wireshark and tshark open:
 
 File, 24 bytes: magic 0xA1B2C3D4, version 2.4, zone 0, accuracy 0, longest record, link type 220 (USB_LINUX_MMAPPED).
-Then for each record 16 bytes: seconds, microseconds, bytes kept, bytes there were; and the record:
+Then for each record 16 bytes: seconds, microseconds, bytes stored, original bytes; and the record:
 
      0  u64  id            the same for the two records of a URB
      8  u8   type          'S' submitted by the host, 'C' completed
@@ -21,13 +18,13 @@ Then for each record 16 bytes: seconds, microseconds, bytes kept, bytes there we
     10  u8   endpoint      bit 7: IN
     11  u8   device        number on its bus
     12  u16  bus
-    14  i8   no setup      0: the setup packet is there, else '-'
+    14  i8   no setup      0: the setup packet is present, else '-'
     15  i8   no data       0: data follow, else '<' (IN, submitted) or '>' (OUT, completed)
     16  i64  seconds
     24  i32  microseconds
     28  i32  status        0, or a negative errno; -115 (in progress) of a URB that is submitted
-    32  u32  length        asked for, or moved
-    36  u32  kept          bytes of data that follow
+    32  u32  length        requested, or transferred
+    36  u32  stored        bytes of data that follow
     40  u8[8]              the setup packet
     48  i32  interval      52 i32 start frame   56 u32 flags   60 u32 isochronous descriptors
     64  data
@@ -91,11 +88,11 @@ UNLINKED = struct.Struct(">IIIIIi24x")
 
 
 class UsbipError(Exception):
-    """The peer broke the USB/IP protocol; the message says how. The connection cannot go on."""
+    """The peer broke the USB/IP protocol; the message gives the reason. The connection cannot continue."""
 
 
 class OpStatus(IntEnum):
-    """What an operation came to (usbip_network.h, ST_*)."""
+    """Result of an operation (usbip_network.h, ST_*)."""
 
     OK = 0
     NOT_AVAILABLE = 1
@@ -106,7 +103,7 @@ class OpStatus(IntEnum):
 
 
 class UrbStatus(IntEnum):
-    """What a URB came to: Linux errno, negated, whatever the machine at either end."""
+    """Result of a URB: Linux errno, negated, on machines of any kind."""
 
     OK = 0
     STALL = -32  # EPIPE
@@ -114,7 +111,7 @@ class UrbStatus(IntEnum):
 
 
 class Submit(NamedTuple):
-    """CMD_SUBMIT: one transfer asked of the device. `data` is the OUT data stage."""
+    """CMD_SUBMIT: one transfer requested of the device. `data` is the OUT data stage."""
 
     seqnum: int
     devid: int
@@ -135,7 +132,7 @@ class Submit(NamedTuple):
 
 
 class Unlink(NamedTuple):
-    """CMD_UNLINK: take back the URB with number `victim`."""
+    """CMD_UNLINK: cancel the URB with number `victim`."""
 
     seqnum: int
     devid: int
@@ -196,7 +193,7 @@ class DeviceRecord:
 
     @classmethod
     def parse(cls, data: bytes, interfaces: Sequence[tuple[int, int, int]] = ()) -> DeviceRecord:
-        """Read a 312-byte record; raises UsbipError when its fields make no sense."""
+        """Read a 312-byte record; raises UsbipError if its fields are invalid."""
         path, busid, busnum, devnum, speed, vid, pid, bcd, klass, sub, protocol, value, configs, _ = RECORD.unpack(data)
         try:
             identity = Identity(vid, pid, bcd, Speed(speed), (klass, sub, protocol), tuple(interfaces), value, configs)
@@ -214,7 +211,7 @@ class DeviceRecord:
 
 @dataclass(frozen=True)
 class DeviceListRequest:
-    """REQ_DEVLIST: what devices are there?"""
+    """REQ_DEVLIST: request for the list of devices."""
 
     def __bytes__(self) -> bytes:
         return OP_HEADER.pack(VERSION, REQ_DEVLIST, 0)
@@ -236,7 +233,7 @@ class DeviceListReply:
 
 @dataclass(frozen=True)
 class ImportRequest:
-    """REQ_IMPORT: give me this device. A bus id that is not ASCII names no device and is refused as such."""
+    """REQ_IMPORT: request for one device. A bus id that is not ASCII names no device and is refused as such."""
 
     busid: str
 
@@ -252,7 +249,7 @@ class ImportRequest:
 
 @dataclass(frozen=True)
 class ImportReply:
-    """REP_IMPORT: the device, or why not."""
+    """REP_IMPORT: the device, or the reason of the refusal."""
 
     status: int
     device: DeviceRecord | None = None
@@ -272,14 +269,14 @@ Reply = DeviceListReply | ImportReply | Submitted | Unlinked
 
 @dataclass(frozen=True)
 class Limits:
-    """What a peer may ask for before it counts as broken.
+    """Limits of a peer's requests; beyond them it is treated as faulty.
 
     Attributes
     ----------
     in_bytes
-        Longest IN transfer. 16 MiB is all that Linux lets one usbfs user have in flight by default.
+        Longest IN transfer. 16 MiB is the most that Linux lets one usbfs user have in flight by default.
     out_bytes
-        Longest OUT transfer, since it is held in memory until it is complete. A control transfer has 65535 at most.
+        Longest OUT transfer, which is held in memory until it is complete. A control transfer has 65535 at most.
     devices
         Most devices a server may list; Linux has 8 controllers of 30 ports.
     """
@@ -298,15 +295,15 @@ class ServerParser:
         self._urbs = False
 
     def receive(self, data: bytes | memoryview) -> None:
-        """Take bytes as they came."""
+        """Append bytes as received."""
         self._buffer += data
 
     def begin_urbs(self) -> None:
-        """Say that an import was granted: what follows are URBs."""
+        """Note that an import was granted: URBs follow."""
         self._urbs = True
 
     def next_message(self) -> Request | None:
-        """Return the next complete message, None when more bytes are needed; raises UsbipError on a broken one."""
+        """Return the next complete message, None if more bytes are needed; raises UsbipError on an invalid one."""
         return self._next_urb() if self._urbs else self._next_operation()
 
     def _next_operation(self) -> DeviceListRequest | ImportRequest | None:
@@ -357,8 +354,8 @@ class ServerParser:
 class HostParser:
     """The host's end: replies to operations first, URB replies after `begin_urbs`.
 
-    The layout of a RET_SUBMIT depends on the direction of its URB, which the reply does not say: call `expect` for each
-    URB that goes out.
+    The layout of a RET_SUBMIT depends on the direction of its URB, which the reply does not contain: call `expect` for
+    each URB that is sent.
     """
 
     def __init__(self, limits: Limits = Limits()) -> None:
@@ -368,23 +365,23 @@ class HostParser:
         self._lengths: dict[int, tuple[bool, int]] = {}
 
     def receive(self, data: bytes | memoryview) -> None:
-        """Take bytes as they came."""
+        """Append bytes as received."""
         self._buffer += data
 
     def begin_urbs(self) -> None:
-        """Say that an import was granted: what follows are URB replies."""
+        """Note that an import was granted: URB replies follow."""
         self._urbs = True
 
     def expect(self, urb: Submit) -> None:
-        """Remember a URB that was sent."""
+        """Store the direction of a URB that was sent."""
         self._lengths[urb.seqnum] = (urb.is_in, urb.length)
 
     def forget(self, seqnum: int) -> None:
-        """Drop a URB that was taken back: no reply comes for it."""
+        """Remove a URB that was cancelled: no reply comes for it."""
         self._lengths.pop(seqnum, None)
 
     def next_message(self) -> Reply | None:
-        """Return the next complete message, None when more bytes are needed; raises UsbipError on a broken one."""
+        """Return the next complete message, None if more bytes are needed; raises UsbipError on an invalid one."""
         return self._next_urb() if self._urbs else self._next_operation()
 
     def _next_operation(self) -> DeviceListReply | ImportReply | None:
@@ -428,7 +425,7 @@ class HostParser:
         return DeviceListReply(tuple(devices))
 
     def _device_at(self, at: int) -> tuple[DeviceRecord | None, int]:
-        """Read a record and its interfaces; gives the offset behind them, or no record while bytes are missing."""
+        """Read a record and its interfaces; return it and the offset after them; no record while bytes are missing."""
         body = at + usbip.RECORD.size
         if len(self._buffer) < body:
             return None, at
@@ -462,15 +459,15 @@ class HostParser:
 
 
 def _operation(buffer: bytearray) -> tuple[int, int]:
-    """Return (code, status) of the operation at the front; raises UsbipError for a version that is not ours."""
+    """Return (code, status) of the first operation in the buffer; raises UsbipError for an unsupported version."""
     version, code, status = usbip.OP_HEADER.unpack_from(buffer)
     if version != usbip.VERSION:
-        raise UsbipError(f"USB/IP version 0x{version:04x}; version 0x{usbip.VERSION:04x} is spoken here")
+        raise UsbipError(f"USB/IP version 0x{version:04x} is not supported; version 0x{usbip.VERSION:04x} is")
     return code, status
 
 
 def _cut(buffer: bytearray, start: int, stop: int) -> bytes:
-    """Copy once, where `bytes(buffer[start:stop])` would copy twice."""
+    """Copy the slice once; `bytes(buffer[start:stop])` would copy it twice."""
     with memoryview(buffer) as view:
         return bytes(view[start:stop])
 
@@ -508,7 +505,7 @@ class UrbRecord:
     devid
         Bus number and device number, as USB/IP has them: bus << 16 | device.
     length
-        Bytes that were asked for ('S') or moved ('C').
+        Bytes requested ('S') or transferred ('C').
     """
 
     urb: int

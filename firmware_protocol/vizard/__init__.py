@@ -1,1 +1,1 @@
-"""What Basilisk says to its visualiser Vizard: requests and replies, and the message of a simulation's state."""
+"""Messages between Basilisk and its visualiser Vizard: requests and replies, and the state of a simulation."""

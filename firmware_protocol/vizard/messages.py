@@ -1,24 +1,24 @@
-"""The part of Basilisk's VizMessage that evstim reads, as classes of the protobuf library.
+"""Messages of Basilisk's vizInterface: the part of VizMessage that evstim reads, and requests with their replies.
 
 Field numbers and types: `vizMessage.proto` in the repository AVSLab/basilisk (develop of July 2026), compared with the
 messages that bsk 2.12.1 sends. Fields that are not named here are skipped. The description is made at run time, in a
-pool of its own: no generated code has to fit the installed library, and no other package's messages are in the way.
+pool of its own: so no generated code has to fit the installed library, and there is no conflict with the messages of
+other packages.
 
-One SIM_UPDATE of Basilisk: the time, and where spacecraft, celestial bodies and cameras are.
+`Update` is one SIM_UPDATE of Basilisk: the time, and the states of spacecraft, celestial bodies and cameras. Positions
+are in Basilisk's inertial frame N, metres; attitudes as they are on the wire. Values are checked when they are read, so
+unused ones may be anything.
 
-Positions are in Basilisk's inertial frame N, metres; attitudes as they are on the wire. Values are checked when they
-are asked for, so what nobody looks at may be anything.
-
-Requests of Basilisk's vizInterface and what answers them; each is a list of parts of one ZeroMQ message.
+Each request, and each reply, is a list of parts of one ZeroMQ message:
 
     request                                        reply
     PING                                           PONG
     SIM_UPDATE, "", "", VizMessage                 OK; Basilisk raises an error at anything else
-    REQUEST_INPUT             (live stream only)   VIZARD_INPUT, VizInput (here empty: nobody touches anything)
+    REQUEST_INPUT             (live stream only)   VIZARD_INPUT, VizInput (here empty: no input of a user)
     REQUEST_IMAGE_<cameraID>                       length as big-endian int32, that many bytes of an image file
 
-Basilisk stands still from each request to its reply. Source: `vizInterface.cpp` in AVSLab/basilisk (develop of July
-2026), and what bsk 2.12.1 sends.
+Basilisk waits from each request to its reply. Source: `vizInterface.cpp` in AVSLab/basilisk (develop of July 2026), and
+the messages that bsk 2.12.1 sends.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ _FIELDS: Mapping[str, Mapping[str, tuple[int, str]]] = {
 
 @cache
 def message_class(name: str) -> Any:
-    """Return the class of a message; raises ImportError where protobuf is not installed."""
+    """Return the class of a message; raises ImportError if protobuf is not installed."""
     from google.protobuf import message_factory
 
     return message_factory.GetMessageClass(_pool().FindMessageTypeByName(f"{_PACKAGE}.{name}"))
@@ -111,7 +111,7 @@ def _pool() -> Any:
 
 
 def _type(kind: str, description: Any) -> dict[str, Any]:
-    """Return a field's label and type, as its description holds them."""
+    """Return a field's label and type, as in its description."""
     of = kind.removesuffix("*")
     label = description.LABEL_REPEATED if kind.endswith("*") else description.LABEL_OPTIONAL
     if of in _FIELDS:
@@ -125,19 +125,19 @@ _SHOWN_LETTERS = 40
 
 
 class UpdateError(ValueError):
-    """An update cannot be used; the text says what of it and why."""
+    """An update cannot be used; the text gives the field and the reason."""
 
 
 @dataclass(frozen=True)
 class State:
-    """Place and attitude of a spacecraft or a celestial body.
+    """Position and attitude of a spacecraft or a celestial body.
 
     Attributes
     ----------
     position_m : three numbers, in N.
     rotation
         Spacecraft: three Modified Rodrigues Parameters sigma_BN. Celestial body: nine numbers, row by row, the matrix
-        that turns coordinates of N into those of the body.
+        that transforms coordinates of N into those of the body.
     """
 
     position_m: tuple[float, ...]
@@ -153,7 +153,7 @@ class CameraState:
     parent : name of its spacecraft.
     position_m : three numbers, in the spacecraft's frame.
     direction : three Modified Rodrigues Parameters, the attitude with a third of a turn for Unity's axes added.
-    field_of_view_deg : along the picture's height.
+    field_of_view_deg : along the image's height.
     size : (width, height), pixels.
     """
 
@@ -254,7 +254,7 @@ def _numbers(values: Sequence[float], count: int, what: str) -> tuple[float, ...
 
 
 def _shown(name: str) -> str:
-    """Return a name for a message: a peer may send any length of anything."""
+    """Return a name for a message, shortened: a peer may send any text of any length."""
     return repr(name if len(name) <= _SHOWN_LETTERS else f"{name[:_SHOWN_LETTERS]}...")
 
 
@@ -277,29 +277,29 @@ _SHOWN_BYTES = 40
 
 
 class RequestError(ValueError):
-    """The parts are no request; the text says why."""
+    """The parts are no request; the message gives the reason."""
 
 
 @dataclass(frozen=True)
 class Ping:
-    """Basilisk asks whether somebody is there."""
+    """Request for a sign of life."""
 
 
 @dataclass(frozen=True)
 class SimUpdate:
-    """The state of the simulation: a serialized VizMessage, which has not been looked at."""
+    """The state of the simulation: a serialized VizMessage, not yet parsed."""
 
     data: bytes
 
 
 @dataclass(frozen=True)
 class InputRequest:
-    """Basilisk asks for what a user did."""
+    """Request for the input of a user."""
 
 
 @dataclass(frozen=True)
 class ImageRequest:
-    """Basilisk asks for the image of a camera, at the time of the last update."""
+    """Request for the image of a camera, at the time of the last update."""
 
     camera: int
 
@@ -308,7 +308,7 @@ Request = Ping | SimUpdate | InputRequest | ImageRequest
 
 
 def parse_request(parts: Sequence[bytes]) -> Request:
-    """Return what the parts of a message ask for; raises RequestError."""
+    """Return the request in the parts of a message; raises RequestError."""
     match list(parts):
         case [b"PING"]:
             return Ping()
@@ -327,7 +327,7 @@ def parse_request(parts: Sequence[bytes]) -> Request:
 
 
 def image_reply(image: bytes) -> Parts:
-    """Return the reply that carries an image file; raises ValueError where it is too long."""
+    """Return the reply that carries an image file; raises ValueError if it is too long."""
     if len(image) > _MOST_IMAGE_BYTES:
         raise ValueError(f"an image of {len(image)} bytes: the length has 31 bits")
     return [len(image).to_bytes(4, "big"), image]
@@ -336,11 +336,12 @@ def image_reply(image: bytes) -> Parts:
 def merged(ours: Parts, theirs: Parts) -> Parts:
     """Return the reply to a request that two visualisers have answered.
 
-    Theirs, where we have no image and no input of a user to give, and where they refuse what we accept; else ours.
+    The other one's, if evstim has no image and no user input to give, or if the other refuses a request that evstim
+    accepts; else evstim's.
     """
     return theirs if ours in (OK, NO_IMAGE, INPUT_REPLY) else ours
 
 
 def refusal(reason: str) -> Parts:
-    """Return the reply to what cannot be used; Basilisk raises an error where it had sent a SIM_UPDATE."""
+    """Return the reply to a request that cannot be used; Basilisk raises an error if it was a SIM_UPDATE."""
     return [f"ERROR: {reason}".encode()]

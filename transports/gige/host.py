@@ -314,6 +314,6 @@ def _turn(camera: GigeHost, reception: GigeReception, recorder: Recorder | None)
         reception.with_events(events),
         edges=reception.edges + len(edges),
         blocks_lost=camera.assembly.lost,
-        packets_asked=camera.assembly.asked,
+        packets_asked=camera.assembly.requested,
         packets_repeated=camera.assembly.repeated,
     )

@@ -89,7 +89,7 @@ def dbc(
     """
     with failures():
         parameters = _link(load_rig(rig), link)
-    text = dbc_text(parameters.identifiers, fd=parameters.fd, carriage=parameters.carriage)
+    text = dbc_text(parameters.identifiers, fd=parameters.fd, transport=parameters.carriage)
     if output is None:
         console.print(text, end="", markup=False)
         return GOOD

@@ -1,5 +1,6 @@
-/* The ARM MPS2 board with a Cortex-M3 (application note AN385), as qemu-system-arm -M mps2-an385 has it: what this
- * firmware uses of it. Registers: ARM DDI 0479D (Cortex-M System Design Kit), sections 4.2 (timer) and 4.3 (UART). */
+/* The part of the ARM MPS2 board with a Cortex-M3 (application note AN385) that this firmware uses, as in
+ * qemu-system-arm -M mps2-an385. Registers: ARM DDI 0479D (Cortex-M System Design Kit), sections 4.2 (timer) and
+ * 4.3 (UART). */
 #ifndef BOARD_H
 #define BOARD_H
 
@@ -17,7 +18,7 @@ struct timer {
 #define TIMER ((struct timer *)0x40000000u)     /* counts down at 25 MHz */
 #define HEARTBEAT ((struct timer *)0x40001000u) /* a second timer */
 #define LINE ((struct uart *)0x40004000u)       /* UART 0: the serial line with the events */
-#define CONSOLE ((struct uart *)0x40005000u)    /* UART 1: questions and answers */
+#define CONSOLE ((struct uart *)0x40005000u)    /* UART 1: commands and reports */
 
 enum { UART_TX_FULL = 1, UART_RX_FULL = 2, UART_TX_RX_ENABLE = 3, UART_DIVIDER = 16, TIMER_ENABLE = 1 };
 enum { HEARTBEAT_TICKS = 2500000 }; /* 0.1 s */

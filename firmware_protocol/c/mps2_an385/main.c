@@ -1,14 +1,14 @@
-/* A firmware that receives events on UART 0 and tells on UART 1 what it got.
+/* A firmware that receives events on UART 0 and reports counts of them on UART 1.
  *
- * A letter on UART 1 says what the line carries and starts afresh: 'c' telemetry in COBS (as after reset), 's' in
+ * A letter on UART 1 selects the protocol of the line and restarts: 'c' telemetry in COBS (as after reset), 's' in
  * SLIP, 'k' in KISS, 'x' CSP in KISS, 'd' DAVIS346 words; a capital leaves out the digest, to time the decoder alone.
- * The answer, to '?' too, is one line of name=value pairs, values in hexadecimal:
+ * The answer, also to '?', is one line of name=value pairs, values in hexadecimal:
  *
  *   bytes    received on the line
  *   packets, missing: with events or edges
  *   events, edges
- *   dropped  events that the camera says it dropped
- *   errors   whatever the decoder refused or found wrong
+ *   dropped  events that the camera reports as dropped
+ *   errors   everything that the decoder refused or found wrong
  *   digest   CRC-32 of the events as 13-byte records (u64 t, u16 x, u16 y, u8 on, little-endian), as evstim's
  *   ticks    time spent in the decoder, in ticks of the 25 MHz timer
  */
@@ -17,7 +17,7 @@
 
 static struct {
     uint32_t bytes, events, edges, digest, ticks;
-} told;
+} counts;
 
 static char carried; /* 'c', 's', 'k', 'x' or 'd' */
 static bool with_digest;
@@ -43,21 +43,21 @@ static uint32_t crc32_u32(uint32_t crc, uint32_t value)
 static void on_event(void *context, const struct evstim_event *event)
 {
     (void)context;
-    told.events++;
+    counts.events++;
     if (!with_digest)
         return;
-    uint32_t crc = ~told.digest;
+    uint32_t crc = ~counts.digest;
     crc = crc32_u32(crc, (uint32_t)event->t_us);
     crc = crc32_u32(crc, (uint32_t)(event->t_us >> 32));
     crc = crc32_u32(crc, event->x | (uint32_t)event->y << 16);
-    told.digest = ~crc32_byte(crc, event->on);
+    counts.digest = ~crc32_byte(crc, event->on);
 }
 
 static void on_edge(void *context, const struct evstim_edge *edge)
 {
     (void)context;
     (void)edge;
-    told.edges++;
+    counts.edges++;
 }
 
 static const struct evstim_sink sink = {.event = on_event, .edge = on_edge};
@@ -74,7 +74,7 @@ static void start(char letter)
 {
     with_digest = letter >= 'a';
     carried = with_digest ? letter : (char)(letter + 'a' - 'A');
-    told.bytes = told.events = told.edges = told.digest = told.ticks = 0;
+    counts.bytes = counts.events = counts.edges = counts.digest = counts.ticks = 0;
     evstim_davis_init(&davis, 346, 260, false, &sink);
     evstim_telemetry_init(&telemetry, framing(), packet, sizeof packet, 346, 260, &sink);
 }
@@ -86,8 +86,8 @@ static void take(uint8_t byte)
         evstim_davis_push(&davis, &byte, 1);
     else
         evstim_telemetry_push(&telemetry, &byte, 1);
-    told.ticks += ticks_now() - before;
-    told.bytes++;
+    counts.ticks += ticks_now() - before;
+    counts.bytes++;
 }
 
 static uint32_t errors(void)
@@ -97,7 +97,7 @@ static uint32_t errors(void)
            + telemetry.frames.wrong_crc + telemetry.refused + telemetry.disordered + telemetry.blocks.refused + telemetry.blocks.other_size;
 }
 
-static void say(const char *name, uint32_t value)
+static void print_value(const char *name, uint32_t value)
 {
     while (*name)
         uart_write(CONSOLE, *name++);
@@ -107,15 +107,15 @@ static void say(const char *name, uint32_t value)
 
 static void report(void)
 {
-    say("bytes=", told.bytes);
-    say(" packets=", telemetry.packets);
-    say(" missing=", telemetry.missing);
-    say(" events=", told.events);
-    say(" edges=", told.edges);
-    say(" dropped=", telemetry.blocks.dropped);
-    say(" errors=", errors());
-    say(" digest=", told.digest);
-    say(" ticks=", told.ticks);
+    print_value("bytes=", counts.bytes);
+    print_value(" packets=", telemetry.packets);
+    print_value(" missing=", telemetry.missing);
+    print_value(" events=", counts.events);
+    print_value(" edges=", counts.edges);
+    print_value(" dropped=", telemetry.blocks.dropped);
+    print_value(" errors=", errors());
+    print_value(" digest=", counts.digest);
+    print_value(" ticks=", counts.ticks);
     uart_write(CONSOLE, '\n');
 }
 

@@ -1,5 +1,5 @@
 /* From reset to main: the vector table, the memory as C expects it, and the two functions that a compiler may call
- * unasked even where there is no library. */
+ * by itself even without a library. */
 #include <stddef.h>
 #include <stdint.h>
 

@@ -119,18 +119,18 @@ def test_the_dbc_names_every_identifier():
     assert {m.name: m.frame_id for m in database().messages} == Identifiers().by_name
 
 
-@pytest.mark.parametrize(("carriage", "absent"), [("isotp", 4), ("cfp", 6)])
-def test_the_dbc_of_blocks_has_no_raw_frames(carriage, absent):
-    db = database(carriage=carriage)
+@pytest.mark.parametrize(("transport", "absent"), [("isotp", 4), ("cfp", 6)])
+def test_the_dbc_of_blocks_has_no_raw_frames(transport, absent):
+    db = database(transport=transport)
     names = {message.name for message in db.messages}
     assert not names & {"events", "epoch", "clock", "edges"}
-    assert ("telemetry" in names) == (carriage == "isotp")
+    assert ("telemetry" in names) == (transport == "isotp")
     assert len(names) == len(Identifiers().by_name) - absent
-    assert ("CFP 2" in dbc_text(Identifiers(), carriage=carriage)) == (carriage == "cfp")
+    assert ("CFP 2" in dbc_text(Identifiers(), transport=transport)) == (transport == "cfp")
 
 
 def test_the_dbc_of_isotp_in_fd_frames():
-    db = database(fd=True, carriage="isotp")
+    db = database(fd=True, transport="isotp")
     for name in ("telemetry", "telecommand"):
         message = db.get_message_by_name(name)
         assert (message.length, message.is_fd) == (64, True)

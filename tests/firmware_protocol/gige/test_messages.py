@@ -56,8 +56,8 @@ def test_golden_octets_of_a_message_with_data_and_its_answer():
 
 def test_messages_are_repeated_until_the_host_answers_and_no_oftener_than_it_said():
     messages, settings = Messages(), MessageSettings(10 * MS, retries=2)
-    messages.tell(0x9000, 1)
-    messages.tell(0x9000, 2)
+    messages.queue(0x9000, 1)
+    messages.queue(0x9000, 2)
     first = messages.next(0, settings)
     assert first[1] == 1
     assert messages.next(9 * MS, settings) is None
@@ -73,8 +73,8 @@ def test_messages_are_repeated_until_the_host_answers_and_no_oftener_than_it_sai
 
 def test_without_a_timeout_no_answer_is_asked_for():
     messages = Messages()
-    messages.tell(0x9000, 1)
-    messages.tell(0x9000, 2)
+    messages.queue(0x9000, 1)
+    messages.queue(0x9000, 2)
     assert [messages.next(0, MessageSettings())[1] for _ in range(2)] == [0, 0]
     assert messages.next(0, MessageSettings()) is None
 
@@ -82,7 +82,7 @@ def test_without_a_timeout_no_answer_is_asked_for():
 def test_more_messages_than_can_wait_are_counted():
     messages = Messages()
     for k in range(300):
-        messages.tell(0x9000, k)
+        messages.queue(0x9000, k)
     assert messages.counts["messages lost"] == 300 - 256
 
 

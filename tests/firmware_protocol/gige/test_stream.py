@@ -297,7 +297,7 @@ def test_a_block_whose_packets_do_not_come_again_is_given_up():
     for turn in range(1, 8):
         assembly.missing(turn * 20_000_000)
         data += assembly.done(turn * 20_000_000)
-    assert (len(data), assembly.lost, assembly.asked) == (2, 1, 5)
+    assert (len(data), assembly.lost, assembly.requested) == (2, 1, 5)
 
 
 def test_the_end_of_the_last_block_is_asked_for_when_the_stream_is_over():
@@ -325,4 +325,4 @@ def test_hostile_packets_do_not_hurt_the_assembly():
             data[int(draw.integers(0, len(data)))] = int(draw.integers(0, 256))
         assembly.push(bytes(data[: int(draw.integers(0, len(data) + 1))]), k * 1000)
         assembly.missing(k * 1000)
-    assert assembly.strange > 0
+    assert assembly.invalid > 0

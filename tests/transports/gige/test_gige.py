@@ -68,7 +68,7 @@ def test_packets_that_find_no_room_leave_later_in_order(bench, segmentation):
     assert refused.refusals > 50
     assert np.concatenate(here.events).tobytes() == events.tobytes()
     host.close()
-    assert (here.close().delivered, host.assembly.asked) == (20_000, 0)
+    assert (here.close().delivered, host.assembly.requested) == (20_000, 0)
 
 
 @pytest.mark.parametrize("segmentation", [False, True])

@@ -28,7 +28,7 @@ def test_faults_of_the_stream_are_healed_for_a_host_that_asks_again(bench, fault
     here.run(events, host)
     assert here.link.endpoint.faults[0].hits > 3
     assert np.concatenate(here.events).tobytes() == events.tobytes()
-    assert (host.assembly.asked > 0) == (fault is LostDatagrams)
+    assert (host.assembly.requested > 0) == (fault is LostDatagrams)
     host.close()
     report = here.close()
     assert (report.delivered, report.faults[0].events_lost, report.digest) == (20_000, 0, digest_of(events))
@@ -54,7 +54,7 @@ def test_packets_that_the_camera_keeps_no_more_are_not_sent_again(bench):
     host = here.connect()
     host.start(packet_size=576)
     here.run(stream(20_000), host)
-    healed, refused = host.assembly.asked, here.link.endpoint.faults[1].hits
+    healed, refused = host.assembly.requested, here.link.endpoint.faults[1].hits
     lost = here.close().faults[1].events_lost
     host.close()
     assert 0 < refused < healed
