@@ -278,7 +278,7 @@ class FaultyDatagrams:
                 going += passed
                 gone += [each] if not passed and isinstance(stage, Loss) else []
             if stage.hits != before:
-                self._faults.struck(stage, [self._number])
+                self._faults.applied(stage, [self._number])
             for each in gone:
                 self._drop(each)
             copies = going
@@ -295,7 +295,7 @@ class FaultyDatagrams:
         else:
             self.false += left and bool(Profile("ccsds").unwrapper().push(copy.data))
             if not left and self._faults.stages:  # what nobody else is to blame for
-                self._faults.struck(self._faults.stages[-1], [])
+                self._faults.applied(self._faults.stages[-1], [])
             self._drop(copy)
         return True
 

@@ -440,7 +440,7 @@ class FaultyLine:
             before = stage.hits
             stage.change(data)
             if stage.hits != before:
-                self._faults.struck(stage, [self._sent])
+                self._faults.applied(stage, [self._sent])
         return holding
 
     def _changed(self, data: bytes) -> bytes:
@@ -448,7 +448,7 @@ class FaultyLine:
             before = stage.touched
             data = stage.change(data)
             if stage.touched != before or stage.places:
-                self._faults.struck(stage, [self._sent + place for place in stage.places])
+                self._faults.applied(stage, [self._sent + place for place in stage.places])
         return data
 
     def _arrive(self, data: bytes) -> None:

@@ -143,7 +143,7 @@ class Faults(Generic[S]):
         """Begin a fault now; raises ValueError when this link cannot have it."""
         self._begin(fault, self._now_us)
 
-    def struck(self, stage: S, places: list[int]) -> None:
+    def applied(self, stage: S, places: list[int]) -> None:
         """Say that a stage is at work, and has struck anew at `places`; what is lost from now on is its doing."""
         injected = next(t for t in self._active if t.stage is stage)
         self._blamed = injected

@@ -384,7 +384,7 @@ class FaultyDevice(UsbDevice):
             transfer = None if given is None else self._words.changed(given, stages)
             for stage, hits in zip(stages, before, strict=True):
                 if stage.hits > hits:
-                    self._faults.struck(stage, [stage.hits] if not hits else [])
+                    self._faults.applied(stage, [stage.hits] if not hits else [])
         if given is not None:
             self._given.append(given)
         return transfer
@@ -397,7 +397,7 @@ class FaultyDevice(UsbDevice):
                 asked.ask(setup, self._now_us)
             finally:
                 if asked.hits > hits:
-                    self._faults.struck(stage, [asked.hits])
+                    self._faults.applied(stage, [asked.hits])
 
     def _take_up(self) -> None:
         """Do what faults that have begun do at once, and what follows from those that work."""
@@ -433,7 +433,7 @@ class FaultyDevice(UsbDevice):
 
     def _strike(self, stage: UsbStage) -> None:
         stage.hits += 1
-        self._faults.struck(stage, [stage.hits] if stage.hits == 1 else [])
+        self._faults.applied(stage, [stage.hits] if stage.hits == 1 else [])
 
 
 def _ends_halt(setup: SetupPacket) -> bool:

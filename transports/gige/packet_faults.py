@@ -139,7 +139,7 @@ class FaultyPackets:
                 going += passed
                 self._gone += [each] if not passed and isinstance(stage, (Loss, _Down)) else []
             if stage.hits != before:
-                self._faults.struck(stage, [packet.number])
+                self._faults.applied(stage, [packet.number])
             packets = going
         return packets
 
@@ -153,7 +153,7 @@ class FaultyPackets:
         taking = [stage for stage in self._faults.stages if isinstance(stage, _Taking | _Moving) and not stage.taken]
         for stage in taking:
             stage.take()
-            self._faults.struck(stage, [])
+            self._faults.applied(stage, [])
         return bool(taking)
 
     def new_address(self) -> str | None:
