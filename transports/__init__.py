@@ -1,1 +1,1 @@
-"""Carries bytes between a camera and the device under test: links, pacing, and a fake for each."""
+"""Transports of bytes between a camera and the device under test: links, pacing, and a fake for each."""

@@ -1,7 +1,7 @@
-"""Things that a machine may lack: how to look for each, and the command that adds it.
+"""Requirements on a machine: a check for each, and the command that installs it.
 
-A kind of link or of scene declares its needs (`LinkKind.needs`, `SceneKind.needs`). `evstim rigs` and
-`evstim doctor RIG` show those of a rig, `evstim doctor` looks for all.
+A kind of link or of scene declares its needs (`LinkKind.needs`, `SceneKind.needs`). `evstim rigs` and `evstim doctor
+RIG` show those of a rig, `evstim doctor` checks all.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _GADGETS = Path("/sys/kernel/config/usb_gadget")
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing looked at. `fix` is a shell command, None where nothing is wrong."""
+    """Result of one check. `fix` is a shell command, None if nothing is missing."""
 
     name: str
     good: bool
@@ -49,14 +49,14 @@ class Finding:
 
 @dataclass(frozen=True)
 class Need:
-    """One thing that a rig needs beyond evstim and its base dependencies.
+    """One requirement of a rig beyond evstim and its base dependencies.
 
     Attributes
     ----------
     name
-        In a few words: "extra ros2 (cyclonedds)", "kernel module vhci-hcd".
+        Short name: "extra ros2 (cyclonedds)", "kernel module vhci-hcd".
     look
-        Looks whether this machine has it.
+        Function that checks this machine.
     by
         "run": without it the rig does not run; "driver": drivers of the camera that run on this machine need it.
     """
@@ -67,13 +67,13 @@ class Need:
 
 
 def install_command(extra: str) -> str:
-    """Return the shell command that installs an extra of evstim: from its source, since no package index has it."""
+    """Return the shell command that installs an extra of evstim from its source, because no package index has it."""
     return f"pip install '.[{extra}]'  # in the source folder of evstim"
 
 
 @dataclass(frozen=True)
 class _Package:
-    """A Python package that an extra brings."""
+    """Python package that an extra installs."""
 
     extra: str
     wanted: str
@@ -96,7 +96,7 @@ PYTHON_PACKAGES: Mapping[str, _Package] = MappingProxyType(
         "av": _Package("files", "videos as scenes, and .mp4 files of `evstim picture`"),
     }
 )
-"""The optional packages that doctor looks for."""
+"""Optional packages that doctor checks."""
 
 
 def package(name: str) -> Need:
@@ -137,7 +137,7 @@ def _vcan() -> Finding:
 
 
 def _module(module: str, place: Path, wanted: str) -> Finding:
-    """Distinguish a module that is loaded, one that can be, and one that this kernel does not have."""
+    """Distinguish a loaded module, one that can be loaded, and one that this kernel does not have."""
     if place.exists():
         return Finding(module, True, "loaded", wanted)
     release = platform.release()
@@ -160,10 +160,10 @@ def _udc() -> Finding:
 
 
 VHCI = Need("kernel module vhci-hcd", _vhci, "driver")
-"""What attaches a camera of USB/IP to a machine's own USB bus."""
+"""Kernel module that attaches a USB/IP camera to a machine's own USB bus."""
 
 VCAN = Need("kernel module vcan", _vcan)
-"""What makes virtual CAN buses."""
+"""Kernel module for virtual CAN buses."""
 
 UDC = Need("kernel module libcomposite and a USB device controller", _udc)
-"""What makes this machine a device on a USB cable."""
+"""Kernel module and controller that make this machine a device on a USB cable."""

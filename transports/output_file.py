@@ -1,4 +1,4 @@
-"""A file that a run writes beside its work: where it can be written no more, it stops, and the run goes on."""
+"""Output file of a run: when it can no longer be written, writing stops, and the run continues."""
 
 from __future__ import annotations
 
@@ -10,21 +10,24 @@ __all__ = ["OutputFile"]
 
 
 class OutputFile:
-    """A file for bytes, opened at once.
+    """File for bytes, opened at once.
 
     Parameters
     ----------
-    what : what the file is to people, for `trouble`.
-    append : whether what it holds stays.
+    what : str
+        Name of the file for people, in `trouble`.
+    append : bool
+        True to append to the existing contents.
 
     Raises
     ------
     OSError
-        It cannot be opened.
+        The file cannot be opened.
 
     Attributes
     ----------
-    trouble : why nothing more is written, "WHAT stopped: No space left on device (PATH)"; empty while all is well.
+    trouble : str
+        Reason for the stop, "WHAT stopped: No space left on device (PATH)"; empty without an error.
     """
 
     def __init__(self, path: Path, what: str, *, append: bool = False) -> None:
@@ -34,7 +37,7 @@ class OutputFile:
         self.trouble = ""
 
     def write(self, data: bytes | memoryview, *, flush: bool = False) -> bool:
-        """Write `data`; False, and nothing from then on, where that is not possible."""
+        """Write `data`; return False, and write nothing from then on, if that is not possible."""
         if self.trouble:
             return False
         try:
@@ -46,13 +49,13 @@ class OutputFile:
         return not self.trouble
 
     def stop(self, error: OSError) -> None:
-        """Write nothing more, because of `error`."""
+        """Stop writing, because of `error`."""
         self.trouble = self.trouble or f"{self._what} stopped: {error.strerror or error} ({self.path})"
-        with suppress(OSError):  # what lies in the buffer cannot be written either
+        with suppress(OSError):  # the data in the buffer cannot be written either
             self._file.close()
 
     def close(self) -> None:
-        """Close it; what is still in memory is written first."""
+        """Write the data in memory, and close the file."""
         try:
             self._file.close()
         except OSError as error:

@@ -218,9 +218,9 @@ class Serving:
             return None
 
         def press(bus_t_ns: int, number: int) -> None:
-            early = trigger.heard_early
+            early = trigger.early_triggers
             trigger(bus_t_ns, number)
-            if trigger.heard_early == early:
+            if trigger.early_triggers == early:
                 viewer.record(trigger.last_us, "trigger pulse")
 
         return press

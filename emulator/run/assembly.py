@@ -286,7 +286,7 @@ def _reading_rings(rig: Rig, kind: LinkKind[Any]) -> tuple[ReadingRing, ...]:
     if kind.serves == "plain":  # what it asks holds from the start, not from its process's first look
         asked = asked_readings(rig)
         for ring in rings:
-            ring.tell(asked[ring.kind])
+            ring.write_settings(asked[ring.kind])
     return rings
 
 

@@ -40,7 +40,7 @@ from firmware_protocol.events import Events
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
 from firmware_protocol.packets.profile import Profile
-from transports.can_bus.bus import CanBus, Heard, from_message, to_message
+from transports.can_bus.bus import CanBus, TimedFrame, from_message, to_message
 from transports.can_bus.carriage import sources
 from transports.can_bus.endpoint import CanEndpoint
 from transports.can_bus.faulty_bus import BusFaults
@@ -80,7 +80,7 @@ class _Wire(CanBus):
     def __init__(self, clock: FakeClock) -> None:
         self._clock = clock
         self.from_camera: deque[tuple[int, Frame]] = deque()
-        self.to_camera: deque[Heard] = deque()
+        self.to_camera: deque[TimedFrame] = deque()
 
     async def open(self) -> None:
         """See `CanBus.open`."""
@@ -93,10 +93,10 @@ class _Wire(CanBus):
         now_ns = self._clock.now_ns()
         self.from_camera.append((now_ns, frame))
         if urgent:
-            self.to_camera.append(Heard(frame, now_ns, own=True))
+            self.to_camera.append(TimedFrame(frame, now_ns, own=True))
         return True
 
-    def take(self) -> list[Heard]:
+    def take(self) -> list[TimedFrame]:
         """See `CanBus.take`."""
         heard = list(self.to_camera)
         self.to_camera.clear()
@@ -177,7 +177,7 @@ class FakeCanBus:
         """Put a frame on the bus."""
         frame = from_message(msg)
         if frame is not None:
-            self._wire.to_camera.append(Heard(frame, self._clock.now_ns()))
+            self._wire.to_camera.append(TimedFrame(frame, self._clock.now_ns()))
             self._endpoint.pump()
 
     def shutdown(self) -> None:

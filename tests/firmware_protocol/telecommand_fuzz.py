@@ -137,7 +137,7 @@ class CanWay:
             source.delivered(outgoing)
 
     def _hear(self, frame):
-        replies = [source.hear(frame, self._tick()) for source in self._sources]
+        replies = [source.receive(frame, self._tick()) for source in self._sources]
         return next((reply for reply in replies if reply is not None), None)
 
     def _tick(self):

@@ -95,7 +95,7 @@ def test_a_served_bus_and_its_listener():
         port = int(bus.address.rpartition(":")[2])
         with socket.create_connection(("127.0.0.1", port), 60) as sock:
             sock.sendall(b"< open can0 >< rawmode >")
-            while not bus.heard:
+            while not bus.has_listeners:
                 await asyncio.sleep(0.001)
             listener = threading.Thread(target=listen, args=(sock,))
             listener.start()

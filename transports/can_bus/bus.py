@@ -1,6 +1,6 @@
-"""What a CAN bus is to a link, whoever carries it.
+"""Interface of a CAN bus, and its implementation by python-can.
 
-Any bus that python-can knows, without waiting for it: a thread of its own reads.
+`PythonCanBus` never blocks its caller: a separate thread reads the bus.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ import can
 from firmware_protocol.can_frames.frame import Frame
 from transports.can_bus.kind import CanLink
 
-__all__ = ["BusDown", "CanBus", "Heard", "PythonCanBus", "from_message", "to_message"]
+__all__ = ["BusDown", "CanBus", "PythonCanBus", "TimedFrame", "from_message", "to_message"]
 
 
 class BusDown(OSError):
-    """A bus cannot be had, or is gone; the message says what to do."""
+    """Error: a bus cannot be opened, or was lost; the message gives the remedy."""
 
 
 @dataclass(frozen=True)
-class Heard:
-    """A frame, and when it was on the bus (CLOCK_MONOTONIC, ns); `own` for an urgent one of ours that has left."""
+class TimedFrame:
+    """Frame with its time on the bus (CLOCK_MONOTONIC, ns); `own` marks an urgent frame of ours that was sent."""
 
     frame: Frame
     t_ns: int
@@ -42,67 +42,67 @@ class Heard:
 
 
 class CanBus(ABC):
-    """One bus. Its methods return at once, except `open`.
+    """One CAN bus. All methods except `open` return at once.
 
     Attributes
     ----------
     missed
-        Frames that others were too slow to take, where that is known.
+        Number of frames that other nodes missed because they read too slowly, if it is known.
     """
 
     missed = 0
 
     @abstractmethod
     async def open(self) -> None:
-        """Open it, again after it was lost; raises BusDown."""
+        """Open the bus, also after it was lost; raises BusDown."""
 
     @abstractmethod
     def send(self, frame: Frame, *, urgent: bool = False) -> bool:
-        """Hand over a frame; False: there is no room now. Raises BusDown when the bus is gone.
+        """Pass a frame to the bus; return False if there is no room now. Raises BusDown when the bus is lost.
 
-        An urgent frame passes ordinary ones that wait on our side, where the bus can do that.
+        An urgent frame overtakes ordinary frames in our queue, if the bus supports that.
         """
 
     def flood(self, frame: Frame, t_ns: int) -> None:
-        """Put a frame of a strange node on the bus, at `t_ns` (CLOCK_MONOTONIC) where that can be chosen."""
+        """Put a frame of a foreign node on the bus, at `t_ns` (CLOCK_MONOTONIC) if the bus can choose the time."""
         self.send(frame)
 
     @abstractmethod
-    def take(self) -> list[Heard]:
-        """Return what was on the bus since the last call, but for our ordinary frames; raises BusDown."""
+    def take(self) -> list[TimedFrame]:
+        """Return the frames on the bus since the last call, without our ordinary frames; raises BusDown."""
 
     def discard(self) -> None:
-        """Forget our ordinary frames that were handed over and have not begun, where that can be done."""
+        """Discard our ordinary frames that have not begun, if the bus supports that."""
         return
 
     @abstractmethod
     async def close(self) -> None:
-        """Let go of it; may be called at any time."""
+        """Close the bus; may be called at any time."""
 
     @property
     @abstractmethod
     def address(self) -> str:
-        """Where others find it."""
+        """Address at which other nodes find the bus."""
 
     @property
     def waiting(self) -> int:
-        """Ordinary frames that were handed over and have not begun, where that is known."""
+        """Number of our ordinary frames in the queue that have not begun, if it is known."""
         return 0
 
     @property
     def counts(self) -> Mapping[str, int]:
-        """What happened to those who joined the bus, by name, for the summary."""
+        """Counts of clients of the bus by name, for the summary."""
         return {}
 
     @property
-    def heard(self) -> bool:
+    def has_listeners(self) -> bool:
         """False when it is certain that no other node is on the bus."""
         return True
 
 
 _READ_TIMEOUT_S = 0.2
 _CONNECT_TIMEOUT_S = 3.0
-_OLDEST_STAMP_S = 1.0  # a stamp of the adapter that is further from now belongs to another clock
+_OLDEST_STAMP_S = 1.0  # an adapter's time stamp further from now belongs to another clock
 _MOST_UNREAD = 100_000
 _IFF_UP = 1
 _BUS_OFF = 0x40  # linux/can/error.h
@@ -117,11 +117,11 @@ _CAN_ERRORS = (
     ValueError,
     TypeError,
 )
-"""What interfaces of python-can raise when their bus, their driver or their library is not there."""
+"""Errors that interfaces of python-can raise when the bus, its driver or its library is missing."""
 
 
 def to_message(frame: Frame) -> can.Message:
-    """Return a frame as python-can writes it."""
+    """Return a frame as a message of python-can."""
     return can.Message(
         arbitration_id=frame.identifier,
         data=frame.data,
@@ -133,7 +133,7 @@ def to_message(frame: Frame) -> can.Message:
 
 
 def from_message(message: can.Message) -> Frame | None:
-    """Return a message of python-can as a frame; None for a remote frame, which asks and tells nothing."""
+    """Return a message of python-can as a frame; None for a remote frame, which carries no data."""
     if message.is_remote_frame:
         return None
     return Frame(
@@ -147,19 +147,19 @@ def from_message(message: can.Message) -> Frame | None:
 
 
 class PythonCanBus(CanBus):
-    """A bus by its interface and channel."""
+    """CAN bus of python-can, given by interface and channel."""
 
     def __init__(self, parameters: CanLink, channel: str) -> None:
         self._parameters = parameters
         self._channel = channel
         self._bus: can.BusABC | None = None
         self._reader: threading.Thread | None = None
-        self._unread: deque[Heard] = deque(maxlen=_MOST_UNREAD)
+        self._unread: deque[TimedFrame] = deque(maxlen=_MOST_UNREAD)
         self._failure: str | None = None
         self._closing = threading.Event()
         self._arrived = asyncio.Event()
-        self._told = False  # whether `_arrived` is set or about to be
-        # udp_multicast gives our own frames back to us (python-can 4.6): they are told by this.
+        self._notified = False  # True while `_arrived` is set or about to be
+        # udp_multicast returns our own frames to us (python-can 4.6): this signature identifies them.
         self._signature = f"evstim-{os.getpid()}-{id(self)}"
 
     @property
@@ -168,7 +168,7 @@ class PythonCanBus(CanBus):
         return f"{self._parameters.interface}:{self._channel}"
 
     async def open(self) -> None:
-        """See `CanBus.open`; in a thread, since interfaces may wait for their adapter."""
+        """See `CanBus.open`; runs in a thread, because some interfaces wait for their adapter."""
         await self.close()
         try:
             self._bus = await asyncio.get_running_loop().run_in_executor(None, self._open)
@@ -186,18 +186,21 @@ class PythonCanBus(CanBus):
             raise OSError(errno.ENETDOWN, "Network is down")
         settings: dict[str, Any] = {"bitrate": p.bitrate}
         if p.interface == "socketcand":
-            # It warns of every frame that TCP delivers in two pieces.
+            # The interface logs a warning for every frame that TCP delivers in two pieces.
             logging.getLogger("can.interfaces.socketcand").setLevel(logging.ERROR)
-            # It tries for ten seconds where nothing listens.
+            # The interface retries for ten seconds if no server listens.
             socket.create_connection((p.host, p.port), _CONNECT_TIMEOUT_S).close()
             settings = {"host": p.host, "port": p.port}
         elif p.fd and p.interface != "virtual":
             settings |= {"fd": True, "data_bitrate": p.data_bitrate}
-        # A configuration file of python-can on this machine must not change what the rig says.
+        # A python-can configuration file on this machine must not change the rig's settings.
         return can.Bus(channel=self._channel, interface=p.interface, ignore_config=True, **(settings | p.options))
 
     def send(self, frame: Frame, *, urgent: bool = False) -> bool:
-        """See `CanBus.send`. Whether an urgent frame passes others is up to the driver; it is said to leave at once."""
+        """See `CanBus.send`.
+
+        The driver decides if an urgent frame overtakes others. Its time stamp is that of this call.
+        """
         bus = self._living()
         try:
             bus.send(self._message(frame))
@@ -210,24 +213,24 @@ class PythonCanBus(CanBus):
                 return False
             raise self._lost(error) from error
         if urgent:
-            self._unread.append(Heard(frame, time.monotonic_ns(), own=True))
+            self._unread.append(TimedFrame(frame, time.monotonic_ns(), own=True))
         return True
 
-    def take(self) -> list[Heard]:
-        """See `CanBus.take`; what came before the bus was lost is told before that."""
+    def take(self) -> list[TimedFrame]:
+        """See `CanBus.take`; frames received before the bus was lost are returned before BusDown is raised."""
         if not self._unread:
             self._living()
-        heard = []
+        frames = []
         while self._unread:
-            heard.append(self._unread.popleft())
-        return heard
+            frames.append(self._unread.popleft())
+        return frames
 
     async def wait(self, timeout_s: float) -> None:
-        """Return when something has come since the last `wait`, or after `timeout_s`."""
+        """Return when a frame has arrived since the last `wait`, or after `timeout_s`."""
         with suppress(TimeoutError):
             await asyncio.wait_for(self._arrived.wait(), timeout_s)
         self._arrived.clear()
-        self._told = False
+        self._notified = False
 
     async def close(self) -> None:
         """See `CanBus.close`."""
@@ -254,13 +257,13 @@ class PythonCanBus(CanBus):
 
     def _lost(self, error: Exception) -> BusDown:
         failure = self._advice(error)
-        if self._parameters.interface != "socketcand":  # its reader sees the end itself, after all that was sent before
+        if self._parameters.interface != "socketcan":  # its reader sees the end itself, after all frames sent before
             self._failure = failure
         return BusDown(failure)
 
     def _read(self, bus: can.BusABC) -> None:
-        """Read until the bus is closed or gone: the reader's thread."""
-        # python-can's client of socketcand does not see that its server has gone: it reads nothing, again and again.
+        """Read until the bus is closed or lost; runs in the reader thread."""
+        # The socketcand client of python-can does not notice that its server closed: it reads empty data for ever.
         end: socket.socket | None = getattr(bus, "_SocketCanDaemonBus__socket", None)
         while not self._closing.is_set():
             try:
@@ -268,23 +271,23 @@ class PythonCanBus(CanBus):
             except _CAN_ERRORS as error:
                 if not self._closing.is_set():
                     self._failure = self._advice(error)
-                    self._tell()
+                    self._notify()
                 return
             if message is not None:
-                self._keep(message)
-                self._tell()
+                self._store(message)
+                self._notify()
             elif end is not None and _has_ended(end):
                 self._failure = f"CAN bus {self.address}: its server closed the connection"
-                self._tell()
+                self._notify()
                 return
 
-    def _tell(self) -> None:
-        """Wake who waits, at most once for all that has come."""
-        if not self._told and not self._closing.is_set():
-            self._told = True
+    def _notify(self) -> None:
+        """Wake the waiting task, at most once until it has read all frames."""
+        if not self._notified and not self._closing.is_set():
+            self._notified = True
             self._loop.call_soon_threadsafe(self._arrived.set)
 
-    def _keep(self, message: can.Message) -> None:
+    def _store(self, message: can.Message) -> None:
         frame = from_message(message)
         if frame is None or message.channel == self._signature:
             return
@@ -296,14 +299,14 @@ class PythonCanBus(CanBus):
             return
         age_s = time.time() - message.timestamp
         known = 0 <= age_s <= _OLDEST_STAMP_S
-        self._unread.append(Heard(frame, time.monotonic_ns() - (round(age_s * 1e9) if known else 0)))
+        self._unread.append(TimedFrame(frame, time.monotonic_ns() - (round(age_s * 1e9) if known else 0)))
 
     def _advice(self, error: Exception) -> str:
         return f"CAN bus {self.address}: {error}; {_cure(self._parameters, self._channel, error)}"
 
 
 def _has_ended(connection: socket.socket) -> bool:
-    """Say whether the other side of a TCP connection has closed it and all is read."""
+    """Return True if the other side of a TCP connection has closed it and all data are read."""
     try:
         return not connection.recv(1, socket.MSG_PEEK | socket.MSG_DONTWAIT)
     except BlockingIOError:
@@ -313,13 +316,13 @@ def _has_ended(connection: socket.socket) -> bool:
 
 
 def _is_up(channel: str) -> bool:
-    """Say whether a network interface is up; True where that cannot be known."""
+    """Return True if a network interface is up, or if its state cannot be read."""
     flags = Path("/sys/class/net", channel, "flags")
     return not flags.exists() or bool(int(flags.read_text(), 16) & _IFF_UP)
 
 
 def _cure(p: CanLink, channel: str, error: Exception) -> str:
-    """Say what to do about a bus that cannot be had."""
+    """Return the remedy for a bus that cannot be opened."""
     code = getattr(error, "error_code", None) or getattr(error, "errno", None)
     kind = "" if channel.startswith("vcan") else f" type can bitrate {p.bitrate}"
     return _CURES.get(code, "").format(p=p, channel=channel, kind=kind) or _cure_by_text(p, str(error))
@@ -335,7 +338,7 @@ _CURES: dict[int | None, str] = {
     errno.ENETDOWN: "it is down: sudo ip link set {channel} up{kind}",
     errno.ENODEV: "there is no such interface (ip -br link shows what there is); a virtual one: sudo modprobe vcan; "
     "sudo ip link add dev {channel} type vcan; sudo ip link set {channel} up",
-    errno.ENXIO: "the interface has gone; it is tried again every second",
+    errno.ENXIO: "the interface has gone; evstim tries again every second",
     errno.EACCES: _NOT_ALLOWED,
     errno.EPERM: _NOT_ALLOWED,
     errno.ENOENT: _NO_ADAPTER,
@@ -344,8 +347,8 @@ _CURES: dict[int | None, str] = {
 
 
 def _cure_by_text(p: CanLink, text: str) -> str:
-    """Say it for interfaces that put the cause into their message only."""
-    driver = f"the maker's driver for {p.interface} is not installed"
+    """Return the remedy for interfaces that give the cause in their message only."""
+    driver = f"the vendor's driver for {p.interface} is not installed"
     cures = {
         "No module named": f"pip install 'python-can[{p.interface.replace('_', '-')}]'",
         "' not supported": f"known are {', '.join(sorted(can.VALID_INTERFACES))} and served",

@@ -1,8 +1,8 @@
-"""How what an instrument says gets into frames: raw events, or whole messages by ISO-TP or in CSP packets.
+"""Transport of an instrument's messages in CAN frames: raw events, or whole messages by ISO-TP or in CSP packets.
 
-A source gives its next frame when the bus has room, and is told when the bus has taken it. With the last frame of a
-message it gives back the message, and is told by `delivered` or `lost` what became of it. Frames are given once: the
-endpoint keeps one that the bus did not take.
+The endpoint calls `next_frame` when the bus has room, and `left` when the bus has accepted the frame. With the last
+frame of a message `left` returns the message; the endpoint then calls `delivered` or `lost` with the outcome. Each
+frame is returned once: the endpoint stores a frame that the bus refused.
 """
 
 from __future__ import annotations
@@ -33,18 +33,18 @@ from transports.can_bus.kind import CanLink
 from transports.faults.tracker import Load, Tracker
 from transports.link.deliveries import Deliveries
 
-__all__ = ["CfpMail", "FrameSource", "IsoTpMail", "RawEdges", "RawEvents", "sources"]
+__all__ = ["CfpTransport", "FrameSource", "IsoTpTransport", "RawEdges", "RawEvents", "sources"]
 
-_RAW_EVENTS_A_TIME = 8  # so that only so few have an uncertain fate when a bus goes away
+_RAW_EVENTS_A_TIME = 8  # limits the events with an unknown outcome when a bus is lost
 
 
 class FrameSource(ABC):
-    """Frames of one kind, in order. `label` names the kind where its faults are told.
+    """Source of the frames of one kind, in order. `label` names the kind in fault counts.
 
     Attributes
     ----------
     tracker
-        Follows what arrives while faults may hit frames; set and taken away between two messages.
+        Follows which messages arrive while faults may hit frames; set and removed between two messages.
     """
 
     label = "frames"
@@ -58,49 +58,49 @@ class FrameSource(ABC):
 
     @property
     def between(self) -> bool:
-        """True when no message is under way."""
+        """True when no message is in progress."""
         return self._outgoing is None
 
     @property
     def load(self) -> Load:
-        """What the frame given last carries by itself."""
+        """Events and edges in the last frame returned."""
         return Load.nothing()
 
     def reader(self) -> Callable[[Frame], list[Received]] | None:
-        """Return what makes messages of frames, as the other side does; None where frames stand alone."""
+        """Return a function that decodes frames as the receiver does; None for frames that stand alone."""
         return None
 
     @abstractmethod
     def next_frame(self, now_ns: int) -> Frame | None:
-        """Return the next frame if there is one that may go now."""
+        """Return the next frame that may be sent now; None if there is none."""
 
     @abstractmethod
     def left(self) -> Outgoing | None:
-        """Say that the bus took the frame given last; return the message that it ends, unless a tracker follows it."""
+        """Record that the bus accepted the last frame; return the message that it ends, unless a tracker follows it."""
 
     def delivered(self, outgoing: Outgoing) -> None:
-        """Say that all frames of a message were on the bus."""
+        """Record that all frames of a message were on the bus."""
         self._instrument.sent(outgoing)
         self._deliveries.add(outgoing.events, outgoing.epoch_us, outgoing.edges)
 
     def lost(self, outgoing: Outgoing) -> None:
-        """Say that the last frames of a message never were on the bus."""
+        """Record that the last frames of a message never reached the bus."""
         self._instrument.lost(outgoing)
 
     def cut(self) -> Outgoing | None:
-        """Cut off what the bus has taken of a message under way, where that stands by itself and is not watched."""
+        """Split off the sent part of a message in progress, if that part stands alone and no tracker follows it."""
         return None
 
     def drop(self) -> None:
-        """Forget the message under way: the bus is gone."""
+        """Discard the message in progress, because the bus is lost."""
         if self._outgoing is not None:
             self._instrument.lost(self._outgoing)
             self._outgoing = None
             if self.tracker is not None:
                 self.tracker.dropped()
 
-    def hear(self, frame: Frame, now_ns: int) -> Frame | None:
-        """Take a frame of another node; return what has to be answered at once."""
+    def receive(self, frame: Frame, now_ns: int) -> Frame | None:
+        """Process a frame of another node; return the frame to send at once in answer, if any."""
         return None
 
     def _finished(self) -> Outgoing | None:
@@ -118,7 +118,7 @@ class RawEvents(FrameSource):
     Attributes
     ----------
     sender
-        Makes them, and the clock and epoch frames.
+        Encoder of the events, clock and epoch frames.
     """
 
     def __init__(self, instrument: Instrument, deliveries: Deliveries, sender: RawSender) -> None:
@@ -127,7 +127,7 @@ class RawEvents(FrameSource):
         self.sender = sender
         self._frames: deque[Packed] = deque()
         self._load = Load.nothing()
-        self._given = self._taken = 0  # events in the frame given last; in those of this message that the bus has
+        self._given = self._taken = 0  # events in the last frame returned; events of this message on the bus
         self._epoch_us = 0
 
     @property
@@ -137,7 +137,7 @@ class RawEvents(FrameSource):
 
     @property
     def halfway(self) -> bool:
-        """True while frames wait that were made together with one that has been given."""
+        """True while frames of a group wait of which the first has been returned."""
         return bool(self._frames)
 
     def next_frame(self, now_ns: int) -> Frame | None:
@@ -195,10 +195,10 @@ class RawEvents(FrameSource):
 
 
 class RawEdges(FrameSource):
-    """Edges on the external input, a frame each.
+    """Edges of the external input, one frame each.
 
-    They begin between two groups of events frames: the clock and epoch frames of both come from one sender, and have to
-    leave in the order in which it made them.
+    Edges are sent between two groups of event frames: one sender makes the clock and epoch frames of both, and they
+    must leave in the order in which it made them.
     """
 
     def __init__(self, instrument: Instrument, deliveries: Deliveries, events: RawEvents, identifier: int) -> None:
@@ -245,8 +245,8 @@ class RawEdges(FrameSource):
         super().drop()
 
 
-class IsoTpMail(FrameSource):
-    """Messages by ISO-TP, and telecommands the same way back; `with_all` when events and edges go this way too."""
+class IsoTpTransport(FrameSource):
+    """Messages by ISO-TP, with telecommands in the other direction; `with_all` includes events and edges."""
 
     label = "ISO-TP"
 
@@ -291,8 +291,8 @@ class IsoTpMail(FrameSource):
         receiver, unwrapper = IsoTpReceiver(peer), Profile("ccsds").unwrapper()
         return lambda frame: unwrapper.push(receiver.push(frame, 0) or b"")
 
-    def hear(self, frame: Frame, now_ns: int) -> Frame | None:
-        """See `FrameSource.hear`."""
+    def receive(self, frame: Frame, now_ns: int) -> Frame | None:
+        """See `FrameSource.receive`."""
         if not self._settings.is_ours(frame):
             return None
         if frame.data and frame.data[0] >> 4 == 3:
@@ -311,8 +311,8 @@ class IsoTpMail(FrameSource):
             self.drop()
 
 
-class CfpMail(FrameSource):
-    """Messages in CSP packets, cut up by CFP 2, and telecommands the same way back."""
+class CfpTransport(FrameSource):
+    """Messages in CSP packets, fragmented by CFP 2, with telecommands in the other direction."""
 
     label = "CFP"
 
@@ -352,8 +352,8 @@ class CfpMail(FrameSource):
         receiver, unwrapper = CfpReceiver(self._peer), Profile("csp", addresses).unwrapper()
         return lambda frame: unwrapper.push(receiver.push(frame, 0) or b"")
 
-    def hear(self, frame: Frame, now_ns: int) -> Frame | None:
-        """See `FrameSource.hear`."""
+    def receive(self, frame: Frame, now_ns: int) -> Frame | None:
+        """See `FrameSource.receive`."""
         packet = self._receiver.push(frame, now_ns)
         if packet is not None:
             _obey(self._instrument, self._commands, packet)
@@ -361,15 +361,15 @@ class CfpMail(FrameSource):
 
 
 def sources(instrument: Instrument, deliveries: Deliveries, parameters: CanLink) -> list[FrameSource]:
-    """Return what a link sends, the more urgent first."""
+    """Return the frame sources of a link, the most urgent first."""
     if parameters.carriage == "cfp":
-        return [CfpMail(instrument, deliveries, parameters)]
+        return [CfpTransport(instrument, deliveries, parameters)]
     if parameters.carriage == "isotp":
-        return [IsoTpMail(instrument, deliveries, parameters.isotp, with_all=True)]
+        return [IsoTpTransport(instrument, deliveries, parameters.isotp, with_all=True)]
     events = RawEvents(instrument, deliveries, RawSender(parameters.raw(instrument.tick_us)))
     return [
         RawEdges(instrument, deliveries, events, parameters.identifiers.edges),
-        IsoTpMail(instrument, deliveries, parameters.isotp, with_all=False),
+        IsoTpTransport(instrument, deliveries, parameters.isotp, with_all=False),
         events,
     ]
 

@@ -1,6 +1,6 @@
-"""The CAN endpoint of a link: one bus or two, a node, and what carries the instrument's messages.
+"""CAN endpoint of a link: one bus or two, a node, and the sources of the instrument's frames.
 
-Every frame leaves through `_send`, and every frame that comes in goes through `_hear`.
+Every frame is sent by `_send`, and every received frame is processed by `_receive`.
 """
 
 from __future__ import annotations
@@ -35,22 +35,22 @@ __all__ = ["CanEndpoint", "CanFactory"]
 
 _RETRY_NS = 1_000_000_000
 _SECOND_NS = 1_000_000_000
-_MAKE_UP_NS = 5_000_000  # bus time that a late tick may make up
+_MAKE_UP_NS = 5_000_000  # bus time that a late tick may catch up
 _NAMES = ("A", "B")
-_MOST_ANSWERS = 1024  # urgent frames that wait while others keep the bus busy
-_DRAIN_TURNS, _DRAIN_TURN_S = 1000, 0.001  # what waits on our side at the end has a second to leave
+_MOST_ANSWERS = 1024  # limit of the urgent frames that wait while other nodes occupy the bus
+_DRAIN_TURNS, _DRAIN_TURN_S = 1000, 0.001  # at the end, queued frames get one second to leave
 
 
 @dataclass(frozen=True)
 class CanFactory(EndpointFactory[Instrument]):
-    """Puts an instrument on a CAN bus; `sink` takes the bus's SYNCs as triggers."""
+    """Factory of the endpoint of an instrument on a CAN bus; `sink` receives the bus's SYNCs as triggers."""
 
     parameters: CanLink
     sink: EdgeSink | None = None
     faults: FaultPlan = field(default_factory=FaultPlan)
 
     def build(self, device: Instrument, deliveries: Deliveries) -> CanEndpoint:
-        """Return the endpoint, its buses not yet open."""
+        """Return the endpoint; its buses are not open yet."""
         p, clock = self.parameters, deliveries.clock
         if p.interface == "served":
             buses: list[CanBus] = [ServedBus(p, clock)]
@@ -63,7 +63,7 @@ class CanFactory(EndpointFactory[Instrument]):
 
 @dataclass
 class _Slot:
-    """One of the buses, and whether it can be used."""
+    """One of the buses and its state: `up` when it can be used."""
 
     bus: FaultyBus
     reopening: Reopening[bool]
@@ -71,7 +71,7 @@ class _Slot:
 
 
 class CanEndpoint(Endpoint):
-    """An instrument on its bus."""
+    """Endpoint of an instrument on a CAN bus."""
 
     def __init__(
         self, buses: list[CanBus], faults: BusFaults, node: Node, carried: list[FrameSource], clock: Clock
@@ -85,23 +85,23 @@ class CanEndpoint(Endpoint):
         self._clock = clock
         self._share = BusShare(p.rates, p.share, _MAKE_UP_NS)
         self._urgent: deque[Frame] = deque()
-        self._kept: tuple[FrameSource, QueuedFrame] | None = None  # the bus had no room for it
+        self._pending: tuple[FrameSource, QueuedFrame] | None = None  # the bus had no room for this frame
         self._use = _Use()
         self._counts: Counter[str] = Counter()
         self._active = 0
-        self._heard = True
+        self._listeners_present = True
         self._closed_ns: int | None = None
         self._marks = p.identifiers.marks
 
     async def start(self) -> None:
-        """Open the buses; raises BusDown, with what to do, when one cannot be had."""
+        """Open the buses; raises BusDown, with the remedy, if one cannot be opened."""
         for slot in self._slots:
             await slot.bus.open()
             slot.up = True
         self._node.start(self._clock.now_ns())
 
     def pump(self) -> None:
-        """Hear what has come, then send what is due."""
+        """Process the received frames, then send the frames that are due."""
         for index, slot in enumerate(self._slots):
             self._listen(index, slot)
         now_ns = self._clock.now_ns()
@@ -109,8 +109,8 @@ class CanEndpoint(Endpoint):
             slot.bus.babble(now_ns)
         self._follow_the_master(now_ns)
         slot = self._slots[self._active]
-        self._be_heard(slot.up and slot.bus.heard)
-        if not (slot.up and slot.bus.heard):
+        self._set_listeners(slot.up and slot.bus.has_listeners)
+        if not (slot.up and slot.bus.has_listeners):
             return
         self._urgent += self._node.due(now_ns)
         try:
@@ -145,15 +145,15 @@ class CanEndpoint(Endpoint):
     def mark(self, edges: Edges) -> int:
         """See `Endpoint.mark`."""
         slot = self._slots[self._active]
-        if not (slot.up and slot.bus.heard):
+        if not (slot.up and slot.bus.has_listeners):
             return 0
         self._urgent += [Frame(self._marks, data) for data in pack_marks(edges)]
         return len(edges)
 
     async def close(self) -> None:
-        """Let frames go that the bus has taken, drop the rest, tell the others, and let go of the buses."""
+        """Finish the frames that the bus has accepted, drop the rest, send the farewell and close the buses."""
         await self._drain()
-        self._say_farewell()
+        self._send_farewell()
         await self._drain()
         self._closed_ns = self._clock.now_ns()
         self._drop()
@@ -167,27 +167,27 @@ class CanEndpoint(Endpoint):
 
     @property
     def state(self) -> str:
-        """Which bus, and how things stand there."""
+        """Active bus, and the state of the node there."""
         slot = self._slots[self._active]
         if not slot.up:
             return slot.reopening.why
         name = f", bus {_NAMES[self._active]}" if len(self._slots) > 1 else ""
-        told = self._node.state.name.lower() if slot.bus.heard else "nobody listens yet"
-        return f"on {slot.bus.address}{name}, {told}"
+        state = self._node.state.name.lower() if slot.bus.has_listeners else "no listener yet"
+        return f"on {slot.bus.address}{name}, {state}"
 
     @property
     def address(self) -> str:
-        """Of the bus in use."""
+        """Address of the active bus."""
         return self._slots[self._active].bus.address
 
     @property
     def use(self) -> LineUse:
-        """How full the bus was, as far as this node saw."""
+        """Load of the bus, as far as this node saw it."""
         return self._use.line(self._closed_ns or self._clock.now_ns())
 
     @property
     def counts(self) -> Mapping[str, int]:
-        """What else happened."""
+        """Further counts by name."""
         total = self._counts + self._node.counts
         for source in self._sources:
             total += Counter({f"{source.label} {name}": n for name, n in source.faults.items()})
@@ -202,30 +202,30 @@ class CanEndpoint(Endpoint):
             slot.up = slot.reopening.poll() or False
             return
         try:
-            for heard in slot.bus.take():
-                if heard.own:
-                    self._node.has_left(heard.frame, heard.t_ns)
+            for received in slot.bus.take():
+                if received.own:
+                    self._node.has_left(received.frame, received.t_ns)
                 else:
-                    self._hear(index, heard.frame, heard.t_ns)
+                    self._receive(index, received.frame, received.t_ns)
         except BusDown as error:
             self._down(slot, error)
 
-    def _hear(self, index: int, frame: Frame, t_ns: int) -> None:
-        """Take a frame of another node."""
+    def _receive(self, index: int, frame: Frame, t_ns: int) -> None:
+        """Process a frame of another node."""
         now_ns = self._clock.now_ns()
-        self._node.hear(index, frame, t_ns)
+        self._node.receive(index, frame, t_ns)
         if index != self._active or frame.error:
             return
         self._use.add(self._share.spend(frame, now_ns), now_ns, ours=False)
         for source in self._sources:
-            answer = source.hear(frame, now_ns)
+            answer = source.receive(frame, now_ns)
             if answer is not None and len(self._urgent) < _MOST_ANSWERS:
                 self._urgent.append(answer)
             elif answer is not None:
                 self._counts["answers dropped, the bus had no room"] += 1
 
     def _send(self, slot: _Slot, queued: QueuedFrame, now_ns: int) -> bool:
-        """Hand a frame to the bus; False when it has no room. Raises BusDown."""
+        """Pass a frame to the bus; return False if it has no room. Raises BusDown."""
         if not slot.bus.post(queued):
             self._counts["bus had no room"] += 1
             return False
@@ -236,23 +236,23 @@ class CanEndpoint(Endpoint):
         waiting, self._urgent = self._urgent, deque()
         while waiting:
             if not self._send(slot, QueuedFrame(waiting[0], urgent=True), now_ns):
-                self._urgent.append(waiting[0])  # the next one may have a buffer of its own
+                self._urgent.append(waiting[0])  # the next frame may have its own transmit buffer
             waiting.popleft()
 
     def _send_ordinary(self, slot: _Slot, now_ns: int) -> None:
         while self._share.has_room(now_ns):
-            if self._kept is None:
-                self._kept = self._next(now_ns)
-            if self._kept is None:
+            if self._pending is None:
+                self._pending = self._next(now_ns)
+            if self._pending is None:
                 return
-            source, queued = self._kept
+            source, queued = self._pending
             if not self._send(slot, queued, now_ns):
                 return
-            self._kept = None
+            self._pending = None
             self._follow(slot, source, source.left())
 
     def _follow(self, slot: _Slot, source: FrameSource, outgoing: Outgoing | None) -> None:
-        """Have a message counted when the frames that the bus has taken so far have begun, or never will."""
+        """Count a message when all frames that the bus has accepted so far have begun, or can no longer begin."""
         if outgoing is not None:
             slot.bus.follow(partial(source.delivered, outgoing), partial(source.lost, outgoing))
 
@@ -269,9 +269,9 @@ class CanEndpoint(Endpoint):
     def _trackers(self) -> list[Tracker]:
         return [source.tracker for source in self._sources if source.tracker is not None]
 
-    def _say_farewell(self) -> None:
+    def _send_farewell(self) -> None:
         slot = self._slots[self._active]
-        if slot.up and slot.bus.heard:
+        if slot.up and slot.bus.has_listeners:
             with suppress(BusDown):
                 for frame in self._node.farewell():
                     self._send(slot, QueuedFrame(frame, exempt=True), self._clock.now_ns())
@@ -279,7 +279,7 @@ class CanEndpoint(Endpoint):
     async def _drain(self) -> None:
         slot = self._slots[self._active]
         for _ in range(_DRAIN_TURNS):
-            if not (slot.up and slot.bus.heard and slot.bus.waiting):
+            if not (slot.up and slot.bus.has_listeners and slot.bus.waiting):
                 return
             await asyncio.sleep(_DRAIN_TURN_S)
             self._listen(self._active, slot)
@@ -298,11 +298,11 @@ class CanEndpoint(Endpoint):
             self._drop()
             self._active = self._node.bus
 
-    def _be_heard(self, heard: bool) -> None:
-        if heard == self._heard:
+    def _set_listeners(self, present: bool) -> None:
+        if present == self._listeners_present:
             return
-        self._heard = heard
-        if heard:
+        self._listeners_present = present
+        if present:
             self._instrument.connected()
         else:
             self._drop()
@@ -313,7 +313,7 @@ class CanEndpoint(Endpoint):
         for source in self._sources:
             self._follow(slot, source, source.cut())
         slot.bus.drop()
-        self._kept = None
+        self._pending = None
         self._urgent.clear()
         for source in self._sources:
             source.drop()
@@ -337,7 +337,7 @@ def _slot(bus: FaultyBus, clock: Clock) -> _Slot:
 
 
 class _Use:
-    """How full the bus is."""
+    """Load of the bus."""
 
     def __init__(self) -> None:
         self._frames = 0

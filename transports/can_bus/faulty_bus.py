@@ -1,11 +1,11 @@
-"""The place of faults on a CAN link: around each of its buses.
+"""Fault injection on a CAN link: a wrapper around each of its buses.
 
-    endpoint --post--> stage --> stage --> [what the bus had no room for] --> bus [frames that have not begun]
+    endpoint --post--> stage --> stage --> [frames for which the bus had no room] --> bus [frames that have not begun]
     endpoint <--take---------------------- unless the bus is dead or off ----'
-    endpoint <--settle-- what depends on a frame is told when that has begun, or will never begin
+    endpoint <--settle-- callbacks, when a frame has begun or can no longer begin
 
-While no fault is at work frames pass untouched. What happens to a bus itself (off, dead, flooded) shows as its own
-state, so that the endpoint reacts as it does to the real thing.
+While no fault is active, frames pass unchanged. Faults of the bus itself (off, dead, flooded) appear as its state, so
+that the endpoint reacts as it does to a real bus.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from functools import partial
 
 from firmware_protocol.can_frames.bus_time import BitRates
 from firmware_protocol.can_frames.frame import Frame
-from transports.can_bus.bus import BusDown, CanBus, Heard
+from transports.can_bus.bus import BusDown, CanBus, TimedFrame
 from transports.can_bus.carriage import FrameSource
 from transports.faults.bus import Babbler, FrameStage, QueuedFrame, frame_stage
 from transports.faults.kinds import Fault
@@ -27,23 +27,23 @@ from transports.link.deliveries import Deliveries
 
 __all__ = ["BusFaults", "FaultyBus"]
 
-_AHEAD_NS = 1_000_000  # a babbling node's frames are put on the bus so long before their time
+_AHEAD_NS = 1_000_000  # frames of a babbling node are queued this long before their time
 
 
 class BusFaults:
-    """The faults of one link, for all its buses."""
+    """Faults of one link, for all its buses."""
 
     def __init__(self, plan: FaultPlan, rates: BitRates, deliveries: Deliveries) -> None:
         self._faults: Faults[FrameStage] = Faults(plan, partial(frame_stage, rates=rates))
         self._posted = 0
-        self._tell = Callbacks(
+        self._callbacks = Callbacks(
             lambda load: deliveries.add(load.events, load.epoch_us, load.edges),
             lambda load: self._faults.lose(len(load.events), len(load.edges)),
         )
 
     @property
     def records(self) -> tuple[FaultRecord, ...]:
-        """What each fault has done."""
+        """Record of each fault."""
         return self._faults.records
 
     @property
@@ -52,39 +52,39 @@ class BusFaults:
         return any(stage.bus is None for stage in self._faults.stages)
 
     def advance(self, now_us: int) -> tuple[bool, list[QueuedFrame]]:
-        """Let stream time pass; say whether any fault is over now, and return the frames that it had held."""
+        """Advance stream time; return True if any fault has ended, and the frames that it had held."""
         over = self._faults.advance(now_us)
         return bool(over), [queued for stage in over for queued in stage.finish()]
 
     def inject(self, fault: Fault) -> None:
-        """Begin a fault now; raises ValueError for one that a bus does not have."""
+        """Begin a fault now; raises ValueError for a fault that a bus does not have."""
         self._faults.inject(fault)
 
     def look_at(self, source: FrameSource) -> None:
-        """Begin or end the tracker on a source that is between two messages."""
+        """Set or remove the tracker of a source that is between two messages."""
         if source.tracker is None and self.strikes_frames:
             read = source.reader()
-            source.tracker = FrameTracker(self._tell) if read is None else MessageTracker(self._tell, read)
+            source.tracker = FrameTracker(self._callbacks) if read is None else MessageTracker(self._callbacks, read)
         elif source.tracker is not None and source.tracker.in_step and not self.strikes_frames:
             source.tracker = None
 
     def changed(self, queued: QueuedFrame) -> list[QueuedFrame]:
-        """Return what goes to the bus instead of a frame."""
+        """Return the frames that go to the bus in place of `queued`."""
         queued_frames = [queued]
         for stage in self._faults.stages:
             before = stage.hits
             queued_frames = [out for each in queued_frames for out in stage.change(each)]
             if stage.hits != before:
-                self._faults.struck(stage, [self._posted])
+                self._faults.applied(stage, [self._posted])
         self._posted += 1
         return queued_frames
 
     def is_off(self, bus: int) -> bool:
-        """Say whether our controller has left this bus."""
+        """Return True if our controller has left this bus."""
         return any(stage.off for stage in self._of(bus))
 
     def is_dead(self, bus: int) -> bool:
-        """Say whether this bus is cut."""
+        """Return True if this bus is cut."""
         return any(stage.dead for stage in self._of(bus))
 
     def babblers(self, bus: int) -> list[Babbler]:
@@ -92,7 +92,7 @@ class BusFaults:
         return [stage for stage in self._of(bus) if isinstance(stage, Babbler)]
 
     def close(self) -> None:
-        """End them all."""
+        """End all faults."""
         self._faults.close()
 
     def _of(self, bus: int) -> list[FrameStage]:
@@ -101,7 +101,7 @@ class BusFaults:
 
 @dataclass(frozen=True)
 class _Followed:
-    """What depends on the ordinary frames up to `number`."""
+    """Callbacks that depend on the ordinary frames up to `number`."""
 
     number: int
     begun: Callable[[], None]
@@ -109,24 +109,24 @@ class _Followed:
 
 
 class FaultyBus(CanBus):
-    """A bus on which faults happen; `index` is 0 for bus A, 1 for bus B."""
+    """CAN bus with fault injection; `index` is 0 for bus A, 1 for bus B."""
 
     def __init__(self, bus: CanBus, index: int, faults: BusFaults) -> None:
         self._bus = bus
         self._index = index
         self._faults = faults
         self._rest: deque[QueuedFrame] = deque()
-        self._taken = 0  # ordinary frames, by the bus
+        self._taken = 0  # ordinary frames that the bus accepted
         self._followed: deque[_Followed] = deque()
         self.missed = 0
-        self._is_off = False  # by a fault: the bus itself is open
+        self._is_off = False  # off by a fault, while the bus itself is open
 
     async def open(self) -> None:
-        """See `CanBus.open`; while the controller is off by a fault, that is what it says."""
+        """See `CanBus.open`; raises BusDown while a fault keeps the controller off."""
         self._check_off()
         if self._is_off:
             self._is_off = False
-            self._bus.take()  # what was on it meanwhile was not heard
+            self._bus.take()  # frames sent in the meantime were not received
             return
         await self._bus.open()
 
@@ -135,7 +135,7 @@ class FaultyBus(CanBus):
         return self.post(QueuedFrame(frame, urgent))
 
     def post(self, queued: QueuedFrame) -> bool:
-        """Send a frame by way of the faults; False: there is no room now. Raises BusDown when the bus is gone."""
+        """Send a frame through the faults; return False if there is no room now. Raises BusDown."""
         self._check_off()
         if not self._flush():
             return False
@@ -145,22 +145,22 @@ class FaultyBus(CanBus):
         return True
 
     def put(self, queued_frames: list[QueuedFrame]) -> None:
-        """Send these as they are, as soon as there is room; raises BusDown when the bus is gone."""
+        """Send these frames unchanged, as soon as there is room; raises BusDown when the bus is lost."""
         self._rest += queued_frames
         self._flush()
 
     def follow(self, begun: Callable[[], None], gone: Callable[[], None]) -> None:
-        """Have it told when all ordinary frames that the bus has taken so far have begun, or never will."""
+        """Register callbacks for the frames accepted so far: `begun` when all have begun, `gone` if they never will."""
         self._followed.append(_Followed(self._taken, begun, gone))
 
     def settle(self) -> None:
-        """Tell whatever depends on frames that have begun."""
+        """Call the callbacks of frames that have begun."""
         begun = self._taken - self._bus.waiting
         while self._followed and self._followed[0].number <= begun:
             self._followed.popleft().begun()
 
     def drop(self) -> None:
-        """The bus is not in use any more, or gone: forget what has not begun."""
+        """Discard all frames that have not begun, because the bus is inactive or lost."""
         self.settle()
         self._bus.discard()
         while self._followed:
@@ -170,16 +170,16 @@ class FaultyBus(CanBus):
             if message is not None:
                 message.gone()
 
-    def take(self) -> list[Heard]:
+    def take(self) -> list[TimedFrame]:
         """See `CanBus.take`."""
         self._check_off()
         self._flush()
-        heard = self._bus.take()
+        received = self._bus.take()
         self.missed = self._bus.missed
-        return [] if self._faults.is_dead(self._index) else heard
+        return [] if self._faults.is_dead(self._index) else received
 
     def babble(self, now_ns: int) -> None:
-        """Let the nodes talk that flood this bus."""
+        """Send the due frames of the nodes that flood this bus."""
         for babbler in self._faults.babblers(self._index):
             for t_ns in babbler.due(now_ns + _AHEAD_NS):
                 self._bus.flood(babbler.frame, t_ns)
@@ -205,9 +205,9 @@ class FaultyBus(CanBus):
         return self._bus.counts
 
     @property
-    def heard(self) -> bool:
-        """See `CanBus.heard`."""
-        return self._bus.heard and not self._faults.is_dead(self._index)
+    def has_listeners(self) -> bool:
+        """See `CanBus.has_listeners`."""
+        return self._bus.has_listeners and not self._faults.is_dead(self._index)
 
     def _check_off(self) -> None:
         if self._faults.is_off(self._index):
@@ -215,7 +215,7 @@ class FaultyBus(CanBus):
             raise BusDown(f"{self.address} is bus-off, by a fault of this rig; it comes back when that is over")
 
     def _flush(self) -> bool:
-        """Send what waits; say whether nothing is left."""
+        """Send the waiting frames; return True if none is left."""
         while self._rest:
             if not self._hand_over(self._rest[0]):
                 return False

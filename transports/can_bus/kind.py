@@ -1,7 +1,4 @@
-"""The record of CAN links.
-
-What a rig says of a CAN link.
-"""
+"""Parameters of a CAN link, and its registration as a kind of link."""
 
 from __future__ import annotations
 
@@ -32,65 +29,65 @@ Option = str | int | float | bool
 
 @dataclass(frozen=True)
 class CanLink:
-    """A bus, or two, and how the camera behaves on it.
+    """One CAN bus, or two redundant ones, and the camera's behaviour on it.
 
     Attributes
     ----------
     interface
-        "served": evstim is the bus, and others join it by TCP in the protocol of socketcand; or an interface of
-        python-can: socketcan, slcan, gs_usb, pcan, kvaser, udp_multicast, virtual, socketcand ...
+        "served": evstim provides the bus, and other programs join it by TCP in the protocol of socketcand; or an
+        interface of python-can: socketcan, slcan, gs_usb, pcan, kvaser, udp_multicast, virtual, socketcand ...
     channel
-        Which bus: can0, /dev/ttyACM0, 239.74.163.2 ...
+        Channel of the interface: can0, /dev/ttyACM0, 239.74.163.2 ...
     channel_b
-        The redundant bus; "" for none. The master's heartbeat says which one is in use.
+        The redundant bus; "" for none. The master's heartbeat selects the active bus.
     host, port
-        Where the bus is served, with interface = "served".
+        Address of a served bus, with interface = "served".
     allow
-        Addresses and networks that may join a served bus; needed where `host` can be reached from other machines.
+        Addresses and networks that may join a served bus; required if other machines can reach `host`.
     bitrate
         Bits a second of classic frames, and of the arbitration of CAN FD frames: 1000 to 1 000 000. A served bus sends
         at this rate, and adapters are set to it (slcan, gs_usb, pcan, kvaser ...); a bus of the kernel (socketcan), of
         a socketcand or of programs (virtual, udp_multicast) has its own. `share` counts frames by it on every bus.
     data_bitrate
-        Bits a second of the data of CAN FD frames, `bitrate` to 20 000 000. With fd = true adapters are set to it,
-        where python-can sets them, and `share` counts by it; without, and on a served bus, it has no effect.
+        Bits a second of the data of CAN FD frames, `bitrate` to 20 000 000. With fd = true adapters are set to it, if
+        python-can supports that, and `share` counts by it; without fd, and on a served bus, it has no effect.
     fd
-        CAN FD frames.
+        True for CAN FD frames.
     share
-        Most of the bus's time that frames may take, ours and others' together; above it our events wait.
+        Highest share of the bus's time that all frames may take, ours and others' together; above it our events wait.
     carriage
-        How events are carried: "raw" (frames that stand alone), "isotp" (blocks by ISO-TP) or "cfp" (blocks in CSP
+        Transport of the events: "raw" (frames that stand alone), "isotp" (blocks by ISO-TP) or "cfp" (blocks in CSP
         packets).
     flow_control
-        With ISO-TP: wait for the peer's flow control. Without it nobody has to answer.
+        With ISO-TP: wait for the peer's flow control. Without it no peer has to answer.
     answer_ms
-        With ISO-TP: how long to wait for the peer.
+        With ISO-TP: timeout of the peer's answer.
     epoch_ms
         Time between two epoch frames, with raw frames.
     node
-        Our node number for NMT, 1 to 127; the defaults of the identifiers follow it.
+        Our node number for NMT, 1 to 127; the default identifiers are derived from it.
     heartbeat_ms
-        Between two of our heartbeats; 0 for none.
+        Time between two of our heartbeats; 0 for none.
     sync_ms
-        Between two SYNCs that we send as the bus's master; 0 for none.
+        Time between two SYNCs that we send as the bus's master; 0 for none.
     sync_counter
-        Whether our SYNC carries its counter.
+        True if our SYNC contains its counter.
     time_ms
-        Between two SCETs that we send as the bus's master; 0 for none.
+        Time between two SCETs that we send as the bus's master; 0 for none.
     follow_time
         Set the camera's time by the SCET or TIME of the bus's master.
     csp_address, csp_peer
         CSP addresses of camera and computer, with CFP.
     options
-        More for python-can's interface, by its own names.
+        Further options of python-can's interface, by its own names.
     identifiers
-        Of all frames.
+        Identifiers of all frames.
     redundancy
-        When to change buses.
+        Conditions for a change of the bus.
     instrument
-        What the camera says, and how much of it.
+        Selection and rates of the camera's messages.
     name
-        What this rig calls the link: in reports, and where faults and triggers name it.
+        Name of the link in this rig: in reports, faults and triggers.
     """
 
     kind: ClassVar[str] = "can"
@@ -161,35 +158,35 @@ class CanLink:
 
     @property
     def rates(self) -> BitRates:
-        """Of the bus."""
+        """Bit rates of the bus."""
         return BitRates(self.bitrate, self.data_bitrate)
 
     @property
     def isotp(self) -> IsoTpSettings:
-        """Our ISO-TP channel."""
+        """Settings of our ISO-TP channel."""
         peer = self.peer_isotp
         return replace(peer, send=peer.receive, receive=peer.send)
 
     @property
     def peer_isotp(self) -> IsoTpSettings:
-        """The same channel as the peer sees it."""
+        """Settings of the same channel, as the peer uses them."""
         return self.receiver.isotp
 
     @property
     def receiver(self) -> CanReceiverSettings:
-        """What the computer has to know of this link."""
+        """Settings of this link that the receiving computer needs."""
         return CanReceiverSettings(
             self.identifiers, self.fd, self.flow_control, self.answer_ms, self.csp_address, self.csp_peer
         )
 
     def raw(self, tick_us: int) -> RawSettings:
-        """Return how raw frames are made at a tick."""
+        """Return the settings of raw frames at a tick."""
         ids = self.identifiers
         return RawSettings(ids.events, ids.epoch, tick_us, round(self.epoch_ms * 1000), self.fd, clock=ids.clock)
 
 
 _OWN_BUSES = ("served", "virtual")
-"""Interfaces that carry an error frame that is given to them; a controller makes its own."""
+"""Interfaces that transmit a given error frame; with the others the controller makes its own."""
 
 
 def _endpoint(parameters: CanLink, wiring: Wiring) -> EndpointFactory[Any]:
@@ -204,7 +201,7 @@ def _faults_of(parameters: CanLink) -> Mapping[str, type[Fault]]:
 
 
 def _with_identifiers(table: dict[str, Any]) -> dict[str, Any]:
-    """Let the identifiers follow the node number where the rig does not give them."""
+    """Derive identifiers from the node number where the rig does not give them."""
     node, own = table.get("node", CanLink.node), table.get("identifiers", {})
     if not isinstance(node, int) or not 1 <= node <= 127 or not isinstance(own, dict):
         return table  # refused where its type is checked

@@ -1,6 +1,7 @@
-"""The camera as a node of a CANopen-like network: heartbeat, NMT, SYNC, TIME, SCET, EMCY, and which bus is in use.
+"""Camera as a node of a CANopen-like network: heartbeat, NMT, SYNC, TIME, SCET, EMCY and bus selection.
 
-A computer on a CAN bus: hears a camera until told to stop, counts, and answers what has to be answered.
+`listen_can` is the other side: a computer on the bus that receives a camera's frames, counts them and sends the replies
+that the protocol requires.
 """
 
 from __future__ import annotations
@@ -40,14 +41,14 @@ __all__ = ["CanReception", "EdgeSink", "Node", "listen_can", "peer_of"]
 
 
 EdgeSink = Callable[[int, int], None]
-"""Takes the time of a trigger (CLOCK_MONOTONIC, ns) and its number."""
+"""Callback with the time of a trigger (CLOCK_MONOTONIC, ns) and its number."""
 
 _MS = 1_000_000
-_EMCY_PERIOD_NS = 1_000 * _MS  # at most one emergency a second, and so long without a drop until it is over
+_EMCY_PERIOD_NS = 1_000 * _MS  # at most one emergency a second; it is over after this time without a drop
 
 
 class Node:
-    """What the node does by the clock, and what it does when it hears something."""
+    """Node of the camera: frames sent by the clock, and reactions to received frames."""
 
     def __init__(
         self, parameters: CanLink, instrument: Instrument, deliveries: Deliveries, sink: EdgeSink | None
@@ -61,7 +62,7 @@ class Node:
         self._sync = 0
         self._last_sync: int | None = None
         self._follow_ups: list[Frame] = []
-        self._dropped_told = 0
+        self._dropped_reported = 0
         self._emergency = False
         self._booted = False
         self.selector: BusSelector | None = None
@@ -69,16 +70,16 @@ class Node:
 
     @property
     def state(self) -> NodeState:
-        """As the heartbeat tells it."""
+        """State in the heartbeat."""
         return NodeState.OPERATIONAL if self._instrument.streaming else NodeState.STOPPED
 
     @property
     def bus(self) -> int:
-        """The bus in use: 0 for A, 1 for B."""
+        """Index of the active bus: 0 for A, 1 for B."""
         return 0 if self.selector is None else self.selector.active
 
     def start(self, now_ns: int) -> None:
-        """Begin, on the default bus."""
+        """Start the node on the default bus."""
         self._booted = False
         if self._p.channel_b:
             self.selector = BusSelector(self._p.redundancy, now_ns)
@@ -102,11 +103,11 @@ class Node:
         return frames
 
     def farewell(self) -> list[Frame]:
-        """Return what tells the others that this node ends: the heartbeat of one that has stopped, where it has one."""
+        """Return the frames at the end of this node: the heartbeat of a stopped node, if it sends heartbeats."""
         return [Frame(self._ids.heartbeat, bytes([NodeState.STOPPED]))] if self._p.heartbeat_ms else []
 
-    def hear(self, bus: int, frame: Frame, t_ns: int) -> None:
-        """Take a frame that was on a bus at `t_ns`. Only the master's heartbeat counts on a bus that is not in use."""
+    def receive(self, bus: int, frame: Frame, t_ns: int) -> None:
+        """Process a frame that was on a bus at `t_ns`. On an inactive bus only the master's heartbeat counts."""
         if frame.error:
             self.counts["error frames"] += 1
             return
@@ -119,7 +120,10 @@ class Node:
                 self._order(frame, t_ns)
 
     def has_left(self, frame: Frame, t_ns: int) -> None:
-        """An urgent frame of ours was on the bus at `t_ns`: our SYNC triggers us too, and its follow-up tells when."""
+        """Record that an urgent frame of ours was on the bus at `t_ns`.
+
+        Our own SYNC triggers the camera too, and the follow-up of the SYNC contains `t_ns`.
+        """
         if frame.identifier != self._ids.sync or frame.extended:
             return
         counter = frame.data[0] if frame.data else 0
@@ -180,7 +184,7 @@ class Node:
             return []
         c = self._instrument.counters
         dropped = c.dropped_fifo + c.dropped_late + c.dropped_rate + c.lost_on_link
-        more, self._dropped_told = dropped > self._dropped_told, dropped
+        more, self._dropped_reported = dropped > self._dropped_reported, dropped
         if more or self._emergency:
             self._emergency = more
             self.counts["EMCY"] += 1
@@ -188,7 +192,7 @@ class Node:
         return []
 
     def _is_due(self, what: str, period_ms: int, now_ns: int) -> bool:
-        """Say whether a thing with this period is due, on absolute times, so that a late look delays no later one."""
+        """Return True if a periodic frame is due. Due times are absolute, so a late call delays no later frame."""
         if period_ms == 0:
             return False
         due_ns = self._next_ns.setdefault(what, now_ns)
@@ -204,7 +208,7 @@ _LOOK_PERIOD_S = 0.1
 
 @dataclass(frozen=True)
 class CanReception:
-    """What has come so far.
+    """Events and counts received so far.
 
     Attributes
     ----------
@@ -213,17 +217,17 @@ class CanReception:
     last_t_us
         Time of the newest event; None before the first.
     digest
-        Of all events, see `digest_of`.
+        Digest of all events, see `digest_of`.
     faults
-        Things that a sound link never shows.
+        Number of faults that never occur on an intact link.
     counts
-        Everything else by name.
+        All other counts by name.
     jitter_us
-        How much later than the quickest frame each came, by the bus's stamps: the camera's own clock is not known.
+        Delay of each frame relative to the fastest one, by the bus's time stamps: the camera's clock is not known.
     gone
-        True when the bus went away.
+        True when the bus was lost.
     ended
-        Whether the newest heartbeat said that the camera had stopped, as it does at the end of its run.
+        True if the newest heartbeat reported a stopped camera, as it does at the end of its run.
     """
 
     events: int = 0
@@ -239,12 +243,12 @@ class CanReception:
 
 
 def peer_of(parameters: CanLink) -> CanLink:
-    """Return how the other side joins the bus of a rig's link."""
+    """Return the parameters with which the other side joins the bus of a rig's link."""
     return replace(parameters, interface="socketcand") if parameters.interface == "served" else parameters
 
 
-class _Listening:
-    """One visit to the bus."""
+class _Listener:
+    """State of one reception from a bus."""
 
     def __init__(self, parameters: CanLink, clock: Clock, recorder: Recorder | None) -> None:
         self._receiver = CanReceiver(parameters.receiver)
@@ -254,23 +258,23 @@ class _Listening:
 
     @property
     def now(self) -> CanReception:
-        """What has come so far, without what is known at the end alone."""
+        """Reception so far, without the values that are known only at the end."""
         a = self._arrivals
         return CanReception(a.events, a.edges, a.seconds, a.last_t_us, a.digest)
 
     def take(self, bus: PythonCanBus) -> None:
-        """Hear all that has come; raises BusDown when the bus is gone."""
-        for heard in bus.take():
-            self._receiver.push(heard.frame, heard.t_ns)
-            if heard.frame.identifier == self._heartbeat and not heard.frame.extended:
-                self._ended = heard.frame.data == bytes([NodeState.STOPPED])
+        """Process all received frames; raises BusDown when the bus is lost."""
+        for received in bus.take():
+            self._receiver.push(received.frame, received.t_ns)
+            if received.frame.identifier == self._heartbeat and not received.frame.extended:
+                self._ended = received.frame.data == bytes([NodeState.STOPPED])
             for reply in self._receiver.take_replies():
-                with suppress(BusDown):  # the next look says so, after all that was heard before
+                with suppress(BusDown):  # the next `bus.take` raises it, after all frames received before
                     bus.send(reply)
-            self._arrivals.add(self._receiver.take_events(), self._receiver.take_edges(), heard.t_ns)
+            self._arrivals.add(self._receiver.take_events(), self._receiver.take_edges(), received.t_ns)
 
     def finish(self, *, gone: bool) -> CanReception:
-        """Return everything."""
+        """Return the complete reception."""
         receiver, jitter = self._receiver, self._arrivals.jitter()
         known = replace(self.now, faults=receiver.faults, counts=receiver.counts, jitter_us=jitter)
         return replace(known, gone=gone, ended=self._ended)
@@ -279,13 +283,13 @@ class _Listening:
 async def listen_can(
     parameters: CanLink, goes_on: Callable[[CanReception], bool], clock: Clock, recorder: Recorder | None = None
 ) -> CanReception:
-    """Join the bus of `parameters` and hear it while `goes_on` says so, which is asked whenever something has come.
+    """Join the bus of `parameters` and receive frames while `goes_on`, called after each arrival, returns True.
 
-    Raises BusDown when it cannot be joined; a bus that goes away later ends the visit.
+    Raises BusDown if the bus cannot be joined; the reception ends if the bus is lost later.
     """
     bus = PythonCanBus(parameters, parameters.channel)
     await bus.open()
-    listening = _Listening(parameters, clock, recorder)
+    listening = _Listener(parameters, clock, recorder)
     gone = False
     try:
         while goes_on(listening.now):

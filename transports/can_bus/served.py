@@ -1,18 +1,15 @@
-"""A CAN bus that evstim makes itself and lends to others over TCP, in the protocol of socketcand.
+"""CAN bus that evstim provides to other programs over TCP, in the protocol of socketcand.
 
 The wire is modelled: bit rate, stuff bits, arbitration, one frame at a time (see `socketcand` of the CAN frames).
-Others join with python-can (`interface = "socketcand"`), with `evstim listen can`, or through socketcand's own client
-onto a vcan of another machine. What it does not model: errors, acknowledgement, CAN FD. A client that reads too slowly
-misses frames, which are counted.
+Clients join with python-can (`interface = "socketcand"`), with `evstim listen can`, or through socketcand's own client
+onto a vcan of another machine. Errors, acknowledgement and CAN FD are not modelled.
 
-Several nodes of the wire are ours: one for ordinary frames, and one for each urgent identifier, as a controller with
-that many transmit buffers has; so a SYNC waits for one frame at most, also when a heartbeat cannot get through.
+Several nodes of the wire are ours: one for ordinary frames, and one for each urgent identifier, as in a controller with
+that many transmit buffers. So a SYNC waits for one frame at most, even if a heartbeat is blocked.
 
-The bus's end of one client's connection, in the protocol of socketcand.
-
-What the client can fill is bounded: one read, the frames that wait for the bus (then nothing more is read until there
-is room), and what it has not read. A client with too much unread misses frames; one that also asks for answers is sent
-off.
+The memory that a client can fill is bounded: one read, the frames that wait for the bus (no more are read until there
+is room), and its unread data. A client with too much unread data misses frames, which are counted; one that also
+requests answers is disconnected.
 """
 
 from __future__ import annotations
@@ -27,7 +24,7 @@ from typing import Protocol
 
 from firmware_protocol.can_frames.frame import Frame
 from firmware_protocol.can_frames.socketcand import GREETING, Carried, SocketcandSession, Wire, frame_line
-from transports.can_bus.bus import BusDown, CanBus, Heard
+from transports.can_bus.bus import BusDown, CanBus, TimedFrame
 from transports.can_bus.kind import CanLink
 from transports.link.pacing import Clock
 from transports.network.datagrams import Admission, AllowList, Places, Seat
@@ -38,32 +35,32 @@ __all__ = ["BusClient", "ClientHost", "ServedBus"]
 
 _READ_BYTES = 4096
 _MOST_UNSENT_BYTES = 1 << 20
-_MOST_FRAMES = 48  # of a client that wait for the bus before no more are read
+_MOST_FRAMES = 48  # of one client that may wait for the bus before its reading pauses
 
 
 class ClientHost(Protocol):
-    """What a client asks of its bus."""
+    """Bus interface that a client connection uses."""
 
     def offer(self, client: BusClient, frames: list[Frame]) -> int:
-        """Take frames that a client sends; return how many of its frames wait."""
+        """Queue frames of a client; return the number of its waiting frames."""
 
     def joined(self, client: BusClient) -> None:
-        """Hear that a client uses the bus."""
+        """Register a client that uses the bus."""
 
-    def deaf(self, client: BusClient) -> None:
-        """Hear that a client asks and does not read, and is sent off."""
+    def slow(self, client: BusClient) -> None:
+        """Register that a client sends requests, does not read the answers, and is disconnected."""
 
     def left(self, client: BusClient) -> None:
-        """Hear that a connection is over."""
+        """Remove a client, because its connection has ended."""
 
 
 class BusClient(asyncio.BufferedProtocol):
-    """One client; `node` is its number on the wire.
+    """Connection of one client in the protocol of socketcand; `node` is its number on the wire.
 
     Attributes
     ----------
     wants_frames
-        True when it wants to be told of every frame.
+        True when the client has requested all frames.
     """
 
     _transport: asyncio.Transport
@@ -73,7 +70,7 @@ class BusClient(asyncio.BufferedProtocol):
         self._host = host
         self._session = SocketcandSession(channel)
         self._room = bytearray(_READ_BYTES)
-        self._told: deque[int] = deque()  # where each line that is not sent ends, in all bytes written
+        self._line_ends: deque[int] = deque()  # end of each line not yet sent, counted in all bytes written
         self._written = 0
         self._paused = self._leaving = False
 
@@ -84,34 +81,34 @@ class BusClient(asyncio.BufferedProtocol):
 
     @property
     def unsent_lines(self) -> int:
-        """Frames that it was told of and that are still with us."""
+        """Number of frames written for the client that are still in our buffer."""
         sent = self._written - self._transport.get_write_buffer_size()
-        while self._told and self._told[0] <= sent:
-            self._told.popleft()
-        return len(self._told)
+        while self._line_ends and self._line_ends[0] <= sent:
+            self._line_ends.popleft()
+        return len(self._line_ends)
 
-    def tell(self, line: bytes) -> bool:
-        """Tell it of a frame; False when it has too much unread."""
+    def send_line(self, line: bytes) -> bool:
+        """Send a frame to the client; return False when it has too much unread data."""
         if self._transport.get_write_buffer_size() > _MOST_UNSENT_BYTES:
             return False
         self._write(line)
         if self._transport.get_write_buffer_size():
-            self._told.append(self._written)
+            self._line_ends.append(self._written)
         else:
-            self._told.clear()
+            self._line_ends.clear()
         return True
 
     def resume(self, waiting: int) -> None:
-        """Read on when there is room for its frames again."""
+        """Continue reading when there is room for the client's frames again."""
         if self._paused and waiting < _MOST_FRAMES:
             self._paused = False
             self._transport.resume_reading()
 
     def close(self) -> None:
-        """Send it off when it has read everything: it sees the end, and closes.
+        """Close the connection when the client has read everything: it sees the end, and closes its side.
 
-        Until then what it sends is read and dropped. Closing a socket with something unread would reset the connection,
-        and frames that it was told of would never arrive.
+        Until then the client's data are read and dropped. Closing a socket with unread data would reset the connection,
+        and frames already sent to the client would never arrive.
         """
         self._leaving = True
         if self._transport.is_closing():
@@ -119,34 +116,34 @@ class BusClient(asyncio.BufferedProtocol):
         self._transport.resume_reading()
         try:
             self._transport.write_eof()
-        except OSError:  # the client was faster, and asyncio has not noticed yet
+        except OSError:  # the client closed first, and asyncio has not noticed yet
             self._transport.abort()
 
     def abort(self) -> None:
-        """Send it off at once."""
+        """Close the connection at once."""
         self._transport.abort()
 
-    # The asyncio side.
+    # Callbacks of asyncio.
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Take a connected socket."""
+        """Store the transport of a connected socket."""
         assert isinstance(transport, asyncio.Transport)
         self._transport = transport
         self._write(GREETING)
 
     def get_buffer(self, sizehint: int) -> bytearray:
-        """Return where the next bytes go."""
+        """Return the buffer for the next bytes."""
         return self._room
 
     def buffer_updated(self, nbytes: int) -> None:
-        """Take bytes from the client."""
+        """Process bytes from the client."""
         if self._leaving:
             return
         answer, frames = self._session.push(bytes(memoryview(self._room)[:nbytes]))
         if self._session.raw or frames:
             self._host.joined(self)
         if answer and self._transport.get_write_buffer_size() > _MOST_UNSENT_BYTES:
-            self._host.deaf(self)
+            self._host.slow(self)
             self._transport.abort()
             return
         self._write(answer)
@@ -157,7 +154,7 @@ class BusClient(asyncio.BufferedProtocol):
             self._transport.pause_reading()
 
     def connection_lost(self, error: Exception | None) -> None:
-        """Hear that the connection is over."""
+        """Inform the bus that the connection has ended."""
         self._host.left(self)
 
     def _write(self, data: bytes) -> None:
@@ -166,29 +163,29 @@ class BusClient(asyncio.BufferedProtocol):
 
 
 _ORDINARY, _STRANGER = 0, 1
-_MOST_WAITING = 48  # frames handed over and not begun: 5 ms of a full bus, so that ticks may be late
-_MOST_UNREAD = 100_000  # frames of others that the endpoint has not taken: none while its bus is off by a fault
-_SETTLE_NS = 250_000_000  # python-can takes an answer of the handshake for garbage when a frame follows too soon
+_MOST_WAITING = 48  # accepted frames that have not begun: 5 ms of a full bus, so that ticks may be late
+_MOST_UNREAD = 100_000  # frames that the endpoint has not taken: it takes none while a fault keeps its bus off
+_SETTLE_NS = 250_000_000  # python-can cannot parse an answer of the handshake if a frame follows too soon
 _PLACES = Places(total=32, per_address=16)
 _REFUSAL = b"< error too many clients >"
-_CLOSE_TURNS, _CLOSE_TURN_S = 1000, 0.001  # clients have a second to read the rest
+_CLOSE_TURNS, _CLOSE_TURN_S = 1000, 0.001  # clients get one second to read the rest
 
 
 @dataclass(frozen=True)
 class _Member:
-    """A connection, and since when it wants frames (None: it does not)."""
+    """Connection, and the time since which it receives frames (None: it does not)."""
 
     client: BusClient
     seat: Seat
     listens_ns: int | None = None
 
     def listens(self, t_ns: int) -> bool:
-        """Say whether it is to be told of a frame at `t_ns`."""
+        """Return True if the client receives a frame that was sent at `t_ns`."""
         return self.listens_ns is not None and t_ns >= self.listens_ns and self.client.wants_frames
 
 
 class ServedBus(CanBus):
-    """The bus, and everybody on it."""
+    """Served bus with all its clients."""
 
     def __init__(self, parameters: CanLink, clock: Clock) -> None:
         self._parameters = parameters
@@ -198,7 +195,7 @@ class ServedBus(CanBus):
         self._listener = Listener(self._admission, self._welcome, _REFUSAL)
         self._members: dict[int, _Member] = {}
         self._nodes = itertools.count(2)
-        self._unread: deque[Heard] = deque(maxlen=_MOST_UNREAD)
+        self._unread: deque[TimedFrame] = deque(maxlen=_MOST_UNREAD)
         self._wall_offset_ns = time.time_ns() - time.monotonic_ns()
         self._counts: Counter[str] = Counter()
         self.missed = 0
@@ -211,22 +208,22 @@ class ServedBus(CanBus):
 
     @property
     def waiting(self) -> int:
-        """Our ordinary frames that have not begun."""
+        """Number of our ordinary frames that have not begun."""
         return self._wire.waiting(_ORDINARY)
 
     @property
-    def heard(self) -> bool:
-        """True while anybody listens: a frame that nobody hears is not acknowledged, and so never sent."""
+    def has_listeners(self) -> bool:
+        """True while any client listens: a frame without a receiver is not acknowledged, and so never completes."""
         now_ns = self._clock.now_ns()
         return any(member.listens(now_ns) for member in self._members.values())
 
     @property
     def counts(self) -> Mapping[str, int]:
-        """Clients that were refused or sent off."""
+        """Counts of clients that were refused or disconnected."""
         return self._counts + self._admission.counts
 
     async def open(self) -> None:
-        """Listen; raises BusDown when the port cannot be had."""
+        """Listen on the port; raises BusDown if the port cannot be opened."""
         p = self._parameters
         try:
             self._listener.open(p.host, p.port)
@@ -234,7 +231,7 @@ class ServedBus(CanBus):
             raise BusDown(
                 error.errno,
                 f"cannot serve a CAN bus on {p.host} port {p.port}: {error.strerror}; another evstim or socketcand may "
-                "hold it: stop that one, or give this link another port (0 takes a free one)",
+                "use it: stop that one, or give this link another port (0 takes a free one)",
             ) from error
 
     def send(self, frame: Frame, *, urgent: bool = False) -> bool:
@@ -251,19 +248,22 @@ class ServedBus(CanBus):
         """See `CanBus.flood`."""
         self._wire.offer(_STRANGER, frame, t_ns)
 
-    def take(self) -> list[Heard]:
+    def take(self) -> list[TimedFrame]:
         """See `CanBus.take`."""
         self._carry(self._clock.now_ns())
-        heard = list(self._unread)
+        received = list(self._unread)
         self._unread.clear()
-        return heard
+        return received
 
     def discard(self) -> None:
         """See `CanBus.discard`; a frame that has begun is not interrupted."""
         self._wire.forget(_ORDINARY)
 
     async def close(self) -> None:
-        """Let the frame on the wire end, and send off everybody when they have read everything, or a second later."""
+        """Finish the frame on the wire, then disconnect the clients.
+
+        A client is disconnected when it has read everything, at the latest after a second.
+        """
         await self._listener.close()
         await self._until(lambda: not self._wire.busy)
         for member in self._members.values():
@@ -274,10 +274,10 @@ class ServedBus(CanBus):
             member.client.abort()
         await self._until(lambda: not self._members)
 
-    # What clients ask (`transports.can_bus.served.ClientHost`).
+    # Methods of `ClientHost`.
 
     def joined(self, client: BusClient) -> None:
-        """Keep a client from now on, and tell it of frames if it wants that."""
+        """Store a client, and begin to send it frames if it has requested them."""
         member = self._members[client.node]
         self._admission.settle(member.seat)
         if client.wants_frames and member.listens_ns is None:
@@ -292,12 +292,12 @@ class ServedBus(CanBus):
         self._carry(now_ns)
         return self._wire.waiting(client.node)
 
-    def deaf(self, client: BusClient) -> None:
-        """Count a client that does not read."""
-        self._counts["clients sent off that did not read"] += 1
+    def slow(self, client: BusClient) -> None:
+        """Count a client that is disconnected because it does not read."""
+        self._counts["slow clients disconnected"] += 1
 
     def left(self, client: BusClient) -> None:
-        """Forget a client, and what it had not begun to send."""
+        """Remove a client and its frames that have not begun."""
         self._admission.leave(self._members.pop(client.node).seat)
         self._wire.forget(client.node)
 
@@ -314,20 +314,20 @@ class ServedBus(CanBus):
             self._carry(self._clock.now_ns())
 
     def _carry(self, now_ns: int) -> None:
-        """Let the wire move on, and tell everybody what it carried."""
+        """Advance the wire, and send its frames to all clients."""
         for carried in self._wire.advance(now_ns):
             if carried.node != _ORDINARY:
-                self._unread.append(Heard(carried.frame, carried.end_ns, own=carried.node < _ORDINARY))
+                self._unread.append(TimedFrame(carried.frame, carried.end_ns, own=carried.node < _ORDINARY))
             if carried.node in self._members:
                 self._members[carried.node].client.resume(self._wire.waiting(carried.node))
             if self._members:
-                self._tell(carried)
+                self._distribute(carried)
 
-    def _tell(self, carried: Carried) -> None:
+    def _distribute(self, carried: Carried) -> None:
         line = frame_line(carried.frame, (carried.end_ns + self._wall_offset_ns) // 1000)
         for member in self._members.values():
             if member.client.node != carried.node and member.listens(carried.end_ns):
-                self.missed += not member.client.tell(line)
+                self.missed += not member.client.send_line(line)
 
 
 def _mailbox(frame: Frame) -> int:

@@ -1,1 +1,1 @@
-"""Faults of links: what goes wrong on a serial line or a CAN bus, when, and exactly what it destroyed."""
+"""Faults of links: their kinds, their schedule, their effects on the data, and an exact count of the data destroyed."""

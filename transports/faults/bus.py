@@ -1,6 +1,6 @@
-"""What faults do to the frames that a node sends on a CAN bus, and to the bus itself. Sans-I/O.
+"""Faults of a CAN bus: their tables in a rig, and their effects on the frames of a node and on the bus. Sans-I/O.
 
-The faults of a CAN bus, as a rig writes them; see `kinds`.
+See `kinds` for the attributes that all faults have.
 """
 
 from __future__ import annotations
@@ -36,26 +36,26 @@ __all__ = [
 
 @dataclass(frozen=True)
 class LostFrames(HitFault):
-    """Frames that no other node takes: a bus repeats what it damages, but a gateway or a full receiver loses frames."""
+    """Frames that no node receives: a bus repeats damaged frames, but a gateway or a full receiver loses frames."""
 
     kind: ClassVar[str] = "lost_frames"
 
 
 @dataclass(frozen=True)
 class RepeatedFrames(HitFault):
-    """Frames that come twice, as when the last bit of a good frame is disturbed and the sender repeats it."""
+    """Frames that arrive twice, as when the last bit of a good frame is disturbed and the sender repeats it."""
 
     kind: ClassVar[str] = "repeated_frames"
 
 
 @dataclass(frozen=True)
 class ReorderedFrames(HitFault):
-    """Frames that others overtake, as in a controller with several transmit buffers, or a gateway.
+    """Frames that later frames overtake, as in a controller with several transmit buffers, or a gateway.
 
     Attributes
     ----------
     behind
-        How many frames overtake it.
+        Number of frames that overtake it.
     """
 
     kind: ClassVar[str] = "reordered_frames"
@@ -69,26 +69,26 @@ class ReorderedFrames(HitFault):
 
 @dataclass(frozen=True)
 class ChangedFrames(HitFault):
-    """One bit of a frame's data turned over. The CRC of a real bus would not let that pass; a gateway's memory does."""
+    """One inverted bit in a frame's data. The CRC of a real bus would detect it; the memory of a gateway does not."""
 
     kind: ClassVar[str] = "changed_frames"
 
 
 @dataclass(frozen=True)
 class ErrorFrames(HitFault):
-    """Frames that are destroyed on the bus: an error frame, and the frame again. Only time is lost."""
+    """Frames that are destroyed on the bus: an error frame, then the frame again. Only time is lost."""
 
     kind: ClassVar[str] = "error_frames"
 
 
 @dataclass(frozen=True)
 class _OfBus(LastingFault):
-    """Of one bus of a link.
+    """Fault of one bus of a link.
 
     Attributes
     ----------
     bus
-        "A" or, where the link has a redundant bus, "B".
+        "A" or, if the link has a redundant bus, "B".
     """
 
     bus: Literal["A", "B"] = "A"
@@ -96,14 +96,14 @@ class _OfBus(LastingFault):
 
 @dataclass(frozen=True)
 class BusOff(_OfBus):
-    """The camera's controller has seen too many errors and left the bus; it comes back when this is over."""
+    """The camera's controller has counted too many errors and left the bus; it returns at the end of the fault."""
 
     kind: ClassVar[str] = "bus_off"
 
 
 @dataclass(frozen=True)
 class DeadBus(_OfBus):
-    """The bus is cut at the camera: it hears nobody, and nobody hears it."""
+    """The bus is cut at the camera: it receives no frames, and no node receives its frames."""
 
     kind: ClassVar[str] = "dead_bus"
 
@@ -115,9 +115,9 @@ class BabblingIdiot(_OfBus):
     Attributes
     ----------
     identifier
-        Of its frames, 11 bits: the lower, the more others have to wait.
+        Identifier of its frames, 11 bits: a lower one delays other nodes more.
     load
-        Share of the bus's time that it asks for.
+        Share of the bus's time that it requests.
     """
 
     kind: ClassVar[str] = "babbling_idiot"
@@ -147,21 +147,21 @@ _BUSES = {"A": 0, "B": 1}
 
 
 class QueuedMessage(Protocol):
-    """What depends on a frame's arriving."""
+    """Callbacks that depend on the arrival of a frame."""
 
     def arrived(self, frame: Frame) -> None:
-        """Another node has it."""
+        """Record that another node has received the frame."""
 
     def gone(self) -> None:
-        """No other node will ever have it."""
+        """Record that no other node will receive the frame."""
 
     def spoilt(self) -> QueuedMessage | None:
-        """Its data are wrong; return what now depends on its arriving."""
+        """Record that the frame's data are wrong; return the callbacks that now depend on its arrival."""
 
 
 @dataclass(frozen=True)
 class QueuedFrame:
-    """A frame on its way to the bus; `exempt` from faults of frames when its message was under way as they began."""
+    """Frame in the queue to the bus; `exempt` from faults if its message was in progress when they began."""
 
     frame: Frame
     urgent: bool = False
@@ -170,20 +170,20 @@ class QueuedFrame:
 
 
 class FrameStage:
-    """One fault at work; without a method of its own, it lets frames pass.
+    """One active fault; the base class passes frames unchanged.
 
     Attributes
     ----------
     hits
-        Times that it struck.
+        Number of times that it was applied.
     touched
-        Frames that it changed, took away, put in or held.
+        Number of frames that it changed, removed, inserted or held.
     over
-        True when it has nothing more to do.
+        True when it has no further effect.
     bus
         The bus that is off, dead or flooded; None for faults of frames.
     off, dead
-        What has become of that bus.
+        State of that bus.
     """
 
     bus: int | None = None
@@ -194,16 +194,16 @@ class FrameStage:
         self.over = False
 
     def change(self, queued: QueuedFrame) -> list[QueuedFrame]:
-        """Return what goes to the bus instead of a frame."""
+        """Return the frames that go to the bus in place of `queued`."""
         return [queued]
 
     def finish(self) -> list[QueuedFrame]:
-        """Return what still goes to the bus when the fault is over."""
+        """Return the frames that go to the bus at the end of the fault."""
         return []
 
 
 class _Hitting(FrameStage):
-    """Does something to each frame that is hit."""
+    """Fault that is applied to each frame that is hit."""
 
     def __init__(self, fault: HitFault, random: np.random.Generator) -> None:
         super().__init__()
@@ -250,11 +250,11 @@ class _Overtaken(FrameStage):
         super().__init__()
         self._where = Places(fault, random)
         self._behind = fault.behind
-        self._held: deque[tuple[QueuedFrame, int]] = deque()  # and how many frames still overtake it
+        self._held: deque[tuple[QueuedFrame, int]] = deque()  # each with the number of frames that still overtake it
 
     def change(self, queued: QueuedFrame) -> list[QueuedFrame]:
         if queued.urgent:
-            return [queued]  # it has a way of its own
+            return [queued]  # urgent frames are sent separately
         if self._where.within(1):
             self.hits += 1
             self.touched += 1
@@ -281,7 +281,7 @@ class _Bus(FrameStage):
 
 
 class Babbler(FrameStage):
-    """A node that floods the bus; `due` tells when its frames are."""
+    """Node that floods the bus; `due` returns the times of its frames."""
 
     def __init__(self, fault: BabblingIdiot, rates: BitRates) -> None:
         super().__init__()
@@ -291,7 +291,7 @@ class Babbler(FrameStage):
         self._next_ns: int | None = None
 
     def due(self, until_ns: int) -> list[int]:
-        """Return when it wants to send, ns, since the last call and until then."""
+        """Return the times of its frames since the last call and until `until_ns`, ns."""
         if self._next_ns is None:
             self._next_ns = until_ns
         times = list(range(self._next_ns, until_ns, self._period_ns))
@@ -302,7 +302,10 @@ class Babbler(FrameStage):
 
 
 def frame_stage(fault: Fault, random: np.random.Generator, rates: BitRates) -> FrameStage:
-    """Return what this fault does to a bus of these bit rates; raises ValueError for one that a bus does not have."""
+    """Return the stage of a fault on a bus of these bit rates.
+
+    Raises ValueError for a fault that a bus does not have.
+    """
     match fault:
         case LostFrames():
             return _Lost(fault, random)

@@ -1,13 +1,11 @@
-"""What faults do to packets in datagrams, between the endpoint and its socket.
+"""Faults of packets in datagrams: their tables in a rig, and their effects between the endpoint and its socket.
 
-    endpoint.send --> stage --> stage --> [what the kernel had no room for] --> socket
+    endpoint.send --> stage --> stage --> [datagrams for which the kernel had no room] --> socket
 
-While no fault is at work a datagram goes straight out. Each message that went in has one fate: it has arrived when one
-sound copy of it left, and is lost when no copy is left that could.
+While no fault is active a datagram is sent directly. Each message has one fate: it has arrived when one intact copy of
+it was sent, and is lost when no copy is left that could arrive.
 
-The faults of packets in datagrams, as a rig writes them.
-
-Faults at work on single datagrams, whatever carries them: lost, repeated and late ones.
+The stages for lost, repeated and late datagrams are independent of the contents, so other transports use them too.
 """
 
 from __future__ import annotations
@@ -41,7 +39,7 @@ __all__ = [
 
 @dataclass(frozen=True)
 class LostDatagrams(HitFault):
-    """Datagrams that never arrive, as where a queue on the way is full."""
+    """Datagrams that never arrive, as when a queue on the path is full."""
 
     kind: ClassVar[str] = "lost_datagrams"
 
@@ -55,12 +53,12 @@ class RepeatedDatagrams(HitFault):
 
 @dataclass(frozen=True)
 class LateDatagrams(HitFault):
-    """Datagrams that others overtake.
+    """Datagrams that later datagrams overtake.
 
     Attributes
     ----------
     overtaken_by
-        How many others pass each.
+        Number of datagrams that pass each.
     """
 
     kind: ClassVar[str] = "late_datagrams"
@@ -75,14 +73,14 @@ class LateDatagrams(HitFault):
 DATAGRAM_FAULTS: Mapping[str, type[Fault]] = {
     each.kind: each for each in (LostDatagrams, RepeatedDatagrams, LateDatagrams, BitFlips)
 }
-"""Faults of packets in datagrams, by kind. Bits flip where no checksum of UDP sees it, as in a gateway."""
+"""Faults of packets in datagrams, by kind. Bit flips are not detected by the checksum of UDP, as in a gateway."""
 
 
 T = TypeVar("T")
 
 
 class DatagramStage(ABC, Generic[T]):
-    """One fault at work on datagrams; see `ByteStage` for the attributes."""
+    """One active fault of datagrams; see `ByteStage` for the attributes."""
 
     def __init__(self) -> None:
         self.hits = self.touched = 0
@@ -90,46 +88,46 @@ class DatagramStage(ABC, Generic[T]):
 
     @abstractmethod
     def change(self, datagram: T) -> list[T]:
-        """Return what goes on now."""
+        """Return the datagrams that are passed on now."""
 
     def finish(self) -> list[T]:
-        """Return what goes on when the fault is over."""
+        """Return the datagrams that are passed on at the end of the fault."""
         return []
 
 
 class _Hits(DatagramStage[T]):
-    """Strikes single datagrams."""
+    """Fault that is applied to single datagrams."""
 
     def __init__(self, fault: HitFault, random: np.random.Generator) -> None:
         super().__init__()
         self._where = Places(fault, random)
 
-    def _struck(self) -> bool:
-        struck = bool(self._where.within(1))
-        self.hits += struck
-        self.touched += struck
+    def _is_hit(self) -> bool:
+        hit = bool(self._where.within(1))
+        self.hits += hit
+        self.touched += hit
         self.over = self._where.over
-        return struck
+        return hit
 
 
 class Loss(_Hits[T]):
-    """Lets single datagrams go."""
+    """Loss of single datagrams."""
 
     def change(self, datagram: T) -> list[T]:
         """See `DatagramStage.change`."""
-        return [] if self._struck() else [datagram]
+        return [] if self._is_hit() else [datagram]
 
 
 class Repetition(_Hits[T]):
-    """Sends single datagrams twice."""
+    """Repetition of single datagrams."""
 
     def change(self, datagram: T) -> list[T]:
         """See `DatagramStage.change`."""
-        return [datagram, datagram] if self._struck() else [datagram]
+        return [datagram, datagram] if self._is_hit() else [datagram]
 
 
 class _Delay(_Hits[T]):
-    """Lets others overtake single datagrams."""
+    """Delay of single datagrams, which others overtake."""
 
     def __init__(self, fault: LateDatagrams, random: np.random.Generator) -> None:
         super().__init__(fault, random)
@@ -138,7 +136,7 @@ class _Delay(_Hits[T]):
         self._passed = 0
 
     def change(self, datagram: T) -> list[T]:
-        if self._struck():
+        if self._is_hit():
             self._held.append((self._passed + self._overtaken_by, datagram))
             self.over = False
             return []
@@ -155,7 +153,7 @@ class _Delay(_Hits[T]):
 
 
 def datagram_stage(fault: Fault, random: np.random.Generator) -> DatagramStage[T]:
-    """Return a fault at work; raises ValueError for one that datagrams do not have."""
+    """Return the stage of a fault; raises ValueError for a fault that datagrams do not have."""
     match fault:
         case LostDatagrams():
             return Loss(fault, random)
@@ -171,7 +169,7 @@ _Send = Callable[[bytes], bool]
 
 @dataclass
 class _Sent:
-    """A message on its way: how many copies of it there are, and whether one has arrived."""
+    """Message in progress: the number of its copies, and if one has arrived."""
 
     data: bytes
     outgoing: Outgoing
@@ -201,12 +199,12 @@ def _stage(fault: Fault, random: np.random.Generator) -> DatagramStage[_Copy]:
 
 
 class FaultyDatagrams:
-    """A way for datagrams on which faults happen; `arrived` is told of each message that a sound receiver gets.
+    """Path of datagrams with fault injection; `arrived` is called with each message that an intact receiver gets.
 
     Attributes
     ----------
     false
-        Datagrams that a receiver takes and that were not sent so, or that came again.
+        Number of datagrams that a receiver accepts although they were not sent in this form, or were repeated.
     """
 
     def __init__(self, plan: FaultPlan, arrived: Callable[[Outgoing], None]) -> None:
@@ -218,22 +216,22 @@ class FaultyDatagrams:
 
     @property
     def records(self) -> tuple[FaultRecord, ...]:
-        """What each fault has done."""
+        """Record of each fault."""
         return self._faults.records
 
     def advance(self, now_us: int) -> None:
-        """Let stream time pass."""
+        """Advance stream time."""
         for stage in self._faults.advance(now_us):
             self._waiting += stage.finish()
 
     def inject(self, fault: Fault) -> None:
-        """Begin a fault now; raises ValueError for one that datagrams do not have."""
+        """Begin a fault now; raises ValueError for a fault that datagrams do not have."""
         self._faults.inject(fault)
 
     def send(self, data: bytes, outgoing: Outgoing, socket: _Send) -> bool | None:
-        """Send a message by way of the faults.
+        """Send a message through the faults.
 
-        Returns None where the kernel has no room now and nothing was done, False where it cannot be sent at all.
+        Returns None if the kernel has no room now and nothing was done, False if the message cannot be sent at all.
         """
         if not self.flush(socket):
             return None
@@ -254,13 +252,13 @@ class FaultyDatagrams:
         return left
 
     def flush(self, socket: _Send) -> bool:
-        """Send what waits here; say whether all of it has left."""
+        """Send the waiting datagrams; return True if all of them were sent."""
         while self._waiting and self._leave(self._waiting[0], socket):
             self._waiting.popleft()
         return not self._waiting
 
     def close(self, socket: _Send) -> None:
-        """End all faults; what they hold goes out now, or is lost."""
+        """End all faults; the datagrams that they hold are sent now, or lost."""
         for stage in self._faults.stages:
             self._waiting += stage.finish()
         if not self.flush(socket):
@@ -278,14 +276,14 @@ class FaultyDatagrams:
                 going += passed
                 gone += [each] if not passed and isinstance(stage, Loss) else []
             if stage.hits != before:
-                self._faults.struck(stage, [self._number])
+                self._faults.applied(stage, [self._number])
             for each in gone:
                 self._drop(each)
             copies = going
         return copies
 
     def _leave(self, copy: _Copy, socket: _Send) -> bool:
-        """Give the kernel a datagram; False when it has no room now."""
+        """Pass a datagram to the kernel; return False when it has no room now."""
         try:
             left = socket(copy.data)
         except BlockingIOError:
@@ -294,8 +292,8 @@ class FaultyDatagrams:
             self._arrive(copy.of)
         else:
             self.false += left and bool(Profile("ccsds").unwrapper().push(copy.data))
-            if not left and self._faults.stages:  # what nobody else is to blame for
-                self._faults.struck(self._faults.stages[-1], [])
+            if not left and self._faults.stages:  # attributed to the newest fault, for lack of another cause
+                self._faults.applied(self._faults.stages[-1], [])
             self._drop(copy)
         return True
 

@@ -1,11 +1,12 @@
-"""The faults that a link can be given, as a rig writes them: a table with a `kind`, one frozen dataclass each.
+"""Faults of links as a rig writes them: a table with a `kind`, one frozen dataclass each.
 
-Here are what all have in common and those of a serial line; `can_kinds` and `usb_kinds` have the others.
+This module has the common attributes, the faults of a serial line, and `Places`. Faults of a CAN bus are in `bus`,
+those of datagrams in `datagrams`, those of USB and GigE Vision in `usb_kinds`.
 
-A fault begins at `at_s` of stream time and lasts `for_s`. Those that hit single bits, bytes or frames hit each with a
-chance of `rate` and are over after `count` hits.
+A fault begins at `at_s` of stream time and lasts `for_s`. Faults of single bits, bytes or frames hit each one with
+probability `rate` and end after `count` hits.
 
-Where a fault hits: places in a stream of bits, bytes or frames that do not depend on how it is cut.
+`Places` draws the places of the hits in a stream of bits, bytes or frames; they do not depend on how it is divided.
 """
 
 from __future__ import annotations
@@ -35,21 +36,21 @@ __all__ = [
 ]
 
 
-_LONGEST_S = 3.2e7  # a year, as a run
+_LONGEST_S = 3.2e7  # a year, the longest run
 
 
 @dataclass(frozen=True)
 class Fault:
-    """What all faults have in common.
+    """Common attributes of all faults.
 
     Attributes
     ----------
     link
-        Name of the link; "" where only one link can have this fault.
+        Name of the link; "" if only one link can have this fault.
     at_s
         Stream time at which it begins.
     for_s
-        How long it lasts, in stream time; 0: until it has hit `count` times.
+        Its duration, in stream time; 0: until it has hit `count` times.
     """
 
     kind: ClassVar[str] = ""
@@ -66,14 +67,14 @@ class Fault:
 
 @dataclass(frozen=True)
 class HitFault(Fault):
-    """Hits single bits, bytes or frames.
+    """Fault of single bits, bytes or frames.
 
     Attributes
     ----------
     rate
-        Chance for each, above 0 to 1. With the defaults the next one is hit, once.
+        Probability for each, above 0 to 1. With the defaults the next one is hit, once.
     count
-        Over after so many hits; 0: no limit, then for_s says when it ends.
+        The fault ends after this number of hits; 0: no limit, then for_s sets its end.
     """
 
     rate: float = 1.0
@@ -86,12 +87,12 @@ class HitFault(Fault):
         if self.count < 0:
             raise ValueError(f"count must be 0 (no limit) or more, got {self.count}")
         if not self.count and not self.for_s:
-            raise ValueError("for_s is 0 and so is count: say when it is over")
+            raise ValueError("for_s is 0 and so is count: set one of them")
 
 
 @dataclass(frozen=True)
 class LastingFault(Fault):
-    """Is there for a while."""
+    """Fault with a duration."""
 
     for_s: float = 0.1
 
@@ -103,14 +104,14 @@ class LastingFault(Fault):
 
 @dataclass(frozen=True)
 class BitFlips(HitFault):
-    """Single bits turned over: noise on the line. `rate` is the bit error rate."""
+    """Single inverted bits: noise on the line. `rate` is the bit error rate."""
 
     kind: ClassVar[str] = "bit_flips"
 
 
 @dataclass(frozen=True)
 class InsertedBytes(HitFault):
-    """Bytes that nobody sent, random ones, before those that are hit."""
+    """Random bytes that the camera did not send, inserted before the bytes that are hit."""
 
     kind: ClassVar[str] = "inserted_bytes"
 
@@ -143,14 +144,14 @@ class Burst(HitFault):
 
 @dataclass(frozen=True)
 class Overrun(HitFault):
-    """The receiver comes too late to empty its FIFO: it keeps what fits and loses what comes until then.
+    """The receiver empties its FIFO too late: it keeps the bytes that fit, and loses the others until then.
 
     Attributes
     ----------
     late_us
-        From the byte that is hit until the receiver looks again.
+        Time from the byte that is hit until the receiver reads again.
     fifo_bytes
-        What it keeps meanwhile: 16 in a 16550, 1 in a UART without a FIFO.
+        Number of bytes that it keeps until then: 16 in a 16550, 1 in a UART without a FIFO.
     """
 
     kind: ClassVar[str] = "overrun"
@@ -167,12 +168,12 @@ class Overrun(HitFault):
 
 @dataclass(frozen=True)
 class StuckLine(LastingFault):
-    """The line does not move: what is sent meanwhile is lost.
+    """The line stays at one level: bytes sent in this time are lost.
 
     Attributes
     ----------
     level
-        "low": a break, of which a UART makes one zero byte; "high": a broken wire, on which nothing comes.
+        "low": a break, from which a UART makes one zero byte; "high": a broken wire, on which nothing arrives.
     """
 
     kind: ClassVar[str] = "stuck_line"
@@ -200,14 +201,14 @@ class WrongBaud(LastingFault):
 
 @dataclass(frozen=True)
 class Stall(LastingFault):
-    """The receiver holds the sender (XOFF, RTS, a full buffer): nothing leaves, and the camera's queue fills."""
+    """The receiver stops the sender (XOFF, RTS, a full buffer): no byte leaves, and the camera's queue fills."""
 
     kind: ClassVar[str] = "stall"
 
 
 @dataclass(frozen=True)
 class Unplugged(LastingFault):
-    """The port goes away and comes back, as an adapter does that is pulled out; it is found within half a second."""
+    """The port disappears and returns, like an adapter that is unplugged; it is found again within half a second."""
 
     kind: ClassVar[str] = "unplugged"
 
@@ -223,7 +224,7 @@ _GAPS_AT_ONCE = 256
 
 
 class Places:
-    """Draws the places at which a fault hits, one after the other, from the gaps between them."""
+    """Generator of the places at which a fault hits, in order, from the gaps between them."""
 
     def __init__(self, fault: HitFault, random: np.random.Generator) -> None:
         self._rate = fault.rate
@@ -238,7 +239,7 @@ class Places:
         return self._left == 0
 
     def within(self, n: int) -> list[int]:
-        """Return which of the next `n` units are hit, and go on behind them."""
+        """Return the indices of the next `n` units that are hit, and advance behind these units."""
         found = []
         while self._next < n and self._left != 0:
             found.append(self._next)
@@ -249,7 +250,10 @@ class Places:
         return found
 
     def first(self, n: int) -> int | None:
-        """Return the first of the next `n` units that is hit, and go on behind it; None, and behind all, if none is."""
+        """Return the first of the next `n` units that is hit, and advance behind it.
+
+        None, and behind all, if none is.
+        """
         if self._next >= n or self._left == 0:
             self._next -= n
             return None

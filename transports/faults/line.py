@@ -1,20 +1,21 @@
-"""What faults do to the bytes of a serial line. Sans-I/O; the same bytes in whatever pieces give the same result.
+"""Faults of a serial line: their effects on its bytes, and the messages that they destroy.
 
-What a sound receiver makes of a damaged line: the ground truth of what faults destroyed.
+`ByteStage` is one active fault. It is sans-I/O: the same bytes in any division give the same result.
+
+`ReferenceReceiver` decodes the damaged line as an intact receiver does, and so determines the messages that faults
+destroyed. It receives only from the beginning of a fault until whole messages arrive again.
 
     sender --bytes or frames--> faults --+--> port or bus
-           --left--> expected            +--> reader, as at the other side --> came, compared with what is expected
+           --left--> expected            +--> reader, as at the other side --> came, compared with `expected`
 
-It listens only from a fault's beginning until whole messages come again.
+`FaultyLine` is between the endpoint's output and its port:
 
-The place of faults on a serial line: between the endpoint's one way out and its port.
-
-    endpoint._write --> stage --> stage --> [what the port had no room for] --> port
+    endpoint._write --> stage --> stage --> [bytes for which the port had no room] --> port
                                    |
-                                   +--> witness: which messages a sound receiver gets
+                                   +--> ReferenceReceiver: the messages that an intact receiver gets
 
-While no fault is at work bytes pass untouched and unseen. A byte that went into a stage has left, as far as the camera
-can know; what the port then has no room for waits here, and the next ones are refused, as by a full port.
+While no fault is active bytes pass unchanged and are not decoded. A byte that entered a stage counts as sent by the
+camera. If the port has no room for it, it waits here, and later bytes are refused, as by a full port.
 """
 
 from __future__ import annotations
@@ -54,22 +55,22 @@ _WEIGHTS = tuple(1 << n for n in range(8))
 
 
 class ByteStage(ABC):
-    """One fault at work on a stream of bytes.
+    """One active fault on a stream of bytes.
 
     Attributes
     ----------
     hits
-        Times that it struck.
+        Number of times that it was applied.
     touched
-        Bytes that it changed, took away or put in.
+        Number of bytes that it changed, removed or inserted.
     places
-        Where it struck in the bytes given last, counted from their first.
+        Places of its hits in the bytes of the last call, counted from their first.
     over
-        True when it has nothing more to do.
+        True when it has no further effect.
     holds
-        True where it lets no byte leave.
+        True if no byte can leave.
     gone
-        True where it takes the port away.
+        True if it removes the port.
     """
 
     holds = gone = False
@@ -81,10 +82,10 @@ class ByteStage(ABC):
 
     @abstractmethod
     def change(self, data: bytes) -> bytes:
-        """Return what arrives of `data`."""
+        """Return the bytes that arrive in place of `data`."""
 
     def finish(self) -> bytes:
-        """Return what arrives when the fault is over."""
+        """Return the bytes that arrive at the end of the fault."""
         return b""
 
     def _strike(self, places: list[int], touched: int) -> None:
@@ -128,20 +129,20 @@ class _Insertions(ByteStage):
 
 
 class _Runs(ByteStage):
-    """Runs of bytes, each begun at a place that is hit: `_run` says what becomes of one."""
+    """Runs of bytes, each begun at a place that is hit: `_instead` returns the replacement of a run."""
 
     def __init__(self, fault: HitFault, random: np.random.Generator, skip: int, length: int) -> None:
         super().__init__()
         where, self._random = random.spawn(2)
         self._where = Places(fault, where)
         self._skip, self._length = skip, length
-        self._kept = self._left = 0  # bytes still to pass, then to hit, of the run under way
+        self._unchanged = self._left = 0  # bytes of the current run that still pass, and that are then hit
 
     def change(self, data: bytes) -> bytes:
         self.places = []
         parts, at = [], 0
         while at < len(data):
-            at, part = self._go_on(data, at) if self._kept or self._left else self._look(data, at)
+            at, part = self._go_on(data, at) if self._unchanged or self._left else self._look(data, at)
             parts.append(part)
         self.over = self._where.over and not self._left
         return b"".join(parts)
@@ -151,18 +152,18 @@ class _Runs(ByteStage):
         place = self._where.first(len(data) - at)
         if place is None:
             return len(data), data[at:]
-        self._kept, self._left = self._skip, self._length
+        self._unchanged, self._left = self._skip, self._length
         self.places.append(at + place)
         self.hits += 1
         return at + place, data[at : at + place]
 
     def _go_on(self, data: bytes, at: int) -> tuple[int, bytes]:
-        kept = data[at : at + self._kept]
-        self._kept -= len(kept)
-        hit = b"" if self._kept else data[at + len(kept) : at + len(kept) + self._left]
+        unchanged = data[at : at + self._unchanged]
+        self._unchanged -= len(unchanged)
+        hit = b"" if self._unchanged else data[at + len(unchanged) : at + len(unchanged) + self._left]
         self._left -= len(hit)
         self.touched += len(hit)
-        return at + len(kept) + len(hit), kept + self._instead(len(hit))
+        return at + len(unchanged) + len(hit), unchanged + self._instead(len(hit))
 
     def _instead(self, count: int) -> bytes:
         return b""
@@ -172,7 +173,7 @@ class _Noise(_Runs):
     _drawn = b""
 
     def _instead(self, count: int) -> bytes:
-        while len(self._drawn) < count:  # in portions of one size: a generator's bytes depend on how many are asked for
+        while len(self._drawn) < count:  # in portions of one size: a generator's bytes depend on the number requested
             self._drawn += self._random.bytes(_NOISE_BYTES)
         noise, self._drawn = self._drawn[:count], self._drawn[count:]
         return noise
@@ -203,12 +204,12 @@ class _Hold(ByteStage):
 
 
 class _Resampled(ByteStage):
-    """A UART that samples the bits of another: start bit, 8 data bits, stop bit, each as long as it thinks they are."""
+    """UART that samples the bits of another at its own rate: start bit, 8 data bits, stop bit."""
 
     def __init__(self, fault: WrongBaud) -> None:
         super().__init__()
         self._bits = b""
-        # The middle of its n-th bit, in bits of the sender from the falling edge of the start bit.
+        # Middle of its n-th bit, in bits of the sender from the falling edge of the start bit.
         self._middles = [int((n + 0.5) / fault.ratio) for n in range(10)]
         self._data_bits = itemgetter(*self._middles[1:9])
 
@@ -221,7 +222,7 @@ class _Resampled(ByteStage):
         return self._sample()
 
     def finish(self) -> bytes:
-        self._bits += b"\1" * (self._middles[-1] + 1)  # the line idles, at last
+        self._bits += b"\1" * (self._middles[-1] + 1)  # the line is idle at the end
         return self._sample()
 
     def _sample(self) -> bytes:
@@ -239,7 +240,10 @@ class _Resampled(ByteStage):
 
 
 def byte_stage(fault: Fault, random: np.random.Generator, bytes_per_s: float) -> ByteStage:
-    """Return what this fault does to a line of `bytes_per_s`; raises ValueError for one that a line does not have."""
+    """Return the stage of a fault on a line of `bytes_per_s`.
+
+    Raises ValueError for a fault that a line does not have.
+    """
     match fault:
         case BitFlips():
             return _Flips(fault, random)
@@ -261,16 +265,16 @@ def byte_stage(fault: Fault, random: np.random.Generator, bytes_per_s: float) ->
     raise ValueError(f"{fault.kind!r} is no fault of a serial line")
 
 
-_IN_STEP = 2  # messages in a row: of the first one, the beginning may have been damaged before
+_IN_STEP = 2  # consecutive messages: the beginning of the first one may have been damaged before
 
 
 class ReferenceReceiver:
-    """Tells which messages survived, in order.
+    """Decoder that determines the messages that survived, in order.
 
     Attributes
     ----------
     false
-        Messages that came and were not sent, or came again.
+        Number of messages that arrived but were not sent, or arrived again.
     """
 
     def __init__(self) -> None:
@@ -281,19 +285,19 @@ class ReferenceReceiver:
 
     @property
     def in_step(self) -> bool:
-        """True when nothing is outstanding and messages come whole again."""
+        """True when no message is outstanding and messages arrive whole again."""
         return not self._expected and self._in_step >= _IN_STEP
 
     def came(self, received: Iterable[Received]) -> None:
-        """Say what a sound receiver has made of what arrived."""
+        """Add the messages that an intact receiver decodes from the arrived bytes."""
         self._came += [each.message for each in received]
 
     def left(self, outgoing: Outgoing) -> None:
-        """Say that the last byte of this has left, whatever became of it."""
+        """Add a message whose last byte has left, damaged or not."""
         self._expected.append(outgoing)
 
     def settle(self) -> tuple[list[Outgoing], list[Outgoing]]:
-        """Return what came whole since the last call, and what is now known to be lost."""
+        """Return the messages that arrived whole since the last call, and those that are now known to be lost."""
         came: list[Outgoing] = []
         lost: list[Outgoing] = []
         while self._came:
@@ -308,13 +312,13 @@ class ReferenceReceiver:
         return came, lost
 
     def give_up(self) -> list[Outgoing]:
-        """Return what is outstanding: nothing more will come of it."""
+        """Return the outstanding messages, which can no longer arrive."""
         lost = list(self._expected)
         self._expected.clear()
         return lost
 
     def damaged(self) -> None:
-        """A fault has been at work until now."""
+        """Record that a fault was active until now."""
         self._in_step = 0
 
 
@@ -326,16 +330,16 @@ _Write = Callable[[bytes], int]
 
 
 class FaultyLine:
-    """A line on which faults happen.
+    """Serial line with fault injection.
 
     Parameters
     ----------
     profile
-        Packets and framing of what is sent.
+        Packets and framing of the messages.
     bytes_per_s
         The line's capacity.
     arrived
-        Is told of each message that a sound receiver gets.
+        Called with each message that an intact receiver gets.
     """
 
     def __init__(self, plan: FaultPlan, profile: str, bytes_per_s: float, arrived: Callable[[Outgoing], None]) -> None:
@@ -350,21 +354,21 @@ class FaultyLine:
 
     @property
     def records(self) -> tuple[FaultRecord, ...]:
-        """What each fault has done."""
+        """Record of each fault."""
         return self._faults.records
 
     @property
     def lost(self) -> tuple[int, int]:
-        """Events and edges that faults destroyed."""
+        """Number of events and edges that faults destroyed."""
         return self._faults.lost
 
     @property
     def gone(self) -> bool:
-        """True while a fault has taken the port away."""
+        """True while a fault has removed the port."""
         return any(stage.gone for stage in self._faults.stages)
 
     def advance(self, now_us: int, begun: bytes) -> None:
-        """Let stream time pass; `begun` is what has left of the frame on the line."""
+        """Advance stream time; `begun` is the sent part of the current frame on the line."""
         for stage in self._faults.advance(now_us):
             self._arrive(stage.finish())
             if self._reference is not None:
@@ -372,11 +376,11 @@ class FaultyLine:
         self._watch(begun)
 
     def inject(self, fault: Fault) -> None:
-        """Begin a fault now; raises ValueError for one that a line does not have."""
+        """Begin a fault now; raises ValueError for a fault that a line does not have."""
         self._faults.inject(fault)
 
     def write(self, data: bytes, port: _Write) -> int:
-        """Send bytes by way of the faults; return how many of them have left."""
+        """Send bytes through the faults; return the number of accepted bytes."""
         if not self.flush(port) or any(stage.holds for stage in self._hold(data)):
             return 0
         if self._faults.stages:
@@ -390,20 +394,20 @@ class FaultyLine:
         return taken
 
     def flush(self, port: _Write) -> bool:
-        """Give the port what waits here; say whether it took all of it."""
+        """Pass the waiting bytes to the port; return True if it accepted all of them."""
         if self._rest:
             self._rest = self._rest[port(self._rest) :]
         return not self._rest
 
     def left(self, outgoing: Outgoing) -> None:
-        """The last byte of this has left."""
+        """Record that the last byte of a message has left."""
         if self._reference is None:
             self._arrived(outgoing)
         else:
             self._reference.left(outgoing)
 
     def settle(self) -> None:
-        """Find out what came of what has left."""
+        """Determine the fates of the messages that have left."""
         if self._reference is None:
             return
         came, lost = self._reference.settle()
@@ -416,7 +420,7 @@ class FaultyLine:
             self._reference = None
 
     def drop(self) -> None:
-        """The line has gone, or its receiver: nothing more comes of what is under way."""
+        """Discard the messages in progress: the line or its receiver is lost."""
         self._rest = b""
         if self._reference is not None:
             self.settle()
@@ -440,7 +444,7 @@ class FaultyLine:
             before = stage.hits
             stage.change(data)
             if stage.hits != before:
-                self._faults.struck(stage, [self._sent])
+                self._faults.applied(stage, [self._sent])
         return holding
 
     def _changed(self, data: bytes) -> bytes:
@@ -448,7 +452,7 @@ class FaultyLine:
             before = stage.touched
             data = stage.change(data)
             if stage.touched != before or stage.places:
-                self._faults.struck(stage, [self._sent + place for place in stage.places])
+                self._faults.applied(stage, [self._sent + place for place in stage.places])
         return data
 
     def _arrive(self, data: bytes) -> None:

@@ -1,11 +1,12 @@
-"""When faults begin and end, what each has done so far, and the log of it.
+"""Schedule, record and log of the faults of one link.
 
     rig's [[faults]] --at_s--> +
-    by hand ---------inject--> + --> stages at work --> over: by for_s, by count, or with the run
+    by hand ---------inject--> + --> active stages --> over: by for_s, by count, or with the run
                                      |
-                                     +--> FaultRecord for each, and a line of JSON for each begin, strike and end
+                                     +--> FaultRecord for each, and a line of JSON for each begin, hit and end
 
-Randomness is keyed by the run's seed, the link's name and the number of the fault on its link, so that a run repeats.
+The random generator is seeded by the run's seed, the link's name and the number of the fault on its link, so that a run
+can be repeated.
 """
 
 from __future__ import annotations
@@ -24,11 +25,11 @@ from transports.output_file import OutputFile
 
 __all__ = ["FaultPlan", "FaultRecord", "Faults", "Stage"]
 
-_MOST_PLACES = 16  # told of one strike
+_MOST_PLACES = 16  # listed in one log line
 
 
 class Stage(Protocol):
-    """A fault at work; see `ByteStage` and `FrameStage`."""
+    """One active fault; see `ByteStage` and `FrameStage`."""
 
     hits: int
     touched: int
@@ -40,7 +41,7 @@ S = TypeVar("S", bound=Stage)
 
 @dataclass(frozen=True)
 class FaultPlan:
-    """The faults of one link: from the rig, and how those injected by hand are drawn and logged.
+    """Faults of one link from the rig, with the seed and the log of all its faults.
 
     Attributes
     ----------
@@ -56,22 +57,23 @@ class FaultPlan:
 
 @dataclass(frozen=True)
 class FaultRecord:
-    """What one fault did.
+    """Effects of one fault.
 
     Attributes
     ----------
     number
-        Of the fault on its link, from 1.
+        Number of the fault on its link, from 1.
     began_us, ended_us
         Stream time; None while it has not ended.
     hits
-        Times that it struck.
+        Number of times that it was applied.
     touched
-        Bytes or frames that it changed, took away, put in or held.
+        Number of bytes or frames that it changed, removed, inserted or held.
     log_trouble
-        Why the fault log does not hold all of it; empty where it does, or where there is no log.
+        Reason for an incomplete fault log; empty if it is complete, or if there is no log.
     events_lost, edges_lost
-        That a sound receiver does not get because of it. Where faults overlap, the last that struck is blamed.
+        Numbers that an intact receiver does not get because of it. If faults overlap, losses are attributed to the last
+        one that was applied.
     """
 
     number: int
@@ -93,17 +95,17 @@ class _Injected(Generic[S]):
 
 
 class Faults(Generic[S]):
-    """The faults of one link, in stream time.
+    """Faults of one link, in stream time.
 
     Parameters
     ----------
     build
-        Makes a fault's stage; raises ValueError for a fault that this link cannot have.
+        Function that makes a fault's stage; raises ValueError for a fault that this link cannot have.
 
     Attributes
     ----------
     stages
-        Those at work, the oldest first.
+        Stages of the active faults, the oldest first.
     """
 
     def __init__(self, plan: FaultPlan, build: Callable[[Fault, np.random.Generator], S]) -> None:
@@ -113,23 +115,23 @@ class Faults(Generic[S]):
         self._active: list[_Injected[S]] = []
         self.stages: list[S] = []
         self._all: list[_Injected[S]] = []
-        self._blamed: _Injected[S] | None = None
+        self._cause: _Injected[S] | None = None
         self._now_us = 0
         self._log = None if plan.log is None else OutputFile(plan.log, "fault log", append=True)
 
     @property
     def records(self) -> tuple[FaultRecord, ...]:
-        """What each has done."""
+        """Record of each fault."""
         return tuple(self._record(injected) for injected in self._all)
 
     @property
     def lost(self) -> tuple[int, int]:
-        """Events and edges that faults destroyed."""
+        """Number of events and edges that faults destroyed."""
         records = [injected.record for injected in self._all]
         return sum(r.events_lost for r in records), sum(r.edges_lost for r in records)
 
     def advance(self, now_us: int) -> list[S]:
-        """Let stream time pass: begin what is due; return the stages of those that are over now."""
+        """Advance stream time: begin the faults that are due; return the stages of those that have ended."""
         self._now_us = max(self._now_us, now_us)
         while self._waiting and self._waiting[0].at_s * 1e6 <= self._now_us:
             fault = self._waiting.pop(0)
@@ -143,25 +145,25 @@ class Faults(Generic[S]):
         """Begin a fault now; raises ValueError when this link cannot have it."""
         self._begin(fault, self._now_us)
 
-    def struck(self, stage: S, places: list[int]) -> None:
-        """Say that a stage is at work, and has struck anew at `places`; what is lost from now on is its doing."""
+    def applied(self, stage: S, places: list[int]) -> None:
+        """Record that a stage was applied at `places`; losses from now on are attributed to it."""
         injected = next(t for t in self._active if t.stage is stage)
-        self._blamed = injected
+        self._cause = injected
         if places:
             self._write(injected, "struck", places=places[:_MOST_PLACES], hits=len(places))
 
     def lose(self, events: int, edges: int) -> None:
-        """Count what a sound receiver will not get."""
-        if self._blamed is None or not (events or edges):
+        """Count events and edges that an intact receiver does not get."""
+        if self._cause is None or not (events or edges):
             return
-        record = self._blamed.record
-        self._blamed.record = replace(
+        record = self._cause.record
+        self._cause.record = replace(
             record, events_lost=record.events_lost + events, edges_lost=record.edges_lost + edges
         )
-        self._write(self._blamed, "lost", events=events, edges=edges)
+        self._write(self._cause, "lost", events=events, edges=edges)
 
     def close(self) -> None:
-        """End them all, and the log."""
+        """End all faults, and close the log."""
         for injected in list(self._active):
             self._end(injected)
         if self._log is not None:
@@ -188,9 +190,9 @@ class Faults(Generic[S]):
         trouble = "" if self._log is None else self._log.trouble
         return replace(injected.record, hits=injected.stage.hits, touched=injected.stage.touched, log_trouble=trouble)
 
-    def _write(self, injected: _Injected[S], what: str, **told: object) -> None:
+    def _write(self, injected: _Injected[S], what: str, **details: object) -> None:
         if self._log is None:
             return
         record = injected.record
         head = {"t_us": self._now_us, "link": self._plan.link, "fault": record.number, "kind": record.kind}
-        self._log.write(json.dumps({**head, "what": what, **told}).encode() + b"\n", flush=True)
+        self._log.write(json.dumps({**head, "what": what, **details}).encode() + b"\n", flush=True)

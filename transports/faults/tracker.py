@@ -1,7 +1,7 @@
-"""Trackers of an instrument's messages on a CAN bus with faults: frame by frame, or put together from frames.
+"""Trackers of an instrument's messages on a CAN bus with faults: by frame, or assembled from frames.
 
-A tracker goes with one frame source. It begins and ends between two messages; while there is none, each message that
-left counts as arrived.
+A tracker follows one frame source. It begins and ends between two messages; without a tracker, each message that left
+counts as arrived.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ __all__ = ["Callbacks", "FrameTracker", "Load", "MessageTracker", "Tracker"]
 
 @dataclass(frozen=True)
 class Load:
-    """What one frame carries by itself, in stream time."""
+    """Data of one frame, in stream time."""
 
     events: Events
     edges: Edges
@@ -30,72 +30,72 @@ class Load:
 
     @classmethod
     def of(cls, outgoing: Outgoing) -> Load:
-        """Return what a whole message carries."""
+        """Return the data of a whole message."""
         return cls(outgoing.events, outgoing.edges, outgoing.epoch_us)
 
     @classmethod
     def nothing(cls) -> Load:
-        """Return what a frame carries that is of the link's own making."""
+        """Return the empty load, for a frame that the link itself makes."""
         return cls(empty_events(), empty_edges(), 0)
 
 
 @dataclass(frozen=True)
 class Callbacks:
-    """Who is told of what has arrived, and of what never will."""
+    """Functions that receive the data that arrived, and the data that never will."""
 
     arrived: Callable[[Load], None]
     lost: Callable[[Load], None]
 
 
 class Tracker(ABC):
-    """Follows the frames of one source."""
+    """Tracker of the frames of one source."""
 
     @abstractmethod
     def message(self, load: Load) -> QueuedMessage | None:
-        """Return what depends on the next frame, which carries `load` where frames stand alone."""
+        """Return the callbacks for the next frame, which contains `load` if frames stand alone."""
 
     @abstractmethod
     def left(self, outgoing: Outgoing) -> None:
-        """All of a message has left the camera."""
+        """Record that all of a message has left the camera."""
 
     @abstractmethod
     def dropped(self) -> None:
-        """The camera has given up the message under way, and counts it as lost itself."""
+        """Record that the camera has aborted the message in progress, and counts it as lost itself."""
 
     @property
     @abstractmethod
     def in_step(self) -> bool:
-        """True when nothing is outstanding."""
+        """True when no message is outstanding."""
 
     def settle(self) -> None:
-        """Find out what came of what has left."""
+        """Determine the fates of the messages that have left."""
         return
 
     def damaged(self) -> None:
-        """A fault has been at work until now."""
+        """Record that a fault was active until now."""
         return
 
     def close(self) -> None:
-        """Nothing more will come of what is outstanding."""
+        """Close the tracker: outstanding messages can no longer arrive."""
         return
 
 
 class _Single:
-    """A frame that stands alone: what is told of it waits until its message has left."""
+    """Frame that stands alone: its fate is reported when its message has left."""
 
-    def __init__(self, load: Load, tell: Callbacks) -> None:
+    def __init__(self, load: Load, callbacks: Callbacks) -> None:
         self._load = load
-        self._tell: Callbacks | None = tell
+        self._callbacks: Callbacks | None = callbacks
         self._fate: Callable[[Load], None] | None = None
         self._settled = False
 
     def arrived(self, frame: Frame) -> None:
-        if self._tell is not None:
-            self._decide(self._tell.arrived)
+        if self._callbacks is not None:
+            self._decide(self._callbacks.arrived)
 
     def gone(self) -> None:
-        if self._tell is not None:
-            self._decide(self._tell.lost)
+        if self._callbacks is not None:
+            self._decide(self._callbacks.lost)
 
     def spoilt(self) -> None:
         self.gone()
@@ -106,27 +106,27 @@ class _Single:
             self._fate(self._load)
 
     def cancel(self) -> None:
-        self._tell = None
+        self._callbacks = None
 
     def _decide(self, fate: Callable[[Load], None]) -> None:
-        self._tell = None  # the first fate counts, also of a frame that comes twice
+        self._callbacks = None  # the first fate counts, also for a frame that arrives twice
         self._fate = fate
         if self._settled:
             fate(self._load)
 
 
 class FrameTracker(Tracker):
-    """Of frames that stand alone."""
+    """Tracker of frames that stand alone."""
 
-    def __init__(self, tell: Callbacks) -> None:
-        self._tell = tell
+    def __init__(self, callbacks: Callbacks) -> None:
+        self._callbacks = callbacks
         self._under_way: list[_Single] = []
 
     def message(self, load: Load) -> QueuedMessage | None:
         """See `Tracker.message`."""
         if not len(load.events) and not len(load.edges):
             return None
-        self._under_way.append(_Single(load, self._tell))
+        self._under_way.append(_Single(load, self._callbacks))
         return self._under_way[-1]
 
     def left(self, outgoing: Outgoing) -> None:
@@ -148,10 +148,10 @@ class FrameTracker(Tracker):
 
 
 class MessageTracker(Tracker):
-    """Of messages cut into frames; `read` makes messages of frames, as at the other side."""
+    """Tracker of messages in several frames; `read` decodes messages from frames, as the receiver does."""
 
-    def __init__(self, tell: Callbacks, read: Callable[[Frame], Iterable[Received]]) -> None:
-        self._tell = tell
+    def __init__(self, callbacks: Callbacks, read: Callable[[Frame], Iterable[Received]]) -> None:
+        self._callbacks = callbacks
         self._read = read
         self._reference = ReferenceReceiver()
 
@@ -189,9 +189,9 @@ class MessageTracker(Tracker):
         """See `Tracker.settle`."""
         came, lost = self._reference.settle()
         for outgoing in lost:
-            self._tell.lost(Load.of(outgoing))
+            self._callbacks.lost(Load.of(outgoing))
         for outgoing in came:
-            self._tell.arrived(Load.of(outgoing))
+            self._callbacks.arrived(Load.of(outgoing))
 
     def damaged(self) -> None:
         """See `Tracker.damaged`."""
@@ -201,4 +201,4 @@ class MessageTracker(Tracker):
         """See `Tracker.close`."""
         self.settle()
         for outgoing in self._reference.give_up():
-            self._tell.lost(Load.of(outgoing))
+            self._callbacks.lost(Load.of(outgoing))

@@ -1,19 +1,20 @@
-"""What faults do to a device on USB, between it and its host. Sans-I/O.
+"""Faults of a device on USB, between it and its host. Sans-I/O.
 
     host <-- control: refused, late, false answers --+
     host <-- read: halted, silent, short, empty -----+-- FaultyDevice <-- device
     host <-- read: changed words --------------------+
 
-Events and edges whose words do not arrive as they were sent are taken out of the Transfer that the host's side counts,
-and told of in the fault's record; the device hears that it has sent them all, as a real one believes.
+If the words of an event or edge do not arrive unchanged, it is removed from the Transfer that the host's side counts,
+and is counted in the fault's record. The device still receives `sent` for all of them, as a real one believes it has
+sent them.
 
-Faults at work on a device on USB: its endpoints, its control requests, and whether it is there at all.
+A fault acts on the device's endpoints, on its control requests, or on its presence.
 
-Answers of a camera on USB that faults have changed: who it is, its versions, and bits of its registers.
+`FalseAnswers` changes the camera's answers: its identity, its versions, and bits of its registers.
 
-GET_DESCRIPTOR device     bytes 12, 13: bcdDevice; its low byte is the firmware version
-GET_DESCRIPTOR string 3   the serial number: length, type 3, UTF-16
-0xBF IN, 4 bytes          a register of a DAVIS346, big-endian; see `davis346.device`
+    GET_DESCRIPTOR device     bytes 12, 13: bcdDevice; its low byte is the firmware version
+    GET_DESCRIPTOR string 3   the serial number: length, type 3, UTF-16
+    0xBF IN, 4 bytes          a register of a DAVIS346, big-endian; see `davis346.device`
 """
 
 from __future__ import annotations
@@ -60,18 +61,18 @@ __all__ = ["ControlStage", "FalseAnswers", "FaultyDevice", "UsbStage", "flip_reg
 
 @dataclass
 class UsbStage:
-    """One fault at work on one IN endpoint, or on the whole device when it is `gone`; see `script.Stage`.
+    """One active fault of one IN endpoint, or of the whole device when it is `gone`; see `script.Stage`.
 
     Attributes
     ----------
     fault
-        What was asked for.
+        The fault as requested.
     endpoint
-        Number of the IN endpoint; that of the data where the camera's FIFO is to overflow.
+        Number of the IN endpoint; that of the data if the camera's FIFO is to overflow.
     empty
-        Which transfers come empty.
+        Indices of the transfers that arrive empty.
     overflow
-        Events that the camera is to drop.
+        Number of events that the camera is to drop.
     """
 
     fault: Fault
@@ -88,14 +89,14 @@ class UsbStage:
 
 
 class ControlStage(Protocol):
-    """One fault at work on vendor requests; see `script.Stage` for the attributes."""
+    """One active fault of vendor requests; see `script.Stage` for the attributes."""
 
     hits: int
     touched: int
     over: bool
 
-    def ask(self, setup: SetupPacket, now_us: int) -> None:
-        """Raise Stall or NotReady for a vendor request that is to be refused, or answered later."""
+    def check(self, setup: SetupPacket, now_us: int) -> None:
+        """Raise Stall for a vendor request that is to be refused, NotReady for one that is answered later."""
 
 
 class _Refusal:
@@ -104,7 +105,7 @@ class _Refusal:
         self.hits = self.touched = 0
         self.over = False
 
-    def ask(self, setup: SetupPacket, now_us: int) -> None:
+    def check(self, setup: SetupPacket, now_us: int) -> None:
         if self.over or self._request not in (-1, setup.request):
             return
         self._left -= 1
@@ -116,26 +117,26 @@ class _Refusal:
 class _Slowness:
     def __init__(self, fault: SlowControl) -> None:
         self._delay_us = round(fault.delay_ms * 1000)
-        self._asked: SetupPacket | None = None
+        self._pending: SetupPacket | None = None
         self._due_us = 0
         self.hits = self.touched = 0
         self.over = False
 
-    def ask(self, setup: SetupPacket, now_us: int) -> None:
-        if setup is not self._asked:  # the same bytes again, after a time-out, are another request
-            self._asked, self._due_us = setup, now_us + self._delay_us
+    def check(self, setup: SetupPacket, now_us: int) -> None:
+        if setup is not self._pending:  # equal bytes after a time-out are another request
+            self._pending, self._due_us = setup, now_us + self._delay_us
             self.hits += 1
         if now_us < self._due_us:
             raise NotReady
-        self._asked = None
+        self._pending = None
 
 
 def usb_stage(
     fault: Fault, random: np.random.Generator, dropped: Callable[[], int] = lambda: 0
 ) -> UsbStage | WordStage | _Refusal | _Slowness:
-    """Return what this fault does to a device on USB; raises ValueError for one that USB does not have.
+    """Return the stage of a fault of a device on USB; raises ValueError for a fault that USB does not have.
 
-    `dropped` gives the events that the camera has dropped for want of room.
+    `dropped` returns the number of events that the camera has dropped because its FIFO was full.
     """
     words = word_stage(fault, random)
     if words is not None:
@@ -177,7 +178,7 @@ _LOGIC, _CHIP, _PATCH = (Module.SYSTEM, 0), (Module.SYSTEM, 1), (Module.SYSTEM, 
 
 
 class FalseAnswers:
-    """What the camera says in place of the truth.
+    """False answers of the camera.
 
     Attributes
     ----------
@@ -193,19 +194,19 @@ class FalseAnswers:
         self._flipped: dict[_Address, int] = {}
 
     def power_on(self) -> None:
-        """Forget the flips of registers."""
+        """Discard the flips of registers."""
         self._flipped.clear()
 
     def flip(self, address: _Address, bit: int) -> None:
-        """Let a register that nobody can write read with one bit turned over."""
+        """Invert one bit in each reading of a register that no host can write."""
         self._flipped[address] = self._flipped.get(address, 0) ^ 1 << bit
 
     def identity(self, true: Identity) -> Identity:
-        """Return what a host's bus lists."""
+        """Return the identity that the host's bus lists."""
         return replace(true, bcd_device=self._firmware(true.bcd_device))
 
     def answer(self, setup: SetupPacket, true: bytes) -> bytes:
-        """Return what a host gets for the answer to one IN request."""
+        """Return the answer to one IN request that the host receives."""
         if setup.kind is RequestKind.STANDARD and setup.request == StandardRequest.GET_DESCRIPTOR:
             return self._descriptor(setup, true)
         if setup.kind is RequestKind.VENDOR and setup.request == REGISTER and len(true) == 4:
@@ -235,7 +236,7 @@ class FalseAnswers:
 
 
 def flip_register(device: UsbDevice, false: FalseAnswers, flip: RegisterFlip) -> bool:
-    """Turn over one bit of a register of `device`; False where it has no such register requests."""
+    """Invert one bit of a register of `device`; return False if it has no such register requests."""
     ask = SetupPacket(_IN, REGISTER, flip.module, flip.parameter, 4)
     tell = SetupPacket(_OUT, REGISTER, flip.module, flip.parameter, 4)
     try:
@@ -249,7 +250,7 @@ def flip_register(device: UsbDevice, false: FalseAnswers, flip: RegisterFlip) ->
 
 
 class FaultyDevice(UsbDevice):
-    """Passes everything on to a device, by way of the faults."""
+    """USB device that passes all calls to a device, through the faults."""
 
     def __init__(self, device: UsbDevice, plan: FaultPlan) -> None:
         self._device = device
@@ -258,14 +259,14 @@ class FaultyDevice(UsbDevice):
         self._halted: set[int] = set()
         self._words = WordPath(device.identity)
         self._false = FalseAnswers()
-        # What the device gave for each transfer that has no fate yet, oldest first; None: nothing, it is a fault's own.
+        # Transfers of the device that have no fate yet, oldest first; None: a transfer made by a fault.
         self._given: deque[Transfer | None] = deque()
         self._data_endpoint = device.data_endpoint if isinstance(device, UsbCamera) else 2
         self._now_us = 0
 
     @property
     def records(self) -> tuple[FaultRecord, ...]:
-        """What each fault has done."""
+        """Record of each fault."""
         return self._faults.records
 
     @property
@@ -279,44 +280,44 @@ class FaultyDevice(UsbDevice):
         return any(stage.silent and stage.endpoint == self._data_endpoint for stage in self._endpoint_stages)
 
     def advance(self, now_us: int) -> None:
-        """Let stream time pass."""
+        """Advance stream time."""
         self._now_us = max(self._now_us, now_us)
         dropped = self._dropped()
         for stage in self._endpoint_stages:
             stage.over |= bool(stage.overflow) and dropped >= stage.overflow
         for over in self._faults.advance(now_us):
             self._words.front += over.finish() if isinstance(over, WordStage) else []
-        self._take_up()
+        self._begin_new()
 
     def inject(self, fault: Fault) -> None:
-        """Begin a fault now; raises ValueError for one that USB does not have."""
+        """Begin a fault now; raises ValueError for a fault that USB does not have."""
         self._faults.inject(fault)
-        self._take_up()
+        self._begin_new()
 
     def close(self) -> None:
-        """End them all."""
+        """End all faults."""
         self._faults.close()
 
     @property
     def identity(self) -> Identity:
-        """The device's own, or what a fault makes of it."""
+        """Identity of the device, or the false one of a fault."""
         return self._false.identity(self._device.identity)
 
     def attached(self) -> None:
-        """See `UsbDevice.attached`; nothing is halted then."""
+        """See `UsbDevice.attached`; no endpoint is halted then."""
         self._halted.clear()
         self._false.power_on()
         self._start_data()
         self._device.attached()
 
     def detached(self) -> None:
-        """Pass on."""
+        """See `UsbDevice.detached`."""
         self._device.detached()
 
     def control(self, setup: SetupPacket, data: bytes) -> bytes:
-        """Pass on, unless it is to be refused or answered late; the host may end a halt."""
+        """Pass on a request, unless it is refused or answered late; the host may end a halt."""
         if setup.kind is RequestKind.VENDOR:
-            self._ask(setup)
+            self._check_request(setup)
         answer = self._device.control(setup, data)
         if _ends_halt(setup):
             self._halted.discard(setup.index & 0x0F)
@@ -345,19 +346,19 @@ class FaultyDevice(UsbDevice):
         return self._read(endpoint, max_bytes)
 
     def accepts(self, setup: SetupPacket) -> bool:
-        """Pass on."""
+        """See `UsbDevice.accepts`."""
         return self._device.accepts(setup)
 
     def flushes(self, endpoint: int) -> int:
-        """Pass on."""
+        """See `UsbDevice.flushes`."""
         return self._device.flushes(endpoint)
 
     def write(self, endpoint: int, data: bytes) -> None:
-        """Pass on."""
+        """See `UsbDevice.write`."""
         self._device.write(endpoint, data)
 
     def sent(self, transfer: Transfer) -> None:
-        """Pass on what the device gave; what of it did not arrive is the fault's doing."""
+        """Pass on the transfer of the device; data that did not arrive are counted for the fault."""
         given = self._given.popleft()
         if given is None:
             return
@@ -365,7 +366,7 @@ class FaultyDevice(UsbDevice):
         self._device.sent(given)
 
     def lost(self, transfer: Transfer) -> None:
-        """Pass on what the device gave: the link has lost it."""
+        """Pass on the transfer of the device, which the link has lost."""
         given = self._given.popleft()
         if given is not None:
             self._device.lost(given)
@@ -384,23 +385,23 @@ class FaultyDevice(UsbDevice):
             transfer = None if given is None else self._words.changed(given, stages)
             for stage, hits in zip(stages, before, strict=True):
                 if stage.hits > hits:
-                    self._faults.struck(stage, [stage.hits] if not hits else [])
+                    self._faults.applied(stage, [stage.hits] if not hits else [])
         if given is not None:
             self._given.append(given)
         return transfer
 
-    def _ask(self, setup: SetupPacket) -> None:
+    def _check_request(self, setup: SetupPacket) -> None:
         for stage in [stage for stage in self._faults.stages if not isinstance(stage, UsbStage | WordStage)]:
-            asked: ControlStage = stage  # type: ignore[assignment]  # nothing else is left
-            hits = asked.hits
+            checked: ControlStage = stage  # type: ignore[assignment]  # no other type is left
+            hits = checked.hits
             try:
-                asked.ask(setup, self._now_us)
+                checked.check(setup, self._now_us)
             finally:
-                if asked.hits > hits:
-                    self._faults.struck(stage, [asked.hits])
+                if checked.hits > hits:
+                    self._faults.applied(stage, [checked.hits])
 
-    def _take_up(self) -> None:
-        """Do what faults that have begun do at once, and what follows from those that work."""
+    def _begin_new(self) -> None:
+        """Apply the immediate effects of new faults, and set the versions of the active ones."""
         stages = self._endpoint_stages
         for stage in [stage for stage in stages if id(stage) not in self._seen]:
             self._begin(stage)
@@ -433,7 +434,7 @@ class FaultyDevice(UsbDevice):
 
     def _strike(self, stage: UsbStage) -> None:
         stage.hits += 1
-        self._faults.struck(stage, [stage.hits] if stage.hits == 1 else [])
+        self._faults.applied(stage, [stage.hits] if stage.hits == 1 else [])
 
 
 def _ends_halt(setup: SetupPacket) -> bool:

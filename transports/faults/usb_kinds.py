@@ -1,8 +1,7 @@
-"""The faults of a camera on USB/IP, as a rig writes them; see `kinds`, and `davis_kinds` for those of a DAVIS346.
+"""Faults of a camera on USB/IP or GigE Vision, as a rig writes them; see `kinds` for the common attributes.
 
-The faults of a DAVIS346's own electronics, as a rig writes them: versions, registers, clock and word stream.
-
-The faults of a GigE Vision camera beside those of datagrams, as a rig writes them.
+The faults of a DAVIS346's own electronics come first: versions, registers, clock and word stream. The faults of any
+camera on USB follow, then those of a GigE Vision camera, which has the faults of datagrams too.
 """
 
 from __future__ import annotations
@@ -47,14 +46,14 @@ _WRAP_US = 32_768
 
 @dataclass(frozen=True)
 class WrongVersion(Fault):
-    """The camera tells of versions that its host may not know; -1 leaves one as it is.
+    """The camera reports versions that its host may not support; -1 leaves a version unchanged.
 
     Attributes
     ----------
     firmware
-        Low byte of bcdDevice: drivers want 6.
+        Low byte of bcdDevice: drivers require 6.
     logic_version, logic_patch
-        Drivers want 18, and 1 at least.
+        Drivers require 18, and at least 1.
     chip
         Chip identifier: 5 is a DAVIS346B.
     """
@@ -76,7 +75,7 @@ class WrongVersion(Fault):
 
 @dataclass(frozen=True)
 class RegisterFlip(Fault):
-    """One bit of a register turns over, as radiation does it; until the host writes the register, or power-on.
+    """One inverted bit of a register, as by radiation; until the host writes the register, or until power-on.
 
     Attributes
     ----------
@@ -102,12 +101,12 @@ class RegisterFlip(Fault):
 
 @dataclass(frozen=True)
 class StaleData(Fault):
-    """Words of an earlier session come first when the host starts the data endpoint the next time.
+    """Words of an earlier session arrive first when the host starts the data endpoint the next time.
 
     Attributes
     ----------
     events
-        How many events they tell of, each with its own time and row.
+        Number of events in them, each with its own time and row.
     """
 
     kind: ClassVar[str] = "stale_data"
@@ -121,12 +120,12 @@ class StaleData(Fault):
 
 @dataclass(frozen=True)
 class TimeBack(LastingFault):
-    """Timestamps are too low while it lasts, but never below the last wrap.
+    """Timestamps that are too low for a time, but never below the last wrap.
 
     Attributes
     ----------
     by_us
-        How much.
+        Error of the timestamps.
     """
 
     kind: ClassVar[str] = "time_back"
@@ -140,12 +139,12 @@ class TimeBack(LastingFault):
 
 @dataclass(frozen=True)
 class TimeAhead(Fault):
-    """Wraps too many: the host's clock is ahead from then on, until a timestamp reset.
+    """Additional wraps: the host's clock is ahead from then on, until a timestamp reset.
 
     Attributes
     ----------
     wraps
-        How many, of 32.768 ms each.
+        Number of wraps, of 32.768 ms each.
     """
 
     kind: ClassVar[str] = "time_ahead"
@@ -159,16 +158,16 @@ class TimeAhead(Fault):
 
 @dataclass(frozen=True)
 class TimeFrozen(LastingFault):
-    """No timestamps and no wraps while it lasts: all events have the last time; then the wraps come at once."""
+    """No timestamps and no wraps for a time: all events have the last time; then all wraps arrive at once."""
 
     kind: ClassVar[str] = "time_frozen"
 
 
 @dataclass(frozen=True)
 class MissedWraps(HitFault):
-    """Wraps that never come: the host's clock is behind from then on, 32.768 ms each, until a timestamp reset.
+    """Wraps that never arrive: the host's clock is behind from then on, 32.768 ms each, until a timestamp reset.
 
-    `rate` is the chance of each wrap.
+    `rate` is the probability of each wrap.
     """
 
     kind: ClassVar[str] = "missed_wraps"
@@ -176,7 +175,7 @@ class MissedWraps(HitFault):
 
 @dataclass(frozen=True)
 class RepeatedEvents(HitFault):
-    """Events that come twice, one after the other. `rate` is the chance of each event."""
+    """Events that arrive twice, one after the other. `rate` is the probability of each event."""
 
     kind: ClassVar[str] = "repeated_events"
 
@@ -187,7 +186,7 @@ DAVIS_FAULTS: Mapping[str, type[Fault]] = {
         WrongVersion, RegisterFlip, StaleData, TimeBack, TimeAhead, TimeFrozen, MissedWraps, RepeatedEvents,
     )
 }  # fmt: skip
-"""Faults of a DAVIS346, by kind; other cameras on USB let them hit nothing."""
+"""Faults of a DAVIS346, by kind; on other USB cameras they hit nothing."""
 
 
 _UNICODE_MOST = 126  # characters of a string descriptor
@@ -195,12 +194,12 @@ _UNICODE_MOST = 126  # characters of a string descriptor
 
 @dataclass(frozen=True)
 class UsbSilence(LastingFault):
-    """The endpoint has nothing to say (NAK): the host's transfers wait, and the camera's FIFO fills.
+    """The endpoint sends no data (NAK): the host's transfers wait, and the camera's FIFO fills.
 
     Attributes
     ----------
     endpoint
-        Number of the IN endpoint; 2 bears a DAVIS346's data, 1 an EVK4's.
+        Number of the IN endpoint; 2 carries a DAVIS346's data, 1 an EVK4's.
     """
 
     kind: ClassVar[str] = "usb_silence"
@@ -209,14 +208,14 @@ class UsbSilence(LastingFault):
 
 @dataclass(frozen=True)
 class UsbStall(Fault):
-    """The endpoint halts (STALL) until the host clears the halt: libcaer takes that for an unplugged camera.
+    """The endpoint halts (STALL) until the host clears the halt: libcaer treats this as an unplugged camera.
 
     Attributes
     ----------
     endpoint
         Number of the IN endpoint.
     count
-        How often: it halts again when the host has cleared it.
+        Number of halts: it halts again when the host has cleared a halt.
     """
 
     kind: ClassVar[str] = "usb_stall"
@@ -231,14 +230,14 @@ class UsbStall(Fault):
 
 @dataclass(frozen=True)
 class ShortTransfers(LastingFault):
-    """Transfers end early, with a short packet: a host must not count on full buffers.
+    """Transfers end early, with a short packet: a host must not rely on full buffers.
 
     Attributes
     ----------
     endpoint
         Number of the IN endpoint.
     most_bytes
-        Of one transfer.
+        Largest size of a transfer.
     """
 
     kind: ClassVar[str] = "short_transfers"
@@ -253,9 +252,9 @@ class ShortTransfers(LastingFault):
 
 @dataclass(frozen=True)
 class EmptyTransfers(HitFault):
-    """Transfers of no byte, where there would have been data or silence: a host must ask again.
+    """Transfers without data, in place of data or silence: a host must request again.
 
-    `rate` is the chance of each transfer that the host asks for.
+    `rate` is the probability of each transfer that the host requests.
 
     Attributes
     ----------
@@ -269,12 +268,15 @@ class EmptyTransfers(HitFault):
 
 @dataclass(frozen=True)
 class OddBytes(HitFault):
-    """Transfers of an odd length, while the camera sends words of two bytes. `rate` is the chance of each transfer.
+    """Transfers of an odd length, while the camera sends words of two bytes.
+
+    `rate` is the probability of each transfer.
 
     Attributes
     ----------
     change
-        "missing": the last byte never comes, and its word is lost; "extra": a byte that nobody sent follows.
+        "missing": the last byte never arrives, and its word is lost; "extra": a byte that the camera did not
+        send follows.
     """
 
     kind: ClassVar[str] = "odd_bytes"
@@ -288,7 +290,7 @@ class FifoOverflow(LastingFault):
     Attributes
     ----------
     events
-        So many are dropped, or more.
+        Lowest number of dropped events at which it ends.
     """
 
     kind: ClassVar[str] = "fifo_overflow"
@@ -308,9 +310,9 @@ class ControlStall(Fault):
     Attributes
     ----------
     request
-        bRequest of those that are; -1: any vendor request. A DAVIS346 has 191 (0xBF) for registers.
+        bRequest of the refused requests; -1: any vendor request. A DAVIS346 has 191 (0xBF) for registers.
     count
-        How many.
+        Number of refused requests.
     """
 
     kind: ClassVar[str] = "control_stall"
@@ -332,7 +334,7 @@ class SlowControl(LastingFault):
     Attributes
     ----------
     delay_ms
-        From each request to its answer, in stream time.
+        Time from each request to its answer, in stream time.
     """
 
     kind: ClassVar[str] = "slow_control"
@@ -347,12 +349,12 @@ class SlowControl(LastingFault):
 
 @dataclass(frozen=True)
 class UsbUnplugged(LastingFault):
-    """The camera is pulled out and plugged in again: its host loses it, and finds it without power until then.
+    """The camera is unplugged and plugged in again: its host loses it, and finds it without power until then.
 
     Attributes
     ----------
     serial
-        Serial number with which it returns, as if another were plugged in; empty: its own.
+        Serial number with which it returns, as if another camera were plugged in; empty: its own.
     """
 
     kind: ClassVar[str] = "usb_unplugged"
@@ -375,33 +377,33 @@ USB_FAULTS: Mapping[str, type[Fault]] = {**{each.kind: each for each in _OF_ANY_
 
 @dataclass(frozen=True)
 class RefusedResends(HitFault):
-    """Packets that a host asks for again and that the camera says it keeps no more, as one with a small memory."""
+    """Packets that a host requests again and that the camera no longer holds, like one with a small memory."""
 
     kind: ClassVar[str] = "refused_resends"
 
 
 @dataclass(frozen=True)
 class LostHeartbeat(Fault):
-    """The camera takes control away from its host, as when the host's heartbeat did not come in time."""
+    """The camera takes control away from its host, as when the host's heartbeat did not arrive in time."""
 
     kind: ClassVar[str] = "lost_heartbeat"
 
 
 @dataclass(frozen=True)
 class LinkDown(LastingFault):
-    """The cable is pulled out and put in again: nothing goes either way meanwhile."""
+    """The cable is unplugged and plugged in again: no data pass in either direction in between."""
 
     kind: ClassVar[str] = "link_down"
 
 
 @dataclass(frozen=True)
 class IpChange(LastingFault):
-    """The camera leaves its IP address and comes back with another one, as after a new DHCP lease or a FORCEIP.
+    """The camera leaves its IP address and returns with another one, as after a new DHCP lease or a FORCEIP.
 
     Attributes
     ----------
     for_s
-        How long it has none.
+        Time without an address.
     address
         IPv4 address that it has afterwards, to the end of the run; one of this machine's, on loopback any 127.x.y.z.
     """

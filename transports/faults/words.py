@@ -1,13 +1,12 @@
-"""What faults do to the words of a DAVIS346, transfer by transfer; the word layout is drawn in `davis346.words`.
+"""Faults of the words of a DAVIS346, transfer by transfer; the word layout is drawn in `davis346.words`.
 
-Which events and edges of a DAVIS346 reach a sound receiver when faults have changed its words.
+`WordStage` is one active fault. `WordPath` passes the words through the stages, and compares the result with the
+original until they agree again.
 
-Two decoders read, one what the camera sent and one what arrives. An event or edge survives when its own word arrives
-and tells the same time, place and polarity. A receiver that misses a wrap therefore has no event of the camera's until
-the next timestamp reset: all its times are wrong. A byte too many at the end of a transfer is thrown away, as libcaer
-does.
-
-The way of a DAVIS346's words through the faults, and the watch over what arrives until all is as it was.
+`Survivors` finds the events and edges that reach an intact receiver. Two decoders read: one the words that the camera
+sent, the other those that arrive. An event or edge survives when its own word arrives and gives the same time, place
+and polarity. A receiver that misses a wrap therefore has no event of the camera's until the next timestamp reset: all
+its times are wrong. An additional byte at the end of a transfer is discarded, as libcaer does.
 """
 
 from __future__ import annotations
@@ -34,31 +33,31 @@ from transports.faults.usb_kinds import (
     TimeFrozen,
 )
 
-__all__ = ["NOBODY", "SentWords", "Survivors", "WordPath", "WordStage", "inserted", "word_stage"]
+__all__ = ["INSERTED", "SentWords", "Survivors", "WordPath", "WordStage", "inserted", "word_stage"]
 
 
-NOBODY = -1
+INSERTED = -1
 """Origin of a word that the camera did not send."""
 
 _WORD = np.dtype("<u2")
 _TIMESTAMP, _WRAP, _KIND, _LOW = 0x8000, 0x7000, 0xF000, 0x7FFF
 _ROW, _COLUMN_OFF = 0x1000, 0x2000
 _STALE_WORDS = 3  # timestamp, row, column
-_STALE_ADDRESSES = 260  # inside the array, turned or not
+_STALE_ADDRESSES = 260  # inside the array, rotated or not
 
 
 @dataclass(frozen=True)
 class SentWords:
-    """Words of one transfer, and where each comes from.
+    """Words of one transfer, each with its origin.
 
     Attributes
     ----------
     words
         (n,) uint16.
     origin
-        (n,) which of the words that the camera sent it is; NOBODY: none of them.
+        (n,) index of the word among those that the camera sent; INSERTED: it did not send this word.
     odd
-        A byte behind the last word, or none.
+        A byte after the last word, or none.
     """
 
     words: Words
@@ -73,25 +72,25 @@ class SentWords:
 
     @property
     def data(self) -> bytes:
-        """What goes over the cable."""
+        """Bytes on the cable."""
         return self.words.tobytes() + self.odd
 
     def only(self, good: npt.NDArray[np.bool_]) -> SentWords:
-        """Return those words that are `good`, (n,)."""
+        """Return the words that are `good`, (n,)."""
         return SentWords(self.words[good], self.origin[good], self.odd)
 
 
 def inserted(sent: SentWords, at: int, words: list[int]) -> SentWords:
-    """Return `sent` with `words` of nobody's before word `at`."""
+    """Return `sent` with `words` inserted before word `at`, of origin INSERTED."""
     new = np.array(words, _WORD)
     places = np.full(len(words), at)
     return SentWords(
-        np.insert(sent.words, places, new), np.insert(sent.origin, places, np.full(len(words), NOBODY)), sent.odd
+        np.insert(sent.words, places, new), np.insert(sent.origin, places, np.full(len(words), INSERTED)), sent.odd
     )
 
 
 class WordStage(ABC):
-    """One fault at work; see `script.Stage` for the attributes."""
+    """One active fault; see `script.Stage` for the attributes."""
 
     endpoint = 2
 
@@ -100,19 +99,19 @@ class WordStage(ABC):
         self.over = False
 
     def room(self, max_bytes: int) -> int:
-        """Return how much the camera may give, so that the change fits into `max_bytes`."""
+        """Return the number of bytes that the camera may send, so that the changed transfer fits into `max_bytes`."""
         return max_bytes
 
     @abstractmethod
     def change(self, sent: SentWords) -> SentWords:
-        """Return what arrives in place of one transfer."""
+        """Return the words that arrive in place of one transfer."""
 
     def started(self) -> None:
-        """Hear that the host has started the data endpoint."""
+        """Record that the host has started the data endpoint."""
         return
 
     def finish(self) -> list[int]:
-        """Return the words that follow when the fault is over."""
+        """Return the words that follow at the end of the fault."""
         return []
 
     def _hit(self, hits: int, touched: int) -> None:
@@ -180,7 +179,7 @@ class _Ahead(WordStage):
         return max(0, max_bytes - 2 * self._wraps)
 
     def change(self, sent: SentWords) -> SentWords:
-        timing = np.flatnonzero(sent.words >= _WRAP)  # a wrap anywhere else would change the low bits in force too
+        timing = np.flatnonzero(sent.words >= _WRAP)  # a wrap anywhere else would also change the current low bits
         if self.over or not len(timing):
             return sent
         self._hit(1, self._wraps)
@@ -243,7 +242,7 @@ class _Stale(WordStage):
         return inserted(sent, 0, self._words())
 
     def _words(self) -> list[int]:
-        """Return timestamp, row and column of each event, the times rising."""
+        """Return timestamp, row and column of each event, in order of increasing time."""
         times = np.sort(self._random.choice(_LOW, self._events, replace=False) + 1)
         addresses = self._random.integers(0, _STALE_ADDRESSES, (2, self._events))
         triples = np.stack([times | _TIMESTAMP, addresses[0] | _ROW, addresses[1] | _COLUMN_OFF], axis=1)
@@ -252,7 +251,7 @@ class _Stale(WordStage):
 
 
 def word_stage(fault: Fault, random: np.random.Generator) -> WordStage | None:
-    """Return what this fault does to words; None for one that does nothing to them."""
+    """Return the stage of a fault of words; None for a fault that does not change words."""
     match fault:
         case OddBytes():
             return _OddEnds(fault, random)
@@ -290,10 +289,10 @@ Mask = npt.NDArray[np.bool_]
 
 
 class Survivors:
-    """Compares what was sent with what arrives, from the moment it is made."""
+    """Comparison of the words sent with the words that arrive, from its creation on."""
 
     def __init__(self) -> None:
-        # What came before is the same for both, so both may begin at time zero and row zero.
+        # Earlier words are the same for both, so both may begin at time zero and row zero.
         self._sent, self._arrived = Decoder(_ANY_SIZE), Decoder(_ANY_SIZE)
 
     @property
@@ -303,7 +302,7 @@ class Survivors:
         return states[0] == states[1]
 
     def of(self, transfer: Transfer, arriving: SentWords) -> Transfer:
-        """Return `transfer` with what arrives in place of its data, and with the events and edges that survive."""
+        """Return `transfer` with the arriving data, and with the events and edges that survive."""
         original = SentWords.of(transfer.data)
         sent, arrived = self._sent.feed(transfer.data), self._arrived.feed(arriving.words.tobytes())
         events = _same(_columns(original, sent), _columns(arriving, arrived), len(original.words))
@@ -332,7 +331,7 @@ def _same(
     arrived: tuple[npt.NDArray[np.int64], npt.NDArray[np.void]],
     words: int,
 ) -> Mask:
-    """Return for each word sent whether it arrives and means the same, (words,)."""
+    """Return for each word sent if it arrives with the same meaning, (words,)."""
     (at, meant), (origin, told) = sent, arrived
     index = np.full(words, -1)
     index[at] = np.arange(len(at))
@@ -348,12 +347,12 @@ def _is_mark(words: Words) -> Mask:
 
 
 class WordPath:
-    """Changes transfers of one camera.
+    """Path of the words of one camera through the faults.
 
     Attributes
     ----------
     front
-        Words that go before the next transfer.
+        Words that are inserted before the next transfer.
     """
 
     def __init__(self, camera: Identity) -> None:
@@ -363,11 +362,11 @@ class WordPath:
         self.front: list[int] = []
 
     def needed(self, stages: Sequence[WordStage]) -> bool:
-        """Return whether transfers have to come this way."""
+        """Return True if transfers have to take this path."""
         return self._has_words and bool(stages or self.front or self._survivors)
 
     def room(self, stages: Sequence[WordStage], max_bytes: int) -> int:
-        """Return how much the camera may give, so that what arrives fits into `max_bytes`."""
+        """Return the number of bytes that the camera may send, so that the arriving transfer fits into `max_bytes`."""
         self._next_front = min(len(self.front), max_bytes // 4)  # half of a transfer at most
         max_bytes -= 2 * self._next_front
         for stage in reversed(stages):
@@ -375,13 +374,13 @@ class WordPath:
         return max_bytes
 
     def changed(self, transfer: Transfer, stages: Sequence[WordStage]) -> Transfer:
-        """Return what arrives of a transfer, with the events and edges that survive."""
+        """Return the transfer that arrives, with the events and edges that survive."""
         sent = SentWords.of(transfer.data)
         for stage in stages:
             sent = stage.change(sent)
         sent, self.front = inserted(sent, 0, self.front[: self._next_front]), self.front[self._next_front :]
         if self._survivors is None or transfer.epoch_us != self._epoch_us:
-            # A clock that starts anew begins a stream for a receiver that knows nothing of the one before.
+            # After a clock reset, a receiver without earlier data begins a new stream.
             self._survivors, self._epoch_us = Survivors(), transfer.epoch_us
         arrived = self._survivors.of(transfer, sent)
         if not stages and not self.front and self._survivors.agree:

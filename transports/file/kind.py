@@ -1,6 +1,6 @@
-"""The table and the record of links that write a recording.
+"""Link that writes a recording: its parameters, its endpoint, and its registration as a kind of link.
 
-The endpoint of a link that is a file: it hands over what the device has to a process that writes the file.
+The endpoint passes the device's data to a process that writes the file.
 """
 
 from __future__ import annotations
@@ -29,20 +29,20 @@ __all__ = ["FILE", "FileEndpoint", "FileFactory", "FileLink"]
 
 @dataclass(frozen=True)
 class FileLink:
-    """A recording of all that the camera sends and the format can hold, written while the run goes on.
+    """A recording of all data that the camera sends and the format can hold, written during the run.
 
     Attributes
     ----------
     path
-        The file, relative to where evstim is started; its suffix gives the format. What was there is written over.
-        Where the camera's clock starts anew, NAME-clock2.SUFFIX follows; a link that was started again
+        The file, relative to the folder in which evstim is started; its suffix gives the format. An existing file is
+        overwritten. After a restart of the camera's clock, NAME-clock2.SUFFIX follows; a link that was started again
         (`run.restart_links`) writes NAME-restart1.SUFFIX.
     format
-        Name of the format where the suffix does not give it; "" for the suffix. See docs/recordings.md.
+        Name of the format if the suffix does not give it; "" for the suffix. See docs/recordings.md.
     camera
         Name of the camera in the file; "" for the model's.
     name
-        What this rig calls the link: in reports, and where triggers name it.
+        Name of the link in this rig: in reports and triggers.
     """
 
     kind: ClassVar[str] = "file"
@@ -90,12 +90,12 @@ FILE = LinkKind(
 )
 
 
-_MOST_EVENTS = 1 << 16  # handed over at once
+_MOST_EVENTS = 1 << 16  # passed on at once
 
 
 @dataclass(frozen=True)
 class FileFactory(EndpointFactory[PlainDevice]):
-    """Opens the file in the link's process."""
+    """Factory of the endpoint, which opens the file in the link's process."""
 
     path: Path
     form: Format
@@ -106,12 +106,12 @@ class FileFactory(EndpointFactory[PlainDevice]):
         return FileEndpoint(self, device, deliveries)
 
     def restarted(self, number: int) -> FileFactory:
-        """Return the same with a file of its own: what the killed process sent stays in the first."""
+        """Return the same factory with another file: the data of the killed process stay in the first."""
         return dataclasses.replace(self, path=with_addition(self.path, f"restart{number}"))
 
 
 class FileEndpoint(Endpoint):
-    """Hands over what the device has, as fast as the writer takes it."""
+    """Endpoint that passes on the device's data, as fast as the writer accepts them."""
 
     def __init__(self, order: FileFactory, device: PlainDevice, deliveries: Deliveries) -> None:
         self._order = order
@@ -123,12 +123,12 @@ class FileEndpoint(Endpoint):
         self._handed: Counter[str] = Counter()
 
     async def start(self) -> None:
-        """Start the writer; raises OSError where the file cannot be opened."""
+        """Start the writer; raises OSError if the file cannot be opened."""
         order = self._order
         self._recorder = await asyncio.to_thread(LiveRecorder, order.path, order.form, order.facts, "file")
 
     def pump(self) -> None:
-        """Hand over what waits."""
+        """Pass on the waiting data."""
         recorder = self._recorder
         if recorder is None:
             return
@@ -150,7 +150,7 @@ class FileEndpoint(Endpoint):
         self._handed.update(counts_of(part))
 
     async def close(self) -> None:
-        """Let the writer finish; what it could not write is counted as lost on the link."""
+        """Let the writer finish; data that it could not write are counted as lost on the link."""
         if self._recorder is None:
             return
         await asyncio.to_thread(self._recorder.close)
@@ -164,28 +164,28 @@ class FileEndpoint(Endpoint):
 
     @property
     def state(self) -> str:
-        """The file and how much went there."""
+        """Name of the file and number of events in it."""
         if self._recorder is not None and self._recorder.broken:
             return "stopped"
         return f"{self._handed['events']} events to {self._order.path.name}"
 
     @property
     def address(self) -> str | None:
-        """The file's path."""
+        """Path of the file."""
         return str(self._order.path)
 
     @property
     def trouble(self) -> str:
-        """Why the file is not whole."""
+        """Reason for an incomplete file."""
         return "" if self._recorder is None else self._recorder.trouble
 
     @property
     def recording(self) -> RecordingSummary | None:
-        """What the file holds, once it is closed."""
+        """Summary of the closed file."""
         return None if self._recorder is None else self._recorder.summary
 
     @property
     def counts(self) -> Mapping[str, int]:
-        """How many files there are, where the camera's clock started anew."""
+        """Number of files, if the camera's clock was restarted."""
         paths = () if self._recorder is None else self._recorder.summary.paths
         return {"files": len(paths)} if len(paths) > 1 else {}

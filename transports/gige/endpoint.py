@@ -1,17 +1,17 @@
-"""A GigE Vision camera: a process that answers hosts, and the stream.
+"""Endpoint of a GigE Vision camera: a process that answers hosts, and the stream.
 
     hosts --GVCP--> ControlProcess --orders--> Triton2.obey
     Triton2.next_block --packets--> faults --> StreamSocket --> the host that has control
 
 UDP has no back-pressure: a block counts as delivered when the kernel has taken all its packets.
 
-What became of blocks that were sent, when faults on the way took packets from them and hosts asked for these again.
+`BlockFates` determines the fate of a block when faults removed some of its packets and hosts requested them again.
 
     block left --> whole? --> arrived, in order
                    packets missing --> sent again in time --> arrived
                                        not ---------------> destroyed by the fault
 
-A host gets blocks in order: those behind a block with missing packets wait for its fate.
+A host gets blocks in order: later blocks wait for the fate of a block with missing packets.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from transports.network.datagrams import AllowList, ByteBudget
 __all__ = ["BlockFates", "GigeEndpoint", "GigeFactory"]
 
 
-_PATIENCE_NS = 200_000_000  # Aravis gives a block up 100 ms after its last packet
+_PATIENCE_NS = 200_000_000  # Aravis discards an incomplete block 100 ms after its last packet
 
 
 @dataclass
@@ -50,7 +50,7 @@ class _Left:
 
 
 class BlockFates:
-    """Tells `arrived` and `destroyed` of each block once, in the order in which they left."""
+    """Fates of blocks: calls `arrived` or `destroyed` once for each block, in the order in which they left."""
 
     def __init__(self, arrived: Callable[[Outgoing], None], destroyed: Callable[[Outgoing], None]) -> None:
         self._arrived = arrived
@@ -59,15 +59,15 @@ class BlockFates:
         self._missing: dict[int, set[int]] = {}
 
     def missed(self, block: int, packet: int) -> None:
-        """Say that a packet was taken away, before or after its block has left."""
+        """Record that a packet was removed, before or after its block has left."""
         self._missing.setdefault(block, set()).add(packet)
 
     def came(self, block: int, packet: int) -> None:
-        """Say that a packet arrived after all."""
+        """Record that a removed packet arrived later."""
         self._missing.get(block, set()).discard(packet)
 
     def left(self, outgoing: Outgoing, now_ns: int) -> None:
-        """Say that all packets of a block have left the camera."""
+        """Record that all packets of a block have left the camera."""
         missing = self._missing.get(outgoing.block.number)
         if not missing and not self._waiting:
             self._arrived(outgoing)
@@ -75,7 +75,7 @@ class BlockFates:
             self._waiting.append(_Left(outgoing, now_ns, missing or set()))
 
     def settle(self, now_ns: int, *, final: bool = False) -> None:
-        """Tell the fates that are known by now; at the end, all of them."""
+        """Report the fates that are known; at the end, all of them."""
         while self._waiting:
             first = self._waiting[0]
             if first.missing and not final and now_ns - first.at_ns < _PATIENCE_NS:
@@ -93,19 +93,22 @@ _BURST_NS = 1_000_000  # with one block, at 1 Gbit/s, three quarters of a stock 
 
 @dataclass(frozen=True)
 class GigeFactory(EndpointFactory[Triton2]):
-    """Puts a camera behind a control port."""
+    """Factory of the endpoint of a camera."""
 
     link: GigeLink
     faults: FaultPlan = field(default_factory=FaultPlan)
 
     def build(self, device: Triton2, deliveries: Deliveries) -> GigeEndpoint:
-        """Return the endpoint, its sockets not yet open."""
+        """Return the endpoint; its sockets are not open yet."""
         return GigeEndpoint(self, device, deliveries)
 
 
 @dataclass(frozen=True)
-class _Way:
-    """How packets go: to whom, None for nobody who may get them; whether they may be cut; with which pause."""
+class _Route:
+    """Route of packets: destination, None if no host may receive them.
+
+    Permission to fragment; pause between packets.
+    """
 
     to: tuple[str, int] | None = None
     may_fragment: bool = False
@@ -113,7 +116,7 @@ class _Way:
 
 
 class GigeEndpoint(Endpoint):
-    """One camera, the hosts that look at it, and the one that receives."""
+    """Endpoint of one camera for all its hosts; one of them receives the stream."""
 
     def __init__(self, factory: GigeFactory, camera: Triton2, deliveries: Deliveries) -> None:
         self._link = link = factory.link
@@ -130,7 +133,7 @@ class GigeEndpoint(Endpoint):
         self._going: tuple[Outgoing, Iterator[Packet]] | None = None
         self._ready: deque[Packet] = deque()
         self._whole = True
-        self._way = _Way()
+        self._way = _Route()
         self._message_way: tuple[str, int] | None = None
         self._next_ns = 0
         self._patience_ns = link.block_us * 1000
@@ -139,7 +142,7 @@ class GigeEndpoint(Endpoint):
         self.sent: Counter[str] = Counter()
 
     async def start(self) -> None:
-        """Open the sockets; raises OSError, with what to do, when an address cannot be used."""
+        """Open the sockets; raises OSError, with the remedy, when an address cannot be used."""
         link = self._link
         port = self._stream.open()
         try:
@@ -149,7 +152,7 @@ class GigeEndpoint(Endpoint):
             raise
 
     def listen(self) -> None:
-        """See `Endpoint.listen`; raises LinkBroken when nobody answers hosts any more."""
+        """See `Endpoint.listen`; raises LinkBroken when the process that answers hosts has died."""
         assert self._control is not None
         orders = list(self._control.take())
         for order in orders:
@@ -159,11 +162,11 @@ class GigeEndpoint(Endpoint):
             self._message_way = self._permitted(self._camera.message_destination)
 
     def pump(self) -> None:
-        """Send what waits as far as the rate allows."""
+        """Send the waiting packets as far as the rate permits."""
         assert self._control is not None
-        self._control.tell(self._camera.time)
+        self._control.write_time(self._camera.time)
         self._budget.renew(self._clock.now_ns())
-        self._look_at_time()
+        self._detect_standstill()
         self._send_messages()
         while self._budget.left > 0 and (self._send_block() or (self._prepare() and self._send())):
             pass
@@ -185,7 +188,7 @@ class GigeEndpoint(Endpoint):
         return self._faulty.records
 
     async def close(self) -> None:
-        """Close the sockets; what has not left is lost."""
+        """Close the sockets; packets that have not left are lost."""
         if self._going is not None:
             self._camera.lost(self._going[0])
             self._going = None
@@ -198,7 +201,7 @@ class GigeEndpoint(Endpoint):
 
     @property
     def state(self) -> str:
-        """Who has control, and whether the stream runs."""
+        """Host that has control, and the state of the stream."""
         owner = self._camera.owner
         if owner is None:
             return f"waiting on {self.address}"
@@ -207,17 +210,17 @@ class GigeEndpoint(Endpoint):
 
     @property
     def address(self) -> str:
-        """Where hosts find the camera."""
+        """Address at which hosts find the camera."""
         return f"{self._host}:{self._link.port if self._control is None else self._control.port}"
 
     @property
     def counts(self) -> Mapping[str, int]:
-        """Packets, requests, and what was wrong with either."""
+        """Counts of packets and requests, and of errors in either."""
         sent = self.sent + self._camera.messages.counts
         return sent if self._control is None else sent + self._control.counts
 
     def _follow_faults(self) -> None:
-        """Do to the control channel, and to the camera's address, what faults do to them."""
+        """Apply faults to the control channel and to the camera's address."""
         assert self._control is not None
         if (address := self._faulty.new_address()) is not None:
             self._move(self._control, address)
@@ -228,27 +231,32 @@ class GigeEndpoint(Endpoint):
             self._control.order(Release())
 
     def _move(self, control: ControlProcess, address: str) -> None:
-        """Have another address from now on; one that this machine does not have is told, and the camera stays."""
+        """Change the address; one that this machine does not have is logged, and the camera stays."""
         stream = StreamSocket(address, segmented=self._link.segmentation)
         try:
             port = stream.open()
         except OSError as error:
-            log.warning("ip_change: this machine has no %s (%s): back at %s", address, error.strerror, self._host)
+            log.warning(
+                "ip_change: this machine has no %s (%s): the camera stays at %s", address, error.strerror, self._host
+            )
             return
         self._stream.close()
         log.warning("ip_change: the camera has left %s and is at %s", self._host, address)
         self._stream, self._host = stream, address
         control.order(Move(address, port))
 
-    def _look_at_time(self) -> None:
-        """Find out whether stream time stands, as at the end of a run: what waits then leaves without growing."""
+    def _detect_standstill(self) -> None:
+        """Detect that stream time stands still, as at the end of a run.
+
+        Waiting blocks are then sent without being filled further.
+        """
         now_ns = self._clock.now_ns()
         if self._camera.now_us != self._moved[0]:
             self._moved = self._camera.now_us, now_ns
         self._time_stands = now_ns - self._moved[1] >= self._patience_ns
 
     def _send_messages(self) -> None:
-        """Tell the host what it wants to be told, and hear its answers."""
+        """Send the messages that the host has requested, and read its answers."""
         messages, to = self._camera.messages, self._message_way
         if to is None:
             return
@@ -257,13 +265,13 @@ class GigeEndpoint(Endpoint):
                 messages.answered(data)
         now_ns, settings = self._clock.now_ns(), self._camera.message_settings
         while not self._is_down and (message := messages.next(now_ns, settings)) is not None:
-            with suppress(BlockingIOError):  # it is lost, as one on the way
+            with suppress(BlockingIOError):  # it is lost, like a datagram lost on the network
                 self._stream.send(message, to, may_fragment=self._way.may_fragment)
 
     def _send_block(self) -> bool:
-        """Send a block in few calls; False when there is none, or packets must go one by one."""
+        """Send a block in few calls; return False when there is none, or packets must be sent one by one."""
         way, busy = self._way, self._going is not None or self._ready
-        if busy or way.to is None or way.pause_ns or self._faulty.at_work or self._camera.waits_extra:
+        if busy or way.to is None or way.pause_ns or self._faulty.active or self._camera.waits_extra:
             return False
         outgoing = self._camera.next_block(at_once=self._time_stands)
         if outgoing is None:
@@ -272,7 +280,7 @@ class GigeEndpoint(Endpoint):
         taken = self._stream.send_block(block, way.to, may_fragment=way.may_fragment)
         self.sent["packets"] += taken
         self._going, self._whole = (outgoing, _packets(outgoing, taken)), True
-        if taken < block.packets:  # the others go one by one, and it is told why they do not
+        if taken < block.packets:  # the others are sent one by one, which reports the reason
             self._budget.left -= taken * block.packet_size
             return False
         self._budget.left -= len(block.data) + taken * (HEADER_OCTETS + _IP_UDP_OCTETS)
@@ -280,7 +288,7 @@ class GigeEndpoint(Endpoint):
         return True
 
     def _prepare(self) -> bool:
-        """Have a packet ready; False when there is nothing to send, or nothing may go yet."""
+        """Prepare a packet; return False when there is none, or none may be sent yet."""
         while not self._ready:
             if self._way.pause_ns and self._clock.now_ns() < self._next_ns:
                 return False
@@ -293,10 +301,10 @@ class GigeEndpoint(Endpoint):
         return True
 
     def _next_packet(self) -> Packet | None:
-        """Return the next packet of the camera: what a host asked for goes first, then the block that has begun."""
-        asked = self._camera.next_extra()
-        if asked is not None:
-            return Packet(asked.data, asked.block, asked.number, again=asked.block > 0)
+        """Return the next packet of the camera: packets requested by a host first, then those of the current block."""
+        extra = self._camera.next_extra()
+        if extra is not None:
+            return Packet(extra.data, extra.block, extra.number, again=extra.block > 0)
         while True:
             if self._going is None:
                 outgoing = self._camera.next_block(at_once=self._time_stands)
@@ -309,7 +317,7 @@ class GigeEndpoint(Endpoint):
             self._end_block()
 
     def _send(self) -> bool:
-        """Send the packet that is ready; False when the kernel has no room now."""
+        """Send the prepared packet; return False when the kernel has no room now."""
         packet, way = self._ready[0], self._way
         try:
             left = way.to is not None and self._stream.send(packet.data, way.to, may_fragment=way.may_fragment)
@@ -320,7 +328,7 @@ class GigeEndpoint(Endpoint):
         return True
 
     def _note(self, packet: Packet, left: bool) -> None:
-        """Count a packet and what it takes from the rate."""
+        """Count a packet and its share of the rate."""
         self.sent["packets" if left else "packets that could not be sent"] += 1
         self._whole &= left
         if left and packet.block:
@@ -329,13 +337,13 @@ class GigeEndpoint(Endpoint):
             self._budget.left -= len(packet.data) + _IP_UDP_OCTETS
             self._next_ns = self._clock.now_ns() + self._way.pause_ns if self._way.pause_ns else 0
 
-    def _chosen_way(self) -> _Way:
-        """Return how the camera's host wants its packets."""
+    def _chosen_way(self) -> _Route:
+        """Return the route of packets that the camera's host has selected."""
         to = self._permitted(self._camera.destination)
-        return _Way(to, self._camera.may_fragment, self._camera.packet_delay_ns)
+        return _Route(to, self._camera.may_fragment, self._camera.packet_delay_ns)
 
     def _permitted(self, destination: tuple[int, int] | None) -> tuple[str, int] | None:
-        """Return an address and port in the form of sockets; None where nothing may go there."""
+        """Return an address and port in the form of sockets; None if no data may be sent there."""
         if destination is None:
             return None
         address = str(ipaddress.IPv4Address(destination[0]))
@@ -355,7 +363,7 @@ class GigeEndpoint(Endpoint):
         self._deliveries.add(outgoing.events, self._camera.epoch_us, outgoing.edges)
 
     def _destroyed(self, outgoing: Outgoing) -> None:
-        self._faulty.blame(len(outgoing.events), len(outgoing.edges))
+        self._faulty.attribute(len(outgoing.events), len(outgoing.edges))
 
 
 def _packets(outgoing: Outgoing, first: int = 0) -> Iterator[Packet]:

@@ -1,6 +1,6 @@
-"""A host of a GigE Vision event camera: finds it, takes control, and reads its stream, without a driver.
+"""Host of a GigE Vision event camera: it finds the camera, takes control, and reads its stream, without a driver.
 
-A reader of a GigE Vision event camera that counts, digests and records what arrives, until told to stop.
+`receive` counts, digests and records the arriving events until it is stopped.
 """
 
 from __future__ import annotations
@@ -49,16 +49,16 @@ Now = Callable[[], int]
 
 
 class GigeHostError(Exception):
-    """The camera cannot be used; the text says why and what to do."""
+    """Error: the camera cannot be used; the text gives the reason and the remedy."""
 
 
 class CameraGone(GigeHostError):
-    """The camera does not answer any more, or somebody took control away."""
+    """Error: the camera does not answer any more, or another host took control."""
 
 
 @dataclass(frozen=True)
 class Identity:
-    """What a camera tells of itself."""
+    """Identity that a camera reports."""
 
     manufacturer: str
     model: str
@@ -68,28 +68,28 @@ class Identity:
 
     @classmethod
     def of(cls, octets: bytes) -> Identity:
-        """Return it from the answer to a discovery; raises GigeHostError for one that is too short."""
+        """Return the identity from the answer to a discovery; raises GigeHostError for one that is too short."""
         if len(octets) < DISCOVERY_OCTETS:
             raise GigeHostError(f"the answer to a discovery has {len(octets)} octets, not {DISCOVERY_OCTETS}")
         return cls(*(octets[at : at + room].split(b"\0")[0].decode("ascii", "replace") for at, room in _TEXTS))
 
 
 class GigeHost:
-    """A camera under control.
+    """Camera under control of this host.
 
     Parameters
     ----------
     address, port
-        Of the camera.
+        Address of the camera.
     now_ns
-        A clock that does not go back.
+        Monotonic clock.
 
     Attributes
     ----------
     identity
-        What the camera told.
+        Identity that the camera reported.
     assembly
-        Its blocks, and what was missing.
+        Assembly of its blocks, with the missing packets.
     """
 
     def __init__(self, address: str, port: int = GVCP_PORT, *, now_ns: Now) -> None:
@@ -105,7 +105,7 @@ class GigeHost:
         try:
             self._control.settimeout(_TIMEOUT_S)
             self._control.connect((address, port))
-            self.identity = Identity.of(self._ask(Command.DISCOVERY))
+            self.identity = Identity.of(self._request(Command.DISCOVERY))
             self.write(Register.PRIVILEGE, Privilege.CONTROL)
         except OSError as error:
             self._control.close()
@@ -115,12 +115,12 @@ class GigeHost:
             raise
 
     def read_register(self, address: int) -> int:
-        """Return a register of the camera; raises GigeHostError when it refuses, CameraGone when it is silent."""
-        return int.from_bytes(self._ask(Command.READREG, struct.pack(">I", address)), "big")
+        """Return a register of the camera; raises GigeHostError when it refuses, CameraGone when it does not answer."""
+        return int.from_bytes(self._request(Command.READREG, struct.pack(">I", address)), "big")
 
     def write(self, address: int, value: int) -> None:
         """Write a register of the camera; raises as `read_register`."""
-        self._ask(Command.WRITEREG, struct.pack(">II", address, value & 0xFFFFFFFF))
+        self._request(Command.WRITEREG, struct.pack(">II", address, value & 0xFFFFFFFF))
 
     def start(self, packet_size: int = 1400) -> None:
         """Open the stream and start the acquisition."""
@@ -137,7 +137,7 @@ class GigeHost:
         self._alive_ns = self._now_ns()
 
     def read(self, timeout_s: float) -> Events:
-        """Return the events, (n,) EVENT in the camera's time, of what came within `timeout_s`; maybe none."""
+        """Return the events, (n,) EVENT in the camera's time, that arrived within `timeout_s`; may be empty."""
         assert self._stream is not None
         self._stream.settimeout(timeout_s)
         data: list[bytes] = []
@@ -146,7 +146,7 @@ class GigeHost:
             self._stream.setblocking(False)
             for _ in range(_AT_A_TIME):
                 data += self.assembly.push(self._stream.recv(_LONGEST), self._now_ns())
-        self._care()
+        self._maintain()
         data += self.assembly.done(self._now_ns())
         return self._decoded(data)
 
@@ -156,12 +156,12 @@ class GigeHost:
         return np.concatenate(edges) if edges else empty_edges()
 
     def stop(self) -> None:
-        """Stop the acquisition; what has left the camera can still be read."""
+        """Stop the acquisition; data that have left the camera can still be read."""
         self.write(ACQUISITION_STOP, 1)
         self._stopped = True
 
     def close(self) -> None:
-        """Give control back and close the sockets; a camera that is gone is left alone."""
+        """Release control and close the sockets; a lost camera gets no request."""
         with suppress(GigeHostError, OSError):
             self.write(Register.PRIVILEGE, 0)
         self._control.close()
@@ -174,34 +174,34 @@ class GigeHost:
             self._edges.append(edges)
         return events
 
-    def _care(self) -> None:
-        """Ask for packets that are missing, and keep control."""
+    def _maintain(self) -> None:
+        """Request missing packets, and keep control."""
         for wanted in self.assembly.missing(self._now_ns(), over=self._stopped):
             self._control.send(_resend(self._next_number(), wanted))
         if self._now_ns() - self._alive_ns > _KEEP_ALIVE_NS:
             if not self.read_register(Register.PRIVILEGE) & Privilege.CONTROL:
-                raise CameraGone("control was taken away: another host has the camera, or it was started anew")
+                raise CameraGone("control was taken away: another host has the camera, or it was restarted")
             self._alive_ns = self._now_ns()
 
     def _next_number(self) -> int:
         self._number = self._number % 0xFFFF + 1
         return self._number
 
-    def _ask(self, command: Command, payload: bytes = b"") -> bytes:
-        """Return the payload of the answer to a request, which is repeated while none comes."""
+    def _request(self, command: Command, payload: bytes = b"") -> bytes:
+        """Return the payload of the answer to a request, which is repeated until an answer arrives."""
         number = self._next_number()
-        asked = request(command, number, payload, Flag.ACKNOWLEDGE)
+        data = request(command, number, payload, Flag.ACKNOWLEDGE)
         for _ in range(_ATTEMPTS):
             try:
-                self._control.send(asked)
+                self._control.send(data)
                 answer = self._answer_to(number)
             except (TimeoutError, ConnectionRefusedError):
                 continue
             status, _, _, _ = _ANSWER.unpack_from(answer)
             if status != Status.SUCCESS:
-                raise GigeHostError(f"the camera refused {command.name}: {_told(status)}")
+                raise GigeHostError(f"the camera refused {command.name}: {_status_text(status)}")
             return answer[_ANSWER.size :]
-        raise CameraGone(f"no camera answers at {self._peer()}: is its run started, and does its `allow` name us?")
+        raise CameraGone(f"no camera answers at {self._peer()}: is its run started, and is this host in its `allow`?")
 
     def _answer_to(self, number: int) -> bytes:
         while True:
@@ -222,7 +222,7 @@ def _resend(number: int, wanted: Resend) -> bytes:
     return request(Command.PACKETRESEND, number, payload, Flag.EXTENDED)
 
 
-def _told(status: int) -> str:
+def _status_text(status: int) -> str:
     try:
         name = Status(status).name.lower().replace("_", " ")
     except ValueError:
@@ -235,7 +235,7 @@ _READ_TIMEOUT_S = 0.1
 
 @dataclass(frozen=True)
 class GigeReception:
-    """What has arrived so far.
+    """Events and counts received so far.
 
     Attributes
     ----------
@@ -244,15 +244,15 @@ class GigeReception:
     last_t_us
         Device time of the newest event; None before the first.
     digest
-        Of all events, see `digest_of`.
+        Digest of all events, see `digest_of`.
     edges
-        Triggers.
+        Number of triggers.
     blocks_lost
-        Blocks that did not come whole.
+        Number of incomplete blocks.
     packets_asked, packets_repeated
-        Packets that were asked for again, and that came more than once.
+        Numbers of packets that were requested again, and that arrived more than once.
     gone
-        True when the camera went away.
+        True when the camera was lost.
     """
 
     events: int = 0
@@ -266,7 +266,7 @@ class GigeReception:
     gone: bool = False
 
     def with_events(self, events: Events) -> GigeReception:
-        """Return this and `events`, (n,) EVENT in device time."""
+        """Return the reception with `events`, (n,) EVENT in device time, added."""
         if not len(events):
             return self
         return dataclasses.replace(
@@ -284,9 +284,9 @@ def receive(
     clock: Clock,
     recorder: Recorder | None = None,
 ) -> GigeReception:
-    """Start the camera and read it while `goes_on` says so; then stop it.
+    """Start the camera and read it while `goes_on` returns True; then stop it.
 
-    A camera that goes away ends it too. Raises GigeHostError when the camera cannot be started.
+    The loss of the camera ends it too. Raises GigeHostError when the camera cannot be started.
     """
     reception = GigeReception()
     camera.start(packet_size)
@@ -305,7 +305,7 @@ def receive(
 
 
 def _turn(camera: GigeHost, reception: GigeReception, recorder: Recorder | None) -> GigeReception:
-    """Return the reception with what has come since the last turn."""
+    """Return the reception with the data that arrived since the last turn."""
     events = camera.read(_READ_TIMEOUT_S)
     edges = camera.take_edges()
     if recorder is not None and (len(events) or len(edges)):

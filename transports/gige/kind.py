@@ -1,7 +1,4 @@
-"""The record of GigE Vision links.
-
-What a rig says of a GigE Vision link.
-"""
+"""Parameters of a GigE Vision link, and its registration as a kind of link."""
 
 from __future__ import annotations
 
@@ -27,21 +24,20 @@ class GigeLink:
     host
         IPv4 address of the camera. Several cameras on one machine need several: 127.0.0.1, 127.0.0.2, ...
     port
-        Of the control channel: 3956, where all drivers look; another one, or 0 for any free one, suits tests alone.
+        Port of the control channel: 3956, which all drivers use; another one, or 0 for any free one, is for tests only.
     allow
-        Addresses and networks that may find, control and receive; needed where `host` can be reached from other
-        machines.
+        Addresses and networks that may find, control and receive; required if other machines can reach `host`.
     mbit_s
-        Most that the stream takes, in Mbit/s: UDP has no back-pressure, and hosts lose what comes faster than they
-        read. 1000 as the real camera's cable.
+        Highest rate of the stream, in Mbit/s: UDP has no back-pressure, and hosts lose data that arrive faster than
+        they read. 1000 as the real camera's cable.
     segmentation
-        Whether whole blocks are given to the kernel, which cuts them into packets, or has the network card do it (UDP
-        segmentation): less work for each packet. On loopback and veth, programs that read raw sockets see the blocks
-        uncut; Aravis does where root runs it.
+        True to pass whole blocks to the kernel, which divides them into packets, or has the network card do it (UDP
+        segmentation): less work for each packet. On loopback and veth, programs that read raw sockets see undivided
+        blocks; Aravis does so if it is run by root.
     block_us
         Age at which a block is closed and sent, if it was not full before.
     name
-        What this rig calls the link: in reports, and where faults and triggers name it.
+        Name of the link in this rig: in reports, faults and triggers.
     """
 
     kind: ClassVar[str] = "gige"
@@ -59,7 +55,9 @@ class GigeLink:
         except ValueError as error:
             raise ValueError(f"host must be an IPv4 address of this machine, got {self.host!r}") from error
         if ipaddress.IPv4Address(self.host).is_unspecified:
-            raise ValueError("host 0.0.0.0 is no address that a camera can tell: give one address of this machine")
+            raise ValueError(
+                "host 0.0.0.0 is not an address that a camera can report: give one address of this machine"
+            )
         if not 0 <= self.port <= 65535:
             raise ValueError(f"port must be 0 (any free one) to 65535, got {self.port}")
         if not 1 <= self.mbit_s <= 100_000:

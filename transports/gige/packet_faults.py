@@ -1,4 +1,4 @@
-"""What faults do to the packets of a GigE Vision stream, between the camera and the network, and to its control."""
+"""Faults of the packets of a GigE Vision stream, between the camera and the network, and of its control channel."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ PACKET_FAULTS: Mapping[str, type[Fault]] = {
 
 @dataclass(frozen=True)
 class Packet:
-    """A datagram of the stream, and which packet of which block it is, block 0: of none; whether it is sent again."""
+    """Datagram of the stream, with its block and packet number (block 0: of none); `again` if it is sent again."""
 
     data: bytes
     block: int = 0
@@ -40,7 +40,7 @@ class Packet:
 
 
 class _Refusal(DatagramStage[Packet]):
-    """Says of single packets that a host asked for that they are kept no more."""
+    """Refusal of single packets that a host requested again: they are reported as no longer stored."""
 
     def __init__(self, fault: RefusedResends, random: np.random.Generator) -> None:
         super().__init__()
@@ -57,7 +57,7 @@ class _Refusal(DatagramStage[Packet]):
 
 
 class _Down(DatagramStage[Packet]):
-    """Lets no packet through."""
+    """Fault that stops all packets."""
 
     def change(self, datagram: Packet) -> list[Packet]:
         """See `DatagramStage.change`."""
@@ -67,7 +67,7 @@ class _Down(DatagramStage[Packet]):
 
 
 class _Moving(_Down):
-    """Control is to be taken away, and nothing goes until the camera has its new address."""
+    """Change of address: control is to be taken away, and no packet passes until the camera has its new address."""
 
     def __init__(self, address: str) -> None:
         super().__init__()
@@ -75,17 +75,17 @@ class _Moving(_Down):
         self.taken = False
 
     def take(self) -> None:
-        """Note that control has been taken away."""
+        """Record that control has been taken away."""
         self.hits, self.taken = 1, True
 
 
 class _Taking(DatagramStage[Packet]):
-    """Control is to be taken away; over when that is done."""
+    """Removal of control; over when it is done."""
 
     taken = False
 
     def take(self) -> None:
-        """Note that control has been taken away."""
+        """Record that control has been taken away."""
         self.hits, self.taken, self.over = 1, True, True
 
     def change(self, datagram: Packet) -> list[Packet]:
@@ -107,7 +107,7 @@ def _stage(fault: Fault, random: np.random.Generator) -> DatagramStage[Packet]:
 
 
 class FaultyPackets:
-    """The faults of one stream."""
+    """Faults of one stream."""
 
     def __init__(self, plan: FaultPlan) -> None:
         self._faults: Faults[DatagramStage[Packet]] = Faults(plan, _stage)
@@ -116,21 +116,21 @@ class FaultyPackets:
 
     @property
     def records(self) -> tuple[FaultRecord, ...]:
-        """What each fault has done."""
+        """Record of each fault."""
         return self._faults.records
 
     def advance(self, now_us: int) -> list[Packet]:
-        """Let stream time pass; return the packets that faults held and that go on now."""
+        """Advance stream time; return the packets that faults held and that pass now."""
         over = self._faults.advance(now_us)
         self._address = next((stage.address for stage in over if isinstance(stage, _Moving)), self._address)
         return [packet for stage in over for packet in stage.finish()]
 
     def inject(self, fault: Fault) -> None:
-        """Begin a fault now; raises ValueError for one that a stream does not have."""
+        """Begin a fault now; raises ValueError for a fault that a stream does not have."""
         self._faults.inject(fault)
 
     def change(self, packet: Packet) -> list[Packet]:
-        """Return the packets that go on when the camera sends one."""
+        """Return the packets to be sent in place of `packet`."""
         packets = [packet]
         for stage in self._faults.stages:
             before, going = stage.hits, list[Packet]()
@@ -139,42 +139,42 @@ class FaultyPackets:
                 going += passed
                 self._gone += [each] if not passed and isinstance(stage, (Loss, _Down)) else []
             if stage.hits != before:
-                self._faults.struck(stage, [packet.number])
+                self._faults.applied(stage, [packet.number])
             packets = going
         return packets
 
     @property
     def link_is_down(self) -> bool:
-        """Whether nothing goes either way now."""
+        """True while no data pass in either direction."""
         return any(isinstance(stage, _Down) for stage in self._faults.stages)
 
     def takes_control(self) -> bool:
-        """Whether control is to be taken away from the host now; told once."""
+        """Return True once when control is to be taken away from the host."""
         taking = [stage for stage in self._faults.stages if isinstance(stage, _Taking | _Moving) and not stage.taken]
         for stage in taking:
             stage.take()
-            self._faults.struck(stage, [])
+            self._faults.applied(stage, [])
         return bool(taking)
 
     def new_address(self) -> str | None:
-        """Return the address that the camera has from now on; None where it keeps its own; told once."""
+        """Return once the address that the camera has from now on; None if it keeps its address."""
         address, self._address = self._address, None
         return address
 
     @property
-    def at_work(self) -> bool:
-        """Whether a fault is at work now."""
+    def active(self) -> bool:
+        """True while any fault is active."""
         return bool(self._faults.stages)
 
     def gone(self) -> list[Packet]:
-        """Return the packets that were taken away since the last call."""
+        """Return the packets that were removed since the last call."""
         gone, self._gone = self._gone, []
         return [packet for packet in gone if packet.block]
 
-    def blame(self, events: int, edges: int) -> None:
-        """Say that so many events and edges did not arrive because of the last fault that struck."""
+    def attribute(self, events: int, edges: int) -> None:
+        """Attribute the loss of events and edges to the last fault that was applied."""
         self._faults.lose(events, edges)
 
     def close(self) -> None:
-        """End all faults; what they hold is lost with the link."""
+        """End all faults; the packets that they hold are lost with the link."""
         self._faults.close()

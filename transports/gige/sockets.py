@@ -1,4 +1,4 @@
-"""The camera's sockets: one for control, one that hears searches by broadcast, one for the stream."""
+"""Sockets of the camera: one for control, one that receives discovery broadcasts, one for the stream."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ _UDP_SEGMENT, _MOST_SEGMENTS, _LONGEST_RUN = 103, 64, 65_507  # Linux: linux/udp
 
 
 class ControlSockets:
-    """Takes requests from allowed senders and sends the answers.
+    """Sockets that receive requests of permitted senders and send the answers.
 
-    A socket bound to one address does not hear broadcasts on Linux, so there is another one, bound to the address of
-    all machines; hosts search by broadcast on a loopback interface too.
+    A socket bound to one address does not receive broadcasts on Linux. So a second one is bound to the broadcast
+    address; hosts search by broadcast on a loopback interface too.
 
     Attributes
     ----------
     refused
-        Datagrams of senders that are not allowed.
+        Number of datagrams of senders that are not allowed.
     """
 
     def __init__(self, host: str, port: int, allow: Iterable[str]) -> None:
@@ -40,20 +40,20 @@ class ControlSockets:
         self.refused = 0
 
     def open(self) -> None:
-        """Open them; raises OSError, with what to do, where another program has the port."""
+        """Open the sockets; raises OSError, with the remedy, if another program uses the port."""
         try:
             self._sockets.append(_bound(self._host, self._port, shared=False))
             self._port = self._sockets[0].getsockname()[1]
             self._sockets.append(_bound(_BROADCAST, self._port, shared=True))
         except OSError as error:
             self.close()
-            told = f"cannot listen on {self._host} port {self._port} (UDP): {error.strerror}"
+            failure = f"cannot listen on {self._host} port {self._port} (UDP): {error.strerror}"
             cure = "another camera may be there: give this one an address of its own, such as 127.0.0.2"
-            raise OSError(error.errno, f"{told}; {cure}") from error
+            raise OSError(error.errno, f"{failure}; {cure}") from error
 
     @property
     def port(self) -> int:
-        """Where hosts find the camera."""
+        """Port at which hosts find the camera."""
         return self._port
 
     @property
@@ -62,13 +62,13 @@ class ControlSockets:
         return [one.fileno() for one in self._sockets]
 
     def take(self) -> list[Datagram]:
-        """Return what has come, at most so much that a flood does not keep the answers waiting for long."""
+        """Return the received requests; their number is limited, so that a flood does not delay the answers."""
         taken: list[Datagram] = []
         for one in self._sockets:
             for _ in range(_AT_A_TIME):
                 try:
                     data, peer = one.recvfrom(_LONGEST)
-                except OSError:  # no more, or the complaint of another socket
+                except OSError:  # no more requests, or an error from a peer's socket
                     break
                 if self._allow.permits(peer[0]):
                     taken.append((data, peer))
@@ -77,26 +77,26 @@ class ControlSockets:
         return taken
 
     def send(self, data: bytes, peer: Peer) -> None:
-        """Send an answer; one that cannot go is lost, as on a cable."""
+        """Send an answer; one that cannot be sent is lost, as on a cable."""
         try:
             self._sockets[0].sendto(data, peer)
         except OSError:
             return
 
     def close(self) -> None:
-        """Close them."""
+        """Close the sockets."""
         for one in self._sockets:
             one.close()
         self._sockets.clear()
 
 
 class StreamSocket:
-    """Sends the packets of the stream.
+    """Socket that sends the packets of the stream.
 
     Parameters
     ----------
     segmented
-        Whether the kernel, or the network card, cuts what `send_block` gives it into packets.
+        True if the kernel, or the network card, divides the data of `send_block` into packets.
     """
 
     def __init__(self, host: str, *, segmented: bool = False) -> None:
@@ -106,14 +106,17 @@ class StreamSocket:
         self._whole = True
 
     def open(self) -> int:
-        """Open it and return its port; raises OSError."""
+        """Open the socket and return its port; raises OSError."""
         self._socket = _bound(self._host, 0, shared=False)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
         self._refuse_cuts(True)
         return int(self._socket.getsockname()[1])
 
     def send(self, data: bytes, to: tuple[str, int], *, may_fragment: bool) -> bool:
-        """Give the kernel a packet; False when it cannot go at all. Raises BlockingIOError when there is no room."""
+        """Pass a packet to the kernel; return False if it cannot be sent.
+
+        Raises BlockingIOError when there is no room.
+        """
         assert self._socket is not None
         if may_fragment == self._whole:
             self._refuse_cuts(not may_fragment)
@@ -121,21 +124,24 @@ class StreamSocket:
             self._socket.sendto(data, to)
         except BlockingIOError:
             raise
-        except OSError:  # longer than the network carries, no route
+        except OSError:  # longer than the network's limit, or no route
             return False
         return True
 
     def take(self) -> list[Datagram]:
-        """Return what hosts sent to this socket: answers to messages; not too much of it."""
+        """Return the answers of hosts to messages; their number is limited."""
         assert self._socket is not None
         taken: list[Datagram] = []
-        with suppress(OSError):  # no more, or the complaint of a host that has gone
+        with suppress(OSError):  # no more answers, or an error from a host that has closed
             for _ in range(_AT_A_TIME):
                 taken.append(self._socket.recvfrom(_LONGEST))
         return taken
 
     def send_block(self, block: Block, to: tuple[str, int], *, may_fragment: bool) -> int:
-        """Give the kernel the packets of a block; returns how many it took, in order, before one did not go."""
+        """Pass the packets of a block to the kernel.
+
+        Return the number of packets taken before the first refused one.
+        """
         assert self._socket is not None
         if may_fragment == self._whole:
             self._refuse_cuts(not may_fragment)
@@ -152,7 +158,7 @@ class StreamSocket:
         return taken
 
     def close(self) -> None:
-        """Close it."""
+        """Close the socket."""
         if self._socket is not None:
             self._socket.close()
 
@@ -163,12 +169,15 @@ class StreamSocket:
 
 
 def _singles(block: Block) -> Iterator[tuple[bytes, int]]:
-    """Give the packets of a block, and 1 for each."""
+    """Yield the packets of a block, each with the count 1."""
     return ((block.packet(number), 1) for number in range(block.packets))
 
 
 def _runs(block: Block) -> Iterator[tuple[bytes, int]]:
-    """Give the packets of a block, those with payload end to end in runs that the kernel takes, and how many."""
+    """Yield the packets of a block with their count.
+
+    Packets with payload are joined to the longest runs that the kernel takes.
+    """
     most = min(_MOST_SEGMENTS, _LONGEST_RUN // (block.room + HEADER_OCTETS))
     last = block.packets - 1
     yield block.packet(0), 1

@@ -1,1 +1,1 @@
-"""Links: an event device, its endpoint, and the process that they run in."""
+"""Links: an event device, its endpoint, and their process."""

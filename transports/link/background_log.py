@@ -1,7 +1,7 @@
 """Text output that never blocks its writer: a bounded queue and a thread in front of a file descriptor.
 
-A pipe that nobody reads takes 64 KiB and then blocks whoever writes to it. A camera must not stop for that, so log
-lines and the live table go through here: what does not fit into the queue is dropped and counted.
+A pipe without a reader takes 64 KiB and then blocks its writer. A camera must not stop for that, so log lines and the
+live table are written through this queue. Text that does not fit into the queue is dropped and counted.
 """
 
 from __future__ import annotations
@@ -20,11 +20,12 @@ _CLOSE_TIMEOUT_S = 1.0
 
 
 class BackgroundWriter:
-    """A text file that writes to `descriptor` from a thread of its own.
+    """Text file that writes to `descriptor` from a separate thread.
 
     Attributes
     ----------
-    dropped_bytes : bytes that found the queue full.
+    dropped_bytes
+        Number of bytes dropped because the queue was full.
     """
 
     encoding = "utf-8"
@@ -61,7 +62,7 @@ class BackgroundWriter:
             return self._changed.wait_for(lambda: not self._waiting_bytes, max(0.0, deadline_s - time.monotonic()))
 
     def isatty(self) -> bool:
-        """Return whether a person sees the output directly."""
+        """Return True if the output is a terminal."""
         return os.isatty(self._descriptor)
 
     def fileno(self) -> int:
@@ -80,7 +81,7 @@ class BackgroundWriter:
                 self._changed.wait_for(lambda: self._waiting)
                 data = b"".join(self._waiting)
                 self._waiting.clear()
-            with suppress(OSError):  # the reader has gone: there is nobody to tell
+            with suppress(OSError):  # the reader has closed the pipe: no error can be reported
                 _write(self._descriptor, data)
             with self._changed:
                 self._waiting_bytes -= len(data)
@@ -93,7 +94,7 @@ def _write(descriptor: int, data: bytes) -> None:
 
 
 def log_in_background(level: int = logging.WARNING) -> BackgroundWriter:
-    """Send this process's log to stderr through a BackgroundWriter; for the processes of links."""
+    """Send this process's log to stderr through a BackgroundWriter; for link processes."""
     writer = BackgroundWriter(2)
     logging.basicConfig(level=level, format="%(message)s", handlers=[logging.StreamHandler(writer)], force=True)
     return writer

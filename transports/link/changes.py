@@ -1,11 +1,11 @@
-"""Changes that hosts and users make at a camera while a run goes on, each with its stream time: data for the session.
+"""Changes of a camera by its hosts and users during a run, each with its stream time.
 
     host --bias, telecommand--> device --> ChangeWatch --CameraSettings, Occurrence--> session
     user --fault, edge by hand-----------> ChangeWatch -----------------Occurrence---> session
 
-The stream time of a change is that which the camera had reached when it took the change: all events up to there had
-gone through it, and none after. How far the camera is, it stores after its changes have been sent (`EventRing.settle`).
-So a session that waits for a camera has all changes before a stream time when the camera has reached that time.
+The stream time of a change is the time that the camera had reached when it accepted the change: it had processed all
+events up to that time and none after it. The camera stores its stream time after it has sent its changes
+(`EventRing.settle`). So when a camera has reached a stream time, a waiting session has all changes before that time.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ from firmware_protocol.device.event_device import EventDevice
 
 __all__ = ["CameraSettings", "ChangeWatch", "Occurrence"]
 
-_MOST_WAITING = 1000  # changes that a session too busy to read has not taken; beyond, the newest takes the last place
+_MOST_WAITING = 1000  # changes that a busy session has not read; beyond this the newest replaces the last one
 _FOREVER_US = 1 << 62
 
 
 @dataclass(frozen=True)
 class CameraSettings:
-    """The settings of a camera that act on its sensor, from a stream time on.
+    """Settings of a camera that act on its sensor, valid from a stream time on.
 
     Attributes
     ----------
     t_us
         Stream time that the camera had reached.
     by
-        "register", "telecommand"; or "restart", where the camera has its power-on settings again.
+        Origin: "register" or "telecommand"; or "restart", when the camera has its power-on settings again.
     sensor_factors, without_effect
         See `EventDevice`.
     """
@@ -44,16 +44,16 @@ class CameraSettings:
 
 @dataclass(frozen=True)
 class Occurrence:
-    """Something else that was done to a camera from outside: a telecommand, a fault, an edge by hand.
+    """Any other external action on a camera: a telecommand, a fault, an edge by hand.
 
     Attributes
     ----------
     t_us
         Stream time that the camera had reached.
     by
-        Its origin: "telecommand", or the user's name for the session's request, such as "evstim".
+        Origin: "telecommand", or the user's name for the session's request, such as "evstim".
     what
-        Such as "SetRegion(x=0, y=0, width=8, height=8)", "fault stall", "trigger pulse".
+        Description, such as "SetRegion(x=0, y=0, width=8, height=8)", "fault stall", "trigger pulse".
     """
 
     t_us: int
@@ -62,7 +62,7 @@ class Occurrence:
 
 
 class ChangeWatch:
-    """Notices the changes of one device, and holds them until the session takes them.
+    """Detector of the changes of one device; it holds them until the session takes them.
 
     Attributes
     ----------
@@ -78,7 +78,7 @@ class ChangeWatch:
         self.waiting: deque[CameraSettings | Occurrence] = deque()
 
     def look(self, t_us: int) -> None:
-        """Take down what has changed since the last call, while the camera stood at stream time `t_us`."""
+        """Record the changes since the last call, at stream time `t_us` of the camera."""
         by = self._device.set_by
         for command in self._device.take_commands():
             self.add(Occurrence(t_us, by, command))
@@ -88,14 +88,14 @@ class ChangeWatch:
             self.add(CameraSettings(t_us, by, factors, without_effect))
 
     def add(self, change: CameraSettings | Occurrence) -> None:
-        """Take down a change."""
+        """Record a change."""
         if len(self.waiting) == _MOST_WAITING:
             self.waiting.pop()
         self.waiting.append(change)
 
     def settled_us(self, reached_us: int) -> int:
-        """Return the stream time before which no change of the sensor is to come, of a camera that is at `reached_us`.
+        """Return the stream time before which no further change of the sensor can come, for a camera at `reached_us`.
 
-        Without limit where nothing that hosts do at it can act on the sensor.
+        Without limit if no action of the hosts can change the sensor.
         """
         return reached_us if self._acts else _FOREVER_US

@@ -1,17 +1,14 @@
-"""What a link delivered, seen from outside the camera: how late events left, their digest, and their record.
+"""Delivery statistics of one link: latency, digest, record and count of the events that left the camera.
 
-Latency of events: a histogram with a fixed size, whatever the length of the run and of the latencies.
+The latency histogram has a fixed size, for runs and latencies of any length. Below 0.2 s a bin is 10 us wide; above
+that each bin is 1 % wider than the one before, up to a year.
 
-Below 0.2 s a bin is 10 us wide, above that each is 1 % wider than the one before, up to a year.
+The digest is a checksum of a stream of events: equal digests on both ends mean that every event arrived unchanged.
 
-A checksum of a stream of events: equal digests on both ends mean that every event arrived as it was sent.
+Parts of a recording are made from the delivered data, in the time of the camera's clock.
 
-Parts of a recording, in the time of the camera's clock, from what a link delivered.
-
-Count of the events that a link delivered, in memory that outlives its process.
-
-A process that is killed sends no last report. This count is written after every tick, so the ledger of a run knows what
-had left the camera before its link died.
+The count of delivered events is in shared memory and is written after every tick. A killed process sends no last
+report, so the ledger of a run takes the number of events that had left the camera from this count.
 """
 
 from __future__ import annotations
@@ -61,7 +58,7 @@ _BINS = _EVEN_BINS + math.ceil(math.log(_YEAR_US / _EVEN_US, _RATIO))
 
 @dataclass(frozen=True)
 class LatencySummary:
-    """Latency from an event's own time to its bytes leaving, us; None where nothing was measured."""
+    """Latency from an event's own time to the sending of its bytes, us; None where nothing was measured."""
 
     p50: float | None = None
     p99: float | None = None
@@ -69,7 +66,7 @@ class LatencySummary:
 
 
 class LatencyHistogram:
-    """Latencies in bins of 10 us up to 0.2 s, and of 1 % above; the largest is kept exactly."""
+    """Histogram of latencies in bins of 10 us up to 0.2 s, and of 1 % above; the largest is stored exactly."""
 
     def __init__(self) -> None:
         self._counts = np.zeros(_BINS, np.int64)
@@ -120,7 +117,7 @@ def digest_of(events: Events, before: int = 0) -> int:
 
 @dataclass(frozen=True)
 class Delivered:
-    """Events (n,) EVENT, edges (m,) EDGE and readings that left together, in the time told to the device."""
+    """Events (n,) EVENT, edges (m,) EDGE and readings that left together, in the device's time."""
 
     events: Events = field(default_factory=empty_events)
     edges: Edges = field(default_factory=empty_edges)
@@ -128,7 +125,7 @@ class Delivered:
 
 
 class DeliveredParts:
-    """Makes parts, and frames of their lines.
+    """Converter from delivered data to parts of a recording; assembles frames from their lines.
 
     Parameters
     ----------
@@ -138,7 +135,7 @@ class DeliveredParts:
     Attributes
     ----------
     frame_records
-        How many readings each frame was made of, in the order in which they were complete.
+        Number of readings of each frame, in the order in which the frames were completed.
     """
 
     def __init__(self, imu_unit: int) -> None:
@@ -147,9 +144,9 @@ class DeliveredParts:
         self.frame_records: list[int] = []
 
     def part(self, delivered: Delivered, epoch_us: int) -> Part:
-        """Return copies of what was delivered, less `epoch_us`, at which the device's clock was zero.
+        """Return copies of the delivered data, less `epoch_us`, the time at which the device's clock was zero.
 
-        `epoch_us` is negative where that was before the run.
+        `epoch_us` is negative if the clock was zero before the run.
         """
         imu = recorded_imu(_imu_of(delivered.readings), self._imu_unit)
         events, edges = copy_events(delivered.events), delivered.edges.copy()
@@ -162,7 +159,7 @@ class DeliveredParts:
 
 
 def recorded_imu(samples: ImuSamples, unit: int) -> npt.NDArray[np.void]:
-    """Return samples, (n,) IMU_SAMPLE of a unit (1 or 2), as recordings have them, (n,) IMU."""
+    """Return samples, (n,) IMU_SAMPLE of a unit (1 or 2), in the layout of recordings, (n,) IMU."""
     out = np.zeros(len(samples), IMU)
     if not len(samples):
         return out
@@ -179,28 +176,28 @@ def _imu_of(readings: Sequence[Reading]) -> ImuSamples:
 
 
 def _frame(frame: WholeFrame, epoch_us: int) -> Frame:
-    """Return a frame for a recording: dated by the start of its exposure, as drivers do, and not before time zero.
+    """Return a frame for a recording: its time is the start of its exposure, as in drivers, and at least zero.
 
-    The clock may have started anew during the exposure.
+    The clock may have restarted during the exposure.
     """
     begin_us, end_us = (max(0, t_us - epoch_us) for t_us in (frame.exposure_start_us, frame.exposure_end_us))
     return Frame(begin_us, begin_us, end_us, frame.pixels, (frame.first_column, frame.first_row))
 
 
 class Deliveries:
-    """Times, digests and records the events that an endpoint says have left.
+    """Latency, digest and record of the events that an endpoint reports as sent.
 
     Parameters
     ----------
     device_clock
-        The camera's own, where its times are not stream time.
+        The camera's own clock, if its times are not stream time.
     imu_unit
-        Which inertial unit the camera has, for its temperature.
+        Type of the camera's inertial unit, for its temperature.
 
     Attributes
     ----------
     clock
-        What the link goes by.
+        Clock of the link.
     """
 
     def __init__(
@@ -224,9 +221,9 @@ class Deliveries:
     def add(
         self, events: Events, epoch_us: int = 0, edges: Edges | None = None, readings: Sequence[Reading] = ()
     ) -> None:
-        """Take note of events (n,) EVENT, edges (m,) EDGE and readings that have left just now, in the device's time.
+        """Add events (n,) EVENT, edges (m,) EDGE and readings that have just left, in the device's time.
 
-        `epoch_us` is the time at which the device's own clock is zero; negative where that was before the run.
+        `epoch_us` is the time at which the device's own clock was zero; negative if that was before the run.
         """
         edges = empty_edges() if edges is None else edges
         if len(events):
@@ -234,22 +231,24 @@ class Deliveries:
         readings = () if self._recorder is None else readings
         part = self._parts.part(Delivered(events, edges, readings), epoch_us)
         if counts_of(part):
-            self._keep(part, epoch_us)
+            self._record_part(part, epoch_us)
 
     def reach(self, device_us: int, epoch_us: int) -> None:
-        """Take note that all up to `device_us`, in the device's time, has left or was dropped."""
+        """Record that everything up to `device_us`, in the device's time, has left or was dropped."""
         if self._recorder is not None and epoch_us == self._epoch_us:
             self._recorder.reach(device_us - epoch_us)
 
     @property
     def paced(self) -> bool:
-        """Whether events leave at their own time; else as fast as possible."""
+        """True if events leave at their own time; False if they leave as fast as possible."""
         return self._ring.origin_ns != FREE_RUNNING
 
     def device_ns(self, monotonic_ns: int) -> int | None:
-        """Return what the camera's clock shows at a time of CLOCK_MONOTONIC, less no epoch; None outside a paced run.
+        """Return the reading of the camera's clock at a time of CLOCK_MONOTONIC, without epoch.
 
-        What a receiver sees of it is less by the device's `epoch_us`.
+        None outside a paced run.
+
+        A receiver sees this value less the device's `epoch_us`.
         """
         origin_ns = self._ring.origin_ns
         if origin_ns is None or origin_ns == FREE_RUNNING or monotonic_ns < origin_ns:
@@ -258,7 +257,7 @@ class Deliveries:
         return stream_ns if self._device_clock is None else int(self._device_clock.shown_ns(stream_ns)[0])
 
     def unix_us(self, epoch_us: int) -> int | None:
-        """Return the Unix time at which a device's clock was zero that had its epoch then; None when not paced."""
+        """Return the Unix time at which a device's clock with this epoch was zero; None when not paced."""
         origin_ns = self._ring.origin_ns
         if origin_ns is None or origin_ns == FREE_RUNNING:
             return None
@@ -266,12 +265,12 @@ class Deliveries:
 
     @property
     def trouble(self) -> str:
-        """Why the record is not whole, for people; empty where it is, or where there is none."""
+        """Reason for an incomplete record, for people; empty if it is complete or there is none."""
         return "" if self._recorder is None else self._recorder.trouble
 
     @property
     def recording(self) -> RecordingSummary | None:
-        """What the record holds, once it is closed; None where there is none."""
+        """Summary of the closed record; None if there is none."""
         return None if self._recorder is None else self._recorder.summary
 
     def close(self) -> None:
@@ -290,7 +289,7 @@ class Deliveries:
         else:
             self.latency.add(now_us - self._device_clock.stream_us(device_us, max(0, int(now_us))))
 
-    def _keep(self, part: Part, epoch_us: int) -> None:
+    def _record_part(self, part: Part, epoch_us: int) -> None:
         restarted = epoch_us != self._epoch_us
         self._epoch_us = epoch_us
         self.digest = digest_of(part.events, 0 if restarted else self.digest)
@@ -301,18 +300,18 @@ class Deliveries:
 
 
 class DeliveryTally:
-    """Events delivered so far by one link process: one writer, any number of readers.
+    """Number of events delivered by one link process: one writer, any number of readers.
 
     Pass it as an argument to a process started by the spawn method.
     """
 
     def __init__(self) -> None:
-        # One aligned 8-byte store is atomic; a lock could stay taken for ever by a process that was killed.
+        # One aligned 8-byte store is atomic; a killed process could leave a lock taken for ever.
         self._value: Any = multiprocessing.get_context("spawn").RawValue("q", 0)
 
     @property
     def delivered(self) -> int:
-        """Events that left the camera and were not lost on the link."""
+        """Number of events that left the camera and were not lost on the link."""
         return int(self._value.value)
 
     @delivered.setter

@@ -1,11 +1,11 @@
-"""Edges on their way to the cameras: from a bus that another process hears, or from a period.
+"""Edges for the cameras' external inputs: from a bus that another process receives, from a period, or from a list.
 
-    bus --stamp--> EdgeSink (in the process that hears the bus) --EDGE--> an EdgeRing for each link, and the session's
+    bus --stamp--> EdgeSink (in the process that receives the bus) --EDGE--> an EdgeRing for each link and the session
 
 An edge's time is that of the bus, less the run's origin, plus the input's latency and jitter, counted in nanoseconds
-and then cut to whole microseconds, as a counter does. Jitter is keyed by the edge's number.
+and then truncated to whole microseconds, as a counter does. Jitter depends on the edge's number.
 
-Edges at times that were known before the run: single ones and trains, merged in time order.
+`ListedEdges` gives edges at times that are known before the run: single ones and trains, merged in time order.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ __all__ = ["EdgeRing", "EdgeSink", "EdgeSource", "EdgeTiming", "EdgeTrain", "Lis
 
 
 class EdgeSource(Protocol):
-    """Where a link gets its edges from."""
+    """Source of a link's edges."""
 
     def take(self, until_us: int) -> Edges:
         """Return the edges up to `until_us` of stream time that have not been taken, (n,) EDGE in time order."""
@@ -33,24 +33,24 @@ class EdgeSource(Protocol):
 
     @property
     def refused(self) -> int:
-        """Edges that were lost before they could be taken."""
+        """Number of edges that were lost before they could be taken."""
         ...
 
 
 @dataclass(frozen=True)
 class EdgeTiming:
-    """What a trigger looks like at a camera's input.
+    """Form and delay of a trigger at a camera's input.
 
     Attributes
     ----------
     kind, channel
-        What happens, and on which input.
+        Kind of edge, and number of the input.
     latency_us
-        From the bus to the input.
+        Delay from the bus to the input.
     jitter_us
-        Standard deviation of the latency; an edge is never early, and never comes before the one before it.
+        Standard deviation of the latency; an edge is never early, and never comes before the preceding one.
     seed
-        Of the jitter.
+        Seed of the jitter.
     """
 
     kind: EdgeKind = EdgeKind.PULSE
@@ -60,7 +60,7 @@ class EdgeTiming:
     seed: int = 0
 
     def delay_ns(self, number: int) -> int:
-        """Return how long edge `number` takes to the input, ns."""
+        """Return the delay of edge `number` to the input, ns."""
         jitter_us = float(normal(self.seed, Draw.EDGE_JITTER, number)[0]) * self.jitter_us if self.jitter_us else 0.0
         return max(0, round((self.latency_us + jitter_us) * 1000))
 
@@ -72,24 +72,24 @@ class EdgeTiming:
 
 
 class EdgeRing:
-    """A few edges in shared memory; pass it as an argument to a process started by the spawn method."""
+    """Short queue of edges in shared memory; pass it as an argument to a process started by the spawn method."""
 
     def __init__(self, capacity: int = 4096) -> None:
         self._ring = SharedRing(EDGE, capacity)
 
     @property
     def written(self) -> int:
-        """Edges written since the start."""
+        """Number of edges written since the start."""
         return self._ring.written
 
     @property
     def waiting(self) -> int:
-        """Edges written and not yet taken."""
+        """Number of edges written and not yet taken."""
         return self._ring.waiting
 
     @property
     def refused(self) -> int:
-        """Edges that found no room, counted by the writer."""
+        """Number of edges for which there was no room, counted by the writer."""
         return self._ring.refused
 
     def push(self, edge: Edges) -> None:
@@ -102,23 +102,23 @@ class EdgeRing:
 
 
 class EdgeSink:
-    """Takes what a bus says and makes edges of it, one in each ring. Lives in the process that hears the bus.
+    """Converter from SYNCs of a bus to edges, one in each ring. It runs in the process that receives the bus.
 
     Parameters
     ----------
     rings
-        One for each reader; all are written before the last, so put the session's there.
+        One ring for each reader; all others are written before the last, so put the session's ring there.
     run
-        Any of the run's event rings: it knows when stream time began.
+        Any event ring of the run; it contains the start of stream time.
     lockstep_us
-        Above 0, the bus drives time: edge k happens k periods after the start, whenever it is heard.
+        Above 0, the bus drives time: edge k is k periods after the start, independent of its arrival.
 
     Attributes
     ----------
     last_us
         Stream time of the last edge; 0 before the first.
-    heard_early
-        Triggers before the start, of which no edge was made.
+    early_triggers
+        Number of triggers before the start, for which no edge was made.
     """
 
     def __init__(self, rings: Sequence[EdgeRing], run: EventRing, timing: EdgeTiming, lockstep_us: int = 0) -> None:
@@ -128,13 +128,13 @@ class EdgeSink:
         self._lockstep_us = lockstep_us
         self._number = 0
         self.last_us = 0
-        self.heard_early = 0
+        self.early_triggers = 0
 
     def __call__(self, bus_t_ns: int, seq: int) -> None:
-        """Hear one trigger at `bus_t_ns` of CLOCK_MONOTONIC; `seq` is the bus's own number for it."""
+        """Make the edges of one trigger at `bus_t_ns` of CLOCK_MONOTONIC; `seq` is the bus's own number for it."""
         at_ns = self._at_ns(bus_t_ns)
         if at_ns is None:
-            self.heard_early += 1
+            self.early_triggers += 1
             return
         t_us = max((at_ns + self._timing.delay_ns(self._number)) // 1000, self.last_us)
         self._number += 1
@@ -156,7 +156,7 @@ class EdgeSink:
 
 
 class PeriodicEdges:
-    """An edge each `period_us`, the first one period after the start; no bus, nothing shared."""
+    """Edges at a constant period, the first one period after the start; without a bus and shared memory."""
 
     def __init__(self, period_us: int, timing: EdgeTiming) -> None:
         self._period_us = period_us
@@ -166,7 +166,7 @@ class PeriodicEdges:
 
     @property
     def refused(self) -> int:
-        """None: nothing is kept."""
+        """Number of refused edges: always 0, because this source has no queue."""
         return 0
 
     def _time_us(self, after_us: int) -> int:
@@ -185,7 +185,7 @@ class PeriodicEdges:
 
 @dataclass(frozen=True)
 class EdgeTrain:
-    """Edges of one kind, the first at `at_us` of stream time, then each `every_us`; `count` None: without end."""
+    """Edges of one kind: the first at `at_us` of stream time, then one each `every_us`; `count` None: unlimited."""
 
     kind: EdgeKind
     at_us: int
@@ -194,18 +194,18 @@ class EdgeTrain:
 
 
 class ListedEdges:
-    """A source of the edges of several trains; those of one time in the order of the trains."""
+    """Source of the edges of several trains; edges of equal time are in the order of the trains."""
 
     def __init__(self, trains: Sequence[EdgeTrain], channel: int = 0) -> None:
         self._trains = tuple(trains)
         self._channel = channel
         self._number = 0
-        self._next = [(train.at_us, k, 0) for k, train in enumerate(self._trains)]  # time, train, number in it
+        self._next = [(train.at_us, k, 0) for k, train in enumerate(self._trains)]  # time, train, number in the train
         heapq.heapify(self._next)
 
     @property
     def refused(self) -> int:
-        """None: nothing is kept."""
+        """Number of refused edges: always 0, because this source has no queue."""
         return 0
 
     def take(self, until_us: int) -> Edges:

@@ -1,6 +1,6 @@
-"""The far side of a camera's plug: what a transport implements for a link, and what makes it in the link's process.
+"""Interface of a link's transport: the endpoint, and its factory in the link's process.
 
-Attempts to open again what was lost: one at a time, a period apart, by a clock that is passed in.
+`Reopening` opens a lost port or bus again: one attempt at a time, a period apart, by a clock that is passed in.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ _Served = TypeVar("_Served", contravariant=True)  # an endpoint for any camera o
 
 @dataclass(frozen=True)
 class LineUse:
-    """How full a line was, from its first bit to now.
+    """Load of a line, from its first bit until now.
 
     Attributes
     ----------
     carried
-        Bytes or frames that were sent.
+        Number of bytes or frames that were sent.
     share
-        Part of the line's time that sending took, 0 to 1.
+        Share of the line's time used for sending, 0 to 1.
     busiest
-        The same over the busiest second.
+        Share in the busiest second.
     """
 
     carried: int = 0
@@ -45,28 +45,28 @@ class LineUse:
 
 
 class LinkBroken(Exception):
-    """A link found that it does not do what it promises; the run cannot go on."""
+    """Error: a link does not fulfil its guarantees; the run cannot continue."""
 
 
 class Endpoint(ABC):
-    """The far side of a camera's plug: whatever asks it for bytes."""
+    """Host side of a camera's connector: the transport that reads the camera's bytes."""
 
     @abstractmethod
     async def start(self) -> None:
-        """Open; raises OSError when the machine refuses."""
+        """Open the transport; raises OSError if the machine refuses."""
 
     def listen(self) -> None:
-        """Take the orders of hosts that came by another process; the camera is fed next."""
+        """Process the hosts' requests that arrived through another process, before the camera is fed."""
         return
 
     @abstractmethod
     def pump(self) -> None:
-        """The camera may have new data: hand over what is asked for."""
+        """Send the requested data; called when the camera may have new data."""
 
     def mark(self, edges: Edges) -> int:
-        """Send the camera's own marks, (n > 0,) EDGE in the time its receivers see; return how many could be sent.
+        """Send the camera's own marks, (n > 0,) EDGE in the time its receivers see; return the number sent.
 
-        USB sends none: a DAVIS346's leave by a connector of their own.
+        USB sends none: those of a DAVIS346 leave by a separate connector.
         """
         return 0
 
@@ -75,71 +75,71 @@ class Endpoint(ABC):
         return
 
     def inject(self, fault: Fault) -> None:
-        """Begin a fault now; raises ValueError for one that this link cannot have."""
+        """Begin a fault now; raises ValueError for a fault that this kind of link cannot have."""
         raise ValueError(f"{fault.kind!r} is no fault of this kind of link")
 
     @property
     def withholds(self) -> bool:
-        """True while a fault keeps from the host what the camera has: stream time must not wait for the host then."""
+        """True while a fault holds data back from the host: stream time must not wait for the host then."""
         return False
 
     @property
     def faults(self) -> tuple[FaultRecord, ...]:
-        """What each fault has done so far."""
+        """Record of each fault."""
         return ()
 
     @abstractmethod
     async def close(self) -> None:
-        """Let go of the host and close."""
+        """Disconnect the host and close."""
 
     @property
     @abstractmethod
     def state(self) -> str:
-        """A few words for the live table."""
+        """Short state for the live table."""
 
     @property
     def address(self) -> str | None:
-        """Where a host finds the camera; None where there is no such place."""
+        """Address at which a host finds the camera; None if there is no address."""
         return None
 
     @property
     def use(self) -> LineUse | None:
-        """How full the line is; None where it has no capacity of its own."""
+        """Load of the line; None if it has no limited capacity."""
         return None
 
     @property
     def trouble(self) -> str:
-        """Why a file that it writes is not whole, for people; empty where it is, or where there is none."""
+        """Reason for an incomplete output file, for people; empty if it is complete or there is none."""
         return ""
 
     @property
     def recording(self) -> RecordingSummary | None:
-        """What the file that it writes holds, once it is closed; None where it writes none."""
+        """Summary of the closed output file; None if there is none."""
         return None
 
     @property
     def counts(self) -> Mapping[str, int]:
-        """What else happened, by name, for the summary."""
+        """Further counts by name, for the summary."""
         return {}
 
 
 class EndpointFactory(ABC, Generic[_Served]):
-    """Makes an endpoint inside the link process; itself passed to it by pickling."""
+    """Factory of an endpoint inside the link process; passed to that process by pickling."""
 
     @abstractmethod
     def build(self, device: _Served, deliveries: Deliveries) -> Endpoint:
-        """Return the endpoint that serves `device` and tells `deliveries` of the events that have left."""
+        """Return the endpoint that serves `device` and reports sent events to `deliveries`."""
 
     def restarted(self, number: int) -> EndpointFactory[_Served]:
-        """Return what makes the endpoint of the `number`-th restart of the link's process, after one that died."""
+        """Return the factory for the `number`-th restart of the link's process, after the earlier one died."""
         return self
 
     def remove_remains(self) -> None:
-        """Remove what a process of this link that was killed left on the machine; what a running one has stays."""
+        """Remove the resources that a killed process of this link left on the machine; those of a running one stay."""
         return
 
     def traced(self, path: Path) -> EndpointFactory[_Served] | None:
-        """Return the same with a trace of its cable in PATH.txt and PATH.pcap; None where there is no such cable."""
+        """Return the same factory with a trace of its cable in PATH.txt and PATH.pcap; None without such a cable."""
         return None
 
 
@@ -147,19 +147,19 @@ T = TypeVar("T")
 
 
 class Reopening(Generic[T]):
-    """Opens a port or a bus again, beside the link's ticks.
+    """Repeated attempts to open a port or a bus again, in parallel with the link's ticks.
 
     Parameters
     ----------
     attempt
-        Opens it and returns what was opened; an exception means that this attempt failed.
+        Coroutine that opens it and returns the opened object; an exception means that this attempt failed.
     period_ns
-        From a loss, or from the end of an attempt that failed, to the next attempt.
+        Time from a loss, or from the end of a failed attempt, to the next attempt.
 
     Attributes
     ----------
     why
-        What the last attempt that failed said.
+        Message of the last failed attempt.
     """
 
     def __init__(self, clock: Clock, period_ns: int, attempt: Callable[[], Coroutine[Any, Any, T]]) -> None:
@@ -171,12 +171,12 @@ class Reopening(Generic[T]):
         self.why = ""
 
     def lost(self, why: str = "") -> None:
-        """Say that it was lost just now."""
+        """Record that it was lost just now."""
         self.why = why
         self._next_ns = self._clock.now_ns() + self._period_ns
 
     def poll(self) -> T | None:
-        """Return what was opened since the last call, or None; starts an attempt when one is due."""
+        """Return the object opened since the last call, or None; start an attempt when one is due."""
         if self._running is None:
             if self._clock.now_ns() >= self._next_ns:
                 self._running = asyncio.get_running_loop().create_task(self._attempt())
@@ -191,7 +191,7 @@ class Reopening(Generic[T]):
         return None
 
     async def close(self) -> None:
-        """Give up the attempt under way."""
+        """Cancel the attempt in progress."""
         if self._running is not None:
             self._running.cancel()
             await asyncio.gather(self._running, return_exceptions=True)

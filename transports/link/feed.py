@@ -1,13 +1,13 @@
-"""What goes into a device in a link's process: events, edges and readings in time order, in the device's own time.
+"""Feed of a device in a link's process: events, edges and readings in time order, in the device's own time.
 
     EventRing   --+
     EdgeSource  --+--> [device clock] --> device.offer_edges, offer_readings, offer, advance
     ReadingRing --+
 
-Edges and readings of a stretch of time go in before its events. An edge that comes when the device's time has passed it
-is late: a device that stamps by itself stamps it now. How late is counted, for any device.
+The edges and readings of a stretch of time enter before its events. An edge that arrives after the device's time has
+passed it is late; a device that stamps edges itself stamps it with the current time. Delays are counted for any device.
 
-What goes from the rings of readings into a device, in the device's own time, and what its host asks back.
+`ReadingFeed` moves readings from their rings into the device, and the settings of the device's host back.
 """
 
 from __future__ import annotations
@@ -31,18 +31,18 @@ __all__ = ["ClockReport", "ClockTruth", "EdgeReport", "Feed", "ReadingFeed", "Re
 
 @dataclass(frozen=True)
 class ReadingReport:
-    """Readings of one kind before the device; their fates in it are its own counters'.
+    """Counts of the readings of one kind before the device; their fates in the device are in its own counters.
 
     Attributes
     ----------
     taken
-        Were offered to the device.
+        Readings offered to the device.
     ignored
-        Were offered to a device that has no use for them.
+        Readings offered to a device that does not use them.
     refused
-        Found the ring full.
+        Readings for which the ring had no room.
     left
-        Were in the ring when the run ended.
+        Readings in the ring at the end of the run.
     """
 
     taken: int = 0
@@ -52,7 +52,7 @@ class ReadingReport:
 
 
 class ReadingFeed:
-    """Moves readings of every kind. Stream time outside, device time inside."""
+    """Feed of readings of every kind; rings contain stream time, the device receives device time."""
 
     def __init__(self, device: EventDevice, rings: Sequence[ReadingRing], clock: DeviceClock | None) -> None:
         self._device = device
@@ -62,9 +62,9 @@ class ReadingFeed:
         self._ignored: Counter[ReadingKind] = Counter()
 
     def offer(self, until_us: int) -> None:
-        """Give the device what is due up to stream time `until_us`, and hear what its host asks."""
+        """Offer the readings due up to stream time `until_us`, and send the host's settings to the session."""
         for ring in self._rings:
-            ring.tell(self._device.reading_settings(ring.kind))
+            ring.write_settings(self._device.reading_settings(ring.kind))
             records = ring.take(until_us)
             if not len(records):
                 continue
@@ -74,7 +74,7 @@ class ReadingFeed:
             (self._taken if used else self._ignored)[ring.kind] += len(records)
 
     def until_us(self, until_us: int) -> int:
-        """Return how far stream time may go, at most to `until_us`, before readings find no room in the device."""
+        """Return the stream time, at most `until_us`, up to which readings find room in the device."""
         for ring in self._rings:
             first_without_us = ring.time_of(self._device.room_readings(ring.kind))
             if first_without_us is not None:
@@ -83,11 +83,11 @@ class ReadingFeed:
 
     @property
     def waiting(self) -> int:
-        """Readings that wait in the rings."""
+        """Number of readings that wait in the rings."""
         return sum(ring.waiting for ring in self._rings)
 
     def reports(self, *, final: bool) -> Mapping[str, ReadingReport]:
-        """Return what became of readings before the device, by kind; at the end, those in the ring count as left."""
+        """Return the counts of readings before the device, by kind; at the end, those in the ring count as left."""
         return {
             str(ring.kind): ReadingReport(
                 self._taken[ring.kind], self._ignored[ring.kind], ring.refused, ring.waiting if final else 0
@@ -98,24 +98,24 @@ class ReadingFeed:
 
 @dataclass(frozen=True)
 class Timing:
-    """What a link has to do with time and triggers.
+    """Time and trigger settings of a link.
 
     Attributes
     ----------
     edges
-        What happens on the device's external input; None where nothing is connected.
+        Source of the edges at the device's external input; None if nothing is connected.
     holdback_us
-        How long after its time an event is fed, so that edges that are heard late still enter in order.
+        Delay between an event's time and its feeding, so that edges received late still enter in order.
     clock, seed
-        How the device's own clock goes wrong; None: it shows stream time.
+        Errors of the device's own clock; None: it shows stream time.
     truth
-        File for what that clock really shows: monotonic ns, stream us, device us, ten lines a second.
+        File for the true readings of that clock: monotonic ns, stream us, device us, ten lines a second.
     send_period_us
-        Above 0, the device says by a mark of its own when its time is a multiple of this.
+        Above 0, the device sends a mark of its own when its time is a multiple of this.
     sync_out, sync_in
-        The cable between two cameras: where the master tells of its timestamp resets, and where its slave hears.
+        Cable between two cameras: the master writes its timestamp resets to `sync_out`, its slave reads `sync_in`.
     syncs
-        Where the session hears of the SYNCs of this link's bus, when these drive the run.
+        Ring for the SYNCs of this link's bus to the session, when they drive the run.
     """
 
     edges: EdgeSource | None = None
@@ -131,18 +131,18 @@ class Timing:
 
 @dataclass(frozen=True)
 class EdgeReport:
-    """Edges on their way to the device; their fates in it are its own counters'.
+    """Counts of the edges before the device; their fates in the device are in its own counters.
 
     Attributes
     ----------
     taken
-        Were offered to the device.
+        Edges offered to the device.
     late, worst_late_us
-        Of those, came after their time had passed in the device, and by how much at worst.
+        Number of taken edges whose time had passed in the device, and the largest delay.
     left
-        Were heard and not offered when the run ended, or found the ring full.
+        Edges that were received and not offered at the end of the run, or found the ring full.
     marks, marks_sent
-        The device's own that it made, and those that its link could send.
+        Number of the device's own marks, and of those that its link could send.
     """
 
     taken: int = 0
@@ -155,16 +155,16 @@ class EdgeReport:
 
 @dataclass(frozen=True)
 class ClockReport:
-    """How wrong the device's clock was at stream time `t_us`.
+    """Error of the device's clock at stream time `t_us`.
 
     Attributes
     ----------
     offset_us
-        What it showed less stream time, had nobody ever set it to zero.
+        Clock reading less stream time, without any reset of the clock.
     ppm
-        How much too fast it ran.
+        Rate error; positive if the clock is fast.
     epoch_us
-        What it would have shown when it was last set to zero, by its host or by a restart.
+        Clock reading, without resets, at the last reset by its host or by a restart.
     """
 
     t_us: int
@@ -174,12 +174,12 @@ class ClockReport:
 
     @property
     def device_us(self) -> float:
-        """What a receiver saw."""
+        """Time that a receiver saw."""
         return self.t_us + self.offset_us - self.epoch_us
 
 
 class ClockTruth:
-    """A file of what a device's clock really shows, for whoever scores an estimator."""
+    """File of the true readings of a device's clock, to score a clock estimator."""
 
     def __init__(self, path: Path) -> None:
         self._file = OutputFile(path, "truth")
@@ -187,7 +187,7 @@ class ClockTruth:
 
     @property
     def trouble(self) -> str:
-        """Why the file is not whole, for people; empty where it is."""
+        """Reason for an incomplete file, for people; empty if it is complete."""
         return self._file.trouble
 
     def add(self, monotonic_ns: int, report: ClockReport) -> None:
@@ -200,12 +200,12 @@ class ClockTruth:
 
 
 class Feed:
-    """Feeds a device. Stream time outside, device time inside.
+    """Feed of a device; rings contain stream time, the device receives device time.
 
     Attributes
     ----------
     readings
-        What is fed beside events and edges.
+        Feed of the readings.
     """
 
     def __init__(
@@ -226,7 +226,7 @@ class Feed:
         self.reached_us = 0
 
     def feed(self, until_us: int, limit: int) -> None:
-        """Move what is due up to stream time `until_us`, at most `limit` events at a stretch."""
+        """Move the data due up to stream time `until_us`, at most `limit` events in one stretch."""
         while self._restarts_us and self._restarts_us[0] <= until_us:
             if not self._stretch(self._restarts_us[0], limit):
                 return
@@ -237,7 +237,7 @@ class Feed:
         self._synchronise()
 
     def happen(self, kind: EdgeKind | None) -> None:
-        """Let an edge come to the input now, where device time has got to; None: the clock starts anew at zero."""
+        """Apply an edge to the input now, at the device's current time; None: reset the clock to zero."""
         if kind is None:
             self._device.restart_clock()
             return
@@ -247,7 +247,7 @@ class Feed:
         self._device.offer_edges(edge)
 
     def _synchronise(self) -> None:
-        """Tell a slave of resets, or follow those of a master that this device's time has reached."""
+        """Send resets to a slave, or apply those of a master that this device's time has reached."""
         if self._sync_in is not None:
             for edge in self._sync_in.take(self._device.now_us):
                 self._device.follow_reset(int(edge["t"]))
@@ -258,7 +258,7 @@ class Feed:
                 ring.push(told)
 
     def _stretch(self, until_us: int, limit: int) -> bool:
-        """Feed one stretch; False when there were more events than `limit`."""
+        """Feed one stretch; return False when there were more events than `limit`."""
         events = self._ring.take(until_us, limit)
         complete = len(events) < limit
         # After a cut batch the device's time must not pass the events that still wait in the ring.
@@ -296,9 +296,10 @@ class Feed:
 
     @property
     def horizon_us(self) -> int:
-        """Stream time to which the device can be advanced now without dropping what waits, to 2 us.
+        """Stream time to which the device can be advanced now without dropping waiting data, to 2 us.
 
-        What the FIFO has no room for is not reached; the end of a silence is, or it would never come.
+        The time of data for which the FIFO has no room is not reached. The end of a silence is reached, or it would
+        never end.
         """
         horizon_us = self._device.horizon_us
         if self.clock is None or horizon_us > self._shown_us(self.reached_us) + 3_600_000_000:
@@ -319,14 +320,14 @@ class Feed:
         return marks
 
     def edge_report(self, *, final: bool = False) -> EdgeReport:
-        """Return what became of edges before the device; at the end, those still to come count as left."""
+        """Return the counts of edges before the device; at the end, edges still to come count as left."""
         lost = 0
         if self._edges is not None:
             lost = self._edges.refused + (len(self._edges.take(self._ring.now_us)) if final else 0)
         return EdgeReport(self._taken, self._late, self._worst_late_us, lost, self._marks, self.marks_sent)
 
     def clock_report(self) -> ClockReport | None:
-        """Return how wrong the clock is where the device has got to; None for a device that shows stream time."""
+        """Return the error of the clock at the device's time; None for a device that shows stream time."""
         if self.clock is None:
             return None
         t_us = self.reached_us

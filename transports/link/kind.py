@@ -1,7 +1,7 @@
-"""The record of one kind of link: all that a rig, a run and the command line need to know of it.
+"""Description of one kind of link: all data that a rig, a run and the command line need.
 
-Each transport has a record in its own folder, and a package outside evstim gives one as an entry point of the group
-"evstim.links". Nothing else names kinds of links.
+Each transport has a description in its own folder, and a package outside evstim provides one as an entry point of the
+group "evstim.links". No other module names kinds of links.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class LinkParameters(Protocol):
 
     @property
     def name(self) -> str:
-        """What this rig calls the link."""
+        """Name of the link in this rig."""
         ...
 
 
@@ -47,7 +47,7 @@ class InstrumentLink(LinkParameters, Protocol):
 
     @property
     def instrument(self) -> InstrumentSettings:
-        """What the camera sends, and how much of it."""
+        """Selection and rates of the camera's messages."""
         ...
 
 
@@ -56,7 +56,7 @@ P = TypeVar("P", bound=LinkParameters)
 
 @dataclass(frozen=True)
 class CameraFacts:
-    """What a link can check its parameters against.
+    """Properties of the camera against which a link checks its parameters.
 
     Attributes
     ----------
@@ -67,7 +67,7 @@ class CameraFacts:
     gige_models
         Camera models that have a GigE Vision device.
     streams
-        What the camera has beside events, as `Facts.streams`.
+        Streams of the camera beside events, as `Facts.streams`.
     imu_unit
         Type of its inertial unit: 1 MPU-6050, 2 MPU-9250.
     """
@@ -84,12 +84,12 @@ _NO_CAMERA = CameraFacts("", (0, 0))
 
 
 class Unsuitable(ValueError):
-    """A link's parameters do not go with the camera.
+    """Error: a link's parameters do not fit the camera.
 
     Attributes
     ----------
     key
-        Leads to the key to blame, within the link's table.
+        Path of the wrong key within the link's table.
     """
 
     def __init__(self, message: str, *key: str) -> None:
@@ -99,14 +99,14 @@ class Unsuitable(ValueError):
 
 @dataclass(frozen=True)
 class Wiring:
-    """What a link's endpoint is connected to, beside its device.
+    """Connections of a link's endpoint, beside its device.
 
     Attributes
     ----------
     faults
         The rig's faults of this link.
     sink
-        Takes the time of each SYNC on the link's bus; None where these trigger nothing.
+        Receiver of the time of each SYNC on the link's bus; None if SYNCs trigger nothing.
     camera
         The rig's camera.
     """
@@ -118,7 +118,7 @@ class Wiring:
 
 @dataclass(frozen=True)
 class Listener:
-    """The computer's side of a link as a verb of `evstim listen`; `path` is that of its function, "module:name"."""
+    """Receiver of a link as a verb of `evstim listen`; `path` is that of its function, "module:name"."""
 
     verb: str
     help: str
@@ -157,32 +157,35 @@ class LinkKind(Generic[P]):
         The device behind it: "usb", the USB device of the camera's model; "gige", a GigE Vision device; "instrument",
         the camera without USB; "plain", no electronics: events go out as the sensor sends them.
     endpoint
-        Makes the endpoint's factory, which is passed to the link's process by pickling. Import what is slow to import
-        inside this function.
+        Function that makes the endpoint's factory, which is passed to the link's process by pickling. Import modules
+        that load slowly inside this function.
     has_sync
-        Whether its bus has a SYNC, which can trigger the camera.
+        True if its bus has a SYNC, which can trigger the camera.
     faults
         Types of all faults that it can have, by kind.
     faults_of
-        Those that a link of these parameters can have; None: all.
+        Function that returns the faults that a link of given parameters can have; None: all.
     listener
-        What reads it at the computer's side.
+        Receiver of the link at the computer's side.
     complete
-        Completes a rig's table before its types are checked.
+        Function that completes a rig's table before its types are checked.
     check
-        Raises Unsuitable for parameters that do not go with the camera.
+        Function that raises Unsuitable for parameters that do not fit the camera.
     listens_on
-        (host, port) that no other link may have; None where there is none, or any free port will do.
+        Function that returns the (host, port) that no other link may use; None if there is none, or if any free port is
+        suitable.
     usb_model
-        With "usb": the camera model that it carries whatever the rig's is; None: the rig's.
+        With "usb": the camera model that it always carries; None: the rig's model.
     start_delay
-        With "usb": whether the camera waits after its host's start command, as `camera.start_delay_ms` says.
+        With "usb": True if the camera waits `camera.start_delay_ms` after its host's start command.
     has_evt
-        Whether a link of these parameters sends EVT3 or EVT2 words: a run compiles their kernels before it begins.
+        Function that returns True if a link of given parameters sends EVT3 or EVT2 words: a run compiles their kernels
+        before it begins.
     needs
-        What a link of these parameters needs of the machine, beyond evstim and its base dependencies.
+        Function that returns the requirements of a link of given parameters on the machine, beyond evstim and its base
+        dependencies.
     has_readings
-        With "plain": whether it takes frames and samples of the inertial unit.
+        With "plain": True if it accepts frames and samples of the inertial unit.
     """
 
     parameters: type[P]
@@ -210,7 +213,7 @@ class LinkKind(Generic[P]):
 
     @property
     def name(self) -> str:
-        """What rigs write as `kind`."""
+        """Name of the kind, the value of `kind` in rigs."""
         return self.parameters.kind
 
     def possible_faults(self, parameters: P) -> Mapping[str, type[Fault]]:
@@ -219,7 +222,7 @@ class LinkKind(Generic[P]):
 
 
 def check_region(parameters: InstrumentLink, camera: CameraFacts) -> None:
-    """Raise Unsuitable when the instrument's region reaches beyond the sensor."""
+    """Raise Unsuitable if the instrument's region extends beyond the sensor."""
     try:
         parameters.instrument.selection(camera.size)
     except ValueError as error:

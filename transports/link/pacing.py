@@ -1,13 +1,12 @@
-"""When things leave: a clock that can be passed in, and ticks on absolute deadlines.
+"""Clocks that can be passed in, ticks on absolute deadlines, and a selector for short waits.
 
-Deadlines are absolute (start + k * period), so a late tick does not delay the next one. Wake-up errors of a plain
-sleep on an idle machine are around 0.1 ms at the median and a few milliseconds at the 99th percentile; they move when
-an event is delivered, never its time.
+Deadlines are absolute (start + k * period), so a late tick does not delay the next one. Wake-up errors of a plain sleep
+on an idle machine are around 0.1 ms at the median and a few milliseconds at the 99th percentile. They move the delivery
+of an event, never its time.
 
-A selector with epoll's reach and select's resolution.
-
-`select` fails above 1023 file descriptors, and epoll waits for whole milliseconds only, which would double a tick of
-half a millisecond. An epoll set is itself a file descriptor with a low number: `select` waits for that one.
+`FineSelector` combines epoll's number of descriptors with select's resolution. `select` fails above 1023 file
+descriptors, and epoll waits for whole milliseconds only, which would double a tick of half a millisecond. An epoll set
+is itself a file descriptor with a low number: `select` waits for that one.
 """
 
 from __future__ import annotations
@@ -21,19 +20,19 @@ __all__ = ["Clock", "FakeClock", "FineSelector", "MonotonicClock"]
 
 
 class Clock(Protocol):
-    """Where a run gets its time from; nanoseconds since an arbitrary start, never going back."""
+    """Clock of a run; nanoseconds since an arbitrary start, never decreasing."""
 
     def now_ns(self) -> int:
-        """Return the time now, ns."""
+        """Return the current time, ns."""
         ...
 
     def sleep_until(self, deadline_ns: int) -> None:
-        """Return at `deadline_ns` or soon after; at once if it has passed."""
+        """Return at `deadline_ns` or shortly after; at once if it has passed."""
         ...
 
 
 class MonotonicClock:
-    """The machine's monotonic clock; the same in every process of the machine."""
+    """Monotonic clock of the machine; the same in every process of the machine."""
 
     def now_ns(self) -> int:
         """Return CLOCK_MONOTONIC, ns."""
@@ -47,13 +46,13 @@ class MonotonicClock:
 
 
 class FakeClock:
-    """A clock that a test moves; sleeping moves it too."""
+    """Clock that a test sets; sleeping advances it too."""
 
     def __init__(self, start_ns: int = 0) -> None:
         self._now_ns = start_ns
 
     def now_ns(self) -> int:
-        """Return the time the test has set."""
+        """Return the time that the test has set."""
         return self._now_ns
 
     def sleep_until(self, deadline_ns: int) -> None:
@@ -61,15 +60,15 @@ class FakeClock:
         self._now_ns = max(self._now_ns, deadline_ns)
 
     def advance(self, by_ns: int) -> None:
-        """Let `by_ns` pass."""
+        """Advance the time by `by_ns`."""
         self._now_ns += by_ns
 
 
 class FineSelector(selectors.DefaultSelector):
-    """The best selector of the machine (epoll, kqueue), which wakes up within microseconds of its deadline."""
+    """Best selector of the machine (epoll, kqueue) with wake-ups within microseconds of the deadline."""
 
     def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
-        """Return what is ready, at the latest after `timeout` seconds."""
+        """Return the ready objects, at the latest after `timeout` seconds."""
         if timeout is None or timeout > 0:
             select.select([self.fileno()], [], [], timeout)
         return super().select(0)

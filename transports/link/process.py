@@ -1,16 +1,16 @@
-"""One link: an event device, the transport that carries its bytes, and the process they run in.
+"""One link: an event device, the transport of its bytes, and their process.
 
     session process                      link process
     ---------------                      ------------------------------------------------
     EventRing  ---- events, now_us --->  feed: device.offer, device.advance
     ReadingRing --- frames, samples -->        device.offer_readings
-               <--- what hosts ask ----        device.reading_settings
+               <--- host settings -----        device.reading_settings
     Connection ---- Stop, InjectFault ->  endpoint: USB/IP server, serial line ...
-               <--- CameraSettings ----  as hosts change them, with their stream time (see `changes`)
+               <--- CameraSettings ----  changes by hosts, with their stream time (see `changes`)
                <--- LinkReport --------  (ten a second, and a last one)
 
-Each link has a process of its own because a busy Python thread turns pacing of microseconds into tens of milliseconds.
-The link decides *when* an event leaves: at its own time when the run is paced, as soon as it is there when it is not.
+Each link has its own process, because a busy Python thread delays pacing of microseconds to tens of milliseconds. The
+link determines the sending time of an event: its own time in a paced run, otherwise as soon as it is available.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _REPORT_PERIOD_NS = 100_000_000
 _LONGEST_DRAIN_TURN_NS = 5_000_000
 _TAKE_LIMIT = 1 << 17  # events a tick: bounds the memory and the time of one tick
-_WITHHELD_STEP_US = 1000  # of a run that is not paced, while a fault is silent: it ends that late at most
+_WITHHELD_STEP_US = 1000  # step of a run without pacing during a silence: the silence ends at most this late
 
 _NO_FACTS = Facts()
 
@@ -61,9 +61,10 @@ _Device = TypeVar("_Device", bound=EventDevice)
 
 @dataclass(frozen=True)
 class Stop:
-    """The session's request to end: deliver what waits, but not for longer than `drain_s` of the link's own time.
+    """Request of the session to end: deliver the waiting data for at most `drain_s` of the link's own time.
 
-    A turn counts with at most 5 ms, so that a link that the machine kept waiting, or that compiled, has its turns.
+    A turn counts with at most 5 ms, so that a link that was delayed by the machine or by compilation gets all its
+    turns.
     """
 
     drain_s: float
@@ -71,7 +72,7 @@ class Stop:
 
 @dataclass(frozen=True)
 class InjectFault:
-    """The session's request that a fault begins now, one that this kind of link can have; `by`: on whose behalf."""
+    """Request of the session to begin a fault now, of a kind that this link can have; `by`: name of the requester."""
 
     fault: Fault
     by: str = ""
@@ -79,9 +80,9 @@ class InjectFault:
 
 @dataclass(frozen=True)
 class Happen:
-    """The session's request that an edge comes to the camera's input now; None: that its clock starts anew at zero.
+    """Request of the session to apply an edge to the camera's input now; None: reset its clock to zero.
 
-    `by`: on whose behalf.
+    `by`: name of the requester.
     """
 
     kind: EdgeKind | None
@@ -90,24 +91,25 @@ class Happen:
 
 @dataclass(frozen=True)
 class LinkSetup(Generic[_Device]):
-    """All that a link process needs to know.
+    """Complete configuration of a link process.
 
     Attributes
     ----------
     device
-        Makes the device, inside the link's process: `partial(Davis346, settings)` and the like, which can be pickled.
+        Factory of the device, called in the link's process: `partial(Davis346, settings)` and the like, which can be
+        pickled.
     timing
         Triggers, and the device's own clock.
     record, facts
-        File for what was delivered, and what it tells of the camera.
+        File for the delivered data, and the camera properties that it contains.
     fifo_priority
-        Above 0, the process runs under SCHED_FIFO, so that the rest of the machine cannot keep it waiting.
+        Above 0, the process runs under SCHED_FIFO, so that other processes cannot delay it.
     restart
-        Whether the process is started again when it dies.
+        True if the process is started again when it dies.
     tally
-        Count of delivered events that outlives the process.
+        Number of delivered events; the count remains after the process has ended.
     readings
-        Rings of what the device reads beside events, one for each kind.
+        Rings of the readings of the device, one for each kind.
     deliveries
         Writing end of a pipe for what was delivered, beside the file; None: no process reads it. One start of the link
         uses it up, so the link is not started again.
@@ -129,7 +131,7 @@ class LinkSetup(Generic[_Device]):
 
 
 class Link:
-    """An event device fed from a ring and emptied by an endpoint. One tick moves what is due."""
+    """Event device that is fed from a ring and read by an endpoint. One tick moves all due data."""
 
     def __init__(self, setup: LinkSetup[Any], clock: Clock) -> None:
         self._ring = setup.ring
@@ -142,14 +144,14 @@ class Link:
         self._holdback_us = setup.timing.holdback_us
         self._truth = None if setup.timing.truth is None else ClockTruth(setup.timing.truth)
         self._last_clock: ClockReport | None = None
-        self._silence = -1, 0, 0  # when the newest one ends, and the stream time and the time at which it began
+        self._silence = -1, 0, 0  # end of the newest one, and the stream time and the time of its start
         self._deliveries = Deliveries(setup.ring, clock, recorder, self._feed.clock, setup.facts.imu_unit)
         self.endpoint: Endpoint = setup.endpoint.build(self._device, self._deliveries)
 
     def tick(self) -> None:
-        """Feed the camera what is due and let the endpoint take what it asked for."""
+        """Feed the due data to the camera, and let the endpoint send the requested data."""
         origin_ns = self._ring.origin_ns
-        now_us = self._ring.now_us  # read first: what came into the ring after an order is not fed before it
+        now_us = self._ring.now_us  # read first: data that entered the ring after a request are not fed before it
         self.endpoint.listen()
         self._watch.look(self._feed.reached_us)
         if origin_ns == FREE_RUNNING:
@@ -170,11 +172,11 @@ class Link:
 
     @property
     def changes(self) -> deque[CameraSettings | Occurrence]:
-        """What has changed at the camera and has not been sent to the session, the oldest first."""
+        """Changes of the camera that have not been sent to the session, the oldest first."""
         return self._watch.waiting
 
     def settle(self) -> None:
-        """Tell the session how far the camera is, when all changes have been sent."""
+        """Report the camera's stream time to the session, when all changes have been sent."""
         self._ring.settle(self._watch.settled_us(self._feed.reached_us))
 
     def inject(self, fault: Fault, by: str = "") -> None:
@@ -183,14 +185,17 @@ class Link:
         self._watch.add(Occurrence(self._feed.reached_us, by, f"fault {fault.kind}"))
 
     def happen(self, kind: EdgeKind | None, by: str = "") -> None:
-        """Let an edge come to the input now, or the clock start anew, on behalf of `by`."""
+        """Apply an edge to the input now, or reset the clock, on behalf of `by`."""
         self._feed.happen(kind)
         what = "reset" if kind is None else kind.name.lower()
         self._watch.add(Occurrence(self._feed.reached_us, by, f"trigger {what}"))
 
     def _free_until_us(self, now_us: int) -> int:
-        """Return how far a run that is not paced may go now; a silence that the host needs lasts in its time too."""
-        if self.endpoint.withholds:  # the FIFO gets no emptier: it overflows, as it does in real time
+        """Return the stream time that a run without pacing may reach now.
+
+        A silence that the host needs lasts in the host's time too.
+        """
+        if self.endpoint.withholds:  # the FIFO is not emptied: it overflows, as in real time
             return min(now_us, self._feed.reached_us + _WITHHELD_STEP_US)
         until_us = self._feed.readings.until_us(min(now_us, self._feed.horizon_us))
         silent_until_us = self._device.silent_until_us
@@ -208,18 +213,18 @@ class Link:
 
     @property
     def idle(self) -> bool:
-        """True when nothing waits, neither in the ring nor in the camera."""
+        """True when no data wait, neither in the ring nor in the camera."""
         reached = self._ring.origin_ns is None or self._feed.reached_us >= self._ring.now_us
         return reached and self._ring.waiting == 0 and self._feed.readings.waiting == 0 and self._queued == 0
 
     @property
     def _queued(self) -> int:
-        """Events, edges and readings that wait in the camera."""
+        """Number of events, edges and readings that wait in the camera."""
         counters = self._device.counters
         return counters.queued + counters.edges.queued + sum(one.queued for one in counters.readings.values())
 
     def report(self, *, final: bool = False, error: str | None = None) -> LinkReport:
-        """Say what the link has done; the final report counts what was left in the ring as dropped."""
+        """Return the report of the link; the final report counts the data left in the ring as dropped."""
         counters = self._device.counters
         left = self._ring.waiting if final else 0
         faults = self.endpoint.faults
@@ -252,7 +257,7 @@ class Link:
         return tuple(dict.fromkeys(trouble for trouble in told if trouble))
 
     def _clock_report(self, *, final: bool) -> ClockReport | None:
-        if final:  # the host has gone, and with it the device's time
+        if final:  # the host has disconnected, so the device's time is not valid
             return self._last_clock
         report = self._last_clock = self._feed.clock_report()
         origin_ns = self._ring.origin_ns
@@ -262,7 +267,7 @@ class Link:
         return report
 
     async def close(self) -> None:
-        """Close the endpoint, then the records; what the camera still holds is flushed and counted."""
+        """Close the endpoint, then the records; data left in the camera are flushed and counted."""
         self._clock_report(final=False)
         await self.endpoint.close()
         self._deliveries.close()
@@ -276,8 +281,8 @@ def _recorder(setup: LinkSetup[Any]) -> AnyRecorder | ForwardingRecorder | None:
 
 
 def run_link(setup: LinkSetup[Any], control: Connection) -> None:
-    """Run one link until the session says Stop or is gone. The target of the link's process."""
-    for number in STOP_SIGNALS:  # they are for the session, which then says Stop
+    """Run one link until the session sends Stop or ends. The target of the link's process."""
+    for number in STOP_SIGNALS:  # they are for the session, which then sends Stop
         signal.signal(number, signal.SIG_IGN)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, STOP_SIGNALS)
     log = log_in_background()
@@ -288,12 +293,12 @@ def run_link(setup: LinkSetup[Any], control: Connection) -> None:
 
 
 async def _serve(setup: LinkSetup[Any], control: Connection) -> None:
-    with suppress(EOFError, ConnectionError):  # the session is gone: there is nobody to report to
+    with suppress(EOFError, ConnectionError):  # the session has ended: no process reads a report
         await _report_all(setup, control)
 
 
 async def _report_all(setup: LinkSetup[Any], control: Connection) -> None:
-    """Open the link, run it, and send its reports; raises EOFError or ConnectionError when the session is gone."""
+    """Open the link, run it, and send its reports; raises EOFError or ConnectionError when the session has ended."""
     clock = MonotonicClock()
     try:
         _take_priority(setup.fifo_priority)
@@ -314,7 +319,7 @@ async def _report_all(setup: LinkSetup[Any], control: Connection) -> None:
 
 
 def _take_priority(fifo_priority: int) -> None:
-    """Run before everything that is not as urgent; raises OSError, with what to do, where that is not allowed."""
+    """Set the real-time priority of this process; raises OSError, with the remedy, if that is not permitted."""
     if not fifo_priority:
         return
     try:
@@ -357,7 +362,7 @@ async def _tick_until_stopped(link: Link, setup: LinkSetup[Any], control: Connec
 
 
 def _send_changes(link: Link, control: Connection) -> None:
-    """Send what has changed at the camera, and only then how far it is."""
+    """Send the changes of the camera, and after them its stream time."""
     while link.changes and _is_read(control):
         control.send(link.changes.popleft())
     if not link.changes:
@@ -365,12 +370,12 @@ def _send_changes(link: Link, control: Connection) -> None:
 
 
 def _is_read(control: Connection) -> bool:
-    """Say whether reports are read: a session that is busy elsewhere must not stop its links."""
+    """Return True if the session reads reports: a busy session must not stop its links."""
     room = select.poll()
     room.register(control, select.POLLOUT)
     return bool(room.poll(0))
 
 
 async def _sleep_until(loop: asyncio.AbstractEventLoop, deadline_ns: int, clock: Clock) -> None:
-    """Sleep, but give the event loop at least one turn even when late: the sockets must be served."""
+    """Sleep, but give the event loop at least one turn even when late, because the sockets must be served."""
     await asyncio.sleep(max(0, deadline_ns - clock.now_ns()) * 1e-9)

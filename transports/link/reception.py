@@ -1,6 +1,6 @@
-"""What a computer has received of an instrument, on whatever carries the packets.
+"""Reception of a computer from an instrument, over any transport of the packets.
 
-The arrivals of one listener: how many, their digest, how late the later ones were, and their record.
+`Arrivals` holds the counts of one listener: number, digest, delay and record of the received events.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ _MOST_DELAYS = 1_000_000
 
 
 class Arrivals:
-    """Counts and records what a listener has received.
+    """Counts and record of the events that a listener has received.
 
     Attributes
     ----------
     events, edges
-        Received so far.
+        Number received so far.
     last_t_us
         The camera's time of the newest event; None before the first.
     digest
-        Of all events, see `digest_of`.
+        Digest of all events, see `digest_of`.
     """
 
     def __init__(self, clock: Clock, recorder: Recorder | None = None) -> None:
@@ -52,7 +52,7 @@ class Arrivals:
         return (self._clock.now_ns() - self._start_ns) * 1e-9
 
     def add(self, events: Events, edges: Edges, t_ns: int) -> None:
-        """Take note of events (n,) EVENT and edges (m,) EDGE that came together at `t_ns`."""
+        """Add events (n,) EVENT and edges (m,) EDGE that arrived together at `t_ns`."""
         if self._recorder is not None and (len(events) or len(edges)):
             self._recorder.append(Part(events, edges))
         self.edges += len(edges)
@@ -65,19 +65,19 @@ class Arrivals:
             self._delays_us.append(t_ns / 1000 - float(events["t"][-1]))
 
     def jitter(self) -> LatencySummary:
-        """Return how much later than the quickest each came, us: the camera's own clock is not known."""
+        """Return the delay of each arrival relative to the fastest one, us: the camera's own clock is not known."""
         if not self._delays_us:
             return LatencySummary()
         above = np.array(self._delays_us) - min(self._delays_us)
         return LatencySummary(float(np.quantile(above, 0.5)), float(np.quantile(above, 0.99)), float(above.max()))
 
 
-_MOST_TOLD = 1024
+_MOST_ANSWER_TEXTS = 1024
 
 
 @dataclass(frozen=True)
 class Reception:
-    """What has come so far.
+    """Events, counts and answers received so far.
 
     Attributes
     ----------
@@ -86,21 +86,21 @@ class Reception:
     last_t_us
         The camera's time of the newest event; None before the first.
     digest
-        Of all events, see `digest_of`.
+        Digest of all events, see `digest_of`.
     faults
-        Things that a sound link never shows: damaged frames, gaps in the counts, blocks that are wrong.
+        Number of faults that never occur on an intact link: damaged frames, gaps in the counts, wrong blocks.
     counts
-        Everything by name; `events_dropped` is what the camera says that it dropped.
+        All counts by name; `events_dropped` is the camera's own number of dropped events.
     jitter_us
-        How much later than the quickest block each came: the camera's clock is not known.
+        Delay of each block relative to the fastest one: the camera's clock is not known.
     housekeeping
         The newest report.
     answers
         Number of answers to telecommands.
     told
-        The newest of them in words, at most 1024.
+        Texts of the newest answers, at most 1024.
     gone
-        True when the other side went away.
+        True when the other side disconnected.
     """
 
     events: int = 0
@@ -118,33 +118,33 @@ class Reception:
 
 
 class Receiving:
-    """What comes in during one visit to an instrument; `receiver` decodes it and wraps telecommands."""
+    """State of one reception from an instrument; `receiver` decodes the data and wraps telecommands."""
 
     def __init__(self, profile: str, clock: Clock, recorder: Recorder | None) -> None:
         self.receiver = SerialReceiver(profile)
         self._clock = clock
         self._arrivals = Arrivals(clock, recorder)
-        self._told: tuple[str, ...] = ()
+        self._answer_texts: tuple[str, ...] = ()
         self._answers = 0
 
     @property
     def now(self) -> Reception:
-        """What has come so far, without what is known at the end alone."""
+        """Reception so far, without the values that are known only at the end."""
         a = self._arrivals
         counted = Reception(a.events, a.edges, a.seconds, a.last_t_us, a.digest)
-        return replace(counted, answers=self._answers, told=self._told)
+        return replace(counted, answers=self._answers, told=self._answer_texts)
 
     def take(self, data: bytes) -> None:
-        """Hear bytes that have come just now."""
+        """Process bytes that have just arrived."""
         now_ns = self._clock.now_ns()
         self.receiver.push(data)
         self._arrivals.add(self.receiver.take_events(), self.receiver.take_edges(), now_ns)
-        told = self.receiver.take_reports()
-        self._answers += len(told)
-        self._told = (self._told + told)[-_MOST_TOLD:]
+        texts = self.receiver.take_reports()
+        self._answers += len(texts)
+        self._answer_texts = (self._answer_texts + texts)[-_MOST_ANSWER_TEXTS:]
 
     def finish(self, *, gone: bool) -> Reception:
-        """Return everything."""
+        """Return the complete reception."""
         receiver = self.receiver
         return replace(
             self.now,

@@ -1,4 +1,4 @@
-"""The report of a link: its state, the fates of its events and edges, and what its faults did."""
+"""Report of a link: its state, the fates of its events and edges, and the effects of its faults."""
 
 from __future__ import annotations
 
@@ -17,35 +17,35 @@ __all__ = ["LinkReport"]
 
 @dataclass(frozen=True)
 class LinkReport:
-    """What a link has done so far.
+    """State and counts of a link.
 
     Attributes
     ----------
     digest
-        Of the events delivered since the camera's clock was last zero, in device time; see `digest_of`.
+        Digest of the events delivered since the camera's clock was last zero, in device time; see `digest_of`.
     error
-        Set when the link could not start or had to give up.
+        Set when the link could not start or had to stop.
     use
-        How full the line was, where it has a capacity.
+        Load of the line, if it has a limited capacity.
     counts
-        What else happened on this kind of link, by name.
+        Further counts of this kind of link, by name.
     edges
-        What became of edges before the camera took them.
+        Counts of the edges before the camera took them.
     clock
-        How wrong the camera's own clock is, where it is modelled.
+        Error of the camera's own clock, if it is modelled.
     faults
-        What each fault injected so far has done. What they destroyed is in `dropped`; the camera's own counters, which
-        cannot know of it, have it as delivered.
+        Effects of each fault injected so far. Events that they destroyed are in `dropped`; the camera's own counters,
+        which do not include faults of the link, have them as delivered.
     file_troubles
-        Why a file of the link (record, truth, fault log) is not whole, a sentence each.
+        Reasons for incomplete files of the link (record, truth, fault log), a sentence each.
     sensor_factors
-        What the host's biases multiply figures of the sensor by; see `EventDevice.sensor_factors`.
+        Factors on parameters of the sensor from the host's biases; see `EventDevice.sensor_factors`.
     without_effect
         Settings of the host that change nothing in the sensor, and why; see `EventDevice.without_effect`.
     readings
-        What became of frames and samples before the camera took them, by kind.
+        Counts of frames and samples before the camera took them, by kind.
     recordings
-        What the files that the link writes hold: its record, and its own.
+        Summaries of the files that the link writes: its record, and its own.
     """
 
     state: str
@@ -70,7 +70,7 @@ class LinkReport:
 
     @property
     def dropped_in_device(self) -> int:
-        """Events that the camera took and did not hand to the link."""
+        """Number of events that the camera took and did not pass to the link."""
         return 0 if self.camera is None else self.camera.dropped_in_device
 
     @property

@@ -1,26 +1,26 @@
-"""A ring of records in shared memory: one writer process, one reader process.
+"""Rings of records in shared memory, each with one writer process and one reader process.
 
     head   int64[3 + cells]   written | taken | refused | the owner's cells
     body   record[capacity]
 
-`written` and `taken` count records since the start and never wrap (int64 lasts 24 000 years at 12 MHz); the
-slot is the count modulo the capacity. The writer stores records first and then `written`; the reader loads them in the
-opposite order, so what is counted is there. Both sides do aligned 8-byte loads and stores, which are atomic and ordered
+`written` and `taken` count records since the start and never wrap (int64 lasts 24 000 years at 12 MHz); the slot is the
+count modulo the capacity. The writer stores records first and then `written`; the reader loads them in the opposite
+order, so all counted records are present. Both sides do aligned 8-byte loads and stores, which are atomic and ordered
 on x86-64 and ordered by the interpreter's own locks elsewhere.
 
-The ring of events from the sensor to one link, and where the run is in stream time.
+`EventRing` holds the events from the sensor to one link, and the stream time of the run. The writer pushes events first
+and publishes `now_us` after them; the reader loads `now_us` before the events, so all events older than `now_us` are
+present.
 
-The writer pushes events first and publishes `now_us` after them; the reader loads `now_us` before the events, so
-whatever is older than `now_us` is there.
-
-The ring of readings of one kind from the session to one link, and the way back for what the device's host asks.
+`ReadingRing` holds the readings of one kind from the session to one link, and in the other direction the settings of
+the device's host.
 
     session --records--> ring --> link process: device.offer_readings
             <--numbers-- cells <-- link process: device.reading_settings
 
-Nothing blocks: what finds no room is counted as refused, and of a frame either all or nothing: its start is refused
-where the whole frame might find no room, and its lines with it. The numbers are written between two versions of a
-counter, so that a reader that comes in between keeps what it had before.
+No call blocks: records without room are counted as refused. A frame is stored whole or not at all: if the whole frame
+might find no room, its start and all its lines are refused. The numbers are written between two versions of a counter,
+so that a reader that reads in between keeps the previous numbers.
 """
 
 from __future__ import annotations
@@ -43,21 +43,21 @@ _WRITTEN, _TAKEN, _REFUSED, _CELLS = range(4)
 
 
 class SharedRing:
-    """Records with a time `t`, in time order, on their way to another process.
+    """Queue of records with a time `t`, in time order, to another process.
 
-    Pass it as an argument to a process started by the spawn method; the memory goes with the last that holds it.
+    Pass it as an argument to a process started by the spawn method; the last process that holds it frees the memory.
 
     Parameters
     ----------
     record
-        Their dtype, with a field `t`, us.
+        Dtype of the records, with a field `t`, us.
     cells
-        Further numbers that the owner shares.
+        Number of further values that the owner shares.
 
     Attributes
     ----------
     cells
-        These numbers, (cells,) int64.
+        These values, (cells,) int64.
     """
 
     def __init__(self, record: np.dtype[Any], capacity: int, cells: int = 0) -> None:
@@ -74,7 +74,7 @@ class SharedRing:
     def _map(self) -> None:
         head, body, record = self._memory
         self._record = record
-        # numpy copies these as bytes, and structured records field by field, 50 times slower
+        # numpy copies these as bytes, but structured records field by field, which is 50 times slower
         self._raw = np.dtype(f"V{record.itemsize}")
         self._head = np.frombuffer(head, np.int64)
         self._body = np.frombuffer(body, self._raw)
@@ -89,31 +89,31 @@ class SharedRing:
 
     @property
     def capacity(self) -> int:
-        """Records that fit."""
+        """Capacity, records."""
         return len(self._body)
 
     @property
     def written(self) -> int:
-        """Records written since the start."""
+        """Number of records written since the start."""
         return int(self._head[_WRITTEN])
 
     @property
     def waiting(self) -> int:
-        """Records written and not yet taken."""
+        """Number of records written and not yet taken."""
         return self.written - int(self._head[_TAKEN])
 
     @property
     def room(self) -> int:
-        """Records that can be written now."""
+        """Number of records that can be written now."""
         return self.capacity - self.waiting
 
     @property
     def refused(self) -> int:
-        """Records that found no room, counted by the writer."""
+        """Number of records for which there was no room, counted by the writer."""
         return int(self._head[_REFUSED])
 
     def push(self, records: npt.NDArray[Any]) -> int:
-        """Write what fits of `records`, in order, and return how many that were; the rest is counted as refused."""
+        """Write the records that fit, in order, and return their number; the others are counted as refused."""
         n = min(len(records), self.room)
         written = self.written
         start = written % self.capacity
@@ -141,7 +141,7 @@ class SharedRing:
         return records
 
     def time_of(self, index: int) -> int | None:
-        """Return `t` of the record that waits at `index`, us; None where there is none."""
+        """Return `t` of the waiting record at `index`, us; None if there is none."""
         if index >= self.waiting:
             return None
         place = (int(self._head[_TAKEN]) + index) % self.capacity
@@ -154,40 +154,40 @@ class SharedRing:
 
 
 FREE_RUNNING = -1
-"""The origin of a run that is not paced: events may leave as soon as they are there."""
+"""Origin of a run without pacing: events may leave as soon as they are available."""
 
 _NOW_US, _ORIGIN_NS, _CLOSED, _SETTLED_US, _CELLS_RING = range(5)
 
 
 class EventRing:
-    """Events on their way from the sensor to one link; pass it to a process started by the spawn method."""
+    """Events from the sensor to one link; pass it to a process started by the spawn method."""
 
     def __init__(self, capacity: int = 1 << 20) -> None:
         self._ring = SharedRing(EVENT, capacity, _CELLS_RING)
 
     @property
     def capacity(self) -> int:
-        """Events that fit."""
+        """Capacity, events."""
         return self._ring.capacity
 
     @property
     def waiting(self) -> int:
-        """Events written and not yet taken."""
+        """Number of events written and not yet taken."""
         return self._ring.waiting
 
     @property
     def room(self) -> int:
-        """Events that can be written now."""
+        """Number of events that can be written now."""
         return self._ring.room
 
     @property
     def now_us(self) -> int:
-        """The stream time that the writer has reached, us."""
+        """Stream time that the writer has reached, us."""
         return int(self._ring.cells[_NOW_US])
 
     @property
     def settled_us(self) -> int:
-        """The stream time that the camera has reached, us; what its hosts changed before has been sent to the writer.
+        """Stream time that the camera has reached, us; the earlier changes of its hosts have been sent to the writer.
 
         Written by the reader.
         """
@@ -200,12 +200,12 @@ class EventRing:
 
     @property
     def closed(self) -> bool:
-        """True when the writer will write no more."""
+        """True when the writer has finished."""
         return bool(self._ring.cells[_CLOSED])
 
     @property
     def refused(self) -> int:
-        """Events that found no room, counted by the writer."""
+        """Number of events for which there was no room, counted by the writer."""
         return self._ring.refused
 
     def start(self, origin_ns: int) -> None:
@@ -213,19 +213,19 @@ class EventRing:
         self._ring.cells[_ORIGIN_NS] = origin_ns
 
     def close(self) -> None:
-        """Say that nothing more will be written."""
+        """Mark the ring as finished: no further events are written."""
         self._ring.cells[_CLOSED] = 1
 
     def push(self, events: Events) -> int:
-        """Write what fits of `events`, in order, and return how many that were; the rest is counted as refused."""
+        """Write the events that fit, in order, and return their number; the others are counted as refused."""
         return self._ring.push(events)
 
     def publish(self, now_us: int) -> None:
-        """Say that every event before `now_us` has been pushed."""
+        """Publish the stream time `now_us`: every earlier event has been pushed."""
         self._ring.cells[_NOW_US] = now_us
 
     def settle(self, until_us: int) -> None:
-        """Store the stream time that the camera has reached, after what its hosts changed before has been sent."""
+        """Store the stream time that the camera has reached, after the earlier changes of its hosts have been sent."""
         self._ring.cells[_SETTLED_US] = until_us
 
     def take(self, until_us: int, limit: int | None = None) -> Events:
@@ -234,25 +234,25 @@ class EventRing:
 
 
 MOST_NUMBERS = 16
-"""Numbers that a device can tell of a kind."""
+"""Highest number of settings of a device for one kind of readings."""
 
 _VERSION, _COUNT, _NUMBERS = range(3)
-_MOMENTS = 4  # of a frame, beside the two reads of each line
+_MOMENTS = 4  # records of a frame, beside the two reads of each line
 
 
 class ReadingRing:
-    """Records in shared memory; pass it to a process started by the spawn method.
+    """Readings in shared memory; pass it to a process started by the spawn method.
 
     Parameters
     ----------
     record
-        The records' dtype, with a field `t`, us.
+        Dtype of the records, with a field `t`, us.
     """
 
     def __init__(self, kind: ReadingKind, record: np.dtype[Any], capacity: int) -> None:
         self.kind = kind
         self._ring = SharedRing(record, capacity, _NUMBERS + MOST_NUMBERS)
-        self._told: tuple[int, ...] = ()
+        self._settings: tuple[int, ...] = ()
         self._longest = 2 * record["samples"].shape[0] + _MOMENTS if kind is ReadingKind.FRAMES else 0
         if capacity < self._longest:
             raise ValueError(f"a ring of frames holds at least one, {self._longest} records, got capacity {capacity}")
@@ -260,31 +260,31 @@ class ReadingRing:
 
     @property
     def waiting(self) -> int:
-        """Records written and not yet taken."""
+        """Number of records written and not yet taken."""
         return self._ring.waiting
 
     @property
     def room(self) -> int:
-        """Records that can be written now."""
+        """Number of records that can be written now."""
         return self._ring.room
 
     @property
     def written(self) -> int:
-        """Records written since the start."""
+        """Number of records written since the start."""
         return self._ring.written
 
     @property
     def refused(self) -> int:
-        """Records that found no room, counted by the writer."""
+        """Number of records for which there was no room, counted by the writer."""
         return self._ring.refused
 
     def fits(self, records: Readings) -> bool:
-        """Say whether all of `records` can be written now."""
+        """Return True if all of `records` can be written now."""
         starts = self._starts(records)
         return max(len(records), starts[-1] + self._longest if starts else 0) <= self.room
 
     def push(self, records: Readings) -> int:
-        """Write what fits of `records`, in order, and return how many that were; the rest is counted as refused."""
+        """Write the records that fit, in order, and return their number; the others are counted as refused."""
         return sum(self._push_part(part) for part in np.split(records, self._starts(records)) if len(part))
 
     def _push_part(self, part: Readings) -> int:
@@ -297,36 +297,36 @@ class ReadingRing:
         return self._ring.push(part)
 
     def _starts(self, records: Readings) -> list[int]:
-        """Return where frames start."""
+        """Return the indices at which frames start."""
         return np.flatnonzero(records["kind"] == LineKind.START).tolist() if self._longest else []
 
     def take(self, until_us: int) -> Readings:
-        """Take the records up to `until_us`, (n,); a copy."""
+        """Return the waiting records up to `until_us` as a copy, (n,), and remove them."""
         return self._ring.take(until_us)
 
     def time_of(self, index: int) -> int | None:
-        """Return the time of the record that waits at `index`, us; None where there is none."""
+        """Return the time of the waiting record at `index`, us; None if there is none."""
         return self._ring.time_of(index)
 
     @property
     def settings(self) -> tuple[int, ...]:
-        """What the link told last, as `EventDevice.reading_settings` gives it; empty before."""
+        """Newest settings that the link process wrote, as `EventDevice.reading_settings` returns them; empty before."""
         cells = self._ring.cells
         for _ in range(100):
             version = int(cells[_VERSION])
-            told = tuple(int(n) for n in cells[_NUMBERS : _NUMBERS + int(cells[_COUNT])])
+            numbers = tuple(int(n) for n in cells[_NUMBERS : _NUMBERS + int(cells[_COUNT])])
             if version % 2 == 0 and int(cells[_VERSION]) == version:
-                self._told = told
+                self._settings = numbers
                 break
-        return self._told
+        return self._settings
 
-    def tell(self, settings: tuple[int, ...]) -> None:
-        """Write what the device's host asks; for the link process alone, and for who makes the ring."""
-        if settings == self._told:
+    def write_settings(self, settings: tuple[int, ...]) -> None:
+        """Write the settings of the device's host; for the link process, and the process that makes the ring."""
+        if settings == self._settings:
             return
         cells = self._ring.cells
         cells[_VERSION] += 1
         cells[_COUNT] = len(settings)
         cells[_NUMBERS : _NUMBERS + len(settings)] = settings
         cells[_VERSION] += 1
-        self._told = settings
+        self._settings = settings

@@ -1,1 +1,1 @@
-"""Who may connect to what evstim serves, and how many at once."""
+"""Access control and limits for the connections that evstim serves."""

@@ -1,19 +1,19 @@
-"""Datagrams out to one address, no faster than a rate, and datagrams in from those who may send them.
+"""Datagrams to one address at a limited rate, datagrams from permitted senders, and admission of connections.
 
-The addresses that may connect to a port: single addresses and networks, written as in a rig.
+`AllowList` has the addresses that may connect to a port: single addresses and networks, written as in a rig.
 
     host = "127.0.0.1"                                             only programs on this machine: no list needed
-    host = "192.168.1.7", allow = ["10.0.0.5", "192.168.1.0/24"]   reachable from elsewhere: the list is required
+    host = "192.168.1.7", allow = ["10.0.0.5", "192.168.1.0/24"]   reachable from other machines: a list is required
 
-Nothing here authenticates a peer. A list keeps out other machines of a network that is otherwise trusted.
+No peer is authenticated. A list excludes other machines of a network that is otherwise trusted.
 
-Which connections a server keeps: a list of allowed addresses, a total, a share for each address.
+`Admission` limits the connections of a server: a list of allowed addresses, a total, a share for each address.
 
-    idle      connected, and has not asked for anything yet; closed when a newer one needs its place, the oldest of the
+    idle      connected, without a request so far; closed when a newer one needs its place, the oldest of the
               address with the most idle connections first
-    settled   uses what is served; never closed for another one
+    settled   uses the service; never closed for another one
 
-A flood from one address therefore leaves the connections of the others alone, and never touches a settled one.
+So a flood from one address does not affect the connections of the others, and never a settled one.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ __all__ = [
 
 
 LOOPBACK = ("127.0.0.0/8", "::1/128")
-"""Who may connect where a rig gives no list."""
+"""Addresses that may connect if a rig gives no list."""
 
 _Address = ipaddress.IPv4Address | ipaddress.IPv6Address
 
@@ -53,7 +53,7 @@ class AllowList:
         self._networks = tuple(_network(entry) for entry in tuple(entries) or LOOPBACK)
 
     def permits(self, address: str) -> bool:
-        """Say whether a peer at a numeric address may connect; an IPv4 address inside IPv6 counts as itself."""
+        """Return True if a peer at a numeric address may connect; an IPv4 address inside IPv6 counts as itself."""
         try:
             peer = _plain(address)
         except ValueError:
@@ -62,7 +62,7 @@ class AllowList:
 
 
 def is_loopback(host: str) -> bool:
-    """Say whether an address to listen on is certain to be out of reach for other machines."""
+    """Return True if an address to listen on certainly cannot be reached from other machines."""
     if host == "localhost":
         return True
     try:
@@ -72,7 +72,7 @@ def is_loopback(host: str) -> bool:
 
 
 def check_allow(host: str, allow: Sequence[str], key: str = "host") -> None:
-    """Check a rig's `host` and `allow`; raises ValueError when others reach the host and nobody says who may."""
+    """Check a rig's `host` and `allow`; raises ValueError if other machines reach the host and no list is given."""
     try:
         AllowList(allow)
     except ValueError as error:
@@ -80,7 +80,7 @@ def check_allow(host: str, allow: Sequence[str], key: str = "host") -> None:
     if not allow and not is_loopback(host):
         where = repr(host) if host else "'', which means every address of this machine,"
         raise ValueError(
-            f'{key} {where} can be reached from other machines: say who may connect, for example allow = ["10.0.0.5", '
+            f'{key} {where} can be reached from other machines: set allow, for example allow = ["10.0.0.5", '
             f'"192.168.1.0/24"], or use {key} = "127.0.0.1"'
         )
 
@@ -106,7 +106,7 @@ _LONGEST = 1 << 16
 
 
 class ByteBudget:
-    """Bytes that may go now; at most those of `burst_ns` at once."""
+    """Budget of bytes that may be sent now; at most those of `burst_ns` at once."""
 
     def __init__(self, mbit_s: float, now_ns: int, burst_ns: int = _BURST_NS) -> None:
         self._bytes_per_ns = mbit_s / 8000
@@ -115,18 +115,18 @@ class ByteBudget:
         self.left = self._most
 
     def renew(self, now_ns: int) -> None:
-        """Add what the time since the last call has brought, up to a burst."""
+        """Add the bytes for the time since the last call, up to a burst."""
         self.left = min(self._most, self.left + (now_ns - self._now_ns) * self._bytes_per_ns)
         self._now_ns = now_ns
 
 
 class DatagramOutlet:
-    """A socket that sends to one address.
+    """Socket that sends to one address.
 
     Attributes
     ----------
     counts
-        Datagrams; those that the receiver's machine refused, because nobody listens, and those that could not go.
+        Numbers of datagrams sent, refused by the receiver's machine because no program listens, and not sendable.
     """
 
     def __init__(self, host: str, port: int) -> None:
@@ -140,7 +140,7 @@ class DatagramOutlet:
         return f"{self._host}:{self._port}"
 
     def open(self) -> None:
-        """Open the socket; raises OSError, with what to do, when the address cannot be used."""
+        """Open the socket; raises OSError, with the remedy, when the address cannot be used."""
         try:
             family, address = _resolved(self._host, self._port)
             self._socket = socket.socket(family, socket.SOCK_DGRAM)
@@ -152,13 +152,16 @@ class DatagramOutlet:
             raise OSError(error.errno, f"cannot send to {self._host} port {self._port}: {error.strerror}") from error
 
     def send(self, data: bytes) -> bool:
-        """Give the kernel a datagram; False when it cannot go at all. Raises BlockingIOError when there is no room."""
+        """Pass a datagram to the kernel; return False if it cannot be sent.
+
+        Raises BlockingIOError when there is no room.
+        """
         assert self._socket is not None
         for _ in range(2):
             try:
                 self._socket.send(data)
-            except ConnectionRefusedError:  # of an earlier one: nobody listens there
-                self.counts["datagrams refused: nobody listens"] += 1
+            except ConnectionRefusedError:  # caused by an earlier datagram: no program listens there
+                self.counts["datagrams refused: no program listens"] += 1
             except BlockingIOError:
                 raise
             except OSError:  # no route, no such device
@@ -176,12 +179,12 @@ class DatagramOutlet:
 
 
 class DatagramInlet:
-    """A socket that takes datagrams on one address, from allowed senders only.
+    """Socket that receives datagrams on one address, from allowed senders only.
 
     Attributes
     ----------
     refused
-        Datagrams of senders that are not allowed.
+        Number of datagrams of senders that are not allowed.
     """
 
     def __init__(self, host: str, port: int, allow: Iterable[str] = ()) -> None:
@@ -196,7 +199,7 @@ class DatagramInlet:
         return f"{self._host}:{self._port}"
 
     def open(self, buffer_bytes: int = 0) -> None:
-        """Open the socket, with a receive buffer of this size where it is not 0; raises OSError, with what to do."""
+        """Open the socket, with a receive buffer of this size if it is not 0; raises OSError, with the remedy."""
         try:
             family, address = _resolved(self._host, self._port)
             self._socket = socket.socket(family, socket.SOCK_DGRAM)
@@ -207,16 +210,16 @@ class DatagramInlet:
             self._port = self._socket.getsockname()[1]
         except OSError as error:
             self.close()
-            told = f"cannot listen on {self._host} port {self._port} (UDP): {error.strerror}"
-            raise OSError(error.errno, f"{told}; is another program there? `ss -lunp` tells") from error
+            failure = f"cannot listen on {self._host} port {self._port} (UDP): {error.strerror}"
+            raise OSError(error.errno, f"{failure}; is another program there? `ss -lunp` lists it") from error
 
     def take(self, most: int) -> Iterator[bytes]:
-        """Give what has come, at most so many datagrams: a flood must not keep the link from its own work."""
+        """Yield the received datagrams, at most `most`, so that a flood does not block the link's other work."""
         assert self._socket is not None
         for _ in range(most):
             try:
                 data, sender = self._socket.recvfrom(_LONGEST)
-            except OSError:  # no more, or the complaint of another socket
+            except OSError:  # no more datagrams, or an error from a peer's socket
                 return
             if self._allow.permits(str(sender[0])):
                 yield data
@@ -237,14 +240,14 @@ def _resolved(host: str, port: int) -> tuple[int, Any]:
 
 @dataclass(frozen=True)
 class Places:
-    """Most connections at once.
+    """Limits of simultaneous connections.
 
     Attributes
     ----------
     total
-        Of all addresses together.
+        Limit for all addresses together.
     per_address
-        Of one address.
+        Limit for one address.
     """
 
     total: int = 64
@@ -253,19 +256,19 @@ class Places:
 
 @dataclass(eq=False)
 class Seat:
-    """One connection that was admitted; `evict` closes it at once."""
+    """Admitted connection; `evict` closes it at once."""
 
     address: str
     evict: Callable[[], None]
 
 
 class Admission:
-    """The connections of one server.
+    """Admission of the connections of one server.
 
     Attributes
     ----------
     counts
-        Connections that were refused or closed for another one, by the words of the summary.
+        Numbers of connections that were refused or closed for another one, by their names in the summary.
     """
 
     def __init__(self, allowed: AllowList, places: Places = Places()) -> None:
@@ -279,13 +282,13 @@ class Admission:
         return len(self._idle) + len(self._settled)
 
     def permits(self, address: str) -> bool:
-        """Say whether an address may connect; a refusal is counted."""
+        """Return True if an address may connect; a refusal is counted."""
         permitted = self._allowed.permits(address)
         self.counts["connections refused: address not allowed"] += not permitted
         return permitted
 
     def admit(self, address: str, evict: Callable[[], None]) -> Seat | None:
-        """Give a newcomer a place, if need be that of an idle connection; None (counted) when there is none."""
+        """Give a new connection a place, if necessary that of an idle connection; None (counted) when there is none."""
         if not self._make_place(address):
             self.counts["connections refused: too many"] += 1
             return None
@@ -294,13 +297,13 @@ class Admission:
         return seat
 
     def settle(self, seat: Seat) -> None:
-        """Keep a connection from now on: it uses what is served."""
+        """Mark a connection as settled: it uses the service."""
         if seat in self._idle:
             del self._idle[seat]
             self._settled.add(seat)
 
     def leave(self, seat: Seat) -> None:
-        """Forget a connection that is over."""
+        """Remove a connection that has ended."""
         self._idle.pop(seat, None)
         self._settled.discard(seat)
 
@@ -314,7 +317,7 @@ class Admission:
         return bool(idle) and self._evict(idle.most_common(1)[0][0])
 
     def _evict(self, address: str) -> bool:
-        """Close the oldest idle connection of an address; False when it has none."""
+        """Close the oldest idle connection of an address; return False when it has none."""
         seat = next((seat for seat in self._idle if seat.address == address), None)
         if seat is None:
             return False

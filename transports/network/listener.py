@@ -1,8 +1,9 @@
-"""A TCP port that hands over the connections of allowed peers, a few at a time, and turns the others away.
+"""TCP port that passes on the connections of allowed peers, a few at a time, and refuses the others.
 
-asyncio's own server accepts a hundred connections in one turn of the loop and builds a transport for each before
-anybody can refuse it; a flood would then hold up what else the loop does. Here a refused one costs an accept and a
-close, and newcomers are few enough a turn that one which asks at once is heard before a flood can take its place.
+asyncio's own server accepts a hundred connections in one turn of the loop and builds a transport for each before a
+connection can be refused; a flood would then delay the other work of the loop. Here a refused connection costs an
+accept and a close. So few are accepted in one turn that a new one with an immediate request is served before a flood
+can take its place.
 """
 
 from __future__ import annotations
@@ -20,16 +21,16 @@ _AT_A_TIME = 4  # accepted in one turn of the loop; a quarter of the places of o
 
 
 class Listener:
-    """Listens on one address.
+    """Listener on one address.
 
     Parameters
     ----------
     admission
-        Who may connect, and how many.
+        Permitted addresses, and limits of connections.
     protocol
-        Makes the protocol of a connection that was admitted; it calls `Admission.leave` when the connection is over.
+        Makes the protocol of a connection that was admitted; it calls `Admission.leave` when the connection has ended.
     farewell
-        What a peer is told that finds no place; one whose address is not allowed is told nothing.
+        Bytes sent to a peer that finds no place; one whose address is not allowed receives nothing.
     """
 
     def __init__(
@@ -43,14 +44,14 @@ class Listener:
 
     @property
     def address(self) -> tuple[str, int] | None:
-        """Host and port that it listens on; None while it does not."""
+        """Host and port of the listener; None while it is closed."""
         if self._socket is None:
             return None
         host, port = self._socket.getsockname()[:2]
         return str(host), int(port)
 
     def open(self, host: str, port: int) -> None:
-        """Listen on one address, 0 for any free port; raises OSError when it cannot be had."""
+        """Listen on one address, 0 for any free port; raises OSError when the address cannot be used."""
         if not host:
             raise OSError("an empty host would listen on every address of this machine")
         found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
@@ -60,7 +61,7 @@ class Listener:
         asyncio.get_running_loop().add_reader(self._socket, self._accept)
 
     async def close(self) -> None:
-        """Listen no more; connections that were admitted are handed over by then, and stay."""
+        """Stop listening; admitted connections are passed on before, and stay."""
         if self._socket is not None:
             asyncio.get_running_loop().remove_reader(self._socket)
             self._socket.close()
@@ -69,12 +70,12 @@ class Listener:
 
     def _accept(self) -> None:
         assert self._socket is not None
-        if self._tasks:  # those before are on their way to their protocol
+        if self._tasks:  # the preceding ones do not have their protocol yet
             return
         for _ in range(_AT_A_TIME):
             try:
                 peer, address = self._socket.accept()
-            except OSError:  # nobody else waits, or who waited has gone
+            except OSError:  # no connection waits, or the waiting one was closed
                 return
             self._receive(peer, str(address[0]))
 
@@ -104,7 +105,7 @@ class Listener:
 
 
 class _Pending:
-    """A connection from its accept on, which can be aborted before it has a transport."""
+    """Connection after its accept, which can be aborted before it has a transport."""
 
     def __init__(self, peer: socket.socket) -> None:
         self.socket = peer

@@ -1,7 +1,4 @@
-"""The records of streams on a network.
-
-What a rig says of streams on a network.
-"""
+"""Parameters of streams on a network, and their registration as kinds of links."""
 
 from __future__ import annotations
 
@@ -34,7 +31,7 @@ __all__ = ["TCP", "UDP", "TcpLink", "UdpLink"]
 
 @dataclass(frozen=True)
 class TcpLink:
-    """A server that sends events to all who connect: the DV viewer, `dv_processing.io.NetworkReader`, clients of cAER.
+    """A server that sends events to all its clients: the DV viewer, `dv_processing.io.NetworkReader`, clients of cAER.
 
     Attributes
     ----------
@@ -42,24 +39,25 @@ class TcpLink:
         "dv": AEDAT 4.0 packets of dv-processing. "caer": AEDAT 3.1 packets of cAER. "event_image": numpy
         arrays. "display": coloured pictures (PPM). See docs/streams.md.
     host, port
-        Address to listen on; port 0 takes a free one. There is no authentication: whoever may connect has the events.
+        Address to listen on; port 0 takes a free one. There is no authentication: any permitted client gets the
+        events.
     allow
-        Addresses and networks that may connect; needed where `host` can be reached from other machines.
+        Addresses and networks that may connect; required if other machines can reach `host`.
     buffer_mib
-        What waits for one client at most. A paced run drops what a slow client has no room for, and goes on.
+        Limit of the data that wait for one client. A paced run drops data for which a slow client has no room.
     compression
-        Of the format dv: "none", or "lz4" (`pip install '.[files]'`).
+        Compression of the format dv: "none", or "lz4" (`pip install '.[files]'`).
     trigger_port
-        With the format dv: port of a second server, for the camera's triggers, as dv-processing takes one stream from a
-        connection; 0 takes a free one. Left out: none.
+        With the format dv: port of a second server, for the camera's triggers, because dv-processing reads one stream
+        from a connection; 0 takes a free one. Omitted: none.
     frame_ms
         Stream time of an event image or a picture of the display.
     pictures
-        What these show.
+        Contents of the pictures.
     camera
-        Name of the camera that clients are told; "" for the model's and the rig's serial number.
+        Name of the camera that is sent to clients; "" for the model's and the rig's serial number.
     name
-        What this rig calls the link: in reports, and where triggers name it.
+        Name of the link in this rig: in reports and triggers.
     """
 
     kind: ClassVar[str] = "tcp"
@@ -103,14 +101,14 @@ class UdpLink:
     format
         "jaer", "caer", "spif" (AEStream), or faery's "t64_x16_y16_on8" or "t32_x16_y15_on1". See docs/streams.md.
     host, port
-        Where they are sent. jAER listens on 8991.
+        Address of the receiver. jAER listens on 8991.
     elsewhere
-        Must be true where `host` is not on this machine: whoever has that address gets the events, asked or not.
+        Must be true if `host` is not on this machine: the machine with that address gets the events, even unrequested.
     mbit_s
-        Most that is sent, in Mbit/s of payload: receivers lose what comes faster than they read. 8 bytes an event and
+        Highest rate, in Mbit/s of payload: receivers lose data that arrive faster than they read. 8 bytes an event and
         200 Mbit/s are 3.1 million events a second.
     name
-        What this rig calls the link: in reports, and where triggers name it.
+        Name of the link in this rig: in reports and triggers.
     """
 
     kind: ClassVar[str] = "udp"
@@ -127,9 +125,9 @@ class UdpLink:
         if not 0.1 <= self.mbit_s <= 100_000:
             raise ValueError(f"mbit_s must be 0.1 to 100000, got {self.mbit_s}")
         if not self.host:
-            raise ValueError("host is empty: say where to send, for example 127.0.0.1")
+            raise ValueError("host is empty: give the receiver's address, for example 127.0.0.1")
         if not (self.elsewhere or is_loopback(self.host)):
-            raise ValueError(f"host {self.host!r} is another machine: say elsewhere = true if that is meant")
+            raise ValueError(f"host {self.host!r} is another machine: set elsewhere = true if that is intended")
 
 
 _CONNECTION_CODERS: Mapping[str, type[ConnectionCoder]] = {

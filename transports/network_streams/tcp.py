@@ -1,14 +1,13 @@
-"""A TCP server as a link's endpoint: every client gets the stream from the moment it connects.
+"""TCP server as a link's endpoint: every client gets the stream from the moment it connects.
 
     device.carry -> coder.encode -> Batch -> each client that has room -> its socket
             edges -> a coder of triggers -> the clients of a second port, where the rig has one
 
-In a paced run a batch is taken when any client has room; those that have none miss it. In a run that is not paced it is
-taken when all have room, but for those that have stopped reading, so that a run that nobody hurries loses nothing.
+In a paced run a batch is taken when any client has room; clients without room miss it. In a run without pacing it is
+taken when all clients have room, except those that have stopped reading, so that such a run loses nothing.
 
-One client of a TCP stream: what waits for it, within a bound, and what it has missed.
-
-The clients of one port, who all get the same bytes from the moment they connect.
+`Client` is one client: its waiting data, within a limit, and its missed events. `ClientGroup` has all clients of one
+port, which get the same bytes from the moment they connect.
 """
 
 from __future__ import annotations
@@ -32,23 +31,23 @@ from transports.network.listener import Listener
 from transports.network_streams.kind import TcpLink
 from transports.network_streams.udp import Batch, Fates
 
-__all__ = ["Audience", "Client", "ClientTerms", "TcpEndpoint", "TcpFactory"]
+__all__ = ["Client", "ClientGroup", "ClientTerms", "TcpEndpoint", "TcpFactory"]
 
 
-_MOST_HEARD = 1 << 16  # bytes that a client may say: these protocols have no requests
+_MOST_RECEIVED = 1 << 16  # bytes that a client may send: these protocols have no requests
 _STALLED_NS = 2_000_000_000
 
 
 @dataclass(frozen=True)
 class ClientTerms:
-    """What all clients of a stream have in common.
+    """Common settings of all clients of a stream.
 
     Attributes
     ----------
     greeting
-        What each gets first.
+        First data for each client.
     most_bytes
-        What waits for one at most; one batch more may be on its way.
+        Limit of the data that wait for one client; one batch more may be in transit.
     """
 
     greeting: bytes
@@ -56,14 +55,14 @@ class ClientTerms:
 
 
 class Client(asyncio.Protocol):
-    """A connection that only takes.
+    """Connection to a client that only receives.
 
     Attributes
     ----------
     missed
-        Events that it had no room for.
-    talked
-        Whether it was closed because it said too much.
+        Number of events for which it had no room.
+    sent_data
+        True if it was closed because it sent too much.
     """
 
     def __init__(
@@ -79,34 +78,34 @@ class Client(asyncio.Protocol):
         self._queue: deque[Batch] = deque()
         self._sending: Batch | None = None
         self._paused = False
-        self._waiting_bytes = self._heard = 0
+        self._waiting_bytes = self._received = 0
         self._progress_ns = clock.now_ns()
         self.missed = 0
-        self.talked = False
+        self.sent_data = False
 
     @property
     def has_room(self) -> bool:
-        """Whether it can be given a batch now."""
+        """True if it can be given a batch now."""
         return self._waiting_bytes < self._terms.most_bytes
 
     @property
     def stalled(self) -> bool:
-        """Whether something waits for it, and it has taken nothing for two seconds."""
+        """True if data wait for it, and it has read nothing for two seconds."""
         return self._waiting_bytes > 0 and self._clock.now_ns() - self._progress_ns > _STALLED_NS
 
     def holds(self, batch: Batch) -> bool:
-        """Say whether a batch waits for it, first of all."""
+        """Return True if a batch is the first that waits for it."""
         return batch is self._sending or (bool(self._queue) and batch is self._queue[0])
 
     def offer(self, batch: Batch) -> None:
-        """Give it a batch, of which it is a holder; it is sent by `send_on`."""
+        """Queue a batch for it, as one of the batch's holders; `send_on` sends it."""
         if not self._waiting_bytes:
             self._progress_ns = self._clock.now_ns()
         self._queue.append(batch)
         self._waiting_bytes += len(batch.data)
 
     def send_on(self) -> None:
-        """Send as much as its socket takes."""
+        """Send as much as its socket accepts."""
         while self._queue and not self._paused and self._transport is not None and not self._transport.is_closing():
             self._sending = self._queue.popleft()
             self._transport.write(self._sending.data)
@@ -114,7 +113,7 @@ class Client(asyncio.Protocol):
                 self._written()
 
     def hang_up(self) -> None:
-        """Close when what is on its way has gone; what waits behind it is not sent."""
+        """Close after the data in transit were sent; queued data are not sent."""
         if self._transport is not None:
             self._transport.close()
 
@@ -123,7 +122,7 @@ class Client(asyncio.Protocol):
         if self._transport is not None:
             self._transport.abort()
 
-    # What asyncio calls.
+    # Callbacks of asyncio.
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Greet."""
@@ -135,25 +134,25 @@ class Client(asyncio.Protocol):
         self._joined(self)
 
     def data_received(self, data: bytes) -> None:
-        """Ignore what it says, up to a bound."""
-        self._heard += len(data)
-        if self._heard > _MOST_HEARD:
-            self.talked = True
+        """Ignore received data, up to a limit."""
+        self._received += len(data)
+        if self._received > _MOST_RECEIVED:
+            self.sent_data = True
             self.abort()
 
     def pause_writing(self) -> None:
-        """The socket is full."""
+        """Pause, because the socket is full."""
         self._paused = True
 
     def resume_writing(self) -> None:
-        """The socket has taken what was on its way."""
+        """Continue, because the socket has accepted the data in transit."""
         self._paused = False
         if self._sending is not None:
             self._written()
         self.send_on()
 
     def connection_lost(self, error: Exception | None) -> None:
-        """Give up what waits."""
+        """Drop the queued data."""
         waiting = [*([self._sending] if self._sending is not None else []), *self._queue]
         self._queue.clear()
         self._sending = None
@@ -171,7 +170,7 @@ class Client(asyncio.Protocol):
 
 
 def _keep_alive(sock: socket.socket) -> None:
-    """Let the kernel find out when the client's machine has gone without a word."""
+    """Enable keep-alive, so that the kernel detects a client machine that was lost."""
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
     for option, value in (("TCP_KEEPIDLE", 30), ("TCP_KEEPINTVL", 10), ("TCP_KEEPCNT", 3)):
         if hasattr(socket, option):
@@ -181,15 +180,15 @@ def _keep_alive(sock: socket.socket) -> None:
 _LINGER_S = 1.0
 
 
-class Audience:
-    """A server's clients.
+class ClientGroup:
+    """Clients of one port of a server.
 
     Parameters
     ----------
     coder
-        Makes the greeting; told to begin anew when the last client has gone.
+        Makes the greeting; it is restarted when the last client has left.
     changed
-        Called with True when the first client has come, with False when the last one has gone.
+        Called with True when the first client has connected, with False when the last one has left.
     """
 
     def __init__(
@@ -206,17 +205,17 @@ class Audience:
         self._empty.set()
 
     def __len__(self) -> int:
-        """Return how many clients there are."""
+        """Return the number of clients."""
         return len(self._clients)
 
     def open(self, port: int) -> None:
-        """Listen; raises OSError, with what to do, when the port cannot be had."""
+        """Listen; raises OSError, with the remedy, when the port cannot be opened."""
         try:
             self._listener.open(self._host, port)
         except OSError as error:
             raise OSError(
                 error.errno,
-                f"cannot listen on {self._host} port {port}: {error.strerror or error}; another program may hold "
+                f"cannot listen on {self._host} port {port}: {error.strerror or error}; another program may use "
                 "it: stop that one, or give this link another port (0 takes a free one)",
             ) from error
 
@@ -228,20 +227,20 @@ class Audience:
 
     @property
     def counts(self) -> Mapping[str, int]:
-        """Clients so far, and what single ones missed."""
+        """Counts of clients so far, and of the events that single clients missed."""
         missed = sum(client.missed for client in self._clients)
         missed_by_slow = Counter({"events that single clients missed": missed})
         return +(self._counts + missed_by_slow + self._admission.counts)
 
     def has_room(self, *, paced: bool) -> bool:
-        """Say whether a batch may come: any client has room for it, or, in a run that is not paced, all that read."""
+        """Return True if any client has room for a batch, or, in a run without pacing, all clients that read."""
         reading = [client for client in self._clients if not client.stalled]
         if paced:
             return any(client.has_room for client in reading)
         return bool(reading) and all(client.has_room for client in reading)
 
     def spread(self, taken: Taken, data: bytes | bytearray) -> None:
-        """Give bytes to the clients that have room."""
+        """Queue bytes for the clients that have room."""
         if not data and not len(taken.events) and not len(taken.edges):
             return
         having_room = [client for client in self._clients if client.has_room]
@@ -254,14 +253,14 @@ class Audience:
             client.send_on()
 
     def give_up(self, batch: Batch) -> None:
-        """Close the clients that a batch waits for."""
+        """Close the clients for which a batch waits."""
         for client in tuple(self._clients):
             if client.holds(batch):
                 self._counts["clients closed: too slow"] += 1
                 client.abort()
 
     async def close(self) -> None:
-        """Let the clients take what is on its way to them, and close."""
+        """Let the clients read the data in transit, and close."""
         await self._listener.close()
         if self._clients:
             self.spread(Taken(empty_events(), empty_edges(), 0), self._coder.finish())
@@ -287,31 +286,31 @@ class Audience:
     def _forget(self, client: Client) -> None:
         self._admission.leave(self._clients.pop(client))
         self._counts["events that single clients missed"] += client.missed
-        self._counts["clients closed: sent data"] += client.talked
+        self._counts["clients closed: sent data"] += client.sent_data
         if not self._clients:
             self._changed(False)
-            self._coder.restart()  # what it holds was for them
+            self._coder.restart()  # its state belonged to them
             self._empty.set()
 
 
-_MOST_EVENTS = 1 << 14  # of a batch
+_MOST_EVENTS = 1 << 14  # in one batch
 
 
 @dataclass(frozen=True)
 class TcpFactory(EndpointFactory[PlainDevice]):
-    """Serves a stream as `link` says, in the bytes of the coder that `coder` makes; `triggers` makes that of edges."""
+    """Factory of a server for the stream of `link`; `coder` makes its coder, `triggers` that of edges."""
 
     link: TcpLink
     coder: Callable[[], ConnectionCoder]
     triggers: Callable[[], ConnectionCoder] | None = None
 
     def build(self, device: PlainDevice, deliveries: Deliveries) -> TcpEndpoint:
-        """Return the server, not yet listening."""
+        """Return the server; it does not listen yet."""
         return TcpEndpoint(self, device, deliveries)
 
 
 class TcpEndpoint(Endpoint):
-    """One stream on one port, and the camera's triggers on another where the rig says so."""
+    """Server of one stream on one port, and of the camera's triggers on another if the rig has one."""
 
     def __init__(self, factory: TcpFactory, device: PlainDevice, deliveries: Deliveries) -> None:
         self._link, self._device, self._deliveries = factory.link, device, deliveries
@@ -319,15 +318,15 @@ class TcpEndpoint(Endpoint):
         self._triggers = None if factory.triggers is None else factory.triggers()
         self._fates = Fates(device, deliveries)
         clock = deliveries.clock
-        self._clients = Audience(factory.link, self._coder, self._fates, clock, device.run)
-        self._trigger_clients: Audience | None = None
+        self._clients = ClientGroup(factory.link, self._coder, self._fates, clock, device.run)
+        self._trigger_clients: ClientGroup | None = None
         if self._triggers is not None:
-            self._trigger_clients = Audience(factory.link, self._triggers, self._fates, clock, self._take_edges)
+            self._trigger_clients = ClientGroup(factory.link, self._triggers, self._fates, clock, self._take_edges)
         self._epoch_us = 0
         device.takes_edges = self._coder.has_edges
 
     async def start(self) -> None:
-        """Listen; raises OSError, with what to do, when a port or a compression cannot be had."""
+        """Listen; raises OSError, with the remedy, when a port or a compression is not available."""
         if self._link.compression == "lz4" and find_spec("lz4") is None:
             raise OSError(f"compression needs lz4: {install_command('files')}")
         self._device.run(False)
@@ -336,9 +335,9 @@ class TcpEndpoint(Endpoint):
             self._trigger_clients.open(self._link.trigger_port or 0)
 
     def pump(self) -> None:
-        """Hand what the camera has to the clients."""
+        """Send the camera's data to the clients."""
         overdue = self._fates.overdue
-        for clients in self._audiences:
+        for clients in self._groups:
             if overdue is not None:
                 clients.give_up(overdue)
         while self._has_room and (taken := self._device.carry(_MOST_EVENTS)) is not None:
@@ -348,14 +347,14 @@ class TcpEndpoint(Endpoint):
             self._clients.spread(nothing, self._coder.advance(self._device.now_us - self._epoch_us))
 
     async def close(self) -> None:
-        """Let the clients take what is on its way to them, and close."""
-        for clients in self._audiences:
+        """Let the clients read the data in transit, and close."""
+        for clients in self._groups:
             await clients.close()
         self._device.run(False)
 
     @property
     def state(self) -> str:
-        """How many clients there are, or where they are waited for."""
+        """Number of clients, or the address at which they may connect."""
         count = len(self._clients)
         if not count:
             return f"waiting for a client on {self.address}"
@@ -368,21 +367,21 @@ class TcpEndpoint(Endpoint):
 
     @property
     def counts(self) -> Mapping[str, int]:
-        """Clients so far, and what single ones missed."""
+        """Counts of clients so far, and of the events that single clients missed."""
         triggers = {} if self._trigger_clients is None else self._trigger_clients.counts
         return Counter(self._clients.counts) + Counter({f"triggers: {name}": n for name, n in triggers.items()})
 
     @property
-    def _audiences(self) -> list[Audience]:
+    def _groups(self) -> list[ClientGroup]:
         return [self._clients, *([] if self._trigger_clients is None else [self._trigger_clients])]
 
     @property
     def _has_room(self) -> bool:
         return self._clients.has_room(paced=self._deliveries.paced)
 
-    def _take_edges(self, heard: bool) -> None:
-        """Let the camera take edges while somebody is there for them."""
-        self._device.takes_edges = self._coder.has_edges or heard
+    def _take_edges(self, has_clients: bool) -> None:
+        """Let the camera take edges while any client receives them."""
+        self._device.takes_edges = self._coder.has_edges or has_clients
 
     def _send(self, taken: Taken) -> None:
         restarts = taken.epoch_us != self._epoch_us
@@ -393,8 +392,8 @@ class TcpEndpoint(Endpoint):
         data = self._coder.encode(own_time(taken.events, taken.epoch_us), own_time(taken.edges, taken.epoch_us))
         self._clients.spread(taken, restart + data if restart else data)
 
-    def _send_triggers(self, taken: Taken, coder: ConnectionCoder, clients: Audience, *, restarts: bool) -> Taken:
-        """Send the edges to their own clients; return what is left."""
+    def _send_triggers(self, taken: Taken, coder: ConnectionCoder, clients: ClientGroup, *, restarts: bool) -> Taken:
+        """Send the edges to their own clients; return the rest."""
         restart = coder.restart() if restarts and len(clients) else b""
         edges = Taken(empty_events(), taken.edges, taken.epoch_us)
         clients.spread(edges, restart + coder.encode(edges.events, own_time(edges.edges, edges.epoch_us)))

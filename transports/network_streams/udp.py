@@ -1,12 +1,10 @@
-"""Datagrams to one address as a link's endpoint, no faster than its rate.
+"""Datagrams to one address as a link's endpoint, at a limited rate, and the fates of batches for several clients.
 
-UDP has no back-pressure: what a receiver does not read in time is gone, and nobody is told. An event counts as
+UDP has no back-pressure: data that a receiver does not read in time are lost without a report. An event counts as
 delivered when the kernel has taken its datagram.
 
-What becomes of the events of a batch that several clients are to get.
-
-A batch is delivered when the first client's socket has taken all of it, and lost when no client is left that could.
-What single clients miss is counted by them.
+`Fates` follows batches that several clients are to get. A batch is delivered when the first client's socket has taken
+all of it, and lost when no client is left that could. Events that single clients miss are counted by the clients.
 """
 
 from __future__ import annotations
@@ -26,23 +24,23 @@ from transports.network_streams.kind import UdpLink
 __all__ = ["Batch", "Fates", "UdpEndpoint", "UdpFactory"]
 
 
-_MOST_EVENTS = 1 << 14  # coded at once
+_MOST_EVENTS = 1 << 14  # encoded at once
 
 
 @dataclass(frozen=True)
 class UdpFactory(EndpointFactory[PlainDevice]):
-    """Sends a stream as `link` says, in the datagrams of the coder that `coder` makes."""
+    """Factory of an endpoint for the stream of `link`; `coder` makes the coder of its datagrams."""
 
     link: UdpLink
     coder: Callable[[], DatagramCoder]
 
     def build(self, device: PlainDevice, deliveries: Deliveries) -> UdpEndpoint:
-        """Return the endpoint, its socket not yet open."""
+        """Return the endpoint; its socket is not open yet."""
         return UdpEndpoint(self, device, deliveries)
 
 
 class UdpEndpoint(Endpoint):
-    """One stream to one address."""
+    """Endpoint of one stream to one address."""
 
     def __init__(self, factory: UdpFactory, device: PlainDevice, deliveries: Deliveries) -> None:
         self._device = device
@@ -57,25 +55,25 @@ class UdpEndpoint(Endpoint):
         device.takes_edges = self._coder.has_edges
 
     async def start(self) -> None:
-        """Open the socket; raises OSError, with what to do, when the address cannot be used."""
+        """Open the socket; raises OSError, with the remedy, when the address cannot be used."""
         self._outlet.open()
 
     def pump(self) -> None:
-        """Send what waits, as far as the rate allows."""
+        """Send the waiting datagrams as far as the rate permits."""
         self._budget.renew(self._clock.now_ns())
         while self._budget.left > 0 and self._prepare() and self._send():
             pass
-        self._batch.tell()
+        self._batch.report()
 
     async def close(self) -> None:
-        """Close the socket; what has not left is lost."""
+        """Close the socket; events that have not left are lost."""
         self._batch.give_up()
         self._device.run(False)
         self._outlet.close()
 
     @property
     def state(self) -> str:
-        """Where it sends."""
+        """Number of datagrams, and their destination."""
         return f"{self._outlet.counts['datagrams']} datagrams to {self.address}"
 
     @property
@@ -85,11 +83,11 @@ class UdpEndpoint(Endpoint):
 
     @property
     def counts(self) -> Mapping[str, int]:
-        """Datagrams; those that the receiver's machine refused, because nobody listens, and those that could not go."""
+        """Numbers of datagrams sent, refused by the receiver's machine because no program listens, and not sendable."""
         return +self._outlet.counts
 
     def _prepare(self) -> bool:
-        """Have a datagram ready; False when there is nothing to send."""
+        """Prepare a datagram; return False when there is nothing to send."""
         while self._next is None:
             self._next = next(self._datagrams, None)
             if self._next is not None:
@@ -109,7 +107,7 @@ class UdpEndpoint(Endpoint):
         self._datagrams = chain(restart, self._coder.encode(events, edges))
 
     def _send(self) -> bool:
-        """Send the datagram that is ready; False when the kernel takes none now."""
+        """Send the prepared datagram; return False when the kernel accepts none now."""
         assert self._next is not None
         try:
             left = self._outlet.send(self._next.data)
@@ -122,57 +120,57 @@ class UdpEndpoint(Endpoint):
 
 
 class _Batch:
-    """Events that were taken together: how many have left, and whether the device and `deliveries` know."""
+    """Events that were taken together, with the numbers that have left and that were reported."""
 
     def __init__(self, device: PlainDevice, deliveries: Deliveries) -> None:
         self._device = device
         self._deliveries = deliveries
         self._taken: Taken | None = None
-        self._told = self._reached = 0
+        self._reported = self._reached = 0
 
     def begin(self, taken: Taken) -> None:
-        self._taken, self._told, self._reached = taken, 0, 0
+        self._taken, self._reported, self._reached = taken, 0, 0
 
     def reached(self, end: int, *, left: bool) -> None:
-        """The datagrams with events up to `end` have left, or the last of them could not."""
+        """Record that the datagrams with events up to `end` have left, or that the last of them could not be sent."""
         if not left:
-            self.tell()
-            self._device.failed(end - self._told)
-            self._told = end
+            self.report()
+            self._device.failed(end - self._reported)
+            self._reported = end
         self._reached = end
 
-    def tell(self) -> None:
-        """Tell of the events that have left since the last call."""
-        if self._taken is not None and self._reached > self._told:
-            events = self._taken.events[self._told : self._reached]
+    def report(self) -> None:
+        """Report the events that have left since the last call."""
+        if self._taken is not None and self._reached > self._reported:
+            events = self._taken.events[self._reported : self._reached]
             self._device.arrived(len(events))
             self._deliveries.add(events, self._taken.epoch_us)
-            self._told = self._reached
+            self._reported = self._reached
 
     def finish(self) -> None:
-        """All its datagrams have left."""
+        """Record that all its datagrams have left."""
         if self._taken is None:
             return
-        self.tell()
+        self.report()
         if len(self._taken.edges):
             self._device.arrived(0, len(self._taken.edges))
             self._deliveries.add(self._taken.events[:0], self._taken.epoch_us, self._taken.edges)
         self._taken = None
 
     def give_up(self) -> None:
-        """What has not left is lost."""
+        """Record that the rest is lost."""
         if self._taken is not None:
-            self.tell()
-            self._device.failed(len(self._taken.events) - self._told, len(self._taken.edges))
+            self.report()
+            self._device.failed(len(self._taken.events) - self._reported, len(self._taken.edges))
             self._taken = None
 
 
-_MOST_OPEN = 1 << 22  # events whose fate, or that of events before them, is open
+_MOST_OPEN = 1 << 22  # events whose fate, or that of earlier events, is open
 
 
 @dataclass(eq=False)
 class Batch:
-    """Events and their bytes; `holders` clients have it and have not sent it yet."""
+    """Events and their bytes; `holders` is the number of clients that have it and have not sent it yet."""
 
     taken: Taken
     data: bytes | bytearray
@@ -181,12 +179,12 @@ class Batch:
 
     @property
     def settled(self) -> bool:
-        """Whether its fate is known."""
+        """True if its fate is known."""
         return self.delivered or not self.holders
 
 
 class Fates:
-    """Follows batches, and tells the device and `deliveries`, the latter in the order in which they were taken."""
+    """Fates of batches, reported to the device and, in the order in which they were taken, to `deliveries`."""
 
     def __init__(self, device: PlainDevice, deliveries: Deliveries) -> None:
         self._device = device
@@ -198,31 +196,31 @@ class Fates:
         """Follow a batch whose holders are known."""
         self._open.append(batch)
         self._open_events += len(batch.taken.events)
-        if batch.settled:  # nobody had room
+        if batch.settled:  # no client had room
             self._device.failed(len(batch.taken.events), len(batch.taken.edges))
-            self._tell()
+            self._report()
 
     def written(self, batch: Batch) -> None:
-        """A client's socket has taken it."""
+        """Record that a client's socket has taken it."""
         batch.holders -= 1
         if not batch.delivered:
             batch.delivered = True
             self._device.arrived(len(batch.taken.events), len(batch.taken.edges))
-            self._tell()
+            self._report()
 
     def dropped(self, batch: Batch) -> None:
-        """A client that had it has gone."""
+        """Record that a client that had it was lost."""
         batch.holders -= 1
         if batch.settled and not batch.delivered:
             self._device.failed(len(batch.taken.events), len(batch.taken.edges))
-            self._tell()
+            self._report()
 
     @property
     def overdue(self) -> Batch | None:
-        """The first batch, when so much has been taken after it that its holders must be given up."""
+        """First batch, when so much has been taken after it that its holders must be closed."""
         return self._open[0] if self._open_events > _MOST_OPEN else None
 
-    def _tell(self) -> None:
+    def _report(self) -> None:
         while self._open and self._open[0].settled:
             batch = self._open.popleft()
             taken = batch.taken

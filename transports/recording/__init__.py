@@ -1,1 +1,1 @@
-"""Recordings of events in the formats of others: what each holds, who reads it, its writer and its reader."""
+"""Recordings of events in the formats of other programs: contents, readers, and our own writer and reader of each."""

@@ -1,16 +1,15 @@
-"""AEDAT 4.0 files by faery: events, triggers, IMU samples and frames are written and read.
+"""AEDAT 4.0 files by faery: events, triggers, IMU samples and frames are written and read; damaged files are recovered.
 
-Frames are written with 8 bits, as readers know them, and grey. faery 0.7.1 writes only frames that it has read itself,
-so each goes through a small file of its own, see `_Frames`.
+Frames are written with 8 bits, as readers expect them, and grey. faery 0.7.1 writes only frames that it has read
+itself, so each frame is first written to a small file, see `_Frames`.
 
-Times in a file are Unix microseconds, and `tsOffset` tells the one of t = 0. Readers go by the names `events`,
-`frames`, `imu` and `triggers`. While it is written, the header says that there is no table of packets, and so a file
-that was never closed is read up to its last whole packet.
+Times in a file are Unix microseconds, and `tsOffset` is that of t = 0. Readers use the names `events`, `frames`, `imu`
+and `triggers`. During writing, the header states that there is no table of packets. So a file that was never closed is
+read up to its last whole packet.
 
-What can be saved of a recording that was cut: whole packets of AEDAT 4.0, and the raw events of an `.npz` record.
-
-A finished AEDAT 4.0 file that was cut is refused by all readers, as its header tells of a table that is not there. The
-copy says that there is none, as a file does while it is written, and ends with the last whole packet.
+All readers refuse a finished AEDAT 4.0 file that was cut, because its header refers to a table that is missing.
+`recover_aedat4` makes a copy whose header states that there is none, and which ends with the last whole packet.
+`RawEvents` recovers the raw events of an `.npz` record.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ __all__ = ["Aedat4Reader", "Aedat4Writer", "RawEvents", "Saved", "recover_aedat4
 
 _TRIGGER = np.dtype([("t", "<u8"), ("source", "u1")])
 _SOURCES = {EdgeKind.RISING: 1, EdgeKind.FALLING: 2, EdgeKind.PULSE: 3}
-_NUMBERS = {"events": 0, "frames": 1, "imu": 2, "edges": 3}  # as cameras have them
+_NUMBERS = {"events": 0, "frames": 1, "imu": 2, "edges": 3}  # as cameras number them
 _STREAMS = (
     ("events", "events", "EVTS", "Array of events (polarity ON/OFF)."),
     ("frames", "frames", "FRME", "Standard frame (8-bit image)."),
@@ -45,7 +44,7 @@ _LZ4 = ("lz4", 1)
 
 
 class Aedat4Writer:
-    """Writes the streams that `facts` names, and events."""
+    """Writer of events, and of the streams that `facts` names."""
 
     def __init__(self, path: Path, facts: Facts) -> None:
         self._streams = {"events", *facts.streams}
@@ -55,7 +54,7 @@ class Aedat4Writer:
         self._frames = _Frames(facts) if "frames" in self._streams else None
 
     def write(self, part: Part) -> None:
-        """Append one packet of each stream that has something."""
+        """Append one packet of each stream that has data."""
         self._put("events", self._shifted(part.events))
         self._put("edges", self._shifted(_triggers(part.edges)))
         self._put("imu", self._shifted(part.imu))
@@ -82,7 +81,7 @@ class Aedat4Writer:
 
 
 class _Frames:
-    """Makes frames of faery: writes a file with one frame, and lets faery read it."""
+    """Converter to frames of faery: writes a file with one frame, and lets faery read it."""
 
     def __init__(self, facts: Facts) -> None:
         self._folder = TemporaryDirectory(prefix="evstim-frames-")
@@ -92,7 +91,7 @@ class _Frames:
         self._head = Aedat4Head(self._path.read_bytes()).unfinished()
 
     def of_faery(self, frame: Frame, start_us: int) -> Any:
-        """Return a frame whose times are later by `start_us`; of more than 8 bits, 10 are taken."""
+        """Return a frame whose times are later by `start_us`; of more than 8 bits, 10 are used."""
         pixels = frame.pixels if frame.pixels.dtype == np.uint8 else (frame.pixels >> 2).astype(np.uint8)
         pixels = pixels if pixels.ndim == 2 else pixels.mean(axis=2).astype(np.uint8)
         t, begin, end = (t + start_us for t in (frame.t_us, frame.exposure_begin_us, frame.exposure_end_us))
@@ -140,7 +139,7 @@ def _triggers(edges: Edges) -> Any:
 
 
 class Aedat4Reader:
-    """Reads the first event stream and its companions; for a child process, see `guarded_reading`."""
+    """Reader of the first event stream and its companions; for a child process, see `guarded`."""
 
     def __init__(self, path: Path, size: tuple[int, int] | None) -> None:
         self._decoder = aedat.Decoder(path)
@@ -156,7 +155,7 @@ class Aedat4Reader:
         self.other_streams = len(tracks) - 1 - len(streams)
 
     def parts(self) -> Iterator[Part]:
-        """Yield packets; raises at the first that is damaged, after all before it."""
+        """Yield packets; raises at the first damaged one, after all packets before it."""
         start_us = np.uint64(self.facts.unix_us)
         with self._decoder as packets:
             for track, packet in packets:
@@ -192,7 +191,7 @@ def _frame(frame: Any, start_us: int) -> Frame:
 
 
 def _edges(triggers: Any) -> Edges:
-    """Return the external triggers; resets, generators and marks of frames are left out."""
+    """Return the external triggers; resets, generators and marks of frames are omitted."""
     kinds = {source: kind for kind, source in _SOURCES.items()}
     known = triggers[np.isin(triggers["source"], list(kinds))]
     edges = np.zeros(len(known), EDGE)
@@ -208,7 +207,7 @@ _PIECE_BYTES = 1 << 20
 
 @dataclass(frozen=True)
 class Saved:
-    """What a recovery saved: packets, their bytes, and bytes that were left out at the end."""
+    """Result of a recovery: number of packets, their bytes, and bytes omitted at the end."""
 
     packets: int
     kept_bytes: int
@@ -216,7 +215,7 @@ class Saved:
 
 
 def recover_aedat4(source: Path, target: Path) -> Saved:
-    """Copy the whole packets of an AEDAT 4.0 file; raises RecordingError where the header is damaged, or OSError."""
+    """Copy the whole packets of an AEDAT 4.0 file; raises RecordingError if the header is damaged, or OSError."""
     with source.open("rb") as file:
         try:
             head = Aedat4Head(file.read(len(MAGIC) + 4 + _MOST_HEADER))
@@ -243,14 +242,14 @@ def _copied(file: BinaryIO, copy: BinaryIO, left: int) -> tuple[int, int]:
 
 
 class RawEvents:
-    """Reads the `.part` file that stays of an `.npz` record whose run was killed, from the last clock on."""
+    """Reader of the `.part` file of an `.npz` record whose run was killed, from the last clock restart on."""
 
     def __init__(self, path: Path, size: tuple[int, int] | None) -> None:
         self.facts = Facts(size, "record", streams=frozenset())
         self._path = path
 
     def parts(self) -> Iterator[Part]:
-        """Yield the whole events; where time goes back, the clock began anew, and what was before is left out."""
+        """Yield the whole events; if time goes back, the clock was restarted, and earlier events are omitted."""
         count = self._path.stat().st_size // EVENT.itemsize
         if not count:
             return

@@ -1,7 +1,7 @@
-"""HDF5 files as the DSEC data set has them: /events/{x, y, t, p}, /t_offset and /ms_to_idx.
+"""HDF5 files in the layout of the DSEC data set: /events/{x, y, t, p}, /t_offset and /ms_to_idx.
 
-Element k of `ms_to_idx` is the index of the first event at or after k milliseconds. `t_offset` is the Unix time of
-t = 0, us, or 0. The size of the sensor stands in the attributes `width` and `height` of /events, which DSEC has not.
+Element k of `ms_to_idx` is the index of the first event at or after k milliseconds. `t_offset` is the Unix time of t =
+0, us, or 0. The size of the sensor is in the attributes `width` and `height` of /events, which DSEC does not have.
 
 Source: github.com/uzh-rpg/DSEC, "Data format".
 """
@@ -26,7 +26,7 @@ _FIELDS = {"x": "<u2", "y": "<u2", "t": "<u4", "p": "u1"}
 
 
 class DsecWriter:
-    """Appends events to data sets that grow."""
+    """Writer of events to data sets that grow."""
 
     def __init__(self, path: Path, facts: Facts) -> None:
         self._file = h5py.File(path, "w")
@@ -70,7 +70,7 @@ def _append(data: h5py.Dataset, values: np.ndarray) -> None:
 
 
 class DsecReader:
-    """Reads /events in pieces."""
+    """Reader of /events in pieces."""
 
     def __init__(self, path: Path, size: tuple[int, int] | None) -> None:
         with contextlib.suppress(ImportError):

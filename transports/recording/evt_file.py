@@ -1,6 +1,6 @@
-"""`.raw` files of Prophesee's formats: EVT3, EVT2, and EVT2.1, which is read alone.
+"""`.raw` files of Prophesee's formats: EVT3, EVT2, and EVT2.1, which is only read.
 
-The words are our own: faery 0.7.1 writes no time in long silences, so readers of its EVT3 files miss wraps.
+The words are encoded here: faery 0.7.1 writes no time in long silences, so readers of its EVT3 files miss wraps.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from transports.recording.part import Facts, Part, RecordingError
 
 __all__ = ["Evt2Writer", "Evt3Writer", "EvtReader"]
 
-_PIECE_BYTES = 1 << 17  # of words for twelve events each: 786 432 events
+_PIECE_BYTES = 1 << 17  # at most twelve events in each word: 786 432 events
 _MOST_HEADER = 1 << 16
 
 
 class _Writer:
-    """Writes the words of an encoder below a header."""
+    """Writer of the words of an encoder after a header."""
 
     def __init__(self, path: Path, header: bytes, encoder: Evt2Encoder | Evt3Encoder) -> None:
         self._file = path.open("wb", buffering=1 << 16)
@@ -39,7 +39,7 @@ class _Writer:
 
 
 class Evt3Writer(_Writer):
-    """Writes EVT3: events and triggers."""
+    """Writer of EVT3: events and triggers."""
 
     def __init__(self, path: Path, facts: Facts) -> None:
         size = facts.size or (0, 0)
@@ -47,14 +47,14 @@ class Evt3Writer(_Writer):
 
 
 class Evt2Writer(_Writer):
-    """Writes EVT2: events and triggers."""
+    """Writer of EVT2: events and triggers."""
 
     def __init__(self, path: Path, facts: Facts) -> None:
         super().__init__(path, evt2_header(facts.size or (0, 0), "evt2"), Evt2Encoder("evt2"))
 
 
 class EvtReader:
-    """Reads `.raw` files of EVT3, EVT2 and EVT2.1, as their text tells; EVT3 where it tells nothing."""
+    """Reader of `.raw` files of EVT3, EVT2 and EVT2.1, as given in their header; EVT3 if it gives no format."""
 
     def __init__(self, path: Path, size: tuple[int, int] | None) -> None:
         with path.open("rb") as file:

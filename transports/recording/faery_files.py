@@ -1,8 +1,8 @@
 """DAT, Event Stream and CSV files, written and read by faery.
 
-Times stay as they are (no t0 is taken off): faery would begin each file at its first event. Event Stream counts rows
-from the bottom, and its own writer leaves turning them to us. Readers are for a child process: faery panics at what it
-does not expect, see `guarded_reading`.
+Times stay unchanged (no t0 is subtracted): faery would begin each file at its first event. Event Stream counts rows
+from the bottom, and faery's writer does not convert them. Readers are for a child process: faery panics at unexpected
+data, see `guarded`.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ __all__ = [
 ]  # fmt: skip
 
 _COMMA = 44
-_SIZE = (1280, 720)  # of a file that does not tell it: faery's own choice
+_SIZE = (1280, 720)  # for a file without it: faery's own default
 _DAT_EVENT = np.dtype([("t", "<u8"), ("x", "<u2"), ("y", "<u2"), ("payload", "u1")])
 
 
@@ -34,7 +34,7 @@ def _size(facts: Facts) -> tuple[int, int]:
 
 
 class _Events:
-    """A writer of events alone around an encoder of faery."""
+    """Writer of events only, with an encoder of faery."""
 
     def __init__(self, encoder: Any) -> None:
         self._encoder = encoder
@@ -54,7 +54,7 @@ class _Events:
 
 
 class DatWriter(_Events):
-    """Writes DAT, version 2."""
+    """Writer of DAT, version 2."""
 
     def __init__(self, path: Path, facts: Facts) -> None:
         super().__init__(dat.Encoder(path, version="dat2", event_type="cd", zero_t0=False, dimensions=_size(facts)))
@@ -64,7 +64,7 @@ class DatWriter(_Events):
 
 
 class EsWriter(_Events):
-    """Writes Event Stream files, rows from the bottom."""
+    """Writer of Event Stream files, rows from the bottom."""
 
     def __init__(self, path: Path, facts: Facts) -> None:
         self._top = _size(facts)[1] - 1
@@ -75,7 +75,7 @@ class EsWriter(_Events):
 
 
 class CsvWriter(_Events):
-    """Writes lines t,x,y,on under a line with the names and the size."""
+    """Writer of lines t,x,y,on after a line with the names and the size."""
 
     def __init__(self, path: Path, facts: Facts) -> None:
         super().__init__(
@@ -84,7 +84,7 @@ class CsvWriter(_Events):
 
 
 class _Decoded:
-    """A reader of events around a decoder of faery."""
+    """Reader of events with a decoder of faery."""
 
     def __init__(self, decoder: Any, size: tuple[int, int] | None, camera: str) -> None:
         self._decoder = decoder
@@ -103,7 +103,7 @@ class _Decoded:
 
 
 class DatReader(_Decoded):
-    """Reads DAT with change-detection events."""
+    """Reader of DAT with change-detection events."""
 
     def __init__(self, path: Path, size: tuple[int, int] | None) -> None:
         decoder = dat.Decoder(path, size or _SIZE, "dat2")
@@ -120,7 +120,7 @@ class DatReader(_Decoded):
 
 
 class EsReader(_Decoded):
-    """Reads Event Stream files of DVS events."""
+    """Reader of Event Stream files of DVS events."""
 
     def __init__(self, path: Path, size: tuple[int, int] | None) -> None:
         decoder = es.Decoder(path, 0)
@@ -133,7 +133,7 @@ class EsReader(_Decoded):
 
 
 class CsvReader(_Decoded):
-    """Reads lines t,x,y,on, the first of which may tell the size as our writer does: t,x@346,y@260,on."""
+    """Reader of lines t,x,y,on; the first line may give the size as our writer does: t,x@346,y@260,on."""
 
     def __init__(self, path: Path, size: tuple[int, int] | None) -> None:
         with path.open("rb") as file:

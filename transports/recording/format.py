@@ -1,10 +1,8 @@
-"""The record of one format of recordings, and all of them by name.
+"""Formats of recordings by name, detection of a file's format, and error texts for people.
 
-A record names its modules by path, so that nothing is imported before a file of its kind is opened.
+A format names its modules by path, so that nothing is imported before a file of its kind is opened.
 
-The format of a file that is there, by its first bytes; CSV, which has none of its own, goes by its suffix too.
-
-Why a library could not write or read a file, in one line for people.
+The format of an existing file is detected by its first bytes; CSV, which has no such signature, by its suffix too.
 """
 
 from __future__ import annotations
@@ -36,11 +34,11 @@ class Format:
     suffixes
         Ends of the names of its files, the usual one first.
     writer, reader
-        "module:Class" of what writes (path, facts) and reads (path) it.
+        "module:Class" of its writer (path, facts) and its reader (path).
     holds
-        What is written with it: "events", "edges", "imu", "frames".
+        Streams that are written with it: "events", "edges", "imu", "frames".
     ordered
-        Streams that share one order of time; each of the others has packets or a list of its own.
+        Streams that share one order of time; each of the others has its own packets or list.
     readers
         Programs that open it, for people.
     needs
@@ -48,13 +46,13 @@ class Format:
     size_px
         Largest (width, height) that it can number.
     until_us
-        Time beyond which it cannot go.
+        First time that it cannot represent.
     is_folder
-        Whether it is a folder of files.
+        True if it is a folder of files.
     piece_us
-        Time that is written at once, where events are few.
+        Time that is written at once, if events are few.
     live
-        Whether a file that was not closed can be read up to its last whole piece.
+        True if a file that was not closed can be read up to its last whole piece.
     """
 
     name: str
@@ -69,11 +67,11 @@ class Format:
     size_px: tuple[int, int] = (1 << 16, 1 << 16)
     until_us: int = 1 << 62
     is_folder: bool = False
-    piece_us: int = 10_000  # as cameras make their packets
+    piece_us: int = 10_000  # the packet length of cameras
     live: bool = True
 
     def open_writer(self, path: Path, facts: Facts) -> Writer:
-        """Return a writer of `path`, which is made anew; raises OSError or RecordingError."""
+        """Return a writer of `path`, which is overwritten; raises OSError or RecordingError."""
         if facts.size is None:
             raise RecordingError(f"{self.title} needs the size of the sensor, which is not known here")
         if facts.size[0] > self.size_px[0] or facts.size[1] > self.size_px[1]:
@@ -84,12 +82,12 @@ class Format:
         return writer
 
     def open_reader(self, path: Path, size: tuple[int, int] | None = None) -> Reader:
-        """Return a reader of `path`; `size` is for files that do not tell the sensor's. Raises as its parts do."""
+        """Return a reader of `path`; `size` is for files without the sensor's size. Raises as its parts do."""
         reader: Reader = self.imported(self.reader)(path, size)
         return reader
 
     def imported(self, where: str) -> Any:
-        """Return what `writer` or `reader` names; raises RecordingError where its library is missing."""
+        """Return the class that `writer` or `reader` names; raises RecordingError if its library is missing."""
         module, _, name = where.partition(":")
         try:
             return getattr(importlib.import_module(module), name)
@@ -198,7 +196,7 @@ _HEAD_BYTES = 4096
 
 
 def format_to_read(path: Path) -> Format:
-    """Return the format of a file or folder; raises RecordingError for what is none, and OSError."""
+    """Return the format of a file or folder; raises RecordingError for an unknown one, and OSError."""
     if path.is_dir():
         if (path / "metadata.yaml").is_file():
             return FORMATS["ros2"]
@@ -242,13 +240,16 @@ _MOST = 300
 
 
 def reason(error: BaseException) -> str:
-    """Return what an error says: for the operating system's errors its own words, such as "No space left on device"."""
+    """Return the text of an error in one line.
+
+    For errors of the operating system its text, "No space left on device".
+    """
     if isinstance(error, MemoryError):
-        return "it needs more memory than a sound file of its kind does"
+        return "it needs more memory than an intact file of its kind does"
     if isinstance(error, OSError) and error.strerror:
         return error.strerror
     if "failed to fill whole buffer" in str(error) or "FileDataTable" in str(error):
         return "it is cut short; for AEDAT 4.0 `evstim recover IN OUT` makes a file that others read"
     text = " ".join(str(error).split()) or type(error).__name__
-    told = re.search(r"([A-Z][A-Za-z ,']+) \(os error \d+\)", text) or re.search(r"error message = '([^']+)'", text)
-    return told[1] if told else text[:_MOST]
+    found = re.search(r"([A-Z][A-Za-z ,']+) \(os error \d+\)", text) or re.search(r"error message = '([^']+)'", text)
+    return found[1] if found else text[:_MOST]

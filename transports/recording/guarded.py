@@ -1,9 +1,10 @@
-"""A recording of unknown origin, read by a child process with bounds on memory and time, in pieces.
+"""Reader of recordings of unknown origin: a child process with limits on memory and time reads them in pieces.
 
-A library that meets a damaged file may run for ever, take all memory, or end its process by a signal. In a child of its
-own each of these becomes a RecordingError, after all parts before it. The child's memory does not grow with the file.
+A library that meets a damaged file may run for ever, take all memory, or end its process by a signal. In a child
+process each of these becomes a RecordingError, after all parts before it. The child's memory does not grow with the
+file.
 
-The process that reads a recording of unknown origin: the file's parts on stdout, under limits of its own.
+`main` is the child process: it writes the file's parts to stdout, under its limits.
 """
 
 from __future__ import annotations
@@ -45,35 +46,37 @@ _START = (
 
 
 class LibraryMissing(RecordingError):
-    """The optional package that reads this format is not installed."""
+    """Error: the optional package that reads this format is not installed."""
 
 
 class OpenRecording:
-    """A recording that is open, in a child process; a context manager.
+    """Recording that is open in a child process; a context manager.
 
     Parameters
     ----------
-    size : (width, height) of the sensor, for files that do not tell it.
+    size : tuple[int, int] or None
+        (width, height) of the sensor, for files without it.
 
     Raises
     ------
     RecordingError
-        It cannot be read. LibraryMissing where its library is missing. OSError where it cannot be opened.
+        It cannot be read. LibraryMissing if its library is missing. OSError if it cannot be opened.
 
     Attributes
     ----------
-    format, facts : what it is, and what is known of it before its first event.
+    format, facts
+        Its format, and the facts available before its first event.
     """
 
     def __init__(self, path: Path, size: tuple[int, int] | None = None) -> None:
         self.format: Format = format_to_read(path)
-        self._messages = self._heard()
+        self._messages = self._receive()
         self._cpu_s = 30 + 2 * (-(-_bytes_of(path) // _MIB))
         self._process = self._started(path, size)
         try:
             first = next(self._messages)
             if not isinstance(first, dict):
-                raise RecordingError("its reader said nothing of it")
+                raise RecordingError("its reader sent no facts")
             if first["kind"] == "Z":
                 raise (LibraryMissing if first["lacks"] else RecordingError)(first["trouble"])
             self.facts: Facts = facts_of(first)
@@ -94,7 +97,7 @@ class OpenRecording:
         )  # fmt: skip
 
     def parts(self) -> Iterator[Part]:
-        """Yield all parts; raises RecordingError after those that came before what is damaged."""
+        """Yield all parts; raises RecordingError after the parts before damaged data."""
         for message in self._messages:
             if isinstance(message, Part):
                 yield message
@@ -103,8 +106,8 @@ class OpenRecording:
                     raise RecordingError(message["trouble"])
                 return
 
-    def _heard(self) -> Iterator[Any]:
-        """Yield what the child says; raises RecordingError for its death."""
+    def _receive(self) -> Iterator[Any]:
+        """Yield the messages of the child; raises RecordingError for its death."""
         pipe = PipeReader()
         while data := self._process.stdout.read1(_READ_BYTES):  # type: ignore[union-attr]
             try:
@@ -115,12 +118,12 @@ class OpenRecording:
 
     def _death(self, code: int) -> str:
         if -code in (signal.SIGXCPU, signal.SIGKILL):
-            return f"it took more than {self._cpu_s} s to read, which no sound file of its size does: it is damaged"
+            return f"it took more than {self._cpu_s} s to read, which no intact file of its size does: it is damaged"
         how = signal.Signals(-code).name if code < 0 else f"exit code {code}"
         return f"its reader ended by {how}: the file is damaged, or needs more than {_MEMORY_BYTES // _MIB} MiB"
 
     def close(self) -> None:
-        """End the child."""
+        """End the child process."""
         self._process.kill()
         self._process.stdout.close()  # type: ignore[union-attr]
         self._process.wait()
@@ -140,11 +143,11 @@ def _bytes_of(path: Path) -> int:
     return path.stat().st_size
 
 
-_MOST_EVENTS = 1 << 16  # of a message
+_MOST_EVENTS = 1 << 16  # in one message
 
 
 def main() -> None:
-    """Read the file of the order, the first argument, and write facts, parts and an end to stdout."""
+    """Read the file of the request, the first argument, and write facts, parts and an end to stdout."""
     order = json.loads(sys.argv[1])
     trouble, lacks = "", False
     try:
@@ -164,7 +167,7 @@ def main() -> None:
 
 def _opened(order: dict[str, Any], size: tuple[int, int] | None) -> Reader:
     form = FORMATS[order["format"]]
-    form.imported(form.reader)  # before the limits: they are for the file
+    form.imported(form.reader)  # before the limits, which are meant for the file
     _limit(order["memory_bytes"], order["cpu_s"])
     return form.open_reader(Path(order["path"]), size)
 

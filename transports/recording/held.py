@@ -1,4 +1,4 @@
-"""What waits for its turn in a file: records and frames, taken up to a time, in the order of time."""
+"""Queues of records and frames, which are taken up to a time, in the order of time."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ _Records = npt.NDArray[Any]
 
 
 class HeldRecords:
-    """Records of one stream with a time `t`, u64 us.
+    """Queue of records of one stream with a time `t`, u64 us.
 
-    Pieces are sorted in themselves; one may begin before the end of the piece before it.
+    Each piece is sorted; one may begin before the end of the preceding piece.
     """
 
     def __init__(self, dtype: np.dtype[Any]) -> None:
@@ -29,7 +29,7 @@ class HeldRecords:
         self._is_sorted = True
 
     def time_of(self, index: int) -> int | None:
-        """Return the time of the record at `index` of those that wait; None where fewer wait."""
+        """Return the time of the waiting record at `index`; None if fewer wait."""
         self._sort()
         for piece in self._pieces:
             if index < len(piece):
@@ -46,7 +46,7 @@ class HeldRecords:
         self._pieces.append(records)
 
     def take(self, until_us: int) -> _Records:
-        """Return the records up to `until_us`, (n,) in the order of time; those of one time as they came."""
+        """Return the records up to `until_us`, (n,) in the order of time; records of equal time in order of arrival."""
         if not self._pieces:
             return self._none
         self._sort()
@@ -73,13 +73,13 @@ class HeldRecords:
 
 
 class HeldFrames:
-    """Frames, by the time of each."""
+    """Queue of frames, by the time of each."""
 
     def __init__(self) -> None:
         self._frames: list[Frame] = []
 
     def time_of(self, index: int) -> int | None:
-        """Return the time of the frame at `index` of those that wait; None where fewer wait."""
+        """Return the time of the waiting frame at `index`; None if fewer wait."""
         return self._frames[index].t_us if index < len(self._frames) else None
 
     def add(self, frames: tuple[Frame, ...]) -> None:

@@ -33,10 +33,10 @@ _MOST_HEADER = 1 << 22  # jAER writes all its preferences: 2100 lines
 
 
 class Aedat2Writer:
-    """Writes events, pin events, IMU samples and frames as jAER does, of a sensor of `facts.size`.
+    """Writer of events, pin events, IMU samples and frames in jAER's layout, of a sensor of `facts.size`.
 
     A frame is the reset reads of its pixels, at the start of its exposure, and their signal reads at its end, which
-    wait until all that is earlier has come.
+    wait until all earlier data have arrived.
     """
 
     def __init__(self, path: Path, facts: Facts) -> None:
@@ -66,7 +66,7 @@ class Aedat2Writer:
         self._file.flush()
 
     def close(self) -> None:
-        """Write what waits and close the file."""
+        """Write the waiting records and close the file."""
         try:
             self._append(self._signal)
         finally:
@@ -74,18 +74,18 @@ class Aedat2Writer:
 
 
 class Aedat2Reader:
-    """Reads events, pin events, IMU samples and frames; `size` is the sensor's where the file does not give it."""
+    """Reader of events, pin events, IMU samples and frames; `size` is the sensor's if the file does not give it."""
 
     def __init__(self, path: Path, size: tuple[int, int] | None) -> None:
         self._path = path
         with path.open("rb") as file:
             self._start, told, unix_us = _parsed(parse_aedat2_header, file.read(_MOST_HEADER))
         if not (size or told):
-            raise RecordingError("it does not tell the size of its sensor: give --size, such as 346x260")
+            raise RecordingError("it does not contain the size of its sensor: give --size, such as 346x260")
         self.facts = Facts(size or told, "aedat2", unix_us, _STREAMS)
 
     def parts(self) -> Iterator[Part]:
-        """Yield events, and raise RecordingError at the end where many lay outside the sensor."""
+        """Yield events, and raise RecordingError at the end if many were outside the sensor."""
         decoder = Aedat2Decoder(self.facts.size or (0, 0))
         for data in _pieces(self._path, self._start):
             yield decoder.decode(data)
@@ -96,7 +96,7 @@ class Aedat2Reader:
 
 
 class Aedat31Writer:
-    """Writes events, special events, IMU samples and frames as cAER does."""
+    """Writer of events, special events, IMU samples and frames in cAER's layout."""
 
     def __init__(self, path: Path, facts: Facts) -> None:
         self._file = path.open("wb", buffering=1 << 16)
@@ -116,7 +116,7 @@ class Aedat31Writer:
 
 
 class Aedat31Reader:
-    """Reads events, special events, IMU samples and frames; the file does not give the size of its sensor."""
+    """Reader of events, special events, IMU samples and frames; the file does not give the size of its sensor."""
 
     def __init__(self, path: Path, size: tuple[int, int] | None) -> None:
         self._path = path
@@ -126,7 +126,7 @@ class Aedat31Reader:
         self.facts = Facts(size or known, source or "aedat31", streams=_STREAMS)
 
     def parts(self) -> Iterator[Part]:
-        """Yield what is in whole packets."""
+        """Yield the contents of whole packets."""
         decoder = Aedat31Decoder()
         for data in _pieces(self._path, self._start):
             try:
@@ -136,7 +136,7 @@ class Aedat31Reader:
             yield part
 
 
-_STREAMS = frozenset({"edges", "imu", "frames"})  # may be there: only reading all of a file shows it
+_STREAMS = frozenset({"edges", "imu", "frames"})  # possible streams: only reading the whole file shows if they exist
 _SIZES = {"DAVIS346": (346, 260), "DAVIS240": (240, 180), "DVS128": (128, 128), "DAVIS640": (640, 480)}
 
 

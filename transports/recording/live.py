@@ -1,19 +1,20 @@
-"""A live recording: parts go through a pipe to a process that writes them, so that no disk delays a camera.
+"""Live recording: parts are sent through a pipe to a process that writes them, so that no disk delays a camera.
 
     link --append--> queue --thread--> pipe --> writer process --> file
 
-The queue is bounded. In a run that is not paced `append` waits for room; in one that is, events that find none are left
-out of the file and counted.
+The queue is bounded. In a run without pacing `append` waits for room; in a paced run, events that find no room are
+omitted from the file and counted.
 
-The process that writes a live recording: parts in from a pipe, one file out, a report at the end.
+`main` is the process that writes: it reads parts from a pipe, writes one file, and reports at the end.
 
-    stdin   parts (see `parts_pipe`), until its end
-    stdout  a line of JSON when the file is open, or cannot be; another one when it is closed
+    stdin   parts (see `part`), until its end
+    stdout  a line of JSON when the file is open, or cannot be opened; another one when it is closed
 
-It ends with its input, so that the file is finished also when the process that feeds it is killed. Signals to the whole
-group are for the session, which then ends its input.
+It ends with its input, so that the file is finished even if the process that feeds it is killed. Signals to the whole
+group are for the session, which then ends the input.
 
-A recorder for a file of any format: `.npz` in the calling process, all others in one of their own.
+`open_recorder` returns a recorder for a file of any format: `.npz` in the calling process, all others in a separate
+process.
 """
 
 from __future__ import annotations
@@ -63,12 +64,14 @@ _START = (
 
 
 class LiveRecorder:
-    """Writes parts in device time to `path`. Only the constructor raises OSError.
+    """Recorder of parts in device time to `path`. Only the constructor raises OSError.
 
     Attributes
     ----------
-    missing : how much of each stream found the queue full, or came when nothing could be written any more.
-    report : what the writer reports at its end: "written", "left_out", "late", "trouble", "paths".
+    missing : Counter[str]
+        Number of records of each stream that found the queue full, or arrived when nothing could be written any more.
+    report : dict[str, Any]
+        Report of the writer at its end: "written", "left_out", "late", "trouble", "paths".
     """
 
     def __init__(self, path: Path, form: Format, facts: Facts, what: str = "record") -> None:
@@ -87,25 +90,27 @@ class LiveRecorder:
 
     def _opened(self) -> None:
         """Wait until the file is open; raises OSError."""
-        told = self._hear()
-        if "opened" in told:
+        answer = self._read_line()
+        if "opened" in answer:
             return
         self._let_go()
-        raise OSError(0, told.get("error", f"its writer ended (exit code {self._process.returncode})"), str(self.path))
+        raise OSError(
+            0, answer.get("error", f"its writer ended (exit code {self._process.returncode})"), str(self.path)
+        )
 
     @property
     def broken(self) -> bool:
-        """Whether the writer has ended, so that nothing more is written."""
+        """True if the writer has ended, so that nothing more is written."""
         return self._messages.broken or self._process.poll() is not None
 
     @property
     def room(self) -> int:
-        """Events that `append` takes now."""
+        """Number of events that `append` accepts now."""
         return self._messages.room_bytes // EVENT.itemsize
 
     @property
     def trouble(self) -> str:
-        """Why the file is not whole, for people; empty where it is."""
+        """Reason for an incomplete file, for people; empty if it is complete."""
         if why := self.report.get("trouble"):
             return f"{self._what} stopped: {why} ({self.path})"
         if self.missing:
@@ -116,16 +121,16 @@ class LiveRecorder:
 
     @property
     def summary(self) -> RecordingSummary:
-        """What the file holds, once it is closed."""
+        """Summary of the closed file."""
         report = self.report
         paths = tuple(report.get("paths", [str(self.path)]))
         written, left_out = report.get("written", {}), report.get("left_out", {})
         return RecordingSummary(self._form.title, paths, written, left_out, self.trouble, closed=bool(report))
 
     def append(self, part: Part, *, restarted: bool = False, unix_us: int | None = None) -> None:
-        """Add a part in device time; `restarted` when that time began anew before it.
+        """Add a part in device time; `restarted` if the clock was restarted before it.
 
-        `unix_us` is the Unix time at which it began; None in a run that is not paced, where this call may wait.
+        `unix_us` is the Unix time at which it began; None in a run without pacing, where this call may wait.
         """
         if restarted:
             self._restart = encoded_restart(unix_us or 0)
@@ -137,24 +142,24 @@ class LiveRecorder:
             self.missing.update(counts_of(part))
 
     def reach(self, t_us: int) -> None:
-        """Take note that no event earlier than `t_us` of device time will come."""
+        """Record that no event earlier than `t_us` of device time will come."""
         if t_us - self._reached_us >= _REACH_US:
             self._reached_us = t_us
             self._messages.put(encoded_reached(t_us), wait=False)
 
     def close(self) -> None:
-        """Let the writer finish the file, and receive its report; it goes on by itself where that takes long."""
+        """Let the writer finish the file, and receive its report; if that takes long, it continues by itself."""
         self._messages.end()
         self._thread.join(_CLOSE_S)
         if self._thread.is_alive():
             self.report = {"trouble": f"still being written by process {self._process.pid}"}
 
     def _send_all(self) -> None:
-        """Send what waits until the end, and then hear the report; in the thread."""
+        """Send the waiting messages until the end, then read the report; runs in the thread."""
         self._messages.send_all(self._process.stdin.fileno())  # type: ignore[union-attr]
         with suppress(OSError):
             self._process.stdin.close()  # type: ignore[union-attr]
-        self.report = self._hear() or {"trouble": "its writer was killed"}
+        self.report = self._read_line() or {"trouble": "its writer was killed"}
         self._messages.stop()
         self._let_go()
 
@@ -165,20 +170,20 @@ class LiveRecorder:
         self._process.stdout.close()  # type: ignore[union-attr]
         self._process.wait()
 
-    def _hear(self) -> dict[str, Any]:
-        """Return the writer's next line, {} where it ended without one."""
+    def _read_line(self) -> dict[str, Any]:
+        """Return the writer's next line, {} if it ended without one."""
         line = self._process.stdout.readline() if self._process.stdout else b""
         try:
-            told: dict[str, Any] = json.loads(line)
+            answer: dict[str, Any] = json.loads(line)
         except ValueError:
             return {}
-        return told
+        return answer
 
 
 def _started(path: Path, form: Format, facts: Facts) -> subprocess.Popen[bytes]:
     known = {"size": facts.size, "camera": facts.camera, "unix_us": facts.unix_us, "streams": sorted(facts.streams)}
     order = json.dumps({"path": str(path), "format": form.name, "facts": known})
-    # A session of its own: a signal to the group of the run must not end it before its input does.
+    # A separate session: a signal to the group of the run must not end it before its input ends.
     process = subprocess.Popen(
         [sys.executable, "-P", "-c", _START, order, json.dumps(sys.path)],
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, start_new_session=True,
@@ -192,23 +197,23 @@ _READ_BYTES = 1 << 20
 
 
 def main() -> None:
-    """Write what comes on stdin to the file of the order, the first argument."""
+    """Write the data of stdin to the file of the request, the first argument."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     order = json.loads(sys.argv[1])
     try:
         file = RecordingFile(Path(order["path"]), FORMATS[order["format"]], facts_of(order["facts"]))
     except BaseException as error:  # noqa: BLE001 a panic of Rust is no Exception
-        _tell(error=reason(error))
+        _report(error=reason(error))
         return
-    _tell(opened=True)
+    _report(opened=True)
     trouble = _written(file)
     paths = [str(path) for path in file.paths]
-    _tell(written=file.written, left_out=+file.left_out, late=+file.late, trouble=trouble, paths=paths)
+    _report(written=file.written, left_out=+file.left_out, late=+file.late, trouble=trouble, paths=paths)
 
 
 def _written(file: RecordingFile) -> str:
-    """Write all that comes; return why the file is not whole, "" where it is."""
+    """Write all data; return the reason for an incomplete file, "" if it is complete."""
     try:
         _write_all(file)
     except BaseException as error:  # noqa: BLE001
@@ -232,10 +237,10 @@ def _write_all(file: RecordingFile) -> None:
     file.close()
 
 
-def _tell(**told: Any) -> None:
+def _report(**values: Any) -> None:
     try:
-        os.write(1, json.dumps(told).encode() + b"\n")
-    except OSError:  # nobody is there to hear it
+        os.write(1, json.dumps(values).encode() + b"\n")
+    except OSError:  # no process reads it
         return
 
 
@@ -244,7 +249,7 @@ if __name__ == "__main__":
 
 
 AnyRecorder = Recorder | LiveRecorder
-"""What appends events and edges while a run lasts."""
+"""Recorder that appends events and edges during a run."""
 
 
 def open_recorder(path: Path, facts: Facts) -> AnyRecorder:

@@ -1,4 +1,4 @@
-"""NumPy `.npz` files: see `record` for what they hold. They are read in pieces, so that memory stays flat."""
+"""NumPy `.npz` files: see `record` for their contents. They are read in pieces, so that memory stays constant."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _RESTARTS = {"events": "resets", "edges": "edge_resets", "imu": "imu_resets", "f
 
 
 class NpzWriter:
-    """Writes all streams; the file is there when it is closed, and until then the raw `.part` files are."""
+    """Writer of all streams; the file is made when it is closed, and until then the raw `.part` files exist."""
 
     def __init__(self, path: Path, facts: Facts) -> None:
         self._recorder = Recorder(path, facts.size)
@@ -47,7 +47,7 @@ class NpzWriter:
 
 
 class NpzReader:
-    """Reads a record, each stream from the last restart of the camera's clock on."""
+    """Reader of a record, each stream from the last restart of the camera's clock on."""
 
     def __init__(self, path: Path, size: tuple[int, int] | None) -> None:
         self._path = path
@@ -63,7 +63,7 @@ class NpzReader:
         self.facts = Facts(known, "npz", streams=frozenset(streams))
 
     def parts(self) -> Iterator[Part]:
-        """Yield what there is in the order of time, at most a second of it at a time."""
+        """Yield the data in the order of time, at most a second of them at a time."""
         events, edges, imu, frames = (
             _Waiting(self._pieces(name, dtype), dtype)
             for name, dtype in zip(_RESTARTS, (EVENT, EDGE, IMU, frame_record(self.facts.size or (0, 0))), strict=True)
@@ -93,7 +93,7 @@ class NpzReader:
 
 
 class _Waiting:
-    """Records in the order of time, taken up to a time."""
+    """Queue of records in the order of time, taken up to a time."""
 
     def __init__(self, pieces: Iterator[npt.NDArray[Any]], dtype: np.dtype[np.void]) -> None:
         self._pieces = pieces
@@ -102,14 +102,14 @@ class _Waiting:
 
     @property
     def first_us(self) -> int:
-        """Time of the next record; that of no record where none is left."""
+        """Time of the next record; the largest time if none is left."""
         if not len(self._next):
             self._next = next(self._pieces, self._none)
         return int(self._next["t"][0]) if len(self._next) else _FOREVER_US
 
     @property
     def left(self) -> bool:
-        """Whether there are records that no time up to the latest one reaches."""
+        """True if there are records after the latest possible time."""
         return len(self._next) > 0
 
     def until(self, t_us: int, most: int = 1 << 62) -> npt.NDArray[Any]:
@@ -124,7 +124,7 @@ class _Waiting:
 
 
 def _last(starts: npt.NDArray[Any]) -> int:
-    """Return the last of the indices at which the clock started anew; 0 for none."""
+    """Return the last of the indices at which the clock was restarted; 0 for none."""
     return int(starts.ravel()[-1]) if starts.size else 0
 
 

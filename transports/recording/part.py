@@ -1,9 +1,9 @@
-"""What recordings hold, piece by piece: events, edges, frames and samples of an inertial unit; facts of the whole.
+"""Interfaces of recordings, facts of a whole recording, and messages for its parts on a pipe between two processes.
 
-Parts of recordings on a pipe between two processes of ours: a letter, a length, and bytes.
+A message is a letter, a length, and bytes.
 
-E events   X edges   I IMU samples   F a frame: JSON head, newline, pixels
-R a restart of the clock: i64 Unix us   T a time that was reached: i64 us   H facts, Z the end: JSON
+    E events   X edges   I IMU samples   F a frame: JSON head, newline, pixels
+    R a restart of the clock: i64 Unix us   T a time that was reached: i64 us   H facts, Z the end: JSON
 """
 
 from __future__ import annotations
@@ -43,29 +43,32 @@ __all__ = [
 
 
 class RecordingError(Exception):
-    """A recording cannot be read or written; the message says why, without the file's name."""
+    """Error: a recording cannot be read or written; the message gives the reason, without the file's name."""
 
 
 def counts_of(part: Part) -> Counter[str]:
-    """Return how much of each stream a part has: "events", "edges", "imu", "frames"; none of an empty one."""
+    """Return the number of records of each stream of a part: "events", "edges", "imu", "frames".
+
+    Without empty streams.
+    """
     counts = Counter(events=len(part.events), edges=len(part.edges), imu=len(part.imu), frames=len(part.frames))
     return +counts
 
 
 @dataclass(frozen=True)
 class Facts:
-    """What is true of a whole recording.
+    """Facts of a whole recording.
 
     Attributes
     ----------
     size
-        (width, height) of the sensor, pixels; None: it is not known.
+        (width, height) of the sensor, pixels; None: not known.
     camera
         Name of the camera.
     unix_us
-        Unix time of t = 0, us; 0: it is not known.
+        Unix time of t = 0, us; 0: not known.
     streams
-        What it holds besides events: "edges", "imu", "frames".
+        Its contents besides events: "edges", "imu", "frames".
     imu_unit
         Type of the inertial unit: 1 MPU-6050, 2 MPU-9250.
     """
@@ -78,10 +81,10 @@ class Facts:
 
 
 class Writer(Protocol):
-    """Writes one file. Times go on and begin near zero: see `Facts.unix_us`."""
+    """Writer of one file. Times increase and begin near zero: see `Facts.unix_us`."""
 
     def write(self, part: Part) -> None:
-        """Append what the format holds; raises OSError, RecordingError, or what its library raises."""
+        """Append the data that the format holds; raises OSError, RecordingError, or the errors of its library."""
         ...
 
     def close(self) -> None:
@@ -90,33 +93,33 @@ class Writer(Protocol):
 
 
 class Reader(Protocol):
-    """Reads one file."""
+    """Reader of one file."""
 
     @property
     def facts(self) -> Facts:
-        """What is known before the first event."""
+        """Facts that are available before the first event."""
         ...
 
     def parts(self) -> Iterator[Part]:
-        """Yield pieces of bounded size; raises RecordingError, OSError, or what its library raises."""
+        """Yield pieces of bounded size; raises RecordingError, OSError, or the errors of its library."""
         ...
 
 
 _HEAD = struct.Struct("<cI")
 _MOST_BYTES = 1 << 30
-_FOREIGN = "the other process sends what is no part of a recording"
+_FOREIGN = "the other process sends data that are no part of a recording"
 
 
 class Restart(int):
-    """A restart of the camera's clock: the Unix time, us, at which it is zero."""
+    """Restart of the camera's clock: the Unix time, us, at which it is zero."""
 
 
 class Reached(int):
-    """A time of the camera's clock, us, before which no event will come any more."""
+    """Time of the camera's clock, us, before which no further event comes."""
 
 
 def encoded_part(part: Part) -> list[bytes]:
-    """Return the messages of a part; what is empty has none."""
+    """Return the messages of a part; empty streams have none."""
     arrays = ((b"E", part.events), (b"X", part.edges), (b"I", part.imu))
     pieces = [(letter, records.tobytes()) for letter, records in arrays if len(records)]
     pieces += [(b"F", _frame_bytes(frame)) for frame in part.frames]
@@ -145,20 +148,20 @@ def encoded_reached(t_us: int) -> list[bytes]:
 
 
 def encoded_facts(facts: Facts, **more: Any) -> list[bytes]:
-    """Return the message of facts, and of what else is known."""
+    """Return the message of facts, with further values."""
     known = {"size": facts.size, "camera": facts.camera, "unix_us": facts.unix_us, "streams": sorted(facts.streams)}
     return _message(b"H", json.dumps(known | more).encode())
 
 
-def encoded_end(**told: Any) -> list[bytes]:
+def encoded_end(**values: Any) -> list[bytes]:
     """Return the message that ends a stream."""
-    return _message(b"Z", json.dumps(told).encode())
+    return _message(b"Z", json.dumps(values).encode())
 
 
-def facts_of(told: dict[str, Any]) -> Facts:
+def facts_of(values: dict[str, Any]) -> Facts:
     """Return the facts of an H message."""
-    size = told["size"] and (int(told["size"][0]), int(told["size"][1]))
-    return Facts(size, told["camera"], told["unix_us"], frozenset(told["streams"]))
+    size = values["size"] and (int(values["size"][0]), int(values["size"][1]))
+    return Facts(size, values["camera"], values["unix_us"], frozenset(values["streams"]))
 
 
 def _message(letter: bytes, data: bytes) -> list[bytes]:
@@ -166,14 +169,14 @@ def _message(letter: bytes, data: bytes) -> list[bytes]:
 
 
 class PipeReader:
-    """Takes messages out of the bytes of a pipe, and puts parts together again."""
+    """Parser of the bytes of a pipe, which joins messages to parts."""
 
     def __init__(self) -> None:
         self._data = bytearray()
         self._part = Part()
 
     def feed(self, data: bytes) -> Iterator[Part | Restart | Reached | dict[str, Any]]:
-        """Yield what is complete with the next bytes; raises ValueError for what is none of ours."""
+        """Yield the values that are complete with the next bytes; raises ValueError for an invalid message."""
         self._data += data
         start = 0
         while len(self._data) - start >= _HEAD.size:
@@ -186,7 +189,7 @@ class PipeReader:
             payload = bytes(memoryview(self._data)[start + _HEAD.size : end])
             start = end
             if letter in b"HRTZ":
-                yield _told(letter, payload)
+                yield _decoded(letter, payload)
                 continue
             self._part = _with(self._part, letter.upper(), payload)
             if letter.isupper():
@@ -195,15 +198,15 @@ class PipeReader:
         del self._data[:start]
 
 
-def _told(letter: bytes, data: bytes) -> Restart | Reached | dict[str, Any]:
+def _decoded(letter: bytes, data: bytes) -> Restart | Reached | dict[str, Any]:
     if letter in b"RT":
         return (Restart if letter == b"R" else Reached)(struct.unpack("<q", data)[0])
-    told: dict[str, Any] = json.loads(data)
-    return {"kind": letter.decode(), **told}
+    values: dict[str, Any] = json.loads(data)
+    return {"kind": letter.decode(), **values}
 
 
 def _with(part: Part, letter: bytes, data: bytes) -> Part:
-    """Return the part with what a message brings."""
+    """Return the part with the data of a message."""
     if letter == b"E":
         return dataclasses.replace(part, events=np.frombuffer(data, EVENT))
     if letter == b"X":

@@ -63,7 +63,7 @@ _Array = npt.NDArray[Any]
 
 
 class ArrayFileError(ValueError):
-    """The file is no array file that can be read; the message says why, without the file's name."""
+    """Error: the file is not a readable array file; the message gives the reason, without the file's name."""
 
 
 def load_array(path: Path) -> _Array:
@@ -82,8 +82,8 @@ def load_arrays(path: Path, names: Sequence[str]) -> dict[str, _Array]:
             return {name: _member(archive, f"{name}.npy") for name in names if f"{name}.npy" in there}
     except (ArrayFileError, OSError):
         raise
-    except Exception as error:  # zipfile answers a damaged archive with whatever it ran into
-        raise ArrayFileError(f"it is no sound .npz archive: {_told(error)}") from error
+    except Exception as error:  # zipfile raises errors of any type for a damaged archive
+        raise ArrayFileError(f"it is no sound .npz archive: {_text_of(error)}") from error
 
 
 def _require_regular(path: Path) -> None:
@@ -116,13 +116,15 @@ def _array(file: IO[bytes], size: int) -> _Array:
     claimed, there = math.prod(shape) * dtype.itemsize, size - file.tell()
     if claimed > there:
         raise ArrayFileError(
-            f"its header says shape {shape} of {dtype}, {claimed} bytes, and {there} follow: it is cut short or damaged"
+            f"its header has shape {shape} of {dtype}, {claimed} bytes, and {there} follow: it is cut short or damaged"
         )
     try:
         array = np.frombuffer(_content(file, claimed), dtype)
         return array.reshape(shape, order="F" if is_fortran else "C")
     except (ValueError, TypeError) as error:
-        raise ArrayFileError(f"its header says shape {shape} of {dtype}, which is no array: {_told(error)}") from error
+        raise ArrayFileError(
+            f"its header has shape {shape} of {dtype}, which is no array: {_text_of(error)}"
+        ) from error
 
 
 def _header(file: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
@@ -135,15 +137,15 @@ def _header(file: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
             shape, is_fortran, dtype = read(file)
     except (ArrayFileError, OSError):
         raise
-    except Exception as error:  # the header is a piece of Python text: its parser raises what it likes
-        raise ArrayFileError(f"its header is no header of an array: {_told(error)}") from error
+    except Exception as error:  # the header is Python text: its parser raises errors of any type
+        raise ArrayFileError(f"its header is no header of an array: {_text_of(error)}") from error
     if any(n < 0 for n in shape):
-        raise ArrayFileError(f"its header says shape {shape}: sizes are not negative")
+        raise ArrayFileError(f"its header has shape {shape}: sizes are not negative")
     return shape, is_fortran, dtype
 
 
 def _content(file: IO[bytes], count: int) -> bytearray:
-    """Return exactly `count` bytes, read piece by piece: a member of an archive may hold fewer than it says."""
+    """Return exactly `count` bytes, read in pieces: a member of an archive may contain fewer than its header gives."""
     content = bytearray()
     while len(content) < count:
         piece = file.read(min(_PIECE_BYTES, count - len(content)))
@@ -153,7 +155,7 @@ def _content(file: IO[bytes], count: int) -> bytearray:
     return content
 
 
-def _told(error: Exception) -> str:
+def _text_of(error: Exception) -> str:
     return f"{error}"[:200] or type(error).__name__
 
 
@@ -173,7 +175,7 @@ def _frame(frame: Frame, size: tuple[int, int]) -> npt.NDArray[np.void]:
 
 
 class Recorder:
-    """Appends what was delivered; `close` makes the `.npz`. Only the constructor raises OSError."""
+    """Recorder of delivered data; `close` makes the `.npz`. Only the constructor raises OSError."""
 
     def __init__(self, path: Path, size: tuple[int, int] | None = None) -> None:
         self.path = path
@@ -188,12 +190,12 @@ class Recorder:
 
     @property
     def trouble(self) -> str:
-        """Why the record is not whole, for people; empty where it is."""
+        """Reason for an incomplete record, for people; empty if it is complete."""
         return next((kept.trouble for kept in self._kept if kept.trouble), "")
 
     @property
     def summary(self) -> RecordingSummary:
-        """What the file holds, once it is closed."""
+        """Summary of the closed file."""
         if not self._closed:
             return RecordingSummary("NumPy", (str(self._events.path),))
         frames = 0 if self._frames is None else self._frames.count
@@ -202,9 +204,9 @@ class Recorder:
         return RecordingSummary("NumPy", (str(self.path),), dict(+written), dict(+left_out), self.trouble, closed=True)
 
     def append(self, part: Part, *, restarted: bool = False, unix_us: int | None = None) -> None:
-        """Add a part in device time; `restarted` when that time began anew before it.
+        """Add a part in device time; `restarted` if the clock was restarted before it.
 
-        This format has no place for `unix_us`, the Unix time at which it began.
+        This format has no field for `unix_us`, the Unix time at which it began.
         """
         if self.trouble:
             return
@@ -219,7 +221,7 @@ class Recorder:
             self._frames_left_out += len(part.frames)
 
     def reach(self, t_us: int) -> None:
-        """Take note that no event earlier than `t_us` will come: nothing waits here."""
+        """Do nothing: no data wait here."""
 
     def _add_frames(self, frames: tuple[Frame, ...], size: tuple[int, int]) -> None:
         if self._frames is None:
@@ -229,7 +231,7 @@ class Recorder:
         self._frames.append(np.concatenate([_frame(frame, size) for frame in frames]))
 
     def close(self) -> None:
-        """Write the `.npz` and remove the raw files, which stay where that is not possible."""
+        """Write the `.npz` and remove the raw files, which stay if that is not possible."""
         self._closed = True
         for kept in self._kept:
             kept.close()
@@ -263,12 +265,14 @@ class Recorder:
 
 
 class _Raw:
-    """One kind of record in a raw file, and the indices of those at which time began anew.
+    """One kind of record in a raw file, and the indices of clock restarts.
 
     Attributes
     ----------
-    path : the raw file.
-    count : records that were written.
+    path : Path
+        The raw file.
+    count : int
+        Number of records that were written.
     """
 
     def __init__(self, path: Path, dtype: np.dtype[np.void]) -> None:
@@ -306,39 +310,39 @@ class _Raw:
 
 
 def save_record(path: Path, events: Events, resets: list[int]) -> None:
-    """Write events (n,) in device time and the indices at which that time started anew; no edges."""
+    """Write events (n,) in device time and the indices of clock restarts; no edges."""
     with path.open("wb") as file:
         np.savez(file, events=events, resets=np.array(resets, np.int64))
 
 
 def load_record(path: str | Path) -> tuple[Events, list[int]]:
-    """Read a record: events (n,) EVENT in device time, and the indices at which device time started anew.
+    """Read a record: events (n,) EVENT in device time, and the indices of clock restarts.
 
-    Raises ArrayFileError with the file's name, or OSError where it cannot be opened.
+    Raises ArrayFileError with the file's name, or OSError if it cannot be opened.
     """
     return _load(Path(path), EVENT, "events", "resets")
 
 
 def load_edges(path: Path) -> tuple[Edges, list[int]]:
-    """Read a record's edges, (m,) EDGE in device time, and the indices at which device time started anew.
+    """Read a record's edges, (m,) EDGE in device time, and the indices of clock restarts.
 
-    Raises ArrayFileError with the file's name, or OSError where it cannot be opened.
+    Raises ArrayFileError with the file's name, or OSError if it cannot be opened.
     """
     return _load(path, EDGE, "edges", "edge_resets")
 
 
 def load_imu(path: Path) -> tuple[npt.NDArray[np.void], list[int]]:
-    """Read a record's inertial samples, (n,) IMU in device time, and the indices at which device time started anew.
+    """Read a record's inertial samples, (n,) IMU in device time, and the indices of clock restarts.
 
-    Raises ArrayFileError with the file's name, or OSError where it cannot be opened.
+    Raises ArrayFileError with the file's name, or OSError if it cannot be opened.
     """
     return _load(path, IMU, "imu", "imu_resets")
 
 
 def load_frames(path: Path) -> tuple[npt.NDArray[np.void], list[int]]:
-    """Read a record's frames, (n,) of `frame_record`, and the indices at which device time started anew.
+    """Read a record's frames, (n,) of `frame_record`, and the indices of clock restarts.
 
-    Both are empty where it has no frames.
+    Both are empty if it has no frames.
     """
     with np.load(path) as arrays:
         if "frames" not in arrays:

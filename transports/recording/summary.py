@@ -1,4 +1,4 @@
-"""What a recording holds when it is closed, and what it does not hold."""
+"""Summary of a closed recording: its contents, and the omitted data."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ _NAMES = {"events": "events", "edges": "triggers", "imu": "IMU samples", "frames
 
 @dataclass(frozen=True)
 class RecordingSummary:
-    """What a file that a run wrote holds.
+    """Summary of a file that a run wrote.
 
     Attributes
     ----------
     title
         Its format, for people.
     paths
-        The file, and those that began when the camera's clock started anew.
+        The file, and those that began at restarts of the camera's clock.
     written, left_out
-        How much of each stream it holds, and how much of what came its format cannot hold: "events", "edges", "imu",
+        Number of records of each stream in it, and of those that its format cannot hold: "events", "edges", "imu",
         "frames". Both are empty until it is closed.
     trouble
-        Why it is not whole, for people; empty where it is.
+        Reason for an incomplete file, for people; empty if it is complete.
     closed
-        Whether it was finished; not so where the process of its link died.
+        True if it was finished; False if the process of its link died.
     """
 
     title: str

@@ -1,13 +1,12 @@
-"""A recording in any format as it is written: in pieces of a good size, in the order of time, one file for each clock.
+"""Writer of a recording in any format: in pieces of a suitable size, in the order of time, one file for each clock.
 
-Links hand over what they have as it leaves them: an edge ahead of the events of its time, a frame when it has been
-read out, dated by its exposure. What comes is therefore held for a while, and what is older than that is written in the
-order of time. For how long is a matter of stream time alone, so that the file depends neither on the step nor on how
-busy the machine was. What comes still later is left out and counted, where the format has one order of time for it and
-what was written.
+Links pass on data when they leave: an edge before the events of its time, a frame when it has been read out, with the
+time of its exposure. So data are held for a time, and older data are written in the order of time. The holding time is
+stream time only, so that the file depends neither on the step nor on the load of the machine. Data that arrive later
+are omitted and counted, if the format has one order of time for them and the written data.
 
-A format holds one time that never goes back. When the camera's clock starts anew, so does the file: NAME.aedat4 is
-followed by NAME-clock2.aedat4.
+A format holds one time that never goes back. A restart of the camera's clock begins a new file: NAME.aedat4 is followed
+by NAME-clock2.aedat4.
 """
 
 from __future__ import annotations
@@ -31,24 +30,28 @@ __all__ = ["RecordingFile"]
 _PIECE_EVENTS = 1 << 14
 _HELD_PARTS = 4
 _HOLD_US = 100_000
-_HOLD_FRAMES_US = 1_000_000  # among events: as long as a frame may take from its exposure on to its last line
-_ALONE_US = 10_000_000  # what no event follows for so long waits for none
+_HOLD_FRAMES_US = 1_000_000  # with events: longest time of a frame from its exposure to its last line
+_ALONE_US = 10_000_000  # data that no event follows for this time do not wait for events
 _FOREVER_US = 1 << 62
 
 
 class RecordingFile:
-    """Writes parts to `path`, and to further files where the clock starts anew.
+    """Writer of parts to `path`, and to further files after restarts of the clock.
 
     Parameters
     ----------
-    hold : whether the parts come from a file that has packets of its own for each stream: what came with the last four
-        parts with events then waits for them.
+    hold : bool
+        True if the parts come from a file with separate packets for each stream: data that arrived with the last four
+        parts with events then wait for them.
 
     Attributes
     ----------
-    paths : the files.
-    written, left_out : how much of each stream is in them, and how much the format cannot hold.
-    late : how much of each stream is left out because it came when what is later had been written.
+    paths : list[Path]
+        The files.
+    written, left_out : Counter[str]
+        Number of records of each stream in them, and of those that the format cannot hold.
+    late : Counter[str]
+        Number of records of each stream omitted because later data had been written.
     """
 
     def __init__(self, path: Path, form: Format, facts: Facts, *, hold: bool = False) -> None:
@@ -80,19 +83,19 @@ class RecordingFile:
         self.paths.append(path)
 
     def restart(self, unix_us: int) -> None:
-        """Begin anew with a clock that is zero at the Unix time `unix_us`, 0 where that is not known."""
+        """Begin a new file for a clock that is zero at the Unix time `unix_us`, 0 if that is not known."""
         if self._is_new and unix_us == self._facts.unix_us:
             return
         self.flush()
         self._facts = dataclasses.replace(self._facts, unix_us=unix_us)
         is_new = self._is_new
         self.close()
-        if is_new:  # nothing has come, so that the same file serves
+        if is_new:  # no data have arrived, so the same file is used
             _remove(self.paths.pop())
         self._begin()
 
     def write(self, part: Part) -> None:
-        """Append a part; raises RecordingError for events that the format cannot hold, and what its writer raises."""
+        """Append a part; raises RecordingError for events that the format cannot hold, and its writer's errors."""
         self._is_new = False
         self.left_out.update({name: n for name, n in counts_of(part).items() if name not in self._streams})
         if len(part.events):
@@ -108,7 +111,7 @@ class RecordingFile:
         self.reach(self._last_us)
 
     def reach(self, t_us: int) -> None:
-        """Take note that no event earlier than `t_us` will come, and write what need not wait any longer."""
+        """Record that no event earlier than `t_us` will come, and write the data that need not wait any longer."""
         self._newest_us = max(self._newest_us, t_us)
         limit_us = self._newest_us - self._hold_us
         if self._parts:
@@ -136,7 +139,7 @@ class RecordingFile:
         self._newest_us = max(self._newest_us, frames[-1].t_us - _ALONE_US)
 
     def _earliest_us(self, name: str) -> int:
-        """Return the time from which on something of a stream can still be written."""
+        """Return the earliest time at which data of a stream can still be written."""
         if name in self._form.ordered:
             return max(0, self._limit_us)
         return self._written_us[name] if name != "frames" else -_FOREVER_US
@@ -153,18 +156,18 @@ class RecordingFile:
             raise RecordingError(f"an event lies outside the sensor of {width} x {height} pixels")
 
     def flush(self) -> None:
-        """Write all that waits."""
+        """Write all waiting data."""
         self._flush(_FOREVER_US)
 
     def _flush(self, until_us: int) -> None:
-        """Write what waits up to a time, in pieces as cameras make their packets."""
+        """Write the waiting data up to a time, in pieces like the packets of cameras."""
         while (piece_us := self._end_of_piece_us()) is not None and piece_us < until_us:
             self._write_piece(piece_us)
         self._write_piece(until_us)
         self._flushed_us, self._since_flush = max(self._flushed_us, min(until_us, self._newest_us)), 0
 
     def _end_of_piece_us(self) -> int | None:
-        """Return the time up to which what waits makes a piece; None where nothing waits."""
+        """Return the time up to which the waiting data make a piece; None if no data wait."""
         firsts = [*(held.time_of(0) for held in self._held.values()), self._frames.time_of(0)]
         first_us = min((t_us for t_us in firsts if t_us is not None), default=None)
         if first_us is None:
@@ -186,7 +189,7 @@ class RecordingFile:
                 self._written_us[name] = int(records["t"][-1])
 
     def close(self) -> None:
-        """Write what waits and finish the file."""
+        """Write the waiting data and finish the file."""
         writer = self._writer
         if writer is None:
             return
@@ -198,14 +201,14 @@ class RecordingFile:
 
 
 def _hold_us(form: Format, facts: Facts) -> int:
-    """Return for how long what comes is held; not at all where a file has events alone."""
+    """Return the holding time of data; 0 if a file has events only."""
     if form.holds == ("events",):
         return 0
     return _HOLD_FRAMES_US if "frames" in form.ordered and "frames" in facts.streams else _HOLD_US
 
 
 def _sorted(records: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Return the records of a piece in the order of time: files of other programs may have another."""
+    """Return the records of a piece in the order of time: files of other programs may have another order."""
     is_sorted = bool((records["t"][1:] >= records["t"][:-1]).all())
     return records if is_sorted else records[np.argsort(records["t"], kind="stable")]
 

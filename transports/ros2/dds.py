@@ -1,11 +1,10 @@
 """Writers and readers of topics of ROS 2 by CycloneDDS, for messages that are bytes.
 
-CycloneDDS has threads of its own, which send, receive and acknowledge; no call here waits.
+CycloneDDS has its own threads, which send, receive and acknowledge; no call here waits.
 
-The two types of messages for CycloneDDS. Messages are bytes here, which `firmware_protocol.ros2` makes and reads.
-
-CycloneDDS needs the members to describe the types to others; it would code each message member by member in Python.
-Names are as ROS 2 gives them to DDS. This module is imported by `dds`, where CycloneDDS is installed.
+The types of messages here contain bytes, which `firmware_protocol.ros2` encodes and decodes. CycloneDDS needs the
+members only to describe the types to other participants; it would encode each message member by member in Python. Names
+are those that ROS 2 gives to DDS.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ __all__ = ["MESSAGE_TYPES", "DdsParticipant", "Message", "RawMessage", "TopicQos
 
 
 class RawMessage(Protocol):
-    """A message that is bytes already."""
+    """Message in encoded form."""
 
     data: bytes
 
@@ -100,14 +99,14 @@ _MOST_AT_ONCE = 16
 
 @dataclass(frozen=True)
 class TopicQos:
-    """How a topic is written or read.
+    """Quality of service of a topic.
 
     Attributes
     ----------
     reliable
-        Whether what is lost on the way is sent again. A reliable reader does not match a writer that is not.
+        True to send lost messages again. A reliable reader does not match a writer that is not reliable.
     depth
-        Messages that are kept: the last ones.
+        Number of stored messages, the newest ones.
     """
 
     reliable: bool = True
@@ -116,14 +115,14 @@ class TopicQos:
 
 @dataclass(frozen=True)
 class Message:
-    """A message and the Unix time at which its writer wrote it, ns, by that machine's clock."""
+    """Message with the Unix time at which its writer wrote it, ns, by the writer's clock."""
 
     data: bytes
     written_ns: int
 
 
 class DdsParticipant:
-    """Membership in a domain; raises OSError, with what to do, when the network cannot be had. One for each domain."""
+    """Participant in a domain, one for each domain; raises OSError, with the remedy, if the network cannot be used."""
 
     def __init__(self, network: DdsNetwork) -> None:
         try:
@@ -137,16 +136,16 @@ class DdsParticipant:
             ) from error
 
     def writer(self, topic: str, kind: MessageType, qos: TopicQos) -> TopicWriter:
-        """Return a writer of the topic that ROS 2 calls `topic`."""
+        """Return a writer of the topic named `topic` in ROS 2."""
         return TopicWriter(DataWriter(self._participant, self._topic(topic, kind), qos=_qos(kind, qos)), kind)
 
     def reader(self, topic: str, kind: MessageType, qos: TopicQos) -> TopicReader:
-        """Return a reader of the topic that ROS 2 calls `topic`."""
+        """Return a reader of the topic named `topic` in ROS 2."""
         return TopicReader(DataReader(self._participant, self._topic(topic, kind), qos=_qos(kind, qos)))
 
     def close(self) -> None:
         """Leave the domain, after its writers and readers are closed; a second call does nothing."""
-        for name in ("_participant", "_domain"):  # CycloneDDS deletes what nothing refers to
+        for name in ("_participant", "_domain"):  # CycloneDDS deletes objects without references
             self.__dict__.pop(name, None)
 
     def _topic(self, topic: str, kind: MessageType) -> Any:
@@ -154,7 +153,7 @@ class DdsParticipant:
 
 
 class TopicWriter:
-    """Writes messages to one topic."""
+    """Writer of messages to one topic."""
 
     def __init__(self, writer: Any, kind: MessageType) -> None:
         self._writer = writer
@@ -162,18 +161,18 @@ class TopicWriter:
 
     @property
     def readers(self) -> int:
-        """How many readers there are."""
-        # DataWriter.get_matched_subscriptions of cyclonedds 11.0.1 raises IndexError where one comes meanwhile.
+        """Number of readers."""
+        # DataWriter.get_matched_subscriptions of cyclonedds 11.0.1 raises IndexError if one joins during the call.
         return int(self._writer.get_publication_matched_status().current_count)
 
     @property
     def acknowledged(self) -> bool:
-        """Whether all reliable readers have all that was written."""
+        """True if all reliable readers have all written messages."""
         # DataWriter.wait_for_acks of cyclonedds 11.0.1 raises AttributeError where it should return False.
         return bool(self._writer._wait_for_acks(self._writer._ref, 0) == 0)
 
     def write(self, data: bytes) -> bool:
-        """Write a message; False when DDS does not take it."""
+        """Write a message; return False when DDS refuses it."""
         try:
             self._writer.write(self._type(data))
         except DDSException:
@@ -186,18 +185,18 @@ class TopicWriter:
 
 
 class TopicReader:
-    """Reads messages of one topic."""
+    """Reader of messages of one topic."""
 
     def __init__(self, reader: Any) -> None:
         self._reader = reader
 
     @property
     def writers(self) -> int:
-        """How many writers there are."""
+        """Number of writers."""
         return int(self._reader.get_subscription_matched_status().current_count)
 
     def take(self) -> list[Message]:
-        """Return what has come, at most 16 messages."""
+        """Return the received messages, at most 16."""
         taken = self._reader.take(N=_MOST_AT_ONCE)
         return [Message(one.data, one.sample_info.source_timestamp) for one in taken if one.sample_info.valid_data]
 

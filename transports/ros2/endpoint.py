@@ -1,17 +1,13 @@
 """Topics of ROS 2 as a link's endpoint.
 
-    device.carry -> Gathering -> PacketCoder  -> a message a millisecond -> topic of events
-                              -> PictureCoder -> a message a picture     -> topic of pictures
+    device.carry -> MessageBuffer -> PacketCoder  -> a message a millisecond -> topic of events
+                                  -> PictureCoder -> a message a picture     -> topic of pictures
 
-A writer never waits: DDS keeps the last `depth` messages for readers that have to be sent some again. In a run that is
-not paced, no more than half of that many are under way, so that a run that nobody hurries loses nothing; a reader that
-has acknowledged nothing for two seconds is not waited for.
+A writer never waits: DDS stores the last `depth` messages, to send them again to readers that missed some. In a run
+without pacing, at most half of that number are unacknowledged, so that such a run loses nothing. The run does not wait
+for a reader that has acknowledged nothing for two seconds.
 
-Messages of a link: packets of events, and pictures of them, each with Unix time.
-
-Events that wait for others of their message.
-
-How many messages may be under way where none is to be lost.
+`MessageBuffer` holds events until their message is complete; `Window` limits the unacknowledged messages.
 """
 
 from __future__ import annotations
@@ -38,11 +34,11 @@ from transports.ros2.kind import Ros2Link
 if TYPE_CHECKING:
     from transports.ros2.dds import DdsParticipant, TopicWriter
 
-__all__ = ["Gathering", "PacketCoder", "PictureCoder", "Ros2Endpoint", "Ros2Factory", "Window"]
+__all__ = ["MessageBuffer", "PacketCoder", "PictureCoder", "Ros2Endpoint", "Ros2Factory", "Window"]
 
 
 class PacketCoder:
-    """Codes packets of events of a sensor of `size` = (width, height), as `link` says."""
+    """Encoder of packets of events of a sensor of `size` = (width, height), with the settings of `link`."""
 
     def __init__(self, link: Ros2Link, size: tuple[int, int]) -> None:
         self._link, self._size = link, size
@@ -51,11 +47,11 @@ class PacketCoder:
 
     @property
     def has_edges(self) -> bool:
-        """Whether edges are part of the messages."""
+        """True if edges are part of the messages."""
         return self._link.encoding == "evt3"
 
     def restart(self) -> None:
-        """Begin anew: the camera's clock did."""
+        """Restart after a restart of the camera's clock."""
         self._evt3 = Evt3Encoder(standalone=True, width=self._size[0])
 
     def packet(self, events: Events, edges: Edges, unix_us: int) -> bytes:
@@ -68,18 +64,18 @@ class PacketCoder:
 
 
 class PictureCoder:
-    """Codes pictures of the events of equal stretches of time."""
+    """Encoder of pictures of the events of equal stretches of time."""
 
     def __init__(self, link: Ros2Link, size: tuple[int, int]) -> None:
         self._link, self._size = link, size
         self._frames = frames_for(size, round(link.frame_ms * 1000), link.pictures)
 
     def restart(self) -> None:
-        """Begin anew: the camera's clock did."""
+        """Restart after a restart of the camera's clock."""
         self._frames.restart()
 
     def add(self, events: Events, unix_us: int) -> Iterator[bytes]:
-        """Take events (n,) EVENT, whose clock was zero at `unix_us`; yield the messages that these complete."""
+        """Add events (n,) EVENT, whose clock was zero at `unix_us`; yield the messages that they complete."""
         for t_us, image in self._frames.add(events):
             yield self._message(unix_us + t_us, image)
 
@@ -99,13 +95,13 @@ class PictureCoder:
         return image_message(Image(header, self._size, f"32FC{channels}", 4 * channels * width, pixels.tobytes()))
 
 
-class Gathering:
-    """Joins what is taken from a device until there is enough, or the first has waited `longest_ns`.
+class MessageBuffer:
+    """Buffer that joins the data of a device until there is enough, or the first has waited `longest_ns`.
 
     Parameters
     ----------
     most_events
-        After which a message is full.
+        Number of events of a full message.
     """
 
     def __init__(self, most_events: int, longest_ns: int) -> None:
@@ -115,30 +111,30 @@ class Gathering:
 
     @property
     def room(self) -> int:
-        """Events that still fit."""
+        """Number of events that still fit."""
         return self._most - sum(len(part.events) for part in self._parts)
 
     @property
     def holds(self) -> bool:
-        """Whether something waits here."""
+        """True if any data wait here."""
         return bool(self._parts)
 
     def add(self, taken: Taken, now_ns: int) -> None:
-        """Take a part, of the same clock as those before."""
+        """Add a part, of the same clock as the earlier parts."""
         if not self._parts:
             self._since_ns = now_ns
         self._parts.append(taken)
 
     def fits(self, epoch_us: int) -> bool:
-        """Say whether a part of a clock that was zero at `epoch_us` may join."""
+        """Return True if a part of a clock that was zero at `epoch_us` may be added."""
         return not self._parts or self._parts[0].epoch_us == epoch_us
 
     def due(self, now_ns: int) -> bool:
-        """Say whether what is here is to leave now."""
+        """Return True if the waiting data are to be sent now."""
         return bool(self._parts) and (self.room <= 0 or now_ns - self._since_ns >= self._longest_ns)
 
     def taken(self) -> Taken | None:
-        """Return all that is here, and forget it; None where nothing is."""
+        """Return and remove all waiting data; None if there are none."""
         if not self._parts:
             return None
         parts, self._parts = self._parts, []
@@ -151,7 +147,7 @@ _STALLED_NS = 2_000_000_000
 
 
 class Window:
-    """Lets `size` messages go until all are acknowledged; readers that do not for two seconds are not waited for."""
+    """Limit of `size` messages until all are acknowledged; after two seconds without progress it no longer applies."""
 
     def __init__(self, size: int) -> None:
         self._size = size
@@ -160,11 +156,11 @@ class Window:
         self._stalled = False
 
     def written(self) -> None:
-        """A message went."""
+        """Count a written message."""
         self._under_way += 1
 
     def open(self, now_ns: int, acknowledged: Callable[[], bool]) -> bool:
-        """Say whether the next one may go."""
+        """Return True if the next message may be written."""
         if self._under_way < self._size and not self._stalled:
             return True
         if acknowledged():
@@ -176,31 +172,31 @@ class Window:
         return self._stalled
 
 
-_MOST_EVENTS = 1 << 14  # of a message
+_MOST_EVENTS = 1 << 14  # in one message
 _LINGER_NS = 1_000_000_000
 _STEP_S = 0.001
 
 
 @dataclass(frozen=True)
 class Ros2Factory(EndpointFactory[PlainDevice]):
-    """Publishes the events of a sensor of `size` = (width, height), as `link` says."""
+    """Factory of the publisher of a sensor of `size` = (width, height), with the settings of `link`."""
 
     link: Ros2Link
     size: tuple[int, int]
 
     def build(self, device: PlainDevice, deliveries: Deliveries) -> Ros2Endpoint:
-        """Return the endpoint, not yet in its domain."""
+        """Return the endpoint; it has not joined its domain yet."""
         return Ros2Endpoint(self, device, deliveries)
 
 
 class Ros2Endpoint(Endpoint):
-    """One camera's topics."""
+    """Topics of one camera."""
 
     def __init__(self, factory: Ros2Factory, device: PlainDevice, deliveries: Deliveries) -> None:
         self._link, self._device, self._deliveries = factory.link, device, deliveries
         self._packets = PacketCoder(factory.link, factory.size)
         self._pictures = PictureCoder(factory.link, factory.size) if factory.link.image_topic else None
-        self._gathering = Gathering(_MOST_EVENTS, round(factory.link.message_ms * 1e6))
+        self._gathering = MessageBuffer(_MOST_EVENTS, round(factory.link.message_ms * 1e6))
         self._participant: DdsParticipant | None = None
         self._events_to: TopicWriter | None = None
         self._pictures_to: TopicWriter | None = None
@@ -211,7 +207,7 @@ class Ros2Endpoint(Endpoint):
         device.takes_edges = self._packets.has_edges
 
     async def start(self) -> None:
-        """Join the domain; raises OSError, with what to do, where that cannot be done."""
+        """Join the domain; raises OSError, with the remedy, if that is not possible."""
         try:
             from transports.ros2.dds import DdsParticipant, TopicQos
         except ImportError as error:
@@ -225,8 +221,8 @@ class Ros2Endpoint(Endpoint):
             self._pictures_to = self._participant.writer(link.image_topic, IMAGE, qos)
 
     def pump(self) -> None:
-        """Publish what is due."""
-        self._look_for_readers()
+        """Publish the due messages."""
+        self._count_readers()
         now_ns = self._deliveries.clock.now_ns()
         while self._may_write(now_ns):
             self._gather(now_ns)
@@ -238,7 +234,7 @@ class Ros2Endpoint(Endpoint):
             self._show(self._pictures.advance(t_us, self._unix_us))
 
     async def close(self) -> None:
-        """Publish what has been gathered, wait a second for readers that are behind, and leave."""
+        """Publish the waiting data, wait a second for slow readers, and leave the domain."""
         if self._events_to is not None and self._participant is not None:
             self._publish()
             clock = self._deliveries.clock
@@ -253,20 +249,20 @@ class Ros2Endpoint(Endpoint):
 
     @property
     def state(self) -> str:
-        """How many readers there are, or that they are waited for."""
+        """Number of readers, or the topics that wait for readers."""
         if not self._readers:
             return f"waiting for a reader of {self.address}"
         return f"{self._readers} reader{'s' if self._readers > 1 else ''} of {self.address}"
 
     @property
     def address(self) -> str:
-        """The topics and their domain."""
+        """Names of the topics, and their domain."""
         topics = [self._link.topic, *([self._link.image_topic] if self._link.image_topic else [])]
         return f"{' and '.join(topics)} in domain {self._link.domain}"
 
     @property
     def counts(self) -> Mapping[str, int]:
-        """Messages that were published."""
+        """Counts of published messages."""
         return +self._counts
 
     @property
@@ -279,21 +275,24 @@ class Ros2Endpoint(Endpoint):
 
     @property
     def _unix_us(self) -> int:
-        """When the camera's clock was zero, by one look at the wall's clock; 0 where there is no date (yet)."""
+        """Unix time at which the camera's clock was zero, from one reading of the wall clock.
+
+        0 if there is none (yet).
+        """
         if self._zero_us is None:
             self._zero_us = self._deliveries.unix_us(self._epoch_us)
         return self._zero_us or 0
 
-    def _look_for_readers(self) -> None:
+    def _count_readers(self) -> None:
         before, self._readers = self._readers, sum(writer.readers for writer in self._writers)
         if bool(before) == bool(self._readers):
             return
         if not self._readers:
-            self._give_up()
+            self._discard()
         self._device.run(bool(self._readers))
 
-    def _give_up(self) -> None:
-        """What was gathered was for readers that have gone."""
+    def _discard(self) -> None:
+        """Discard the waiting data: there are no subscribers."""
         gone = self._gathering.taken()
         if gone is not None:
             self._device.failed(len(gone.events), len(gone.edges))
@@ -321,7 +320,7 @@ class Ros2Endpoint(Endpoint):
             self._restart(taken.epoch_us)
         events, edges = own_time(taken.events, taken.epoch_us), own_time(taken.edges, taken.epoch_us)
         if self._packets.has_edges or len(events):
-            self._tell(taken, self._events_to.write(self._packets.packet(events, edges, self._unix_us)))
+            self._report(taken, self._events_to.write(self._packets.packet(events, edges, self._unix_us)))
         if self._pictures is not None:
             self._show(self._pictures.add(events, self._unix_us))
 
@@ -331,8 +330,8 @@ class Ros2Endpoint(Endpoint):
         if self._pictures is not None:
             self._pictures.restart()
 
-    def _tell(self, taken: Taken, written: bool) -> None:
-        """Tell of events whose message DDS has taken, or not."""
+    def _report(self, taken: Taken, written: bool) -> None:
+        """Report events whose message DDS has accepted or refused."""
         self._window.written()
         self._counts["messages of events" if written else "messages that DDS refused"] += 1
         if written:

@@ -1,13 +1,10 @@
-"""The record of topics of ROS 2.
+"""Parameters of topics of ROS 2, their DDS network, and their registration as a kind of link.
 
-Where topics of ROS 2 are exchanged: the domain, the network interfaces, and the machines that are asked.
-
-Without interfaces only the loopback interface is used, and only this machine is asked, by unicast. ROS 2 does the same
-with ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST.
+The network is the domain, the network interfaces, and the machines that are contacted. Without interfaces only the
+loopback interface is used, and only this machine is contacted, by unicast. ROS 2 does the same with
+ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST.
 
 Sources: cyclonedds.io, "Configuration guide"; ros2/rmw_cyclonedds, rmw_node.cpp.
-
-What a rig says of topics of ROS 2.
 """
 
 from __future__ import annotations
@@ -29,14 +26,14 @@ __all__ = ["ROS2", "DdsNetwork", "Ros2Link", "check_topic"]
 
 _LOOPBACK = "127.0.0.1"
 _MOST_DOMAIN = 232  # beyond it DDS has no ports left
-_MOST_PROCESSES = 32  # of this machine and domain: as rmw_cyclonedds
+_MOST_PROCESSES = 32  # on this machine, in one domain: as in rmw_cyclonedds
 _MOST_MESSAGE = "64 MiB"
 _NAME = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
 
 
 @dataclass(frozen=True)
 class DdsNetwork:
-    """Where topics are exchanged; raises ValueError for what cannot be.
+    """Network of the topics; raises ValueError for invalid settings.
 
     Attributes
     ----------
@@ -45,9 +42,9 @@ class DdsNetwork:
     interfaces
         Names or addresses of network interfaces; empty: the loopback interface.
     peers
-        Machines that are asked by unicast, beside this one.
+        Machines that are contacted by unicast, beside this one.
     multicast
-        Whether machines on the interfaces find each other by multicast, as ROS 2 does by default.
+        True if machines on the interfaces find each other by multicast, as ROS 2 does by default.
     """
 
     domain: int = 0
@@ -68,7 +65,7 @@ class DdsNetwork:
 
     @property
     def configuration(self) -> str:
-        """CycloneDDS's configuration: large datagrams on the loopback interface, bounds on what others may send."""
+        """Configuration of CycloneDDS: large datagrams on the loopback interface, limits for foreign data."""
         names = self.interfaces or (_LOOPBACK,)
         interfaces = "".join(_interface(name) for name in names)
         peers = "".join(f"<Peer address={quoteattr(peer)}/>" for peer in (_LOOPBACK, *self.peers))
@@ -78,7 +75,7 @@ class DdsNetwork:
             f"<AllowMulticast>{'true' if self.multicast else 'false'}</AllowMulticast>{sizes}</General>"
             f"<Discovery><ParticipantIndex>auto</ParticipantIndex>"
             f"<MaxAutoParticipantIndex>{_MOST_PROCESSES}</MaxAutoParticipantIndex><Peers>{peers}</Peers></Discovery>"
-            # A writer never waits: what its readers have not acknowledged is bounded by the depth of its history.
+            # A writer never waits: its unacknowledged messages are limited by the depth of its history.
             "<Internal><Watermarks><WhcHigh>1 GiB</WhcHigh></Watermarks>"
             '<HeartbeatInterval min="2 ms" minsched="4 ms" max="1 s">5 ms</HeartbeatInterval>'
             f"<MaxSampleSize>{_MOST_MESSAGE}</MaxSampleSize></Internal>"
@@ -87,7 +84,7 @@ class DdsNetwork:
 
 
 def check_topic(key: str, topic: str) -> None:
-    """Raise ValueError for what is no absolute name of a topic."""
+    """Raise ValueError for an invalid absolute name of a topic."""
     if not _NAME.fullmatch(topic):
         raise ValueError(
             f'{key} is {topic!r}: a topic begins with "/" and has letters, digits, "_" and "/", such as '
@@ -109,7 +106,7 @@ class Ros2Link:
     topic
         Topic of `event_camera_msgs/msg/EventPacket`.
     encoding
-        Of the events: "evt3" (4 bytes an event, and triggers) or "mono" (8 bytes an event).
+        Encoding of the events: "evt3" (4 bytes an event, and triggers) or "mono" (8 bytes an event).
     image_topic
         Topic of `sensor_msgs/msg/Image`; "": none.
     image
@@ -117,26 +114,26 @@ class Ros2Link:
     frame_ms
         Stream time of a picture.
     pictures
-        What a picture shows.
+        Contents of a picture.
     message_ms
         Longest time that an event waits for others of its message.
     frame_id
         Name of the camera's frame in the header of each message.
     reliable
-        Whether a message that is lost on its way is sent again. Readers of either kind match a reliable writer.
+        True to send lost messages again. Readers of either kind match a reliable writer.
     depth
-        Messages of each topic that are kept to be sent again; a slow reader misses older ones.
+        Number of messages of each topic that are stored to be sent again; a slow reader misses older ones.
     domain
         ROS_DOMAIN_ID.
     interfaces
         Names or addresses of network interfaces to use; empty: only programs on this machine. There is no
-        authentication: whoever is in reach has the events.
+        authentication: every machine on these networks gets the events.
     peers
-        Machines that are asked by unicast.
+        Machines that are contacted by unicast.
     multicast
-        Whether machines on `interfaces` find each other by multicast, as ROS 2 does by default.
+        True if machines on `interfaces` find each other by multicast, as ROS 2 does by default.
     name
-        What this rig calls the link: in reports, and where triggers name it.
+        Name of the link in this rig: in reports and triggers.
     """
 
     kind: ClassVar[str] = "ros2"
@@ -174,7 +171,7 @@ class Ros2Link:
 
     @property
     def network(self) -> DdsNetwork:
-        """Where the topics are exchanged."""
+        """Network of the topics."""
         return DdsNetwork(self.domain, self.interfaces, self.peers, self.multicast)
 
 

@@ -1,1 +1,1 @@
-"""Event telemetry on serial lines: ports that never wait, the baud rate kept by ourselves, and a reader."""
+"""Event telemetry on serial lines: non-blocking ports, pacing at the baud rate, and a reader."""

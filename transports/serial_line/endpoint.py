@@ -1,25 +1,25 @@
-"""An instrument on a serial line: messages out at the baud rate, telecommands in, reconnection when the port returns.
+"""Instrument on a serial line: messages out at the baud rate, telecommands in, reconnection when the port returns.
 
     instrument.next_message -> profile.wrap -> transmitter -> _write -> port
     instrument.command <- unwrapper <- _receive <- port
 
-A port that goes away takes what was on its way with it, which is counted as lost; the instrument then counts what comes
-as not running until the port is back. The tick never waits for the port: what blocks is done in a thread.
+Messages in transit are lost with a port that disappears, and are counted; the instrument then counts new events as not
+running until the port is back. The tick never waits for the port: blocking calls are made in a thread.
 
-The baud rate, kept by ourselves: a pty takes bytes as fast as they are written, whatever rate it is set to.
+`BaudClock` keeps the baud rate, because a pty accepts bytes as fast as they are written, at any rate setting.
 
     character   start bit, 5 to 8 data bits, parity bit or none, 1 to 2 stop bits       8N1: 10 bits a byte
 
-A byte is on the line for its bits' time, one after the other. What is due is counted from an absolute start, so a late
-tick sends what a real port's FIFO would have sent meanwhile, and the rate is exact however the ticks fall. A line that
-had nothing to send starts afresh: it cannot make up for idle time.
+A byte occupies the line for the time of its bits, one after the other. Due bytes are counted from an absolute start. So
+a late tick sends the bytes that a real port's FIFO would have sent in the meantime, and the rate is exact for any
+ticks. A line that had nothing to send starts again: it cannot catch up idle time.
 
-Bytes on their way into a serial port: pulled as late as possible, released at the baud rate, never waiting.
+`Transmitter` pulls frames as late as possible, releases their bytes at the baud rate, and never waits.
 
     source --frames--> [ f f f | part of f ] --bytes that are due--> port.write
 
-A frame is pulled when the line would otherwise run dry before the next tick. What the port does not take stays here and
-is counted as held; the line then stands still, as one with hardware flow control does.
+A frame is pulled when the line would otherwise be idle before the next tick. Bytes that the port refuses stay here and
+are counted as held; the line then stops, like one with hardware flow control.
 """
 
 from __future__ import annotations
@@ -45,11 +45,11 @@ from transports.serial_line.port import Port, open_port, remove_abandoned
 __all__ = ["BaudClock", "Frame", "SerialEndpoint", "SerialFactory", "Transmitter"]
 
 
-_BEHIND_NS = 50_000_000  # the most that a late tick may catch up: what a driver's transmit buffer holds
+_BEHIND_NS = 50_000_000  # limit of the time that a late tick may catch up: the size of a driver's transmit buffer
 
 
 class BaudClock:
-    """When each byte has left, at `baud` bits a second and `bits` a byte.
+    """Sending time of each byte, at `baud` bits a second and `bits` a byte.
 
     Parameters
     ----------
@@ -70,12 +70,12 @@ class BaudClock:
 
     @property
     def bytes_per_s(self) -> float:
-        """The line's capacity."""
+        """Capacity of the line."""
         return self._baud2 / self._half_bits
 
     @property
     def carried(self) -> int:
-        """Bytes that have left."""
+        """Number of bytes that have left."""
         return self._carried
 
     @property
@@ -90,21 +90,21 @@ class BaudClock:
         return min(1.0, self._carried / self.bytes_per_s / ((now_ns - self._began_ns) * 1e-9))
 
     def free_ns(self) -> int:
-        """When the line is free for the next byte."""
+        """Time at which the line is free for the next byte."""
         return self._start_ns + self.duration_ns(self._sent)
 
     def duration_ns(self, count: int) -> int:
-        """How long `count` bytes take, ns."""
+        """Return the duration of `count` bytes, ns."""
         return count * self._half_bits * 1_000_000_000 // self._baud2
 
     def due(self, now_ns: int) -> int:
-        """Bytes that may have left by now."""
+        """Return the number of bytes that may have left by now."""
         if now_ns - self.free_ns() > _BEHIND_NS:
             self.restart(now_ns - _BEHIND_NS)
         return max(0, (now_ns - self._start_ns) * self._baud2 // (self._half_bits * 1_000_000_000) - self._sent)
 
     def leave(self, count: int, now_ns: int) -> None:
-        """Count `count` bytes, which were due, as having left."""
+        """Record `count` bytes, which were due, as sent."""
         if self._began_ns is None:
             self._began_ns = self.free_ns()
         self._sent += count
@@ -116,7 +116,7 @@ class BaudClock:
         self._busiest = max(self._busiest, self._in_second)
 
     def restart(self, now_ns: int) -> None:
-        """Say that the line stood still until now: it had nothing to send, or was held."""
+        """Record that the line was stopped until now: it had nothing to send, or was held."""
         if now_ns > self.free_ns():
             self._start_ns, self._sent = now_ns, 0
 
@@ -126,23 +126,23 @@ _Tag = TypeVar("_Tag")
 
 @dataclass(frozen=True)
 class Frame(Generic[_Tag]):
-    """Bytes that go together, and what they stand for."""
+    """Bytes of one message, with the message as `tag`."""
 
     data: bytes
     tag: _Tag
 
 
 class Transmitter(Generic[_Tag]):
-    """Sends frames through `write`, which returns how many of the bytes it took.
+    """Transmitter of frames through `write`, which returns the number of accepted bytes.
 
     Parameters
     ----------
     pull
-        Gives the next frame, or None when there is nothing to say.
+        Returns the next frame, or None when there is none.
     left
-        Is told of each frame whose last byte has left.
+        Called with the tag of each frame whose last byte has left.
     ahead_ns
-        How long before the line falls silent the next frame is pulled: a little more than a tick.
+        Time before the line becomes idle at which the next frame is pulled: a little more than a tick.
     """
 
     def __init__(
@@ -163,16 +163,16 @@ class Transmitter(Generic[_Tag]):
 
     @property
     def waiting(self) -> int:
-        """Bytes that have been pulled and not sent."""
+        """Number of bytes that have been pulled and not sent."""
         return self._waiting
 
     @property
     def begun(self) -> bytes:
-        """What has left of the frame that is on the line."""
+        """Sent bytes of the frame that is on the line."""
         return self._frames[0].data[: self._gone] if self._frames else b""
 
     def pump(self, write: Callable[[bytes], int], now_ns: int) -> None:
-        """Send what is due, and pull what will be next."""
+        """Send the due bytes, and pull the next frames."""
         while self._fill(now_ns):
             due = self._clock.due(now_ns)
             if not due:
@@ -181,14 +181,14 @@ class Transmitter(Generic[_Tag]):
                 return
 
     def drop(self) -> list[_Tag]:
-        """Forget all frames, the one on the line too, and return what they stand for."""
+        """Discard all frames, including the one on the line, and return their tags."""
         tags = [frame.tag for frame in self._frames]
         self._frames.clear()
         self._gone = self._waiting = 0
         return tags
 
     def _fill(self, now_ns: int) -> bool:
-        """Pull until the line has enough for the time to come; say whether there is anything to send."""
+        """Pull until the line has enough for the next time; return True if there is anything to send."""
         while self._clock.free_ns() + self._clock.duration_ns(self._waiting) < now_ns + self._ahead_ns:
             frame = self._pull()
             if frame is None:
@@ -200,7 +200,7 @@ class Transmitter(Generic[_Tag]):
         return bool(self._frames)
 
     def _send(self, write: Callable[[bytes], int], due: int, now_ns: int) -> bool:
-        """Write up to `due` bytes; say whether the port took them all."""
+        """Write up to `due` bytes; return True if the port accepted them all."""
         data = self._next_bytes(due)
         taken = write(data)
         self._clock.leave(taken, now_ns)
@@ -229,31 +229,31 @@ class Transmitter(Generic[_Tag]):
 _AHEAD_NS = 600_000  # a little more than a tick of the link
 _RETRY_NS = 500_000_000
 _PULL_NS = 50_000_000
-_PULL_LOOKS = 10  # a pty's kernel moves bytes in its own time, and shows none meanwhile
+_PULL_LOOKS = 10  # the kernel moves bytes of a pty with a delay, and shows none in between
 _CLOSE_S = 0.5
 _CLOSE_LOOK_S = 0.005
-_CLOSE_LOOKS = 4  # a pty hands bytes on in its own time: for a moment they are neither here nor there
+_CLOSE_LOOKS = 4  # a pty passes bytes on with a delay: for a moment neither side shows them
 
 
 @dataclass(frozen=True)
 class SerialFactory(EndpointFactory[Instrument]):
-    """Puts an instrument on a line, in the packets and framing that it names."""
+    """Factory of the endpoint of an instrument on a line, in the packets and framing of its parameters."""
 
     line: SerialLink
     faults: FaultPlan = field(default_factory=FaultPlan)
 
     def build(self, device: Instrument, deliveries: Deliveries) -> SerialEndpoint:
-        """Return the endpoint, its port not yet open."""
+        """Return the endpoint; its port is not open yet."""
         return SerialEndpoint(self, device, deliveries)
 
     def remove_remains(self) -> None:
-        """Remove the symbolic link to a pty that is gone."""
+        """Remove the symbolic link to a pty that no longer exists."""
         if self.line.symlink:
             remove_abandoned(Path(self.line.symlink))
 
 
 class SerialEndpoint(Endpoint):
-    """One instrument on one port."""
+    """Endpoint of one instrument on one port."""
 
     def __init__(self, factory: SerialFactory, instrument: Instrument, deliveries: Deliveries) -> None:
         self._line = factory.line
@@ -267,18 +267,18 @@ class SerialEndpoint(Endpoint):
         self._faulty = FaultyLine(factory.faults, self._line.profile, self._baud.bytes_per_s, self._arrived)
         self._counts: Counter[str] = Counter()
         self._port: Port | None = None
-        self._heard = False
+        self._has_reader = False
         self._reopening = Reopening(self._clock, _RETRY_NS, lambda: asyncio.to_thread(open_port, self._line))
         self._pulled_ns: int | None = None
         self._empty_looks = 0
 
     async def start(self) -> None:
-        """Open the port; raises OSError, with what to do, when it cannot be had."""
+        """Open the port; raises OSError, with the remedy, when it cannot be opened."""
         self._instrument.disconnected()
         self._port = await asyncio.to_thread(open_port, self._line)
 
     def pump(self) -> None:
-        """Take what came, and send what is due."""
+        """Process received bytes, and send the due bytes."""
         port = self._port
         if self._faulty.gone or self._pulled_ns is not None:
             self._pull_out()
@@ -287,9 +287,9 @@ class SerialEndpoint(Endpoint):
             self._reopen()
             return
         try:
-            self._notice(port.heard)
+            self._set_reader(port.has_reader)
             self._receive(port.read())
-            if self._heard:
+            if self._has_reader:
                 self._out.pump(self._write, self._clock.now_ns())
                 self._faulty.flush(port.write)
                 self._faulty.settle()
@@ -297,11 +297,11 @@ class SerialEndpoint(Endpoint):
             self._vanished()
 
     async def close(self) -> None:
-        """Close the port once the other side has taken what has left; what has not left is lost."""
+        """Close the port after the other side has read the sent bytes; bytes that have not left are lost."""
         await self._reopening.close()
-        if self._heard and self._port is not None:
+        if self._has_reader and self._port is not None:
             await _emptied(self._port)
-        self._notice(False)
+        self._set_reader(False)
         self._faulty.close()
         port, self._port = self._port, None
         if port is not None:
@@ -322,26 +322,26 @@ class SerialEndpoint(Endpoint):
 
     @property
     def state(self) -> str:
-        """Who is at the other side, or what is waited for."""
+        """State of the port, and of the reader at the other side."""
         if self._port is None:
             return f"{self._line.port} is gone; looking for it"
-        if not self._heard:
+        if not self._has_reader:
             return f"waiting for a reader of {self._port.address}"
         return f"{self._line.baud} baud on {self._port.address}"
 
     @property
     def address(self) -> str | None:
-        """Path or URL of the port; for a pty, of the side that is for the reader."""
+        """Path or URL of the port; for a pty, that of the reader's side."""
         return None if self._port is None else self._port.address
 
     @property
     def use(self) -> LineUse:
-        """How full the line was."""
+        """Load of the line."""
         return LineUse(self._baud.carried, self._baud.share(self._clock.now_ns()), self._baud.busiest_share)
 
     @property
     def counts(self) -> Mapping[str, int]:
-        """Telecommands, back-pressure, reconnections."""
+        """Counts of telecommands, back-pressure and reconnections."""
         unwrapped = self._commands.counters
         return {
             "telecommands": unwrapped.packets,
@@ -352,11 +352,11 @@ class SerialEndpoint(Endpoint):
         }
 
     def _write(self, data: bytes) -> int:
-        """Give bytes to the port, by way of the line's faults: the one way out."""
+        """Pass bytes to the port through the line's faults; the only output."""
         return 0 if self._port is None else self._faulty.write(data, self._port.write)
 
     def _receive(self, data: bytes) -> None:
-        """Take bytes of the other side: the one way in."""
+        """Process bytes of the other side; the only input."""
         if not data:
             return
         for received in self._commands.push(data):
@@ -375,12 +375,12 @@ class SerialEndpoint(Endpoint):
     def _arrived(self, outgoing: Outgoing) -> None:
         self._deliveries.add(outgoing.events, outgoing.epoch_us, outgoing.edges)
 
-    def _notice(self, heard: bool) -> None:
-        """Follow whether somebody listens."""
-        if heard == self._heard:
+    def _set_reader(self, present: bool) -> None:
+        """Follow the presence of a reader."""
+        if present == self._has_reader:
             return
-        self._heard = heard
-        if heard:
+        self._has_reader = present
+        if present:
             self._baud.restart(self._clock.now_ns())
             self._instrument.connected()
         else:
@@ -390,7 +390,7 @@ class SerialEndpoint(Endpoint):
             self._instrument.disconnected()
 
     def _pull_out(self) -> None:
-        """Let the port vanish, but not what has left and waits in the kernel: that is on the wire."""
+        """Remove the port, but not the sent bytes that wait in the kernel: they count as on the wire."""
         if self._port is None:
             return
         now_ns = self._clock.now_ns()
@@ -402,7 +402,7 @@ class SerialEndpoint(Endpoint):
             self._pulled_ns = None
 
     def _vanished(self) -> None:
-        self._notice(False)
+        self._set_reader(False)
         port, self._port = self._port, None
         if port is not None:
             asyncio.get_running_loop().run_in_executor(None, port.close)
@@ -416,7 +416,7 @@ class SerialEndpoint(Endpoint):
 
 
 async def _emptied(port: Port) -> None:
-    """Return when the other side has taken what the port was given, or after half a second."""
+    """Return when the other side has read all bytes in the port, or after half a second."""
     looks = 0
     with suppress(TimeoutError):
         async with asyncio.timeout(_CLOSE_S):

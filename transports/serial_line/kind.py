@@ -1,7 +1,4 @@
-"""The record of serial lines.
-
-What a rig says of a serial line.
-"""
+"""Parameters of a serial line, and its registration as a kind of link."""
 
 from __future__ import annotations
 
@@ -26,24 +23,24 @@ class SerialLink:
     Attributes
     ----------
     port
-        "pty": a pair made for this run, whose other side is told; or a device such as /dev/ttyUSB0; or any URL of
+        "pty": a pair made for this run, whose other side is reported; or a device such as /dev/ttyUSB0; or any URL of
         pyserial (`socket://HOST:PORT`, `rfc2217://HOST:PORT`, `loop://`).
     symlink
-        With "pty": a path that leads to the other side, the same for each run; "" for none.
+        With "pty": path of a symbolic link to the other side, the same for each run; "" for none.
     baud
-        Bits a second; kept by our own pacing where the port keeps none.
+        Bits a second; kept by the pacing of evstim if the port does not keep it.
     data_bits, parity, stop_bits
-        The character. Fewer than 8 data bits garble the telemetry: for tests of how a receiver takes that.
+        Format of the character. Fewer than 8 data bits damage the telemetry: for tests of a receiver's reaction.
     flow
-        "none" or "rts_cts", where the port has it.
+        "none" or "rts_cts", if the port supports it.
     rs485
-        Drive RTS as the transmitter's enable, where the port can.
+        Drive RTS as the transmitter's enable, if the port supports it.
     break_ms
-        Length of a break sent before the first byte, where the port can; 0 for none.
+        Length of a break sent before the first byte, if the port supports it; 0 for none.
     profile
         Packets and framing: "ccsds-cobs", "ccsds-slip", "ccsds-kiss", "csp-kiss" or "fprime".
     name
-        What this rig calls the link: in reports, and where faults and triggers name it.
+        Name of the link in this rig: in reports, faults and triggers.
     """
 
     kind: ClassVar[str] = "serial"

@@ -1,25 +1,22 @@
-"""Serial ports that never wait.
+"""Serial ports without blocking calls, and a reader of a serial line.
 
-    Port.write   takes what there is room for and says how much that was
-    Port.read    gives what has come
-    Port.heard   whether anybody is at the other side, where that can be known
+    Port.write        accepts the bytes for which there is room and returns their number
+    Port.read         returns the received bytes
+    Port.has_reader   False if it is certain that there is no reader at the other side
 
-pyserial's own `write` with a timeout of 0 spins for ever on a full port (pyserial 3.5, serialposix.py: EAGAIN is
-swallowed and the loop has no other end), so ports with a file descriptor are written without it. The others
-(rfc2217://, loop://) block in `write`; a thread of their own does that for them.
+pyserial's own `write` with a timeout of 0 loops for ever on a full port (pyserial 3.5, serialposix.py: EAGAIN is
+ignored and the loop has no other end), so ports with a file descriptor are written without it. The others (rfc2217://,
+loop://) block in `write`; a separate thread does that for them.
 
-The symbolic link that leads to a pty, and whose it is.
+`PtyPort` is a pty pair, for a machine without a serial port. `PtySymlink` is the symbolic link to it.
 
-A process that is killed leaves its link behind, and the kernel gives the number of its pty to the next terminal that is
-opened: the link may then lead to a terminal of somebody else. Where it leads therefore does not show whether it is in
-use. Each process that makes a link holds a Unix socket in the kernel's abstract name space, named after the path; the
-kernel frees that name with the process, however this ends, and no file is left.
+A killed process leaves its link behind, and the kernel gives the number of its pty to the next terminal that is opened:
+the link may then lead to a terminal of another program. So the target of the link does not show if it is in use. Each
+process that makes a link holds a Unix socket in the kernel's abstract name space, named after the path. The kernel
+frees that name with the process, for any end of it, and no file is left.
 
-A pty pair of our own: the port of a machine that has none.
-
-Opening a serial port, and what to do when that fails.
-
-A computer on a serial line: reads an instrument until told to stop or the line is gone; may tell it something.
+`open_port` opens a port, or raises an error with the remedy. `listen_serial` reads an instrument until it is stopped or
+the line is lost, and may send telecommands.
 """
 
 from __future__ import annotations
@@ -64,75 +61,75 @@ __all__ = [
 
 
 _READ_BYTES = 4096
-_THREAD_BYTES = 4096  # what may wait for a port that blocks: as much as a kernel's transmit buffer
+_THREAD_BYTES = 4096  # limit of the bytes that wait for a blocking port: the size of a kernel's transmit buffer
 
 
 class Port(ABC):
-    """An open serial port. Its methods return at once; they raise OSError when the port is gone."""
+    """Open serial port. Its methods return at once; they raise OSError when the port is lost."""
 
     @abstractmethod
     def write(self, data: bytes) -> int:
-        """Take as many bytes from the front of `data` as there is room for; return how many that were."""
+        """Accept as many bytes from the front of `data` as there is room for; return their number."""
 
     @abstractmethod
     def read(self) -> bytes:
-        """Return what has come, b"" when nothing has."""
+        """Return the received bytes, b"" if there are none."""
 
     @abstractmethod
     def close(self) -> None:
-        """Let go of the port."""
+        """Close the port."""
 
     @property
-    def heard(self) -> bool:
-        """False when it is certain that nobody is at the other side."""
+    def has_reader(self) -> bool:
+        """False when it is certain that there is no reader at the other side."""
         return True
 
     @property
     def unsent(self) -> int:
-        """Bytes that were taken and still wait inside this machine."""
+        """Number of accepted bytes that still wait inside this machine."""
         return 0
 
     @property
     @abstractmethod
     def address(self) -> str:
-        """Where the other side finds it."""
+        """Address at which the other side finds it."""
 
 
 class Descriptor:
-    """Non-blocking bytes on a file descriptor."""
+    """Non-blocking input and output on a file descriptor."""
 
     def __init__(self, fd: int) -> None:
         self.fd = fd
         os.set_blocking(fd, False)
 
     def write(self, data: bytes) -> int:
-        """Take as many bytes as there is room for."""
+        """Accept as many bytes as there is room for."""
         try:
             return os.write(self.fd, data)
         except BlockingIOError:
             return 0
 
     def read(self) -> bytes:
-        """Return what has come."""
+        """Return the received bytes."""
         try:
             return os.read(self.fd, _READ_BYTES)
         except BlockingIOError:
             return b""
 
     def events(self) -> int:
-        """Return what poll says of it."""
+        """Return the events that poll reports."""
         poll = select.poll()
         poll.register(self.fd, select.POLLIN)
         return dict(poll.poll(0)).get(self.fd, 0)
 
 
 def count_of(fd: int, request: int) -> int:
-    """Return the number that an ioctl such as FIONREAD tells."""
+    """Return the number that an ioctl such as FIONREAD reports."""
     return int.from_bytes(fcntl.ioctl(fd, request, bytes(4)), sys.byteorder)
 
 
 class DescriptorPort(Port):
-    """A port of pyserial that has a file descriptor: a device, a socket."""
+    """Port of pyserial that has a file descriptor: a device, a socket."""
 
     def __init__(self, opened: serial.SerialBase) -> None:
         self._serial = opened
@@ -140,7 +137,7 @@ class DescriptorPort(Port):
 
     @property
     def address(self) -> str:
-        """The device or URL."""
+        """Device or URL."""
         return str(self._serial.port)
 
     def write(self, data: bytes) -> int:
@@ -159,14 +156,14 @@ class DescriptorPort(Port):
 
     @property
     def unsent(self) -> int:
-        """Bytes in the kernel's transmit buffer; 0 where there is none to ask."""
+        """Number of bytes in the kernel's transmit buffer; 0 if there is no such buffer."""
         with suppress(OSError):
             return count_of(self._side.fd, termios.TIOCOUTQ)
         return 0
 
     def close(self) -> None:
-        """Close it; takes a third of a second for a socket."""
-        # pyserial forgets to close a socket whose other side is gone (protocol_socket.py: shutdown raises first).
+        """Close the port; takes a third of a second for a socket."""
+        # pyserial does not close a socket whose other side is lost (protocol_socket.py: shutdown raises first).
         connection: socket.socket | None = getattr(self._serial, "_socket", None)
         self._serial.close()
         if connection is not None:
@@ -174,7 +171,7 @@ class DescriptorPort(Port):
 
 
 class ThreadedPort(Port):
-    """A port of pyserial whose `write` blocks, with a thread that waits for it."""
+    """Port of pyserial whose `write` blocks, with a thread that makes the blocking calls."""
 
     def __init__(self, opened: serial.SerialBase) -> None:
         self._serial = opened
@@ -187,7 +184,7 @@ class ThreadedPort(Port):
 
     @property
     def address(self) -> str:
-        """The URL."""
+        """URL of the port."""
         return str(self._serial.port)
 
     def write(self, data: bytes) -> int:
@@ -207,11 +204,11 @@ class ThreadedPort(Port):
 
     @property
     def unsent(self) -> int:
-        """Bytes that its thread has not written yet."""
+        """Number of bytes that its thread has not written yet."""
         return 0 if self._error else self._waiting
 
     def close(self) -> None:
-        """Close it; what its thread still holds is lost."""
+        """Close the port; bytes that its thread still holds are lost."""
         self._pieces.put(None)
         self._serial.close()
         self._thread.join(1.0)
@@ -231,12 +228,12 @@ _DEVICES = "/dev/pts/"
 
 
 class PtySymlink:
-    """A symbolic link at `path` to `target`, held until `close`.
+    """Symbolic link at `path` to `target`, held until `close`.
 
     Raises
     ------
     OSError
-        A running link has this path, something that is no link lies there, or the folder cannot be written.
+        A running link has this path, another file has this path, or the folder cannot be written.
     """
 
     def __init__(self, path: Path, target: str) -> None:
@@ -251,7 +248,7 @@ class PtySymlink:
             raise OSError(_refusal(path, error.strerror or str(error))) from error
 
     def close(self) -> None:
-        """Remove the link, unless another one lies there now, and give up the path."""
+        """Remove the link, unless another one has replaced it, and release the path."""
         if self._path.is_symlink() and os.readlink(self._path) == self._target:
             self._path.unlink()
         self._claim.close()
@@ -283,19 +280,19 @@ def _refusal(path: Path, why: str) -> str:
 
 
 class PtyPort(Port):
-    """A pty pair: we hold one side, the other is a path that a reader opens like any serial port.
+    """Pty pair: one side is held here, the other is a path that a reader opens like any serial port.
 
-    It models no modem lines, no parity, no break, and the kernel ignores its baud rate. What a reader left unread when
-    it closed the path is gone, as on a wire.
+    It has no modem lines, no parity and no break, and the kernel ignores its baud rate. Bytes that a reader left unread
+    when it closed the path are lost, as on a wire.
     """
 
     def __init__(self, symlink: str = "") -> None:
         master, other = os.openpty()
         tty.setraw(other)
         self._path = os.ttyname(other)
-        os.close(other)  # so that poll tells whether a reader has it open
+        os.close(other)  # so that poll reports if a reader has it open
         self._side = Descriptor(master)
-        self._was_heard = False
+        self._had_reader = False
         try:
             self._link = PtySymlink(Path(symlink), self._path) if symlink else None
         except OSError:
@@ -309,37 +306,37 @@ class PtyPort(Port):
         return self._address
 
     @property
-    def heard(self) -> bool:
+    def has_reader(self) -> bool:
         """True while a reader has the other side open."""
-        heard = not self._side.events() & select.POLLHUP
-        if self._was_heard and not heard:
+        present = not self._side.events() & select.POLLHUP
+        if self._had_reader and not present:
             self._forget()
-        self._was_heard = heard
-        return heard
+        self._had_reader = present
+        return present
 
     def write(self, data: bytes) -> int:
         """See `Port.write`."""
         return self._side.write(data)
 
     def read(self) -> bytes:
-        """See `Port.read`; b"" also while no reader is there, when the kernel says EIO."""
-        return self._side.read() if self._was_heard else b""
+        """See `Port.read`; b"" also while there is no reader, when the kernel returns EIO."""
+        return self._side.read() if self._had_reader else b""
 
     def close(self) -> None:
-        """Close our side; a reader sees its port hang up."""
+        """Close our side; for a reader its port hangs up."""
         if self._link is not None:
             self._link.close()
         os.close(self._side.fd)
 
     @property
     def unsent(self) -> int:
-        """Bytes that the reader has not taken yet; 0 where it keeps the path to itself."""
+        """Number of bytes that the reader has not read yet; 0 if it has locked the path."""
         with suppress(OSError), _opened(self._path) as other:
             return count_of(other, termios.FIONREAD)
         return 0
 
     def _forget(self) -> None:
-        """Empty the kernel's buffers, so that the next reader does not get the last one's bytes."""
+        """Empty the kernel's buffers, so that the next reader does not get the earlier reader's bytes."""
         with suppress(OSError, termios.error), _opened(self._path) as other:
             termios.tcflush(other, termios.TCIOFLUSH)
 
@@ -360,7 +357,7 @@ _CURES = (
         "join the group that owns it (ls -l {port}; usually: sudo usermod -aG dialout $USER) and log in again",
     ),
     (("No such file",), "is it plugged in? `python -m serial.tools.list_ports` lists what there is"),
-    (("lock", "busy"), "another program has it; `fuser -v {port}` tells which"),
+    (("lock", "busy"), "another program has it; `fuser -v {port}` shows which"),
     (
         ("Connection refused", "timed out", "Name or service"),
         "start what listens there first, and check host and port",
@@ -370,7 +367,7 @@ _CURES = (
         "the port cannot do these settings (no pty drives RS-485): leave rs485, parity, stop_bits at the default",
     ),
 )
-"""What to do, by what the complaint holds; pyserial wraps most errors, so that only their text is left."""
+"""Remedies by the text of the error; pyserial wraps most errors, so that only their text is left."""
 
 
 def open_port(line: SerialLink) -> Port:
@@ -379,7 +376,7 @@ def open_port(line: SerialLink) -> Port:
     Raises
     ------
     OSError
-        It cannot be had; the message says why and what to do.
+        The port cannot be opened; the message gives the reason and the remedy.
     """
     if line.port == "pty":
         return PtyPort(line.symlink)
@@ -412,7 +409,7 @@ def _open(line: SerialLink) -> serial.SerialBase:
 
 
 def _advice(port: str, error: Exception) -> str:
-    """Say what to do about a port that does not open."""
+    """Return the error message with the remedy for a port that does not open."""
     text = str(error)
     cures = [cure for signs, cure in _CURES if any(sign in text for sign in signs)]
     cure = cures[0] if cures else "check the port's name and its settings"
@@ -429,9 +426,9 @@ def listen_serial(
     recorder: Recorder | None = None,
     commands: Sequence[Telecommand] = (),
 ) -> Reception:
-    """Open the port, tell `commands`, and read while `goes_on` says so, which is asked after each look.
+    """Open the port, send `commands`, and read while `goes_on`, called after each turn, returns True.
 
-    Raises OSError when the port cannot be had; one that goes away later ends the visit.
+    Raises OSError when the port cannot be opened; the reception ends if it is lost later.
     """
     listening = Receiving(line.profile, clock, recorder)
     port = open_port(line)

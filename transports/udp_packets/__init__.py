@@ -1,1 +1,1 @@
-"""The instrument's packets in UDP datagrams, for ground systems and flight software that take them so."""
+"""Packets of the instrument in UDP datagrams, for ground systems and flight software that receive them in this form."""

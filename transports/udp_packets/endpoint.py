@@ -1,12 +1,12 @@
-"""An instrument that sends its packets in datagrams, and takes telecommands from datagrams.
+"""Endpoint of an instrument that sends packets in datagrams and receives telecommands in datagrams, and a receiver.
 
     instrument.next_message -> profile.wrap -> faults -> outlet
     instrument.command <- unwrapper <- whole packets <- inlet
 
-UDP has no back-pressure and no receiver that can be seen: a message counts as delivered when the kernel has taken its
-datagram. The packets' sequence counts tell the receiver what is missing.
+UDP has no back-pressure, and the receiver is not visible: a message counts as delivered when the kernel has taken its
+datagram. The receiver detects missing packets by their sequence counts.
 
-A computer that takes an instrument's packets from datagrams until told to stop; may tell it something.
+`listen_udp` is a computer that receives an instrument's packets until it is stopped, and may send telecommands.
 """
 
 from __future__ import annotations
@@ -38,18 +38,18 @@ _AT_A_TIME = 64
 
 @dataclass(frozen=True)
 class UdpPacketFactory(EndpointFactory[Instrument]):
-    """Puts an instrument behind a pair of UDP ports."""
+    """Factory of the endpoint of an instrument on a pair of UDP ports."""
 
     link: UdpPacketsLink
     faults: FaultPlan = field(default_factory=FaultPlan)
 
     def build(self, device: Instrument, deliveries: Deliveries) -> UdpPacketEndpoint:
-        """Return the endpoint, its sockets not yet open."""
+        """Return the endpoint; its sockets are not open yet."""
         return UdpPacketEndpoint(self, device, deliveries)
 
 
 class UdpPacketEndpoint(Endpoint):
-    """One instrument and one receiver."""
+    """Endpoint of one instrument for one receiver."""
 
     def __init__(self, factory: UdpPacketFactory, instrument: Instrument, deliveries: Deliveries) -> None:
         link = factory.link
@@ -65,7 +65,7 @@ class UdpPacketEndpoint(Endpoint):
         self._next: tuple[bytes, Outgoing] | None = None
 
     async def start(self) -> None:
-        """Open the sockets; raises OSError, with what to do, when an address cannot be used."""
+        """Open the sockets; raises OSError, with the remedy, when an address cannot be used."""
         self._inlet.open()
         try:
             self._outlet.open()
@@ -74,7 +74,7 @@ class UdpPacketEndpoint(Endpoint):
             raise
 
     def pump(self) -> None:
-        """Take what came, and send what waits as far as the rate allows."""
+        """Process received datagrams, and send the waiting messages as far as the rate permits."""
         self._receive()
         self._budget.renew(self._clock.now_ns())
         while self._budget.left > 0 and self._prepare() and self._send():
@@ -95,7 +95,7 @@ class UdpPacketEndpoint(Endpoint):
         return self._faulty.records
 
     async def close(self) -> None:
-        """Close the sockets; what has not left is lost."""
+        """Close the sockets; messages that have not left are lost."""
         if self._next is not None:
             self._instrument.lost(self._next[1])
             self._next = None
@@ -106,18 +106,18 @@ class UdpPacketEndpoint(Endpoint):
 
     @property
     def state(self) -> str:
-        """Where it sends, and where it listens."""
+        """Destination of the datagrams, and address for telecommands."""
         sent = self._outlet.counts["datagrams"]
         return f"{sent} datagrams to {self._outlet.address}, telecommands at {self._inlet.address}"
 
     @property
     def address(self) -> str:
-        """Where telecommands are taken."""
+        """Address for telecommands."""
         return self._inlet.address
 
     @property
     def counts(self) -> Mapping[str, int]:
-        """Telecommands, datagrams, and what was wrong with either."""
+        """Counts of telecommands and datagrams, and of errors in either."""
         more = {
             "telecommands": self._commands.counters.packets,
             "damaged_frames": self._instrument.frames_refused,
@@ -127,7 +127,7 @@ class UdpPacketEndpoint(Endpoint):
         return +(self._outlet.counts + Counter(more))
 
     def _receive(self) -> None:
-        """Take datagrams of the other side: the one way in."""
+        """Process the datagrams of the other side; the only input."""
         for datagram in self._inlet.take(_AT_A_TIME):
             for packet in whole_packets(datagram):
                 for received in self._commands.push(packet):
@@ -136,14 +136,14 @@ class UdpPacketEndpoint(Endpoint):
         self._instrument.frames_refused = sum(counters.frames.refused.values()) + sum(counters.refused.values())
 
     def _prepare(self) -> bool:
-        """Have a datagram ready; False when there is nothing to send."""
+        """Prepare a datagram; return False when there is nothing to send."""
         if self._next is None:
             outgoing = self._instrument.next_message()
             self._next = None if outgoing is None else (self._profile.wrap(outgoing.message), outgoing)
         return self._next is not None
 
     def _send(self) -> bool:
-        """Send the datagram that is ready, by way of the faults; False when the kernel takes none now."""
+        """Send the prepared datagram through the faults; return False when the kernel accepts none now."""
         assert self._next is not None
         data, outgoing = self._next
         left = self._faulty.send(data, outgoing, self._outlet.send)
@@ -165,7 +165,7 @@ _AT_A_TIME_LISTENER = 1024
 
 @dataclass(frozen=True)
 class Ports:
-    """Where packets come in, and where the camera takes telecommands; `allow` as in a rig, for senders of packets."""
+    """Address for packets, and the camera's address for telecommands; `allow` as in a rig, for senders of packets."""
 
     host: str = "127.0.0.1"
     port: int = 10_015
@@ -181,9 +181,9 @@ def listen_udp(
     recorder: Recorder | None = None,
     commands: Sequence[Telecommand] = (),
 ) -> Reception:
-    """Open the port, tell `commands`, and read while `goes_on` says so, which is asked after each look.
+    """Open the port, send `commands`, and read while `goes_on`, called after each turn, returns True.
 
-    Raises OSError when the port cannot be had. Nobody tells that the camera is gone.
+    Raises OSError when the port cannot be opened. The loss of the camera is not detected.
     """
     receiving = Receiving("ccsds", clock, recorder)
     inlet, outlet = DatagramInlet(ports.host, ports.port, ports.allow), None

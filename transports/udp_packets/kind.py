@@ -1,7 +1,4 @@
-"""The record of packets in datagrams.
-
-What a rig says of packets in datagrams.
-"""
+"""Parameters of packets in datagrams, and their registration as a kind of link."""
 
 from __future__ import annotations
 
@@ -24,18 +21,18 @@ class UdpPacketsLink:
     Attributes
     ----------
     host, port
-        Where packets are sent, one in each datagram.
+        Destination of the packets, one in each datagram.
     elsewhere
-        Must be true where `host` is not on this machine: whoever has that address gets the events, asked or not.
+        Must be true if `host` is not on this machine: the machine with that address gets the events, even unrequested.
     command_host, command_port
-        Address on which telecommands are taken, one or several whole packets in each datagram; port 0 takes a free one.
+        Address for telecommands, one or several whole packets in each datagram; port 0 takes a free one.
     allow
-        Addresses and networks whose telecommands are taken; needed where `command_host` can be reached from other
-        machines. There is no authentication.
+        Addresses and networks whose telecommands are accepted; required if other machines can reach `command_host`.
+        There is no authentication.
     mbit_s
-        Most that is sent, in Mbit/s of payload: receivers lose what comes faster than they read.
+        Highest rate, in Mbit/s of payload: receivers lose data that arrive faster than they read.
     name
-        What this rig calls the link: in reports, and where faults and triggers name it.
+        Name of the link in this rig: in reports, faults and triggers.
     """
 
     kind: ClassVar[str] = "udp_packets"
@@ -57,13 +54,13 @@ class UdpPacketsLink:
         if not 0.1 <= self.mbit_s <= 100_000:
             raise ValueError(f"mbit_s must be 0.1 to 100000, got {self.mbit_s}")
         if not self.host:
-            raise ValueError("host is empty: say where to send, for example 127.0.0.1")
+            raise ValueError("host is empty: give the receiver's address, for example 127.0.0.1")
         if not (self.elsewhere or is_loopback(self.host)):
-            raise ValueError(f"host {self.host!r} is another machine: say elsewhere = true if that is meant")
+            raise ValueError(f"host {self.host!r} is another machine: set elsewhere = true if that is intended")
         if not self.command_host:
-            raise ValueError("command_host is empty: say where telecommands are taken, for example 127.0.0.1")
+            raise ValueError("command_host is empty: give the address for telecommands, for example 127.0.0.1")
         if (self.host, self.port) == (self.command_host, self.command_port):
-            raise ValueError("port and command_port are the same: the camera would hear its own packets")
+            raise ValueError("port and command_port are the same: the camera would receive its own packets")
         check_allow(self.command_host, self.allow, "command_host")
 
 

@@ -1,6 +1,6 @@
-"""The event cameras that can be read on USB: what their drivers have in common, and which driver a device needs.
+"""Event cameras that can be read on USB: the common interface of their drivers, and the driver of each device.
 
-A reader of a camera on USB that counts, digests and records what arrives, until it is told to stop or unplugged.
+`receive` counts, digests and records the events of a camera until it is stopped or unplugged.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ __all__ = ["CAMERAS", "CameraHost", "Reception", "driver_of", "first_on_the_bus"
 
 
 class CameraHost(Protocol):
-    """A driver of one camera; see `DavisHost` and `Evk4Host`."""
+    """Driver of one camera; see `DavisHost` and `Evk4Host`."""
 
     @property
     def model(self) -> str:
@@ -34,26 +34,26 @@ class CameraHost(Protocol):
 
     @property
     def info(self) -> DavisInfo | Evk4Info:
-        """What the camera says of itself."""
+        """Identity that the camera reports."""
 
     @property
     def faults(self) -> WordFaults:
-        """Words that a healthy stream does not hold."""
+        """Counts of words that an intact stream never contains."""
 
     def start(self, settings: StreamSettings | None = None) -> None:
-        """Let events flow."""
+        """Start the stream of events."""
 
     def read(self, timeout_s: float) -> Events | None:
-        """Return the events of the next transfer; None when none came in time."""
+        """Return the events of the next transfer; None when none arrived in time."""
 
     def take_edges(self) -> Edges:
         """Return the edges read since the last call."""
 
     def stop(self) -> Events:
-        """Stop the camera; gives the events that were still under way."""
+        """Stop the camera; return the events that were still in transit."""
 
     def close(self) -> None:
-        """Stop the camera and let go of it."""
+        """Stop the camera and close it."""
 
 
 CAMERAS: Mapping[tuple[int, int], Callable[[UsbHost], CameraHost]] = {
@@ -64,7 +64,7 @@ CAMERAS: Mapping[tuple[int, int], Callable[[UsbHost], CameraHost]] = {
 
 
 def driver_of(host: UsbHost) -> CameraHost:
-    """Return the driver of a device; raises UnsuitableDevice, having closed it, where there is none."""
+    """Return the driver of a device; if there is none, close the device and raise UnsuitableDevice."""
     identity = host.identity
     driver = CAMERAS.get((identity.vendor_id, identity.product_id))
     if driver is None:
@@ -75,7 +75,7 @@ def driver_of(host: UsbHost) -> CameraHost:
 
 
 def first_on_the_bus() -> UsbHost:
-    """Return this machine's first known camera; raises what `PyusbHost.find` raises."""
+    """Return this machine's first known camera; raises the errors of `PyusbHost.find`."""
     *others, last = CAMERAS
     for vendor, product in others:
         with contextlib.suppress(DeviceAbsent):
@@ -88,7 +88,7 @@ _READ_TIMEOUT_S = 0.1
 
 @dataclass(frozen=True)
 class Reception:
-    """What has arrived so far.
+    """Events and counts received so far.
 
     Attributes
     ----------
@@ -97,13 +97,13 @@ class Reception:
     last_t_us
         Device time of the newest event; None before the first.
     digest
-        Of all events, see `digest_of`.
+        Digest of all events, see `digest_of`.
     faults
-        Words that a healthy stream does not hold.
+        Number of words that an intact stream never contains.
     gone
-        True when the camera went away.
+        True when the camera was lost.
     edges
-        What the external input told of.
+        Number of edges of the external input.
     """
 
     events: int = 0
@@ -115,7 +115,7 @@ class Reception:
     edges: int = 0
 
     def with_events(self, events: Events, edges: int = 0) -> Reception:
-        """Return this and `events`, in device time, and so many edges."""
+        """Return the reception with `events`, in device time, and a number of edges added."""
         more = dataclasses.replace(self, edges=self.edges + edges)
         if not len(events):
             return more
@@ -127,16 +127,16 @@ class Reception:
         )
 
     def at(self, seconds: float, faults: int, *, gone: bool = False) -> Reception:
-        """Return this at a later moment."""
+        """Return the reception with the values of a later moment."""
         return dataclasses.replace(self, seconds=seconds, faults=faults, gone=gone)
 
 
 def receive(
     camera: CameraHost, goes_on: Callable[[Reception], bool], clock: Clock, recorder: Recorder | None = None
 ) -> Reception:
-    """Start the camera and read it while `goes_on` says so, which is asked after each transfer; then stop it.
+    """Start the camera and read it while `goes_on`, called after each transfer, returns True; then stop it.
 
-    A camera that goes away ends it too. Raises UsbHostError when the camera cannot be started.
+    The loss of the camera ends it too. Raises UsbHostError when the camera cannot be started.
     """
     reception = Reception()
     start_ns = clock.now_ns()

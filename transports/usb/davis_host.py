@@ -1,16 +1,16 @@
-"""What a driver does with a DAVIS346, on any `UsbHost`: identify it, start it, read its events, stop it.
+"""Driver of a DAVIS346 on any `UsbHost`: identify it, start it, read its events, stop it.
 
 The order of requests is that of dv-processing 2.0.4, which is the strictest of the known drivers:
 
-    identify   configuration, serial number, system registers; refuse what is not a DAVIS with logic 18
+    identify   configuration, serial number, system registers; refuse any device but a DAVIS with logic 18
     stop       sources, multiplexer and USB off, chip last
     configure  biases and chip as dv-processing sets them, on-chip filters off, early packet delay
     queue      bulk transfers on endpoint 2
-    start      chip, USB, timestamps, multiplexer, at last the DVS
-    reset      timestamps to zero, and wait for the reset in the stream: what came before it is thrown away
+    start      chip, USB, timestamps, multiplexer, then the DVS
+    reset      timestamps to zero, and wait for the reset in the stream: data before it are discarded
 
-Register requests (vendor, device): 0xBF one register, wValue module, wIndex address, 4 bytes big-endian;
-0xC2 several registers, wValue their number, each u8 module, u8 address, u32 big-endian.
+Register requests (vendor, device): 0xBF one register, wValue module, wIndex address, 4 bytes big-endian; 0xC2 several
+registers, wValue their number, each u8 module, u8 address, u32 big-endian.
 """
 
 from __future__ import annotations
@@ -66,14 +66,14 @@ _START: tuple[Entry, ...] = (
     (Module.MULTIPLEXER, 0, 1),
     (Module.DVS, 3, 1),
 )
-_LISTEN: tuple[Entry, ...] = tuple((Module.EXTERNAL_INPUT, address, 1) for address in (1, 2, 3, 0))
-_MEASURE: tuple[Entry, ...] = ((Module.IMU, 2, 1), (Module.IMU, 3, 1), (Module.IMU, 4, 1))
+_ENABLE_EDGES: tuple[Entry, ...] = tuple((Module.EXTERNAL_INPUT, address, 1) for address in (1, 2, 3, 0))
+_ENABLE_IMU: tuple[Entry, ...] = ((Module.IMU, 2, 1), (Module.IMU, 3, 1), (Module.IMU, 4, 1))
 _RESET_TIME: tuple[Entry, ...] = ((Module.MULTIPLEXER, 2, 1), (Module.MULTIPLEXER, 2, 0))
 
 
 @dataclass(frozen=True)
 class DavisInfo:
-    """What a DAVIS says of itself. `size` is (width, height) in the user's frame."""
+    """Identity that a DAVIS reports. `size` is (width, height) in the user's frame."""
 
     serial: str
     firmware: int
@@ -88,23 +88,23 @@ class DavisInfo:
 
 @dataclass(frozen=True)
 class StreamSettings:
-    """How a stream is read.
+    """Settings of a stream.
 
     Attributes
     ----------
     transfer_bytes, transfers
         Size and number of the bulk transfers in flight: neuromorphic_drivers has 32 of 131072, libcaer 8 of 8192.
     reset_timestamps
-        Set the camera's clock to zero after the start and wait for it, as dv-processing does; without it events carry
-        the time since the camera's clock was started.
+        Set the camera's clock to zero after the start and wait for it, as dv-processing does; without it events have
+        the time since the start of the camera's clock.
     early_packet_us
-        A buffer that is not full leaves the camera after this time; libcaer's default is 1 ms.
+        Time after which a buffer that is not full leaves the camera; libcaer's default is 1 ms.
     edges
-        Ask the external input for rising and falling edges and for pulses; see `DavisHost.take_edges`.
+        Enable rising edges, falling edges and pulses of the external input; see `DavisHost.take_edges`.
     imu
-        Switch the inertial unit on, where there is one; see `DavisHost.take_imu`.
+        Enable the inertial unit, if there is one; see `DavisHost.take_imu`.
     frames
-        Switch the APS on, as its registers are; see `DavisHost.take_frames`.
+        Enable the APS, with its current registers; see `DavisHost.take_frames`.
     """
 
     transfer_bytes: int = 131_072
@@ -117,7 +117,7 @@ class StreamSettings:
 
 
 class DavisHost:
-    """A driver for one DAVIS346.
+    """Driver of one DAVIS346.
 
     Parameters
     ----------
@@ -129,7 +129,7 @@ class DavisHost:
     UnsuitableDevice
         Not a DAVIS, or firmware or logic that the known drivers refuse.
     UsbHostError
-        Whatever the host raises.
+        Any error of the host.
     """
 
     model = "DAVIS346"
@@ -153,11 +153,11 @@ class DavisHost:
 
     @property
     def faults(self) -> WordFaults:
-        """Words that a healthy stream does not hold, counted since the last start."""
+        """Counts of words that an intact stream never contains, since the last start."""
         return self._decoder.faults
 
     def start(self, settings: StreamSettings | None = None) -> None:
-        """Configure the camera and let events flow.
+        """Configure the camera and start the stream of events.
 
         Raises TransferTimeout when the timestamp reset does not appear in the stream within 5 s.
         """
@@ -172,9 +172,9 @@ class DavisHost:
         self._reader = self._host.stream(_STREAM_ENDPOINT, settings.transfer_bytes, settings.transfers)
         self._write_each(_START)
         if settings.edges:
-            self._write_each(_LISTEN)
+            self._write_each(_ENABLE_EDGES)
         if self._keeps_imu:
-            self._write_each(_MEASURE)
+            self._write_each(_ENABLE_IMU)
         if settings.frames:
             self.write_register(Module.APS, 4, 1)
         if settings.reset_timestamps:
@@ -182,9 +182,9 @@ class DavisHost:
             self._held = self._after_reset(self._reader)
 
     def read(self, timeout_s: float) -> Events | None:
-        """Return the events of the next transfer, in device time; None when none came in time.
+        """Return the events of the next transfer, in device time; None when none arrived in time.
 
-        An idle camera sends timestamps, so a transfer may hold no event.
+        An idle camera sends timestamps, so a transfer may contain no event.
         """
         if self._reader is None:
             raise RuntimeError("the camera is not started")
@@ -195,17 +195,17 @@ class DavisHost:
         return None if data is None else self._decode(data).events
 
     def take_edges(self) -> Edges:
-        """Return the edges read since the last call, (n,) EDGE in device time, where the start asked for them."""
+        """Return the edges read since the last call, (n,) EDGE in device time, if the start enabled them."""
         edges, self._edges = self._edges, []
         return np.concatenate([empty_edges(), *edges])
 
     def take_frames(self) -> list[FrameRead]:
-        """Return the frames read since the last call, where the start asked for them."""
+        """Return the frames read since the last call, if the start enabled them."""
         frames, self._frames = self._frames, []
         return frames
 
     def take_imu(self) -> ImuSamples:
-        """Return the IMU samples read since the last call, (n,) IMU_SAMPLE in device time, where the start asked."""
+        """Return the IMU samples since the last call, (n,) IMU_SAMPLE in device time, if the start enabled them."""
         samples, self._imu = self._imu, []
         return np.concatenate([no_samples(), *samples])
 
@@ -219,7 +219,7 @@ class DavisHost:
         return decoded
 
     def stop(self) -> Events:
-        """Stop the camera and the stream; gives the events that were still under way."""
+        """Stop the camera and the stream; return the events that were still in transit."""
         self._write_each(_STOP)
         reader, self._reader = self._reader, None
         rest = [self._decode(data).events for data in reader.close()] if reader else []
@@ -227,7 +227,7 @@ class DavisHost:
         return np.concatenate([held, *rest])
 
     def close(self) -> None:
-        """Stop the camera, if it is still there, and let go of it."""
+        """Stop the camera, if it is still there, and close it."""
         with contextlib.suppress(UsbHostError):
             self.stop()
         self._host.close()
@@ -302,7 +302,7 @@ class DavisHost:
             self._host.control_out(SetupPacket(0x40, request, value, 0, 0))
 
     def _after_reset(self, reader: BulkReader) -> Events:
-        """Read until the timestamp reset shows; gives the events behind it."""
+        """Read until the timestamp reset; return the events after it."""
         deadline = time.monotonic() + _RESET_TIMEOUT_S
         while True:
             data = reader.read(max(0.0, deadline - time.monotonic()))
@@ -318,7 +318,7 @@ class DavisHost:
 
 
 def _whole_words(data: bytes) -> bytes:
-    """Return a transfer without an odd byte at its end, which is damage: the camera sends words, never half of one."""
+    """Return a transfer without an odd byte at its end, which is damage: the camera sends whole words only."""
     return data[: len(data) & ~1]
 
 

@@ -1,7 +1,7 @@
-"""What a driver does with a Prophesee EVK4, on any `UsbHost`: identify it, start it, read its events, stop it.
+"""Driver of a Prophesee EVK4 on any `UsbHost`: identify it, start it, read its events, stop it.
 
-The order of registers is that of OpenEB's and neuromorphic_drivers' start and stop. The long initialisation between
-the two, which powers the chip, is left out: the emulated one needs none.
+The order of registers is that of OpenEB's and neuromorphic_drivers' start and stop. The long initialisation between the
+two, which powers the chip, is omitted: the emulated camera needs none.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _TRIGGER_OFF, _TRIGGER_ON = 0xC1FF, 0xC5FF
 
 @dataclass(frozen=True)
 class Evk4Info:
-    """What an EVK4 says of itself. `size` is (width, height)."""
+    """Identity that an EVK4 reports. `size` is (width, height)."""
 
     serial: str
     release: int
@@ -45,7 +45,7 @@ class Evk4Info:
 
 
 class Evk4Host:
-    """A driver for one EVK4.
+    """Driver of one EVK4.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ class Evk4Host:
     UnsuitableDevice
         Not an EVK4, or one that OpenEB refuses.
     UsbHostError
-        Whatever the host raises.
+        Any error of the host.
     """
 
     model = "EVK4"
@@ -76,11 +76,11 @@ class Evk4Host:
 
     @property
     def faults(self) -> WordFaults:
-        """Always none: any 16 bits are a word of EVT3."""
+        """Always none: any 16 bits are a valid word of EVT3."""
         return WordFaults()
 
     def start(self, settings: StreamSettings | None = None) -> None:
-        """Let events flow; the camera's time begins at zero, so that there is nothing to reset."""
+        """Start the stream of events; the camera's time begins at zero, so no reset is needed."""
         settings = settings or StreamSettings()
         self.stop()
         self._decoder, self._edges = Evt3Decoder(), []
@@ -91,9 +91,9 @@ class Evk4Host:
             self.write_register(address, value)
 
     def read(self, timeout_s: float) -> Events | None:
-        """Return the events of the next transfer, in device time; None when none came in time.
+        """Return the events of the next transfer, in device time; None when none arrived in time.
 
-        An idle camera sends times, so a transfer may hold no event.
+        An idle camera sends times, so a transfer may contain no event.
         """
         if self._reader is None:
             raise RuntimeError("the camera is not started")
@@ -101,12 +101,12 @@ class Evk4Host:
         return None if data is None else self._decode(data)
 
     def take_edges(self) -> Edges:
-        """Return the edges read since the last call, (n,) EDGE in device time, where the start asked for them."""
+        """Return the edges read since the last call, (n,) EDGE in device time, if the start enabled them."""
         edges, self._edges = self._edges, []
         return np.concatenate([empty_edges(), *edges])
 
     def stop(self) -> Events:
-        """Stop the camera and the stream; gives the events that were still under way."""
+        """Stop the camera and the stream; return the events that were still in transit."""
         for address, value in _STOP:
             self.write_register(address, value)
         reader, self._reader = self._reader, None
@@ -114,30 +114,30 @@ class Evk4Host:
         return np.concatenate([empty_events(), *rest])
 
     def close(self) -> None:
-        """Stop the camera, if it is still there, and let go of it."""
+        """Stop the camera, if it is still there, and close it."""
         with contextlib.suppress(UsbHostError):
             self.stop()
         self._host.close()
 
     def read_register(self, address: int) -> int:
         """Return one 32-bit register of the sensor."""
-        answer = self.ask(Property.READ_REGISTERS, struct.pack("<III", 0, address, 1))
+        answer = self.request(Property.READ_REGISTERS, struct.pack("<III", 0, address, 1))
         if len(answer) != 12 or answer[:8] != struct.pack("<II", 0, address):
             raise PeerBroken(f"register 0x{address:X} was answered with {answer.hex()}")
         return int.from_bytes(answer[8:], "little")
 
     def write_register(self, address: int, value: int) -> None:
         """Set one 32-bit register of the sensor."""
-        self.ask(Property.WRITE_REGISTERS, struct.pack("<III", 0, address, value))
+        self.request(Property.WRITE_REGISTERS, struct.pack("<III", 0, address, value))
 
-    def ask(self, what: Property, payload: bytes = b"") -> bytes:
-        """Make a request and return the payload of its answer; raises PeerBroken for one that failed."""
+    def request(self, what: Property, payload: bytes = b"") -> bytes:
+        """Send a request and return the payload of its answer; raises PeerBroken for one that failed."""
         self._host.bulk_out(REQUEST_ENDPOINT, bytes(Frame(what, payload)))
         data = self._host.bulk_in(ANSWER_ENDPOINT & 15, MOST_ANSWER_BYTES)
         try:
             answer = Frame.parse(data)
         except ValueError as error:
-            raise PeerBroken(f"{what.name} was answered with nonsense: {error}") from error
+            raise PeerBroken(f"{what.name} has an invalid answer: {error}") from error
         if answer.property != what:
             known = answer.property == what | FAILED and answer.property != UNKNOWN
             raise PeerBroken(f"{what.name} {'failed' if known else 'is not known to the camera'}")
@@ -147,18 +147,18 @@ class Evk4Host:
         identity = self._host.identity
         if (identity.vendor_id, identity.product_id) != (EVK4_VENDOR, EVK4_PRODUCT):
             raise UnsuitableDevice(f"{identity.vendor_id:04x}:{identity.product_id:04x} is not an EVK4 (04b4:00f5)")
-        release = int.from_bytes(self.ask(Property.RELEASE), "little")
+        release = int.from_bytes(self.request(Property.RELEASE), "little")
         if release < _OLDEST_RELEASE:
             raise UnsuitableDevice(f"the camera has release {release:06x}; at least 030800 is needed: update it")
         chip = self.read_register(Address.CHIP)
         if chip != _CHIP:
             raise UnsuitableDevice(f"the camera has chip {chip:08x}, not an IMX636 ({_CHIP:08x})")
-        serial = int.from_bytes(self.ask(Property.SERIAL), "little")
+        serial = int.from_bytes(self.request(Property.SERIAL), "little")
         name, compatible = self._texts(Property.NAME), self._texts(Property.COMPATIBLE)
         return Evk4Info(f"{serial:08X}", release, name[0], compatible)
 
     def _texts(self, what: Property) -> tuple[str, ...]:
-        texts = self.ask(what, _DEVICE)[4:].decode("ascii", "replace")
+        texts = self.request(what, _DEVICE)[4:].decode("ascii", "replace")
         return tuple(texts.split("\0")[:-1]) or ("",)
 
     def _decode(self, data: bytes) -> Events:

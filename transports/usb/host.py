@@ -1,4 +1,4 @@
-"""The host's side of a USB cable, as a driver sees it, and what can go wrong there.
+"""Host side of a USB cable, as a driver uses it, and its errors.
 
 UsbHostError
 StallError        the device refused a request
@@ -7,8 +7,8 @@ DeviceAbsent      no such device: plug it in, or start the emulator
 DeviceBusy        another driver or host holds the device
 AccessDenied      this user may not open the device (a udev rule is missing)
 LibraryMissing    the machine lacks libusb
-PeerGone          the device or its server went away
-PeerBroken        the device or its server answers nonsense
+PeerGone          the device or its server was lost
+PeerBroken        the device or its server sends invalid answers
 """
 
 from __future__ import annotations
@@ -34,57 +34,57 @@ __all__ = [
 
 
 class UsbHostError(Exception):
-    """Something went wrong between a driver and its device."""
+    """Error between a driver and its device."""
 
 
 class StallError(UsbHostError):
-    """The device refused a request."""
+    """Error: the device refused a request."""
 
 
 class TransferTimeout(UsbHostError):
-    """The device did not answer in time."""
+    """Error: the device did not answer in time."""
 
 
 class DeviceAbsent(UsbHostError):
-    """There is no such device."""
+    """Error: there is no such device."""
 
 
 class DeviceBusy(UsbHostError):
-    """Another driver or host holds the device."""
+    """Error: another driver or host holds the device."""
 
 
 class UnsuitableDevice(UsbHostError):
-    """The device is not one that this driver can use."""
+    """Error: this driver cannot use the device."""
 
 
 class AccessDenied(UsbHostError):
-    """The user may not open the device."""
+    """Error: the user may not open the device."""
 
 
 class LibraryMissing(UsbHostError):
-    """The machine lacks a library."""
+    """Error: the machine lacks a library."""
 
 
 class PeerGone(UsbHostError):
-    """The device, or the server that offers it, went away."""
+    """Error: the device, or the server that offers it, was lost."""
 
 
 class PeerBroken(UsbHostError):
-    """The device, or the server that offers it, breaks the protocol."""
+    """Error: the device, or the server that offers it, breaks the protocol."""
 
 
 class BulkReader(Protocol):
-    """A stream of data from one IN endpoint, in order."""
+    """Stream of data from one IN endpoint, in order."""
 
     def read(self, timeout_s: float) -> bytes | None:
-        """Return the next transfer's data; None when none came in time."""
+        """Return the next transfer's data; None when none arrived in time."""
 
     def close(self) -> list[bytes]:
-        """Take back what is pending; gives the transfers that had arrived unread, so that nothing is lost."""
+        """Cancel the pending transfers; return the data of those that had arrived unread, so that nothing is lost."""
 
 
 class UsbHost(Protocol):
-    """A device in the hands of a driver."""
+    """Device that a driver has opened."""
 
     @property
     def identity(self) -> Identity:
@@ -97,19 +97,25 @@ class UsbHost(Protocol):
         """Reset an IN endpoint (number without the direction bit) after a STALL, or before a new stream."""
 
     def control_in(self, setup: SetupPacket) -> bytes:
-        """Ask for at most `setup.length` bytes. Raises StallError, TransferTimeout, PeerGone."""
+        """Request at most `setup.length` bytes. Raises StallError, TransferTimeout, PeerGone."""
 
     def control_out(self, setup: SetupPacket, data: bytes = b"") -> int:
-        """Send `data`; gives the number of bytes the device took. Raises StallError, TransferTimeout, PeerGone."""
+        """Send `data`; return the number of bytes that the device took.
+
+        Raises StallError, TransferTimeout, PeerGone.
+        """
 
     def bulk_out(self, endpoint: int, data: bytes) -> None:
         """Send `data` to an OUT endpoint. Raises StallError, TransferTimeout, PeerGone."""
 
     def bulk_in(self, endpoint: int, length: int) -> bytes:
-        """Take one transfer of at most `length` bytes from an IN endpoint that no `stream` reads. Raises the same."""
+        """Read one transfer of at most `length` bytes from an IN endpoint that no `stream` reads.
+
+        Raises the same errors.
+        """
 
     def stream(self, endpoint: int, transfer_bytes: int = 131_072, transfers: int = 32) -> BulkReader:
         """Read an IN endpoint (number without the direction bit) with several transfers in flight."""
 
     def close(self) -> None:
-        """Let go of the device; a second call does nothing."""
+        """Close the device; a second call does nothing."""

@@ -1,16 +1,10 @@
-"""A host and its camera in one process: the fake of every USB link, with the real device model and real decoder.
+"""Loopback of a USB camera: a host and its camera in one process, with the real device model and real decoder.
 
-`DirectHost` is a `UsbHost` whose cable is a function call; `LoopbackEndpoint` drives a camera through it as a driver
-does and compares every event and frame that it decodes with what the camera says it sent.
+`DirectHost` is a `UsbHost` whose cable is a function call. `LoopbackEndpoint` drives a camera through it as a driver
+does, and compares every decoded event and frame with those that the camera sent. `Observed` reports the transfers of
+any USB device. `LOOPBACK` registers the loopback as a kind of link; `check_model` checks if a camera has a USB device.
 
-What it does not model: time on a wire, packets, other traffic, a host that is slow or goes away. Transfers are never
-lost and have no latency.
-
-A USB device whose deliveries are noted, without its knowing.
-
-The table and the record of loopback links: a host in the link's own process.
-
-Whether a rig's camera has a USB device.
+Not modelled: time on a wire, packets, other traffic, a slow or lost host. Transfers are never lost and have no latency.
 """
 
 from __future__ import annotations
@@ -45,7 +39,7 @@ __all__ = [
 
 
 class Observed(UsbDevice):
-    """Passes everything on to a device, and to `deliveries` what was sent."""
+    """Wrapper around a USB device that reports to `deliveries` every transfer that was sent."""
 
     def __init__(self, device: UsbDevice, deliveries: Deliveries) -> None:
         self._device = device
@@ -53,49 +47,49 @@ class Observed(UsbDevice):
 
     @property
     def identity(self) -> Identity:
-        """The device's own."""
+        """Identity of the device."""
         return self._device.identity
 
     def attached(self) -> None:
-        """Pass on."""
+        """See `UsbDevice.attached`."""
         self._device.attached()
 
     def detached(self) -> None:
-        """Pass on."""
+        """See `UsbDevice.detached`."""
         self._device.detached()
 
     def control(self, setup: SetupPacket, data: bytes) -> bytes:
-        """Pass on."""
+        """See `UsbDevice.control`."""
         return self._device.control(setup, data)
 
     def read(self, endpoint: int, max_bytes: int) -> Transfer | None:
-        """Pass on."""
+        """See `UsbDevice.read`."""
         return self._device.read(endpoint, max_bytes)
 
     def accepts(self, setup: SetupPacket) -> bool:
-        """Pass on."""
+        """See `UsbDevice.accepts`."""
         return self._device.accepts(setup)
 
     def flushes(self, endpoint: int) -> int:
-        """Pass on."""
+        """See `UsbDevice.flushes`."""
         return self._device.flushes(endpoint)
 
     def write(self, endpoint: int, data: bytes) -> None:
-        """Pass on."""
+        """See `UsbDevice.write`."""
         self._device.write(endpoint, data)
 
     def sent(self, transfer: Transfer) -> None:
-        """Note what left, and pass on."""
+        """Record the transfer as delivered, and pass it on."""
         self._deliveries.add(transfer.events, transfer.epoch_us, transfer.edges, transfer.readings)
         self._device.sent(transfer)
 
     def lost(self, transfer: Transfer) -> None:
-        """Pass on."""
+        """See `UsbDevice.lost`."""
         self._device.lost(transfer)
 
 
 class DirectReader:
-    """Reads one IN endpoint by asking the device; gives None where a real host would wait."""
+    """Reader of one IN endpoint by direct calls; returns None where a real host would wait."""
 
     def __init__(self, device: UsbDevice, endpoint: int, transfer_bytes: int) -> None:
         self._device = device
@@ -104,7 +98,7 @@ class DirectReader:
         self.last: Transfer | None = None
 
     def read(self, timeout_s: float) -> bytes | None:
-        """Return what the device has now, however long `timeout_s` is; raises StallError."""
+        """Return the data that the device has now, for any `timeout_s`; raises StallError."""
         try:
             self.last = self._device.read(self._endpoint, self._transfer_bytes)
         except Stall as stall:
@@ -115,12 +109,12 @@ class DirectReader:
         return self.last.data
 
     def close(self) -> list[bytes]:
-        """Nothing is ever pending."""
+        """Return no transfer, because none is ever pending."""
         return []
 
 
 class DirectHost:
-    """A `UsbHost` that holds its device in its hands."""
+    """A `UsbHost` that calls its device directly."""
 
     def __init__(self, device: UsbDevice) -> None:
         self._device = device
@@ -130,7 +124,7 @@ class DirectHost:
 
     @property
     def identity(self) -> Identity:
-        """The device's own."""
+        """Identity of the device."""
         return self._device.identity
 
     def configure(self) -> None:
@@ -142,11 +136,11 @@ class DirectHost:
         self.control_out(SetupPacket(0x02, 1, 0, 0x80 | endpoint, 0))
 
     def control_in(self, setup: SetupPacket) -> bytes:
-        """Ask the device; raises StallError."""
+        """Send an IN request to the device; raises StallError."""
         return self._control(setup, b"")
 
     def control_out(self, setup: SetupPacket, data: bytes = b"") -> int:
-        """Tell the device; raises StallError."""
+        """Send an OUT request to the device; raises StallError."""
         self._control(setup, data)
         return len(data)
 
@@ -166,23 +160,23 @@ class DirectHost:
             raise StallError(f"endpoint {endpoint}: the device refused {len(data)} bytes") from stall
 
     def bulk_in(self, endpoint: int, length: int) -> bytes:
-        """Take what the device has now; raises StallError, and TransferTimeout where it has nothing."""
+        """Read the data that the device has now; raises StallError, and TransferTimeout if it has none."""
         try:
             transfer = self._device.read(endpoint, length)
         except Stall as stall:
             raise StallError(f"endpoint {endpoint}: the device refused to be read") from stall
         if transfer is None:
-            raise TransferTimeout(f"endpoint {endpoint}: the device has nothing to say")
+            raise TransferTimeout(f"endpoint {endpoint}: the device has no data")
         self._device.sent(transfer)
         return transfer.data
 
     def stream(self, endpoint: int, transfer_bytes: int = 131_072, transfers: int = 32) -> DirectReader:
-        """Read an IN endpoint; there is nothing to queue."""
+        """Read an IN endpoint; no transfers are queued."""
         self.reader = DirectReader(self._device, endpoint, transfer_bytes)
         return self.reader
 
     def close(self) -> None:
-        """Let go of the device."""
+        """Release the device."""
         if self._is_open:
             self._is_open = False
             self._device.detached()
@@ -190,15 +184,15 @@ class DirectHost:
 
 @dataclass(frozen=True)
 class LoopbackFactory(EndpointFactory[UsbCamera]):
-    """Puts a host beside the camera."""
+    """Factory of a host next to the camera."""
 
     def build(self, device: UsbCamera, deliveries: Deliveries) -> LoopbackEndpoint:
-        """Return the host, which takes the camera when it is started."""
+        """Return the host; it opens the camera when it is started."""
         return LoopbackEndpoint(Observed(device, deliveries))
 
 
 class LoopbackEndpoint(Endpoint):
-    """A driver that reads a camera as soon as it has data, and checks them."""
+    """Driver that reads a camera as soon as it has data, and compares the data with those sent."""
 
     def __init__(self, device: UsbDevice) -> None:
         self._device = device
@@ -208,13 +202,13 @@ class LoopbackEndpoint(Endpoint):
         self._assembler = FrameAssembler()
 
     async def start(self) -> None:
-        """Take the camera, identify it, start it and reset its clock."""
+        """Open the camera, identify it, start it and reset its clock."""
         self._host = DirectHost(self._device)
         self._camera = DavisHost(self._host)
         self._camera.start(StreamSettings(edges=True, frames=True, imu=True))
 
     def pump(self) -> None:
-        """Read all that the camera has; raises LinkBroken when an event is not what was sent."""
+        """Read all data of the camera; raises LinkBroken when an event differs from the one sent."""
         while self._camera is not None and self._host is not None:
             received = self._camera.read(0.0)
             if received is None:
@@ -241,13 +235,13 @@ class LoopbackEndpoint(Endpoint):
         self._frames += len(received)
 
     async def close(self) -> None:
-        """Stop the camera and let go of it."""
+        """Stop the camera and release it."""
         if self._camera is not None:
             self._camera.close()
 
     @property
     def state(self) -> str:
-        """How much has been checked."""
+        """Counts of the compared data."""
         edges = f", {self._edges} edges" if self._edges else ""
         frames = f", {self._frames} frames" if self._frames else ""
         samples = f", {self._samples} IMU samples" if self._samples else ""
@@ -255,11 +249,11 @@ class LoopbackEndpoint(Endpoint):
 
 
 def _compare(received: Events, edges: Edges, imu: ImuSamples, transfer: Transfer) -> None:
-    told = (one.record for one in transfer.readings if one.kind is ReadingKind.IMU)
-    said_imu = np.concatenate([no_samples(), *told])
-    pairs = (("events", received, transfer.events), ("edges", edges, transfer.edges), ("samples", imu, said_imu))
-    for what, got, said in pairs:
-        sent = said.copy()
+    records = (one.record for one in transfer.readings if one.kind is ReadingKind.IMU)
+    sent_imu = np.concatenate([no_samples(), *records])
+    pairs = (("events", received, transfer.events), ("edges", edges, transfer.edges), ("samples", imu, sent_imu))
+    for what, got, expected in pairs:
+        sent = expected.copy()
         sent["t"] -= np.uint64(transfer.epoch_us)
         if not np.array_equal(got, sent):
             raise LinkBroken(f"loopback: {len(sent)} {what} were sent and {len(got)} others received")
@@ -267,12 +261,12 @@ def _compare(received: Events, edges: Edges, imu: ImuSamples, transfer: Transfer
 
 @dataclass(frozen=True)
 class LoopbackLink:
-    """A host inside the link's own process that starts the camera, decodes every byte and compares: no USB anywhere.
+    """A host inside the link's own process that starts the camera, decodes every byte and compares; without USB.
 
     Attributes
     ----------
     name
-        What this rig calls the link: in reports, and where faults and triggers name it.
+        Name of the link in this rig: in reports, faults and triggers.
     """
 
     kind: ClassVar[str] = "loopback"
@@ -285,7 +279,7 @@ def _endpoint(link: LoopbackLink, wiring: Wiring) -> EndpointFactory[Any]:
     return LoopbackFactory()
 
 
-# Its host reads a DAVIS346, of any size, and never loses its way at the start, so the camera need not wait.
+# Its host reads a DAVIS346 of any size and loses no data at the start, so the camera need not wait.
 LOOPBACK = LinkKind(LoopbackLink, serves="usb", endpoint=_endpoint, usb_model="davis346", start_delay=False)
 
 

@@ -1,7 +1,7 @@
-"""A device on this machine's real USB bus, real or emulated, through libusb (pyusb).
+"""Device on this machine's USB bus, real or emulated, through libusb (pyusb).
 
-pyusb is synchronous, so a thread keeps one bulk read going while the caller works on the data of those before. Between
-two reads the camera has nowhere to send; it buffers or drops, and counts what it dropped.
+pyusb is synchronous, so a thread keeps one bulk read in progress while the caller processes the earlier data. Between
+two reads the camera cannot send; it buffers or drops data, and counts the dropped data.
 """
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ from transports.usb.host import (
 __all__ = ["UDEV_RULE", "PyusbHost", "PyusbReader"]
 
 UDEV_RULE = 'SUBSYSTEM=="usb", ATTR{idVendor}=="152a|04b4", MODE="0666"'
-"""Lets every user open the devices of these vendors: the DAVIS346's, and that of the EVK4's USB chip."""
+"""Rule that permits every user to open the devices of these vendors: those of the DAVIS346, and of the EVK4's USB chip.
+"""
 
 _LIBUSB_MISSING = "libusb 1.0 is missing: apt-get install libusb-1.0-0"
 _DENIED = (
@@ -42,14 +43,14 @@ _POLL_S = 0.1
 
 
 class PyusbHost:
-    """A device opened with libusb.
+    """Device opened with libusb.
 
     Parameters
     ----------
     device
         A pyusb device.
     timeout_s
-        How long a control request may take.
+        Timeout of a control request.
     """
 
     def __init__(self, device: usb.core.Device, timeout_s: float = 1.0) -> None:
@@ -78,7 +79,7 @@ class PyusbHost:
 
     @property
     def identity(self) -> Identity:
-        """The device as its descriptor describes it."""
+        """Identity in the device's descriptor."""
         d = self._device
         speed = Speed(d.speed) if d.speed in (1, 2, 3) else Speed.SUPER
         classes = (d.bDeviceClass, d.bDeviceSubClass, d.bDeviceProtocol)
@@ -101,11 +102,11 @@ class PyusbHost:
             _raise(error, f"endpoint {endpoint}")
 
     def control_in(self, setup: SetupPacket) -> bytes:
-        """Ask the device for at most `setup.length` bytes."""
+        """Request at most `setup.length` bytes from the device."""
         return bytes(self._control(setup, setup.length))
 
     def control_out(self, setup: SetupPacket, data: bytes = b"") -> int:
-        """Send `data` with a control request; gives the number of bytes the device took."""
+        """Send `data` with a control request; return the number of bytes that the device took."""
         return int(self._control(setup, data))
 
     def bulk_out(self, endpoint: int, data: bytes) -> None:
@@ -116,20 +117,20 @@ class PyusbHost:
             _raise(error, f"endpoint {endpoint}")
 
     def bulk_in(self, endpoint: int, length: int) -> bytes:
-        """Take one transfer of at most `length` bytes from an IN endpoint."""
+        """Read one transfer of at most `length` bytes from an IN endpoint."""
         try:
             return bytes(self._device.read(0x80 | endpoint, length, self._timeout_ms))
         except usb.core.USBError as error:
             _raise(error, f"endpoint {endpoint}")
 
     def stream(self, endpoint: int, transfer_bytes: int = 131_072, transfers: int = 32) -> PyusbReader:
-        """Start reading an IN endpoint; `transfers` are held for a caller that is slow."""
+        """Start reading an IN endpoint; up to `transfers` transfers are queued for a slow caller."""
         reader = PyusbReader(self._device, endpoint, transfer_bytes, transfers)
         self._readers.append(reader)
         return reader
 
     def close(self) -> None:
-        """Stop reading and let go of the device."""
+        """Stop reading and close the device."""
         for reader in self._readers:
             reader.close()
         usb.util.dispose_resources(self._device)
@@ -153,7 +154,7 @@ class PyusbHost:
 
 
 class PyusbReader:
-    """A thread that reads one IN endpoint into a bounded queue."""
+    """Thread that reads one IN endpoint into a bounded queue."""
 
     def __init__(self, device: usb.core.Device, endpoint: int, transfer_bytes: int, depth: int) -> None:
         self._device = device
@@ -165,9 +166,9 @@ class PyusbReader:
         self._thread.start()
 
     def read(self, timeout_s: float) -> bytes | None:
-        """Return the next transfer's data; None when none came in time.
+        """Return the next transfer's data; None when none arrived in time.
 
-        Raises PeerGone when the device went away, StallError when the endpoint is halted.
+        Raises PeerGone when the device was lost, StallError when the endpoint is halted.
         """
         try:
             item = self._arrived.get(timeout=timeout_s)
@@ -178,7 +179,7 @@ class PyusbReader:
         return item
 
     def close(self) -> list[bytes]:
-        """Stop reading; gives the transfers that had arrived unread."""
+        """Stop reading; return the transfers that had arrived unread."""
         self._stop.set()
         rest: list[bytes | usb.core.USBError] = []
         while self._thread.is_alive() or not self._arrived.empty():
@@ -194,7 +195,7 @@ class PyusbReader:
             try:
                 data = self._device.read(self._address, self._transfer_bytes, round(1000 * _POLL_S))
             except usb.core.USBTimeoutError:
-                continue  # libusb hands over what came before a timeout, so nothing is lost here
+                continue  # libusb returns the data received before a timeout, so nothing is lost here
             except usb.core.USBError as error:
                 self._arrived.put(error)
                 return
@@ -202,7 +203,7 @@ class PyusbReader:
 
 
 def _raise(error: usb.core.USBError, what: str) -> NoReturn:
-    """Raise the error of ours that says whose fault it is."""
+    """Raise the project's own error for an error of libusb."""
     match error.errno:
         case errno.EACCES:
             raise AccessDenied(_DENIED) from error

@@ -1,18 +1,19 @@
-"""A ZeroMQ socket for one simulation: its REQ socket connects here, asks, and stands still until it has the reply.
+"""ZeroMQ server for one simulation: its REQ socket connects here, sends a request, and waits for the reply.
 
-The socket is a ROUTER, which tells peers apart (a REP would mix their requests). The first peer is served until it
-leaves; requests of others stay unanswered and are counted. Whether the peer has left is known from the file descriptor
-of its connection: ZeroMQ itself would wait for it to come back. For peers on other machines TCP's keep-alive says so.
+The socket is a ROUTER, which distinguishes peers (a REP would mix their requests). The first peer is served until it
+disconnects; requests of others stay unanswered and are counted. The file descriptor of its connection shows that the
+peer has disconnected: ZeroMQ itself would wait for it to return. For peers on other machines TCP's keep-alive shows it.
 
-Nothing authenticates a peer. A part of a message is at most `MOST_BYTES` long; ZeroMQ does not limit the number of
-parts of one message, so only programs that are trusted should be able to connect.
+No peer is authenticated. A part of a message is at most `MOST_BYTES` long; ZeroMQ does not limit the number of parts of
+one message, so only trusted programs should be able to connect.
 
-Every request of a simulation passed on to a second visualiser: another evstim with its own camera, or Vizard.
+`ForwardingServer` passes every request of a simulation on to a second visualiser: another evstim with its own camera,
+or Vizard.
 
     Basilisk --request--> this one --the same request--> the other
              <--reply----          <--reply-------------
 
-Both work at the same time; the reply waits for both. `merged` says whose is taken.
+Both work at the same time; the reply waits for both. `merged` selects the reply.
 """
 
 from __future__ import annotations
@@ -31,23 +32,25 @@ __all__ = ["MOST_BYTES", "ForwardingServer", "Other", "VizardServer"]
 MOST_BYTES = 1 << 24
 _MOST_PARTS = 16
 _KEEP_ALIVE = {"TCP_KEEPALIVE": 1, "TCP_KEEPALIVE_IDLE": 10, "TCP_KEEPALIVE_INTVL": 5, "TCP_KEEPALIVE_CNT": 3}
-_LINGER_MS = 500  # for the last reply to leave
+_LINGER_MS = 500  # time for the last reply to be sent
 
 
 class VizardServer:
-    """Listens on `host` and `port` (0: any free one) for the peers of `allow`, empty: this machine's.
+    """Server on `host` and `port` (0: any free one) for the peers of `allow`, empty: those of this machine.
 
     Attributes
     ----------
-    peer_gone : whether the peer that was served has closed its connection.
-    refused : requests of second peers, of addresses not allowed, and messages that no REQ socket sends.
+    peer_gone : bool
+        True when the peer has closed its connection.
+    refused : int
+        Requests of second peers, of addresses not allowed, and messages that no REQ socket sends.
 
     Raises
     ------
     ImportError
         pyzmq is not installed.
     OSError
-        The port cannot be had.
+        The port cannot be opened.
     """
 
     def __init__(self, host: str, port: int, allow: Sequence[str] = ()) -> None:
@@ -72,31 +75,31 @@ class VizardServer:
 
     @property
     def address(self) -> str:
-        """Where a simulation connects to, as ZeroMQ writes it."""
+        """Address to which a simulation connects, as ZeroMQ writes it."""
         return str(self._socket.getsockopt_string(self._zmq.LAST_ENDPOINT))
 
     def receive(self, timeout_ms: int) -> list[bytes] | None:
-        """Return the parts of the peer's next request; None when none came in time, or something else happened."""
+        """Return the parts of the peer's next request; None when none arrived in time, or another event occurred."""
         if not self._poller.poll(timeout_ms):
             return None
         try:
             frames = self._socket.recv_multipart(self._zmq.NOBLOCK, copy=False)
-        except self._zmq.Again:  # so it is the monitor that has something, and nothing of the peer is left to read
-            self._look_for_leaving()
+        except self._zmq.Again:  # so the monitor has an event, and no data of the peer are left to read
+            self._check_peer()
             return None
         return self._admitted(frames)
 
     def send(self, parts: Sequence[bytes]) -> None:
-        """Answer the peer's request; what it does not take any more is dropped."""
+        """Answer the peer's request; a reply that the peer no longer reads is dropped."""
         assert self._peer is not None
         self._socket.send_multipart([self._peer, b"", *parts])
 
     def forget_peer(self) -> None:
-        """Serve whoever comes next."""
+        """Serve the next peer that connects."""
         self._peer, self.peer_gone = None, False
 
     def close(self) -> None:
-        """Send what waits, for half a second at most, and close; a second call does nothing."""
+        """Send the waiting replies, for half a second at most, and close; a second call does nothing."""
         self._socket.disable_monitor()
         self._monitor.close(0)
         self._socket.close()
@@ -113,7 +116,7 @@ class VizardServer:
             raise OSError(number, f"cannot listen on {host} port {port}: {os.strerror(number)}") from error
 
     def _admitted(self, frames: Sequence[Any]) -> list[bytes] | None:
-        """Return the parts behind the sender and the empty one of a REQ socket, where the sender may ask."""
+        """Return the parts after the sender and the empty part of a REQ socket, if the sender is admitted."""
         if not 3 <= len(frames) <= _MOST_PARTS or frames[1].bytes:
             self.refused += 1
             return None
@@ -125,7 +128,7 @@ class VizardServer:
             return None
         return [frame.bytes for frame in frames[2:]]
 
-    def _look_for_leaving(self) -> None:
+    def _check_peer(self) -> None:
         while self._monitor.poll(0):
             left = self._monitor_message(self._monitor)["value"]
             self.peer_gone = self.peer_gone or (self._peer is not None and left == self._peer_fd)
@@ -147,19 +150,21 @@ class _Server(Protocol):
 
 
 class Other:
-    """A connection to a visualiser that listens on `host` and `port`; raises OSError where nobody does.
+    """Connection to a visualiser that listens on `host` and `port`; raises OSError if none listens.
 
     Attributes
     ----------
-    address : where it is.
-    gone : whether it has closed the connection.
+    address : str
+        Address of the visualiser.
+    gone : bool
+        True when it has closed the connection.
     """
 
     def __init__(self, host: str, port: int) -> None:
         import zmq
         from zmq.utils.monitor import recv_monitor_message
 
-        socket.create_connection((host, port), _REACH_S).close()  # ZeroMQ would try for ever, and say nothing
+        socket.create_connection((host, port), _REACH_S).close()  # ZeroMQ would try for ever, without an error
         self.address = f"{host}:{port}"
         self.gone = False
         self._zmq, self._monitor_message = zmq, recv_monitor_message
@@ -171,11 +176,11 @@ class Other:
         self._socket.connect(f"tcp://[{host}]:{port}" if ":" in host else f"tcp://{host}:{port}")
 
     def send(self, parts: Sequence[bytes]) -> None:
-        """Ask what Basilisk asked."""
+        """Send Basilisk's request."""
         self._socket.send_multipart([b"", *parts])
 
     def receive(self) -> list[bytes] | None:
-        """Return the reply, however long it takes; None when there will be none, because it has gone."""
+        """Wait for the reply and return it; None if it has closed the connection."""
         while not self._socket.poll(_LOOK_MS):
             while self._monitor.poll(0):
                 self._monitor_message(self._monitor)
@@ -185,7 +190,7 @@ class Other:
         return list(self._socket.recv_multipart()[1:])
 
     def close(self) -> None:
-        """Leave; the other one's run ends then. A second call does nothing."""
+        """Disconnect, which ends the other one's run. A second call does nothing."""
         if not self._socket.closed:
             self._socket.disable_monitor()
             self._monitor.close(0)
@@ -194,11 +199,12 @@ class Other:
 
 
 class ForwardingServer:
-    """A server whose requests go to another visualiser too; the owner closes both.
+    """Server whose requests go to another visualiser too; the owner closes both.
 
     Attributes
     ----------
-    lost : why the other one did not answer any more; empty: it did.
+    lost : str
+        Reason for missing replies of the other one; empty if it replies.
     """
 
     def __init__(self, server: _Server, other: Other) -> None:
@@ -207,18 +213,18 @@ class ForwardingServer:
 
     @property
     def peer_gone(self) -> bool:
-        """Whether the simulation has closed its connection."""
+        """True when the simulation has closed its connection."""
         return self._server.peer_gone
 
     def receive(self, timeout_ms: int) -> list[bytes] | None:
-        """Return the parts of the next request, which the other one now has too; None when none came in time."""
+        """Return the parts of the next request, after sending it to the other one; None when none arrived in time."""
         parts = self._server.receive(timeout_ms)
         if parts is not None and not self._other.gone:
             self._other.send(parts)
         return parts
 
     def send(self, parts: Sequence[bytes]) -> None:
-        """Answer the simulation as soon as the other one has answered."""
+        """Answer the simulation when the other one has answered."""
         theirs = None if self._other.gone else self._other.receive()
         if theirs is None:
             self.lost = f"the visualiser at {self._other.address} has gone"
@@ -227,5 +233,5 @@ class ForwardingServer:
             self._server.send(merged(list(parts), theirs))
 
     def forget_peer(self) -> None:
-        """Serve whoever comes next."""
+        """Serve the next peer that connects."""
         self._server.forget_peer()

@@ -53,7 +53,7 @@ def test_the_ports_and_identifiers_are_those_of_the_rig(tmp_path):
         (["export", "xtce", "--out", "/proc/none"], 2, "/proc/none"),
         (["listen", "udp", "10015"], 2, "is not HOST:PORT"),
         (["listen", "udp", "127.0.0.1:0"], 2, "is not HOST:PORT"),
-        (["listen", "udp", "0.0.0.0:10015"], 2, "say who may connect"),
+        (["listen", "udp", "0.0.0.0:10015"], 2, "set allow, for example"),
         (
             ["listen", "udp", "192.0.2.1:10015", "--allow", "192.0.2.9", "--seconds", "1"],
             3,

@@ -8,9 +8,9 @@ import pytest
 from firmware_protocol.can_frames.canopen import NodeState
 from firmware_protocol.can_frames.frame import Frame
 from firmware_protocol.can_frames.transport import IsoTpSender
-from transports.can_bus.bus import BusDown, Heard, PythonCanBus
+from transports.can_bus.bus import BusDown, PythonCanBus, TimedFrame
 from transports.can_bus.kind import CanLink
-from transports.can_bus.node import _Listening, peer_of
+from transports.can_bus.node import _Listener, peer_of
 from transports.can_bus.served import ServedBus
 from transports.link.pacing import FakeClock, MonotonicClock
 
@@ -34,11 +34,11 @@ def test_a_farewell_behind_a_frame_that_asks_for_an_answer_is_heard_though_the_b
     farewell = Frame(PARAMETERS.identifiers.heartbeat, bytes([NodeState.STOPPED]))
     bus = PythonCanBus(peer_of(PARAMETERS), "can0")
     bus._bus = DeadWire()
-    bus._unread.extend([Heard(sender.next_frame(0), 1), Heard(farewell, 2)])
-    listening = _Listening(PARAMETERS, FakeClock(10**9), None)
+    bus._unread.extend([TimedFrame(sender.next_frame(0), 1), TimedFrame(farewell, 2)])
+    listening = _Listener(PARAMETERS, FakeClock(10**9), None)
     listening.take(bus)
     assert listening.finish(gone=True).ended
-    bus._unread.append(Heard(Frame(0x1A2), 3))  # the reader still finds something
+    bus._unread.append(TimedFrame(Frame(0x1A2), 3))  # the reader still finds something
     assert [heard.frame for heard in bus.take()] == [Frame(0x1A2)]
 
 
@@ -59,7 +59,7 @@ def test_a_client_that_talks_while_the_bus_ends_gets_every_frame():
             sock.setblocking(False)
             await loop.sock_connect(sock, ("127.0.0.1", int(bus.address.rpartition(":")[2])))
             sock.send(b"< open can0 >< rawmode >")
-            while not bus.heard:
+            while not bus.has_listeners:
                 await asyncio.sleep(0.001)
             told = 0
             while told < FRAMES:

@@ -79,11 +79,11 @@ def test_python_can_hears_us_and_we_hear_it():
     async def serve():
         bus = served()
         await bus.open()
-        assert not bus.heard
+        assert not bus.has_listeners
         thread = threading.Thread(target=client, args=(int(bus.address.rpartition(":")[2]),))
         thread.start()
         heard, to_send = [], list(ours)
-        while not bus.heard:
+        while not bus.has_listeners:
             await asyncio.sleep(0.001)
         while thread.is_alive():
             heard += bus.take()
@@ -109,7 +109,7 @@ def test_our_reader_of_python_can_joins_it():
         port = int(bus.address.rpartition(":")[2])
         reader = PythonCanBus(CanLink(interface="socketcand", port=port), "can0")
         await reader.open()
-        while not bus.heard:
+        while not bus.has_listeners:
             await asyncio.sleep(0.001)
         bus.send(Frame(0x080, b"\x07"), urgent=True)
         frames, own = [], []

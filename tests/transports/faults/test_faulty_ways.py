@@ -10,7 +10,7 @@ from firmware_protocol.can_frames.frame import Frame
 from firmware_protocol.events import EVENT, empty_edges
 from firmware_protocol.instrument.instrument import Outgoing
 from firmware_protocol.packets.addresses import Message, MessageKind
-from transports.can_bus.bus import BusDown, CanBus, Heard
+from transports.can_bus.bus import BusDown, CanBus, TimedFrame
 from transports.can_bus.faulty_bus import BusFaults, FaultyBus
 from transports.faults.bus import BabblingIdiot, BusOff, DeadBus, QueuedFrame, RepeatedFrames
 from transports.faults.kinds import LostBytes, Stall, WrongBaud
@@ -100,7 +100,7 @@ class FewLines(CanBus):
     def take(self):
         if self.down:
             raise BusDown("down")
-        return [Heard(FRAME, 1)]
+        return [TimedFrame(FRAME, 1)]
 
     async def close(self):
         self.down = True
@@ -142,13 +142,13 @@ def test_a_controller_that_is_off_comes_back_on_the_same_bus_and_a_bus_that_brok
 
 def test_a_dead_bus_hears_and_is_heard_by_nobody():
     b, faults = bus()
-    assert b.heard
+    assert b.has_listeners
     assert len(b.take()) == 1
     faults.inject(DeadBus(for_s=0.1))
-    assert not b.heard
+    assert not b.has_listeners
     assert b.take() == []
     faults.advance(100_000)
-    assert b.heard
+    assert b.has_listeners
 
 
 def test_a_babbling_node_asks_for_its_share_of_the_bus():

@@ -139,7 +139,7 @@ def test_every_kind_has_a_stage(kind):
     [
         (BitFlips, {"rate": 0}, "rate must be above 0"),
         (BitFlips, {"count": -1}, "count must be"),
-        (BitFlips, {"count": 0}, "say when it is over"),
+        (BitFlips, {"count": 0}, "set one of them"),
         (BitFlips, {"at_s": -1}, "at_s must be"),
         (BitFlips, {"for_s": float("nan")}, "for_s must be"),
         (Stall, {"for_s": 0}, "for_s must be above 0"),

@@ -95,13 +95,13 @@ def test_what_was_answered_has_been_handed_on_in_order(process, ask):
 
 
 def test_the_latched_time_is_that_of_the_stream_since_the_last_start(process, ask):
-    process.tell(DeviceTime(0, 9_000_000))
+    process.write_time(DeviceTime(0, 9_000_000))
     ask(Command.WRITEREG, Register.PRIVILEGE, 2)
     seen = []
     for step in (
         lambda: None,
         lambda: ask(Command.WRITEREG, ACQUISITION_START, 1),
-        lambda: process.tell(DeviceTime(1, 5000)),
+        lambda: process.write_time(DeviceTime(1, 5000)),
     ):
         step()
         ask(Command.WRITEREG, Register.TIME_CONTROL, 2)

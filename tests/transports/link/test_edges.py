@@ -72,7 +72,7 @@ def test_edges_before_the_run_are_counted_and_make_nothing():
     sink(1, 0)
     run.start(ORIGIN_NS)
     sink(ORIGIN_NS - 1, 1)
-    assert sink.heard_early == 2
+    assert sink.early_triggers == 2
     assert ring.written == 0
 
 

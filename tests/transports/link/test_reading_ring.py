@@ -67,9 +67,9 @@ def test_a_ring_of_frames_holds_at_least_one():
 def test_settings_come_back_whole():
     ring = ReadingRing(ReadingKind.IMU, RECORD, 4)
     assert ring.settings == ()
-    ring.tell((1, 2, 3))
+    ring.write_settings((1, 2, 3))
     assert ring.settings == (1, 2, 3)
-    ring.tell((-5,))
+    ring.write_settings((-5,))
     assert ring.settings == (-5,)
     ring._ring.cells[0] += 1  # as in the middle of a writing
     ring._ring.cells[2] = 9

@@ -46,7 +46,7 @@ def test_a_network_permits_the_addresses_with_its_prefix(base, bits, peer):
 )
 def test_a_host_that_others_reach_needs_a_list(host):
     assert not is_loopback(host)
-    with pytest.raises(ValueError, match="say who may connect"):
+    with pytest.raises(ValueError, match="set allow, for example"):
         check_allow(host, ())
     check_allow(host, ["10.0.0.5"])
 

@@ -33,17 +33,17 @@ def pty():
 
 
 def test_a_pty_knows_whether_it_is_read(pty):
-    assert not pty.heard
+    assert not pty.has_reader
     assert pty.read() == b""
     with serial.Serial(pty.address):
-        assert pty.heard
-    assert not pty.heard
+        assert pty.has_reader
+    assert not pty.has_reader
 
 
 def test_every_byte_goes_both_ways_unchanged(pty):
     every = bytes(range(256))
     with serial.Serial(pty.address, timeout=PATIENCE_S) as reader:
-        assert pty.heard
+        assert pty.has_reader
         assert pty.write(every) == 256
         assert reader.read(256) == every
         reader.write(every)
@@ -64,12 +64,12 @@ def test_a_full_pty_takes_what_it_has_room_for(pty):
 
 def test_a_new_reader_does_not_get_what_the_last_one_left(pty):
     with serial.Serial(pty.address):
-        assert pty.heard
+        assert pty.has_reader
         while pty.write(b"stale" * 100):
             pass
-    assert not pty.heard
+    assert not pty.has_reader
     reader = os.open(pty.address, os.O_RDWR | os.O_NOCTTY)  # pyserial would throw away what is old by itself
-    assert pty.heard
+    assert pty.has_reader
     pty.write(b"fresh")
     assert os.read(reader, 100) == b"fresh"
     os.close(reader)
@@ -78,7 +78,7 @@ def test_a_new_reader_does_not_get_what_the_last_one_left(pty):
 def test_a_reader_sees_the_pty_hang_up():
     pty = PtyPort()
     reader = open_port(SerialLink(port=pty.address))
-    assert pty.heard
+    assert pty.has_reader
     pty.close()
     with pytest.raises(OSError, match=r"hung up|Input/output"):
         until(reader.read)
@@ -174,7 +174,7 @@ def test_settings_that_a_port_lacks_are_told(pty):
 def test_what_a_pty_ignores_it_accepts(pty):
     parameters = SerialLink(port=pty.address, parity="even", stop_bits=2, break_ms=1, flow="rts_cts")
     open_port(parameters).close()
-    assert not pty.heard
+    assert not pty.has_reader
 
 
 def test_an_unknown_url_is_told():

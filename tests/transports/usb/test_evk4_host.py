@@ -144,7 +144,7 @@ def test_a_request_that_fails_is_told(camera):
     host = Evk4Host(DirectHost(camera))
     with pytest.raises(PeerBroken, match="READ_REGISTERS failed"):
         host.read_register(0x10_0000)
-    assert host.ask(Property.DEVICES) == struct.pack("<I", 1)
+    assert host.request(Property.DEVICES) == struct.pack("<I", 1)
 
 
 def test_a_camera_that_knows_no_property_is_told():

@@ -1,28 +1,29 @@
-"""The cable between a device model and a function of FunctionFS: what the port does, and what the device has to say.
+"""Connection between a device model and a function of FunctionFS, for the events of the port and the device's data.
 
-    port       SETUP ----------> device.control, in the order in which things happen at the port
+    port       SETUP ----------> device.control, in the order of events at the port
                ENABLE ---------> device.attached, SET_CONFIGURATION
                DISABLE, UNBIND > device.detached
     endpoint   idle ----------->  device.read; sent, or lost when the host did not take it
 
-What is promised, beside `UsbDevice`:
+Guarantees, beside those of `UsbDevice`:
 
-- A host that takes nothing holds up no control request and not the camera: one transfer for each endpoint waits for
-  it, and what the device cannot keep it drops and counts itself.
-- When the host ends a stream, a transfer of that stream has `grace_s` to be taken and is then given up, so that the
-  next stream does not begin with it. How much of it the host has read nobody knows: all of it counts as lost.
-- A halt is the controller's: it ends when the host clears it, and nobody is told. The device hears of its end at once.
-- FunctionFS cannot refuse the data of an OUT request when they have come; `UsbDevice.accepts` can before.
+- A host that reads nothing delays neither control requests nor the camera: one transfer for each endpoint waits for
+  it, and the device itself drops and counts the data that it cannot store.
+- When the host ends a stream, it has `grace_s` to read a transfer of that stream. Then the transfer is aborted, so that
+  the next stream does not begin with it. The part that the host has read is not known: all of it counts as lost.
+- The controller holds a halt: it ends when the host clears it, without a notification. The device is informed of its
+  end at once.
+- FunctionFS cannot refuse the data of an OUT request when they have arrived; `UsbDevice.accepts` can before.
 
-The threads that make blocking calls of FunctionFS: one for endpoint 0, one for each other endpoint.
+The blocking calls of FunctionFS are made by threads: one for endpoint 0, one for each other endpoint.
 
-    loop's thread                              their threads
+    loop's thread                              other threads
     -------------                              -------------------------------------------
-    device.control  <-- Request, Turn -------  ControlThread: events and data stages of endpoint 0
-    device.read     --- transfer ----------->  InThread: write; tells whether the host took it
+    device.control  <-- Request, EventKind --  ControlThread: events and data stages of endpoint 0
+    device.read     --- transfer ----------->  InThread: write; reports if the host took it
     device.write    <-- data ----------------  OutThread: read
 
-The device is used in the loop's thread alone: what a thread wants of it is put into the loop by `post`.
+Only the loop's thread uses the device: requests of the other threads are put into the loop by `post`.
 """
 
 from __future__ import annotations
@@ -57,7 +58,7 @@ _JOIN_TIMEOUT_S = 10.0
 
 @dataclass(frozen=True)
 class Request:
-    """A control request for the device. `data` is None while it is asked only whether its data may come."""
+    """Control request for the device. `data` is None while only the permission to receive its data is requested."""
 
     setup: SetupPacket
     data: bytes | None
@@ -74,7 +75,7 @@ class Sent:
 
 
 class ControlThread(threading.Thread):
-    """Serves endpoint 0: `post` gets each Request, to be answered, and each turn of the port."""
+    """Thread for endpoint 0: `post` receives each Request, which must be answered, and each event of the port."""
 
     def __init__(self, pipe: ControlPipe, post: Callable[[Request | EventKind], None]) -> None:
         super().__init__(name="usb gadget ep0", daemon=True)
@@ -90,12 +91,12 @@ class ControlThread(threading.Thread):
                 self._post(event.kind)
 
     def end(self) -> None:
-        """Let the thread end and wait for it; what it asks for must be answered."""
+        """End the thread and wait for it; its requests must still be answered."""
         self._pipe.wake()
         self.join(_JOIN_TIMEOUT_S)
 
     def _serve(self, setup: SetupPacket) -> None:
-        """Do one control transfer; a host that gives up meanwhile has the next one begin."""
+        """Execute one control transfer; if the host aborts it, the next one can begin."""
         try:
             try:
                 self._transfer(setup)
@@ -103,36 +104,36 @@ class ControlThread(threading.Thread):
                 log.debug("STALL of %s: %s", setup, stall)
                 self._pipe.refuse(is_in=setup.is_in)
         except OSError as error:
-            log.debug("%s was given up: %s", setup, error)
+            log.debug("%s was aborted by the host: %s", setup, error)
 
     def _transfer(self, setup: SetupPacket) -> None:
         if setup.is_in:
-            self._pipe.send(self._asked(setup, b"")[: setup.length])
+            self._pipe.send(self._request(setup, b"")[: setup.length])
         elif setup.length:
-            # When the data have come the request counts as done, so it must be refused before.
-            self._asked(setup, None)
+            # After its data have arrived the request counts as done, so it must be refused before.
+            self._request(setup, None)
             data = self._pipe.receive(setup.length)
             with contextlib.suppress(Stall):
-                self._asked(setup, data)
+                self._request(setup, data)
         else:
-            self._asked(setup, b"")
+            self._request(setup, b"")
             self._pipe.receive(0)
 
-    def _asked(self, setup: SetupPacket, data: bytes | None) -> bytes:
+    def _request(self, setup: SetupPacket, data: bytes | None) -> bytes:
         request = Request(setup, data)
         self._post(request)
         return request.answer.result()
 
 
 class InThread(threading.Thread):
-    """Gives transfers to the host, one at a time.
+    """Thread that sends transfers to the host, one at a time.
 
     Parameters
     ----------
     pipe
         The endpoint.
     done
-        Hears, in this thread, of each transfer's end: None, or the error that it ended with.
+        Called in this thread at each transfer's end: with None, or with the error that ended it.
     """
 
     def __init__(self, pipe: DataPipe, done: Callable[[InThread, OSError | None], None]) -> None:
@@ -140,46 +141,46 @@ class InThread(threading.Thread):
         self.pipe = pipe
         self._done = done
         self._jobs: queue.SimpleQueue[Transfer | Stall | None] = queue.SimpleQueue()
-        self._is_void = False
+        self._is_aborted = False
 
     def put(self, job: Transfer | Stall) -> None:
-        """Let a transfer go to the host, or the endpoint halt; only when `done` was told of the one before."""
-        self._is_void = False
+        """Send a transfer to the host, or halt the endpoint; only after `done` was called for the preceding one."""
+        self._is_aborted = False
         self._jobs.put(job)
 
-    def void(self) -> None:
-        """Give up the transfer under way; call it again until `done` is told, for a call may begin between two."""
-        self._is_void = True
+    def abort(self) -> None:
+        """Abort the transfer in progress; repeat until `done` is called, because a call may begin between two."""
+        self._is_aborted = True
         self.pipe.interrupt()
 
     def run(self) -> None:
         """Serve until `end`."""
         while (job := self._jobs.get()) is not None:
             try:
-                self._carry(job)
+                self._send(job)
             except OSError as error:
                 self._done(self, error)
             else:
                 self._done(self, None)
 
     def end(self) -> None:
-        """Let the thread end when the transfer under way has ended."""
+        """End the thread when the transfer in progress has ended."""
         self._jobs.put(None)
 
-    def _carry(self, job: Transfer | Stall) -> None:
+    def _send(self, job: Transfer | Stall) -> None:
         if isinstance(job, Stall):
             self.pipe.halt()
             return
-        if self._is_void:
-            raise InterruptedError("given up before it began")
+        if self._is_aborted:
+            raise InterruptedError("aborted before it began")
         packet_bytes = self.pipe.packet_bytes()
         self.pipe.write(job.data)
         if job.data and len(job.data) % packet_bytes == 0:
-            self.pipe.write(b"")  # only a packet that is not full ends the host's transfer
+            self.pipe.write(b"")  # only a short packet ends the host's transfer
 
 
 class OutThread(threading.Thread):
-    """Takes transfers from the host: `post` gets each as a Sent, to be answered."""
+    """Thread that receives transfers from the host: `post` gets each as a Sent, which must be answered."""
 
     def __init__(self, pipe: DataPipe, post: Callable[[Sent], None]) -> None:
         super().__init__(name=f"usb gadget OUT {pipe.number}", daemon=True)
@@ -189,19 +190,19 @@ class OutThread(threading.Thread):
         self._is_over = False
 
     def enable(self) -> None:
-        """Begin to read: a host has chosen the configuration."""
+        """Begin to read, because a host has selected the configuration."""
         self._enabled.set()
 
     def run(self) -> None:
         """Serve until `end`."""
         while self._enabled.wait() and not self._is_over:
-            self._enabled.clear()  # first: the next host may come before the read of this one has failed
+            self._enabled.clear()  # first: the next host may connect before the read of this one has failed
             with contextlib.suppress(OSError):
                 while not self._is_over:
                     self._take()
 
     def end(self) -> None:
-        """Let the thread end."""
+        """End the thread."""
         self._is_over = True
         self._enabled.set()
         self._pipe.interrupt()
@@ -227,8 +228,8 @@ P = ParamSpec("P")
 
 
 @dataclass
-class _Carried:
-    """What an endpoint carries, how many streams had ended before, and until when it may be taken."""
+class _InProgress:
+    """Transfer in progress, the number of streams that had ended before, and its deadline."""
 
     job: Transfer | Stall
     flushes: int
@@ -236,48 +237,48 @@ class _Carried:
 
 
 class Cable:
-    """Serves one device at one function; made and used in a running asyncio loop.
+    """Service of one device at one function; made and used in a running asyncio loop.
 
     Parameters
     ----------
     device
-        What is behind the port.
+        The device behind the port.
     function
-        The port; its descriptors must have been taken, and its controller be bound after `start`.
+        The port; its descriptors must have been accepted, and its controller be bound after `start`.
     grace_s
-        How long a transfer of an ended stream may still be taken.
+        Time in which the host may still read a transfer of an ended stream.
     """
 
     def __init__(self, device: UsbDevice, function: Function, grace_s: float = _GRACE_S) -> None:
         self._device = device
         self._loop = asyncio.get_running_loop()
         self._grace_s = grace_s
-        self._control = ControlThread(function.control, self._soon(self._happened))
+        self._control = ControlThread(function.control, self._soon(self._enqueue))
         self._ins = [InThread(p, self._soon(self._taken)) for p in function.pipes if p.is_in]
-        self._outs = [OutThread(p, self._soon(self._happened)) for p in function.pipes if not p.is_in]
-        # What happened at the port and is not dealt with yet, oldest first.
+        self._outs = [OutThread(p, self._soon(self._enqueue)) for p in function.pipes if not p.is_in]
+        # Requests and events of the port that are not processed yet, oldest first.
         self._orders: deque[Request | Sent | EventKind] = deque()
-        self._on_the_way: dict[InThread, _Carried] = {}
+        self._on_the_way: dict[InThread, _InProgress] = {}
         self._is_attached = self._is_configured = self._is_enabled = self._is_closing = False
 
     @property
     def enabled(self) -> bool:
-        """True while a host has chosen the configuration."""
+        """True while a host has selected the configuration."""
         return self._is_enabled
 
     @property
     def idle(self) -> bool:
-        """True when there is no host, and nothing left to do."""
+        """True when there is no host, and no work left."""
         return not self._on_the_way and not self._orders and not self._is_enabled
 
     def start(self) -> None:
-        """Begin to serve."""
+        """Start the threads."""
         for thread in (self._control, *self._ins, *self._outs):
             thread.start()
 
     def pump(self) -> None:
-        """Deal with what happened, and let idle endpoints carry what the device has now."""
-        self._deal()
+        """Process the pending requests, and let idle endpoints send the data that the device has now."""
+        self._process()
         self._give_up()
         if self._is_enabled and not self._orders and not self._is_closing:
             for thread in self._ins:
@@ -285,7 +286,7 @@ class Cable:
                     self._carry(thread)
 
     async def close(self, unbind: Callable[[], None], linger_s: float = _LINGER_S) -> None:
-        """Give the host `linger_s` for what is on its way, call `unbind`, which takes the host away, and end."""
+        """Wait `linger_s` for transfers in progress, call `unbind`, which disconnects the host, and end."""
         self._is_closing = True
         await self._until(lambda: not self._on_the_way, linger_s)
         try:
@@ -312,27 +313,27 @@ class Cable:
             await asyncio.sleep(_STEP_S)
 
     def _soon(self, function: Callable[P, None]) -> Callable[P, None]:
-        """Return what calls `function` in the loop's thread, from any thread."""
+        """Return a function that calls `function` in the loop's thread, from any thread."""
 
         def call(*args: P.args, **kwargs: P.kwargs) -> None:
             self._loop.call_soon_threadsafe(lambda: function(*args, **kwargs))
 
         return call
 
-    # What happened at the port.
+    # Requests and events of the port.
 
-    def _happened(self, order: Request | Sent | EventKind) -> None:
+    def _enqueue(self, order: Request | Sent | EventKind) -> None:
         self._orders.append(order)
         self.pump()
 
-    def _deal(self) -> None:
-        while self._orders and self._dealt_with(self._orders[0]):
+    def _process(self) -> None:
+        while self._orders and self._processed(self._orders[0]):
             self._orders.popleft()
 
-    def _dealt_with(self, order: Request | Sent | EventKind) -> bool:
-        """Do what an order asks for; False when it must wait."""
+    def _processed(self, order: Request | Sent | EventKind) -> bool:
+        """Process a request or event; return False when it must wait."""
         if isinstance(order, EventKind):
-            return self._turned(order)
+            return self._port_changed(order)
         try:
             answer = self._obey(order)
         except NotReady as late:
@@ -356,8 +357,8 @@ class Cable:
             raise Stall(f"{order.setup} is not known, or its data have another length")
         return b""
 
-    def _turned(self, turn: EventKind) -> bool:
-        """Let a host come or go, when nothing is on its way any more; transfers to the host that went have failed."""
+    def _port_changed(self, turn: EventKind) -> bool:
+        """Attach or detach a host when no transfer is in progress; those to a lost host have failed."""
         self._is_enabled = False
         if self._on_the_way:
             return False
@@ -381,10 +382,10 @@ class Cable:
             self._is_attached = self._is_configured = False
             self._device.detached()
 
-    # What goes to the host.
+    # Transfers to the host.
 
     def _carry(self, thread: InThread) -> None:
-        """Let an idle endpoint carry what the device has."""
+        """Send the device's data by an idle endpoint."""
         endpoint = thread.pipe.number
         try:
             job: Transfer | Stall | None = self._device.read(endpoint, _LARGEST_TRANSFER)
@@ -392,29 +393,29 @@ class Cable:
             job = stall
             self._device.control(_end_of_halt(endpoint), b"")
         if job is not None:
-            self._on_the_way[thread] = _Carried(job, self._device.flushes(endpoint))
+            self._on_the_way[thread] = _InProgress(job, self._device.flushes(endpoint))
             thread.put(job)
 
     def _taken(self, thread: InThread, error: OSError | None) -> None:
-        """Hear of the end of what an endpoint carried."""
+        """Process the end of a transfer of an endpoint."""
         job = self._on_the_way.pop(thread).job
         if isinstance(job, Transfer):
             (self._device.sent if error is None else self._device.lost)(job)
         if error is not None:
             log.debug("endpoint %d: %s", thread.pipe.number, error)
-            # The port will tell of the next host.
+            # The port reports the next host.
             self._is_enabled &= error.errno not in _NO_HOST
         self.pump()
 
     def _give_up(self) -> None:
-        """End what is on its way of a stream that is over, when it had its time; at once where the host is gone."""
+        """Abort expired transfers of ended streams; at once if the host is lost."""
         now_s = self._loop.time()
         turning = bool(self._orders) and isinstance(self._orders[0], EventKind)
-        for thread, carried in self._on_the_way.items():
-            if self._device.flushes(thread.pipe.number) != carried.flushes:
-                carried.until_s = min(carried.until_s, now_s + self._grace_s)
-            if turning or now_s >= carried.until_s:
-                thread.void()
+        for thread, transfer in self._on_the_way.items():
+            if self._device.flushes(thread.pipe.number) != transfer.flushes:
+                transfer.until_s = min(transfer.until_s, now_s + self._grace_s)
+            if turning or now_s >= transfer.until_s:
+                thread.abort()
 
 
 def _end_of_halt(endpoint: int) -> SetupPacket:

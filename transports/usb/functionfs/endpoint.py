@@ -1,4 +1,4 @@
-"""A USB gadget of this machine as a link's endpoint."""
+"""USB gadget of this machine as a link's endpoint."""
 
 from __future__ import annotations
 
@@ -28,19 +28,19 @@ _SPEEDS = (Speed.FULL, Speed.HIGH, Speed.SUPER)
 
 @dataclass(frozen=True)
 class GadgetFactory(EndpointFactory[UsbCamera]):
-    """Puts the camera behind the controller `udc` (empty: the only one) as the gadget `name`."""
+    """Factory of a camera at the controller `udc` (empty: the only one) as the gadget `name`."""
 
     name: str
     udc: str
     faults: FaultPlan = field(default_factory=FaultPlan)
 
     def build(self, device: UsbCamera, deliveries: Deliveries) -> GadgetEndpoint:
-        """Return the gadget, which hosts do not see yet."""
+        """Return the gadget; it is not visible to hosts yet."""
         return GadgetEndpoint(self, device, deliveries)
 
 
 class GadgetEndpoint(Endpoint):
-    """One camera at one controller."""
+    """Endpoint of one camera at one controller."""
 
     def __init__(self, factory: GadgetFactory, camera: UsbCamera, deliveries: Deliveries) -> None:
         self._camera = camera
@@ -54,7 +54,7 @@ class GadgetEndpoint(Endpoint):
         self._trouble = ""
 
     async def start(self) -> None:
-        """Make the gadget where it is not there, and connect it; raises OSError with what to do."""
+        """Make the gadget if it does not exist, and connect it; raises OSError with the remedy."""
         controller = self._udc = controller_of(self._udc, Places())
         signal.signal(WAKE_SIGNAL, lambda *_: None)
         self._prepare()
@@ -68,12 +68,12 @@ class GadgetEndpoint(Endpoint):
             raise
 
     def pump(self) -> None:
-        """Let the host have what the camera has."""
+        """Send the camera's data to the host."""
         if self._cable is not None:
             self._cable.pump()
             if self._cable.enabled != self._had_host:
                 self._had_host = self._cable.enabled
-                self._look_at_addresses()
+                self._check_addresses()
 
     def advance_faults(self, stream_us: int) -> None:
         """See `Endpoint.advance_faults`."""
@@ -97,7 +97,7 @@ class GadgetEndpoint(Endpoint):
         return self._faulty.records
 
     async def close(self) -> None:
-        """Take the camera from its host, and remove the gadget if this link made it."""
+        """Disconnect the camera from its host, and remove the gadget if this link made it."""
         try:
             if self._cable is not None:
                 await self._cable.close(self._gadget.unbind)
@@ -111,7 +111,7 @@ class GadgetEndpoint(Endpoint):
 
     @property
     def state(self) -> str:
-        """Whether a host has the camera."""
+        """State of the connection to a host."""
         if self._is_gone:
             return "unplugged, by a fault"
         if self._cable is not None and self._cable.enabled:
@@ -120,7 +120,7 @@ class GadgetEndpoint(Endpoint):
 
     @property
     def address(self) -> str:
-        """The controller."""
+        """Name of the controller."""
         return self._udc
 
     def _plug(self, *, connected: bool) -> None:
@@ -134,7 +134,7 @@ class GadgetEndpoint(Endpoint):
             raise LinkBroken(str(error)) from error
 
     def _prepare(self) -> None:
-        """Make the gadget, where there is none that suits; raises GadgetError."""
+        """Make the gadget, if there is no suitable one; raises GadgetError."""
         descriptors = self._camera.descriptors(self._camera.identity.speed)
         gadget = self._gadget
         if gadget.is_ready and not gadget.controller and gadget.suits(descriptors):
@@ -149,7 +149,7 @@ class GadgetEndpoint(Endpoint):
             log.warning("%s; `evstim gadget down --name %s` will", error, self._gadget.name)
 
     def _open(self, controller: str) -> FunctionFiles:
-        """Give the kernel the camera's interface; raises OSError."""
+        """Write the camera's interface to the kernel; raises OSError."""
         own = {speed: self._camera.descriptors(speed).configuration for speed in _SPEEDS}
         try:
             interfaces = {speed: with_spares(own[speed].interfaces[0], controller) for speed in _SPEEDS}
@@ -165,13 +165,13 @@ class GadgetEndpoint(Endpoint):
                 "removes what is wrong there"
             ) from error
 
-    def _look_at_addresses(self) -> None:
-        """See whether the controller gave the endpoints that the camera's drivers know; the log tells where not."""
+    def _check_addresses(self) -> None:
+        """Check that the controller assigned the endpoints that the camera's drivers use; log a warning if not."""
         if self._files is None or not self._had_host:
             return
-        with suppress(OSError):  # the host may be gone again
+        with suppress(OSError):  # the host may be lost again
             wrong = {own: given for own, given in self._files.given.items() if own != given}
-            told = ", ".join(f"0x{given:02X} for 0x{own:02X}" for own, given in wrong.items())
-            self._trouble = f"wrong endpoints ({told})" if wrong else ""
+            pairs = ", ".join(f"0x{given:02X} for 0x{own:02X}" for own, given in wrong.items())
+            self._trouble = f"wrong endpoints ({pairs})" if wrong else ""
             if wrong:
-                log.warning("%s gives endpoint %s: drivers of this camera will not find them", self._udc, told)
+                log.warning("%s gives endpoint %s: drivers of this camera will not find them", self._udc, pairs)

@@ -1,24 +1,22 @@
-"""The files of a mounted FunctionFS: ep0, and ep1, ep2 ... in the order of the endpoint descriptors.
+"""Files of a mounted FunctionFS: ep0, and ep1, ep2 ... in the order of the endpoint descriptors.
 
-Endpoints are opened O_NONBLOCK: then a call fails with EAGAIN while no host has chosen the configuration, where it
-would otherwise wait and send old data to the next host; while there is one it blocks all the same. Events are waited
-for by poll, because a blocked read of ep0 holds a lock that unbinding the controller needs.
+Endpoints are opened O_NONBLOCK. Then a call fails with EAGAIN while no host has selected the configuration; otherwise
+it would wait and send old data to the next host. While there is a host the call still blocks. Events are awaited by
+poll, because a blocked read of ep0 holds a lock that is needed to unbind the controller.
 
-Calls go to libc: `os.write` would start again by itself after a signal.
+Calls go to libc: `os.write` would restart by itself after a signal.
 
     ep0, IN request     write: data stage            read: stall
     ep0, OUT request    read: data stage, or acknowledge    write: stall
     endpoint            a call in the wrong direction halts it
     ioctl 0x82          the endpoint's descriptor in use (9 bytes), linux/usb/functionfs.h
 
-What the kernel's FunctionFS is to the camera's side of it: one control pipe and one pipe for each endpoint.
+`ControlPipe` and `DataPipe` are the interfaces of these files: one control pipe, and one pipe for each endpoint. Their
+calls block, so each pipe is used by its own thread.
 
-`transports.usb.functionfs.files` has the real ones. Calls block; each pipe is used by a thread of its own.
-
-Which endpoint numbers a USB device controller gives, and how a camera gets the ones that its drivers know.
-
-Drivers of cameras name endpoints by number; the controller chooses the numbers itself, in the order in which endpoints
-are declared. Most count 1, 2, 3 ... in each direction. Where a number comes too early, an unused endpoint takes it:
+`with_spares` assigns endpoint numbers. Drivers of cameras name endpoints by number, but the USB device controller
+assigns the numbers in the order in which endpoints are declared. Most controllers count 1, 2, 3 ... in each direction.
+If a number would be assigned too early, an unused endpoint takes it:
 
     dummy_udc   IN 1 6 11 2    DAVIS346: 0x81, unused 0x86, unused 0x8B, 0x82
     others      IN 1 2         DAVIS346: 0x81, 0x82
@@ -55,12 +53,12 @@ __all__ = [
 
 
 WAKE_SIGNAL = signal.SIGUSR2
-"""Ends a blocked call of an endpoint; the process needs a handler for it, which may do nothing."""
+"""Signal that ends a blocked call of an endpoint; the process needs a handler for it, which may be empty."""
 
 _DESCRIPTOR_BYTES = 9
 _ENDPOINT_DESCRIPTOR = 2 << 30 | _DESCRIPTOR_BYTES << 16 | ord("g") << 8 | 130  # _IOR('g', 130, 9 bytes)
 _IN = 0x80
-_NO_EVENT = (errno.EAGAIN, errno.EINTR, errno.EIDRM)  # EIDRM: the host gave up the last request
+_NO_EVENT = (errno.EAGAIN, errno.EINTR, errno.EIDRM)  # EIDRM: the host aborted the last request
 
 _libc = ctypes.CDLL(None, use_errno=True)
 _libc.write.argtypes = (ctypes.c_int, ctypes.c_char_p, ctypes.c_size_t)
@@ -86,8 +84,8 @@ def _checked(count: int) -> int:
 
 
 @contextlib.contextmanager
-def _told_by(number: int) -> Iterator[None]:
-    """Expect the error that tells of a halt which was done."""
+def _expected(number: int) -> Iterator[None]:
+    """Suppress the expected error, which reports that a halt was executed."""
     try:
         yield
     except OSError as error:
@@ -96,7 +94,7 @@ def _told_by(number: int) -> Iterator[None]:
 
 
 class ControlFile:
-    """See `ControlPipe`; `fd` is ep0, opened O_NONBLOCK."""
+    """Implementation of `ControlPipe`; `fd` is ep0, opened O_NONBLOCK."""
 
     def __init__(self, fd: int) -> None:
         self._fd = fd
@@ -131,20 +129,20 @@ class ControlFile:
 
     def refuse(self, *, is_in: bool) -> None:
         """See `ControlPipe`."""
-        with _told_by(errno.EL2HLT):
+        with _expected(errno.EL2HLT):
             if is_in:
                 _read(self._fd, 0)
             else:
                 _write(self._fd, b"")
 
     def close(self) -> None:
-        """Close ep0: the kernel takes the gadget from its controller."""
+        """Close ep0: the kernel disconnects the gadget from its controller."""
         for fd in (self._fd, self._wake_out, self._wake_in):
             os.close(fd)
 
 
 class EndpointFile:
-    """See `DataPipe`.
+    """Implementation of `DataPipe`.
 
     Parameters
     ----------
@@ -157,7 +155,7 @@ class EndpointFile:
     def __init__(self, fd: int, address: int) -> None:
         self._fd = fd
         self.address = address
-        self._thread: int | None = None  # which is in a call
+        self._thread: int | None = None  # id of the thread in a call
 
     @property
     def number(self) -> int:
@@ -174,7 +172,7 @@ class EndpointFile:
         return int.from_bytes(self._descriptor()[4:6], "little")
 
     def given_address(self) -> int:
-        """Address that the controller gave, with the direction bit; raises OSError while there is no host."""
+        """Address that the controller assigned, with the direction bit; raises OSError while there is no host."""
         return self._descriptor()[2]
 
     def write(self, data: bytes) -> None:
@@ -194,7 +192,7 @@ class EndpointFile:
 
     def halt(self) -> None:
         """See `DataPipe`."""
-        with _told_by(errno.EBADMSG):
+        with _expected(errno.EBADMSG):
             if self.is_in:
                 _read(self._fd, 0)
             else:
@@ -217,21 +215,21 @@ class EndpointFile:
 
 
 class FunctionFiles:
-    """The files of a mounted FunctionFS, ready for its controller.
+    """Files of a mounted FunctionFS, ready for its controller.
 
     Parameters
     ----------
     mount
-        Where it is mounted.
+        Folder in which it is mounted.
     blocks
         Descriptors and strings, see `firmware_protocol.usb.functionfs`.
     addresses
-        The camera's own addresses of endpoints, with the direction bit, by the place of their descriptors, from 1.
+        The camera's own addresses of endpoints, with the direction bit, by the index of their descriptors, from 1.
 
     Raises
     ------
     OSError
-        A file cannot be opened, or the kernel does not take the descriptors.
+        A file cannot be opened, or the kernel refuses the descriptors.
     """
 
     def __init__(self, mount: Path, blocks: Sequence[bytes], addresses: Mapping[int, int]) -> None:
@@ -249,37 +247,40 @@ class FunctionFiles:
 
     @property
     def given(self) -> dict[int, int]:
-        """Addresses that the controller gave, by the camera's own; raises OSError while there is no host."""
+        """Addresses that the controller assigned, by the camera's own; raises OSError while there is no host."""
         return {pipe.address: pipe.given_address() for pipe in self.pipes}
 
     def close(self) -> None:
-        """Close them all."""
+        """Close all files."""
         for pipe in self.pipes:
             pipe.close()
         self.control.close()
 
 
 class ControlPipe(Protocol):
-    """Endpoint 0."""
+    """Interface of endpoint 0."""
 
     def next_event(self) -> Event | None:
         """Wait for the next event; None after `wake`."""
 
     def wake(self) -> None:
-        """End the waiting of `next_event`, from another thread."""
+        """End the wait in `next_event`, from another thread."""
 
     def send(self, data: bytes) -> None:
-        """Do the data stage of an IN request; raises OSError when the host gave up."""
+        """Execute the data stage of an IN request; raises OSError when the host aborted it."""
 
     def receive(self, length: int) -> bytes:
-        """Do the data stage of an OUT request, or acknowledge one without; raises OSError when the host gave up."""
+        """Execute the data stage of an OUT request, or acknowledge one without.
+
+        Raises OSError when the host aborted it.
+        """
 
     def refuse(self, *, is_in: bool) -> None:
-        """Stall the request, before its data stage; raises OSError when the host gave up."""
+        """Stall the request, before its data stage; raises OSError when the host aborted it."""
 
 
 class DataPipe(Protocol):
-    """One endpoint but 0."""
+    """Interface of one endpoint other than 0."""
 
     @property
     def number(self) -> int:
@@ -287,26 +288,26 @@ class DataPipe(Protocol):
 
     @property
     def is_in(self) -> bool:
-        """True where data go to the host."""
+        """True if data go to the host."""
 
     def packet_bytes(self) -> int:
-        """Length of a full packet at the speed of the moment."""
+        """Length of a full packet at the current speed."""
 
     def write(self, data: bytes) -> None:
-        """Give data to the host; returns when it has them. Raises OSError."""
+        """Send data to the host; returns when it has them. Raises OSError."""
 
     def read(self, most_bytes: int) -> bytes:
-        """Take one transfer of the host. Raises OSError."""
+        """Read one transfer of the host. Raises OSError."""
 
     def halt(self) -> None:
-        """Let the host's transfers fail until it clears the halt. Raises OSError."""
+        """Halt the endpoint: the host's transfers fail until it clears the halt. Raises OSError."""
 
     def interrupt(self) -> None:
-        """End the call that blocks now in another thread, with InterruptedError; one that begins later goes on."""
+        """End the current blocking call of another thread, with InterruptedError; a later call is not affected."""
 
 
 class Function(Protocol):
-    """An interface at a USB device controller."""
+    """Interface of a function at a USB device controller."""
 
     @property
     def control(self) -> ControlPipe:
@@ -314,7 +315,7 @@ class Function(Protocol):
 
     @property
     def pipes(self) -> Sequence[DataPipe]:
-        """The other endpoints that the camera uses."""
+        """Other endpoints that the camera uses."""
 
 
 _IN_ORDER = tuple(range(1, 16))
@@ -324,7 +325,7 @@ _BY_DRIVER = {"dummy_udc": ((1, 6, 11, 2), (2, 7, 12, 1))}  # bulk endpoints of 
 def with_spares(interface: Interface, controller: str) -> Interface:
     """Return an interface whose endpoints get their addresses at a controller, named as in /sys/class/udc.
 
-    Raises ValueError where the controller cannot give one of them.
+    Raises ValueError if the controller cannot assign one of them.
     """
     in_order, out_order = _BY_DRIVER.get(controller.partition(".")[0], (_IN_ORDER, _IN_ORDER))
     ins = _declared(interface.endpoints, [_IN | number for number in in_order], controller)
@@ -333,12 +334,12 @@ def with_spares(interface: Interface, controller: str) -> Interface:
 
 
 def _declared(endpoints: Sequence[Endpoint], given: Sequence[int], controller: str) -> Iterator[Endpoint]:
-    """Yield the endpoints of one direction in the order of the addresses that will be given, and unused ones."""
+    """Yield the endpoints of one direction in the order of the assigned addresses, with unused ones in between."""
     wanted = {one.address: one for one in endpoints if one.address & _IN == given[0] & _IN}
     if missing := wanted.keys() - set(given):
-        told = ", ".join(f"0x{address:02X}" for address in sorted(missing))
+        numbers = ", ".join(f"0x{address:02X}" for address in sorted(missing))
         raise ValueError(
-            f"the USB device controller {controller} has no endpoint {told}, which drivers of this camera use"
+            f"the USB device controller {controller} has no endpoint {numbers}, which drivers of this camera use"
         )
     packet = max(one.max_packet for one in endpoints)
     for address in given:

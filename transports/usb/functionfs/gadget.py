@@ -1,14 +1,14 @@
-"""A USB gadget in configfs with one FunctionFS function, and its FunctionFS mounted: made, bound, and removed.
+"""USB gadget in configfs with one FunctionFS function, and its mounted FunctionFS: made, bound, and removed.
 
     /sys/kernel/config/usb_gadget/NAME/
         idVendor idProduct bcdDevice max_speed UDC
         strings/0x409/          manufacturer product serialnumber
         functions/ffs.NAME/     the function; its files are in the mount
         configs/c.1/            MaxPower bmAttributes; ffs.NAME -> the function
-    /run/evstim/NAME/           the mount: ep0, and the endpoints when their descriptors were written
+    /run/evstim/NAME/           the mount: ep0, and the endpoints after their descriptors were written
 
-The kernel takes the controller from a gadget whose program has ended, also when it was killed: a gadget that has a
-controller is in use, and what else a killed program left is made anew.
+The kernel disconnects the controller from a gadget whose program has ended or was killed. So a gadget with a controller
+is in use, and other remains of a killed program are made again.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ _TOOL_TIMEOUT_S = 30.0
 
 
 class GadgetError(OSError):
-    """The machine does not let the gadget be made, bound or removed; tells what to do."""
+    """Error: the machine cannot make, bind or remove the gadget; the message gives the remedy."""
 
 
 @dataclass(frozen=True)
 class Places:
-    """Folders of the machine."""
+    """Folders of the machine for gadgets."""
 
     gadgets: Path = Path("/sys/kernel/config/usb_gadget")
     controllers: Path = Path("/sys/class/udc")
@@ -66,7 +66,7 @@ def _tool(command: list[str]) -> None:
 
 
 def check_name(name: str) -> None:
-    """Raise ValueError for a name that a gadget, a function and a folder cannot have all three."""
+    """Raise ValueError for a name that is not valid for a gadget, a function and a folder."""
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,30}", name):
         raise ValueError(f"a gadget's name has 1 to 31 letters, digits, '-' and '_', got {name!r}")
 
@@ -87,21 +87,21 @@ def controller_of(wanted: str, places: Places) -> str:
 
 
 class Gadget:
-    """A gadget by its name; nothing is done before a method is called.
+    """USB gadget of a name; nothing is done before a method is called.
 
     Parameters
     ----------
     name
-        Of the gadget, its function and the folder of its mount.
+        Name of the gadget, its function and the folder of its mount.
     places
         Folders of the machine.
     mount, unmount
-        Mount the function's files, and unmount them.
+        Functions that mount the function's files, and unmount them.
 
     Raises
     ------
     ValueError
-        The name has letters that folders cannot have.
+        The name has characters that folders cannot have.
     """
 
     def __init__(
@@ -121,43 +121,43 @@ class Gadget:
 
     @property
     def mount(self) -> Path:
-        """Where its FunctionFS is mounted."""
+        """Folder in which its FunctionFS is mounted."""
         return self._places.mounts / self.name
 
     @property
     def controller(self) -> str:
-        """The controller that it is bound to; empty where there is none."""
+        """Controller to which it is bound; empty if there is none."""
         return _text(self._folder / "UDC")
 
     @property
     def exists(self) -> bool:
-        """True where something of this name is in configfs."""
+        """True if an entry of this name is in configfs."""
         return self._folder.is_dir()
 
     @property
     def is_ready(self) -> bool:
-        """True where it is whole, but for its controller."""
+        """True if it is complete except for its controller."""
         return (self._configuration / self._function.name).is_symlink() and (self.mount / "ep0").exists()
 
     def suits(self, descriptors: DescriptorSet) -> bool:
-        """Say whether a host would read the device that `descriptors` describe."""
+        """Return True if a host would read the device of `descriptors`."""
         wanted = _attributes(descriptors)
         return all(_same(_text(self._folder / path), value) for path, value in wanted.items())
 
     def make(self, descriptors: DescriptorSet, owner: int | None = None) -> None:
-        """Make it for the device that `descriptors` describe, in place of what a killed program left.
+        """Make it for the device of `descriptors`, in place of the remains of a killed program.
 
         Parameters
         ----------
         descriptors
-            Of the device, at the highest speed that it is to have.
+            Descriptors of the device, at its highest speed.
         owner
-            Id of the user who may run the camera; None: root alone.
+            Id of the user who may run the camera; None: root only.
 
         Raises
         ------
         GadgetError
-            It is in use, or another's, or this user or machine cannot make gadgets.
+            It is in use, or was made by another program, or this user or machine cannot make gadgets.
         """
         self._require_root()
         self.remove()
@@ -173,14 +173,14 @@ class Gadget:
             raise GadgetError(f"cannot make the gadget {self.name}: {error}") from error
 
     def bind(self, controller: str) -> None:
-        """Connect it to a controller: from now on hosts see it. Raises GadgetError."""
+        """Connect it to a controller: from then on hosts see it. Raises GadgetError."""
         try:
             (self._folder / "UDC").write_text(controller)
         except OSError as error:
             raise GadgetError(self._why_unbound(controller, error)) from error
 
     def unbind(self) -> None:
-        """Disconnect it: hosts see it being unplugged. Does nothing where it is not bound; raises GadgetError."""
+        """Disconnect it: hosts see it unplugged. Does nothing if it is not bound; raises GadgetError."""
         try:
             if self.controller:
                 (self._folder / "UDC").write_text("\n")
@@ -189,7 +189,7 @@ class Gadget:
                 raise GadgetError(f"cannot take the gadget {self.name} from its controller: {error}") from error
 
     def remove(self) -> None:
-        """Remove it, or what there is of it; raises GadgetError where it is in use or another's."""
+        """Remove it, or its remains; raises GadgetError if it is in use or was made by another program."""
         if self.exists:
             self._require_ours()
         try:
@@ -236,7 +236,7 @@ class Gadget:
             )
 
     def _require_ours(self) -> None:
-        """Raise GadgetError for a gadget that a program runs, or that is not one of ours."""
+        """Raise GadgetError for a gadget that a program runs, or that another program made."""
         functions = self._folder / "functions"
         others = [path.name for path in functions.iterdir() if path != self._function] if functions.is_dir() else []
         if others:
@@ -251,21 +251,21 @@ class Gadget:
             )
 
     def _why_unbound(self, controller: str, error: OSError) -> str:
-        told = f"cannot connect the gadget {self.name} to {controller}: {error.strerror}"
+        failure = f"cannot connect the gadget {self.name} to {controller}: {error.strerror}"
         holders = [
             path.name
             for path in self._places.gadgets.iterdir()
             if path != self._folder and _text(path / "UDC") == controller
         ]
         if holders:
-            return f"{told}; the gadget {holders[0]} has it: end its program, or write an empty line to its UDC"
+            return f"{failure}; the gadget {holders[0]} has it: end its program, or write an empty line to its UDC"
         if error.errno == errno.EBUSY:
-            return f"{told}; a module has it (g_ether, g_serial ...): lsmod, and rmmod that one"
-        return told
+            return f"{failure}; a module has it (g_ether, g_serial ...): lsmod, and rmmod that one"
+        return failure
 
 
 def _attributes(descriptors: DescriptorSet) -> Mapping[str, str]:
-    """Return what is written to the gadget's files, by their paths."""
+    """Return the texts of the gadget's files, by their paths."""
     device, configuration = descriptors.device, descriptors.configuration
     named = zip(("manufacturer", "product", "serialnumber"), device.strings, strict=True)
     strings = {f"strings/{_ENGLISH}/{name}": descriptors.strings[index] for name, index in named if index}

@@ -1,7 +1,4 @@
-"""The record of links on a USB cable.
-
-What a rig says of a USB gadget.
-"""
+"""Parameters of a link on a USB cable, and its registration as a kind of link."""
 
 from __future__ import annotations
 
@@ -20,16 +17,17 @@ __all__ = ["USB_GADGET", "UsbGadgetLink"]
 
 @dataclass(frozen=True)
 class UsbGadgetLink:
-    """The camera on a real USB cable: this machine has a USB device port, as a Raspberry Pi has (docs/cable.md).
+    """The camera on a real USB cable, on a machine with a USB device port, such as a Raspberry Pi (docs/cable.md).
 
     Attributes
     ----------
     udc
-        The USB device controller, as /sys/class/udc names it; may be left out where there is one.
+        The USB device controller, as named in /sys/class/udc; may be omitted if there is only one.
     gadget
-        Name of the gadget. It is made when the run begins and removed when it ends, unless `evstim gadget up` made it.
+        Name of the gadget. It is made at the start of the run and removed at its end, unless `evstim gadget up` made
+        it.
     name
-        What this rig calls the link: in reports, and where faults and triggers name it.
+        Name of the link in this rig: in reports, faults and triggers.
     """
 
     kind: ClassVar[str] = "usb_gadget"

@@ -1,13 +1,12 @@
-"""A USB/IP host in user space: attaches to a device and uses it as a driver would, without a kernel module.
+"""USB/IP host in user space: it attaches to a device and uses it as a driver would, without a kernel module.
 
-Everything is synchronous and in the caller's thread. Transfers of a `UrbStream` stay in flight while control requests
-are made: replies that come meanwhile are kept, and a stream submits a URB anew only when its data are taken, so no more
-than the stream's own URBs are ever held.
+All calls are synchronous, in the caller's thread. Transfers of a `UrbStream` stay in flight during control requests:
+replies that arrive in between are stored, and a stream submits a URB again only when its data are taken. So no more
+than the stream's own URBs are ever stored.
 
-What it does not model: a host controller. There are no packets, no bandwidth limit and no address, and URBs may have
-any length.
+Not modelled: a host controller. There are no packets, no bandwidth limit and no address, and URBs may have any length.
 
-A host's end of a USB/IP connection: requests go out, whole replies come in, faults get a name.
+`Wire` is the host's end of a connection: it sends requests, receives whole replies, and raises named errors.
 """
 
 from __future__ import annotations
@@ -61,7 +60,7 @@ def connect(host: str, port: int, timeout_s: float) -> socket.socket:
 
 
 class Wire:
-    """A socket and the parser of what comes from it."""
+    """Socket with the parser of the received data."""
 
     def __init__(self, sock: socket.socket) -> None:
         self.parser = HostParser()
@@ -72,7 +71,7 @@ class Wire:
 
     def send(self, data: bytes) -> None:
         """Send a request; raises PeerGone."""
-        # Requests are small and few are in flight: a server that takes none for so long is gone.
+        # Requests are small and few are in flight: a server that accepts none within this time is lost.
         self._sock.settimeout(10.0)
         try:
             self._sock.sendall(data)
@@ -90,7 +89,7 @@ class Wire:
         return reply
 
     def close(self) -> None:
-        """Hang up."""
+        """Close the connection."""
         self._sock.close()
 
     def _parse(self) -> Reply | None:
@@ -100,7 +99,7 @@ class Wire:
             raise PeerBroken(f"the USB/IP server breaks the protocol: {error}") from error
 
     def _fill(self, deadline: float) -> bool:
-        # Once more after the deadline, without waiting: what has arrived counts.
+        # Read once more after the deadline, without waiting, to get the data that have arrived.
         self._sock.settimeout(max(0.0, deadline - time.monotonic()))
         try:
             n = self._sock.recv_into(self._chunk)
@@ -134,7 +133,7 @@ def list_devices(host: str = "127.0.0.1", port: int = 3240, timeout_s: float = 5
 
 
 class UsbipHost:
-    """A device attached over USB/IP.
+    """Device attached over USB/IP.
 
     Parameters
     ----------
@@ -143,14 +142,14 @@ class UsbipHost:
     busid
         The device to import.
     timeout_s
-        How long the import and each control request may take.
+        Timeout of the import and of each control request.
 
     Raises
     ------
     DeviceAbsent, DeviceBusy
-        The server has no such device, or gave it to another host.
+        The server has no such device, or another host holds it.
     PeerGone, PeerBroken, TransferTimeout
-        The server went away, broke the protocol, or kept silent.
+        The server was lost, broke the protocol, or did not answer.
     """
 
     def __init__(self, sock: socket.socket, busid: str, timeout_s: float = 1.0) -> None:
@@ -158,7 +157,7 @@ class UsbipHost:
         self._timeout_s = timeout_s
         self._seqnum = 0
         self._streams: list[UrbStream] = []
-        # Where the reply to each pending URB goes.
+        # Destination of the reply to each pending URB.
         self._owners: dict[int, deque[Submitted]] = {}
         self._unlinked: set[int] = set()
         try:
@@ -174,11 +173,11 @@ class UsbipHost:
 
     @property
     def identity(self) -> Identity:
-        """The device as its record describes it."""
+        """Identity in the device's record."""
         return self.record.identity
 
     def configure(self) -> None:
-        """Select the configuration; there is no interface to claim, since nobody else has the device."""
+        """Select the configuration; no interface has to be claimed, because no other program has the device."""
         self.control_out(SetupPacket(0x00, 9, self.identity.configuration_value or 1, 0, 0))
 
     def clear_halt(self, endpoint: int) -> None:
@@ -186,23 +185,23 @@ class UsbipHost:
         self.control_out(SetupPacket(0x02, 1, 0, 0x80 | endpoint, 0))
 
     def control_in(self, setup: SetupPacket) -> bytes:
-        """Ask the device for at most `setup.length` bytes."""
+        """Request at most `setup.length` bytes from the device."""
         urb = self._urb(0, is_in=True, length=setup.length, setup=bytes(setup))
-        return self._done(str(setup), urb).data
+        return self._complete(str(setup), urb).data
 
     def control_out(self, setup: SetupPacket, data: bytes = b"") -> int:
-        """Send `data` with a control request; gives the number of bytes the device took."""
+        """Send `data` with a control request; return the number of bytes that the device took."""
         urb = self._urb(0, is_in=False, length=len(data), setup=bytes(setup))
-        return self._done(str(setup), urb._replace(data=data)).actual_length
+        return self._complete(str(setup), urb._replace(data=data)).actual_length
 
     def bulk_out(self, endpoint: int, data: bytes) -> None:
         """Send `data` to an OUT endpoint."""
         urb = self._urb(endpoint, is_in=False, length=len(data))
-        self._done(f"endpoint {endpoint}", urb._replace(data=data))
+        self._complete(f"endpoint {endpoint}", urb._replace(data=data))
 
     def bulk_in(self, endpoint: int, length: int) -> bytes:
-        """Take one transfer of at most `length` bytes from an IN endpoint."""
-        return self._done(f"endpoint {endpoint}", self._urb(endpoint, is_in=True, length=length)).data
+        """Read one transfer of at most `length` bytes from an IN endpoint."""
+        return self._complete(f"endpoint {endpoint}", self._urb(endpoint, is_in=True, length=length)).data
 
     def stream(self, endpoint: int, transfer_bytes: int = 131_072, transfers: int = 32) -> UrbStream:
         """Start reading an IN endpoint with `transfers` URBs in flight."""
@@ -211,9 +210,9 @@ class UsbipHost:
         return stream
 
     def close(self) -> None:
-        """Take back what is pending and detach."""
+        """Cancel the pending URBs and detach."""
         for stream in self._streams:
-            # A server that is gone has nothing left to take back.
+            # A lost server has no URB left to cancel.
             with contextlib.suppress(UsbHostError):
                 stream.close()
         self._wire.close()
@@ -226,16 +225,16 @@ class UsbipHost:
     ) -> None:
         self.close()
 
-    # For streams.
+    # Methods for streams.
 
     def submit_in(self, endpoint: int, length: int, replies: deque[Submitted]) -> int:
-        """Submit an IN URB whose reply goes to `replies`; gives its sequence number."""
+        """Submit an IN URB whose reply goes to `replies`; return its sequence number."""
         urb = self._urb(endpoint, is_in=True, length=length)
         self._submit(urb, replies)
         return urb.seqnum
 
     def receive(self, deadline: float) -> bool:
-        """Take in one reply; False when none came until `deadline` (monotonic seconds)."""
+        """Receive one reply; return False when none arrived until `deadline` (monotonic seconds)."""
         reply = self._wire.receive(deadline)
         if isinstance(reply, Submitted):
             self._owners.pop(reply.seqnum).append(reply)
@@ -246,19 +245,19 @@ class UsbipHost:
         return reply is not None
 
     def unlink(self, seqnums: list[int]) -> None:
-        """Take back pending URBs and wait until the server has said so for each."""
+        """Cancel pending URBs and wait until the server has confirmed each."""
         unlinks = [Unlink(self._next_seqnum(), self.record.devid, victim) for victim in seqnums]
         self._unlinked = {unlink.seqnum for unlink in unlinks}
         self._wire.send(b"".join(map(bytes, unlinks)))
         deadline = _deadline(self._timeout_s)
         while self._unlinked:
             if not self.receive(deadline):
-                raise TransferTimeout(f"{len(self._unlinked)} URBs were not taken back within {self._timeout_s:g} s")
+                raise TransferTimeout(f"{len(self._unlinked)} URBs were not cancelled within {self._timeout_s:g} s")
         for victim in seqnums:
             self._owners.pop(victim, None)
             self._wire.parser.forget(victim)
 
-    # Inside.
+    # Internal methods.
 
     def _import(self, busid: str) -> DeviceRecord:
         self._wire.send(bytes(ImportRequest(busid)))
@@ -285,7 +284,7 @@ class UsbipHost:
         self._wire.parser.expect(urb)
         self._wire.send(bytes(urb))
 
-    def _done(self, what: str, urb: Submit) -> Submitted:
+    def _complete(self, what: str, urb: Submit) -> Submitted:
         """Submit a URB and wait for its answer."""
         replies: deque[Submitted] = deque()
         deadline = _deadline(self._timeout_s)
@@ -309,9 +308,9 @@ class UrbStream:
         self._open = True
 
     def read(self, timeout_s: float) -> bytes | None:
-        """Return the data of the next transfer; None when none came in time.
+        """Return the data of the next transfer; None when none arrived in time.
 
-        Raises StallError when the endpoint is halted, PeerGone when the server went away.
+        Raises StallError when the endpoint is halted, PeerGone when the server was lost.
         """
         deadline = _deadline(timeout_s)
         while not self._replies:
@@ -322,13 +321,13 @@ class UrbStream:
         if reply.seqnum != due:
             raise PeerBroken(f"endpoint {self._endpoint}: URB {reply.seqnum} was answered before URB {due}")
         data = _checked(reply, f"endpoint {self._endpoint}").data
-        # When the server has gone, what came before is still to be read; the next wait for data tells.
+        # If the server is lost, earlier data can still be read; the next wait for data raises the error.
         with contextlib.suppress(PeerGone):
             self._pending.append(self._submit())
         return data
 
     def close(self) -> list[bytes]:
-        """Take back the pending URBs; gives the data that had arrived unread, or came while URBs were taken back."""
+        """Cancel the pending URBs; return the data that had arrived unread, or arrived during the cancellation."""
         if self._open:
             self._open = False
             self._host.unlink(list(self._pending))
@@ -343,7 +342,7 @@ class UrbStream:
 def _refusal(busid: str, status: int) -> UsbHostError:
     if status == OpStatus.BUSY:
         return DeviceBusy(f"the server gave device {busid} to another host; detach it there first")
-    return DeviceAbsent(f"the server does not give device {busid} (status {status}); ask it for its list of devices")
+    return DeviceAbsent(f"the server does not give device {busid} (status {status}); request its list of devices")
 
 
 def _checked(reply: Submitted, what: str) -> Submitted:

@@ -1,31 +1,31 @@
 """One connection to the USB/IP server: from the first operation to the last URB.
 
     CONNECTED --device list--> answered and closed
-              --import, free-> ATTACHED --URBs ... peer gone or protocol broken--> closed, device detached
+              --import, free-> ATTACHED --URBs ... peer lost or protocol broken--> closed, device detached
               --import, else-> refused and closed
 
-What is promised:
+Guarantees:
 
-- IN URBs of an endpoint are answered in the order they came, each with what one `read` of the device gave; while the
-  device has nothing they stay pending. Control URBs never wait for them, but for an older one that has no answer yet.
-- While the socket takes no more, no URB is read from the peer and no data from the device: what the device cannot keep
-  it drops and counts itself.
+- IN URBs of an endpoint are answered in the order of their arrival, each with the result of one `read` of the device;
+  while the device has no data they stay pending. Control URBs never wait for them, only for an older control URB.
+- While the socket accepts no data, no URB is read from the peer and no data from the device: the device itself drops
+  and counts the data that it cannot store.
 - Every Transfer read from the device is reported `sent` when the kernel has all its bytes, or `lost` when the
   connection ended first.
-- Nothing here polls: work is done when bytes come, when the socket drains, and when `answer` is called.
-- A device model that raises something else than Stall loses its host, as a crashed firmware would; asyncio logs the
-  error, and the server goes on.
+- There is no polling: work is done when bytes arrive, when the socket drains, and when `answer` is called.
+- A device model that raises any other error than Stall loses its host, like a crashed firmware; asyncio logs the
+  error, and the server continues.
 
-Unlinks that came before the URB that they take back.
+`EarlyUnlinks` holds the unlinks that arrived before the URB that they cancel.
 
-Linux's vhci_hcd sends all URBs that wait, then all unlinks that wait. A URB that is queued and taken back between the
-two leaves after its unlink. An answer to the unlink would then be wrong whatever it said: the kernel has either not
-sent the URB yet, forgets the unlink, and its program waits for the URB for ever; or it gives the URB back, does not
-know it when its data come, and drops the device. libcaer takes back and submits transfers in two threads: it was seen
-to lose the camera so, and once to wait without end. So the unlink waits for its URB, which then ends as one that was
-pending.
+Linux's vhci_hcd sends all waiting URBs, then all waiting unlinks. A URB that is queued and cancelled between the two
+leaves after its unlink. Any answer to the unlink would then be wrong: if the kernel has not sent the URB yet, it
+discards the unlink, and its program waits for the URB for ever; or it returns the URB to the program, does not find it
+when its data arrive, and drops the device. libcaer cancels and submits transfers in two threads: tests showed that it
+lost the camera in this way, and once waited without end. So the unlink waits for its URB, which then ends like one that
+was pending.
 
-Sequence numbers of URBs rise (vhci_hcd numbers them as it queues them), modulo 2^32.
+Sequence numbers of URBs increase (vhci_hcd numbers them when it queues them), modulo 2^32.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ _HALF = 1 << 31
 
 
 class Found(Enum):
-    """How an unlink found its URB."""
+    """State of the URB of an unlink."""
 
     PENDING = "pending"
     OVER = "over, or never seen"
@@ -70,7 +70,7 @@ class Found(Enum):
 
 
 class EarlyUnlinks:
-    """The unlinks of one connection whose URBs are still to come, at most `limit`."""
+    """Unlinks of one connection whose URBs have not arrived, at most `limit`."""
 
     def __init__(self, limit: int) -> None:
         self._limit = limit
@@ -78,12 +78,12 @@ class EarlyUnlinks:
         self._waiting: dict[int, Unlink] = {}
 
     def submitted(self, seqnum: int) -> Unlink | None:
-        """Hear of a new URB; return the unlink that waited for it."""
+        """Register a new URB; return the unlink that waited for it."""
         self._newest = seqnum
         return self._waiting.pop(seqnum, None)
 
-    def keep(self, unlink: Unlink) -> bool:
-        """Keep an unlink if its URB is still to come; False where it is not, or where too many wait."""
+    def store(self, unlink: Unlink) -> bool:
+        """Store an unlink if its URB has not arrived; return False if it has, or if too many wait."""
         ahead = 1 if self._newest is None else (unlink.victim - self._newest) % (2 * _HALF)
         if not 0 < ahead < _HALF or len(self._waiting) >= self._limit:
             return False
@@ -98,22 +98,22 @@ _DEVICE_GONE = -108  # ESHUTDOWN, as a host sees it
 
 @dataclass(frozen=True)
 class ConnectionSettings:
-    """How patient and how generous a connection is.
+    """Limits and time limits of a connection.
 
     Attributes
     ----------
     limits
         Longest transfers.
     pending_urbs
-        URBs that may wait at once; drivers keep 8 to 40.
+        Number of URBs that may wait at once; drivers have 8 to 40.
     operation_timeout_s
-        A connection that has not asked for a device by then is closed, so that idle sockets cannot pile up.
+        A connection that has not requested a device by then is closed, so that idle sockets cannot accumulate.
     silence_timeout_s
-        A peer that acknowledges nothing, or takes no data, for so long is gone, though no one said so (TCP only; whole
-        seconds count for a peer that has nothing to acknowledge).
+        A peer that acknowledges nothing, or accepts no data, for this time counts as lost (TCP only; whole seconds
+        count for a peer that has nothing to acknowledge).
     send_buffer_bytes
-        What the kernel may hold between us and the peer. Data in there counts as sent, so it is kept small: two of the
-        largest transfers that drivers ask for.
+        Size of the kernel's buffer to the peer. Data in it count as sent, so it is small: two of the largest transfers
+        that drivers request.
     """
 
     limits: Limits = field(default_factory=Limits)
@@ -124,33 +124,33 @@ class ConnectionSettings:
 
 
 class Bus(Protocol):
-    """What a connection asks of its server."""
+    """Interface of the server that a connection uses."""
 
     def list_devices(self) -> DeviceListReply:
         """Return the answer to a device list request."""
 
     def claim(self, busid: str, connection: Connection) -> tuple[ImportReply, UsbDevice | None]:
-        """Give a device to a connection, or say why not."""
+        """Give a device to a connection, or return the refusal."""
 
     def closed(self, connection: Connection) -> None:
-        """Hear that a connection is over; what it held is free again."""
+        """Release the device of a connection that has ended."""
 
 
 class UrbObserver(Protocol):
-    """Who hears of every URB, when it is submitted and when it is over, and of unlinks."""
+    """Observer of every URB, at its submission and at its end, and of unlinks."""
 
     def submitted(self, urb: Submit) -> None:
-        """Hear of a new one."""
+        """Register a new URB."""
 
     def completed(self, urb: Submit, status: int, length: int, data: bytes = b"") -> None:
-        """Hear of its end, with the bytes that were moved and the data that went to the host."""
+        """Register its end, with the number of bytes moved and the data sent to the host."""
 
     def unlinked(self, unlink: Unlink, found: Found) -> None:
-        """Hear that the host takes a URB back, before that URB's end."""
+        """Register that the host cancels a URB, before that URB's end."""
 
 
 class Connection(asyncio.Protocol):
-    """The server's end of one connection."""
+    """Server's end of one connection."""
 
     _transport: asyncio.Transport
 
@@ -163,7 +163,7 @@ class Connection(asyncio.Protocol):
         # Endpoint number -> the URBs that wait there by sequence number, oldest first.
         self._pending: dict[int, OrderedDict[int, Submit]] = {}
         self._early_unlinks = EarlyUnlinks(settings.pending_urbs)
-        # What the oldest control URB asks; the same object for as long as it waits.
+        # Setup packet of the oldest control URB; the same object while it waits.
         self._setup: SetupPacket | None = None
         self._unsent: deque[Transfer] = deque()
         self._blocked = False
@@ -171,32 +171,32 @@ class Connection(asyncio.Protocol):
         self._timeout: asyncio.TimerHandle | None = None
         self.peer = "?"
 
-    # The asyncio side.
+    # Callbacks of asyncio.
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Take a connected socket."""
+        """Store the transport of a connected socket."""
         assert isinstance(transport, asyncio.Transport)
         self._transport = transport
         self.peer = _name(transport)
         _tune(transport.get_extra_info("socket"), self._settings)
-        # Blocked as soon as one byte waits: the device keeps its data until the socket can take them.
+        # Blocked as soon as one byte waits: the device holds its data until the socket accepts them.
         transport.set_write_buffer_limits(high=0)
         loop = asyncio.get_running_loop()
         self._timeout = loop.call_later(self._settings.operation_timeout_s, self._operation_overdue)
 
     def data_received(self, data: bytes) -> None:
-        """Take bytes from the peer."""
+        """Process bytes from the peer."""
         if not self._leaving:
             self._parser.receive(data)
             self._advance()
 
     def pause_writing(self) -> None:
-        """Hear that the socket takes no more: stop listening too, since requests make answers."""
+        """Stop reading, because the socket accepts no data and requests produce answers."""
         self._blocked = True
         self._transport.pause_reading()
 
     def resume_writing(self) -> None:
-        """Hear that the kernel has taken everything: go on."""
+        """Continue, because the kernel has accepted everything."""
         self._blocked = False
         self._settle()
         self._advance()
@@ -204,7 +204,7 @@ class Connection(asyncio.Protocol):
             self._transport.resume_reading()
 
     def connection_lost(self, error: Exception | None) -> None:
-        """Hear that the connection is over: nothing more reaches the peer."""
+        """End the connection: no more data reach the peer."""
         if self._timeout:
             self._timeout.cancel()
         if error:
@@ -219,15 +219,15 @@ class Connection(asyncio.Protocol):
         finally:
             self._bus.closed(self)
 
-    # What the server calls.
+    # Methods for the server.
 
     def answer(self) -> None:
-        """Answer pending IN URBs with what the device has now."""
+        """Answer pending IN URBs with the data that the device has now."""
         for endpoint in tuple(self._pending):
             self._answer_all(endpoint)
 
     def hang_up(self) -> None:
-        """Say goodbye: the peer gets what was sent, and closes when it has seen the end.
+        """End the connection in order: the peer gets the sent data, and closes when it has seen the end.
 
         Until then its requests are read and dropped: closing a socket with unread requests would reset the connection,
         and data that count as sent would never arrive.
@@ -237,21 +237,21 @@ class Connection(asyncio.Protocol):
             return
         try:
             self._transport.write_eof()
-        except OSError:  # the peer was faster, and asyncio has not noticed yet
+        except OSError:  # the peer closed first, and asyncio has not noticed yet
             self._transport.abort()
 
     def abort(self) -> None:
-        """Close at once; what is not sent is lost."""
+        """Close at once; unsent data are lost."""
         self._transport.abort()
 
     @property
     def _writable(self) -> bool:
         return not (self._blocked or self._leaving or self._transport.is_closing())
 
-    # Requests.
+    # Requests of the peer.
 
     def _advance(self) -> None:
-        """Handle what has come and answer what can be answered."""
+        """Process the received requests and send the possible answers."""
         try:
             while self._writable:
                 message = self._parser.next_message()
@@ -312,7 +312,7 @@ class Connection(asyncio.Protocol):
             self._answer_all(0)
 
     def _take(self, urb: Submit) -> None:
-        """Give the device what the host sends to an OUT endpoint."""
+        """Pass the data of an OUT URB to the device."""
         assert self._device
         try:
             self._device.write(urb.endpoint, urb.data)
@@ -322,16 +322,16 @@ class Connection(asyncio.Protocol):
             self._reply(urb, Submitted(urb.seqnum, UrbStatus.OK, len(urb.data)))
 
     def _unlink(self, unlink: Unlink) -> None:
-        if self._early_unlinks.keep(unlink):
-            self._tell(unlink, Found.STILL_TO_COME)
+        if self._early_unlinks.store(unlink):
+            self._report_unlink(unlink, Found.STILL_TO_COME)
             return
         if unlink.victim == next(iter(self._pending.get(0, ())), None):
             self._setup = None
         taken = next((urbs.pop(unlink.victim) for urbs in self._pending.values() if unlink.victim in urbs), None)
-        self._tell(unlink, Found.OVER if taken is None else Found.PENDING)
+        self._report_unlink(unlink, Found.OVER if taken is None else Found.PENDING)
         if taken is not None:
             self._over(taken, UrbStatus.UNLINKED)
-        # A URB that was taken back gets no RET_SUBMIT; one that was answered before is left to its answer.
+        # A cancelled URB gets no RET_SUBMIT; one that was answered before keeps its answer.
         self._transport.write(bytes(Unlinked(unlink.seqnum, UrbStatus.OK if taken is None else UrbStatus.UNLINKED)))
 
     def _control(self, urb: Submit) -> bool:
@@ -360,12 +360,12 @@ class Connection(asyncio.Protocol):
         # One write, so that header and data leave in one segment.
         self._transport.write(bytes(reply))
 
-    def _tell(self, unlink: Unlink, found: Found) -> None:
+    def _report_unlink(self, unlink: Unlink, found: Found) -> None:
         if self._observer is not None:
             self._observer.unlinked(unlink, found)
 
     def _over(self, urb: Submit, status: int) -> None:
-        """Say that a URB is over without an answer."""
+        """Report that a URB has ended without an answer."""
         if self._observer is not None:
             self._observer.completed(urb, status, 0)
 
@@ -378,7 +378,7 @@ class Connection(asyncio.Protocol):
             pass
 
     def _answer_one(self, endpoint: int, urbs: OrderedDict[int, Submit]) -> bool:
-        """Answer the oldest URB of an endpoint; False when the device has nothing for it."""
+        """Answer the oldest URB of an endpoint; return False when the device has no data for it."""
         assert self._device
         seqnum, urb = next(iter(urbs.items()))
         if endpoint == 0:
@@ -399,7 +399,7 @@ class Connection(asyncio.Protocol):
         return True
 
     def _settle(self) -> None:
-        """Report what the kernel has taken."""
+        """Report the transfers that the kernel has accepted."""
         while self._unsent and self._device:
             self._device.sent(self._unsent.popleft())
 
@@ -409,7 +409,7 @@ class Connection(asyncio.Protocol):
         device.detached()
 
     def _operation_overdue(self) -> None:
-        log.warning("%s: closed, no device asked for within %g s", self.peer, self._settings.operation_timeout_s)
+        log.warning("%s: closed, no device requested within %g s", self.peer, self._settings.operation_timeout_s)
         self._transport.abort()
 
 

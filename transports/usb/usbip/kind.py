@@ -1,7 +1,4 @@
-"""The record of USB/IP links.
-
-What a rig says of a USB/IP link.
-"""
+"""Parameters of a USB/IP link, and its registration as a kind of link."""
 
 from __future__ import annotations
 
@@ -26,13 +23,13 @@ class UsbipLink:
     Attributes
     ----------
     host, port
-        Address to listen on. USB/IP has no authentication: leave it on 127.0.0.1 or a network of your own.
+        Address to listen on. USB/IP has no authentication: use 127.0.0.1 or a private network.
     allow
-        Addresses and networks that may connect; needed where `host` can be reached from other machines.
+        Addresses and networks that may connect; required if other machines can reach `host`.
     busid
         Bus id under which the camera is exported.
     name
-        What this rig calls the link: in reports, and where faults and triggers name it.
+        Name of the link in this rig: in reports, faults and triggers.
     """
 
     kind: ClassVar[str] = "usbip"

@@ -1,14 +1,14 @@
-"""A USB/IP server: device models on a TCP port, for `usbip attach` on any Linux machine.
+"""USB/IP server: device models on a TCP port, for `usbip attach` on any Linux machine.
 
-The server runs in one asyncio loop and shares it with whoever drives the devices: call `pump` after a device was given
-new data. USB/IP has no authentication and no encryption: whoever may connect has the camera. It is meant for the
-loopback interface, an SSH tunnel, or a bench network with nobody else on it.
+The server runs in one asyncio loop, in the thread that drives the devices: call `pump` after a device got new data.
+USB/IP has no authentication and no encryption: every host that may connect can use the camera. It is meant for the
+loopback interface, an SSH tunnel, or a private bench network.
 
-A connection that has no device is closed when a newer one needs its place; an attached host never is.
+A connection without a device is closed when a newer one needs its place; an attached host never is.
 
     bus id    "B-P": bus number B, port P; the device number is P + 1, as if a hub had address 1
 
-The USB/IP server as a link's endpoint.
+`UsbipEndpoint` is the server as a link's endpoint.
 """
 
 from __future__ import annotations
@@ -46,20 +46,20 @@ _BUSID = re.compile(r"([1-9]\d{0,2})-([1-9]\d{0,2})")
 
 
 class UsbipServer:
-    """Offers devices to USB/IP hosts.
+    """Server that offers devices to USB/IP hosts.
 
     Parameters
     ----------
     devices
         The devices by bus id, such as "1-1".
     settings
-        Limits and patience of each connection.
+        Limits and time limits of each connection.
     places
-        Connections held at once, in all and of one address. Each device needs one.
+        Number of simultaneous connections, in all and of one address. Each device needs one.
     allow
         Addresses and networks that may connect; without any, only this machine.
     observer
-        Hears of every URB.
+        Observer of every URB.
 
     Raises
     ------
@@ -90,50 +90,52 @@ class UsbipServer:
 
     @property
     def attached(self) -> Mapping[str, str]:
-        """The bus ids that hosts hold now, and the address of each host."""
+        """Bus ids that hosts hold now, and the address of each host."""
         return {busid: connection.peer for busid, connection in self._holders.items()}
 
     @property
     def port(self) -> int:
-        """The TCP port that the server is bound to; raises RuntimeError before `start`."""
+        """TCP port of the server; raises RuntimeError before `start`."""
         if self._listener.address is None:
             raise RuntimeError("the USB/IP server is not started")
         return self._listener.address[1]
 
     @property
     def counts(self) -> Mapping[str, int]:
-        """Connections that were refused, or closed for newer ones."""
+        """Counts of connections that were refused, or closed for newer ones."""
         return +self._admission.counts
 
     async def start(self, host: str = "127.0.0.1", port: int = 3240) -> None:
-        """Listen on an address; port 0 takes a free one. Raises OSError when the address cannot be had."""
+        """Listen on an address; port 0 takes a free one. Raises OSError when the address cannot be used."""
         self._listener.open(host, port)
         if not is_loopback(host):
-            log.warning("USB/IP listens on %s without authentication: whoever may connect has the camera", host)
+            log.warning(
+                "USB/IP listens on %s without authentication: every host that may connect can use the camera", host
+            )
 
     async def serve(self, sock: socket.socket) -> None:
-        """Serve a host at the other end of a connected stream socket, which needs no place."""
+        """Serve a host at the other end of a connected stream socket, which does not count as a place."""
         await asyncio.get_running_loop().connect_accepted_socket(partial(self._connect, None), sock)
 
     def pump(self) -> None:
-        """Answer pending URBs with what the attached devices have now."""
+        """Answer pending URBs with the data that the attached devices have now."""
         for connection in tuple(self._holders.values()):
             connection.answer()
 
     def unplug(self, busid: str) -> None:
-        """Take a device away from its host, and from the list, until `plug`."""
+        """Remove a device from its host, and from the list, until `plug`."""
         self._unplugged.add(busid)
         if busid in self._holders:
             self._holders[busid].hang_up()
 
     def plug(self, busid: str) -> None:
-        """Let a device that was unplugged be had again."""
+        """Offer a device again that was unplugged."""
         self._unplugged.discard(busid)
 
     async def close(self, linger_s: float = 1.0) -> None:
         """Stop listening and drop all hosts; devices are detached when this returns.
 
-        Hosts have `linger_s` to take what was sent and hang up themselves.
+        Hosts have `linger_s` to read the sent data and to close the connection themselves.
         """
         await self._listener.close()
         for connection in tuple(self._connections):
@@ -145,15 +147,15 @@ class UsbipServer:
                 connection.abort()
             await self._idle.wait()
 
-    # What connections ask (`transports.usb.usbip.connection.Bus`).
+    # Methods of `transports.usb.usbip.connection.Bus`.
 
     def list_devices(self) -> DeviceListReply:
-        """List all devices that are plugged in, also those that are taken, as usbipd does."""
+        """List all devices that are plugged in, including those in use, as usbipd does."""
         plugged = {busid: device for busid, device in self._devices.items() if busid not in self._unplugged}
         return DeviceListReply(tuple(_record(busid, device) for busid, device in plugged.items()))
 
     def claim(self, busid: str, connection: Connection) -> tuple[ImportReply, UsbDevice | None]:
-        """Give a device to a connection, or say why not."""
+        """Give a device to a connection, or return the refusal."""
         if busid not in self._devices or busid in self._unplugged:
             return ImportReply(OpStatus.NO_DEVICE), None
         if busid in self._holders:
@@ -165,7 +167,7 @@ class UsbipServer:
         return ImportReply(OpStatus.OK, _record(busid, self._devices[busid])), self._devices[busid]
 
     def closed(self, connection: Connection) -> None:
-        """Forget a connection."""
+        """Remove a connection."""
         seat = self._connections.pop(connection, None)
         if seat is not None:
             self._admission.leave(seat)
@@ -195,7 +197,7 @@ def _record(busid: str, device: UsbDevice) -> DeviceRecord:
 
 @dataclass(frozen=True)
 class UsbipFactory(EndpointFactory[UsbCamera]):
-    """Serves the camera under `busid` at `host`:`port` (port 0: any free one) to those whom `allow` names."""
+    """Factory of a server for the camera under `busid` at `host`:`port` (0: any free one), for hosts in `allow`."""
 
     host: str
     port: int
@@ -209,14 +211,14 @@ class UsbipFactory(EndpointFactory[UsbCamera]):
         return replace(self, trace=path)
 
     def build(self, device: UsbCamera, deliveries: Deliveries) -> UsbipEndpoint:
-        """Return the server, not yet listening."""
+        """Return the server; it does not listen yet."""
         faulty = FaultyDevice(device, self.faults)
         trace = None if self.trace is None else UrbTrace(self.trace, faulty, time.time_ns)
         return UsbipEndpoint(self, faulty, deliveries, trace)
 
 
 class UsbipEndpoint(Endpoint):
-    """One camera on one port."""
+    """Endpoint of one camera on one port."""
 
     def __init__(
         self, factory: UsbipFactory, device: FaultyDevice, deliveries: Deliveries, trace: UrbTrace | None
@@ -229,14 +231,14 @@ class UsbipEndpoint(Endpoint):
         self._server = UsbipServer({factory.busid: observed}, allow=factory.allow, observer=trace)
 
     async def start(self) -> None:
-        """Listen; raises OSError, with what to do, when the port cannot be had."""
+        """Listen; raises OSError, with the remedy, when the port cannot be opened."""
         try:
             await self._server.start(self._at.host, self._at.port)
         except OSError as error:
             raise OSError(
                 error.errno,
                 f"cannot listen on {self._at.host} port {self._at.port}: {error.strerror}; another evstim or usbipd "
-                "may hold it: stop that one, or give this link another port (0 takes a free one)",
+                "may use it: stop that one, or give this link another port (0 takes a free one)",
             ) from error
 
     def pump(self) -> None:
@@ -273,7 +275,7 @@ class UsbipEndpoint(Endpoint):
 
     @property
     def state(self) -> str:
-        """Who holds the camera, or where it can be had."""
+        """Host that holds the camera, or the address at which it is offered."""
         if self._is_gone:
             return "unplugged, by a fault"
         host = self._server.attached.get(self._at.busid)
@@ -288,10 +290,10 @@ class UsbipEndpoint(Endpoint):
 
     @property
     def trouble(self) -> str:
-        """See `Endpoint.trouble`: why the trace is not whole."""
+        """See `Endpoint.trouble`: reason for an incomplete trace."""
         return "" if self._trace is None else self._trace.trouble
 
     @property
     def counts(self) -> Mapping[str, int]:
-        """Connections that were refused, or closed for newer ones."""
+        """Counts of connections that were refused, or closed for newer ones."""
         return self._server.counts

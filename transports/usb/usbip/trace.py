@@ -1,16 +1,14 @@
-"""What goes over a camera's USB cable, written beside the run: as text, and as a file for Wireshark.
+"""Trace of a camera's USB cable during a run: as text, and as a file for Wireshark.
 
     connection --submitted, completed, unlinked--> queue (bounded) --thread--> FILE.txt
                                                                            +-> FILE.pcap
 
-FILE.txt has requests by name, transfers by length, and unlinks; FILE.pcap has every byte, see `usbmon`, which knows no
-unlinks.
+FILE.txt has requests by name, transfers by length, and unlinks. FILE.pcap has every byte, but no unlinks, which the
+format of `usbmon` does not have.
 
-The connection only puts what it has into a queue. Where the disk is slower than the cable, URBs are left out and both
-files go on behind them; the text says how many are missing. Where a file cannot be written any more, it ends there and
-the other goes on.
-
-The two files of a USB trace.
+The connection only writes to a queue. If the disk is slower than the cable, URBs are omitted and both files continue
+after them; the text contains the number of missing URBs. If a file cannot be written any more, it ends there and the
+other one continues.
 """
 
 from __future__ import annotations
@@ -39,7 +37,7 @@ def both_files(path: Path) -> tuple[Path, Path]:
 
 
 def trace_paths(path: Path) -> tuple[Path, Path]:
-    """Return the files to write: those of `path`, or of PATH-restart1 and so on where they hold something already."""
+    """Return the files to write: those of `path`, or of PATH-restart1 and so on if they already have contents."""
     for restart in count():
         files = both_files(path if not restart else path.with_name(f"{path.name}-restart{restart}"))
         if not any(file.exists() and file.stat().st_size for file in files):
@@ -57,12 +55,12 @@ _STATUS = {UrbStatus.OK: "ok", UrbStatus.STALL: "STALL", UrbStatus.UNLINKED: "ta
 _SHOWN_BYTES = 8
 _CONFIGURATION = SetupPacket(0x80, 6, 0x0200, 0, 0xFFFF)
 _ENDPOINT_DESCRIPTOR = 5
-_KIND_OF_ATTRIBUTES = (2, 0, 3, 1)  # of control, isochronous, bulk, interrupt: usbmon counts them otherwise
+_KIND_OF_ATTRIBUTES = (2, 0, 3, 1)  # for control, isochronous, bulk, interrupt: usbmon numbers them differently
 
 
 @dataclass(frozen=True)
 class _Moment:
-    """A URB when it was submitted (`status` None) or completed."""
+    """URB when it was submitted (`status` None) or completed."""
 
     t_ns: int
     urb: Submit
@@ -73,7 +71,7 @@ class _Moment:
 
 @dataclass(frozen=True)
 class _TakenBack:
-    """A URB when the host took it back."""
+    """URB when the host cancelled it."""
 
     t_ns: int
     seqnum: int
@@ -82,18 +80,18 @@ class _TakenBack:
 
 
 class UrbTrace:
-    """Writes the URBs of one camera.
+    """Writer of the URBs of one camera.
 
     Parameters
     ----------
     path
-        FILE of FILE.txt and FILE.pcap. Where those hold something already, FILE-restart1 and so on are taken.
+        FILE of FILE.txt and FILE.pcap. If those already have contents, FILE-restart1 and so on are used.
     device
-        The camera; it is asked for its descriptors.
+        The camera, from which the descriptors are read.
     now_ns
         Unix time.
     capacity_bytes
-        Data that may wait for the disk.
+        Number of bytes that may wait for the disk.
 
     Raises
     ------
@@ -121,24 +119,24 @@ class UrbTrace:
 
     @property
     def trouble(self) -> str:
-        """Why a file is not whole; empty where both are."""
+        """Reason for incomplete files; empty if both are complete."""
         lost = f"USB trace: {self.missing} records are missing, the disk was too slow" if self.missing else ""
         return self._text.trouble or self._pcap.trouble or lost
 
     def submitted(self, urb: Submit) -> None:
-        """Note that the host has submitted a URB."""
+        """Record that the host has submitted a URB."""
         self._put(_Moment(self._now_ns(), urb, None, urb.length, urb.data))
 
     def completed(self, urb: Submit, status: int, length: int, data: bytes = b"") -> None:
-        """Note that a URB was answered, taken back, or lost with its connection."""
+        """Record that a URB was answered, cancelled, or lost with its connection."""
         self._put(_Moment(self._now_ns(), urb, status, length, data))
 
     def unlinked(self, unlink: Unlink, found: Found) -> None:
-        """Note that the host takes a URB back."""
+        """Record that the host cancels a URB."""
         self._put(_TakenBack(self._now_ns(), unlink.victim, found))
 
     def close(self) -> None:
-        """Write what waits, for some seconds at most, and close the files."""
+        """Write the waiting records, for some seconds at most, and close the files."""
         self._closing.set()
         self._thread.join(_CLOSE_TIMEOUT_S)
 
@@ -179,7 +177,7 @@ class UrbTrace:
 
 
 class _Words:
-    """Says what a URB is about."""
+    """Text and record of a URB."""
 
     def __init__(self, camera: Identity, types: Mapping[int, int], begun_ns: int) -> None:
         self._types = types
@@ -188,7 +186,7 @@ class _Words:
         self.head = (
             f"# USB trace of {camera.vendor_id:04x}:{camera.product_id:04x}, "
             f"begun at {begun_ns / 1e9:.6f} s Unix time\n"
-            "# s since then, S the host asks, C its answer, U it takes back, number of the URB, transfer, what\n"
+            "# s since then, S submitted, C completed, U cancelled by the host, number of the URB, transfer, what\n"
         )
 
     def record(self, moment: _Moment) -> UrbRecord:
@@ -205,7 +203,7 @@ class _Words:
             return f"{self._seconds(moment.t_ns)} U {moment.seqnum:6d} {'unlink':13s} of a URB {moment.found.value}\n"
         urb = moment.urb
         way = f"{_KINDS[self._type(urb)]} {'IN' if urb.is_in else 'OUT'}"
-        what = self._asked(urb) if moment.status is None else self._answered(moment, moment.status)
+        what = self._submission(urb) if moment.status is None else self._completion(moment, moment.status)
         letter = "S" if moment.status is None else "C"
         return f"{self._seconds(moment.t_ns)} {letter} {urb.seqnum:6d} {way:13s} {what}\n"
 
@@ -215,21 +213,21 @@ class _Words:
     def _type(self, urb: Submit) -> int:
         return _CONTROL if urb.endpoint == 0 else self._types.get(urb.endpoint | urb.is_in << 7, _BULK)
 
-    def _asked(self, urb: Submit) -> str:
+    def _submission(self, urb: Submit) -> str:
         if urb.endpoint:
             return f"endpoint {urb.endpoint | urb.is_in << 7:#04x}, {urb.length} bytes"
         name = name_davis_request if self._is_davis else name_request
         return name(SetupPacket.parse(urb.setup), urb.data)
 
-    def _answered(self, moment: _Moment, status: int) -> str:
-        told = _STATUS.get(status, f"status {status}")
+    def _completion(self, moment: _Moment, status: int) -> str:
+        status_text = _STATUS.get(status, f"status {status}")
         if status != UrbStatus.OK:
-            return told
+            return status_text
         setup = SetupPacket.parse(moment.urb.setup)
         name = name_answer(setup, moment.data) if self._is_davis and moment.urb.endpoint == 0 else ""
         start = moment.data[:_SHOWN_BYTES].hex(" ")
         more = " ..." if len(moment.data) > _SHOWN_BYTES else ""
-        return f"{told}, {moment.length} bytes{': ' if name or start else ''}{name or start + more}"
+        return f"{status_text}, {moment.length} bytes{': ' if name or start else ''}{name or start + more}"
 
 
 def transfer_types(device: UsbDevice) -> dict[int, int]:
