@@ -26,9 +26,9 @@ PICTURED = (
 )
 TEXT = """# A hundred landings
 
-This page gives the results of a campaign of a hundred landings. `python docs/make_landing_campaign.py FOLDER` made it from the rows of
-`evstim campaign examples/landing/campaign.toml`. [The landing](landing.md) describes a single one, [Campaigns](campaigns.md) the
-meaning of the figures.
+This page gives the results of a campaign of a hundred landings. `python docs/make_landing_campaign.py FOLDER` made it
+from the rows of `evstim campaign examples/landing/campaign.toml`. [The landing](landing.md) describes a single one,
+[Campaigns](campaigns.md) the meaning of the figures.
 
 From 1400 to 1600 m, over four grounds, with the Sun 20 to 35 degrees high and thresholds of 0.283 +- 0.03, in lockstep
 over the real serial line, bus and poses. The seed of a run draws its start, the errors of navigation and engine, and
@@ -42,9 +42,9 @@ the camera's noise. A success touches down below 1 m/s with a good verdict of th
 
 ## Influence of the parameters
 
-The tables give the PAWN index (0: no influence), beside it the bound below which a parameter without influence stays in 95 % of
-samples like this one, and Spearman's rank correlation with its p. The numbers of the grounds have no order, so their rank correlation
-has no meaning.
+The tables give the PAWN index (0: no influence), beside it the bound below which a parameter without influence stays in
+95 % of samples like this one, and Spearman's rank correlation with its p. The numbers of the grounds have no order, so
+their rank correlation has no meaning.
 
 {sensitivities}
 
