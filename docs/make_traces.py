@@ -198,9 +198,9 @@ def files() -> dict[str, str]:
     serial, can = list(_serial()), list(_can())
     text = (
         "This page decodes a capture of the link of the rig `{}`: five events, an edge, {}\nEach row explains one line "
-        "of [`{}`]({}). The instrument and the link are those of the rig; the events are given, not those of its scene.\n"
-        "Times in the text are the camera's own; the column holds the time at which the last bit has left, on a link "
-        "that began at 1.02 s.\nThis page is made by `docs/make_traces.py`; a test compares."
+        "of [`{}`]({}). The instrument and the link are those of the rig; the events are given, not those of "
+        "its scene.\nTimes in the text are the camera's own; the column holds the time at which the last bit has left, "
+        "on a link that began at 1.02 s.\nThis page is made by `docs/make_traces.py`; a test compares."
     )
     return {
         "serial.hex": "\n".join(line for line, _ in serial) + "\n",

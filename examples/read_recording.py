@@ -1,6 +1,6 @@
-"""Read a recording and tell its rates: `python read_recording.py FILE.npz`.
+"""Read a recording and print its rates: `python read_recording.py FILE.npz`.
 
-FILE is what `evstim run RIG --record FILE.npz` or `evstim listen --record FILE.npz` wrote. Without one, a tenth of a
+FILE is the output of `evstim run RIG --record FILE.npz` or `evstim listen --record FILE.npz`. Without one, a tenth of a
 second of the rig 'loopback' is recorded first.
 """
 
@@ -16,14 +16,14 @@ __all__ = ["main"]
 
 
 def main(path: str | None = None) -> float:
-    """Print what the recording holds; return its mean event rate, events/s."""
+    """Print the content of the recording; return its mean event rate, events/s."""
     if path is None:
         path = "recording.npz"
         with evstim.run("loopback", seconds=0.1, pace="free", record=path) as run:
             run.wait()
     events, resets = evstim.load_record(path)
     if resets:
-        events = events[resets[-1] :]  # since the camera's clock last started anew
+        events = events[resets[-1] :]  # since the last reset of the camera's clock
     if len(events) < 2:
         print(f"{path}: {len(events)} events")
         return 0.0
