@@ -1,8 +1,8 @@
-"""Draws docs/pictures/activity.png: the time of a pixel step against the share of pixels to which something happens.
+"""Draw docs/pictures/activity.png, the time of a pixel step over the share of active pixels.
 
-The picture is black but for a band of rows in which a grating drifts. One thread; with and without the region that
-changed told. Each time is processor time, the least of 6 steps, so that other work on the machine shows as little as it
-can; still, run it on an idle machine: `python docs/activity_chart.py`.
+The light frame is black except for a band of rows in which a grating drifts. One thread; with and without a report of
+the changed region. Each time is processor time, the least of 6 steps, to reduce the influence of other work on the
+machine. Run it on an idle machine: `python docs/activity_chart.py`.
 """
 
 from __future__ import annotations
@@ -36,14 +36,14 @@ def repeat(tile: tuple[Light, Light], light: Light, rate: Light) -> None:
             rows[:] = part[: rows.shape[0]]
 
 
-def step_us(array: PixelArray, share: float, *, told: bool) -> float:
+def step_us(array: PixelArray, share: float, *, reported: bool) -> float:
     """Return the least processor time of a step, us, with a drifting grating in `share` of the rows."""
     width, height = array.parameters.width, array.parameters.height
     rows = round(share * height)
     band = dataclasses.replace(array.parameters, height=REPEATS_ROWS)
     light, rate = np.zeros((height, width), np.float32), np.zeros((height, width), np.float32)
     array.reset(LightFrame(0, light, rate))
-    changed, taken = Region(0, rows, 0, width) if told else None, []
+    changed, taken = Region(0, rows, 0, width) if reported else None, []
     for k in range(1, WARM_UP + STEPS + 1):
         if rows:
             repeat(grating(band, -0.01 * k, 0.01), light[:rows], rate[:rows])
@@ -54,7 +54,7 @@ def step_us(array: PixelArray, share: float, *, told: bool) -> float:
 
 
 Row = tuple[tuple[int, int], bool, list[float]]
-"""Size, whether the region is told, and microseconds a step by share."""
+"""Size, whether the changed region is reported, and microseconds a step by share."""
 
 
 def measured() -> Iterator[Row]:
@@ -62,25 +62,25 @@ def measured() -> Iterator[Row]:
     for size in SIZES:
         parameters = dataclasses.replace(PRESETS["davis346"], width=size[0], height=size[1], leak_hz=0.0)
         array = PixelArray(parameters, 1, 1)
-        for told in (False, True):
-            times = [step_us(array, share, told=told) for share in SHARES]
-            words = "told" if told else "compared", *(f"{t:.0f}" for t in times)
+        for reported in (False, True):
+            times = [step_us(array, share, reported=reported) for share in SHARES]
+            words = "reported" if reported else "compared", *(f"{t:.0f}" for t in times)
             sys.stdout.write(f"{size[0]}x{size[1]} {' '.join(words)}\n")
             sys.stdout.flush()
-            yield size, told, times
+            yield size, reported, times
 
 
 def draw(rows: list[Row]) -> None:
     """Draw one line a row."""
     figure, axes = pyplot().subplots(figsize=(7, 4.6), layout="constrained")
     shares = [max(share, 3e-4) for share in SHARES]
-    for size, told, times in rows:
-        label = f"{size[0]} x {size[1]}" if told else None
+    for size, reported, times in rows:
+        label = f"{size[0]} x {size[1]}" if reported else None
         colour = f"C{SIZES.index(size)}"
-        axes.plot(shares, times, "-" if told else "--", color=colour, marker=".", label=label)
+        axes.plot(shares, times, "-" if reported else "--", color=colour, marker=".", label=label)
     axes.set(xscale="log", yscale="log", xlabel="share of active pixels (leftmost: none)")
     axes.set_ylabel("processor time of a step, us")
-    axes.set_title("solid: the scene tells the region that changed; dashed: pictures are compared", fontsize=9)
+    axes.set_title("solid: the scene reports the changed region; dashed: pictures are compared", fontsize=9)
     axes.grid(True, which="major", alpha=0.3)
     axes.legend(fontsize=8)
     save(figure, Path(__file__).parent / "pictures" / "activity")

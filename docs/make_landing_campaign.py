@@ -1,6 +1,6 @@
 """Write the page on the campaign of landings, and its picture:  python docs/make_landing_campaign.py FOLDER
 
-FOLDER is that of `evstim campaign examples/landing/campaign.toml`, whole or not.
+FOLDER is that of `evstim campaign examples/landing/campaign.toml`; some runs may be missing.
 """
 
 from __future__ import annotations
@@ -26,8 +26,9 @@ PICTURED = (
 )
 TEXT = """# A hundred landings
 
-Made by `python docs/make_landing_campaign.py FOLDER` from the rows of `evstim campaign examples/landing/campaign.toml`;
-[the landing](landing.md) tells how one goes, [Campaigns](campaigns.md) what the figures mean.
+This page gives the results of a campaign of a hundred landings. `python docs/make_landing_campaign.py FOLDER` made it
+from the rows of `evstim campaign examples/landing/campaign.toml`. [The landing](landing.md) describes a single one,
+[Campaigns](campaigns.md) the meaning of the figures.
 
 From 1400 to 1600 m, over four grounds, with the Sun 20 to 35 degrees high and thresholds of 0.283 +- 0.03, in lockstep
 over the real serial line, bus and poses. The seed of a run draws its start, the errors of navigation and engine, and
@@ -39,10 +40,11 @@ the camera's noise. A success touches down below 1 m/s with a good verdict of th
 
 ![Speed at touchdown and error of the divergence over each parameter](pictures/landing-campaign.png)
 
-## On what it depends
+## Influence of the parameters
 
-PAWN (0: on nothing; beside it what a parameter without any influence stays below in 95 % of samples like this one) and
-Spearman's rank correlation with its p. The numbers of the grounds have no order, so theirs says nothing.
+The tables give the PAWN index (0: no influence), beside it the bound below which a parameter without influence stays in
+95 % of samples like this one, and Spearman's rank correlation with its p. The numbers of the grounds have no order, so
+their rank correlation has no meaning.
 
 {sensitivities}
 
@@ -68,7 +70,7 @@ def _cell(value: object) -> str:
 
 
 def sensitivities(made: Campaign, rows: Sequence[Row]) -> str:
-    """Return what each column depends on, as sections."""
+    """Return the sensitivity of each column to the parameters, as sections."""
     labels, sections = made.settings.report.labels, []
     for column in ["success", *made.settings.report.columns]:
         found = sensitivity(rows, made.settings.parameters, column, 0)

@@ -1,4 +1,4 @@
-"""Makes the pictures of the README and the docs with the program itself:  python docs/make_pictures.py"""
+"""Make the pictures of the README and the docs with the program itself:  python docs/make_pictures.py"""
 
 from __future__ import annotations
 

@@ -15,24 +15,24 @@ PAGE = Path(__file__).with_name("registers.md")
 
 _HEAD = """# Registers of the DAVIS346
 
-Every register that the emulated camera knows, for a sensor of 346 x 260 pixels. With the layout `turned` the sizes are
-those of the chip, 260 x 346, and ORIENTATION is 4. A register is a module (wValue) and a parameter (wIndex) of
-[request 0xBF](protocol.md#vendor-requests). All are 32 bits wide and big-endian on the wire. A register keeps the low
-**bits** of a written value, as the published logic does, reads back those, and refuses nothing: of 0xFFFFFFFF, EXPOSURE
-keeps 0x7FFFFFF (4.5 s), and of 2 a flag keeps 0. A register that is not in these tables reads 0; a write to it, or to
-one that can only be read (*ro*), is ignored.
+This page lists every register of the emulated camera, for a sensor of 346 x 260 pixels. With the layout `turned` the
+sizes are those of the chip, 260 x 346, and ORIENTATION is 4. A register is a module (wValue) and a parameter (wIndex)
+of [request 0xBF](protocol.md#vendor-requests). All are 32 bits wide and big-endian on the wire. A register stores the
+low **bits** of a written value, as the published logic does, reads back those, and refuses nothing: of 0xFFFFFFFF,
+EXPOSURE stores 0x7FFFFFF (4.5 s), and of 2 a flag stores 0. A register that is not in these tables reads 0; a write to
+it, or to one that can only be read (*ro*), is ignored.
 
-What the model makes of values that ask for the impossible: a region of interest is cut to the sensor, and gives no
+The model limits values that are impossible: a region of interest is cut to the sensor, and gives no
 frames (of the DVS: no events) where it is empty; frames are at least 1 ms apart; a generator whose pulse is not shorter
-than its interval stands still, and tells at most one edge of each kind in a microsecond; factors of biases stay within
-0.1 and 1000, also their product over several links. A bias acts on the pixels from the end of the step in which it was
-written ([the rule](timing.md#changes-while-a-run-goes-on)).
+than its interval stands still, and reports at most one edge of each kind in a microsecond; factors of biases stay
+within 0.1 and 1000, also their product over several links. A bias acts on the pixels from the end of the step in
+which it was written ([the rule](timing.md#changes-while-a-run-goes-on)).
 
 Registers 31 to 34 of module 1 act in a camera that has these filters: `activity_filter = true` in `[camera]`. Then 30
 reads 1.
 
-**Acts** says what the model does with it: *yes*, it changes what is sent; *told*, its value describes the camera;
-empty, it is kept and read back, and nothing else.
+**Acts** is the effect in the model: *yes*, the register changes the data that are sent; *reported*, its value describes
+the camera; empty, it is stored and read back, without another effect.
 
 This page is made by `docs/make_register_page.py` from `firmware_protocol/davis346/registers.py`; a test compares them.
 """
@@ -58,14 +58,14 @@ _ACTS = frozenset(
     + [(2, k) for k in (4, 5, *range(7, 14))]
     + [(3, k) for k in (2, 3, 4, 5, 6, 7, 9, 10)]
     + [(5, bias.address) for bias in BIASES if bias.name in _BIASES_THAT_ACT]
-)  # what device.py and the modules that it gives its registers to read
+)  # those that device.py and its parts read
 
 _MEANINGS = {
     "RUN": "this part runs; in module 0 the gate of all words",
     "TIMESTAMP_RUN": "timestamps run",
     "TIMESTAMP_RESET": "written 1: device time is zero, and the word 0x0001 is sent",
     "RUN_CHIP": "the chip has power",
-    "DROP_EXTINPUT_ON_STALL": "edges are dropped at once when the FIFO is full, not kept in a queue of 8",
+    "DROP_EXTINPUT_ON_STALL": "edges are dropped at once when the FIFO is full, not held in a queue of 8",
     "DROP_DVS_ON_STALL": "events are dropped when the FIFO is full; the model always does",
     "WAIT_ON_STALL": "wait instead of dropping",
     "EXTERNAL_AER_CONTROL": "the chip's handshake is done outside",
@@ -98,18 +98,18 @@ _MEANINGS = {
     "ACCELEROMETER_FULL_SCALE": "range setting",
     "GYROSCOPE_LOW_PASS": "filter setting",
     "GYROSCOPE_FULL_SCALE": "range setting",
-    "RUN_DETECTOR": "look at the input",
-    "DETECT_RISING": "tell of rising edges (special 3)",
-    "DETECT_FALLING": "tell of falling edges (special 2)",
-    "DETECT_PULSES": "tell of pulses (special 4)",
+    "RUN_DETECTOR": "observe the input",
+    "DETECT_RISING": "report rising edges (special 3)",
+    "DETECT_FALLING": "report falling edges (special 2)",
+    "DETECT_PULSES": "report pulses (special 4)",
     "PULSE_POLARITY": "pulses are high",
     "PULSE_LENGTH": "a pulse is at least so long",
     "RUN_GENERATOR": "drive the output",
     "GENERATOR_POLARITY": "its pulses are high",
     "GENERATOR_INTERVAL": "from pulse to pulse",
     "GENERATOR_LENGTH": "of a pulse",
-    "INJECT_ON_RISING": "tell of its rising edges (special 16)",
-    "INJECT_ON_FALLING": "tell of its falling edges (special 17)",
+    "INJECT_ON_RISING": "report its rising edges (special 16)",
+    "INJECT_ON_FALLING": "report its falling edges (special 17)",
     "LOGIC_VERSION": "version of the FPGA's logic",
     "CHIP_IDENTIFIER": "5: DAVIS346B",
     "DEVICE_IS_MASTER": "timestamps are its own, not another camera's",
@@ -131,8 +131,8 @@ _MEANINGS = {
 _PATTERNS = {
     r"HAS_(.*)": "the logic has this part",
     r"HOT_PIXEL_\d_(ROW|COLUMN)": "a pixel to leave out",
-    r"(DIGITAL|ANALOG|BIAS)_MUX_\d": "what a debug pin shows",
-    r".*_(UPPER|LOWER)": "what was counted",
+    r"(DIGITAL|ANALOG|BIAS)_MUX_\d": "signal at a debug pin",
+    r".*_(UPPER|LOWER)": "counter",
 }
 
 _BIASES = {bias.address: bias for bias in BIASES}
@@ -149,7 +149,7 @@ def _meaning(register: Register) -> str:
 def _acts(register: Register) -> str:
     if (register.module.value, register.address) in _ACTS:
         return "yes"
-    return "told" if register.access.value == "read" else ""
+    return "reported" if register.access.value == "read" else ""
 
 
 def _lines() -> Iterator[str]:

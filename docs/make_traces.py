@@ -1,4 +1,4 @@
-"""Write docs/traces/: short captures of two shipped rigs' links, and what each line says: python docs/make_traces.py.
+"""Write docs/traces/, short captures of two shipped rigs' links with their decodes: python docs/make_traces.py.
 
 The instruments and links are those of the rigs `serial-demo` and `can-demo`; the events are a few that are given here,
 so that the captures are the same on every machine. The time of a line is that at which the last bit of a frame has
@@ -44,21 +44,21 @@ EVENTS = np.array(
     ],
     EVENT,
 )
-"""What the sensor sees; all inside the region of can-demo."""
+"""Events of the sensor; all inside the region of can-demo."""
 EDGES = np.array([(START_US + 10, 2, 0, 1)], EDGE)
-"""What the external input sees."""
+"""Edges at the external input."""
 
 
 def _link(rig: str, kind: type) -> object:
     return next(link for link in load_rig(rig).links if isinstance(link, kind))
 
 
-def _said(events: Events) -> str:
+def _event_words(events: Events) -> str:
     return "; ".join(f"{t} us x {x} y {y} {'ON' if on else 'OFF'}" for t, x, y, on in events.tolist())
 
 
 def _instrument(instrument: Instrument) -> Instrument:
-    """Show it what happens."""
+    """Offer the events and edges to the instrument."""
     instrument.offer_edges(EDGES)
     instrument.offer(EVENTS)
     instrument.advance(START_US + 20_000)
@@ -68,17 +68,17 @@ def _instrument(instrument: Instrument) -> Instrument:
 # The serial line.
 
 
-def _housekeeping_said(report: Housekeeping) -> str:
+def _housekeeping_words(report: Housekeeping) -> str:
     return f"{report.mode.name.lower()}, {report.events.offered} events offered, {report.events.sent} sent"
 
 
-def _message_said(message: Message) -> str:
+def _message_words(message: Message) -> str:
     if message.kind in (MessageKind.EVENTS, MessageKind.EDGES):
         block = decode_block(message.payload, message.t_us)
         edges = "; ".join(f"{t} us kind {kind} channel {c} number {seq}" for t, kind, c, seq in block.edges.tolist())
-        return _said(block.events) or edges
+        return _event_words(block.events) or edges
     if message.kind is MessageKind.HOUSEKEEPING:
-        return _housekeeping_said(Housekeeping.parse(message.payload))
+        return _housekeeping_words(Housekeeping.parse(message.payload))
     if message.kind is MessageKind.VERIFICATION:
         return f"{Verification.parse(message.payload).stage.name.lower()}"
     return "the answer to Ping"
@@ -103,51 +103,51 @@ def _serial() -> Iterator[tuple[str, str]]:
         message, kind = received.message, outgoing.message.kind
         packet = Profile("ccsds").wrap(message)
         apid, types = int.from_bytes(packet[:2], "big") & 0x7FF, f"{packet[7]}, {packet[8]}"
-        row = f"| {apid:#05X} | {types} | {kind.name} at {message.t_us} us: {_message_said(message)} |"
+        row = f"| {apid:#05X} | {types} | {kind.name} at {message.t_us} us: {_message_words(message)} |"
         yield f"({sent_us / 1e6:.6f}) > {octets.hex(' ')}", row.replace("0X", "0x")
 
 
 # The CAN bus.
 
 
-class _Nobody:
-    """Takes what has been delivered."""
+class _NoDeliveries:
+    """Deliveries that are not recorded."""
 
     def add(self, *_: object) -> None:
-        """Keep nothing."""
+        """Ignore the delivery."""
 
 
-def _isotp_said(receiver: CanReceiver, frame: Frame) -> str:
-    said = f"{('single', 'first', 'consecutive')[frame.data[0] >> 4]} frame of ISO-TP"
+def _isotp_words(receiver: CanReceiver, frame: Frame) -> str:
+    words = f"{('single', 'first', 'consecutive')[frame.data[0] >> 4]} frame of ISO-TP"
     report = receiver.housekeeping
-    return said if report is None else f"{said}, the last: HOUSEKEEPING, {_housekeeping_said(report)}"
+    return words if report is None else f"{words}, the last: HOUSEKEEPING, {_housekeeping_words(report)}"
 
 
-def _frame_said(p: CanLink, receiver: CanReceiver, frame: Frame) -> tuple[str, str]:
-    """Return the name of a frame, and what it says."""
+def _frame_words(p: CanLink, receiver: CanReceiver, frame: Frame) -> tuple[str, str]:
+    """Return the name of a frame, and its meaning."""
     name = {value: name for name, value in p.identifiers.by_name.items()}[frame.identifier]
     receiver.push(frame)
     events, edges = receiver.take_events(), receiver.take_edges()
-    says: dict[str, Callable[[], str]] = {
+    meanings: dict[str, Callable[[], str]] = {
         "heartbeat": lambda: f"{NodeState(frame.data[0]).name.lower()}",
         "sync": lambda: "the trigger",
         "clock": lambda: f"{unpack_clock(frame.data)} us",
         "epoch": lambda: (
             f"{(e := Epoch.parse(frame.data)).ticks} ticks of {e.tick_us} us; {e.sent} events sent, {e.dropped} dropped"
         ),
-        "events": lambda: f"number {frame.data[2] & 7}: {_said(events)}",
+        "events": lambda: f"number {frame.data[2] & 7}: {_event_words(events)}",
         "edges": lambda: "; ".join(f"{t} us kind {k} channel {c} number {seq}" for t, k, c, seq in edges.tolist()),
-        "telemetry": lambda: _isotp_said(receiver, frame),
+        "telemetry": lambda: _isotp_words(receiver, frame),
         "telecommand": lambda: "flow control of ISO-TP",
     }
-    return name, says[name]()
+    return name, meanings[name]()
 
 
 def _on_the_bus(p: CanLink) -> Iterator[Frame]:
     """Yield the frames: the camera's SYNC and heartbeat, the edge, housekeeping, events."""
     instrument = _instrument(Instrument(SIZE, p.instrument))
     receiver = CanReceiver(p.receiver)
-    carried = sources(instrument, _Nobody(), p)  # type: ignore[arg-type]
+    carried = sources(instrument, _NoDeliveries(), p)  # type: ignore[arg-type]
     yield Frame(p.identifiers.sync, b"")
     yield Frame(p.identifiers.heartbeat, bytes([NodeState.OPERATIONAL]))
     for now_ns in range(0, 1 << 30, 1_000_000):
@@ -161,7 +161,7 @@ def _on_the_bus(p: CanLink) -> Iterator[Frame]:
             source.delivered(ended)
         yield frame
         for reply in receiver.take_replies():
-            source.hear(reply, now_ns)
+            source.receive(reply, now_ns)
             yield reply
 
 
@@ -171,9 +171,9 @@ def _can() -> Iterator[tuple[str, str]]:
     receiver, sent_ns = CanReceiver(parameters.receiver), START_US * 1000 + 20_000_000
     for frame in _on_the_bus(parameters):
         sent_ns += parameters.rates.duration_ns(frame_bits(frame))
-        name, says = _frame_said(parameters, receiver, frame)
+        name, meaning = _frame_words(parameters, receiver, frame)
         line = f"({sent_ns / 1e9:.6f}) {parameters.channel} {frame.identifier:03X}#{frame.data.hex().upper()}"
-        yield line, f"| {frame.identifier:#05x} | {name} | {says} |"
+        yield line, f"| {frame.identifier:#05x} | {name} | {meaning} |"
 
 
 # The files.
@@ -197,10 +197,10 @@ def files() -> dict[str, str]:
     """Return each file's name and content."""
     serial, can = list(_serial()), list(_can())
     text = (
-        "What the link of the rig `{}` carries for five events, an edge, {}\nEach line of [`{}`]({}) in words. The "
-        "instrument and the link are those of the rig; the events are given, not those of its scene. Times in the\n"
-        "text are the camera's own; the column holds the time at which the last bit has left, on a link that began at "
-        "1.02 s.\nThis page is made by `docs/make_traces.py`; a test compares."
+        "This page decodes a capture of the link of the rig `{}`: five events, an edge, {}\nEach row explains one line "
+        "of [`{}`]({}). The instrument and the link are those of the rig; the events are given, not those of "
+        "its scene.\nTimes in the text are the camera's own; the column holds the time at which the last bit has left, "
+        "on a link that began at 1.02 s.\nThis page is made by `docs/make_traces.py`; a test compares."
     )
     return {
         "serial.hex": "\n".join(line for line, _ in serial) + "\n",

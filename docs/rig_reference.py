@@ -68,7 +68,7 @@ def _within(path: str, cls: type, kind: str = "") -> Iterator[tuple[str, type]]:
 
 
 def _tables(path: str, annotation: Any) -> Iterator[tuple[str, type, str]]:
-    """Yield where a table may stand, its type, and its kind: none for a plain value."""
+    """Yield the place of a table, its type, and its kind: nothing for a plain value."""
     if item := item_type(annotation):
         path, annotation = f"[{path}]", item
     if kinds := kinds_of(annotation):
@@ -79,40 +79,40 @@ def _tables(path: str, annotation: Any) -> Iterator[tuple[str, type, str]]:
 
 def _section(cls: type, titles: list[str]) -> str:
     """Return the section of a table type, which may stand in several places."""
-    told = meanings(cls)
+    texts = meanings(cls)
     types = {name: of for name, of in field_types(cls).items() if not list(_tables("", of))}
     also = f"Also `{'`, `'.join(titles[1:])}`. " if titles[1:] else ""
     lines = [f"## `{titles[0]}`", "", also + (inspect.getdoc(cls) or "").partition("\n\n")[0], ""]
     if types:
         lines += ["| key | type | default | meaning |", "|---|---|---|---|"]
     rows = (f for f in dataclasses.fields(cls) if f.name in types)
-    lines += [f"| `{f.name}` | {_words(types[f.name])} | {_default(f)} | {told.get(f.name, '')} |" for f in rows]
+    lines += [f"| `{f.name}` | {_words(types[f.name])} | {_default(f)} | {texts.get(f.name, '')} |" for f in rows]
     return "\n".join(lines).rstrip()
 
 
 def meanings(cls: type) -> dict[str, str]:
     """Return the text on each key of a table type; bars would end a column."""
-    told = {name: text for base in reversed(cls.__mro__) for name, text in _attributes(base).items()}
-    return {name: text.replace("|", "\\|") for name, text in told.items()}
+    texts = {name: text for base in reversed(cls.__mro__) for name, text in _attributes(base).items()}
+    return {name: text.replace("|", "\\|") for name, text in texts.items()}
 
 
 def _attributes(cls: type) -> dict[str, str]:
     """Read the Attributes section of a class docstring: names, then indented text or ` : text`."""
     text = (inspect.getdoc(cls) or "").partition("Attributes\n----------\n")[2]
-    told: dict[str, str] = {}
+    texts: dict[str, str] = {}
     names: list[str] = []
     for line in text.splitlines():
         if re.match(r"[a-z0-9_]+(, [a-z0-9_]+)*( : .*)?$", line) and not line.startswith(" ") and line.strip():
             head, _, rest = line.partition(" : ")
             names = [name.strip() for name in head.split(",")]
-            told.update(dict.fromkeys(names, rest))
+            texts.update(dict.fromkeys(names, rest))
         elif line.strip():
-            told.update({name: f"{told[name]} {line.strip()}".strip() for name in names})
-    return told
+            texts.update({name: f"{texts[name]} {line.strip()}".strip() for name in names})
+    return texts
 
 
 def _words(annotation: Any) -> str:
-    """Return a type in words: what to write in TOML."""
+    """Return a type in words, as it is written in TOML."""
     if annotation in _PLAIN:
         return _PLAIN[annotation]
     origin, args = typing.get_origin(annotation), typing.get_args(annotation)

@@ -23,13 +23,13 @@ def disc(count: int = 50, width: int = 120, height: int = 80) -> npt.NDArray[np.
     frames = []
     for k in range(count):
         radius_px = np.hypot(x - 20 - k, y - height / 2)
-        cover = np.clip(15.5 - radius_px, 0, 1)  # a soft edge of one pixel, as a lens makes
+        cover = np.clip(15.5 - radius_px, 0, 1)  # a soft edge of one pixel, as behind a lens
         frames.append(background * (1 - cover) + 0.9 * cover)
     return np.stack(frames)
 
 
 def main(path: str | None = None) -> int:
-    """Write events.npz; return how many events it holds."""
+    """Write events.npz; return its number of events."""
     if path:
         events = evstim.events_from_video(path, seed=1)
     else:

@@ -1,4 +1,4 @@
-"""Let the camera look at your own mesh: `python own_mesh.py [MESH] [SECONDS]`.
+"""Point the camera at your own mesh: `python own_mesh.py [MESH] [SECONDS]`.
 
 MESH is an .obj or .tab file in metres. Without one, a box with two panels is made here. The script writes a rig file
 beside the mesh, runs it and counts the events; the same file works with `evstim run`, `evstim plan` and
@@ -61,7 +61,7 @@ def spacecraft(path: Path) -> None:
 
 
 def main(mesh: str | None = None, seconds: str = "0.5") -> int:
-    """Write the rig and run it; return how many events the sensor read out."""
+    """Write the rig and run it; return the number of events that the sensor read out."""
     path = Path(mesh or "spacecraft.obj")
     if mesh is None:
         spacecraft(path)

@@ -16,7 +16,7 @@ __all__ = ["main"]
 
 
 def main(path: str | None = None) -> float:
-    """Print the contents of the recording; return its mean event rate, events/s."""
+    """Print the content of the recording; return its mean event rate, events/s."""
     if path is None:
         path = "recording.npz"
         with evstim.run("loopback", seconds=0.1, pace="free", record=path) as run:

@@ -1,6 +1,6 @@
 """A test of flight software against an emulated camera: `pytest test_flight_software.py`.
 
-The code under test watches the event rate and asks for a shorter exposure to light (here: a flag) when it is too high.
+The code under test watches the event rate and requests a shorter exposure to light (here: a flag) when it is too high.
 Two kinds of input reach it: events of a whole camera, read by the loopback host as a driver reads them, and a scene of
 our own, made of frames.
 """

@@ -1,7 +1,7 @@
-"""A spacecraft of Basilisk that finds an asteroid in its camera's images and turns to it. Knows nothing of evstim.
+"""A spacecraft of Basilisk that finds an asteroid in its camera's images and turns to it. It does not depend on evstim.
 
-Needs `pip install bsk`, in an environment of its own. Basilisk's vizInterface asks a visualiser on `--port` for images;
-it waits for one without a limit, but for `--patience`: then this process ends by SIGALRM.
+Needs `pip install bsk`, in an environment of its own. Basilisk's vizInterface requests images from a visualiser on
+`--port`, and waits for them without a limit. After `--patience` seconds this process ends by SIGALRM.
 """
 
 from __future__ import annotations
@@ -28,15 +28,15 @@ WIDTH, HEIGHT = 346, 260
 FOCAL_PX = WIDTH / 2 / math.tan(math.radians(21.0) / 2)
 WIDE_FOCAL_PX = WIDTH / 2 / math.tan(math.radians(60.0) / 2)
 CAMERA = 1
-SIGMA_CB = np.array([-0.35, 0.25, 0.1])  # how the camera is mounted: anyhow
+SIGMA_CB = np.array([-0.35, 0.25, 0.1])  # mounting of the camera: an arbitrary attitude
 RANGE_M = 200e3
 FIRST_ERROR_DEG = np.array([4.0, -3.0])  # to the right and down, of the asteroid in the first image
 
 
 class Watchdog(sysModel.SysModel):
-    """Ends this process when the visualiser has not answered for a while: vizInterface itself waits for ever.
+    """Ends this process when the visualiser does not answer: vizInterface itself has no time limit.
 
-    SIGALRM with its default action ends the process whatever compiled code does meanwhile. The time begins before the
+    SIGALRM with its default action ends the process also while compiled code runs. The time begins before the
     first update, and again at each step.
     """
 
@@ -45,12 +45,12 @@ class Watchdog(sysModel.SysModel):
         self._limit_s = limit_s
 
     def UpdateState(self, now_ns: int) -> None:
-        """Begin to wait anew."""
+        """Start the time limit again."""
         signal.setitimer(signal.ITIMER_REAL, self._limit_s)
 
 
 class LightSeeker(sysModel.SysModel):
-    """Turns the middle of the light in an image into an attitude error; without light it asks for no turn."""
+    """Turns the middle of the light in an image into an attitude error; without light the error is zero."""
 
     def __init__(self, image_msg: Any, nav_msg: Any) -> None:
         super().__init__()
@@ -173,7 +173,7 @@ def place(craft: Any) -> None:
 
 
 def boresight_error_px(craft: Any, eros: Any) -> tuple[float, float]:
-    """Return where Eros's middle is before the camera, from the true states."""
+    """Return the position of Eros's middle in the image, from the true states."""
     state, planet = craft.scStateOutMsg.read(), eros.planetOutMsgs[0].read()
     camera_from_n = rbk.MRP2C(SIGMA_CB) @ rbk.MRP2C(np.array(state.sigma_BN))
     x, y, z = camera_from_n @ (np.array(planet.PositionVector) - np.array(state.r_BN_N))
@@ -181,7 +181,7 @@ def boresight_error_px(craft: Any, eros: Any) -> tuple[float, float]:
 
 
 def main() -> None:
-    """Run, and write what the simulation knows."""
+    """Run, and write the results of the simulation."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--port", type=int, default=5556)
     parser.add_argument("--seconds", type=float, default=20.0)

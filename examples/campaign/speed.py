@@ -16,7 +16,7 @@ RANGE_PX_S = 5.0, 500.0
 
 
 def contrast(events: Events, speed_px_s: float) -> float:
-    """Return how sharp the edges are when every event is moved back to where its edge was at time zero."""
+    """Return the sharpness of the edges when every event is moved back to the place of its edge at time zero."""
     x = events["x"] - speed_px_s * events["t"] * 1e-6
     counts = np.bincount((x - x.min()).astype(int))
     return float(np.sum(counts.astype(float) ** 2))
@@ -28,7 +28,7 @@ def best(events: Events, candidates: Speeds) -> float:
 
 
 def speed_of(events: Events) -> float:
-    """Return the speed in pixels a second; events of one polarity, so that edges do not take each other's place."""
+    """Return the speed in pixels a second; events of one polarity, because edges of both could overlap."""
     events = events[events["on"]]
     rough = best(events, np.geomspace(*RANGE_PX_S, 200))
     return best(events, np.linspace(0.97 * rough, 1.03 * rough, 61))
@@ -40,9 +40,9 @@ def main(recording: str, true_speed: str, result: str) -> int:
     if not np.count_nonzero(events["on"]):
         return 1
     found = speed_of(events)
-    told = {"speed_px_s": found, "error": abs(found / float(true_speed) - 1), "events": len(events)}
+    values = {"speed_px_s": found, "error": abs(found / float(true_speed) - 1), "events": len(events)}
     with open(result, "w") as file:
-        json.dump(told, file)
+        json.dump(values, file)
     return 0
 
 

@@ -1,7 +1,7 @@
-"""A piece of flight software: it reads a camera's telemetry and asks for a smaller window when there is too much of it.
+"""A piece of flight software: it reads a camera's telemetry and requests a smaller window at high rates.
 
-It is given a serial port, anything with `read`, `write` and `in_waiting`, and knows nothing of an emulator. It decodes
-with the receiver of evstim; a C program uses firmware_protocol/c instead.
+It takes a serial port, any object with `read`, `write` and `in_waiting`, and does not depend on the emulator. It
+decodes with the receiver of evstim; a C program uses firmware_protocol/c instead.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ WINDOW_US = 100_000
 
 
 class Port(Protocol):
-    """What is used of a serial port."""
+    """The part of a serial port that is used."""
 
     @property
     def in_waiting(self) -> int:
@@ -38,12 +38,12 @@ class RateGuard:
     ----------
     port : the camera's line.
     limit : most events in 100 ms.
-    small : x, y, width and height of the window to ask for when there are more.
+    small : x, y, width and height of the window that is requested when there are more.
 
     Attributes
     ----------
     events : received so far.
-    reduced : whether the smaller window was asked for.
+    reduced : True when the smaller window was requested.
     """
 
     def __init__(self, port: Port, limit: int, small: tuple[int, int, int, int] = (109, 66, 128, 128)) -> None:
@@ -62,7 +62,7 @@ class RateGuard:
         return self._receiver.faults
 
     def poll(self) -> None:
-        """Read what has come and act on it; to be called in a loop."""
+        """Read the received bytes and act on them; to be called in a loop."""
         self._receiver.push(self._port.read(max(1, self._port.in_waiting)))
         events = self._receiver.take_events()
         self.events += len(events)
@@ -70,7 +70,7 @@ class RateGuard:
             self._add(int(window), int(count))
 
     def run(self, goes_on: Callable[[], bool]) -> None:
-        """Poll as long as `goes_on` says so."""
+        """Poll as long as `goes_on` returns True."""
         while goes_on():
             self.poll()
 

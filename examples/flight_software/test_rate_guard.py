@@ -32,8 +32,8 @@ def test_a_quiet_camera_is_left_alone() -> None:
     assert not guard.reduced
 
 
-def test_a_busy_camera_is_told_to_send_less() -> None:
-    """The instrument obeys: what lies outside the window does not come any more."""
+def test_a_busy_camera_is_commanded_to_send_less() -> None:
+    """The instrument obeys: events outside the window do not come any more."""
     with FakeSerialPort() as port:
         guard = RateGuard(port, limit=200)
         port.show(events(1000, gap_us=100))

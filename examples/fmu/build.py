@@ -1,4 +1,4 @@
-"""Builds an FMU of `falling.c` with gcc and the headers of FMPy:  python build.py [2|3]"""
+"""Build an FMU of `falling.c` with gcc and the headers of FMPy:  python build.py [2|3]"""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def _description_3() -> str:
 
 
 def _stubs(version: int) -> str:
-    """Return C of the functions that falling.c does not have: fmpy loads all that FMI names."""
+    """Return C of the functions that falling.c does not have: fmpy loads all functions of FMI."""
     header, own = (_HEADERS / f"fmi{version}Functions.h").read_text(), _SOURCE.read_text()
     names = set(re.findall(rf"fmi{version}\w+TYPE\s+(fmi{version}\w+)\s*;", header))
     return "".join(f"int {name}(void) {{ return 0; }}\n" for name in sorted(names) if f" {name}(" not in own)

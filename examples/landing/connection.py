@@ -1,4 +1,4 @@
-"""What leaves the spacecraft and what comes: poses by UDP; attitudes, SYNCs and commands on the CAN bus."""
+"""Links of the spacecraft: poses by UDP; attitudes, SYNCs and commands on the CAN bus."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ class Connection:
     Parameters
     ----------
     bus : the CAN bus.
-    poses : where the camera takes poses, (host, port).
-    trouble : says which process beside has ended, in words; "" while all run.
-    faults : what goes wrong on purpose.
+    poses : address at which the camera receives poses, (host, port).
+    trouble : returns a text that names the process that has ended; "" while all run.
+    faults : injected faults.
     """
 
     def __init__(
@@ -40,7 +40,7 @@ class Connection:
         self._counter = 0
 
     def pose(self, t_s: float, state: State) -> None:
-        """Send where the camera is at a stream time."""
+        """Send the pose of the camera at a stream time."""
         q = product(state.attitude, _LOOKING_DOWN)
         message = PoseMessage(round(t_s * 1e9), tuple(state.position_m), tuple(q), counter=self._counter)
         self._counter += 1
@@ -63,12 +63,12 @@ class Connection:
         """
         end_s = time.monotonic() + limit_s
         while (left_s := end_s - time.monotonic()) > 0 and not self.trouble():
-            message = self.hear(min(left_s, _POLL_S))
+            message = self.receive(min(left_s, _POLL_S))
             if message is not None and message.arbitration_id == COMMAND:
                 return None if self._faults.loses_frame(t_s) else unpack_command(bytes(message.data))
         raise TimeoutError
 
-    def hear(self, timeout_s: float) -> can.Message | None:
+    def receive(self, timeout_s: float) -> can.Message | None:
         """Return the next frame of the bus, if one comes in time."""
         return self._bus.recv(timeout_s)
 

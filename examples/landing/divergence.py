@@ -10,9 +10,9 @@ then largest (Gallego et al., CVPR 2018). Addresses are spread evenly over their
 
 Three choices keep F from preferring a motion that is too small (test_parts.py has the first two with known answers):
 
-- ON events count +1 and OFF events -1. With all alike the picture has a mean, which says nothing of the motion, but
+- ON events count +1 and OFF events -1. Without signs the picture has a mean, which does not depend on the motion, but
   adds most to F where early and late events overlap most: without motion.
-- Only the part of the ground that is in view for the whole window counts, whatever the motion tried. Else the same
+- Only the part of the ground that is in view for the whole window counts, for every motion that is tried. Else the same
   happens with ground that is smooth over many pixels, signs or not: most events are near the border.
 - An event counts (1 - w t)^2: a picture made smaller by moving its events is not a sharper one.
 """
@@ -59,7 +59,7 @@ class Motion:
 
     @property
     def reliable(self) -> bool:
-        """Whether motion was seen at all."""
+        """True when a motion was measured."""
         return self.gain >= _LEAST_GAIN
 
 

@@ -1,4 +1,4 @@
-"""How good a flight's divergence was: what the computer saw beside the vehicle's speed over its height."""
+"""Error of a flight's divergence: the computer's estimate beside the vehicle's speed over its height."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ import numpy as np
 
 __all__ = ["divergence_errors"]
 
-_LEAST_M = 3.0  # nearer, the ground that is seen is no longer that below
+_LEAST_M = 3.0  # nearer, the ground in view is no longer that below
 
 
 def divergence_errors(out: Path) -> dict[str, float]:
     """Return median and 90 % of the absolute relative error of the divergence, its median with its sign, and losses.
 
-    Each motion that was believed counts once; its truth is speed over height above the ground below, at its time.
+    Each accepted motion counts once; its truth is speed over height above the ground below, at its time.
     """
     truth = np.genfromtxt(out / "truth.csv", delimiter=",", names=True)
     rows = [json.loads(line) for line in (out / "computer.jsonl").read_text().splitlines()]

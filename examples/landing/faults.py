@@ -1,4 +1,4 @@
-"""What goes wrong outside the camera, on purpose: in the dynamics' poses, in frames of the bus, in the flight computer.
+"""Faults outside the camera: in the poses of the dynamics, in frames of the bus, in the flight computer.
 
     KIND@AT[+FOR][=SHARE]      from stream time AT, s, for FOR seconds (to the end where left out)
 
@@ -51,7 +51,7 @@ class Fault:
         return cls(found["kind"], float(found["at"]), float(found["for"] or "inf"), float(found["share"] or 1))
 
     def on(self, t_s: float) -> bool:
-        """Whether it lasts at a time."""
+        """Return True while the fault lasts."""
         return self.at_s <= t_s < self.at_s + self.for_s
 
 

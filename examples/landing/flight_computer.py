@@ -4,14 +4,14 @@
 
 Each SYNC of the bus comes back on the serial line as an edge.
 
-In lockstep, edges overtake events, so the computer then asks for housekeeping until the camera says that no event
-waits, and as many have come as it has sent: what the estimator sees does not depend on how fast the line was. Where the
-line is damaged or unplugged the SYNC itself begins the turn, and dead reckoning bridges what was lost.
+In lockstep, edges overtake events. The computer then requests housekeeping until the camera reports that no event
+waits, and all sent events have come: the input of the estimator does not depend on the speed of the line. Where the
+line is damaged or unplugged the SYNC itself begins the turn, and dead reckoning replaces the lost data.
 
 In real time (`--real-time`) it answers the newest SYNC with the events that have come, as soon as it is ready; the time
-of each edge goes onto the bus, so that the spacecraft knows the camera's time. The descent begins with the first
+of each edge goes onto the bus, so that the spacecraft can compute the camera's time. The descent begins with the first
 attitude.
-Needs evstim for its receiver alone.
+Only the receiver needs evstim.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ _LEAST_EVENTS = 500
 _BIN_US = 1000
 _SILENT_S = 1.0
 _LATE_S = 0.5  # a camera whose events are older does not keep up, and no descent begins
-_EDGE_S = 2.0  # wall time after a SYNC when the camera is asked whether it is slow, or its line is dead
-_JOINED_S = 0.5  # the served bus lends no frames to a newcomer for a quarter of a second
+_EDGE_S = 2.0  # wall time after a SYNC when the camera is queried: it may be slow, or its line dead
+_JOINED_S = 0.5  # the served bus sends no frames to a new client for a quarter of a second
 
 
 class FlightComputer:
@@ -53,7 +53,7 @@ class FlightComputer:
 
     Parameters
     ----------
-    guidance : the law, with what navigation knew.
+    guidance : the law, with the state from navigation.
     window : newest events and attitudes.
     estimator : of the motion.
     log : takes a line of JSON for each turn.
@@ -64,19 +64,19 @@ class FlightComputer:
         self.began_s = -math.inf
 
     def begin(self, now_s: float) -> None:
-        """Begin the descent now: what was seen before does not count, and is written down for latency.py."""
+        """Begin the descent now: earlier events do not count, and are written for latency.py."""
         self.began_s = now_s
         self._guidance.begin(now_s)
         from_us, counts = self._window.counts(_BIN_US)
-        told = {"from_us": from_us, "bin_us": _BIN_US, "counts": counts.tolist()}
-        Path(self._log.name).with_name("standing.json").write_text(json.dumps(told))
+        standing = {"from_us": from_us, "bin_us": _BIN_US, "counts": counts.tolist()}
+        Path(self._log.name).with_name("standing.json").write_text(json.dumps(standing))
 
     def took(self, seconds: float) -> None:
-        """Say how long the last command took from its turn until it was sent."""
+        """Report the time of the last command from its turn until it was sent."""
         self._guidance.took(seconds)
 
     def turn(self, now_s: float, period_s: float = _TURN_S, more: dict[str, object] | None = None) -> np.ndarray:
-        """Return the acceleration wanted from `now_s` on, for `period_s`, by the events that have come."""
+        """Return the acceleration wanted from `now_s` on, for `period_s`, from the events received so far."""
         began_ns = time.monotonic_ns()
         guidance = self._guidance
         window_s = guidance.window_s
@@ -99,25 +99,25 @@ class FlightComputer:
 
 
 def fly_lockstep(links: Links, window: Window, computer: FlightComputer, fails: Callable[[float], None]) -> None:
-    """Answer SYNC after SYNC for ever."""
-    turn, heard_s = 0, math.inf
+    """Answer each SYNC, without end."""
+    turn, received_s = 0, math.inf
     while True:
-        links.hear(window, 0.001 if links.edges or links.syncs > turn else 0.1)
+        links.receive(window, 0.001 if links.edges or links.syncs > turn else 0.1)
         edge, now_us = _edge_of(links, turn), round(turn * _TURN_S * 1e6)
         if not links.edges and links.syncs <= turn:
             continue
-        heard_s = min(heard_s, time.monotonic())
+        received_s = min(received_s, time.monotonic())
         if edge is None:
-            if time.monotonic() < heard_s + _EDGE_S:
+            if time.monotonic() < received_s + _EDGE_S:
                 continue
-            links.complete(window, now_us)  # a camera that is slow, and no more, has sent its edge by then
+            links.complete(window, now_us)  # a camera that is only slow has sent its edge by then
             edge = _edge_of(links, turn)
         now_us = edge.t_us if edge else now_us
         if links.syncs <= turn and window.attitude_s < now_us * 1e-6 - 1e-6:
             continue
         if edge:
             links.complete(window)
-        turn, heard_s = turn + 1, math.inf
+        turn, received_s = turn + 1, math.inf
         fails(now_us * 1e-6)
         more = {"events_lost": links.lost, "edge": edge is not None}
         links.send(computer.turn(now_us * 1e-6, more=more), turn)
@@ -131,20 +131,20 @@ def _edge_of(links: Links, turn: int) -> Edge | None:
 
 
 def fly_real_time(links: Links, window: Window, computer: FlightComputer, fails: Callable[[float], None]) -> None:
-    """Answer the newest SYNC for ever; those that came meanwhile are left out.
+    """Answer the newest SYNC, without end; those that came meanwhile are left out.
 
     When no edge has come for a second the line is dead, and dead reckoning answers.
     """
     last_s, last_wall_s = math.nan, math.inf
     while True:
-        links.hear(window, 0.002)
+        links.receive(window, 0.002)
         for edge in links.edges:
             if window.newest_s > edge.t_us * 1e-6 - _LATE_S:
-                links.tell(edge)
+                links.send_edge(edge)
         silent_s = time.monotonic() - last_wall_s
         if not links.edges and silent_s < _SILENT_S:
             continue
-        heard_s = time.monotonic()
+        received_s = time.monotonic()
         now_s = links.edges[-1].t_us * 1e-6 if links.edges else last_s + silent_s
         counter = links.edges[-1].counter if links.edges else 0
         more = {"counter": counter, "arrivals": links.arrivals, "events_lost": links.lost}
@@ -157,16 +157,16 @@ def fly_real_time(links: Links, window: Window, computer: FlightComputer, fails:
             last_s = now_s - _TURN_S
         if now_s > last_s:  # not an edge that dead reckoning has overtaken
             links.send(computer.turn(now_s, now_s - last_s, more), counter)
-            computer.took(time.monotonic() - heard_s)
-            last_s, last_wall_s = now_s, heard_s
+            computer.took(time.monotonic() - received_s)
+            last_s, last_wall_s = now_s, received_s
 
 
 def _failing(crash_s: float, hang_s: float) -> Callable[[float], None]:
-    """Return what ends or stops this program at a stream time, on purpose."""
+    """Return a function that ends or stops this program at a stream time, for tests."""
 
     def fails(now_s: float) -> None:
         if now_s >= crash_s:
-            raise RuntimeError(f"the flight computer was told to crash at {crash_s:g} s")
+            raise RuntimeError(f"the flight computer crashes at {crash_s:g} s, as requested")
         while now_s >= hang_s:
             time.sleep(1.0)
 
@@ -174,7 +174,7 @@ def _failing(crash_s: float, hang_s: float) -> Callable[[float], None]:
 
 
 def main() -> None:
-    """Fly until somebody ends the program; the log is complete at each turn."""
+    """Fly until the program is ended; the log is complete at each turn."""
     arguments = _arguments()
     logging.getLogger("can.interfaces.socketcand").setLevel(logging.ERROR)  # it warns of frames that TCP cut in two
     lens = Lens()
@@ -197,7 +197,7 @@ def main() -> None:
 
 
 def _attitude_time(step_s: float, window: Window) -> Callable[[int], float]:
-    """Return the time of an attitude from its number, which is known modulo 65 536: the nearest to the last one."""
+    """Return the time of an attitude from its number, which is sent modulo 65 536: the nearest to the last one."""
 
     def time_of(number: int) -> float:
         return (number + 65536 * round((max(window.attitude_s, 0.0) / step_s - number) / 65536)) * step_s

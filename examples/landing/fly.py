@@ -1,9 +1,9 @@
-"""One landing: starts the camera, the flight computer and the spacecraft; says how it ended.
+"""Fly one landing: start the camera, the flight computer and the spacecraft; report the result.
 
     python fly.py [--height 300] [--seed 1] [--terrain 8] [--rig landing.toml] [--out DIR] [--real-time]
 
 The seed draws the start (speeds, place), the errors of navigation and engine, the camera's noise. In DIR: truth.csv
-(the vehicle), computer.jsonl (what the computer saw), summary.json (the camera's run), verdict.json; in real time
+(the vehicle), computer.jsonl (the computer's turns), summary.json (the camera's run), verdict.json; in real time
 latency.json too. With --attach CAN_PORT POSE_PORT SERIAL the camera runs already: so `evstim campaign` uses it.
 `--fault crash@12` and others: see faults.py; `--table faults.toml` adds tables to the rig, such as [[faults]].
 
@@ -45,7 +45,7 @@ Height = Callable[[float, float], float]
 
 @dataclass(frozen=True)
 class Start:
-    """How a landing begins, and what navigation takes it for."""
+    """Start of a landing: the true state, and the state from navigation."""
 
     state: State
     lander: Lander
@@ -73,7 +73,7 @@ class Start:
 
 @dataclass(frozen=True)
 class Flight:
-    """What a flight is beside its start: where the parts meet, seed, files, faults, and how it goes through time."""
+    """Settings of a flight beside its start: addresses of the links, seed, files, faults, pace."""
 
     ends: Ends
     seed: int
@@ -90,7 +90,7 @@ class Flight:
 
 
 def fly(start: Start, flight: Flight, camera_ended: Ended = lambda: "") -> TouchDown:
-    """Return how a landing ended, whose camera runs; its files are in `flight.out`."""
+    """Fly a landing whose camera runs already, and return its end; its files are in `flight.out`."""
     out, ends = flight.out, flight.ends
     ground = ground_of(out / "landing.toml")
     with ExitStack() as stack:
@@ -99,7 +99,7 @@ def fly(start: Start, flight: Flight, camera_ended: Ended = lambda: "") -> Touch
         truth = stack.enter_context((out / "truth.csv").open("w"))
         truth.write(_COLUMNS + "\n")
 
-        def told(t_s: float, state: State) -> None:
+        def record(t_s: float, state: State) -> None:
             x, y, z = state.position_m.tolist()
             figures = (t_s, x, y, z, ground(x, y), *state.velocity_m_s, state.thrust_n, state.mass_kg)
             print(",".join(f"{one:.6g}" for one in figures), file=truth, flush=True)
@@ -110,9 +110,9 @@ def fly(start: Start, flight: Flight, camera_ended: Ended = lambda: "") -> Touch
 
         connection = Connection(bus, ("127.0.0.1", ends.pose_port), trouble, flight.faults)
         if not flight.real_time:
-            return Spacecraft(start.lander, start.state, connection, flight.limits).land(ground, told)
+            return Spacecraft(start.lander, start.state, connection, flight.limits).land(ground, record)
         spacecraft = RealTimeSpacecraft(start.lander, start.state, connection, flight.limits)
-        end = spacecraft.land(ground, told)
+        end = spacecraft.land(ground, record)
         (out / "spacecraft.json").write_text(json.dumps(spacecraft.times.as_json()))
         return end
 
@@ -161,16 +161,16 @@ def _rig_text(arguments: argparse.Namespace, ends: Ends) -> str:
 
 
 def _report(end: TouchDown, flight: Flight, result: Path | None) -> int:
-    """Write and print how a flight ended; return the exit code."""
-    out, told = flight.out, verdict(end, flight.out, flight.faults.frames_lost)
-    print(f"\n{_headline(end, soft=bool(told['soft']))}; files in {out}")
-    for sentence in told["why"]:
+    """Write and print the result of a flight; return the exit code."""
+    out, judged = flight.out, verdict(end, flight.out, flight.faults.frames_lost)
+    print(f"\n{_headline(end, soft=bool(judged['soft']))}; files in {out}")
+    for sentence in judged["why"]:
         print(f"  {sentence}")
     for file in (out / "verdict.json", *([result] if result else [])):
-        file.write_text(json.dumps(told))
+        file.write_text(json.dumps(judged))
     if flight.real_time and (out / "standing.json").exists():
         (out / "latency.json").write_text(json.dumps(latencies(out), indent=1))
-    return 0 if told["soft"] else 1
+    return 0 if judged["soft"] else 1
 
 
 def _headline(end: TouchDown, *, soft: bool) -> str:
@@ -191,12 +191,14 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--table", type=Path, action="append", default=[], help="more tables for the rig; repeat")
     parser.add_argument("--out", type=Path, default=None)
     parser.add_argument("--real-time", action="store_true")
-    parser.add_argument("--lead-us", type=int, default=0, help="in the place of the rig's")
+    parser.add_argument("--lead-us", type=int, default=0, help="instead of the rig's")
     parser.add_argument("--attach", nargs=3, metavar=("CAN_PORT", "POSE_PORT", "SERIAL"), default=None)
-    parser.add_argument("--record", type=Path, default=None, help="keep the events in this .npz")
+    parser.add_argument("--record", type=Path, default=None, help="write the events to this .npz")
     parser.add_argument("--result", type=Path, default=None, help="a copy of verdict.json")
     parser.add_argument("--fault", type=Fault.parse, action="append", default=[], help="see faults.py; repeat")
-    parser.add_argument("--answer-s", type=float, default=120.0, help="patience with the flight computer, in lockstep")
+    parser.add_argument(
+        "--answer-s", type=float, default=120.0, help="time limit for an answer of the flight computer, in lockstep"
+    )
     parser.add_argument("--longest-s", type=float, default=600.0, help="longest flight")
     return parser.parse_args()
 

@@ -1,4 +1,4 @@
-"""Flies a landing with each fault, one after the other, and prints a table of how they ended.
+"""Fly a landing with each fault, one after the other, and print a table of the results.
 
     python fly_faults.py [--out faults] [NAME ...]      all of FLIGHTS, or those named
 
@@ -39,7 +39,7 @@ FLIGHTS = {
 }
 """Name of each flight and its arguments of fly.py."""
 
-_HEAD = "| flight | ended | error of the divergence, median / 90 % | the verdict says |\n|---|---|---|---|"
+_HEAD = "| flight | ended | error of the divergence, median / 90 % | verdict |\n|---|---|---|---|"
 
 
 def fly(name: str, out: Path) -> dict[str, Any]:
@@ -50,16 +50,18 @@ def fly(name: str, out: Path) -> dict[str, Any]:
         ended = subprocess.run(command, cwd=_HERE, capture_output=True, text=True, check=False)
         if not file.exists():
             raise RuntimeError(f"{name}: {ended.stderr}")
-    told: dict[str, Any] = json.loads(file.read_text())
-    return told
+    judged: dict[str, Any] = json.loads(file.read_text())
+    return judged
 
 
-def line(name: str, told: dict[str, Any]) -> str:
+def line(name: str, judged: dict[str, Any]) -> str:
     """Return a line of the table."""
-    what = f"{name}: `{FLIGHTS[name]}`" if FLIGHTS[name] else name
-    ended = f"{told['vertical_m_s']:.2f} m/s" if told["touched"] else f"not landed, {told['height_m']:.1f} m up"
-    error = f"{told['error_median'] * 100:.1f} % / {told['error_p90'] * 100:.1f} %" if "error_median" in told else ""
-    return " ".join(f"| {what} | {ended} | {error} | {'; '.join(told['why'])} |".split())
+    title = f"{name}: `{FLIGHTS[name]}`" if FLIGHTS[name] else name
+    ended = f"{judged['vertical_m_s']:.2f} m/s" if judged["touched"] else f"not landed, {judged['height_m']:.1f} m up"
+    error = (
+        f"{judged['error_median'] * 100:.1f} % / {judged['error_p90'] * 100:.1f} %" if "error_median" in judged else ""
+    )
+    return " ".join(f"| {title} | {ended} | {error} | {'; '.join(judged['why'])} |".split())
 
 
 def main() -> None:

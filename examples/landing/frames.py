@@ -4,7 +4,7 @@
     0x211  attitude   i16 x, y, z: vector part of q_world_from_body in 1/32767, its w >= 0 | u16 number of its time
     0x212  edge       u16 counter of the SYNC | u48 time of its edge among the events, us (in real time alone)
 
-The SYNC of the bus (0x080) begins a turn; the camera tells the same instant as an edge among its events. Attitudes are
+The SYNC of the bus (0x080) begins a turn; the camera sends the same instant as an edge among its events. Attitudes are
 numbered by pictures in lockstep, by steps of the dynamics in real time.
 """
 
@@ -62,7 +62,7 @@ def unpack_attitude(data: bytes) -> tuple[npt.NDArray[np.float64], int]:
 
 
 def pack_edge(counter: int, t_us: int) -> bytes:
-    """Return the data that tell the time of a SYNC's edge."""
+    """Return the data with the time of a SYNC's edge."""
     return counter.to_bytes(2, "little") + t_us.to_bytes(6, "little")
 
 

@@ -4,15 +4,15 @@
     a_east = -k h u,  a_north = k h v            (u, v, D) = velocity east, south, down / height
 
 A fixed gain would swing near the ground, where the loop's delay is long beside h / K: here it falls with the height.
-The height is never measured. It starts from what navigation says before the descent (with its error), and falls with
-the divergence itself: h' = -D h, D the one that was seen. Below `final_m` the speed is held, not the divergence.
+The height is never measured. It starts from the value of navigation before the descent (with its error), and falls with
+the divergence itself: h' = -D h, D the measured one. Below `final_m` the speed is held, not the divergence.
 
-When no motion can be believed, the last one holds for `hold_s`. After that the vehicle falls back to dead reckoning: it
-stands upright, and its speed of descent is the last one, changed by the accelerations commanded since and by what the
-engine was seen to be off. So it bridges the last metres over ground without detail, not a whole descent.
+When no motion is accepted, the last one holds for `hold_s`. After that the vehicle uses dead reckoning: it stands
+upright, and its speed of descent is the last one, changed by the accelerations commanded since and by the estimated
+error of the engine. This is enough for the last metres over ground without detail, not for a whole descent.
 
-Tilt is kept small. An event tells of an edge only after the light has changed by a threshold, so on ground of little
-contrast it lags by some pixels: no matter while all moves one way, but when the vehicle rocks, the lag turns round with
+Tilt is kept small. An event reports an edge only after the light has changed by a threshold, so on ground of little
+contrast it lags by some pixels. This has no effect while all moves one way; when the vehicle rocks, the lag turns with
 the motion and looks like a speed (3 degrees of rocking at 1500 m: errors of 0.01/s, 10 m/s).
 """
 
@@ -29,13 +29,13 @@ from vehicle import GRAVITY_M_S2
 
 __all__ = ["Guidance", "Law"]
 
-_LEAST_M = 0.5  # below it a height says nothing
-_LEARNING_1_S = 0.05  # at which the engine's error is learnt from each turn
+_LEAST_M = 0.5  # a height below it is not used
+_LEARNING_1_S = 0.05  # at which the engine's error is estimated from each turn
 
 
 @dataclass(frozen=True)
 class Law:
-    """Figures of the descent.
+    """Parameters of the descent.
 
     Attributes
     ----------
@@ -43,8 +43,8 @@ class Law:
     most_up_m_s2 : acceleration (without gravity's) that the descent may need; slower divergence higher up.
     gain_1_s, sideways_1_s : k of the descent and of the two horizontal axes, which wait for the vehicle to turn.
     most_tilt, tilt_m : of the acceleration, horizontal over vertical, up to this height; above it in proportion less.
-    most_jump, most_jump_1_s : from one motion to the next, of its divergence and beside it; more is not believed.
-    hold_s : for how long the last motion is taken for true when none is seen.
+    most_jump, most_jump_1_s : from one motion to the next, of its divergence and beside it; a larger one is refused.
+    hold_s : time for which the last motion holds when none is measured.
     final_m, final_m_s : height below which a speed is held, and the speed.
     window_px : motion at the edge of the picture within one window of events.
     window_s : least and most length of a window.
@@ -76,8 +76,8 @@ class Guidance:
     Parameters
     ----------
     law : of the descent.
-    height_m, velocity_m_s : what navigation says at the start; (east, north, up).
-    edge_px : focal length times the edge of the picture, normalised: what a divergence of 1/s moves the edge by, px/s.
+    height_m, velocity_m_s : from navigation, at the start; (east, north, up).
+    edge_px : focal length times the edge of the picture, normalised: speed of the edge at a divergence of 1/s, px/s.
     """
 
     def __init__(self, law: Law, height_m: float, velocity_m_s: npt.NDArray[np.float64], edge_px: float) -> None:
@@ -91,7 +91,7 @@ class Guidance:
         self._drift_m_s2 = 0.0  # by which the vehicle sinks faster than commanded
 
     def begin(self, now_s: float) -> None:
-        """Begin the descent now, not at time 0: until a motion is seen, that of navigation holds from here."""
+        """Begin the descent now, not at time 0: until a motion is measured, that of navigation holds from here."""
         self.motion = dataclasses.replace(self.motion, at_s=now_s)
         self._believed_s = now_s
 
@@ -103,13 +103,13 @@ class Guidance:
         return float(np.clip(self._law.window_px / speed_px_s, *self._law.window_s))
 
     def lost(self, now_s: float) -> bool:
-        """Whether the last motion is too old to hold."""
+        """Return True when the last motion is too old to hold."""
         return now_s - self._believed_s > self._law.hold_s
 
     def take(self, motion: Motion, now_s: float) -> None:
-        """Take what the newest window showed; what cannot be believed leaves the last motion as it was.
+        """Take the motion of the newest window; one that is refused leaves the last motion unchanged.
 
-        The longer none was believed, the more a motion may differ from what dead reckoning says.
+        The longer none was accepted, the more a motion may differ from dead reckoning.
         """
         law, last = self._law, self.motion
         down = self._sink_m_s / self.height_m if self.lost(now_s) else last.down

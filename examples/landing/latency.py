@@ -1,4 +1,4 @@
-"""Where the loop's time goes in a flight in real time: `latency.json`, medians and 95 % of each part.
+"""Parts of the loop's delay in a flight in real time: `latency.json`, medians and 95 % of each part.
 
     python latency.py FLIGHT_FOLDER
 
@@ -12,8 +12,8 @@ Of each command, on CLOCK_MONOTONIC, t the time of the edge whose SYNC it answer
                        steps at known times; median and 95 % of them
     event on the link  until that event is at the computer
 
-`loop` is the whole of it. Apart: the estimator's window, half of which delays what is seen, the time between two
-commands, and the lead: what the rig sets beside what its steps needed (from the camera's summary.json).
+`loop` is the whole of it. Apart: the estimator's window, half of which delays the estimate, the time between two
+commands, and the lead: the value of the rig beside the one that its steps needed (from the camera's summary.json).
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _LONGEST_S = 0.2  # before the next nod
 
 
 def latencies(out: Path) -> dict[str, object]:
-    """Return what latency.json holds; needs spacecraft.json, computer.jsonl, standing.json of a flight in real time."""
+    """Return the delays for latency.json, from spacecraft.json, computer.jsonl, standing.json of a real-time flight."""
     times = json.loads((out / "spacecraft.json").read_text())
     rows = [json.loads(line) for line in (out / "computer.jsonl").read_text().splitlines()]
     parts = _parts(times, rows)
@@ -46,13 +46,13 @@ def latencies(out: Path) -> dict[str, object]:
     link_s = float(np.median(events)) if len(events) else float("nan")
     fixed_s = float(np.median(light)) + link_s if len(light) else float("nan")
     loop = sum(parts.values()) + fixed_s
-    told = {name: _told(values) for name, values in parts.items()}
-    told |= {"light": _told(light), "event on the link": _told(events), "loop": _told(loop)}
+    parts_ms = {name: _statistics(values) for name, values in parts.items()}
+    parts_ms |= {"light": _statistics(light), "event on the link": _statistics(events), "loop": _statistics(loop)}
     windows = np.array([row["window_s"] for row in rows])
     return {
-        "parts_ms": told,
+        "parts_ms": parts_ms,
         "window_s": {"median": _quantile(windows, 50), "p95": _quantile(windows, 95)},
-        "period_ms": _told(np.diff([row["t_s"] for row in rows])),
+        "period_ms": _statistics(np.diff([row["t_s"] for row in rows])),
         "nods_seen": [len(light), len(times["nods_s"])],
         "lead_us": _lead(out),
         "machine": {"cores": os.cpu_count(), "load_now": os.getloadavg()[0]},
@@ -60,7 +60,7 @@ def latencies(out: Path) -> dict[str, object]:
 
 
 def light_delays_s(standing: dict[str, object], nods_s: list[float]) -> Floats:
-    """Return from each nod that was seen to its first events, stream time, s.
+    """Return the time from each detected nod to its first events, stream time, s.
 
     `standing` has counts of events from `from_us` on in bins of `bin_us`.
     """
@@ -85,7 +85,7 @@ def _parts(times: dict[str, object], rows: list[dict[str, float]]) -> dict[str, 
     for command in times["commands"]:
         k = int(np.searchsorted(ended_ns, command["heard_ns"])) - 1
         while k >= 0 and ends[ended_ns[k]]["counter"] != command["counter"]:
-            k -= 1  # counters begin anew after 240: the newest row before
+            k -= 1  # counters restart after 240: the newest row before
         if k < 0:
             continue
         row = ends[ended_ns[k]]
@@ -97,7 +97,7 @@ def _parts(times: dict[str, object], rows: list[dict[str, float]]) -> dict[str, 
 
 
 def _event_delays_s(rows: list[dict[str, list[list[int]]]], origin_ns: int) -> Floats:
-    """Return how long after its own time each event came, s: oldest and newest of a read, for half of it each."""
+    """Return the delay of each event, s: that of the oldest and newest of a read, for half of it each."""
     arrivals = np.array([one for row in rows for one in row["arrivals"]], np.int64).reshape(-1, 4)
     at_ns, oldest_us, newest_us, events = arrivals.T
     late = [(at_ns - origin_ns - us * 1000) * 1e-9 for us in (oldest_us, newest_us)]
@@ -105,19 +105,19 @@ def _event_delays_s(rows: list[dict[str, list[list[int]]]], origin_ns: int) -> F
 
 
 def _lead(out: Path) -> dict[str, object]:
-    """Return the lead that is set, and what the steps needed."""
+    """Return the lead that is set, and the lead that the steps needed."""
     run = tomllib.loads((out / "landing.toml").read_text())["run"]
-    told: dict[str, object] = {"set": max(run["lead_us"], run["step_us"]), "step": run["step_us"]}
+    lead: dict[str, object] = {"set": max(run["lead_us"], run["step_us"]), "step": run["step_us"]}
     summary = out / "summary.json"
     text = summary.read_text().strip() if summary.exists() else ""
     if text:
         lateness = json.loads(text.splitlines()[-1])["lateness"]
-        told["needed"] = lateness["lead_needed_us"]
-        told |= {name: lateness[name] for name in ("frames_late", "worst_gap_us", "steps_stretched")}
-    return told
+        lead["needed"] = lateness["lead_needed_us"]
+        lead |= {name: lateness[name] for name in ("frames_late", "worst_gap_us", "steps_stretched")}
+    return lead
 
 
-def _told(values_s: Floats) -> dict[str, float]:
+def _statistics(values_s: Floats) -> dict[str, float]:
     return {"median": _quantile(values_s * 1e3, 50), "p95": _quantile(values_s * 1e3, 95), "n": len(values_s)}
 
 

@@ -1,7 +1,7 @@
 """The flight computer's two links: events from a serial line, attitudes and SYNCs from the CAN bus.
 
-What a line loses is lost: the camera's housekeeping says how many events it has sent, and after a second report on the
-same line those that have not come will not. A port that goes away is opened again as soon as it is back.
+A line does not repeat lost data: the camera's housekeeping contains the number of sent events, and those that have not
+come before a second report on the same line are lost. A port that disappears is opened again as soon as it is back.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from firmware_protocol.packets.telecommands import RequestHousekeeping
 
 __all__ = ["Arrival", "Edge", "Links"]
 
-_ASK_S = 0.5
-_PATIENCE_S = 10.0  # wall time after which what has not come is not waited for: the line is stalled
-_STANDS_S = 5.0  # wall time after which a camera whose time stands still is not waited for: it hears no SYNC
+_REQUEST_S = 0.5
+_PATIENCE_S = 10.0  # longest wait for missing events, wall time: the line is stalled
+_STANDS_S = 5.0  # longest wait for a camera whose time stands still, wall time: it receives no SYNC
 
 
 @dataclass(frozen=True)
@@ -71,11 +71,11 @@ class Links:
 
     @property
     def plugged(self) -> bool:
-        """Whether there is a serial line."""
+        """True while the serial line is open."""
         return self._port is not None
 
     def complete(self, window: Window, until_us: int = 0) -> None:
-        """Hear until every event that the camera had when this was called, or had at `until_us`, has come or is lost.
+        """Read until every event that the camera had at the call, or had at `until_us`, has come or is lost.
 
         Returns at once without a serial line, after ten seconds where it is stalled, and after five where the camera
         answers but its time stands still.
@@ -84,21 +84,21 @@ class Links:
         first = self._report(window, until_us, end_s)
         if first is None or self._received + self.lost >= first.events.sent:
             return
-        asked_s = time.monotonic()
+        requested_s = time.monotonic()
         while self.plugged and self._received + self.lost < first.events.sent and time.monotonic() < end_s:
-            self.hear(window, 0.01)
-            if time.monotonic() > asked_s + _ASK_S:
+            self.receive(window, 0.01)
+            if time.monotonic() > requested_s + _REQUEST_S:
                 if self._report(window, 0, end_s) is not None:
                     self.lost = max(self.lost, first.events.sent - self._received)
-                asked_s = time.monotonic()
+                requested_s = time.monotonic()
 
-    def hear(self, window: Window, timeout_s: float) -> None:
-        """Take what has come into the window."""
+    def receive(self, window: Window, timeout_s: float) -> None:
+        """Read the received data into the window."""
         if self._port is None and not self._open():
             time.sleep(timeout_s)
         elif self._port is not None:
             select.select([self._port], [], [], timeout_s)
-            self._hear_serial(window)
+            self._read_serial(window)
         while (message := self._bus.recv(0)) is not None:
             self.syncs += message.arbitration_id == SYNC
             if message.arbitration_id == ATTITUDE:
@@ -109,7 +109,7 @@ class Links:
         """Send a command."""
         self._send(COMMAND, pack_command(command, turn))
 
-    def tell(self, edge: Edge) -> None:
+    def send_edge(self, edge: Edge) -> None:
         """Send the time of a SYNC's edge."""
         self._send(EDGE, pack_edge(edge.counter, edge.t_us))
 
@@ -118,7 +118,7 @@ class Links:
 
     def _report(self, window: Window, until_us: int, end_s: float) -> Housekeeping | None:
         """Return the next report of the camera in which no event waits; None when none comes."""
-        before, asked_s = self._receiver.housekeeping, 0.0
+        before, requested_s = self._receiver.housekeeping, 0.0
         newest_us, stands_s = -1, math.inf
         while self.plugged and time.monotonic() < min(end_s, stands_s):
             report = self._receiver.housekeeping
@@ -126,13 +126,13 @@ class Links:
                 newest_us, stands_s = report.t_us, time.monotonic() + _STANDS_S
             if report is not None and report is not before and not report.events.waiting and report.t_us >= until_us:
                 return report
-            if time.monotonic() > asked_s + _ASK_S or report is not before:
-                self._ask()
-                before, asked_s = report, time.monotonic()
-            self.hear(window, 0.01)
+            if time.monotonic() > requested_s + _REQUEST_S or report is not before:
+                self._request()
+                before, requested_s = report, time.monotonic()
+            self.receive(window, 0.01)
         return None
 
-    def _ask(self) -> None:
+    def _request(self) -> None:
         if self._port is not None:
             try:
                 os.write(self._port, self._receiver.wrap(RequestHousekeeping()))
@@ -153,12 +153,12 @@ class Links:
             self._port = None
             self.unplugged += 1
 
-    def _hear_serial(self, window: Window) -> None:
+    def _read_serial(self, window: Window) -> None:
         assert self._port is not None
         try:
             while data := os.read(self._port, 1 << 16):
                 self._receiver.push(data)
-            self._unplug()  # a line without data says so; an end of file is a port that went away
+            self._unplug()  # a line without data raises; an end of file is a port that disappeared
         except BlockingIOError:
             pass
         except OSError:

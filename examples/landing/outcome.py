@@ -1,4 +1,4 @@
-"""How a landing ended, in figures and in words: verdict.json."""
+"""Verdict of a landing, in figures and in words: verdict.json."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ _POSES = {
 
 
 def verdict(end: TouchDown, out: Path, frames_lost: int = 0) -> dict[str, object]:
-    """Return how a landing ended, and how good its divergence was; call after the camera's end.
+    """Return the verdict of a landing and the error of its divergence; call after the camera's end.
 
-    `soft` is the verdict: on the ground, below 1 m/s. `why` has a sentence for each thing that went wrong, also where
-    the landing was good all the same.
+    `soft` is the verdict: on the ground, below 1 m/s. `why` has a sentence for each fault and error, also after a
+    good landing.
     """
     soft = end.touched and end.vertical_m_s < _SOFT_M_S
-    told: dict[str, object] = {"soft": soft, "touched": end.touched, "t_s": end.t_s}
-    told |= {"vertical_m_s": end.vertical_m_s, "horizontal_m_s": end.horizontal_m_s, "fuel_kg": end.fuel_kg}
-    told["height_m"] = float(end.state.position_m[2])
+    found: dict[str, object] = {"soft": soft, "touched": end.touched, "t_s": end.t_s}
+    found |= {"vertical_m_s": end.vertical_m_s, "horizontal_m_s": end.horizontal_m_s, "fuel_kg": end.fuel_kg}
+    found["height_m"] = float(end.state.position_m[2])
     why = [*end.why, *_of_computer(out), *_of_camera(out)]
     why += [f"{frames_lost} attitudes and commands were lost on the bus"] if frames_lost else []
-    return told | {"why": why} | _errors(out)
+    return found | {"why": why} | _errors(out)
 
 
 def _errors(out: Path) -> dict[str, float]:
@@ -56,21 +56,21 @@ def _of_computer(out: Path) -> Iterator[str]:
 
 
 def _of_camera(out: Path) -> Iterator[str]:
-    """What the camera's summary says, where this flight started the camera."""
+    """Yield sentences from the camera's summary, where this flight started the camera."""
     file = out / "summary.json"
     text = file.read_text().strip() if file.exists() else ""
     if not text:
         return
-    told = json.loads(text.splitlines()[-1])
+    found = json.loads(text.splitlines()[-1])
     for name, words in _POSES.items():
-        if count := told["scene"].get(name, 0):
+        if count := found["scene"].get(name, 0):
             yield f"{count} {words}"
-    if (rate := told["events"]["read_out"] / (told["sim_seconds"] or 1.0)) > _STORM_1_S:
+    if (rate := found["events"]["read_out"] / (found["sim_seconds"] or 1.0)) > _STORM_1_S:
         yield f"a storm of events: {rate:.0f} a second"
-    for link, report in told["links"].items():
+    for link, report in found["links"].items():
         for fault in report.get("faults", []):
             lost = f": {fault['events_lost']} events lost" if fault.get("events_lost") else ""
             yield f"fault {fault['kind']} on {link} from {fault.get('began_us', 0) * 1e-6:.1f} s on{lost}"
-    for rule in told["rules"]:
+    for rule in found["rules"]:
         if not rule["good"]:
             yield f"the camera's run was not good: {rule['rule']}: {rule['told']}"

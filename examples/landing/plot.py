@@ -21,7 +21,7 @@ _GIF_FRAMES, _GIF_MS = 40, 150
 
 
 class Flight:
-    """What a flight left in its folder."""
+    """Files of a flight in its folder."""
 
     def __init__(self, folder: Path) -> None:
         self.truth = np.genfromtxt(folder / "truth.csv", delimiter=",", names=True)
@@ -32,7 +32,7 @@ class Flight:
         self.end_s = float(self.truth["t_s"][-1])
 
     def seen(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return times and divergences that were believed."""
+        """Return times and divergences that were accepted."""
         pairs = {row["at_s"]: row["down_1_s"] for row in self.rows if np.isfinite(row["gain"])}
         return np.array(list(pairs)), np.array(list(pairs.values()))
 

@@ -1,17 +1,17 @@
-"""Guidance that predicts, for a loop whose delay is long or changes, and for motions that are wrong and look sound.
+"""Guidance that predicts, for a loop whose delay is long or changes, and for wrong motions with a good contrast.
 
 The divergence is that of the middle of the window; the next command acts when it has been decided, sent, and followed
-by the engine. In between the vehicle does what the commands sent before ask for:
+by the engine. In between the vehicle follows the commands sent before:
 
     h' = -s,   s' = g - a_up + drift        from the middle of the window until the next command acts
 
-so the speed s and the height h of then are known, and no delay is left but that of what the model does not know (a
-Smith predictor). The gain is lowered with the time predicted over, so that it stays stable without the model too
+so the speed s and the height h at that time can be computed, and only the errors of the model are delayed (a Smith
+predictor). The gain is lowered with the time predicted over, so that it stays stable without the model too
 (k t < pi/2).
 
-A motion is compared with the one that was predicted for its time, and taken by half. Pictures that come late and events
-that are lost make motions that are wrong by half; so does ground without detail near the end, where few events are left
-and most of them are noise. Taken as seen, they made two landings of forty brake until the vehicle rose.
+A motion is compared with the one that was predicted for its time, and half of the difference is applied. Late pictures
+and lost events make motions that are wrong by half; so does ground without detail near the end, where few events are
+left and most of them are noise. Without the comparison two landings of forty braked until the vehicle rose.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ _GAIN_DELAY = 0.8  # gain times delay, of pi / 2
 _ENGINE_S = 0.1
 _LEARNING = 0.2
 _LEAST_M = 0.5
-_WEIGHT = 0.5  # of a motion beside what was predicted
-# Of a motion beside what was predicted; the second grows with the time since one was believed.
+_WEIGHT = 0.5  # of a motion beside the prediction
+# Of a motion beside the prediction; the second grows with the time since one was accepted.
 _MOST_JUMP, _MOST_JUMP_1_S = 0.15, 0.004
 
 
@@ -53,7 +53,7 @@ class PredictingGuidance(Guidance):
 
     Parameters
     ----------
-    delay_s : from a turn until its command acts, as far as is known; `took` tells more. The others are Guidance's.
+    delay_s : time from a turn until its command acts, first estimate; `took` corrects it. The others: see Guidance.
     """
 
     def __init__(self, *args: object, delay_s: float = 0.1) -> None:
@@ -63,11 +63,11 @@ class PredictingGuidance(Guidance):
         self._now_s = 0.0
 
     def took(self, seconds: float) -> None:
-        """Say how long the last command took from its turn until it was sent."""
+        """Report the time of the last command from its turn until it was sent."""
         self._delay_s += _LEARNING * (seconds - self._delay_s)
 
     def take(self, motion: Motion, now_s: float) -> None:
-        """Take what the newest window showed, as far as it agrees with what was predicted."""
+        """Take the motion of the newest window, if it agrees with the prediction."""
         expected = self.expected(motion.at_s)
         reach = _MOST_JUMP * abs(expected) + _MOST_JUMP_1_S * (1 + now_s - self._believed_s)
         aside = max(abs(motion.east - self.motion.east), abs(motion.south - self.motion.south))
@@ -77,7 +77,7 @@ class PredictingGuidance(Guidance):
 
     @property
     def window_s(self) -> float:
-        """Length of the next window of events; of the motion that is predicted, not of the last one seen."""
+        """Length of the next window of events; of the motion that is predicted, not of the last one measured."""
         down = max(abs(self._seen(self._now_s)), 1e-3)
         seen = self.motion
         speed_px_s = self._edge_px * max(down, float(np.hypot(seen.east, seen.south)))

@@ -1,4 +1,4 @@
-"""The processes beside the spacecraft: evstim as the camera, the flight computer; and where they all meet."""
+"""Processes beside the spacecraft, evstim as the camera and the flight computer; and the addresses of their links."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ import can
 __all__ = ["Ended", "Ends", "NotStarted", "bus_of", "camera", "computer"]
 
 Ended = Callable[[], str]
-"""Says in words that a process has ended; "" while it runs."""
+"""Returns a text when a process has ended; "" while it runs."""
 
 _LACKING = 3  # exit code: the machine lacks something
 _HERE = Path(__file__).parent
 _READY_S = 600.0
-_JOINED_S = 0.5  # the served bus lends no frames to a newcomer for a quarter of a second
+_JOINED_S = 0.5  # the served bus sends no frames to a new client for a quarter of a second
 
 
 @dataclass(frozen=True)
 class Ends:
-    """Where the parts meet: the bus's TCP port, the UDP port of poses, the serial line."""
+    """Addresses of the links: the bus's TCP port, the UDP port of poses, the serial line."""
 
     can_port: int
     pose_port: int
@@ -35,7 +35,7 @@ class Ends:
 
     @classmethod
     def free(cls, out: Path) -> Ends:
-        """Return ports that nobody uses, and a serial line in a folder."""
+        """Return free ports, and a serial line in a folder."""
         with socket.create_server(("127.0.0.1", 0)) as bus, socket.socket(type=socket.SOCK_DGRAM) as poses:
             poses.bind(("127.0.0.1", 0))
             return cls(bus.getsockname()[1], poses.getsockname()[1], str(out / "serial"))
@@ -47,7 +47,7 @@ class Ends:
 
 
 class NotStarted(RuntimeError):
-    """A process did not start; `code` is the exit code that says whose fault it is."""
+    """A process did not start; `code` is the exit code by cause."""
 
     def __init__(self, text: str, code: int) -> None:
         super().__init__(text)
@@ -58,7 +58,7 @@ class NotStarted(RuntimeError):
 def camera(rig: Path, seed: int, out: Path, record: Path | None = None) -> Iterator[Ended]:
     """Run evstim until the block ends; `record` takes the events.
 
-    Gives what tells that it has ended; raises NotStarted.
+    Gives a function that reports its end; raises NotStarted.
     """
     ready = out / "ready"
     ready.unlink(missing_ok=True)
@@ -88,9 +88,9 @@ def bus_of(ends: Ends) -> Iterator[can.BusABC]:
 
 @contextmanager
 def computer(ends: Ends, known: tuple[float, ...], seed: int, out: Path, more: Sequence[str] = ()) -> Iterator[Ended]:
-    """Run the flight computer until the block ends; `known` is height and velocity, as navigation has them.
+    """Run the flight computer until the block ends; `known` is height and velocity from navigation.
 
-    Gives what tells that it has ended; raises NotStarted.
+    Gives a function that reports its end; raises NotStarted.
     """
     command = [sys.executable, str(_HERE / "flight_computer.py"), "--seed", str(seed), *more]
     command += ["--serial", ends.serial, "--can-port", str(ends.can_port), "--log", str(out / "computer.jsonl")]
@@ -105,7 +105,7 @@ def computer(ends: Ends, known: tuple[float, ...], seed: int, out: Path, more: S
 
 
 def _ended(process: subprocess.Popen[str] | subprocess.Popen[bytes], name: str) -> Ended:
-    """Return what tells in words that a process has ended."""
+    """Return a function that gives a text when a process has ended."""
 
     def ended() -> str:
         code = process.poll()

@@ -1,4 +1,4 @@
-"""The spacecraft in lockstep: dynamics that take commands from the CAN bus, tell attitudes there, and send poses.
+"""The spacecraft in lockstep: dynamics with commands and attitudes on the CAN bus, and poses by UDP.
 
 Each turn of 0.2 s: the equations are integrated, a pose and an attitude are sent for each picture of the turn, then the
 SYNC lets the camera's time go on. The command that answers it holds for the next turn: computing takes one turn of
@@ -36,7 +36,7 @@ USUAL = Limits()
 
 @dataclass(frozen=True)
 class TouchDown:
-    """How a flight ended; `why` says in words what went wrong on the way, if anything."""
+    """End of a flight; `why` lists errors on the way, in words."""
 
     t_s: float
     state: State
@@ -56,7 +56,7 @@ class TouchDown:
 
 
 def flies(state: State) -> bool:
-    """Return whether every figure of a state is a number."""
+    """Return True when every value of a state is a number."""
     return bool(np.isfinite(state.packed()).all())
 
 
@@ -65,9 +65,9 @@ class Spacecraft:
 
     Parameters
     ----------
-    lander, state : figures and start.
+    lander, state : parameters and start.
     connection : to camera and flight computer.
-    limits : after which nobody waits longer.
+    limits : longest waiting times.
     """
 
     def __init__(self, lander: Lander, state: State, connection: Connection, limits: Limits = USUAL) -> None:
@@ -76,10 +76,10 @@ class Spacecraft:
         self._number = self._turn = 0
         self._why: list[str] = []
         self._end_s = limits.longest_s
-        self._tell()
+        self._send_pose()
 
-    def land(self, ground_m: Callable[[float, float], float], told: Callable[[float, State], None]) -> TouchDown:
-        """Fly to the ground, whose height is told by place, telling time and state of each turn."""
+    def land(self, ground_m: Callable[[float, float], float], record: Callable[[float, State], None]) -> TouchDown:
+        """Fly to the ground, whose height depends on the place; `record` receives time and state of each turn."""
         command = np.array([0.0, 0.0, GRAVITY_M_S2])
         while self.t_s < self._end_s:
             for _ in range(_PICTURES):
@@ -92,10 +92,10 @@ class Spacecraft:
                 x, y, z = state.position_m.tolist()
                 if z - ground_m(x, y) <= FOOT_M:
                     return self._end(touched=True)
-                self._tell()
+                self._send_pose()
             self._turn += 1
             self._connection.sync()
-            told(self.t_s, self.state)
+            record(self.t_s, self.state)
             command = self._answer(command)
         self._why.append(f"still flying after {self.t_s:.0f} s")
         return self._end(touched=False)
@@ -108,13 +108,13 @@ class Spacecraft:
         """Time of the newest pose."""
         return self._number * _PICTURE_S
 
-    def _tell(self) -> None:
+    def _send_pose(self) -> None:
         """Send pose and attitude of now."""
         self._connection.pose(self.t_s, self.state)
         self._connection.attitude(self.t_s, self.state, self._number)
 
     def _answer(self, last: np.ndarray) -> np.ndarray:
-        """Return the command that answers this turn's SYNC; the last one where it was lost, or nobody answers."""
+        """Return the command that answers this turn's SYNC; the last one where it was lost, or without an answer."""
         if self._why:
             return last
         try:

@@ -1,4 +1,4 @@
-"""Faults outside the camera, and what a verdict says of them."""
+"""Faults outside the camera, and the verdicts on them."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Silent:
     """A connection whose flight computer answers nothing, or whose commands are all lost."""
 
     def __init__(self, answer: object) -> None:
-        self.answer, self.asked = answer, 0
+        self.answer, self.requests = answer, 0
 
     def pose(self, t_s: float, state: State) -> None:
         """Send nothing."""
@@ -70,21 +70,21 @@ class Silent:
 
     def command(self, t_s: float, limit_s: float) -> None:
         """Be silent, or lose it."""
-        self.asked += 1
+        self.requests += 1
         if self.answer is TimeoutError:
             raise TimeoutError
 
 
-@pytest.mark.parametrize(("answer", "asked", "sentences"), [(TimeoutError, 1, 1), (None, 63, 0)])
-def test_without_commands_the_last_one_holds_to_the_ground(answer: object, asked: int, sentences: int) -> None:
-    """A computer that is silent is waited for once; one whose frames are lost, in each turn."""
+@pytest.mark.parametrize(("answer", "requests", "sentences"), [(TimeoutError, 1, 1), (None, 63, 0)])
+def test_without_commands_the_last_one_holds_to_the_ground(answer: object, requests: int, sentences: int) -> None:
+    """The vehicle waits once for a silent computer; in each turn for one whose frames are lost."""
     state = State(np.array([0.0, 0.0, 12.0]), np.array([0.0, 0.0, -0.8]), thrust_n=1620.0)
     connection = Silent(answer)
     end = Spacecraft(Lander(), state, connection, Limits(3.0)).land(lambda x, y: 0.0, lambda t_s, state: None)
     assert end.touched
     assert end.vertical_m_s == pytest.approx(0.8, abs=0.02)
     assert len(end.why) == sentences
-    assert connection.asked == pytest.approx(asked, abs=2)
+    assert connection.requests == pytest.approx(requests, abs=2)
     assert all("did not answer within 3 s, at 0.2 s and 11.8 m" in sentence for sentence in end.why)
 
 
@@ -95,7 +95,7 @@ def test_dynamics_without_numbers_end_the_flight() -> None:
     assert (end.touched, end.why) == (False, ("the dynamics gave no numbers at 0.00 s",))
 
 
-def test_the_verdict_says_what_went_wrong(tmp_path: Path) -> None:
+def test_the_verdict_lists_what_went_wrong(tmp_path: Path) -> None:
     """Of the flight, the computer and the camera; a landing may be good all the same."""
     row = {"t_s": 1.0, "at_s": 0.9, "down_1_s": 0.08, "gain": float("inf"), "lost": True, "events_lost": 70}
     row["edge"] = False
@@ -106,9 +106,9 @@ def test_the_verdict_says_what_went_wrong(tmp_path: Path) -> None:
     summary = {"scene": {"poses refused": 3}, "links": {"events": {"faults": [fault]}}, "rules": [rule]}
     summary |= {"sim_seconds": 2.0, "events": {"read_out": 1_000_000}}
     (tmp_path / "summary.json").write_text(json.dumps(summary))
-    told = verdict(dataclasses.replace(LANDED, why=("a word",)), tmp_path)
-    assert told["soft"] is True
-    assert told["why"] == [
+    found = verdict(dataclasses.replace(LANDED, why=("a word",)), tmp_path)
+    assert found["soft"] is True
+    assert found["why"] == [
         "a word",
         "70 events were lost on the serial line",
         "dead reckoning: no motion was seen in 1 of 1 turns",
@@ -132,9 +132,9 @@ def test_each_flight_has_arguments_that_can_be_read() -> None:
 
 def test_a_flight_becomes_a_line_of_the_table(tmp_path: Path) -> None:
     """Landed or not, with or without a divergence; a flight that has its verdict is not flown again."""
-    told = verdict(LANDED, tmp_path, frames_lost=3) | {"error_median": 0.008, "error_p90": 0.025}
+    found = verdict(LANDED, tmp_path, frames_lost=3) | {"error_median": 0.008, "error_p90": 0.025}
     (tmp_path / "crash").mkdir()
-    (tmp_path / "crash" / "verdict.json").write_text(json.dumps(told))
+    (tmp_path / "crash" / "verdict.json").write_text(json.dumps(found))
     assert line("crash", fly("crash", tmp_path)) == (
         "| crash: `--fault crash@5` | 0.50 m/s | 0.8 % / 2.5 % | "
         "the flight computer answered no SYNC; 3 attitudes and commands were lost on the bus |"
@@ -145,8 +145,8 @@ def test_a_flight_becomes_a_line_of_the_table(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("down_m_s", "touched"), [(1.2, True), (0.5, False)])
 def test_a_hard_or_missing_touchdown_is_no_landing(down_m_s: float, touched: bool, tmp_path: Path) -> None:
-    """Whatever the files say; here there are none."""
+    """Without any files."""
     state = State(np.zeros(3), np.array([0.0, 0.0, -down_m_s]))
-    told = verdict(dataclasses.replace(LANDED, state=state, touched=touched), tmp_path)
-    assert told["soft"] is False
-    assert told["why"] == ["the flight computer answered no SYNC"]
+    found = verdict(dataclasses.replace(LANDED, state=state, touched=touched), tmp_path)
+    assert found["soft"] is False
+    assert found["why"] == ["the flight computer answered no SYNC"]

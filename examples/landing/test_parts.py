@@ -158,7 +158,7 @@ def test_falling_too_fast_asks_for_more_thrust() -> None:
 
 
 def test_without_motion_dead_reckoning_takes_over() -> None:
-    """A vehicle that does what it is told, seen by nobody for ten seconds, is where it was reckoned; upright."""
+    """Without a motion for ten seconds, a vehicle that follows its commands is at the reckoned place, upright."""
     law, step_s = Law(hold_s=0.0), 0.05
     guidance = Guidance(law, 100.0, np.array([1.0, 0.0, -5.0]), 173.0)
     height_m, speed_m_s = 100.0, 5.0
@@ -173,7 +173,7 @@ def test_without_motion_dead_reckoning_takes_over() -> None:
 
 
 def test_a_motion_is_believed_again_after_a_gap() -> None:
-    """One far from the last, but near what dead reckoning says; and not one that is nowhere near."""
+    """One far from the last, but near dead reckoning; and not one that is nowhere near."""
     guidance = Guidance(Law(), 100.0, np.array([0.0, 0.0, -4.0]), 173.0)
     for k in range(40):
         guidance.command_m_s2(k * 0.25, 0.25)

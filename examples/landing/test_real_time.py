@@ -64,7 +64,7 @@ def test_what_is_predicted_is_what_the_commands_sent_do() -> None:
 
 
 class Wall:
-    """A clock that goes on only when somebody waits, and the stream that began at 5 s of it."""
+    """A clock that advances only while a caller waits, and the stream that began at 5 s of it."""
 
     ORIGIN_NS = 5_000_000_000
 
@@ -89,10 +89,10 @@ class Ends:
         self.frames: deque[tuple[int, int, bytes]] = deque()
         self.poses: list[tuple[float, float, State]] = []
         self.stall_s = 0.0
-        self.told_late_ns = 0
+        self.late_ns_more = 0
 
     def trouble(self) -> str:
-        """What has ended."""
+        """The process that has ended."""
         return self.ended
 
     def loses(self, t_s: float) -> bool:
@@ -104,19 +104,19 @@ class Ends:
         self.poses.append((t_s, self.wall.stream_s, state))
 
     def attitude(self, t_s: float, state: State, number: int) -> None:
-        """Check that the number tells the time."""
+        """Check that the number gives the time."""
         assert number * STEP_S == pytest.approx(t_s)
 
     def sync(self, counter: bytes) -> None:
         """Answer a SYNC with its edge and a command, a little later."""
         late_ns = 1_000_000 * (1 + counter[0] % 4)
         edge_us = (self.wall.ns + late_ns - self.wall.ORIGIN_NS) // 1000
-        self.frames.append((self.wall.ns + 2 * late_ns + self.told_late_ns, EDGE, pack_edge(counter[0], edge_us)))
+        self.frames.append((self.wall.ns + 2 * late_ns + self.late_ns_more, EDGE, pack_edge(counter[0], edge_us)))
         if self.answers:
             command = np.array([0.0, 0.0, GRAVITY_M_S2])
             self.frames.append((self.wall.ns + 33_000_000, COMMAND, pack_command(command, counter[0])))
 
-    def hear(self, timeout_s: float) -> can.Message | None:
+    def receive(self, timeout_s: float) -> can.Message | None:
         """Return the next frame that is there in time; else let the time pass."""
         end_ns = self.wall.ns + round(timeout_s * 1e9)
         if self.frames and self.frames[0][0] <= end_ns:
@@ -167,20 +167,20 @@ def test_a_machine_that_stands_still_loses_poses_not_time() -> None:
     assert np.diff([h for _, h in heights]) / np.diff([t for t, _ in heights]) == pytest.approx(-0.8, abs=0.02)
 
 
-def test_a_silent_computer_is_told_and_the_flight_goes_on() -> None:
+def test_a_silent_computer_is_reported_and_the_flight_goes_on() -> None:
     """Its last command holds; so does a word of trouble."""
     wall = Wall()
     end = falling(0.8, wall, Ends(wall, answers=False)).land(lambda x, y: 0.0, lambda t_s, state: None)
     assert end.touched
     assert len(end.why) == 1
-    assert "has said nothing for 2." in end.why[0]
+    assert "has sent nothing for 2." in end.why[0]
 
 
 def test_no_descent_begins_while_the_camera_is_late() -> None:
     """Edges come, but two seconds late: the vehicle stays where it is."""
     wall = Wall()
     ends = Ends(wall)
-    ends.told_late_ns = 2_000_000_000
+    ends.late_ns_more = 2_000_000_000
     end = falling(0.8, wall, ends).land(lambda x, y: 0.0, lambda t_s, state: None)
     assert not end.touched
     assert end.state.position_m[2] == 12.0
@@ -188,7 +188,7 @@ def test_no_descent_begins_while_the_camera_is_late() -> None:
 
 
 def test_dynamics_that_give_no_numbers_end_the_flight() -> None:
-    """And the words say when."""
+    """And the verdict gives the time."""
     wall = Wall()
     spacecraft = falling(math.nan, wall, Ends(wall))
     end = spacecraft.land(lambda x, y: 0.0, lambda t_s, state: None)
@@ -230,11 +230,11 @@ def test_the_parts_of_the_loop_add_up(tmp_path: Path) -> None:
         json.dumps({"origin_ns": origin_ns, "start_s": 0, "nods_s": [0.0201], "commands": commands})
     )
     (tmp_path / "landing.toml").write_text("[run]\nstep_us = 40000\nlead_us = 60000\n")
-    told = latencies(tmp_path)
-    medians = {name: part["median"] for name, part in told["parts_ms"].items()}
+    found = latencies(tmp_path)
+    medians = {name: part["median"] for name, part in found["parts_ms"].items()}
     assert medians == {
         "turn begins": 7.0, "estimate": 21.0, "command on bus": 0.3, "shown by a pose": 5.0,
         "light": pytest.approx(39.9), "event on the link": 2.0, "loop": pytest.approx(75.2),
     }  # fmt: skip
-    assert told["parts_ms"]["loop"]["n"] == 300
-    assert told["lead_us"] == {"set": 60000, "step": 40000}
+    assert found["parts_ms"]["loop"]["n"] == 300
+    assert found["lead_us"] == {"set": 60000, "step": 40000}

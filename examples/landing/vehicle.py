@@ -28,7 +28,7 @@ _LEAST_UP = 0.3  # beside the horizontal part of the wanted acceleration: a tilt
 
 @dataclass(frozen=True)
 class Lander:
-    """Figures of the vehicle; the defaults hover at 40 % of their thrust on the Moon.
+    """Parameters of the vehicle; the defaults hover at 40 % of their thrust on the Moon.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class Lander:
 
 @dataclass(frozen=True)
 class State:
-    """Where the vehicle is and how it moves: m, m/s, unit quaternion world from body, rad/s in the body, N, kg."""
+    """Position, motion and mass of the vehicle: m, m/s, unit quaternion world from body, rad/s in the body, N, kg."""
 
     position_m: Vector
     velocity_m_s: Vector

@@ -1,4 +1,4 @@
-"""The newest events of a camera that looks down, as level rays: what the estimator takes."""
+"""The newest events of a camera that looks down, as level rays: the input of the estimator."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Lens:
 
 
 class Window:
-    """Keeps five seconds of events, and the attitudes in them.
+    """The events of the last five seconds, and the attitudes in them.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ class Window:
         self._lens = lens
         self._draw = np.random.default_rng(seed)
         self._events: list[npt.NDArray[np.void]] = []
-        self._attitudes: list[tuple[float, Floats]] = [(-1.0, np.eye(3))]  # upright, before it says so
+        self._attitudes: list[tuple[float, Floats]] = [(-1.0, np.eye(3))]  # upright, before the first one comes
 
     @property
     def attitude_s(self) -> float:
@@ -64,7 +64,7 @@ class Window:
         del self._attitudes[:-200]
 
     def counts(self, bin_us: int) -> tuple[int, npt.NDArray[np.int64]]:
-        """Return the time of the oldest event, us, and how many each stretch of `bin_us` since then has, (n,)."""
+        """Return the time of the oldest event, us, and the number of each bin of `bin_us` since then, (n,)."""
         if not self._events:
             return 0, np.zeros(0, np.int64)
         t_us = np.concatenate(self._events)["t"].astype(np.int64)

@@ -1,7 +1,7 @@
-"""Plot what is true beside the events of a rig: `python plot_truth.py [RIG] [SECONDS] [PICTURE]`.
+"""Plot the truth beside the events of a rig: `python plot_truth.py [RIG] [SECONDS] [PICTURE]`.
 
-It runs the rig (rendezvous unless told otherwise), writes its truth to truth.h5, and plots light, depth, optical flow,
-labels, and the events by what raised them. With RIG = a file that ends in .h5, that file is plotted.
+It runs the rig (rendezvous by default), writes its truth to truth.h5, and plots light, depth, optical flow,
+labels, and the events by cause. With RIG = a file that ends in .h5, that file is plotted.
 """
 
 from __future__ import annotations
@@ -112,11 +112,11 @@ def plot(path: Path, picture: Path) -> None:
 
 
 def main(rig: str = "rendezvous", seconds: str = "1.0", picture: str = "truth.png") -> int:
-    """Run, write and plot; return how many events the file has."""
+    """Run, write and plot; return the number of events in the file."""
     path = Path(rig)
     if path.suffix != ".h5":
         path = Path("truth.h5")
-        alone = dataclasses.replace(evstim.load_rig(rig), links=())  # nobody else is to get the events
+        alone = dataclasses.replace(evstim.load_rig(rig), links=())  # no other program receives the events
         with evstim.run(alone, seconds=float(seconds), pace="free", truth=path) as run:
             run.wait()
         if run.truth_trouble:
@@ -124,7 +124,7 @@ def main(rig: str = "rendezvous", seconds: str = "1.0", picture: str = "truth.pn
     plot(path, Path(picture))
     with h5py.File(path) as file:
         count = len(file["events/t"])
-    print(f"{count} events; {picture} shows what raised them")
+    print(f"{count} events; {picture} shows their causes")
     return count
 
 

@@ -32,7 +32,7 @@ def test_the_page_has_every_register_and_no_other():
             told.add((module, int(address), name, int(bits or 0), int(default)))
             assert meaning
             assert (access == "rw") == bool(bits)
-            assert acts in ("", "yes", "told")
+            assert acts in ("", "yes", "reported")
     known = registers((346, 260), Layout.UPRIGHT, SystemInfo())
     wide = {r: r.bits if r.access is Access.READ_WRITE else 0 for r in known}
     assert told == {(r.module.value, r.address, r.name, bits, r.default) for r, bits in wide.items()}
