@@ -10,6 +10,7 @@ found the queue full.
 
 from __future__ import annotations
 
+import logging
 import threading
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
@@ -21,6 +22,7 @@ from typing import TYPE_CHECKING, Any, Generic, Literal, Protocol, Self, TypeVar
 from emulator.rig.kinds import assigned_fault, convert_fault
 from emulator.rig.loading import Rig, load_rig, with_options
 from emulator.run.assembly import build_scene, build_session, link_setups, schedule
+from emulator.run.kernels import cold, parts_of, prepare
 from emulator.run.outcome import RunResult, RunStatus
 from emulator.run.session import Session
 from emulator.run.standard_descriptors import fill_standard_descriptors
@@ -35,6 +37,8 @@ if TYPE_CHECKING:
     from emulator.run.truth.source import TruthFile
 
 __all__ = ["LiveRun", "run"]
+
+log = logging.getLogger(__name__)
 
 _MOST_QUEUED_BYTES = 52_000_000  # 4 million events
 
@@ -131,6 +135,17 @@ def _check_link(rig: Rig, link: str | None) -> None:
         raise ValueError(
             "link: the deliveries of a link that is started again cannot be read; set restart_links to False"
         )
+
+
+def _compile_ahead(rig: Rig) -> None:
+    """Compile what this machine has not compiled yet, in processes of their own.
+
+    In the process that compiles it, code may differ in the last bit from the code that is stored and loaded later: the
+    first run on a machine would have other events than the next one.
+    """
+    if missing := cold(parts_of(rig)):
+        log.warning("compiling, once on this machine: %s", ", ".join(part.name for part in missing))
+        prepare(missing)
 
 
 class LiveRun(Generic[Batch]):
@@ -284,6 +299,7 @@ class LiveRun(Generic[Batch]):
             self._changed.notify_all()
 
     def _run(self) -> None:
+        _compile_ahead(self.rig)
         setups = link_setups(self.rig, self._record)
         with (
             build_scene(self.rig) as scene,

@@ -34,6 +34,7 @@ from emulator.light import LightFrame
 from emulator.rig.camera_models import CAMERA_MODELS
 from emulator.rig.kinds import LINKS, SCENES
 from emulator.rig.loading import Rig
+from emulator.run.link_process import starting_a_process
 from emulator.sensor.presets import PRESETS, SensorParameters
 from firmware_protocol.compiled import cache_folder, checksum_of
 from transports.link.kind import LinkParameters
@@ -295,7 +296,8 @@ def _share(parts: Sequence[Part], ended: Sequence[str], running: Sequence[_Runni
 
 def _started(part: Part) -> _Running:
     process = multiprocessing.get_context("spawn").Process(target=_compile, args=(part,), daemon=True)
-    process.start()
+    with starting_a_process(part.compile):
+        process.start()
     return _Running(part, process, time.monotonic())
 
 
