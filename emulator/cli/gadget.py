@@ -19,7 +19,7 @@ __all__ = ["Plug", "down", "up", "verbs"]
 
 @dataclass(frozen=True)
 class Plug:
-    """The camera that hosts are to see, as the rig's table [camera] has it.
+    """Camera that USB hosts find, as in the rig's table [camera].
 
     Attributes
     ----------
@@ -47,9 +47,9 @@ def up(
     plug: Annotated[Plug, Parameter(name="*")] = _PLUG,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
-    """Make the gadget, so that `evstim run` need not be root; hosts see it when a rig with a link usb_gadget runs.
+    """Make the gadget, so that `evstim run` need not be root; hosts find it when a rig with a link usb_gadget runs.
 
-    What a killed program left of it is made anew. Needs root.
+    Parts that a killed program left are made anew. Needs root.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ def up(
 
 
 def down(*, name: str = "evstim", json: Annotated[bool, Parameter(negative="")] = False) -> int:
-    """Remove the gadget, and what a killed program left of it. Needs root.
+    """Remove the gadget, and parts that a killed program left. Needs root.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ def _gadget(name: str) -> Gadget:
 
 
 def _descriptors(plug: Plug) -> DescriptorSet:
-    """Return what hosts are to read of the camera."""
+    """Return the descriptors that USB hosts read."""
     model = CAMERA_MODELS.get(plug.model)
     if model is None or model.usb is None:
         known = ", ".join(name for name, one in CAMERA_MODELS.items() if one.usb is not None)

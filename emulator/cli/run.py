@@ -62,11 +62,11 @@ class Files:
     Attributes
     ----------
     record
-        Write what the links delivered to this file, in device time; its suffix gives the format, such as .aedat4, .raw
+        Write the delivered events to this file, in device time; its suffix gives the format, such as .aedat4, .raw
         or .npz: see docs/recordings.md. Of several links each has a file, NAME-LINK.SUFFIX; a link that was started
         again writes NAME-restart1.SUFFIX, and where a camera's clock starts anew NAME-clock2.SUFFIX follows (not .npz).
     truth
-        Write what is true beside the events to this .h5: light, depth, optical flow, poses, labels, the origin of each
+        Write the truth beside the events to this .h5: light, depth, optical flow, poses, labels, the origin of each
         event, the events of an ideal sensor; see docs/truth.md. Or the true error of the camera's clock to this .csv,
         ten lines per second; the rig needs [camera.clock]. Of several links each has a .csv, NAME-LINK.csv.
     truth_every
@@ -137,14 +137,14 @@ def run(
         print_json({**summary(loaded, result), "truth_trouble": truth.trouble})
     else:
         print_summary(loaded, result)
-        truth.tell()
+        truth.print_trouble()
     return GOOD if good(judge(loaded.verdict, result)) and not truth.trouble else BAD_VERDICT
 
 
 def run_with_files(
     rig: Rig, files: Files, simulation: Simulation | None = None, *, show: bool
 ) -> tuple[RunResult, Truth]:
-    """Check that the files can be written, compile what is needed, run a rig and report; raises Failure."""
+    """Check that the files can be written, compile the kernels, run a rig and report; raises Failure."""
     _check_record(rig, files.record)
     truth = Truth(rig, files.truth, files.truth_every)
     check_output("--ready-file", files.ready_file)
@@ -206,7 +206,7 @@ def run_rig(
             ready = ReadySignal(files.ready_file)
 
             def report(now: RunStatus) -> None:
-                _tell(ready, now)
+                _signal_ready(ready, now)
                 faults.serve(now)
                 reporting.renew(now)
                 page.renew(now)
@@ -229,7 +229,7 @@ def _session(rig: Rig, scene: Scene, setups: list[LinkSetup[Any]], truth: Any) -
         raise Failure(f"--truth: {error.filename}: {error.strerror or error}", WRONG_USE) from error
 
 
-def _tell(ready: ReadySignal, now: RunStatus) -> None:
+def _signal_ready(ready: ReadySignal, now: RunStatus) -> None:
     try:
         ready.tell({name: link.address for name, link in now.links.items()})
     except OSError as error:
@@ -280,7 +280,7 @@ def _worst(latencies: list[LatencySummary]) -> LatencySummary:
 
 
 def print_summary(rig: Rig, result: RunResult) -> None:
-    """Print what a run did, for people."""
+    """Print the summary of a run, for people."""
     ledger = result.ledger
     console.print(
         f"{rig.name}: {result.sim_seconds:.3f} s of stream time in {result.wall_seconds:.3f} s, "

@@ -1,6 +1,6 @@
 """Live table of a run: rates, lateness, and the state and counts of each link.
 
-`--report DIR`: what is observed of a run, and written when it has ended.
+`--report DIR`: observation of a run, and its report when it has ended.
 
 `--serve [HOST:PORT]`: the live page of a run.
 """
@@ -45,7 +45,7 @@ _RATE_WINDOW = 10  # status reports over which rates are averaged
 
 
 class LiveTable:
-    """Shows RunStatus: a table on a terminal; otherwise a line every 5 s."""
+    """Display of RunStatus: a table on a terminal; otherwise a line every 5 s."""
 
     def __init__(self, rig: Rig, console: Console) -> None:
         self._title = f"{rig.name}: {rig.title}"
@@ -106,7 +106,7 @@ class LiveTable:
 
 
 class Reporting:
-    """Takes what a run shows; writes nothing where no folder was asked for."""
+    """Observation of a run for its report; without a folder it does nothing."""
 
     def __init__(self, rig: Rig, folder: Path | None) -> None:
         self._rig = rig
@@ -119,7 +119,7 @@ class Reporting:
             self._seen.take(events)
 
     def renew(self, status: RunStatus) -> None:
-        """Take note of how the run stands."""
+        """Record the state of the run."""
         if self._seen is not None:
             self._seen.renew(status)
 
@@ -156,7 +156,7 @@ def begin_report(rig: Rig, folder: Path | None) -> Reporting:
 
 
 class ShownRun:
-    """Shows a session on its page; does nothing without one."""
+    """Display of a session on its live page; does nothing without one."""
 
     def __init__(self, session: Session, page: LivePage | None) -> None:
         self._session, self._page = session, page
@@ -167,17 +167,17 @@ class ShownRun:
             self._page.show(events, self._session.light, self._session.t_ns // 1000)
 
     def renew(self, status: RunStatus) -> None:
-        """Show how the run stands."""
+        """Show the state of the run."""
         if self._page is not None:
             self._page.renew(status)
 
 
 class Serving:
-    """The page that was asked for, or none."""
+    """The requested live page, or none."""
 
-    def __init__(self, rig: Rig, asked: str | bool | None) -> None:
+    def __init__(self, rig: Rig, requested: str | bool | None) -> None:
         self._rig = rig
-        self._address = _address(asked)
+        self._address = _address(requested)
         self._trigger: EdgeSink | None = None
 
     def wired(self, setups: Sequence[LinkSetup[Any]]) -> list[LinkSetup[Any]]:
@@ -226,9 +226,9 @@ class Serving:
         return press
 
 
-def check_serving(asked: str | bool | None) -> None:
-    """Raise Failure where a page is asked for that cannot be."""
-    if _address(asked) is None:
+def check_serving(requested: str | bool | None) -> None:
+    """Raise Failure where the requested page cannot be served."""
+    if _address(requested) is None:
         return
     from emulator.live_page.page import check_ui
 
@@ -238,11 +238,11 @@ def check_serving(asked: str | bool | None) -> None:
         raise Failure(str(error), LACKING) from error
 
 
-def _address(asked: str | bool | None) -> Address | None:
-    if asked is None or asked is False:
+def _address(requested: str | bool | None) -> Address | None:
+    if requested is None or requested is False:
         return None
     try:
-        return Address() if asked is True else parse_address(asked)
+        return Address() if requested is True else parse_address(requested)
     except ValueError as error:
         raise Failure(f"--serve: {error}", WRONG_USE) from error
 
