@@ -14,7 +14,7 @@ from cyclopts import Parameter
 
 from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, console, print_json
 from emulator.cli.run_summary import fault_line
-from emulator.run.control import NoAnswer, ask, sockets
+from emulator.run.control import NoAnswer, send_request, sockets
 from transports.faults.script import FaultRecord
 
 __all__ = ["answer_of", "fault", "find_run", "trigger"]
@@ -84,7 +84,7 @@ def find_run(run: str | None) -> tuple[Path, dict[str, Any]]:
     found = []
     for path in sockets():
         try:
-            found.append((path, ask(path, {"ask": "faults"})))
+            found.append((path, send_request(path, {"ask": "faults"})))
         except NoAnswer:
             continue  # its run has died
     meant = [(path, faults) for path, faults in found if run in (None, faults["rig"])]
@@ -125,7 +125,7 @@ def _keys(keys: tuple[str, ...]) -> dict[str, Any]:
 def answer_of(path: Path, message: dict[str, Any]) -> dict[str, Any]:
     """Return the answer of a run to a request; raises Failure where there is none."""
     try:
-        return ask(path, message)
+        return send_request(path, message)
     except NoAnswer as error:
         raise Failure(str(error), LACKING) from error
 
@@ -165,8 +165,8 @@ def trigger(
         Print one JSON object as the last line on stdout.
     """
     path, _ = find_run(run)
-    request: dict[str, Any] = {"ask": "trigger", "kind": kind}
-    answer = answer_of(path, request if link is None else request | {"link": link})
+    message: dict[str, Any] = {"ask": "trigger", "kind": kind}
+    answer = answer_of(path, message if link is None else message | {"link": link})
     if "error" in answer:
         raise Failure(str(answer["error"]), WRONG_USE)
     if json:

@@ -231,7 +231,7 @@ def _session(rig: Rig, scene: Scene, setups: list[LinkSetup[Any]], truth: Any) -
 
 def _signal_ready(ready: ReadySignal, now: RunStatus) -> None:
     try:
-        ready.tell({name: link.address for name, link in now.links.items()})
+        ready.send({name: link.address for name, link in now.links.items()})
     except OSError as error:
         raise Failure(f"--ready-file: {error.strerror or error}", LACKING) from error
 

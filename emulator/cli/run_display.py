@@ -28,7 +28,7 @@ from emulator.rig.loading import Rig
 from emulator.run.changes import Operator
 from emulator.run.control import FaultInjection
 from emulator.run.outcome import RunResult, RunStatus, judge
-from emulator.run.report import Observation, Reported, write_report
+from emulator.run.report import Observation, ReportContent, write_report
 from emulator.run.session import Session
 from firmware_protocol.events import Events
 from transports.link.edges import EdgeSink
@@ -128,7 +128,7 @@ class Reporting:
         if self._folder is None or self._seen is None:
             return
         judgements = judge(self._rig.verdict, result)
-        reported = Reported(self._rig, result, self._seen, judgements, summary, version("evstim"))
+        reported = ReportContent(self._rig, result, self._seen, judgements, summary, version("evstim"))
         try:
             paths = write_report(reported, self._folder)
         except OSError as error:

@@ -254,5 +254,5 @@ def changes_lines(result: RunResult) -> list[str]:
     if not count:
         return []
     lines = [f"changed from outside {count} times; the rig and its seed alone do not repeat this run:"]
-    lines += [f"  {change.told}" for change in result.changes[:_MOST]]
+    lines += [f"  {change.text}" for change in result.changes[:_MOST]]
     return lines if count <= _MOST else [*lines, f"  and {count - _MOST} more: --json and --report list them"]

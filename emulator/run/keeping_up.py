@@ -1,4 +1,4 @@
-"""Measurement whether this machine computes a rig as fast as its stream time passes."""
+"""Measurement of a rig's speed on this machine, relative to real time."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class KeepingUp:
 
     @property
     def good(self) -> bool:
-        """Whether the rig runs in real time here."""
+        """Return whether the rig runs in real time here."""
         return self.times_real_time > 1 and (self.planned_load is None or self.planned_load < 1)
 
 
