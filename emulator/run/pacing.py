@@ -123,13 +123,13 @@ class Lockstep:
         self._syncs = syncs
         self._period_ns = period_ns
         self._clock = clock
-        self.heard = 0
+        self.received = 0
 
     @property
     def limit_ns(self) -> int:
         """Stream time that the run may reach."""
-        self.heard += len(self._syncs.take(_FOREVER_US))
-        return self.heard * self._period_ns
+        self.received += len(self._syncs.take(_FOREVER_US))
+        return self.received * self._period_ns
 
     def wait(self, t_ns: int, goes_on: Callable[[], bool]) -> int:
         """Wait until the run may go beyond `t_ns`, or `goes_on` returns False; return the time that it may reach."""

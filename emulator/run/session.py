@@ -226,7 +226,7 @@ class Session:
             scene_counts=scene.counts,
             painter=scene.painter,
             renderer=scene.renderer,
-            syncs=None if self._lockstep is None else self._lockstep.heard,
+            syncs=None if self._lockstep is None else self._lockstep.received,
             max_late_us=schedule.max_late_us if schedule.paced else 0.0,
             max_late_share=schedule.max_late_share,
             changes=self._changes.listed,

@@ -2,9 +2,9 @@
 
 World: metres, right-handed. `q_world_from_body` is a unit quaternion, scalar first: it turns coordinates along the
 body's own axes into coordinates along the world's. A camera's own axes are OpenCV's: x right, y down, z out along the
-boresight. Other conventions (SPICE, Basilisk, ROS, OpenGL) are converted by `conventions`.
+boresight.
 
-Attitudes in the conventions of other programs, turned into `q_world_from_camera`, scalar first, OpenCV camera axes.
+Attitudes of other programs can be converted to `q_world_from_camera`, scalar first, OpenCV camera axes:
 
     evstim, OpenCV     x right, y down, z out          (w, x, y, z), turns camera coordinates into the world's
     OpenGL             x right, y up, looks along -z
@@ -58,7 +58,7 @@ _UNIT_WITHIN = 1e-3
 
 
 class TrajectoryError(Exception):
-    """A trajectory cannot be used; the message says what is wrong with it and where."""
+    """A trajectory cannot be used; the message contains the error and its place."""
 
 
 @dataclass(frozen=True, eq=False)
