@@ -48,7 +48,7 @@ class DaskWorkers:
         self._client = _connected(address)
 
     def rows(self, indices: Iterable[int]) -> Iterator[Row]:
-        """Do the runs; raises CampaignStopped. It ends before the last run after `stop`."""
+        """Do the runs and yield their rows; end before the last run after `stop`. Raises CampaignStopped."""
         waiting, free = iter(indices), list(range(self._threads() * _AHEAD))
         working: dict[Any, tuple[int, int]] = {}
         try:
@@ -149,7 +149,7 @@ def _task(source: dict[str, str], folder: str, index: int, number: int, wanted: 
 
 
 def _end_processes() -> None:
-    """End the processes that have no run at hand, in a dask worker."""
+    """End the processes that have no run, in a dask worker."""
     with _lock:
         workers = [worker for idle in _idle.values() for worker in idle]
         _idle.clear()

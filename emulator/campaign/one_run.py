@@ -235,7 +235,7 @@ class _Run:
             return row | self._program_columns(stack)
 
     def _make_folder(self) -> None:
-        """Make the run's folder anew, without the files of an earlier, killed try."""
+        """Make the run's folder, without the files of an earlier, killed try."""
         end_leftover(self._folder, self._mark)
         shutil.rmtree(self._folder, ignore_errors=True)
         self._folder.mkdir(parents=True)

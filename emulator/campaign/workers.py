@@ -199,7 +199,7 @@ class LocalWorkers:
         self._lock = threading.Lock()
 
     def rows(self, indices: Iterable[int]) -> Iterator[Row]:
-        """Do the runs; raises CampaignStopped. It ends before the last run after `stop`."""
+        """Do the runs and yield their rows; end before the last run after `stop`. Raises CampaignStopped."""
         waiting = iter(indices)
         threads = [threading.Thread(target=self._work, args=(k, waiting)) for k in range(len(self._workers))]
         for thread in threads:

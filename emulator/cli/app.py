@@ -31,7 +31,7 @@ app = App(
     result_action="return_value",
     suppress_keyboard_interrupt=False,  # it would exit with 130, without a message
 )
-# By name, so that a command imports only what it needs: numba and GL would slow `evstim rigs` down.
+# By name, so that a command imports only its own modules: numba and GL would slow `evstim rigs` down.
 for verb, module, summary in (
     ("run", "run", "Run a rig: render its scene, simulate its sensor, serve its links."),
     ("vizard", "vizard", "Run a rig in step with a Basilisk simulation, which sends poses and requests images."),
@@ -42,9 +42,9 @@ for verb, module, summary in (
     ("recover", "convert", "Save the readable part of a recording that was cut."),
     ("demo", "demo", "Run a rig, read its camera over USB/IP in a second process, and compare every event."),
     ("check", "check", "Check a rig file without running it."),
-    ("plan", "plan", "Show what a run will model: step, effects and expected load."),
+    ("plan", "plan", "Show the plan of a run: step, effects and expected load."),
     ("fault", "fault", "Inject a fault into a link of a running rig."),
-    ("trigger", "trigger", "Let an edge come to the camera of a running rig, or reset its clock."),
+    ("trigger", "trigger", "Give the camera of a running rig an edge, or reset its clock."),
     ("rigs", "rigs", "List the rigs that are installed with evstim."),
     ("dbc", "listen.can", "Write the DBC file of a rig's CAN link."),
     ("export", "export", "Write the packets' definitions for COSMOS, Yamcs, F Prime or Wireshark."),

@@ -223,7 +223,7 @@ def again(
     index
         The run, from 0.
     record
-        Write what the links delivered to this file; its suffix determines the format.
+        Write the delivered events to this file; its suffix determines the format.
     folder
         Of the campaign; default: beside FILE, its name without .toml.
     json
@@ -359,7 +359,7 @@ def campaign(
     where: Annotated[Placement, Parameter(name="*")] = _HERE,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
-    """Run a campaign, or what remains of it. Ctrl-C ends it with its summary; the same command goes on with it.
+    """Run a campaign, or the rest of it. Ctrl-C ends it with its summary; the same command continues it.
 
     Parameters
     ----------

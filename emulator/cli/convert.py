@@ -135,7 +135,7 @@ def _print(source: Path, target: Path, form: Format, done: _Done, json: bool) ->
                 console.print(f"left out, {why}: {named(counts)}", markup=False)
         console.print(f"opens in: {form.readers}")
         if done.trouble:
-            console.print(f"{source}: {done.trouble}; what came before is in {target}", markup=False)
+            console.print(f"{source}: {done.trouble}; the part before it is in {target}", markup=False)
     return BAD_VERDICT if done.trouble else GOOD
 
 
@@ -180,7 +180,7 @@ def recover(
 
 def _recover_aedat4(source: Path, target: Path, json: bool) -> int:
     if check_recording("OUT", target).name != "aedat4":
-        advice = "what is recovered of AEDAT 4.0 must end in .aedat4; `evstim convert` goes on from there"
+        advice = "a file recovered from AEDAT 4.0 must end in .aedat4; `evstim convert` can convert it further"
         raise Failure(f"{target}: {advice}", WRONG_USE)
     with reading(source):
         if source.is_dir():

@@ -86,7 +86,7 @@ def _as_json(rig: Rig, needed: Sequence[Needed], speed: KeepingUp | None) -> dic
 
 def _sentence(rig: Rig, speed: KeepingUp | None) -> str:
     if speed is None:
-        return f"{rig.name} does NOT run on this machine: add what is missing first"
+        return f"{rig.name} does NOT run on this machine: add the missing parts first"
     verdict = "runs in real time on this machine" if speed.good else "does NOT run in real time on this machine"
     load = "" if speed.planned_load is None else f"; its plan expects {speed.planned_load:.2f} of a core"
     advice = "" if speed.good else ". Take a longer run.step_us or a smaller camera; `evstim plan` shows the costs"

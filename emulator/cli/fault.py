@@ -151,12 +151,12 @@ def trigger(
     link: str | None = None,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
-    """Let an edge come to the external input of the cameras of a running rig, or reset their clocks.
+    """Give the external input of the cameras of a running rig an edge, or reset their clocks.
 
     Parameters
     ----------
     kind
-        pulse, rising or falling: the edge at the input; reset: device time starts anew at zero.
+        pulse, rising or falling: the edge at the input; reset: device time restarts at zero.
     run
         Name of the rig if several run; or the path of its control socket.
     link

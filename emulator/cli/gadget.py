@@ -49,7 +49,7 @@ def up(
 ) -> int:
     """Make the gadget, so that `evstim run` need not be root; hosts find it when a rig with a link usb_gadget runs.
 
-    Parts that a killed program left are made anew. Needs root.
+    Parts that a killed program left are replaced. Needs root.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def up(
     udc
         USB device controller, as /sys/class/udc names it; may be left out where there is one.
     user
-        Who may run the camera, beside root.
+        User who may run the camera, beside root.
     plug
         The camera.
     json

@@ -172,7 +172,7 @@ def info(
         for line in _lines_info(recording, survey):
             console.print(line, markup=False)
         if trouble:
-            console.print(f"damaged: {trouble}; the figures are of the part before the damage", markup=False)
+            console.print(f"damaged: {trouble}; the values are of the part before the damage", markup=False)
     return BAD_VERDICT if trouble else GOOD
 
 

@@ -107,7 +107,7 @@ def check_output(option: str, path: Path | None, suffix: str = "") -> None:
 
 
 def _open_once(path: Path) -> None:
-    """Open a file for writing and leave what it holds; raises OSError.
+    """Open a file for writing without changing its content; raises OSError.
 
     A missing file does not appear under its name, not even for an instant: another program may wait for it.
     """

@@ -102,8 +102,8 @@ def _outcome(file: Path, result: RunResult) -> str:
     link = result.links[FileLink.name]
     troubles = [*([] if link.error is None else [link.error]), *link.file_troubles]
     if troubles:
-        return f"NOT WHOLE: {'; '.join(troubles)}; `evstim info {file}` shows what {file} holds"
-    return f"written to {file}; `evstim info {file}` shows what it holds"
+        return f"NOT WHOLE: {'; '.join(troubles)}; `evstim info {file}` shows the content of {file}"
+    return f"written to {file}; `evstim info {file}` shows its content"
 
 
 def _recording_rig(rig: Rig, file: Path, form: str) -> Rig:

@@ -62,7 +62,7 @@ Json = Annotated[bool, Parameter(negative="")]
 
 
 def rigs(*, json: Json = False) -> int:
-    """List the rigs that are installed with evstim, and what each needs beyond evstim's base dependencies.
+    """List the rigs that are installed with evstim, and the needs of each beyond evstim's base dependencies.
 
     Parameters
     ----------

@@ -64,13 +64,13 @@ class Files:
     record
         Write the delivered events to this file, in device time; its suffix gives the format, such as .aedat4, .raw
         or .npz: see docs/recordings.md. Of several links each has a file, NAME-LINK.SUFFIX; a link that was started
-        again writes NAME-restart1.SUFFIX, and where a camera's clock starts anew NAME-clock2.SUFFIX follows (not .npz).
+        again writes NAME-restart1.SUFFIX, and when a camera's clock is reset NAME-clock2.SUFFIX follows (not .npz).
     truth
         Write the truth beside the events to this .h5: light, depth, optical flow, poses, labels, the origin of each
         event, the events of an ideal sensor; see docs/truth.md. Or the true error of the camera's clock to this .csv,
         ten lines per second; the rig needs [camera.clock]. Of several links each has a .csv, NAME-LINK.csv.
     truth_every
-        Light, depth, flow and labels go into the .h5 of every n-th picture.
+        Light, depth, flow and labels of every n-th light frame go into the .h5.
     fault_log
         Write a line of JSON to this file for each begin, hit, loss and end of a fault.
     ready_file

@@ -134,7 +134,7 @@ def _broken(rig: Rig, result: RunResult) -> str:
 def _remedies(rig: Rig) -> str:
     return (
         f"Take a longer run.step_us (now {rig.run.step_us}) or run.lead_us (now {rig.run.lead_us}), fewer "
-        "scene.samples, or a smaller camera; `evstim plan` shows what each costs"
+        "scene.samples, or a smaller camera; `evstim plan` shows the cost of each"
     )
 
 

@@ -50,17 +50,17 @@ class StopSignals:
 
 
 def exit_on_stop_signals() -> None:
-    """Let signals end the process at once: while it is imported there is nothing to tidy up."""
+    """Make signals end the process at once: during its imports there is nothing to clean up."""
     _handle(_leave)
 
 
 def interrupt_on_stop_signals() -> None:
-    """Let signals interrupt the command, from now on."""
+    """Make signals interrupt the command, from now on."""
     _handle(StopSignals(_interrupt))
 
 
 def stop_on_signals(stop: Callable[[], object]) -> None:
-    """Let the first signal call `stop`, such as that of a Session, from now on.
+    """Make the first signal call `stop`, such as that of a Session, from now on.
 
     This stays so when the run has ended: a second signal may arrive at any moment after the first.
     """

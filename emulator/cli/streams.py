@@ -47,7 +47,7 @@ def break_lines() -> bool:
 def log_handler() -> logging.Handler:
     """Return the handler that prints the log on `status`."""
     if status.is_terminal:
-        from rich.logging import RichHandler  # loads a tenth of what the command line loads
+        from rich.logging import RichHandler  # a tenth of the command line's imports
 
         return RichHandler(console=status, show_path=False, show_time=False)
     handler = _WholeLines()

@@ -73,7 +73,7 @@ _MOST_ID = 0x1FFF_FFFF
 
 @dataclass(frozen=True)
 class Signal:
-    """A number in a CAN frame that is an input of the FMU: `scale` times what `format` reads, plus `offset`."""
+    """A number in a CAN frame that is an input of the FMU: `scale` times the value read by `format`, plus `offset`."""
 
     variable: str
     id: int

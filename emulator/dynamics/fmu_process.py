@@ -28,7 +28,7 @@ _DESCRIPTION = "modelDescription.xml"
 _MOST_FILES = 10_000
 _MOST_MIB = 1024  # unpacked
 _MOST_DESCRIPTION_MIB = 64  # it is read as a whole, and its tree takes many times as much
-_SMALLER = "Export it without sources, documentation and resources that it does not read, or get it from its maker anew"
+_SMALLER = "Export it without sources, documentation and unused resources, or get it from its maker again"
 
 
 class _Wrong(Exception):

@@ -64,7 +64,7 @@ class Outbox:
         self._status = status
 
     def flush(self, commands_done: int) -> None:
-        """Send what the pipe takes, with the number of executed commands; raises OSError where the reader has ended."""
+        """Send messages while the pipe takes them, with the number of executed commands; raises OSError."""
         while self.waits and self._writable.poll(0):
             self._pipe.send({**self._next(), "commands_done": commands_done})
 

@@ -1,6 +1,6 @@
 """The process that serves the page: it draws pictures while there are viewers, and connects viewers and session.
 
-The session never waits for it. Whatever happens here, a flood of messages or a death, the run goes on.
+The session never waits for it: the run goes on also after a flood of messages or the death of this process.
 
 Pictures of events and light are small planes of bytes, from which the browser makes its colours. Events, the light and
 the number of viewers are in memory that the session and the page's process share. Without viewers the session only

@@ -173,7 +173,7 @@ def _steps(rig: Rig, probe: Probe) -> Steps:
     by_motion_us = allowed.longest_step_ns(has_slopes=order == _HERMITE) / 1000
     shortest_us = allowed.shortest_ns / 1000
     step_us = max(min(by_error_us, by_sequences_us, by_motion_us), shortest_us)
-    bound = "the tolerance" if by_error_us <= by_motion_us else "the picture's motion"
+    bound = "the tolerance" if by_error_us <= by_motion_us else "the motion of the image"
     if by_sequences_us < min(by_error_us, by_motion_us):
         bound = "the sequences, where light turns"
     if by_motion_us >= allowed.longest_ns / 1000 <= min(by_error_us, by_sequences_us):

@@ -54,7 +54,7 @@ __all__ = [
 Floats = npt.NDArray[np.float64]
 
 _SAMPLE_PIXELS = 4096
-_CONTROL_PIXELS = 512  # the same figures, to a few percent, and every step pays for them
+_CONTROL_PIXELS = 512  # the same estimates, to a few percent, at a cost in every step
 _LINE, _HERMITE = 2, 4
 _MEAN_OF_BEND = {_LINE: 2 / 3, _HERMITE: 16 / 30}  # over the step, against its worst point
 # The estimate covers the interpolation, not the filter: in dim light, or where bright points cross a dark sky, the

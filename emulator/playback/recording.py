@@ -46,7 +46,7 @@ class RecordingParameters:
     time_scale
         Speed of the playback, relative to the recording.
     loop
-        Whether it begins anew at its end; else the camera is silent from there on.
+        Whether it restarts at its end; else the camera sends no events from there on.
     through_readout
         Whether events pass the sensor's arbiter, which delays them and loses some where too many come at once; those of
         a real camera have passed one already.

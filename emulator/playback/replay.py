@@ -1,6 +1,6 @@
 """A recording in the sensor's place: the same calls as `Sensor`, with events from a file.
 
-Stream time t shows the recorded time t * time_scale; a loop begins anew one mean gap after the last event, so that no
+Stream time t shows the recorded time t * time_scale; a loop restarts one mean gap after the last event, so that no
 two rounds share an instant. The result does not depend on the step.
 """
 
@@ -32,7 +32,7 @@ class Replay:
     Parameters
     ----------
     time_scale : recorded time a unit of stream time.
-    loop : whether it begins anew at its end.
+    loop : whether it restarts at its end.
     through_readout : whether the arbiter of `parameters` takes part.
     """
 

@@ -53,7 +53,7 @@ def sentences(lines: Sequence[str]) -> str:
 
 
 def inline(svg: Path) -> str:
-    """Return an SVG file's picture element, to stand in the page itself."""
+    """Return an SVG file's <svg> element, for use in the page itself."""
     text = svg.read_text()
     return text[text.index("<svg") :]
 

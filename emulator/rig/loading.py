@@ -1,6 +1,6 @@
 """Rig files: the set-up of a run as TOML, with units in the keys; typed and frozen once loaded.
 
-    title = "what this rig shows"
+    title = "a title of the rig"
     [scene]
     kind = "checkerboard"      # "bodies", "terrain", ...: each kind has its own keys
     [camera]

@@ -3,7 +3,7 @@
     Basilisk                      evstim
     PING ------------------------> PONG
     SIM_UPDATE of time T --------> poses stored; the run goes to T, its events are handed to the links; OK
-    REQUEST_IMAGE of a camera ---> the picture of T
+    REQUEST_IMAGE of a camera ---> the image of T
     ...
     closes the connection -------> the run ends
 
@@ -81,8 +81,8 @@ class BasiliskCounters:
     Attributes
     ----------
     updates : states of the simulation that were used.
-    images : pictures sent.
-    no_images : requests for pictures of cameras that are not the rig's, answered with none.
+    images : images sent.
+    no_images : requests for images of cameras that are not the rig's, answered with none.
     refused : requests that could not be used.
     last_refusal : why the last of them could not.
     answer : from an update's arrival to its reply, us.
@@ -105,8 +105,8 @@ class BasiliskRun:
     ----------
     server : where they come in.
     paths : paths whose poses the simulation gives.
-    images : encodes a picture as an image file.
-    cameras : cameraIDs whose pictures are the run's.
+    images : encodes a light frame as an image file.
+    cameras : cameraIDs whose images are the run's.
     on_first : called with the first update that can be used.
 
     Attributes
@@ -196,7 +196,7 @@ class BasiliskRun:
     def _take(self, update: Update) -> None:
         if self.last_ns is not None and update.time_ns <= self.last_ns:
             raise TrajectoryError(
-                f"simulated time went from {self.last_ns * 1e-9:g} s to {update.time_ns * 1e-9:g} s: start evstim anew "
+                f"simulated time went from {self.last_ns * 1e-9:g} s to {update.time_ns * 1e-9:g} s: restart evstim "
                 "for a simulation that begins again"
             )
         poses = [pose_of(path, update) for path in self._paths]

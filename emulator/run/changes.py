@@ -45,7 +45,7 @@ class Change:
     link
         The link over which it came, or that it concerns; empty for none.
     what
-        A sensor parameter such as "threshold_on"; a fault, an edge by hand, a telecommand.
+        A sensor parameter such as "threshold_on"; a fault, an edge of `evstim trigger`, a telecommand.
     before, after
         Values of the parameter; None where there are none.
     taken_us
@@ -205,20 +205,20 @@ class BiasFollowing:
 
     def _adjust(self, link: str, settings: CameraSettings, t_ns: int) -> None:
         """Set the parameters to their new factors; one that cannot follow keeps its old factor."""
-        figures = {} if self._sensor is None else self._sensor.adjustable
+        parameters = {} if self._sensor is None else self._sensor.adjustable
         accepted, wanted = self._accepted.setdefault(link, {}), settings.sensor_factors
         for name in sorted({*accepted, *wanted}):
             factor = wanted.get(name, 1.0)
             if factor == accepted.get(name, 1.0):
                 continue
-            if name not in figures:
+            if name not in parameters:
                 log.warning("%s: biases have no effect on %s: this source of events cannot change it", link, name)
                 continue
             product = self._product(link, name, factor)
-            value = figures[name] * product / self._applied.get(name, 1.0)
-            if value == figures[name] or self._set(link, name, value):
+            value = parameters[name] * product / self._applied.get(name, 1.0)
+            if value == parameters[name] or self._set(link, name, value):
                 accepted[name], self._applied[name] = factor, product
-                self._record(link, settings, t_ns, name, (figures[name], value))
+                self._record(link, settings, t_ns, name, (parameters[name], value))
 
     def _product(self, link: str, name: str, factor: float) -> float:
         """Return the product of all links' factors with a new one of `link`, within the bounds of one."""
@@ -236,7 +236,7 @@ class BiasFollowing:
         try:
             self._sensor.adjust(name, value)
         except ValueError as error:
-            log.warning("%s: the biases are beyond what the sensor models: %s", link, error)
+            log.warning("%s: the biases are beyond the sensor's model: %s", link, error)
             return False
         log.info("%s: biases make %s %.4g", link, name, value)
         return True

@@ -53,7 +53,7 @@ def starting_a_link(setup: LinkSetup[Any]) -> Iterator[None]:
 
 @contextmanager
 def starting_a_process(*parts: object) -> Iterator[None]:
-    """Do the same for any process; `parts` are the factories that it is given."""
+    """Start any process in the same way; `parts` are the factories that it receives."""
     with _signals_blocked(), _without_main_module(parts):
         yield
 

@@ -106,11 +106,9 @@ def _gvcp() -> Finding:
         try:
             tried.bind(("127.0.0.1", GVCP_PORT))
         except OSError as error:
-            told = f"UDP port {GVCP_PORT} cannot be used: {error.strerror}"
-            fix = (
-                f"ss -lunp 'sport = :{GVCP_PORT}'  # who has it; or give the link another address: host = \"127.0.0.2\""
-            )
-            return Finding("GVCP", False, told, wanted, fix)
+            detail = f"UDP port {GVCP_PORT} cannot be used: {error.strerror}"
+            fix = f"ss -lunp 'sport = :{GVCP_PORT}'  # its owner; or another address of the link: host = \"127.0.0.2\""
+            return Finding("GVCP", False, detail, wanted, fix)
     return Finding("GVCP", True, f"UDP port {GVCP_PORT} is free", wanted)
 
 
@@ -127,8 +125,8 @@ def _udp_buffer() -> Finding:
 def _priority() -> Finding:
     """Check whether the process that answers hosts may run at a high priority."""
     wanted = "answers of GigE Vision cameras within a driver's 25 ms on a busy machine"
-    told = next((line for line in _STATUS.read_text().splitlines() if line.startswith("CapEff:")), "CapEff: 0")
-    if int(told.split()[1], 16) >> _CAP_SYS_NICE & 1:
+    capabilities = next((line for line in _STATUS.read_text().splitlines() if line.startswith("CapEff:")), "CapEff: 0")
+    if int(capabilities.split()[1], 16) >> _CAP_SYS_NICE & 1:
         return Finding("priority", True, "CAP_SYS_NICE", wanted)
     nice = resource.getrlimit(resource.RLIMIT_NICE)[0]
     if nice >= _NICE_LIMIT or nice == resource.RLIM_INFINITY:
@@ -218,7 +216,7 @@ GL = Need("OpenGL 4.3 by EGL", egl)
 
 
 def needs_of(rig: Rig) -> tuple[Need, ...]:
-    """Return what the scene, the links and the painter of a rig need, each once."""
+    """Return the needs of the scene, the links and the painter of a rig, each once."""
     scene = SCENES[rig.scene.kind]
     found = [*scene.needs(rig.scene), *(need for link in rig.links for need in LINKS[link.kind].needs(link))]
     if scene.gl and selected_painter(rig.run.painter) == "gl":

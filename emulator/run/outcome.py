@@ -5,7 +5,7 @@ Each event raised has exactly one fate, and the sums must agree at every stop:
     raised  = lost_in_pixel + lost_at_readout + read_out
     read_out = dropped_in_device + delivered + dropped          for every link, which each carry the whole stream
 
-lost_in_pixel      crossings beyond what one pixel may raise in one step
+lost_in_pixel      crossings beyond the limit of one pixel in one step
 lost_at_readout    the pixel crossed again while its earlier event still waited to be read out
 dropped_in_device  the camera was not running, its FIFO was full, or it was flushed at a stop
 dropped            lost by the link: its ring was full, or the bytes had left the camera when the host went away
@@ -268,10 +268,10 @@ def undersampled_text(share: float | None) -> str:
 
 
 def undersampled_advice(share: float | None) -> str:
-    """Return what to change where the share is large; "" where it is not."""
+    """Return advice where the share is large; "" where it is not."""
     if share is None or share <= _MANY:
         return ""
     return (
-        f"pictures too far apart: in {share:.0%} of the solved pixel-steps the light changed unseen between them; "
+        f"light frames too far apart: in {share:.0%} of the solved pixel-steps the light changed unseen between them; "
         "shorten run.step_us, or give run.tolerance_us"
     )

@@ -347,7 +347,7 @@ def _changes(result: RunResult) -> list[str]:
 
 def _run_rows(of: ReportContent) -> list[dict[str, object]]:
     run, late = of.rig.run, of.result.lateness
-    told = {
+    facts = {
         "title": of.rig.title,
         "camera": f"{of.rig.camera.model}, {of.rig.camera.size[0]}x{of.rig.camera.size[1]} pixels",
         "scene": of.rig.scene.kind,
@@ -361,7 +361,7 @@ def _run_rows(of: ReportContent) -> list[dict[str, object]]:
         "drawn by": of.result.drawn_by,
         **_machine(of),
     }
-    return [{"what": key, "value": html.unescape(str(value))} for key, value in told.items()]
+    return [{"what": key, "value": html.unescape(str(value))} for key, value in facts.items()]
 
 
 def _machine(of: ReportContent) -> dict[str, object]:

@@ -60,14 +60,14 @@ _T = TypeVar("_T")
 _FOREVER_US = 1 << 62
 _STATUS_PERIOD_NS = 100_000_000
 _SLICE_US = 20_000  # of a step, for rings of readings: a frame of a DAVIS346 takes 18 ms
-_HEAD_START_NS = 60_000_000  # from the start until stream time zero: twice what the first step, the slowest, takes
+_HEAD_START_NS = 60_000_000  # from the start until stream time zero: twice the time of the first step, the slowest
 
 
 @dataclass(frozen=True)
 class Schedule:
-    """How a run goes through time. Above 0, each SYNC on a link's bus is worth `lockstep_ns`, and nothing else is.
+    """Schedule of a run. Above 0, `lockstep_ns` is the stream time for each SYNC on a link's bus, which drives the run.
 
-    A `simulation` stands in the place of such a bus, and the run is then not paced.
+    A `simulation` takes the place of such a bus, and the run is then not paced.
     A paced run whose worst step was later than `max_late_us`, or with a larger share of late steps than
     `max_late_share`, is not good; `max_late_us` of 0: any lateness is.
     """
@@ -383,7 +383,7 @@ class Session:
 
     def _hand_over(self, events: Events, schedule: Schedule, links: Sequence[LinkProcess]) -> None:
         now_us = self._t_ns // 1000
-        if len(events):  # at the run's end the read-out sends what still queues, later than the last step
+        if len(events):  # at the run's end the read-out sends its queue, later than the last step
             now_us = max(now_us, int(events["t"][-1]))
         for link in links:
             if schedule.paced:

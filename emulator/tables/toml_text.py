@@ -96,8 +96,8 @@ def _given_twice(text: str, error: ValueError) -> TomlError:
     for line, path, is_header in _paths(text):
         if path in first:
             name = dotted(path)[:200]
-            what, cure = (f"[{name}]", "put its keys under one header") if is_header else (name, "leave one out")
-            return TomlError(f"{what} is given twice, first in line {first[path]}: {cure}", line)
+            what, remedy = (f"[{name}]", "put its keys under one header") if is_header else (name, "leave one out")
+            return TomlError(f"{what} is given twice, first in line {first[path]}: {remedy}", line)
         first[path] = line
     return TomlError(f"not valid TOML: a key or a table is given twice, leave one out: {shortened(error)}")
 

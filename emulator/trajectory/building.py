@@ -157,13 +157,13 @@ class Offset(Trajectory):
 
     @property
     def speed_bound_m_s(self) -> float:
-        """That of the path, and that of turning about it."""
+        """Bound of the path, and of turning about it."""
         arm_m = float(np.linalg.norm(self._mounted.position_m))
         return self._path.speed_bound_m_s + arm_m * self._path.turn_bound_rad_s
 
     @property
     def turn_bound_rad_s(self) -> float:
-        """That of the path."""
+        """Bound of the path."""
         return self._path.turn_bound_rad_s
 
 

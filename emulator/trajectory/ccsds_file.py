@@ -219,7 +219,7 @@ class PolynomialPath(Trajectory):
 
     @property
     def turn_bound_rad_s(self) -> float:
-        """It does not turn."""
+        """Zero: it does not turn."""
         return 0.0
 
     def _first_used(self, t_ns: int) -> int:
@@ -262,7 +262,7 @@ class Segment:
 class Segmented(Trajectory):
     """A trajectory of segments in turn; at an instant that two share the later one holds.
 
-    Before the first segment and after the last the pose stays what it is there.
+    Before the first segment and after the last the pose is constant.
 
     Raises
     ------

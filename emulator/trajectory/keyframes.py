@@ -9,7 +9,7 @@ great circle, and a steady turn about a fixed axis is followed exactly (both to 
 moves the error falls with the fourth power of the step. A turn of more than 120 degrees between neighbours is refused,
 because its sense would be a guess.
 
-Before the first keyframe and after the last the pose stays what it is there.
+Before the first keyframe and after the last the pose is constant.
 """
 
 from __future__ import annotations

@@ -3,8 +3,8 @@
 The pose of a light frame of time t:
 
     between two known poses     the pose is interpolated: straight line, great circle
-    after the newest one        the last motion goes on for at most `hold_ns`; then the body stands still, and every
-                                picture is counted as late
+    after the newest one        the last motion goes on for at most `hold_ns`; then the body is at rest, and every
+                                light frame is counted as late
     before the first one        the pose that the rig gives
 
 A pose with a time is refused as stale when it is not newer than the newest one, and as too far ahead when it is stamped
@@ -70,7 +70,7 @@ class _Known:
 
     @property
     def at(self) -> tuple[int, Pose]:
-        """Its time and the pose."""
+        """Time and pose."""
         return self.t_ns, self.pose
 
 

@@ -77,7 +77,7 @@ class Looking(Trajectory):
 
     @property
     def speed_bound_m_s(self) -> float:
-        """That of the path."""
+        """Bound of the path."""
         return self._place.speed_bound_m_s
 
     @property
@@ -139,12 +139,12 @@ class Spinning(Trajectory):
 
     @property
     def speed_bound_m_s(self) -> float:
-        """It stays."""
+        """Zero: it does not move."""
         return 0.0
 
     @property
     def turn_bound_rad_s(self) -> float:
-        """Both rates added, which they are when the axes lie along each other."""
+        """Sum of both rates, reached when the axes lie along each other."""
         return 2 * math.pi * float(abs(self._turned.rate_hz) + abs(self._tilt.precession.rate_hz))
 
 
@@ -186,12 +186,12 @@ class PlaceAndAttitude(Trajectory):
 
     @property
     def speed_bound_m_s(self) -> float:
-        """That of the places."""
+        """Bound of the places."""
         return self._places.speed_bound_m_s
 
     @property
     def turn_bound_rad_s(self) -> float:
-        """That of the attitudes."""
+        """Bound of the attitudes."""
         return self._attitudes.turn_bound_rad_s
 
 
@@ -213,10 +213,10 @@ class Mounted(Trajectory):
 
     @property
     def speed_bound_m_s(self) -> float:
-        """That of the path."""
+        """Bound of the path."""
         return self._path.speed_bound_m_s
 
     @property
     def turn_bound_rad_s(self) -> float:
-        """That of the path."""
+        """Bound of the path."""
         return self._path.turn_bound_rad_s

@@ -79,7 +79,7 @@ class FixedPath:
     look_at_m
         A point to look at instead.
     up
-        Direction that is up in the picture then.
+        Direction that is up in the image then.
     """
 
     kind: ClassVar[str] = "fixed"
@@ -128,7 +128,7 @@ class KeyframePath:
     look_at_m
         A point to look at instead of the keyframes' attitudes.
     up
-        Direction that is up in the picture then.
+        Direction that is up in the image then.
     """
 
     kind: ClassVar[str] = "keyframes"
@@ -160,7 +160,7 @@ class OrbitPath(Elements):
     look_at_m
         A point to look at; the origin, where the body is.
     up
-        Direction that is up in the picture.
+        Direction that is up in the image.
     """
 
     kind: ClassVar[str] = "orbit"
@@ -246,7 +246,7 @@ class FilePath:
     look_at_m
         A point to look at instead of the file's attitudes.
     up
-        Direction that is up in the picture then.
+        Direction that is up in the image then.
     """
 
     kind: ClassVar[str] = "file"

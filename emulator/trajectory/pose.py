@@ -122,7 +122,7 @@ class Trajectory(ABC):
         return differences(self.pose, t_ns)
 
     def pose_and_motion(self, t_ns: int) -> tuple[Pose, Motion]:
-        """Return both at `t_ns`, for one who looks beside the pictures: it takes in and counts nothing from outside."""
+        """Return both at `t_ns`, not for a light frame: poses from outside are neither read nor counted."""
         return self.pose(t_ns), self.motion(t_ns)
 
     @property
@@ -147,17 +147,17 @@ class Fixed(Trajectory):
         return self._pose
 
     def motion(self, t_ns: int) -> Motion:
-        """It does not move."""
+        """Zero: it does not move."""
         return AT_REST
 
     @property
     def speed_bound_m_s(self) -> float:
-        """It does not move."""
+        """Zero: it does not move."""
         return 0.0
 
     @property
     def turn_bound_rad_s(self) -> float:
-        """It does not turn."""
+        """Zero: it does not turn."""
         return 0.0
 
 

@@ -54,8 +54,8 @@ class ReceiverCounters:
 class SceneClock:
     """The scene's time of instants on a wall clock, from the times at which light frames are drawn.
 
-    A picture of time t is drawn at the wall's time w = t + offset + lateness, lateness >= 0; so the least of the last
-    32 differences is the offset. No instant is put after the picture that is being drawn, whatever the pace of the run.
+    A light frame of time t is drawn at the wall's time w = t + offset + lateness, lateness >= 0; so the least of the
+    last 32 differences is the offset. No instant is later than the frame that is being drawn, at any pace of the run.
     """
 
     def __init__(self) -> None:
@@ -63,7 +63,7 @@ class SceneClock:
         self._picture_ns: int | None = None
 
     def draw(self, t_ns: int, wall_ns: int) -> bool:
-        """Note that the picture of `t_ns` is being drawn; return whether the scene's time went back by a second."""
+        """Note that the frame of `t_ns` is being drawn; return whether the scene's time went back by a second."""
         went_back = self._picture_ns is not None and t_ns < self._picture_ns - _RESTART_NS
         if went_back:
             self._offsets_ns.clear()

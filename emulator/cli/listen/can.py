@@ -36,7 +36,7 @@ def can(
     limits: Annotated[Limits, Parameter(name="*")] = _NO_LIMITS,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
-    """Join the CAN bus of a rig, decode the telemetry of its camera, and count what is missing. Ctrl-C ends it.
+    """Join the CAN bus of a rig, decode the telemetry of its camera, and count the losses. Ctrl-C ends it.
 
     Parameters
     ----------

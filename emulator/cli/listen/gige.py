@@ -27,7 +27,7 @@ def gige(
     limits: Annotated[Limits, Parameter(name="*")] = _NO_LIMITS,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
-    """Read a GigE Vision event camera, and count what is missing. Ctrl-C ends it.
+    """Read a GigE Vision event camera, and count the losses. Ctrl-C ends it.
 
     Parameters
     ----------

@@ -57,7 +57,7 @@ def serial(
     limits: Annotated[Limits, Parameter(name="*")] = _NO_LIMITS,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
-    """Read a camera on a serial line, decode its telemetry, and count what is missing. Ctrl-C ends it.
+    """Read a camera on a serial line, decode its telemetry, and count the losses. Ctrl-C ends it.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ def udp(
     limits: Annotated[Limits, Parameter(name="*")] = _NO_LIMITS_UDP,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
-    """Read a camera whose packets come in UDP datagrams, and count what is missing. Ctrl-C ends it.
+    """Read a camera whose packets come in UDP datagrams, and count the losses. Ctrl-C ends it.
 
     Parameters
     ----------

@@ -5,12 +5,12 @@
                                       and, where the scene is seen through a lens: focal_px, centre_px,
                                       distortion (k1 k2 p1 p2 k3), radiance_per_light
     /labels/name        (b + 1,) text               name of each label; 0 is "sky"
-    /poses/t            (m,) f8, us                 every picture of the run
+    /poses/t            (m,) f8, us                 every light frame of the run
           /camera_position_m            (m, 3) f8         in the world
           /camera_q_world_from_camera   (m, 4) f8         scalar first; camera axes x right, y down, z out
           /bodies_position_m            (m, b, 3) f8      body k - 1 has label k
           /bodies_q_world_from_body     (m, b, 4) f8
-    /pictures/t         (n,) f8, us                 every picture, or every n-th
+    /pictures/t         (n,) f8, us                 every light frame, or every n-th
              /light     (n, height, width) f4       what the sensor gets, linear, 1 at the sensor's reference
              /depth     (n, height, width) f4, m    along the boresight (z); inf: sky
              /flow      (n, height, width, 2) f4    px/s to the right and down, of the point at the pixel's middle
@@ -154,7 +154,7 @@ def _events(file: h5py.File, about: About) -> None:
 
 
 def _rows(file: h5py.File, name: str, shape: tuple[int, ...], kind: Any, unit: str = "") -> None:
-    """Make a data set of rows of this shape that grows; a large picture is a chunk of its own."""
+    """Make a data set of rows of this shape that grows; a large light frame is a chunk of its own."""
     chunk = max(1, _CHUNK_BYTES // (math.prod(shape) * np.dtype(kind).itemsize))
     data = file.create_dataset(name, (0, *shape), kind, maxshape=(None, *shape), chunks=(chunk, *shape), **_PACKED)
     if unit:
@@ -179,14 +179,14 @@ def encoded(rows: Rows) -> bytes:
 def decoded(read: Callable[[int], bytes]) -> dict[str, npt.NDArray[Any]] | None:
     """Return the next message of `read`, which gives that many bytes; None at the end of its input.
 
-    Raises ValueError for what is no message.
+    Raises ValueError for other bytes.
     """
     head = read(_HEAD.size)
     if len(head) < _HEAD.size:
         return None
     (length,) = _HEAD.unpack(head)
     if length > _MOST_HEAD_BYTES:
-        raise ValueError("the other process sends what is no truth")
+        raise ValueError("the other process sends no truth")
     rows = {}
     for name, kind, shape in json.loads(read(length)):
         dtype = np.dtype(kind)

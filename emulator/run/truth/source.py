@@ -64,7 +64,7 @@ class TruthSource:
     ----------
     clean : the ideal sensor.
     geometry : of the scene; None where it has none.
-    every : depth, flow, labels and light are written of every n-th picture.
+    every : depth, flow, labels and light are written of every n-th light frame.
     """
 
     def __init__(
@@ -87,32 +87,32 @@ class TruthSource:
 
     @property
     def raised(self) -> int:
-        """Of the sensor."""
+        """Count of `sensor`."""
         return self._sensor.raised
 
     @property
     def lost_in_pixel(self) -> int:
-        """Of the sensor."""
+        """Count of `sensor`."""
         return self._sensor.lost_in_pixel
 
     @property
     def lost_at_readout(self) -> int:
-        """Of the sensor."""
+        """Count of `sensor`."""
         return self._sensor.lost_at_readout
 
     @property
     def read_out(self) -> int:
-        """Of the sensor."""
+        """Count of `sensor`."""
         return self._sensor.read_out
 
     @property
     def undersampled_share(self) -> float | None:
-        """Of the sensor."""
+        """Share of `sensor`."""
         return self._sensor.undersampled_share
 
     @property
     def adjustable(self) -> dict[str, float]:
-        """Of the sensor."""
+        """Parameters of `sensor` that can change."""
         return self._sensor.adjustable
 
     def adjust(self, name: str, value: float) -> None:
@@ -210,7 +210,7 @@ class _Queue:
             self._origins += [] if origins is None else [origins]
 
     def rows(self, pictures: _Pictures | None) -> dict[str, Any]:
-        """Return and forget them; `pictures`: labels before and after, and the time from which on those after hold."""
+        """Return and remove them; `pictures`: labels before and after, and the time from which the latter hold."""
         if not self._events:
             return {}
         events, group = join_events(self._events), self._group
@@ -240,7 +240,7 @@ def check_truth(rig: Rig, path: Path, every: int = 1) -> None:
     if every < 1:
         raise TruthRefused(f"every {every}th picture: it must be 1 or more")
     if SCENES[rig.scene.kind].events:
-        raise TruthRefused(f"a {rig.scene.kind} plays events that exist already: nothing is known of what raised them")
+        raise TruthRefused(f"a {rig.scene.kind} plays events that exist already: their origin is not known")
     if find_spec("h5py") is None:
         raise ImportError(f"it needs h5py: {install_command('files')}")
 

@@ -36,10 +36,10 @@ def test_the_share_of_undersampled_pixel_steps_is_in_every_report(share, told, p
 def test_the_report_has_the_advice_of_the_terminal(share, page, capsys):
     result = dataclasses.replace(RESULT, undersampled_share=share)
     print_summary(load_rig("checkerboard"), result)
-    advice = [line for line in capsys.readouterr().out.splitlines() if line.startswith("pictures too far apart")]
+    advice = [line for line in capsys.readouterr().out.splitlines() if line.startswith("light frames too far apart")]
     assert len(advice) == (share > 0.1)
     text = page(result)
-    assert ("pictures too far apart" in text) is bool(advice)
+    assert ("light frames too far apart" in text) is bool(advice)
     assert all(f"<p>{line}</p>" in text for line in advice)
 
 
