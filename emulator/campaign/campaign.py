@@ -78,7 +78,7 @@ def result_columns(rig: Rig, result: RunResult, digest: str) -> Row:
     ledger = result.ledger
     row: Row = {
         "verdict": good(judgements),
-        "broken": "; ".join(f"{one.rule}: {one.told}" for one in judgements if not one.good),
+        "broken": "; ".join(f"{one.rule}: {one.finding}" for one in judgements if not one.good),
         "sim_s": result.sim_seconds,
         "frames": result.frames,
         "steps": result.steps,

@@ -247,7 +247,7 @@ def summary(rig: Rig, result: RunResult) -> dict[str, object]:
         "steps": result.steps,
         "events": result.ledger.as_json(),
         "balanced": result.ledger.balanced,
-        "rules": [dataclasses.asdict(one) for one in judge(rig.verdict, result)],
+        "rules": [one.as_json() for one in judge(rig.verdict, result)],
         "latency_us": dataclasses.asdict(_worst(latencies)),
         "lateness": {**result.lateness.as_json(), "late_share": result.late_share, "too_late": result.too_late},
         "undersampled_share": result.undersampled_share,
@@ -316,7 +316,7 @@ def print_summary(rig: Rig, result: RunResult) -> None:
     for line in lateness_lines(rig, result):
         console.print(line)
     for broken in (one for one in judge(rig.verdict, result) if not one.good and one.rule.startswith("verdict.")):
-        console.print(f"NOT GOOD: {broken.rule}: {broken.told}", markup=False)
+        console.print(f"NOT GOOD: {broken.rule}: {broken.finding}", markup=False)
     console.print("ledger: balanced" if ledger.balanced else f"ledger: OFF BY {ledger.imbalance} EVENTS")
 
 

@@ -187,12 +187,16 @@ class Judgement:
     ----------
     rule : its name, the same in every report.
     good : whether the run kept it.
-    told : limit and measured value, for people.
+    finding : limit and measured value, for people.
     """
 
     rule: str
     good: bool
-    told: str
+    finding: str
+
+    def as_json(self) -> dict[str, object]:
+        """Return an element of `rules` of `evstim run --json`."""
+        return {"rule": self.rule, "good": self.good, "told": self.finding}
 
 
 def judge(rules: Verdict, result: RunResult) -> tuple[Judgement, ...]:

@@ -209,9 +209,9 @@ def write_junit(rig: str, judgements: tuple[Judgement, ...], seconds: float, pat
     for one in judgements:
         case = ElementTree.SubElement(suite, "testcase", {"classname": f"evstim.{rig}", "name": one.rule, "time": "0"})
         if one.good:
-            ElementTree.SubElement(case, "system-out").text = one.told
+            ElementTree.SubElement(case, "system-out").text = one.finding
         else:
-            ElementTree.SubElement(case, "failure", {"message": one.told}).text = one.told
+            ElementTree.SubElement(case, "failure", {"message": one.finding}).text = one.finding
     ElementTree.ElementTree(suites).write(path, encoding="utf-8", xml_declaration=True)
     return path
 
@@ -251,7 +251,7 @@ def write_report(of: ReportContent, folder: Path) -> list[Path]:
         "<h2>Run</h2>",
         table(_run_rows(of)),
     ]
-    numbers = {"verdict": verdict, "rules": [asdict(one) for one in of.judgements], **of.summary, "run": _machine(of)}
+    numbers = {"verdict": verdict, "rules": [one.as_json() for one in of.judgements], **of.summary, "run": _machine(of)}
     return [
         write_page(f"{of.rig.name}: {verdict}", body, folder / "report.html"),
         write_json(msgspec.to_builtins(numbers), folder / "report.json"),
@@ -260,7 +260,7 @@ def write_report(of: ReportContent, folder: Path) -> list[Path]:
 
 
 def _verdict(judgements: Sequence[Judgement]) -> str:
-    rows = [{"rule": one.rule, "kept": "yes" if one.good else "NO", "found": one.told} for one in judgements]
+    rows = [{"rule": one.rule, "kept": "yes" if one.good else "NO", "found": one.finding} for one in judgements]
     return table(rows)
 
 
