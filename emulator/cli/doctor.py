@@ -11,7 +11,7 @@ from rich.text import Text
 from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, console, failures, prepared, print_json
 from emulator.cli.rigs import Needed, examined_needs
 from emulator.rig.loading import Rig, load_rig, shipped_rigs
-from emulator.run.keeping_up import KeepingUp, keeping_up
+from emulator.run.keeping_up import RealTimeSpeed, keeping_up
 from emulator.run.kernels import CODER, DECODER, EVT, Part, parts_of
 from emulator.run.machine import examine
 from transports.needs import Finding
@@ -74,7 +74,7 @@ def _all_parts() -> list[Part]:
     return list(once.values())
 
 
-def _as_json(rig: Rig, needed: Sequence[Needed], speed: KeepingUp | None) -> dict[str, object]:
+def _as_json(rig: Rig, needed: Sequence[Needed], speed: RealTimeSpeed | None) -> dict[str, object]:
     return {
         "rig": rig.name,
         "needs": [one.as_json() for one in needed],
@@ -84,7 +84,7 @@ def _as_json(rig: Rig, needed: Sequence[Needed], speed: KeepingUp | None) -> dic
     }
 
 
-def _sentence(rig: Rig, speed: KeepingUp | None) -> str:
+def _sentence(rig: Rig, speed: RealTimeSpeed | None) -> str:
     if speed is None:
         return f"{rig.name} does NOT run on this machine: add the missing parts first"
     verdict = "runs in real time on this machine" if speed.good else "does NOT run in real time on this machine"

@@ -16,7 +16,7 @@ from emulator.cli.signals import ignore_stop_signals, stop_on_signals
 from emulator.dynamics.flight import (
     DynamicsError,
     FlightEnded,
-    Flown,
+    FlightResult,
     Pace,
     fly,
     load_mapping,
@@ -81,7 +81,7 @@ def dynamics(
     return GOOD if complete else BAD_VERDICT
 
 
-def _flown(file: Path, map_file: Path, pace: Pace, to: tuple[str, int]) -> tuple[Flown, bool]:
+def _flown(file: Path, map_file: Path, pace: Pace, to: tuple[str, int]) -> tuple[FlightResult, bool]:
     mapping, ending = load_mapping(map_file), _Stop()
     with opened_inputs(mapping, map_file.parent) as inputs, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
         names = tuple(name for one in inputs for name in one.names)

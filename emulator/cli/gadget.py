@@ -14,11 +14,11 @@ from emulator.rig.tables import Camera
 from firmware_protocol.usb.descriptors import DescriptorSet
 from transports.usb.functionfs.gadget import Gadget, GadgetError, Places, controller_of
 
-__all__ = ["Plug", "down", "up", "verbs"]
+__all__ = ["UsbCameraOptions", "down", "up", "verbs"]
 
 
 @dataclass(frozen=True)
-class Plug:
+class UsbCameraOptions:
     """Camera that USB hosts find, as in the rig's table [camera].
 
     Attributes
@@ -36,7 +36,7 @@ class Plug:
     speed: Literal["super", "high"] = Camera.speed
 
 
-_PLUG = Plug()
+_DEFAULTS = UsbCameraOptions()
 
 
 def up(
@@ -44,7 +44,7 @@ def up(
     name: str = "evstim",
     udc: str = "",
     user: str | None = None,
-    plug: Annotated[Plug, Parameter(name="*")] = _PLUG,
+    plug: Annotated[UsbCameraOptions, Parameter(name="*")] = _DEFAULTS,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
     """Make the gadget, so that `evstim run` need not be root; hosts find it when a rig with a link usb_gadget runs.
@@ -108,7 +108,7 @@ def _gadget(name: str) -> Gadget:
         raise Failure(str(error), WRONG_USE) from error
 
 
-def _descriptors(plug: Plug) -> DescriptorSet:
+def _descriptors(plug: UsbCameraOptions) -> DescriptorSet:
     """Return the descriptors that USB hosts read."""
     model = CAMERA_MODELS.get(plug.model)
     if model is None or model.usb is None:

@@ -20,7 +20,7 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 
 from emulator.light import MachineLacks, SceneError
 from emulator.rig.loading import RigError
-from emulator.run.kernels import Part, Preparation, cold, prepare
+from emulator.run.kernels import Part, Preparation, prepare, uncompiled
 from emulator.run.link_process import LinkFailed
 from emulator.tables.registry import PluginError
 from transports.recording.format import Format, format_to_write, reason
@@ -172,7 +172,7 @@ def writing(path: Path) -> Iterator[None]:
 
 def prepared(parts: Sequence[Part]) -> int:
     """Compile those of the parts that this machine has not compiled yet; return how many these were."""
-    missing = cold(parts)
+    missing = uncompiled(parts)
     if not missing:
         return 0
     names = ", ".join(part.name for part in missing)

@@ -24,7 +24,7 @@ from emulator.cli.output import (
     print_json,
     status,
 )
-from emulator.cli.run_display import LiveTable, Reporting, Serving, begin_report, check_serving
+from emulator.cli.run_display import LiveTable, OptionalPage, RunReporter, begin_report, check_serving
 from emulator.cli.run_summary import (
     Truth,
     begin_trace,
@@ -177,20 +177,20 @@ def _check_record(rig: Rig, record: Path | None) -> None:
 def run_rig(
     rig: Rig,
     files: Files = NO_FILES,
-    reporting: Reporting | None = None,
+    reporting: RunReporter | None = None,
     truth: Truth | None = None,
     *,
     show: bool = False,
     simulation: Simulation | None = None,
 ) -> RunResult:
     """Run a loaded rig, with a live table on stderr when `show`, in step with a simulation where there is one."""
-    reporting, truth = reporting or Reporting(rig, None), truth or Truth(rig, files.truth, files.truth_every)
+    reporting, truth = reporting or RunReporter(rig, None), truth or Truth(rig, files.truth, files.truth_every)
     with build_scene(rig) as scene, truth.begin() as truth_file:
         if show and scene.renderer:
             console.print(f"renderer: {scene.renderer}")
         for note in [*remarks(rig), *scene.notes] if show else ():
             console.print(f"note: {note}", markup=False)
-        serving = Serving(rig, files.serve)
+        serving = OptionalPage(rig, files.serve)
         setups = serving.wired(link_setups(rig, files.record, truth.clock, files.fault_log))
         setups = begin_trace(setups, files.trace)
         session = _session(rig, scene, setups, truth_file)

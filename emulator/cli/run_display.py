@@ -37,7 +37,7 @@ from transports.link.process import LinkSetup
 if TYPE_CHECKING:
     from emulator.live_page.page import LivePage
 
-__all__ = ["LiveTable", "Reporting", "Serving", "ShownRun", "begin_report", "check_serving"]
+__all__ = ["LiveTable", "OptionalPage", "RunReporter", "ShownRun", "begin_report", "check_serving"]
 
 
 _PLAIN_PERIOD_S = 5.0
@@ -105,7 +105,7 @@ class LiveTable:
         return (last.sim_seconds - first.sim_seconds) / max(last.wall_seconds - first.wall_seconds, 1e-9)
 
 
-class Reporting:
+class RunReporter:
     """Observation of a run for its report; without a folder it does nothing."""
 
     def __init__(self, rig: Rig, folder: Path | None) -> None:
@@ -139,10 +139,10 @@ class Reporting:
             console.print(f"report: {paths[0]}", markup=False)
 
 
-def begin_report(rig: Rig, folder: Path | None) -> Reporting:
+def begin_report(rig: Rig, folder: Path | None) -> RunReporter:
     """Make the folder, which may exist already; raises Failure where that, or a chart, is not possible."""
     if folder is None:
-        return Reporting(rig, None)
+        return RunReporter(rig, None)
     try:
         check()
         folder.mkdir(parents=True, exist_ok=True)
@@ -152,7 +152,7 @@ def begin_report(rig: Rig, folder: Path | None) -> Reporting:
         raise Failure(f"--report: {error}", LACKING) from error
     except OSError as error:
         raise Failure(f"--report: {folder}: {error.strerror or error}", WRONG_USE) from error
-    return Reporting(rig, folder)
+    return RunReporter(rig, folder)
 
 
 class ShownRun:
@@ -172,7 +172,7 @@ class ShownRun:
             self._page.renew(status)
 
 
-class Serving:
+class OptionalPage:
     """The requested live page, or none."""
 
     def __init__(self, rig: Rig, requested: str | bool | None) -> None:
@@ -195,16 +195,16 @@ class Serving:
         if self._address is None:
             yield ShownRun(session, None)
             return
-        from emulator.live_page.messages import Orders
+        from emulator.live_page.messages import ViewerCommands
         from emulator.live_page.page import LivePage
 
         run = self._rig.run
         can_pause = run.pace == "free" and not run.lockstep_us
         viewer = Operator(session, "live page")
         inject = FaultInjection(self._rig, viewer, None).answer
-        orders = Orders(viewer, inject, self._button(viewer), can_pause=can_pause)
+        commands = ViewerCommands(viewer, inject, self._button(viewer), can_pause=can_pause)
         try:
-            page = LivePage(self._rig, self._address, orders)
+            page = LivePage(self._rig, self._address, commands)
         except OSError as error:
             raise Failure(f"--serve: {_shown(self._address)}: {error.strerror or error}", LACKING) from error
         with page:

@@ -45,7 +45,7 @@ __all__ = [
     "DynamicsError",
     "FileInputs",
     "FlightEnded",
-    "Flown",
+    "FlightResult",
     "InputFile",
     "Inputs",
     "Mapping",
@@ -291,7 +291,7 @@ class Pace:
 
 
 @dataclass(frozen=True)
-class Flown:
+class FlightResult:
     """Result of a flight."""
 
     steps: int
@@ -301,7 +301,7 @@ class Flown:
 
 def fly(
     unit: Stepping, mapping: Mapping, inputs: Sequence[Inputs], pace: Pace, send: Callable[[bytes], object]
-) -> Flown:
+) -> FlightResult:
     """Step the FMU until the time is over or `pace` ends the flight; raises FlightEnded."""
     steps, number = round(pace.seconds / mapping.step_s), 0
     pose = _pose(unit, mapping, number, pace)
@@ -313,7 +313,7 @@ def fly(
         number += 1
         pose = _pose(unit, mapping, number, pace)
         send(bytes(pose))
-    return Flown(number, number * mapping.step_s, pose)
+    return FlightResult(number, number * mapping.step_s, pose)
 
 
 def _pose(unit: Stepping, mapping: Mapping, number: int, pace: Pace) -> PoseMessage:

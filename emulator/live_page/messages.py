@@ -54,9 +54,9 @@ __all__ = [
     "Access",
     "Address",
     "BadMessage",
-    "Orders",
     "Picture",
     "RunningSession",
+    "ViewerCommands",
     "decode_picture",
     "encode_picture",
     "parse_address",
@@ -188,7 +188,7 @@ Inject = Callable[[dict[str, Any], RunStatus], dict[str, Any]]
 """Answer to a request that injects a fault, as `FaultInjection.answer`."""
 
 
-class Orders:
+class ViewerCommands:
     """Execution of the commands of viewers.
 
     Parameters

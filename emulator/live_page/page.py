@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.light import MachineLacks
-from emulator.live_page.messages import Access, Address, Orders
+from emulator.live_page.messages import Access, Address, ViewerCommands
 from emulator.live_page.process import PageSetup, SharedView, serve_page
 from emulator.rig.kinds import faults_of
 from emulator.rig.loading import Rig
@@ -205,9 +205,9 @@ class LivePage:
         Address to open in a browser.
     """
 
-    def __init__(self, rig: Rig, address: Address, orders: Orders) -> None:
+    def __init__(self, rig: Rig, address: Address, commands: ViewerCommands) -> None:
         listener, access = _listener(address), Access.for_host(address.host)
-        self._orders, self._rates = orders, Rates()
+        self._commands, self._rates = commands, Rates()
         self._view = SharedView(rig.camera.size)
         self._commands_done = 0
         self._gone = False
@@ -237,14 +237,14 @@ class LivePage:
             self._execute_commands()
         elif self._outbox.waits:
             self._flush()
-        while not self._orders.steps_allowed() and not self._gone:
+        while not self._commands.steps_allowed() and not self._gone:
             self._wait()
 
     def renew(self, status: RunStatus) -> None:
         """Send the status of the run, and detect the death of the page's process."""
-        self._orders.status = status
+        self._commands.status = status
         self._outbox.renew(
-            {"kind": "status", **status_table(status, self._rates.renew(status)), **self._orders.state()}
+            {"kind": "status", **status_table(status, self._rates.renew(status)), **self._commands.state()}
         )
         self._execute_commands()
 
@@ -271,9 +271,9 @@ class LivePage:
                     break
                 viewer, command = self._pipe.recv()
                 self._commands_done += 1
-                self._outbox.put({"kind": "answer", "viewer": viewer, **self._orders.carry_out(command)})
+                self._outbox.put({"kind": "answer", "viewer": viewer, **self._commands.carry_out(command)})
                 if command["do"] != "inject":
-                    self._outbox.put({"kind": "state", **self._orders.state()})
+                    self._outbox.put({"kind": "state", **self._commands.state()})
         self._flush()
 
     def _flush(self) -> None:

@@ -25,7 +25,7 @@ import numpy.typing as npt
 
 from emulator.light import Light
 from emulator.rig.loading import Rig, RigError
-from emulator.trajectory.basilisk import ConnectedPath, flown_path, pose_of
+from emulator.trajectory.basilisk import ConnectedPath, pose_of, simulated_path
 from emulator.trajectory.parameters import BasiliskPath
 from emulator.trajectory.pose import TrajectoryError
 from firmware_protocol.events import Events
@@ -205,8 +205,8 @@ class BasiliskRun:
             self._on_first(update)
         self.last_ns = update.time_ns
         for path, pose in zip(self._paths, poses, strict=True):
-            assert path.flown is not None
-            path.flown.add(self.limit_ns, pose)
+            assert path.simulated is not None
+            path.simulated.add(self.limit_ns, pose)
         self.counters.updates += 1
         self._waiting_since_ns, self._without_event = self._clock.now_ns(), True
 
@@ -269,7 +269,7 @@ def _focal_px(camera: CameraState) -> float:
 def _connected(value: T, paths: list[ConnectedPath]) -> T:
     """Return a table of a rig with all Basilisk paths in it connected; they are added to `paths`."""
     if isinstance(value, BasiliskPath):
-        paths.append(ConnectedPath(**_fields(value), flown=flown_path(value)))
+        paths.append(ConnectedPath(**_fields(value), simulated=simulated_path(value)))
         return paths[-1]  # type: ignore[return-value]
     if isinstance(value, tuple):
         return tuple(_connected(one, paths) for one in value)  # type: ignore[return-value]

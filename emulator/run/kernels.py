@@ -36,7 +36,18 @@ from emulator.sensor.presets import PRESETS, SensorParameters
 from firmware_protocol.compiled import cache_folder, checksum_of
 from transports.link.kind import LinkParameters
 
-__all__ = ["ACTIVITY_FILTER", "CODER", "DECODER", "EVT", "TRUTH", "Part", "Preparation", "cold", "parts_of", "prepare"]
+__all__ = [
+    "ACTIVITY_FILTER",
+    "CODER",
+    "DECODER",
+    "EVT",
+    "TRUTH",
+    "Part",
+    "Preparation",
+    "parts_of",
+    "prepare",
+    "uncompiled",
+]
 
 
 _WIDTH, _HEIGHT = 32, 24
@@ -249,7 +260,7 @@ class _Running:
     began_s: float
 
 
-def cold(parts: Sequence[Part]) -> list[Part]:
+def uncompiled(parts: Sequence[Part]) -> list[Part]:
     """Return the parts that have not been compiled on this machine yet; none with NUMBA_DISABLE_JIT."""
     if getattr(config, "DISABLE_JIT", 0):
         return []

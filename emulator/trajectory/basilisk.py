@@ -33,7 +33,7 @@ from emulator.trajectory.parameters import BasiliskPath
 from emulator.trajectory.pose import Pose, Trajectory, TrajectoryError, from_basilisk
 from firmware_protocol.vizard.messages import Update, UpdateError
 
-__all__ = ["ConnectedPath", "SimulatedPath", "flown_path", "pose_of"]
+__all__ = ["ConnectedPath", "SimulatedPath", "pose_of", "simulated_path"]
 
 
 _KNOWN = 64
@@ -93,13 +93,13 @@ _LARGEST_MRP = 1e6  # of one part; within a millionth of a whole turn
 class ConnectedPath(BasiliskPath):
     """A Basilisk path of a rig that a simulation drives."""
 
-    flown: SimulatedPath | None = None
+    simulated: SimulatedPath | None = None
 
 
-def flown_path(path: BasiliskPath) -> SimulatedPath:
+def simulated_path(path: BasiliskPath) -> SimulatedPath:
     """Return a path for a simulation; without one it stays at the pose that the rig gives."""
-    if isinstance(path, ConnectedPath) and path.flown is not None:
-        return path.flown
+    if isinstance(path, ConnectedPath) and path.simulated is not None:
+        return path.simulated
     return SimulatedPath(Pose(np.array(path.position_m), np.array(path.q_world_from_body)))
 
 

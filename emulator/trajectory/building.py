@@ -24,7 +24,7 @@ import numpy.typing as npt
 from emulator.geometry.attitude import cross
 from emulator.geometry.camera import Cycle
 from emulator.tables.toml_text import TextFileError, read_text, shortened
-from emulator.trajectory.basilisk import flown_path
+from emulator.trajectory.basilisk import simulated_path
 from emulator.trajectory.ccsds_file import CcsdsPath, parse_aem, parse_oem
 from emulator.trajectory.descent import Descent
 from emulator.trajectory.flight_file import Samples, parse_flight, parse_table
@@ -211,7 +211,7 @@ def build_trajectory(p: TrajectoryParameters | OffsetPath) -> Trajectory:
 
 def _derived(p: OffsetPath | BasiliskPath) -> Trajectory:
     if isinstance(p, BasiliskPath):
-        return flown_path(p)
+        return simulated_path(p)
     return Offset(build_trajectory(p.path), p.offset_m, p.q_path_from_body)
 
 
