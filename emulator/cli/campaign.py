@@ -247,7 +247,7 @@ def again(
     if json:
         print_json({"row": row, "different": different})
     else:
-        _print_campaign_again(row, different)
+        _print_row(row, different)
     return BAD_VERDICT if different else GOOD
 
 
@@ -265,7 +265,7 @@ def _different(before: Row, now: Row) -> list[str]:
     return [name for name in [*names, "outcome"] if before[name] != now.get(name)]
 
 
-def _print_campaign_again(row: Row, different: list[str] | None) -> None:
+def _print_row(row: Row, different: list[str] | None) -> None:
     for name, value in row.items():
         console.print(f"{name}: {value}", markup=False)
     if different is None:

@@ -20,7 +20,7 @@ from transports.faults.script import FaultRecord
 __all__ = ["answer_of", "fault", "find_run", "trigger"]
 
 
-_LOOK_PERIOD_S = 0.1
+_POLL_PERIOD_S = 0.1
 _TIMEOUT_S = 20.0  # beyond the fault's own length
 
 
@@ -135,7 +135,7 @@ def _follow(path: Path, injected: dict[str, Any], kind: str, for_s: float) -> Fa
     until_s = time.monotonic() + for_s + _TIMEOUT_S
     record = None
     while record is None or (record.ended_us is None and time.monotonic() < until_s):
-        time.sleep(_LOOK_PERIOD_S)
+        time.sleep(_POLL_PERIOD_S)
         records = answer_of(path, {"ask": "faults"})["links"][injected["link"]]["injected"][injected["after"] :]
         record = next((FaultRecord(**each) for each in records if each["kind"] == kind), None)
         if record is None and time.monotonic() > until_s:

@@ -29,12 +29,12 @@ def show_truth(file: Path, found: Mapping[str, Any], *, json: bool) -> int:
     if json:
         print_json({"file": file, **found})
     else:
-        for line in _lines(found):
+        for line in _truth_lines(found):
             console.print(line, markup=False)
     return GOOD if found["complete"] else BAD_VERDICT
 
 
-def _lines(found: Mapping[str, Any]) -> list[str]:
+def _truth_lines(found: Mapping[str, Any]) -> list[str]:
     names = ", ".join(f"{k} {name}" for k, name in enumerate(found["names"]))
     origins = ", ".join(f"{count} {name}" for name, count in found["origins"].items())
     lines = [
@@ -169,7 +169,7 @@ def info(
     if json:
         print_json(found)
     else:
-        for line in _lines_info(recording, survey):
+        for line in _recording_lines(recording, survey):
             console.print(line, markup=False)
         if trouble:
             console.print(f"damaged: {trouble}; the values are of the part before the damage", markup=False)
@@ -191,7 +191,7 @@ def _as_json(file: Path, recording: OpenRecording, survey: Survey, trouble: str)
     }  # fmt: skip
 
 
-def _lines_info(recording: OpenRecording, survey: Survey) -> list[str]:
+def _recording_lines(recording: OpenRecording, survey: Survey) -> list[str]:
     form, facts, events = recording.format, recording.facts, survey.streams["events"]
     size = "unknown" if facts.size is None else f"{facts.size[0]} x {facts.size[1]}"
     share = f", {survey.on / events.count:.1%} ON" if events.count else ""

@@ -103,7 +103,7 @@ def quantile_text(value_us: float | None) -> str:
 
 
 _STRETCHED_SHARE = 0.01  # fewer longer steps than this change no result
-_WORTH_SAYING_US = 1000.0
+_REPORTED_LATENESS_US = 1000.0
 
 
 def lateness_lines(rig: Rig, result: RunResult) -> list[str]:
@@ -111,7 +111,7 @@ def lateness_lines(rig: Rig, result: RunResult) -> list[str]:
     late = result.lateness
     if result.too_late:
         return [f"NOT IN REAL TIME: {_broken(rig, result)}. {_remedies(rig)}"]
-    if late.worst_gap_us > _WORTH_SAYING_US or late.steps_stretched > _STRETCHED_SHARE * result.steps:
+    if late.worst_gap_us > _REPORTED_LATENESS_US or late.steps_stretched > _STRETCHED_SHARE * result.steps:
         return [
             f"late: {late.frames_late} of {result.steps} steps, the worst by {late.worst_gap_us:.0f} us; "
             f"{late.steps_stretched} steps made longer to keep up"

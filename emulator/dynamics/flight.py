@@ -162,7 +162,7 @@ def load_mapping(path: Path) -> Mapping:
         raise DynamicsError(f"{path}: {'.'.join(map(str, error.path))}: {error}") from error
 
 
-_MOST_BYTES_INPUTS = 64 << 20
+_MOST_INPUT_BYTES = 64 << 20
 _MOST_FRAMES = 1000  # a step, so that a flood does not hold the flight up
 _TIME = "time_s"
 
@@ -183,7 +183,7 @@ class FileInputs:
 
     def __init__(self, file: Path) -> None:
         try:
-            lines = list(csv.reader(read_text(file, _MOST_BYTES_INPUTS).splitlines()))
+            lines = list(csv.reader(read_text(file, _MOST_INPUT_BYTES).splitlines()))
         except TextFileError as error:
             raise DynamicsError(f"{file} {error}") from error
         if not lines or lines[0][:1] != [_TIME] or len(lines[0]) < 2:

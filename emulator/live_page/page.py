@@ -168,7 +168,7 @@ _log = logging.getLogger(__name__)
 
 _MOST_COMMANDS = 8  # in one poll
 _STOP_S = 2.0
-_PAUSE_LOOK_S = 0.05
+_PAUSE_POLL_S = 0.05
 _TRIGGER_DELAY_US = 5000.0  # so that an edge comes to the cameras in its order, after events already computed
 
 
@@ -258,7 +258,7 @@ class LivePage:
 
     def _wait(self) -> None:
         with self._or_gone():
-            self._pipe.poll(_PAUSE_LOOK_S)
+            self._pipe.poll(_PAUSE_POLL_S)
         self._execute_commands()
 
     def _execute_commands(self) -> None:

@@ -1,6 +1,6 @@
 """Control socket of a running session, and the signal that it is ready.
 
-`evstim fault` and `evstim trigger` send one line of JSON to the socket and receive one line:
+`evstim fault` and `evstim trigger` send one line of JSON to the socket of a run, and receive one line:
 
     $XDG_RUNTIME_DIR/evstim/RIG-PID.sock        where there is no such directory: /tmp/evstim-UID/RIG-PID.sock
 

@@ -24,7 +24,7 @@ from firmware_protocol.pose_message import POSE_BYTES, PoseMessage, PoseMessageE
 
 __all__ = ["PoseReceiver", "ReceivedPath", "ReceiverCounters", "SceneClock", "close_receivers", "live_counts"]
 
-_MOST_A_PICTURE = 256
+_MOST_A_FRAME = 256
 _REMEMBERED = 32  # light frames whose lateness is compared
 _RESTART_NS = 1_000_000_000  # scenes use instants a few milliseconds before and after a frame's own
 
@@ -122,7 +122,7 @@ class PoseReceiver:
     def receive(self, t_ns: int) -> None:
         """Read the datagrams that have come before the light frame of `t_ns`, at most 256."""
         if t_ns != self._picture_ns:
-            self._picture_ns, self._left = t_ns, _MOST_A_PICTURE
+            self._picture_ns, self._left = t_ns, _MOST_A_FRAME
             if self._scene.draw(t_ns, self._clock()):
                 for poses in self._bodies.values():
                     poses.restart(t_ns)

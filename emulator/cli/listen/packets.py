@@ -45,7 +45,7 @@ class Line:
 
 
 _GONE = "the line went away before the reception was to end: it was unplugged, or the camera's run ended or died"
-_NO_LIMITS, _LINE, _NO_ORDERS = Limits(), Line(), TelecommandOptions()
+_NO_LIMITS, _LINE, _NO_TELECOMMANDS = Limits(), Line(), TelecommandOptions()
 
 
 def serial(
@@ -53,7 +53,7 @@ def serial(
     /,
     *,
     line: Annotated[Line, Parameter(name="*")] = _LINE,
-    orders: Annotated[TelecommandOptions, Parameter(name="*")] = _NO_ORDERS,
+    orders: Annotated[TelecommandOptions, Parameter(name="*")] = _NO_TELECOMMANDS,
     limits: Annotated[Limits, Parameter(name="*")] = _NO_LIMITS,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
@@ -91,17 +91,14 @@ def serial(
     return report_problems(problems, reception.faults)
 
 
-_NO_LIMITS_UDP, _NO_ORDERS_UDP = Limits(), TelecommandOptions()
-
-
 def udp(
     at: str = "127.0.0.1:10015",
     /,
     *,
     camera: str = "127.0.0.1:10025",
     allow: Annotated[tuple[str, ...], Parameter(negative="")] = (),
-    orders: Annotated[TelecommandOptions, Parameter(name="*")] = _NO_ORDERS_UDP,
-    limits: Annotated[Limits, Parameter(name="*")] = _NO_LIMITS_UDP,
+    orders: Annotated[TelecommandOptions, Parameter(name="*")] = _NO_TELECOMMANDS,
+    limits: Annotated[Limits, Parameter(name="*")] = _NO_LIMITS,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
     """Read a camera whose packets come in UDP datagrams, and count the losses. Ctrl-C ends it.
