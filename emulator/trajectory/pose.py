@@ -118,7 +118,7 @@ class Trajectory(ABC):
         """Return the pose at time `t_ns`, which depends on nothing else unless poses come from outside."""
 
     def motion(self, t_ns: int) -> Motion:
-        """Return how it moves at `t_ns`; from differences of poses where no closed form is known, see `motion`."""
+        """Return the motion at `t_ns`; from differences of poses where no closed form is known, see `motion`."""
         return differences(self.pose, t_ns)
 
     def pose_and_motion(self, t_ns: int) -> tuple[Pose, Motion]:
@@ -147,7 +147,7 @@ class Fixed(Trajectory):
         return self._pose
 
     def motion(self, t_ns: int) -> Motion:
-        """Zero: it does not move."""
+        """Return rest."""
         return AT_REST
 
     @property
